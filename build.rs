@@ -1,0 +1,40 @@
+//! Puts the chosen board's memory sizes where the linker finds them as `board.x`, which the root `memory.x` includes.
+
+use std::path::Path;
+use std::{env, fs};
+
+/// The boards and the file under `boards/` that holds their memory sizes.
+const BOARDS: [(&str, &str); 4] = [
+    ("CARGO_FEATURE_BOARD_STM32F405", "stm32f405.x"),
+    ("CARGO_FEATURE_BOARD_BLACKPILL_F411", "stm32f411.x"),
+    ("CARGO_FEATURE_BOARD_NUCLEO_F411", "stm32f411.x"),
+    ("CARGO_FEATURE_QEMU", "stm32f405.x"),
+];
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=boards");
+    println!("cargo:rerun-if-changed=memory.x");
+    let chosen: Vec<&str> = BOARDS
+        .iter()
+        .filter(|(feature, _)| env::var_os(feature).is_some())
+        .map(|&(_, file)| file)
+        .collect();
+    let file = match chosen[..] {
+        [] => return, // The library alone: whoever uses it brings their own linker scripts.
+        [file] => file,
+        _ => panic!(
+            "choose one of the features board-… and qemu, not {}",
+            chosen.len()
+        ),
+    };
+    let output = env::var("OUT_DIR").expect("cargo sets OUT_DIR for build scripts");
+    fs::copy(
+        Path::new("boards").join(file),
+        Path::new(&output).join("board.x"),
+    )
+    .unwrap_or_else(|error| panic!("cannot copy boards/{file}: {error}"));
+    println!("cargo:rustc-link-search={output}");
+    // Only the firmware logs through defmt; the other binaries have no such section.
+    println!("cargo:rustc-link-arg-bin=flight=-Tdefmt.x");
+}

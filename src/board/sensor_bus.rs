@@ -1,0 +1,352 @@
+//! The sensor's bus as an embedded-hal `I2c` with a deadline on every wait, and its recovery.
+//!
+//! The idle task configures the sensor through this while the burst reader is disabled, and never
+//! touches it otherwise. The HAL's blocking I2C waits without limits, so a bus held low would hang it.
+//! Multi-byte reads follow the stretching method of RM0090, 27.3.3 ("Closing the communication"),
+//! which stays right however long an interrupt delays a step.
+
+use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
+use stm32f4xx_hal::pac::{GPIOB, I2C1, RCC, i2c1};
+
+use super::boards::BOARD;
+use super::timebase;
+
+/// Longest wait for one bus event, in microseconds. A byte takes 22 µs, and the sensor never stretches the clock.
+const STEP_DEADLINE_US: u32 = 2_000;
+/// Half a clock period while the bus is recovered by hand, in microseconds: 100 kHz.
+const RECOVERY_HALF_PERIOD_US: u32 = 5;
+/// A reader may hold SDA low for the rest of a byte and its acknowledge (UM10204, 3.1.16).
+const RECOVERY_CLOCKS: u32 = 9;
+/// PB8 is SCL and PB9 is SDA.
+const SCL: u8 = 8;
+const SDA: u8 = 9;
+
+/// The port's input clock in MHz.
+const CLOCK_MHZ: u8 = (BOARD.peripheral_hz / 1_000_000) as u8;
+
+/// Sets the field of CR2 that tells the port its input clock (RM0090, 27.6.2), which every write of CR2 needs.
+pub fn with_clock(w: &mut i2c1::cr2::W) -> &mut i2c1::cr2::W {
+    const { assert!(CLOCK_MHZ >= 4 && CLOCK_MHZ <= 50) };
+    // SAFETY: the manual allows 2 to 50 MHz, and 4 MHz or more for fast mode.
+    unsafe { w.freq().bits(CLOCK_MHZ) }
+}
+
+/// I2C1 on PB8 and PB9 at 400 kHz.
+pub struct SensorBus {
+    _port: I2C1,
+    _pins: GPIOB,
+}
+
+/// The bus stayed low after its recovery: SCL or SDA is shorted, unpowered or not connected.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct BusHeldLow {
+    /// Whether SCL is the one that is low; else SDA is.
+    pub clock: bool,
+}
+
+impl SensorBus {
+    /// Takes the port and its pins. [`SensorBus::recover`] makes the bus usable.
+    pub fn new(port: I2C1, pins: GPIOB) -> Self {
+        // SAFETY: only init calls this, before any interrupt is enabled, so nothing else writes RCC.
+        let rcc = unsafe { &*RCC::ptr() };
+        rcc.ahb1enr().modify(|_, w| w.gpioben().set_bit());
+        rcc.apb1enr().modify(|_, w| w.i2c1en().set_bit());
+        Self {
+            _port: port,
+            _pins: pins,
+        }
+    }
+
+    /// Frees the bus from a sensor that was interrupted half-way through a byte, then resets and programs the port.
+    ///
+    /// # Errors
+    ///
+    /// A line is still low: the wiring or the supply is at fault, and no clocking helps.
+    pub fn recover(&mut self) -> Result<(), BusHeldLow> {
+        self.set_pin_modes(PinMode::Output);
+        self.drive(SCL, true);
+        self.drive(SDA, true);
+        wait_us(RECOVERY_HALF_PERIOD_US);
+        for _ in 0..RECOVERY_CLOCKS {
+            if self.is_high(SDA) {
+                break;
+            }
+            self.drive(SCL, false);
+            wait_us(RECOVERY_HALF_PERIOD_US);
+            self.drive(SCL, true);
+            wait_us(RECOVERY_HALF_PERIOD_US);
+        }
+        // STOP: SDA rises while SCL is high.
+        self.drive(SCL, false);
+        wait_us(RECOVERY_HALF_PERIOD_US);
+        self.drive(SDA, false);
+        wait_us(RECOVERY_HALF_PERIOD_US);
+        self.drive(SCL, true);
+        wait_us(RECOVERY_HALF_PERIOD_US);
+        self.drive(SDA, true);
+        wait_us(RECOVERY_HALF_PERIOD_US);
+        let (clock, data) = (self.is_high(SCL), self.is_high(SDA));
+        self.set_pin_modes(PinMode::Alternate);
+        self.program_port();
+        if clock && data {
+            Ok(())
+        } else {
+            Err(BusHeldLow { clock: !clock })
+        }
+    }
+
+    fn program_port(&self) {
+        let i2c = port();
+        // The reset also clears a BUSY flag that the recovery's edges have set (errata sheet ES0182, 2.10.7).
+        i2c.cr1().write(|w| w.swrst().set_bit());
+        i2c.cr1().reset();
+        i2c.cr2().write(|w| with_clock(w));
+        // SCL low:high is 16:9 if that divides to 400 kHz exactly, else 2:1 (RM0090, 27.6.8).
+        let (duty, periods) = if BOARD.peripheral_hz.is_multiple_of(25 * 400_000) {
+            (true, 25)
+        } else {
+            (false, 3)
+        };
+        let divider = BOARD.peripheral_hz.div_ceil(periods * 400_000);
+        i2c.ccr()
+            // SAFETY: the divider is 5 or more, far below 12 bits, for every APB1 clock from 2 to 50 MHz.
+            .write(|w| unsafe {
+                w.f_s()
+                    .set_bit()
+                    .duty()
+                    .bit(duty)
+                    .ccr()
+                    .bits(divider as u16)
+            });
+        // Fast mode allows a rise time of 300 ns (UM10204, table 11; RM0090, 27.6.9).
+        i2c.trise().write(|w| w.trise().set(CLOCK_MHZ * 3 / 10 + 1));
+        i2c.cr1().write(|w| w.pe().set_bit());
+    }
+
+    fn set_pin_modes(&self, mode: PinMode) {
+        let pins = pins();
+        pins.otyper()
+            .modify(|_, w| w.ot8().open_drain().ot9().open_drain());
+        pins.ospeedr()
+            .modify(|_, w| w.ospeedr8().high_speed().ospeedr9().high_speed());
+        // The breakout boards carry the real pull-ups; these keep an empty connector from floating.
+        pins.pupdr()
+            .modify(|_, w| w.pupdr8().pull_up().pupdr9().pull_up());
+        pins.afrh().modify(|_, w| w.afrh8().af4().afrh9().af4());
+        pins.moder().modify(|_, w| match mode {
+            PinMode::Output => w.moder8().output().moder9().output(),
+            PinMode::Alternate => w.moder8().alternate().moder9().alternate(),
+        });
+    }
+
+    fn drive(&self, pin: u8, high: bool) {
+        pins().bsrr().write(|w| {
+            if high {
+                w.bs(pin).set_bit()
+            } else {
+                w.br(pin).set_bit()
+            }
+        });
+    }
+
+    fn is_high(&self, pin: u8) -> bool {
+        pins().idr().read().idr(pin).bit()
+    }
+
+    fn start(&mut self, address: u8, read: bool) -> Result<(), ErrorKind> {
+        let i2c = port();
+        i2c.cr1().modify(|_, w| w.start().set_bit().ack().set_bit());
+        self.wait(|status| status.sb().bit(), NoAcknowledgeSource::Address)?;
+        i2c.dr()
+            .write(|w| w.dr().set(address << 1 | u8::from(read)));
+        self.wait(|status| status.addr().bit(), NoAcknowledgeSource::Address)
+    }
+
+    fn write_bytes(&mut self, bytes: &[u8]) -> Result<(), ErrorKind> {
+        for &byte in bytes {
+            self.wait(|status| status.tx_e().bit(), NoAcknowledgeSource::Data)?;
+            port().dr().write(|w| w.dr().set(byte));
+        }
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        self.wait(|status| status.btf().bit(), NoAcknowledgeSource::Data)
+    }
+
+    /// Receives as many bytes as `sink` takes, `length` in all, and ends with NACK; with STOP too if `stop`.
+    fn read_bytes<'a>(
+        &mut self,
+        length: usize,
+        mut bytes: impl Iterator<Item = &'a mut u8>,
+        stop: bool,
+    ) -> Result<(), ErrorKind> {
+        let i2c = port();
+        let close = || {
+            if stop {
+                i2c.cr1().modify(|_, w| w.stop().set_bit());
+            } else {
+                i2c.cr1().modify(|_, w| w.start().set_bit());
+            }
+        };
+        let mut take = || {
+            let byte = i2c.dr().read().dr().bits();
+            if let Some(place) = bytes.next() {
+                *place = byte;
+            }
+        };
+        match length {
+            0 => {
+                i2c.sr2().read();
+                close();
+            }
+            1 => {
+                i2c.cr1().modify(|_, w| w.ack().clear_bit());
+                i2c.sr2().read();
+                close();
+                self.wait(|status| status.rx_ne().bit(), NoAcknowledgeSource::Data)?;
+                take();
+            }
+            2 => {
+                i2c.cr1().modify(|_, w| w.ack().clear_bit().pos().set_bit());
+                i2c.sr2().read();
+                self.wait(|status| status.btf().bit(), NoAcknowledgeSource::Data)?;
+                close();
+                take();
+                take();
+                i2c.cr1().modify(|_, w| w.pos().clear_bit());
+            }
+            _ => {
+                i2c.sr2().read();
+                for _ in 3..length {
+                    self.wait(|status| status.btf().bit(), NoAcknowledgeSource::Data)?;
+                    take();
+                }
+                self.wait(|status| status.btf().bit(), NoAcknowledgeSource::Data)?;
+                i2c.cr1().modify(|_, w| w.ack().clear_bit());
+                take();
+                self.wait(|status| status.btf().bit(), NoAcknowledgeSource::Data)?;
+                close();
+                take();
+                take();
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits for an event, an error, or the deadline.
+    fn wait(
+        &self,
+        event: impl Fn(&i2c1::sr1::R) -> bool,
+        source: NoAcknowledgeSource,
+    ) -> Result<(), ErrorKind> {
+        let start = timebase::now();
+        loop {
+            let status = port().sr1().read();
+            let error = if status.af().bit() {
+                Some(ErrorKind::NoAcknowledge(source))
+            } else if status.arlo().bit() {
+                Some(ErrorKind::ArbitrationLoss)
+            } else if status.berr().bit() {
+                Some(ErrorKind::Bus)
+            } else if status.ovr().bit() {
+                Some(ErrorKind::Overrun)
+            } else if event(&status) {
+                return Ok(());
+            } else if timebase::elapsed(start, STEP_DEADLINE_US) {
+                Some(ErrorKind::Other)
+            } else {
+                None
+            };
+            if let Some(error) = error {
+                // The error flags are cleared by writing zero; the other flags ignore writes.
+                port().sr1().reset();
+                port().cr1().modify(|_, w| w.stop().set_bit());
+                return Err(error);
+            }
+        }
+    }
+
+    fn wait_until_free(&self) -> Result<(), ErrorKind> {
+        let start = timebase::now();
+        while port().sr2().read().busy().bit() {
+            if timebase::elapsed(start, STEP_DEADLINE_US) {
+                return Err(ErrorKind::Bus);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl ErrorType for SensorBus {
+    type Error = ErrorKind;
+}
+
+impl I2c for SensorBus {
+    /// `ErrorKind::Other` is a deadline that passed.
+    fn transaction(
+        &mut self,
+        address: u8,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), ErrorKind> {
+        self.wait_until_free()?;
+        let mut rest = operations;
+        // Neighbours of one kind are one transfer, as the trait demands.
+        while let Some(first) = rest.first() {
+            let reads = matches!(first, Operation::Read(_));
+            let run = rest
+                .iter()
+                .take_while(|operation| matches!(operation, Operation::Read(_)) == reads)
+                .count();
+            let (these, others) = rest.split_at_mut(run);
+            let last = others.is_empty();
+            self.start(address, reads)?;
+            if reads {
+                let length = these.iter().map(operation_length).sum();
+                let bytes = these.iter_mut().flat_map(|operation| match operation {
+                    Operation::Read(buffer) => buffer.iter_mut(),
+                    Operation::Write(_) => [].iter_mut(),
+                });
+                self.read_bytes(length, bytes, last)?;
+            } else {
+                port().sr2().read();
+                for operation in these {
+                    if let Operation::Write(bytes) = operation {
+                        self.write_bytes(bytes)?;
+                    }
+                }
+                if last {
+                    port().cr1().modify(|_, w| w.stop().set_bit());
+                }
+            }
+            rest = others;
+        }
+        Ok(())
+    }
+}
+
+enum PinMode {
+    Output,
+    Alternate,
+}
+
+fn operation_length(operation: &Operation<'_>) -> usize {
+    match operation {
+        Operation::Read(buffer) => buffer.len(),
+        Operation::Write(bytes) => bytes.len(),
+    }
+}
+
+fn wait_us(microseconds: u32) {
+    let start = timebase::now();
+    while !timebase::elapsed(start, microseconds + 1) {}
+}
+
+fn port() -> &'static i2c1::RegisterBlock {
+    // SAFETY: the burst reader is disabled while the idle task uses this bus, and owns it otherwise.
+    unsafe { &*I2C1::ptr() }
+}
+
+fn pins() -> &'static stm32f4xx_hal::pac::gpiob::RegisterBlock {
+    // SAFETY: `SensorBus` owns port B; nothing else uses its registers.
+    unsafe { &*GPIOB::ptr() }
+}

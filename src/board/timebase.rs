@@ -1,0 +1,121 @@
+//! TIM5, the one clock of the firmware: microseconds since boot, in 32 bits that wrap every 71.6 minutes.
+//!
+//! - Channel 2 captures the INT pin's rising edge, so a sample's time does not depend on interrupt latency.
+//! - Channel 1's compare is the burst reader's alarm: a burst that does not end, or an edge that does not come.
+//! - Channel 3's compare paces the telemetry.
+//! - The update interrupt extends the count to 64 bits.
+
+use stm32f4xx_hal::pac::{RCC, TIM5};
+
+use super::boards::BOARD;
+use crate::units::CounterExtender;
+
+/// What a TIM5 interrupt was for. Several may come at once.
+pub struct Alarms {
+    /// The burst reader's alarm went off.
+    pub burst: bool,
+    /// The next telemetry line is due.
+    pub telemetry: bool,
+}
+
+/// The time base. All of its methods run at the burst reader's priority.
+pub struct Timebase {
+    timer: TIM5,
+    extender: CounterExtender,
+    telemetry_period_us: u32,
+}
+
+impl Timebase {
+    /// Starts the count at zero.
+    pub fn start(timer: TIM5, telemetry_period_us: u32) -> Self {
+        // SAFETY: only init calls this, before any interrupt is enabled, so nothing else writes RCC.
+        let rcc = unsafe { &*RCC::ptr() };
+        rcc.apb1enr().modify(|_, w| w.tim5en().set_bit());
+        let ticks_per_us = 2 * BOARD.peripheral_hz / 1_000_000;
+        timer
+            .psc()
+            .write(|w| w.psc().set((ticks_per_us - 1) as u16));
+        timer.arr().write(|w| w.arr().set(u32::MAX));
+        // Channel 2: input, no filter, rising edge. Channels 1 and 3: compare, no output.
+        timer.ccmr1_input().write(|w| w.cc2s().ti2());
+        timer.ccer().write(|w| w.cc2e().set_bit());
+        timer.ccr1().write(|w| w.ccr().set(u32::MAX));
+        timer.ccr3().write(|w| w.ccr().set(telemetry_period_us));
+        timer.egr().write(|w| w.ug().set_bit());
+        timer.sr().reset();
+        timer
+            .dier()
+            .write(|w| w.uie().set_bit().cc1ie().set_bit().cc3ie().set_bit());
+        timer.cr1().write(|w| w.cen().set_bit());
+        Self {
+            timer,
+            extender: CounterExtender::new(),
+            telemetry_period_us,
+        }
+    }
+
+    /// The count at the last rising edge of the INT pin.
+    pub fn captured(&self) -> u32 {
+        self.timer.ccr2().read().ccr().bits()
+    }
+
+    /// A captured count as microseconds since boot.
+    #[inline(always)]
+    pub fn extend_capture(&self, captured: u32) -> u64 {
+        let now = self.timer.cnt().read().cnt().bits();
+        let overflow_pending = self.timer.sr().read().uif().bit_is_set();
+        self.extender
+            .extend_capture(captured, now, overflow_pending)
+    }
+
+    /// Serves the interrupt.
+    pub fn on_interrupt(&mut self) -> Alarms {
+        let status = self.timer.sr().read();
+        // SAFETY: the flags are cleared by writing zero, and ones leave them alone (RM0090, 18.4.5).
+        self.timer.sr().write(|w| unsafe { w.bits(!status.bits()) });
+        if status.uif().bit_is_set() {
+            self.extender.overflow();
+        }
+        if status.cc3if().bit_is_set() {
+            let due = self.timer.ccr3().read().ccr().bits();
+            self.timer
+                .ccr3()
+                .write(|w| w.ccr().set(due.wrapping_add(self.telemetry_period_us)));
+        }
+        Alarms {
+            burst: status.cc1if().bit_is_set(),
+            telemetry: status.cc3if().bit_is_set(),
+        }
+    }
+}
+
+/// Sets the burst reader's alarm to a count. For the reader, and for the idle task while the reader is disabled.
+pub fn set_burst_alarm(count: u32) {
+    // SAFETY: the time base itself never writes this channel.
+    unsafe { &*TIM5::ptr() }
+        .ccr1()
+        .write(|w| w.ccr().set(count));
+}
+
+/// The count now, for whoever does not own the time base.
+pub fn now() -> u32 {
+    // SAFETY: reading the count has no side effect.
+    unsafe { &*TIM5::ptr() }.cnt().read().cnt().bits()
+}
+
+/// Whether `limit_us` have passed since the count was `start`. Right for limits up to 71 minutes.
+pub fn elapsed(start: u32, limit_us: u32) -> bool {
+    now().wrapping_sub(start) >= limit_us
+}
+
+/// Delays by watching the count, for the sensor's configuration.
+pub struct Delay;
+
+impl embedded_hal::delay::DelayNs for Delay {
+    fn delay_ns(&mut self, nanoseconds: u32) {
+        let start = now();
+        // One more than asked for, since the first microsecond may be all but over.
+        let limit_us = nanoseconds.div_ceil(1_000) + 1;
+        while !elapsed(start, limit_us) {}
+    }
+}

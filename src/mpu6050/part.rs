@@ -1,0 +1,130 @@
+//! The table of parts: who answers to which identity, and in what they differ.
+//!
+//! All of them share the MPU-6050's data registers, full scales and sensitivities. They differ in
+//! the temperature formula, in whether the accelerometer has a low-pass filter of its own, and in
+//! the value of PWR_MGMT_1 after a reset.
+
+/// A linear temperature scale: °C = counts · `celsius_per_count` + `celsius_at_zero`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Temperature {
+    /// °C per count.
+    pub celsius_per_count: f32,
+    /// °C at a count of zero.
+    pub celsius_at_zero: f32,
+}
+
+/// One part: its identity, and what the driver does differently for it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Part {
+    /// What to call it.
+    pub name: &'static str,
+    /// The value of its WHO_AM_I register.
+    pub who_am_i: u8,
+    /// Its temperature sensor's scale.
+    pub temperature: Temperature,
+    /// Whether ACCEL_CONFIG_2 (0x1D) sets the accelerometer's low-pass filter.
+    pub has_accelerometer_low_pass: bool,
+    /// The values PWR_MGMT_1 may have after a reset.
+    pub power_after_reset: &'static [u8],
+}
+
+impl Part {
+    /// The MPU-6050 itself.
+    pub const MPU_6050: Self = Self {
+        name: "MPU-6050",
+        who_am_i: 0x68,
+        temperature: MPU_6050_TEMPERATURE,
+        has_accelerometer_low_pass: false,
+        power_after_reset: &[ASLEEP],
+    };
+
+    /// The part with this identity.
+    pub fn from_who_am_i(who_am_i: u8) -> Option<&'static Self> {
+        PARTS.iter().find(|part| part.who_am_i == who_am_i)
+    }
+}
+
+/// PWR_MGMT_1 after reset: asleep on the internal oscillator (register map §3).
+const ASLEEP: u8 = 0x40;
+/// PWR_MGMT_1 after reset: awake on the best clock (MPU-6500 and MPU-9250 register maps §3).
+const AWAKE: u8 = 0x01;
+/// PWR_MGMT_1 after reset: asleep with the best clock selected (later parts of the family).
+const ASLEEP_BEST_CLOCK: u8 = 0x41;
+
+/// Register map §4.18.
+const MPU_6050_TEMPERATURE: Temperature = Temperature {
+    celsius_per_count: 1.0 / 340.0,
+    celsius_at_zero: 36.53,
+};
+
+/// MPU-6500 and MPU-9250 register maps, TEMP_OUT, with RoomTemp_Offset zero.
+const MPU_6500_TEMPERATURE: Temperature = Temperature {
+    celsius_per_count: 1.0 / 333.87,
+    celsius_at_zero: 21.0,
+};
+
+/// Every part that [`probe`](super::Mpu6050::probe) accepts.
+pub static PARTS: [Part; 6] = [
+    Part::MPU_6050,
+    Part {
+        name: "MPU-6500",
+        who_am_i: 0x70,
+        temperature: MPU_6500_TEMPERATURE,
+        has_accelerometer_low_pass: true,
+        power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
+    },
+    Part {
+        name: "MPU-9250",
+        who_am_i: 0x71,
+        temperature: MPU_6500_TEMPERATURE,
+        has_accelerometer_low_pass: true,
+        power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
+    },
+    // Seen on modules sold as MPU-6050 (GY-87 and others), which behave as one.
+    Part {
+        name: "MPU-6050 clone 0x72",
+        who_am_i: 0x72,
+        temperature: MPU_6050_TEMPERATURE,
+        has_accelerometer_low_pass: false,
+        power_after_reset: &[ASLEEP, AWAKE, ASLEEP_BEST_CLOCK],
+    },
+    Part {
+        name: "MPU-9255",
+        who_am_i: 0x73,
+        temperature: MPU_6500_TEMPERATURE,
+        has_accelerometer_low_pass: true,
+        power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
+    },
+    // Also the identity of the commonest clone sold as MPU-6050.
+    Part {
+        name: "ICM-20689",
+        who_am_i: 0x98,
+        temperature: Temperature {
+            celsius_per_count: 0.003,
+            celsius_at_zero: 25.0,
+        },
+        has_accelerometer_low_pass: true,
+        power_after_reset: &[ASLEEP, ASLEEP_BEST_CLOCK, AWAKE],
+    },
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn identities_are_distinct_and_found() {
+        for (index, part) in PARTS.iter().enumerate() {
+            assert_eq!(
+                PARTS.iter().position(|p| p.who_am_i == part.who_am_i),
+                Some(index)
+            );
+            assert_eq!(Part::from_who_am_i(part.who_am_i), Some(part));
+            assert!(!part.power_after_reset.is_empty());
+        }
+        assert_eq!(Part::from_who_am_i(0x00), None);
+        assert_eq!(Part::from_who_am_i(0xFF), None);
+    }
+}

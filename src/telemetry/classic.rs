@@ -1,0 +1,41 @@
+//! The classic tutorial's line: `Roll:<angle>(<rate>),⇥Pitch:<angle>(<rate>)`.
+//!
+//! Degrees and °/s with two decimals; the rates are those at which the filtered angles change.
+
+use super::decimal::{self, LONGEST_NUMBER, Writer};
+use crate::estimator::ClassicAngles;
+
+/// The longest line, its newline included.
+pub const LINE_LENGTH: usize = "Roll:(),\tPitch:()\n".len() + 4 * LONGEST_NUMBER;
+
+/// Writes a line, newline included, and returns it.
+pub fn encode<'a>(angles: &ClassicAngles, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
+    let mut writer = Writer::new(line);
+    writer.text("Roll:");
+    writer.number(angles.roll_deg);
+    writer.text("(");
+    writer.number(angles.roll_rate_deg_s);
+    writer.text("),\tPitch:");
+    writer.number(angles.pitch_deg);
+    writer.text("(");
+    writer.number(angles.pitch_rate_deg_s);
+    writer.text(")\n");
+    writer.finish()
+}
+
+/// Reads a line, with or without its line end; `None` if it is not one.
+pub fn decode(line: &str) -> Option<ClassicAngles> {
+    let line = line.strip_suffix('\n').unwrap_or(line);
+    let line = line.strip_suffix('\r').unwrap_or(line);
+    let line = line.strip_prefix("Roll:")?;
+    let (roll, line) = line.split_once('(')?;
+    let (roll_rate, line) = line.split_once("),\tPitch:")?;
+    let (pitch, line) = line.split_once('(')?;
+    let pitch_rate = line.strip_suffix(')')?;
+    Some(ClassicAngles {
+        roll_deg: decimal::parse(roll)?,
+        roll_rate_deg_s: decimal::parse(roll_rate)?,
+        pitch_deg: decimal::parse(pitch)?,
+        pitch_rate_deg_s: decimal::parse(pitch_rate)?,
+    })
+}

@@ -1,0 +1,279 @@
+//! What the firmware has to say besides attitudes: one line of text each, the same on every output.
+//!
+//! On the UART a message starts with `# `, so that a plotter of the labelled values skips it. Each
+//! says what happened and, where a person has to act, what to do.
+
+use core::fmt;
+
+use embedded_hal::i2c;
+use heapless::Deque;
+
+use crate::fault::{BurstFailure, ClockSource};
+use crate::mpu6050;
+
+/// Room for the longest message on a line of its own, in bytes.
+pub const LINE_CAPACITY: usize = 200;
+
+/// A message.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub enum Message {
+    /// The firmware has started.
+    Started {
+        /// The board that it was built for.
+        board: &'static str,
+        /// The core clock, in megahertz.
+        core_mhz: u16,
+        /// What the clock runs from.
+        clock: ClockSource,
+    },
+    /// The sensor is configured and its bursts begin.
+    SensorConfigured {
+        /// The part's name.
+        part: &'static str,
+        /// Its address on the bus, 7 bits.
+        address: u8,
+    },
+    /// A line of the sensor's bus is low and clocking did not free it.
+    BusHeldLow {
+        /// Whether SCL is low; else SDA is.
+        clock: bool,
+    },
+    /// The sensor could not be configured.
+    SensorFailed(mpu6050::Error<i2c::ErrorKind>),
+    /// Bursts have failed.
+    BurstsFailed {
+        /// How and where the last one did.
+        failure: BurstFailure,
+        /// How many since the last such message.
+        count: u16,
+    },
+    /// The sensor is set up again after bursts failed.
+    Recovering,
+    /// The start-up average began again, since the board was moved.
+    AveragingRestarted,
+    /// The start-up average is done: rates are free of the offset from here on.
+    AveragingDone,
+    /// Messages were lost, since too many came at once.
+    MessagesLost {
+        /// How many.
+        count: u16,
+    },
+}
+
+/// How bad it is.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub enum Severity {
+    /// All is well.
+    Information,
+    /// The attitude suffers, or would, if this lasted.
+    Warning,
+    /// There is no attitude.
+    Error,
+}
+
+impl Message {
+    /// How bad it is.
+    pub const fn severity(&self) -> Severity {
+        match self {
+            Self::Started {
+                clock: ClockSource::InternalOscillator,
+                ..
+            }
+            | Self::BurstsFailed { .. }
+            | Self::Recovering
+            | Self::AveragingRestarted
+            | Self::MessagesLost { .. } => Severity::Warning,
+            Self::BusHeldLow { .. } | Self::SensorFailed(_) => Severity::Error,
+            Self::Started { .. } | Self::SensorConfigured { .. } | Self::AveragingDone => {
+                Severity::Information
+            }
+        }
+    }
+}
+
+impl fmt::Display for Message {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Started {
+                board,
+                core_mhz,
+                clock,
+            } => {
+                let version = env!("CARGO_PKG_VERSION");
+                write!(formatter, "aplomb {version} on {board}, {core_mhz} MHz ")?;
+                formatter.write_str(match clock {
+                    ClockSource::Crystal => "from the crystal",
+                    ClockSource::InternalOscillator => {
+                        "from the internal oscillator: no crystal answered, times are right to 1 % only"
+                    }
+                })
+            }
+            Self::SensorConfigured { part, address } => {
+                write!(formatter, "{part} at 0x{address:02x} configured")
+            }
+            Self::BusHeldLow { clock } => {
+                let line = if *clock { "SCL (PB8)" } else { "SDA (PB9)" };
+                write!(
+                    formatter,
+                    "{line} stays low: check the wiring and the sensor's supply; trying again"
+                )
+            }
+            Self::SensorFailed(error) => write!(formatter, "{error}; trying again"),
+            Self::BurstsFailed { failure, count: 1 } => write!(formatter, "burst lost: {failure}"),
+            Self::BurstsFailed { failure, count } => {
+                write!(formatter, "{count} bursts lost, the last: {failure}")
+            }
+            Self::Recovering => formatter.write_str("setting the bus and the sensor up again"),
+            Self::AveragingRestarted => formatter
+                .write_str("moved while averaging the gyroscope: starting again, hold it still"),
+            Self::AveragingDone => formatter.write_str("gyroscope averaged at rest, ready"),
+            Self::MessagesLost { count } => write!(formatter, "{count} messages lost"),
+        }
+    }
+}
+
+/// Messages on their way to the task that sends them.
+pub struct Mailbox {
+    messages: Deque<Message, 16>,
+    lost: u16,
+}
+
+impl Mailbox {
+    /// An empty mailbox.
+    pub const fn new() -> Self {
+        Self {
+            messages: Deque::new(),
+            lost: 0,
+        }
+    }
+
+    /// Adds a message. If there is no room it is counted, and the count comes out as a message.
+    pub fn post(&mut self, message: Message) {
+        if self.messages.push_back(message).is_err() {
+            self.lost = self.lost.saturating_add(1);
+        }
+    }
+
+    /// Takes the oldest message.
+    pub fn take(&mut self) -> Option<Message> {
+        self.messages.pop_front().or_else(|| {
+            let count = core::mem::take(&mut self.lost);
+            (count > 0).then_some(Message::MessagesLost { count })
+        })
+    }
+}
+
+impl Default for Mailbox {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Text in a buffer of fixed size. What does not fit is cut off at a character's end.
+pub struct TextBuffer<'a> {
+    buffer: &'a mut [u8],
+    length: usize,
+}
+
+impl<'a> TextBuffer<'a> {
+    /// An empty text in `buffer`.
+    pub fn new(buffer: &'a mut [u8]) -> Self {
+        Self { buffer, length: 0 }
+    }
+
+    /// The number of bytes written.
+    pub fn length(&self) -> usize {
+        self.length
+    }
+
+    /// The number of bytes that still fit.
+    pub fn room(&self) -> usize {
+        self.buffer.len() - self.length
+    }
+}
+
+impl fmt::Write for TextBuffer<'_> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        let mut fitting = text.len().min(self.room());
+        while !text.is_char_boundary(fitting) {
+            fitting -= 1;
+        }
+        let end = self.length + fitting;
+        if let (Some(place), Some(bytes)) = (
+            self.buffer.get_mut(self.length..end),
+            text.as_bytes().get(..fitting),
+        ) {
+            place.copy_from_slice(bytes);
+            self.length = end;
+        }
+        if fitting == text.len() {
+            Ok(())
+        } else {
+            Err(fmt::Error)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use core::fmt::Write;
+
+    use super::*;
+    use crate::fault::{BurstFault, BurstStep};
+
+    #[test]
+    fn messages_say_what_happened_where_and_what_to_do() {
+        let failure = BurstFailure {
+            fault: BurstFault::NotAcknowledged,
+            step: BurstStep::Pointer,
+        };
+        let cases = [
+            (
+                Message::BurstsFailed { failure, count: 1 },
+                "burst lost: the sensor did not acknowledge at the register pointer",
+            ),
+            (
+                Message::BurstsFailed { failure, count: 3 },
+                "3 bursts lost, the last: the sensor did not acknowledge at the register pointer",
+            ),
+            (
+                Message::BusHeldLow { clock: false },
+                "SDA (PB9) stays low: check the wiring and the sensor's supply; trying again",
+            ),
+            (
+                Message::SensorConfigured {
+                    part: "MPU-6050",
+                    address: 0x69,
+                },
+                "MPU-6050 at 0x69 configured",
+            ),
+        ];
+        for (message, text) in cases {
+            assert_eq!(message.to_string(), text);
+        }
+    }
+
+    #[test]
+    fn a_mailbox_keeps_order_and_counts_what_it_had_no_room_for() {
+        let mut mailbox = Mailbox::new();
+        assert_eq!(mailbox.take(), None);
+        for count in 0..20 {
+            mailbox.post(Message::MessagesLost { count });
+        }
+        for count in 0..16 {
+            assert_eq!(mailbox.take(), Some(Message::MessagesLost { count }));
+        }
+        assert_eq!(mailbox.take(), Some(Message::MessagesLost { count: 4 }));
+        assert_eq!(mailbox.take(), None);
+    }
+
+    #[test]
+    fn a_text_buffer_cuts_at_a_character() {
+        let mut buffer = [0; 4];
+        let mut text = TextBuffer::new(&mut buffer);
+        assert!(text.write_str("ab").is_ok());
+        assert!(text.write_str("c°").is_err());
+        assert_eq!((text.length(), text.room()), (3, 1));
+        assert_eq!(&buffer, b"abc\0");
+    }
+}

@@ -1,0 +1,158 @@
+//! Labelled text for people and Arduino-style plotters: one line per sample,
+//!
+//! ```text
+//! roll:1.00⇥pitch:-2.50⇥yaw:90.00⇥roll_rate:0.00⇥pitch_rate:0.12⇥yaw_rate:-3.00
+//! ```
+//!
+//! with tabs between the fields. Angles are degrees, rates are the body's own p, q, r in °/s; yaw
+//! is relative to the heading at start. Two decimals; encoding takes no floating-point formatting.
+
+use core::fmt;
+
+use super::decimal::{self, LONGEST_NUMBER, Writer};
+use crate::pipeline::Snapshot;
+use crate::units::degrees;
+
+const LABELS: [&str; 6] = [
+    "roll",
+    "pitch",
+    "yaw",
+    "roll_rate",
+    "pitch_rate",
+    "yaw_rate",
+];
+
+/// The longest line, its newline included.
+pub const LINE_LENGTH: usize = {
+    // Each field has a label, a colon, a number, and a tab or the newline.
+    let mut length = 0;
+    let mut index = 0;
+    while index < LABELS.len() {
+        length += LABELS[index].len() + 1 + LONGEST_NUMBER + 1;
+        index += 1;
+    }
+    length
+};
+
+/// What a line says.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Line {
+    /// Roll in degrees, (−180, 180].
+    pub roll_deg: f32,
+    /// Pitch in degrees, [−90, 90].
+    pub pitch_deg: f32,
+    /// Yaw in degrees, (−180, 180], relative to the heading at start.
+    pub yaw_deg: f32,
+    /// Rate about the forward axis in °/s.
+    pub roll_rate_deg_s: f32,
+    /// Rate about the right axis in °/s.
+    pub pitch_rate_deg_s: f32,
+    /// Rate about the down axis in °/s.
+    pub yaw_rate_deg_s: f32,
+}
+
+impl From<&Snapshot> for Line {
+    fn from(snapshot: &Snapshot) -> Self {
+        let angles = snapshot.euler();
+        let rates = snapshot.body_rates_rad_s;
+        Self {
+            roll_deg: degrees(angles.roll_rad),
+            pitch_deg: degrees(angles.pitch_rad),
+            yaw_deg: degrees(angles.yaw_rad),
+            roll_rate_deg_s: degrees(rates.x),
+            pitch_rate_deg_s: degrees(rates.y),
+            yaw_rate_deg_s: degrees(rates.z),
+        }
+    }
+}
+
+/// Writes the line of a snapshot, newline included, and returns it.
+///
+/// Numbers beyond ±99999.99 are written as that, and what is not a number as `nan`.
+pub fn encode<'a>(snapshot: &Snapshot, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
+    encode_line(&Line::from(snapshot), line)
+}
+
+/// Writes a line from its numbers.
+pub fn encode_line<'a>(numbers: &Line, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
+    let values = [
+        numbers.roll_deg,
+        numbers.pitch_deg,
+        numbers.yaw_deg,
+        numbers.roll_rate_deg_s,
+        numbers.pitch_rate_deg_s,
+        numbers.yaw_rate_deg_s,
+    ];
+    let mut writer = Writer::new(line);
+    for (index, (label, value)) in LABELS.into_iter().zip(values).enumerate() {
+        writer.text(if index > 0 { "\t" } else { "" });
+        writer.text(label);
+        writer.text(":");
+        if label == "roll" || label == "yaw" {
+            writer.angle(value);
+        } else {
+            writer.number(value);
+        }
+    }
+    writer.text("\n");
+    writer.finish()
+}
+
+/// Why a line is not one of ours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum DecodeError {
+    /// The field with this label is not where it should be.
+    MissingField(&'static str),
+    /// The value of the field with this label is not a number with two decimals.
+    NotANumber(&'static str),
+    /// Something follows the last field.
+    TrailingText,
+}
+
+impl fmt::Display for DecodeError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::MissingField(label) => write!(formatter, "expected the field `{label}:`"),
+            Self::NotANumber(label) => {
+                write!(formatter, "`{label}` is not a number with two decimals")
+            }
+            Self::TrailingText => write!(formatter, "there is text after the last field"),
+        }
+    }
+}
+
+impl core::error::Error for DecodeError {}
+
+/// Reads a line, with or without its line end.
+///
+/// # Errors
+///
+/// [`DecodeError`] says which field is not as [`encode`] writes it.
+pub fn decode(line: &str) -> Result<Line, DecodeError> {
+    let line = line.strip_suffix('\n').unwrap_or(line);
+    let line = line.strip_suffix('\r').unwrap_or(line);
+    let mut fields = line.split('\t');
+    let mut field = |label: &'static str| {
+        let value = fields
+            .next()
+            .and_then(|field| field.strip_prefix(label))
+            .and_then(|field| field.strip_prefix(':'))
+            .ok_or(DecodeError::MissingField(label))?;
+        decimal::parse(value).ok_or(DecodeError::NotANumber(label))
+    };
+    let [roll, pitch, yaw, roll_rate, pitch_rate, yaw_rate] = LABELS;
+    let numbers = Line {
+        roll_deg: field(roll)?,
+        pitch_deg: field(pitch)?,
+        yaw_deg: field(yaw)?,
+        roll_rate_deg_s: field(roll_rate)?,
+        pitch_rate_deg_s: field(pitch_rate)?,
+        yaw_rate_deg_s: field(yaw_rate)?,
+    };
+    match fields.next() {
+        None => Ok(numbers),
+        Some(_) => Err(DecodeError::TrailingText),
+    }
+}
