@@ -1,1 +1,135 @@
-fn main() {}
+//! What the README's commands call. Each sets up what it needs first; see [`setup`].
+
+mod build;
+mod setup;
+mod size;
+mod step;
+mod test;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use build::{Board, Firmware};
+
+const USAGE: &str = "\
+usage: cargo xtask COMMAND
+
+  fly [--log FILE] [--mount M] [--seconds S] [--seed N] [--board B] [--output DIR]
+                      fly the firmware on the virtual board (`cargo xtask fly --help` says more)
+  test                run every check and test
+  size [--board B]    flash, RAM and the largest symbols of the firmware
+  flash [--board B]   write the firmware to a board with probe-rs and show its log
+  setup               install and build what the others need, and nothing else
+
+boards: stm32f405 (default), blackpill-f411, nucleo-f411";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match run(&arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("\nerror: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &[String]) -> Result<(), String> {
+    let (command, rest) = arguments.split_first().ok_or(USAGE)?;
+    match command.as_str() {
+        "fly" => fly(rest),
+        "test" => no_more(rest).and_then(|()| test::run()),
+        "size" => size::run(board_alone(rest)?),
+        "flash" => flash(board_alone(rest)?),
+        "setup" => no_more(rest).and_then(|()| {
+            setup::Toolchain::for_target()?;
+            setup::qemu()
+        }),
+        "help" | "--help" | "-h" => {
+            println!("{USAGE}");
+            Ok(())
+        }
+        other => Err(format!("there is no command `{other}`\n\n{USAGE}")),
+    }
+}
+
+/// Builds the firmware and the virtual board, and hands the arguments on to the latter.
+fn fly(arguments: &[String]) -> Result<(), String> {
+    let board = match value_of(arguments, "--board")? {
+        Some(name) => Board::from_name(name)?,
+        None => Board::default(),
+    };
+    let virtual_board = build::virtual_board()?;
+    let mut flight = step::command(&virtual_board);
+    flight.arg("fly").args(arguments);
+    if arguments.iter().any(|a| a == "--help" || a == "-h") {
+        return step::run(&mut flight);
+    }
+    let elf = Firmware {
+        board,
+        mount: value_of(arguments, "--mount")?.map(str::to_owned),
+    }
+    .build(&setup::Toolchain::for_target()?)?;
+    flight.arg("--elf").arg(elf);
+    // A failed flight has said why already.
+    step::run(&mut flight)
+}
+
+fn flash(board: Board) -> Result<(), String> {
+    if !step::is_installed("probe-rs") {
+        return Err(
+            "probe-rs is not installed: run `cargo install probe-rs-tools --locked`, then this again"
+                .into(),
+        );
+    }
+    let elf = Firmware { board, mount: None }.build(&setup::Toolchain::for_target()?)?;
+    let mut probe = step::command(Path::new("probe-rs"));
+    probe.args(["run", "--chip", board.chip]).arg(elf);
+    step::run(&mut probe)
+}
+
+/// The value of an option given as `--name value` or `--name=value`.
+fn value_of<'a>(arguments: &'a [String], name: &str) -> Result<Option<&'a str>, String> {
+    let mut rest = arguments.iter();
+    while let Some(argument) = rest.next() {
+        if argument == name {
+            return match rest.next() {
+                Some(value) => Ok(Some(value)),
+                None => Err(format!("{name} needs a value")),
+            };
+        }
+        if let Some(value) = argument
+            .strip_prefix(name)
+            .and_then(|end| end.strip_prefix('='))
+        {
+            return Ok(Some(value));
+        }
+    }
+    Ok(None)
+}
+
+/// For commands that take `--board` and nothing else.
+fn board_alone(arguments: &[String]) -> Result<Board, String> {
+    let Some(name) = value_of(arguments, "--board")? else {
+        no_more(arguments)?;
+        return Ok(Board::default());
+    };
+    let used = if arguments[0].contains('=') { 1 } else { 2 };
+    no_more(&arguments[used.min(arguments.len())..])?;
+    Board::from_name(name)
+}
+
+fn no_more(arguments: &[String]) -> Result<(), String> {
+    match arguments.first() {
+        None => Ok(()),
+        Some(extra) => Err(format!("`{extra}` is not understood here\n\n{USAGE}")),
+    }
+}
+
+/// The folder of the workspace.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("xtask lies in the workspace")
+        .to_path_buf()
+}

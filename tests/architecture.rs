@@ -1,0 +1,198 @@
+//! The rules of ARCHITECTURE.md that a machine can check: who may import whom, where `unsafe` may
+//! stand, and what a chip's flash map keeps free.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Each part of the library with those that it may import. `A → [B]` reads "A may import B".
+const MAY_IMPORT: [(&str, &[&str]); 11] = [
+    ("units", &[]),
+    ("attitude", &["units"]),
+    ("fault", &["units"]),
+    ("mpu6050", &["units", "attitude"]),
+    ("calibration", &["units", "attitude"]),
+    ("estimator", &["units", "attitude"]),
+    ("health", &["units", "attitude"]),
+    (
+        "pipeline",
+        &[
+            "units",
+            "attitude",
+            "mpu6050",
+            "calibration",
+            "estimator",
+            "health",
+        ],
+    ),
+    (
+        "telemetry",
+        &[
+            "units",
+            "attitude",
+            "fault",
+            "mpu6050",
+            "calibration",
+            "estimator",
+            "health",
+            "pipeline",
+        ],
+    ),
+    (
+        "board",
+        &["units", "fault", "mpu6050", "health", "pipeline"],
+    ),
+    ("lib", &[]),
+];
+
+#[test]
+fn imports_run_one_way() {
+    let allowed: BTreeMap<&str, &[&str]> = MAY_IMPORT.into_iter().collect();
+    let mut imports_seen = 0;
+    for (path, contents) in rust_files("src") {
+        let part = part_of(&path);
+        if part == "bin" {
+            continue;
+        }
+        let may = allowed
+            .get(part.as_str())
+            .unwrap_or_else(|| panic!("{} belongs to no part of the table", path.display()));
+        for (number, line) in contents.lines().enumerate() {
+            for imported in imports(line) {
+                imports_seen += 1;
+                assert!(
+                    imported == part || may.contains(&imported.as_str()),
+                    "{}:{}: `{part}` may not import `{imported}`",
+                    path.display(),
+                    number + 1,
+                );
+            }
+        }
+    }
+    assert!(
+        imports_seen > 20,
+        "the search finds imports at all: {imports_seen}"
+    );
+}
+
+#[test]
+fn only_bins_import_the_board() {
+    for (path, contents) in rust_files("src") {
+        let is_bin = part_of(&path) == "bin";
+        let uses_board = contents.contains("aplomb::board");
+        assert!(!uses_board || is_bin, "{} uses the board", path.display());
+    }
+}
+
+#[test]
+fn unsafe_stands_in_the_board_alone_and_gives_its_reason() {
+    let mut blocks = 0;
+    for folder in ["src", "virtual-board/src", "xtask/src"] {
+        for (path, contents) in rust_files(folder) {
+            let lines: Vec<&str> = contents.lines().collect();
+            for (index, line) in lines.iter().enumerate() {
+                let code = line.split("//").next().unwrap_or_default();
+                // The body of an `unsafe fn` needs blocks of its own.
+                let opens = ["unsafe {", "unsafe impl"]
+                    .iter()
+                    .any(|form| code.contains(form));
+                if !opens {
+                    continue;
+                }
+                blocks += 1;
+                let place = format!("{}:{}", path.display(), index + 1);
+                assert!(
+                    folder != "src" || part_of(&path) == "board",
+                    "{place}: unsafe outside the board"
+                );
+                let reason = lines[index.saturating_sub(8)..=index]
+                    .iter()
+                    .any(|before| before.contains("SAFETY:"));
+                assert!(
+                    reason,
+                    "{place}: say why it is sound in a comment `SAFETY:`"
+                );
+            }
+        }
+    }
+    assert!(
+        blocks > 5,
+        "the search finds unsafe blocks at all: {blocks}"
+    );
+}
+
+#[test]
+fn the_sensor_model_has_its_own_register_table() {
+    let mut files = 0;
+    for (path, contents) in rust_files("virtual-board/src/sensor") {
+        files += 1;
+        assert!(
+            !contents.contains("aplomb::mpu6050"),
+            "{}: the model must be able to disagree with the driver",
+            path.display()
+        );
+    }
+    assert!(files > 0);
+}
+
+#[test]
+fn every_module_header_says_what_it_is() {
+    for folder in ["src", "virtual-board/src", "xtask/src"] {
+        for (path, contents) in rust_files(folder) {
+            assert!(
+                contents.starts_with("//! "),
+                "{}: begin with a header",
+                path.display()
+            );
+        }
+    }
+}
+
+/// The parts named in a line of code after `crate::` or `aplomb::`.
+fn imports(line: &str) -> Vec<String> {
+    let code = line.split("//").next().unwrap_or_default();
+    ["crate::", "aplomb::"]
+        .iter()
+        .flat_map(|prefix| {
+            code.match_indices(prefix)
+                .map(|(at, _)| &code[at + prefix.len()..])
+        })
+        .map(|rest| {
+            rest.chars()
+                .take_while(|c| c.is_ascii_alphanumeric() || *c == '_')
+                .collect::<String>()
+        })
+        .filter(|name| MAY_IMPORT.iter().any(|(part, _)| part == name))
+        .collect()
+}
+
+/// The part that a file belongs to: the first name below `src`.
+fn part_of(path: &Path) -> String {
+    let below = path.strip_prefix(root().join("src")).unwrap_or(path);
+    let first = below.iter().next().unwrap_or_default().to_string_lossy();
+    first.trim_end_matches(".rs").to_owned()
+}
+
+fn rust_files(folder: &str) -> Vec<(PathBuf, String)> {
+    let mut found = Vec::new();
+    let mut folders = vec![root().join(folder)];
+    while let Some(folder) = folders.pop() {
+        let entries = fs::read_dir(&folder)
+            .unwrap_or_else(|error| panic!("cannot read {}: {error}", folder.display()));
+        for entry in entries {
+            let path = entry.expect("the folder can be listed").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                let contents = fs::read_to_string(&path).expect("source files are text");
+                found.push((path, contents));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}

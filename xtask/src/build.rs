@@ -1,0 +1,145 @@
+//! Builds the firmware for a board, the QEMU application, and the virtual board.
+
+use std::path::PathBuf;
+
+use crate::setup::{TARGET, Toolchain};
+use crate::step;
+
+/// What differs between boards on this side.
+#[derive(Clone, Copy)]
+pub struct Board {
+    /// The name after `--board`; the cargo feature is `board-` and this.
+    pub name: &'static str,
+    /// The chip, as probe-rs names it.
+    pub chip: &'static str,
+}
+
+/// Every board, the default one first.
+pub const BOARDS: [Board; 3] = [
+    Board {
+        name: "stm32f405",
+        chip: "STM32F405RG",
+    },
+    Board {
+        name: "blackpill-f411",
+        chip: "STM32F411CE",
+    },
+    Board {
+        name: "nucleo-f411",
+        chip: "STM32F411RE",
+    },
+];
+
+impl Default for Board {
+    fn default() -> Self {
+        BOARDS[0]
+    }
+}
+
+impl Board {
+    /// The board of this name.
+    pub fn from_name(name: &str) -> Result<Self, String> {
+        BOARDS
+            .into_iter()
+            .find(|board| board.name == name)
+            .ok_or_else(|| {
+                let names: Vec<&str> = BOARDS.iter().map(|board| board.name).collect();
+                format!(
+                    "there is no board `{name}`: choose one of {}",
+                    names.join(", ")
+                )
+            })
+    }
+
+    /// The cargo feature that builds for it.
+    pub fn feature(self) -> String {
+        format!("board-{}", self.name)
+    }
+}
+
+/// One build of the firmware.
+pub struct Firmware {
+    /// The board.
+    pub board: Board,
+    /// The mount that is compiled in, or the default.
+    pub mount: Option<String>,
+}
+
+impl Firmware {
+    /// Builds it and returns the ELF file, which a build for another board or mount does not replace.
+    pub fn build(&self, toolchain: &Toolchain) -> Result<PathBuf, String> {
+        step::timed(
+            &format!("building the firmware for {}", self.board.name),
+            || {
+                let mut cargo = toolchain.cargo("build");
+                cargo.args([
+                    "--release",
+                    "--bin",
+                    "flight",
+                    "--features",
+                    &self.board.feature(),
+                ]);
+                match &self.mount {
+                    Some(mount) => cargo.env("APLOMB_MOUNT", mount),
+                    None => cargo.env_remove("APLOMB_MOUNT"),
+                };
+                step::run(&mut cargo)?;
+                let mount = self.mount.as_deref().unwrap_or("default");
+                keep("flight", &format!("flight-{}-{mount}", self.board.name))
+            },
+        )
+    }
+}
+
+/// Builds the application for QEMU.
+pub fn qemu_application(toolchain: &Toolchain) -> Result<PathBuf, String> {
+    step::run(
+        toolchain
+            .cargo("build")
+            .args(["--release", "--bin", "qemu", "--features", "qemu"]),
+    )?;
+    keep("qemu", "qemu")
+}
+
+/// Builds the virtual board's program.
+pub fn virtual_board() -> Result<PathBuf, String> {
+    step::timed("building the virtual board", || {
+        step::run(
+            // The emulator asks for a newer compiler than it needs.
+            step::command("cargo".as_ref()).args([
+                "build",
+                "--profile",
+                "host",
+                "-p",
+                "virtual-board",
+                "--ignore-rust-version",
+            ]),
+        )
+    })?;
+    Ok(target_folder().join("host/virtual-board"))
+}
+
+/// Copies a program for the target to `target/firmware/<name>.elf`.
+fn keep(program: &str, name: &str) -> Result<PathBuf, String> {
+    let folder = target_folder().join("firmware");
+    let built = target_folder().join(TARGET).join("release").join(program);
+    let kept = folder.join(format!("{name}.elf"));
+    std::fs::create_dir_all(&folder)
+        .and_then(|()| std::fs::copy(&built, &kept))
+        .map_err(|error| {
+            format!(
+                "cannot copy {} to {}: {error}",
+                built.display(),
+                kept.display()
+            )
+        })?;
+    Ok(kept)
+}
+
+/// Where cargo puts what it builds.
+pub fn target_folder() -> PathBuf {
+    match std::env::var_os("CARGO_TARGET_DIR") {
+        Some(folder) => crate::root().join(folder),
+        None => crate::root().join("target"),
+    }
+}

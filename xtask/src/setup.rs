@@ -1,0 +1,240 @@
+//! Finds a compiler for the Cortex-M4F, or gets one; and QEMU.
+//!
+//! In this order: the target of the compiler that is there; `rustup target add`, unless downloads
+//! are switched off (`RUSTUP_AUTO_INSTALL=0`); the compiler and the library sources of Debian and
+//! Ubuntu, from which the target's `core` is built once into `target/sysroot`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::step;
+
+/// The target of every STM32F4.
+pub const TARGET: &str = "thumbv7em-none-eabihf";
+
+const PACKAGES: [&str; 5] = [
+    "rustc-web",
+    "cargo-web",
+    "rust-web-src",
+    "rust-web-clippy",
+    "lld-22",
+];
+
+/// A cargo that builds for [`TARGET`].
+pub enum Toolchain {
+    /// The one on the path.
+    Own,
+    /// The distribution's, with this folder as the target's library.
+    Distribution {
+        /// Holds `lib/rustlib/<target>/lib`.
+        sysroot: PathBuf,
+    },
+}
+
+impl Toolchain {
+    /// Finds or sets up what builds for the target.
+    pub fn for_target() -> Result<Self, String> {
+        if target_is_there() {
+            return Ok(Self::Own);
+        }
+        if may_download() {
+            let added = step::timed("adding the target with rustup", || {
+                step::run(step::command(Path::new("rustup")).args(["target", "add", TARGET]))
+            });
+            if added.is_ok() && target_is_there() {
+                return Ok(Self::Own);
+            }
+        }
+        if !step::is_installed("apt-get") {
+            return Err(format!(
+                "no compiler for {TARGET}: run `rustup target add {TARGET}`, then this again"
+            ));
+        }
+        install(&PACKAGES)?;
+        let sysroot = build_sysroot()?;
+        Ok(Self::Distribution { sysroot })
+    }
+
+    /// A cargo command for the target: subcommand and `--target` are set.
+    pub fn cargo(&self, subcommand: &str) -> Command {
+        let mut command = match self {
+            Self::Own => step::command(Path::new("cargo")),
+            Self::Distribution { sysroot } => {
+                let mut command = distribution_cargo();
+                command.env(
+                    "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUSTFLAGS",
+                    format!("--sysroot={}", sysroot.display()),
+                );
+                command
+            }
+        };
+        command.args([subcommand, "--target", TARGET]);
+        command
+    }
+}
+
+/// Makes sure that `qemu-system-arm` is there.
+pub fn qemu() -> Result<(), String> {
+    if step::is_installed("qemu-system-arm") {
+        return Ok(());
+    }
+    if !step::is_installed("apt-get") {
+        return Err("qemu-system-arm is missing: install QEMU for ARM with your system's package manager, then run this again".into());
+    }
+    install(&["qemu-system-arm"])
+}
+
+/// Whether rustup is there and may download.
+pub fn may_download() -> bool {
+    std::env::var("RUSTUP_AUTO_INSTALL").as_deref() != Ok("0") && step::is_installed("rustup")
+}
+
+fn target_is_there() -> bool {
+    let Some(sysroot) =
+        step::output(step::command(Path::new("rustc")).args(["--print", "sysroot"]))
+    else {
+        return false;
+    };
+    holds_core(&library_of(Path::new(&sysroot)))
+}
+
+fn library_of(sysroot: &Path) -> PathBuf {
+    sysroot.join("lib/rustlib").join(TARGET).join("lib")
+}
+
+fn holds_core(library: &Path) -> bool {
+    fs::read_dir(library).is_ok_and(|entries| {
+        entries.flatten().any(|entry| {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            name.starts_with("libcore-") && name.ends_with(".rlib")
+        })
+    })
+}
+
+/// Installs Debian packages that are missing.
+fn install(packages: &[&str]) -> Result<(), String> {
+    let missing: Vec<&str> = packages
+        .iter()
+        .copied()
+        .filter(|package| {
+            step::output(Command::new("dpkg-query").args(["-W", "-f=${db:Status-Status}", package]))
+                .as_deref()
+                != Some("installed")
+        })
+        .collect();
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let list = missing.join(" ");
+    let by_hand =
+        format!("run `sudo apt-get install --no-install-recommends {list}`, then this again");
+    step::timed(&format!("installing {list}"), || {
+        let is_root = step::output(Command::new("id").arg("-u")).as_deref() == Some("0");
+        let apt = |arguments: &[&str]| {
+            let mut command = if is_root {
+                Command::new("apt-get")
+            } else {
+                let mut command = Command::new("sudo");
+                command.args(["-n", "apt-get"]);
+                command
+            };
+            command.env("DEBIAN_FRONTEND", "noninteractive");
+            step::run(command.args(["-q", "-y"]).args(arguments))
+        };
+        // An old package list is no reason to give up: the installation decides.
+        let updated = apt(&["update"]);
+        let mut arguments = vec!["install", "--no-install-recommends"];
+        arguments.extend(&missing);
+        apt(&arguments).map_err(|error| match updated {
+            Ok(()) => format!("{error}; {by_hand}"),
+            Err(update) => format!("{update}; {error}; {by_hand}"),
+        })
+    })
+}
+
+/// The distribution's cargo and rustc by their paths, whatever toolchain is the default.
+fn distribution_cargo() -> Command {
+    let mut command = step::command(Path::new("/usr/bin/cargo"));
+    let mut path = std::ffi::OsString::from("/usr/bin:");
+    path.push(std::env::var_os("PATH").unwrap_or_default());
+    command
+        .env("PATH", path)
+        .env("RUSTC", "/usr/bin/rustc")
+        .env("RUSTDOC", "/usr/bin/rustdoc")
+        .env_remove("RUSTUP_TOOLCHAIN");
+    command
+}
+
+/// What follows `label` in the distribution's compiler's description of itself.
+fn version_line(label: &str) -> Result<String, String> {
+    step::output(Command::new("/usr/bin/rustc").arg("-vV"))
+        .and_then(|text| {
+            text.lines()
+                .find_map(|line| line.strip_prefix(label).map(str::to_owned))
+        })
+        .ok_or_else(|| format!("/usr/bin/rustc -vV has no line `{label}`"))
+}
+
+/// Builds the target's `core` from the distribution's sources, once for each version of its compiler.
+fn build_sysroot() -> Result<PathBuf, String> {
+    let sysroot = crate::build::target_folder()
+        .join("sysroot")
+        .join(version_line("release: ")?);
+    if holds_core(&library_of(&sysroot)) {
+        return Ok(sysroot);
+    }
+    step::timed("building the target's core library, once", || {
+        let text = |error: std::io::Error| format!("cannot prepare the core library: {error}");
+        let package = sysroot.join("package");
+        fs::create_dir_all(package.join("src")).map_err(text)?;
+        fs::write(
+            package.join("Cargo.toml"),
+            "[package]\nname = \"sysroot\"\nversion = \"0.0.0\"\nedition = \"2024\"\n[workspace]\n",
+        )
+        .map_err(text)?;
+        fs::write(package.join("src/lib.rs"), "#![no_std]\n").map_err(text)?;
+        let output = sysroot.join("build");
+        step::run(
+            distribution_cargo()
+                .current_dir(&package)
+                .args([
+                    "build",
+                    "--release",
+                    "-Zbuild-std=core,alloc",
+                    "--target",
+                    TARGET,
+                ])
+                .arg("--target-dir")
+                .arg(&output)
+                // Building the standard library is an unstable feature; the bitcode is for link-time optimisation.
+                .env("RUSTC_BOOTSTRAP", "1")
+                .env("RUSTFLAGS", "-Cembed-bitcode=yes"),
+        )?;
+        let dependencies = output.join(TARGET).join("release/deps");
+        // Copied under another name and renamed, so that a stopped run leaves no half of a library.
+        let partial = sysroot.join("partial");
+        let _ = fs::remove_dir_all(&partial);
+        fs::create_dir_all(&partial).map_err(text)?;
+        for entry in fs::read_dir(&dependencies).map_err(text)?.flatten() {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            if name.ends_with(".rlib") && !name.starts_with("libsysroot-") {
+                fs::copy(entry.path(), partial.join(&*name)).map_err(text)?;
+            }
+        }
+        // With a library folder of its own the compiler looks for its linker there too.
+        let host = version_line("host: ")?;
+        let programs = sysroot.join("lib/rustlib").join(host).join("bin");
+        fs::create_dir_all(&programs).map_err(text)?;
+        fs::copy("/usr/bin/lld-22", programs.join("rust-lld")).map_err(text)?;
+        let library = library_of(&sysroot);
+        let _ = fs::remove_dir_all(&library);
+        fs::create_dir_all(library.parent().ok_or("the library has no folder")?).map_err(text)?;
+        fs::rename(&partial, &library).map_err(text)?;
+        let _ = fs::remove_dir_all(&output);
+        Ok(())
+    })?;
+    Ok(sysroot)
+}

@@ -1,0 +1,74 @@
+//! Running other programs, with progress and clear failures.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+/// A command that runs in the workspace's folder, free of what the outer cargo left in the environment.
+pub fn command(program: &Path) -> Command {
+    let mut command = Command::new(program);
+    command.current_dir(crate::root());
+    for (name, _) in std::env::vars_os() {
+        let name = name.to_string_lossy().into_owned();
+        let of_this_run = name.starts_with("CARGO_PKG_")
+            || name.starts_with("CARGO_MANIFEST_")
+            || name == "CARGO"
+            || name == "CARGO_CRATE_NAME"
+            || name == "CARGO_BIN_NAME";
+        if of_this_run {
+            command.env_remove(name);
+        }
+    }
+    command
+}
+
+/// Runs it, its output on this terminal.
+pub fn run(command: &mut Command) -> Result<(), String> {
+    let shown = describe(command);
+    let status = command
+        .status()
+        .map_err(|error| format!("cannot run `{shown}`: {error}"))?;
+    if status.success() {
+        Ok(())
+    } else {
+        Err(format!("`{shown}` failed ({status})"))
+    }
+}
+
+/// Runs it and returns what it printed, or nothing if it failed.
+pub fn output(command: &mut Command) -> Option<String> {
+    let output = command.stderr(Stdio::null()).output().ok()?;
+    output
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
+/// Says what begins, does it, and says how long it took.
+pub fn timed<T>(what: &str, work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    eprintln!("\n── {what}");
+    let start = Instant::now();
+    let result = work()?;
+    eprintln!("── {what}: done in {:.0} s", start.elapsed().as_secs_f64());
+    Ok(result)
+}
+
+/// Whether a program of this name is on the path.
+pub fn is_installed(program: &str) -> bool {
+    std::env::var_os("PATH").is_some_and(|path| {
+        std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
+    })
+}
+
+fn describe(command: &Command) -> String {
+    let mut text = Path::new(command.get_program())
+        .file_name()
+        .unwrap_or(command.get_program())
+        .to_string_lossy()
+        .into_owned();
+    for argument in command.get_args() {
+        text.push(' ');
+        text.push_str(&argument.to_string_lossy());
+    }
+    text
+}
