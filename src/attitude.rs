@@ -366,3 +366,201 @@ pub fn sine_cosine(angle_rad: f32) -> (f32, f32) {
         _ => (-cosine, sine),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DEGREE: f32 = PI / 180.0;
+
+    fn euler(roll: f32, pitch: f32, yaw: f32) -> EulerAngles {
+        EulerAngles {
+            roll_rad: roll * DEGREE,
+            pitch_rad: pitch * DEGREE,
+            yaw_rad: yaw * DEGREE,
+        }
+    }
+
+    /// The angle between two rotations, in degrees, by their effect on the axes.
+    fn angle_between(a: Quaternion, b: Quaternion) -> f32 {
+        let difference = a.conjugate().multiply(b).normalize();
+        let vector = Vector3::new(difference.x, difference.y, difference.z);
+        2.0 * f32::atan2(vector.norm(), difference.w.abs()) / DEGREE
+    }
+
+    fn assert_close(a: Vector3, b: Vector3) {
+        assert!((a - b).norm() < 1e-6, "{a:?} is not {b:?}");
+    }
+
+    const FORWARD: Vector3 = Vector3::new(1.0, 0.0, 0.0);
+    const RIGHT: Vector3 = Vector3::new(0.0, 1.0, 0.0);
+    const DOWN: Vector3 = Vector3::new(0.0, 0.0, 1.0);
+
+    #[test]
+    fn signs_are_those_of_an_aeroplane() {
+        // Nose up 30°: the forward axis points above the horizon, which is minus down.
+        let q = Quaternion::from_euler(euler(0.0, 30.0, 0.0));
+        assert_close(q.rotate(FORWARD), Vector3::new(0.75_f32.sqrt(), 0.0, -0.5));
+        // Right wing down: the right axis points below the horizon.
+        let q = Quaternion::from_euler(euler(30.0, 0.0, 0.0));
+        assert_close(q.rotate(RIGHT), Vector3::new(0.0, 0.75_f32.sqrt(), 0.5));
+        // Clockwise from above, from north to east.
+        let q = Quaternion::from_euler(euler(0.0, 0.0, 90.0));
+        assert_close(q.rotate(FORWARD), RIGHT);
+    }
+
+    #[test]
+    fn angles_are_turned_in_the_order_yaw_pitch_roll() {
+        let q = Quaternion::from_euler(euler(20.0, 30.0, 40.0));
+        let about = |axis: Vector3, degrees: f32| {
+            Quaternion::from_rotation_vector(axis.scale(degrees * DEGREE))
+        };
+        let expected = about(DOWN, 40.0)
+            .multiply(about(RIGHT, 30.0))
+            .multiply(about(FORWARD, 20.0));
+        assert!(angle_between(q, expected) < 1e-4);
+    }
+
+    #[test]
+    fn down_in_body_is_the_inverse_rotation_of_down() {
+        let q = Quaternion::from_euler(euler(-50.0, 25.0, 130.0));
+        assert_close(q.down_in_body(), q.conjugate().rotate(DOWN));
+    }
+
+    #[test]
+    fn sine_and_cosine_agree_with_double_precision() {
+        let mut worst: f64 = 0.0;
+        for step in -400_000..=400_000 {
+            let angle = step as f32 * 0.0249;
+            let (sine, cosine) = sine_cosine(angle);
+            let exact = f64::from(angle);
+            worst = worst
+                .max((f64::from(sine) - exact.sin()).abs())
+                .max((f64::from(cosine) - exact.cos()).abs());
+        }
+        assert!(worst < 2.0e-7, "{worst:e}");
+    }
+
+    #[test]
+    fn sine_and_cosine_take_anything() {
+        for angle in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert_eq!(sine_cosine(angle), (0.0, 1.0));
+        }
+        for angle in [f32::MAX, f32::MIN, 1.0e4, 1.1e4, f32::MIN_POSITIVE] {
+            let (sine, cosine) = sine_cosine(angle);
+            assert!((sine * sine + cosine * cosine - 1.0).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_full_turn_of_roll_and_yaw_stays_continuous() {
+        let mut last = Quaternion::from_euler(euler(-180.0, 20.0, -180.0));
+        for degrees in -180..=180 {
+            let angle = degrees as f32;
+            let q = Quaternion::from_euler(euler(angle, 20.0, angle)).with_sign_of(last);
+            assert!(q.dot(last) > 0.99);
+            last = q;
+            let angles = q.to_euler();
+            let expected = if degrees == -180 { 180.0 } else { angle };
+            // At exactly half a turn rounding may choose either end of the interval.
+            let error = wrap_pi(angles.roll_rad - expected * DEGREE).abs()
+                + wrap_pi(angles.yaw_rad - expected * DEGREE).abs();
+            assert!(error < 1e-5, "{degrees}: {angles:?}");
+            assert!(angles.roll_rad > -PI && angles.roll_rad <= PI);
+            assert!(angles.yaw_rad > -PI && angles.yaw_rad <= PI);
+        }
+    }
+
+    #[test]
+    fn pitch_goes_over_the_top_without_a_jump_in_the_rotation() {
+        for tenths in 0..=3600 {
+            let tilt = tenths as f32 * 0.1;
+            let q = Quaternion::from_rotation_vector(RIGHT.scale(tilt * DEGREE));
+            let angles = q.to_euler();
+            let expected = (tilt * DEGREE).sin().asin();
+            assert!((angles.pitch_rad - expected).abs() < 2e-3, "{tilt}");
+            assert!(angles.pitch_rad.abs() <= PI / 2.0 + 1e-6);
+            assert!(
+                angle_between(Quaternion::from_euler(angles), q) < 1e-3,
+                "{tilt}"
+            );
+        }
+    }
+
+    #[test]
+    fn pitch_keeps_its_precision_next_to_the_pole() {
+        for millidegrees in [1, 2, 5, 10, 100] {
+            let pitch = 90.0 - millidegrees as f32 * 1e-3;
+            let angles = Quaternion::from_euler(euler(0.0, pitch, 0.0)).to_euler();
+            // An arcsine would be wrong by 20 millidegrees here.
+            assert!((angles.pitch_rad / DEGREE - pitch).abs() < 1e-4, "{pitch}");
+        }
+    }
+
+    #[test]
+    fn at_the_pole_yaw_carries_everything() {
+        for (pitch, sign) in [(90.0, -1.0), (-90.0, 1.0)] {
+            let q = Quaternion::from_euler(euler(25.0, pitch, 70.0));
+            let angles = q.to_euler();
+            assert!((angles.pitch_rad / DEGREE - pitch).abs() < 1e-3);
+            assert!(angle_between(Quaternion::from_euler(angles), q) < 1e-3);
+            let total = (angles.yaw_rad + sign * angles.roll_rad) / DEGREE;
+            assert!((total - (70.0 + sign * 25.0)).abs() < 1e-3, "{angles:?}");
+        }
+    }
+
+    #[test]
+    fn small_and_large_rotation_vectors_meet() {
+        // On both sides of the series' limit, half an angle of 1/4.
+        for angle in [0.499_99_f32, 0.500_01] {
+            let q = Quaternion::from_rotation_vector(FORWARD.scale(angle));
+            assert!((f64::from(q.w) - (f64::from(angle) / 2.0).cos()).abs() < 1e-7);
+            assert!((f64::from(q.x) - (f64::from(angle) / 2.0).sin()).abs() < 1e-7);
+        }
+        let turn = Quaternion::from_rotation_vector(DOWN.scale(TAU + 0.1));
+        let tenth = Quaternion::from_rotation_vector(DOWN.scale(0.1));
+        assert!(angle_between(turn, tenth) < 1e-4);
+    }
+
+    #[test]
+    fn what_is_no_rotation_becomes_none() {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            for position in 0..4 {
+                let mut parts = [0.5; 4];
+                parts[position] = bad;
+                let [w, x, y, z] = parts;
+                let q = Quaternion::new(w, x, y, z);
+                assert_eq!(q.normalize(), Quaternion::IDENTITY);
+                assert_eq!(q.to_euler(), EulerAngles::default());
+            }
+            assert_eq!(wrap_pi(bad), 0.0);
+            let vector = Vector3::new(bad, 0.0, 0.0);
+            assert_eq!(
+                Quaternion::from_rotation_vector(vector),
+                Quaternion::IDENTITY
+            );
+        }
+        let zero = Quaternion::new(0.0, 0.0, 0.0, 0.0);
+        assert_eq!(zero.normalize(), Quaternion::IDENTITY);
+    }
+
+    #[test]
+    fn any_length_normalizes() {
+        let unit = Quaternion::from_euler(euler(10.0, 20.0, 30.0));
+        for length in [1e-37, 1e-20, 1e-3, 0.9996, 1.0, 1.0004, 7.0, 1e18, 3e38] {
+            let q = unit.scale(length).normalize();
+            assert!((q.dot(q) - 1.0).abs() < 2e-6, "{length:e}");
+            assert!(angle_between(q, unit) < 1e-3, "{length:e}");
+        }
+    }
+
+    #[test]
+    fn wrapping_keeps_the_interval_half_open() {
+        assert_eq!(wrap_pi(PI), PI);
+        assert_eq!(wrap_pi(-PI), PI);
+        assert_eq!(wrap_pi(TAU), 0.0);
+        assert_eq!(wrap_pi(0.5), 0.5);
+        assert!((wrap_pi(PI + 0.1) - (0.1 - PI)).abs() < 1e-6);
+        assert!((wrap_pi(-PI - 0.1) - (PI - 0.1)).abs() < 1e-6);
+    }
+}

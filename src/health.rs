@@ -168,3 +168,55 @@ impl Default for FreezeWatch {
         Self::new()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_joined_and_read_back() {
+        assert_eq!(Flags::NONE.to_string(), "");
+        let flags = Flags::MOVED | Flags::CALIBRATING;
+        assert_eq!(flags.to_string(), "CALIBRATING|MOVED");
+        for bits in 0..1 << Flags::NAMES.len() {
+            let flags = Flags::from_bits(bits);
+            assert_eq!(Flags::parse(&flags.to_string()), Some(flags));
+        }
+        assert_eq!(Flags::parse("MOVED|"), None);
+        assert_eq!(Flags::parse("moved"), None);
+    }
+
+    #[test]
+    fn every_flag_has_its_own_bit_and_name() {
+        let mut seen = Flags::NONE;
+        for (flag, name) in Flags::NAMES {
+            assert_eq!(flag.bits().count_ones(), 1, "{name}");
+            assert!(!seen.contains(flag), "{name}");
+            seen |= flag;
+        }
+        assert_eq!(seen.bits(), (1 << Flags::NAMES.len()) - 1);
+    }
+
+    #[test]
+    fn a_condition_decides_and_removes_nothing() {
+        let flags = Flags::GAP.with(Flags::TIME, true).with(Flags::GAP, false);
+        assert_eq!(flags, Flags::GAP | Flags::TIME);
+        assert!(!flags.is_empty());
+        assert!(!flags.contains(Flags::GAP | Flags::FROZEN));
+    }
+
+    #[test]
+    fn data_freeze_after_a_hundred_repeats_and_thaw_at_once() {
+        let mut watch = FreezeWatch::new();
+        let mut bytes = [7; 14];
+        for _ in 0..300 {
+            bytes[13] ^= 1;
+            assert!(!watch.update(&bytes));
+        }
+        for repeat in 1..=1000 {
+            assert_eq!(watch.update(&bytes), repeat >= 100, "{repeat}");
+        }
+        bytes[0] ^= 1;
+        assert!(!watch.update(&bytes));
+    }
+}

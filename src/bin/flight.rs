@@ -71,7 +71,7 @@ mod app {
         let timebase = Timebase::start(device.TIM5, TELEMETRY_PERIOD_US);
         let bus = SensorBus::new(device.I2C1, device.GPIOB);
         let uart = Uart::start(device.USART2, BAUD, context.local.uart_buffer);
-        let reader = BurstReader::new();
+        let reader = BurstReader::start();
         let mut messages = Mailbox::new();
         messages.post(Message::Started {
             board: BOARD.name,

@@ -20,6 +20,7 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fen
 
 use stm32f4xx_hal::pac::{DMA1, EXTI, I2C1, dma1, i2c1};
 
+use super::clocks;
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
 use crate::fault::{BurstFailure, BurstFault, BurstStep};
@@ -44,7 +45,10 @@ pub struct BurstReader {
 
 impl BurstReader {
     /// Sets the DMA stream up. The reader starts when [`enable`] lets the first edge through.
-    pub fn new() -> Self {
+    pub fn start() -> Self {
+        clocks::enable(|rcc| {
+            rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
+        });
         let stream = dma1().st(0);
         // SAFETY: the data register's address, as the manual asks (RM0090, 10.3.17).
         stream
@@ -222,7 +226,7 @@ impl BurstReader {
         let stream = dma1().st(0);
         if stream.cr().read().en().bit() {
             stream.cr().reset();
-            while stream.cr().read().en().bit() {} // Ends with the byte in flight (RM0090, 10.3.14).
+            while stream.cr().read().en().bit() {} // Ends with the byte in flight (RM0090, 10.3, DMA transfer suspension).
             clear_dma_flags();
         }
         let address =

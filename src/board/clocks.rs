@@ -2,7 +2,7 @@
 //!
 //! The HAL's `freeze` waits for ever for a dead crystal, so the crystal is asked first, with a limit.
 
-use stm32f4xx_hal::pac::RCC;
+use stm32f4xx_hal::pac::{RCC, rcc};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{Config, Rcc};
 
@@ -32,6 +32,14 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
         .sysclk(BOARD.core_hz.Hz())
         .pclk1(BOARD.peripheral_hz.Hz());
     (rcc.freeze(config), source)
+}
+
+/// Switches on the clocks that `change` asks for. Only for init, before any interrupt is enabled.
+pub(super) fn enable(change: impl FnOnce(&rcc::RegisterBlock)) {
+    // SAFETY: nothing else writes RCC at that time.
+    change(unsafe { &*RCC::ptr() });
+    // A peripheral answers two cycles after its clock begins (errata sheet ES0182, "Delay after an RCC peripheral clock enabling").
+    cortex_m::asm::dsb();
 }
 
 /// Whether the HSE input becomes ready in time; it is switched off again if not.

@@ -12,8 +12,6 @@
 //! | telemetry (software task) | 1 | text and log, 50 times a second | none: it drops lines rather than wait |
 //! | idle | 0 | configures the sensor, and again after a fault | none |
 
-#![allow(unsafe_code)]
-
 pub mod boards;
 pub mod burst_reader;
 pub mod clocks;

@@ -1,13 +1,15 @@
 //! Port A: the sensor's INT pin, which interrupts and is captured at once, and the UART's pins.
 
-use stm32f4xx_hal::pac::{EXTI, GPIOA, RCC, SYSCFG};
+use stm32f4xx_hal::pac::{EXTI, GPIOA, SYSCFG};
+
+use super::clocks;
 
 /// PA1 to EXTI1 and to TIM5's channel 2, PA2 and PA3 to USART2. The interrupt line stays masked.
 pub fn start(port: GPIOA, routing: SYSCFG, lines: EXTI) {
-    // SAFETY: only init calls this, before any interrupt is enabled, so nothing else writes RCC.
-    let rcc = unsafe { &*RCC::ptr() };
-    rcc.ahb1enr().modify(|_, w| w.gpioaen().set_bit());
-    rcc.apb2enr().modify(|_, w| w.syscfgen().set_bit());
+    clocks::enable(|rcc| {
+        rcc.ahb1enr().modify(|_, w| w.gpioaen().set_bit());
+        rcc.apb2enr().modify(|_, w| w.syscfgen().set_bit());
+    });
     port.afrl()
         .modify(|_, w| w.afrl1().af2().afrl2().af7().afrl3().af7());
     // An unconnected INT wire reads low instead of picking up edges; an idle UART line is high.

@@ -6,9 +6,10 @@
 //! which stays right however long an interrupt delays a step.
 
 use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
-use stm32f4xx_hal::pac::{GPIOB, I2C1, RCC, i2c1};
+use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};
 
 use super::boards::BOARD;
+use super::clocks;
 use super::timebase;
 
 /// Longest wait for one bus event, in microseconds. A byte takes 22 µs, and the sensor never stretches the clock.
@@ -47,10 +48,10 @@ pub struct BusHeldLow {
 impl SensorBus {
     /// Takes the port and its pins. [`SensorBus::recover`] makes the bus usable.
     pub fn new(port: I2C1, pins: GPIOB) -> Self {
-        // SAFETY: only init calls this, before any interrupt is enabled, so nothing else writes RCC.
-        let rcc = unsafe { &*RCC::ptr() };
-        rcc.ahb1enr().modify(|_, w| w.gpioben().set_bit());
-        rcc.apb1enr().modify(|_, w| w.i2c1en().set_bit());
+        clocks::enable(|rcc| {
+            rcc.ahb1enr().modify(|_, w| w.gpioben().set_bit());
+            rcc.apb1enr().modify(|_, w| w.i2c1en().set_bit());
+        });
         Self {
             _port: port,
             _pins: pins,
@@ -97,7 +98,7 @@ impl SensorBus {
 
     fn program_port(&self) {
         let i2c = port();
-        // The reset also clears a BUSY flag that the recovery's edges have set (errata sheet ES0182, 2.10.7).
+        // The reset also clears a BUSY flag that the recovery's edges have set (RM0090, 27.6.1, SWRST).
         i2c.cr1().write(|w| w.swrst().set_bit());
         i2c.cr1().reset();
         i2c.cr2().write(|w| with_clock(w));

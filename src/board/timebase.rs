@@ -5,9 +5,10 @@
 //! - Channel 3's compare paces the telemetry.
 //! - The update interrupt extends the count to 64 bits.
 
-use stm32f4xx_hal::pac::{RCC, TIM5};
+use stm32f4xx_hal::pac::TIM5;
 
 use super::boards::BOARD;
+use super::clocks;
 use crate::units::CounterExtender;
 
 /// What a TIM5 interrupt was for. Several may come at once.
@@ -28,9 +29,9 @@ pub struct Timebase {
 impl Timebase {
     /// Starts the count at zero.
     pub fn start(timer: TIM5, telemetry_period_us: u32) -> Self {
-        // SAFETY: only init calls this, before any interrupt is enabled, so nothing else writes RCC.
-        let rcc = unsafe { &*RCC::ptr() };
-        rcc.apb1enr().modify(|_, w| w.tim5en().set_bit());
+        clocks::enable(|rcc| {
+            rcc.apb1enr().modify(|_, w| w.tim5en().set_bit());
+        });
         let ticks_per_us = 2 * BOARD.peripheral_hz / 1_000_000;
         timer
             .psc()

@@ -2,9 +2,10 @@
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
-use stm32f4xx_hal::pac::{DMA1, RCC, USART2};
+use stm32f4xx_hal::pac::{DMA1, USART2};
 
 use super::boards::BOARD;
+use super::clocks;
 
 /// The longest text that goes out at once.
 pub const CAPACITY: usize = 512;
@@ -18,10 +19,10 @@ pub struct Uart {
 impl Uart {
     /// Sets the port up at `baud`, 8N1. The pin is the caller's to switch to its alternate function 7.
     pub fn start(port: USART2, baud: u32, buffer: &'static mut [u8; CAPACITY]) -> Self {
-        // SAFETY: only init calls this, before any interrupt is enabled, so nothing else writes RCC.
-        let rcc = unsafe { &*RCC::ptr() };
-        rcc.apb1enr().modify(|_, w| w.usart2en().set_bit());
-        rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
+        clocks::enable(|rcc| {
+            rcc.apb1enr().modify(|_, w| w.usart2en().set_bit());
+            rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
+        });
         // With 16-fold oversampling the register holds the divider in sixteenths (RM0090, 30.3.4).
         let divider = (BOARD.peripheral_hz + baud / 2) / baud;
         // SAFETY: every 16-bit value is a valid divider.

@@ -255,3 +255,234 @@ fn mean(sum: [i32; 3], count: u16) -> [f32; 3] {
     let count = i32::from(count.max(1));
     sum.map(|sum| (sum / count) as f32 + (sum % count) as f32 / count as f32)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// ±250 °/s and ±2 g.
+    const FINE: StartupScale = StartupScale {
+        counts_per_degree_s: 131.0,
+        counts_per_g: 16384.0,
+    };
+    /// ±2000 °/s and ±16 g, the default.
+    const COARSE: StartupScale = StartupScale {
+        counts_per_degree_s: 16.4,
+        counts_per_g: 2048.0,
+    };
+    const LEVEL: [i16; 3] = [0, 0, 2048];
+
+    /// A small generator of noise, uniform in ±`amplitude` counts.
+    struct Noise(u32);
+
+    impl Noise {
+        fn next(&mut self, amplitude: i16) -> i16 {
+            self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let span = i32::from(amplitude) * 2 + 1;
+            ((self.0 >> 8) as i32 % span - i32::from(amplitude)) as i16
+        }
+    }
+
+    /// Feeds samples until something other than `Averaging` comes; its index and itself.
+    fn first_event(
+        average: &mut StartupAverage,
+        mut sample: impl FnMut(u32) -> ([i16; 3], [i16; 3]),
+    ) -> (u32, Progress) {
+        for index in 0..100_000 {
+            let (gyroscope, accelerometer) = sample(index);
+            match average.update(gyroscope, accelerometer, 25.0) {
+                Progress::Averaging => {}
+                event => return (index, event),
+            }
+        }
+        panic!("nothing happened");
+    }
+
+    #[test]
+    fn the_classic_example_has_the_offset_minus_158_25() {
+        // The readings have tenths, so a count here is a tenth of theirs.
+        let tenths = [
+            -1584, -1729, -1342, -1551, -1312, -1468, -1731, -1886, -1427, -1795,
+        ];
+        let scale = StartupScale {
+            counts_per_degree_s: 10.0 * FINE.counts_per_degree_s,
+            ..FINE
+        };
+        let mut average = StartupAverage::new(10, scale);
+        let (index, event) = first_event(&mut average, |index| {
+            ([tenths[index as usize], 0, 0], [0, 0, -16384])
+        });
+        assert_eq!(index, 9);
+        let Progress::Done(at_rest) = event else {
+            panic!("{event:?}");
+        };
+        assert_eq!(at_rest.gyroscope_counts, [-1582.5, 0.0, 0.0]);
+        assert_eq!(at_rest.gyroscope_counts[0] / 10.0, -158.25);
+        // Face down, the classic accelerometer offset is the mean plus one g.
+        assert_eq!(at_rest.accelerometer_counts[2] + 16384.0, 0.0);
+    }
+
+    #[test]
+    fn noise_of_the_sensor_is_rest_and_is_averaged_exactly() {
+        let mut noise = Noise(1);
+        let (mut gyroscope_sum, mut accelerometer_sum) = ([0_i64; 3], [0_i64; 3]);
+        let mut average = StartupAverage::new(1000, COARSE);
+        let (index, event) = first_event(&mut average, |_| {
+            // About the real noise: 1.5 and 17 counts, here with wider tails; offsets of 12 °/s.
+            let gyroscope = [200, -150, 7].map(|offset| offset + noise.next(5));
+            let accelerometer = [40, -60, 2100].map(|mean| mean + noise.next(50));
+            for axis in 0..3 {
+                gyroscope_sum[axis] += i64::from(gyroscope[axis]);
+                accelerometer_sum[axis] += i64::from(accelerometer[axis]);
+            }
+            (gyroscope, accelerometer)
+        });
+        assert_eq!(index, 999);
+        let Progress::Done(at_rest) = event else {
+            panic!("{event:?}");
+        };
+        for axis in 0..3 {
+            let exact = gyroscope_sum[axis] as f64 / 1000.0;
+            assert_eq!(at_rest.gyroscope_counts[axis], exact as f32);
+            let exact = accelerometer_sum[axis] as f64 / 1000.0;
+            assert_eq!(at_rest.accelerometer_counts[axis], exact as f32);
+        }
+    }
+
+    #[test]
+    fn a_short_movement_restarts_the_average_at_the_end_of_its_window() {
+        let mut average = StartupAverage::new(1000, COARSE);
+        // 10 °/s on one sample out of a thousand.
+        let bump = |index: u32| ([if index == 640 { 164 } else { 0 }, 0, 0], LEVEL);
+        assert_eq!(first_event(&mut average, bump), (699, Progress::Moved));
+        // From here on a full average is needed again.
+        let (index, event) = first_event(&mut average, |_| ([3, 0, 0], LEVEL));
+        assert_eq!(index, 999);
+        let Progress::Done(at_rest) = event else {
+            panic!("{event:?}");
+        };
+        assert_eq!(at_rest.gyroscope_counts, [3.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_movement_in_the_short_last_window_counts_too() {
+        let mut average = StartupAverage::new(110, COARSE);
+        let bump = |index: u32| ([if index == 105 { 164 } else { 0 }, 0, 0], LEVEL);
+        assert_eq!(first_event(&mut average, bump), (109, Progress::Moved));
+    }
+
+    #[test]
+    fn a_knock_shows_in_the_accelerometer() {
+        let mut average = StartupAverage::new(1000, COARSE);
+        let knock = |index: u32| ([0; 3], [0, 0, if index == 10 { 2600 } else { 2048 }]);
+        assert_eq!(first_event(&mut average, knock), (99, Progress::Moved));
+    }
+
+    #[test]
+    fn a_slow_turn_about_a_level_axis_shows_in_the_accelerometer() {
+        for degrees_s in [3.0_f32, 10.0, 19.0] {
+            let mut average = StartupAverage::new(1000, COARSE);
+            let (index, event) = first_event(&mut average, |index| {
+                let angle = (degrees_s * index as f32 * 1e-3).to_radians();
+                let force = [
+                    0,
+                    (2048.0 * angle.sin()) as i16,
+                    (2048.0 * angle.cos()) as i16,
+                ];
+                ([(degrees_s * 16.4) as i16, 0, 0], force)
+            });
+            assert_eq!(event, Progress::Moved, "{degrees_s}");
+            assert!(index < 999, "{degrees_s}");
+        }
+    }
+
+    #[test]
+    fn a_turn_that_begins_is_not_an_offset() {
+        // 1 °/s about the vertical, from the middle on: the accelerometer sees nothing.
+        let mut average = StartupAverage::new(1000, COARSE);
+        let turn = |index: u32| ([0, 0, if index < 500 { 0 } else { 16 }], LEVEL);
+        assert_eq!(first_event(&mut average, turn), (599, Progress::Moved));
+    }
+
+    #[test]
+    fn a_steady_turn_is_an_offset_only_within_the_datasheet() {
+        let at = |degrees_s: f32, celsius: f32| {
+            let mut average = StartupAverage::new(100, COARSE);
+            let counts = (degrees_s * COARSE.counts_per_degree_s) as i16;
+            let mut last = Progress::Averaging;
+            for _ in 0..100 {
+                last = average.update([0, 0, counts], LEVEL, celsius);
+            }
+            last != Progress::Moved
+        };
+        assert!(at(20.0, 25.0));
+        assert!(at(-20.0, 25.0));
+        assert!(!at(22.0, 25.0));
+        assert!(!at(-22.0, 25.0));
+        // Heat and cold allow more, and no temperature allows everything.
+        assert!(at(39.0, 85.0));
+        assert!(at(-32.0, -15.0));
+        assert!(!at(42.0, 85.0));
+        assert!(!at(42.0, 3000.0));
+        assert!(!at(2000.0, 25.0));
+    }
+
+    #[test]
+    fn what_feels_no_gravity_is_not_at_rest() {
+        for force in [[0, 0, 0], [0, 0, 1500], [1500, 1500, 1500], [-32768; 3]] {
+            let mut average = StartupAverage::new(1000, COARSE);
+            let event = first_event(&mut average, |_| ([0; 3], force));
+            assert_eq!(event, (99, Progress::Moved), "{force:?}");
+        }
+        // Any pose with one g will do, offsets included.
+        for force in [
+            [2048, 0, 0],
+            [0, -2048, 0],
+            [1182, -1182, 1182],
+            [0, 0, 2300],
+        ] {
+            let mut average = StartupAverage::new(1000, COARSE);
+            let (_, event) = first_event(&mut average, |_| ([0; 3], force));
+            assert!(matches!(event, Progress::Done(_)), "{force:?}");
+        }
+    }
+
+    #[test]
+    fn the_longest_average_of_the_largest_counts_is_exact() {
+        // A scale at which full-scale counts are a plausible offset and a plausible gravity.
+        let scale = StartupScale {
+            counts_per_degree_s: 32768.0 / 20.0,
+            counts_per_g: 32768.0,
+        };
+        for extreme in [i16::MIN, i16::MAX] {
+            let mut average = StartupAverage::new(u16::MAX, scale);
+            let (index, event) = first_event(&mut average, |_| ([extreme; 3], [0, 0, extreme]));
+            assert_eq!(index, u32::from(u16::MAX) - 1);
+            let Progress::Done(at_rest) = event else {
+                panic!("{event:?}");
+            };
+            assert_eq!(at_rest.gyroscope_counts, [f32::from(extreme); 3]);
+            assert_eq!(at_rest.accelerometer_counts[2], f32::from(extreme));
+        }
+    }
+
+    #[test]
+    fn every_length_ends_on_its_last_sample() {
+        for samples in [0, 1, 2, 99, 100, 101, 149, 150, 199, 200, 201, 1001] {
+            let mut average = StartupAverage::new(samples, COARSE);
+            let (index, event) = first_event(&mut average, |_| ([1; 3], LEVEL));
+            assert_eq!(index, u32::from(samples.max(1)) - 1);
+            assert!(matches!(event, Progress::Done(_)), "{samples}");
+        }
+    }
+
+    #[test]
+    fn a_mean_keeps_what_a_rounded_sum_would_lose() {
+        // The sum, 33 000 001, is no f32; as one it would lose its last digit.
+        assert_eq!(
+            mean([33_000_001, -33_000_001, 0], 2),
+            [16_500_000.5, -16_500_000.5, 0.0].map(|x: f64| x as f32)
+        );
+        assert_eq!(mean([2_000_003, 0, 0], 1000)[0], 2_000.003);
+    }
+}

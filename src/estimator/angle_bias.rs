@@ -78,3 +78,80 @@ impl AngleBias {
         gain_angle * innovation
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The same filter as the textbook writes it: whole matrices, double precision.
+    struct Textbook {
+        x: [f64; 2],
+        p: [[f64; 2]; 2],
+    }
+
+    fn product(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
+        let entry = |i: usize, j: usize| a[i][0] * b[0][j] + a[i][1] * b[1][j];
+        [[entry(0, 0), entry(0, 1)], [entry(1, 0), entry(1, 1)]]
+    }
+
+    impl Textbook {
+        fn step(&mut self, rate: f64, measured: f64, r: f64, dt: f64) {
+            let f = [[1.0, -dt], [0.0, 1.0]];
+            let f_transposed = [[1.0, 0.0], [-dt, 1.0]];
+            self.x = [self.x[0] + (rate - self.x[1]) * dt, self.x[1]];
+            self.p = product(product(f, self.p), f_transposed);
+            self.p[0][0] += 0.001 * dt;
+            self.p[1][1] += 0.003 * dt;
+            let s = self.p[0][0] + r;
+            let k = [self.p[0][0] / s, self.p[1][0] / s];
+            let innovation = measured - self.x[0];
+            self.x = [self.x[0] + k[0] * innovation, self.x[1] + k[1] * innovation];
+            self.p = product([[1.0 - k[0], 0.0], [-k[1], 1.0]], self.p);
+        }
+    }
+
+    #[test]
+    fn it_is_the_textbooks_filter() {
+        for dt in [0.001, 0.01, 0.1] {
+            let mut textbook = Textbook {
+                x: [5.0, 0.0],
+                p: [[0.0; 2]; 2],
+            };
+            let mut filter = AngleBias::new();
+            let mut angle = 5.0_f32;
+            for step in 0..3000 {
+                let time = f64::from(step) * dt;
+                let rate = 1.5 + 10.0 * (2.0 * time).cos();
+                let measured = 5.0 * (2.0 * time).sin() + 0.3 * (700.0 * time).sin();
+                let r = if step % 7 == 0 { 0.3 } else { 0.03 };
+                textbook.step(rate, measured, r, dt);
+                filter.predict(dt as f32);
+                angle += (rate as f32 - filter.bias) * dt as f32;
+                angle += filter.correct(measured as f32 - angle, r as f32);
+                assert!((f64::from(angle) - textbook.x[0]).abs() < 1e-3, "{step}");
+                assert!((f64::from(filter.bias) - textbook.x[1]).abs() < 1e-2);
+                let variance = f64::from(filter.variance_angle);
+                assert!((variance / textbook.p[0][0] - 1.0).abs() < 1e-3, "{step}");
+            }
+            // It has found the bias of 1.5.
+            assert!((filter.bias - 1.5).abs() < 0.5, "{dt}: {}", filter.bias);
+        }
+    }
+
+    #[test]
+    fn the_covariance_stays_one() {
+        let mut filter = AngleBias::new();
+        let steps = [1e-6, 0.5, 0.001, 0.3, 0.01];
+        for (step, dt_s) in steps.into_iter().cycle().take(100_000).enumerate() {
+            filter.predict(dt_s);
+            if step % 3 > 0 {
+                filter.correct(1.0, if step % 2 > 0 { 300.0 } else { 0.03 });
+            }
+            let determinant = f64::from(filter.variance_angle) * f64::from(filter.variance_bias)
+                - f64::from(filter.covariance) * f64::from(filter.covariance);
+            assert!(filter.variance_angle >= 0.0 && filter.variance_bias >= 0.0);
+            assert!(determinant >= -1e-4, "{step}: {filter:?}");
+            assert!(filter.bias.is_finite());
+        }
+    }
+}

@@ -8,21 +8,22 @@
 //! about the level axis at right angles to it, so that neither touches the other angle or yaw.
 //!
 //! Near pitch ±90° roll is not defined, and the accelerometer says less and less about it: its
-//! variance is R/cos²(pitch), and the gyroscope carries roll across the pole.
+//! variance is R/cos²(pitch), and at the pole the gyroscope alone carries roll across.
 //!
 //! Terms: "down" is the direction of gravity in body axes, measured as minus the specific force.
 //! Cost: two arctangents, two square roots and three divisions per sample.
 
 use super::Measurement;
 use super::angle_bias::{AngleBias, R_MEASURE};
-use crate::attitude::{Quaternion, Vector3};
+use crate::attitude::{Quaternion, Vector3, sine_cosine};
 use crate::units::radians;
 
 /// No part of the family has a larger zero-rate offset (20 °/s, and 20 more over temperature:
 /// product specification §6.1); it bounds what long accelerations can do to the bias.
 const LARGEST_BIAS_RAD_S: f32 = radians(40.0);
 
-/// cos² of pitch is not taken smaller than this (0.6° from the pole), where roll has no weight left.
+/// Where cos² of pitch is smaller than this (0.6° from the pole), the accelerometer's noise alone
+/// turns the measured roll by half a turn, and it is not used.
 const LEAST_PITCH_COSINE_SQUARED: f32 = 1.0e-4;
 
 /// The filter's state.
@@ -121,20 +122,20 @@ impl AxisKalman {
 
         let pitch_cosine_squared = (measured_squared
             / (measured_squared + measured.x * measured.x))
-            .min(predicted_squared)
-            .max(LEAST_PITCH_COSINE_SQUARED);
-        let roll_change = self
-            .roll
-            .correct(roll_innovation, R_MEASURE / pitch_cosine_squared);
+            .min(predicted_squared);
+        let roll_change = if pitch_cosine_squared > LEAST_PITCH_COSINE_SQUARED {
+            let inverse = 1.0 / predicted_across;
+            self.roll_cosine = predicted.z * inverse;
+            self.roll_sine = predicted.y * inverse;
+            self.roll
+                .correct(roll_innovation, R_MEASURE / pitch_cosine_squared)
+        } else {
+            0.0
+        };
         let pitch_change = self.pitch.correct(pitch_innovation, R_MEASURE);
         self.roll.bias = clamp_bias(self.roll.bias);
         self.pitch.bias = clamp_bias(self.pitch.bias);
 
-        if predicted_squared > LEAST_PITCH_COSINE_SQUARED {
-            let inverse = 1.0 / predicted_across;
-            self.roll_cosine = predicted.z * inverse;
-            self.roll_sine = predicted.y * inverse;
-        }
         let change = self.in_body(roll_change, pitch_change);
         self.attitude = self
             .attitude
@@ -146,22 +147,244 @@ impl AxisKalman {
         Vector3::new(roll, pitch * self.roll_cosine, -pitch * self.roll_sine)
     }
 
+    /// Takes roll and pitch from the direction of down, and keeps yaw; next to the pole, roll too.
     fn set_tilt(&mut self, down: Vector3) {
         let mut angles = self.attitude.to_euler();
-        let across = libm::sqrtf(down.y * down.y + down.z * down.z);
-        angles.roll_rad = libm::atan2f(down.y, down.z);
-        angles.pitch_rad = libm::atan2f(-down.x, across);
-        self.attitude = Quaternion::from_euler(angles).with_sign_of(self.attitude);
-        let predicted = self.attitude.down_in_body();
-        let predicted_across = libm::sqrtf(predicted.y * predicted.y + predicted.z * predicted.z);
-        if predicted_across * predicted_across > LEAST_PITCH_COSINE_SQUARED {
-            self.roll_cosine = predicted.z / predicted_across;
-            self.roll_sine = predicted.y / predicted_across;
+        let across_squared = down.y * down.y + down.z * down.z;
+        if across_squared > LEAST_PITCH_COSINE_SQUARED * down.dot(down) {
+            angles.roll_rad = libm::atan2f(down.y, down.z);
         }
+        angles.pitch_rad = libm::atan2f(-down.x, libm::sqrtf(across_squared));
+        (self.roll_sine, self.roll_cosine) = sine_cosine(angles.roll_rad);
+        self.attitude = Quaternion::from_euler(angles).with_sign_of(self.attitude);
         self.has_tilt = true;
     }
 }
 
 fn clamp_bias(bias_rad_s: f32) -> f32 {
     bias_rad_s.clamp(-LARGEST_BIAS_RAD_S, LARGEST_BIAS_RAD_S)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimator::tests::{angle_between, from_degrees, sample};
+    use crate::estimator::{Estimator, FilterKind};
+
+    /// Turns a true attitude by body rates that change with time, and follows it with the filter.
+    /// Returns the largest angle between the two, in degrees.
+    fn follow(
+        start: Quaternion,
+        step_us: impl Fn(u64) -> u64,
+        seconds: f32,
+        rate_rad_s: impl Fn(f32) -> Vector3,
+    ) -> f32 {
+        let mut estimator = Estimator::new(FilterKind::AxisKalman);
+        let mut truth = start;
+        let mut worst = 0.0_f32;
+        let mut last = None;
+        let (mut t_us, mut index) = (0, 0);
+        while (t_us as f32) < seconds * 1e6 {
+            let rate = rate_rad_s(t_us as f32 * 1e-6);
+            let attitude = estimator.update(&sample(t_us, truth, rate)).attitude;
+            worst = worst.max(angle_between(attitude, truth));
+            assert!(
+                attitude.dot(last.unwrap_or(attitude)) > 0.9,
+                "the sign jumped"
+            );
+            last = Some(attitude);
+            let step = step_us(index);
+            // Much finer than the filter's own steps.
+            for part in 0..20 {
+                let at = t_us as f32 * 1e-6 + (part as f32 + 0.5) * 0.05 * step as f32 * 1e-6;
+                let turn = rate_rad_s(at).scale(step as f32 * 0.05e-6);
+                truth = truth
+                    .multiply(Quaternion::from_rotation_vector(turn))
+                    .normalize();
+            }
+            t_us += step;
+            index += 1;
+        }
+        worst
+    }
+
+    const fn degrees_s(x: f32, y: f32, z: f32) -> Vector3 {
+        Vector3::new(radians(x), radians(y), radians(z))
+    }
+
+    #[test]
+    fn roll_goes_round_and_round() {
+        let worst = follow(
+            Quaternion::IDENTITY,
+            |_| 1000,
+            4.0,
+            |_| degrees_s(720.0, 0.0, 0.0),
+        );
+        assert!(worst < 0.05, "{worst}");
+    }
+
+    #[test]
+    fn roll_that_swings_about_180_degrees_stays_there() {
+        let worst = follow(
+            from_degrees(180.0, 0.0, 0.0),
+            |_| 1000,
+            4.0,
+            |t| degrees_s(200.0 * (6.0 * t).cos(), 0.0, 0.0),
+        );
+        assert!(worst < 0.05, "{worst}");
+    }
+
+    #[test]
+    fn pitch_goes_over_the_poles() {
+        // With some roll rate as well, so that the poles are passed on both sides.
+        for roll_rate in [0.0, 3.0, -20.0] {
+            let worst = follow(
+                Quaternion::IDENTITY,
+                |_| 1000,
+                8.0,
+                |_| degrees_s(roll_rate, 120.0, 0.0),
+            );
+            assert!(worst < 0.5, "{roll_rate}: {worst}");
+        }
+    }
+
+    #[test]
+    fn a_pose_at_the_pole_is_held() {
+        for pitch in [90.0, -90.0, 89.9, -89.5] {
+            let pose = from_degrees(0.0, pitch, 0.0);
+            let worst = follow(pose, |_| 1000, 5.0, |_| Vector3::ZERO);
+            assert!(worst < 0.1, "{pitch}: {worst}");
+        }
+    }
+
+    #[test]
+    fn both_axes_tilted_turn_into_each_other() {
+        // A yaw of the body with the wing down 60° and the nose up 40° moves every Euler angle.
+        let worst = follow(
+            from_degrees(60.0, 40.0, 0.0),
+            |_| 1000,
+            5.0,
+            |t| degrees_s(30.0 * t.sin(), 20.0, 90.0),
+        );
+        assert!(worst < 0.5, "{worst}");
+    }
+
+    #[test]
+    fn uneven_steps_make_no_difference() {
+        let steps = [1000, 1, 3000, 999, 20_000, 1000, 500];
+        let worst = follow(
+            Quaternion::IDENTITY,
+            |index| steps[index as usize % steps.len()],
+            5.0,
+            |t| degrees_s(100.0 * (3.0 * t).sin(), 60.0 * (2.0 * t).cos(), 30.0),
+        );
+        assert!(worst < 0.2, "{worst}");
+    }
+
+    #[test]
+    fn tilt_converges_and_the_bias_is_found() {
+        let mut estimator = Estimator::new(FilterKind::AxisKalman);
+        let pose = from_degrees(-30.0, 20.0, 0.0);
+        // Both in Euler rates: pitch moves by q·cos(roll) − r·sin(roll).
+        let bias = degrees_s(2.0, -3.0, 0.0);
+        let mut after_five_seconds = 0.0_f32;
+        for millisecond in 0..20_000 {
+            let attitude = estimator
+                .update(&sample(millisecond * 1000, pose, bias))
+                .attitude;
+            let error = (attitude.down_in_body() - pose.down_in_body()).norm();
+            if millisecond > 5_000 {
+                after_five_seconds = after_five_seconds.max(error.to_degrees());
+            }
+        }
+        assert!(after_five_seconds < 0.05, "{after_five_seconds}");
+    }
+
+    #[test]
+    fn a_wrong_tilt_decays_over_the_shorter_way() {
+        // The filter believes 170° of roll; the truth is −170°, 20° further and not 340° back.
+        let mut filter = AxisKalman::new();
+        filter.set_tilt(from_degrees(170.0, 0.0, 0.0).down_in_body());
+        let force = -from_degrees(-170.0, 0.0, 0.0).down_in_body().scale(9.8);
+        let measurement = Measurement {
+            specific_force_m_s2: Some(force),
+            angular_rate_rad_s: Vector3::ZERO,
+        };
+        let mut roll = 170.0;
+        for _ in 0..5_000 {
+            filter.update(&measurement, 1e-3);
+            roll = filter.attitude().to_euler().roll_rad.to_degrees();
+            assert!(roll.abs() > 160.0, "{roll}");
+        }
+        assert!((roll + 170.0).abs() < 0.1, "{roll}");
+    }
+
+    #[test]
+    fn corrections_leave_yaw_and_the_other_angle_alone() {
+        let mut filter = AxisKalman::new();
+        filter.attitude = from_degrees(50.0, 30.0, 80.0);
+        filter.has_tilt = true;
+        let force = |roll, pitch| -from_degrees(roll, pitch, 0.0).down_in_body().scale(9.8);
+        // First a measurement that disagrees in roll alone, then in pitch alone.
+        for (roll, pitch) in [(52.0, 30.0), (50.0, 33.0)] {
+            let mut filter = filter;
+            for _ in 0..10_000 {
+                filter.update(
+                    &Measurement {
+                        specific_force_m_s2: Some(force(roll, pitch)),
+                        angular_rate_rad_s: Vector3::ZERO,
+                    },
+                    1e-3,
+                );
+            }
+            let angles = filter.attitude().to_euler();
+            assert!(
+                (angles.roll_rad.to_degrees() - roll).abs() < 0.02,
+                "{angles:?}"
+            );
+            assert!(
+                (angles.pitch_rad.to_degrees() - pitch).abs() < 0.02,
+                "{angles:?}"
+            );
+            assert!(
+                (angles.yaw_rad.to_degrees() - 80.0).abs() < 0.05,
+                "{angles:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn yaw_integrates_from_zero() {
+        let mut estimator = Estimator::new(FilterKind::AxisKalman);
+        for millisecond in 0..=2_000 {
+            let truth = from_degrees(0.0, 0.0, 0.09 * millisecond as f32);
+            let estimate = estimator.update(&sample(
+                millisecond * 1000,
+                truth,
+                degrees_s(0.0, 0.0, 90.0),
+            ));
+            assert!(angle_between(estimate.attitude, truth) < 0.01);
+        }
+        let yaw = estimator.attitude().to_euler().yaw_rad.to_degrees();
+        assert!((yaw.abs() - 180.0).abs() < 0.01, "{yaw}");
+    }
+
+    #[test]
+    fn the_bias_stays_within_the_datasheet() {
+        let mut filter = AxisKalman::new();
+        for step in 0..20_000 {
+            // A centrifuge: the force says 90° of roll, the gyroscope says that nothing turns.
+            let sideways = Vector3::new(0.0, if step < 10_000 { -9.8 } else { 9.8 }, 0.1);
+            filter.update(
+                &Measurement {
+                    specific_force_m_s2: Some(sideways),
+                    angular_rate_rad_s: degrees_s(500.0, -500.0, 0.0),
+                },
+                1e-3,
+            );
+            assert!(filter.roll.bias.abs() <= LARGEST_BIAS_RAD_S);
+            assert!(filter.pitch.bias.abs() <= LARGEST_BIAS_RAD_S);
+        }
+        assert_eq!(filter.roll.bias.abs(), LARGEST_BIAS_RAD_S);
+    }
 }

@@ -170,3 +170,124 @@ fn arccosine_deg(across: f32, norm: f32) -> f32 {
         0.0
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimator::tests::{from_degrees, sample};
+    use crate::estimator::{Estimator, FilterKind};
+
+    #[test]
+    fn the_formulas_are_the_tutorials() {
+        // Counts at ±2 g, face down, offsets removed; x, y, z, roll, pitch.
+        for (x, y, z, roll, pitch) in [
+            (0.0, 0.0, -16384.0, 0.0, 0.0),
+            (0.0, -8192.0, -14189.0, 30.0, 0.0),
+            (0.0, 8192.0, -14189.0, -30.0, 0.0),
+            (8192.0, 0.0, -14189.0, 0.0, 30.0),
+            (-8192.0, 0.0, -14189.0, 0.0, -30.0),
+            (0.0, -16384.0, 0.0, 90.0, 0.0),
+            (-16384.0, 0.0, 0.0, 0.0, -90.0),
+            // 70.53° from each axis is 35.26° out of each plane.
+            (1000.0, -1000.0, -1000.0, 35.264, 35.264),
+            // Past the vertical it comes down again.
+            (0.0, -8192.0, 14189.0, 30.0, 0.0),
+        ] {
+            let force = Vector3::new(x, y, z);
+            assert!((roll_deg(force) - roll).abs() < 0.02, "{force:?}");
+            assert!((pitch_deg(force) - pitch).abs() < 0.02, "{force:?}");
+        }
+        assert_eq!(roll_deg(Vector3::ZERO), 0.0);
+        assert_eq!(pitch_deg(Vector3::ZERO), 0.0);
+    }
+
+    #[test]
+    fn near_level_the_signs_are_those_of_the_attitude() {
+        let force = -from_degrees(3.0, -2.0, 0.0).down_in_body();
+        assert!((roll_deg(force) - 3.0).abs() < 0.02);
+        assert!((pitch_deg(force) + 2.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn the_filter_and_the_rate_are_the_tutorials() {
+        // The same steps in double precision: predict, update, difference.
+        let mut estimator = Estimator::new(FilterKind::Classic);
+        let (mut angle, mut bias) = (0.0_f64, 0.0_f64);
+        let (mut p00, mut p01, mut p11) = (0.0_f64, 0.0_f64, 0.0_f64);
+        let mut t_us = 0;
+        for step in 0..4_000_u64 {
+            let dt_us = 2_000 + 700 * (step % 3);
+            let time = t_us as f64 * 1e-6;
+            let roll = 20.0 * (1.5 * time).sin();
+            let rate = 30.0 * (1.5 * time).cos() + 4.0;
+            let rate_rad_s = Vector3::new((rate as f32).to_radians(), 0.0, 0.0);
+            estimator.update(&sample(
+                t_us,
+                from_degrees(roll as f32, 0.0, 0.0),
+                rate_rad_s,
+            ));
+            if step > 0 {
+                let dt = (2_000 + 700 * ((step - 1) % 3)) as f64 * 1e-6;
+                let before = angle;
+                angle += dt * (rate - bias);
+                p00 += dt * (dt * p11 - 2.0 * p01 + 0.001);
+                p01 -= dt * p11;
+                p11 += 0.003 * dt;
+                let s = p00 + 0.03;
+                let (k0, k1) = (p00 / s, p01 / s);
+                let innovation = roll - angle;
+                angle += k0 * innovation;
+                bias += k1 * innovation;
+                p11 -= k1 * p01;
+                p01 -= k0 * p01;
+                p00 -= k0 * p00;
+                let printed = estimator.classic_angles().expect("classic");
+                assert!((f64::from(printed.roll_deg) - angle).abs() < 0.02, "{step}");
+                let printed_rate = f64::from(printed.roll_rate_deg_s);
+                assert!((printed_rate - (angle - before) / dt).abs() < 0.1, "{step}");
+                assert!(printed.pitch_deg.abs() < 0.02);
+            }
+            t_us += dt_us;
+        }
+        assert!(
+            angle.abs() > 1.0 && (bias - 4.0).abs() < 1.0,
+            "{angle} {bias}"
+        );
+    }
+
+    #[test]
+    fn only_the_classic_filter_has_classic_angles() {
+        assert!(
+            Estimator::new(FilterKind::AxisKalman)
+                .classic_angles()
+                .is_none()
+        );
+        assert!(
+            Estimator::new(FilterKind::Classic)
+                .classic_angles()
+                .is_some()
+        );
+    }
+
+    #[test]
+    fn the_quaternion_says_the_same_and_keeps_its_sign() {
+        let mut estimator = Estimator::new(FilterKind::Classic);
+        let mut last = estimator.attitude();
+        let rate = Vector3::new(0.0, 0.0, 3.0);
+        for millisecond in 0..5_000 {
+            let pose = from_degrees(25.0, 0.0, 0.0);
+            let attitude = estimator
+                .update(&sample(millisecond * 1000, pose, rate))
+                .attitude;
+            assert!(attitude.dot(last) > 0.9);
+            last = attitude;
+        }
+        let angles = last.to_euler();
+        let classic = estimator.classic_angles().expect("classic");
+        assert!((angles.roll_rad.to_degrees() - classic.roll_deg).abs() < 1e-3);
+        assert!(
+            (wrap_pi(angles.yaw_rad - 3.0 * 4.999)).abs() < 1e-2,
+            "{angles:?}"
+        );
+    }
+}

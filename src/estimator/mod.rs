@@ -217,3 +217,236 @@ pub(crate) struct Measurement {
     pub(crate) specific_force_m_s2: Option<Vector3>,
     pub(crate) angular_rate_rad_s: Vector3,
 }
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::attitude::EulerAngles;
+
+    const GRAVITY: Vector3 = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+
+    /// What an ideal sensor in this attitude, turning so and not accelerating, reads.
+    pub(crate) fn sample(t_us: u64, attitude: Quaternion, rate_rad_s: Vector3) -> Sample {
+        Sample {
+            t_us,
+            specific_force_m_s2: attitude.conjugate().rotate(GRAVITY),
+            angular_rate_rad_s: rate_rad_s,
+        }
+    }
+
+    pub(crate) fn from_degrees(roll: f32, pitch: f32, yaw: f32) -> Quaternion {
+        Quaternion::from_euler(EulerAngles {
+            roll_rad: roll.to_radians(),
+            pitch_rad: pitch.to_radians(),
+            yaw_rad: yaw.to_radians(),
+        })
+    }
+
+    /// The angle between two attitudes, in degrees.
+    pub(crate) fn angle_between(a: Quaternion, b: Quaternion) -> f32 {
+        let difference = a.conjugate().multiply(b).normalize();
+        let vector = Vector3::new(difference.x, difference.y, difference.z);
+        2.0 * f32::atan2(vector.norm(), difference.w.abs()).to_degrees()
+    }
+
+    fn is_rotation(attitude: Quaternion) -> bool {
+        (attitude.dot(attitude) - 1.0).abs() < 1e-3
+    }
+
+    fn both() -> [Estimator; 2] {
+        FilterKind::ALL.map(Estimator::new)
+    }
+
+    #[test]
+    fn filters_have_names() {
+        for kind in FilterKind::ALL {
+            assert_eq!(FilterKind::parse(kind.name()), Some(kind));
+        }
+        assert_eq!(FilterKind::parse("kalman?"), None);
+        assert_eq!(FilterKind::default(), FilterKind::AxisKalman);
+    }
+
+    #[test]
+    fn the_first_sample_sets_the_tilt_and_yaw_is_zero() {
+        for mut estimator in both() {
+            let pose = from_degrees(35.0, -20.0, 0.0);
+            let estimate = estimator.update(&sample(1_000, pose, Vector3::ZERO));
+            assert_eq!(estimate.remarks, Remarks::default());
+            // The classic angles are not Euler angles: its roll is that of a level nose.
+            let tolerance = match estimator.filter {
+                Filter::AxisKalman(_) => 1e-3,
+                Filter::Classic(_) => 4.0,
+            };
+            assert!(angle_between(estimate.attitude, pose) < tolerance);
+            assert!(estimate.attitude.to_euler().yaw_rad.abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn what_is_no_measurement_changes_nothing() {
+        for mut estimator in both() {
+            let pose = from_degrees(10.0, 0.0, 0.0);
+            let rate = Vector3::new(0.1, 0.2, 0.3);
+            let good = estimator.update(&sample(1_000, pose, rate));
+            let before = estimator;
+            for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 2.0e4, f32::MIN] {
+                let mut wrong_force = sample(2_000, pose, rate);
+                wrong_force.specific_force_m_s2.y = bad;
+                let mut wrong_rate = sample(2_000, pose, rate);
+                wrong_rate.angular_rate_rad_s.z = bad;
+                for wrong in [wrong_force, wrong_rate] {
+                    let estimate = estimator.update(&wrong);
+                    assert!(estimate.remarks.rejected);
+                    assert_eq!(estimate.attitude, good.attitude);
+                    assert_eq!(estimate.body_rates_rad_s, rate);
+                    assert_eq!(estimator, before);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_lost_sample_is_bridged_by_the_next() {
+        // 100 °/s of roll; the estimator does not see the samples between 40 and 60 ms.
+        let rate = Vector3::new(100_f32.to_radians(), 0.0, 0.0);
+        let mut estimator = Estimator::new(FilterKind::AxisKalman);
+        for millisecond in (0..100).filter(|ms| !(40..60).contains(ms)) {
+            let pose = from_degrees(0.1 * millisecond as f32, 0.0, 0.0);
+            let estimate = estimator.update(&sample(1_000 * millisecond, pose, rate));
+            assert!(angle_between(estimate.attitude, pose) < 1e-3);
+            assert_eq!(estimate.remarks, Remarks::default());
+        }
+    }
+
+    #[test]
+    fn time_that_stands_still_or_runs_back_holds_the_attitude() {
+        let rate = Vector3::new(1.0, 0.0, 0.0);
+        for mut estimator in both() {
+            let pose = from_degrees(5.0, 5.0, 0.0);
+            let held = estimator.update(&sample(1_000_000, pose, rate)).attitude;
+            for t_us in [1_000_000, 999_999, 0] {
+                let estimate = estimator.update(&sample(t_us, pose, rate));
+                assert!(estimate.remarks.time_went_back, "{t_us}");
+                assert_eq!(estimate.attitude, held);
+            }
+            // It went back to zero, and goes on from there.
+            let estimate = estimator.update(&sample(10_000, pose, rate));
+            assert_eq!(estimate.remarks, Remarks::default());
+            assert_ne!(estimate.attitude, held);
+        }
+    }
+
+    #[test]
+    fn after_a_gap_the_tilt_is_new_and_yaw_is_kept() {
+        let mut estimator = Estimator::new(FilterKind::AxisKalman);
+        let turn = Vector3::new(0.0, 0.0, 1.0);
+        for millisecond in 0..=500 {
+            estimator.update(&sample(millisecond * 1000, Quaternion::IDENTITY, turn));
+        }
+        let yaw = estimator.attitude().to_euler().yaw_rad;
+        assert!((yaw - 0.5).abs() < 1e-3);
+        let pose = from_degrees(60.0, -40.0, 0.0);
+        let t_us = 500_000 + LONGEST_STEP_US;
+        let estimate = estimator.update(&sample(t_us, pose, Vector3::ZERO));
+        assert!(!estimate.remarks.gap);
+        let estimate = estimator.update(&sample(t_us + LONGEST_STEP_US + 1, pose, Vector3::ZERO));
+        assert!(estimate.remarks.gap);
+        let angles = estimate.attitude.to_euler();
+        assert!((angles.roll_rad.to_degrees() - 60.0).abs() < 1e-3);
+        assert!((angles.pitch_rad.to_degrees() + 40.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn without_gravity_the_gyroscope_alone_turns() {
+        let rate = Vector3::new(0.5, 0.0, 0.0);
+        let mut estimator = Estimator::new(FilterKind::AxisKalman);
+        estimator.update(&sample(0, Quaternion::IDENTITY, rate));
+        for millisecond in 1..=1000 {
+            let mut falling = sample(millisecond * 1000, Quaternion::IDENTITY, rate);
+            // Whatever is left points the wrong way.
+            falling.specific_force_m_s2 = Vector3::new(0.9 * LEAST_SPECIFIC_FORCE_M_S2, 0.0, 0.0);
+            let estimate = estimator.update(&falling);
+            assert!(estimate.remarks.no_gravity);
+        }
+        let angles = estimator.attitude().to_euler();
+        assert!((angles.roll_rad - 0.5).abs() < 1e-4, "{angles:?}");
+        assert!(angles.pitch_rad.abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_start_in_free_fall_finds_the_tilt_later() {
+        for mut estimator in both() {
+            for millisecond in 0..10 {
+                let mut falling = sample(millisecond * 1000, Quaternion::IDENTITY, Vector3::ZERO);
+                falling.specific_force_m_s2 = Vector3::ZERO;
+                let estimate = estimator.update(&falling);
+                assert!(estimate.remarks.no_gravity);
+                assert_eq!(estimate.attitude, Quaternion::IDENTITY);
+            }
+            let pose = from_degrees(0.0, 30.0, 0.0);
+            let estimate = estimator.update(&sample(10_000, pose, Vector3::ZERO));
+            assert!(angle_between(estimate.attitude, pose) < 0.1);
+        }
+    }
+
+    #[test]
+    fn a_restart_zeroes_yaw_and_takes_the_tilt_afresh() {
+        for mut estimator in both() {
+            for millisecond in 0..300 {
+                let rate = Vector3::new(0.3, 0.0, 1.0);
+                estimator.update(&sample(millisecond * 1000, Quaternion::IDENTITY, rate));
+            }
+            assert!(estimator.attitude().to_euler().yaw_rad > 0.2);
+            estimator.restart();
+            let pose = from_degrees(0.0, 10.0, 0.0);
+            let estimate = estimator.update(&sample(300_000, pose, Vector3::ZERO));
+            assert!(angle_between(estimate.attitude, pose) < 0.1);
+        }
+    }
+
+    #[test]
+    fn anything_in_leaves_a_rotation_and_good_samples_repair_it() {
+        let extremes = [
+            0.0,
+            -0.0,
+            f32::NAN,
+            f32::INFINITY,
+            f32::MAX,
+            f32::MIN_POSITIVE,
+            9_999.0,
+            -999.0,
+            1.0,
+            -9.8,
+        ];
+        let times = [0, 1, 1, 700_000, 700_001, u64::MAX, 3, 1_000_003, 1_000_103];
+        for mut estimator in both() {
+            let mut index = 0_usize;
+            let mut next = || {
+                index = index
+                    .wrapping_mul(6364136223846793005)
+                    .wrapping_add(1442695040888963407);
+                index >> 33
+            };
+            for _ in 0..50_000 {
+                let mut number = || extremes[next() % extremes.len()];
+                let specific_force_m_s2 = Vector3::new(number(), number(), number());
+                let angular_rate_rad_s = Vector3::new(number(), number(), number());
+                let estimate = estimator.update(&Sample {
+                    t_us: times[next() % times.len()],
+                    specific_force_m_s2,
+                    angular_rate_rad_s,
+                });
+                assert!(is_rotation(estimate.attitude), "{estimate:?}");
+                assert!(estimate.body_rates_rad_s.is_within(1.0e3));
+            }
+            let pose = from_degrees(12.0, 0.0, 0.0);
+            let mut last = estimator.attitude();
+            for millisecond in 0..8_000 {
+                let good = sample(2_000_000_000 + millisecond * 1000, pose, Vector3::ZERO);
+                last = estimator.update(&good).attitude;
+            }
+            let tilt_error = (last.down_in_body() - pose.down_in_body()).norm();
+            assert!(tilt_error < 2e-3, "{estimator:?}");
+        }
+    }
+}

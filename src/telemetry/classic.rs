@@ -39,3 +39,40 @@ pub fn decode(line: &str) -> Option<ClassicAngles> {
         pitch_rate_deg_s: decimal::parse(pitch_rate)?,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EXAMPLE: ClassicAngles = ClassicAngles {
+        roll_deg: 12.34,
+        roll_rate_deg_s: -5.6,
+        pitch_deg: -0.5,
+        pitch_rate_deg_s: 0.0,
+    };
+
+    #[test]
+    fn the_line_is_the_tutorials_and_reads_back() {
+        let mut line = [0; LINE_LENGTH];
+        let text = core::str::from_utf8(encode(&EXAMPLE, &mut line)).expect("ASCII");
+        assert_eq!(text, "Roll:12.34(-5.60),\tPitch:-0.50(0.00)\n");
+        assert_eq!(decode(text), Some(EXAMPLE));
+        assert_eq!(decode(&text.replace("Pitch", "pitch")), None);
+        assert_eq!(decode(&text.replace(")\n", "\n")), None);
+    }
+
+    #[test]
+    fn the_longest_line_fits_exactly() {
+        let worst = f32::NEG_INFINITY;
+        let angles = ClassicAngles {
+            roll_deg: worst,
+            roll_rate_deg_s: worst,
+            pitch_deg: worst,
+            pitch_rate_deg_s: worst,
+        };
+        let mut line = [0; LINE_LENGTH];
+        let text = encode(&angles, &mut line);
+        assert_eq!(text.len(), LINE_LENGTH);
+        assert!(text.ends_with(b")\n"));
+    }
+}

@@ -103,3 +103,93 @@ pub(super) fn parse(text: &str) -> Option<f32> {
         None
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn written(value: f32) -> String {
+        let mut bytes = [0; LONGEST_NUMBER];
+        let mut writer = Writer::new(&mut bytes);
+        writer.number(value);
+        String::from_utf8(writer.finish().to_vec()).expect("ASCII")
+    }
+
+    #[test]
+    fn numbers_have_two_decimals() {
+        for (value, text) in [
+            (0.0, "0.00"),
+            (-0.0, "0.00"),
+            (0.004, "0.00"),
+            (-0.004, "0.00"),
+            (0.006, "0.01"),
+            (-0.006, "-0.01"),
+            (1.0, "1.00"),
+            (-9.994, "-9.99"),
+            (9.996, "10.00"),
+            (123.45, "123.45"),
+            (-2000.5, "-2000.50"),
+            (99_999.9, "99999.90"),
+            (1.0e6, "99999.99"),
+            (f32::MAX, "99999.99"),
+            (f32::NEG_INFINITY, "-99999.99"),
+            (f32::INFINITY, "99999.99"),
+            (f32::NAN, "nan"),
+            (f32::MIN_POSITIVE, "0.00"),
+        ] {
+            assert_eq!(written(value), text);
+        }
+    }
+
+    #[test]
+    fn an_angle_never_reads_minus_180() {
+        let angle = |degrees| {
+            let mut bytes = [0; LONGEST_NUMBER];
+            let mut writer = Writer::new(&mut bytes);
+            writer.angle(degrees);
+            String::from_utf8(writer.finish().to_vec()).expect("ASCII")
+        };
+        assert_eq!(angle(-179.998), "180.00");
+        assert_eq!(angle(-179.99), "-179.99");
+        assert_eq!(angle(180.0), "180.00");
+        assert_eq!(angle(f32::NAN), "nan");
+    }
+
+    #[test]
+    fn only_what_is_written_is_read() {
+        assert_eq!(parse("-12.50"), Some(-12.5));
+        assert_eq!(parse("99999.99"), Some(99_999.99));
+        assert!(parse("nan").is_some_and(f32::is_nan));
+        for text in [
+            "",
+            "-",
+            ".",
+            "1",
+            "1.",
+            ".50",
+            "1.5",
+            "1.500",
+            "+1.50",
+            "--1.50",
+            "1.5e",
+            " 1.50",
+            "1.50 ",
+            "inf",
+            "NaN",
+            "100000.00",
+            "1,50",
+            "1.-5",
+            "०.००",
+        ] {
+            assert_eq!(parse(text), None, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_dropped() {
+        let mut bytes = [0; 3];
+        let mut writer = Writer::new(&mut bytes);
+        writer.number(-12.5);
+        assert_eq!(writer.finish(), b"-12");
+    }
+}

@@ -156,3 +156,82 @@ pub fn decode(line: &str) -> Result<Line, DecodeError> {
         Some(_) => Err(DecodeError::TrailingText),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::attitude::{EulerAngles, Quaternion, Vector3};
+    use crate::units::radians;
+
+    const EXAMPLE: &str =
+        "roll:1.00\tpitch:-2.50\tyaw:90.00\troll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\n";
+
+    fn written(snapshot: &Snapshot) -> String {
+        let mut line = [0; LINE_LENGTH];
+        String::from_utf8(encode(snapshot, &mut line).to_vec()).expect("ASCII")
+    }
+
+    #[test]
+    fn a_snapshot_becomes_a_labelled_line() {
+        let snapshot = Snapshot {
+            attitude: Quaternion::from_euler(EulerAngles {
+                roll_rad: radians(1.0),
+                pitch_rad: radians(-2.5),
+                yaw_rad: radians(90.0),
+            }),
+            body_rates_rad_s: Vector3::new(0.0, radians(0.12), radians(-3.0)),
+            ..Snapshot::default()
+        };
+        assert_eq!(written(&snapshot), EXAMPLE);
+    }
+
+    #[test]
+    fn the_longest_line_fits_exactly() {
+        let worst = f32::NEG_INFINITY;
+        let numbers = Line {
+            roll_deg: worst,
+            pitch_deg: worst,
+            yaw_deg: worst,
+            roll_rate_deg_s: worst,
+            pitch_rate_deg_s: worst,
+            yaw_rate_deg_s: worst,
+        };
+        let mut line = [0; LINE_LENGTH];
+        let text = encode_line(&numbers, &mut line);
+        assert_eq!(text.len(), LINE_LENGTH);
+        assert_eq!(text.last(), Some(&b'\n'));
+    }
+
+    #[test]
+    fn lines_are_read_with_any_line_end() {
+        let expected = Line {
+            roll_deg: 1.0,
+            pitch_deg: -2.5,
+            yaw_deg: 90.0,
+            roll_rate_deg_s: 0.0,
+            pitch_rate_deg_s: 0.12,
+            yaw_rate_deg_s: -3.0,
+        };
+        let bare = EXAMPLE.trim_end();
+        assert_eq!(decode(EXAMPLE), Ok(expected));
+        assert_eq!(decode(bare), Ok(expected));
+        assert_eq!(decode(&format!("{bare}\r\n")), Ok(expected));
+    }
+
+    #[test]
+    fn errors_name_the_field() {
+        let cut = EXAMPLE.replace("\tyaw_rate:-3.00", "");
+        assert_eq!(decode(&cut), Err(DecodeError::MissingField("yaw_rate")));
+        let swapped = EXAMPLE.replace("pitch:", "yaw:");
+        assert_eq!(decode(&swapped), Err(DecodeError::MissingField("pitch")));
+        let broken = EXAMPLE.replace("90.00", "90.0");
+        assert_eq!(decode(&broken), Err(DecodeError::NotANumber("yaw")));
+        let longer = EXAMPLE.replace('\n', "\tmore:1.00\n");
+        assert_eq!(decode(&longer), Err(DecodeError::TrailingText));
+        assert_eq!(decode(""), Err(DecodeError::MissingField("roll")));
+        assert_eq!(
+            DecodeError::NotANumber("yaw").to_string(),
+            "`yaw` is not a number with two decimals"
+        );
+    }
+}
