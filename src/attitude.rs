@@ -189,30 +189,41 @@ impl Quaternion {
     }
 
     /// The angles of this rotation; all zero if it is not a rotation (NaN, infinite or zero).
+    ///
+    /// With the half angles r, p, y of roll, pitch and yaw,
+    ///
+    /// ```text
+    /// x + z = (cos p − sin p)·sin(r + y)      x − z = (cos p + sin p)·sin(r − y)
+    /// w − y = (cos p − sin p)·cos(r + y)      w + y = (cos p + sin p)·cos(r − y)
+    /// ```
+    ///
+    /// so that near a pole, where one factor vanishes, the other pair still holds all there is: the
+    /// angles turn back into the same rotation at any pitch.
     pub fn to_euler(self) -> EulerAngles {
-        /// Below this cosine of pitch (0.1 millidegree from the pole) roll is only rounding noise.
-        const POLE_COSINE: f32 = 2.0e-6;
+        /// Below this factor (0.1 millidegree from a pole) its angle is only rounding noise.
+        const POLE: f32 = 1.0e-6;
 
         let q = self.normalize();
-        let down = q.down_in_body();
-        let pitch_cosine = libm::sqrtf(down.y * down.y + down.z * down.z);
-        // The arctangent keeps its precision at the pole, where an arcsine loses half its digits.
-        let pitch_rad = libm::atan2f(-down.x, pitch_cosine);
-        if pitch_cosine < POLE_COSINE {
-            let sine = 2.0 * (q.w * q.z - q.x * q.y);
-            let cosine = q.w * q.w - q.x * q.x + q.y * q.y - q.z * q.z;
-            return EulerAngles {
-                roll_rad: 0.0,
-                pitch_rad,
-                yaw_rad: wrap_pi(libm::atan2f(sine, cosine)),
-            };
+        let (sum_sine, sum_cosine) = (q.x + q.z, q.w - q.y);
+        let (difference_sine, difference_cosine) = (q.x - q.z, q.w + q.y);
+        let sum_factor = libm::sqrtf(sum_sine * sum_sine + sum_cosine * sum_cosine);
+        let difference_factor =
+            libm::sqrtf(difference_sine * difference_sine + difference_cosine * difference_cosine);
+        let mut half_sum = libm::atan2f(sum_sine, sum_cosine);
+        let mut half_difference = libm::atan2f(difference_sine, difference_cosine);
+        if sum_factor < POLE {
+            half_sum = -half_difference;
+        } else if difference_factor < POLE {
+            half_difference = -half_sum;
         }
-        let yaw_sine = 2.0 * (q.x * q.y + q.w * q.z);
-        let yaw_cosine = q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z;
         EulerAngles {
-            roll_rad: wrap_pi(libm::atan2f(down.y, down.z)),
-            pitch_rad,
-            yaw_rad: wrap_pi(libm::atan2f(yaw_sine, yaw_cosine)),
+            roll_rad: wrap_pi(half_sum + half_difference),
+            pitch_rad: 2.0
+                * libm::atan2f(
+                    difference_factor - sum_factor,
+                    difference_factor + sum_factor,
+                ),
+            yaw_rad: wrap_pi(half_sum - half_difference),
         }
     }
 

@@ -221,3 +221,280 @@ impl Pipeline {
         self.settings.mount.to_body(sensor).scale(per_count)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mpu6050::{AccelerometerCounts, GyroscopeCounts, TemperatureCounts};
+    use crate::units::radians;
+
+    /// A burst of body-axis values (m/s², °/s) as a sensor in this mount delivers it at ±16 g and
+    /// ±2000 °/s.
+    fn burst(mount: Mount, t_us: u64, force_m_s2: Vector3, rate_degrees_s: Vector3) -> Burst {
+        let counts = |body: Vector3, counts_per_unit: f32| {
+            let sensor = mount.to_sensor(body).scale(counts_per_unit);
+            [sensor.x, sensor.y, sensor.z].map(|value| value.round() as i16)
+        };
+        let sample = RawSample {
+            accelerometer: AccelerometerCounts(counts(force_m_s2, 2048.0 / STANDARD_GRAVITY_M_S2)),
+            temperature: TemperatureCounts(-3920),
+            gyroscope: GyroscopeCounts(counts(rate_degrees_s, 16.4)),
+        };
+        Burst {
+            bytes: sample.encode(),
+            captured_at_us: t_us,
+            missed_before: 0,
+        }
+    }
+
+    fn force(roll_degrees: f32, pitch_degrees: f32) -> Vector3 {
+        let attitude = Quaternion::from_euler(EulerAngles {
+            roll_rad: radians(roll_degrees),
+            pitch_rad: radians(pitch_degrees),
+            yaw_rad: 0.0,
+        });
+        -attitude.down_in_body().scale(STANDARD_GRAVITY_M_S2)
+    }
+
+    const LEVEL: Vector3 = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+
+    fn settings() -> Settings {
+        Settings::new(&Part::MPU_6050)
+    }
+
+    fn without_averaging() -> Settings {
+        Settings {
+            averaging_samples: 0,
+            ..settings()
+        }
+    }
+
+    #[test]
+    fn the_defaults_are_the_documented_ones() {
+        let settings = settings();
+        assert_eq!(settings.sensor, Config::default());
+        assert_eq!(settings.mount, Mount::default());
+        assert_eq!(settings.filter, FilterKind::default());
+        assert_eq!(settings.averaging_samples, 1000);
+    }
+
+    #[test]
+    fn the_average_ends_with_the_thousandth_sample_and_removes_the_offset() {
+        let mut pipeline = Pipeline::new(&settings());
+        let offset = Vector3::new(5.0, -3.0, 10.0);
+        let mut last = Snapshot::default();
+        for index in 0..2000_u64 {
+            let t_us = 7_000 + index * 1000;
+            last = pipeline.update(&burst(Mount::Z_UP, t_us, LEVEL, offset));
+            assert_eq!(last.t_us, t_us);
+            let calibrating = index < 999;
+            assert_eq!(
+                last.flags.contains(Flags::CALIBRATING),
+                calibrating,
+                "{index}"
+            );
+            let rate = last.body_rates_rad_s.z.to_degrees();
+            let expected = if calibrating { 10.0 } else { 0.0 };
+            assert!((rate - expected).abs() < 1e-4, "{index}: {rate}");
+            if index == 999 {
+                assert_eq!(last.euler().yaw_rad, 0.0);
+            }
+        }
+        let angles = last.euler();
+        assert!(angles.yaw_rad.abs() < 1e-5, "{angles:?}");
+        assert!(angles.roll_rad.abs() < 1e-5 && angles.pitch_rad.abs() < 1e-5);
+        let removed = pipeline.rate_offset_rad_s().scale(16.4_f32.to_degrees());
+        assert!((removed - Vector3::new(82.0, -49.0, 164.0)).norm() < 1e-3);
+        assert!((pipeline.temperature_celsius() - 25.0).abs() < 0.01);
+        assert!((pipeline.sample().specific_force_m_s2 - LEVEL).norm() < 1e-5);
+    }
+
+    #[test]
+    fn motion_restarts_the_average_and_says_so_once() {
+        let mut pipeline = Pipeline::new(&settings());
+        let mut moved = Vec::new();
+        let mut done = None;
+        for index in 0..2000_u64 {
+            let rate = if index == 520 { 50.0 } else { 0.0 };
+            let rate = Vector3::new(0.0, rate, 0.0);
+            let flags = pipeline
+                .update(&burst(Mount::Z_UP, index * 1000, LEVEL, rate))
+                .flags;
+            if flags.contains(Flags::MOVED) {
+                assert!(flags.contains(Flags::CALIBRATING));
+                moved.push(index);
+            }
+            if !flags.contains(Flags::CALIBRATING) {
+                done.get_or_insert(index);
+            }
+        }
+        assert_eq!(moved, [599]);
+        assert_eq!(done, Some(1599));
+    }
+
+    #[test]
+    fn every_mount_tells_the_same_story() {
+        let mut stories = Mount::ALL.map(|mount| {
+            let mut pipeline = Pipeline::new(&Settings {
+                mount,
+                ..without_averaging()
+            });
+            let mut story = Vec::new();
+            for index in 0..200_u64 {
+                let rate = Vector3::new(30.0, -20.0, 50.0);
+                let force = force(0.03 * index as f32, -0.02 * index as f32);
+                story.push(pipeline.update(&burst(mount, index * 1000, force, rate)));
+            }
+            story
+        });
+        let [first, others @ ..] = &mut stories;
+        assert!(
+            first
+                .iter()
+                .any(|snapshot| snapshot.euler().roll_rad > 0.05)
+        );
+        for other in others {
+            assert_eq!(first, other);
+        }
+    }
+
+    #[test]
+    fn signs_reach_the_snapshot() {
+        let mut pipeline = Pipeline::new(&without_averaging());
+        let rates = Vector3::new(1.0, -2.0, 3.0);
+        let snapshot = pipeline.update(&burst(Mount::Z_UP, 0, force(30.0, 10.0), rates));
+        let angles = snapshot.euler();
+        assert!((angles.roll_rad.to_degrees() - 30.0).abs() < 0.05);
+        assert!((angles.pitch_rad.to_degrees() - 10.0).abs() < 0.05);
+        let rates = snapshot.body_rates_rad_s;
+        assert!((rates.x.to_degrees() - 1.0).abs() < 0.05);
+        assert!((rates.y.to_degrees() + 2.0).abs() < 0.05);
+        assert!((rates.z.to_degrees() - 3.0).abs() < 0.05);
+    }
+
+    #[test]
+    fn only_the_classic_filter_takes_the_table_for_level() {
+        for (filter, expected) in [(FilterKind::Classic, 0.0), (FilterKind::AxisKalman, 4.0)] {
+            for mount in [Mount::Z_UP, Mount::Z_DOWN] {
+                let mut pipeline = Pipeline::new(&Settings {
+                    filter,
+                    mount,
+                    ..settings()
+                });
+                let mut last = Snapshot::default();
+                for index in 0..1500_u64 {
+                    let table = force(4.0, -3.0);
+                    last = pipeline.update(&burst(mount, index * 1000, table, Vector3::ZERO));
+                }
+                assert_eq!(last.flags, Flags::FROZEN, "a noiseless sensor");
+                let roll = last.euler().roll_rad.to_degrees();
+                assert!((roll - expected).abs() < 0.05, "{filter:?} {mount}: {roll}");
+                assert_eq!(
+                    pipeline.classic_angles().is_some(),
+                    filter == FilterKind::Classic
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_classic_chip_face_down_at_2_g_reads_its_tutorial_counts() {
+        // Level, face down, ±2 g and ±250 °/s: z reads −16384 and some offset, which is removed.
+        let mut settings = Settings {
+            mount: Mount::Z_DOWN,
+            filter: FilterKind::Classic,
+            averaging_samples: 10,
+            ..settings()
+        };
+        settings.sensor.accelerometer_range = crate::mpu6050::AccelerometerRange::G2;
+        settings.sensor.gyroscope_range = crate::mpu6050::GyroscopeRange::Degrees250;
+        let mut pipeline = Pipeline::new(&settings);
+        let mut update = |t_us, accelerometer, gyroscope| {
+            let sample = RawSample {
+                accelerometer: AccelerometerCounts(accelerometer),
+                temperature: TemperatureCounts(0),
+                gyroscope: GyroscopeCounts(gyroscope),
+            };
+            let snapshot = pipeline.update(&Burst {
+                bytes: sample.encode(),
+                captured_at_us: t_us,
+                missed_before: 0,
+            });
+            (snapshot, *pipeline.sample(), pipeline.classic_angles())
+        };
+        for index in 0..10 {
+            update(index * 1000, [300, -200, -16000], [-158, 40, 0]);
+        }
+        // One degree per second about x; 30° of roll.
+        let accelerometer = [300, -200 - 8192, -16000 + 16384 - 14189];
+        let (_, sample, _) = update(10_000, accelerometer, [-158 + 131, 40, 0]);
+        let force_g = sample
+            .specific_force_m_s2
+            .scale(1.0 / STANDARD_GRAVITY_M_S2);
+        assert!(
+            (force_g - Vector3::new(0.0, -0.5, -0.866_03)).norm() < 1e-4,
+            "{force_g:?}"
+        );
+        assert!((sample.angular_rate_rad_s.x.to_degrees() - 1.0).abs() < 1e-4);
+        for index in 11..10_000 {
+            update(index * 1000, accelerometer, [-158, 40, 0]);
+        }
+        let (snapshot, _, angles) = update(10_000_000, accelerometer, [-158, 40, 0]);
+        let angles = angles.expect("classic");
+        assert!((angles.roll_deg - 30.0).abs() < 0.01, "{angles:?}");
+        assert!(angles.pitch_deg.abs() < 0.03, "{angles:?}");
+        assert!((snapshot.euler().roll_rad.to_degrees() - 30.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn faults_are_flagged_on_their_sample_and_nowhere_else() {
+        let mut pipeline = Pipeline::new(&without_averaging());
+        let mut t_us = 0;
+        let mut update = |force, rate, step_us: i64, missed| {
+            t_us += step_us;
+            let mut burst = burst(Mount::Z_UP, t_us as u64, force, rate);
+            burst.missed_before = missed;
+            pipeline.update(&burst).flags
+        };
+        let still = Vector3::ZERO;
+        let fast = Vector3::new(0.0, 0.0, 3000.0);
+        let hard = Vector3::new(0.0, 0.0, 300.0);
+        assert_eq!(update(LEVEL, still, 1000, 0), Flags::NONE);
+        assert_eq!(update(LEVEL, still, 1000, 3), Flags::MISSED);
+        assert_eq!(update(LEVEL, fast, 1000, 0), Flags::GYROSCOPE_SATURATED);
+        assert_eq!(update(LEVEL, still, 1000, 0), Flags::NONE);
+        assert_eq!(update(hard, still, 1000, 0), Flags::ACCELEROMETER_SATURATED);
+        assert_eq!(update(still, still, 1000, 0), Flags::FREE_FALL);
+        assert_eq!(update(LEVEL, still, 500_000, 0), Flags::NONE);
+        assert_eq!(update(LEVEL, still, 500_001, 0), Flags::GAP);
+        assert_eq!(update(LEVEL, still, -5, 0), Flags::TIME);
+        assert_eq!(update(LEVEL, still, 0, 255), Flags::TIME | Flags::MISSED);
+        assert_eq!(update(LEVEL, still, 1000, 0), Flags::NONE);
+    }
+
+    #[test]
+    fn a_sensor_that_repeats_itself_is_frozen() {
+        let mut pipeline = Pipeline::new(&without_averaging());
+        for index in 0..200_u64 {
+            let flags = pipeline
+                .update(&burst(Mount::Z_UP, index * 1000, LEVEL, Vector3::ZERO))
+                .flags;
+            assert_eq!(flags.contains(Flags::FROZEN), index >= 100, "{index}");
+        }
+    }
+
+    #[test]
+    fn a_sensor_that_returns_zeros_never_calibrates() {
+        let mut pipeline = Pipeline::new(&settings());
+        for index in 0..5000_u64 {
+            let flags = pipeline
+                .update(&Burst {
+                    bytes: [0; 14],
+                    captured_at_us: index * 1000,
+                    missed_before: 0,
+                })
+                .flags;
+            assert!(flags.contains(Flags::CALIBRATING | Flags::FREE_FALL));
+        }
+    }
+}

@@ -78,11 +78,13 @@ const HALF_TURN: i32 = 18_000;
 /// The longest number: `-99999.99`.
 pub(super) const LONGEST_NUMBER: usize = 9;
 
+/// The whole part apart from the rest, so that a large number keeps its hundredths.
 fn to_hundredths(value: f32) -> i32 {
-    const LIMIT: i32 = 9_999_999;
-    let scaled = value.clamp(-LARGEST, LARGEST) * 100.0;
-    let rounding = if scaled < 0.0 { -0.5 } else { 0.5 };
-    ((scaled + rounding) as i32).clamp(-LIMIT, LIMIT)
+    let magnitude = value.abs().min(LARGEST);
+    let whole = magnitude as i32;
+    let rest = (magnitude - whole as f32) * 100.0 + 0.5;
+    let hundredths = whole * 100 + rest as i32;
+    if value < 0.0 { -hundredths } else { hundredths }
 }
 
 /// Reads what [`Writer::number`] writes, and nothing else: no exponent, no infinity, no blanks.
