@@ -327,7 +327,18 @@ fn only_a_complete_burst_is_recorded() {
         (bursts[0].bytes, bursts[0].completed_ns),
         (bytes, chip.now_ns)
     );
-    // One that starts earlier and runs through is complete too.
+    // Two halves with a repeated start between them are no burst.
+    assert!(chip.sensor.start(chip.now_ns, ADDRESS, false));
+    assert!(chip.sensor.write(chip.now_ns, 0x3B));
+    for _ in 0..2 {
+        assert!(chip.sensor.start(chip.now_ns, ADDRESS, true));
+        for _ in 0..7 {
+            chip.sensor.read(chip.now_ns);
+        }
+    }
+    chip.sensor.stop(chip.now_ns);
+    assert!(chip.sensor.take_bursts().is_empty());
+    // One that starts earlier and runs through is complete.
     chip.read_all::<20>(0x3A);
     assert_eq!(chip.sensor.take_bursts().len(), 1);
 }
@@ -786,8 +797,14 @@ fn a_changed_range_leaves_the_filter_alone_and_a_changed_filter_starts_settled()
         chip.wait(MILLISECOND);
         let expected = if chip.read(0x1C) == 0 { 16384 } else { 8192 };
         let sample = chip.sample();
-        assert!((sample[2] - expected).abs() <= 1, "{register:#04x}: {sample:?}");
-        assert!((sample[4] - 13100).abs() <= 1, "{register:#04x}: {sample:?}");
+        assert!(
+            (sample[2] - expected).abs() <= 1,
+            "{register:#04x}: {sample:?}"
+        );
+        assert!(
+            (sample[4] - 13100).abs() <= 1,
+            "{register:#04x}: {sample:?}"
+        );
     }
 }
 
@@ -797,7 +814,11 @@ fn what_exceeds_the_range_is_cut_off_before_the_filter() {
     let hammering = Scripted {
         force: |time_s| {
             let up = (time_s * 1000.0) as i64 % 2 == 0;
-            [if up { 3.0 } else { -1.0 } * STANDARD_GRAVITY_M_S2, 0.0, 0.0]
+            [
+                if up { 3.0 } else { -1.0 } * STANDARD_GRAVITY_M_S2,
+                0.0,
+                0.0,
+            ]
         },
         rates: still,
     };
