@@ -104,8 +104,8 @@ impl Tuning {
         rest_force_m_s2: 0.5,
         rest_velocity: 0.02,
         rest_rate: 3.0e-3,
-        covariance_period_s: 0.2,
-        earth_period_s: 4.5e-3,
+        covariance_period_s: 0.18,
+        earth_period_s: 6.9e-3,
     };
 }
 
