@@ -23,7 +23,7 @@ pub fn run() -> Result<(), String> {
         step::run(clippy.args(["--workspace", "--all-targets", "--", "-D", "warnings"]))
     })?;
     step::timed("host tests", || {
-        step::run(host_cargo("test").args(["-p", "aplomb", "-p", "xtask"]))
+        step::run(host_cargo("test").args(["-p", "aplomb", "-p", "aplomb-cli", "-p", "xtask"]))
     })?;
     step::timed("documentation", || {
         let mut doc = host_cargo("doc");
