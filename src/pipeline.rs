@@ -2,9 +2,9 @@
 //!
 //! decode → align (sensor to body) → calibrate (offsets at rest) → estimate → health.
 //!
-//! There is a snapshot for every burst, from the first one on; until the start-up average is
-//! complete it carries [`Flags::CALIBRATING`]. At that moment the filter starts again with the
-//! offsets removed, and yaw starts again at zero.
+//! There is a snapshot for every burst, from the first one on; those that the start-up average
+//! takes carry [`Flags::CALIBRATING`]. With the sample after them the filter starts again, offsets
+//! removed, and yaw starts again at zero.
 //!
 //! Deadline: a fraction of the sample period, 1 ms. There is no loop in it and no wait, and the
 //! longest path is a few hundred instructions longer than the shortest.
@@ -121,8 +121,6 @@ impl Pipeline {
     pub fn update(&mut self, burst: &Burst) -> Snapshot {
         let raw = RawSample::decode(&burst.bytes);
         self.temperature_celsius = raw.temperature.to_celsius(self.settings.part);
-        let startup_flags = self.average_at_rest(&raw);
-
         self.sample = Sample {
             t_us: burst.captured_at_us,
             specific_force_m_s2: self.in_body(raw.accelerometer.0, self.m_s2_per_count)
@@ -131,6 +129,7 @@ impl Pipeline {
                 - self.rate_offset_rad_s,
         };
         let estimate = self.estimator.update(&self.sample);
+        let startup_flags = self.average_at_rest(&raw);
 
         let remarks = estimate.remarks;
         let flags = startup_flags
@@ -193,7 +192,7 @@ impl Pipeline {
             Progress::Done(at_rest) => {
                 self.startup = None;
                 self.calibrate(&at_rest);
-                Flags::NONE
+                Flags::CALIBRATING
             }
         }
     }
@@ -287,7 +286,7 @@ mod tests {
             let t_us = 7_000 + index * 1000;
             last = pipeline.update(&burst(Mount::Z_UP, t_us, LEVEL, offset));
             assert_eq!(last.t_us, t_us);
-            let calibrating = index < 999;
+            let calibrating = index < 1000;
             assert_eq!(
                 last.flags.contains(Flags::CALIBRATING),
                 calibrating,
@@ -296,7 +295,7 @@ mod tests {
             let rate = last.body_rates_rad_s.z.to_degrees();
             let expected = if calibrating { 10.0 } else { 0.0 };
             assert!((rate - expected).abs() < 1e-4, "{index}: {rate}");
-            if index == 999 {
+            if index == 1000 {
                 assert_eq!(last.euler().yaw_rad, 0.0);
             }
         }
@@ -329,7 +328,7 @@ mod tests {
             }
         }
         assert_eq!(moved, [599]);
-        assert_eq!(done, Some(1599));
+        assert_eq!(done, Some(1600));
     }
 
     #[test]

@@ -1,1 +1,393 @@
+//! Properties of the library, over many generated inputs, against formulas of their own.
 
+use aplomb::attitude::{EulerAngles, Quaternion, Vector3, sine_cosine, wrap_pi};
+use aplomb::calibration::{Mount, Progress, StartupAverage, StartupScale};
+use aplomb::estimator::FilterKind;
+use aplomb::health::Flags;
+use aplomb::mpu6050::{AccelerometerRange, Burst, GyroscopeRange, PARTS, RawSample};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::telemetry::{classic, text};
+use aplomb::units::CounterExtender;
+use proptest::prelude::*;
+use std::f32::consts::{FRAC_PI_2, PI};
+
+/// Every bit pattern: zeros, subnormals, infinities and NaNs included.
+fn any_bits() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        any::<u32>().prop_map(f32::from_bits),
+        prop::sample::select(vec![
+            0.0,
+            -0.0,
+            f32::NAN,
+            f32::INFINITY,
+            f32::NEG_INFINITY,
+            f32::MAX,
+            f32::MIN,
+            f32::MIN_POSITIVE,
+            PI,
+            -PI,
+            FRAC_PI_2,
+        ]),
+    ]
+}
+
+fn any_vector(limit: f32) -> impl Strategy<Value = Vector3> {
+    (-limit..limit, -limit..limit, -limit..limit).prop_map(|(x, y, z)| Vector3::new(x, y, z))
+}
+
+fn any_rotation() -> impl Strategy<Value = Quaternion> {
+    (-1.0..1.0f32, -1.0..1.0f32, -1.0..1.0f32, -1.0..1.0f32)
+        .prop_filter("too short to have a direction", |(w, x, y, z)| {
+            w * w + x * x + y * y + z * z > 0.01
+        })
+        .prop_map(|(w, x, y, z)| Quaternion::new(w, x, y, z).normalize())
+}
+
+/// The largest difference between two rotations' matrices, which knows no sign and no angles.
+fn difference(a: Quaternion, b: Quaternion) -> f32 {
+    [
+        Vector3::new(1.0, 0.0, 0.0),
+        Vector3::new(0.0, 1.0, 0.0),
+        Vector3::new(0.0, 0.0, 1.0),
+    ]
+    .into_iter()
+    .map(|axis| (a.rotate(axis) - b.rotate(axis)).norm())
+    .fold(0.0, f32::max)
+}
+
+proptest! {
+    #[test]
+    fn wrapping_is_the_same_angle_in_the_interval(angle in -1.0e4..1.0e4f32) {
+        let wrapped = wrap_pi(angle);
+        prop_assert!(wrapped > -PI && wrapped <= PI);
+        let turns = (f64::from(angle) - f64::from(wrapped)) / std::f64::consts::TAU;
+        // The turn that is taken off is that of `f32`, which is 2e-7 too long.
+        prop_assert!((turns - turns.round()).abs() < 1e-4, "{turns}");
+    }
+
+    #[test]
+    fn wrapping_takes_anything(angle in any_bits()) {
+        let wrapped = wrap_pi(angle);
+        prop_assert!(wrapped > -PI && wrapped <= PI, "{wrapped}");
+    }
+
+    #[test]
+    fn sines_take_anything(angle in any_bits()) {
+        let (sine, cosine) = sine_cosine(angle);
+        prop_assert!((sine * sine + cosine * cosine - 1.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn euler_angles_survive_the_quaternion(
+        roll_rad in -3.14..3.14f32,
+        pitch_rad in -1.55..1.55f32,
+        yaw_rad in -3.14..3.14f32,
+    ) {
+        let angles = EulerAngles { roll_rad, pitch_rad, yaw_rad };
+        let back = Quaternion::from_euler(angles).to_euler();
+        // Next to the pole roll and yaw are ever less defined.
+        let tolerance = 3e-6 / pitch_rad.cos();
+        prop_assert!((back.roll_rad - roll_rad).abs() < tolerance, "{back:?}");
+        prop_assert!((back.pitch_rad - pitch_rad).abs() < 3e-6, "{back:?}");
+        prop_assert!((back.yaw_rad - yaw_rad).abs() < tolerance, "{back:?}");
+    }
+
+    #[test]
+    fn quaternions_survive_the_euler_angles(rotation in any_rotation()) {
+        let angles = rotation.to_euler();
+        prop_assert!(angles.pitch_rad.abs() <= FRAC_PI_2);
+        prop_assert!(difference(Quaternion::from_euler(angles), rotation) < 1e-5);
+    }
+
+    #[test]
+    fn the_poles_survive_too(
+        roll_rad in -3.14..3.14f32,
+        yaw_rad in -3.14..3.14f32,
+        from_pole in -1.0e-3..1.0e-3f32,
+        nose_up in any::<bool>(),
+    ) {
+        let pole = if nose_up { FRAC_PI_2 } else { -FRAC_PI_2 };
+        let rotation =
+            Quaternion::from_euler(EulerAngles { roll_rad, pitch_rad: pole + from_pole, yaw_rad });
+        let angles = rotation.to_euler();
+        prop_assert!((angles.pitch_rad.abs() - (FRAC_PI_2 - from_pole.abs())).abs() < 2e-6);
+        prop_assert!(difference(Quaternion::from_euler(angles), rotation) < 1e-5);
+    }
+
+    #[test]
+    fn any_quaternion_has_finite_angles(
+        w in any_bits(), x in any_bits(), y in any_bits(), z in any_bits(),
+    ) {
+        let quaternion = Quaternion::new(w, x, y, z);
+        let unit = quaternion.normalize();
+        prop_assert!((unit.dot(unit) - 1.0).abs() < 1e-5, "{unit:?}");
+        let angles = quaternion.to_euler();
+        prop_assert!(angles.roll_rad > -PI && angles.roll_rad <= PI);
+        prop_assert!(angles.pitch_rad.abs() <= FRAC_PI_2);
+        prop_assert!(angles.yaw_rad > -PI && angles.yaw_rad <= PI);
+    }
+
+    #[test]
+    fn any_angles_are_a_rotation(x in any_bits(), y in any_bits(), z in any_bits()) {
+        let angles = EulerAngles { roll_rad: x, pitch_rad: y, yaw_rad: z };
+        let rotation = Quaternion::from_euler(angles);
+        prop_assert!((rotation.dot(rotation) - 1.0).abs() < 1e-4, "{rotation:?}");
+        let rotation = Quaternion::from_rotation_vector(Vector3::new(x, y, z));
+        prop_assert!((rotation.dot(rotation) - 1.0).abs() < 1e-4, "{rotation:?}");
+    }
+
+    #[test]
+    fn rotations_compose_and_undo(
+        a in any_rotation(), b in any_rotation(), vector in any_vector(10.0),
+    ) {
+        let both = a.multiply(b).rotate(vector);
+        prop_assert!((both - a.rotate(b.rotate(vector))).norm() < 1e-4);
+        prop_assert!((a.conjugate().rotate(a.rotate(vector)) - vector).norm() < 1e-4);
+        prop_assert!((a.rotate(vector).norm() - vector.norm()).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_rotation_vector_turns_by_its_length(axis in any_rotation(), angle in 0.0..3.1f32) {
+        // Any unit vector as the axis; the angle is recovered from the trace of the matrix.
+        let axis = axis.rotate(Vector3::new(1.0, 0.0, 0.0));
+        let turn = Quaternion::from_rotation_vector(axis.scale(angle));
+        let unit = |i| match i {
+            0 => Vector3::new(1.0, 0.0, 0.0),
+            1 => Vector3::new(0.0, 1.0, 0.0),
+            _ => Vector3::new(0.0, 0.0, 1.0),
+        };
+        let trace: f32 = (0..3).map(|i| unit(i).dot(turn.rotate(unit(i)))).sum();
+        prop_assert!((trace - (1.0 + 2.0 * angle.cos())).abs() < 1e-5);
+        prop_assert!((turn.rotate(axis) - axis).norm() < 1e-5);
+    }
+
+    #[test]
+    fn every_mount_is_a_proper_rotation(
+        index in 0..24usize, a in any_vector(100.0), b in any_vector(100.0),
+    ) {
+        let mount = Mount::ALL[index];
+        prop_assert_eq!(mount.to_sensor(mount.to_body(a)), a);
+        prop_assert_eq!(mount.to_body(a).dot(mount.to_body(a)).sqrt(), mount.to_body(a).norm());
+        // Only a proper rotation keeps the vector product.
+        let turned = mount.to_body(a).cross(mount.to_body(b));
+        prop_assert!((turned - mount.to_body(a.cross(b))).norm() < 1e-2);
+    }
+
+    #[test]
+    fn no_text_but_the_26_names_is_a_mount(name in "[+-]?[xyz][+-][xyzw]|[-+xyz]{0,5}|z-up|z-down") {
+        let bytes = name.as_bytes();
+        let is_name = name == "z-up"
+            || name == "z-down"
+            || (bytes.len() == 4
+                && b"+-".contains(&bytes[0])
+                && b"xyz".contains(&bytes[1])
+                && b"+-".contains(&bytes[2])
+                && b"xyz".contains(&bytes[3])
+                && bytes[1] != bytes[3]);
+        prop_assert_eq!(Mount::parse(&name).is_some(), is_name);
+    }
+
+    #[test]
+    fn bursts_decode_by_the_datasheet(bytes in any::<[u8; 14]>(), range in 0..4usize) {
+        let sample = RawSample::decode(&bytes);
+        prop_assert_eq!(sample.encode(), bytes);
+        // Two's complement the long way round, from the register pairs at 0x3B and on.
+        let register_pair = |index: usize| {
+            let unsigned = i32::from(bytes[2 * index]) * 256 + i32::from(bytes[2 * index + 1]);
+            f64::from(if unsigned > 32767 { unsigned - 65536 } else { unsigned })
+        };
+        let full_scale_g = [2.0, 4.0, 8.0, 16.0][range];
+        let counts_per_degree_s = [131.0, 65.5, 32.8, 16.4][range];
+        let force = sample.accelerometer.to_m_s2(AccelerometerRange::ALL[range]);
+        let rate = sample.gyroscope.to_rad_s(GyroscopeRange::ALL[range]);
+        for (index, value) in [force.x, force.y, force.z].into_iter().enumerate() {
+            let expected = register_pair(index) / 32768.0 * full_scale_g * 9.80665;
+            prop_assert!((f64::from(value) - expected).abs() <= 1e-6 * expected.abs());
+        }
+        for (index, value) in [rate.x, rate.y, rate.z].into_iter().enumerate() {
+            let expected = (register_pair(4 + index) / counts_per_degree_s).to_radians();
+            prop_assert!((f64::from(value) - expected).abs() <= 1e-6 * expected.abs());
+        }
+        for part in &PARTS {
+            let raw = register_pair(3);
+            let expected = match part.who_am_i {
+                0x68 | 0x72 => raw / 340.0 + 36.53,
+                0x98 => 0.003 * raw + 25.0,
+                _ => raw / 333.87 + 21.0,
+            };
+            let celsius = f64::from(sample.temperature.to_celsius(part));
+            prop_assert!((celsius - expected).abs() < 1e-4, "{}: {}", part.name, celsius);
+        }
+        let at_limit = |indices: [usize; 3]| indices.iter().any(|i| register_pair(*i).abs() >= 32767.0);
+        prop_assert_eq!(sample.accelerometer.is_saturated(), at_limit([0, 1, 2]));
+        prop_assert_eq!(sample.gyroscope.is_saturated(), at_limit([4, 5, 6]));
+    }
+
+    #[test]
+    fn the_average_is_exact_or_motion_is_seen(
+        seed in prop::collection::vec(any::<i16>(), 1..8),
+        samples in 1..=u16::MAX,
+    ) {
+        // Scales at which no count is too fast, too wide or too heavy: arithmetic alone is tested.
+        let scale = StartupScale { counts_per_degree_s: 1.0e6, counts_per_g: 32_768.0 };
+        let mut average = StartupAverage::new(samples, scale);
+        let gyroscope = |index: u32| seed[index as usize % seed.len()];
+        let mut sum = 0_i64;
+        for index in 0..u32::from(samples) {
+            let value = gyroscope(index);
+            sum += i64::from(value);
+            let progress = average.update([value, -(value / 2), 0], [0, 0, -32_768], 25.0);
+            if index + 1 < u32::from(samples) {
+                prop_assert_eq!(progress, Progress::Averaging);
+            } else if let Progress::Done(at_rest) = progress {
+                let exact = sum as f64 / f64::from(samples);
+                let error = (f64::from(at_rest.gyroscope_counts[0]) - exact).abs();
+                prop_assert!(error <= exact.abs() * 1.2e-7 + 1e-7, "{}", error);
+                prop_assert_eq!(at_rest.accelerometer_counts[2], -32_768.0);
+            } else {
+                prop_assert!(false, "{:?}", progress);
+            }
+        }
+    }
+
+    #[test]
+    fn any_samples_average_without_overflow(
+        samples in 1..=3000u16,
+        readings in prop::collection::vec(any::<[i16; 6]>(), 1..400),
+        celsius in any_bits(),
+    ) {
+        let scale = StartupScale { counts_per_degree_s: 16.4, counts_per_g: 2048.0 };
+        let mut average = StartupAverage::new(samples, scale);
+        for [a, b, c, d, e, f] in readings {
+            if let Progress::Done(at_rest) = average.update([a, b, c], [d, e, f], celsius) {
+                let all = at_rest.gyroscope_counts.into_iter().chain(at_rest.accelerometer_counts);
+                for value in all {
+                    prop_assert!((-32_768.0..=32_767.0).contains(&value));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn any_bytes_at_any_time_leave_a_rotation(
+        bursts in prop::collection::vec(
+            (any::<[u8; 14]>(), prop_oneof![0..2_000_000u64, any::<u64>()], any::<u8>()),
+            1..200,
+        ),
+        classic_filter in any::<bool>(),
+        range in 0..4usize,
+        mount in 0..24usize,
+        averaging_samples in 0..20u16,
+    ) {
+        let mut settings = Settings::new(&PARTS[range]);
+        settings.sensor.accelerometer_range = AccelerometerRange::ALL[range];
+        settings.sensor.gyroscope_range = GyroscopeRange::ALL[range];
+        settings.mount = Mount::ALL[mount];
+        settings.averaging_samples = averaging_samples;
+        settings.filter = if classic_filter { FilterKind::Classic } else { FilterKind::AxisKalman };
+        let mut pipeline = Pipeline::new(&settings);
+        let mut twin = Pipeline::new(&settings);
+        for (bytes, captured_at_us, missed_before) in bursts {
+            let burst = Burst { bytes, captured_at_us, missed_before };
+            let snapshot = pipeline.update(&burst);
+            let q = snapshot.attitude;
+            prop_assert!((q.dot(q) - 1.0).abs() < 1e-3, "{q:?}");
+            let rates = snapshot.body_rates_rad_s;
+            prop_assert!(rates.x.is_finite() && rates.y.is_finite() && rates.z.is_finite());
+            prop_assert_eq!(snapshot.t_us, captured_at_us);
+            prop_assert_eq!(snapshot.flags.contains(Flags::MISSED), missed_before > 0);
+            // The same bytes give the same bits.
+            prop_assert_eq!(twin.update(&burst), snapshot);
+            let mut line = [0; text::LINE_LENGTH];
+            let line = std::str::from_utf8(text::encode(&snapshot, &mut line)).expect("ASCII");
+            prop_assert!(text::decode(line).is_ok(), "{}", line);
+        }
+    }
+
+    #[test]
+    fn text_says_its_numbers_to_a_hundredth(numbers in prop::array::uniform6(-99_000.0..99_000.0f32)) {
+        let [roll_deg, pitch_deg, yaw_deg, roll_rate_deg_s, pitch_rate_deg_s, yaw_rate_deg_s] = numbers;
+        let numbers = text::Line {
+            roll_deg: wrap_pi(roll_deg).to_degrees(),
+            pitch_deg,
+            yaw_deg: wrap_pi(yaw_deg).to_degrees(),
+            roll_rate_deg_s,
+            pitch_rate_deg_s,
+            yaw_rate_deg_s,
+        };
+        let mut line = [0; text::LINE_LENGTH];
+        let line = std::str::from_utf8(text::encode_line(&numbers, &mut line)).expect("ASCII");
+        let back = text::decode(line).expect("our own line");
+        for (there, here) in [
+            (numbers.roll_deg, back.roll_deg),
+            (numbers.pitch_deg, back.pitch_deg),
+            (numbers.yaw_deg, back.yaw_deg),
+            (numbers.roll_rate_deg_s, back.roll_rate_deg_s),
+            (numbers.pitch_rate_deg_s, back.pitch_rate_deg_s),
+            (numbers.yaw_rate_deg_s, back.yaw_rate_deg_s),
+        ] {
+            // Half a hundredth, and the grain of an `f32` of this size.
+            let tolerance = 0.005 + 1e-6 * there.abs();
+            let error = (there - here).abs();
+            prop_assert!(error <= tolerance || (error - 360.0).abs() <= tolerance, "{there} {here}");
+        }
+        // A second trip changes nothing any more.
+        let mut second = [0; text::LINE_LENGTH];
+        prop_assert_eq!(text::encode_line(&back, &mut second), line.as_bytes());
+    }
+
+    #[test]
+    fn any_number_fits_the_lines(numbers in prop::array::uniform6(any_bits())) {
+        let [roll_deg, pitch_deg, yaw_deg, roll_rate_deg_s, pitch_rate_deg_s, yaw_rate_deg_s] = numbers;
+        let mut line = [0; text::LINE_LENGTH];
+        let line = text::encode_line(
+            &text::Line {
+                roll_deg, pitch_deg, yaw_deg, roll_rate_deg_s, pitch_rate_deg_s, yaw_rate_deg_s,
+            },
+            &mut line,
+        );
+        let line = std::str::from_utf8(line).expect("ASCII");
+        prop_assert!(text::decode(line).is_ok(), "{}", line);
+
+        let angles = aplomb::estimator::ClassicAngles {
+            roll_deg, roll_rate_deg_s, pitch_deg, pitch_rate_deg_s,
+        };
+        let mut line = [0; classic::LINE_LENGTH];
+        let line = std::str::from_utf8(classic::encode(&angles, &mut line)).expect("ASCII");
+        prop_assert!(classic::decode(line).is_some(), "{}", line);
+    }
+
+    #[test]
+    fn any_text_is_a_line_or_an_error(line in ".{0,120}") {
+        if let Ok(numbers) = text::decode(&line) {
+            prop_assert!(numbers.roll_deg.abs() < 1e5 || numbers.roll_deg.is_nan());
+        }
+        let _ = classic::decode(&line);
+    }
+
+    #[test]
+    fn flags_survive_their_text(bits in 0..1u16 << Flags::NAMES.len()) {
+        let flags = Flags::from_bits(bits);
+        prop_assert_eq!(Flags::parse(&flags.to_string()), Some(flags));
+    }
+
+    #[test]
+    fn counters_extend_whatever_the_order_of_events(
+        time in 0..1u64 << 40,
+        age in 0..u64::from(u32::MAX),
+        interrupt_is_late in any::<bool>(),
+    ) {
+        // `time` is now; the overflow interrupt has handled every wrap, or all but the last,
+        // which it may only miss for half a turn.
+        let wraps = time >> 32;
+        let may_be_late = wraps > 0 && (time as u32) < 1 << 31;
+        let pending = interrupt_is_late && may_be_late;
+        let mut extender = CounterExtender::new();
+        for _ in 0..wraps - u64::from(pending) {
+            extender.overflow();
+        }
+        prop_assert_eq!(extender.extend(time as u32, pending), time);
+        let captured = time.saturating_sub(age);
+        prop_assert_eq!(extender.extend_capture(captured as u32, time as u32, pending), captured);
+    }
+}

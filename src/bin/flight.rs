@@ -21,7 +21,7 @@ mod app {
     use aplomb::board::boards::BOARD;
     use aplomb::board::burst_reader::{self, BurstReader};
     use aplomb::board::sensor_bus::SensorBus;
-    use aplomb::board::timebase::{Delay, Timebase};
+    use aplomb::board::timebase::{self, Delay, Timebase};
     use aplomb::board::uart::{self, Uart};
     use aplomb::board::{clocks, pins, publish};
     use aplomb::calibration::Mount;
@@ -114,9 +114,7 @@ mod app {
                         part: part.name,
                         address,
                     });
-                    while burst_reader::is_enabled() {
-                        cortex_m::asm::wfi();
-                    }
+                    timebase::sleep_until(|| !burst_reader::is_enabled());
                     post(Message::Recovering);
                 }
                 Err(message) => {

@@ -3,6 +3,7 @@
 //! - Channel 2 captures the INT pin's rising edge, so a sample's time does not depend on interrupt latency.
 //! - Channel 1's compare is the burst reader's alarm: a burst that does not end, or an edge that does not come.
 //! - Channel 3's compare paces the telemetry.
+//! - Channel 4's compare wakes the idle task from a delay.
 //! - The update interrupt extends the count to 64 bits.
 
 use stm32f4xx_hal::pac::TIM5;
@@ -37,16 +38,23 @@ impl Timebase {
             .psc()
             .write(|w| w.psc().set((ticks_per_us - 1) as u16));
         timer.arr().write(|w| w.arr().set(u32::MAX));
-        // Channel 2: input, no filter, rising edge. Channels 1 and 3: compare, no output.
+        // Channel 2: input, no filter, rising edge. Channels 1, 3 and 4: compare, no output.
         timer.ccmr1_input().write(|w| w.cc2s().ti2());
         timer.ccer().write(|w| w.cc2e().set_bit());
         timer.ccr1().write(|w| w.ccr().set(u32::MAX));
         timer.ccr3().write(|w| w.ccr().set(telemetry_period_us));
         timer.egr().write(|w| w.ug().set_bit());
         timer.sr().reset();
-        timer
-            .dier()
-            .write(|w| w.uie().set_bit().cc1ie().set_bit().cc3ie().set_bit());
+        timer.dier().write(|w| {
+            w.uie()
+                .set_bit()
+                .cc1ie()
+                .set_bit()
+                .cc3ie()
+                .set_bit()
+                .cc4ie()
+                .set_bit()
+        });
         timer.cr1().write(|w| w.cen().set_bit());
         Self {
             timer,
@@ -109,7 +117,7 @@ pub fn elapsed(start: u32, limit_us: u32) -> bool {
     now().wrapping_sub(start) >= limit_us
 }
 
-/// Delays by watching the count, for the sensor's configuration.
+/// Delays asleep, for the sensor's configuration by the idle task. Channel 4's compare ends the sleep.
 pub struct Delay;
 
 impl embedded_hal::delay::DelayNs for Delay {
@@ -117,6 +125,28 @@ impl embedded_hal::delay::DelayNs for Delay {
         let start = now();
         // One more than asked for, since the first microsecond may be all but over.
         let limit_us = nanoseconds.div_ceil(1_000) + 1;
-        while !elapsed(start, limit_us) {}
+        // SAFETY: only the idle task writes this channel, through this function.
+        let timer = unsafe { &*TIM5::ptr() };
+        timer
+            .ccr4()
+            .write(|w| w.ccr().set(start.wrapping_add(limit_us)));
+        sleep_until(|| elapsed(start, limit_us));
+    }
+}
+
+/// Sleeps between interrupts until `condition` holds. For the idle task.
+pub fn sleep_until(condition: impl Fn() -> bool) {
+    loop {
+        // An interrupt that comes between the check and the sleep stays pending and ends the sleep.
+        let done = cortex_m::interrupt::free(|_| {
+            let done = condition();
+            if !done {
+                cortex_m::asm::wfi();
+            }
+            done
+        });
+        if done {
+            return;
+        }
     }
 }

@@ -15,7 +15,7 @@
 
 use super::Measurement;
 use super::angle_bias::{AngleBias, R_MEASURE};
-use crate::attitude::{Quaternion, Vector3, sine_cosine};
+use crate::attitude::{Quaternion, Vector3};
 use crate::units::radians;
 
 /// No part of the family has a larger zero-rate offset (20 °/s, and 20 more over temperature:
@@ -66,9 +66,13 @@ impl AxisKalman {
         self.attitude
     }
 
-    /// Forgets everything; the next measurement that shows gravity sets the tilt, with yaw zero.
+    /// Forgets everything but the sign of the quaternion; the next measurement that shows gravity
+    /// sets the tilt, with yaw zero.
     pub(super) fn restart(&mut self) {
-        *self = Self::new();
+        *self = Self {
+            attitude: Quaternion::IDENTITY.with_sign_of(self.attitude),
+            ..Self::new()
+        };
     }
 
     /// Sets roll and pitch from the accelerometer alone and keeps yaw.
@@ -79,6 +83,7 @@ impl AxisKalman {
         if let Some(force) = measurement.specific_force_m_s2 {
             self.set_tilt(-force);
         }
+        self.attitude = self.attitude.normalize();
     }
 
     /// One step of `dt_s` seconds.
@@ -96,50 +101,67 @@ impl AxisKalman {
         let mean_rate = (self.rate_rad_s + rate_rad_s).scale(0.5);
         self.rate_rad_s = rate_rad_s;
         let bias = self.in_body(self.roll.bias, self.pitch.bias);
-        let rotation = Quaternion::from_rotation_vector((mean_rate - bias).scale(dt_s));
-        self.attitude = self.attitude.multiply(rotation);
+        self.turn((mean_rate - bias).scale(dt_s));
         self.roll.predict(dt_s);
         self.pitch.predict(dt_s);
     }
 
-    fn correct(&mut self, measured: Vector3) {
+    /// One Kalman step per angle.
+    fn correct(&mut self, measured_down: Vector3) {
+        let innovation = self.innovation(measured_down);
+        let mut roll_change = 0.0;
+        if let Some(roll) = innovation.roll {
+            let variance = R_MEASURE / innovation.pitch_cosine_squared;
+            roll_change = self.roll.correct(roll, variance);
+            self.roll.bias = clamp_bias(self.roll.bias);
+        }
+        let pitch_change = self.pitch.correct(innovation.pitch, R_MEASURE);
+        self.pitch.bias = clamp_bias(self.pitch.bias);
+        self.turn(self.in_body(roll_change, pitch_change));
+    }
+
+    /// Takes roll and pitch as measured and keeps yaw; at the pole, it keeps roll too.
+    fn set_tilt(&mut self, measured_down: Vector3) {
+        let innovation = self.innovation(measured_down);
+        // One after the other, since large turns do not add up: pitch about its own axis first,
+        // which leaves roll alone, then roll about the forward axis.
+        self.turn(self.in_body(0.0, innovation.pitch));
+        if let Some(roll) = innovation.roll {
+            self.turn(self.in_body(roll, 0.0));
+        }
+        self.has_tilt = true;
+    }
+
+    /// Measured minus predicted angles. Also brings the axis of pitch up to date.
+    fn innovation(&mut self, measured: Vector3) -> Innovation {
         let predicted = self.attitude.down_in_body();
         // The part of each direction at right angles to the forward axis: where roll shows.
         let measured_squared = measured.y * measured.y + measured.z * measured.z;
         let predicted_squared = predicted.y * predicted.y + predicted.z * predicted.z;
         let measured_across = libm::sqrtf(measured_squared);
         let predicted_across = libm::sqrtf(predicted_squared);
-
-        // Each innovation is atan2(sin, cos) of the measured minus the predicted angle.
-        let roll_innovation = libm::atan2f(
-            measured.y * predicted.z - measured.z * predicted.y,
-            measured.y * predicted.y + measured.z * predicted.z,
-        );
-        let pitch_innovation = libm::atan2f(
-            predicted.x * measured_across - measured.x * predicted_across,
-            measured_across * predicted_across + measured.x * predicted.x,
-        );
-
-        let pitch_cosine_squared = (measured_squared
-            / (measured_squared + measured.x * measured.x))
-            .min(predicted_squared);
-        let roll_change = if pitch_cosine_squared > LEAST_PITCH_COSINE_SQUARED {
+        if predicted_squared > LEAST_PITCH_COSINE_SQUARED {
             let inverse = 1.0 / predicted_across;
             self.roll_cosine = predicted.z * inverse;
             self.roll_sine = predicted.y * inverse;
-            self.roll
-                .correct(roll_innovation, R_MEASURE / pitch_cosine_squared)
-        } else {
-            0.0
-        };
-        let pitch_change = self.pitch.correct(pitch_innovation, R_MEASURE);
-        self.roll.bias = clamp_bias(self.roll.bias);
-        self.pitch.bias = clamp_bias(self.pitch.bias);
-
-        let change = self.in_body(roll_change, pitch_change);
-        self.attitude = self
-            .attitude
-            .multiply(Quaternion::from_rotation_vector(change));
+        }
+        let measured_cosine_squared =
+            measured_squared / (measured_squared + measured.x * measured.x);
+        let pitch_cosine_squared = measured_cosine_squared.min(predicted_squared);
+        // Each is atan2(sin, cos) of the difference of the two angles.
+        let roll = libm::atan2f(
+            measured.y * predicted.z - measured.z * predicted.y,
+            measured.y * predicted.y + measured.z * predicted.z,
+        );
+        let pitch = libm::atan2f(
+            predicted.x * measured_across - measured.x * predicted_across,
+            measured_across * predicted_across + measured.x * predicted.x,
+        );
+        Innovation {
+            roll: (pitch_cosine_squared > LEAST_PITCH_COSINE_SQUARED).then_some(roll),
+            pitch,
+            pitch_cosine_squared,
+        }
     }
 
     /// Turns changes of roll and pitch (or their rates) into a rotation vector in body axes.
@@ -147,18 +169,20 @@ impl AxisKalman {
         Vector3::new(roll, pitch * self.roll_cosine, -pitch * self.roll_sine)
     }
 
-    /// Takes roll and pitch from the direction of down, and keeps yaw; next to the pole, roll too.
-    fn set_tilt(&mut self, down: Vector3) {
-        let mut angles = self.attitude.to_euler();
-        let across_squared = down.y * down.y + down.z * down.z;
-        if across_squared > LEAST_PITCH_COSINE_SQUARED * down.dot(down) {
-            angles.roll_rad = libm::atan2f(down.y, down.z);
-        }
-        angles.pitch_rad = libm::atan2f(-down.x, libm::sqrtf(across_squared));
-        (self.roll_sine, self.roll_cosine) = sine_cosine(angles.roll_rad);
-        self.attitude = Quaternion::from_euler(angles).with_sign_of(self.attitude);
-        self.has_tilt = true;
+    fn turn(&mut self, rotation_rad: Vector3) {
+        let rotation = Quaternion::from_rotation_vector(rotation_rad);
+        self.attitude = self.attitude.multiply(rotation);
     }
+}
+
+/// How the measured direction of down differs from the predicted one.
+struct Innovation {
+    /// In radians, within ±π; none at the pole.
+    roll: Option<f32>,
+    /// In radians.
+    pitch: f32,
+    /// The smaller of the measured and the predicted cos² of pitch.
+    pitch_cosine_squared: f32,
 }
 
 fn clamp_bias(bias_rad_s: f32) -> f32 {

@@ -83,9 +83,13 @@ impl Classic {
         }
     }
 
-    /// Forgets everything; the next measurement that shows gravity sets the angles, with yaw zero.
+    /// Forgets everything but the sign of the quaternion; the next measurement that shows gravity
+    /// sets the angles, with yaw zero.
     pub(super) fn restart(&mut self) {
-        *self = Self::new();
+        *self = Self {
+            attitude: Quaternion::IDENTITY.with_sign_of(self.attitude),
+            ..Self::new()
+        };
     }
 
     /// Sets the angles from the accelerometer alone and keeps yaw.

@@ -70,7 +70,7 @@ impl<'a> Writer<'a> {
 }
 
 /// The largest number written, either way; larger ones are written as this.
-pub(super) const LARGEST: f32 = 99_999.99;
+const LARGEST: f32 = 99_999.99;
 
 /// 180.00 in hundredths.
 const HALF_TURN: i32 = 18_000;

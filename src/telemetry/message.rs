@@ -220,6 +220,7 @@ mod tests {
 
     use super::*;
     use crate::fault::{BurstFault, BurstStep};
+    use crate::mpu6050::registers::Register;
 
     #[test]
     fn messages_say_what_happened_where_and_what_to_do() {
@@ -250,6 +251,59 @@ mod tests {
         ];
         for (message, text) in cases {
             assert_eq!(message.to_string(), text);
+        }
+    }
+
+    #[test]
+    fn every_message_fits_its_line() {
+        let error = |error| Message::SensorFailed(error);
+        let mut messages = vec![
+            Message::Started {
+                board: "blackpill-f411",
+                core_mhz: 168,
+                clock: ClockSource::InternalOscillator,
+            },
+            Message::BusHeldLow { clock: true },
+            Message::Recovering,
+            Message::AveragingRestarted,
+            Message::AveragingDone,
+            Message::MessagesLost { count: u16::MAX },
+            error(mpu6050::Error::NotFound),
+            error(mpu6050::Error::UnknownIdentity {
+                address: 0x69,
+                who_am_i: 0,
+            }),
+            error(mpu6050::Error::ResetFailed {
+                address: 0x69,
+                read: 0,
+            }),
+        ];
+        // The longest name is SIGNAL_PATH_RESET's.
+        for register in [Register::SignalPathReset, Register::AccelerometerXHigh] {
+            messages.push(error(mpu6050::Error::Readback {
+                address: 0x69,
+                register,
+                written: 0xff,
+                read: 0,
+            }));
+            messages.push(error(mpu6050::Error::Bus {
+                operation: mpu6050::Operation::Write,
+                register,
+                address: 0x69,
+                source: i2c::ErrorKind::NoAcknowledge(i2c::NoAcknowledgeSource::Address),
+            }));
+        }
+        for (fault, step) in (0..=7).flat_map(|fault| (0..=6).map(move |step| (fault, step))) {
+            if let Some(failure) = BurstFailure::from_codes(fault, step) {
+                messages.push(Message::BurstsFailed {
+                    failure,
+                    count: u16::MAX,
+                });
+            }
+        }
+        for message in messages {
+            let line = format!("# {message}\n");
+            assert!(line.len() <= LINE_CAPACITY, "{} bytes: {line}", line.len());
         }
     }
 

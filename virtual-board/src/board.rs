@@ -1,0 +1,117 @@
+//! The boards: which oscillator, which core clock; and how the emulated core of one is set up.
+
+use std::num::{NonZeroU16, NonZeroU32, NonZeroU64};
+use std::sync::{Arc, Mutex};
+
+use rigless::cpu::armv7m::windows;
+use rigless::machine::{self, Target, armv7m};
+use rigless::mcu::{Mcu, Operate};
+use rigless::snapshot::Store;
+
+use crate::crystal::HighSpeedInput;
+use crate::mcu::Microcontroller;
+use crate::profile::{Profile, ProfiledProcessor};
+
+/// A board that the firmware can be built for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BoardModel {
+    /// Its name on the command line, the same as in the firmware's features.
+    pub name: &'static str,
+    /// What drives the high-speed oscillator.
+    pub input: HighSpeedInput,
+    /// The core clock that the firmware sets up, in hertz. The emulated core executes one instruction per cycle of it.
+    pub core_hz: u64,
+}
+
+/// All boards; the first is the default.
+pub const BOARDS: [BoardModel; 3] = [
+    BoardModel {
+        name: "stm32f405",
+        input: HighSpeedInput::Crystal(8_000_000),
+        core_hz: 168_000_000,
+    },
+    BoardModel {
+        name: "blackpill-f411",
+        input: HighSpeedInput::Crystal(25_000_000),
+        core_hz: 100_000_000,
+    },
+    BoardModel {
+        name: "nucleo-f411",
+        input: HighSpeedInput::ExternalClock(8_000_000),
+        core_hz: 100_000_000,
+    },
+];
+
+impl BoardModel {
+    /// The board of this name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        BOARDS.into_iter().find(|board| board.name == name)
+    }
+}
+
+/// One board on the bench, as rigless runs it.
+#[derive(Debug)]
+pub struct Board {
+    /// The microcontroller with everything on its pins.
+    pub controller: Microcontroller,
+    core_hz: NonZeroU64,
+    /// The vector table's handlers, by exception number.
+    handlers: Vec<u32>,
+    profile: Arc<Mutex<Profile>>,
+}
+
+impl Board {
+    /// A board whose core counts its instructions into `profile` by exception; `handlers` are the vector table's.
+    #[must_use]
+    pub fn new(model: BoardModel, controller: Microcontroller, handlers: Vec<u32>, profile: Arc<Mutex<Profile>>) -> Self {
+        Self {
+            controller,
+            core_hz: NonZeroU64::new(model.core_hz).unwrap_or(NonZeroU64::MIN),
+            handlers,
+            profile,
+        }
+    }
+}
+
+/// Runs start from reset alone, so nothing keeps a board.
+impl Store for Board {}
+
+const CORE: &str = "cortex-m4";
+
+impl machine::Board for Board {
+    fn name(&self) -> &'static str {
+        "virtual-board"
+    }
+
+    fn target_names(&self) -> Vec<&'static str> {
+        vec![CORE]
+    }
+
+    fn mcu(&mut self, target: usize) -> Option<&mut dyn Mcu> {
+        (target == 0).then_some(&mut self.controller)
+    }
+
+    fn targets(&mut self) -> Vec<Target<'_>> {
+        let core = armv7m::Core {
+            variant: armv7m::Variant::M4,
+            clock_hz: self.core_hz,
+            interrupt_lines: NonZeroU32::from(NonZeroU16::new(self.controller.cpu().interrupt_lines).unwrap_or(NonZeroU16::MIN)),
+            // PM0214, section 4.3.
+            priority_bits: 4,
+            // PM0214, section 4.5.
+            refclk_divider: NonZeroU32::MIN.saturating_add(7),
+            // One instruction per clock cycle: there is no model of wait states or of the pipeline.
+            instructions_per_second: self.core_hz,
+            boot: "flash",
+        };
+        let windows = windows(self.controller.bus());
+        let mut spec = core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, armv7m::MpuRegions::Eight);
+        let make = Arc::clone(&spec.processor);
+        let (handlers, profile) = (self.handlers.clone(), Arc::clone(&self.profile));
+        spec.processor = Arc::new(move |endian| {
+            Ok(Box::new(ProfiledProcessor::new(make(endian)?, handlers.clone(), Arc::clone(&profile))))
+        });
+        vec![Target::new(CORE, &mut self.controller, spec)]
+    }
+}

@@ -1,0 +1,258 @@
+//! A run of the firmware on the virtual board, from power-up for as long as asked.
+//!
+//! ```no_run
+//! use virtual_board::faults::Fault;
+//! use virtual_board::flight::Run;
+//!
+//! let outcome = Run::new("flight.elf").seed(7).seconds(3.0).fault(Fault::NoCrystal).run()?;
+//! assert!(outcome.says("no crystal"));
+//! # Ok::<(), virtual_board::Error>(())
+//! ```
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use rigless::emulator::{self, Start};
+use rigless::image::Image;
+use rigless::session::Session;
+use rigless::time::VirtualNanos;
+
+use crate::Error;
+use crate::board::{BOARDS, Board, BoardModel};
+use crate::crystal::HighSpeedInput;
+use crate::faults::{Fault, nanoseconds};
+use crate::fitted::FittedSensor;
+use crate::image::Firmware;
+use crate::mcu::Microcontroller;
+use crate::motion::quadrotor::Quadrotor;
+use crate::motion::{Motion, Mount};
+use crate::probe::{LogLine, Probe};
+use crate::profile::Profile;
+use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
+use crate::sensor::{Sensor, SensorConfig};
+use crate::summary::Summary;
+
+/// A run that is yet to be made.
+pub struct Run {
+    firmware: PathBuf,
+    board: BoardModel,
+    seed: u64,
+    seconds: f64,
+    mount: Mount,
+    /// The motion, and whether it is a recording: then the sensor adds no errors of its own.
+    motion: Option<(Box<dyn Motion>, bool)>,
+    faults: Vec<Fault>,
+    has_probe: bool,
+    observer: Box<dyn Observer>,
+}
+
+impl Run {
+    /// A run of an image: 30 s of the simulated flight of seed 1 on the first board, with a probe, without faults.
+    #[must_use]
+    pub fn new(firmware: impl Into<PathBuf>) -> Self {
+        Self {
+            firmware: firmware.into(),
+            board: BOARDS[0],
+            seed: 1,
+            seconds: 30.0,
+            mount: Mount::default(),
+            motion: None,
+            faults: Vec::new(),
+            has_probe: true,
+            observer: Box::new(Nobody),
+        }
+    }
+
+    /// Seeds the sensor and the simulated flight.
+    #[must_use]
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// How long it runs, in virtual seconds from power-up.
+    #[must_use]
+    pub fn seconds(mut self, seconds: f64) -> Self {
+        self.seconds = seconds;
+        self
+    }
+
+    /// On which board.
+    #[must_use]
+    pub fn board(mut self, board: BoardModel) -> Self {
+        self.board = board;
+        self
+    }
+
+    /// How the sensor sits in the vehicle. The image must have been built for the same mount.
+    #[must_use]
+    pub fn mount(mut self, mount: Mount) -> Self {
+        self.mount = mount;
+        self
+    }
+
+    /// Moves the board otherwise than by the simulated flight.
+    #[must_use]
+    pub fn motion(mut self, motion: impl Motion + 'static) -> Self {
+        self.motion = Some((Box::new(motion), false));
+        self
+    }
+
+    /// Moves the board as recorded. The recording's own sensor errors are the only ones.
+    #[must_use]
+    pub fn recording(mut self, recording: impl Motion + 'static) -> Self {
+        self.motion = Some((Box::new(recording), true));
+        self
+    }
+
+    /// Adds a fault.
+    #[must_use]
+    pub fn fault(mut self, fault: Fault) -> Self {
+        self.faults.push(fault);
+        self
+    }
+
+    /// Leaves the log buffer unread, as without a debug probe.
+    #[must_use]
+    pub fn without_probe(mut self) -> Self {
+        self.has_probe = false;
+        self
+    }
+
+    /// Shows the run to somebody while it goes on.
+    #[must_use]
+    pub fn observer(mut self, observer: impl Observer + 'static) -> Self {
+        self.observer = Box::new(observer);
+        self
+    }
+
+    /// Makes the run.
+    ///
+    /// # Errors
+    ///
+    /// When the image cannot be used, or the emulator gives up.
+    pub fn run(self) -> Result<Outcome, Error> {
+        let firmware = Firmware::read(&self.firmware)?;
+        let (motion, is_recording) = match self.motion {
+            Some(motion) => motion,
+            None => (Box::new(Quadrotor::by_seed(self.seed)) as Box<dyn Motion>, false),
+        };
+        let config = if is_recording {
+            SensorConfig::for_recording(self.seed)
+        } else {
+            SensorConfig::new(self.seed)
+        };
+        let sensor = Sensor::new(SensorConfig { mount: self.mount, ..config }, motion);
+        let input = if self.faults.contains(&Fault::NoCrystal) {
+            HighSpeedInput::Nothing
+        } else {
+            self.board.input
+        };
+        let timer_starts_at = self.faults.iter().find_map(|fault| match fault {
+            Fault::TimerStartsAt(count) => Some(*count),
+            _ => None,
+        });
+        let controller = Microcontroller::new(FittedSensor::new(sensor, self.faults), input).map_err(Error::emulator)?;
+        let profile = Arc::new(Mutex::new(Profile::default()));
+        let board = Board::new(self.board, controller, firmware.handlers.clone(), Arc::clone(&profile));
+        let probe = firmware.log_channel.filter(|_| self.has_probe).and_then(|at| Probe::attach(&firmware.bytes, at));
+        let recorder =
+            Recorder::new(&firmware, nanoseconds(self.seconds), probe, timer_starts_at, Arc::clone(&profile), self.observer);
+
+        let started = Instant::now();
+        let images = [Image::new(&firmware.path, firmware.bytes.clone(), None).map_err(Error::emulator)?];
+        let session = Session::new(Box::new(board), 0, VirtualNanos(0)).map_err(Error::emulator)?;
+        let mut finished = emulator::run(session, &Start::new(&images), recorder).map_err(Error::emulator)?;
+        let wall_seconds = started.elapsed().as_secs_f64();
+        if let Some(error) = finished.session.take_error() {
+            return Err(Error::emulator(error));
+        }
+        let record = finished.driver.into_record();
+        let remarks = remarks(&finished.session, &profile);
+        Ok(Outcome {
+            summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
+            uart_lines: lines(&record),
+            record,
+            remarks,
+        })
+    }
+}
+
+/// What came of a run.
+#[derive(Debug)]
+pub struct Outcome {
+    /// The figures.
+    pub summary: Summary,
+    /// The lines that came out of the UART.
+    pub uart_lines: Vec<UartLine>,
+    /// Everything that was noted.
+    pub record: Record,
+    /// What the firmware did that this board cannot do, and what the emulator could not account for. Empty if all is well.
+    pub remarks: Vec<String>,
+}
+
+/// A line from the UART.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UartLine {
+    /// When the line feed had arrived, ns since power-up.
+    pub at_ns: u64,
+    /// The line, without the line feed.
+    pub text: String,
+}
+
+impl Outcome {
+    /// The published samples.
+    #[must_use]
+    pub fn samples(&self) -> &[Sample] {
+        &self.record.samples
+    }
+
+    /// The lines of the firmware's log.
+    #[must_use]
+    pub fn log(&self) -> &[LogLine] {
+        &self.record.log
+    }
+
+    /// Whether both outputs, UART and log, have a line that contains this.
+    #[must_use]
+    pub fn says(&self, text: &str) -> bool {
+        self.uart_says(text) && self.log().iter().any(|line| line.text.contains(text))
+    }
+
+    /// Whether the UART has a line that contains this.
+    #[must_use]
+    pub fn uart_says(&self, text: &str) -> bool {
+        self.uart_lines.iter().any(|line| line.text.contains(text))
+    }
+}
+
+/// The UART's bytes as lines.
+fn lines(record: &Record) -> Vec<UartLine> {
+    record
+        .heard
+        .split_inclusive(|heard| heard.byte == b'\n')
+        .filter_map(|line| {
+            let bytes: Vec<u8> = line.iter().map(|heard| heard.byte).collect();
+            let text = String::from_utf8_lossy(&bytes).trim_end().to_owned();
+            line.last().map(|last| UartLine { at_ns: last.at_ns, text })
+        })
+        .collect()
+}
+
+/// What the run met that it should not have.
+fn remarks(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
+    let mut remarks: Vec<String> = session.unmapped().iter().map(|unmapped| format!("no such address: {unmapped}")).collect();
+    remarks.extend(session.refused().iter().map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")));
+    remarks.extend(session.unimplemented().values().filter(|access| access.writes > 0).map(|access| {
+        format!("not modelled: {}.{} written at {:#010x}", access.instance, access.register, access.program_counter)
+    }));
+    remarks.extend(session.unrouted().iter().map(|unrouted| format!("an interrupt without a line: {unrouted:?}")));
+    remarks.extend(session.told().map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason)));
+    remarks.extend(session.resets().iter().map(|reset| format!("reset at {} ns: {:?}", reset.at.0, reset.cause)));
+    let unexplained = profile.lock().map_or(1, |profile| profile.unexplained());
+    if unexplained > 0 {
+        remarks.push(format!("{unexplained} changes of context that the instruction account cannot explain"));
+    }
+    remarks
+}

@@ -1,0 +1,239 @@
+//! `virtual-board fly`: flies a firmware image on the virtual board and leaves what came of it in a folder.
+
+use std::fmt::Write as _;
+use std::io::{self, IsTerminal, Write as _};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::{Args, Parser, Subcommand};
+use virtual_board::board::{BOARDS, BoardModel};
+use virtual_board::flight::{Outcome, Run};
+use virtual_board::motion::Mount;
+use virtual_board::motion::recording::Recording;
+use virtual_board::outputs;
+use virtual_board::plot::Labels;
+use virtual_board::probe::LogLine;
+use virtual_board::recorder::{Observer, Progress};
+
+/// How long the simulated flight is shown unless told otherwise, s.
+const SECONDS: f64 = 30.0;
+
+/// An emulated STM32F4 board with a modelled MPU-6050.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Fly a firmware image and write what came of it.
+    Fly(Fly),
+}
+
+#[derive(Args)]
+struct Fly {
+    /// The firmware image; `cargo xtask fly` builds it and gives it.
+    #[arg(long, value_name = "PATH")]
+    elf: PathBuf,
+    /// Replay a recording instead of the simulated flight: CSV, plain or gzip, `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
+    /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up, z-down.
+    #[arg(long, value_name = "MOUNT", default_value = "z-up", allow_hyphen_values = true, value_parser = mount)]
+    mount: Mount,
+    /// Virtual seconds from power-up. Default: 30, or the whole recording.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    seconds: Option<f64>,
+    /// Seeds the flight and the sensor's errors.
+    #[arg(long, value_name = "NUMBER", default_value_t = 1)]
+    seed: u64,
+    /// The board: stm32f405, blackpill-f411 or nucleo-f411.
+    #[arg(long, value_name = "NAME", default_value = BOARDS[0].name, value_parser = board)]
+    board: BoardModel,
+    /// Where the files go.
+    #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
+    output: PathBuf,
+}
+
+fn mount(name: &str) -> Result<Mount, String> {
+    Mount::parse(name).ok_or_else(|| format!("there is no such mount; there are z-up, z-down, {}", Mount::names().join(", ")))
+}
+
+fn board(name: &str) -> Result<BoardModel, String> {
+    let names = BOARDS.map(|board| board.name).join(", ");
+    BoardModel::named(name).ok_or_else(|| format!("there is no such board; there are {names}"))
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| "this is not a number".to_owned())?;
+    if seconds > 0.0 && seconds <= 86_400.0 {
+        Ok(seconds)
+    } else {
+        Err("it must be above 0 and at most 86400".into())
+    }
+}
+
+fn main() -> ExitCode {
+    let Command::Fly(options) = Arguments::parse().command;
+    match fly(&options) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("error: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn fly(options: &Fly) -> Result<(), String> {
+    let mut run = Run::new(&options.elf).board(options.board).mount(options.mount).seed(options.seed);
+    let motion;
+    match &options.log {
+        Some(path) => {
+            let recording = Recording::open(path, options.mount).map_err(|error| error.to_string())?;
+            run = run.seconds(options.seconds.unwrap_or(recording.end_s()).min(recording.end_s())).recording(recording);
+            motion = format!("recording {}", path.display());
+        }
+        None => {
+            run = run.seconds(options.seconds.unwrap_or(SECONDS));
+            motion = format!("simulated flight, seed {}", options.seed);
+        }
+    }
+    eprintln!("{motion}, on {}", options.board.name);
+    let outcome = run.observer(Screen::new()).run().map_err(|error| error.to_string())?;
+    let labels = Labels {
+        title: format!("aplomb on the virtual {}: {motion}", options.board.name),
+        subtitle: subtitle(&outcome),
+    };
+    outputs::write(&options.output, &outcome, &labels).map_err(|error| error.to_string())?;
+    println!("\n{}", table(&outcome));
+    println!("written to {}", options.output.display());
+    for remark in &outcome.remarks {
+        eprintln!("warning: {remark}");
+    }
+    if outcome.samples().is_empty() {
+        return Err("the firmware published no attitude".into());
+    }
+    Ok(())
+}
+
+/// Shows the run while it goes on: the firmware's log, and how far it is.
+struct Screen {
+    started: Instant,
+    is_terminal: bool,
+    /// Virtual seconds at which a line of progress is due, where it cannot be overwritten.
+    next_line_s: f64,
+}
+
+impl Screen {
+    fn new() -> Self {
+        Self {
+            started: Instant::now(),
+            is_terminal: io::stderr().is_terminal(),
+            next_line_s: 0.0,
+        }
+    }
+
+    fn clear_line(&self) {
+        if self.is_terminal {
+            eprint!("\r\x1b[K");
+        }
+    }
+}
+
+impl Observer for Screen {
+    fn log(&mut self, line: &LogLine) {
+        self.clear_line();
+        println!("{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text);
+    }
+
+    fn progress(&mut self, progress: Progress) {
+        let now_s = progress.now_ns as f64 * 1e-9;
+        let speed = now_s / self.started.elapsed().as_secs_f64();
+        let percent = 100.0 * progress.now_ns as f64 / progress.end_ns as f64;
+        let text = format!("{percent:3.0} %, {now_s:.1} s flown, {speed:.1} times real time");
+        if self.is_terminal {
+            self.clear_line();
+            eprint!("{text}");
+            io::stderr().flush().ok();
+        } else if now_s >= self.next_line_s {
+            self.next_line_s = now_s + 10.0;
+            eprintln!("{text}");
+        }
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        self.clear_line();
+    }
+}
+
+/// The picture's second line.
+fn subtitle(outcome: &Outcome) -> String {
+    let summary = &outcome.summary;
+    let mut text = format!("{} samples in {:.1} s, {} missed", summary.samples, summary.virtual_seconds, summary.missed);
+    if let (Some(rms), Some(max)) = (summary.inclination_rms_deg, summary.inclination_max_deg) {
+        write!(text, "; inclination error {rms:.2} degrees rms, {max:.2} at most").ok();
+    }
+    text
+}
+
+/// The figures as a short table.
+fn table(outcome: &Outcome) -> String {
+    let summary = &outcome.summary;
+    let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |value| format!("{value:.decimals$}"));
+    let count = |value: Option<u64>| value.map_or("-".into(), |value| value.to_string());
+    let rows = [
+        ("samples, missed", format!("{}, {}", summary.samples, summary.missed)),
+        (
+            "time",
+            format!(
+                "{:.1} s flown in {:.1} s, {:.1} times real time",
+                summary.virtual_seconds,
+                summary.wall_seconds,
+                summary.virtual_seconds / summary.wall_seconds
+            ),
+        ),
+        (
+            "instructions per sample",
+            format!(
+                "{} mean, {} at most; without the attitude task {} mean",
+                number(summary.instructions_per_sample_mean, 0),
+                count(summary.instructions_per_sample_max),
+                number(summary.io_instructions_per_sample_mean, 0)
+            ),
+        ),
+        ("load of the core", format!("{} %", number(summary.cpu_load_percent, 2))),
+        (
+            "edge to attitude",
+            format!(
+                "{} us mean, {} us at most",
+                number(summary.edge_to_attitude_us_mean, 1),
+                number(summary.edge_to_attitude_us_max, 1)
+            ),
+        ),
+        ("time stamp error", format!("{} us at most", number(summary.timestamp_error_us_max, 2))),
+        (
+            "inclination error",
+            format!(
+                "{} degrees rms, {} at most",
+                number(summary.inclination_rms_deg, 2),
+                number(summary.inclination_max_deg, 2)
+            ),
+        ),
+        (
+            "memory",
+            format!(
+                "{} bytes of flash, {} of RAM, {} of stack used",
+                summary.flash_bytes, summary.ram_bytes, summary.stack_bytes_used
+            ),
+        ),
+    ];
+    rows.iter().fold(String::new(), |mut table, (name, value)| {
+        writeln!(table, "{name:<24} {value}").ok();
+        table
+    })
+}

@@ -1,0 +1,510 @@
+//! Recorded logs: CSV, plain or gzipped, checked strictly before anything runs.
+//!
+//! The header is one of
+//!
+//! ```text
+//! t_us,ax,ay,az,gx,gy,gz
+//! t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz
+//! t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov
+//! ```
+//!
+//! Time is in whole microseconds and increases; specific force in m/s² and rates in rad/s, in sensor axes;
+//! the truth is the quaternion sensor → earth with z up, its four cells empty where it is not known; `mov` is
+//! 1 where a row counts for scores, else 0.
+
+use std::fmt;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use flate2::bufread::MultiGzDecoder;
+
+use super::geometry::{Quaternion, Vector, norm};
+
+/// The columns in their order; a log has the first 7, 11 or 12 of them.
+const COLUMNS: [&str; 12] = [
+    "t_us", "ax", "ay", "az", "gx", "gy", "gz", "qw", "qx", "qy", "qz", "mov",
+];
+
+/// Beyond what any such sensor measures (100 g): the columns are not in m/s².
+const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f64 = 1000.0;
+/// Beyond what any such sensor measures (11,000 °/s): the columns are not in rad/s.
+const IMPLAUSIBLE_RATE_RAD_S: f64 = 200.0;
+/// How far a quaternion's length may be from 1: the truth is often printed with few digits.
+const QUATERNION_TOLERANCE: f64 = 0.01;
+
+/// One row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// µs.
+    pub time_us: i64,
+    /// Sensor axes, m/s².
+    pub specific_force_m_s2: Vector,
+    /// Sensor axes, rad/s.
+    pub rates_rad_s: Vector,
+    /// Sensor → earth with z up, of length 1.
+    pub attitude: Option<Quaternion>,
+    /// The row counts for scores; true if the log has no such column.
+    pub moving: bool,
+}
+
+/// A whole log, of at least two rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Log {
+    rows: Vec<Row>,
+}
+
+/// Why a log was refused, and where.
+#[derive(Debug)]
+pub struct LogError {
+    /// The file.
+    pub file: PathBuf,
+    /// The line, counted from 1; `None` if the file as a whole is meant.
+    pub line: Option<u64>,
+    /// What is wrong with it.
+    pub reason: LogFault,
+}
+
+/// What can be wrong with a log.
+#[derive(Debug, thiserror::Error)]
+pub enum LogFault {
+    /// The file cannot be opened.
+    #[error("the file cannot be opened: {0}")]
+    Open(#[source] io::Error),
+    /// Reading stopped with an error.
+    #[error("the file cannot be read on: {0}")]
+    Read(#[source] io::Error),
+    /// The compressed data ends too early or is damaged.
+    #[error("the gzip data is cut off or damaged: {0}")]
+    Gzip(#[source] io::Error),
+    /// There is nothing in the file.
+    #[error("the file is empty")]
+    Empty,
+    /// The line is not text.
+    #[error("the line is not UTF-8 text")]
+    NotText,
+    /// The header is not one of the three.
+    #[error("the header is \"{0}\", but must be t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]")]
+    Header(String),
+    /// The row has more or fewer cells than the header.
+    #[error("the row has {found} columns, but the header has {expected}")]
+    ColumnCount {
+        /// Cells in the row.
+        found: usize,
+        /// Cells in the header.
+        expected: usize,
+    },
+    /// A cell is not a number.
+    #[error("{column} is \"{text}\", which is not a number")]
+    NotANumber {
+        /// Name of the column.
+        column: &'static str,
+        /// What stands there.
+        text: String,
+    },
+    /// The time is not a whole number of microseconds.
+    #[error("t_us is \"{0}\", which is not a whole number of microseconds")]
+    Time(String),
+    /// A cell is infinite or not a number.
+    #[error("{column} is {value}, which is not finite")]
+    NotFinite {
+        /// Name of the column.
+        column: &'static str,
+        /// What stands there.
+        value: f64,
+    },
+    /// Time does not go on.
+    #[error("t_us is {now}, not after the row before, {before}")]
+    NotIncreasing {
+        /// The time of the row before.
+        before: i64,
+        /// The time of this row.
+        now: i64,
+    },
+    /// A value that no sensor of this kind reports in SI units.
+    #[error(
+        "{column} is {value}, which no such sensor reports; {unit} is expected, not raw counts"
+    )]
+    Implausible {
+        /// Name of the column.
+        column: &'static str,
+        /// What stands there.
+        value: f64,
+        /// The unit of the column.
+        unit: &'static str,
+    },
+    /// Some but not all of the truth's cells are empty.
+    #[error("some of qw,qx,qy,qz are empty: give all four, or none")]
+    PartialTruth,
+    /// The truth is not a rotation.
+    #[error("qw,qx,qy,qz has the length {0:.4}, but a rotation's is 1")]
+    NotARotation(f64),
+    /// `mov` is neither 0 nor 1.
+    #[error("mov is \"{0}\", but must be 0 or 1")]
+    Moving(String),
+    /// Motion needs two points in time.
+    #[error("the log has fewer than two rows")]
+    TooShort,
+}
+
+impl fmt::Display for LogError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}", self.file.display())?;
+        if let Some(line) = self.line {
+            write!(formatter, ":{line}")?;
+        }
+        write!(formatter, ": {}", self.reason)
+    }
+}
+
+impl std::error::Error for LogError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        std::error::Error::source(&self.reason)
+    }
+}
+
+impl Log {
+    /// Reads and checks a file, gzipped if it begins as gzip files do.
+    ///
+    /// # Errors
+    /// The file, the line and what is wrong with it.
+    pub fn read(path: &Path) -> Result<Self, LogError> {
+        let at = |line: Option<u64>, reason: LogFault| LogError {
+            file: path.to_owned(),
+            line,
+            reason,
+        };
+        let mut file =
+            BufReader::new(File::open(path).map_err(|error| at(None, LogFault::Open(error)))?);
+        let start = file
+            .fill_buf()
+            .map_err(|error| at(None, LogFault::Read(error)))?;
+        let zipped = start.starts_with(&[0x1F, 0x8B]);
+        let text: Box<dyn Read> = if zipped {
+            Box::new(MultiGzDecoder::new(file))
+        } else {
+            Box::new(file)
+        };
+        Self::parse(BufReader::new(text), zipped).map_err(|(line, reason)| at(line, reason))
+    }
+
+    /// The rows, at least two, with increasing times.
+    #[must_use]
+    pub fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    fn parse(mut text: impl BufRead, zipped: bool) -> Result<Self, Refusal> {
+        let mut line_number = 0;
+        let mut next_line = move || -> Result<Option<(u64, String)>, Refusal> {
+            line_number += 1;
+            let mut bytes = Vec::new();
+            let wrap = if zipped {
+                LogFault::Gzip
+            } else {
+                LogFault::Read
+            };
+            text.read_until(b'\n', &mut bytes)
+                .map_err(|error| (Some(line_number), wrap(error)))?;
+            if bytes.is_empty() {
+                return Ok(None);
+            }
+            let line =
+                String::from_utf8(bytes).map_err(|_| (Some(line_number), LogFault::NotText))?;
+            let line = line.strip_suffix('\n').unwrap_or(&line);
+            Ok(Some((
+                line_number,
+                line.strip_suffix('\r').unwrap_or(line).to_owned(),
+            )))
+        };
+        let (_, header) = next_line()?.ok_or((None, LogFault::Empty))?;
+        let columns =
+            column_count(&header).ok_or_else(|| (Some(1), LogFault::Header(header.clone())))?;
+        let mut rows: Vec<Row> = Vec::new();
+        while let Some((number, line)) = next_line()? {
+            let row = parse_row(&line, columns).map_err(|reason| (Some(number), reason))?;
+            if let Some(before) = rows.last().filter(|before| before.time_us >= row.time_us) {
+                let (before, now) = (before.time_us, row.time_us);
+                return Err((Some(number), LogFault::NotIncreasing { before, now }));
+            }
+            rows.push(row);
+        }
+        if rows.len() < 2 {
+            return Err((None, LogFault::TooShort));
+        }
+        Ok(Self { rows })
+    }
+}
+
+/// The line, if one is to blame, and what is wrong.
+type Refusal = (Option<u64>, LogFault);
+
+/// How many columns a valid header has.
+fn column_count(header: &str) -> Option<usize> {
+    [7, 11, 12]
+        .into_iter()
+        .find(|&count| header == COLUMNS[..count].join(","))
+}
+
+fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
+    let cells: Vec<&str> = line.split(',').collect();
+    if cells.len() != columns {
+        return Err(LogFault::ColumnCount {
+            found: cells.len(),
+            expected: columns,
+        });
+    }
+    let number = |index: usize| parse_number(COLUMNS[index], cells[index]);
+    let vector = |first: usize| -> Result<Vector, LogFault> {
+        Ok([number(first)?, number(first + 1)?, number(first + 2)?])
+    };
+    let time_us = cells[0]
+        .parse()
+        .map_err(|_| LogFault::Time(cells[0].to_owned()))?;
+    let specific_force_m_s2 = plausible(vector(1)?, 1, IMPLAUSIBLE_SPECIFIC_FORCE_M_S2, "m/s²")?;
+    let rates_rad_s = plausible(vector(4)?, 4, IMPLAUSIBLE_RATE_RAD_S, "rad/s")?;
+    let attitude = match cells.get(7..11) {
+        None => None,
+        Some(truth) if truth.iter().all(|cell| cell.is_empty()) => None,
+        Some(truth) if truth.iter().any(|cell| cell.is_empty()) => {
+            return Err(LogFault::PartialTruth);
+        }
+        Some(_) => {
+            let quaternion = Quaternion::new(number(7)?, number(8)?, number(9)?, number(10)?);
+            let length = quaternion.norm();
+            if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+                return Err(LogFault::NotARotation(length));
+            }
+            Some(quaternion.normalized())
+        }
+    };
+    let moving = match cells.get(11) {
+        None | Some(&"1") => true,
+        Some(&"0") => false,
+        Some(other) => return Err(LogFault::Moving((*other).to_owned())),
+    };
+    Ok(Row {
+        time_us,
+        specific_force_m_s2,
+        rates_rad_s,
+        attitude,
+        moving,
+    })
+}
+
+fn parse_number(column: &'static str, text: &str) -> Result<f64, LogFault> {
+    let value: f64 = text.parse().map_err(|_| LogFault::NotANumber {
+        column,
+        text: text.to_owned(),
+    })?;
+    if value.is_finite() {
+        Ok(value)
+    } else {
+        Err(LogFault::NotFinite { column, value })
+    }
+}
+
+fn plausible(
+    vector: Vector,
+    first_column: usize,
+    limit: f64,
+    unit: &'static str,
+) -> Result<Vector, LogFault> {
+    if norm(vector) <= limit {
+        return Ok(vector);
+    }
+    let largest = (0..3).fold(0, |best, axis| {
+        if vector[axis].abs() > vector[best].abs() {
+            axis
+        } else {
+            best
+        }
+    });
+    Err(LogFault::Implausible {
+        column: COLUMNS[first_column + largest],
+        value: vector[largest],
+        unit,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
+    const GOOD: &str = "0,0,0,9.81,0.1,0.2,0.3,1,0,0,0,1";
+
+    fn parse(text: &str) -> Result<Log, Refusal> {
+        Log::parse(text.as_bytes(), false)
+    }
+
+    /// The line and the reason with which a log is refused whose third line is `row`.
+    fn refusal(row: &str) -> (Option<u64>, String) {
+        let (line, reason) = parse(&format!("{HEADER}\n{GOOD}\n{row}\n")).unwrap_err();
+        (line, reason.to_string())
+    }
+
+    #[test]
+    fn each_of_the_three_forms_is_read() {
+        let short = parse("t_us,ax,ay,az,gx,gy,gz\n-5,1,2,3,4,5,6\r\n10,1e0,-2,3,4,5,6.5").unwrap();
+        assert_eq!(short.rows()[0].time_us, -5);
+        assert_eq!(short.rows()[1].specific_force_m_s2, [1.0, -2.0, 3.0]);
+        assert_eq!(short.rows()[1].rates_rad_s, [4.0, 5.0, 6.5]);
+        assert_eq!(short.rows()[1].attitude, None);
+        let with_truth = parse(
+            "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz\n0,1,2,3,4,5,6,0,1.001,0,0\n1,1,2,3,4,5,6,,,,\n",
+        )
+        .unwrap();
+        assert_eq!(
+            with_truth.rows()[0].attitude,
+            Some(Quaternion::new(0.0, 1.0, 0.0, 0.0))
+        );
+        assert_eq!(with_truth.rows()[1].attitude, None);
+        assert!(with_truth.rows()[1].moving);
+        let full = parse(&format!("{HEADER}\n{GOOD}\n1,0,0,9.81,0,0,0,,,,,0\n")).unwrap();
+        assert!(full.rows()[0].moving && !full.rows()[1].moving);
+    }
+
+    #[test]
+    fn every_fault_names_its_line_and_its_reason() {
+        let cases = [
+            ("1,0,0,9.81,0,0,0,1,0,0,0", "11 columns"),
+            ("", "1 columns"),
+            ("1,0,0,up,0,0,0,1,0,0,0,1", "az is \"up\""),
+            ("1,0,0,,0,0,0,1,0,0,0,1", "az is \"\""),
+            ("1,0,0,9.81,NaN,0,0,1,0,0,0,1", "gx is NaN"),
+            ("1,0,0,9.81,0,inf,0,1,0,0,0,1", "gy is inf"),
+            ("1.5,0,0,9.81,0,0,0,1,0,0,0,1", "t_us is \"1.5\""),
+            (
+                "0,0,0,9.81,0,0,0,1,0,0,0,1",
+                "t_us is 0, not after the row before, 0",
+            ),
+            ("-1,0,0,9.81,0,0,0,1,0,0,0,1", "not after"),
+            (
+                "1,0,0,4096,0,0,0,1,0,0,0,1",
+                "az is 4096, which no such sensor reports; m/s²",
+            ),
+            ("1,0,0,9.81,0,0,-827,1,0,0,0,1", "gz is -827"),
+            ("1,0,0,9.81,0,0,0,1,,0,0,1", "give all four"),
+            ("1,0,0,9.81,0,0,0,1,0.2,0,0,1", "length 1.0198"),
+            ("1,0,0,9.81,0,0,0,0,0,0,0,1", "length 0.0000"),
+            ("1,0,0,9.81,0,0,0,1,0,0,0,2", "mov is \"2\""),
+            ("1,0,0,9.81,0,0,0,1,0,0,0,", "mov is \"\""),
+        ];
+        for (row, expected) in cases {
+            let (line, reason) = refusal(row);
+            assert_eq!(line, Some(3), "{row}");
+            assert!(reason.contains(expected), "{row}: {reason}");
+        }
+    }
+
+    #[test]
+    fn the_file_as_a_whole_is_checked_too() {
+        assert!(matches!(parse(""), Err((None, LogFault::Empty))));
+        assert!(matches!(
+            parse(&format!("{HEADER}\n{GOOD}\n")),
+            Err((None, LogFault::TooShort))
+        ));
+        for header in [
+            "t_us,ax,ay,az,gx,gy",
+            "time,ax,ay,az,gx,gy,gz",
+            "t_us,ax,ay,az,gx,gy,gz,mov",
+            "",
+        ] {
+            assert!(
+                matches!(
+                    parse(&format!("{header}\n")),
+                    Err((Some(1), LogFault::Header(_)))
+                ),
+                "{header}"
+            );
+        }
+        let binary = [HEADER.as_bytes(), b"\n\xFF\xFE\n"].concat();
+        assert!(matches!(
+            Log::parse(&binary[..], false),
+            Err((Some(2), LogFault::NotText))
+        ));
+    }
+
+    /// A file of its own for each test, removed at the end.
+    struct Temporary(PathBuf);
+
+    impl Temporary {
+        fn new(name: &str, bytes: &[u8]) -> Self {
+            let path = std::env::temp_dir().join(format!("aplomb-{}-{name}", std::process::id()));
+            File::create(&path).unwrap().write_all(bytes).unwrap();
+            Self(path)
+        }
+    }
+
+    impl Drop for Temporary {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_file(&self.0);
+        }
+    }
+
+    fn zip(text: &str) -> Vec<u8> {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+        encoder.write_all(text.as_bytes()).unwrap();
+        encoder.finish().unwrap()
+    }
+
+    fn long_log() -> String {
+        let rows: Vec<String> = (0..500)
+            .map(|index| format!("{},0.{index},1,9,0,0,0,1,0,0,0,1", index * 5000))
+            .collect();
+        format!("{HEADER}\n{}\n", rows.join("\n"))
+    }
+
+    #[test]
+    fn plain_and_zipped_files_read_alike_whatever_their_names() {
+        let plain = Temporary::new("plain.csv.gz", long_log().as_bytes());
+        let zipped = Temporary::new("zipped.csv", &zip(&long_log()));
+        let log = Log::read(&plain.0).unwrap();
+        assert_eq!(log.rows().len(), 500);
+        assert_eq!(log, Log::read(&zipped.0).unwrap());
+    }
+
+    #[test]
+    fn a_cut_off_or_damaged_zip_is_refused() {
+        let mut bytes = zip(&long_log());
+        let cut = Temporary::new("cut.csv.gz", &bytes[..bytes.len() / 2]);
+        let error = Log::read(&cut.0).unwrap_err();
+        assert!(matches!(error.reason, LogFault::Gzip(_)), "{error}");
+        assert!(
+            error
+                .to_string()
+                .starts_with(&format!("{}:", cut.0.display())),
+            "{error}"
+        );
+        // The checksum stands in the last eight bytes.
+        let checksum = bytes.len() - 8;
+        bytes[checksum] ^= 1;
+        let damaged = Temporary::new("damaged.csv.gz", &bytes);
+        assert!(matches!(
+            Log::read(&damaged.0).unwrap_err().reason,
+            LogFault::Gzip(_)
+        ));
+    }
+
+    #[test]
+    fn a_message_has_file_line_and_reason() {
+        let file = Temporary::new("message.csv", format!("{HEADER}\n{GOOD}\nx\n").as_bytes());
+        let message = Log::read(&file.0).unwrap_err().to_string();
+        assert_eq!(
+            message,
+            format!(
+                "{}:3: the row has 1 columns, but the header has 12",
+                file.0.display()
+            )
+        );
+        let missing = Log::read(Path::new("/no/such/log.csv")).unwrap_err();
+        assert!(
+            missing
+                .to_string()
+                .starts_with("/no/such/log.csv: the file cannot be opened"),
+            "{missing}"
+        );
+    }
+}

@@ -1,0 +1,30 @@
+//! Motion sources: where the sensor really is and what it really feels, at any time from power-up on.
+//!
+//! - [`quadrotor`]: a simulated flight with physics, by seed;
+//! - [`recording`]: a recorded log, led in by rest and a smooth turn into its first pose;
+//! - [`rest`]: a body that stands still, or is nudged once: for tests with closed-form answers.
+//!
+//! Everything here is in double precision and shares no code with the library that is being judged.
+
+pub mod airframe;
+pub mod autopilot;
+pub mod geometry;
+pub mod log;
+pub mod mount;
+pub mod quadrotor;
+pub mod recording;
+pub mod rest;
+pub mod route;
+pub mod truth;
+pub mod turn;
+pub mod wind;
+
+pub use geometry::{Quaternion, Vector};
+pub use mount::Mount;
+pub use truth::{Truth, inclination_error_rad};
+
+/// A body's motion through time.
+pub trait Motion: Send {
+    /// The truth at `time_s` seconds after power-up. Calls come with non-decreasing times.
+    fn at(&mut self, time_s: f64) -> Truth;
+}

@@ -1,0 +1,139 @@
+//! The files that a flight leaves in its output folder.
+//!
+//! | file | what it holds |
+//! |---|---|
+//! | `attitude.csv` | a row per published sample: what the firmware published |
+//! | `bursts.csv` | a row per published sample: the bytes that the bus delivered for it |
+//! | `truth.csv` | a row per published sample: how the board really moved at its edge, as far as that is known |
+//! | `uart.log` | the UART's bytes |
+//! | `attitude.png` | estimate against truth, and the error |
+//! | `summary.json` | the figures |
+//!
+//! The rows of the three tables belong together by their times, which are the firmware's. Numbers are in their shortest
+//! form that reads back as the same number. Flags are names joined by `|`.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+use aplomb::health::Flags;
+use aplomb::units::degrees;
+
+use crate::Error;
+use crate::flight::Outcome;
+use crate::plot::{self, Labels};
+use crate::recorder::Sample;
+
+/// Writes all files into a folder, which is made if need be.
+///
+/// # Errors
+///
+/// When a file cannot be written.
+pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Error> {
+    fs::create_dir_all(folder).map_err(|cause| Error::Output(folder.into(), cause.to_string()))?;
+    let samples = outcome.samples();
+    in_file(folder, "attitude.csv", |file| write_attitude(file, samples))?;
+    in_file(folder, "bursts.csv", |file| write_bursts(file, samples))?;
+    in_file(folder, "truth.csv", |file| write_truth(file, samples))?;
+    in_file(folder, "uart.log", |file| {
+        let bytes: Vec<u8> = outcome.record.heard.iter().map(|heard| heard.byte).collect();
+        file.write_all(&bytes)
+    })?;
+    in_file(folder, "attitude.png", |file| plot::write(file, samples, labels))?;
+    in_file(folder, "summary.json", |file| {
+        serde_json::to_writer_pretty(&mut *file, &outcome.summary)?;
+        writeln!(file)
+    })
+}
+
+fn in_file(
+    folder: &Path,
+    name: &str,
+    content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<(), Error> {
+    let path = folder.join(name);
+    let written = File::create(&path).and_then(|file| {
+        let mut file = BufWriter::new(file);
+        content(&mut file)?;
+        file.flush()
+    });
+    written.map_err(|cause| Error::Output(path, cause.to_string()))
+}
+
+/// `attitude.csv`.
+///
+/// # Errors
+///
+/// When the writer refuses.
+pub fn write_attitude(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
+    writeln!(to, "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags")?;
+    for sample in samples {
+        let snapshot = &sample.snapshot;
+        let (attitude, euler, rates) = (snapshot.attitude, snapshot.euler(), snapshot.body_rates_rad_s);
+        writeln!(
+            to,
+            "{},{},{},{},{},{},{},{},{},{},{},{}",
+            snapshot.t_us,
+            attitude.w,
+            attitude.x,
+            attitude.y,
+            attitude.z,
+            degrees(euler.roll_rad),
+            degrees(euler.pitch_rad),
+            degrees(euler.yaw_rad),
+            degrees(rates.x),
+            degrees(rates.y),
+            degrees(rates.z),
+            snapshot.flags,
+        )?;
+    }
+    Ok(())
+}
+
+/// `bursts.csv`. Of the flags it has the one that goes into the pipeline with the bytes: `MISSED`.
+///
+/// # Errors
+///
+/// When the writer refuses.
+pub fn write_bursts(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
+    writeln!(to, "t_us,bytes,flags")?;
+    for sample in samples {
+        write!(to, "{},", sample.snapshot.t_us)?;
+        for byte in sample.burst.bytes {
+            write!(to, "{byte:02x}")?;
+        }
+        let missed = Flags::NONE.with(Flags::MISSED, sample.snapshot.flags.contains(Flags::MISSED));
+        writeln!(to, ",{missed}")?;
+    }
+    Ok(())
+}
+
+/// `truth.csv`: the same quantities as in `attitude.csv`, and whether the sample counts for scores.
+///
+/// # Errors
+///
+/// When the writer refuses.
+pub fn write_truth(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
+    writeln!(to, "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,scored")?;
+    for sample in samples {
+        let Some(truth) = sample.edge.map(|edge| edge.truth) else {
+            continue;
+        };
+        let Some(attitude) = truth.attitude else {
+            continue;
+        };
+        let [roll, pitch, yaw] = plot::euler_deg(attitude);
+        let [p, q, r] = truth.body_rates_rad_s.map(f64::to_degrees);
+        writeln!(
+            to,
+            "{},{},{},{},{},{roll},{pitch},{yaw},{p},{q},{r},{}",
+            sample.snapshot.t_us,
+            attitude.w,
+            attitude.x,
+            attitude.y,
+            attitude.z,
+            u8::from(truth.scored),
+        )?;
+    }
+    Ok(())
+}

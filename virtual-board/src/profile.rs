@@ -1,0 +1,449 @@
+//! Which exception executed how many instructions, exactly.
+//!
+//! The emulated core is wrapped. A breakpoint on every handler of the vector table shows each entry. A return shows in
+//! one of two ways: if the core has only just slept when it is interrupted, at a breakpoint where the idle loop goes on;
+//! else the handler is executed one instruction at a time. (Breakpoints in busy code would slow the emulator down for good.)
+//! At each of these points IPSR says which exception is running, and the instructions since the last look belong to the
+//! one before. Tail-chained entries keep the interrupted context's frame, so the stack pointer tells them from nested
+//! ones. None of this takes an instruction or virtual time, and the run never hears of it.
+//!
+//! Handlers are expected on the main stack, as RTIC and cortex-m-rt have them.
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
+
+use rigless::emulator::{
+    Access, AccessKind, BitAlias, Checked, CoreBus, DataModel, Error, Exit, HaltReason, HostCall, InterruptLine,
+    Processor, Queued,
+};
+use rigless::soc::{Endian, Width};
+use rigless::time::VirtualNanos;
+
+/// One more than the highest exception number of the part: 16 of the core, 91 of the STM32F427, and some to spare.
+pub const EXCEPTIONS: usize = 128;
+
+/// Thread mode, where no exception runs.
+pub const THREAD: usize = 0;
+
+/// The exception number of an interrupt.
+#[must_use]
+pub const fn exception_of(interrupt: usize) -> usize {
+    16 + interrupt
+}
+
+/// Instructions executed, by exception number; [`THREAD`] is everything outside of exceptions.
+pub type Counts = [u64; EXCEPTIONS];
+
+/// The account that a [`ProfiledProcessor`] keeps.
+#[derive(Debug)]
+pub struct Profile {
+    counts: Counts,
+    /// The exception that runs, and the count of all instructions when it was last credited.
+    current: usize,
+    credited_at: u64,
+    /// Changes of context that could not be explained. Zero, or the account is wrong.
+    unexplained: u64,
+}
+
+impl Default for Profile {
+    fn default() -> Self {
+        Self {
+            counts: [0; EXCEPTIONS],
+            current: THREAD,
+            credited_at: 0,
+            unexplained: 0,
+        }
+    }
+}
+
+impl Profile {
+    /// The account when `retired` instructions had been executed altogether.
+    #[must_use]
+    pub fn counts(&self, retired: u64) -> Counts {
+        let mut counts = self.counts;
+        counts[self.current] += retired.saturating_sub(self.credited_at);
+        counts
+    }
+
+    /// The exception that runs.
+    #[must_use]
+    pub fn current(&self) -> usize {
+        self.current
+    }
+
+    /// Changes of context that could not be explained. Zero, or the account is wrong.
+    #[must_use]
+    pub fn unexplained(&self) -> u64 {
+        self.unexplained
+    }
+
+    fn switch(&mut self, retired: u64, exception: usize) {
+        self.counts[self.current] += retired - self.credited_at;
+        self.credited_at = retired;
+        self.current = exception;
+    }
+}
+
+/// A processor that keeps a [`Profile`] and otherwise does what the one inside does.
+#[derive(Debug)]
+pub struct ProfiledProcessor {
+    inner: Box<dyn Processor>,
+    profile: Arc<Mutex<Profile>>,
+    /// The handlers' first instructions, by exception number.
+    handlers: Vec<u64>,
+    is_armed: bool,
+    /// The exceptions that run or are interrupted, the outermost first.
+    activations: Vec<Activation>,
+    /// The addresses with a breakpoint at which idle loops go on.
+    wakes_at: BTreeSet<u64>,
+    /// Instructions executed when the core last slept.
+    slept_at: u64,
+}
+
+/// An exception whose handler has been entered and has not returned.
+#[derive(Clone, Copy, Debug)]
+struct Activation {
+    exception: usize,
+    /// The stack pointer on entry, which is where the interrupted context's frame is.
+    frame: u64,
+    /// Whether no breakpoint will show the return.
+    is_stepped: bool,
+}
+
+/// Instructions that an idle loop may execute between the end of its sleep and the interrupt that ended it: one that
+/// sleeps with interrupts masked has to unmask them first.
+const WAKE_UP_INSTRUCTIONS: u64 = 32;
+
+/// GDB's numbers for the registers (the target description of an M-profile core).
+const STACK_POINTER: usize = 13;
+const STATUS: usize = 16;
+
+/// Offset of the return address in an exception frame (DDI 0403E.b, section B1.5.6).
+const RETURN_ADDRESS: u64 = 24;
+
+/// IPSR in the status register (section B1.4.2).
+const EXCEPTION_NUMBER: u64 = 0x1FF;
+
+impl ProfiledProcessor {
+    /// Wraps a processor. `handlers` are the vector table's entries by exception number.
+    #[must_use]
+    pub fn new(inner: Box<dyn Processor>, handlers: Vec<u32>, profile: Arc<Mutex<Profile>>) -> Self {
+        Self {
+            inner,
+            profile,
+            handlers: handlers.into_iter().map(|handler| u64::from(handler & !1)).collect(),
+            is_armed: false,
+            activations: Vec::new(),
+            wakes_at: BTreeSet::new(),
+            slept_at: 0,
+        }
+    }
+
+    fn register(&self, number: usize) -> u64 {
+        let bytes = self.inner.gdb_register(number).unwrap_or_default();
+        bytes.iter().rev().fold(0, |value, &byte| value << 8 | u64::from(byte))
+    }
+
+    fn exception(&self) -> usize {
+        usize::try_from(self.register(STATUS) & EXCEPTION_NUMBER).unwrap_or(THREAD).min(EXCEPTIONS - 1)
+    }
+
+    /// Puts a breakpoint on every handler, and none on what the table leaves empty.
+    fn arm(&mut self) {
+        self.is_armed = true;
+        let mut addresses: Vec<u64> = self.handlers.iter().copied().filter(|&address| address != 0).collect();
+        addresses.sort_unstable();
+        addresses.dedup();
+        for address in addresses {
+            self.inner.add_breakpoint(address);
+        }
+    }
+
+    /// Finds out which exception runs now, and credits the instructions since the last time.
+    fn look(&mut self, bus: &mut dyn CoreBus) {
+        let exception = self.exception();
+        let is_entry = exception != THREAD && self.handlers.get(exception) == Some(&self.inner.pc());
+        let is_explained = if is_entry {
+            self.enter(exception, bus);
+            true
+        } else {
+            self.leave_to(exception)
+        };
+        let retired = self.inner.retired();
+        if let Ok(mut profile) = self.profile.lock() {
+            profile.unexplained += u64::from(!is_explained);
+            profile.switch(retired, exception);
+        }
+    }
+
+    /// The same, unless the exception is the one that ran before.
+    fn look_again(&mut self, bus: &mut dyn CoreBus) {
+        if self.profile.lock().is_ok_and(|profile| profile.current != self.exception()) {
+            self.look(bus);
+        }
+    }
+
+    /// The core is at the first instruction of an exception's handler.
+    fn enter(&mut self, exception: usize, bus: &mut dyn CoreBus) {
+        let frame = self.register(STACK_POINTER);
+        if let Some(last) = self.activations.last_mut()
+            && last.frame == frame
+        {
+            last.exception = exception;
+            return;
+        }
+        let is_awake_for = self.inner.retired() - self.slept_at;
+        let will_wake = is_awake_for <= WAKE_UP_INSTRUCTIONS && self.activations.is_empty();
+        if will_wake {
+            let access = Access::new(AccessKind::Read, frame + RETURN_ADDRESS, Width::W32, 0);
+            let wakes_at = bus.access(access, false).unwrap_or(0) & !1;
+            if self.wakes_at.insert(wakes_at) {
+                self.inner.add_breakpoint(wakes_at);
+            }
+        }
+        self.activations.push(Activation {
+            exception,
+            frame,
+            is_stepped: !will_wake,
+        });
+    }
+
+    /// Drops the activations that have ended, if `exception` runs now. Says whether that explains it.
+    fn leave_to(&mut self, exception: usize) -> bool {
+        while self.activations.last().is_some_and(|last| last.exception != exception) {
+            self.activations.pop();
+        }
+        !self.activations.is_empty() || exception == THREAD
+    }
+}
+
+impl Processor for ProfiledProcessor {
+    fn run(&mut self, budget: u32, bus: &mut dyn CoreBus) -> (Exit, u64) {
+        if !self.is_armed {
+            self.arm();
+        }
+        let start = self.inner.retired();
+        if self.inner.waiting() {
+            self.slept_at = start;
+        }
+        let mut stretch = Stretch {
+            bus,
+            until: start + u64::from(budget),
+            is_stepped: false,
+        };
+        let exit = loop {
+            stretch.is_stepped = self.activations.iter().any(|activation| activation.is_stepped);
+            let left = stretch.until.saturating_sub(self.inner.retired());
+            let budget = if stretch.is_stepped { 1 } else { u32::try_from(left).unwrap_or(u32::MAX) };
+            match self.inner.run(budget, &mut stretch) {
+                (Exit::Breakpoint, _) => {
+                    self.look(stretch.bus);
+                    self.inner.pass_breakpoint(self.inner.pc());
+                }
+                (Exit::Budget, _) if stretch.is_stepped => self.look_again(stretch.bus),
+                (exit, _) => break exit,
+            }
+            if self.inner.retired() >= stretch.until {
+                break Exit::Budget;
+            }
+        };
+        self.look_again(stretch.bus);
+        (exit, self.inner.retired() - start)
+    }
+
+    fn reset(&mut self) {
+        self.inner.reset();
+        self.activations.clear();
+        let retired = self.inner.retired();
+        if let Ok(mut profile) = self.profile.lock() {
+            profile.switch(retired, THREAD);
+        }
+    }
+
+    #[expect(unsafe_code, reason = "the emulator hands its memory over by pointer, and this only passes it on")]
+    unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
+        // SAFETY: the caller's promise is passed on whole; the inner processor lives as long as this one.
+        unsafe { self.inner.map(start, length, host, writable) };
+    }
+
+    fn retired(&self) -> u64 {
+        self.inner.retired()
+    }
+
+    fn ask(&mut self, queued: Queued) {
+        self.inner.ask(queued);
+    }
+
+    fn maps(&self, start: u64, length: u64) -> bool {
+        self.inner.maps(start, length)
+    }
+
+    fn page_size(&self) -> u64 {
+        self.inner.page_size()
+    }
+
+    fn boot(&mut self, table: u64, read: &dyn Fn(u64, Width) -> Option<u64>) {
+        self.inner.boot(table, read);
+    }
+
+    fn take_reset_request(&mut self) -> bool {
+        self.inner.take_reset_request()
+    }
+
+    fn next_event(&self) -> Option<VirtualNanos> {
+        self.inner.next_event()
+    }
+
+    fn on_event(&mut self, now: VirtualNanos) {
+        self.inner.on_event(now);
+    }
+
+    fn waiting(&self) -> bool {
+        self.inner.waiting()
+    }
+
+    fn pc(&self) -> u64 {
+        self.inner.pc()
+    }
+
+    fn add_breakpoint(&mut self, address: u64) -> bool {
+        self.inner.add_breakpoint(address)
+    }
+
+    fn remove_breakpoint(&mut self, address: u64) {
+        self.inner.remove_breakpoint(address);
+    }
+
+    fn pass_breakpoint(&mut self, address: u64) {
+        self.inner.pass_breakpoint(address);
+    }
+
+    fn attach_debugger(&mut self, attached: bool) {
+        self.inner.attach_debugger(attached);
+    }
+
+    fn hold_interrupts(&mut self, held: bool) {
+        self.inner.hold_interrupts(held);
+    }
+
+    fn gdb_register(&self, number: usize) -> Option<Vec<u8>> {
+        self.inner.gdb_register(number)
+    }
+
+    fn set_gdb_register(&mut self, number: usize, bytes: &[u8]) -> bool {
+        self.inner.set_gdb_register(number, bytes)
+    }
+
+    fn debugger_access(&mut self, write: Option<u64>, address: u64, width: Width, now: VirtualNanos) -> Option<u64> {
+        self.inner.debugger_access(write, address, width, now)
+    }
+
+    fn take_debugger_trace(&mut self) -> Vec<u8> {
+        self.inner.take_debugger_trace()
+    }
+
+    fn target_xml(&self) -> &'static str {
+        self.inner.target_xml()
+    }
+
+    fn data_model(&self) -> DataModel {
+        self.inner.data_model()
+    }
+
+    fn byte_order(&self, address: u64) -> Endian {
+        self.inner.byte_order(address)
+    }
+
+    fn save(&self) -> Vec<u8> {
+        self.inner.save()
+    }
+
+    fn load(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        self.inner.load(bytes)
+    }
+
+    fn monitor_command(&mut self, command: &str) -> Option<String> {
+        self.inner.monitor_command(command)
+    }
+
+    fn debugger_halted(&mut self, why: HaltReason) -> bool {
+        self.inner.debugger_halted(why)
+    }
+
+    fn bit_alias(&self, address: u64, width: Width) -> Option<BitAlias> {
+        self.inner.bit_alias(address, width)
+    }
+
+    fn own_ranges(&self) -> Vec<std::ops::Range<u64>> {
+        self.inner.own_ranges()
+    }
+
+    fn check_reads(&mut self, every: bool) {
+        self.inner.check_reads(every);
+    }
+
+    fn check_words(&mut self, words: &[u64]) {
+        self.inner.check_words(words);
+    }
+
+    fn host_call(&self, read: &mut dyn FnMut(u64, Width) -> Option<u64>) -> Option<HostCall> {
+        self.inner.host_call(read)
+    }
+
+    fn answer_host_call(&mut self, answer: Option<u64>) {
+        self.inner.answer_host_call(answer);
+    }
+}
+
+/// The bus of a stretch of execution, which notes how far the stretch may go: an access can extend it.
+struct Stretch<'a> {
+    bus: &'a mut dyn CoreBus,
+    until: u64,
+    /// Whether the processor comes back after every instruction.
+    is_stepped: bool,
+}
+
+impl CoreBus for Stretch<'_> {
+    fn carry_on(&mut self, instructions: u64, event: Option<VirtualNanos>) -> Option<u32> {
+        if self.is_stepped {
+            return None;
+        }
+        let left = self.bus.carry_on(instructions, event);
+        if let Some(left) = left {
+            self.until = instructions + u64::from(left);
+        }
+        left
+    }
+
+    fn access(&mut self, access: Access, from_code: bool) -> Option<u64> {
+        self.bus.access(access, from_code)
+    }
+
+    fn time(&self, instructions: u64) -> VirtualNanos {
+        self.bus.time(instructions)
+    }
+
+    fn queued(&mut self) -> Vec<Queued> {
+        self.bus.queued()
+    }
+
+    fn acknowledge(&mut self, line: InterruptLine, instructions: u64) -> Option<u64> {
+        self.bus.acknowledge(line, instructions)
+    }
+
+    fn read_checked(&mut self, access: Access, report: bool) -> Option<Checked> {
+        self.bus.read_checked(access, report)
+    }
+
+    fn write_checked(&mut self, access: Access) -> Option<bool> {
+        self.bus.write_checked(access)
+    }
+
+    fn stops_before(&mut self, access: &Access) -> bool {
+        self.bus.stops_before(access)
+    }
+
+    fn send_trace(&mut self, bytes: &[u8]) {
+        self.bus.send_trace(bytes);
+    }
+}

@@ -1,0 +1,339 @@
+//! What is noted while the firmware runs: every published snapshot with its cause and its cost, the log, the UART.
+//!
+//! The emulator calls [`Recorder`] after every access to a peripheral and whenever it stops, with the firmware between
+//! two instructions. Nothing noted here changes the run, except that the probe, if there is one, empties the log buffer.
+
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::health::Flags;
+use aplomb::pipeline::Snapshot;
+use rigless::emulator::{AccessKind, Driver, Hit, Host, Memory, Settled, Stop, Watch};
+use rigless::mcu::Operate;
+use rigless::session::Session;
+use rigless::soc::stm32f427::generated::TIM5;
+use rigless::soc::stm32f427::generated::tim5::{Register, cr1, egr};
+use rigless::soc::{Layout, Width};
+use rigless::time::VirtualNanos;
+
+use crate::board::Board;
+use crate::image::Firmware;
+use crate::mcu::HeardByte;
+use crate::probe::{LogLine, Probe};
+use crate::profile::{Counts, EXCEPTIONS, Profile, exception_of};
+use crate::sensor::{Burst, DataReady};
+
+/// Offset of the count in the published structure; the snapshot is at 0.
+const SEQUENCE: u64 = 40;
+
+/// How often the probe empties the log, in virtual time.
+const SERVICE_PERIOD_NS: u64 = 1_000_000;
+
+/// What unused stack is filled with.
+const STACK_PATTERN: u32 = 0xA5A5_A5A5;
+
+/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1 events and errors, TIM5.
+const INPUT_INTERRUPTS: [usize; 5] = [11, 7, 31, 32, 50];
+
+/// A published sample.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// What the firmware published.
+    pub snapshot: Snapshot,
+    /// When, ns since power-up.
+    pub published_ns: u64,
+    /// The burst that the bus had delivered last.
+    pub burst: Burst,
+    /// The edge that announced the burst's data, with the true motion at that instant.
+    pub edge: Option<DataReady>,
+    /// The true time of the edge by the firmware's clock, in microseconds with their fraction.
+    pub true_t_us: Option<f64>,
+    /// Instructions from the edge on, of all interrupts and of the attitude task. `None` if something else happened
+    /// before the next edge than one publication.
+    pub instructions: Option<u64>,
+    /// The same without the attitude task.
+    pub input_instructions: Option<u64>,
+}
+
+/// How the run goes on, told about ten times a second of real time.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// Virtual time passed, ns.
+    pub now_ns: u64,
+    /// Virtual time at which the run ends, ns.
+    pub end_ns: u64,
+}
+
+/// Whoever wants to see the run while it goes on.
+pub trait Observer: Send {
+    /// The firmware has logged a line.
+    fn log(&mut self, _line: &LogLine) {}
+
+    /// Time has passed.
+    fn progress(&mut self, _progress: Progress) {}
+}
+
+/// An observer that looks away.
+pub struct Nobody;
+
+impl Observer for Nobody {}
+
+/// Everything that was noted.
+#[derive(Debug, Default)]
+pub struct Record {
+    /// Published samples, in order.
+    pub samples: Vec<Sample>,
+    /// Data-ready edges, in order.
+    pub edges: Vec<DataReady>,
+    /// The firmware's log, as the probe read it.
+    pub log: Vec<LogLine>,
+    /// What came out of the UART.
+    pub heard: Vec<HeardByte>,
+    /// Instructions executed and virtual time when the first sample was published.
+    pub first: Option<(u64, u64)>,
+    /// Instructions executed and virtual time at the end.
+    pub last: (u64, u64),
+    /// How much of the stack was ever written, in bytes.
+    pub stack_bytes_used: u64,
+}
+
+/// Notes a run.
+pub struct Recorder {
+    end_ns: u64,
+    snapshot: u64,
+    stack: std::ops::Range<u64>,
+    probe: Option<Probe>,
+    observer: Box<dyn Observer>,
+    profile: Arc<Mutex<Profile>>,
+    timer: Timer,
+    next_service_ns: u64,
+    told_at: Instant,
+    /// The account at the last edge, and the number of samples published before it.
+    window: Option<(Box<Counts>, usize)>,
+    /// The exception that publishes.
+    attitude: Option<usize>,
+    last_burst: Option<Burst>,
+    record: Record,
+}
+
+impl Recorder {
+    /// A recorder of one run.
+    #[must_use]
+    pub fn new(
+        firmware: &Firmware,
+        end_ns: u64,
+        probe: Option<Probe>,
+        timer_starts_at: Option<u32>,
+        profile: Arc<Mutex<Profile>>,
+        observer: Box<dyn Observer>,
+    ) -> Self {
+        Self {
+            end_ns,
+            snapshot: firmware.snapshot,
+            stack: firmware.stack.clone(),
+            probe,
+            observer,
+            profile,
+            timer: Timer {
+                zero_ns: None,
+                starts_at: timer_starts_at,
+            },
+            next_service_ns: 0,
+            told_at: Instant::now(),
+            window: None,
+            attitude: None,
+            last_burst: None,
+            record: Record::default(),
+        }
+    }
+
+    /// What was noted, once the run is over.
+    #[must_use]
+    pub fn into_record(self) -> Record {
+        self.record
+    }
+
+    fn counts(&self, retired: u64) -> Box<Counts> {
+        let counts = self.profile.lock().map(|profile| profile.counts(retired));
+        Box::new(counts.unwrap_or([0; EXCEPTIONS]))
+    }
+
+    /// Notes the edges and bursts up to now.
+    fn follow_sensor(&mut self, session: &mut Session<Board>, retired: u64) {
+        let sensor = session.board_mut().controller.sensor();
+        let bursts = sensor.take_bursts();
+        self.last_burst = bursts.last().copied().or(self.last_burst);
+        for edge in sensor.take_edges() {
+            self.close_window(retired);
+            self.window = Some((self.counts(retired), self.record.samples.len()));
+            self.record.edges.push(edge);
+        }
+    }
+
+    /// Credits the work since the last edge to the sample published in the meantime.
+    fn close_window(&mut self, retired: u64) {
+        let (Some((before, published)), Some(attitude)) = (self.window.take(), self.attitude) else {
+            return;
+        };
+        let now = self.counts(retired);
+        let [sample] = &mut self.record.samples[published..] else {
+            return;
+        };
+        let worked = |exception: usize| now[exception] - before[exception];
+        let input: u64 = INPUT_INTERRUPTS.into_iter().map(exception_of).map(worked).sum();
+        sample.input_instructions = Some(input);
+        sample.instructions = Some(input + worked(attitude));
+    }
+
+    /// The firmware has counted its published sequence up.
+    fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
+        self.follow_sensor(session, hit.instruction_count);
+        let (Some(snapshot), Some(burst)) = (read_snapshot(host, self.snapshot), self.last_burst) else {
+            return;
+        };
+        self.attitude = self.profile.lock().ok().map(|profile| profile.current());
+        self.record.first.get_or_insert((hit.instruction_count, hit.at.0));
+        let edge = burst.edge.and_then(|index| {
+            let place = self.record.edges.binary_search_by_key(&index, |edge| edge.index).ok()?;
+            self.record.edges.get(place).copied()
+        });
+        self.record.samples.push(Sample {
+            snapshot,
+            published_ns: hit.at.0,
+            burst,
+            edge,
+            true_t_us: edge.and_then(|edge| self.timer.microseconds(edge.time_ns)),
+            instructions: None,
+            input_instructions: None,
+        });
+    }
+
+    /// Takes the firmware's outputs and tells the observer.
+    fn serve(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
+        self.record.heard.append(&mut session.board_mut().controller.listener().take());
+        if let Some(probe) = &mut self.probe {
+            for line in probe.drain(host, now_ns) {
+                self.observer.log(&line);
+                self.record.log.push(line);
+            }
+        }
+        if self.told_at.elapsed().as_millis() >= 100 {
+            self.told_at = Instant::now();
+            self.observer.progress(Progress {
+                now_ns,
+                end_ns: self.end_ns,
+            });
+        }
+    }
+
+    fn end(&mut self, session: &mut Session<Board>, host: &mut dyn Host, stop: Stop) {
+        self.follow_sensor(session, stop.instruction_count);
+        self.close_window(stop.instruction_count);
+        self.serve(session, host, stop.at.0);
+        self.record.last = (stop.instruction_count, stop.at.0);
+        let untouched = self
+            .stack
+            .clone()
+            .step_by(4)
+            .find(|&address| host.read(address, Width::W32).is_ok_and(|word| word != u64::from(STACK_PATTERN)));
+        self.record.stack_bytes_used = self.stack.end - untouched.unwrap_or(self.stack.end);
+    }
+}
+
+impl Driver<Board> for Recorder {
+    fn on_settled(&mut self, session: &mut Session<Board>, host: &mut dyn Host, settled: Settled) {
+        match settled {
+            Settled::Access { access, .. } => {
+                let is_timer = (TIM5.base..TIM5.base + TIM5.size).contains(&access.address);
+                if is_timer && access.kind == AccessKind::Write {
+                    self.timer.written(session, access.address - TIM5.base, access.value, access.virtual_time);
+                }
+            }
+            Settled::Hit(hit) => self.published(session, host, hit),
+            Settled::Stop(stop) => {
+                self.follow_sensor(session, stop.instruction_count);
+                if stop.at.0 >= self.next_service_ns {
+                    self.serve(session, host, stop.at.0);
+                    self.next_service_ns = stop.at.0 + SERVICE_PERIOD_NS;
+                    session.pause_at(Some(VirtualNanos(self.next_service_ns)));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn on_stop(&mut self, session: &mut Session<Board>, stop: Stop, host: &mut dyn Host) -> Option<VirtualNanos> {
+        if stop.instruction_count == 0 {
+            // Before the first instruction.
+            for address in self.stack.clone().step_by(4) {
+                host.write(address, Width::W32, u64::from(STACK_PATTERN)).ok()?;
+            }
+            session.watch(Watch::Writes {
+                address: self.snapshot + SEQUENCE,
+                length: 4,
+            });
+            return Some(VirtualNanos(self.end_ns));
+        }
+        self.end(session, host, stop);
+        None
+    }
+}
+
+/// Follows the firmware's microsecond timer, so that its times can be compared with the true ones.
+#[derive(Debug)]
+struct Timer {
+    /// The instant at which the count was zero, or would have been; ns since power-up.
+    zero_ns: Option<i128>,
+    /// The count to start with in place of zero.
+    starts_at: Option<u32>,
+}
+
+impl Timer {
+    /// The firmware has written a register of the timer.
+    fn written(&mut self, session: &mut Session<Board>, offset: u64, value: u64, at: VirtualNanos) {
+        let register = |register: Register| u64::from(register.spec().offset);
+        let controller = &mut session.board_mut().controller;
+        let is_started = offset == register(Register::Cr1) && cr1::CEN.is_set(value) && self.zero_ns.is_none();
+        let is_restarted = offset == register(Register::Egr) && egr::UG.is_set(value);
+        let is_set = offset == register(Register::Cnt);
+        if !is_started && !(self.zero_ns.is_some() && (is_restarted || is_set)) {
+            return;
+        }
+        let count_address = TIM5.base + register(Register::Cnt);
+        if let Some(count) = self.starts_at.filter(|_| is_started) {
+            controller.write(at, count_address, Width::W32, u64::from(count)).ok();
+        }
+        let count = controller.peek(at, count_address, Width::W32).unwrap_or(0);
+        self.zero_ns = Some(i128::from(at.0) - 1000 * i128::from(count));
+    }
+
+    /// An instant in microseconds by the timer, with their fraction.
+    fn microseconds(&self, at_ns: u64) -> Option<f64> {
+        self.zero_ns.map(|zero_ns| (i128::from(at_ns) - zero_ns) as f64 / 1000.0)
+    }
+}
+
+/// Reads a snapshot from the firmware's memory.
+fn read_snapshot(memory: &mut dyn Host, address: u64) -> Option<Snapshot> {
+    let mut word = |offset: u64| {
+        let value = Memory::read(memory, address + offset, Width::W32).ok()?;
+        u32::try_from(value).ok()
+    };
+    let t_us = u64::from(word(0)?) | u64::from(word(4)?) << 32;
+    let mut float = |offset: u64| word(offset).map(f32::from_bits);
+    let attitude = Quaternion {
+        w: float(8)?,
+        x: float(12)?,
+        y: float(16)?,
+        z: float(20)?,
+    };
+    let body_rates_rad_s = Vector3::new(float(24)?, float(28)?, float(32)?);
+    let flags = Flags::from_bits((word(36)? & 0xFFFF) as u16);
+    Some(Snapshot {
+        t_us,
+        attitude,
+        body_rates_rad_s,
+        flags,
+    })
+}

@@ -1,0 +1,241 @@
+//! What this particular chip gets wrong: the errors of an MPU-6050, drawn within its datasheet's limits.
+//!
+//! Limits are from the product specification r3.4, sections 6.1 (gyroscope) and 6.2 (accelerometer). The
+//! datasheet gives tolerances, not distributions; the standard deviations are chosen so that a typical chip
+//! is well inside them, as chips in the field are. Not modelled: nonlinearity (0.2 % and 0.5 %), scale drift
+//! with temperature, 1/f noise.
+
+use crate::motion::Vector;
+use crate::motion::geometry::{add, dot, scale};
+use crate::motion::truth::STANDARD_GRAVITY_M_S2;
+use crate::random::Random;
+
+/// The errors of one sensor's three axes, in its own unit: m/s² or rad/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisErrors {
+    /// Row i gives output i: scale errors on the diagonal (1 is perfect), cross-axis sensitivity beside it.
+    pub sensitivity: [Vector; 3],
+    /// Output at zero input and 25 °C.
+    pub offset: Vector,
+    /// Change of the offset per °C.
+    pub offset_per_c: Vector,
+    /// One-sided noise density, per √Hz.
+    pub noise_density: f64,
+}
+
+/// All that is wrong with one chip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorErrors {
+    /// In m/s².
+    pub accelerometer: AxisErrors,
+    /// In rad/s.
+    pub gyroscope: AxisErrors,
+    /// Gyroscope output per specific force along the same axis, rad/s per m/s².
+    pub rate_per_specific_force: Vector,
+    /// How much warmer than the air the chip gets, °C.
+    pub self_heating_c: f64,
+    /// Time constant of the warm-up, s.
+    pub self_heating_time_s: f64,
+    /// Zero-rate error at the moment of waking, rad/s; it dies away within the datasheet's 30 ms.
+    pub start_up_rate: Vector,
+}
+
+/// Temperature at which the datasheet states its offsets, °C.
+const REFERENCE_TEMPERATURE_C: f64 = 25.0;
+
+/// "ZRO settling to ±1 °/s of final: 30 ms" (section 6.1), from at most 20 °/s: e^−3 = 1/20.
+const START_UP_TIME_CONSTANT_S: f64 = 0.010;
+
+impl AxisErrors {
+    /// A perfect sensor.
+    pub const NONE: Self = Self {
+        sensitivity: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        offset: [0.0; 3],
+        offset_per_c: [0.0; 3],
+        noise_density: 0.0,
+    };
+
+    /// The true input as this sensor feels it, without noise.
+    fn distort(&self, input: Vector, warmer_by_c: f64) -> Vector {
+        let offset = add(self.offset, scale(self.offset_per_c, warmer_by_c));
+        add(self.sensitivity.map(|row| dot(row, input)), offset)
+    }
+}
+
+impl SensorErrors {
+    /// A perfect chip: what remains is its registers' resolution and range.
+    #[must_use]
+    pub const fn none() -> Self {
+        Self {
+            accelerometer: AxisErrors::NONE,
+            gyroscope: AxisErrors::NONE,
+            rate_per_specific_force: [0.0; 3],
+            self_heating_c: 0.0,
+            self_heating_time_s: 1.0,
+            start_up_rate: [0.0; 3],
+        }
+    }
+
+    /// A chip off the reel.
+    #[must_use]
+    pub fn typical(seed: u64) -> Self {
+        let mut random = Random::new(seed, "sensor errors");
+        let milli_g = STANDARD_GRAVITY_M_S2 * 1e-3;
+        let degree = 1.0_f64.to_radians();
+        let mut each =
+            |sigma: f64, bounds: Vector| bounds.map(|bound| random.within_tolerance(sigma, bound));
+        let accelerometer_offset = each(18.0, [50.0, 50.0, 80.0]);
+        // ±35 mg (Z ±60 mg) over 0 to 70 °C.
+        let accelerometer_drift = each(0.2, [0.5, 0.5, 0.86]);
+        let gyroscope_offset = each(3.0, [20.0; 3]);
+        // ±20 °/s over −40 to 85 °C.
+        let gyroscope_drift = each(0.05, [0.16; 3]);
+        let rate_per_g = each(0.05, [0.1; 3]);
+        let start_up_rate = each(10.0, [20.0; 3]);
+        // Scale ±3 %, cross-axis ±2 %, the same for both sensors.
+        let mut sensitivity = || {
+            [0, 1, 2].map(|row| {
+                [0, 1, 2].map(|column| {
+                    if row == column {
+                        1.0 + random.within_tolerance(0.01, 0.03)
+                    } else {
+                        random.within_tolerance(0.007, 0.02)
+                    }
+                })
+            })
+        };
+        Self {
+            accelerometer: AxisErrors {
+                sensitivity: sensitivity(),
+                offset: scale(accelerometer_offset, milli_g),
+                offset_per_c: scale(accelerometer_drift, milli_g),
+                noise_density: 0.4 * milli_g,
+            },
+            gyroscope: AxisErrors {
+                sensitivity: sensitivity(),
+                offset: scale(gyroscope_offset, degree),
+                offset_per_c: scale(gyroscope_drift, degree),
+                noise_density: 0.005 * degree,
+            },
+            rate_per_specific_force: scale(rate_per_g, degree / STANDARD_GRAVITY_M_S2),
+            // 3.9 mA at 3.3 V, and a small board that warms with it: a few degrees in a few minutes.
+            self_heating_c: random.uniform(2.0, 6.0),
+            self_heating_time_s: random.uniform(60.0, 180.0),
+            start_up_rate: scale(start_up_rate, degree),
+        }
+    }
+
+    /// The chip's temperature after `awake_s` seconds of operation in air of `air_c`.
+    #[must_use]
+    pub fn chip_temperature_c(&self, air_c: f64, awake_s: f64) -> f64 {
+        air_c + self.self_heating_c * (1.0 - libm::exp(-awake_s / self.self_heating_time_s))
+    }
+
+    /// What the accelerometer feels of the true specific force, without noise.
+    #[must_use]
+    pub fn distort_specific_force(&self, specific_force_m_s2: Vector, chip_c: f64) -> Vector {
+        self.accelerometer
+            .distort(specific_force_m_s2, chip_c - REFERENCE_TEMPERATURE_C)
+    }
+
+    /// What the gyroscope feels of the true rates, without noise.
+    #[must_use]
+    pub fn distort_rates(
+        &self,
+        rates_rad_s: Vector,
+        specific_force_m_s2: Vector,
+        chip_c: f64,
+        awake_s: f64,
+    ) -> Vector {
+        let rates = self
+            .gyroscope
+            .distort(rates_rad_s, chip_c - REFERENCE_TEMPERATURE_C);
+        let settling = libm::exp(-awake_s / START_UP_TIME_CONSTANT_S);
+        [0, 1, 2].map(|axis| {
+            rates[axis]
+                + self.rate_per_specific_force[axis] * specific_force_m_s2[axis]
+                + self.start_up_rate[axis] * settling
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_perfect_chip_changes_nothing() {
+        let errors = SensorErrors::none();
+        let vector = [1.0, -2.0, 3.0];
+        assert_eq!(errors.distort_specific_force(vector, 40.0), vector);
+        assert_eq!(errors.distort_rates(vector, [9.0; 3], 40.0, 0.0), vector);
+        assert_eq!(errors.chip_temperature_c(25.0, 1000.0), 25.0);
+    }
+
+    #[test]
+    fn every_chip_is_within_the_datasheets_limits_and_not_all_are_good() {
+        let milli_g = STANDARD_GRAVITY_M_S2 * 1e-3;
+        let chips: Vec<SensorErrors> = (0..500).map(SensorErrors::typical).collect();
+        for chip in &chips {
+            for axis in 0..3 {
+                let bound_mg = if axis == 2 { 80.0 } else { 50.0 };
+                assert!(chip.accelerometer.offset[axis].abs() <= bound_mg * milli_g);
+                assert!(chip.gyroscope.offset[axis].abs() <= 20.0_f64.to_radians());
+                assert!(chip.gyroscope.offset_per_c[axis].abs() <= 0.16_f64.to_radians());
+                assert!(chip.start_up_rate[axis].abs() <= 20.0_f64.to_radians());
+                for sensor in [&chip.accelerometer, &chip.gyroscope] {
+                    assert!((sensor.sensitivity[axis][axis] - 1.0).abs() <= 0.03);
+                    assert!(sensor.sensitivity[axis][(axis + 1) % 3].abs() <= 0.02);
+                }
+            }
+        }
+        let spread = |value: fn(&SensorErrors) -> f64| {
+            (chips.iter().map(|chip| value(chip).powi(2)).sum::<f64>() / chips.len() as f64).sqrt()
+        };
+        let gyroscope_dps = spread(|chip| chip.gyroscope.offset[0].to_degrees());
+        assert!((gyroscope_dps - 3.0).abs() < 0.3, "{gyroscope_dps}");
+        let accelerometer_mg = spread(|chip| chip.accelerometer.offset[2]) / milli_g;
+        assert!((accelerometer_mg - 18.0).abs() < 2.0, "{accelerometer_mg}");
+    }
+
+    #[test]
+    fn the_chip_warms_up_and_its_offset_goes_along() {
+        let errors = SensorErrors::typical(5);
+        assert_eq!(errors.chip_temperature_c(25.0, 0.0), 25.0);
+        let warm = errors.chip_temperature_c(25.0, 1e4);
+        assert!((warm - 25.0 - errors.self_heating_c).abs() < 1e-9);
+        let cold_rate = errors.distort_rates([0.0; 3], [0.0; 3], 25.0, 10.0);
+        let warm_rate = errors.distort_rates([0.0; 3], [0.0; 3], warm, 10.0);
+        let expected = errors.gyroscope.offset_per_c[0] * errors.self_heating_c;
+        assert!((warm_rate[0] - cold_rate[0] - expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn noise_and_linear_acceleration_sensitivity_are_the_datasheets() {
+        let milli_g = STANDARD_GRAVITY_M_S2 * 1e-3;
+        for seed in 0..50 {
+            let errors = SensorErrors::typical(seed);
+            assert!((errors.accelerometer.noise_density / milli_g - 0.4).abs() < 1e-12);
+            assert!((errors.gyroscope.noise_density.to_degrees() - 0.005).abs() < 1e-12);
+            // 0.1 °/s per g at most, and not nothing.
+            let force = [0.0, STANDARD_GRAVITY_M_S2, 0.0];
+            let with = errors.distort_rates([0.0; 3], force, 25.0, 10.0);
+            let without = errors.distort_rates([0.0; 3], [0.0; 3], 25.0, 10.0);
+            let change_dps = (with[1] - without[1]).to_degrees().abs();
+            assert!(change_dps > 0.0 && change_dps <= 0.1, "{change_dps}");
+            assert_eq!((with[0], with[2]), (without[0], without[2]));
+        }
+    }
+
+    #[test]
+    fn the_zero_rate_output_settles_to_1_degree_per_second_in_30_ms() {
+        for seed in 0..50 {
+            let errors = SensorErrors::typical(seed);
+            for axis in 0..3 {
+                let late = errors.distort_rates([0.0; 3], [0.0; 3], 25.0, 0.030)[axis];
+                let settled = errors.distort_rates([0.0; 3], [0.0; 3], 25.0, 10.0)[axis];
+                assert!((late - settled).to_degrees().abs() <= 1.0);
+            }
+        }
+    }
+}

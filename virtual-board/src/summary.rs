@@ -1,0 +1,134 @@
+//! The figures of a run.
+
+use aplomb::health::Flags;
+use serde::Serialize;
+
+use crate::image::Firmware;
+use crate::motion::{Quaternion, inclination_error_rad};
+use crate::recorder::{Record, Sample};
+
+/// Edges this close to the end may have their sample published after it, ns.
+const IN_FLIGHT_NS: u64 = 2_000_000;
+
+/// The figures, by the names that `summary.json` has.
+///
+/// "Instructions" are counted, not timed: the emulated core has no wait states and no cost of exception entry.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// Published samples.
+    pub samples: usize,
+    /// Data-ready edges without a published sample.
+    pub missed: usize,
+    /// Virtual time, from power-up.
+    pub virtual_seconds: f64,
+    /// Real time that the run took.
+    pub wall_seconds: f64,
+    /// Instructions per sample of all interrupts and of the attitude task.
+    pub instructions_per_sample_mean: Option<f64>,
+    /// The most for any sample.
+    pub instructions_per_sample_max: Option<u64>,
+    /// The same without the attitude task.
+    pub io_instructions_per_sample_mean: Option<f64>,
+    /// Instructions executed of those the core could have executed, from the first sample on, in percent.
+    pub cpu_load_percent: Option<f64>,
+    /// From the data-ready edge to the published attitude.
+    pub edge_to_attitude_us_mean: Option<f64>,
+    /// The longest of these.
+    pub edge_to_attitude_us_max: Option<f64>,
+    /// The largest difference between a sample's published time and its edge's true time on the firmware's clock.
+    pub timestamp_error_us_max: Option<f64>,
+    /// Root mean square of the inclination error over the scored samples after the start-up average.
+    pub inclination_rms_deg: Option<f64>,
+    /// The largest inclination error among them.
+    pub inclination_max_deg: Option<f64>,
+    /// Bytes of flash that the image fills.
+    pub flash_bytes: u64,
+    /// Bytes of RAM with an address at link time; the stack is apart.
+    pub ram_bytes: u64,
+    /// Bytes of stack that were ever used.
+    pub stack_bytes_used: u64,
+}
+
+impl Summary {
+    /// The figures of a run.
+    #[must_use]
+    pub fn of(record: &Record, firmware: &Firmware, core_hz: u64, wall_seconds: f64) -> Self {
+        let samples = &record.samples;
+        let (last_instruction, last_ns) = record.last;
+        let instructions: Vec<u64> = samples.iter().filter_map(|sample| sample.instructions).collect();
+        let input: Vec<f64> =
+            samples.iter().filter_map(|sample| sample.input_instructions).map(|count| count as f64).collect();
+        let latencies_us: Vec<f64> = samples
+            .iter()
+            .filter_map(|sample| Some(sample.published_ns.checked_sub(sample.edge?.time_ns)? as f64 / 1000.0))
+            .collect();
+        let time_errors_us: Vec<f64> =
+            samples.iter().filter_map(|sample| Some((sample.snapshot.t_us as f64 - sample.true_t_us?).abs())).collect();
+        let inclinations_deg: Vec<f64> = samples.iter().filter_map(scored_inclination_deg).collect();
+        let squares: Vec<f64> = inclinations_deg.iter().map(|error| error * error).collect();
+        Self {
+            samples: samples.len(),
+            missed: missed(record),
+            virtual_seconds: last_ns as f64 / 1e9,
+            wall_seconds,
+            instructions_per_sample_mean: mean(&instructions.iter().map(|&count| count as f64).collect::<Vec<_>>()),
+            instructions_per_sample_max: instructions.iter().copied().max(),
+            io_instructions_per_sample_mean: mean(&input),
+            cpu_load_percent: record.first.filter(|&(_, first_ns)| last_ns > first_ns).map(|(first_instruction, first_ns)| {
+                let available = (last_ns - first_ns) as f64 * 1e-9 * core_hz as f64;
+                100.0 * (last_instruction - first_instruction) as f64 / available
+            }),
+            edge_to_attitude_us_mean: mean(&latencies_us),
+            edge_to_attitude_us_max: maximum(&latencies_us),
+            timestamp_error_us_max: maximum(&time_errors_us),
+            inclination_rms_deg: mean(&squares).map(f64::sqrt),
+            inclination_max_deg: maximum(&inclinations_deg),
+            flash_bytes: firmware.flash_bytes,
+            ram_bytes: firmware.ram_bytes,
+            stack_bytes_used: record.stack_bytes_used,
+        }
+    }
+}
+
+/// The inclination error of a sample in degrees, if the truth is known.
+#[must_use]
+pub fn inclination_deg(sample: &Sample) -> Option<f64> {
+    let truth = sample.edge?.truth.attitude?;
+    let attitude = sample.snapshot.attitude;
+    let estimate = Quaternion {
+        w: f64::from(attitude.w),
+        x: f64::from(attitude.x),
+        y: f64::from(attitude.y),
+        z: f64::from(attitude.z),
+    };
+    Some(inclination_error_rad(estimate, truth).to_degrees())
+}
+
+/// The same, if the sample counts.
+fn scored_inclination_deg(sample: &Sample) -> Option<f64> {
+    let counts = sample.edge?.truth.scored && !sample.snapshot.flags.contains(Flags::CALIBRATING);
+    inclination_deg(sample).filter(|_| counts)
+}
+
+/// Counts the edges without a sample, apart from those whose sample was still on its way at the end.
+fn missed(record: &Record) -> usize {
+    let mut published: Vec<u64> =
+        record.samples.iter().filter_map(|sample| sample.edge).map(|edge| edge.index).collect();
+    published.dedup();
+    let in_flight_from_ns = record.last.1.saturating_sub(IN_FLIGHT_NS);
+    let last_published = published.last().copied();
+    record
+        .edges
+        .iter()
+        .filter(|edge| edge.time_ns < in_flight_from_ns || last_published.is_some_and(|last| edge.index < last))
+        .filter(|edge| published.binary_search(&edge.index).is_err())
+        .count()
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+fn maximum(values: &[f64]) -> Option<f64> {
+    values.iter().copied().reduce(f64::max)
+}
