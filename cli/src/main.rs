@@ -1,13 +1,18 @@
 //! `aplomb`: replays recordings through the library, and measures its filters.
 
+mod bench;
 mod filter;
 mod log;
 mod number;
 mod peers;
+mod plot;
 mod progress;
+mod recording;
 mod replay;
 mod score;
+mod simulated;
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -17,11 +22,13 @@ use clap::Parser;
 #[command(version, arg_required_else_help = true)]
 enum Command {
     Replay(replay::Options),
+    Bench(bench::Options),
 }
 
 fn main() -> ExitCode {
     let result = match Command::parse() {
         Command::Replay(options) => replay::run(&options),
+        Command::Bench(options) => bench::run(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -30,4 +37,9 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Prints a text. That nobody reads on, as behind `head`, is no error.
+fn say(text: &str) {
+    let _ = writeln!(std::io::stdout(), "{text}");
 }

@@ -19,7 +19,7 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
 
-use crate::filter::{Choice, Filter, extrapolate};
+use crate::filter::{Choice, Filter, extrapolate, up_in_body};
 use crate::log::{self, Fault, Lines, Refusal, Row};
 use crate::number;
 use crate::progress;
@@ -27,6 +27,9 @@ use crate::score::{Errors, START_US, up_in_sensor};
 
 /// The first line of the output.
 pub const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,up_x,up_y,up_z,tilt_sigma_deg,flags";
+
+/// A first guess for filters that want one; each row then brings its own step.
+const USUAL_STEP_S: f32 = 0.001;
 
 /// Run a recording through a filter: one attitude for each row.
 ///
@@ -110,7 +113,7 @@ fn replay(options: &Options, source: &mut impl Source) -> Result<(), Box<dyn Err
         let first_us = *first_us.get_or_insert(point.t_us);
         last_us = point.t_us;
         rows += 1;
-        let up = options.mount.to_sensor(-point.attitude.down_in_body());
+        let up = options.mount.to_sensor(up_in_body(point.attitude));
         if let Some(true_up) = point.true_up
             && point.t_us - first_us >= START_US
         {
@@ -129,22 +132,22 @@ fn replay(options: &Options, source: &mut impl Source) -> Result<(), Box<dyn Err
     if let Some(output) = output {
         output.finish()?;
     }
-    println!(
+    crate::say(&format!(
         "{}: {rows} rows, {:.1} s, filter {}, mount {}",
         options.input.display(),
         (last_us - first_us) as f64 * 1e-6,
         options.filter.name(),
         options.mount,
-    );
+    ));
     for (count, (_, name)) in flagged.iter().zip(Flags::NAMES) {
         if *count > 0 {
-            println!("{name}: {count} rows");
+            crate::say(&format!("{name}: {count} rows"));
         }
     }
-    match errors.score() {
-        Some(score) => println!("inclination error: {score}"),
-        None => println!("inclination error: unknown, the recording has no truth that counts"),
-    }
+    crate::say(&match errors.score() {
+        Some(score) => format!("inclination error: {score}"),
+        None => "inclination error: unknown, the recording has no truth that counts".to_owned(),
+    });
     Ok(())
 }
 
@@ -163,7 +166,7 @@ impl Log {
         Self {
             lines,
             columns,
-            filter: Filter::new(options.filter),
+            filter: Filter::new(options.filter, USUAL_STEP_S),
             mount: options.mount,
             delay_s: options.sensor_delay_us as f32 * 1e-6,
             ranges: options.accel_range.zip(options.gyro_range),
@@ -239,7 +242,7 @@ impl Bursts {
                 settings.filter = kind;
                 None
             }
-            other => Some(Filter::new(other)),
+            other => Some(Filter::new(other, USUAL_STEP_S)),
         };
         Self {
             lines,

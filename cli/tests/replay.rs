@@ -10,7 +10,7 @@ use aplomb::mpu6050::{BURST_LENGTH, Burst, Part};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
-use common::{aplomb, assert_golden, file, path};
+use common::{aplomb, file, path};
 
 const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
 const GRAVITY: f64 = 9.80665;
@@ -346,4 +346,25 @@ fn options_that_do_not_go_together_are_refused() {
         assert!(!result.status.success(), "{options:?}");
         assert!(message.contains(reason), "{options:?}: {message}");
     }
+}
+
+/// Holds `contents` to the golden file of this name; `APLOMB_BLESS=1` writes it instead.
+fn assert_golden(name: &str, contents: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/golden")
+        .join(name);
+    if std::env::var_os("APLOMB_BLESS").is_some() {
+        std::fs::write(&path, contents).expect("the golden file can be written");
+        return;
+    }
+    let expected = std::fs::read_to_string(&path).unwrap_or_default();
+    for (number, (line, expected)) in contents.lines().zip(expected.lines()).enumerate() {
+        assert_eq!(line, expected, "{}:{}", path.display(), number + 1);
+    }
+    assert_eq!(
+        contents.lines().count(),
+        expected.lines().count(),
+        "{}: run with APLOMB_BLESS=1 if the change is meant",
+        path.display()
+    );
 }

@@ -64,7 +64,12 @@ pub struct Board {
 impl Board {
     /// A board whose core counts its instructions into `profile` by exception; `handlers` are the vector table's.
     #[must_use]
-    pub fn new(model: BoardModel, controller: Microcontroller, handlers: Vec<u32>, profile: Arc<Mutex<Profile>>) -> Self {
+    pub fn new(
+        model: BoardModel,
+        controller: Microcontroller,
+        handlers: Vec<u32>,
+        profile: Arc<Mutex<Profile>>,
+    ) -> Self {
         Self {
             controller,
             core_hz: NonZeroU64::new(model.core_hz).unwrap_or(NonZeroU64::MIN),
@@ -96,7 +101,9 @@ impl machine::Board for Board {
         let core = armv7m::Core {
             variant: armv7m::Variant::M4,
             clock_hz: self.core_hz,
-            interrupt_lines: NonZeroU32::from(NonZeroU16::new(self.controller.cpu().interrupt_lines).unwrap_or(NonZeroU16::MIN)),
+            interrupt_lines: NonZeroU32::from(
+                NonZeroU16::new(self.controller.cpu().interrupt_lines).unwrap_or(NonZeroU16::MIN),
+            ),
             // PM0214, section 4.3.
             priority_bits: 4,
             // PM0214, section 4.5.
@@ -106,11 +113,16 @@ impl machine::Board for Board {
             boot: "flash",
         };
         let windows = windows(self.controller.bus());
-        let mut spec = core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, armv7m::MpuRegions::Eight);
+        let mut spec =
+            core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, armv7m::MpuRegions::Eight);
         let make = Arc::clone(&spec.processor);
         let (handlers, profile) = (self.handlers.clone(), Arc::clone(&self.profile));
         spec.processor = Arc::new(move |endian| {
-            Ok(Box::new(ProfiledProcessor::new(make(endian)?, handlers.clone(), Arc::clone(&profile))))
+            Ok(Box::new(ProfiledProcessor::new(
+                make(endian)?,
+                handlers.clone(),
+                Arc::clone(&profile),
+            )))
         });
         vec![Target::new(CORE, &mut self.controller, spec)]
     }

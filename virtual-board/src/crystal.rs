@@ -67,7 +67,12 @@ impl Device for CrystalAware {
         Device::layout(&self.model)
     }
 
-    fn read(&mut self, register: Register, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) -> Option<u64> {
+    fn read(
+        &mut self,
+        register: Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
         Device::read(&mut self.model, register, registers, context)
     }
 
@@ -86,12 +91,22 @@ impl Device for CrystalAware {
         self.refuse_readiness(registers);
     }
 
-    fn on_event(&mut self, event: EventId, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+    fn on_event(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
         Device::on_event(&mut self.model, event, registers, context);
         self.refuse_readiness(registers);
     }
 
-    fn on_request(&mut self, request: RequestChange, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+    fn on_request(
+        &mut self,
+        request: RequestChange,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
         Device::on_request(&mut self.model, request, registers, context);
     }
 

@@ -33,8 +33,18 @@ pub struct Exti {
 
 impl Exti {
     /// A line's input changes: to high if `rising`, else to low.
-    pub fn edge(&mut self, line: u8, rising: bool, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        let trigger = if rising { exti::Register::Rtsr } else { exti::Register::Ftsr };
+    pub fn edge(
+        &mut self,
+        line: u8,
+        rising: bool,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let trigger = if rising {
+            exti::Register::Rtsr
+        } else {
+            exti::Register::Ftsr
+        };
         self.pending |= registers.get(trigger) & (1 << line) & PIN_LINES;
         self.refresh(registers, context);
     }
@@ -67,7 +77,10 @@ impl Device for Exti {
             exti::Register::Pr => {
                 self.pending &= !value;
                 // Clearing the pending bit clears the software trigger with it (section 12.3.5).
-                registers.set(exti::Register::Swier, registers.get(exti::Register::Swier) & !value);
+                registers.set(
+                    exti::Register::Swier,
+                    registers.get(exti::Register::Swier) & !value,
+                );
             }
             exti::Register::Swier => self.pending |= value & PIN_LINES,
             _ => {}

@@ -31,11 +31,16 @@ impl FittedSensor {
         let mut fault_times_ns: Vec<u64> = faults
             .iter()
             .flat_map(|fault| match fault {
-                Fault::SensorAbsent(range) | Fault::SensorSilent(range) | Fault::InterruptStuck(_, range) => {
+                Fault::SensorAbsent(range)
+                | Fault::SensorSilent(range)
+                | Fault::InterruptStuck(_, range) => {
                     vec![nanoseconds(range.start), nanoseconds(range.end)]
                 }
                 Fault::SensorReset(at_s) => vec![nanoseconds(*at_s)],
-                Fault::Identity(..) | Fault::Nack { .. } | Fault::NoCrystal | Fault::TimerStartsAt(_) => vec![],
+                Fault::Identity(..)
+                | Fault::Nack { .. }
+                | Fault::NoCrystal
+                | Fault::TimerStartsAt(_) => vec![],
             })
             .collect();
         fault_times_ns.sort_unstable();
@@ -53,7 +58,11 @@ impl FittedSensor {
     /// Brings the sensor up to `now_ns` and says how the INT wire has changed since the last call, in order.
     pub fn advance_to(&mut self, now_ns: u64) -> Vec<bool> {
         let mut changes = Vec::new();
-        while let Some(&at_ns) = self.fault_times_ns.first().filter(|&&at_ns| at_ns <= now_ns) {
+        while let Some(&at_ns) = self
+            .fault_times_ns
+            .first()
+            .filter(|&&at_ns| at_ns <= now_ns)
+        {
             self.fault_times_ns.remove(0);
             self.follow(at_ns, &mut changes);
             let restarts = self.faults.iter().any(|fault| match fault {
@@ -74,7 +83,10 @@ impl FittedSensor {
     #[must_use]
     pub fn next_event_ns(&self) -> Option<u64> {
         let fault = self.fault_times_ns.first().copied();
-        [fault, self.sensor.next_event_ns()].into_iter().flatten().min()
+        [fault, self.sensor.next_event_ns()]
+            .into_iter()
+            .flatten()
+            .min()
     }
 
     /// Takes the data-ready edges since the last call, whatever became of them on the wire.
@@ -89,7 +101,11 @@ impl FittedSensor {
 
     /// Steps the sensor through its events up to `now_ns`, so that no pulse is lost between two calls.
     fn follow(&mut self, now_ns: u64, changes: &mut Vec<bool>) {
-        while let Some(event_ns) = self.sensor.next_event_ns().filter(|&event_ns| event_ns <= now_ns) {
+        while let Some(event_ns) = self
+            .sensor
+            .next_event_ns()
+            .filter(|&event_ns| event_ns <= now_ns)
+        {
             self.sensor.advance_to(event_ns);
             self.show(event_ns, changes);
         }
@@ -115,19 +131,26 @@ impl FittedSensor {
     }
 
     fn is_absent(&self, now_ns: u64) -> bool {
-        self.faults.iter().any(|fault| matches!(fault, Fault::SensorAbsent(range) if within(now_ns, range)))
+        self.faults
+            .iter()
+            .any(|fault| matches!(fault, Fault::SensorAbsent(range) if within(now_ns, range)))
     }
 
     /// Whether the bus hears nothing of the sensor.
     fn is_deaf(&self, now_ns: u64) -> bool {
-        let is_silent = |fault: &Fault| matches!(fault, Fault::SensorSilent(range) if within(now_ns, range));
+        let is_silent =
+            |fault: &Fault| matches!(fault, Fault::SensorSilent(range) if within(now_ns, range));
         self.is_absent(now_ns) || self.faults.iter().any(is_silent)
     }
 
     /// Whether a fault refuses this byte; each refusal counts.
     fn refuses(&mut self, now_ns: u64, kind: BusByte) -> bool {
         self.faults.iter_mut().any(|fault| match fault {
-            Fault::Nack { byte, from_s, count } if *byte == kind && now_ns >= nanoseconds(*from_s) && *count > 0 => {
+            Fault::Nack {
+                byte,
+                from_s,
+                count,
+            } if *byte == kind && now_ns >= nanoseconds(*from_s) && *count > 0 => {
                 *count -= 1;
                 true
             }
@@ -138,7 +161,10 @@ impl FittedSensor {
 
 impl fmt::Debug for FittedSensor {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.debug_struct("FittedSensor").field("faults", &self.faults).finish_non_exhaustive()
+        formatter
+            .debug_struct("FittedSensor")
+            .field("faults", &self.faults)
+            .finish_non_exhaustive()
     }
 }
 
@@ -148,16 +174,26 @@ impl Store for FittedSensor {}
 impl Peer for FittedSensor {
     fn start(&mut self, address: u8, read: bool, context: &mut Timeline<'_, '_>) -> bool {
         let now_ns = context.now().0;
-        let kind = if read { BusByte::AddressRead } else { BusByte::AddressWrite };
+        let kind = if read {
+            BusByte::AddressRead
+        } else {
+            BusByte::AddressWrite
+        };
         if !read {
             self.pointer = None;
         }
-        !self.is_deaf(now_ns) && !self.refuses(now_ns, kind) && self.sensor.start(now_ns, address, read)
+        !self.is_deaf(now_ns)
+            && !self.refuses(now_ns, kind)
+            && self.sensor.start(now_ns, address, read)
     }
 
     fn write(&mut self, byte: u8, context: &mut Timeline<'_, '_>) -> bool {
         let now_ns = context.now().0;
-        let kind = if self.pointer.is_none() { BusByte::Pointer } else { BusByte::Value };
+        let kind = if self.pointer.is_none() {
+            BusByte::Pointer
+        } else {
+            BusByte::Value
+        };
         if self.is_deaf(now_ns) || self.refuses(now_ns, kind) {
             return false;
         }

@@ -136,14 +136,23 @@ impl Run {
         let firmware = Firmware::read(&self.firmware)?;
         let (motion, is_recording) = match self.motion {
             Some(motion) => motion,
-            None => (Box::new(Quadrotor::by_seed(self.seed)) as Box<dyn Motion>, false),
+            None => (
+                Box::new(Quadrotor::by_seed(self.seed)) as Box<dyn Motion>,
+                false,
+            ),
         };
         let config = if is_recording {
             SensorConfig::for_recording(self.seed)
         } else {
             SensorConfig::new(self.seed)
         };
-        let sensor = Sensor::new(SensorConfig { mount: self.mount, ..config }, motion);
+        let sensor = Sensor::new(
+            SensorConfig {
+                mount: self.mount,
+                ..config
+            },
+            motion,
+        );
         let input = if self.faults.contains(&Fault::NoCrystal) {
             HighSpeedInput::Nothing
         } else {
@@ -153,17 +162,35 @@ impl Run {
             Fault::TimerStartsAt(count) => Some(*count),
             _ => None,
         });
-        let controller = Microcontroller::new(FittedSensor::new(sensor, self.faults), input).map_err(Error::emulator)?;
+        let controller = Microcontroller::new(FittedSensor::new(sensor, self.faults), input)
+            .map_err(Error::emulator)?;
         let profile = Arc::new(Mutex::new(Profile::default()));
-        let board = Board::new(self.board, controller, firmware.handlers.clone(), Arc::clone(&profile));
-        let probe = firmware.log_channel.filter(|_| self.has_probe).and_then(|at| Probe::attach(&firmware.bytes, at));
-        let recorder =
-            Recorder::new(&firmware, nanoseconds(self.seconds), probe, timer_starts_at, Arc::clone(&profile), self.observer);
+        let board = Board::new(
+            self.board,
+            controller,
+            firmware.handlers.clone(),
+            Arc::clone(&profile),
+        );
+        let probe = firmware
+            .log_channel
+            .filter(|_| self.has_probe)
+            .and_then(|at| Probe::attach(&firmware.bytes, at));
+        let recorder = Recorder::new(
+            &firmware,
+            nanoseconds(self.seconds),
+            probe,
+            timer_starts_at,
+            Arc::clone(&profile),
+            self.observer,
+        );
 
         let started = Instant::now();
-        let images = [Image::new(&firmware.path, firmware.bytes.clone(), None).map_err(Error::emulator)?];
+        let images = [
+            Image::new(&firmware.path, firmware.bytes.clone(), None).map_err(Error::emulator)?
+        ];
         let session = Session::new(Box::new(board), 0, VirtualNanos(0)).map_err(Error::emulator)?;
-        let mut finished = emulator::run(session, &Start::new(&images), recorder).map_err(Error::emulator)?;
+        let mut finished =
+            emulator::run(session, &Start::new(&images), recorder).map_err(Error::emulator)?;
         let wall_seconds = started.elapsed().as_secs_f64();
         if let Some(error) = finished.session.take_error() {
             return Err(Error::emulator(error));
@@ -235,24 +262,61 @@ fn lines(record: &Record) -> Vec<UartLine> {
         .filter_map(|line| {
             let bytes: Vec<u8> = line.iter().map(|heard| heard.byte).collect();
             let text = String::from_utf8_lossy(&bytes).trim_end().to_owned();
-            line.last().map(|last| UartLine { at_ns: last.at_ns, text })
+            line.last().map(|last| UartLine {
+                at_ns: last.at_ns,
+                text,
+            })
         })
         .collect()
 }
 
 /// What the run met that it should not have.
 fn remarks(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
-    let mut remarks: Vec<String> = session.unmapped().iter().map(|unmapped| format!("no such address: {unmapped}")).collect();
-    remarks.extend(session.refused().iter().map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")));
-    remarks.extend(session.unimplemented().values().filter(|access| access.writes > 0).map(|access| {
-        format!("not modelled: {}.{} written at {:#010x}", access.instance, access.register, access.program_counter)
-    }));
-    remarks.extend(session.unrouted().iter().map(|unrouted| format!("an interrupt without a line: {unrouted:?}")));
-    remarks.extend(session.told().map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason)));
-    remarks.extend(session.resets().iter().map(|reset| format!("reset at {} ns: {:?}", reset.at.0, reset.cause)));
+    let mut remarks: Vec<String> = session
+        .unmapped()
+        .iter()
+        .map(|unmapped| format!("no such address: {unmapped}"))
+        .collect();
+    remarks.extend(
+        session
+            .refused()
+            .iter()
+            .map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")),
+    );
+    remarks.extend(
+        session
+            .unimplemented()
+            .values()
+            .filter(|access| access.writes > 0)
+            .map(|access| {
+                format!(
+                    "not modelled: {}.{} written at {:#010x}",
+                    access.instance, access.register, access.program_counter
+                )
+            }),
+    );
+    remarks.extend(
+        session
+            .unrouted()
+            .iter()
+            .map(|unrouted| format!("an interrupt without a line: {unrouted:?}")),
+    );
+    remarks.extend(
+        session
+            .told()
+            .map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason)),
+    );
+    remarks.extend(
+        session
+            .resets()
+            .iter()
+            .map(|reset| format!("reset at {} ns: {:?}", reset.at.0, reset.cause)),
+    );
     let unexplained = profile.lock().map_or(1, |profile| profile.unexplained());
     if unexplained > 0 {
-        remarks.push(format!("{unexplained} changes of context that the instruction account cannot explain"));
+        remarks.push(format!(
+            "{unexplained} changes of context that the instruction account cannot explain"
+        ));
     }
     remarks
 }

@@ -24,7 +24,8 @@ const RECEIVE_STREAMS: [(dma2::Register, dma2::Register); 2] = [
 pub fn items_left(dma1: &RegisterFile) -> Option<u64> {
     RECEIVE_STREAMS.into_iter().find_map(|(control, count)| {
         let control = dma1.get(control);
-        let serves = dma2::s0cr::EN.is_set(control) && dma2::s0cr::CHSEL.get(control) == RECEIVE_CHANNEL;
+        let serves =
+            dma2::s0cr::EN.is_set(control) && dma2::s0cr::CHSEL.get(control) == RECEIVE_CHANNEL;
         serves.then(|| dma1.get(count))
     })
 }
@@ -45,7 +46,12 @@ impl Device for LastAware {
         Device::layout(&self.model)
     }
 
-    fn read(&mut self, register: Register, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) -> Option<u64> {
+    fn read(
+        &mut self,
+        register: Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
         Device::read(&mut self.model, register, registers, context)
     }
 
@@ -63,9 +69,15 @@ impl Device for LastAware {
         Device::write(&mut self.model, register, value, registers, context);
     }
 
-    fn on_event(&mut self, event: EventId, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+    fn on_event(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
         let control = registers.get(Register::Cr2);
-        let is_last = cr2::LAST.is_set(control) && cr2::DMAEN.is_set(control) && self.items_left == Some(1);
+        let is_last =
+            cr2::LAST.is_set(control) && cr2::DMAEN.is_set(control) && self.items_left == Some(1);
         let acknowledge = cr1::ACK.mask();
         let before = registers.get(Register::Cr1);
         if is_last {

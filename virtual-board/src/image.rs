@@ -41,19 +41,31 @@ impl Firmware {
     ///
     /// When the file cannot be read, is not an image for this processor, or does not publish snapshots.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let bytes = fs::read(path).map_err(|cause| Error::Firmware(path.into(), cause.to_string()))?;
+        let bytes =
+            fs::read(path).map_err(|cause| Error::Firmware(path.into(), cause.to_string()))?;
         Self::parse(path, bytes).map_err(|reason| Error::Firmware(path.into(), reason))
     }
 
     fn parse(path: &Path, bytes: Vec<u8>) -> Result<Self, String> {
-        let file: ElfFile32<'_, Endianness> = ElfFile32::parse(bytes.as_slice()).map_err(|cause| cause.to_string())?;
-        let symbol = |name: &str| file.symbols().find(|symbol| symbol.name() == Ok(name)).map(|symbol| symbol.address());
+        let file: ElfFile32<'_, Endianness> =
+            ElfFile32::parse(bytes.as_slice()).map_err(|cause| cause.to_string())?;
+        let symbol = |name: &str| {
+            file.symbols()
+                .find(|symbol| symbol.name() == Ok(name))
+                .map(|symbol| symbol.address())
+        };
         let required = |name: &str| symbol(name).ok_or(format!("it has no symbol `{name}`"));
 
-        let table = file.section_by_name(".vector_table").ok_or("it has no section `.vector_table`")?;
+        let table = file
+            .section_by_name(".vector_table")
+            .ok_or("it has no section `.vector_table`")?;
         let handlers = table.data().map_err(|cause| cause.to_string())?;
-        let mut handlers: Vec<u32> =
-            handlers.as_chunks::<4>().0.iter().map(|&word| u32::from_le_bytes(word)).collect();
+        let mut handlers: Vec<u32> = handlers
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|&word| u32::from_le_bytes(word))
+            .collect();
         // The table's first word is the stack pointer, and no exception has number 0.
         if let Some(first) = handlers.first_mut() {
             *first = 0;
@@ -65,7 +77,11 @@ impl Firmware {
             .map(|section| section.address()..section.address() + section.size())
             .collect();
         let stack_top = required("_stack_start")?;
-        let stack_bottom = ram.iter().map(|range| range.end).filter(|&end| end <= stack_top).max();
+        let stack_bottom = ram
+            .iter()
+            .map(|range| range.end)
+            .filter(|&end| end <= stack_top)
+            .max();
         Ok(Self {
             snapshot: required("APLOMB_SNAPSHOT")?,
             log_channel: symbol("_SEGGER_RTT"),

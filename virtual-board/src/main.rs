@@ -59,7 +59,12 @@ struct Fly {
 }
 
 fn mount(name: &str) -> Result<Mount, String> {
-    Mount::parse(name).ok_or_else(|| format!("there is no such mount; there are z-up, z-down, {}", Mount::names().join(", ")))
+    Mount::parse(name).ok_or_else(|| {
+        format!(
+            "there is no such mount; there are z-up, z-down, {}",
+            Mount::names().join(", ")
+        )
+    })
 }
 
 fn board(name: &str) -> Result<BoardModel, String> {
@@ -68,7 +73,9 @@ fn board(name: &str) -> Result<BoardModel, String> {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    let seconds: f64 = text.parse().map_err(|_| "this is not a number".to_owned())?;
+    let seconds: f64 = text
+        .parse()
+        .map_err(|_| "this is not a number".to_owned())?;
     if seconds > 0.0 && seconds <= 86_400.0 {
         Ok(seconds)
     } else {
@@ -88,12 +95,23 @@ fn main() -> ExitCode {
 }
 
 fn fly(options: &Fly) -> Result<(), String> {
-    let mut run = Run::new(&options.elf).board(options.board).mount(options.mount).seed(options.seed);
+    let mut run = Run::new(&options.elf)
+        .board(options.board)
+        .mount(options.mount)
+        .seed(options.seed);
     let motion;
     match &options.log {
         Some(path) => {
-            let recording = Recording::open(path, options.mount).map_err(|error| error.to_string())?;
-            run = run.seconds(options.seconds.unwrap_or(recording.end_s()).min(recording.end_s())).recording(recording);
+            let recording =
+                Recording::open(path, options.mount).map_err(|error| error.to_string())?;
+            run = run
+                .seconds(
+                    options
+                        .seconds
+                        .unwrap_or(recording.end_s())
+                        .min(recording.end_s()),
+                )
+                .recording(recording);
             motion = format!("recording {}", path.display());
         }
         None => {
@@ -102,7 +120,10 @@ fn fly(options: &Fly) -> Result<(), String> {
         }
     }
     eprintln!("{motion}, on {}", options.board.name);
-    let outcome = run.observer(Screen::new()).run().map_err(|error| error.to_string())?;
+    let outcome = run
+        .observer(Screen::new())
+        .run()
+        .map_err(|error| error.to_string())?;
     let labels = Labels {
         title: format!("aplomb on the virtual {}: {motion}", options.board.name),
         subtitle: subtitle(&outcome),
@@ -174,9 +195,16 @@ impl Drop for Screen {
 /// The picture's second line.
 fn subtitle(outcome: &Outcome) -> String {
     let summary = &outcome.summary;
-    let mut text = format!("{} samples in {:.1} s, {} missed", summary.samples, summary.virtual_seconds, summary.missed);
+    let mut text = format!(
+        "{} samples in {:.1} s, {} missed",
+        summary.samples, summary.virtual_seconds, summary.missed
+    );
     if let (Some(rms), Some(max)) = (summary.inclination_rms_deg, summary.inclination_max_deg) {
-        write!(text, "; inclination error {rms:.2} degrees rms, {max:.2} at most").ok();
+        write!(
+            text,
+            "; inclination error {rms:.2} degrees rms, {max:.2} at most"
+        )
+        .ok();
     }
     text
 }
@@ -184,10 +212,15 @@ fn subtitle(outcome: &Outcome) -> String {
 /// The figures as a short table.
 fn table(outcome: &Outcome) -> String {
     let summary = &outcome.summary;
-    let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |value| format!("{value:.decimals$}"));
+    let number = |value: Option<f64>, decimals: usize| {
+        value.map_or("-".into(), |value| format!("{value:.decimals$}"))
+    };
     let count = |value: Option<u64>| value.map_or("-".into(), |value| value.to_string());
     let rows = [
-        ("samples, missed", format!("{}, {}", summary.samples, summary.missed)),
+        (
+            "samples, missed",
+            format!("{}, {}", summary.samples, summary.missed),
+        ),
         (
             "time",
             format!(
@@ -206,7 +239,10 @@ fn table(outcome: &Outcome) -> String {
                 number(summary.io_instructions_per_sample_mean, 0)
             ),
         ),
-        ("load of the core", format!("{} %", number(summary.cpu_load_percent, 2))),
+        (
+            "load of the core",
+            format!("{} %", number(summary.cpu_load_percent, 2)),
+        ),
         (
             "edge to attitude",
             format!(
@@ -215,7 +251,10 @@ fn table(outcome: &Outcome) -> String {
                 number(summary.edge_to_attitude_us_max, 1)
             ),
         ),
-        ("time stamp error", format!("{} us at most", number(summary.timestamp_error_us_max, 2))),
+        (
+            "time stamp error",
+            format!("{} us at most", number(summary.timestamp_error_us_max, 2)),
+        ),
         (
             "inclination error",
             format!(

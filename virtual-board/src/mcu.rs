@@ -95,8 +95,14 @@ impl Microcontroller {
         let [i2c1, ..] = spare.i2c;
         let mut controller = Self {
             part,
-            clocks: CrystalAware { model: spare.rcc, input },
-            sensor_bus: LastAware { model: i2c1, items_left: None },
+            clocks: CrystalAware {
+                model: spare.rcc,
+                input,
+            },
+            sensor_bus: LastAware {
+                model: i2c1,
+                items_left: None,
+            },
             exti: Exti::default(),
             syscfg: Syscfg,
             slots,
@@ -112,7 +118,10 @@ impl Microcontroller {
     ///
     /// Never: [`Self::new`] has put it there.
     pub fn sensor(&mut self) -> &mut FittedSensor {
-        self.sensor_bus.model.chip_mut(0).expect("the sensor is the one chip on this bus")
+        self.sensor_bus
+            .model
+            .chip_mut(0)
+            .expect("the sensor is the one chip on this bus")
     }
 
     /// The far end of the UART.
@@ -121,7 +130,9 @@ impl Microcontroller {
     ///
     /// Never: [`Self::new`] has put it there.
     pub fn listener(&mut self) -> &mut Listener {
-        self.part.usart[USART2].chip_mut().expect("the listener is at the end of this line")
+        self.part.usart[USART2]
+            .chip_mut()
+            .expect("the listener is at the end of this line")
     }
 
     /// The levels that the board's resistors give the pins before anything else drives them.
@@ -134,9 +145,10 @@ impl Microcontroller {
 
     fn drive_pin(&mut self, at: VirtualNanos, port: u8, pin: u8, high: bool) {
         let Some(pin) = Pin::new(pin) else { return };
-        self.part.drive_port(at, usize::from(port), |gpio, registers, context| {
-            gpio.drive(pin, Some(Level::from(high)), registers, context);
-        });
+        self.part
+            .drive_port(at, usize::from(port), |gpio, registers, context| {
+                gpio.drive(pin, Some(Level::from(high)), registers, context);
+            });
     }
 
     /// Brings the sensor to `now`, carries what its INT pin did to where the wire goes, and asks to be called again in time.
@@ -160,7 +172,8 @@ impl Microcontroller {
         let slots = self.slots;
         let registers = |slot: usize| self.part.bus().slots()[slot].registers();
         let is_routed = exti::routes(PORT_A, INTERRUPT_PIN, registers(slots.syscfg));
-        let function = Pin::new(INTERRUPT_PIN).and_then(|pin| Gpio::function(pin, registers(slots.port_a)));
+        let function =
+            Pin::new(INTERRUPT_PIN).and_then(|pin| Gpio::function(pin, registers(slots.port_a)));
         if is_routed {
             let (registers, mut context) = self.part.bus_mut().drive(at, slots.exti);
             self.exti.edge(INTERRUPT_PIN, high, registers, &mut context);
@@ -168,9 +181,10 @@ impl Microcontroller {
         if function == Some(TIM5_FUNCTION)
             && let Some(channel) = Channel::new(2)
         {
-            self.part.drive_timer(at, TIM5, |timer, registers, context| {
-                timer.drive_input(channel, Level::from(high), registers, context);
-            });
+            self.part
+                .drive_timer(at, TIM5, |timer, registers, context| {
+                    timer.drive_input(channel, Level::from(high), registers, context);
+                });
         }
     }
 
@@ -301,11 +315,14 @@ mod tests {
     impl Memory for Ram {
         fn read(&mut self, address: u64, width: Width) -> Result<u64, EmulatorError> {
             let bytes = address..address + u64::from(width.bytes());
-            Ok(bytes.rev().fold(0, |value, at| value << 8 | u64::from(self.0.get(&at).copied().unwrap_or(0))))
+            Ok(bytes.rev().fold(0, |value, at| {
+                value << 8 | u64::from(self.0.get(&at).copied().unwrap_or(0))
+            }))
         }
 
         fn write(&mut self, address: u64, width: Width, value: u64) -> Result<(), EmulatorError> {
-            for (at, byte) in (address..address + u64::from(width.bytes())).zip(value.to_le_bytes()) {
+            for (at, byte) in (address..address + u64::from(width.bytes())).zip(value.to_le_bytes())
+            {
                 self.0.insert(at, byte);
             }
             Ok(())
@@ -339,12 +356,17 @@ mod tests {
         }
 
         fn write(&mut self, peripheral: &Peripheral, offset: u64, value: u64) {
-            self.controller.write(self.now, peripheral.base + offset, Width::W32, value).unwrap();
+            self.controller
+                .write(self.now, peripheral.base + offset, Width::W32, value)
+                .unwrap();
             self.settle();
         }
 
         fn read(&mut self, peripheral: &Peripheral, offset: u64) -> u64 {
-            let value = self.controller.read(self.now, peripheral.base + offset, Width::W32).unwrap();
+            let value = self
+                .controller
+                .read(self.now, peripheral.base + offset, Width::W32)
+                .unwrap();
             self.settle();
             value
         }
@@ -353,14 +375,19 @@ mod tests {
             let refused = self.controller.settle(&mut self.ram).unwrap();
             assert!(refused.is_empty(), "{refused:?}");
             for change in self.controller.drain_interrupts() {
-                self.interrupts.insert(change.interrupt, change.level == Level::High);
+                self.interrupts
+                    .insert(change.interrupt, change.level == Level::High);
             }
         }
 
         /// Runs until `at_ns` with a stop at every event, as a session does.
         fn run_until(&mut self, at_ns: u64) {
             loop {
-                let next = self.controller.next_event().map_or(at_ns, |event| event.0).min(at_ns);
+                let next = self
+                    .controller
+                    .next_event()
+                    .map_or(at_ns, |event| event.0)
+                    .min(at_ns);
                 self.now = VirtualNanos(next.max(self.now.0));
                 self.controller.advance_to(self.now);
                 self.controller.poll(self.now);
@@ -411,7 +438,10 @@ mod tests {
         bench.write(&EXTI, EXTI_PR, 0);
         assert_eq!(bench.read(&EXTI, EXTI_PR), 1 << 1, "a zero clears nothing");
         bench.write(&EXTI, EXTI_PR, !(1 << 1));
-        assert!(bench.interrupts_on(EXTI1), "ones elsewhere clear nothing here");
+        assert!(
+            bench.interrupts_on(EXTI1),
+            "ones elsewhere clear nothing here"
+        );
         bench.write(&EXTI, EXTI_PR, 1 << 1);
         assert_eq!(bench.read(&EXTI, EXTI_PR), 0);
         assert!(!bench.interrupts_on(EXTI1));
@@ -464,7 +494,9 @@ mod tests {
         };
         for line in 0..16 {
             bench.write(&EXTI, EXTI_SWIER, 1 << line);
-            let on: Vec<u16> = (0..91).filter(|&interrupt| bench.interrupts_on(interrupt)).collect();
+            let on: Vec<u16> = (0..91)
+                .filter(|&interrupt| bench.interrupts_on(interrupt))
+                .collect();
             assert_eq!(on, [expected(line)], "line {line}");
             bench.write(&EXTI, EXTI_PR, 1 << line);
             assert_eq!(bench.read(&EXTI, EXTI_SWIER), 0);
@@ -474,7 +506,15 @@ mod tests {
 
     /// Starts TIM5 at 1 MHz with channel 2 capturing rising edges, and returns the instant.
     fn start_capture(bench: &mut Bench) -> u64 {
-        for (offset, value) in [(0x28, 15), (0x2C, 0xFFFF_FFFF), (0x18, 0x0100), (0x20, 0x10), (0x14, 1), (0x10, 0), (0x00, 1)] {
+        for (offset, value) in [
+            (0x28, 15),
+            (0x2C, 0xFFFF_FFFF),
+            (0x18, 0x0100),
+            (0x20, 0x10),
+            (0x14, 1),
+            (0x10, 0),
+            (0x00, 1),
+        ] {
             bench.write(&TIM5, offset, value);
         }
         bench.now.0
@@ -514,7 +554,11 @@ mod tests {
         bench.write(&RCC, RCC_AHB1ENR, 0x3);
         bench.write(&RCC, RCC_APB2ENR, 0x4000);
         assert_eq!(bench.read(&EXTI, EXTI_PR), 0);
-        assert_eq!(bench.read(&GPIOB, 0x10) & 0x300, 0x300, "SCL and SDA are pulled up");
+        assert_eq!(
+            bench.read(&GPIOB, 0x10) & 0x300,
+            0x300,
+            "SCL and SDA are pulled up"
+        );
         bench.write(&EXTI, EXTI_RTSR, 1 << 1);
         bench.write(&EXTI, EXTI_IMR, 1 << 1);
         bench.next_edge_ns();
@@ -559,7 +603,11 @@ mod tests {
             bench.read(&I2C1, SR1);
             bench.write(&I2C1, DR, address);
             bench.run_for(byte_ns);
-            assert_eq!(bench.read(&I2C1, SR1) & 0x402, 0x002, "address acknowledged");
+            assert_eq!(
+                bench.read(&I2C1, SR1) & 0x402,
+                0x002,
+                "address acknowledged"
+            );
         };
         start(&mut bench, 0xD0);
         bench.read(&I2C1, SR2);
@@ -567,7 +615,12 @@ mod tests {
         bench.run_for(byte_ns);
         start(&mut bench, 0xD1);
         bench.write(&I2C1, 0x04, 16 | cr2);
-        for (offset, value) in [(0x18, I2C1.base + DR), (0x1C, BUFFER), (0x14, count), (0x10, 1 << 25 | 1 << 10 | 1)] {
+        for (offset, value) in [
+            (0x18, I2C1.base + DR),
+            (0x1C, BUFFER),
+            (0x14, count),
+            (0x10, 1 << 25 | 1 << 10 | 1),
+        ] {
             bench.write(&DMA1, offset, value);
         }
         bench.read(&I2C1, SR2);
@@ -583,7 +636,10 @@ mod tests {
         const LAST: u64 = 1 << 12;
         for count in [2, 14] {
             assert!(ends_after(count, DMAEN | LAST), "{count} bytes");
-            assert!(!ends_after(count, DMAEN), "{count} bytes, LAST clear: the sensor goes on sending");
+            assert!(
+                !ends_after(count, DMAEN),
+                "{count} bytes, LAST clear: the sensor goes on sending"
+            );
         }
     }
 }

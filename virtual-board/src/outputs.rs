@@ -36,10 +36,17 @@ pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Er
     in_file(folder, "bursts.csv", |file| write_bursts(file, samples))?;
     in_file(folder, "truth.csv", |file| write_truth(file, samples))?;
     in_file(folder, "uart.log", |file| {
-        let bytes: Vec<u8> = outcome.record.heard.iter().map(|heard| heard.byte).collect();
+        let bytes: Vec<u8> = outcome
+            .record
+            .heard
+            .iter()
+            .map(|heard| heard.byte)
+            .collect();
         file.write_all(&bytes)
     })?;
-    in_file(folder, "attitude.png", |file| plot::write(file, samples, labels))?;
+    in_file(folder, "attitude.png", |file| {
+        plot::write(file, samples, labels)
+    })?;
     in_file(folder, "summary.json", |file| {
         serde_json::to_writer_pretty(&mut *file, &outcome.summary)?;
         writeln!(file)
@@ -66,10 +73,17 @@ fn in_file(
 ///
 /// When the writer refuses.
 pub fn write_attitude(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
-    writeln!(to, "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags")?;
+    writeln!(
+        to,
+        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags"
+    )?;
     for sample in samples {
         let snapshot = &sample.snapshot;
-        let (attitude, euler, rates) = (snapshot.attitude, snapshot.euler(), snapshot.body_rates_rad_s);
+        let (attitude, euler, rates) = (
+            snapshot.attitude,
+            snapshot.euler(),
+            snapshot.body_rates_rad_s,
+        );
         writeln!(
             to,
             "{},{},{},{},{},{},{},{},{},{},{},{}",
@@ -114,7 +128,10 @@ pub fn write_bursts(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
 ///
 /// When the writer refuses.
 pub fn write_truth(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
-    writeln!(to, "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,scored")?;
+    writeln!(
+        to,
+        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,scored"
+    )?;
     for sample in samples {
         let Some(truth) = sample.edge.map(|edge| edge.truth) else {
             continue;

@@ -92,7 +92,11 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
     let time_s = |sample: &Sample| sample.published_ns as f64 * 1e-9;
     let end_s = samples.last().map_or(1.0, time_s);
     let panels = panels(samples, time_s);
-    let still_until_s = samples.iter().filter(|sample| sample.snapshot.flags.contains(Flags::CALIBRATING)).map(time_s).reduce(f64::max);
+    let still_until_s = samples
+        .iter()
+        .filter(|sample| sample.snapshot.flags.contains(Flags::CALIBRATING))
+        .map(time_s)
+        .reduce(f64::max);
 
     let height = (BOTTOM - TOP - GAP * (panels.len() - 1)) / panels.len();
     let places: Vec<Place> = (0..panels.len())
@@ -108,13 +112,31 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
     let mut large = Canvas::new(WIDTH * SCALE, HEIGHT * SCALE);
     for (panel, place) in panels.iter().zip(&places) {
         if let Some(until_s) = still_until_s {
-            large.fill(place.x(0.0), place.y_top(), place.x(until_s), place.y_bottom(), SHADE);
+            large.fill(
+                place.x(0.0),
+                place.y_top(),
+                place.x(until_s),
+                place.y_bottom(),
+                SHADE,
+            );
         }
         for tick in ticks(place.time_s, 12.0) {
-            large.fill(place.x(tick) - 1.0, place.y_top(), place.x(tick) + 1.0, place.y_bottom(), GRID);
+            large.fill(
+                place.x(tick) - 1.0,
+                place.y_top(),
+                place.x(tick) + 1.0,
+                place.y_bottom(),
+                GRID,
+            );
         }
         for tick in ticks(place.range, 5.0) {
-            large.fill(place.x(0.0), place.y(tick) - 1.0, place.x(end_s), place.y(tick) + 1.0, GRID);
+            large.fill(
+                place.x(0.0),
+                place.y(tick) - 1.0,
+                place.x(end_s),
+                place.y(tick) + 1.0,
+                GRID,
+            );
         }
         for (curve, _) in &panel.curves {
             large.curve(curve, place, panel.wraps);
@@ -127,11 +149,32 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
     if let (Some(until_s), Some(place)) = (still_until_s, places.first())
         && place.x(until_s) / SCALE as f64 > (LEFT + 60) as f64
     {
-        canvas.text("at rest", LEFT + 6, place.bottom - 22, &FONT_9X18, FRAME, Alignment::Left);
+        canvas.text(
+            "at rest",
+            LEFT + 6,
+            place.bottom - 22,
+            &FONT_9X18,
+            FRAME,
+            Alignment::Left,
+        );
     }
     canvas.text(&labels.title, LEFT, 16, &FONT_10X20, INK, Alignment::Left);
-    canvas.text(&labels.subtitle, LEFT, 44, &FONT_9X18, FRAME, Alignment::Left);
-    canvas.text("time since power-up (s)", (LEFT + RIGHT) / 2, BOTTOM + 34, &FONT_9X18, INK, Alignment::Center);
+    canvas.text(
+        &labels.subtitle,
+        LEFT,
+        44,
+        &FONT_9X18,
+        FRAME,
+        Alignment::Left,
+    );
+    canvas.text(
+        "time since power-up (s)",
+        (LEFT + RIGHT) / 2,
+        BOTTOM + 34,
+        &FONT_9X18,
+        INK,
+        Alignment::Center,
+    );
     canvas.pixels
 }
 
@@ -139,17 +182,39 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
 fn panels(samples: &[Sample], time_s: impl Fn(&Sample) -> f64) -> Vec<Panel> {
     let heading_deg = heading_difference_deg(samples);
     let estimated = |angle: fn(&Sample) -> f64| -> Vec<(f64, f64)> {
-        samples.iter().map(|sample| (time_s(sample), angle(sample))).collect()
+        samples
+            .iter()
+            .map(|sample| (time_s(sample), angle(sample)))
+            .collect()
     };
     let truth = |angle: usize, shift_deg: f64| -> Vec<(f64, f64)> {
-        let known = samples.iter().filter_map(|sample| Some((time_s(sample), sample.edge?.truth.attitude?)));
-        known.map(|(at_s, attitude)| (at_s, wrapped_deg(euler_deg(attitude)[angle] + shift_deg))).collect()
+        let known = samples
+            .iter()
+            .filter_map(|sample| Some((time_s(sample), sample.edge?.truth.attitude?)));
+        known
+            .map(|(at_s, attitude)| (at_s, wrapped_deg(euler_deg(attitude)[angle] + shift_deg)))
+            .collect()
     };
     let angle = |name, color, wraps, estimate: Vec<(f64, f64)>, truth: Vec<(f64, f64)>| {
         let range = range_of(estimate.iter().chain(&truth));
-        let mut curves = vec![(Curve { color, points: estimate }, "estimate")];
+        let mut curves = vec![(
+            Curve {
+                color,
+                points: estimate,
+            },
+            "estimate",
+        )];
         if !truth.is_empty() {
-            curves.insert(0, (Curve { color: TRUTH, points: truth }, "truth"));
+            curves.insert(
+                0,
+                (
+                    Curve {
+                        color: TRUTH,
+                        points: truth,
+                    },
+                    "truth",
+                ),
+            );
         }
         Panel {
             name,
@@ -160,18 +225,44 @@ fn panels(samples: &[Sample], time_s: impl Fn(&Sample) -> f64) -> Vec<Panel> {
         }
     };
     let mut panels = vec![
-        angle("roll", ROLL, true, estimated(|sample| f64::from(sample.snapshot.euler().roll_rad).to_degrees()), truth(0, 0.0)),
-        angle("pitch", PITCH, false, estimated(|sample| f64::from(sample.snapshot.euler().pitch_rad).to_degrees()), truth(1, 0.0)),
-        angle("yaw, relative", YAW, true, estimated(|sample| f64::from(sample.snapshot.euler().yaw_rad).to_degrees()), truth(2, heading_deg)),
+        angle(
+            "roll",
+            ROLL,
+            true,
+            estimated(|sample| f64::from(sample.snapshot.euler().roll_rad).to_degrees()),
+            truth(0, 0.0),
+        ),
+        angle(
+            "pitch",
+            PITCH,
+            false,
+            estimated(|sample| f64::from(sample.snapshot.euler().pitch_rad).to_degrees()),
+            truth(1, 0.0),
+        ),
+        angle(
+            "yaw, relative",
+            YAW,
+            true,
+            estimated(|sample| f64::from(sample.snapshot.euler().yaw_rad).to_degrees()),
+            truth(2, heading_deg),
+        ),
     ];
-    let errors: Vec<(f64, f64)> =
-        samples.iter().filter_map(|sample| Some((time_s(sample), inclination_deg(sample)?))).collect();
+    let errors: Vec<(f64, f64)> = samples
+        .iter()
+        .filter_map(|sample| Some((time_s(sample), inclination_deg(sample)?)))
+        .collect();
     if !errors.is_empty() {
         let (_, high) = range_of(errors.iter());
         panels.push(Panel {
             name: "inclination error",
             unit: "degrees",
-            curves: vec![(Curve { color: ERROR, points: errors }, "angle between estimated and true vertical")],
+            curves: vec![(
+                Curve {
+                    color: ERROR,
+                    points: errors,
+                },
+                "angle between estimated and true vertical",
+            )],
             wraps: false,
             range: (0.0, high),
         });
@@ -184,7 +275,9 @@ fn heading_difference_deg(samples: &[Sample]) -> f64 {
     let first = samples.iter().find_map(|sample| {
         let attitude = sample.edge?.truth.attitude?;
         let is_ready = !sample.snapshot.flags.contains(Flags::CALIBRATING);
-        is_ready.then(|| f64::from(sample.snapshot.euler().yaw_rad).to_degrees() - euler_deg(attitude)[2])
+        is_ready.then(|| {
+            f64::from(sample.snapshot.euler().yaw_rad).to_degrees() - euler_deg(attitude)[2]
+        })
     });
     first.unwrap_or(0.0)
 }
@@ -209,11 +302,15 @@ fn range_of<'a>(points: impl Iterator<Item = &'a (f64, f64)>) -> (f64, f64) {
     let (low, high) = points
         .map(|point| point.1)
         .filter(|value| value.is_finite())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
     if low > high {
         return (-1.0, 1.0);
     }
-    let room = ((high - low) * 0.06).max(1.0 - (high - low) / 2.0).max(0.05);
+    let room = ((high - low) * 0.06)
+        .max(1.0 - (high - low) / 2.0)
+        .max(0.05);
     (low - room, high + room)
 }
 
@@ -229,7 +326,9 @@ fn ticks((low, high): (f64, f64), wanted: f64) -> Vec<f64> {
 fn tick_step((low, high): (f64, f64), wanted: f64) -> f64 {
     let rough = (high - low).max(1e-9) / wanted;
     let power = 10.0_f64.powf(rough.log10().floor());
-    let factor = [1.0, 2.0, 5.0, 10.0].into_iter().find(|factor| factor * power >= rough);
+    let factor = [1.0, 2.0, 5.0, 10.0]
+        .into_iter()
+        .find(|factor| factor * power >= rough);
     factor.unwrap_or(10.0) * power
 }
 
@@ -311,7 +410,10 @@ impl Canvas {
             }
             let (x_start, x_end) = (place.x(start_s), place.x(end_s));
             let (y_start, y_end) = (place.y(start), place.y(end));
-            let (first, last) = ((x_start - half / 2.0) as usize, (x_end + half / 2.0) as usize);
+            let (first, last) = (
+                (x_start - half / 2.0) as usize,
+                (x_end + half / 2.0) as usize,
+            );
             for column in first..=last {
                 let share = |x: f64| ((x - x_start) / (x_end - x_start).max(1e-9)).clamp(0.0, 1.0);
                 let y_at = |share: f64| y_start + share * (y_end - y_start);
@@ -329,7 +431,12 @@ impl Canvas {
     fn reduced(&self, factor: usize) -> Self {
         let (width, height) = (self.width / factor, self.height / factor);
         let mut sums = vec![0_u32; 3 * width * height];
-        for (nth, row) in self.pixels.chunks_exact(3 * self.width).take(height * factor).enumerate() {
+        for (nth, row) in self
+            .pixels
+            .chunks_exact(3 * self.width)
+            .take(height * factor)
+            .enumerate()
+        {
             let into = &mut sums[3 * width * (nth / factor)..][..3 * width];
             for (nth, pixel) in row.chunks_exact(3).take(width * factor).enumerate() {
                 for (sum, &value) in into[3 * (nth / factor)..].iter_mut().zip(pixel) {
@@ -358,12 +465,26 @@ impl Canvas {
         let pixel = |coordinate: f64| (coordinate / SCALE as f64).round() as usize;
         for tick in ticks(place.range, 5.0) {
             let label = number(tick, tick_step(place.range, 5.0));
-            self.text(&label, LEFT - 8, pixel(place.y(tick)) - 9, &FONT_9X18, INK, Alignment::Right);
+            self.text(
+                &label,
+                LEFT - 8,
+                pixel(place.y(tick)) - 9,
+                &FONT_9X18,
+                INK,
+                Alignment::Right,
+            );
         }
         if is_last {
             for tick in ticks(place.time_s, 12.0) {
                 let label = number(tick, tick_step(place.time_s, 12.0));
-                self.text(&label, pixel(place.x(tick)), place.bottom + 6, &FONT_9X18, INK, Alignment::Center);
+                self.text(
+                    &label,
+                    pixel(place.x(tick)),
+                    place.bottom + 6,
+                    &FONT_9X18,
+                    INK,
+                    Alignment::Center,
+                );
             }
         }
         let name = format!("{} ({})", panel.name, panel.unit);
@@ -373,13 +494,30 @@ impl Canvas {
         for (curve, meaning) in panel.curves.iter().rev() {
             self.text(meaning, right, line, &FONT_9X18, INK, Alignment::Right);
             right -= 9 * meaning.len() + 8;
-            self.fill((right - 26) as f64, (line + 7) as f64, right as f64, (line + 11) as f64, curve.color);
+            self.fill(
+                (right - 26) as f64,
+                (line + 7) as f64,
+                right as f64,
+                (line + 11) as f64,
+                curve.color,
+            );
             right -= 26 + 24;
         }
     }
 
-    fn text(&mut self, text: &str, x: usize, y: usize, font: &MonoFont<'_>, color: Rgb888, alignment: Alignment) {
-        let style = TextStyleBuilder::new().alignment(alignment).baseline(Baseline::Top).build();
+    fn text(
+        &mut self,
+        text: &str,
+        x: usize,
+        y: usize,
+        font: &MonoFont<'_>,
+        color: Rgb888,
+        alignment: Alignment,
+    ) {
+        let style = TextStyleBuilder::new()
+            .alignment(alignment)
+            .baseline(Baseline::Top)
+            .build();
         let at = Point::new(x as i32, y as i32);
         let text = Text::with_text_style(text, at, MonoTextStyle::new(font, color), style);
         // Drawing into memory cannot fail.
@@ -403,7 +541,10 @@ impl DrawTarget for Canvas {
     type Color = Rgb888;
     type Error = std::convert::Infallible;
 
-    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Self::Error> {
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(
+        &mut self,
+        pixels: I,
+    ) -> Result<(), Self::Error> {
         for Pixel(at, color) in pixels {
             if let (Ok(x), Ok(y)) = (usize::try_from(at.x), usize::try_from(at.y)) {
                 self.set(x, y, color);

@@ -50,7 +50,9 @@ impl Probe {
         loop {
             let text = match self.decoder.decode() {
                 Ok(frame) => {
-                    let level = frame.level().map_or("     ".into(), |level| format!("{:<5}", level.as_str().to_uppercase()));
+                    let level = frame.level().map_or("     ".into(), |level| {
+                        format!("{:<5}", level.as_str().to_uppercase())
+                    });
                     format!("{level} {}", frame.display_message())
                 }
                 Err(DecodeError::UnexpectedEof) => break,
@@ -86,6 +88,10 @@ impl Probe {
     fn is_set_up(&self, memory: &mut dyn Memory) -> bool {
         (self.control_block..)
             .zip(IDENTIFICATION)
-            .all(|(address, &byte)| memory.read(address, Width::W8).is_ok_and(|read| read == u64::from(byte)))
+            .all(|(address, &byte)| {
+                memory
+                    .read(address, Width::W8)
+                    .is_ok_and(|read| read == u64::from(byte))
+            })
     }
 }

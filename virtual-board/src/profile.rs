@@ -13,8 +13,8 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
 use rigless::emulator::{
-    Access, AccessKind, BitAlias, Checked, CoreBus, DataModel, Error, Exit, HaltReason, HostCall, InterruptLine,
-    Processor, Queued,
+    Access, AccessKind, BitAlias, Checked, CoreBus, DataModel, Error, Exit, HaltReason, HostCall,
+    InterruptLine, Processor, Queued,
 };
 use rigless::soc::{Endian, Width};
 use rigless::time::VirtualNanos;
@@ -127,11 +127,18 @@ const EXCEPTION_NUMBER: u64 = 0x1FF;
 impl ProfiledProcessor {
     /// Wraps a processor. `handlers` are the vector table's entries by exception number.
     #[must_use]
-    pub fn new(inner: Box<dyn Processor>, handlers: Vec<u32>, profile: Arc<Mutex<Profile>>) -> Self {
+    pub fn new(
+        inner: Box<dyn Processor>,
+        handlers: Vec<u32>,
+        profile: Arc<Mutex<Profile>>,
+    ) -> Self {
         Self {
             inner,
             profile,
-            handlers: handlers.into_iter().map(|handler| u64::from(handler & !1)).collect(),
+            handlers: handlers
+                .into_iter()
+                .map(|handler| u64::from(handler & !1))
+                .collect(),
             is_armed: false,
             activations: Vec::new(),
             wakes_at: BTreeSet::new(),
@@ -141,17 +148,27 @@ impl ProfiledProcessor {
 
     fn register(&self, number: usize) -> u64 {
         let bytes = self.inner.gdb_register(number).unwrap_or_default();
-        bytes.iter().rev().fold(0, |value, &byte| value << 8 | u64::from(byte))
+        bytes
+            .iter()
+            .rev()
+            .fold(0, |value, &byte| value << 8 | u64::from(byte))
     }
 
     fn exception(&self) -> usize {
-        usize::try_from(self.register(STATUS) & EXCEPTION_NUMBER).unwrap_or(THREAD).min(EXCEPTIONS - 1)
+        usize::try_from(self.register(STATUS) & EXCEPTION_NUMBER)
+            .unwrap_or(THREAD)
+            .min(EXCEPTIONS - 1)
     }
 
     /// Puts a breakpoint on every handler, and none on what the table leaves empty.
     fn arm(&mut self) {
         self.is_armed = true;
-        let mut addresses: Vec<u64> = self.handlers.iter().copied().filter(|&address| address != 0).collect();
+        let mut addresses: Vec<u64> = self
+            .handlers
+            .iter()
+            .copied()
+            .filter(|&address| address != 0)
+            .collect();
         addresses.sort_unstable();
         addresses.dedup();
         for address in addresses {
@@ -162,7 +179,8 @@ impl ProfiledProcessor {
     /// Finds out which exception runs now, and credits the instructions since the last time.
     fn look(&mut self, bus: &mut dyn CoreBus) {
         let exception = self.exception();
-        let is_entry = exception != THREAD && self.handlers.get(exception) == Some(&self.inner.pc());
+        let is_entry =
+            exception != THREAD && self.handlers.get(exception) == Some(&self.inner.pc());
         let is_explained = if is_entry {
             self.enter(exception, bus);
             true
@@ -178,7 +196,11 @@ impl ProfiledProcessor {
 
     /// The same, unless the exception is the one that ran before.
     fn look_again(&mut self, bus: &mut dyn CoreBus) {
-        if self.profile.lock().is_ok_and(|profile| profile.current != self.exception()) {
+        if self
+            .profile
+            .lock()
+            .is_ok_and(|profile| profile.current != self.exception())
+        {
             self.look(bus);
         }
     }
@@ -210,7 +232,11 @@ impl ProfiledProcessor {
 
     /// Drops the activations that have ended, if `exception` runs now. Says whether that explains it.
     fn leave_to(&mut self, exception: usize) -> bool {
-        while self.activations.last().is_some_and(|last| last.exception != exception) {
+        while self
+            .activations
+            .last()
+            .is_some_and(|last| last.exception != exception)
+        {
             self.activations.pop();
         }
         !self.activations.is_empty() || exception == THREAD
@@ -232,9 +258,16 @@ impl Processor for ProfiledProcessor {
             is_stepped: false,
         };
         let exit = loop {
-            stretch.is_stepped = self.activations.iter().any(|activation| activation.is_stepped);
+            stretch.is_stepped = self
+                .activations
+                .iter()
+                .any(|activation| activation.is_stepped);
             let left = stretch.until.saturating_sub(self.inner.retired());
-            let budget = if stretch.is_stepped { 1 } else { u32::try_from(left).unwrap_or(u32::MAX) };
+            let budget = if stretch.is_stepped {
+                1
+            } else {
+                u32::try_from(left).unwrap_or(u32::MAX)
+            };
             match self.inner.run(budget, &mut stretch) {
                 (Exit::Breakpoint, _) => {
                     self.look(stretch.bus);
@@ -260,7 +293,10 @@ impl Processor for ProfiledProcessor {
         }
     }
 
-    #[expect(unsafe_code, reason = "the emulator hands its memory over by pointer, and this only passes it on")]
+    #[expect(
+        unsafe_code,
+        reason = "the emulator hands its memory over by pointer, and this only passes it on"
+    )]
     unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
         // SAFETY: the caller's promise is passed on whole; the inner processor lives as long as this one.
         unsafe { self.inner.map(start, length, host, writable) };
@@ -334,7 +370,13 @@ impl Processor for ProfiledProcessor {
         self.inner.set_gdb_register(number, bytes)
     }
 
-    fn debugger_access(&mut self, write: Option<u64>, address: u64, width: Width, now: VirtualNanos) -> Option<u64> {
+    fn debugger_access(
+        &mut self,
+        write: Option<u64>,
+        address: u64,
+        width: Width,
+        now: VirtualNanos,
+    ) -> Option<u64> {
         self.inner.debugger_access(write, address, width, now)
     }
 

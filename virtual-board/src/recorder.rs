@@ -173,7 +173,8 @@ impl Recorder {
 
     /// Credits the work since the last edge to the sample published in the meantime.
     fn close_window(&mut self, retired: u64) {
-        let (Some((before, published)), Some(attitude)) = (self.window.take(), self.attitude) else {
+        let (Some((before, published)), Some(attitude)) = (self.window.take(), self.attitude)
+        else {
             return;
         };
         let now = self.counts(retired);
@@ -181,7 +182,11 @@ impl Recorder {
             return;
         };
         let worked = |exception: usize| now[exception] - before[exception];
-        let input: u64 = INPUT_INTERRUPTS.into_iter().map(exception_of).map(worked).sum();
+        let input: u64 = INPUT_INTERRUPTS
+            .into_iter()
+            .map(exception_of)
+            .map(worked)
+            .sum();
         sample.input_instructions = Some(input);
         sample.instructions = Some(input + worked(attitude));
     }
@@ -189,13 +194,20 @@ impl Recorder {
     /// The firmware has counted its published sequence up.
     fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
         self.follow_sensor(session, hit.instruction_count);
-        let (Some(snapshot), Some(burst)) = (read_snapshot(host, self.snapshot), self.last_burst) else {
+        let (Some(snapshot), Some(burst)) = (read_snapshot(host, self.snapshot), self.last_burst)
+        else {
             return;
         };
         self.attitude = self.profile.lock().ok().map(|profile| profile.current());
-        self.record.first.get_or_insert((hit.instruction_count, hit.at.0));
+        self.record
+            .first
+            .get_or_insert((hit.instruction_count, hit.at.0));
         let edge = burst.edge.and_then(|index| {
-            let place = self.record.edges.binary_search_by_key(&index, |edge| edge.index).ok()?;
+            let place = self
+                .record
+                .edges
+                .binary_search_by_key(&index, |edge| edge.index)
+                .ok()?;
             self.record.edges.get(place).copied()
         });
         self.record.samples.push(Sample {
@@ -211,7 +223,9 @@ impl Recorder {
 
     /// Takes the firmware's outputs and tells the observer.
     fn serve(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
-        self.record.heard.append(&mut session.board_mut().controller.listener().take());
+        self.record
+            .heard
+            .append(&mut session.board_mut().controller.listener().take());
         if let Some(probe) = &mut self.probe {
             for line in probe.drain(host, now_ns) {
                 self.observer.log(&line);
@@ -232,11 +246,10 @@ impl Recorder {
         self.close_window(stop.instruction_count);
         self.serve(session, host, stop.at.0);
         self.record.last = (stop.instruction_count, stop.at.0);
-        let untouched = self
-            .stack
-            .clone()
-            .step_by(4)
-            .find(|&address| host.read(address, Width::W32).is_ok_and(|word| word != u64::from(STACK_PATTERN)));
+        let untouched = self.stack.clone().step_by(4).find(|&address| {
+            host.read(address, Width::W32)
+                .is_ok_and(|word| word != u64::from(STACK_PATTERN))
+        });
         self.record.stack_bytes_used = self.stack.end - untouched.unwrap_or(self.stack.end);
     }
 }
@@ -247,7 +260,12 @@ impl Driver<Board> for Recorder {
             Settled::Access { access, .. } => {
                 let is_timer = (TIM5.base..TIM5.base + TIM5.size).contains(&access.address);
                 if is_timer && access.kind == AccessKind::Write {
-                    self.timer.written(session, access.address - TIM5.base, access.value, access.virtual_time);
+                    self.timer.written(
+                        session,
+                        access.address - TIM5.base,
+                        access.value,
+                        access.virtual_time,
+                    );
                 }
             }
             Settled::Hit(hit) => self.published(session, host, hit),
@@ -263,11 +281,17 @@ impl Driver<Board> for Recorder {
         }
     }
 
-    fn on_stop(&mut self, session: &mut Session<Board>, stop: Stop, host: &mut dyn Host) -> Option<VirtualNanos> {
+    fn on_stop(
+        &mut self,
+        session: &mut Session<Board>,
+        stop: Stop,
+        host: &mut dyn Host,
+    ) -> Option<VirtualNanos> {
         if stop.instruction_count == 0 {
             // Before the first instruction.
             for address in self.stack.clone().step_by(4) {
-                host.write(address, Width::W32, u64::from(STACK_PATTERN)).ok()?;
+                host.write(address, Width::W32, u64::from(STACK_PATTERN))
+                    .ok()?;
             }
             session.watch(Watch::Writes {
                 address: self.snapshot + SEQUENCE,
@@ -294,7 +318,8 @@ impl Timer {
     fn written(&mut self, session: &mut Session<Board>, offset: u64, value: u64, at: VirtualNanos) {
         let register = |register: Register| u64::from(register.spec().offset);
         let controller = &mut session.board_mut().controller;
-        let is_started = offset == register(Register::Cr1) && cr1::CEN.is_set(value) && self.zero_ns.is_none();
+        let is_started =
+            offset == register(Register::Cr1) && cr1::CEN.is_set(value) && self.zero_ns.is_none();
         let is_restarted = offset == register(Register::Egr) && egr::UG.is_set(value);
         let is_set = offset == register(Register::Cnt);
         if !is_started && !(self.zero_ns.is_some() && (is_restarted || is_set)) {
@@ -302,7 +327,9 @@ impl Timer {
         }
         let count_address = TIM5.base + register(Register::Cnt);
         if let Some(count) = self.starts_at.filter(|_| is_started) {
-            controller.write(at, count_address, Width::W32, u64::from(count)).ok();
+            controller
+                .write(at, count_address, Width::W32, u64::from(count))
+                .ok();
         }
         let count = controller.peek(at, count_address, Width::W32).unwrap_or(0);
         self.zero_ns = Some(i128::from(at.0) - 1000 * i128::from(count));
@@ -310,7 +337,8 @@ impl Timer {
 
     /// An instant in microseconds by the timer, with their fraction.
     fn microseconds(&self, at_ns: u64) -> Option<f64> {
-        self.zero_ns.map(|zero_ns| (i128::from(at_ns) - zero_ns) as f64 / 1000.0)
+        self.zero_ns
+            .map(|zero_ns| (i128::from(at_ns) - zero_ns) as f64 / 1000.0)
     }
 }
 

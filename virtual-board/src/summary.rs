@@ -55,29 +55,48 @@ impl Summary {
     pub fn of(record: &Record, firmware: &Firmware, core_hz: u64, wall_seconds: f64) -> Self {
         let samples = &record.samples;
         let (last_instruction, last_ns) = record.last;
-        let instructions: Vec<u64> = samples.iter().filter_map(|sample| sample.instructions).collect();
-        let input: Vec<f64> =
-            samples.iter().filter_map(|sample| sample.input_instructions).map(|count| count as f64).collect();
+        let instructions: Vec<u64> = samples
+            .iter()
+            .filter_map(|sample| sample.instructions)
+            .collect();
+        let input: Vec<f64> = samples
+            .iter()
+            .filter_map(|sample| sample.input_instructions)
+            .map(|count| count as f64)
+            .collect();
         let latencies_us: Vec<f64> = samples
             .iter()
-            .filter_map(|sample| Some(sample.published_ns.checked_sub(sample.edge?.time_ns)? as f64 / 1000.0))
+            .filter_map(|sample| {
+                Some(sample.published_ns.checked_sub(sample.edge?.time_ns)? as f64 / 1000.0)
+            })
             .collect();
-        let time_errors_us: Vec<f64> =
-            samples.iter().filter_map(|sample| Some((sample.snapshot.t_us as f64 - sample.true_t_us?).abs())).collect();
-        let inclinations_deg: Vec<f64> = samples.iter().filter_map(scored_inclination_deg).collect();
+        let time_errors_us: Vec<f64> = samples
+            .iter()
+            .filter_map(|sample| Some((sample.snapshot.t_us as f64 - sample.true_t_us?).abs()))
+            .collect();
+        let inclinations_deg: Vec<f64> =
+            samples.iter().filter_map(scored_inclination_deg).collect();
         let squares: Vec<f64> = inclinations_deg.iter().map(|error| error * error).collect();
         Self {
             samples: samples.len(),
             missed: missed(record),
             virtual_seconds: last_ns as f64 / 1e9,
             wall_seconds,
-            instructions_per_sample_mean: mean(&instructions.iter().map(|&count| count as f64).collect::<Vec<_>>()),
+            instructions_per_sample_mean: mean(
+                &instructions
+                    .iter()
+                    .map(|&count| count as f64)
+                    .collect::<Vec<_>>(),
+            ),
             instructions_per_sample_max: instructions.iter().copied().max(),
             io_instructions_per_sample_mean: mean(&input),
-            cpu_load_percent: record.first.filter(|&(_, first_ns)| last_ns > first_ns).map(|(first_instruction, first_ns)| {
-                let available = (last_ns - first_ns) as f64 * 1e-9 * core_hz as f64;
-                100.0 * (last_instruction - first_instruction) as f64 / available
-            }),
+            cpu_load_percent: record
+                .first
+                .filter(|&(_, first_ns)| last_ns > first_ns)
+                .map(|(first_instruction, first_ns)| {
+                    let available = (last_ns - first_ns) as f64 * 1e-9 * core_hz as f64;
+                    100.0 * (last_instruction - first_instruction) as f64 / available
+                }),
             edge_to_attitude_us_mean: mean(&latencies_us),
             edge_to_attitude_us_max: maximum(&latencies_us),
             timestamp_error_us_max: maximum(&time_errors_us),
@@ -112,15 +131,21 @@ fn scored_inclination_deg(sample: &Sample) -> Option<f64> {
 
 /// Counts the edges without a sample, apart from those whose sample was still on its way at the end.
 fn missed(record: &Record) -> usize {
-    let mut published: Vec<u64> =
-        record.samples.iter().filter_map(|sample| sample.edge).map(|edge| edge.index).collect();
+    let mut published: Vec<u64> = record
+        .samples
+        .iter()
+        .filter_map(|sample| sample.edge)
+        .map(|edge| edge.index)
+        .collect();
     published.dedup();
     let in_flight_from_ns = record.last.1.saturating_sub(IN_FLIGHT_NS);
     let last_published = published.last().copied();
     record
         .edges
         .iter()
-        .filter(|edge| edge.time_ns < in_flight_from_ns || last_published.is_some_and(|last| edge.index < last))
+        .filter(|edge| {
+            edge.time_ns < in_flight_from_ns || last_published.is_some_and(|last| edge.index < last)
+        })
         .filter(|edge| published.binary_search(&edge.index).is_err())
         .count()
 }

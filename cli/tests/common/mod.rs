@@ -24,24 +24,3 @@ pub fn file(test: &str, name: &str, contents: impl AsRef<[u8]>) -> PathBuf {
     std::fs::write(&path, contents).expect("the target folder can be written");
     path
 }
-
-/// Holds `contents` to the golden file of this name; `APLOMB_BLESS=1` writes it instead.
-pub fn assert_golden(name: &str, contents: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/golden")
-        .join(name);
-    if std::env::var_os("APLOMB_BLESS").is_some() {
-        std::fs::write(&path, contents).expect("the golden file can be written");
-        return;
-    }
-    let expected = std::fs::read_to_string(&path).unwrap_or_default();
-    for (number, (line, expected)) in contents.lines().zip(expected.lines()).enumerate() {
-        assert_eq!(line, expected, "{}:{}", path.display(), number + 1);
-    }
-    assert_eq!(
-        contents.lines().count(),
-        expected.lines().count(),
-        "{}: run with APLOMB_BLESS=1 if the change is meant",
-        path.display()
-    );
-}

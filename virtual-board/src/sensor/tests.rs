@@ -786,8 +786,14 @@ fn a_changed_range_leaves_the_filter_alone_and_a_changed_filter_starts_settled()
         chip.wait(MILLISECOND);
         let expected = if chip.read(0x1C) == 0 { 16384 } else { 8192 };
         let sample = chip.sample();
-        assert!((sample[2] - expected).abs() <= 1, "{register:#04x}: {sample:?}");
-        assert!((sample[4] - 13100).abs() <= 1, "{register:#04x}: {sample:?}");
+        assert!(
+            (sample[2] - expected).abs() <= 1,
+            "{register:#04x}: {sample:?}"
+        );
+        assert!(
+            (sample[4] - 13100).abs() <= 1,
+            "{register:#04x}: {sample:?}"
+        );
     }
 }
 
@@ -797,7 +803,11 @@ fn what_exceeds_the_range_is_cut_off_before_the_filter() {
     let hammering = Scripted {
         force: |time_s| {
             let up = (time_s * 1000.0) as i64 % 2 == 0;
-            [if up { 3.0 } else { -1.0 } * STANDARD_GRAVITY_M_S2, 0.0, 0.0]
+            [
+                if up { 3.0 } else { -1.0 } * STANDARD_GRAVITY_M_S2,
+                0.0,
+                0.0,
+            ]
         },
         rates: still,
     };
