@@ -1,6 +1,7 @@
 //! The filters that can be chosen, the library's own and others, in one seat.
 
 use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::estimator::kalman::Kalman;
 use aplomb::estimator::{Estimate, Estimator, FilterKind, Sample};
 
 use crate::peers::{Fusion, Madgwick, Mahony, Peer, Vqf, VqfAsIs};
@@ -68,38 +69,62 @@ impl Choice {
     }
 }
 
-/// A filter at work.
-pub enum Filter {
-    /// One of the library's.
+/// A filter at work, whose attitudes are extrapolated by the delay of the sensor.
+pub struct Filter {
+    seat: Seat,
+    /// What is left for this side to make up for, in s.
+    delay_s: f32,
+}
+
+#[allow(clippy::large_enum_variant)]
+enum Seat {
     Library(Estimator),
-    /// Another crate's.
     Peer(Peer),
 }
 
 impl Filter {
-    /// The chosen filter, before its first sample; samples will be about `step_s` apart.
-    pub fn new(choice: Choice, step_s: f32) -> Self {
-        match choice {
-            Choice::Library(kind) => Self::Library(Estimator::new(kind)),
-            Choice::Mahony => Self::Peer(Peer::new::<Mahony>(step_s)),
-            Choice::Madgwick => Self::Peer(Peer::new::<Madgwick>(step_s)),
-            Choice::Fusion => Self::Peer(Peer::new::<Fusion>(step_s)),
-            Choice::Vqf => Self::Peer(Peer::new::<Vqf>(step_s)),
-            Choice::VqfAsIs => Self::Peer(Peer::new::<VqfAsIs>(step_s)),
-        }
+    /// The chosen filter, before its first sample. Samples will be about `step_s` apart, and `delay_us` late.
+    pub fn new(choice: Choice, step_s: f32, delay_us: u32) -> Self {
+        let seat = match choice {
+            Choice::Library(kind) => {
+                Seat::Library(Estimator::new(kind).with_sensor_delay_us(delay_us))
+            }
+            Choice::Mahony => Seat::Peer(Peer::new::<Mahony>(step_s)),
+            Choice::Madgwick => Seat::Peer(Peer::new::<Madgwick>(step_s)),
+            Choice::Fusion => Seat::Peer(Peer::new::<Fusion>(step_s)),
+            Choice::Vqf => Seat::Peer(Peer::new::<Vqf>(step_s)),
+            Choice::VqfAsIs => Seat::Peer(Peer::new::<VqfAsIs>(step_s)),
+        };
+        let delay_s = match choice {
+            Choice::Library(FilterKind::Kalman) => 0.0,
+            _ => delay_us as f32 * 1e-6,
+        };
+        Self { seat, delay_s }
     }
 
-    /// Takes one sample and gives the attitude at its time, when the sensor is not late.
+    /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
-        match self {
-            Self::Library(estimator) => estimator.update(sample),
-            Self::Peer(peer) => peer.update(sample),
+        let mut estimate = match &mut self.seat {
+            Seat::Library(estimator) => estimator.update(sample),
+            Seat::Peer(peer) => peer.update(sample),
+        };
+        if self.delay_s > 0.0 {
+            estimate.attitude = extrapolate(&estimate, self.delay_s);
+        }
+        estimate
+    }
+
+    /// How sure it is of roll and pitch, if it knows.
+    pub fn tilt_sigma_rad(&self) -> Option<f32> {
+        match &self.seat {
+            Seat::Library(estimator) => estimator.kalman().map(Kalman::tilt_sigma_rad),
+            Seat::Peer(_) => None,
         }
     }
 }
 
 /// The attitude `delay_s` later, if the body turns on as it does.
-pub fn extrapolate(estimate: &Estimate, delay_s: f32) -> Quaternion {
+fn extrapolate(estimate: &Estimate, delay_s: f32) -> Quaternion {
     let turn = estimate.body_rates_rad_s.scale(delay_s);
     estimate
         .attitude
@@ -122,7 +147,7 @@ mod tests {
 
     /// The angle in degrees between a filter's "up" and the true one, after seconds of turning in this way.
     fn error_degrees(choice: Choice, start: EulerAngles, rate_rad_s: Vector3, steps: u32) -> f32 {
-        let mut filter = Filter::new(choice, STEP_S);
+        let mut filter = Filter::new(choice, STEP_S, 0);
         let mut truth = Quaternion::from_euler(start);
         let mut estimate = Estimate::default();
         for step in 0..steps {
@@ -130,6 +155,7 @@ mod tests {
                 t_us: u64::from(step) * 5_000,
                 specific_force_m_s2: up_in_body(truth).scale(STANDARD_GRAVITY_M_S2),
                 angular_rate_rad_s: rate_rad_s,
+                ..Sample::default()
             });
             if step + 1 < steps {
                 let turn = Quaternion::from_rotation_vector(rate_rad_s.scale(STEP_S));

@@ -97,6 +97,7 @@ impl Peer {
                 .last
                 .map_or(Vector3::ZERO, |sample| sample.angular_rate_rad_s),
             remarks,
+            ..Estimate::default()
         }
     }
 

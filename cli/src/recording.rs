@@ -6,7 +6,7 @@ use aplomb::attitude::Vector3;
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 
-use crate::filter::{Choice, Filter, extrapolate, up_in_body};
+use crate::filter::{Choice, Filter, up_in_body};
 use crate::log::{self, Fault, Lines, Refusal};
 use crate::score::{Errors, START_US, Score, up_in_sensor};
 
@@ -52,6 +52,7 @@ impl Recording {
                 t_us,
                 specific_force_m_s2: to_body(row.specific_force),
                 angular_rate_rad_s: to_body(row.rates),
+                ..Sample::default()
             });
             let up = row.truth.filter(|_| row.is_moving).map(up_in_sensor);
             recording.true_up.push(up.map(|[x, y, z]| [x, -y, -z]));
@@ -73,12 +74,11 @@ impl Recording {
 
     /// Runs a filter through it. `None` if no row counts.
     pub fn score(&self, choice: Choice) -> Option<Score> {
-        let mut filter = Filter::new(choice, self.step_s());
-        let delay_s = self.delay_us as f32 * 1e-6;
+        let mut filter = Filter::new(choice, self.step_s(), self.delay_us);
         let start_us = self.samples.first()?.t_us + START_US.unsigned_abs();
         let mut errors = Errors::default();
         for (sample, true_up) in self.samples.iter().zip(&self.true_up) {
-            let attitude = extrapolate(&filter.update(sample), delay_s);
+            let attitude = filter.update(sample).attitude;
             if let Some(true_up) = *true_up
                 && sample.t_us >= start_us
             {

@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
 use aplomb::calibration::Mount;
-use aplomb::estimator::{FilterKind, Remarks, Sample};
+use aplomb::estimator::kalman::Kalman;
+use aplomb::estimator::{Estimate, FilterKind, Sample};
 use aplomb::health::Flags;
 use aplomb::mpu6050::{
     AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
@@ -19,7 +20,7 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
 
-use crate::filter::{Choice, Filter, extrapolate, up_in_body};
+use crate::filter::{Choice, Filter, up_in_body};
 use crate::log::{self, Fault, Lines, Refusal, Row};
 use crate::number;
 use crate::progress;
@@ -46,9 +47,10 @@ pub struct Options {
     /// Where the body's forward and down axes point in sensor axes, for example +x-z
     #[arg(long, default_value = "z-up", allow_hyphen_values = true, value_parser = parse_mount)]
     mount: Mount,
-    /// By how much the log's samples are late, in microseconds: attitudes are extrapolated by it
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    sensor_delay_us: u32,
+    /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0 unless told
+    /// otherwise; bursts: the delay of the sensor's low-pass filter)
+    #[arg(long, value_name = "N")]
+    sensor_delay_us: Option<u32>,
     /// The log's values are register counts of a sensor with these ranges
     #[arg(long, requires_all = ["accel_range", "gyro_range"])]
     raw: bool,
@@ -70,8 +72,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         return Err(lines.refuse_file(Fault::Empty).into());
     };
     if header == bursts::HEADER {
-        if options.raw || options.sensor_delay_us > 0 {
-            return Err("--raw and --sensor-delay-us are for logs: bursts are raw, and the pipeline knows their sensor".into());
+        if options.raw {
+            return Err("--raw is for logs: bursts are raw in any case".into());
         }
         let mut source = Bursts::new(options, lines);
         return replay(options, &mut source);
@@ -157,7 +159,6 @@ struct Log {
     columns: usize,
     filter: Filter,
     mount: Mount,
-    delay_s: f32,
     ranges: Option<(AccelerometerRange, GyroscopeRange)>,
 }
 
@@ -166,28 +167,36 @@ impl Log {
         Self {
             lines,
             columns,
-            filter: Filter::new(options.filter, USUAL_STEP_S),
+            filter: Filter::new(
+                options.filter,
+                USUAL_STEP_S,
+                options.sensor_delay_us.unwrap_or(0),
+            ),
             mount: options.mount,
-            delay_s: options.sensor_delay_us as f32 * 1e-6,
             ranges: options.accel_range.zip(options.gyro_range),
         }
     }
 
-    /// Specific force and rates in sensor axes and SI units, and which of them are at their full scale.
-    fn values(&self, row: &Row) -> Result<(Vector3, Vector3, Flags), Fault> {
+    /// The row as a sample in body axes.
+    fn sample(&self, row: &Row) -> Result<Sample, Fault> {
+        let t_us = unsigned(row.time_us);
         let Some((accelerometer_range, gyroscope_range)) = self.ranges else {
-            return Ok((vector(row.specific_force), vector(row.rates), Flags::NONE));
+            return Ok(Sample {
+                t_us,
+                specific_force_m_s2: self.mount.to_body(vector(row.specific_force)),
+                angular_rate_rad_s: self.mount.to_body(vector(row.rates)),
+                ..Sample::default()
+            });
         };
         let [force, rates] = log::counts(row)?;
         let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
-        let flags = Flags::NONE
-            .with(Flags::ACCELEROMETER_SATURATED, force.is_saturated())
-            .with(Flags::GYROSCOPE_SATURATED, rates.is_saturated());
-        Ok((
-            force.to_m_s2(accelerometer_range),
-            rates.to_rad_s(gyroscope_range),
-            flags,
-        ))
+        Ok(Sample {
+            t_us,
+            specific_force_m_s2: self.mount.to_body(force.to_m_s2(accelerometer_range)),
+            angular_rate_rad_s: self.mount.to_body(rates.to_rad_s(gyroscope_range)),
+            is_force_saturated: force.is_saturated(),
+            is_rate_saturated: rates.is_saturated(),
+        })
     }
 }
 
@@ -197,20 +206,18 @@ impl Source for Log {
             return Ok(None);
         };
         let row = log::parse(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
-        let (force, rates, flags) = self
-            .values(&row)
+        let sample = self
+            .sample(&row)
             .map_err(|fault| self.lines.refuse(fault))?;
-        let estimate = self.filter.update(&Sample {
-            t_us: unsigned(row.time_us),
-            specific_force_m_s2: self.mount.to_body(force),
-            angular_rate_rad_s: self.mount.to_body(rates),
-        });
+        let estimate = self.filter.update(&sample);
         Ok(Some(Point {
             t_us: row.time_us,
-            attitude: extrapolate(&estimate, self.delay_s),
+            attitude: estimate.attitude,
             body_rates_rad_s: estimate.body_rates_rad_s,
-            tilt_sigma_rad: None,
-            flags: flags | flags_of(estimate.remarks),
+            tilt_sigma_rad: self.filter.tilt_sigma_rad(),
+            flags: flags_of(&estimate)
+                .with(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated)
+                .with(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated),
             true_up: row.truth.filter(|_| row.is_moving).map(up_in_sensor),
         }))
     }
@@ -232,17 +239,24 @@ impl Bursts {
     fn new(options: &Options, lines: Lines) -> Self {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.mount = options.mount;
+        settings.sensor_delay_us = options.sensor_delay_us;
         settings.sensor = Config {
             accelerometer_range: options.accel_range.unwrap_or_default(),
             gyroscope_range: options.gyro_range.unwrap_or_default(),
             ..Config::DEFAULT
         };
+        // Behind another crate's filter, offsets at rest are removed as for the library's simple ones.
+        settings.filter = FilterKind::AxisKalman;
         let peer = match options.filter {
             Choice::Library(kind) => {
                 settings.filter = kind;
                 None
             }
-            other => Some(Filter::new(other, USUAL_STEP_S)),
+            other => Some(Filter::new(
+                other,
+                USUAL_STEP_S,
+                settings.sensor.low_pass.gyroscope_delay_us().into(),
+            )),
         };
         Self {
             lines,
@@ -261,16 +275,19 @@ impl Source for Bursts {
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|_| self.lines.refuse(bursts::DecodeError::Time.into()))?;
         let mut snapshot = self.pipeline.update(&burst);
+        let kalman = self.pipeline.estimator().kalman();
+        let mut tilt_sigma_rad = kalman.map(Kalman::tilt_sigma_rad);
         if let Some(peer) = &mut self.peer {
             let estimate = peer.update(self.pipeline.sample());
             snapshot.attitude = estimate.attitude;
             snapshot.body_rates_rad_s = estimate.body_rates_rad_s;
+            tilt_sigma_rad = None;
         }
         Ok(Some(Point {
             t_us,
             attitude: snapshot.attitude,
             body_rates_rad_s: snapshot.body_rates_rad_s,
-            tilt_sigma_rad: None,
+            tilt_sigma_rad,
             flags: snapshot.flags,
             true_up: None,
         }))
@@ -368,8 +385,10 @@ impl Drop for Output {
 }
 
 /// What the pipeline would say of a sample.
-pub fn flags_of(remarks: Remarks) -> Flags {
+fn flags_of(estimate: &Estimate) -> Flags {
+    let remarks = estimate.remarks;
     Flags::NONE
+        .with(Flags::CALIBRATING, estimate.is_calibrating)
         .with(Flags::GAP, remarks.gap)
         .with(Flags::TIME, remarks.time_went_back)
         .with(Flags::REJECTED, remarks.rejected)

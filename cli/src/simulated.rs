@@ -68,6 +68,8 @@ pub fn flight(seed: u64) -> Recording {
                     .to_body(raw.accelerometer.to_m_s2(CONFIG.accelerometer_range)),
                 angular_rate_rad_s: Mount::Z_UP
                     .to_body(raw.gyroscope.to_rad_s(CONFIG.gyroscope_range)),
+                is_rate_saturated: raw.gyroscope.is_saturated(),
+                is_force_saturated: raw.accelerometer.is_saturated(),
             });
             recording
                 .true_up
