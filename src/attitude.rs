@@ -530,7 +530,8 @@ mod tests {
             let angles = q.to_euler();
             assert!((angles.pitch_rad / DEGREE - pitch).abs() < 1e-3);
             assert!(angle_between(Quaternion::from_euler(angles), q) < 1e-3);
-            let total = (angles.yaw_rad + sign * angles.roll_rad) / DEGREE;
+            assert_eq!(angles.roll_rad, 0.0);
+            let total = angles.yaw_rad / DEGREE;
             assert!((total - (70.0 + sign * 25.0)).abs() < 1e-3, "{angles:?}");
         }
     }

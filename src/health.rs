@@ -72,11 +72,8 @@ impl Flags {
     /// These flags, and those of `other` if `condition` holds.
     #[must_use]
     pub const fn with(self, other: Self, condition: bool) -> Self {
-        if condition {
-            Self(self.0 | other.0)
-        } else {
-            self
-        }
+        // Without a branch, since this runs for every flag of every sample.
+        Self(self.0 | (other.0 * condition as u16))
     }
 
     /// Flags from names joined by `|`; `None` if one is unknown.

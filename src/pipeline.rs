@@ -243,16 +243,14 @@ impl Pipeline {
 
     fn calibrate(&mut self, at_rest: &AtRest) {
         let mount = self.settings.mount;
-        let [x, y, z] = at_rest.gyroscope_counts;
         self.rate_offset_rad_s = mount
-            .to_body(Vector3::new(x, y, z))
+            .to_body(at_rest.gyroscope_counts)
             .scale(self.rad_s_per_count);
         if self.settings.filter == FilterKind::Classic {
             // The tutorial takes the table for level: whatever is not one g upwards is offset.
-            let [x, y, z] = at_rest.accelerometer_counts;
             let gravity = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
             self.force_offset_m_s2 = mount
-                .to_body(Vector3::new(x, y, z))
+                .to_body(at_rest.accelerometer_counts)
                 .scale(self.m_s2_per_count)
                 - gravity;
         }

@@ -1,8 +1,8 @@
 //! `aplomb`: replays recordings through the library, and measures its filters.
 
 mod bench;
+mod counts;
 mod filter;
-mod log;
 mod number;
 mod peers;
 mod plot;

@@ -25,17 +25,21 @@ fn is_special(number: f32, shortest: &str) -> bool {
     let Some((_, decimals)) = shortest.split_once('.') else {
         return true;
     };
-    match POWERS_OF_TEN.get(decimals.len()) {
-        Some(power) if !decimals.contains('e') => {
-            // Exact: 24 bits of the number and 21 of 5⁹. Half way is an odd number of halves.
-            let halves = f64::from(number) * power * 2.0;
-            halves % 2.0 == 1.0 || halves % 2.0 == -1.0
-        }
-        _ => true,
+    if decimals.contains('e') {
+        return true;
     }
+    // Exact: 24 bits of the number and 28 of 5¹². Half way is an odd number of halves. With more decimals a number of
+    // nine digits is too small to be half way.
+    POWERS_OF_TEN.get(decimals.len()).is_some_and(|power| {
+        let halves = f64::from(number) * power * 2.0;
+        let whole = halves as i64;
+        whole % 2 != 0 && whole as f64 == halves
+    })
 }
 
-const POWERS_OF_TEN: [f64; 10] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9];
+const POWERS_OF_TEN: [f64; 13] = [
+    1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12,
+];
 
 #[cfg(test)]
 mod tests {
@@ -73,7 +77,10 @@ mod tests {
         });
         // Numbers with few binary digits: half of them lie half way between two short forms.
         let short = (0..200_000_i32).map(|index| (index - 100_000) as f32 / 128.0);
-        for number in edges.into_iter().chain(any).chain(short) {
+        let small = (0..200_000_i32).map(|index| index as f32 * 1.1e-9);
+        let tiny = (0..200_000_i32).map(|index| index as f32 / (1 << 24) as f32);
+        let numbers = edges.into_iter().chain(any).chain(short);
+        for number in numbers.chain(small).chain(tiny) {
             let mut text = Vec::new();
             append(&mut text, number);
             assert_eq!(String::from_utf8(text).unwrap(), format!("{number}"));

@@ -4,13 +4,13 @@ use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::log::{Lines, Refusal};
+use virtual_board::motion::log::{Lines, LogError};
 
 /// Files from this size on take seconds.
 const LONG_BYTES: u64 = 16 * 1024 * 1024;
 
 /// Opens a file whose reading shows on a bar, if it is long and someone watches.
-pub fn lines(path: &Path) -> Result<Lines, Refusal> {
+pub fn lines(path: &Path) -> Result<Lines, LogError> {
     let length = std::fs::metadata(path).map_or(0, |data| data.len());
     let bar = if length < LONG_BYTES {
         ProgressBar::hidden()

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use aplomb::attitude::Vector3;
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
+use virtual_board::motion::log::{Lines, LogError, LogFault, column_count, parse_row};
 
 use crate::filter::{Choice, Filter, up_in_body};
-use crate::log::{self, Fault, Lines, Refusal};
 use crate::score::{Errors, START_US, Score, up_in_sensor};
 
 /// One recording in body axes, its sensor mounted face up.
@@ -27,10 +27,10 @@ pub struct Recording {
 
 impl Recording {
     /// Reads a log; `None` if it is a file of another kind, holds register counts, or has no truth that counts.
-    pub fn read(path: &Path, delay_us: u32) -> Result<Option<Self>, Refusal> {
+    pub fn read(path: &Path, delay_us: u32) -> Result<Option<Self>, LogError> {
         let mut lines = Lines::open(path, |file| file)?;
-        let header = lines.next()?;
-        let Some(columns @ 11..) = header.and_then(log::columns) else {
+        let header = lines.next_line()?;
+        let Some(columns @ 11..) = header.and_then(column_count) else {
             return Ok(None);
         };
         let mut recording = Self {
@@ -41,20 +41,20 @@ impl Recording {
             true_up: Vec::new(),
         };
         let mut first_us = None;
-        while let Some(line) = lines.next()? {
-            let row = log::parse(line, columns).map_err(|fault| lines.refuse(fault))?;
+        while let Some(line) = lines.next_line()? {
+            let row = parse_row(line, columns).map_err(|fault| lines.refuse(fault))?;
             let first_us = *first_us.get_or_insert(row.time_us);
             let since_us = row.time_us.checked_sub(first_us);
             let t_us = since_us
                 .and_then(|since| u64::try_from(since).ok())
-                .ok_or_else(|| lines.refuse(Fault::Time(row.time_us.to_string())))?;
+                .ok_or_else(|| lines.refuse(LogFault::Time(row.time_us.to_string())))?;
             recording.samples.push(Sample {
                 t_us,
-                specific_force_m_s2: to_body(row.specific_force),
-                angular_rate_rad_s: to_body(row.rates),
+                specific_force_m_s2: to_body(row.specific_force_m_s2),
+                angular_rate_rad_s: to_body(row.rates_rad_s),
                 ..Sample::default()
             });
-            let up = row.truth.filter(|_| row.is_moving).map(up_in_sensor);
+            let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
             recording.true_up.push(up.map(|[x, y, z]| [x, -y, -z]));
         }
         let has_truth = recording.true_up.iter().any(Option::is_some);

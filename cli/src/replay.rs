@@ -19,9 +19,10 @@ use aplomb::mpu6050::{
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
+use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
 
+use crate::counts::counts;
 use crate::filter::{Choice, Filter, up_in_body};
-use crate::log::{self, Fault, Lines, Refusal, Row};
 use crate::number;
 use crate::progress;
 use crate::score::{Errors, START_US, up_in_sensor};
@@ -68,8 +69,8 @@ pub struct Options {
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let mut lines = progress::lines(&options.input)?;
-    let Some(header) = lines.next()? else {
-        return Err(lines.refuse_file(Fault::Empty).into());
+    let Some(header) = lines.next_line()? else {
+        return Err(lines.refuse_file(LogFault::Empty).into());
     };
     if header == bursts::HEADER {
         if options.raw {
@@ -78,9 +79,9 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         let mut source = Bursts::new(options, lines);
         return replay(options, &mut source);
     }
-    let Some(columns) = log::columns(header) else {
-        let header = header.to_owned();
-        return Err(lines.refuse(Fault::Header(header)).into());
+    let Some(columns) = column_count(header) else {
+        let fault = LogFault::Header(header.to_owned());
+        return Err(format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into());
     };
     if !options.raw && (options.accel_range.is_some() || options.gyro_range.is_some()) {
         return Err("--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts".into());
@@ -101,9 +102,7 @@ struct Point {
 
 trait Source {
     /// The next row; `None` after the last.
-    fn next(&mut self) -> Result<Option<Point>, Refusal>;
-    /// What is wrong with a file that has a header and no row.
-    fn no_rows(&self) -> Refusal;
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>>;
 }
 
 fn replay(options: &Options, source: &mut impl Source) -> Result<(), Box<dyn Error>> {
@@ -129,7 +128,11 @@ fn replay(options: &Options, source: &mut impl Source) -> Result<(), Box<dyn Err
         }
     }
     let Some(first_us) = first_us else {
-        return Err(source.no_rows().into());
+        return Err(format!(
+            "{}: there is no row after the header",
+            options.input.display()
+        )
+        .into());
     };
     if let Some(output) = output {
         output.finish()?;
@@ -178,17 +181,17 @@ impl Log {
     }
 
     /// The row as a sample in body axes.
-    fn sample(&self, row: &Row) -> Result<Sample, Fault> {
+    fn sample(&self, row: &Row) -> Result<Sample, String> {
         let t_us = unsigned(row.time_us);
         let Some((accelerometer_range, gyroscope_range)) = self.ranges else {
             return Ok(Sample {
                 t_us,
-                specific_force_m_s2: self.mount.to_body(vector(row.specific_force)),
-                angular_rate_rad_s: self.mount.to_body(vector(row.rates)),
+                specific_force_m_s2: self.mount.to_body(vector(row.specific_force_m_s2)),
+                angular_rate_rad_s: self.mount.to_body(vector(row.rates_rad_s)),
                 ..Sample::default()
             });
         };
-        let [force, rates] = log::counts(row)?;
+        let [force, rates] = counts(row)?;
         let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
         Ok(Sample {
             t_us,
@@ -201,14 +204,14 @@ impl Log {
 }
 
 impl Source for Log {
-    fn next(&mut self) -> Result<Option<Point>, Refusal> {
-        let Some(line) = self.lines.next()? else {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
             return Ok(None);
         };
-        let row = log::parse(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
+        let row = parse_row(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
         let sample = self
             .sample(&row)
-            .map_err(|fault| self.lines.refuse(fault))?;
+            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
         let estimate = self.filter.update(&sample);
         Ok(Some(Point {
             t_us: row.time_us,
@@ -218,12 +221,8 @@ impl Source for Log {
             flags: flags_of(&estimate)
                 .with(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated)
                 .with(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated),
-            true_up: row.truth.filter(|_| row.is_moving).map(up_in_sensor),
+            true_up: row.attitude.filter(|_| row.moving).map(up_in_sensor),
         }))
-    }
-
-    fn no_rows(&self) -> Refusal {
-        self.lines.refuse_file(Fault::NoRows)
     }
 }
 
@@ -267,13 +266,14 @@ impl Bursts {
 }
 
 impl Source for Bursts {
-    fn next(&mut self) -> Result<Option<Point>, Refusal> {
-        let Some(line) = self.lines.next()? else {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
             return Ok(None);
         };
-        let burst = bursts::decode(line).map_err(|error| self.lines.refuse(error.into()))?;
+        let burst =
+            bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
         let t_us = i64::try_from(burst.captured_at_us)
-            .map_err(|_| self.lines.refuse(bursts::DecodeError::Time.into()))?;
+            .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
         let mut snapshot = self.pipeline.update(&burst);
         let kalman = self.pipeline.estimator().kalman();
         let mut tilt_sigma_rad = kalman.map(Kalman::tilt_sigma_rad);
@@ -291,10 +291,6 @@ impl Source for Bursts {
             flags: snapshot.flags,
             true_up: None,
         }))
-    }
-
-    fn no_rows(&self) -> Refusal {
-        self.lines.refuse_file(Fault::NoRows)
     }
 }
 

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use virtual_board::motion::geometry::{Quaternion, angle_between};
+
 /// Rows before this much of the recording do not count, in µs: a filter may take time to start.
 pub const START_US: i64 = 5_000_000;
 
@@ -29,7 +31,8 @@ pub struct Score {
 impl Errors {
     /// Notes the angle between an estimated "up" and the true one.
     pub fn add(&mut self, estimated_up: [f64; 3], true_up: [f64; 3]) {
-        self.degrees.push(angle(estimated_up, true_up).to_degrees());
+        self.degrees
+            .push(angle_between(estimated_up, true_up).to_degrees());
     }
 
     /// The score; `None` if no row counted.
@@ -62,26 +65,9 @@ impl fmt::Display for Score {
     }
 }
 
-/// "Up" in the sensor's axes by a rotation (w, x, y, z) sensor → earth with z up.
-pub fn up_in_sensor([w, x, y, z]: [f64; 4]) -> [f64; 3] {
-    // The last row of the rotation matrix, of a quaternion of any length.
-    [
-        2.0 * (x * z - w * y),
-        2.0 * (y * z + w * x),
-        w * w - x * x - y * y + z * z,
-    ]
-}
-
-/// The angle between two vectors of any length, in radians.
-fn angle(a: [f64; 3], b: [f64; 3]) -> f64 {
-    let cross = [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ];
-    let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
-    let sine = cross.iter().map(|part| part * part).sum::<f64>().sqrt();
-    sine.atan2(dot)
+/// "Up" in the sensor's axes by the rotation sensor → earth with z up.
+pub fn up_in_sensor(sensor_to_earth: Quaternion) -> [f64; 3] {
+    sensor_to_earth.conjugate().rotate([0.0, 0.0, 1.0])
 }
 
 #[cfg(test)]
@@ -89,19 +75,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_are_angles_and_blind_to_yaw_and_length() {
+    fn errors_are_angles_and_blind_to_yaw() {
         let (sine, cosine) = 0.05_f64.sin_cos();
-        let tilted = up_in_sensor([2.0 * cosine, 2.0 * sine, 0.0, 0.0]);
-        let yawed = up_in_sensor([cosine, 0.0, 0.0, sine]);
+        let tilted = up_in_sensor(Quaternion::new(cosine, sine, 0.0, 0.0));
+        let yawed = up_in_sensor(Quaternion::new(cosine, 0.0, 0.0, sine));
         let mut errors = Errors::default();
         errors.add(tilted, yawed);
         let score = errors.score().unwrap();
         assert!((score.rms - 0.1_f64.to_degrees()).abs() < 1e-9);
         assert_eq!(score.rows, 1);
-        assert_eq!(
-            angle([0.0, 0.0, 1.0], [0.0, 0.0, -2.0]),
-            std::f64::consts::PI
-        );
     }
 
     #[test]

@@ -11,6 +11,8 @@
 //! One motion looks exactly like rest to these six sensors: a steady turn about the vertical, slower
 //! than the zero-rate offset that the datasheet allows. It ends up in the offset.
 
+use crate::attitude::Vector3;
+
 /// Samples per window: 0.1 s at 1 kHz, in which a window's mean has a noise of about 0.01 °/s and
 /// 1 mg (product specification §6.1, §6.2).
 const WINDOW: u16 = 100;
@@ -33,9 +35,10 @@ const ZERO_RATE_TEMPERATURE_DEGREES_S: f32 = 20.0;
 const ZERO_RATE_TEMPERATURE_RANGE_CELSIUS: f32 = 60.0;
 /// For the sensitivity's own 3 % and the noise, in °/s.
 const ZERO_RATE_TOLERANCE_DEGREES_S: f32 = 1.0;
-/// How far the accelerometer's mean may lie from one g, in g: 80 mg of offset on each axis and 3 %
-/// of sensitivity (product specification §6.2) make 0.17.
-const GRAVITY_TOLERANCE_G: f32 = 0.2;
+/// What the accelerometer's mean may measure at rest, in g: 80 mg of offset on each axis and 3 % of
+/// sensitivity (product specification §6.2) make 0.17 of error.
+const LEAST_GRAVITY_G: f32 = 0.8;
+const MOST_GRAVITY_G: f32 = 1.2;
 
 /// The largest sum, 65535 samples of −32768, fits its integer.
 const _: () = assert!((u16::MAX as i64) * (i16::MIN as i64) >= i32::MIN as i64);
@@ -55,9 +58,9 @@ pub struct StartupScale {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AtRest {
     /// The gyroscope's zero-rate offset.
-    pub gyroscope_counts: [f32; 3],
+    pub gyroscope_counts: Vector3,
     /// The accelerometer's mean: gravity, as mounted and as tilted, plus its offset.
-    pub accelerometer_counts: [f32; 3],
+    pub accelerometer_counts: Vector3,
 }
 
 /// What a sample did to the average.
@@ -112,15 +115,16 @@ impl StartupAverage {
             return Progress::Averaging;
         }
 
-        let window = core::mem::replace(&mut self.window, Window::EMPTY);
-        if self.has_moved(&window, temperature_celsius) {
+        let window_mean = self.window.mean();
+        if self.has_moved(&window_mean, temperature_celsius) {
             self.restart();
             return Progress::Moved;
         }
-        self.first_window.get_or_insert(window.mean());
-        self.count += window.count;
-        self.gyroscope_sum = add(self.gyroscope_sum, window.gyroscope.sum);
-        self.accelerometer_sum = add(self.accelerometer_sum, window.accelerometer.sum);
+        self.first_window.get_or_insert(window_mean);
+        self.count += self.window.count;
+        self.gyroscope_sum = add(self.gyroscope_sum, self.window.gyroscope.sum);
+        self.accelerometer_sum = add(self.accelerometer_sum, self.window.accelerometer.sum);
+        self.window = Window::EMPTY;
         if !is_last {
             return Progress::Averaging;
         }
@@ -137,27 +141,34 @@ impl StartupAverage {
         *self = Self::new(self.samples, self.scale);
     }
 
-    fn has_moved(&self, window: &Window, temperature_celsius: f32) -> bool {
-        let StartupScale {
-            counts_per_degree_s,
-            counts_per_g,
-        } = self.scale;
-        let mean = window.mean();
-        let spreads = window.gyroscope.spread() > GYROSCOPE_SPREAD_DEGREES_S * counts_per_degree_s
-            || window.accelerometer.spread() > ACCELEROMETER_SPREAD_G * counts_per_g;
-        let turns = largest(mean.gyroscope_counts)
-            > zero_rate_limit_degrees_s(temperature_celsius) * counts_per_degree_s;
-        let gravity_g = norm(mean.accelerometer_counts) / counts_per_g;
-        let is_off_gravity = (gravity_g - 1.0).abs() > GRAVITY_TOLERANCE_G;
+    fn has_moved(&self, mean: &AtRest, temperature_celsius: f32) -> bool {
+        let degree_s = self.scale.counts_per_degree_s;
+        let g = self.scale.counts_per_g;
+        let Window {
+            count,
+            gyroscope,
+            accelerometer,
+        } = &self.window;
+
+        let is_still = gyroscope
+            .spread()
+            .is_within(GYROSCOPE_SPREAD_DEGREES_S * degree_s)
+            && accelerometer.spread().is_within(ACCELEROMETER_SPREAD_G * g);
+        let is_offset = mean
+            .gyroscope_counts
+            .is_within(zero_rate_limit_degrees_s(temperature_celsius) * degree_s);
+        let gravity_squared = mean.accelerometer_counts.dot(mean.accelerometer_counts) / (g * g);
+        let is_gravity = (LEAST_GRAVITY_G * LEAST_GRAVITY_G..=MOST_GRAVITY_G * MOST_GRAVITY_G)
+            .contains(&gravity_squared);
         // A short last window has too much noise of its own to be compared.
-        let drifts = window.count >= WINDOW / 2
-            && self.first_window.is_some_and(|first| {
-                let gyroscope = subtract(mean.gyroscope_counts, first.gyroscope_counts);
-                let accelerometer = subtract(mean.accelerometer_counts, first.accelerometer_counts);
-                largest(gyroscope) > GYROSCOPE_DRIFT_DEGREES_S * counts_per_degree_s
-                    || largest(accelerometer) > ACCELEROMETER_DRIFT_G * counts_per_g
+        let is_steady = *count < WINDOW / 2
+            || self.first_window.is_none_or(|first| {
+                (mean.gyroscope_counts - first.gyroscope_counts)
+                    .is_within(GYROSCOPE_DRIFT_DEGREES_S * degree_s)
+                    && (mean.accelerometer_counts - first.accelerometer_counts)
+                        .is_within(ACCELEROMETER_DRIFT_G * g)
             });
-        spreads || turns || is_off_gravity || drifts
+        !(is_still && is_offset && is_gravity && is_steady)
     }
 }
 
@@ -221,12 +232,12 @@ impl Axes {
         self.greatest = zip(self.greatest, counts, i16::max);
     }
 
-    /// The widest axis, in counts.
-    fn spread(&self) -> f32 {
-        let spreads = zip(self.greatest, self.least, |greatest, least| {
+    /// Greatest minus least, in counts.
+    fn spread(&self) -> Vector3 {
+        let [x, y, z] = zip(self.greatest, self.least, |greatest, least| {
             (i32::from(greatest) - i32::from(least)) as f32
         });
-        largest(spreads)
+        Vector3::new(x, y, z)
     }
 }
 
@@ -238,22 +249,10 @@ fn add(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
     zip(a, b, |a, b| a + b)
 }
 
-fn subtract(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    zip(a, b, |a, b| a - b)
-}
-
-fn largest([x, y, z]: [f32; 3]) -> f32 {
-    x.abs().max(y.abs()).max(z.abs())
-}
-
-fn norm([x, y, z]: [f32; 3]) -> f32 {
-    libm::sqrtf(x * x + y * y + z * z)
-}
-
-/// Sum over count; the whole part and the remainder apart, because `f32` cannot hold every `i32`.
-fn mean(sum: [i32; 3], count: u16) -> [f32; 3] {
-    let count = i32::from(count.max(1));
-    sum.map(|sum| (sum / count) as f32 + (sum % count) as f32 / count as f32)
+/// Sum over count. The sum is exact, so this is within one rounding of the exact mean's own.
+fn mean([x, y, z]: [i32; 3], count: u16) -> Vector3 {
+    let count = f32::from(count.max(1));
+    Vector3::new(x as f32 / count, y as f32 / count, z as f32 / count)
 }
 
 #[cfg(test)]
@@ -316,10 +315,10 @@ mod tests {
         let Progress::Done(at_rest) = event else {
             panic!("{event:?}");
         };
-        assert_eq!(at_rest.gyroscope_counts, [-1582.5, 0.0, 0.0]);
-        assert_eq!(at_rest.gyroscope_counts[0] / 10.0, -158.25);
+        assert_eq!(at_rest.gyroscope_counts, Vector3::new(-1582.5, 0.0, 0.0));
+        assert_eq!(at_rest.gyroscope_counts.x / 10.0, -158.25);
         // Face down, the classic accelerometer offset is the mean plus one g.
-        assert_eq!(at_rest.accelerometer_counts[2] + 16384.0, 0.0);
+        assert_eq!(at_rest.accelerometer_counts.z + 16384.0, 0.0);
     }
 
     #[test]
@@ -341,12 +340,11 @@ mod tests {
         let Progress::Done(at_rest) = event else {
             panic!("{event:?}");
         };
-        for axis in 0..3 {
-            let exact = gyroscope_sum[axis] as f64 / 1000.0;
-            assert_eq!(at_rest.gyroscope_counts[axis], exact as f32);
-            let exact = accelerometer_sum[axis] as f64 / 1000.0;
-            assert_eq!(at_rest.accelerometer_counts[axis], exact as f32);
-        }
+        let [gyroscope, accelerometer] = [gyroscope_sum, accelerometer_sum]
+            .map(|sum| sum.map(|sum| (sum as f64 / 1000.0) as f32))
+            .map(|[x, y, z]| Vector3::new(x, y, z));
+        assert_eq!(at_rest.gyroscope_counts, gyroscope);
+        assert_eq!(at_rest.accelerometer_counts, accelerometer);
     }
 
     #[test]
@@ -361,7 +359,7 @@ mod tests {
         let Progress::Done(at_rest) = event else {
             panic!("{event:?}");
         };
-        assert_eq!(at_rest.gyroscope_counts, [3.0, 0.0, 0.0]);
+        assert_eq!(at_rest.gyroscope_counts, Vector3::new(3.0, 0.0, 0.0));
     }
 
     #[test]
@@ -461,8 +459,12 @@ mod tests {
             let Progress::Done(at_rest) = event else {
                 panic!("{event:?}");
             };
-            assert_eq!(at_rest.gyroscope_counts, [f32::from(extreme); 3]);
-            assert_eq!(at_rest.accelerometer_counts[2], f32::from(extreme));
+            let expected = f32::from(extreme);
+            assert_eq!(
+                at_rest.gyroscope_counts,
+                Vector3::new(expected, expected, expected)
+            );
+            assert_eq!(at_rest.accelerometer_counts.z, f32::from(extreme));
         }
     }
 
@@ -477,12 +479,17 @@ mod tests {
     }
 
     #[test]
-    fn a_mean_keeps_what_a_rounded_sum_would_lose() {
-        // The sum, 33 000 001, is no f32; as one it would lose its last digit.
-        assert_eq!(
-            mean([33_000_001, -33_000_001, 0], 2),
-            [16_500_000.5, -16_500_000.5, 0.0].map(|x: f64| x as f32)
-        );
-        assert_eq!(mean([2_000_003, 0, 0], 1000)[0], 2_000.003);
+    fn a_short_last_window_is_not_compared() {
+        // One sample's noise, 0.6 °/s and 30 mg, would be a drift in a mean of a hundred.
+        let mut average = StartupAverage::new(101, COARSE);
+        let (index, event) = first_event(&mut average, |index| {
+            if index < 100 {
+                ([0; 3], LEVEL)
+            } else {
+                ([10, 0, 0], [60, 0, 2048])
+            }
+        });
+        assert_eq!(index, 100);
+        assert!(matches!(event, Progress::Done(_)), "{event:?}");
     }
 }

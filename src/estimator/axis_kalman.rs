@@ -83,7 +83,6 @@ impl AxisKalman {
         if let Some(force) = measurement.specific_force_m_s2 {
             self.set_tilt(-force);
         }
-        self.attitude = self.attitude.normalize();
     }
 
     /// One step of `dt_s` seconds.
@@ -279,6 +278,88 @@ mod tests {
             let worst = follow(pose, |_| 1000, 5.0, |_| Vector3::ZERO);
             assert!(worst < 0.1, "{pitch}: {worst}");
         }
+    }
+
+    #[test]
+    fn the_very_pole_does_no_harm() {
+        // Neither the measured nor the predicted direction has anything left across the axis.
+        let mut filter = AxisKalman::new();
+        filter.attitude = Quaternion::new(0.5_f32.sqrt(), 0.0, 0.5_f32.sqrt(), 0.0);
+        filter.has_tilt = true;
+        let update = |filter: &mut AxisKalman, force| {
+            filter.update(
+                &Measurement {
+                    specific_force_m_s2: Some(force),
+                    angular_rate_rad_s: Vector3::ZERO,
+                },
+                1e-3,
+            );
+        };
+        let before = filter.attitude;
+        for _ in 0..1000 {
+            update(&mut filter, Vector3::new(9.8, 0.0, 0.0));
+        }
+        assert!(angle_between(filter.attitude, before) < 1e-3);
+        // Away from the pole roll is corrected as ever.
+        let pose = from_degrees(20.0, 0.0, 0.0);
+        for _ in 0..10_000 {
+            update(&mut filter, -pose.down_in_body().scale(9.8));
+        }
+        let tilt_error = (filter.attitude.down_in_body() - pose.down_in_body()).norm();
+        assert!(tilt_error < 1e-3, "{filter:?}");
+    }
+
+    #[test]
+    fn roll_is_not_compared_where_either_side_is_at_the_pole() {
+        let at = |roll, pitch| {
+            let mut filter = AxisKalman::new();
+            filter.attitude = from_degrees(roll, pitch, 0.0);
+            filter
+        };
+        let down = |roll, pitch| from_degrees(roll, pitch, 0.0).down_in_body();
+        assert!(at(0.0, 89.9).innovation(down(20.0, 45.0)).roll.is_none());
+        assert!(at(20.0, 45.0).innovation(down(0.0, -89.9)).roll.is_none());
+        let roll = at(10.0, 60.0).innovation(down(15.0, -60.0)).roll;
+        assert!(roll.is_some_and(|roll| (roll.to_degrees() - 5.0).abs() < 1e-3));
+    }
+
+    #[test]
+    fn near_the_pole_the_accelerometer_says_less_about_roll() {
+        // How far one measurement of a roll 1° away moves a settled filter.
+        let pull = |pitch: f32| {
+            let down = |roll| from_degrees(roll, pitch, 0.0).down_in_body();
+            let mut filter = AxisKalman::new();
+            for _ in 0..5_000 {
+                filter.update(
+                    &Measurement {
+                        specific_force_m_s2: Some(-down(0.0).scale(9.8)),
+                        angular_rate_rad_s: Vector3::ZERO,
+                    },
+                    1e-3,
+                );
+            }
+            filter.correct(down(1.0));
+            filter.attitude.to_euler().roll_rad.to_degrees()
+        };
+        // R grows as 1/cos² and the gain falls a little slower, since the variance grows with it.
+        let ratio = pull(80.0) / pull(0.0);
+        assert!((0.05..0.3).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn the_quaternion_keeps_its_length() {
+        let mut filter = AxisKalman::new();
+        for _ in 0..300_000 {
+            filter.update(
+                &Measurement {
+                    specific_force_m_s2: None,
+                    angular_rate_rad_s: degrees_s(300.0, -200.0, 100.0),
+                },
+                1e-3,
+            );
+        }
+        let squared = filter.attitude.dot(filter.attitude);
+        assert!((squared - 1.0).abs() < 1e-6, "{squared}");
     }
 
     #[test]

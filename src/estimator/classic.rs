@@ -168,8 +168,9 @@ impl Axis {
 /// acos(across/norm) in degrees; zero for no force at all.
 fn arccosine_deg(across: f32, norm: f32) -> f32 {
     if norm > 0.0 {
-        // Rounding may leave the quotient a hair above one, where the arccosine is not a number.
-        degrees(libm::acosf((across / norm).min(1.0)))
+        // The quotient cannot exceed one, where the arccosine ends: `norm` adds a square to the sum
+        // of `across`, and rounding keeps the order of sums, roots and quotients.
+        degrees(libm::acosf(across / norm))
     } else {
         0.0
     }
@@ -203,6 +204,21 @@ mod tests {
         }
         assert_eq!(roll_deg(Vector3::ZERO), 0.0);
         assert_eq!(pitch_deg(Vector3::ZERO), 0.0);
+    }
+
+    #[test]
+    fn no_force_is_outside_the_arccosine() {
+        let mut seed = 1_u32;
+        let mut number = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let magnitude = f32::from_bits((seed >> 9) + (0x70 << 23) + (seed & 0x0F80_0000));
+            if seed & 1 == 0 { magnitude } else { -magnitude }
+        };
+        for _ in 0..200_000 {
+            let force = Vector3::new(number(), number(), number());
+            assert!((-90.001..=90.001).contains(&roll_deg(force)), "{force:?}");
+            assert!((-90.001..=90.001).contains(&pitch_deg(force)), "{force:?}");
+        }
     }
 
     #[test]

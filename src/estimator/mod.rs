@@ -196,6 +196,7 @@ impl Estimator {
 
     /// Forgets everything but the quaternion's sign; yaw starts at zero again.
     pub fn restart(&mut self) {
+        self.last_t_us = None;
         match &mut self.filter {
             Filter::Kalman(filter) => filter.restart(),
             Filter::AxisKalman(filter) => filter.restart(),
@@ -480,6 +481,27 @@ pub(crate) mod tests {
             let pose = from_degrees(0.0, 10.0, 0.0);
             let estimate = estimator.update(&sample(300_000, pose, Vector3::ZERO));
             assert!(angle_between(estimate.attitude, pose) < 0.1);
+            // The jump is no motion: the classic rate does not show it.
+            if let Some(angles) = estimator.classic_angles() {
+                assert_eq!(angles.pitch_rate_deg_s, 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_restart_keeps_the_sign_of_the_quaternion() {
+        for mut estimator in both() {
+            // After 300° of yaw the scalar part is negative.
+            for millisecond in 0..3_000 {
+                let rate = Vector3::new(0.0, 0.0, 100_f32.to_radians());
+                estimator.update(&sample(millisecond * 1000, Quaternion::IDENTITY, rate));
+            }
+            let before = estimator.attitude();
+            assert!(before.w < -0.8);
+            estimator.restart();
+            let level = sample(3_000_000, Quaternion::IDENTITY, Vector3::ZERO);
+            let after = estimator.update(&level).attitude;
+            assert!(after.w < -0.99 && after.dot(before) > 0.8, "{after:?}");
         }
     }
 

@@ -217,7 +217,7 @@ impl Config {
     };
 
     /// The nominal sample rate in hertz; the sensor's own clock is within 1 % of it
-    /// (product specification §6.4). Above 1 kHz the accelerometer repeats its samples.
+    /// (product specification §6.6). Above 1 kHz the accelerometer repeats its samples.
     pub fn sample_rate_hz(&self) -> f32 {
         f32::from(self.low_pass.output_rate_hz()) / (f32::from(self.sample_rate_divider) + 1.0)
     }

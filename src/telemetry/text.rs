@@ -186,6 +186,25 @@ mod tests {
     }
 
     #[test]
+    fn roll_and_yaw_never_read_minus_180_and_rates_may() {
+        let numbers = Line {
+            roll_deg: -179.999,
+            pitch_deg: 0.0,
+            yaw_deg: -179.999,
+            roll_rate_deg_s: -180.0,
+            pitch_rate_deg_s: 0.0,
+            yaw_rate_deg_s: -180.0,
+        };
+        let mut line = [0; LINE_LENGTH];
+        let text = core::str::from_utf8(encode_line(&numbers, &mut line)).expect("ASCII");
+        assert_eq!(
+            text,
+            "roll:180.00\tpitch:0.00\tyaw:180.00\t\
+             roll_rate:-180.00\tpitch_rate:0.00\tyaw_rate:-180.00\n"
+        );
+    }
+
+    #[test]
     fn the_longest_line_fits_exactly() {
         let worst = f32::NEG_INFINITY;
         let numbers = Line {

@@ -19,6 +19,15 @@ pub enum BusByte {
     AddressRead,
 }
 
+/// A line of the sensor's bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BusLine {
+    /// SCL, the clock.
+    Clock,
+    /// SDA, the data.
+    Data,
+}
+
 /// A fault.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Fault {
@@ -26,6 +35,8 @@ pub enum Fault {
     SensorAbsent(Range<f64>),
     /// The sensor acknowledges nothing for this long, and goes on as before afterwards.
     SensorSilent(Range<f64>),
+    /// A line of the bus is short-circuited to ground for this long, so that nothing gets through.
+    BusHeldLow(BusLine, Range<f64>),
     /// WHO_AM_I reads as this for this long.
     Identity(u8, Range<f64>),
     /// From `from_s` on, the sensor refuses the next `count` bytes of this kind.

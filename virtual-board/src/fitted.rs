@@ -6,7 +6,7 @@ use rigless::chip::Timeline;
 use rigless::chip::i2c::Peer;
 use rigless::snapshot::Store;
 
-use crate::faults::{BusByte, Fault, nanoseconds, within};
+use crate::faults::{BusByte, BusLine, Fault, nanoseconds, within};
 use crate::sensor::registers::address;
 use crate::sensor::{Burst, DataReady, Sensor};
 
@@ -33,6 +33,7 @@ impl FittedSensor {
             .flat_map(|fault| match fault {
                 Fault::SensorAbsent(range)
                 | Fault::SensorSilent(range)
+                | Fault::BusHeldLow(_, range)
                 | Fault::InterruptStuck(_, range) => {
                     vec![nanoseconds(range.start), nanoseconds(range.end)]
                 }
@@ -77,6 +78,13 @@ impl FittedSensor {
         }
         self.follow(now_ns, &mut changes);
         changes
+    }
+
+    /// Whether a line of the bus is held low.
+    #[must_use]
+    pub fn holds_low(&self, line: BusLine, now_ns: u64) -> bool {
+        let is_held = |fault: &Fault| matches!(fault, Fault::BusHeldLow(held, range) if *held == line && within(now_ns, range));
+        self.faults.iter().any(is_held)
     }
 
     /// When the wire next changes, or a fault comes or goes, at the latest.
@@ -138,9 +146,13 @@ impl FittedSensor {
 
     /// Whether the bus hears nothing of the sensor.
     fn is_deaf(&self, now_ns: u64) -> bool {
-        let is_silent =
-            |fault: &Fault| matches!(fault, Fault::SensorSilent(range) if within(now_ns, range));
-        self.is_absent(now_ns) || self.faults.iter().any(is_silent)
+        let is_off = |fault: &Fault| match fault {
+            Fault::SensorAbsent(range)
+            | Fault::SensorSilent(range)
+            | Fault::BusHeldLow(_, range) => within(now_ns, range),
+            _ => false,
+        };
+        self.faults.iter().any(is_off)
     }
 
     /// Whether a fault refuses this byte; each refusal counts.

@@ -44,6 +44,7 @@ pub struct Run {
     motion: Option<(Box<dyn Motion>, bool)>,
     faults: Vec<Fault>,
     has_probe: bool,
+    steps_everything: bool,
     observer: Box<dyn Observer>,
 }
 
@@ -60,6 +61,7 @@ impl Run {
             motion: None,
             faults: Vec::new(),
             has_probe: true,
+            steps_everything: false,
             observer: Box::new(Nobody),
         }
     }
@@ -120,6 +122,13 @@ impl Run {
         self
     }
 
+    /// Executes one instruction at a time: the reference for the account of instructions. Slow.
+    #[must_use]
+    pub fn step_everything(mut self) -> Self {
+        self.steps_everything = true;
+        self
+    }
+
     /// Shows the run to somebody while it goes on.
     #[must_use]
     pub fn observer(mut self, observer: impl Observer + 'static) -> Self {
@@ -164,7 +173,12 @@ impl Run {
         });
         let controller = Microcontroller::new(FittedSensor::new(sensor, self.faults), input)
             .map_err(Error::emulator)?;
-        let profile = Arc::new(Mutex::new(Profile::default()));
+        let profile = if self.steps_everything {
+            Profile::stepping_everything()
+        } else {
+            Profile::default()
+        };
+        let profile = Arc::new(Mutex::new(profile));
         let board = Board::new(
             self.board,
             controller,

@@ -112,7 +112,8 @@ fn fly(options: &Fly) -> Result<(), String> {
                         .min(recording.end_s()),
                 )
                 .recording(recording);
-            motion = format!("recording {}", path.display());
+            let name = path.file_name().unwrap_or(path.as_os_str());
+            motion = format!("recording {}", name.display());
         }
         None => {
             run = run.seconds(options.seconds.unwrap_or(SECONDS));

@@ -20,6 +20,7 @@ use rigless::time::VirtualNanos;
 
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::exti::{self, Exti, Syscfg};
+use crate::faults::BusLine;
 use crate::fitted::FittedSensor;
 use crate::i2c::{LastAware, items_left};
 
@@ -31,7 +32,7 @@ const PORT_B: u8 = 1;
 const INTERRUPT_PIN: u8 = 1;
 
 /// SCL is PB8, SDA is PB9.
-const BUS_PINS: [u8; 2] = [8, 9];
+const BUS_PINS: [(BusLine, u8); 2] = [(BusLine::Clock, 8), (BusLine::Data, 9)];
 
 /// PA1 reaches TIM5 channel 2 through this alternate function (STM32F405 datasheet, table 9).
 const TIM5_FUNCTION: u8 = 2;
@@ -55,6 +56,8 @@ pub struct Microcontroller {
     slots: Slots,
     /// The instant at which the sensor's wire has to be looked at, and for which an event is scheduled.
     awaited_ns: Option<u64>,
+    /// The levels that were last put on [`BUS_PINS`].
+    bus_levels: [Option<bool>; BUS_PINS.len()],
 }
 
 /// Where on the bus the decorated instances are.
@@ -107,6 +110,7 @@ impl Microcontroller {
             syscfg: Syscfg,
             slots,
             awaited_ns: None,
+            bus_levels: [None; BUS_PINS.len()],
         };
         controller.release_pins(VirtualNanos(0));
         Ok(controller)
@@ -137,10 +141,20 @@ impl Microcontroller {
 
     /// The levels that the board's resistors give the pins before anything else drives them.
     fn release_pins(&mut self, at: VirtualNanos) {
-        for pin in BUS_PINS {
-            self.drive_pin(at, PORT_B, pin, true);
-        }
+        self.pull_up_bus(at);
         self.drive_pin(at, PORT_A, INTERRUPT_PIN, false);
+    }
+
+    /// Both lines of the bus are high unless something holds them low. (The levels are for whoever reads the pins;
+    /// rigless carries the bytes apart from them.)
+    fn pull_up_bus(&mut self, at: VirtualNanos) {
+        for (nth, (line, pin)) in BUS_PINS.into_iter().enumerate() {
+            let high = !self.sensor().holds_low(line, at.0);
+            if self.bus_levels[nth] != Some(high) {
+                self.bus_levels[nth] = Some(high);
+                self.drive_pin(at, PORT_B, pin, high);
+            }
+        }
     }
 
     fn drive_pin(&mut self, at: VirtualNanos, port: u8, pin: u8, high: bool) {
@@ -159,6 +173,7 @@ impl Microcontroller {
         let next_ns = self.sensor().next_event_ns();
         if next_ns != self.awaited_ns {
             self.awaited_ns = next_ns;
+            self.pull_up_bus(now);
             if let Some(next_ns) = next_ns {
                 let (_, mut context) = self.part.bus_mut().drive(now, self.slots.exti);
                 context.schedule(VirtualNanos(next_ns));
@@ -210,6 +225,7 @@ impl Mcu for Microcontroller {
         self.lend_models();
         self.exti = Exti::default();
         self.awaited_ns = None;
+        self.bus_levels = [None; BUS_PINS.len()];
         self.release_pins(at);
     }
 

@@ -120,7 +120,7 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
                 SHADE,
             );
         }
-        for tick in ticks(place.time_s, 12.0) {
+        for tick in ticks(place.time_s, decimal_step(place.time_s, 12.0)) {
             large.fill(
                 place.x(tick) - 1.0,
                 place.y_top(),
@@ -129,7 +129,7 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
                 GRID,
             );
         }
-        for tick in ticks(place.range, 5.0) {
+        for tick in ticks(place.range, angle_step(place.range)) {
             large.fill(
                 place.x(0.0),
                 place.y(tick) - 1.0,
@@ -308,28 +308,42 @@ fn range_of<'a>(points: impl Iterator<Item = &'a (f64, f64)>) -> (f64, f64) {
     if low > high {
         return (-1.0, 1.0);
     }
-    let room = ((high - low) * 0.06)
+    let room = ((high - low) * 0.03)
         .max(1.0 - (high - low) / 2.0)
         .max(0.05);
     (low - room, high + room)
 }
 
 /// Round values in a range, about as many as wanted.
-fn ticks((low, high): (f64, f64), wanted: f64) -> Vec<f64> {
-    let step = tick_step((low, high), wanted);
+fn ticks((low, high): (f64, f64), step: f64) -> Vec<f64> {
     let first = (low / step).ceil() as i64;
     let last = (high / step).floor() as i64;
     (first..=last).map(|nth| nth as f64 * step).collect()
 }
 
-/// 1, 2 or 5 times a power of ten; angles like 15, 30, 45 and 90 are no better read.
-fn tick_step((low, high): (f64, f64), wanted: f64) -> f64 {
+/// 1, 2 or 5 times a power of ten, so that there are about as many ticks as wanted.
+fn decimal_step((low, high): (f64, f64), wanted: f64) -> f64 {
     let rough = (high - low).max(1e-9) / wanted;
     let power = 10.0_f64.powf(rough.log10().floor());
     let factor = [1.0, 2.0, 5.0, 10.0]
         .into_iter()
         .find(|factor| factor * power >= rough);
     factor.unwrap_or(10.0) * power
+}
+
+/// The same for angles: wide ranges in parts of a right angle.
+fn angle_step(range: (f64, f64)) -> f64 {
+    let step = decimal_step(range, 5.0);
+    let parts = [15.0, 30.0, 45.0, 90.0];
+    let rough = (range.1 - range.0) / 5.0;
+    if rough > 10.0 {
+        parts
+            .into_iter()
+            .find(|&part| part >= rough)
+            .unwrap_or(90.0)
+    } else {
+        step
+    }
 }
 
 /// A panel's place in the picture, and what its edges stand for.
@@ -463,8 +477,8 @@ impl Canvas {
             self.set(RIGHT, y, FRAME);
         }
         let pixel = |coordinate: f64| (coordinate / SCALE as f64).round() as usize;
-        for tick in ticks(place.range, 5.0) {
-            let label = number(tick, tick_step(place.range, 5.0));
+        for tick in ticks(place.range, angle_step(place.range)) {
+            let label = number(tick, angle_step(place.range));
             self.text(
                 &label,
                 LEFT - 8,
@@ -475,8 +489,8 @@ impl Canvas {
             );
         }
         if is_last {
-            for tick in ticks(place.time_s, 12.0) {
-                let label = number(tick, tick_step(place.time_s, 12.0));
+            for tick in ticks(place.time_s, decimal_step(place.time_s, 12.0)) {
+                let label = number(tick, decimal_step(place.time_s, 12.0));
                 self.text(
                     &label,
                     pixel(place.x(tick)),

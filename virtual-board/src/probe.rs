@@ -1,6 +1,6 @@
 //! A debug probe that reads the firmware's log: it drains the RTT buffer from memory and decodes defmt.
 
-use defmt_decoder::{DecodeError, StreamDecoder, Table};
+use defmt_decoder::{DecodeError, Table};
 use rigless::emulator::Memory;
 use rigless::soc::Width;
 
@@ -26,40 +26,52 @@ pub struct LogLine {
 /// The probe.
 pub struct Probe {
     control_block: u64,
-    decoder: Box<dyn StreamDecoder + Send + Sync>,
+    table: Table,
+    /// What has been read of a frame that is not complete yet.
+    rest: Vec<u8>,
 }
 
 impl Probe {
     /// A probe for an image with its control block at `control_block`. `None` if the image has no defmt data.
     #[must_use]
     pub fn attach(elf: &[u8], control_block: u64) -> Option<Self> {
-        // The decoder borrows the table for as long as it lives. One table per run stays until the process ends.
-        let table: &'static Table = Box::leak(Box::new(Table::parse(elf).ok().flatten()?));
         Some(Self {
             control_block,
-            decoder: table.new_stream_decoder(),
+            table: Table::parse(elf).ok().flatten()?,
+            rest: Vec::new(),
         })
     }
 
     /// Takes what the firmware has logged since the last call.
     pub fn drain(&mut self, memory: &mut dyn Memory, at_ns: u64) -> Vec<LogLine> {
-        if let Some(bytes) = self.read(memory) {
-            self.decoder.received(&bytes);
-        }
+        let Some(bytes) = self.read(memory) else {
+            return Vec::new();
+        };
+        self.rest.extend(bytes);
+        // A frame ends with a zero and contains none (defmt's rzCOBS encoding).
+        let complete = self
+            .rest
+            .iter()
+            .rposition(|&byte| byte == 0)
+            .map_or(0, |last| last + 1);
+        let mut decoder = self.table.new_stream_decoder();
+        decoder.received(&self.rest[..complete]);
         let mut lines = Vec::new();
         loop {
-            let text = match self.decoder.decode() {
+            let text = match decoder.decode() {
                 Ok(frame) => {
-                    let level = frame.level().map_or("     ".into(), |level| {
-                        format!("{:<5}", level.as_str().to_uppercase())
-                    });
-                    format!("{level} {}", frame.display_message())
+                    let level = frame
+                        .level()
+                        .map_or(String::new(), |level| level.as_str().to_uppercase());
+                    format!("{level:<5} {}", frame.display_message())
                 }
                 Err(DecodeError::UnexpectedEof) => break,
                 Err(DecodeError::Malformed) => "ERROR (a malformed log frame)".into(),
             };
             lines.push(LogLine { at_ns, text });
         }
+        drop(decoder);
+        self.rest.drain(..complete);
         lines
     }
 

@@ -43,6 +43,8 @@ pub struct Profile {
     credited_at: u64,
     /// Changes of context that could not be explained. Zero, or the account is wrong.
     unexplained: u64,
+    /// Whether every instruction is executed on its own.
+    steps_everything: bool,
 }
 
 impl Default for Profile {
@@ -52,11 +54,21 @@ impl Default for Profile {
             current: THREAD,
             credited_at: 0,
             unexplained: 0,
+            steps_everything: false,
         }
     }
 }
 
 impl Profile {
+    /// An account that looks after every single instruction: slow, and beyond doubt.
+    #[must_use]
+    pub fn stepping_everything() -> Self {
+        Self {
+            steps_everything: true,
+            ..Self::default()
+        }
+    }
+
     /// The account when `retired` instructions had been executed altogether.
     #[must_use]
     pub fn counts(&self, retired: u64) -> Counts {
@@ -252,16 +264,18 @@ impl Processor for ProfiledProcessor {
         if self.inner.waiting() {
             self.slept_at = start;
         }
+        let steps_everything = self
+            .profile
+            .lock()
+            .is_ok_and(|profile| profile.steps_everything);
         let mut stretch = Stretch {
             bus,
             until: start + u64::from(budget),
             is_stepped: false,
         };
         let exit = loop {
-            stretch.is_stepped = self
-                .activations
-                .iter()
-                .any(|activation| activation.is_stepped);
+            stretch.is_stepped =
+                steps_everything || self.activations.iter().any(|each| each.is_stepped);
             let left = stretch.until.saturating_sub(self.inner.retired());
             let budget = if stretch.is_stepped {
                 1

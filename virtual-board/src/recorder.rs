@@ -94,6 +94,8 @@ pub struct Record {
     pub first: Option<(u64, u64)>,
     /// Instructions executed and virtual time at the end.
     pub last: (u64, u64),
+    /// All instructions executed, by exception number; 0 is thread mode.
+    pub instructions: Vec<u64>,
     /// How much of the stack was ever written, in bytes.
     pub stack_bytes_used: u64,
 }
@@ -246,6 +248,7 @@ impl Recorder {
         self.close_window(stop.instruction_count);
         self.serve(session, host, stop.at.0);
         self.record.last = (stop.instruction_count, stop.at.0);
+        self.record.instructions = self.counts(stop.instruction_count).to_vec();
         let untouched = self.stack.clone().step_by(4).find(|&address| {
             host.read(address, Width::W32)
                 .is_ok_and(|word| word != u64::from(STACK_PATTERN))

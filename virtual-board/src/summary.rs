@@ -17,7 +17,8 @@ const IN_FLIGHT_NS: u64 = 2_000_000;
 pub struct Summary {
     /// Published samples.
     pub samples: usize,
-    /// Data-ready edges without a published sample.
+    /// Data-ready edges without a published sample, from the first sample on. (An edge while the firmware still reads back
+    /// what it has configured cannot have one: the bus is not free.)
     pub missed: usize,
     /// Virtual time, from power-up.
     pub virtual_seconds: f64,
@@ -139,13 +140,15 @@ fn missed(record: &Record) -> usize {
         .collect();
     published.dedup();
     let in_flight_from_ns = record.last.1.saturating_sub(IN_FLIGHT_NS);
-    let last_published = published.last().copied();
+    let (Some(&first_published), Some(&last_published)) = (published.first(), published.last())
+    else {
+        return record.edges.len();
+    };
     record
         .edges
         .iter()
-        .filter(|edge| {
-            edge.time_ns < in_flight_from_ns || last_published.is_some_and(|last| edge.index < last)
-        })
+        .filter(|edge| edge.index > first_published)
+        .filter(|edge| edge.time_ns < in_flight_from_ns || edge.index < last_published)
         .filter(|edge| published.binary_search(&edge.index).is_err())
         .count()
 }

@@ -80,8 +80,9 @@ pub fn run() -> Result<(), String> {
         test.args(["--profile", "host", "-p", "virtual-board"]);
         for (board, elf) in &images {
             let name = board.name.to_uppercase().replace('-', "_");
-            test.env(format!("APLOMB_ELF_{name}"), elf);
+            test.env(format!("APLOMB_FLIGHT_ELF_{name}"), elf);
         }
+        test.env("APLOMB_FLIGHT_ELF", &images[0].1);
         step::run(&mut test)
     })?;
     let flight = build::target_folder().join("fly-for-qemu");

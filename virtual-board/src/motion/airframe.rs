@@ -384,6 +384,33 @@ mod tests {
     }
 
     #[test]
+    fn a_spinning_rotor_makes_the_body_precess_and_keeps_the_angular_momentum() {
+        let airframe = Airframe {
+            torque_per_thrust_m: 0.0,
+            thrust_coefficient: 0.0,
+            rotor_drag: 0.0,
+            drag_area_m2: 0.0,
+            ..Airframe::balanced()
+        };
+        let speeds = [0.0, 0.0, 500.0, 500.0];
+        let start = State {
+            rotor_speeds_rad_s: speeds,
+            body_rates_rad_s: [2.0, 0.0, 0.0],
+            ..State::at_rest(Quaternion::IDENTITY)
+        };
+        let momentum = |state: &State| {
+            let mut body =
+                [0, 1, 2].map(|axis| airframe.inertia_kg_m2[axis] * state.body_rates_rad_s[axis]);
+            body[2] += airframe.rotor_inertia_kg_m2 * 1000.0;
+            state.attitude.rotate(body)
+        };
+        let end = run(&airframe, start, speeds, 2.5e-4, 4000);
+        let (before, after) = (momentum(&start), momentum(&end));
+        assert!(norm(subtract(before, after)) < 1e-9, "{before:?} {after:?}");
+        assert!(end.body_rates_rad_s[1].abs() > 0.5, "it precesses");
+    }
+
+    #[test]
     fn each_rotor_tilts_and_turns_the_body_the_right_way() {
         let airframe = Airframe::balanced();
         let torque = |rotor: usize| {

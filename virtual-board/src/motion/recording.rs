@@ -235,7 +235,7 @@ mod tests {
         let log = format!(
             "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov\n\
              50,1,2,9,0.1,0.2,0.3,1,0,0,0,1\n100050,3,6,9,0.3,0.2,0.3,{cosine},0,0,{sine},1\n\
-             200050,3,6,9,0.3,0.2,0.3,{cosine},0,0,{sine},0\n"
+             180050,3,6,9,0.3,0.2,0.3,{cosine},0,0,{sine},0\n"
         );
         let mut recording = recording("between", &log, Mount::Z_UP);
         let truth = recording.at(LEAD_IN_S + 0.05);
@@ -249,12 +249,31 @@ mod tests {
             ) < 1e-9
         );
         assert!(truth.scored);
-        // The next row does not count.
-        assert!(!recording.at(LEAD_IN_S + 0.15).scored);
-        assert!((recording.end_s() - LEAD_IN_S - 0.2).abs() < 1e-12);
+        // The next row does not count, though its truth is known.
+        let truth = recording.at(LEAD_IN_S + 0.15);
+        assert!(truth.attitude.is_some() && !truth.scored);
+        assert!((recording.end_s() - LEAD_IN_S - 0.18).abs() < 1e-12);
         let late = recording.at(LEAD_IN_S + 5.0);
         assert_eq!((late.attitude, late.scored), (None, false));
         assert_eq!(late.specific_force_m_s2, [3.0, -6.0, -9.0]);
+    }
+
+    #[test]
+    fn the_truth_becomes_the_bodys_through_every_mount() {
+        let sensor_to_up = Quaternion::from_rotation_vector([0.7, -1.1, 0.4]);
+        let Quaternion { w, x, y, z } = sensor_to_up;
+        let [ax, ay, az] = sensor_to_up
+            .conjugate()
+            .rotate([0.0, 0.0, STANDARD_GRAVITY_M_S2]);
+        let row = format!("{ax},{ay},{az},0,0,0,{w},{x},{y},{z}");
+        let log = format!("t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz\n0,{row}\n9000,{row}\n");
+        for name in Mount::names() {
+            let mut recording = recording("mounts", &log, Mount::parse(&name).unwrap());
+            let truth = recording.at(LEAD_IN_S + 0.005);
+            let at_rest = Truth::at_rest(truth.attitude.unwrap()).specific_force_m_s2;
+            let away = norm(subtract(at_rest, truth.specific_force_m_s2));
+            assert!(away < 1e-9, "{name}: {away}");
+        }
     }
 
     #[test]

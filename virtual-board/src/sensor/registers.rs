@@ -6,28 +6,39 @@
 
 /// The addresses the model itself acts on, by the register map's names.
 pub mod address {
+    /// First of the four registers with the self-test's factory trims.
     pub const SELF_TEST_X: u8 = 0x0D;
-    pub const SELF_TEST_Y: u8 = 0x0E;
-    pub const SELF_TEST_Z: u8 = 0x0F;
-    pub const SELF_TEST_A: u8 = 0x10;
+    /// Sample rate divider.
     pub const SMPLRT_DIV: u8 = 0x19;
+    /// Low-pass filter.
     pub const CONFIG: u8 = 0x1A;
+    /// Gyroscope: self-test and full scale.
     pub const GYRO_CONFIG: u8 = 0x1B;
+    /// Accelerometer: self-test and full scale.
     pub const ACCEL_CONFIG: u8 = 0x1C;
-    /// Only in the MPU-6500 and its relatives (RM-MPU-6500A r2.1, section 4.8).
+    /// The accelerometer's own filter, in the MPU-6500 and its relatives alone (RM-MPU-6500A r2.1, section 4.8).
     pub const ACCEL_CONFIG_2: u8 = 0x1D;
+    /// Shape of the INT pin's signal.
     pub const INT_PIN_CFG: u8 = 0x37;
+    /// Which events interrupt.
     pub const INT_ENABLE: u8 = 0x38;
+    /// Which events have interrupted.
     pub const INT_STATUS: u8 = 0x3A;
+    /// First of the 14 data registers.
     pub const ACCEL_XOUT_H: u8 = 0x3B;
-    pub const TEMP_OUT_H: u8 = 0x41;
-    pub const GYRO_XOUT_H: u8 = 0x43;
+    /// Last of the 14 data registers.
     pub const GYRO_ZOUT_L: u8 = 0x48;
+    /// Resets of the three signal paths.
     pub const SIGNAL_PATH_RESET: u8 = 0x68;
+    /// FIFO, auxiliary bus and their resets.
     pub const USER_CTRL: u8 = 0x6A;
+    /// Reset, sleep, clock.
     pub const PWR_MGMT_1: u8 = 0x6B;
+    /// Standby of single axes, wake-up rate.
     pub const PWR_MGMT_2: u8 = 0x6C;
+    /// The FIFO's port.
     pub const FIFO_R_W: u8 = 0x74;
+    /// Identity.
     pub const WHO_AM_I: u8 = 0x75;
 }
 

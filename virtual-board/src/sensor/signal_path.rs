@@ -2,12 +2,15 @@
 
 use super::errors::SensorErrors;
 use super::identity::Identity;
-use super::low_pass::LowPass;
+use super::low_pass::{LowPass, Response};
 use crate::motion::geometry::add;
 use crate::motion::truth::STANDARD_GRAVITY_M_S2;
 use crate::motion::{Mount, Truth, Vector};
 use crate::random::Random;
 use crate::sensor::clock::TICKS_PER_SECOND;
+
+/// Nominal spacing of the converters' samples.
+const TICK_S: f64 = 1.0 / TICKS_PER_SECOND;
 
 /// What the registers say about the signal path.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,8 +79,11 @@ impl SelfTest {
 /// One sample as the registers hold it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
+    /// X, Y, Z.
     pub accelerometer: [i16; 3],
+    /// By the part's own formula.
     pub temperature: i16,
+    /// X, Y, Z.
     pub gyroscope: [i16; 3],
 }
 
@@ -110,7 +116,7 @@ struct Channel {
 }
 
 impl SignalPath {
-    /// The path of a chip that has just been powered.
+    /// The path of a chip that has just been powered, at rest at zero.
     #[must_use]
     pub fn new(
         seed: u64,
@@ -119,14 +125,10 @@ impl SignalPath {
         identity: Identity,
         settings: Settings,
     ) -> Self {
-        let noise_per_tick = |density: f64| density * (0.5 * TICKS_PER_SECOND).sqrt();
-        let channel = |density: f64| Channel {
-            filter: LowPass::new(identity.gyroscope_filters[0], 1.0 / TICKS_PER_SECOND),
-            noise_per_tick: noise_per_tick(density),
-            counts_per_unit: 1.0,
-            input: [0.0; 3],
-            output: [0.0; 3],
-        };
+        let gyroscope_filter =
+            identity.gyroscope_filters[usize::from(settings.gyroscope_filter & 7)];
+        let accelerometer_filter =
+            identity.accelerometer_filters[usize::from(settings.accelerometer_filter & 7)];
         let mut path = Self {
             mount,
             errors,
@@ -134,12 +136,11 @@ impl SignalPath {
             identity,
             settings,
             noise: Random::new(seed, "sensor noise"),
-            gyroscope: channel(errors.gyroscope.noise_density),
-            accelerometer: channel(errors.accelerometer.noise_density),
+            gyroscope: Channel::new(gyroscope_filter, errors.gyroscope.noise_density),
+            accelerometer: Channel::new(accelerometer_filter, errors.accelerometer.noise_density),
             chip_temperature_c: 0.0,
         };
-        path.select(settings);
-        path.reset();
+        path.set_ranges();
         path
     }
 
@@ -151,22 +152,18 @@ impl SignalPath {
 
     /// Takes over new settings. A changed filter starts settled on the last input.
     pub fn configure(&mut self, settings: Settings) {
-        if settings == self.settings {
-            return;
+        let before = std::mem::replace(&mut self.settings, settings);
+        self.set_ranges();
+        let identity = &self.identity;
+        if settings.gyroscope_filter != before.gyroscope_filter {
+            let filter = usize::from(settings.gyroscope_filter & 7);
+            self.gyroscope
+                .change_filter(identity.gyroscope_filters[filter]);
         }
-        let filters_changed = settings.gyroscope_filter != self.settings.gyroscope_filter
-            || settings.accelerometer_filter != self.settings.accelerometer_filter;
-        let inputs = (self.gyroscope.input, self.accelerometer.input);
-        let kept = (
-            self.gyroscope.filter.clone(),
-            self.accelerometer.filter.clone(),
-        );
-        self.select(settings);
-        if filters_changed {
-            self.gyroscope.filter.settle(inputs.0);
-            self.accelerometer.filter.settle(inputs.1);
-        } else {
-            (self.gyroscope.filter, self.accelerometer.filter) = kept;
+        if settings.accelerometer_filter != before.accelerometer_filter {
+            let filter = usize::from(settings.accelerometer_filter & 7);
+            self.accelerometer
+                .change_filter(identity.accelerometer_filters[filter]);
         }
     }
 
@@ -178,14 +175,12 @@ impl SignalPath {
 
     /// Clears the gyroscope's converters and filters.
     pub fn reset_gyroscope(&mut self) {
-        self.gyroscope.filter.settle([0.0; 3]);
-        self.gyroscope.output = [0.0; 3];
+        self.gyroscope.reset();
     }
 
     /// Clears the accelerometer's converters and filters.
     pub fn reset_accelerometer(&mut self) {
-        self.accelerometer.filter.settle([0.0; 3]);
-        self.accelerometer.output = [0.0; 3];
+        self.accelerometer.reset();
     }
 
     /// Converts one instant and filters it. The accelerometer's output register moves only if
@@ -241,25 +236,37 @@ impl SignalPath {
             .sample(add(felt_rates, rate_test), &mut self.noise);
     }
 
-    fn select(&mut self, settings: Settings) {
-        let tick_s = 1.0 / TICKS_PER_SECOND;
-        let gyroscope_filter =
-            self.identity.gyroscope_filters[usize::from(settings.gyroscope_filter & 7)];
-        let accelerometer_filter =
-            self.identity.accelerometer_filters[usize::from(settings.accelerometer_filter & 7)];
-        self.gyroscope.filter = LowPass::new(gyroscope_filter, tick_s);
-        self.accelerometer.filter = LowPass::new(accelerometer_filter, tick_s);
+    fn set_ranges(&mut self) {
         // 131, 65.5, 32.8 and 16.4 LSB/(°/s); 16384 to 2048 LSB/g (product specification r3.4, sections 6.1
         // and 6.2).
-        let per_degree = [131.0, 65.5, 32.8, 16.4][usize::from(settings.gyroscope_range & 3)];
-        self.gyroscope.counts_per_unit = per_degree * 1.0_f64.to_degrees();
-        let per_g = f64::from(16384_u32 >> (settings.accelerometer_range & 3));
+        let per_degree_s =
+            [131.0, 65.5, 32.8, 16.4][usize::from(self.settings.gyroscope_range & 3)];
+        self.gyroscope.counts_per_unit = per_degree_s * 1.0_f64.to_degrees();
+        let per_g = f64::from(16384_u32 >> (self.settings.accelerometer_range & 3));
         self.accelerometer.counts_per_unit = per_g / STANDARD_GRAVITY_M_S2;
-        self.settings = settings;
     }
 }
 
 impl Channel {
+    fn new(response: Response, noise_density: f64) -> Self {
+        Self {
+            filter: LowPass::new(response, TICK_S),
+            noise_per_tick: noise_density * (0.5 * TICKS_PER_SECOND).sqrt(),
+            counts_per_unit: 1.0,
+            input: [0.0; 3],
+            output: [0.0; 3],
+        }
+    }
+
+    fn change_filter(&mut self, response: Response) {
+        self.filter = LowPass::new(response, TICK_S);
+        self.filter.settle(self.input);
+    }
+
+    fn reset(&mut self) {
+        self.filter.settle([0.0; 3]);
+    }
+
     fn sample(&mut self, felt: Vector, noise: &mut Random) {
         let limit = 32768.0 / self.counts_per_unit;
         self.input = felt.map(|value| {

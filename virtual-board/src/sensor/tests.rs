@@ -327,7 +327,18 @@ fn only_a_complete_burst_is_recorded() {
         (bursts[0].bytes, bursts[0].completed_ns),
         (bytes, chip.now_ns)
     );
-    // One that starts earlier and runs through is complete too.
+    // Two halves with a repeated start between them are no burst.
+    assert!(chip.sensor.start(chip.now_ns, ADDRESS, false));
+    assert!(chip.sensor.write(chip.now_ns, 0x3B));
+    for _ in 0..2 {
+        assert!(chip.sensor.start(chip.now_ns, ADDRESS, true));
+        for _ in 0..7 {
+            chip.sensor.read(chip.now_ns);
+        }
+    }
+    chip.sensor.stop(chip.now_ns);
+    assert!(chip.sensor.take_bursts().is_empty());
+    // One that starts earlier and runs through is complete.
     chip.read_all::<20>(0x3A);
     assert_eq!(chip.sensor.take_bursts().len(), 1);
 }

@@ -1,0 +1,264 @@
+//! Every fault that can be told from outside is told on both outputs, UART and log, and is recovered from.
+
+mod common;
+
+use aplomb::health::Flags;
+use common::firmware;
+use virtual_board::faults::{BusByte, BusLine, Fault};
+use virtual_board::flight::{Outcome, Run};
+use virtual_board::motion::rest::Rest;
+
+/// Makes a run that must be possible.
+fn fly(run: Run) -> Outcome {
+    run.run().unwrap()
+}
+
+/// A run at rest.
+fn at_rest(seconds: f64) -> Run {
+    Run::new(firmware()).seconds(seconds).motion(Rest::level())
+}
+
+/// Everything that the firmware said, for the failing test's output.
+fn transcript(outcome: &Outcome) -> String {
+    let messages = outcome
+        .uart_lines
+        .iter()
+        .filter(|line| line.text.starts_with('#'));
+    messages
+        .map(|line| format!("{:9.4} {}\n", line.at_ns as f64 * 1e-9, line.text))
+        .collect()
+}
+
+#[track_caller]
+fn assert_says(outcome: &Outcome, text: &str) {
+    assert!(
+        outcome.uart_says(text),
+        "the UART does not say `{text}`:\n{}",
+        transcript(outcome)
+    );
+    let log: Vec<&str> = outcome
+        .log()
+        .iter()
+        .map(|line| line.text.as_str())
+        .filter(|line| !line.contains("roll:"))
+        .collect();
+    assert!(
+        outcome.says(text),
+        "the log does not say `{text}`:\n{}",
+        log.join("\n")
+    );
+}
+
+/// Holds the run to a sample for every millisecond of its last third of a second.
+#[track_caller]
+fn assert_recovered(outcome: &Outcome) {
+    let end_ns = outcome.record.last.1;
+    let late = outcome
+        .samples()
+        .iter()
+        .filter(|sample| sample.published_ns > end_ns - 333_000_000)
+        .count();
+    assert!(
+        (325..=340).contains(&late),
+        "{late} samples at the end:\n{}",
+        transcript(outcome)
+    );
+    assert!(outcome.remarks.is_empty(), "{:?}", outcome.remarks);
+}
+
+#[test]
+fn sensor_absent_then_plugged_in() {
+    let outcome = fly(at_rest(3.0).fault(Fault::SensorAbsent(0.0..1.5)));
+    assert_says(&outcome, "no sensor answers at 0x68 or 0x69");
+    assert!(
+        outcome
+            .samples()
+            .iter()
+            .all(|sample| sample.published_ns > 1_500_000_000)
+    );
+    assert_says(&outcome, "MPU-6050 at 0x68 configured");
+    assert_recovered(&outcome);
+}
+
+#[test]
+fn sensor_unplugged_in_flight_and_plugged_in_again() {
+    let outcome = fly(at_rest(3.5).fault(Fault::SensorAbsent(1.6..2.2)));
+    assert_says(&outcome, "no sensor answers at 0x68 or 0x69");
+    assert_recovered(&outcome);
+}
+
+#[test]
+fn a_bus_line_held_low_then_free() {
+    for (line, text) in [
+        (BusLine::Clock, "SCL (PB8) stays low"),
+        (BusLine::Data, "SDA (PB9) stays low"),
+    ] {
+        for start_s in [0.0, 1.6] {
+            let outcome = fly(at_rest(3.5).fault(Fault::BusHeldLow(line, start_s..2.2)));
+            assert_says(&outcome, text);
+            assert_recovered(&outcome);
+        }
+    }
+}
+
+#[test]
+fn wrong_identity_then_the_right_one() {
+    let outcome = fly(at_rest(3.0).fault(Fault::Identity(0x12, 0.0..1.2)));
+    assert_says(&outcome, "the chip at 0x68 has WHO_AM_I 0x12");
+    assert_recovered(&outcome);
+}
+
+/// One refused byte of one burst costs that sample and no more.
+#[track_caller]
+fn assert_one_burst_is_lost(byte: BusByte, place: &str) {
+    let outcome = fly(at_rest(2.5).fault(Fault::Nack {
+        byte,
+        from_s: 2.0,
+        count: 1,
+    }));
+    assert_says(
+        &outcome,
+        &format!("the sensor did not acknowledge at its {place}")
+            .replace("its register", "the register"),
+    );
+    assert_eq!(outcome.summary.missed, 1, "{}", transcript(&outcome));
+    let after = outcome
+        .samples()
+        .iter()
+        .find(|sample| sample.published_ns > 2_000_000_000 && sample.snapshot.flags != Flags::NONE);
+    assert_eq!(
+        after.map(|sample| sample.snapshot.flags),
+        Some(Flags::MISSED)
+    );
+    assert_recovered(&outcome);
+}
+
+#[test]
+fn nack_on_the_address_for_writing() {
+    assert_one_burst_is_lost(BusByte::AddressWrite, "address (write)");
+}
+
+#[test]
+fn nack_on_the_register_pointer() {
+    assert_one_burst_is_lost(BusByte::Pointer, "register pointer");
+}
+
+#[test]
+fn nack_on_the_address_for_reading() {
+    assert_one_burst_is_lost(BusByte::AddressRead, "address (read)");
+}
+
+#[test]
+fn nack_on_a_value_while_configuring() {
+    let outcome = fly(at_rest(2.5).fault(Fault::Nack {
+        byte: BusByte::Value,
+        from_s: 0.0,
+        count: 1,
+    }));
+    assert_says(&outcome, "failed: NoAcknowledge");
+    assert_recovered(&outcome);
+}
+
+#[test]
+fn nacks_in_a_row_have_the_sensor_set_up_again() {
+    for byte in [
+        BusByte::AddressWrite,
+        BusByte::Pointer,
+        BusByte::AddressRead,
+    ] {
+        let outcome = fly(at_rest(3.5).fault(Fault::Nack {
+            byte,
+            from_s: 1.6,
+            count: 4,
+        }));
+        assert_says(&outcome, "the sensor did not acknowledge");
+        assert_says(&outcome, "setting the bus and the sensor up again");
+        assert_recovered(&outcome);
+    }
+}
+
+#[test]
+fn sensor_silent_in_flight() {
+    let outcome = fly(at_rest(3.5).fault(Fault::SensorSilent(1.6..2.2)));
+    assert_says(
+        &outcome,
+        "the sensor did not acknowledge at its address (write)",
+    );
+    assert_says(&outcome, "no sensor answers");
+    assert_recovered(&outcome);
+}
+
+#[test]
+fn sensor_reset_in_flight() {
+    let outcome = fly(at_rest(3.0).fault(Fault::SensorReset(1.6)));
+    assert_says(&outcome, "no data-ready edge on the INT pin");
+    assert_recovered(&outcome);
+}
+
+#[test]
+fn moved_during_start_up() {
+    let motion = Rest::level().nudged(0.8, 0.4, 0.5);
+    let outcome = fly(Run::new(firmware()).seconds(3.0).motion(motion));
+    assert_says(&outcome, "moved while averaging");
+    assert_says(&outcome, "gyroscope averaged at rest, ready");
+    let flags = |flag: Flags| {
+        outcome
+            .samples()
+            .iter()
+            .filter(|sample| sample.snapshot.flags.contains(flag))
+            .count()
+    };
+    assert!(flags(Flags::MOVED) > 0);
+    assert!(flags(Flags::CALIBRATING) > 1000, "the average starts again");
+    assert_eq!(
+        outcome.samples().last().map(|sample| sample.snapshot.flags),
+        Some(Flags::NONE)
+    );
+    assert_recovered(&outcome);
+}
+
+#[test]
+fn interrupt_never_coming_then_wired() {
+    for level in [false, true] {
+        let outcome = fly(at_rest(3.0).fault(Fault::InterruptStuck(level, 0.0..1.5)));
+        assert_says(
+            &outcome,
+            "no data-ready edge on the INT pin: check the wire from INT to PA1",
+        );
+        assert!(
+            outcome
+                .samples()
+                .iter()
+                .all(|sample| sample.published_ns > 1_500_000_000)
+        );
+        assert_recovered(&outcome);
+    }
+}
+
+#[test]
+fn interrupt_lost_in_flight() {
+    let outcome = fly(at_rest(3.5).fault(Fault::InterruptStuck(false, 1.6..2.2)));
+    assert_says(&outcome, "no data-ready edge on the INT pin");
+    assert_recovered(&outcome);
+}
+
+#[test]
+fn no_crystal() {
+    let outcome = fly(at_rest(2.5).fault(Fault::NoCrystal));
+    assert_says(&outcome, "no crystal answered");
+    assert_recovered(&outcome);
+    assert_eq!(outcome.summary.missed, 0);
+    assert!(
+        outcome.summary.timestamp_error_us_max <= Some(1.0),
+        "the emulated internal oscillator is exact"
+    );
+}
+
+#[test]
+fn the_log_without_a_reader_holds_nothing_up() {
+    let outcome = fly(at_rest(3.0).without_probe());
+    assert!(outcome.log().is_empty());
+    assert_eq!(outcome.summary.missed, 0);
+    assert!(outcome.uart_says("gyroscope averaged at rest, ready"));
+    assert_recovered(&outcome);
+}
