@@ -99,12 +99,12 @@ impl Tuning {
         velocity_smoothing_s: 0.3,
         coupling: 0.5,
         surprise: 2.0,
-        rest_after_s: 1.0,
+        rest_after_s: 0.8,
         rest_rate_rad_s: radians(2.0),
         rest_force_m_s2: 0.5,
         rest_velocity: 0.02,
         rest_rate: 3.0e-3,
-        covariance_period_s: 0.18,
+        covariance_period_s: 0.22,
         earth_period_s: 6.9e-3,
     };
 }
