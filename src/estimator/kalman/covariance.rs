@@ -12,13 +12,11 @@
 //! δ, the correction, is about the interval's end, which is some samples ago when the last slice is
 //! done; whoever applies it carries it forward.
 
-use super::matrix::{CONSTANTS, Column, Covariance, MOVING, Transition};
+use super::matrix::{CONSTANTS, Column, Covariance, Transition};
 
 /// No step has more measurements: two of the velocity, three of the gyroscope's bias.
 const MOST_MEASUREMENTS: usize = 5;
 
-/// Rows of X that make one slice where a row costs little.
-const ROWS_PER_SLICE: usize = 5;
 const LAST_ROW: usize = CONSTANTS - 1;
 
 /// What comes next.
@@ -27,18 +25,37 @@ const LAST_ROW: usize = CONSTANTS - 1;
 enum Phase {
     /// Nothing.
     Idle,
-    /// F·P·Fᵀ, from this row of X on: by A.
-    Carry(usize),
-    /// From this row of C on: into X.
+    /// F·P·Fᵀ: X by A.
+    Carry,
+    /// C into X, from this row of C on.
     Mix(usize),
     /// X into M.
     Close,
+    /// Time for measurements.
+    Predicted,
     /// This measurement: its column, its gain, its correction.
     Measure(usize),
     /// P by this measurement, from this row on.
     Reduce(usize, usize),
-    /// The correction is ready.
-    Correct,
+    /// Is the result sound?
+    Check,
+    /// Everything is done.
+    Done,
+}
+
+/// What a slice did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Progress {
+    /// Nothing: no step is under way.
+    Idle,
+    /// A part of the work.
+    Working,
+    /// The covariance is predicted to the interval's end: the measurements may come.
+    Predicted,
+    /// The correction is complete, and the step with it.
+    Corrected,
+    /// The same, but the numbers make no sense.
+    Unsound,
 }
 
 /// A measured state and what was measured.
@@ -72,6 +89,7 @@ pub(super) struct Step {
     pub(super) correction: Column,
     phase: Phase,
     transition: Transition,
+    duration_s: f32,
     measurements: [Option<Measurement>; MOST_MEASUREMENTS],
     /// h of the measurement under way.
     column: Column,
@@ -86,14 +104,16 @@ impl Step {
             correction: Column::ZERO,
             phase: Phase::Idle,
             transition: Transition::NONE,
+            duration_s: 0.0,
             measurements: [None; MOST_MEASUREMENTS],
             column: Column::ZERO,
             inverse: 0.0,
         }
     }
 
-    pub(super) fn is_idle(&self) -> bool {
-        self.phase == Phase::Idle
+    /// How long the interval is, s.
+    pub(super) fn duration_s(&self) -> f32 {
+        self.duration_s
     }
 
     /// Drops what is left of a step.
@@ -102,8 +122,9 @@ impl Step {
     }
 
     /// Begins a step over an interval that added these variances to tilt and velocity.
-    pub(super) fn begin(&mut self, transition: &Transition, noise: [f32; 2]) {
+    pub(super) fn begin(&mut self, transition: &Transition, noise: [f32; 2], duration_s: f32) {
         let [tilt, velocity] = noise;
+        self.duration_s = duration_s;
         self.transition = *transition;
         self.correction = Column::ZERO;
         self.measurements = [None; MOST_MEASUREMENTS];
@@ -111,7 +132,7 @@ impl Step {
         for (state, variance) in [tilt, tilt, velocity, velocity].into_iter().enumerate() {
             self.covariance.add_to_moving(state, variance);
         }
-        self.phase = Phase::Carry(0);
+        self.phase = Phase::Carry;
     }
 
     /// Adds a measurement at the end of the interval; one too many is ignored.
@@ -121,58 +142,73 @@ impl Step {
         }
     }
 
-    /// Does one slice; true when that completed the step.
-    pub(super) fn slice(&mut self) -> bool {
-        self.phase = match self.phase {
-            Phase::Idle => Phase::Idle,
-            Phase::Carry(row) => {
-                let end = row + ROWS_PER_SLICE;
-                for row in row..end {
+    /// Does one slice.
+    pub(super) fn slice(&mut self) -> Progress {
+        match self.phase {
+            Phase::Idle => return Progress::Idle,
+            Phase::Carry => {
+                for row in 0..CONSTANTS {
                     self.covariance.carry_cross(row, &self.transition);
                 }
-                if end > LAST_ROW {
-                    Phase::Mix(0)
-                } else {
-                    Phase::Carry(end)
-                }
+                self.phase = Phase::Mix(0);
             }
             Phase::Mix(row) => {
                 // A short row of the triangle with a long one, so that all slices are alike.
                 self.covariance.mix(row, &self.transition);
-                if row < LAST_ROW / 2 {
+                self.phase = if row < LAST_ROW / 2 {
                     self.covariance.mix(LAST_ROW - row, &self.transition);
                     Phase::Mix(row + 1)
                 } else {
                     Phase::Close
-                }
+                };
             }
             Phase::Close => {
                 self.covariance.close(&self.transition);
-                Phase::Measure(0)
+                self.phase = Phase::Predicted;
             }
-            Phase::Measure(index) => self.take(index),
+            Phase::Predicted => {
+                self.phase = Phase::Measure(0);
+                return Progress::Predicted;
+            }
+            Phase::Measure(index) => {
+                self.phase = self.take(index);
+            }
             Phase::Reduce(index, row) => {
-                self.covariance.reduce(row, &self.column, self.inverse);
-                if row < LAST_ROW / 2 {
-                    let other = LAST_ROW - row;
-                    self.covariance.reduce(other, &self.column, self.inverse);
-                    Phase::Reduce(index, row + 1)
+                self.reduce_pair(row);
+                self.reduce_pair(row + 1);
+                self.phase = if row + 2 <= LAST_ROW / 2 {
+                    Phase::Reduce(index, row + 2)
                 } else {
                     Phase::Measure(index + 1)
-                }
+                };
             }
-            Phase::Correct => Phase::Idle,
-        };
-        if self.phase == Phase::Correct {
-            self.phase = Phase::Idle;
-            return true;
+            Phase::Check => {
+                if !(self.covariance.is_sound() && self.correction.is_sound()) {
+                    self.phase = Phase::Idle;
+                    return Progress::Unsound;
+                }
+                self.phase = Phase::Done;
+            }
+            Phase::Done => {
+                self.phase = Phase::Idle;
+                return Progress::Corrected;
+            }
         }
-        false
+        Progress::Working
+    }
+
+    /// Reduces a short row with a long one; the one in the middle alone.
+    fn reduce_pair(&mut self, row: usize) {
+        self.covariance.reduce(row, &self.column, self.inverse);
+        if row < LAST_ROW - row {
+            let other = LAST_ROW - row;
+            self.covariance.reduce(other, &self.column, self.inverse);
+        }
     }
 
     fn take(&mut self, index: usize) -> Phase {
         let Some(Some(measurement)) = self.measurements.get(index) else {
-            return Phase::Correct;
+            return Phase::Check;
         };
         let (column, own, corrected) = match measurement.state {
             State::Moving(state) => {
@@ -191,7 +227,7 @@ impl Step {
             }
         };
         let (Some(own), Some(corrected)) = (own, corrected) else {
-            return Phase::Correct;
+            return Phase::Check;
         };
         self.inverse = 1.0 / (own + measurement.variance);
         let gain = (measurement.innovation - corrected) * self.inverse;
@@ -206,5 +242,3 @@ impl Step {
         Phase::Reduce(index, 0)
     }
 }
-
-const _: () = assert!(CONSTANTS % ROWS_PER_SLICE == 0 && MOVING == 4);

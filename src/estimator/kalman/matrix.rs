@@ -83,6 +83,13 @@ impl Column {
         moving: [0.0; MOVING],
         constants: [0.0; CONSTANTS],
     };
+
+    /// Whether every entry is a number, and none absurd.
+    pub(super) fn is_sound(&self) -> bool {
+        // A NaN spoils the sum and fails the comparison.
+        let entries = self.moving.iter().chain(&self.constants);
+        entries.map(|entry| entry.abs()).sum::<f32>() < 1.0e4
+    }
 }
 
 impl Covariance {

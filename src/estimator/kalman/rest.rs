@@ -62,12 +62,14 @@ impl Rest {
         };
     }
 
-    /// The mean reading of the gyroscope if the sensor rests: its bias.
-    pub(super) fn bias_rad_s(&self, tuning: &Tuning) -> Option<Vector3> {
+    /// The mean readings of gyroscope and accelerometer if the sensor rests.
+    pub(super) fn readings(&self, tuning: &Tuning) -> Option<(Vector3, Vector3)> {
         const LEAST: f32 = (1.0 - GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
         const GREATEST: f32 = (1.0 + GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
-        let squared = self.average_force_m_s2.dot(self.average_force_m_s2);
-        let is_gravity = (LEAST * LEAST..GREATEST * GREATEST).contains(&squared);
-        (self.quiet_s > tuning.rest_after_s && is_gravity).then_some(self.average_rate_rad_s)
+        let force = self.average_force_m_s2;
+        let squared = force.dot(force);
+        let is_gravity = squared > LEAST * LEAST && squared < GREATEST * GREATEST;
+        (self.quiet_s > tuning.rest_after_s && is_gravity)
+            .then_some((self.average_rate_rad_s, force))
     }
 }
