@@ -544,7 +544,12 @@ pub(crate) mod tests {
                 last = estimator.update(&good).attitude;
             }
             let tilt_error = (last.down_in_body() - pose.down_in_body()).norm();
-            assert!(tilt_error < 2e-3, "{estimator:?}");
+            // What the nonsense taught of the accelerometer's bias goes away more slowly.
+            let tolerance = match estimator.filter {
+                Filter::Kalman(_) => 2e-2,
+                Filter::AxisKalman(_) | Filter::Classic(_) => 2e-3,
+            };
+            assert!(tilt_error < tolerance, "{estimator:?}");
         }
     }
 }

@@ -101,6 +101,25 @@ pub fn qemu_application(toolchain: &Toolchain) -> Result<PathBuf, String> {
     keep("qemu", "qemu")
 }
 
+/// Builds the application that counts instructions, with all filters or with one.
+pub fn cost_application(toolchain: &Toolchain, filter: Option<&str>) -> Result<PathBuf, String> {
+    let mut cargo = toolchain.cargo("build");
+    cargo.args([
+        "--quiet",
+        "--release",
+        "--bin",
+        "cost",
+        "--features",
+        "cost",
+    ]);
+    match filter {
+        Some(name) => cargo.env("APLOMB_COST_FILTER", name),
+        None => cargo.env_remove("APLOMB_COST_FILTER"),
+    };
+    step::run(&mut cargo)?;
+    keep("cost", "cost")
+}
+
 /// Builds the virtual board's program.
 pub fn virtual_board() -> Result<PathBuf, String> {
     step::timed("building the virtual board", || {

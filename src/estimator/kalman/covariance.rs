@@ -12,13 +12,11 @@
 //! δ, the correction, is about the interval's end, which is some samples ago when the last slice is
 //! done; whoever applies it carries it forward.
 
-use super::matrix::{CONSTANTS, Column, Covariance, MOVING, Transition};
+use super::matrix::{CONSTANTS, Column, Covariance, Transition};
 
 /// No step has more measurements: two of the velocity, three of the gyroscope's bias.
 const MOST_MEASUREMENTS: usize = 5;
 
-/// Rows of X that make one slice where a row costs little.
-const ROWS_PER_SLICE: usize = 5;
 const LAST_ROW: usize = CONSTANTS - 1;
 
 /// What comes next.
@@ -27,9 +25,9 @@ const LAST_ROW: usize = CONSTANTS - 1;
 enum Phase {
     /// Nothing.
     Idle,
-    /// F·P·Fᵀ, from this row of X on: by A.
-    Carry(usize),
-    /// From this row of C on: into X.
+    /// F·P·Fᵀ: X by A.
+    Carry,
+    /// C into X, from this row of C on.
     Mix(usize),
     /// X into M.
     Close,
@@ -134,7 +132,7 @@ impl Step {
         for (state, variance) in [tilt, tilt, velocity, velocity].into_iter().enumerate() {
             self.covariance.add_to_moving(state, variance);
         }
-        self.phase = Phase::Carry(0);
+        self.phase = Phase::Carry;
     }
 
     /// Adds a measurement at the end of the interval; one too many is ignored.
@@ -148,16 +146,11 @@ impl Step {
     pub(super) fn slice(&mut self) -> Progress {
         match self.phase {
             Phase::Idle => return Progress::Idle,
-            Phase::Carry(row) => {
-                let end = row + ROWS_PER_SLICE;
-                for row in row..end {
+            Phase::Carry => {
+                for row in 0..CONSTANTS {
                     self.covariance.carry_cross(row, &self.transition);
                 }
-                self.phase = if end > LAST_ROW {
-                    Phase::Mix(0)
-                } else {
-                    Phase::Carry(end)
-                };
+                self.phase = Phase::Mix(0);
             }
             Phase::Mix(row) => {
                 // A short row of the triangle with a long one, so that all slices are alike.
@@ -181,11 +174,10 @@ impl Step {
                 self.phase = self.take(index);
             }
             Phase::Reduce(index, row) => {
-                self.covariance.reduce(row, &self.column, self.inverse);
-                self.phase = if row < LAST_ROW / 2 {
-                    let other = LAST_ROW - row;
-                    self.covariance.reduce(other, &self.column, self.inverse);
-                    Phase::Reduce(index, row + 1)
+                self.reduce_pair(row);
+                self.reduce_pair(row + 1);
+                self.phase = if row + 2 <= LAST_ROW / 2 {
+                    Phase::Reduce(index, row + 2)
                 } else {
                     Phase::Measure(index + 1)
                 };
@@ -203,6 +195,15 @@ impl Step {
             }
         }
         Progress::Working
+    }
+
+    /// Reduces a short row with a long one; the one in the middle alone.
+    fn reduce_pair(&mut self, row: usize) {
+        self.covariance.reduce(row, &self.column, self.inverse);
+        if row < LAST_ROW - row {
+            let other = LAST_ROW - row;
+            self.covariance.reduce(other, &self.column, self.inverse);
+        }
     }
 
     fn take(&mut self, index: usize) -> Phase {
@@ -241,5 +242,3 @@ impl Step {
         Phase::Reduce(index, 0)
     }
 }
-
-const _: () = assert!(CONSTANTS % ROWS_PER_SLICE == 0 && MOVING == 4);

@@ -1,4 +1,7 @@
-//! The mean: attitude, and the increments between its steps.
+//! The mean: attitude, what is known of the sensor, and the increments between two earth steps.
+//!
+//! Increments are summed in body axes at every sample, which costs little. Earth axes, where gravity
+//! and velocity are, are visited every few samples.
 
 use super::matrix::{CONSTANTS, MOVING, Transition};
 use super::{LARGEST_BIAS_RAD_S, LARGEST_FORCE_BIAS_M_S2, LARGEST_MATRIX_ERROR};
@@ -18,7 +21,7 @@ fn clamp(vector: Vector3, limit: f32) -> Vector3 {
     )
 }
 
-/// Correction.
+/// The state of the motion and of the sensor, as far as it is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct Mean {
@@ -28,23 +31,23 @@ pub(super) struct Mean {
     pub(super) bias_rad_s: Vector3,
     /// Accelerometer bias.
     pub(super) force_bias_m_s2: Vector3,
-    /// Rows of the matrix that turns unbiased readings into rates.
+    /// C, by rows: what turns readings without bias into rates.
     pub(super) matrix: [Vector3; 3],
-    /// Matrix times bias.
+    /// C·b, so that a rate is one product and one difference.
     offset_rad_s: Vector3,
     /// Horizontal velocity at the last covariance step.
     pub(super) velocity_m_s: [f32; 2],
-    /// Latest corrected rate.
+    /// The last sample's rate, corrected.
     pub(super) rate_rad_s: Vector3,
-    /// Latest specific force, bias included.
+    /// The last sample's specific force, its bias included.
     pub(super) force_m_s2: Vector3,
-    /// Since the last earth step.
+    /// What came together since the last earth step: angle, velocity (its bias included), time.
     turned_rad: Vector3,
     pushed_m_s: Vector3,
     elapsed_s: f32,
 }
 
-/// What an earth step added.
+/// What happened between two earth steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct EarthStep {
@@ -70,6 +73,7 @@ impl Mean {
         }
     }
 
+    /// C·(g − b).
     #[inline]
     pub(super) fn corrected(&self, rate: Vector3) -> Vector3 {
         let [x, y, z] = &self.matrix;
@@ -83,7 +87,7 @@ impl Mean {
         self.offset_rad_s = Vector3::new(x.dot(b), y.dot(b), z.dot(b));
     }
 
-    /// A sample without history.
+    /// The first sample of all, or after a gap.
     pub(super) fn begin(&mut self, rate: Vector3, force: Vector3) {
         self.rate_rad_s = self.corrected(rate);
         self.force_m_s2 = force;
@@ -92,7 +96,8 @@ impl Mean {
         self.elapsed_s = 0.0;
     }
 
-    /// Adds the increments of one sample (trapezoid); returns elapsed.
+    /// Adds what one sample and the one before say of the time between (the trapezoid rule), and
+    /// gives the time since the last earth step.
     #[inline]
     pub(super) fn add(&mut self, rate: Vector3, force: Vector3, dt_s: f32) -> f32 {
         let rate = self.corrected(rate);
@@ -105,7 +110,7 @@ impl Mean {
         self.elapsed_s
     }
 
-    /// Attitude ahead of the last sample.
+    /// The attitude so long after the last sample.
     #[inline]
     pub(super) fn ahead(&self, delay_s: f32) -> Quaternion {
         let rotation = self.turned_rad + self.rate_rad_s.scale(delay_s);
@@ -113,7 +118,17 @@ impl Mean {
             .multiply(Quaternion::from_rotation_vector(rotation))
     }
 
-    /// Applies corrections of the error state.
+    /// Whether accelerometer bias and gyroscope matrix are such as the parts may have: farther off,
+    /// they were learned from what was no motion.
+    pub(super) fn is_plausible(&self) -> bool {
+        let [x, y, z] = self.matrix;
+        let [ux, uy, uz] = UNITY;
+        let (x, y, z) = (x - ux, y - uy, z - uz);
+        self.force_bias_m_s2.is_within(LARGEST_FORCE_BIAS_M_S2)
+            && x.dot(x) + y.dot(y) + z.dot(z) < LARGEST_MATRIX_ERROR * LARGEST_MATRIX_ERROR
+    }
+
+    /// Takes the error state into the mean.
     pub(super) fn correct(&mut self, moving: &[f32; MOVING], constants: &[f32; CONSTANTS]) {
         let [north, east, north_m_s, east_m_s] = *moving;
         let tilt = Quaternion::from_rotation_vector(Vector3::new(north, east, 0.0));
@@ -126,17 +141,15 @@ impl Mean {
             self.bias_rad_s + Vector3::new(*bx, *by, *bz),
             LARGEST_BIAS_RAD_S,
         );
-        let force_bias = self.force_bias_m_s2 + Vector3::new(*fx, *fy, *fz);
-        self.force_bias_m_s2 = clamp(force_bias, LARGEST_FORCE_BIAS_M_S2);
+        self.force_bias_m_s2 = self.force_bias_m_s2 + Vector3::new(*fx, *fy, *fz);
         let (errors, _) = matrix.as_chunks::<3>();
-        for ((row, unit), [x, y, z]) in self.matrix.iter_mut().zip(UNITY).zip(errors) {
-            let error = *row - unit - Vector3::new(*x, *y, *z);
-            *row = unit + clamp(error, LARGEST_MATRIX_ERROR);
+        for (row, [x, y, z]) in self.matrix.iter_mut().zip(errors) {
+            *row = *row - Vector3::new(*x, *y, *z);
         }
         self.derive_offset();
     }
 
-    /// To earth axes.
+    /// Turns the increments to earth axes, and adds to the sums of the error's transition.
     pub(super) fn step(&mut self, sums: &mut Transition) -> EarthStep {
         let t = self.elapsed_s;
         let turned = self.turned_rad;
