@@ -12,7 +12,7 @@
 
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
 use crate::calibration::{AtRest, Mount, Progress, StartupAverage, StartupScale};
-use crate::estimator::{ClassicAngles, Estimator, FilterKind, Sample};
+use crate::estimator::{AnyFilter, ClassicAngles, Estimator, Filter, FilterKind, Sample};
 use crate::health::{Flags, FreezeWatch};
 use crate::mpu6050::{Burst, Config, Part, RawSample};
 use crate::units::STANDARD_GRAVITY_M_S2;
@@ -27,7 +27,8 @@ pub struct Settings {
     pub part: &'static Part,
     /// How it is mounted. Default: face up, X forward.
     pub mount: Mount,
-    /// Which filter runs. Default: [`FilterKind::Kalman`].
+    /// Which filter runs, unless [`Pipeline::with_filter`] names one. Default:
+    /// [`FilterKind::Kalman`].
     pub filter: FilterKind,
     /// Samples at rest to average at start. Default: 1000. Zero removes no offsets at all. Only for
     /// the filters that do not look for offsets themselves.
@@ -95,7 +96,7 @@ impl Snapshot {
 
 /// The whole trip of a sample, with the state it needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pipeline {
+pub struct Pipeline<F = AnyFilter> {
     settings: Settings,
     m_s2_per_count: f32,
     rad_s_per_count: f32,
@@ -103,7 +104,7 @@ pub struct Pipeline {
     /// Offsets in body axes.
     rate_offset_rad_s: Vector3,
     force_offset_m_s2: Vector3,
-    estimator: Estimator,
+    estimator: Estimator<F>,
     freeze_watch: FreezeWatch,
     sample: Sample,
     temperature_celsius: f32,
@@ -112,6 +113,13 @@ pub struct Pipeline {
 impl Pipeline {
     /// A pipeline that waits for its first burst.
     pub fn new(settings: &Settings) -> Self {
+        Self::with_filter(settings, AnyFilter::new(settings.filter))
+    }
+}
+
+impl<F: Filter> Pipeline<F> {
+    /// The same with this filter, whatever the settings say: no other is linked.
+    pub fn with_filter(settings: &Settings, filter: F) -> Self {
         let Config {
             accelerometer_range,
             gyroscope_range,
@@ -122,11 +130,11 @@ impl Pipeline {
             counts_per_g: accelerometer_range.counts_per_g(),
         };
         let samples = settings.averaging_samples;
-        let averages = samples > 0 && settings.filter != FilterKind::Kalman;
+        let averages = samples > 0 && filter.kalman().is_none();
         let delay_us = settings
             .sensor_delay_us
             .unwrap_or(settings.sensor.low_pass.gyroscope_delay_us().into());
-        let mut estimator = Estimator::new(settings.filter).with_sensor_delay_us(delay_us);
+        let mut estimator = Estimator::with_filter(filter).with_sensor_delay_us(delay_us);
         if let Some(stored) = settings.stored_bias {
             estimator = estimator.with_bias(stored.bias_rad_s, stored.sigma_rad_s);
         }
@@ -183,12 +191,12 @@ impl Pipeline {
     }
 
     /// Armed (`true`), the filter does nothing that is only safe on the ground. Default: false.
-    pub const fn set_armed(&mut self, is_armed: bool) {
+    pub fn set_armed(&mut self, is_armed: bool) {
         self.estimator.set_armed(is_armed);
     }
 
     /// The filter: with [`Estimator::kalman`], biases and how sure it is.
-    pub const fn estimator(&self) -> &Estimator {
+    pub const fn estimator(&self) -> &Estimator<F> {
         &self.estimator
     }
 
@@ -222,6 +230,10 @@ impl Pipeline {
     }
 
     fn average_at_rest(&mut self, raw: &RawSample) -> Flags {
+        // Known when compiled for one filter, so that the average is not linked in vain.
+        if self.estimator.kalman().is_some() {
+            return Flags::NONE;
+        }
         let Some(startup) = &mut self.startup else {
             return Flags::NONE;
         };
@@ -246,7 +258,7 @@ impl Pipeline {
         self.rate_offset_rad_s = mount
             .to_body(at_rest.gyroscope_counts)
             .scale(self.rad_s_per_count);
-        if self.settings.filter == FilterKind::Classic {
+        if self.estimator.classic_angles().is_some() {
             // The tutorial takes the table for level: whatever is not one g upwards is offset.
             let gravity = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
             self.force_offset_m_s2 = mount

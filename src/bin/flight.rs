@@ -25,6 +25,7 @@ mod app {
     use aplomb::board::uart::{self, Uart};
     use aplomb::board::{clocks, pins, publish};
     use aplomb::calibration::Mount;
+    use aplomb::estimator::kalman::Kalman;
     use aplomb::health::Flags;
     use aplomb::mpu6050::{Config, Mpu6050, Part};
     use aplomb::pipeline::{Pipeline, Settings};
@@ -53,7 +54,7 @@ mod app {
         reader: BurstReader,
         #[lock_free]
         timebase: Timebase,
-        pipeline: Option<Pipeline>,
+        pipeline: Option<Pipeline<Kalman>>,
         messages: Mailbox,
     }
 
@@ -106,7 +107,7 @@ mod app {
                         pipeline.get_or_insert_with(|| {
                             let mut settings = Settings::new(part);
                             settings.mount = MOUNT;
-                            Pipeline::new(&settings)
+                            Pipeline::with_filter(&settings, Kalman::new())
                         });
                     });
                     burst_reader::enable(address);

@@ -1,7 +1,8 @@
 //! From calibrated samples to attitude: one file per filter, one seat for all of them.
 //!
 //! [`Estimator`] keeps the time and refuses what is not a number, so that a filter sees only finite
-//! samples and steps between 1 µs and 0.5 s. [`FilterKind`] chooses the filter:
+//! samples and steps between 1 µs and 0.5 s. The filter is its type parameter; by default it is
+//! [`AnyFilter`], of which [`FilterKind`] chooses one at run time:
 //!
 //! - [`kalman`], the default: one Kalman filter for tilt, velocity and everything that is wrong with
 //!   the sensor;
@@ -14,14 +15,14 @@
 pub mod angle_bias;
 pub mod axis_kalman;
 pub mod classic;
+mod filter;
 pub mod kalman;
 
 pub use classic::ClassicAngles;
+pub use filter::{AnyFilter, Filter};
 
 use crate::attitude::{Quaternion, Vector3};
 use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2};
-use axis_kalman::AxisKalman;
-use classic::Classic;
 use kalman::Kalman;
 
 /// A longer pause between samples is a gap: what happened in it is unknown.
@@ -121,39 +122,24 @@ pub struct Remarks {
 /// and good samples bring it back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Estimator {
-    filter: Filter,
+pub struct Estimator<F = AnyFilter> {
+    filter: F,
     last_t_us: Option<u64>,
     body_rates_rad_s: Vector3,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[allow(clippy::large_enum_variant)]
-enum Filter {
-    Kalman(Kalman),
-    AxisKalman(AxisKalman),
-    Classic(Classic),
 }
 
 impl Estimator {
     /// An estimator that starts with its first sample.
     pub const fn new(kind: FilterKind) -> Self {
-        Self {
-            filter: match kind {
-                FilterKind::Kalman => Filter::Kalman(Kalman::new()),
-                FilterKind::AxisKalman => Filter::AxisKalman(AxisKalman::new()),
-                FilterKind::Classic => Filter::Classic(Classic::new()),
-            },
-            last_t_us: None,
-            body_rates_rad_s: Vector3::ZERO,
-        }
+        Self::with_filter(AnyFilter::new(kind))
     }
+}
 
-    /// An estimator with the [`kalman`] filter, tuned by hand: for experiments.
-    pub const fn kalman_with(tuning: &'static kalman::Tuning) -> Self {
+impl<F: Filter> Estimator<F> {
+    /// An estimator around this filter, which it links alone.
+    pub const fn with_filter(filter: F) -> Self {
         Self {
-            filter: Filter::Kalman(Kalman::with_tuning(tuning)),
+            filter,
             last_t_us: None,
             body_rates_rad_s: Vector3::ZERO,
         }
@@ -162,8 +148,8 @@ impl Estimator {
     /// By how much the sensor lags the motion, in µs: [`kalman`] extrapolates by that, so that the
     /// attitude is the one at the sample's time.
     #[must_use]
-    pub const fn with_sensor_delay_us(mut self, delay_us: u32) -> Self {
-        if let Filter::Kalman(filter) = &mut self.filter {
+    pub fn with_sensor_delay_us(mut self, delay_us: u32) -> Self {
+        if let Some(filter) = self.filter.kalman_mut() {
             filter.set_delay(delay_us as f32 * SECONDS_PER_MICROSECOND);
         }
         self
@@ -173,35 +159,28 @@ impl Estimator {
     /// [`kalman`]. The other filters want it removed from the samples.
     #[must_use]
     pub fn with_bias(mut self, bias_rad_s: Vector3, sigma_rad_s: f32) -> Self {
-        if let Filter::Kalman(filter) = &mut self.filter {
+        if let Some(filter) = self.filter.kalman_mut() {
             filter.set_bias(bias_rad_s, sigma_rad_s);
         }
         self
     }
 
     /// Armed (`true`), nothing is done that is only safe on the ground. Default: false.
-    pub const fn set_armed(&mut self, is_armed: bool) {
-        if let Filter::Kalman(filter) = &mut self.filter {
+    pub fn set_armed(&mut self, is_armed: bool) {
+        if let Some(filter) = self.filter.kalman_mut() {
             filter.set_armed(is_armed);
         }
     }
 
     /// The [`kalman`] filter with all it knows; `None` with any other.
-    pub const fn kalman(&self) -> Option<&Kalman> {
-        match &self.filter {
-            Filter::Kalman(filter) => Some(filter),
-            Filter::AxisKalman(_) | Filter::Classic(_) => None,
-        }
+    pub fn kalman(&self) -> Option<&Kalman> {
+        self.filter.kalman()
     }
 
     /// Forgets everything but the quaternion's sign; yaw starts at zero again.
     pub fn restart(&mut self) {
         self.last_t_us = None;
-        match &mut self.filter {
-            Filter::Kalman(filter) => filter.restart(),
-            Filter::AxisKalman(filter) => filter.restart(),
-            Filter::Classic(filter) => filter.restart(),
-        }
+        self.filter.restart();
     }
 
     /// Takes one sample and gives the attitude at its time.
@@ -218,9 +197,9 @@ impl Estimator {
             remarks.no_gravity =
                 force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
             self.step(sample, &mut remarks);
-            self.body_rates_rad_s = match &self.filter {
-                Filter::Kalman(filter) => filter.body_rates_rad_s(),
-                Filter::AxisKalman(_) | Filter::Classic(_) => sample.angular_rate_rad_s,
+            self.body_rates_rad_s = match self.filter.kalman() {
+                Some(filter) => filter.body_rates_rad_s(),
+                None => sample.angular_rate_rad_s,
             };
         } else {
             remarks.rejected = true;
@@ -229,28 +208,21 @@ impl Estimator {
             attitude: self.attitude(),
             body_rates_rad_s: self.body_rates_rad_s,
             remarks,
-            is_calibrating: match &self.filter {
-                Filter::Kalman(filter) => !filter.is_bias_known(),
-                Filter::AxisKalman(_) | Filter::Classic(_) => false,
-            },
+            is_calibrating: self
+                .filter
+                .kalman()
+                .is_some_and(|filter| !filter.is_bias_known()),
         }
     }
 
     /// The attitude after the last sample, body to earth.
     pub fn attitude(&self) -> Quaternion {
-        match &self.filter {
-            Filter::Kalman(filter) => filter.attitude(),
-            Filter::AxisKalman(filter) => filter.attitude(),
-            Filter::Classic(filter) => filter.attitude(),
-        }
+        self.filter.attitude()
     }
 
     /// The numbers of the classic tutorial; `None` with any other filter.
     pub fn classic_angles(&self) -> Option<ClassicAngles> {
-        match &self.filter {
-            Filter::Classic(filter) => Some(filter.angles()),
-            Filter::Kalman(_) | Filter::AxisKalman(_) => None,
-        }
+        self.filter.classic_angles()
     }
 
     fn step(&mut self, sample: &Sample, remarks: &mut Remarks) {
@@ -265,32 +237,29 @@ impl Estimator {
             Some(last) => sample.t_us - last,
         };
         remarks.gap = step_us > LONGEST_STEP_US;
-        let measurement = Measurement {
-            specific_force_m_s2: (!remarks.no_gravity).then_some(sample.specific_force_m_s2),
-            angular_rate_rad_s: sample.angular_rate_rad_s,
-        };
         if step_us == 0 || remarks.gap {
-            match &mut self.filter {
-                Filter::Kalman(filter) => filter.start(sample, !remarks.no_gravity),
-                Filter::AxisKalman(filter) => filter.start(&measurement),
-                Filter::Classic(filter) => filter.start(&measurement),
-            }
+            self.filter.start(sample, !remarks.no_gravity);
             return;
         }
         let dt_s = step_us as u32 as f32 * SECONDS_PER_MICROSECOND;
-        match &mut self.filter {
-            Filter::Kalman(filter) => filter.update(sample, dt_s, !remarks.no_gravity),
-            Filter::AxisKalman(filter) => filter.update(&measurement, dt_s),
-            Filter::Classic(filter) => filter.update(&measurement, dt_s),
-        }
+        self.filter.update(sample, dt_s, !remarks.no_gravity);
     }
 }
 
-/// What a filter gets: finite values, and a specific force only where it shows gravity.
+/// A sample, with a specific force only where it shows gravity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Measurement {
     pub(crate) specific_force_m_s2: Option<Vector3>,
     pub(crate) angular_rate_rad_s: Vector3,
+}
+
+impl Measurement {
+    fn of(sample: &Sample, shows_gravity: bool) -> Self {
+        Self {
+            specific_force_m_s2: shows_gravity.then_some(sample.specific_force_m_s2),
+            angular_rate_rad_s: sample.angular_rate_rad_s,
+        }
+    }
 }
 
 #[cfg(test)]
@@ -350,8 +319,8 @@ pub(crate) mod tests {
             assert_eq!(estimate.remarks, Remarks::default());
             // The classic angles are not Euler angles: its roll is that of a level nose.
             let tolerance = match estimator.filter {
-                Filter::Kalman(_) | Filter::AxisKalman(_) => 1e-3,
-                Filter::Classic(_) => 4.0,
+                AnyFilter::Kalman(_) | AnyFilter::AxisKalman(_) => 1e-3,
+                AnyFilter::Classic(_) => 4.0,
             };
             assert!(angle_between(estimate.attitude, pose) < tolerance);
             assert!(estimate.attitude.to_euler().yaw_rad.abs() < 1e-6);
@@ -546,8 +515,8 @@ pub(crate) mod tests {
             let tilt_error = (last.down_in_body() - pose.down_in_body()).norm();
             // What the nonsense taught of the accelerometer's bias goes away more slowly.
             let tolerance = match estimator.filter {
-                Filter::Kalman(_) => 2e-2,
-                Filter::AxisKalman(_) | Filter::Classic(_) => 2e-3,
+                AnyFilter::Kalman(_) => 2e-2,
+                AnyFilter::AxisKalman(_) | AnyFilter::Classic(_) => 2e-3,
             };
             assert!(tilt_error < tolerance, "{estimator:?}");
         }
