@@ -244,11 +244,13 @@ impl Kalman {
 
     /// Forgets everything but its settings and the quaternion's sign.
     pub(super) fn restart(&mut self) {
+        let attitude = Quaternion::IDENTITY.with_sign_of(self.mean.attitude);
         *self = Self {
             delay_s: self.delay_s,
             is_armed: self.is_armed,
             ..Self::with_tuning(self.tuning)
         };
+        self.mean.attitude = attitude;
     }
 
     /// The first sample, or the first after a gap: takes roll and pitch from the specific force if it shows gravity, and keeps yaw and what is known of the sensor.
