@@ -9,7 +9,7 @@
 use core::fmt;
 
 use embedded_hal::delay::DelayNs;
-use embedded_hal::i2c::{Error as _, ErrorKind, ErrorType, I2c};
+use embedded_hal::i2c::{self, Error as _, ErrorKind, ErrorType, I2c, NoAcknowledgeSource};
 
 use super::burst::{BURST_LENGTH, Burst};
 use super::config::Config;
@@ -284,7 +284,7 @@ pub enum Error<E> {
     },
 }
 
-impl<E: fmt::Debug> fmt::Display for Error<E> {
+impl<E: i2c::Error> fmt::Display for Error<E> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NotFound => {
@@ -329,19 +329,33 @@ impl<E: fmt::Debug> fmt::Display for Error<E> {
                 source,
             } => write!(
                 formatter,
-                "{} {} (0x{:02x}) at 0x{address:02x} failed: {source:?}: check the wiring",
+                "{} {} (0x{:02x}) at 0x{address:02x} failed: {}: check the wiring",
                 operation.name(),
                 register.name(),
-                register.address()
+                register.address(),
+                reason(source.kind())
             ),
         }
     }
 }
 
-impl<E: fmt::Debug> core::error::Error for Error<E> {}
+impl<E: i2c::Error> core::error::Error for Error<E> {}
+
+/// Why a transfer failed, in words that fit into a sentence.
+const fn reason(kind: ErrorKind) -> &'static str {
+    match kind {
+        ErrorKind::Bus => "bus error",
+        ErrorKind::ArbitrationLoss => "arbitration lost",
+        ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address) => "address not acknowledged",
+        ErrorKind::NoAcknowledge(NoAcknowledgeSource::Data) => "data not acknowledged",
+        ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown) => "not acknowledged",
+        ErrorKind::Overrun => "overrun",
+        _ => "no response in time, or another error",
+    }
+}
 
 #[cfg(feature = "defmt")]
-impl<E: fmt::Debug> defmt::Format for Error<E> {
+impl<E: i2c::Error> defmt::Format for Error<E> {
     fn format(&self, formatter: defmt::Formatter<'_>) {
         // The same words on every output, for the price of formatting them on the target.
         defmt::write!(formatter, "{}", defmt::Display2Format(self));
@@ -409,7 +423,7 @@ mod tests {
     use std::cell::RefCell;
     use std::rc::Rc;
 
-    use embedded_hal::i2c::{NoAcknowledgeSource, Operation as BusOperation};
+    use embedded_hal::i2c::Operation as BusOperation;
 
     use super::*;
     use crate::mpu6050::{AccelerometerRange, GyroscopeRange, LowPass};
@@ -744,7 +758,7 @@ mod tests {
         assert_eq!(bench.probe_error(), expected);
         assert_eq!(
             expected.to_string(),
-            "reading WHO_AM_I (0x75) at 0x68 failed: Arbitration: check the wiring"
+            "reading WHO_AM_I (0x75) at 0x68 failed: arbitration lost: check the wiring"
         );
         // The bus comes back for another try.
         let Err(failure) = bench.probe() else {
@@ -816,7 +830,7 @@ mod tests {
             .expect_err("a failure");
         assert_eq!(
             error.to_string(),
-            "writing PWR_MGMT_1 (0x6b) at 0x69 failed: Nack: check the wiring"
+            "writing PWR_MGMT_1 (0x6b) at 0x69 failed: not acknowledged: check the wiring"
         );
     }
 

@@ -155,7 +155,7 @@ fn nack_on_a_value_while_configuring() {
         from_s: 0.0,
         count: 1,
     }));
-    assert_says(&outcome, "failed: NoAcknowledge");
+    assert_says(&outcome, "failed: data not acknowledged");
     assert_recovered(&outcome);
 }
 
