@@ -223,7 +223,7 @@ mod app {
             _ => "",
         };
         if !line.is_empty() {
-            defmt::info!("{=str}", line.trim_end());
+            defmt::info!("{=str}", line.trim_end_matches('\n'));
         }
         let Some(buffer) = context.local.uart.idle_buffer() else {
             return;

@@ -337,6 +337,7 @@ fn operation_length(operation: &Operation<'_>) -> usize {
     }
 }
 
+#[inline(never)]
 fn wait_us(microseconds: u32) {
     let start = timebase::now();
     while !timebase::elapsed(start, microseconds + 1) {}

@@ -164,6 +164,7 @@ impl<I2C: I2c> Mpu6050<I2C> {
     }
 
     /// Replaces the bits of `mask`, keeps the others, and compares.
+    #[inline(never)]
     fn modify(&mut self, register: Register, mask: u8, bits: u8) -> Result<(), Error<I2C::Error>> {
         let kept = self.read(register)? & !mask;
         self.set(register, kept | (bits & mask))
@@ -184,6 +185,7 @@ impl<I2C: I2c> Mpu6050<I2C> {
         })
     }
 
+    #[inline(never)]
     fn write(&mut self, register: Register, value: u8) -> Result<(), Error<I2C::Error>> {
         self.i2c
             .write(self.address, &[register.address(), value])
@@ -391,6 +393,7 @@ fn look_once<I2C: I2c>(i2c: &mut I2C) -> Result<Option<(u8, &'static Part)>, Err
     first_error.map_or(Ok(None), Err)
 }
 
+#[inline(never)]
 fn read_byte<I2C: I2c>(
     i2c: &mut I2C,
     address: u8,

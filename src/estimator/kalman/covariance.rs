@@ -136,6 +136,7 @@ impl Step {
     }
 
     /// Adds a measurement at the end of the interval; one too many is ignored.
+    #[inline(never)]
     pub(super) fn measure(&mut self, measurement: Measurement) {
         if let Some(free) = self.measurements.iter_mut().find(|place| place.is_none()) {
             *free = Some(measurement);

@@ -558,6 +558,7 @@ impl Kalman {
     }
 
     /// Forgets velocity and what is known of tilt, and whatever covariance step was under way.
+    #[inline(never)]
     fn forget_motion(&mut self, tilt_variance: f32) {
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;
