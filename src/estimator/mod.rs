@@ -486,7 +486,8 @@ pub(crate) mod tests {
 
     #[test]
     fn a_restart_keeps_the_sign_of_the_quaternion() {
-        for mut estimator in both() {
+        // The Kalman filter takes some of a steady yaw for bias.
+        for mut estimator in [FilterKind::AxisKalman, FilterKind::Classic].map(Estimator::new) {
             // After 300° of yaw the scalar part is negative.
             for millisecond in 0..3_000 {
                 let rate = Vector3::new(0.0, 0.0, 100_f32.to_radians());
