@@ -261,6 +261,21 @@ impl Quaternion {
         )
     }
 
+    /// The rotation with this yaw, and roll and pitch such that `down` (body axes, any length but
+    /// zero) points down. Next to the poles, where roll is not defined, it keeps its roll.
+    pub fn with_down(self, down: Vector3) -> Self {
+        /// Within 0.6° of a pole the direction says nothing about roll.
+        const LEAST_PITCH_COSINE_SQUARED: f32 = 1.0e-4;
+
+        let mut angles = self.to_euler();
+        let across_squared = down.y * down.y + down.z * down.z;
+        if across_squared > LEAST_PITCH_COSINE_SQUARED * down.dot(down) {
+            angles.roll_rad = libm::atan2f(down.y, down.z);
+        }
+        angles.pitch_rad = libm::atan2f(-down.x, libm::sqrtf(across_squared));
+        Self::from_euler(angles).with_sign_of(self)
+    }
+
     /// The four-dimensional scalar product; near ±1 for nearly equal rotations.
     #[inline]
     pub fn dot(self, other: Self) -> f32 {

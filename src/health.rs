@@ -13,7 +13,8 @@ pub struct Flags(u16);
 impl Flags {
     /// Nothing to report.
     pub const NONE: Self = Self(0);
-    /// The start-up average is not complete: offsets are not removed yet, and yaw will start over.
+    /// The gyroscope's offset is not known yet. Where a start-up average looks for it, offsets are not
+    /// removed until it is complete, and then yaw starts over.
     pub const CALIBRATING: Self = Self(1 << 0);
     /// The sensor moved during the start-up average, which restarts with the next sample.
     pub const MOVED: Self = Self(1 << 1);

@@ -2,9 +2,10 @@
 //!
 //! decode → align (sensor to body) → calibrate (offsets at rest) → estimate → health.
 //!
-//! There is a snapshot for every burst, from the first one on; those that the start-up average
-//! takes carry [`Flags::CALIBRATING`]. With the sample after them the filter starts again, offsets
-//! removed, and yaw starts again at zero.
+//! There is a snapshot for every burst, from the first one on; it carries [`Flags::CALIBRATING`] until
+//! the gyroscope's offset is known. [`FilterKind::Kalman`] finds it by itself, at rest and in motion,
+//! while it runs. The other filters wait for the start-up average: with the sample after it they start
+//! again, offsets removed, and yaw starts again at zero.
 //!
 //! Deadline: a fraction of the sample period, 1 ms. There is no loop in it and no wait, and the
 //! longest path is a few hundred instructions longer than the shortest.
@@ -26,10 +27,26 @@ pub struct Settings {
     pub part: &'static Part,
     /// How it is mounted. Default: face up, X forward.
     pub mount: Mount,
-    /// Which filter runs. Default: [`FilterKind::AxisKalman`].
+    /// Which filter runs. Default: [`FilterKind::Kalman`].
     pub filter: FilterKind,
-    /// Samples at rest to average at start. Default: 1000. Zero removes no offsets at all.
+    /// Samples at rest to average at start. Default: 1000. Zero removes no offsets at all. Only for
+    /// the filters that do not look for offsets themselves.
     pub averaging_samples: u16,
+    /// By how much a sample's content is older than its time, in µs. Default: `None`, the
+    /// gyroscope's delay in the low-pass filter of `sensor`; the time is that of the data-ready edge.
+    pub sensor_delay_us: Option<u32>,
+    /// The gyroscope's offset from an earlier calibration. Default: `None`.
+    pub stored_bias: Option<StoredBias>,
+}
+
+/// A gyroscope offset from an earlier calibration: where [`FilterKind::Kalman`] starts from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct StoredBias {
+    /// The offset, rad/s in body axes.
+    pub bias_rad_s: Vector3,
+    /// How far it may have wandered since: σ per axis, rad/s.
+    pub sigma_rad_s: f32,
 }
 
 impl Settings {
@@ -39,8 +56,10 @@ impl Settings {
             sensor: Config::DEFAULT,
             part,
             mount: Mount::Z_UP,
-            filter: FilterKind::AxisKalman,
+            filter: FilterKind::Kalman,
             averaging_samples: 1000,
+            sensor_delay_us: None,
+            stored_bias: None,
         }
     }
 }
@@ -103,14 +122,22 @@ impl Pipeline {
             counts_per_g: accelerometer_range.counts_per_g(),
         };
         let samples = settings.averaging_samples;
+        let averages = samples > 0 && settings.filter != FilterKind::Kalman;
+        let delay_us = settings
+            .sensor_delay_us
+            .unwrap_or(settings.sensor.low_pass.gyroscope_delay_us().into());
+        let mut estimator = Estimator::new(settings.filter).with_sensor_delay_us(delay_us);
+        if let Some(stored) = settings.stored_bias {
+            estimator = estimator.with_bias(stored.bias_rad_s, stored.sigma_rad_s);
+        }
         Self {
             settings: *settings,
             m_s2_per_count: accelerometer_range.m_s2_per_count(),
             rad_s_per_count: gyroscope_range.rad_s_per_count(),
-            startup: (samples > 0).then(|| StartupAverage::new(samples, scale)),
+            startup: averages.then(|| StartupAverage::new(samples, scale)),
             rate_offset_rad_s: Vector3::ZERO,
             force_offset_m_s2: Vector3::ZERO,
-            estimator: Estimator::new(settings.filter),
+            estimator,
             freeze_watch: FreezeWatch::new(),
             sample: Sample::default(),
             temperature_celsius: 0.0,
@@ -127,21 +154,24 @@ impl Pipeline {
                 - self.force_offset_m_s2,
             angular_rate_rad_s: self.in_body(raw.gyroscope.0, self.rad_s_per_count)
                 - self.rate_offset_rad_s,
+            is_rate_saturated: raw.gyroscope.is_saturated(),
+            is_force_saturated: raw.accelerometer.is_saturated(),
         };
         let estimate = self.estimator.update(&self.sample);
         let startup_flags = self.average_at_rest(&raw);
 
         let remarks = estimate.remarks;
         let flags = startup_flags
+            .with(Flags::CALIBRATING, estimate.is_calibrating)
             .with(Flags::MISSED, burst.missed_before > 0)
             .with(Flags::GAP, remarks.gap)
             .with(Flags::TIME, remarks.time_went_back)
             .with(Flags::REJECTED, remarks.rejected)
             .with(Flags::FREE_FALL, remarks.no_gravity)
-            .with(Flags::GYROSCOPE_SATURATED, raw.gyroscope.is_saturated())
+            .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
             .with(
                 Flags::ACCELEROMETER_SATURATED,
-                raw.accelerometer.is_saturated(),
+                self.sample.is_force_saturated,
             )
             .with(Flags::FROZEN, self.freeze_watch.update(&burst.bytes));
         Snapshot {
@@ -150,6 +180,16 @@ impl Pipeline {
             body_rates_rad_s: estimate.body_rates_rad_s,
             flags,
         }
+    }
+
+    /// Armed (`true`), the filter does nothing that is only safe on the ground. Default: false.
+    pub const fn set_armed(&mut self, is_armed: bool) {
+        self.estimator.set_armed(is_armed);
+    }
+
+    /// The filter: with [`Estimator::kalman`], biases and how sure it is.
+    pub const fn estimator(&self) -> &Estimator {
+        &self.estimator
     }
 
     /// The settings it runs with.
@@ -167,9 +207,13 @@ impl Pipeline {
         self.temperature_celsius
     }
 
-    /// The gyroscope's offset in body axes; zero until the average is complete.
-    pub const fn rate_offset_rad_s(&self) -> Vector3 {
-        self.rate_offset_rad_s
+    /// The gyroscope's offset in body axes, as far as it is known: zero until the average is complete,
+    /// or what [`FilterKind::Kalman`] makes of it so far.
+    pub fn rate_offset_rad_s(&self) -> Vector3 {
+        match self.estimator.kalman() {
+            Some(filter) => filter.bias_rad_s(),
+            None => self.rate_offset_rad_s,
+        }
     }
 
     /// The numbers of the classic tutorial; `None` unless [`FilterKind::Classic`] runs.
@@ -259,10 +303,18 @@ mod tests {
         Settings::new(&Part::MPU_6050)
     }
 
+    /// Settings of a filter that waits for the average.
+    fn averaging() -> Settings {
+        Settings {
+            filter: FilterKind::AxisKalman,
+            ..settings()
+        }
+    }
+
     fn without_averaging() -> Settings {
         Settings {
             averaging_samples: 0,
-            ..settings()
+            ..averaging()
         }
     }
 
@@ -277,7 +329,7 @@ mod tests {
 
     #[test]
     fn the_average_ends_with_the_thousandth_sample_and_removes_the_offset() {
-        let mut pipeline = Pipeline::new(&settings());
+        let mut pipeline = Pipeline::new(&averaging());
         let offset = Vector3::new(5.0, -3.0, 10.0);
         let mut last = Snapshot::default();
         for index in 0..2000_u64 {
@@ -308,7 +360,7 @@ mod tests {
 
     #[test]
     fn motion_restarts_the_average_and_says_so_once() {
-        let mut pipeline = Pipeline::new(&settings());
+        let mut pipeline = Pipeline::new(&averaging());
         let mut moved = Vec::new();
         let mut done = None;
         for index in 0..2000_u64 {
@@ -482,7 +534,7 @@ mod tests {
 
     #[test]
     fn a_sensor_that_returns_zeros_never_calibrates() {
-        let mut pipeline = Pipeline::new(&settings());
+        let mut pipeline = Pipeline::new(&averaging());
         for index in 0..5000_u64 {
             let flags = pipeline
                 .update(&Burst {

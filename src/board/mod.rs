@@ -17,6 +17,8 @@ pub mod burst_reader;
 pub mod clocks;
 #[cfg(feature = "qemu")]
 pub mod host_files;
+#[cfg(feature = "cost")]
+pub mod instruction_counter;
 pub mod pins;
 pub mod publish;
 pub mod sensor_bus;

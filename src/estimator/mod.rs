@@ -3,8 +3,10 @@
 //! [`Estimator`] keeps the time and refuses what is not a number, so that a filter sees only finite
 //! samples and steps between 1 µs and 0.5 s. [`FilterKind`] chooses the filter:
 //!
-//! - [`axis_kalman`], the default: an angle and bias Kalman filter each for roll and pitch, around
-//!   an exact quaternion;
+//! - [`kalman`], the default: one Kalman filter for tilt, velocity and everything that is wrong with
+//!   the sensor;
+//! - [`axis_kalman`]: an angle and bias Kalman filter each for roll and pitch, around an exact
+//!   quaternion;
 //! - [`classic`]: the same two filters with the formulas of the well-known tutorial.
 //!
 //! Neither sees a compass: yaw starts at zero and is only ever relative.
@@ -12,6 +14,7 @@
 pub mod angle_bias;
 pub mod axis_kalman;
 pub mod classic;
+pub mod kalman;
 
 pub use classic::ClassicAngles;
 
@@ -19,6 +22,7 @@ use crate::attitude::{Quaternion, Vector3};
 use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2};
 use axis_kalman::AxisKalman;
 use classic::Classic;
+use kalman::Kalman;
 
 /// A longer pause between samples is a gap: what happened in it is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
@@ -35,8 +39,10 @@ const LARGEST_RATE_RAD_S: f32 = 1_000.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FilterKind {
-    /// [`axis_kalman`].
+    /// [`kalman`].
     #[default]
+    Kalman,
+    /// [`axis_kalman`].
     AxisKalman,
     /// [`classic`].
     Classic,
@@ -44,11 +50,12 @@ pub enum FilterKind {
 
 impl FilterKind {
     /// Every filter.
-    pub const ALL: [Self; 2] = [Self::AxisKalman, Self::Classic];
+    pub const ALL: [Self; 3] = [Self::Kalman, Self::AxisKalman, Self::Classic];
 
     /// The name by which it is chosen.
     pub const fn name(self) -> &'static str {
         match self {
+            Self::Kalman => "kalman",
             Self::AxisKalman => "axis-kalman",
             Self::Classic => "classic",
         }
@@ -57,6 +64,7 @@ impl FilterKind {
     /// The filter of this name.
     pub const fn parse(name: &str) -> Option<Self> {
         match name.as_bytes() {
+            b"kalman" => Some(Self::Kalman),
             b"axis-kalman" => Some(Self::AxisKalman),
             b"classic" => Some(Self::Classic),
             _ => None,
@@ -72,8 +80,12 @@ pub struct Sample {
     pub t_us: u64,
     /// Specific force: at rest and level (0, 0, −9.81).
     pub specific_force_m_s2: Vector3,
-    /// Angular rate, its offset at rest removed.
+    /// Angular rate; whoever averages its offset at rest has removed it.
     pub angular_rate_rad_s: Vector3,
+    /// Whether an axis of the gyroscope reads full scale.
+    pub is_rate_saturated: bool,
+    /// Whether an axis of the accelerometer reads full scale.
+    pub is_force_saturated: bool,
 }
 
 /// What a sample led to.
@@ -86,6 +98,8 @@ pub struct Estimate {
     pub body_rates_rad_s: Vector3,
     /// What was wrong with the sample.
     pub remarks: Remarks,
+    /// The filter does not know the gyroscope's bias well yet. Only [`kalman`] looks for it.
+    pub is_calibrating: bool,
 }
 
 /// What was wrong with a sample, and what was done about it.
@@ -115,7 +129,9 @@ pub struct Estimator {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(clippy::large_enum_variant)]
 enum Filter {
+    Kalman(Kalman),
     AxisKalman(AxisKalman),
     Classic(Classic),
 }
@@ -125,6 +141,7 @@ impl Estimator {
     pub const fn new(kind: FilterKind) -> Self {
         Self {
             filter: match kind {
+                FilterKind::Kalman => Filter::Kalman(Kalman::new()),
                 FilterKind::AxisKalman => Filter::AxisKalman(AxisKalman::new()),
                 FilterKind::Classic => Filter::Classic(Classic::new()),
             },
@@ -133,10 +150,55 @@ impl Estimator {
         }
     }
 
+    /// An estimator with the [`kalman`] filter, tuned by hand: for experiments.
+    pub const fn kalman_with(tuning: &'static kalman::Tuning) -> Self {
+        Self {
+            filter: Filter::Kalman(Kalman::with_tuning(tuning)),
+            last_t_us: None,
+            body_rates_rad_s: Vector3::ZERO,
+        }
+    }
+
+    /// By how much the sensor lags the motion, in µs: [`kalman`] extrapolates by that, so that the
+    /// attitude is the one at the sample's time.
+    #[must_use]
+    pub const fn with_sensor_delay_us(mut self, delay_us: u32) -> Self {
+        if let Filter::Kalman(filter) = &mut self.filter {
+            filter.set_delay(delay_us as f32 * SECONDS_PER_MICROSECOND);
+        }
+        self
+    }
+
+    /// A gyroscope bias known beforehand, with its σ per axis, both rad/s: shortens the start of
+    /// [`kalman`]. The other filters want it removed from the samples.
+    #[must_use]
+    pub fn with_bias(mut self, bias_rad_s: Vector3, sigma_rad_s: f32) -> Self {
+        if let Filter::Kalman(filter) = &mut self.filter {
+            filter.set_bias(bias_rad_s, sigma_rad_s);
+        }
+        self
+    }
+
+    /// Armed (`true`), nothing is done that is only safe on the ground. Default: false.
+    pub const fn set_armed(&mut self, is_armed: bool) {
+        if let Filter::Kalman(filter) = &mut self.filter {
+            filter.set_armed(is_armed);
+        }
+    }
+
+    /// The [`kalman`] filter with all it knows; `None` with any other.
+    pub const fn kalman(&self) -> Option<&Kalman> {
+        match &self.filter {
+            Filter::Kalman(filter) => Some(filter),
+            Filter::AxisKalman(_) | Filter::Classic(_) => None,
+        }
+    }
+
     /// Forgets everything but the quaternion's sign; yaw starts at zero again.
     pub fn restart(&mut self) {
         self.last_t_us = None;
         match &mut self.filter {
+            Filter::Kalman(filter) => filter.restart(),
             Filter::AxisKalman(filter) => filter.restart(),
             Filter::Classic(filter) => filter.restart(),
         }
@@ -145,16 +207,21 @@ impl Estimator {
     /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
         let mut remarks = Remarks::default();
-        let is_measurement = sample
-            .specific_force_m_s2
-            .is_within(LARGEST_SPECIFIC_FORCE_M_S2)
-            && sample.angular_rate_rad_s.is_within(LARGEST_RATE_RAD_S);
+        let force = sample.specific_force_m_s2;
+        let rate = sample.angular_rate_rad_s;
+        let force_squared = force.dot(force);
+        // A NaN fails every comparison.
+        let is_measurement = force_squared
+            <= LARGEST_SPECIFIC_FORCE_M_S2 * LARGEST_SPECIFIC_FORCE_M_S2
+            && rate.dot(rate) <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
         if is_measurement {
-            let force = sample.specific_force_m_s2;
             remarks.no_gravity =
-                force.dot(force) < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
+                force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
             self.step(sample, &mut remarks);
-            self.body_rates_rad_s = sample.angular_rate_rad_s;
+            self.body_rates_rad_s = match &self.filter {
+                Filter::Kalman(filter) => filter.body_rates_rad_s(),
+                Filter::AxisKalman(_) | Filter::Classic(_) => sample.angular_rate_rad_s,
+            };
         } else {
             remarks.rejected = true;
         }
@@ -162,12 +229,17 @@ impl Estimator {
             attitude: self.attitude(),
             body_rates_rad_s: self.body_rates_rad_s,
             remarks,
+            is_calibrating: match &self.filter {
+                Filter::Kalman(filter) => !filter.is_bias_known(),
+                Filter::AxisKalman(_) | Filter::Classic(_) => false,
+            },
         }
     }
 
     /// The attitude after the last sample, body to earth.
     pub fn attitude(&self) -> Quaternion {
         match &self.filter {
+            Filter::Kalman(filter) => filter.attitude(),
             Filter::AxisKalman(filter) => filter.attitude(),
             Filter::Classic(filter) => filter.attitude(),
         }
@@ -177,16 +249,12 @@ impl Estimator {
     pub fn classic_angles(&self) -> Option<ClassicAngles> {
         match &self.filter {
             Filter::Classic(filter) => Some(filter.angles()),
-            Filter::AxisKalman(_) => None,
+            Filter::Kalman(_) | Filter::AxisKalman(_) => None,
         }
     }
 
     fn step(&mut self, sample: &Sample, remarks: &mut Remarks) {
         let last_t_us = self.last_t_us.replace(sample.t_us);
-        let measurement = Measurement {
-            specific_force_m_s2: (!remarks.no_gravity).then_some(sample.specific_force_m_s2),
-            angular_rate_rad_s: sample.angular_rate_rad_s,
-        };
         let step_us = match last_t_us {
             // The first sample only sets the tilt.
             None => 0,
@@ -197,8 +265,13 @@ impl Estimator {
             Some(last) => sample.t_us - last,
         };
         remarks.gap = step_us > LONGEST_STEP_US;
+        let measurement = Measurement {
+            specific_force_m_s2: (!remarks.no_gravity).then_some(sample.specific_force_m_s2),
+            angular_rate_rad_s: sample.angular_rate_rad_s,
+        };
         if step_us == 0 || remarks.gap {
             match &mut self.filter {
+                Filter::Kalman(filter) => filter.start(sample, !remarks.no_gravity),
                 Filter::AxisKalman(filter) => filter.start(&measurement),
                 Filter::Classic(filter) => filter.start(&measurement),
             }
@@ -206,6 +279,7 @@ impl Estimator {
         }
         let dt_s = step_us as u32 as f32 * SECONDS_PER_MICROSECOND;
         match &mut self.filter {
+            Filter::Kalman(filter) => filter.update(sample, dt_s, !remarks.no_gravity),
             Filter::AxisKalman(filter) => filter.update(&measurement, dt_s),
             Filter::Classic(filter) => filter.update(&measurement, dt_s),
         }
@@ -232,6 +306,7 @@ pub(crate) mod tests {
             t_us,
             specific_force_m_s2: attitude.conjugate().rotate(GRAVITY),
             angular_rate_rad_s: rate_rad_s,
+            ..Sample::default()
         }
     }
 
@@ -254,7 +329,7 @@ pub(crate) mod tests {
         (attitude.dot(attitude) - 1.0).abs() < 1e-3
     }
 
-    fn both() -> [Estimator; 2] {
+    fn all() -> [Estimator; 3] {
         FilterKind::ALL.map(Estimator::new)
     }
 
@@ -264,18 +339,18 @@ pub(crate) mod tests {
             assert_eq!(FilterKind::parse(kind.name()), Some(kind));
         }
         assert_eq!(FilterKind::parse("kalman?"), None);
-        assert_eq!(FilterKind::default(), FilterKind::AxisKalman);
+        assert_eq!(FilterKind::default(), FilterKind::Kalman);
     }
 
     #[test]
     fn the_first_sample_sets_the_tilt_and_yaw_is_zero() {
-        for mut estimator in both() {
+        for mut estimator in all() {
             let pose = from_degrees(35.0, -20.0, 0.0);
             let estimate = estimator.update(&sample(1_000, pose, Vector3::ZERO));
             assert_eq!(estimate.remarks, Remarks::default());
             // The classic angles are not Euler angles: its roll is that of a level nose.
             let tolerance = match estimator.filter {
-                Filter::AxisKalman(_) => 1e-3,
+                Filter::Kalman(_) | Filter::AxisKalman(_) => 1e-3,
                 Filter::Classic(_) => 4.0,
             };
             assert!(angle_between(estimate.attitude, pose) < tolerance);
@@ -285,7 +360,7 @@ pub(crate) mod tests {
 
     #[test]
     fn what_is_no_measurement_changes_nothing() {
-        for mut estimator in both() {
+        for mut estimator in all() {
             let pose = from_degrees(10.0, 0.0, 0.0);
             let rate = Vector3::new(0.1, 0.2, 0.3);
             let good = estimator.update(&sample(1_000, pose, rate));
@@ -322,7 +397,7 @@ pub(crate) mod tests {
     #[test]
     fn time_that_stands_still_or_runs_back_holds_the_attitude() {
         let rate = Vector3::new(1.0, 0.0, 0.0);
-        for mut estimator in both() {
+        for mut estimator in all() {
             let pose = from_degrees(5.0, 5.0, 0.0);
             let held = estimator.update(&sample(1_000_000, pose, rate)).attitude;
             for t_us in [1_000_000, 999_999, 0] {
@@ -376,7 +451,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_start_in_free_fall_finds_the_tilt_later() {
-        for mut estimator in both() {
+        for mut estimator in all() {
             for millisecond in 0..10 {
                 let mut falling = sample(millisecond * 1000, Quaternion::IDENTITY, Vector3::ZERO);
                 falling.specific_force_m_s2 = Vector3::ZERO;
@@ -392,7 +467,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_restart_zeroes_yaw_and_takes_the_tilt_afresh() {
-        for mut estimator in both() {
+        for mut estimator in all() {
             for millisecond in 0..300 {
                 let rate = Vector3::new(0.3, 0.0, 1.0);
                 estimator.update(&sample(millisecond * 1000, Quaternion::IDENTITY, rate));
@@ -411,7 +486,8 @@ pub(crate) mod tests {
 
     #[test]
     fn a_restart_keeps_the_sign_of_the_quaternion() {
-        for mut estimator in both() {
+        // The Kalman filter takes some of a steady yaw for bias.
+        for mut estimator in [FilterKind::AxisKalman, FilterKind::Classic].map(Estimator::new) {
             // After 300° of yaw the scalar part is negative.
             for millisecond in 0..3_000 {
                 let rate = Vector3::new(0.0, 0.0, 100_f32.to_radians());
@@ -441,7 +517,7 @@ pub(crate) mod tests {
             -9.8,
         ];
         let times = [0, 1, 1, 700_000, 700_001, u64::MAX, 3, 1_000_003, 1_000_103];
-        for mut estimator in both() {
+        for mut estimator in all() {
             let mut index = 0_usize;
             let mut next = || {
                 index = index
@@ -457,6 +533,7 @@ pub(crate) mod tests {
                     t_us: times[next() % times.len()],
                     specific_force_m_s2,
                     angular_rate_rad_s,
+                    ..Sample::default()
                 });
                 assert!(is_rotation(estimate.attitude), "{estimate:?}");
                 assert!(estimate.body_rates_rad_s.is_within(1.0e3));
@@ -468,7 +545,12 @@ pub(crate) mod tests {
                 last = estimator.update(&good).attitude;
             }
             let tilt_error = (last.down_in_body() - pose.down_in_body()).norm();
-            assert!(tilt_error < 2e-3, "{estimator:?}");
+            // What the nonsense taught of the accelerometer's bias goes away more slowly.
+            let tolerance = match estimator.filter {
+                Filter::Kalman(_) => 2e-2,
+                Filter::AxisKalman(_) | Filter::Classic(_) => 2e-3,
+            };
+            assert!(tilt_error < tolerance, "{estimator:?}");
         }
     }
 }

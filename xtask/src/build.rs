@@ -101,6 +101,21 @@ pub fn qemu_application(toolchain: &Toolchain) -> Result<PathBuf, String> {
     keep("qemu", "qemu")
 }
 
+/// Builds the application that counts instructions, with one filter.
+pub fn cost_application(toolchain: &Toolchain, filter: &str) -> Result<PathBuf, String> {
+    let mut cargo = toolchain.cargo("build");
+    cargo.args([
+        "--quiet",
+        "--release",
+        "--bin",
+        "cost",
+        "--features",
+        "cost",
+    ]);
+    step::run(cargo.env("APLOMB_COST_FILTER", filter))?;
+    keep("cost", "cost")
+}
+
 /// Builds the virtual board's program.
 pub fn virtual_board() -> Result<PathBuf, String> {
     step::timed("building the virtual board", || {

@@ -1,6 +1,7 @@
 //! What the README's commands call. Each sets up what it needs first; see [`setup`].
 
 mod build;
+mod cost;
 mod setup;
 mod size;
 mod step;
@@ -18,6 +19,7 @@ usage: cargo xtask COMMAND
                       fly the firmware on the virtual board (`cargo xtask fly --help` says more)
   test                run every check and test
   size [--board B]    flash, RAM and the largest symbols of the firmware
+  cost [--bless]      what the filters cost on the Cortex-M4F, held to tests/golden/cost.txt; --bless writes it anew
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
@@ -40,6 +42,11 @@ fn run(arguments: &[String]) -> Result<(), String> {
         "fly" => fly(rest),
         "test" => no_more(rest).and_then(|()| test::run()),
         "size" => size::run(board_alone(rest)?),
+        "cost" => match rest {
+            [] => cost::run(),
+            [option] if option == "--bless" => cost::bless(),
+            _ => no_more(&rest[1..]).and_then(|()| no_more(rest)),
+        },
         "flash" => flash(board_alone(rest)?),
         "setup" => no_more(rest).and_then(|()| {
             setup::Toolchain::for_target()?;

@@ -44,6 +44,23 @@ pub fn run(board: Board) -> Result<(), String> {
 
 /// Reads the sizes of an image. An error if it exceeds a budget or touches a calibration slot.
 pub fn check(elf: &Path) -> Result<Sizes, String> {
+    let sizes = measure(elf)?;
+    for (name, size, budget) in [
+        ("flash", sizes.flash, FLASH_BUDGET),
+        ("RAM", sizes.ram, RAM_BUDGET),
+    ] {
+        if size == 0 || size > budget {
+            return Err(format!(
+                "{}: {size} bytes of {name}, and the budget is {budget}",
+                elf.display()
+            ));
+        }
+    }
+    Ok(sizes)
+}
+
+/// Reads the sizes of an image. An error if it touches a calibration slot.
+pub fn measure(elf: &Path) -> Result<Sizes, String> {
     let bytes = read(elf)?;
     let place = |error| format!("{} is not an ELF file: {error}", elf.display());
     let header = FileHeader32::<Endianness>::parse(&*bytes).map_err(place)?;
@@ -68,17 +85,6 @@ pub fn check(elf: &Path) -> Result<Sizes, String> {
         }
         if RAM.contains(&runs_at) {
             sizes.ram += u64::from(segment.p_memsz(endian));
-        }
-    }
-    for (name, size, budget) in [
-        ("flash", sizes.flash, FLASH_BUDGET),
-        ("RAM", sizes.ram, RAM_BUDGET),
-    ] {
-        if size == 0 || size > budget {
-            return Err(format!(
-                "{}: {size} bytes of {name}, and the budget is {budget}",
-                elf.display()
-            ));
         }
     }
     Ok(sizes)

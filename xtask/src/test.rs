@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{size, step};
+use crate::{cost, size, step};
 
 /// Seconds of simulated flight whose bursts QEMU replays.
 const REPLAYED_SECONDS: &str = "10";
@@ -23,7 +23,7 @@ pub fn run() -> Result<(), String> {
         step::run(clippy.args(["--workspace", "--all-targets", "--", "-D", "warnings"]))
     })?;
     step::timed("host tests", || {
-        step::run(host_cargo("test").args(["-p", "aplomb", "-p", "xtask"]))
+        step::run(host_cargo("test").args(["-p", "aplomb", "-p", "aplomb-cli", "-p", "xtask"]))
     })?;
     step::timed("documentation", || {
         let mut doc = host_cargo("doc");
@@ -37,9 +37,12 @@ pub fn run() -> Result<(), String> {
             .map(|board| board.feature())
             .iter()
             .map(String::as_str)
-            .chain(["qemu"])
+            .chain(["qemu", "cost"])
         {
-            let bin = if features == "qemu" { "qemu" } else { "flight" };
+            let bin = match features {
+                "qemu" | "cost" => features,
+                _ => "flight",
+            };
             step::run(toolchain.cargo("clippy").args([
                 "--release",
                 "--lib",
@@ -96,6 +99,7 @@ pub fn run() -> Result<(), String> {
         test.env("APLOMB_QEMU_ELF", elf);
         step::run(test.env("APLOMB_BURSTS", flight.join("bursts.csv")))
     })?;
+    cost::run()?;
     eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
     Ok(())
 }

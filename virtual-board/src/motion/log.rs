@@ -11,6 +11,9 @@
 //! Time is in whole microseconds and increases; specific force in m/s² and rates in rad/s, in sensor axes;
 //! the truth is the quaternion sensor → earth with z up, its four cells empty where it is not known; `mov` is
 //! 1 where a row counts for scores, else 0.
+//!
+//! [`Lines`] and [`parse_row`] read row by row and judge only whether a row is one: what its numbers say
+//! is for their reader to bear. [`Log::read`] reads a whole log and refuses what no sensor says.
 
 use std::fmt;
 use std::fs::File;
@@ -32,6 +35,8 @@ const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f64 = 1000.0;
 const IMPLAUSIBLE_RATE_RAD_S: f64 = 200.0;
 /// How far a quaternion's length may be from 1: the truth is often printed with few digits.
 const QUATERNION_TOLERANCE: f64 = 0.01;
+/// What is read and unpacked at once, in bytes.
+const BUFFER_LENGTH: usize = 256 * 1024;
 
 /// One row.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -163,29 +168,114 @@ impl std::error::Error for LogError {
     }
 }
 
+/// The lines of a file, gzipped if it begins as gzip files do.
+pub struct Lines {
+    path: PathBuf,
+    text: Box<dyn BufRead>,
+    is_zipped: bool,
+    line: Vec<u8>,
+    /// The number of the line that was read last, counted from 1.
+    number: u64,
+}
+
+impl Lines {
+    /// Opens a file. Whatever is read of it passes through `wrap` first, still zipped.
+    ///
+    /// # Errors
+    /// The file cannot be opened or read.
+    pub fn open<R: Read + 'static>(
+        path: &Path,
+        wrap: impl FnOnce(File) -> R,
+    ) -> Result<Self, LogError> {
+        let at = |reason: LogFault| LogError {
+            file: path.to_owned(),
+            line: None,
+            reason,
+        };
+        let file = File::open(path).map_err(|error| at(LogFault::Open(error)))?;
+        Self::new(path, wrap(file)).map_err(|error| at(LogFault::Read(error)))
+    }
+
+    fn new(path: &Path, bytes: impl Read + 'static) -> io::Result<Self> {
+        let mut bytes = BufReader::with_capacity(BUFFER_LENGTH, bytes);
+        let is_zipped = bytes.fill_buf()?.starts_with(&[0x1F, 0x8B]);
+        let text: Box<dyn BufRead> = if is_zipped {
+            let unzipped = MultiGzDecoder::new(bytes);
+            Box::new(BufReader::with_capacity(BUFFER_LENGTH, unzipped))
+        } else {
+            Box::new(bytes)
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            text,
+            is_zipped,
+            line: Vec::new(),
+            number: 0,
+        })
+    }
+
+    /// The next line, without its end; `None` after the last.
+    ///
+    /// # Errors
+    /// The file cannot be read on, is damaged, or is not text.
+    pub fn next_line(&mut self) -> Result<Option<&str>, LogError> {
+        self.line.clear();
+        self.number += 1;
+        match self.text.read_until(b'\n', &mut self.line) {
+            Ok(0) => return Ok(None),
+            Ok(_) => {}
+            Err(error) if self.is_zipped => return Err(self.refuse(LogFault::Gzip(error))),
+            Err(error) => return Err(self.refuse(LogFault::Read(error))),
+        }
+        if self.line.ends_with(b"\n") {
+            self.line.pop();
+            if self.line.ends_with(b"\r") {
+                self.line.pop();
+            }
+        }
+        match std::str::from_utf8(&self.line) {
+            Ok(line) => Ok(Some(line)),
+            Err(_) => Err(LogError {
+                file: self.path.clone(),
+                line: Some(self.number),
+                reason: LogFault::NotText,
+            }),
+        }
+    }
+
+    /// Where the line is that was read last: the file and the line's number.
+    #[must_use]
+    pub fn place(&self) -> String {
+        format!("{}:{}", self.path.display(), self.number)
+    }
+
+    /// The line that was read last is refused for this reason.
+    #[must_use]
+    pub fn refuse(&self, reason: LogFault) -> LogError {
+        LogError {
+            line: Some(self.number),
+            ..self.refuse_file(reason)
+        }
+    }
+
+    /// The file as a whole is refused for this reason.
+    #[must_use]
+    pub fn refuse_file(&self, reason: LogFault) -> LogError {
+        LogError {
+            file: self.path.clone(),
+            line: None,
+            reason,
+        }
+    }
+}
+
 impl Log {
     /// Reads and checks a file, gzipped if it begins as gzip files do.
     ///
     /// # Errors
     /// The file, the line and what is wrong with it.
     pub fn read(path: &Path) -> Result<Self, LogError> {
-        let at = |line: Option<u64>, reason: LogFault| LogError {
-            file: path.to_owned(),
-            line,
-            reason,
-        };
-        let mut file =
-            BufReader::new(File::open(path).map_err(|error| at(None, LogFault::Open(error)))?);
-        let start = file
-            .fill_buf()
-            .map_err(|error| at(None, LogFault::Read(error)))?;
-        let zipped = start.starts_with(&[0x1F, 0x8B]);
-        let text: Box<dyn Read> = if zipped {
-            Box::new(MultiGzDecoder::new(file))
-        } else {
-            Box::new(file)
-        };
-        Self::parse(BufReader::new(text), zipped).map_err(|(line, reason)| at(line, reason))
+        Self::parse(Lines::open(path, |file| file)?)
     }
 
     /// The rows, at least two, with increasing times.
@@ -194,94 +284,87 @@ impl Log {
         &self.rows
     }
 
-    fn parse(mut text: impl BufRead, zipped: bool) -> Result<Self, Refusal> {
-        let mut line_number = 0;
-        let mut next_line = move || -> Result<Option<(u64, String)>, Refusal> {
-            line_number += 1;
-            let mut bytes = Vec::new();
-            let wrap = if zipped {
-                LogFault::Gzip
-            } else {
-                LogFault::Read
-            };
-            text.read_until(b'\n', &mut bytes)
-                .map_err(|error| (Some(line_number), wrap(error)))?;
-            if bytes.is_empty() {
-                return Ok(None);
-            }
-            let line =
-                String::from_utf8(bytes).map_err(|_| (Some(line_number), LogFault::NotText))?;
-            let line = line.strip_suffix('\n').unwrap_or(&line);
-            Ok(Some((
-                line_number,
-                line.strip_suffix('\r').unwrap_or(line).to_owned(),
-            )))
+    fn parse(mut lines: Lines) -> Result<Self, LogError> {
+        let header = match lines.next_line()? {
+            Some(header) => header.to_owned(),
+            None => return Err(lines.refuse_file(LogFault::Empty)),
         };
-        let (_, header) = next_line()?.ok_or((None, LogFault::Empty))?;
-        let columns =
-            column_count(&header).ok_or_else(|| (Some(1), LogFault::Header(header.clone())))?;
+        let Some(columns) = column_count(&header) else {
+            return Err(lines.refuse(LogFault::Header(header)));
+        };
         let mut rows: Vec<Row> = Vec::new();
-        while let Some((number, line)) = next_line()? {
-            let row = parse_row(&line, columns).map_err(|reason| (Some(number), reason))?;
-            if let Some(before) = rows.last().filter(|before| before.time_us >= row.time_us) {
-                let (before, now) = (before.time_us, row.time_us);
-                return Err((Some(number), LogFault::NotIncreasing { before, now }));
-            }
+        while let Some(line) = lines.next_line()? {
+            let before = rows.last().map(|row| row.time_us);
+            let row = parse_row(line, columns)
+                .and_then(|row| check(&row, before).map(|()| row))
+                .map_err(|reason| lines.refuse(reason))?;
             rows.push(row);
         }
         if rows.len() < 2 {
-            return Err((None, LogFault::TooShort));
+            return Err(lines.refuse_file(LogFault::TooShort));
         }
         Ok(Self { rows })
     }
 }
 
-/// The line, if one is to blame, and what is wrong.
-type Refusal = (Option<u64>, LogFault);
-
-/// How many columns a valid header has.
-fn column_count(header: &str) -> Option<usize> {
+/// How many columns a log with this header has; `None` if it is not a log's.
+#[must_use]
+pub fn column_count(header: &str) -> Option<usize> {
     [7, 11, 12]
         .into_iter()
         .find(|&count| header == COLUMNS[..count].join(","))
 }
 
-fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
-    let cells: Vec<&str> = line.split(',').collect();
-    if cells.len() != columns {
+/// Reads a row of so many columns. Numbers may be infinite or not numbers, and of any size.
+///
+/// # Errors
+/// What is wrong with the row.
+pub fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
+    let mut cells = [""; COLUMNS.len()];
+    let mut found = 0;
+    for cell in line.split(',') {
+        if let Some(place) = cells.get_mut(found) {
+            *place = cell;
+        }
+        found += 1;
+    }
+    if found != columns {
         return Err(LogFault::ColumnCount {
-            found: cells.len(),
+            found,
             expected: columns,
         });
     }
-    let number = |index: usize| parse_number(COLUMNS[index], cells[index]);
+    let number = |index: usize| -> Result<f64, LogFault> {
+        cells[index].parse().map_err(|_| LogFault::NotANumber {
+            column: COLUMNS[index],
+            text: cells[index].to_owned(),
+        })
+    };
     let vector = |first: usize| -> Result<Vector, LogFault> {
         Ok([number(first)?, number(first + 1)?, number(first + 2)?])
     };
     let time_us = cells[0]
         .parse()
         .map_err(|_| LogFault::Time(cells[0].to_owned()))?;
-    let specific_force_m_s2 = plausible(vector(1)?, 1, IMPLAUSIBLE_SPECIFIC_FORCE_M_S2, "m/s²")?;
-    let rates_rad_s = plausible(vector(4)?, 4, IMPLAUSIBLE_RATE_RAD_S, "rad/s")?;
-    let attitude = match cells.get(7..11) {
-        None => None,
-        Some(truth) if truth.iter().all(|cell| cell.is_empty()) => None,
-        Some(truth) if truth.iter().any(|cell| cell.is_empty()) => {
-            return Err(LogFault::PartialTruth);
+    let (specific_force_m_s2, rates_rad_s) = (vector(1)?, vector(4)?);
+    let truth = &cells[7..11];
+    let attitude = if truth.iter().all(|cell| cell.is_empty()) {
+        None
+    } else if truth.iter().any(|cell| cell.is_empty()) {
+        return Err(LogFault::PartialTruth);
+    } else {
+        let quaternion = Quaternion::new(number(7)?, number(8)?, number(9)?, number(10)?);
+        let length = quaternion.norm();
+        if (length - 1.0).abs() > QUATERNION_TOLERANCE || length.is_nan() {
+            return Err(LogFault::NotARotation(length));
         }
-        Some(_) => {
-            let quaternion = Quaternion::new(number(7)?, number(8)?, number(9)?, number(10)?);
-            let length = quaternion.norm();
-            if (length - 1.0).abs() > QUATERNION_TOLERANCE {
-                return Err(LogFault::NotARotation(length));
-            }
-            Some(quaternion.normalized())
-        }
+        Some(quaternion.normalized())
     };
-    let moving = match cells.get(11) {
-        None | Some(&"1") => true,
-        Some(&"0") => false,
-        Some(other) => return Err(LogFault::Moving((*other).to_owned())),
+    let moving = match cells[11] {
+        "1" => true,
+        "" if columns < COLUMNS.len() => true,
+        "0" => false,
+        other => return Err(LogFault::Moving(other.to_owned())),
     };
     Ok(Row {
         time_us,
@@ -292,15 +375,27 @@ fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
     })
 }
 
-fn parse_number(column: &'static str, text: &str) -> Result<f64, LogFault> {
-    let value: f64 = text.parse().map_err(|_| LogFault::NotANumber {
-        column,
-        text: text.to_owned(),
-    })?;
-    if value.is_finite() {
-        Ok(value)
-    } else {
-        Err(LogFault::NotFinite { column, value })
+/// Whether a sensor can have said this, so long after `before_us`.
+fn check(row: &Row, before_us: Option<i64>) -> Result<(), LogFault> {
+    let values = row.specific_force_m_s2.into_iter().chain(row.rates_rad_s);
+    for (value, column) in values.zip(&COLUMNS[1..]) {
+        if !value.is_finite() {
+            return Err(LogFault::NotFinite { column, value });
+        }
+    }
+    plausible(
+        row.specific_force_m_s2,
+        1,
+        IMPLAUSIBLE_SPECIFIC_FORCE_M_S2,
+        "m/s²",
+    )?;
+    plausible(row.rates_rad_s, 4, IMPLAUSIBLE_RATE_RAD_S, "rad/s")?;
+    match before_us {
+        Some(before) if before >= row.time_us => Err(LogFault::NotIncreasing {
+            before,
+            now: row.time_us,
+        }),
+        _ => Ok(()),
     }
 }
 
@@ -309,9 +404,9 @@ fn plausible(
     first_column: usize,
     limit: f64,
     unit: &'static str,
-) -> Result<Vector, LogFault> {
+) -> Result<(), LogFault> {
     if norm(vector) <= limit {
-        return Ok(vector);
+        return Ok(());
     }
     let largest = (0..3).fold(0, |best, axis| {
         if vector[axis].abs() > vector[best].abs() {
@@ -335,13 +430,19 @@ mod tests {
     const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
     const GOOD: &str = "0,0,0,9.81,0.1,0.2,0.3,1,0,0,0,1";
 
-    fn parse(text: &str) -> Result<Log, Refusal> {
-        Log::parse(text.as_bytes(), false)
+    /// The line, if one is to blame, and what is wrong.
+    type Refusal = (Option<u64>, LogFault);
+
+    fn parse(text: impl AsRef<[u8]>) -> Result<Log, Refusal> {
+        let bytes = io::Cursor::new(text.as_ref().to_vec());
+        Lines::new(Path::new("test.csv"), bytes)
+            .map_err(|error| (None, LogFault::Read(error)))
+            .and_then(|lines| Log::parse(lines).map_err(|error| (error.line, error.reason)))
     }
 
     /// The line and the reason with which a log is refused whose third line is `row`.
     fn refusal(row: &str) -> (Option<u64>, String) {
-        let (line, reason) = parse(&format!("{HEADER}\n{GOOD}\n{row}\n")).unwrap_err();
+        let (line, reason) = parse(format!("{HEADER}\n{GOOD}\n{row}\n")).unwrap_err();
         (line, reason.to_string())
     }
 
@@ -362,7 +463,7 @@ mod tests {
         );
         assert_eq!(with_truth.rows()[1].attitude, None);
         assert!(with_truth.rows()[1].moving);
-        let full = parse(&format!("{HEADER}\n{GOOD}\n1,0,0,9.81,0,0,0,,,,,0\n")).unwrap();
+        let full = parse(format!("{HEADER}\n{GOOD}\n1,0,0,9.81,0,0,0,,,,,0\n")).unwrap();
         assert!(full.rows()[0].moving && !full.rows()[1].moving);
     }
 
@@ -403,7 +504,7 @@ mod tests {
     fn the_file_as_a_whole_is_checked_too() {
         assert!(matches!(parse(""), Err((None, LogFault::Empty))));
         assert!(matches!(
-            parse(&format!("{HEADER}\n{GOOD}\n")),
+            parse(format!("{HEADER}\n{GOOD}\n")),
             Err((None, LogFault::TooShort))
         ));
         for header in [
@@ -414,17 +515,14 @@ mod tests {
         ] {
             assert!(
                 matches!(
-                    parse(&format!("{header}\n")),
+                    parse(format!("{header}\n")),
                     Err((Some(1), LogFault::Header(_)))
                 ),
                 "{header}"
             );
         }
         let binary = [HEADER.as_bytes(), b"\n\xFF\xFE\n"].concat();
-        assert!(matches!(
-            Log::parse(&binary[..], false),
-            Err((Some(2), LogFault::NotText))
-        ));
+        assert!(matches!(parse(binary), Err((Some(2), LogFault::NotText))));
     }
 
     /// A file of its own for each test, removed at the end.

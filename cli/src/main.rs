@@ -1,0 +1,45 @@
+//! `aplomb`: replays recordings through the library, and measures its filters.
+
+mod bench;
+mod counts;
+mod filter;
+mod number;
+mod peers;
+mod plot;
+mod progress;
+mod recording;
+mod replay;
+mod score;
+mod simulated;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::Parser;
+
+/// Attitude from an MPU-6050, on a computer.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = true)]
+enum Command {
+    Replay(replay::Options),
+    Bench(bench::Options),
+}
+
+fn main() -> ExitCode {
+    let result = match Command::parse() {
+        Command::Replay(options) => replay::run(&options),
+        Command::Bench(options) => bench::run(&options),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Prints a text. That nobody reads on, as behind `head`, is no error.
+fn say(text: &str) {
+    let _ = writeln!(std::io::stdout(), "{text}");
+}

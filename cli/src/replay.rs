@@ -1,0 +1,428 @@
+//! `aplomb replay`: a recording through the library, one attitude for each row.
+//!
+//! Rows of a log go to the filter as they are, in SI units; bursts go through the whole pipeline, as they
+//! do on a board, and give the same attitudes to the last bit.
+
+use std::error::Error;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
+use aplomb::calibration::Mount;
+use aplomb::estimator::kalman::Kalman;
+use aplomb::estimator::{Estimate, FilterKind, Sample};
+use aplomb::health::Flags;
+use aplomb::mpu6050::{
+    AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
+};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::telemetry::bursts;
+use aplomb::units::degrees;
+use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
+
+use crate::counts::counts;
+use crate::filter::{Choice, Filter, up_in_body};
+use crate::number;
+use crate::progress;
+use crate::score::{Errors, START_US, up_in_sensor};
+
+/// The first line of the output.
+pub const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,up_x,up_y,up_z,tilt_sigma_deg,flags";
+
+/// A first guess for filters that want one; each row then brings its own step.
+const USUAL_STEP_S: f32 = 0.001;
+
+/// Run a recording through a filter: one attitude for each row.
+///
+/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]; microseconds, m/s², rad/s; truth sensor to earth with z
+/// up) or a bursts.csv (t_us,bytes,flags), plain or gzipped. With truth in it, the inclination error is printed, over the
+/// rows with mov 1 after 5 s.
+#[derive(clap::Args)]
+pub struct Options {
+    /// The recording
+    input: PathBuf,
+    /// Which filter: kalman, axis-kalman, classic, mahony
+    #[arg(long, value_name = "NAME", value_parser = Choice::parse, default_value = FilterKind::default().name())]
+    filter: Choice,
+    /// Where the body's forward and down axes point in sensor axes, for example +x-z
+    #[arg(long, default_value = "z-up", allow_hyphen_values = true, value_parser = parse_mount)]
+    mount: Mount,
+    /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0 unless told
+    /// otherwise; bursts: the delay of the sensor's low-pass filter)
+    #[arg(long, value_name = "N")]
+    sensor_delay_us: Option<u32>,
+    /// The log's values are register counts of a sensor with these ranges
+    #[arg(long, requires_all = ["accel_range", "gyro_range"])]
+    raw: bool,
+    /// Accelerometer range of counts in g: 2, 4, 8 or 16 (bursts: 16 unless told otherwise)
+    #[arg(long, value_name = "G", value_parser = parse_accelerometer_range)]
+    accel_range: Option<AccelerometerRange>,
+    /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000 (bursts: 2000 unless told otherwise)
+    #[arg(long, value_name = "DPS", value_parser = parse_gyroscope_range)]
+    gyro_range: Option<GyroscopeRange>,
+    /// Write the attitudes to this file
+    #[arg(long, value_name = "OUT.csv")]
+    output: Option<PathBuf>,
+}
+
+/// Does it.
+pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    let mut lines = progress::lines(&options.input)?;
+    let Some(header) = lines.next_line()? else {
+        return Err(lines.refuse_file(LogFault::Empty).into());
+    };
+    if header == bursts::HEADER {
+        if options.raw {
+            return Err("--raw is for logs: bursts are raw in any case".into());
+        }
+        let mut source = Bursts::new(options, lines);
+        return replay(options, &mut source);
+    }
+    let Some(columns) = column_count(header) else {
+        let fault = LogFault::Header(header.to_owned());
+        return Err(format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into());
+    };
+    if !options.raw && (options.accel_range.is_some() || options.gyro_range.is_some()) {
+        return Err("--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts".into());
+    }
+    replay(options, &mut Log::new(options, lines, columns))
+}
+
+/// What the output says of one row.
+struct Point {
+    t_us: i64,
+    attitude: Quaternion,
+    body_rates_rad_s: Vector3,
+    tilt_sigma_rad: Option<f32>,
+    flags: Flags,
+    /// "Up" in sensor axes, if it is known and the row counts.
+    true_up: Option<[f64; 3]>,
+}
+
+trait Source {
+    /// The next row; `None` after the last.
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>>;
+}
+
+fn replay(options: &Options, source: &mut impl Source) -> Result<(), Box<dyn Error>> {
+    let mut output = options.output.as_deref().map(Output::create).transpose()?;
+    let mut errors = Errors::default();
+    let mut flagged = [0_u64; Flags::NAMES.len()];
+    let (mut rows, mut first_us, mut last_us) = (0_u64, None, 0);
+    while let Some(point) = source.next()? {
+        let first_us = *first_us.get_or_insert(point.t_us);
+        last_us = point.t_us;
+        rows += 1;
+        let up = options.mount.to_sensor(up_in_body(point.attitude));
+        if let Some(true_up) = point.true_up
+            && point.t_us - first_us >= START_US
+        {
+            errors.add([up.x, up.y, up.z].map(f64::from), true_up);
+        }
+        for (count, (flag, _)) in flagged.iter_mut().zip(Flags::NAMES) {
+            *count += u64::from(point.flags.contains(flag));
+        }
+        if let Some(output) = &mut output {
+            output.write(&point, up)?;
+        }
+    }
+    let Some(first_us) = first_us else {
+        return Err(format!(
+            "{}: there is no row after the header",
+            options.input.display()
+        )
+        .into());
+    };
+    if let Some(output) = output {
+        output.finish()?;
+    }
+    crate::say(&format!(
+        "{}: {rows} rows, {:.1} s, filter {}, mount {}",
+        options.input.display(),
+        (last_us - first_us) as f64 * 1e-6,
+        options.filter.name(),
+        options.mount,
+    ));
+    for (count, (_, name)) in flagged.iter().zip(Flags::NAMES) {
+        if *count > 0 {
+            crate::say(&format!("{name}: {count} rows"));
+        }
+    }
+    crate::say(&match errors.score() {
+        Some(score) => format!("inclination error: {score}"),
+        None => "inclination error: unknown, the recording has no truth that counts".to_owned(),
+    });
+    Ok(())
+}
+
+/// A log's rows through a filter.
+struct Log {
+    lines: Lines,
+    columns: usize,
+    filter: Filter,
+    mount: Mount,
+    ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+}
+
+impl Log {
+    fn new(options: &Options, lines: Lines, columns: usize) -> Self {
+        Self {
+            lines,
+            columns,
+            filter: Filter::new(
+                options.filter,
+                USUAL_STEP_S,
+                options.sensor_delay_us.unwrap_or(0),
+            ),
+            mount: options.mount,
+            ranges: options.accel_range.zip(options.gyro_range),
+        }
+    }
+
+    /// The row as a sample in body axes.
+    fn sample(&self, row: &Row) -> Result<Sample, String> {
+        let t_us = unsigned(row.time_us);
+        let Some((accelerometer_range, gyroscope_range)) = self.ranges else {
+            return Ok(Sample {
+                t_us,
+                specific_force_m_s2: self.mount.to_body(vector(row.specific_force_m_s2)),
+                angular_rate_rad_s: self.mount.to_body(vector(row.rates_rad_s)),
+                ..Sample::default()
+            });
+        };
+        let [force, rates] = counts(row)?;
+        let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
+        Ok(Sample {
+            t_us,
+            specific_force_m_s2: self.mount.to_body(force.to_m_s2(accelerometer_range)),
+            angular_rate_rad_s: self.mount.to_body(rates.to_rad_s(gyroscope_range)),
+            is_force_saturated: force.is_saturated(),
+            is_rate_saturated: rates.is_saturated(),
+        })
+    }
+}
+
+impl Source for Log {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let row = parse_row(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
+        let sample = self
+            .sample(&row)
+            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        let estimate = self.filter.update(&sample);
+        Ok(Some(Point {
+            t_us: row.time_us,
+            attitude: estimate.attitude,
+            body_rates_rad_s: estimate.body_rates_rad_s,
+            tilt_sigma_rad: self.filter.tilt_sigma_rad(),
+            flags: flags_of(&estimate)
+                .with(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated)
+                .with(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated),
+            true_up: row.attitude.filter(|_| row.moving).map(up_in_sensor),
+        }))
+    }
+}
+
+/// Bursts through the whole pipeline.
+struct Bursts {
+    lines: Lines,
+    pipeline: Pipeline,
+    /// Runs behind the pipeline's calibration, if it is none of the library's.
+    peer: Option<Filter>,
+}
+
+impl Bursts {
+    fn new(options: &Options, lines: Lines) -> Self {
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.mount = options.mount;
+        settings.sensor_delay_us = options.sensor_delay_us;
+        settings.sensor = Config {
+            accelerometer_range: options.accel_range.unwrap_or_default(),
+            gyroscope_range: options.gyro_range.unwrap_or_default(),
+            ..Config::DEFAULT
+        };
+        // Behind another crate's filter, offsets at rest are removed as for the library's simple ones.
+        settings.filter = FilterKind::AxisKalman;
+        let peer = match options.filter {
+            Choice::Library(kind) => {
+                settings.filter = kind;
+                None
+            }
+            other => Some(Filter::new(
+                other,
+                USUAL_STEP_S,
+                settings.sensor.low_pass.gyroscope_delay_us().into(),
+            )),
+        };
+        Self {
+            lines,
+            pipeline: Pipeline::new(&settings),
+            peer,
+        }
+    }
+}
+
+impl Source for Bursts {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let burst =
+            bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        let t_us = i64::try_from(burst.captured_at_us)
+            .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
+        let mut snapshot = self.pipeline.update(&burst);
+        let kalman = self.pipeline.estimator().kalman();
+        let mut tilt_sigma_rad = kalman.map(Kalman::tilt_sigma_rad);
+        if let Some(peer) = &mut self.peer {
+            let estimate = peer.update(self.pipeline.sample());
+            snapshot.attitude = estimate.attitude;
+            snapshot.body_rates_rad_s = estimate.body_rates_rad_s;
+            tilt_sigma_rad = None;
+        }
+        Ok(Some(Point {
+            t_us,
+            attitude: snapshot.attitude,
+            body_rates_rad_s: snapshot.body_rates_rad_s,
+            tilt_sigma_rad,
+            flags: snapshot.flags,
+            true_up: None,
+        }))
+    }
+}
+
+/// The file of attitudes. It appears under its name when it is complete.
+struct Output {
+    path: PathBuf,
+    unfinished: PathBuf,
+    file: BufWriter<File>,
+    line: Vec<u8>,
+}
+
+impl Output {
+    fn create(path: &Path) -> Result<Self, String> {
+        let mut unfinished = path.as_os_str().to_owned();
+        unfinished.push(".unfinished");
+        let unfinished = PathBuf::from(unfinished);
+        let file = File::create(&unfinished)
+            .map_err(|error| format!("{}: cannot be written: {error}", unfinished.display()))?;
+        let mut output = Self {
+            path: path.to_owned(),
+            unfinished,
+            file: BufWriter::with_capacity(256 * 1024, file),
+            line: Vec::new(),
+        };
+        writeln!(output.file, "{HEADER}").map_err(|error| output.failed(&error))?;
+        Ok(output)
+    }
+
+    fn write(&mut self, point: &Point, up: Vector3) -> Result<(), String> {
+        let EulerAngles {
+            roll_rad,
+            pitch_rad,
+            yaw_rad,
+        } = point.attitude.to_euler();
+        let (q, rates) = (point.attitude, point.body_rates_rad_s);
+        let numbers = [
+            q.w,
+            q.x,
+            q.y,
+            q.z,
+            degrees(roll_rad),
+            degrees(pitch_rad),
+            degrees(yaw_rad),
+            degrees(rates.x),
+            degrees(rates.y),
+            degrees(rates.z),
+            up.x,
+            up.y,
+            up.z,
+        ];
+        self.line.clear();
+        let mut written = write!(self.line, "{}", point.t_us);
+        for value in numbers {
+            self.line.push(b',');
+            number::append(&mut self.line, value);
+        }
+        self.line.push(b',');
+        if let Some(sigma_rad) = point.tilt_sigma_rad {
+            number::append(&mut self.line, degrees(sigma_rad));
+        }
+        self.line.push(b',');
+        if !point.flags.is_empty() {
+            written = written.and_then(|()| write!(self.line, "{}", point.flags));
+        }
+        self.line.push(b'\n');
+        written
+            .and_then(|()| self.file.write_all(&self.line))
+            .map_err(|error| self.failed(&error))
+    }
+
+    fn finish(mut self) -> Result<(), String> {
+        self.file
+            .flush()
+            .and_then(|()| std::fs::rename(&self.unfinished, &self.path))
+            .map_err(|error| self.failed(&error))
+    }
+
+    fn failed(&self, error: &io::Error) -> String {
+        format!("{}: cannot be written: {error}", self.path.display())
+    }
+}
+
+impl Drop for Output {
+    fn drop(&mut self) {
+        // After `finish` it is gone already.
+        let _ = std::fs::remove_file(&self.unfinished);
+    }
+}
+
+/// What the pipeline would say of a sample.
+fn flags_of(estimate: &Estimate) -> Flags {
+    let remarks = estimate.remarks;
+    Flags::NONE
+        .with(Flags::CALIBRATING, estimate.is_calibrating)
+        .with(Flags::GAP, remarks.gap)
+        .with(Flags::TIME, remarks.time_went_back)
+        .with(Flags::REJECTED, remarks.rejected)
+        .with(Flags::FREE_FALL, remarks.no_gravity)
+}
+
+/// The same moments on a scale without a sign: only differences matter to a filter.
+pub fn unsigned(time_us: i64) -> u64 {
+    time_us.cast_unsigned() ^ (1 << 63)
+}
+
+fn vector([x, y, z]: [f64; 3]) -> Vector3 {
+    Vector3::new(x as f32, y as f32, z as f32)
+}
+
+fn parse_mount(name: &str) -> Result<Mount, String> {
+    Mount::parse(name).ok_or_else(|| {
+        "name the sensor axes to which forward and down point, such as +x-z, or z-up or z-down"
+            .into()
+    })
+}
+
+fn parse_accelerometer_range(text: &str) -> Result<AccelerometerRange, &'static str> {
+    match text {
+        "2" => Ok(AccelerometerRange::G2),
+        "4" => Ok(AccelerometerRange::G4),
+        "8" => Ok(AccelerometerRange::G8),
+        "16" => Ok(AccelerometerRange::G16),
+        _ => Err("choose 2, 4, 8 or 16"),
+    }
+}
+
+fn parse_gyroscope_range(text: &str) -> Result<GyroscopeRange, &'static str> {
+    match text {
+        "250" => Ok(GyroscopeRange::Degrees250),
+        "500" => Ok(GyroscopeRange::Degrees500),
+        "1000" => Ok(GyroscopeRange::Degrees1000),
+        "2000" => Ok(GyroscopeRange::Degrees2000),
+        _ => Err("choose 250, 500, 1000 or 2000"),
+    }
+}

@@ -1,0 +1,382 @@
+//! `aplomb replay` from the outside: what it reads, what it writes, what it refuses.
+
+mod common;
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::Path;
+
+use aplomb::mpu6050::{BURST_LENGTH, Burst, Part};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::telemetry::bursts;
+use aplomb::units::degrees;
+use common::{aplomb, file, path};
+
+const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
+const GRAVITY: f64 = 9.80665;
+
+/// A sensor face up that rolls to and fro by 30°, at 100 Hz; its samples are late by `delay_s`.
+fn log(rows: u32, delay_s: f64) -> String {
+    let mut text = format!("{HEADER}\n");
+    for index in 0..rows {
+        let now_s = f64::from(index) * 0.01;
+        let then_s = now_s - delay_s;
+        let roll = |time_s: f64| 30_f64.to_radians() * (2.0 * time_s).sin();
+        let rate = 60_f64.to_radians() * (2.0 * then_s).cos();
+        let (force_y, force_z) = (GRAVITY * roll(then_s).sin(), GRAVITY * roll(then_s).cos());
+        let (half_sine, half_cosine) = (0.5 * roll(now_s)).sin_cos();
+        let moving = u8::from(index % 100 != 99);
+        writeln!(
+            text,
+            "{},0,{force_y:.5},{force_z:.5},{rate:.6},0,0,{half_cosine:.6},{half_sine:.6},0,0,{moving}",
+            index * 10_000
+        )
+        .unwrap();
+    }
+    text
+}
+
+/// Replays and returns what it printed and what it wrote.
+fn replay(test: &str, input: &Path, options: &[&str]) -> (String, String) {
+    let output = path(test, "output.csv");
+    let mut arguments = vec!["replay", input.to_str().unwrap()];
+    arguments.extend(["--output", output.to_str().unwrap()]);
+    arguments.extend(options);
+    let result = aplomb(&arguments);
+    let errors = String::from_utf8_lossy(&result.stderr);
+    assert!(result.status.success(), "{errors}");
+    let printed = String::from_utf8(result.stdout).unwrap();
+    (printed, std::fs::read_to_string(output).unwrap())
+}
+
+/// The root mean square that it printed.
+fn rms(printed: &str) -> f64 {
+    let (_, after) = printed.split_once("rms ").expect(printed);
+    after.split_once('°').unwrap().0.parse().unwrap()
+}
+
+fn column<'a>(output: &'a str, name: &str) -> Vec<&'a str> {
+    let mut lines = output.lines();
+    let header = lines.next().unwrap();
+    let place = header.split(',').position(|column| column == name).unwrap();
+    lines
+        .map(|line| line.split(',').nth(place).unwrap())
+        .collect()
+}
+
+#[test]
+fn the_output_is_the_golden_one() {
+    let input = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/roll.csv");
+    for filter in ["kalman", "axis-kalman", "classic"] {
+        let options = ["--filter", filter, "--sensor-delay-us", "2000"];
+        let (_, output) = replay("golden", &input, &options);
+        assert_golden(&format!("replay-{filter}.csv"), &output);
+    }
+}
+
+#[test]
+fn the_estimate_follows_and_is_in_the_files_axes() {
+    let input = file("follow", "input.csv", log(1_000, 0.0));
+    for filter in ["kalman", "axis-kalman", "mahony"] {
+        let (printed, output) = replay("follow", &input, &["--filter", filter]);
+        assert!(rms(&printed) < 0.2, "{filter}: {printed}");
+        // 495 of the 500 rows after 5 s have mov 1.
+        assert!(printed.contains("over 495 rows"), "{printed}");
+        let last = |name| column(&output, name)[999].parse::<f64>().unwrap();
+        let roll = 30_f64.to_radians() * (2.0 * 9.99_f64).sin();
+        // Face up, the file's y points left: left side up is positive roll.
+        assert!((last("up_y") - roll.sin()).abs() < 0.01, "{filter}");
+        assert!((last("up_z") - roll.cos()).abs() < 0.01, "{filter}");
+        assert!(
+            (last("roll_deg") - roll.to_degrees()).abs() < 0.5,
+            "{filter}"
+        );
+        assert_eq!(column(&output, "t_us")[999], "9990000");
+    }
+}
+
+#[test]
+fn up_in_the_files_axes_does_not_depend_on_the_mount() {
+    let input = file("mount", "input.csv", log(300, 0.0));
+    let (_, expected) = replay("mount", &input, &[]);
+    for mount in ["z-down", "-y+x", "+z+y"] {
+        let (_, output) = replay("mount", &input, &["--mount", mount]);
+        for (name, tolerance) in [("up_x", 0.01), ("up_y", 0.01), ("up_z", 0.01)] {
+            let pairs = column(&output, name)
+                .into_iter()
+                .zip(column(&expected, name));
+            for (up, expected) in pairs.skip(100) {
+                let difference = up.parse::<f64>().unwrap() - expected.parse::<f64>().unwrap();
+                assert!(difference.abs() < tolerance, "{mount} {name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_late_sensor_is_made_up_for() {
+    let input = file("delay", "input.csv", log(1_500, 0.02));
+    for filter in ["kalman", "axis-kalman", "mahony"] {
+        let (late, _) = replay("delay", &input, &["--filter", filter]);
+        let options = ["--filter", filter, "--sensor-delay-us", "20000"];
+        let (in_time, _) = replay("delay", &input, &options);
+        // 20 ms at up to 60 °/s.
+        assert!(rms(&late) > 0.7, "{filter}: {late}");
+        assert!(rms(&in_time) < 0.3 * rms(&late), "{filter}: {in_time}");
+    }
+}
+
+#[test]
+fn zipped_logs_and_windows_line_ends_read_alike() {
+    let text = log(200, 0.0);
+    let (_, expected) = replay("forms", &file("forms", "plain.csv", &text), &[]);
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(text.as_bytes()).unwrap();
+    let zipped = file("forms", "zipped", encoder.finish().unwrap());
+    assert_eq!(replay("forms", &zipped, &[]).1, expected);
+    let windows = file("forms", "windows.csv", text.replace('\n', "\r\n"));
+    assert_eq!(replay("forms", &windows, &[]).1, expected);
+    let no_end = file("forms", "no-end.csv", text.trim_end());
+    assert_eq!(replay("forms", &no_end, &[]).1, expected);
+}
+
+#[test]
+fn every_row_gives_one_whatever_it_holds() {
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    for (time, rest) in [
+        ("0", "0,0,9.8,0,0,0"),
+        ("1000", "0,0,9.8,0,0,0"),
+        ("1000", "0,0,9.8,0,0,0"),
+        ("500", "0,0,9.8,0,0,0"),
+        ("2000", "nan,0,9.8,0,0,0"),
+        ("3000", "0,0,9.8,inf,0,0"),
+        ("4000", "0,0,0,0,0,0"),
+        ("900000", "0,0,9.8,0,0,0"),
+        ("901000", "0,0,1e30,0,0,0"),
+        ("902000", "0,0,9.8,0.1,0,0"),
+    ] {
+        writeln!(text, "{time},{rest}").unwrap();
+    }
+    let input = file("total", "input.csv", text);
+    for filter in ["kalman", "axis-kalman", "classic", "mahony"] {
+        let (printed, output) = replay("total", &input, &["--filter", filter]);
+        let flags = column(&output, "flags");
+        assert_eq!(flags.len(), 10);
+        let expected = ["TIME", "TIME", "REJECTED", "REJECTED"];
+        for (flags, expected) in flags[2..6].iter().zip(expected) {
+            assert!(flags.contains(expected), "{filter}: {flags}");
+        }
+        assert!(flags[7].contains("GAP"), "{filter}: {flags:?}");
+        for row in [1, 9] {
+            assert!(["", "CALIBRATING"].contains(&flags[row]), "{filter}");
+        }
+        assert!(printed.contains("TIME: 2 rows"), "{printed}");
+        assert!(printed.contains("no truth"), "{printed}");
+        for line in output.lines().skip(1) {
+            for cell in line.split(',').take(14) {
+                assert!(cell.parse::<f64>().unwrap().is_finite(), "{filter}: {line}");
+            }
+        }
+    }
+}
+
+#[test]
+fn counts_and_si_values_give_the_same() {
+    let (mut counts, mut values) = (String::new(), String::new());
+    for text in [&mut counts, &mut values] {
+        text.push_str("t_us,ax,ay,az,gx,gy,gz\n");
+    }
+    for index in 0..300_i32 {
+        let raw = [index, -300, 4_000 + index % 7, 200 + index, -index, 131];
+        let si = |index: usize| {
+            let range = if index < 3 {
+                GRAVITY / 4096.0
+            } else {
+                1_f64.to_radians() / 131.0
+            };
+            f64::from(raw[index]) * range
+        };
+        let time = index * 9_000;
+        let [ax, ay, az, gx, gy, gz] = raw;
+        writeln!(counts, "{time},{ax},{ay},{az},{gx},{gy},{gz}").unwrap();
+        let [ax, ay, az, gx, gy, gz] = core::array::from_fn(si);
+        writeln!(values, "{time},{ax},{ay},{az},{gx},{gy},{gz}").unwrap();
+    }
+    writeln!(counts, "5000000,0,0,4096,32768,0,-32768").unwrap();
+    let raw = ["--raw", "--accel-range", "8", "--gyro-range", "250"];
+    let (printed, of_counts) = replay("raw", &file("raw", "counts.csv", counts), &raw);
+    let (_, of_values) = replay("raw", &file("raw", "values.csv", values), &[]);
+    assert!(printed.contains("GYROSCOPE_SATURATED: 1 rows"), "{printed}");
+    for name in ["roll_deg", "up_x", "yaw_rate_dps"] {
+        for (left, right) in column(&of_counts, name)
+            .iter()
+            .zip(column(&of_values, name))
+        {
+            let difference = left.parse::<f64>().unwrap() - right.parse::<f64>().unwrap();
+            assert!(difference.abs() < 1e-3, "{name}: {left} {right}");
+        }
+    }
+}
+
+#[test]
+fn bursts_go_through_the_whole_pipeline_to_the_bit() {
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let mut input = format!("{}\n", bursts::HEADER);
+    let mut expected = Vec::new();
+    for index in 0..1_500_u16 {
+        let mut bytes = [0; BURST_LENGTH];
+        let swing = if index < 1_100 {
+            0
+        } else {
+            9 * (index - 1_100)
+        };
+        let noise = index * 7 % 5;
+        for (pair, count) in bytes.chunks_exact_mut(2).zip([
+            noise,
+            30,
+            2_048 - noise,
+            0xF000,
+            swing + noise,
+            20,
+            65_530,
+        ]) {
+            pair.copy_from_slice(&count.to_be_bytes());
+        }
+        let burst = Burst {
+            bytes,
+            captured_at_us: 1_000 * u64::from(index) + u64::from(noise),
+            missed_before: u8::from(index == 1_200),
+        };
+        writeln!(input, "{}", bursts::Line(&burst)).unwrap();
+        let snapshot = pipeline.update(&burst);
+        let (q, rates, angles) = (
+            snapshot.attitude,
+            snapshot.body_rates_rad_s,
+            snapshot.euler(),
+        );
+        expected.push((
+            format!(
+                "{},{},{},{},{},{},{},{},{},{},{}",
+                snapshot.t_us,
+                q.w,
+                q.x,
+                q.y,
+                q.z,
+                degrees(angles.roll_rad),
+                degrees(angles.pitch_rad),
+                degrees(angles.yaw_rad),
+                degrees(rates.x),
+                degrees(rates.y),
+                degrees(rates.z)
+            ),
+            snapshot.flags.to_string(),
+        ));
+    }
+    let (printed, output) = replay("bursts", &file("bursts", "bursts.csv", input), &[]);
+    let is_calibrating = |(_, flags): &&(String, String)| flags.contains("CALIBRATING");
+    let calibrating = expected.iter().filter(is_calibrating).count();
+    let counted = format!("CALIBRATING: {calibrating} rows");
+    assert!(calibrating > 0 && printed.contains(&counted), "{printed}");
+    assert!(printed.contains("MISSED: 1 rows"), "{printed}");
+    assert_eq!(output.lines().count(), 1 + expected.len());
+    for (line, (start, flags)) in output.lines().skip(1).zip(&expected) {
+        assert!(line.starts_with(start), "{line} is not {start}");
+        assert!(line.ends_with(&format!(",{flags}")), "{line}: {flags}");
+    }
+    assert!(
+        column(&output, "tilt_sigma_deg")
+            .iter()
+            .all(|sigma| !sigma.is_empty())
+    );
+    // Another crate's filter runs behind the calibration of the library's simple ones.
+    let bursts = path("bursts", "bursts.csv");
+    let (_, simple) = replay("bursts", &bursts, &["--filter", "axis-kalman"]);
+    let (_, mahony) = replay("bursts", &bursts, &["--filter", "mahony"]);
+    for name in ["flags", "roll_rate_dps", "tilt_sigma_deg"] {
+        assert_eq!(column(&mahony, name), column(&simple, name));
+    }
+}
+
+#[test]
+fn what_is_malformed_is_named_by_file_line_and_reason() {
+    let good = log(3, 0.0);
+    let bursts = format!("{}\n", bursts::HEADER);
+    for (name, contents, line, reason) in [
+        ("row", format!("{good}4,5\n"), ":5", "2 columns"),
+        ("cell", good.replacen(",0,0,", ",0,o,", 1), ":2", "\"o\""),
+        ("header", "time,x\n1,2\n".into(), ":1", "the header"),
+        ("empty", String::new(), "", "empty"),
+        ("no-rows", format!("{HEADER}\n"), "", "no row"),
+        ("burst", format!("{bursts}1,00,\n"), ":2", "28 hexadecimal"),
+        ("no-bursts", bursts.clone(), "", "no row"),
+    ] {
+        let input = file("malformed", name, contents);
+        let output = path("malformed", "output.csv");
+        let result = aplomb(&[
+            "replay".as_ref(),
+            input.as_os_str(),
+            "--output".as_ref(),
+            output.as_os_str(),
+        ]);
+        assert_eq!(result.status.code(), Some(1), "{name}");
+        let message = String::from_utf8(result.stderr).unwrap();
+        let place = format!("error: {}{line}: ", input.display());
+        assert!(message.starts_with(&place), "{name}: {message}");
+        assert!(message.contains(reason), "{name}: {message}");
+        // Half an output is none.
+        assert!(!output.exists() && !path("malformed", "output.csv.unfinished").exists());
+    }
+    let missing = aplomb(&["replay", "/no/such.csv"]);
+    let message = String::from_utf8(missing.stderr).unwrap();
+    assert!(message.contains("/no/such.csv: the file cannot be opened"));
+}
+
+#[test]
+fn options_that_do_not_go_together_are_refused() {
+    let input = file("options", "input.csv", log(3, 0.0));
+    let bursts = file("options", "bursts.csv", format!("{}\n", bursts::HEADER));
+    for (input, options, reason) in [
+        (&input, vec!["--raw"], "--accel-range"),
+        (&input, vec!["--accel-range", "8"], "--raw"),
+        (&input, vec!["--filter", "best"], "axis-kalman"),
+        (&input, vec!["--mount", "+x+x"], "+x-z"),
+        (
+            &input,
+            vec!["--raw", "--accel-range", "9", "--gyro-range", "250"],
+            "2, 4, 8 or 16",
+        ),
+        (
+            &bursts,
+            vec!["--raw", "--accel-range", "8", "--gyro-range", "250"],
+            "for logs",
+        ),
+    ] {
+        let mut arguments = vec!["replay", input.to_str().unwrap()];
+        arguments.extend(&options);
+        let result = aplomb(&arguments);
+        let message = String::from_utf8(result.stderr).unwrap();
+        assert!(!result.status.success(), "{options:?}");
+        assert!(message.contains(reason), "{options:?}: {message}");
+    }
+}
+
+/// Holds `contents` to the golden file of this name; `APLOMB_BLESS=1` writes it instead.
+fn assert_golden(name: &str, contents: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/golden")
+        .join(name);
+    if std::env::var_os("APLOMB_BLESS").is_some() {
+        std::fs::write(&path, contents).expect("the golden file can be written");
+        return;
+    }
+    let expected = std::fs::read_to_string(&path).unwrap_or_default();
+    for (number, (line, expected)) in contents.lines().zip(expected.lines()).enumerate() {
+        assert_eq!(line, expected, "{}:{}", path.display(), number + 1);
+    }
+    assert_eq!(
+        contents.lines().count(),
+        expected.lines().count(),
+        "{}: run with APLOMB_BLESS=1 if the change is meant",
+        path.display()
+    );
+}
