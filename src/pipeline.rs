@@ -359,6 +359,65 @@ mod tests {
     }
 
     #[test]
+    fn the_default_filter_finds_the_offset_without_an_average() {
+        let mut pipeline = Pipeline::new(&settings());
+        let offset = Vector3::new(5.0, -3.0, 10.0);
+        let mut last = Snapshot::default();
+        let mut known = None;
+        for index in 0..4000_u64 {
+            // One count of noise, as the last digit of a sensor has it.
+            let noise = Vector3::new(0.06, -0.06, 0.06).scale((index % 2) as f32);
+            let burst = burst(Mount::Z_UP, index * 1000, LEVEL, offset + noise);
+            last = pipeline.update(&burst);
+            if !last.flags.contains(Flags::CALIBRATING) {
+                known.get_or_insert(index);
+            }
+        }
+        let known = known.expect("an offset");
+        assert!((800..2500).contains(&known), "{known} ms");
+        assert_eq!(last.flags, Flags::NONE);
+        assert!(last.body_rates_rad_s.norm().to_degrees() < 0.2);
+        let found = pipeline.rate_offset_rad_s().scale(1_f32.to_degrees());
+        assert!((found - offset).norm() < 0.2, "{found:?}");
+        let angles = last.euler();
+        assert!(angles.roll_rad.abs() < 0.01 && angles.pitch_rad.abs() < 0.01);
+
+        let stored = StoredBias {
+            bias_rad_s: pipeline.rate_offset_rad_s(),
+            sigma_rad_s: radians(0.1),
+        };
+        let mut pipeline = Pipeline::new(&Settings {
+            stored_bias: Some(stored),
+            ..settings()
+        });
+        let snapshot = pipeline.update(&burst(Mount::Z_UP, 0, LEVEL, offset));
+        assert!(snapshot.body_rates_rad_s.norm().to_degrees() < 0.2);
+    }
+
+    #[test]
+    fn the_delay_of_the_low_pass_filter_is_made_up_for() {
+        let yaw_after = |low_pass, sensor_delay_us| {
+            let mut settings = Settings {
+                sensor_delay_us,
+                ..settings()
+            };
+            settings.sensor.low_pass = low_pass;
+            let mut pipeline = Pipeline::new(&settings);
+            let mut last = Snapshot::default();
+            for index in 0..10_u64 {
+                let turn = Vector3::new(0.0, 0.0, 1000.0);
+                last = pipeline.update(&burst(Mount::Z_UP, index * 1000, LEVEL, turn));
+            }
+            last.euler().yaw_rad.to_degrees()
+        };
+        // 9 ms at 1000 °/s, and 4.8 ms more; or what the settings say.
+        let delayed = yaw_after(crate::mpu6050::LowPass::Hertz42, None);
+        assert!((delayed - 13.8).abs() < 0.05, "{delayed}");
+        let told = yaw_after(crate::mpu6050::LowPass::Hertz42, Some(1_000));
+        assert!((told - 10.0).abs() < 0.05, "{told}");
+    }
+
+    #[test]
     fn motion_restarts_the_average_and_says_so_once() {
         let mut pipeline = Pipeline::new(&averaging());
         let mut moved = Vec::new();
