@@ -12,7 +12,7 @@
 
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
 use crate::calibration::{AtRest, Mount, Progress, StartupAverage, StartupScale};
-use crate::estimator::{ClassicAngles, Estimator, FilterKind, Sample};
+use crate::estimator::{AnyFilter, ClassicAngles, Estimator, Filter, FilterKind, Sample};
 use crate::health::{Flags, FreezeWatch};
 use crate::mpu6050::{Burst, Config, Part, RawSample};
 use crate::units::STANDARD_GRAVITY_M_S2;
@@ -95,7 +95,7 @@ impl Snapshot {
 
 /// The whole trip of a sample, with the state it needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pipeline {
+pub struct Pipeline<F = AnyFilter> {
     settings: Settings,
     m_s2_per_count: f32,
     rad_s_per_count: f32,
@@ -103,15 +103,22 @@ pub struct Pipeline {
     /// Offsets in body axes.
     rate_offset_rad_s: Vector3,
     force_offset_m_s2: Vector3,
-    estimator: Estimator,
+    estimator: Estimator<F>,
     freeze_watch: FreezeWatch,
     sample: Sample,
     temperature_celsius: f32,
 }
 
 impl Pipeline {
-    /// A pipeline that waits for its first burst.
+    /// A pipeline that waits for its first burst, with the filter that the settings choose.
     pub fn new(settings: &Settings) -> Self {
+        Self::of(settings, AnyFilter::new(settings.filter))
+    }
+}
+
+impl<F: Filter> Pipeline<F> {
+    /// The same with this filter, which has to be of the settings' kind. No other is in the program then.
+    pub fn of(settings: &Settings, filter: F) -> Self {
         let Config {
             accelerometer_range,
             gyroscope_range,
@@ -126,7 +133,7 @@ impl Pipeline {
         let delay_us = settings
             .sensor_delay_us
             .unwrap_or(settings.sensor.low_pass.gyroscope_delay_us().into());
-        let mut estimator = Estimator::new(settings.filter).with_sensor_delay_us(delay_us);
+        let mut estimator = Estimator::of(filter).with_sensor_delay_us(delay_us);
         if let Some(stored) = settings.stored_bias {
             estimator = estimator.with_bias(stored.bias_rad_s, stored.sigma_rad_s);
         }
@@ -183,12 +190,12 @@ impl Pipeline {
     }
 
     /// Armed (`true`), the filter does nothing that is only safe on the ground. Default: false.
-    pub const fn set_armed(&mut self, is_armed: bool) {
+    pub fn set_armed(&mut self, is_armed: bool) {
         self.estimator.set_armed(is_armed);
     }
 
     /// The filter: with [`Estimator::kalman`], biases and how sure it is.
-    pub const fn estimator(&self) -> &Estimator {
+    pub const fn estimator(&self) -> &Estimator<F> {
         &self.estimator
     }
 

@@ -25,6 +25,8 @@ mod app {
     use aplomb::board::uart::{self, Uart};
     use aplomb::board::{clocks, pins, publish};
     use aplomb::calibration::Mount;
+    use aplomb::estimator::FilterKind;
+    use aplomb::estimator::axis_kalman::AxisKalman;
     use aplomb::health::Flags;
     use aplomb::mpu6050::{Config, Mpu6050, Part};
     use aplomb::pipeline::{Pipeline, Settings};
@@ -53,7 +55,7 @@ mod app {
         reader: BurstReader,
         #[lock_free]
         timebase: Timebase,
-        pipeline: Option<Pipeline>,
+        pipeline: Option<Pipeline<AxisKalman>>,
         messages: Mailbox,
     }
 
@@ -106,7 +108,8 @@ mod app {
                         pipeline.get_or_insert_with(|| {
                             let mut settings = Settings::new(part);
                             settings.mount = MOUNT;
-                            Pipeline::new(&settings)
+                            settings.filter = FilterKind::AxisKalman;
+                            Pipeline::of(&settings, AxisKalman::new())
                         });
                     });
                     burst_reader::enable(address);

@@ -117,55 +117,171 @@ pub struct Remarks {
     pub no_gravity: bool,
 }
 
+/// A filter, as [`Estimator`] sees it: finite samples in, in order, an attitude out.
+///
+/// `shows_gravity` says that the specific force is large enough to tell where down is.
+pub trait Filter {
+    /// Sets roll and pitch from the accelerometer alone, and keeps yaw.
+    fn start(&mut self, sample: &Sample, shows_gravity: bool);
+
+    /// One step of `dt_s` seconds, 1 µs to 0.5 s.
+    fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool);
+
+    /// Forgets everything but the quaternion's sign; yaw starts at zero again.
+    fn restart(&mut self);
+
+    /// Body to earth, after the last sample.
+    fn attitude(&self) -> Quaternion;
+
+    /// The body's rates at the last sample, which was `measured`, rad/s.
+    fn body_rates_rad_s(&self, measured: Vector3) -> Vector3 {
+        measured
+    }
+
+    /// Whether the gyroscope's bias is still being found.
+    fn is_calibrating(&self) -> bool {
+        false
+    }
+
+    /// See [`Estimator::with_sensor_delay_us`].
+    fn set_delay(&mut self, _delay_s: f32) {}
+
+    /// See [`Estimator::with_bias`].
+    fn set_bias(&mut self, _bias_rad_s: Vector3, _sigma_rad_s: f32) {}
+
+    /// See [`Estimator::set_armed`].
+    fn set_armed(&mut self, _is_armed: bool) {}
+
+    /// See [`Estimator::kalman`].
+    fn kalman(&self) -> Option<&Kalman> {
+        None
+    }
+
+    /// See [`Estimator::classic_angles`].
+    fn classic_angles(&self) -> Option<ClassicAngles> {
+        None
+    }
+}
+
 /// A filter with its sense of time. Total: whatever comes in, the attitude stays a finite rotation,
 /// and good samples bring it back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Estimator {
-    filter: Filter,
+pub struct Estimator<F = AnyFilter> {
+    filter: F,
     last_t_us: Option<u64>,
     body_rates_rad_s: Vector3,
 }
 
+/// Any of the library's filters, chosen while the program runs. Who knows the filter beforehand takes its
+/// own type instead, and has no other in the program.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[allow(clippy::large_enum_variant)]
-enum Filter {
+#[allow(clippy::large_enum_variant, missing_docs)]
+pub enum AnyFilter {
     Kalman(Kalman),
     AxisKalman(AxisKalman),
     Classic(Classic),
 }
 
+impl AnyFilter {
+    /// The filter of this kind.
+    pub const fn new(kind: FilterKind) -> Self {
+        match kind {
+            FilterKind::Kalman => Self::Kalman(Kalman::new()),
+            FilterKind::AxisKalman => Self::AxisKalman(AxisKalman::new()),
+            FilterKind::Classic => Self::Classic(Classic::new()),
+        }
+    }
+}
+
+/// The same work with whichever filter it is.
+macro_rules! with_each {
+    ($any:ident, $filter:ident => $work:expr) => {
+        match $any {
+            Self::Kalman($filter) => $work,
+            Self::AxisKalman($filter) => $work,
+            Self::Classic($filter) => $work,
+        }
+    };
+}
+
+impl Filter for AnyFilter {
+    fn start(&mut self, sample: &Sample, shows_gravity: bool) {
+        with_each!(self, filter => Filter::start(filter, sample, shows_gravity));
+    }
+
+    fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
+        with_each!(self, filter => Filter::update(filter, sample, dt_s, shows_gravity));
+    }
+
+    fn restart(&mut self) {
+        with_each!(self, filter => Filter::restart(filter));
+    }
+
+    fn attitude(&self) -> Quaternion {
+        with_each!(self, filter => Filter::attitude(filter))
+    }
+
+    fn body_rates_rad_s(&self, measured: Vector3) -> Vector3 {
+        with_each!(self, filter => Filter::body_rates_rad_s(filter, measured))
+    }
+
+    fn is_calibrating(&self) -> bool {
+        with_each!(self, filter => Filter::is_calibrating(filter))
+    }
+
+    fn set_delay(&mut self, delay_s: f32) {
+        with_each!(self, filter => Filter::set_delay(filter, delay_s));
+    }
+
+    fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
+        with_each!(self, filter => Filter::set_bias(filter, bias_rad_s, sigma_rad_s));
+    }
+
+    fn set_armed(&mut self, is_armed: bool) {
+        with_each!(self, filter => Filter::set_armed(filter, is_armed));
+    }
+
+    fn kalman(&self) -> Option<&Kalman> {
+        with_each!(self, filter => Filter::kalman(filter))
+    }
+
+    fn classic_angles(&self) -> Option<ClassicAngles> {
+        with_each!(self, filter => Filter::classic_angles(filter))
+    }
+}
+
 impl Estimator {
     /// An estimator that starts with its first sample.
     pub const fn new(kind: FilterKind) -> Self {
-        Self {
-            filter: match kind {
-                FilterKind::Kalman => Filter::Kalman(Kalman::new()),
-                FilterKind::AxisKalman => Filter::AxisKalman(AxisKalman::new()),
-                FilterKind::Classic => Filter::Classic(Classic::new()),
-            },
-            last_t_us: None,
-            body_rates_rad_s: Vector3::ZERO,
-        }
+        Self::of(AnyFilter::new(kind))
     }
 
     /// An estimator with the [`kalman`] filter, tuned by hand: for experiments.
     pub const fn kalman_with(tuning: &'static kalman::Tuning) -> Self {
+        Self::of(AnyFilter::Kalman(Kalman::with_tuning(tuning)))
+    }
+}
+
+impl<F> Estimator<F> {
+    /// An estimator with this filter, which starts with its first sample.
+    pub const fn of(filter: F) -> Self {
         Self {
-            filter: Filter::Kalman(Kalman::with_tuning(tuning)),
+            filter,
             last_t_us: None,
             body_rates_rad_s: Vector3::ZERO,
         }
     }
+}
 
+impl<F: Filter> Estimator<F> {
     /// By how much the sensor lags the motion, in µs: [`kalman`] extrapolates by that, so that the
     /// attitude is the one at the sample's time.
     #[must_use]
-    pub const fn with_sensor_delay_us(mut self, delay_us: u32) -> Self {
-        if let Filter::Kalman(filter) = &mut self.filter {
-            filter.set_delay(delay_us as f32 * SECONDS_PER_MICROSECOND);
-        }
+    pub fn with_sensor_delay_us(mut self, delay_us: u32) -> Self {
+        self.filter
+            .set_delay(delay_us as f32 * SECONDS_PER_MICROSECOND);
         self
     }
 
@@ -173,35 +289,24 @@ impl Estimator {
     /// [`kalman`]. The other filters want it removed from the samples.
     #[must_use]
     pub fn with_bias(mut self, bias_rad_s: Vector3, sigma_rad_s: f32) -> Self {
-        if let Filter::Kalman(filter) = &mut self.filter {
-            filter.set_bias(bias_rad_s, sigma_rad_s);
-        }
+        self.filter.set_bias(bias_rad_s, sigma_rad_s);
         self
     }
 
     /// Armed (`true`), nothing is done that is only safe on the ground. Default: false.
-    pub const fn set_armed(&mut self, is_armed: bool) {
-        if let Filter::Kalman(filter) = &mut self.filter {
-            filter.set_armed(is_armed);
-        }
+    pub fn set_armed(&mut self, is_armed: bool) {
+        self.filter.set_armed(is_armed);
     }
 
     /// The [`kalman`] filter with all it knows; `None` with any other.
-    pub const fn kalman(&self) -> Option<&Kalman> {
-        match &self.filter {
-            Filter::Kalman(filter) => Some(filter),
-            Filter::AxisKalman(_) | Filter::Classic(_) => None,
-        }
+    pub fn kalman(&self) -> Option<&Kalman> {
+        self.filter.kalman()
     }
 
     /// Forgets everything but the quaternion's sign; yaw starts at zero again.
     pub fn restart(&mut self) {
         self.last_t_us = None;
-        match &mut self.filter {
-            Filter::Kalman(filter) => filter.restart(),
-            Filter::AxisKalman(filter) => filter.restart(),
-            Filter::Classic(filter) => filter.restart(),
-        }
+        self.filter.restart();
     }
 
     /// Takes one sample and gives the attitude at its time.
@@ -218,10 +323,7 @@ impl Estimator {
             remarks.no_gravity =
                 force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
             self.step(sample, &mut remarks);
-            self.body_rates_rad_s = match &self.filter {
-                Filter::Kalman(filter) => filter.body_rates_rad_s(),
-                Filter::AxisKalman(_) | Filter::Classic(_) => sample.angular_rate_rad_s,
-            };
+            self.body_rates_rad_s = self.filter.body_rates_rad_s(sample.angular_rate_rad_s);
         } else {
             remarks.rejected = true;
         }
@@ -229,28 +331,18 @@ impl Estimator {
             attitude: self.attitude(),
             body_rates_rad_s: self.body_rates_rad_s,
             remarks,
-            is_calibrating: match &self.filter {
-                Filter::Kalman(filter) => !filter.is_bias_known(),
-                Filter::AxisKalman(_) | Filter::Classic(_) => false,
-            },
+            is_calibrating: self.filter.is_calibrating(),
         }
     }
 
     /// The attitude after the last sample, body to earth.
     pub fn attitude(&self) -> Quaternion {
-        match &self.filter {
-            Filter::Kalman(filter) => filter.attitude(),
-            Filter::AxisKalman(filter) => filter.attitude(),
-            Filter::Classic(filter) => filter.attitude(),
-        }
+        self.filter.attitude()
     }
 
     /// The numbers of the classic tutorial; `None` with any other filter.
     pub fn classic_angles(&self) -> Option<ClassicAngles> {
-        match &self.filter {
-            Filter::Classic(filter) => Some(filter.angles()),
-            Filter::Kalman(_) | Filter::AxisKalman(_) => None,
-        }
+        self.filter.classic_angles()
     }
 
     fn step(&mut self, sample: &Sample, remarks: &mut Remarks) {
@@ -265,32 +357,112 @@ impl Estimator {
             Some(last) => sample.t_us - last,
         };
         remarks.gap = step_us > LONGEST_STEP_US;
-        let measurement = Measurement {
-            specific_force_m_s2: (!remarks.no_gravity).then_some(sample.specific_force_m_s2),
-            angular_rate_rad_s: sample.angular_rate_rad_s,
-        };
+        let shows_gravity = !remarks.no_gravity;
         if step_us == 0 || remarks.gap {
-            match &mut self.filter {
-                Filter::Kalman(filter) => filter.start(sample, !remarks.no_gravity),
-                Filter::AxisKalman(filter) => filter.start(&measurement),
-                Filter::Classic(filter) => filter.start(&measurement),
-            }
-            return;
-        }
-        let dt_s = step_us as u32 as f32 * SECONDS_PER_MICROSECOND;
-        match &mut self.filter {
-            Filter::Kalman(filter) => filter.update(sample, dt_s, !remarks.no_gravity),
-            Filter::AxisKalman(filter) => filter.update(&measurement, dt_s),
-            Filter::Classic(filter) => filter.update(&measurement, dt_s),
+            self.filter.start(sample, shows_gravity);
+        } else {
+            let dt_s = step_us as u32 as f32 * SECONDS_PER_MICROSECOND;
+            self.filter.update(sample, dt_s, shows_gravity);
         }
     }
 }
 
-/// What a filter gets: finite values, and a specific force only where it shows gravity.
+impl Filter for Kalman {
+    fn start(&mut self, sample: &Sample, shows_gravity: bool) {
+        Self::start(self, sample, shows_gravity);
+    }
+
+    fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
+        Self::update(self, sample, dt_s, shows_gravity);
+    }
+
+    fn restart(&mut self) {
+        Self::restart(self);
+    }
+
+    fn attitude(&self) -> Quaternion {
+        Self::attitude(self)
+    }
+
+    fn body_rates_rad_s(&self, _measured: Vector3) -> Vector3 {
+        Self::body_rates_rad_s(self)
+    }
+
+    fn is_calibrating(&self) -> bool {
+        !self.is_bias_known()
+    }
+
+    fn set_delay(&mut self, delay_s: f32) {
+        Self::set_delay(self, delay_s);
+    }
+
+    fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
+        Self::set_bias(self, bias_rad_s, sigma_rad_s);
+    }
+
+    fn set_armed(&mut self, is_armed: bool) {
+        Self::set_armed(self, is_armed);
+    }
+
+    fn kalman(&self) -> Option<&Kalman> {
+        Some(self)
+    }
+}
+
+impl Filter for AxisKalman {
+    fn start(&mut self, sample: &Sample, shows_gravity: bool) {
+        Self::start(self, &Measurement::new(sample, shows_gravity));
+    }
+
+    fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
+        Self::update(self, &Measurement::new(sample, shows_gravity), dt_s);
+    }
+
+    fn restart(&mut self) {
+        Self::restart(self);
+    }
+
+    fn attitude(&self) -> Quaternion {
+        Self::attitude(self)
+    }
+}
+
+impl Filter for Classic {
+    fn start(&mut self, sample: &Sample, shows_gravity: bool) {
+        Self::start(self, &Measurement::new(sample, shows_gravity));
+    }
+
+    fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
+        Self::update(self, &Measurement::new(sample, shows_gravity), dt_s);
+    }
+
+    fn restart(&mut self) {
+        Self::restart(self);
+    }
+
+    fn attitude(&self) -> Quaternion {
+        Self::attitude(self)
+    }
+
+    fn classic_angles(&self) -> Option<ClassicAngles> {
+        Some(self.angles())
+    }
+}
+
+/// What the angle filters get: finite values, and a specific force only where it shows gravity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Measurement {
     pub(crate) specific_force_m_s2: Option<Vector3>,
     pub(crate) angular_rate_rad_s: Vector3,
+}
+
+impl Measurement {
+    pub(crate) fn new(sample: &Sample, shows_gravity: bool) -> Self {
+        Self {
+            specific_force_m_s2: shows_gravity.then_some(sample.specific_force_m_s2),
+            angular_rate_rad_s: sample.angular_rate_rad_s,
+        }
+    }
 }
 
 #[cfg(test)]
@@ -350,8 +522,8 @@ pub(crate) mod tests {
             assert_eq!(estimate.remarks, Remarks::default());
             // The classic angles are not Euler angles: its roll is that of a level nose.
             let tolerance = match estimator.filter {
-                Filter::Kalman(_) | Filter::AxisKalman(_) => 1e-3,
-                Filter::Classic(_) => 4.0,
+                AnyFilter::Kalman(_) | AnyFilter::AxisKalman(_) => 1e-3,
+                AnyFilter::Classic(_) => 4.0,
             };
             assert!(angle_between(estimate.attitude, pose) < tolerance);
             assert!(estimate.attitude.to_euler().yaw_rad.abs() < 1e-6);
@@ -547,8 +719,8 @@ pub(crate) mod tests {
             let tilt_error = (last.down_in_body() - pose.down_in_body()).norm();
             // What the nonsense taught of the accelerometer's bias goes away more slowly.
             let tolerance = match estimator.filter {
-                Filter::Kalman(_) => 2e-2,
-                Filter::AxisKalman(_) | Filter::Classic(_) => 2e-3,
+                AnyFilter::Kalman(_) => 2e-2,
+                AnyFilter::AxisKalman(_) | AnyFilter::Classic(_) => 2e-3,
             };
             assert!(tilt_error < tolerance, "{estimator:?}");
         }

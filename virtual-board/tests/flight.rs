@@ -5,6 +5,7 @@ mod common;
 use std::fs;
 use std::path::Path;
 
+use aplomb::estimator::FilterKind;
 use aplomb::health::Flags;
 use aplomb::mpu6050::{Burst, PARTS};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
@@ -38,7 +39,10 @@ fn bits(snapshot: &Snapshot) -> (u64, [u32; 7], u16) {
 /// Runs the library on this computer with the bytes that the bus delivered and compares every bit.
 fn assert_the_library_agrees(samples: &[Sample]) {
     let part = PARTS.iter().find(|part| part.who_am_i == 0x68).unwrap();
-    let mut pipeline = Pipeline::new(&Settings::new(part));
+    let mut pipeline = Pipeline::new(&Settings {
+        filter: FilterKind::AxisKalman,
+        ..Settings::new(part)
+    });
     for (index, sample) in samples.iter().enumerate() {
         let replayed = pipeline.update(&Burst {
             bytes: sample.burst.bytes,
