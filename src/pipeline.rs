@@ -12,6 +12,7 @@
 
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
 use crate::calibration::{AtRest, Mount, Progress, StartupAverage, StartupScale};
+use crate::estimator::kalman::Kalman;
 use crate::estimator::{AnyFilter, ClassicAngles, Estimator, Filter, FilterKind, Sample};
 use crate::health::{Flags, FreezeWatch};
 use crate::mpu6050::{Burst, Config, Part, RawSample};
@@ -105,6 +106,7 @@ pub struct Pipeline<F = AnyFilter> {
     rate_offset_rad_s: Vector3,
     force_offset_m_s2: Vector3,
     estimator: Estimator<F>,
+    was_still: bool,
     freeze_watch: FreezeWatch,
     sample: Sample,
     temperature_celsius: f32,
@@ -146,6 +148,7 @@ impl<F: Filter> Pipeline<F> {
             rate_offset_rad_s: Vector3::ZERO,
             force_offset_m_s2: Vector3::ZERO,
             estimator,
+            was_still: false,
             freeze_watch: FreezeWatch::new(),
             sample: Sample::default(),
             temperature_celsius: 0.0,
@@ -167,10 +170,14 @@ impl<F: Filter> Pipeline<F> {
         };
         let estimate = self.estimator.update(&self.sample);
         let startup_flags = self.average_at_rest(&raw);
+        let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
+        let has_moved = estimate.is_calibrating && self.was_still && !is_still;
+        self.was_still = is_still;
 
         let remarks = estimate.remarks;
         let flags = startup_flags
             .with(Flags::CALIBRATING, estimate.is_calibrating)
+            .with(Flags::MOVED, has_moved)
             .with(Flags::MISSED, burst.missed_before > 0)
             .with(Flags::GAP, remarks.gap)
             .with(Flags::TIME, remarks.time_went_back)

@@ -187,11 +187,11 @@ mod app {
         if snapshot.flags != *context.local.last_flags {
             let last = core::mem::replace(context.local.last_flags, snapshot.flags);
             let message = if snapshot.flags.contains(Flags::MOVED) {
-                Message::AveragingRestarted
+                Message::MovedAtStart
             } else if last.contains(Flags::CALIBRATING)
                 && !snapshot.flags.contains(Flags::CALIBRATING)
             {
-                Message::AveragingDone
+                Message::OffsetMeasured
             } else {
                 return;
             };

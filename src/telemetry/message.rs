@@ -49,10 +49,10 @@ pub enum Message {
     },
     /// The sensor is set up again after bursts failed.
     Recovering,
-    /// The start-up average began again, since the board was moved.
-    AveragingRestarted,
-    /// The start-up average is done: rates are free of the offset from here on.
-    AveragingDone,
+    /// The board was moved before the gyroscope's offset was measured: that begins again.
+    MovedAtStart,
+    /// The gyroscope's offset is measured: rates are free of it from here on.
+    OffsetMeasured,
     /// Messages were lost, since too many came at once.
     MessagesLost {
         /// How many.
@@ -81,10 +81,10 @@ impl Message {
             }
             | Self::BurstsFailed { .. }
             | Self::Recovering
-            | Self::AveragingRestarted
+            | Self::MovedAtStart
             | Self::MessagesLost { .. } => Severity::Warning,
             Self::BusHeldLow { .. } | Self::SensorFailed(_) => Severity::Error,
-            Self::Started { .. } | Self::SensorConfigured { .. } | Self::AveragingDone => {
+            Self::Started { .. } | Self::SensorConfigured { .. } | Self::OffsetMeasured => {
                 Severity::Information
             }
         }
@@ -124,9 +124,9 @@ impl fmt::Display for Message {
                 write!(formatter, "{count} bursts lost, the last: {failure}")
             }
             Self::Recovering => formatter.write_str("setting the bus and the sensor up again"),
-            Self::AveragingRestarted => formatter
-                .write_str("moved while averaging the gyroscope: starting again, hold it still"),
-            Self::AveragingDone => formatter.write_str("gyroscope averaged at rest, ready"),
+            Self::MovedAtStart => formatter
+                .write_str("moved while the gyroscope's offset was being measured: hold it still"),
+            Self::OffsetMeasured => formatter.write_str("gyroscope's offset measured, ready"),
             Self::MessagesLost { count } => write!(formatter, "{count} messages lost"),
         }
     }
@@ -265,8 +265,8 @@ mod tests {
             },
             Message::BusHeldLow { clock: true },
             Message::Recovering,
-            Message::AveragingRestarted,
-            Message::AveragingDone,
+            Message::MovedAtStart,
+            Message::OffsetMeasured,
             Message::MessagesLost { count: u16::MAX },
             error(mpu6050::Error::NotFound),
             error(mpu6050::Error::UnknownIdentity {

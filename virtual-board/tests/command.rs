@@ -80,7 +80,7 @@ fn a_recording_flies_until_it_ends() {
     );
     let shown = String::from_utf8_lossy(&flown.stdout).into_owned();
     assert!(
-        shown.contains("gyroscope averaged at rest, ready"),
+        shown.contains("gyroscope's offset measured, ready"),
         "the log is shown: {shown}"
     );
     assert!(shown.contains("edge to attitude"), "and the table: {shown}");

@@ -198,9 +198,12 @@ fn sensor_reset_in_flight() {
 #[test]
 fn moved_during_start_up() {
     let motion = Rest::level().nudged(0.8, 0.4, 0.5);
-    let outcome = fly(Run::new(firmware()).seconds(3.0).motion(motion));
-    assert_says(&outcome, "moved while averaging");
-    assert_says(&outcome, "gyroscope averaged at rest, ready");
+    let outcome = fly(Run::new(firmware()).seconds(6.0).motion(motion));
+    assert_says(
+        &outcome,
+        "moved while the gyroscope's offset was being measured",
+    );
+    assert_says(&outcome, "gyroscope's offset measured, ready");
     let flags = |flag: Flags| {
         outcome
             .samples()
@@ -259,6 +262,6 @@ fn the_log_without_a_reader_holds_nothing_up() {
     let outcome = fly(at_rest(3.0).without_probe());
     assert!(outcome.log().is_empty());
     assert_eq!(outcome.summary.missed, 0);
-    assert!(outcome.uart_says("gyroscope averaged at rest, ready"));
+    assert!(outcome.uart_says("gyroscope's offset measured, ready"));
     assert_recovered(&outcome);
 }

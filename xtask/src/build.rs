@@ -101,8 +101,8 @@ pub fn qemu_application(toolchain: &Toolchain) -> Result<PathBuf, String> {
     keep("qemu", "qemu")
 }
 
-/// Builds the application that counts instructions, with all filters or with one.
-pub fn cost_application(toolchain: &Toolchain, filter: Option<&str>) -> Result<PathBuf, String> {
+/// Builds the application that counts instructions, with one filter.
+pub fn cost_application(toolchain: &Toolchain, filter: &str) -> Result<PathBuf, String> {
     let mut cargo = toolchain.cargo("build");
     cargo.args([
         "--quiet",
@@ -112,11 +112,7 @@ pub fn cost_application(toolchain: &Toolchain, filter: Option<&str>) -> Result<P
         "--features",
         "cost",
     ]);
-    match filter {
-        Some(name) => cargo.env("APLOMB_COST_FILTER", name),
-        None => cargo.env_remove("APLOMB_COST_FILTER"),
-    };
-    step::run(&mut cargo)?;
+    step::run(cargo.env("APLOMB_COST_FILTER", filter))?;
     keep("cost", "cost")
 }
 

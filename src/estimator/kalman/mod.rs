@@ -340,6 +340,11 @@ impl Kalman {
         self.mean.force_m_s2 - self.mean.force_bias_m_s2 + gravity
     }
 
+    /// Whether the readings have not changed for a third of a second.
+    pub fn is_still(&self) -> bool {
+        self.rest.is_still()
+    }
+
     /// Whether the gyroscope's bias is known: its σ is below 0.5 °/s on every axis.
     pub fn is_bias_known(&self) -> bool {
         self.is_bias_known

@@ -3,12 +3,16 @@
 //! Rest can be mimicked by steady motion, so nobody has to believe it: the filter takes what rest
 //! would show only as far as its covariance allows.
 
+use super::LARGEST_BIAS_RAD_S;
 use super::tuning::Tuning;
 use crate::attitude::Vector3;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
 /// Readings are compared with their average over this time, s.
 const AVERAGING_TIME_S: f32 = 0.5;
+
+/// So long without motion is a moment, s.
+const STILL_S: f32 = 0.3;
 
 /// How far one g may seem off: 80 mg of offset and 3 % of scale (product specification §6.2).
 const GRAVITY_TOLERANCE: f32 = 0.12;
@@ -62,6 +66,11 @@ impl Rest {
         };
     }
 
+    /// Whether nothing has moved for a moment.
+    pub(super) fn is_still(&self) -> bool {
+        self.quiet_s > STILL_S
+    }
+
     /// The mean readings of gyroscope and accelerometer if the sensor rests.
     pub(super) fn readings(&self, tuning: &Tuning) -> Option<(Vector3, Vector3)> {
         const LEAST: f32 = (1.0 - GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
@@ -69,7 +78,9 @@ impl Rest {
         let force = self.average_force_m_s2;
         let squared = force.dot(force);
         let is_gravity = squared > LEAST * LEAST && squared < GREATEST * GREATEST;
-        (self.quiet_s > tuning.rest_after_s && is_gravity)
+        // A faster steady turn is none: no offset is so large.
+        let is_offset = self.average_rate_rad_s.is_within(LARGEST_BIAS_RAD_S);
+        (self.quiet_s > tuning.rest_after_s && is_gravity && is_offset)
             .then_some((self.average_rate_rad_s, force))
     }
 }
