@@ -3,7 +3,7 @@
 use super::covariance::{Measurement, Progress, State, Step};
 use super::matrix::{CONSTANTS, MOVING, TURNING, Transition};
 use super::*;
-use crate::estimator::tests::{angle_between, from_degrees};
+use crate::estimator::tests::{angle_between, from_degrees, sample};
 use crate::estimator::{Estimate, Estimator, FilterKind};
 use crate::units::degrees;
 
@@ -663,4 +663,16 @@ fn linear_acceleration_is_what_gravity_leaves() {
     let expected = world.attitude.conjugate().rotate(world.acceleration_m_s2);
     let found = filter(&estimator).linear_acceleration_m_s2();
     assert!((found - expected).norm() < 0.1, "{found:?}");
+}
+
+/// Neither gyroscope nor accelerometer changes in such a turn, as at rest; but no offset is so large.
+#[test]
+fn a_steady_turn_faster_than_any_offset_is_no_rest() {
+    let mut estimator = Estimator::new(FilterKind::Kalman);
+    let rate = Vector3::new(0.0, 0.0, radians(100.0));
+    let mut estimate = Estimate::default();
+    for millisecond in 0..5_000 {
+        estimate = estimator.update(&sample(millisecond * 1_000, Quaternion::IDENTITY, rate));
+    }
+    assert!((estimate.body_rates_rad_s.z - radians(100.0)).abs() < radians(1.0));
 }
