@@ -57,6 +57,17 @@ impl Board {
     }
 }
 
+/// Whether this names a mount, before minutes of building: two signed axes at right angles, or an alias.
+pub fn is_mount(name: &str) -> bool {
+    let is_axis = |sign, axis| b"+-".contains(&sign) && b"xyz".contains(&axis);
+    match *name.as_bytes() {
+        [sign, forward, down_sign, down] => {
+            name == "z-up" || is_axis(sign, forward) && is_axis(down_sign, down) && forward != down
+        }
+        _ => name == "z-down",
+    }
+}
+
 /// One build of the firmware.
 pub struct Firmware {
     /// The board.
@@ -156,5 +167,23 @@ pub fn target_folder() -> PathBuf {
     match std::env::var_os("CARGO_TARGET_DIR") {
         Some(folder) => crate::root().join(folder),
         None => crate::root().join("target"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mounts_are_24_and_two_aliases() {
+        let mut mounts = 0;
+        for forward in ["+x", "-x", "+y", "-y", "+z", "-z"] {
+            for down in ["+x", "-x", "+y", "-y", "+z", "-z"] {
+                mounts += u32::from(is_mount(&format!("{forward}{down}")));
+            }
+        }
+        assert_eq!(mounts, 24);
+        assert!(is_mount("z-up") && is_mount("z-down"));
+        assert!(!is_mount("up") && !is_mount("x+z+") && !is_mount(""));
     }
 }

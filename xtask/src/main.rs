@@ -66,6 +66,12 @@ fn fly(arguments: &[String]) -> Result<(), String> {
         Some(name) => Board::from_name(name)?,
         None => Board::default(),
     };
+    let mount = value_of(arguments, "--mount")?;
+    if let Some(name) = mount.filter(|name| !build::is_mount(name)) {
+        return Err(format!(
+            "there is no mount `{name}`: forward axis, then down axis, such as +x-z, or z-up or z-down"
+        ));
+    }
     let virtual_board = build::virtual_board()?;
     let mut flight = step::command(&virtual_board);
     flight.arg("fly").args(arguments);
@@ -74,7 +80,7 @@ fn fly(arguments: &[String]) -> Result<(), String> {
     }
     let elf = Firmware {
         board,
-        mount: value_of(arguments, "--mount")?.map(str::to_owned),
+        mount: mount.map(str::to_owned),
     }
     .build(&setup::Toolchain::for_target()?)?;
     flight.arg("--elf").arg(elf);
