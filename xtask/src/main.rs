@@ -95,7 +95,8 @@ fn flash(board: Board) -> Result<(), String> {
                 .into(),
         );
     }
-    let elf = Firmware { board, mount: None }.build(&setup::Toolchain::for_target()?)?;
+    let mount = std::env::var("APLOMB_MOUNT").ok();
+    let elf = Firmware { board, mount }.build(&setup::Toolchain::for_target()?)?;
     let mut probe = step::command(Path::new("probe-rs"));
     probe.args(["run", "--chip", board.chip]).arg(elf);
     step::run(&mut probe)
