@@ -45,3 +45,8 @@ pub mod units;
 #[cfg(all(target_os = "none", feature = "rtic-app"))]
 #[allow(unsafe_code)]
 pub mod board;
+
+/// Compiles the README's example with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
