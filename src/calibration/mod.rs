@@ -1,7 +1,12 @@
-//! From what the sensor says to what it means: how it is mounted, and its average at rest.
+//! From what the sensor says to what it means: how it is mounted, what is wrong with it, and what of that is stored.
 
 mod mount;
+mod record;
 mod startup;
 
 pub use mount::Mount;
+pub use record::{
+    AccelerometerCorrection, Calibration, GyroscopeOffset, OutputFormat, Preferences, Record,
+    TemperatureModel,
+};
 pub use startup::{AtRest, Progress, StartupAverage, StartupScale};
