@@ -19,7 +19,8 @@ const ROW: i32 = 22;
 const AXIS: (f64, f64) = (0.1, 100.0);
 const GRID: [f64; 10] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
 
-const TEXT: Rgb888 = Rgb888::new(40, 40, 40);
+/// The colour of letters.
+pub const TEXT: Rgb888 = Rgb888::new(40, 40, 40);
 const FAINT: Rgb888 = Rgb888::new(222, 222, 222);
 const OURS: Rgb888 = Rgb888::new(200, 60, 30);
 const OTHERS: Rgb888 = Rgb888::new(60, 100, 160);
@@ -50,13 +51,15 @@ fn place(degrees: f64) -> i32 {
     LEFT + (share * f64::from(RIGHT - LEFT)).round() as i32
 }
 
-struct Canvas {
+/// A picture that is drawn into.
+pub struct Canvas {
     size: Size,
     pixels: Vec<u8>,
 }
 
 impl Canvas {
-    fn new(width: i32, height: i32) -> Self {
+    /// A white one.
+    pub fn new(width: i32, height: i32) -> Self {
         let size = Size::new(width.unsigned_abs(), height.unsigned_abs());
         Self {
             size,
@@ -105,12 +108,14 @@ impl Canvas {
         }
     }
 
-    fn line(&mut self, start: Point, end: Point, colour: Rgb888, width: u32) {
+    /// Draws a line.
+    pub fn line(&mut self, start: Point, end: Point, colour: Rgb888, width: u32) {
         let style = PrimitiveStyle::with_stroke(colour, width);
         let Ok(()) = Line::new(start, end).into_styled(style).draw(self);
     }
 
-    fn text(
+    /// Writes a text.
+    pub fn text(
         &mut self,
         text: &str,
         at: Point,
@@ -122,7 +127,8 @@ impl Canvas {
         let Ok(_) = Text::with_alignment(text, at, style, alignment).draw(self);
     }
 
-    fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
+    /// The picture as a PNG file.
+    pub fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
         let mut file = Vec::new();
         let mut encoder = png::Encoder::new(&mut file, self.size.width, self.size.height);
         encoder.set_color(png::ColorType::Rgb);
