@@ -69,10 +69,11 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let mut recordings = read(options)?;
     if options.leave_one_out || options.scan_gains {
         recordings.retain(|recording| recording.reference == Reference::Truth);
+        if recordings.is_empty() {
+            return Err("there are no recordings with truth: name their folder".into());
+        }
         if options.leave_one_out {
             crate::say(&leave_one_out::run(recordings));
-        } else if recordings.is_empty() {
-            return Err("there are no recordings with truth to scan gains on".into());
         } else {
             crate::say(&gains::scan(&recordings));
         }

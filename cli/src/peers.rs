@@ -224,7 +224,7 @@ pub struct Madgwick(ahrs::Madgwick<f32>);
 
 impl Filter for Madgwick {
     /// β, in rad/s.
-    const GAINS: Gains = [0.02, 0.0];
+    const GAINS: Gains = [0.015, 0.0];
 
     fn new(start: [f32; 4], step_s: f32, [beta, _]: Gains) -> Self {
         Self(ahrs::Madgwick::new_with_quat(step_s, beta, unit(start)))
@@ -250,7 +250,7 @@ pub struct Mahony(ahrs::Mahony<f32>);
 
 impl Filter for Mahony {
     /// Proportional, in 1/s, and integral, in 1/s².
-    const GAINS: Gains = [0.15, 0.0];
+    const GAINS: Gains = [0.15, 0.0003];
 
     fn new(start: [f32; 4], step_s: f32, [proportional, integral]: Gains) -> Self {
         Self(ahrs::Mahony::new_with_quat(
@@ -280,7 +280,7 @@ pub struct Fusion(fusion_ahrs::Ahrs);
 
 impl Filter for Fusion {
     /// Gain, in 1/s, and the angle in degrees from which on it rejects accelerations, 0 for never.
-    const GAINS: Gains = [0.2, 0.0];
+    const GAINS: Gains = [0.15, 90.0];
 
     fn new(_: [f32; 4], step_s: f32, [gain, acceleration_rejection]: Gains) -> Self {
         Self(fusion_ahrs::Ahrs::with_settings(
