@@ -3,14 +3,20 @@
 mod bench;
 mod counts;
 mod filter;
+mod gains;
+mod leave_one_out;
 mod number;
+mod parallel;
 mod peers;
+mod picture;
 mod plot;
 mod progress;
 mod recording;
 mod replay;
+mod rest;
 mod score;
 mod simulated;
+mod throughput;
 
 use std::io::Write;
 use std::process::ExitCode;
