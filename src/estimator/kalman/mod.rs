@@ -272,6 +272,7 @@ impl Kalman {
     }
 
     /// One step of `dt_s` seconds.
+    #[inline]
     pub(super) fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
         if !self.has_tilt && shows_gravity {
             self.start(sample, true);
@@ -288,17 +289,19 @@ impl Kalman {
             self.step_in_earth_axes(sample);
         }
         // One slice a sample, where a step in earth axes leaves room; more where samples are rare.
-        if self.has_work && (!is_earth_step || dt_s > SLICE_TIME_S) {
+        if self.has_work && (!is_earth_step || dt_s > BUSY_STEP_S) {
             self.work(1 + ((dt_s * (1.0 / SLICE_TIME_S)) as u32).min(MOST_SLICES));
         }
     }
 
     /// Body to earth, extrapolated from the time of the last sample's motion to that of its stamp.
+    #[inline]
     pub(super) fn attitude(&self) -> Quaternion {
         self.mean.ahead(self.delay_s)
     }
 
     /// The body's rates p, q, r, rad/s: the last reading without bias, scale error and misalignment.
+    #[inline]
     pub(super) fn body_rates_rad_s(&self) -> Vector3 {
         self.mean.rate_rad_s
     }
@@ -612,8 +615,10 @@ impl Kalman {
     }
 }
 
-/// A slice of covariance work is due in this time, s.
-const SLICE_TIME_S: f32 = 2.0e-3;
+/// A slice of covariance work is due in this time, s: then a step is done before the next begins.
+const SLICE_TIME_S: f32 = 10.5e-3;
+/// Samples farther apart than this leave none without a step in earth axes, s.
+const BUSY_STEP_S: f32 = 5.5e-3;
 /// More than a whole covariance step has.
 const MOST_SLICES: u32 = 80;
 
