@@ -47,6 +47,9 @@ pub struct Tuning {
     pub rate_noise_per_rate: f32,
     /// How the gyroscope bias wanders, rad/s/√s. Larger: follows temperature sooner.
     pub bias_walk: f32,
+    /// More of it per rate, 1/√s: what accelerations, nonlinearity and mounting do to a gyroscope
+    /// that turns looks like a bias that changes as the motion does.
+    pub bias_walk_per_rate: f32,
     /// How the accelerometer bias wanders, m/s²/√s.
     pub force_bias_walk: f32,
     /// Accelerometer noise, m/s²/√Hz.
@@ -98,6 +101,7 @@ impl Tuning {
         rate_noise: 1.0e-3,
         rate_noise_per_rate: 8.0e-4,
         bias_walk: 2.0e-4,
+        bias_walk_per_rate: 0.0,
         force_bias_walk: 1.0e-4,
         force_noise: 0.05,
         force_noise_per_velocity: 0.2,
