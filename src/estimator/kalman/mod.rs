@@ -428,11 +428,9 @@ impl Kalman {
         // Q: what the interval adds that no state explains.
         let covariance = &mut self.step.covariance;
         let mut bias = 0.0;
-        let bias_noise = square(tuning.bias_walk) * duration_s
-            + square(tuning.bias_walk_per_rate) * self.interval.squared_rate;
         for axis in 0..3 {
             bias += covariance.constant_variance(axis);
-            covariance.add_to_constant(axis, bias_noise);
+            covariance.add_to_constant(axis, square(tuning.bias_walk) * duration_s);
             covariance.add_to_constant(TURNING + axis, square(tuning.force_bias_walk) * duration_s);
         }
         let tilt = covariance.moving_variance(0) + covariance.moving_variance(1);
