@@ -47,9 +47,6 @@ pub struct Tuning {
     pub rate_noise_per_rate: f32,
     /// How the gyroscope bias wanders, rad/s/√s. Larger: follows temperature sooner.
     pub bias_walk: f32,
-    /// More of it per rate, 1/√s: what accelerations, nonlinearity and mounting do to a gyroscope
-    /// that turns looks like a bias that changes as the motion does.
-    pub bias_walk_per_rate: f32,
     /// How the accelerometer bias wanders, m/s²/√s.
     pub force_bias_walk: f32,
     /// Accelerometer noise, m/s²/√Hz.
@@ -95,16 +92,15 @@ impl Tuning {
         start_tilt_rad: 0.2,
         start_bias_rad_s: 0.05,
         start_velocity_m_s: 0.1,
-        force_bias_m_s2: 0.005 * STANDARD_GRAVITY_M_S2,
-        scale: 0.009,
+        force_bias_m_s2: 0.007 * STANDARD_GRAVITY_M_S2,
+        scale: 0.011,
         misalignment_rad: 0.0035,
         rate_noise: 1.0e-3,
-        rate_noise_per_rate: 8.0e-4,
-        bias_walk: 2.0e-4,
-        bias_walk_per_rate: 0.0,
+        rate_noise_per_rate: 1.0e-3,
+        bias_walk: 1.5e-4,
         force_bias_walk: 1.0e-4,
         force_noise: 0.05,
-        force_noise_per_velocity: 0.2,
+        force_noise_per_velocity: 0.1,
         velocity: 0.2,
         velocity_per_velocity: 2.5,
         velocity_limit: 5.0,
@@ -116,7 +112,7 @@ impl Tuning {
         rest_rate_rad_s: radians(2.0),
         rest_force_m_s2: 0.5,
         rest_velocity: 0.02,
-        rest_rate: 1.0e-3,
+        rest_rate: 0.8e-3,
         covariance_period_s: 0.22,
         earth_period_s: 6.9e-3,
     };
