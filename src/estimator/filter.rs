@@ -145,6 +145,7 @@ impl Filter for AnyFilter {
         }
     }
 
+    #[inline]
     fn start(&mut self, sample: &Sample, shows_gravity: bool) {
         match self {
             Self::Kalman(filter) => Filter::start(filter, sample, shows_gravity),
@@ -153,6 +154,7 @@ impl Filter for AnyFilter {
         }
     }
 
+    #[inline]
     fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
         match self {
             Self::Kalman(filter) => Filter::update(filter, sample, dt_s, shows_gravity),
@@ -161,6 +163,7 @@ impl Filter for AnyFilter {
         }
     }
 
+    #[inline]
     fn attitude(&self) -> Quaternion {
         match self {
             Self::Kalman(filter) => Filter::attitude(filter),
@@ -169,6 +172,7 @@ impl Filter for AnyFilter {
         }
     }
 
+    #[inline]
     fn kalman(&self) -> Option<&Kalman> {
         match self {
             Self::Kalman(filter) => Some(filter),
