@@ -22,6 +22,26 @@ pub struct Calibration {
     pub level: Option<Quaternion>,
 }
 
+impl Calibration {
+    /// Nothing is known.
+    pub const NONE: Self = Self {
+        mount: None,
+        gyroscope: None,
+        temperature: None,
+        accelerometer: None,
+        level: None,
+    };
+
+    /// The temperature that is likely as long as none was measured, °C: that of the stored offset.
+    pub(crate) fn usual_celsius(&self) -> f32 {
+        match (&self.gyroscope, &self.temperature) {
+            (Some(stored), _) => stored.temperature_celsius,
+            (None, Some(model)) => model.reference_celsius,
+            (None, None) => 25.0,
+        }
+    }
+}
+
 /// A gyroscope offset that was measured at rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
