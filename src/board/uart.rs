@@ -31,17 +31,21 @@ const TRANSMISSION_COMPLETE: u32 = 1 << 6;
 /// Memory that the DMA writes.
 pub type ReceiveRing = [AtomicU8; RECEIVE_CAPACITY];
 
-/// The port, the buffer that is sent, and the ring that is received into.
-pub struct Uart {
+/// The transmitting half, with the buffer that it sends. It owns the port's settings.
+pub struct Transmitter {
     port: USART2,
     buffer: &'static mut [u8; CAPACITY],
+    baud: u32,
+}
+
+/// The receiving half, with the ring that the DMA writes.
+pub struct Receiver {
     ring: &'static ReceiveRing,
     /// The next byte of the ring to read.
     read_at: usize,
     /// When and where the ring was looked at last.
     looked_at_us: u32,
     written_before: usize,
-    baud: u32,
 }
 
 /// How the reception went since the last look.
@@ -55,14 +59,13 @@ pub enum Reception {
     Lost,
 }
 
-impl Uart {
-    /// Sets the port up at `baud`, 8N1. The pins are the caller's to switch to their alternate function 7.
-    pub fn start(
-        port: USART2,
-        baud: u32,
-        buffer: &'static mut [u8; CAPACITY],
-        ring: &'static ReceiveRing,
-    ) -> Self {
+/// Sets the port up at `baud`, 8N1. The pins are the caller's to switch to their alternate function 7.
+pub fn start(
+    port: USART2,
+    baud: u32,
+    buffer: &'static mut [u8; CAPACITY],
+    ring: &'static ReceiveRing,
+) -> (Transmitter, Receiver) {
         clocks::enable(|rcc| {
             rcc.apb1enr().modify(|_, w| w.usart2en().set_bit());
             rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
@@ -72,22 +75,22 @@ impl Uart {
         port.cr1()
             .write(|w| w.ue().set_bit().te().set_bit().re().set_bit());
         let data = port.dr().as_ptr() as u32;
-        for stream in [5, 6] {
+        for number in [5, 6] {
             // SAFETY: the data register's address, as the manual asks (RM0090, 10.3.17).
             dma1()
-                .st(stream)
+                .st(number)
                 .par()
                 .write(|w| unsafe { w.pa().bits(data) });
         }
-        let receiver = dma1().st(5);
+        let stream = dma1().st(5);
         // SAFETY: the ring lives for ever, and is read as atomics only.
-        receiver
+        stream
             .m0ar()
             .write(|w| unsafe { w.m0a().bits(ring.as_ptr() as u32) });
-        receiver
+        stream
             .ndtr()
             .write(|w| w.ndt().set(RECEIVE_CAPACITY as u16));
-        receiver.cr().write(|w| {
+        stream.cr().write(|w| {
             w.chsel()
                 .set(4)
                 .minc()
@@ -97,24 +100,24 @@ impl Uart {
                 .en()
                 .set_bit()
         });
-        Self {
-            port,
-            buffer,
+        let transmitter = Transmitter { port, buffer, baud };
+        let receiver = Receiver {
             ring,
             read_at: 0,
             looked_at_us: timebase::now(),
             written_before: 0,
-            baud,
-        }
+        };
+        (transmitter, receiver)
     }
 
-    /// Looks at what has arrived since the last look. Afterwards [`Self::receive`] gives what is sound.
-    pub fn look(&mut self) -> Reception {
+impl Receiver {
+    /// Looks at what has arrived since the last look, at this rate. Afterwards [`Self::receive`] gives what is sound.
+    pub fn look(&mut self, baud: u32) -> Reception {
         let now = timebase::now();
         let elapsed_us = now.wrapping_sub(self.looked_at_us);
         self.looked_at_us = now;
         // Reading the status arms the clearing of its error flags by the DMA's next read of the data (30.6.1).
-        let status = self.port.sr().read().bits();
+        let status = usart2().sr().read().bits();
         let is_complete = dma1().hisr().read().tcif5().bit();
         let written = written();
         let has_wrapped = is_complete || written < self.written_before;
@@ -126,7 +129,7 @@ impl Uart {
         let unread = (self.written_before + RECEIVE_CAPACITY - self.read_at) % RECEIVE_CAPACITY;
         // A second lap shows in nothing but the time that it takes.
         let is_lost =
-            unread + new >= RECEIVE_CAPACITY || has_wrapped && elapsed_us >= self.lap_us();
+            unread + new >= RECEIVE_CAPACITY || has_wrapped && elapsed_us >= lap_us(baud);
         self.written_before = written;
         // Flags without a new byte are those of the look before.
         let is_garbled = new > 0 && status & (FRAMING | NOISE | OVERRUN) != 0;
@@ -150,7 +153,9 @@ impl Uart {
         self.read_at = (self.read_at + 1) % RECEIVE_CAPACITY;
         Some(byte)
     }
+}
 
+impl Transmitter {
     /// The rate at which it sends and receives, bits per second.
     pub fn baud(&self) -> u32 {
         self.baud
@@ -165,6 +170,11 @@ impl Uart {
         set_divider(&self.port, baud);
         self.baud = baud;
         true
+    }
+
+    /// Whether the buffer is free.
+    pub fn is_idle(&self) -> bool {
+        !self.is_sending()
     }
 
     /// The buffer to write the next text into, or nothing while the last one is still going out.
@@ -220,12 +230,18 @@ impl Uart {
     fn is_sending(&self) -> bool {
         dma1().st(6).cr().read().en().bit_is_set()
     }
+}
 
-    /// How long the ring takes to come round at full rate.
-    fn lap_us(&self) -> u32 {
-        const BITS_PER_LAP: u32 = RECEIVE_CAPACITY as u32 * BITS_PER_BYTE;
-        BITS_PER_LAP * 1_000 / (self.baud / 1_000).max(1)
-    }
+/// How long the ring takes to come round at full rate.
+fn lap_us(baud: u32) -> u32 {
+    const BITS_PER_LAP: u32 = RECEIVE_CAPACITY as u32 * BITS_PER_BYTE;
+    BITS_PER_LAP * 1_000 / (baud / 1_000).max(1)
+}
+
+fn usart2() -> &'static usart1::RegisterBlock {
+    // SAFETY: the receiver only reads the status, which arms the clearing of error flags that the transmitter does
+    // not look at.
+    unsafe { &*USART2::ptr() }
 }
 
 /// Where in the ring the next byte will be written.
