@@ -3,8 +3,8 @@
 //! One sample makes one trip, always in the same direction:
 //!
 //! ```text
-//! Burst ─► decode ─► align ─► calibrate ─► estimate ─► health ─► Snapshot ─► telemetry
-//!        (mpu6050)  (calibration)        (estimator)  (health)  (pipeline)
+//! Burst ─► decode ─► calibrate and align ─► estimate ─► health ─► Snapshot ─► telemetry
+//!        (mpu6050)  (calibration)           (estimator)  (health)  (pipeline)
 //! ```
 //!
 //! [`pipeline::Pipeline`] is the whole trip in one call. It has no clock, no bus and no memory of
@@ -17,7 +17,7 @@
 //! | [`units`] | constants, and the extension of a 32-bit microsecond counter to 64 bits |
 //! | [`attitude`] | vectors, quaternions, Euler angles, the two frames |
 //! | [`mpu6050`] | registers, settings, the 14-byte burst, the configuring driver |
-//! | [`calibration`] | how the chip is mounted, and the average at rest |
+//! | [`calibration`] | rest, and what is made of it: offsets, poses, level, mount, temperature |
 //! | [`estimator`] | one file per filter |
 //! | [`fault`] | what can go wrong between the sensor's pins and the pipeline |
 //! | [`health`] | the flags that travel with every attitude |

@@ -1,22 +1,39 @@
 //! One burst in, one snapshot out: the only file that knows the order of the steps.
 //!
-//! decode → align (sensor to body) → calibrate (offsets at rest) → estimate → health.
+//! decode → calibrate and align (one affine map for each sensor, from counts to the body's axes) → estimate → health.
 //!
 //! There is a snapshot for every burst, from the first one on; it carries [`Flags::CALIBRATING`] until
 //! the gyroscope's offset is known. [`FilterKind::Kalman`] finds it by itself, at rest and in motion,
 //! while it runs. The other filters wait for the start-up average: with the sample after it they start
 //! again, offsets removed, and yaw starts again at zero.
 //!
+//! After a snapshot is published, [`Pipeline::collect`] does what has time: it collects rest for a calibration and
+//! follows the temperature.
+//!
 //! Deadline: a fraction of the sample period, 1 ms. There is no loop in it and no wait, and the
 //! longest path is a few hundred instructions longer than the shortest.
 
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
-use crate::calibration::{AtRest, Mount, Progress, StartupAverage, StartupScale};
+use crate::calibration::{
+    AccelerometerCorrection, AtRest, Calibration, Mount, RestProgress, RestScale, RestWatch,
+};
 use crate::estimator::kalman::Kalman;
 use crate::estimator::{AnyFilter, ClassicAngles, Estimator, Filter, FilterKind, Sample};
 use crate::health::{Flags, FreezeWatch};
 use crate::mpu6050::{Burst, Config, Part, RawSample};
-use crate::units::STANDARD_GRAVITY_M_S2;
+use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+
+/// σ of a stored gyroscope offset at the temperature where it was measured, rad/s: it is not the same from one
+/// power-up to the next, nor in every pose (0.1 °/s per g, product specification §6.1).
+const STORED_OFFSET_SIGMA_RAD_S: f32 = radians(0.1);
+/// And what a °C of difference adds, rad/s: ±20 °/s over −40 to 85 °C (ibidem) is 0.16 at most.
+const STORED_OFFSET_SIGMA_PER_CELSIUS: f32 = radians(0.1);
+/// No offset is known so badly that the filter's own prior is better.
+const LARGEST_STORED_SIGMA_RAD_S: f32 = radians(3.0);
+/// σ of the temperature model within its range, rad/s.
+const MODEL_SIGMA_RAD_S: f32 = radians(0.15);
+/// Samples between two looks at the temperature.
+const TEMPERATURE_SAMPLES: u8 = 64;
 
 /// What the pipeline has to know beforehand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,8 +43,10 @@ pub struct Settings {
     pub sensor: Config,
     /// Which part it is: its temperature scale.
     pub part: &'static Part,
-    /// How it is mounted. Default: face up, X forward.
+    /// How it is mounted, unless `calibration` knows better. Default: face up, X forward.
     pub mount: Mount,
+    /// What is known about the sensor. Default: nothing.
+    pub calibration: Calibration,
     /// Which filter runs, unless [`Pipeline::with_filter`] names one. Default:
     /// [`FilterKind::Kalman`].
     pub filter: FilterKind,
@@ -37,18 +56,6 @@ pub struct Settings {
     /// By how much a sample's content is older than its time, in µs. Default: `None`, the
     /// gyroscope's delay in the low-pass filter of `sensor`; the time is that of the data-ready edge.
     pub sensor_delay_us: Option<u32>,
-    /// The gyroscope's offset from an earlier calibration. Default: `None`.
-    pub stored_bias: Option<StoredBias>,
-}
-
-/// A gyroscope offset from an earlier calibration: where [`FilterKind::Kalman`] starts from.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct StoredBias {
-    /// The offset, rad/s in body axes.
-    pub bias_rad_s: Vector3,
-    /// How far it may have wandered since: σ per axis, rad/s.
-    pub sigma_rad_s: f32,
 }
 
 impl Settings {
@@ -58,11 +65,32 @@ impl Settings {
             sensor: Config::DEFAULT,
             part,
             mount: Mount::Z_UP,
+            calibration: Calibration::NONE,
             filter: FilterKind::Kalman,
             averaging_samples: 1000,
             sensor_delay_us: None,
-            stored_bias: None,
         }
+    }
+
+    /// The mount that holds: the calibration's, or else the one that is set.
+    pub fn mount(&self) -> Mount {
+        self.calibration.mount.unwrap_or(self.mount)
+    }
+
+    /// What a count is worth, and what noise to expect behind the low-pass filter.
+    pub fn rest_scale(&self) -> RestScale {
+        let sensor = &self.sensor;
+        RestScale::new(
+            [
+                sensor.gyroscope_range.counts_per_degree_s(),
+                sensor.accelerometer_range.counts_per_g(),
+            ],
+            [
+                sensor.low_pass.gyroscope_bandwidth_hz().into(),
+                sensor.low_pass.accelerometer_bandwidth_hz().into(),
+            ],
+            sensor.sample_rate_hz(),
+        )
     }
 }
 
@@ -99,17 +127,21 @@ impl Snapshot {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pipeline<F = AnyFilter> {
     settings: Settings,
-    m_s2_per_count: f32,
-    rad_s_per_count: f32,
-    startup: Option<StartupAverage>,
-    /// Offsets in body axes.
+    accelerometer_map: Affine,
+    gyroscope_map: Affine,
+    /// What the gyroscope's map removes, rad/s in sensor axes: stored, or by temperature.
     rate_offset_rad_s: Vector3,
-    force_offset_m_s2: Vector3,
+    has_started: bool,
     estimator: Estimator<F>,
     was_still: bool,
     freeze_watch: FreezeWatch,
     sample: Sample,
     temperature_celsius: f32,
+    /// Samples until the temperature is looked at again.
+    until_temperature: u8,
+    rest: Option<RestWatch>,
+    /// The rest is the one that a filter without a bias of its own waits for.
+    is_averaging: bool,
 }
 
 impl Pipeline {
@@ -122,49 +154,41 @@ impl Pipeline {
 impl<F: Filter> Pipeline<F> {
     /// The same with this filter, whatever the settings say: no other is linked.
     pub fn with_filter(settings: &Settings, filter: F) -> Self {
-        let Config {
-            accelerometer_range,
-            gyroscope_range,
-            ..
-        } = settings.sensor;
-        let scale = StartupScale {
-            counts_per_degree_s: gyroscope_range.counts_per_degree_s(),
-            counts_per_g: accelerometer_range.counts_per_g(),
-        };
-        let samples = settings.averaging_samples;
-        let averages = samples > 0 && filter.kalman().is_none();
+        let averages = settings.averaging_samples > 0 && filter.kalman().is_none();
         let delay_us = settings
             .sensor_delay_us
             .unwrap_or(settings.sensor.low_pass.gyroscope_delay_us().into());
-        let mut estimator = Estimator::with_filter(filter).with_sensor_delay_us(delay_us);
-        if let Some(stored) = settings.stored_bias {
-            estimator = estimator.with_bias(stored.bias_rad_s, stored.sigma_rad_s);
-        }
-        Self {
+        let mut pipeline = Self {
             settings: *settings,
-            m_s2_per_count: accelerometer_range.m_s2_per_count(),
-            rad_s_per_count: gyroscope_range.rad_s_per_count(),
-            startup: averages.then(|| StartupAverage::new(samples, scale)),
+            accelerometer_map: Affine::NONE,
+            gyroscope_map: Affine::NONE,
             rate_offset_rad_s: Vector3::ZERO,
-            force_offset_m_s2: Vector3::ZERO,
-            estimator,
+            has_started: false,
+            estimator: Estimator::with_filter(filter).with_sensor_delay_us(delay_us),
             was_still: false,
             freeze_watch: FreezeWatch::new(),
             sample: Sample::default(),
             temperature_celsius: 0.0,
-        }
+            until_temperature: TEMPERATURE_SAMPLES,
+            rest: averages
+                .then(|| RestWatch::new(&settings.rest_scale(), settings.averaging_samples)),
+            is_averaging: averages,
+        };
+        pipeline.derive_maps();
+        pipeline
     }
 
     /// Takes one burst and gives the attitude at its time.
     pub fn update(&mut self, burst: &Burst) -> Snapshot {
         let raw = RawSample::decode(&burst.bytes);
         self.temperature_celsius = raw.temperature.to_celsius(self.settings.part);
+        if !self.has_started {
+            self.start();
+        }
         self.sample = Sample {
             t_us: burst.captured_at_us,
-            specific_force_m_s2: self.in_body(raw.accelerometer.0, self.m_s2_per_count)
-                - self.force_offset_m_s2,
-            angular_rate_rad_s: self.in_body(raw.gyroscope.0, self.rad_s_per_count)
-                - self.rate_offset_rad_s,
+            specific_force_m_s2: self.accelerometer_map.apply(raw.accelerometer.0),
+            angular_rate_rad_s: self.gyroscope_map.apply(raw.gyroscope.0),
             is_rate_saturated: raw.gyroscope.is_saturated(),
             is_force_saturated: raw.accelerometer.is_saturated(),
         };
@@ -197,6 +221,92 @@ impl<F: Filter> Pipeline<F> {
         }
     }
 
+    /// What has time until the attitude is out: call it after each [`update`](Self::update), with the same burst.
+    ///
+    /// Follows the temperature, and feeds the rest that [`start_rest`](Self::start_rest) asked for; `None` if none is being collected.
+    pub fn collect(&mut self, burst: &Burst) -> Option<RestProgress> {
+        self.until_temperature = self.until_temperature.saturating_sub(1);
+        if self.until_temperature == 0 {
+            self.until_temperature = TEMPERATURE_SAMPLES;
+            self.follow_temperature();
+        }
+        if self.is_averaging {
+            return None;
+        }
+        let rest = self.rest.as_mut()?;
+        let raw = RawSample::decode(&burst.bytes);
+        let progress = rest.update(
+            raw.gyroscope.0,
+            raw.accelerometer.0,
+            self.temperature_celsius,
+        );
+        if matches!(progress, RestProgress::Done(_)) {
+            self.rest = None;
+        }
+        Some(progress)
+    }
+
+    /// Begins to collect rest: so many samples of it, in which nothing moves. Motion starts it over.
+    /// A stored offset that still holds shortens it to a quarter.
+    pub fn start_rest(&mut self, samples: u16) {
+        let watch = RestWatch::new(&self.settings.rest_scale(), samples);
+        let (expected_rad_s, sigma_rad_s) = self.known_offset();
+        self.rest = Some(watch.expecting(expected_rad_s, sigma_rad_s));
+        self.is_averaging = false;
+    }
+
+    /// Ends that.
+    pub fn stop_rest(&mut self) {
+        if !self.is_averaging {
+            self.rest = None;
+        }
+    }
+
+    /// How much of the rest is collected, 0 to 100; `None` if none is.
+    pub fn rest_progress_percent(&self) -> Option<u8> {
+        self.rest.as_ref().map(RestWatch::progress_percent)
+    }
+
+    /// What is known about the sensor.
+    pub const fn calibration(&self) -> &Calibration {
+        &self.settings.calibration
+    }
+
+    /// Takes over what is now known about the sensor, from the next sample on.
+    ///
+    /// The attitude goes on unless the mount or the level changes: then the body has other axes, and the filter
+    /// starts again, as does one that waits for an average.
+    pub fn set_calibration(&mut self, calibration: &Calibration) {
+        let before = self.settings;
+        let rate_before = self.body_offset();
+        self.settings.calibration = *calibration;
+        let has_other_axes = before.mount() != self.settings.mount()
+            || before.calibration.level != calibration.level;
+        let waits_for_average = self.settings.averaging_samples > 0 && !self.is_kalman();
+        if has_other_axes || waits_for_average {
+            self.estimator.restart();
+            self.has_started = false;
+            if waits_for_average {
+                self.start_rest(self.settings.averaging_samples);
+                self.is_averaging = true;
+            }
+        } else if self.has_started {
+            self.rate_offset_rad_s = self.known_offset().0;
+            self.derive_maps();
+            // What the map removes now, the filter need not any more.
+            self.estimator.shift_bias(rate_before - self.body_offset());
+        }
+    }
+
+    /// The mean specific force of a rest, m/s² in mounted axes: corrected and mounted, but not levelled.
+    /// What [`level`](crate::calibration::level::level) wants.
+    pub fn mounted_force_m_s2(&self, at_rest: &AtRest) -> Vector3 {
+        let reading = at_rest.specific_force_m_s2(&self.settings.rest_scale());
+        let correction = self.settings.calibration.accelerometer;
+        let sensor = correction.map_or(reading, |correction| correction.apply(reading));
+        self.settings.mount().to_body(sensor)
+    }
+
     /// Armed (`true`), the filter does nothing that is only safe on the ground. Default: false.
     pub fn set_armed(&mut self, is_armed: bool) {
         self.estimator.set_armed(is_armed);
@@ -225,9 +335,10 @@ impl<F: Filter> Pipeline<F> {
     /// The gyroscope's offset in body axes, as far as it is known: zero until the average is complete,
     /// or what [`FilterKind::Kalman`] makes of it so far.
     pub fn rate_offset_rad_s(&self) -> Vector3 {
+        let stored = self.body_offset();
         match self.estimator.kalman() {
-            Some(filter) => filter.bias_rad_s(),
-            None => self.rate_offset_rad_s,
+            Some(filter) => stored + filter.bias_rad_s(),
+            None => stored,
         }
     }
 
@@ -236,55 +347,186 @@ impl<F: Filter> Pipeline<F> {
         self.estimator.classic_angles()
     }
 
+    /// Known when compiled for one filter, so that the average is not linked in vain.
+    fn is_kalman(&self) -> bool {
+        self.estimator.kalman().is_some()
+    }
+
     fn average_at_rest(&mut self, raw: &RawSample) -> Flags {
-        // Known when compiled for one filter, so that the average is not linked in vain.
-        if self.estimator.kalman().is_some() {
+        if self.is_kalman() {
             return Flags::NONE;
         }
-        let Some(startup) = &mut self.startup else {
+        let Some(rest) = self.rest.as_mut().filter(|_| self.is_averaging) else {
             return Flags::NONE;
         };
-        let progress = startup.update(
+        let progress = rest.update(
             raw.gyroscope.0,
             raw.accelerometer.0,
             self.temperature_celsius,
         );
         match progress {
-            Progress::Averaging => Flags::CALIBRATING,
-            Progress::Moved => Flags::CALIBRATING | Flags::MOVED,
-            Progress::Done(at_rest) => {
-                self.startup = None;
-                self.calibrate(&at_rest);
+            RestProgress::Collecting => Flags::CALIBRATING,
+            RestProgress::Moved(_) => Flags::CALIBRATING | Flags::MOVED,
+            RestProgress::Done(at_rest) => {
+                self.rest = None;
+                self.is_averaging = false;
+                self.apply_average(&at_rest);
                 Flags::CALIBRATING
             }
         }
     }
 
-    fn calibrate(&mut self, at_rest: &AtRest) {
-        let mount = self.settings.mount;
-        self.rate_offset_rad_s = mount
-            .to_body(at_rest.gyroscope_counts)
-            .scale(self.rad_s_per_count);
+    fn apply_average(&mut self, at_rest: &AtRest) {
+        self.rate_offset_rad_s = self.settings.rest_scale().rad_s(at_rest.gyroscope_counts);
+        self.derive_maps();
         if self.estimator.classic_angles().is_some() {
             // The tutorial takes the table for level: whatever is not one g upwards is offset.
             let gravity = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
-            self.force_offset_m_s2 = mount
-                .to_body(at_rest.accelerometer_counts)
-                .scale(self.m_s2_per_count)
-                - gravity;
+            let map = &mut self.accelerometer_map;
+            map.offset = gravity - map.turn(at_rest.accelerometer_counts);
         }
         self.estimator.restart();
     }
 
-    fn in_body(&self, [x, y, z]: [i16; 3], per_count: f32) -> Vector3 {
-        let sensor = Vector3::new(f32::from(x), f32::from(y), f32::from(z));
-        self.settings.mount.to_body(sensor).scale(per_count)
+    /// With the first sample the temperature is known, and with it what is known of the offset.
+    #[cold]
+    #[inline(never)]
+    fn start(&mut self) {
+        self.has_started = true;
+        let (offset_rad_s, sigma_rad_s) = self.known_offset();
+        self.rate_offset_rad_s = offset_rad_s;
+        self.derive_maps();
+        if sigma_rad_s < LARGEST_STORED_SIGMA_RAD_S {
+            self.estimator.set_bias(Vector3::ZERO, sigma_rad_s);
+            if self.is_averaging {
+                self.rest = self
+                    .rest
+                    .map(|rest| rest.expecting(offset_rad_s, sigma_rad_s));
+            }
+        }
+    }
+
+    /// The gyroscope's offset at the present temperature as it is known without the filter, rad/s in sensor axes, and its σ.
+    fn known_offset(&self) -> (Vector3, f32) {
+        let calibration = &self.settings.calibration;
+        let (stored, stored_sigma) = match calibration.gyroscope {
+            None => (Vector3::ZERO, LARGEST_STORED_SIGMA_RAD_S),
+            Some(stored) => {
+                let away = self.temperature_celsius - stored.temperature_celsius;
+                let drift = STORED_OFFSET_SIGMA_PER_CELSIUS * away;
+                let variance =
+                    STORED_OFFSET_SIGMA_RAD_S * STORED_OFFSET_SIGMA_RAD_S + drift * drift;
+                let sigma = libm::sqrtf(variance).min(LARGEST_STORED_SIGMA_RAD_S);
+                (stored.offset_rad_s, sigma)
+            }
+        };
+        match calibration.temperature {
+            None => (stored, stored_sigma),
+            Some(model) => {
+                let (offset, weight) = model.offset_at(self.temperature_celsius);
+                let rest = 1.0 - weight;
+                (
+                    offset.scale(weight) + stored.scale(rest),
+                    MODEL_SIGMA_RAD_S * weight + stored_sigma * rest,
+                )
+            }
+        }
+    }
+
+    /// Moves the offset along the temperature model; outside of its range it stays where it is.
+    #[inline(never)]
+    fn follow_temperature(&mut self) {
+        let Some(model) = self.settings.calibration.temperature else {
+            return;
+        };
+        if self.is_averaging || !self.has_started {
+            return;
+        }
+        let (_, weight) = model.offset_at(self.temperature_celsius);
+        if weight > 0.0 {
+            self.rate_offset_rad_s = self.known_offset().0;
+            self.gyroscope_map.remove(self.rate_offset_rad_s);
+        }
+    }
+
+    /// What the gyroscope's map removes, rad/s in body axes.
+    fn body_offset(&self) -> Vector3 {
+        -self.gyroscope_map.offset
+    }
+
+    fn derive_maps(&mut self) {
+        let sensor = &self.settings.sensor;
+        let mount = self.settings.mount();
+        let level = self.settings.calibration.level;
+        let to_body = |sensor: Vector3| {
+            let mounted = mount.to_body(sensor);
+            level.map_or(mounted, |level| level.rotate(mounted))
+        };
+        let correction = self
+            .settings
+            .calibration
+            .accelerometer
+            .unwrap_or(AccelerometerCorrection::NONE);
+        self.accelerometer_map = Affine::new(
+            |sensor| to_body(correction.times(sensor)),
+            sensor.accelerometer_range.m_s2_per_count(),
+        );
+        self.accelerometer_map.remove(correction.offset_m_s2);
+        self.gyroscope_map = Affine::new(to_body, sensor.gyroscope_range.rad_s_per_count());
+        self.gyroscope_map.remove(self.rate_offset_rad_s);
+    }
+}
+
+/// Counts in sensor axes to SI units in body axes: scale, correction, mount and level in one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Affine {
+    /// What one count along each sensor axis is in the body's axes.
+    columns: [Vector3; 3],
+    offset: Vector3,
+    counts_per_unit: f32,
+}
+
+impl Affine {
+    const NONE: Self = Self {
+        columns: [Vector3::ZERO; 3],
+        offset: Vector3::ZERO,
+        counts_per_unit: 1.0,
+    };
+
+    /// The map that a linear one makes of units per count.
+    fn new(linear: impl Fn(Vector3) -> Vector3, per_count: f32) -> Self {
+        Self {
+            columns: [
+                linear(Vector3::new(1.0, 0.0, 0.0)).scale(per_count),
+                linear(Vector3::new(0.0, 1.0, 0.0)).scale(per_count),
+                linear(Vector3::new(0.0, 0.0, 1.0)).scale(per_count),
+            ],
+            offset: Vector3::ZERO,
+            counts_per_unit: 1.0 / per_count,
+        }
+    }
+
+    /// From now on this reading, in units along the sensor's axes, becomes zero.
+    fn remove(&mut self, reading: Vector3) {
+        self.offset = -self.turn(reading.scale(self.counts_per_unit));
+    }
+
+    #[inline]
+    fn apply(&self, [x, y, z]: [i16; 3]) -> Vector3 {
+        self.turn(Vector3::new(f32::from(x), f32::from(y), f32::from(z))) + self.offset
+    }
+
+    #[inline]
+    fn turn(&self, counts: Vector3) -> Vector3 {
+        let [x, y, z] = self.columns;
+        x.scale(counts.x) + y.scale(counts.y) + z.scale(counts.z)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibration::GyroscopeOffset;
     use crate::mpu6050::{AccelerometerCounts, GyroscopeCounts, TemperatureCounts};
     use crate::units::radians;
 
@@ -401,14 +643,12 @@ mod tests {
         let angles = last.euler();
         assert!(angles.roll_rad.abs() < 0.01 && angles.pitch_rad.abs() < 0.01);
 
-        let stored = StoredBias {
-            bias_rad_s: pipeline.rate_offset_rad_s(),
-            sigma_rad_s: radians(0.1),
-        };
-        let mut pipeline = Pipeline::new(&Settings {
-            stored_bias: Some(stored),
-            ..settings()
+        let mut known = settings();
+        known.calibration.gyroscope = Some(GyroscopeOffset {
+            offset_rad_s: Mount::Z_UP.to_sensor(pipeline.rate_offset_rad_s()),
+            temperature_celsius: 25.0,
         });
+        let mut pipeline = Pipeline::new(&known);
         let snapshot = pipeline.update(&burst(Mount::Z_UP, 0, LEVEL, offset));
         assert!(snapshot.body_rates_rad_s.norm().to_degrees() < 0.2);
     }
@@ -455,8 +695,8 @@ mod tests {
                 done.get_or_insert(index);
             }
         }
-        assert_eq!(moved, [599]);
-        assert_eq!(done, Some(1600));
+        assert_eq!(moved, [601]);
+        assert_eq!(done, Some(1602));
     }
 
     #[test]

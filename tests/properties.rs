@@ -1,7 +1,7 @@
 //! Properties of the library, over many generated inputs, against formulas of their own.
 
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3, sine_cosine, wrap_pi};
-use aplomb::calibration::{Mount, Progress, StartupAverage, StartupScale};
+use aplomb::calibration::{Mount, RestProgress, RestScale, RestWatch};
 use aplomb::estimator::FilterKind;
 use aplomb::health::Flags;
 use aplomb::mpu6050::{AccelerometerRange, Burst, GyroscopeRange, PARTS, RawSample};
@@ -225,25 +225,29 @@ proptest! {
 
     #[test]
     fn the_average_is_exact_or_motion_is_seen(
-        seed in prop::collection::vec(any::<i16>(), 1..8),
+        seed in prop::collection::vec(-32_000..32_000i16, 1..8),
         samples in 1..=u16::MAX,
     ) {
         // Scales at which no count is too fast, too wide or too heavy: arithmetic alone is tested.
-        let scale = StartupScale { counts_per_degree_s: 1.0e6, counts_per_g: 32_768.0 };
-        let mut average = StartupAverage::new(samples, scale);
+        let scale = RestScale {
+            gyroscope_sigma_counts: 1.0e6,
+            accelerometer_sigma_counts: 1.0e6,
+            ..RestScale::new([1.0e6, 32_000.0], [188.0, 184.0], 1000.0)
+        };
+        let mut watch = RestWatch::new(&scale, samples);
         let gyroscope = |index: u32| seed[index as usize % seed.len()];
         let mut sum = 0_i64;
         for index in 0..u32::from(samples) {
             let value = gyroscope(index);
             sum += i64::from(value);
-            let progress = average.update([value, -(value / 2), 0], [0, 0, -32_768], 25.0);
+            let progress = watch.update([value, -(value / 2), 0], [0, 0, -32_000], 25.0);
             if index + 1 < u32::from(samples) {
-                prop_assert_eq!(progress, Progress::Averaging);
-            } else if let Progress::Done(at_rest) = progress {
+                prop_assert_eq!(progress, RestProgress::Collecting);
+            } else if let RestProgress::Done(at_rest) = progress {
                 let exact = sum as f64 / f64::from(samples);
                 let error = (f64::from(at_rest.gyroscope_counts.x) - exact).abs();
                 prop_assert!(error <= exact.abs() * 1.2e-7 + 1e-7, "{}", error);
-                prop_assert_eq!(at_rest.accelerometer_counts.z, -32_768.0);
+                prop_assert_eq!(at_rest.accelerometer_counts.z, -32_000.0);
             } else {
                 prop_assert!(false, "{:?}", progress);
             }
@@ -255,14 +259,23 @@ proptest! {
         samples in 1..=3000u16,
         readings in prop::collection::vec(any::<[i16; 6]>(), 1..400),
         celsius in any_bits(),
+        counts in (any_bits(), any_bits()),
+        bandwidths in (any_bits(), any_bits(), any_bits()),
+        expected in any_bits(),
     ) {
-        let scale = StartupScale { counts_per_degree_s: 16.4, counts_per_g: 2048.0 };
-        let mut average = StartupAverage::new(samples, scale);
-        for [a, b, c, d, e, f] in readings {
-            if let Progress::Done(at_rest) = average.update([a, b, c], [d, e, f], celsius) {
-                for mean in [at_rest.gyroscope_counts, at_rest.accelerometer_counts] {
-                    prop_assert!(mean.is_within(32_768.0), "{mean:?}");
+        for scale in [
+            RestScale::new([16.4, 2048.0], [188.0, 184.0], 1000.0),
+            RestScale::new([counts.0, counts.1], [bandwidths.0, bandwidths.1], bandwidths.2),
+        ] {
+            let vector = Vector3::new(expected, celsius, counts.0);
+            let mut watch = RestWatch::new(&scale, samples).expecting(vector, expected);
+            for &[a, b, c, d, e, f] in &readings {
+                if let RestProgress::Done(at_rest) = watch.update([a, b, c], [d, e, f], celsius) {
+                    for mean in [at_rest.gyroscope_counts, at_rest.accelerometer_counts] {
+                        prop_assert!(mean.is_within(32_768.0), "{mean:?}");
+                    }
                 }
+                prop_assert!(watch.progress_percent() <= 100);
             }
         }
     }

@@ -146,11 +146,36 @@ struct Direction {
     is_negative: bool,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Axis {
+/// An axis of the sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Axis {
+    /// Printed as an arrow on many boards.
     X,
+    /// Across it.
     Y,
+    /// Out of the chip's face.
     Z,
+}
+
+impl Axis {
+    /// All of them, in order.
+    pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
+
+    /// Its letter.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Z => "z",
+        }
+    }
+}
+
+impl core::fmt::Display for Axis {
+    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        formatter.pad(self.name())
+    }
 }
 
 impl Direction {

@@ -22,6 +22,17 @@ pub struct Calibration {
     pub level: Option<Quaternion>,
 }
 
+impl Calibration {
+    /// Nothing is known.
+    pub const NONE: Self = Self {
+        mount: None,
+        gyroscope: None,
+        temperature: None,
+        accelerometer: None,
+        level: None,
+    };
+}
+
 /// A gyroscope offset that was measured at rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

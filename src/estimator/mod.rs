@@ -159,10 +159,23 @@ impl<F: Filter> Estimator<F> {
     /// [`kalman`]. The other filters want it removed from the samples.
     #[must_use]
     pub fn with_bias(mut self, bias_rad_s: Vector3, sigma_rad_s: f32) -> Self {
+        self.set_bias(bias_rad_s, sigma_rad_s);
+        self
+    }
+
+    /// The same for an estimator that is there already; it works until the first sample.
+    pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         if let Some(filter) = self.filter.kalman_mut() {
             filter.set_bias(bias_rad_s, sigma_rad_s);
         }
-        self
+    }
+
+    /// From the next sample on the rates have this more of an offset, rad/s, because somebody removes less (or more, where
+    /// negative) before: the attitude goes on as if nothing had happened.
+    pub fn shift_bias(&mut self, change_rad_s: Vector3) {
+        if let Some(filter) = self.filter.kalman_mut() {
+            filter.shift_bias(change_rad_s);
+        }
     }
 
     /// Armed (`true`), nothing is done that is only safe on the ground. Default: false.

@@ -11,14 +11,15 @@ use core::fmt;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{self, Error as _, ErrorKind, ErrorType, I2c, NoAcknowledgeSource};
 
-use super::burst::{BURST_LENGTH, Burst};
-use super::config::Config;
+use super::burst::{BURST_LENGTH, Burst, RawSample};
+use super::config::{AccelerometerRange, Config, GyroscopeRange, LowPass};
 use super::part::{PARTS, Part};
 use super::registers::{
     ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, INTERRUPT_ACTIVE_HIGH_PULSE,
     INTERRUPT_DATA_READY, LOW_PASS_MASK, POWER_AWAKE_GYROSCOPE_CLOCK, POWER_AWAKE_INTERNAL_CLOCK,
-    POWER_DEVICE_RESET, Register, SIGNAL_PATH_RESET_ALL,
+    POWER_DEVICE_RESET, Register, SELF_TEST_ALL_AXES, SIGNAL_PATH_RESET_ALL,
 };
+use super::self_test::{AxisTest, SelfTest};
 
 /// The two bus addresses, with the AD0 pin low and high (product specification §9.2).
 pub const ADDRESSES: [u8; 2] = [0x68, 0x69];
@@ -31,6 +32,17 @@ const POWER_UP_INTERVAL_MS: u32 = 10;
 const RESET_MS: u32 = 100;
 /// The gyroscope's zero-rate output settles in this time (product specification §6.1).
 const ZERO_RATE_SETTLING_MS: u32 = 30;
+/// Samples that each of the self-test's two readings is a mean of, 1 ms apart.
+const SELF_TEST_SAMPLES: u16 = 200;
+/// The filter of [`SELF_TEST_CONFIG`] and the deflection itself settle in much less than this.
+const SELF_TEST_SETTLING_MS: u32 = 100;
+/// Gyroscope at ±250 °/s, accelerometer at ±8 g (register map §4.1).
+const SELF_TEST_CONFIG: Config = Config {
+    accelerometer_range: AccelerometerRange::G8,
+    gyroscope_range: GyroscopeRange::Degrees250,
+    low_pass: LowPass::Hertz98,
+    sample_rate_divider: 0,
+};
 
 /// A sensor that was found, and the bus it sits on.
 #[derive(Debug)]
@@ -82,31 +94,61 @@ impl<I2C: I2c> Mpu6050<I2C> {
         delay: &mut impl DelayNs,
     ) -> Result<(), Error<I2C::Error>> {
         self.reset_and_wake(delay)?;
-        self.set(Register::SampleRateDivider, config.sample_rate_divider)?;
-        let low_pass = config.low_pass.bits();
-        self.modify(Register::Configuration, LOW_PASS_MASK, low_pass)?;
-        self.modify(
-            Register::GyroscopeConfiguration,
-            FULL_SCALE_MASK,
-            config.gyroscope_range.bits() << FULL_SCALE_SHIFT,
-        )?;
-        self.modify(
-            Register::AccelerometerConfiguration,
-            FULL_SCALE_MASK,
-            config.accelerometer_range.bits() << FULL_SCALE_SHIFT,
-        )?;
-        if self.part.has_accelerometer_low_pass {
-            self.modify(
-                Register::AccelerometerConfiguration2,
-                ACCELEROMETER_LOW_PASS_MASK,
-                low_pass,
-            )?;
-        }
+        self.set_ranges(config)?;
         self.set(
             Register::InterruptPinConfiguration,
             INTERRUPT_ACTIVE_HIGH_PULSE,
         )?;
         self.set(Register::InterruptEnable, INTERRUPT_DATA_READY)
+    }
+
+    /// Does the datasheet's self-test; the sensor has to rest meanwhile, for about 0.9 s.
+    ///
+    /// It leaves the sensor without interrupts and at other ranges: call [`configure`](Self::configure) after it.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`configure`](Self::configure). A response that is wrong is no error but in the result.
+    pub fn self_test(&mut self, delay: &mut impl DelayNs) -> Result<SelfTest, Error<I2C::Error>> {
+        self.reset_and_wake(delay)?;
+        self.set_ranges(&SELF_TEST_CONFIG)?;
+        let mut codes = [0; 4];
+        if self.part.has_self_test_trim {
+            read(&mut self.i2c, self.address, Register::SelfTestX, &mut codes)?;
+        }
+        delay.delay_ms(SELF_TEST_SETTLING_MS);
+        let off = self.mean_counts(delay)?;
+        for register in [
+            Register::GyroscopeConfiguration,
+            Register::AccelerometerConfiguration,
+        ] {
+            self.modify(register, SELF_TEST_ALL_AXES, SELF_TEST_ALL_AXES)?;
+        }
+        delay.delay_ms(SELF_TEST_SETTLING_MS);
+        let on = self.mean_counts(delay)?;
+        let mut axes =
+            on.into_iter()
+                .zip(off)
+                .zip(SelfTest::trims(codes))
+                .map(|((on, off), trims)| {
+                    let [x, y, z] = on;
+                    let [off_x, off_y, off_z] = off;
+                    let [trim_x, trim_y, trim_z] = trims;
+                    [(x, off_x, trim_x), (y, off_y, trim_y), (z, off_z, trim_z)].map(
+                        |(on, off, trim_counts)| AxisTest {
+                            response_counts: on - off,
+                            trim_counts,
+                        },
+                    )
+                });
+        let none = [AxisTest {
+            response_counts: 0.0,
+            trim_counts: None,
+        }; 3];
+        Ok(SelfTest {
+            gyroscope: axes.next().unwrap_or(none),
+            accelerometer: axes.next().unwrap_or(none),
+        })
     }
 
     /// Reads one sample, blocking; for processors whose burst reads need no DMA.
@@ -142,6 +184,52 @@ impl<I2C: I2c> Mpu6050<I2C> {
     /// Gives the bus back.
     pub fn release(self) -> I2C {
         self.i2c
+    }
+
+    /// The mean of some samples, in counts: gyroscope, accelerometer.
+    fn mean_counts(
+        &mut self,
+        delay: &mut impl DelayNs,
+    ) -> Result<[[f32; 3]; 2], Error<I2C::Error>> {
+        let mut sums = [[0_i32; 3]; 2];
+        for _ in 0..SELF_TEST_SAMPLES {
+            let sample = RawSample::decode(&self.read_burst(0)?.bytes);
+            for (sum, counts) in sums
+                .iter_mut()
+                .zip([sample.gyroscope.0, sample.accelerometer.0])
+            {
+                for (sum, count) in sum.iter_mut().zip(counts) {
+                    *sum += i32::from(count);
+                }
+            }
+            delay.delay_ms(1);
+        }
+        Ok(sums.map(|sum| sum.map(|sum| sum as f32 / f32::from(SELF_TEST_SAMPLES))))
+    }
+
+    /// Everything but the interrupt.
+    fn set_ranges(&mut self, config: &Config) -> Result<(), Error<I2C::Error>> {
+        self.set(Register::SampleRateDivider, config.sample_rate_divider)?;
+        let low_pass = config.low_pass.bits();
+        self.modify(Register::Configuration, LOW_PASS_MASK, low_pass)?;
+        self.modify(
+            Register::GyroscopeConfiguration,
+            FULL_SCALE_MASK,
+            config.gyroscope_range.bits() << FULL_SCALE_SHIFT,
+        )?;
+        self.modify(
+            Register::AccelerometerConfiguration,
+            FULL_SCALE_MASK,
+            config.accelerometer_range.bits() << FULL_SCALE_SHIFT,
+        )?;
+        if self.part.has_accelerometer_low_pass {
+            self.modify(
+                Register::AccelerometerConfiguration2,
+                ACCELEROMETER_LOW_PASS_MASK,
+                low_pass,
+            )?;
+        }
+        Ok(())
     }
 
     fn reset_and_wake(&mut self, delay: &mut impl DelayNs) -> Result<(), Error<I2C::Error>> {

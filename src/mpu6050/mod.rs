@@ -2,7 +2,7 @@
 //!
 //! `registers` is the datasheet's map and nothing else, `config` the settings and their scales,
 //! `part` the table of chips, `burst` the 14 bytes of one sample, and `driver` the blocking
-//! configuration over any `embedded-hal` bus. Reading samples at speed is the board's business; it
+//! configuration over any `embedded-hal` bus, `self_test` what its self-test says. Reading samples at speed is the board's business; it
 //! only has to hand over a [`Burst`].
 //!
 //! "Register map" means RM-MPU-6000A revision 4.2, "product specification" PS-MPU-6000A 3.4.
@@ -12,6 +12,7 @@ mod config;
 mod driver;
 mod part;
 pub mod registers;
+mod self_test;
 
 pub use burst::{
     AccelerometerCounts, BURST_LENGTH, Burst, GyroscopeCounts, RawSample, TemperatureCounts,
@@ -19,3 +20,4 @@ pub use burst::{
 pub use config::{AccelerometerRange, Config, GyroscopeRange, LowPass};
 pub use driver::{ADDRESSES, Error, Mpu6050, Operation, ProbeFailure};
 pub use part::{PARTS, Part, Temperature};
+pub use self_test::{AxisTest, SelfTest, TOLERANCE as SELF_TEST_TOLERANCE};

@@ -26,6 +26,8 @@ pub struct Part {
     pub temperature: Temperature,
     /// Whether ACCEL_CONFIG_2 (0x1D) sets the accelerometer's low-pass filter.
     pub has_accelerometer_low_pass: bool,
+    /// Whether SELF_TEST_X to _A (0x0D to 0x10) hold the factory trim of the MPU-6050's self-test.
+    pub has_self_test_trim: bool,
     /// The values PWR_MGMT_1 may have after a reset.
     pub power_after_reset: &'static [u8],
 }
@@ -37,6 +39,7 @@ impl Part {
         who_am_i: 0x68,
         temperature: MPU_6050_TEMPERATURE,
         has_accelerometer_low_pass: false,
+        has_self_test_trim: true,
         power_after_reset: &[ASLEEP],
     };
 
@@ -73,6 +76,7 @@ pub static PARTS: [Part; 6] = [
         who_am_i: 0x70,
         temperature: MPU_6500_TEMPERATURE,
         has_accelerometer_low_pass: true,
+        has_self_test_trim: false,
         power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
     },
     Part {
@@ -80,6 +84,7 @@ pub static PARTS: [Part; 6] = [
         who_am_i: 0x71,
         temperature: MPU_6500_TEMPERATURE,
         has_accelerometer_low_pass: true,
+        has_self_test_trim: false,
         power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
     },
     // Seen on modules sold as MPU-6050 (GY-87 and others), which behave as one.
@@ -88,6 +93,7 @@ pub static PARTS: [Part; 6] = [
         who_am_i: 0x72,
         temperature: MPU_6050_TEMPERATURE,
         has_accelerometer_low_pass: false,
+        has_self_test_trim: true,
         power_after_reset: &[ASLEEP, AWAKE, ASLEEP_BEST_CLOCK],
     },
     Part {
@@ -95,6 +101,7 @@ pub static PARTS: [Part; 6] = [
         who_am_i: 0x73,
         temperature: MPU_6500_TEMPERATURE,
         has_accelerometer_low_pass: true,
+        has_self_test_trim: false,
         power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
     },
     // Also the identity of the commonest clone sold as MPU-6050.
@@ -106,6 +113,7 @@ pub static PARTS: [Part; 6] = [
             celsius_at_zero: 25.0,
         },
         has_accelerometer_low_pass: true,
+        has_self_test_trim: false,
         power_after_reset: &[ASLEEP, ASLEEP_BEST_CLOCK, AWAKE],
     },
 ];

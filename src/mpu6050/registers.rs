@@ -8,6 +8,8 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Register {
+    /// SELF_TEST_X, §4.1: the first of four registers with the factory trim of the self-test.
+    SelfTestX = 0x0D,
     /// SMPLRT_DIV, §4.2: the sample rate is the filter's output rate over this plus one.
     SampleRateDivider = 0x19,
     /// CONFIG, §4.3: the digital low-pass filter.
@@ -41,6 +43,7 @@ impl Register {
     /// The datasheet's name.
     pub const fn name(self) -> &'static str {
         match self {
+            Self::SelfTestX => "SELF_TEST_X",
             Self::SampleRateDivider => "SMPLRT_DIV",
             Self::Configuration => "CONFIG",
             Self::GyroscopeConfiguration => "GYRO_CONFIG",
@@ -64,6 +67,8 @@ pub const ACCELEROMETER_LOW_PASS_MASK: u8 = 0b0000_1111;
 pub const FULL_SCALE_MASK: u8 = 0b0001_1000;
 /// Where [`FULL_SCALE_MASK`] begins.
 pub const FULL_SCALE_SHIFT: u32 = 3;
+/// GYRO_CONFIG and ACCEL_CONFIG bits 7:5: self-test of x, y and z (§4.4, §4.5).
+pub const SELF_TEST_ALL_AXES: u8 = 0b1110_0000;
 /// INT_PIN_CFG: active high, push-pull, 50 µs pulse, no bypass (§4.15: every bit zero).
 pub const INTERRUPT_ACTIVE_HIGH_PULSE: u8 = 0x00;
 /// INT_ENABLE bit 0, DATA_RDY_EN (§4.16).

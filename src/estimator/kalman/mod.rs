@@ -242,6 +242,14 @@ impl Kalman {
         self.bias_prior = [square(sigma_rad_s); 3];
     }
 
+    /// From the next sample on the readings have this more of a bias, rad/s, because less is removed before they come here.
+    pub(super) fn shift_bias(&mut self, change_rad_s: Vector3) {
+        self.mean.bias_rad_s = self.mean.bias_rad_s + change_rad_s;
+        self.mean.derive_offset();
+        self.prior_bias_rad_s = self.prior_bias_rad_s + change_rad_s;
+        self.rest.shift(change_rad_s);
+    }
+
     /// Forgets everything but its settings and the quaternion's sign.
     pub(super) fn restart(&mut self) {
         let attitude = Quaternion::IDENTITY.with_sign_of(self.mean.attitude);

@@ -44,6 +44,11 @@ impl Rest {
         };
     }
 
+    /// The rates to come are higher by this, rad/s, though nothing turns.
+    pub(super) fn shift(&mut self, change_rad_s: Vector3) {
+        self.average_rate_rad_s = self.average_rate_rad_s + change_rad_s;
+    }
+
     /// Takes a sample's readings, `duration_s` after the one that it took before.
     pub(super) fn update(
         &mut self,
