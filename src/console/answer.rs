@@ -5,7 +5,7 @@ use core::fmt::{self, Write};
 use crate::attitude::Vector3;
 
 /// Room for the longest answer, its line end not counted, in bytes.
-pub const ANSWER_CAPACITY: usize = 352;
+pub const ANSWER_CAPACITY: usize = 416;
 
 /// The first word of an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -88,7 +88,11 @@ impl fmt::Display for Decimal {
         if unit == 1 {
             return write!(formatter, "{sign}{whole}");
         }
-        write!(formatter, "{sign}{whole}.{rest:0width$}", width = decimals as usize)
+        write!(
+            formatter,
+            "{sign}{whole}.{rest:0width$}",
+            width = decimals as usize
+        )
     }
 }
 
@@ -125,7 +129,10 @@ mod tests {
         ] {
             assert_eq!(Decimal(value, decimals).to_string(), text);
         }
-        assert_eq!(Triple(Vector3::new(1.0, -2.5, 0.0), 1).to_string(), "1.0,-2.5,0.0");
+        assert_eq!(
+            Triple(Vector3::new(1.0, -2.5, 0.0), 1).to_string(),
+            "1.0,-2.5,0.0"
+        );
     }
 
     proptest! {

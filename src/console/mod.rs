@@ -38,7 +38,9 @@ use line::LineAssembler;
 use procedure::{Procedure, Step};
 
 use crate::attitude::Vector3;
-use crate::calibration::{Calibration, Mount, OutputFormat, Preferences, Record, RestProgress, RestScale};
+use crate::calibration::{
+    Calibration, Mount, OutputFormat, Preferences, Record, RestProgress, RestScale,
+};
 use crate::mpu6050::Part;
 use crate::telemetry;
 use crate::units::degrees;
@@ -172,9 +174,14 @@ enum Baud {
     /// To change to it as soon as the answer is out.
     Asked(u32),
     /// Changed, and nobody has been understood yet.
-    Trial { now: u32, since_us: u32 },
+    Trial {
+        now: u32,
+        since_us: u32,
+    },
     /// To change back, since nobody has.
-    Failed { tried: u32 },
+    Failed {
+        tried: u32,
+    },
 }
 
 impl Console {
@@ -296,7 +303,11 @@ impl Console {
                 procedure::set_mount(&mut self.working.calibration, mount, before);
                 module.set_calibration(&self.working.calibration);
                 let has_lost = had_level && self.working.calibration.level.is_none();
-                let lost = if has_lost { ", its level is to be calibrated again" } else { "" };
+                let lost = if has_lost {
+                    ", its level is to be calibrated again"
+                } else {
+                    ""
+                };
                 ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
             }
             Command::Rate(rate_hz) => self.prefer(Preferences {
@@ -319,7 +330,12 @@ impl Console {
         }
         let is_compatible = matches!(
             command,
-            Help | Status | Show | Arm | Disarm | Rate(_) | Format(_)
+            Help | Status
+                | Show
+                | Arm
+                | Disarm
+                | Rate(_)
+                | Format(_)
                 | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
         );
         match &self.procedure {
@@ -333,7 +349,9 @@ impl Console {
 
     fn save(&mut self, module: &mut impl Module) -> Answer {
         if !self.has_unsaved() {
-            return ok(format_args!("save: nothing has changed, nothing is written"));
+            return ok(format_args!(
+                "save: nothing has changed, nothing is written"
+            ));
         }
         let task = Task::Save(self.working);
         self.task = Some(task);
@@ -352,7 +370,11 @@ impl Console {
             }
             Task::SelfTest => "self-test",
         };
-        let kind = if outcome.is_ok { Kind::Done } else { Kind::Failed };
+        let kind = if outcome.is_ok {
+            Kind::Done
+        } else {
+            Kind::Failed
+        };
         Answer::new(kind, format_args!("{name}: {}", outcome.text))
     }
 
@@ -406,7 +428,10 @@ impl Console {
         match self.procedure.take() {
             Some(procedure) => {
                 module.stop_rest();
-                ok(format_args!("calibrate stop: \"{}\" is given up", procedure.name()))
+                ok(format_args!(
+                    "calibrate stop: \"{}\" is given up",
+                    procedure.name()
+                ))
             }
             None => ok(format_args!("calibrate stop: nothing went on")),
         }
@@ -437,18 +462,20 @@ impl Console {
     /// Lets the measurement go on that is under way.
     fn rest(&mut self, now_us: u32, module: &mut impl Module) -> Option<Answer> {
         let mount = self.mount();
+        let samples = self.samples(self.procedure.as_ref()?);
         let procedure = self.procedure.as_mut()?;
         if let Some(progress) = module.take_rest() {
-            match procedure.rest(progress, &self.working.calibration, mount, &self.scale) {
-                Step::Wait => {}
-                Step::Say(answer) => {
-                    self.said_at_us = now_us;
-                    return Some(answer);
-                }
-                Step::End(answer, calibration) => {
-                    self.end(calibration, module);
-                    return Some(answer);
-                }
+            let step = procedure.rest(progress, &self.working.calibration, mount, &self.scale);
+            if let Step::End(answer, calibration) = step {
+                self.end(calibration, module);
+                return Some(answer);
+            }
+            if matches!(progress, RestProgress::Done(_)) {
+                module.start_rest(samples);
+            }
+            if let Step::Say(answer) = step {
+                self.said_at_us = now_us;
+                return Some(answer);
             }
         }
         let procedure = self.procedure.as_mut()?;
@@ -461,7 +488,11 @@ impl Console {
 
     /// New preferences, if the line carries them.
     fn prefer(&mut self, preferences: Preferences) -> Answer {
-        let Preferences { format, rate_hz, baud } = preferences;
+        let Preferences {
+            format,
+            rate_hz,
+            baud,
+        } = preferences;
         let most = telemetry::largest_rate_hz(format, baud);
         if u32::from(rate_hz) > most {
             return error(format_args!(
@@ -470,11 +501,18 @@ impl Console {
             ));
         }
         self.working.preferences = preferences;
-        ok(format_args!("{}, {rate_hz} a second; \"save\" keeps it", format.name()))
+        ok(format_args!(
+            "{}, {rate_hz} a second; \"save\" keeps it",
+            format.name()
+        ))
     }
 
     fn ask_baud(&mut self, baud: u32) -> Answer {
-        let Preferences { format, rate_hz, baud: before } = self.working.preferences;
+        let Preferences {
+            format,
+            rate_hz,
+            baud: before,
+        } = self.working.preferences;
         let most = telemetry::largest_rate_hz(format, baud);
         if u32::from(rate_hz) > most {
             return error(format_args!(
@@ -638,10 +676,13 @@ struct Forms;
 
 impl fmt::Display for Forms {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        Form::all().iter().enumerate().try_for_each(|(index, form)| {
-            let separator = if index == 0 { "" } else { ", " };
-            write!(formatter, "{separator}{form}")
-        })
+        Form::all()
+            .iter()
+            .enumerate()
+            .try_for_each(|(index, form)| {
+                let separator = if index == 0 { "" } else { ", " };
+                write!(formatter, "{separator}{form}")
+            })
     }
 }
 
@@ -744,7 +785,12 @@ impl fmt::Display for Shown<'_> {
             Some(trim) => {
                 let angles = trim.to_euler();
                 let angle = |radians| Decimal(degrees(radians), 2);
-                write!(formatter, "{},{}", angle(angles.roll_rad), angle(angles.pitch_rad))?;
+                write!(
+                    formatter,
+                    "{},{}",
+                    angle(angles.roll_rad),
+                    angle(angles.pitch_rad)
+                )?;
             }
             None => formatter.write_str("none")?,
         }
@@ -753,6 +799,10 @@ impl fmt::Display for Shown<'_> {
             rate_hz,
             baud,
         } = preferences;
-        write!(formatter, " format={} rate={rate_hz} baud={baud}", format.name())
+        write!(
+            formatter,
+            " format={} rate={rate_hz} baud={baud}",
+            format.name()
+        )
     }
 }

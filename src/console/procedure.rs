@@ -7,7 +7,7 @@ use super::answer::{Answer, Decimal, Kind, Triple};
 use crate::calibration::accelerometer::{Pose, PoseCollector, PoseRefused};
 use crate::calibration::level::{self, MountFinder, MountStep};
 use crate::calibration::temperature::TemperatureLearner;
-use crate::calibration::{AtRest, Calibration, Mount, MotionReason, RestProgress, RestScale};
+use crate::calibration::{AtRest, Calibration, MotionReason, Mount, RestProgress, RestScale};
 use crate::units::degrees;
 
 /// An accelerometer that lies still in its last pose so many rests longer is done.
@@ -23,7 +23,10 @@ pub(super) struct Procedure {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "there is one, and it lives in the console")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one, and it lives in the console"
+)]
 enum Measurement {
     Gyroscope,
     Accelerometer { poses: PoseCollector, still: u8 },
@@ -215,9 +218,9 @@ impl Procedure {
                             Err(answer) => Step::End(answer, None),
                         }
                     }
-                    Err(refused) if has_moved => {
-                        Step::Say(self.tell(Kind::Progress, format_args!("{refused}; next: {next}")))
-                    }
+                    Err(refused) if has_moved => Step::Say(
+                        self.tell(Kind::Progress, format_args!("{refused}; next: {next}")),
+                    ),
                     Err(_) => Step::Wait,
                 }
             }
@@ -254,10 +257,8 @@ impl Procedure {
                     )),
                     Ok(MountStep::Found(found)) => {
                         set_mount(&mut measured, found, mount);
-                        let answer = self.tell(
-                            Kind::Done,
-                            format_args!("mount {found}; \"save\" keeps it"),
-                        );
+                        let answer =
+                            self.tell(Kind::Done, format_args!("mount {found}; \"save\" keeps it"));
                         Step::End(answer, Some(measured))
                     }
                     Err(error) if has_moved => {
@@ -270,7 +271,10 @@ impl Procedure {
     }
 
     /// Ends it with what there is.
-    pub(super) fn finish(&self, calibration: &Calibration) -> Result<(Answer, Calibration), Answer> {
+    pub(super) fn finish(
+        &self,
+        calibration: &Calibration,
+    ) -> Result<(Answer, Calibration), Answer> {
         let mut measured = *calibration;
         let answer = match &self.what {
             Measurement::Accelerometer { poses, .. } => {
@@ -285,7 +289,10 @@ impl Procedure {
                     .fit()
                     .map_err(|error| self.tell(Kind::Error, format_args!("{error}")))?;
                 measured.temperature = Some(model);
-                self.tell(Kind::Done, format_args!("{}; \"save\" keeps it", Seen(learner)))
+                self.tell(
+                    Kind::Done,
+                    format_args!("{}; \"save\" keeps it", Seen(learner)),
+                )
             }
             _ => return Err(self.say(Kind::Error, "it ends by itself")),
         };
