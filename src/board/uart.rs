@@ -23,10 +23,10 @@ pub const RECEIVE_CAPACITY: usize = 2048;
 const BITS_PER_BYTE: u32 = 10;
 
 /// The error flags of the status register (RM0090, 30.6.1).
-const FRAMING: u32 = 1 << 1;
-const NOISE: u32 = 1 << 2;
-const OVERRUN: u32 = 1 << 3;
-const TRANSMISSION_COMPLETE: u32 = 1 << 6;
+const FRAMING: u16 = 1 << 1;
+const NOISE: u16 = 1 << 2;
+const OVERRUN: u16 = 1 << 3;
+const TRANSMISSION_COMPLETE: u16 = 1 << 6;
 
 /// Memory that the DMA writes.
 pub type ReceiveRing = [AtomicU8; RECEIVE_CAPACITY];

@@ -567,8 +567,9 @@ impl Channel {
         let axes = window.deviation.iter().zip(&mut self.quietest);
         for ((deviation, quietest), is_noisy) in axes.zip(&mut is_noisy) {
             let variance = deviation / (f32::from(samples) - 1.0).max(1.0);
-            let noise =
-                (*quietest / least).clamp(datasheet, NOISE_TOLERANCE * NOISE_TOLERANCE * datasheet);
+            let noise = (*quietest / least)
+                .max(datasheet)
+                .min(NOISE_TOLERANCE * NOISE_TOLERANCE * datasheet);
             *is_noisy = variance > most * noise;
             // A short last window says too little about what the axis can do.
             if freedom >= 0.5 * WINDOW_INDEPENDENT {

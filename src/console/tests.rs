@@ -123,8 +123,14 @@ impl Desk {
     /// One poll, 20 ms after the one before.
     fn poll(&mut self) -> Option<String> {
         self.now_us = self.now_us.wrapping_add(20_000);
-        let answer = self.console.poll(self.now_us, &mut self.bench)?;
-        Some(answer.to_string())
+        let mut answer = String::new();
+        let kind = self.console.poll(self.now_us, &mut self.bench, &mut answer);
+        assert_eq!(kind.is_some(), !answer.is_empty(), "{answer}");
+        assert!(
+            kind.is_none_or(|kind| answer.starts_with(kind.name())),
+            "{answer}"
+        );
+        kind.map(|_| answer)
     }
 
     /// All answers in so many seconds.
@@ -709,18 +715,16 @@ fn the_longest_answers_fit() {
         frames_dropped: u32::MAX,
     };
     desk.console.dropped = u32::MAX;
-    let status = desk.console.status(&state).to_string();
+    let mut status = String::new();
+    desk.console.status(&state, &mut Reply(&mut status));
     assert!(
         status.ends_with("doing=\"calibrate temperature, nothing seen yet\""),
         "{status}"
     );
     for line in [&show, &status] {
-        assert!(line.len() + 60 <= ANSWER_ROOM, "{}", line.len());
+        assert!(line.len() + 60 <= answer::ANSWER_CAPACITY, "{}", line.len());
     }
 }
-
-/// An answer with its kind.
-const ANSWER_ROOM: usize = answer::ANSWER_CAPACITY + 9;
 
 /// What changes something, if it is said disarmed with nothing going on.
 fn changes(command: Command) -> bool {
