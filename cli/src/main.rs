@@ -1,11 +1,13 @@
-//! `aplomb`: replays recordings through the library, and measures its filters.
+//! `aplomb`: replays recordings through the library, measures its filters, and finds calibrations.
 
 mod bench;
+mod calibrate;
 mod counts;
 mod filter;
 mod number;
 mod peers;
 mod plot;
+mod poses;
 mod progress;
 mod recording;
 mod replay;
@@ -23,12 +25,14 @@ use clap::Parser;
 enum Command {
     Replay(replay::Options),
     Bench(bench::Options),
+    Calibrate(calibrate::Options),
 }
 
 fn main() -> ExitCode {
     let result = match Command::parse() {
         Command::Replay(options) => replay::run(&options),
         Command::Bench(options) => bench::run(&options),
+        Command::Calibrate(options) => calibrate::run(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
