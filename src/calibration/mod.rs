@@ -1,8 +1,10 @@
 //! From what the sensor says to what it means: how it is mounted, what is wrong with it, and what of that is stored.
 
+mod encoding;
 mod mount;
 mod record;
 mod startup;
+pub mod storage;
 
 pub use mount::Mount;
 pub use record::{
