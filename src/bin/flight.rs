@@ -28,7 +28,7 @@ mod app {
     use aplomb::board::uart::{self, ReceiveRing, Receiver, Reception, Transmitter};
     use aplomb::board::{clocks, pins, publish};
     use aplomb::calibration::{Calibration, Mount, OutputFormat, RestProgress};
-    use aplomb::console::answer::{ANSWER_CAPACITY, Answer, Kind};
+    use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
     use aplomb::console::{Console, Module, Outcome, State, Task};
     use aplomb::estimator::kalman::Kalman;
     use aplomb::health::Flags;
@@ -163,16 +163,9 @@ mod app {
                     });
                     // After a fault the filter goes on with what it knows.
                     pipeline.lock(|pipeline| {
-                        pipeline.get_or_insert_with(|| {
-                            let settings = Settings {
-                                part,
-                                calibration,
-                                ..SETTINGS
-                            };
-                            let mut new = Pipeline::with_filter(&settings, Kalman::new());
-                            new.set_armed(is_armed);
-                            new
-                        });
+                        if pipeline.is_none() {
+                            start_pipeline(pipeline, part, calibration, is_armed);
+                        }
                     });
                     burst_reader::enable(address);
                     post(Message::SensorConfigured {
@@ -204,6 +197,23 @@ mod app {
         }
     }
 
+    /// Apart from the idle task, whose frame stays on the stack for ever.
+    #[inline(never)]
+    fn start_pipeline(
+        place: &mut Option<Pipeline<Kalman>>,
+        part: &'static Part,
+        calibration: Calibration,
+        is_armed: bool,
+    ) {
+        let settings = Settings {
+            part,
+            calibration,
+            ..SETTINGS
+        };
+        let pipeline = place.insert(Pipeline::with_filter(&settings, Kalman::new()));
+        pipeline.set_armed(is_armed);
+    }
+
     /// Frees the bus and configures the sensor; the error is the message that says what stands in the way.
     fn set_up(bus: &mut SensorBus) -> Result<(&'static Part, u8), Message> {
         bus.recover()
@@ -217,6 +227,7 @@ mod app {
     }
 
     /// Does what the sensor was stopped for.
+    #[inline(never)]
     fn perform(task: &Task, bus: &mut SensorBus) -> Outcome {
         match task {
             Task::Save(_record) => Outcome::new(false, "there is no storage yet"),
@@ -371,15 +382,16 @@ mod app {
                 ..State::default()
             },
         };
-        let answer = console.poll(timebase::now(), &mut hands);
+        let mut answer = heapless::String::<ANSWER_CAPACITY>::new();
+        let kind = console.poll(timebase::now(), &mut hands, &mut answer);
         let Some(buffer) = transmitter.idle_buffer() else {
             return;
         };
         let mut output = TextBuffer::new(buffer);
-        if let Some(answer) = &answer {
+        if let Some(kind) = kind {
             // The room was made for it.
             writeln!(output, "# {answer}").ok();
-            log(answer_severity(answer), answer);
+            log_text(answer_severity(kind), &answer);
         }
         while output.room() >= message::LINE_CAPACITY + FRAME_CAPACITY
             && let Some(message) = messages.lock(Mailbox::take)
@@ -422,8 +434,16 @@ mod app {
         }
     }
 
-    fn answer_severity(answer: &Answer) -> Severity {
-        match answer.kind {
+    fn log_text(severity: Severity, line: &str) {
+        match severity {
+            Severity::Information => defmt::info!("{=str}", line),
+            Severity::Warning => defmt::warn!("{=str}", line),
+            Severity::Error => defmt::error!("{=str}", line),
+        }
+    }
+
+    fn answer_severity(kind: Kind) -> Severity {
+        match kind {
             Kind::Ok | Kind::Progress | Kind::Done => Severity::Information,
             Kind::Error | Kind::Failed => Severity::Warning,
         }
