@@ -33,6 +33,7 @@
 
 pub mod attitude;
 pub mod calibration;
+pub mod console;
 pub mod estimator;
 pub mod fault;
 pub mod health;

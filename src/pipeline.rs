@@ -286,6 +286,7 @@ impl<F: Filter> Pipeline<F> {
         }
         if has_other_axes || waits_for_average {
             self.estimator.restart();
+            self.was_still = false;
             self.begin(self.temperature_celsius);
         } else {
             self.rate_offset_rad_s = self.known_offset(self.temperature_celsius).0;

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each part of the library with those that it may import. `A → [B]` reads "A may import B".
-const MAY_IMPORT: [(&str, &[&str]); 11] = [
+const MAY_IMPORT: [(&str, &[&str]); 12] = [
     ("units", &[]),
     ("attitude", &["units"]),
     ("fault", &["units"]),
@@ -36,6 +36,20 @@ const MAY_IMPORT: [(&str, &[&str]); 11] = [
             "estimator",
             "health",
             "pipeline",
+        ],
+    ),
+    (
+        "console",
+        &[
+            "units",
+            "attitude",
+            "fault",
+            "mpu6050",
+            "calibration",
+            "estimator",
+            "health",
+            "pipeline",
+            "telemetry",
         ],
     ),
     (

@@ -1,45 +1,186 @@
-//! USART2's transmitter on PA2, fed by DMA1 stream 6: a buffer goes out while the core does something else.
+//! USART2 on PA2 and PA3, both ways by DMA: the core neither waits for a byte nor is interrupted by one.
+//!
+//! DMA1 stream 6 sends a buffer. Stream 5 writes what arrives into a ring and never stops; whoever reads it finds
+//! the writer's place in the stream's counter. A flood at any rate costs no interrupts: what is not read before the
+//! ring comes round is lost, noticed, and counted.
 
-use core::sync::atomic::{Ordering, compiler_fence};
+use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
 
-use stm32f4xx_hal::pac::{DMA1, USART2};
+use stm32f4xx_hal::pac::{DMA1, USART2, usart1};
 
 use super::boards::BOARD;
 use super::clocks;
+use super::timebase;
 
 /// The longest text that goes out at once.
-pub const CAPACITY: usize = 512;
+pub const CAPACITY: usize = 640;
 
-/// The transmitter and the buffer that its DMA reads.
-pub struct Uart {
+/// What fits into the ring of received bytes: at 921,600 baud it takes 22 ms to come round, which is longer than
+/// the period at which it is read.
+pub const RECEIVE_CAPACITY: usize = 2048;
+
+/// Bits on the wire for a byte: start, eight, stop.
+const BITS_PER_BYTE: u32 = 10;
+
+/// The error flags of the status register (RM0090, 30.6.1).
+const FRAMING: u16 = 1 << 1;
+const NOISE: u16 = 1 << 2;
+const OVERRUN: u16 = 1 << 3;
+const TRANSMISSION_COMPLETE: u16 = 1 << 6;
+
+/// Memory that the DMA writes.
+pub type ReceiveRing = [AtomicU8; RECEIVE_CAPACITY];
+
+/// The transmitting half, with the buffer that it sends. It owns the port's settings.
+pub struct Transmitter {
     port: USART2,
     buffer: &'static mut [u8; CAPACITY],
+    baud: u32,
 }
 
-impl Uart {
-    /// Sets the port up at `baud`, 8N1. The pin is the caller's to switch to its alternate function 7.
-    pub fn start(port: USART2, baud: u32, buffer: &'static mut [u8; CAPACITY]) -> Self {
-        clocks::enable(|rcc| {
-            rcc.apb1enr().modify(|_, w| w.usart2en().set_bit());
-            rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
-        });
-        // With 16-fold oversampling the register holds the divider in sixteenths (RM0090, 30.3.4).
-        let divider = (BOARD.peripheral_hz + baud / 2) / baud;
-        // SAFETY: every 16-bit value is a valid divider.
-        port.brr().write(|w| unsafe { w.bits(divider as u16) });
-        port.cr3().write(|w| w.dmat().set_bit());
-        port.cr1().write(|w| w.ue().set_bit().te().set_bit());
-        let stream = dma1().st(6);
+/// The receiving half, with the ring that the DMA writes.
+pub struct Receiver {
+    ring: &'static ReceiveRing,
+    /// The next byte of the ring to read.
+    read_at: usize,
+    /// When and where the ring was looked at last.
+    looked_at_us: u32,
+    written_before: usize,
+}
+
+/// How the reception went since the last look.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Reception {
+    /// Bytes, or none, as they were sent.
+    Sound,
+    /// Framing, noise or overrun: what arrived since the last look is not to be trusted and is thrown away.
+    Garbled,
+    /// More came than the ring holds; the rest of it is thrown away.
+    Lost,
+}
+
+/// Sets the port up at `baud`, 8N1. The pins are the caller's to switch to their alternate function 7.
+pub fn start(
+    port: USART2,
+    baud: u32,
+    buffer: &'static mut [u8; CAPACITY],
+    ring: &'static ReceiveRing,
+) -> (Transmitter, Receiver) {
+    clocks::enable(|rcc| {
+        rcc.apb1enr().modify(|_, w| w.usart2en().set_bit());
+        rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
+    });
+    set_divider(&port, baud);
+    port.cr3().write(|w| w.dmat().set_bit().dmar().set_bit());
+    port.cr1()
+        .write(|w| w.ue().set_bit().te().set_bit().re().set_bit());
+    let data = port.dr().as_ptr() as u32;
+    for number in [5, 6] {
         // SAFETY: the data register's address, as the manual asks (RM0090, 10.3.17).
-        stream
+        dma1()
+            .st(number)
             .par()
-            .write(|w| unsafe { w.pa().bits(port.dr().as_ptr() as u32) });
-        Self { port, buffer }
+            .write(|w| unsafe { w.pa().bits(data) });
+    }
+    let stream = dma1().st(5);
+    // SAFETY: the ring lives for ever, and is read as atomics only.
+    stream
+        .m0ar()
+        .write(|w| unsafe { w.m0a().bits(ring.as_ptr() as u32) });
+    stream
+        .ndtr()
+        .write(|w| w.ndt().set(RECEIVE_CAPACITY as u16));
+    stream.cr().write(|w| {
+        w.chsel()
+            .set(4)
+            .minc()
+            .set_bit()
+            .circ()
+            .set_bit()
+            .en()
+            .set_bit()
+    });
+    let transmitter = Transmitter { port, buffer, baud };
+    let receiver = Receiver {
+        ring,
+        read_at: 0,
+        looked_at_us: timebase::now(),
+        written_before: 0,
+    };
+    (transmitter, receiver)
+}
+
+impl Receiver {
+    /// Looks at what has arrived since the last look, at this rate. Afterwards [`Self::receive`] gives what is sound.
+    pub fn look(&mut self, baud: u32) -> Reception {
+        let now = timebase::now();
+        let elapsed_us = now.wrapping_sub(self.looked_at_us);
+        self.looked_at_us = now;
+        let is_garbled = usart2().sr().read().bits() & (FRAMING | NOISE | OVERRUN) != 0;
+        if is_garbled {
+            // After the status, reading the data clears the flags (RM0090, 30.6.1). Should that take a byte from the DMA, it
+            // is one of those that are thrown away.
+            usart2().dr().read();
+        }
+        let is_complete = dma1().hisr().read().tcif5().bit();
+        let written = written();
+        let has_wrapped = is_complete || written < self.written_before;
+        if has_wrapped {
+            dma1().hifcr().write(|w| w.ctcif5().set_bit());
+        }
+        let lap = if has_wrapped { RECEIVE_CAPACITY } else { 0 };
+        let new = lap + written - self.written_before;
+        let unread = (self.written_before + RECEIVE_CAPACITY - self.read_at) % RECEIVE_CAPACITY;
+        // A second lap shows in nothing but the time that it takes.
+        let is_lost = unread + new >= RECEIVE_CAPACITY || has_wrapped && elapsed_us >= lap_us(baud);
+        self.written_before = written;
+        if is_garbled {
+            self.read_at = written;
+            Reception::Garbled
+        } else if is_lost {
+            self.read_at = written;
+            Reception::Lost
+        } else {
+            Reception::Sound
+        }
+    }
+
+    /// The next byte that had arrived at the last look.
+    pub fn receive(&mut self) -> Option<u8> {
+        if self.read_at == self.written_before {
+            return None;
+        }
+        let byte = self.ring.get(self.read_at)?.load(Ordering::Relaxed);
+        self.read_at = (self.read_at + 1) % RECEIVE_CAPACITY;
+        Some(byte)
+    }
+}
+
+impl Transmitter {
+    /// The rate at which it sends and receives, bits per second.
+    pub fn baud(&self) -> u32 {
+        self.baud
+    }
+
+    /// Changes the rate. False, and nothing changes, while something is still going out.
+    pub fn set_baud(&mut self, baud: u32) -> bool {
+        let is_sent = self.port.sr().read().bits() & TRANSMISSION_COMPLETE != 0;
+        if self.is_sending() || !is_sent {
+            return false;
+        }
+        set_divider(&self.port, baud);
+        self.baud = baud;
+        true
+    }
+
+    /// Whether the buffer is free.
+    pub fn is_idle(&self) -> bool {
+        !self.is_sending()
     }
 
     /// The buffer to write the next text into, or nothing while the last one is still going out.
     pub fn idle_buffer(&mut self) -> Option<&mut [u8; CAPACITY]> {
-        if dma1().st(6).cr().read().en().bit_is_set() {
+        if self.is_sending() {
             return None;
         }
         compiler_fence(Ordering::Acquire);
@@ -48,12 +189,15 @@ impl Uart {
 
     /// Sends the first `length` bytes of the buffer. Does nothing while the last text is still going out.
     pub fn send(&mut self, length: usize) {
-        let stream = dma1().st(6);
-        if length == 0 || length > CAPACITY || stream.cr().read().en().bit_is_set() {
+        if length == 0 || length > CAPACITY || self.is_sending() {
             return;
         }
+        let stream = dma1().st(6);
         compiler_fence(Ordering::Release);
-        self.port.sr().write(|w| w.tc().clear_bit());
+        // SAFETY: flags are cleared by writing zero, and ones leave them alone (RM0090, 30.6.1).
+        self.port
+            .sr()
+            .write(|w| unsafe { w.bits(!TRANSMISSION_COMPLETE) });
         // The flags of the last transfer would keep the stream from starting (RM0090, 10.3.17).
         dma1().hifcr().write(|w| {
             w.ctcif6()
@@ -83,10 +227,39 @@ impl Uart {
                 .set_bit()
         });
     }
+
+    fn is_sending(&self) -> bool {
+        dma1().st(6).cr().read().en().bit_is_set()
+    }
+}
+
+/// How long the ring takes to come round at full rate.
+fn lap_us(baud: u32) -> u32 {
+    const BITS_PER_LAP: u32 = RECEIVE_CAPACITY as u32 * BITS_PER_BYTE;
+    BITS_PER_LAP * 1_000 / (baud / 1_000).max(1)
+}
+
+fn usart2() -> &'static usart1::RegisterBlock {
+    // SAFETY: the receiver only reads the status and the data, which clears error flags that the transmitter does not
+    // look at.
+    unsafe { &*USART2::ptr() }
+}
+
+/// Where in the ring the next byte will be written.
+fn written() -> usize {
+    let left = usize::from(dma1().st(5).ndtr().read().ndt().bits());
+    (RECEIVE_CAPACITY - left.min(RECEIVE_CAPACITY)) % RECEIVE_CAPACITY
+}
+
+fn set_divider(port: &usart1::RegisterBlock, baud: u32) {
+    // With 16-fold oversampling the register holds the divider in sixteenths (RM0090, 30.3.4).
+    let divider = (BOARD.peripheral_hz + baud / 2) / baud.max(1);
+    // SAFETY: every 16-bit value is a valid divider.
+    port.brr().write(|w| unsafe { w.bits(divider as u16) });
 }
 
 fn dma1() -> &'static stm32f4xx_hal::pac::dma1::RegisterBlock {
-    // SAFETY: this file writes stream 6 and its bits of the clear register alone, and the clear
+    // SAFETY: this file writes streams 5 and 6 and their bits of the clear register alone, and the clear
     // registers ignore zeros, so it never disturbs the burst reader's stream 0.
     unsafe { &*DMA1::ptr() }
 }

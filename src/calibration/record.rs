@@ -103,6 +103,27 @@ pub enum OutputFormat {
     Classic,
 }
 
+impl OutputFormat {
+    /// Every format, in the order of [`OutputFormat::NAMES`].
+    pub const ALL: [Self; 2] = [Self::Text, Self::Classic];
+
+    /// Their names.
+    pub const NAMES: [&str; 2] = ["text", "classic"];
+
+    /// The format of this name.
+    pub fn parse(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.name() == name)
+    }
+
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Text => "text",
+            Self::Classic => "classic",
+        }
+    }
+}
+
 impl Default for Preferences {
     fn default() -> Self {
         Self {

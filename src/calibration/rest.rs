@@ -605,7 +605,8 @@ impl Channel {
             let variance = deviation / (f32::from(samples) - 1.0).max(1.0);
             let noise = learned
                 .most()
-                .clamp(datasheet, NOISE_TOLERANCE * NOISE_TOLERANCE * datasheet);
+                .max(datasheet)
+                .min(NOISE_TOLERANCE * NOISE_TOLERANCE * datasheet);
             *is_noisy = variance > most * noise;
             if !*is_noisy {
                 learned.update(variance, freedom, least);

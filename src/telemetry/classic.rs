@@ -1,12 +1,37 @@
 //! The classic tutorial's line: `Roll:<angle>(<rate>),⇥Pitch:<angle>(<rate>)`.
 //!
-//! Degrees and °/s with two decimals; the rates are those at which the filtered angles change.
+//! Degrees and °/s with two decimals; the rates are those at which the angles change, not the body's own.
+//! Roll is right wing down positive and pitch nose up positive, as in the tutorial for a chip that lies face down.
 
 use super::decimal::{self, LONGEST_NUMBER, Writer};
+use crate::attitude::sine_cosine;
 use crate::estimator::ClassicAngles;
+use crate::pipeline::Snapshot;
+use crate::units::degrees;
+
+/// The cosine of pitch is taken for no less than this, where roll's rate has no limit: 0.06° from the vertical.
+const LEAST_PITCH_COSINE: f32 = 1.0e-3;
 
 /// The longest line, its newline included.
 pub const LINE_LENGTH: usize = "Roll:(),\tPitch:()\n".len() + 4 * LONGEST_NUMBER;
+
+/// Roll and pitch of a snapshot, and the rates at which they change.
+///
+/// φ' = p + (q sin φ + r cos φ) tan θ and θ' = q cos φ − r sin φ, with roll φ, pitch θ and the body's rates p, q, r.
+pub fn angles_of(snapshot: &Snapshot) -> ClassicAngles {
+    let angles = snapshot.euler();
+    let rates = snapshot.body_rates_rad_s;
+    let (roll_sine, roll_cosine) = sine_cosine(angles.roll_rad);
+    let (pitch_sine, pitch_cosine) = sine_cosine(angles.pitch_rad);
+    let yaw_share =
+        (rates.y * roll_sine + rates.z * roll_cosine) / pitch_cosine.max(LEAST_PITCH_COSINE);
+    ClassicAngles {
+        roll_deg: degrees(angles.roll_rad),
+        roll_rate_deg_s: degrees(rates.x + yaw_share * pitch_sine),
+        pitch_deg: degrees(angles.pitch_rad),
+        pitch_rate_deg_s: degrees(rates.y * roll_cosine - rates.z * roll_sine),
+    }
+}
 
 /// Writes a line, newline included, and returns it.
 pub fn encode<'a>(angles: &ClassicAngles, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
@@ -59,6 +84,48 @@ mod tests {
         assert_eq!(decode(text), Some(EXAMPLE));
         assert_eq!(decode(&text.replace("Pitch", "pitch")), None);
         assert_eq!(decode(&text.replace(")\n", "\n")), None);
+    }
+
+    #[test]
+    fn the_rates_are_those_of_the_angles() {
+        use crate::attitude::{EulerAngles, Quaternion, Vector3};
+        use crate::units::radians;
+
+        let rates = Vector3::new(radians(30.0), radians(-50.0), radians(70.0));
+        for (roll, pitch) in [(0.0, 0.0), (25.0, -40.0), (-100.0, 60.0), (170.0, 10.0)] {
+            let attitude = Quaternion::from_euler(EulerAngles {
+                roll_rad: radians(roll),
+                pitch_rad: radians(pitch),
+                yaw_rad: 1.0,
+            });
+            let at = |seconds: f32| {
+                let turn = Quaternion::from_rotation_vector(rates.scale(seconds));
+                angles_of(&Snapshot {
+                    attitude: attitude.multiply(turn),
+                    body_rates_rad_s: rates,
+                    ..Snapshot::default()
+                })
+            };
+            // The oracle is the difference of the angles over 20 ms.
+            let (before, now, after) = (at(-0.01), at(0.0), at(0.01));
+            let roll_rate = (after.roll_deg - before.roll_deg) / 0.02;
+            let pitch_rate = (after.pitch_deg - before.pitch_deg) / 0.02;
+            assert!(
+                (now.roll_rate_deg_s - roll_rate).abs() < 0.6,
+                "{now:?} {roll_rate}"
+            );
+            assert!(
+                (now.pitch_rate_deg_s - pitch_rate).abs() < 0.6,
+                "{now:?} {pitch_rate}"
+            );
+        }
+        // Straight up, where roll and yaw are one: still numbers.
+        let up = Snapshot {
+            attitude: Quaternion::from_rotation_vector(Vector3::new(0.0, radians(90.0), 0.0)),
+            body_rates_rad_s: rates,
+            ..Snapshot::default()
+        };
+        assert!(angles_of(&up).roll_rate_deg_s.is_finite());
     }
 
     #[test]

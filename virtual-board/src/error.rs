@@ -11,6 +11,9 @@ pub enum Error {
     /// The firmware image cannot be used.
     #[error("{path}: {1}", path = .0.display())]
     Firmware(PathBuf, String),
+    /// A file of commands cannot be read, or has a line that is none.
+    #[error("{path}: {1}", path = .0.display())]
+    Script(PathBuf, String),
     /// The emulator gave up.
     #[error("the emulator: {0}")]
     Emulator(String),

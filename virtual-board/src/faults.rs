@@ -52,6 +52,13 @@ pub enum Fault {
     InterruptStuck(bool, Range<f64>),
     /// The sensor's supply fails for an instant, so that it restarts asleep.
     SensorReset(f64),
+    /// What the firmware receives on its UART is garbled: so many bytes in a million come with an error.
+    ReceptionGarbled {
+        /// With noise on a bit.
+        noise_per_million: u32,
+        /// With a stop bit that is none.
+        framing_per_million: u32,
+    },
     /// The crystal does not start, or the other chip's clock does not come.
     NoCrystal,
     /// The firmware's microsecond timer starts at this count instead of zero.

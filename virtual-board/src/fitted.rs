@@ -40,6 +40,7 @@ impl FittedSensor {
                 Fault::SensorReset(at_s) => vec![nanoseconds(*at_s)],
                 Fault::Identity(..)
                 | Fault::Nack { .. }
+                | Fault::ReceptionGarbled { .. }
                 | Fault::NoCrystal
                 | Fault::TimerStartsAt(_) => vec![],
             })

@@ -24,13 +24,14 @@ use crate::crystal::HighSpeedInput;
 use crate::faults::{Fault, nanoseconds};
 use crate::fitted::FittedSensor;
 use crate::image::Firmware;
-use crate::mcu::Microcontroller;
+use crate::mcu::{Microcontroller, SaidByte, Terminal};
 use crate::motion::quadrotor::Quadrotor;
 use crate::motion::{Motion, Mount};
 use crate::probe::{LogLine, Probe};
 use crate::profile::Profile;
 use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
-use crate::sensor::{Sensor, SensorConfig};
+use crate::script::Script;
+use crate::sensor::{Sensor, SensorConfig, SensorErrors};
 use crate::summary::Summary;
 
 /// A run that is yet to be made.
@@ -43,6 +44,8 @@ pub struct Run {
     /// The motion, and whether it is a recording: then the sensor adds no errors of its own.
     motion: Option<(Box<dyn Motion>, bool)>,
     faults: Vec<Fault>,
+    script: Vec<SaidByte>,
+    errors: Option<SensorErrors>,
     has_probe: bool,
     steps_everything: bool,
     observer: Box<dyn Observer>,
@@ -60,6 +63,8 @@ impl Run {
             mount: Mount::default(),
             motion: None,
             faults: Vec::new(),
+            script: Vec::new(),
+            errors: None,
             has_probe: true,
             steps_everything: false,
             observer: Box::new(Nobody),
@@ -115,6 +120,35 @@ impl Run {
         self
     }
 
+    /// Says a line to the UART, `at_s` seconds after power-up or as soon as the lines before it are through.
+    #[must_use]
+    pub fn command(self, at_s: f64, line: &str) -> Self {
+        self.says(at_s, format!("{line}\n").as_bytes())
+    }
+
+    /// Says these commands.
+    #[must_use]
+    pub fn commands(self, script: &Script) -> Self {
+        let lines = script.lines().iter();
+        lines.fold(self, |run, (at_s, line)| run.command(*at_s, line))
+    }
+
+    /// Says bytes to the UART, `at_s` seconds after power-up or as soon as those before them are through.
+    #[must_use]
+    pub fn says(mut self, at_s: f64, bytes: &[u8]) -> Self {
+        let at_ns = nanoseconds(at_s);
+        let said = bytes.iter().map(|&byte| SaidByte { at_ns, byte });
+        self.script.extend(said);
+        self
+    }
+
+    /// Fits a sensor with these errors instead of those of the seed.
+    #[must_use]
+    pub fn sensor_errors(mut self, errors: SensorErrors) -> Self {
+        self.errors = Some(errors);
+        self
+    }
+
     /// Leaves the log buffer unread, as without a debug probe.
     #[must_use]
     pub fn without_probe(mut self) -> Self {
@@ -158,6 +192,7 @@ impl Run {
         let sensor = Sensor::new(
             SensorConfig {
                 mount: self.mount,
+                errors: self.errors.unwrap_or(config.errors),
                 ..config
             },
             motion,
@@ -171,8 +206,22 @@ impl Run {
             Fault::TimerStartsAt(count) => Some(*count),
             _ => None,
         });
-        let controller = Microcontroller::new(FittedSensor::new(sensor, self.faults), input)
-            .map_err(Error::emulator)?;
+        let garbled = self.faults.iter().find_map(|fault| match fault {
+            Fault::ReceptionGarbled {
+                noise_per_million,
+                framing_per_million,
+            } => Some((*noise_per_million, *framing_per_million)),
+            _ => None,
+        });
+        let mut controller = Microcontroller::new(
+            FittedSensor::new(sensor, self.faults),
+            input,
+            Terminal::new(&self.script),
+        )
+        .map_err(Error::emulator)?;
+        if let Some((noise, framing)) = garbled {
+            controller.garble_reception(self.seed, noise, framing);
+        }
         let profile = if self.steps_everything {
             Profile::stepping_everything()
         } else {

@@ -53,6 +53,8 @@ pub mod profile;
 #[cfg(feature = "emulator")]
 pub mod recorder;
 #[cfg(feature = "emulator")]
+pub mod script;
+#[cfg(feature = "emulator")]
 pub mod summary;
 
 #[cfg(feature = "emulator")]

@@ -15,6 +15,7 @@ use virtual_board::outputs;
 use virtual_board::plot::Labels;
 use virtual_board::probe::LogLine;
 use virtual_board::recorder::{Observer, Progress};
+use virtual_board::script::Script;
 
 /// How long the simulated flight is shown unless told otherwise, s.
 const SECONDS: f64 = 30.0;
@@ -53,6 +54,9 @@ struct Fly {
     /// The board: stm32f405, blackpill-f411 or nucleo-f411.
     #[arg(long, value_name = "NAME", default_value = BOARDS[0].name, value_parser = board)]
     board: BoardModel,
+    /// Say commands to the UART: a file with lines such as `2.5 status`, seconds and command.
+    #[arg(long, value_name = "FILE")]
+    commands: Option<PathBuf>,
     /// Where the files go.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
@@ -99,6 +103,9 @@ fn fly(options: &Fly) -> Result<(), String> {
         .board(options.board)
         .mount(options.mount)
         .seed(options.seed);
+    if let Some(path) = &options.commands {
+        run = run.commands(&Script::open(path).map_err(|error| error.to_string())?);
+    }
     let motion;
     match &options.log {
         Some(path) => {

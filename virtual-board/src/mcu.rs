@@ -5,10 +5,12 @@
 //! |---|---|---|
 //! | INT | the sensor | PA1, and from there EXTI line 1 and TIM5 channel 2, at the same instant |
 //! | SCL, SDA | I2C1 and the sensor | PB8, PB9, pulled up; rigless carries the bytes apart from the pins |
-//! | TX | USART2 on PA2 | [`Listener`], which notes every byte and when its stop bit ended |
+//! | TX, RX | USART2 on PA2 and PA3 | [`Terminal`], which notes every byte and when its stop bit ended, and says what a script tells it to |
+
+use std::collections::VecDeque;
 
 use rigless::chip::Timeline;
-use rigless::chip::uart;
+use rigless::chip::uart::{self, Rate};
 use rigless::device::{ErasedDevice, Level, ResetCause};
 use rigless::mcu::Mcu;
 use rigless::snapshot::Store;
@@ -77,11 +79,15 @@ impl Microcontroller {
     /// # Errors
     ///
     /// When rigless's description of the part does not have what is decorated here.
-    pub fn new(sensor: FittedSensor, input: HighSpeedInput) -> Result<Self, Error> {
+    pub fn new(
+        sensor: FittedSensor,
+        input: HighSpeedInput,
+        terminal: Terminal,
+    ) -> Result<Self, Error> {
         let mut part = Stm32f427::new()?;
         part.rcc.attach_crystals(input.frequency_hz(), 0);
         part.set_supply(SUPPLY_MILLIVOLTS);
-        part.usart[USART2].attach(Listener::default());
+        part.usart[USART2].attach(terminal);
         part.i2c[I2C1].attach(sensor);
         let bus = part.bus();
         let slots = Slots {
@@ -133,10 +139,29 @@ impl Microcontroller {
     /// # Panics
     ///
     /// Never: [`Self::new`] has put it there.
-    pub fn listener(&mut self) -> &mut Listener {
+    pub fn terminal(&mut self) -> &mut Terminal {
         self.part.usart[USART2]
             .chip_mut()
-            .expect("the listener is at the end of this line")
+            .expect("the terminal is at the end of this line")
+    }
+
+    /// Garbles what the firmware receives: so many bytes in a million arrive with noise, and so many with a framing error.
+    pub fn garble_reception(
+        &mut self,
+        seed: u64,
+        noise_per_million: u32,
+        framing_per_million: u32,
+    ) {
+        let errors = self.part.usart[USART2].errors_mut();
+        errors.seed = seed;
+        errors.noise = Rate {
+            name: "noise",
+            per_million: noise_per_million,
+        };
+        errors.framing = Rate {
+            name: "framing",
+            per_million: framing_per_million,
+        };
     }
 
     /// The levels that the board's resistors give the pins before anything else drives them.
@@ -251,10 +276,12 @@ impl Mcu for Microcontroller {
     }
 }
 
-/// The far end of the UART: it notes what it hears and never speaks.
+/// The far end of the UART: it notes what it hears, and says what it was told to say.
 #[derive(Debug, Default)]
-pub struct Listener {
+pub struct Terminal {
     heard: Vec<HeardByte>,
+    /// What is left to say, the first of it first.
+    script: VecDeque<SaidByte>,
 }
 
 /// A byte from the UART.
@@ -266,7 +293,28 @@ pub struct HeardByte {
     pub byte: u8,
 }
 
-impl Listener {
+/// A byte for the UART.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SaidByte {
+    /// When its start bit may begin, ns since power-up. It waits for the bytes before it.
+    pub at_ns: u64,
+    /// The byte.
+    pub byte: u8,
+}
+
+impl Terminal {
+    /// A terminal that says these bytes.
+    #[must_use]
+    pub fn new(script: &[SaidByte]) -> Self {
+        let mut script = script.to_vec();
+        // Those of one instant keep their order.
+        script.sort_by_key(|said| said.at_ns);
+        Self {
+            heard: Vec::new(),
+            script: script.into(),
+        }
+    }
+
     /// Takes out what it has heard since the last call.
     pub fn take(&mut self) -> Vec<HeardByte> {
         std::mem::take(&mut self.heard)
@@ -274,9 +322,9 @@ impl Listener {
 }
 
 /// Runs start from reset alone, so nothing keeps a board.
-impl Store for Listener {}
+impl Store for Terminal {}
 
-impl uart::Peer for Listener {
+impl uart::Peer for Terminal {
     fn receive(&mut self, word: u16, context: &mut Timeline<'_, '_>) {
         self.heard.push(HeardByte {
             at_ns: context.now().0,
@@ -284,8 +332,10 @@ impl uart::Peer for Listener {
         });
     }
 
-    fn transmit(&mut self, _now: VirtualNanos) -> Option<u16> {
-        None
+    fn transmit(&mut self, now: VirtualNanos) -> Option<u16> {
+        self.script
+            .pop_front_if(|said| said.at_ns <= now.0)
+            .map(|said| said.byte.into())
     }
 }
 
@@ -359,7 +409,12 @@ mod tests {
                 at_ns += 1000;
             }
             let mut bench = Self {
-                controller: Microcontroller::new(FittedSensor::new(sensor, vec![]), input).unwrap(),
+                controller: Microcontroller::new(
+                    FittedSensor::new(sensor, vec![]),
+                    input,
+                    Terminal::default(),
+                )
+                .unwrap(),
                 now: VirtualNanos(at_ns),
                 interrupts: BTreeMap::new(),
                 ram: Ram(BTreeMap::new()),

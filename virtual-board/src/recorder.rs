@@ -227,7 +227,7 @@ impl Recorder {
     fn serve(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         self.record
             .heard
-            .append(&mut session.board_mut().controller.listener().take());
+            .append(&mut session.board_mut().controller.terminal().take());
         if let Some(probe) = &mut self.probe {
             for line in probe.drain(host, now_ns) {
                 self.observer.log(&line);

@@ -2,6 +2,7 @@
 //!
 //! - [`quadrotor`]: a simulated flight with physics, by seed;
 //! - [`recording`]: a recorded log, led in by rest and a smooth turn into its first pose;
+//! - [`poses`]: a body that is laid down in one pose after the other, as a calibration asks for it;
 //! - [`rest`]: a body that stands still, or is nudged once: for tests with closed-form answers.
 //!
 //! Everything here is in double precision and shares no code with the library that is being judged.
@@ -11,6 +12,7 @@ pub mod autopilot;
 pub mod geometry;
 pub mod log;
 pub mod mount;
+pub mod poses;
 pub mod quadrotor;
 pub mod recording;
 pub mod rest;

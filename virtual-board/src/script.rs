@@ -1,0 +1,87 @@
+//! What is said to the firmware's UART, and when: a file with a line `seconds command` for each.
+//!
+//! Empty lines and lines that begin with `#` say nothing.
+
+use std::fs;
+use std::path::Path;
+
+use crate::Error;
+
+/// Commands with their times.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Script(Vec<(f64, String)>);
+
+impl Script {
+    /// Reads a file.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be read, or a line does not begin with a time; the error names the line.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let refuse = |reason: String| Error::Script(path.to_owned(), reason);
+        let text = fs::read_to_string(path).map_err(|error| refuse(error.to_string()))?;
+        Self::parse(&text).map_err(refuse)
+    }
+
+    /// Reads the text of a file.
+    ///
+    /// # Errors
+    ///
+    /// The number of the line that is wrong, and why.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut lines = Vec::new();
+        for (index, line) in text.lines().enumerate() {
+            let line = line.trim();
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            let (seconds, command) = line
+                .split_once(char::is_whitespace)
+                .ok_or_else(|| format!("line {}: `{line}` is not `seconds command`", index + 1))?;
+            let at_s: f64 = seconds
+                .parse()
+                .ok()
+                .filter(|at_s| (0.0..=86_400.0).contains(at_s))
+                .ok_or_else(|| {
+                    format!(
+                        "line {}: `{seconds}` is no time from 0 to 86400 s",
+                        index + 1
+                    )
+                })?;
+            lines.push((at_s, command.trim_start().to_owned()));
+        }
+        Ok(Self(lines))
+    }
+
+    /// The commands with their times in seconds since power-up, as in the file.
+    #[must_use]
+    pub fn lines(&self) -> &[(f64, String)] {
+        &self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_and_commands_are_read_and_remarks_left_out() {
+        let script = Script::parse("# greeting\n\n0.5 help\n 2\tmount  +x-z \n").unwrap();
+        assert_eq!(
+            script.lines(),
+            [(0.5, "help".to_owned()), (2.0, "mount  +x-z".to_owned())]
+        );
+    }
+
+    #[test]
+    fn a_wrong_line_is_named() {
+        for (text, reason) in [
+            ("1 help\nhelp\n", "line 2: `help` is not `seconds command`"),
+            ("soon help", "line 1: `soon` is no time from 0 to 86400 s"),
+            ("-1 help", "line 1: `-1` is no time from 0 to 86400 s"),
+            ("nan help", "line 1: `nan` is no time from 0 to 86400 s"),
+        ] {
+            assert_eq!(Script::parse(text), Err(reason.to_owned()));
+        }
+    }
+}
