@@ -21,7 +21,8 @@ const ROW: i32 = 22;
 const AXIS: (f64, f64) = (0.1, 100.0);
 const GRID: [f64; 10] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
 
-const TEXT: Rgb888 = Rgb888::new(40, 40, 40);
+/// The colour of letters.
+pub const TEXT: Rgb888 = Rgb888::new(40, 40, 40);
 const FAINT: Rgb888 = Rgb888::new(222, 222, 222);
 const OURS: Rgb888 = Rgb888::new(200, 60, 30);
 const OTHERS: Rgb888 = Rgb888::new(60, 100, 160);

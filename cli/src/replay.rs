@@ -288,6 +288,7 @@ impl Source for Bursts {
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
         let mut snapshot = self.pipeline.update(&burst);
+        self.pipeline.collect(&burst);
         let kalman = self.pipeline.estimator().kalman();
         let mut tilt_sigma_rad = kalman.map(Kalman::tilt_sigma_rad);
         if let Some(peer) = &mut self.peer {
