@@ -5,6 +5,7 @@
 
 use super::Mount;
 use crate::attitude::{Quaternion, Vector3};
+use crate::state::Exchange;
 
 /// What is known about one sensor and how it sits. Default: nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -31,6 +32,50 @@ impl Calibration {
         accelerometer: None,
         level: None,
     };
+}
+
+impl Calibration {
+    /// Walks through everything that is known.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        state.optional(&mut self.mount, Mount::Z_UP, |state, mount| {
+            mount.exchange(state);
+        });
+        let gyroscope = GyroscopeOffset {
+            offset_rad_s: Vector3::ZERO,
+            temperature_celsius: 0.0,
+        };
+        state.optional(&mut self.gyroscope, gyroscope, |state, gyroscope| {
+            state.vector(&mut gyroscope.offset_rad_s);
+            state.number(&mut gyroscope.temperature_celsius);
+        });
+        let model = TemperatureModel {
+            reference_celsius: 0.0,
+            offset_rad_s: Vector3::ZERO,
+            slope_rad_s_per_celsius: Vector3::ZERO,
+            curvature_rad_s_per_celsius2: Vector3::ZERO,
+            coldest_celsius: 0.0,
+            warmest_celsius: 0.0,
+        };
+        state.optional(&mut self.temperature, model, |state, model| {
+            state.number(&mut model.reference_celsius);
+            state.vector(&mut model.offset_rad_s);
+            state.vector(&mut model.slope_rad_s_per_celsius);
+            state.vector(&mut model.curvature_rad_s_per_celsius2);
+            state.number(&mut model.coldest_celsius);
+            state.number(&mut model.warmest_celsius);
+        });
+        let correction = AccelerometerCorrection {
+            offset_m_s2: Vector3::ZERO,
+            matrix: [0.0; 6],
+        };
+        state.optional(&mut self.accelerometer, correction, |state, correction| {
+            state.vector(&mut correction.offset_m_s2);
+            state.numbers(&mut correction.matrix);
+        });
+        state.optional(&mut self.level, Quaternion::IDENTITY, |state, level| {
+            state.quaternion(level);
+        });
+    }
 }
 
 /// A gyroscope offset that was measured at rest.

@@ -3,7 +3,10 @@
 pub mod bursts;
 pub mod classic;
 mod decimal;
+pub mod log;
 pub mod message;
+pub mod teapot;
+pub mod teleplot;
 pub mod text;
 
 use crate::calibration::OutputFormat;
