@@ -1,8 +1,10 @@
 //! `aplomb`: replays recordings through the library, and measures its filters.
 
 mod bench;
+mod convert;
 mod counts;
 mod filter;
+mod flight_log;
 mod number;
 mod peers;
 mod plot;
@@ -23,12 +25,14 @@ use clap::Parser;
 enum Command {
     Replay(replay::Options),
     Bench(bench::Options),
+    Convert(convert::Options),
 }
 
 fn main() -> ExitCode {
     let result = match Command::parse() {
         Command::Replay(options) => replay::run(&options),
         Command::Bench(options) => bench::run(&options),
+        Command::Convert(options) => convert::run(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
