@@ -12,9 +12,10 @@ use aplomb::estimator::{AnyFilter, REVISION};
 use aplomb::mpu6050::Burst;
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::state::Reader;
+use aplomb::telemetry::Output;
 use aplomb::telemetry::log::{
-    Configuration, Counts, Decoder, FRAME_CAPACITY, Frame, NumberedBurst, Output, Sender,
-    StatePiece, put_attitude,
+    Configuration, Counts, Decoder, FRAME_CAPACITY, Frame, NumberedBurst, Sender, StatePiece,
+    put_attitude,
 };
 
 /// The first bytes decide what a file is.

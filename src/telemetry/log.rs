@@ -32,6 +32,7 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 
+use super::Output;
 use crate::estimator::{Filter, REVISION};
 use crate::health::Flags;
 use crate::mpu6050::{BURST_LENGTH, Burst, Part};
@@ -381,42 +382,6 @@ impl Decoder {
 impl Default for Decoder {
     fn default() -> Self {
         Self::new()
-    }
-}
-
-/// Bytes that are about to be sent, in a buffer of fixed size.
-pub struct Output<'a> {
-    buffer: &'a mut [u8],
-    length: usize,
-}
-
-impl<'a> Output<'a> {
-    /// Nothing yet, in `buffer`.
-    pub const fn new(buffer: &'a mut [u8]) -> Self {
-        Self { buffer, length: 0 }
-    }
-
-    /// How many bytes there are.
-    pub const fn length(&self) -> usize {
-        self.length
-    }
-
-    /// Whether so many more fit.
-    pub const fn has_room(&self, bytes: usize) -> bool {
-        self.buffer.len().saturating_sub(self.length) >= bytes
-    }
-
-    /// Adds bytes, all or none; false if there is no room.
-    pub fn put(&mut self, bytes: &[u8]) -> bool {
-        let end = self.length + bytes.len();
-        match self.buffer.get_mut(self.length..end) {
-            Some(place) => {
-                place.copy_from_slice(bytes);
-                self.length = end;
-                true
-            }
-            None => false,
-        }
     }
 }
 

@@ -4,6 +4,8 @@ pub mod bursts;
 pub mod classic;
 mod decimal;
 pub mod log;
+#[cfg(feature = "mavlink")]
+pub mod mavlink;
 pub mod message;
 pub mod teapot;
 pub mod teleplot;
@@ -55,6 +57,42 @@ pub fn encode<'a>(
 pub const fn largest_rate_hz(format: OutputFormat, baud: u32) -> u32 {
     const BITS_PER_BYTE: u32 = 10;
     baud / (BITS_PER_BYTE * frame_length(format) as u32)
+}
+
+/// Bytes that are about to be sent, in a buffer of fixed size.
+pub struct Output<'a> {
+    buffer: &'a mut [u8],
+    length: usize,
+}
+
+impl<'a> Output<'a> {
+    /// Nothing yet, in `buffer`.
+    pub const fn new(buffer: &'a mut [u8]) -> Self {
+        Self { buffer, length: 0 }
+    }
+
+    /// How many bytes there are.
+    pub const fn length(&self) -> usize {
+        self.length
+    }
+
+    /// Whether so many more fit.
+    pub const fn has_room(&self, bytes: usize) -> bool {
+        self.buffer.len().saturating_sub(self.length) >= bytes
+    }
+
+    /// Adds bytes, all or none; false if there is no room.
+    pub fn put(&mut self, bytes: &[u8]) -> bool {
+        let end = self.length + bytes.len();
+        match self.buffer.get_mut(self.length..end) {
+            Some(place) => {
+                place.copy_from_slice(bytes);
+                self.length = end;
+                true
+            }
+            None => false,
+        }
+    }
 }
 
 #[cfg(test)]
