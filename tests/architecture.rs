@@ -42,6 +42,20 @@ const MAY_IMPORT: [(&str, &[&str]); 12] = [
         ],
     ),
     (
+        "console",
+        &[
+            "units",
+            "attitude",
+            "fault",
+            "mpu6050",
+            "calibration",
+            "estimator",
+            "health",
+            "pipeline",
+            "telemetry",
+        ],
+    ),
+    (
         "board",
         &["units", "fault", "mpu6050", "health", "pipeline"],
     ),

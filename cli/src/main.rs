@@ -1,6 +1,7 @@
-//! `aplomb`: replays recordings through the library, and measures its filters.
+//! `aplomb`: replays recordings through the library, measures its filters, and finds calibrations.
 
 mod bench;
+mod calibrate;
 mod convert;
 mod counts;
 mod filter;
@@ -8,6 +9,7 @@ mod flight_log;
 mod number;
 mod peers;
 mod plot;
+mod poses;
 mod progress;
 mod recording;
 mod replay;
@@ -25,6 +27,7 @@ use clap::Parser;
 enum Command {
     Replay(replay::Options),
     Bench(bench::Options),
+    Calibrate(calibrate::Options),
     Convert(convert::Options),
 }
 
@@ -32,6 +35,7 @@ fn main() -> ExitCode {
     let result = match Command::parse() {
         Command::Replay(options) => replay::run(&options),
         Command::Bench(options) => bench::run(&options),
+        Command::Calibrate(options) => calibrate::run(&options),
         Command::Convert(options) => convert::run(&options),
     };
     match result {

@@ -496,7 +496,8 @@ pub fn parse_mount(name: &str) -> Result<Mount, String> {
     })
 }
 
-fn parse_accelerometer_range(text: &str) -> Result<AccelerometerRange, &'static str> {
+/// An option's range.
+pub fn parse_accelerometer_range(text: &str) -> Result<AccelerometerRange, &'static str> {
     match text {
         "2" => Ok(AccelerometerRange::G2),
         "4" => Ok(AccelerometerRange::G4),
@@ -506,7 +507,8 @@ fn parse_accelerometer_range(text: &str) -> Result<AccelerometerRange, &'static 
     }
 }
 
-fn parse_gyroscope_range(text: &str) -> Result<GyroscopeRange, &'static str> {
+/// An option's range.
+pub fn parse_gyroscope_range(text: &str) -> Result<GyroscopeRange, &'static str> {
     match text {
         "250" => Ok(GyroscopeRange::Degrees250),
         "500" => Ok(GyroscopeRange::Degrees500),

@@ -3,10 +3,12 @@
 //! | task | priority | started by | must end before |
 //! |---|---|---|---|
 //! | `data_ready`, `bus_event`, `bus_error`, `transfer_complete` | 4 | INT pin, I2C1, DMA1 stream 0 | the next bus event, 22 µs |
-//! | `time` | 4 | TIM5: counter wrap, alarms, telemetry pace | the next bus event, 22 µs |
+//! | `time` | 4 | TIM5: counter wrap, alarms, telemetry ticks | the next bus event, 22 µs |
 //! | `attitude` | 3 | `transfer_complete` | the end of the next burst, 1 ms |
-//! | `telemetry` | 1 | `time`, 50 times a second | nothing: it skips a line rather than wait |
-//! | `idle` | 0 | – | nothing: it configures the sensor, at start and after faults |
+//! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: it skips a line rather than wait |
+//! | `idle` | 0 | – | nothing: it configures the sensor, at start and after faults, and does what needs it to stop |
+//!
+//! Commands run in `telemetry`. What they do to the pipeline keeps `attitude` waiting for the length of one lock.
 
 #![no_std]
 #![no_main]
@@ -17,35 +19,49 @@ use panic_probe as _;
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [SPI2])]
 mod app {
     use core::fmt::Write;
+    use core::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
     use aplomb::board::boards::BOARD;
     use aplomb::board::burst_reader::{self, BurstReader};
     use aplomb::board::sensor_bus::SensorBus;
     use aplomb::board::timebase::{self, Delay, Timebase};
-    use aplomb::board::uart::{self, Uart};
+    use aplomb::board::uart::{self, ReceiveRing, Receiver, Reception, Transmitter};
     use aplomb::board::{clocks, pins, publish};
-    use aplomb::calibration::Mount;
+    use aplomb::calibration::{Calibration, Mount, OutputFormat, RestProgress};
+    use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
+    use aplomb::console::{Console, Module, Outcome, State, Task};
     use aplomb::estimator::kalman::Kalman;
     use aplomb::health::Flags;
     use aplomb::mpu6050::{Config, Mpu6050, Part};
     use aplomb::pipeline::{Pipeline, Settings};
     use aplomb::telemetry::message::{self, Mailbox, Message, Severity, TextBuffer};
-    use aplomb::telemetry::text;
+    use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Pace};
     use embedded_hal::delay::DelayNs;
+    use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
 
-    /// Text lines come at 50 Hz.
-    const TELEMETRY_PERIOD_US: u32 = 20_000;
-    const BAUD: u32 = 115_200;
     /// Pause between two attempts to find the sensor.
     const RETRY_MS: u32 = 500;
-    /// How the sensor sits in the vehicle; set at build time.
+    /// So long no sample comes when the sensor was stopped on purpose, at least: longer than the filter bridges, so that the
+    /// attitude says [`Flags::GAP`] and starts again from gravity instead of guessing.
+    const PAUSE_US: u32 = 600_000;
+    /// Room that a tick's answer, with its mark and line end, needs beside a frame.
+    const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
+    const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
+    const _: () = assert!(message::LINE_CAPACITY <= ANSWER_ROOM);
+    /// How the sensor sits in the vehicle unless a stored mount says otherwise; set at build time.
     const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {
         None => Mount::Z_UP,
         Some(name) => match Mount::parse(name) {
             Some(mount) => mount,
             None => panic!("APLOMB_MOUNT takes forward then down, such as +x-z, or z-up or z-down"),
         },
+    };
+    /// The pipeline's settings before the sensor is known.
+    const SETTINGS: Settings = {
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.mount = MOUNT;
+        settings
     };
 
     #[shared]
@@ -56,74 +72,146 @@ mod app {
         timebase: Timebase,
         pipeline: Option<Pipeline<Kalman>>,
         messages: Mailbox,
+        /// What the watch over rest has seen last and nobody has taken yet.
+        rest: Option<RestProgress>,
+        desk: Desk,
     }
+
+    /// Between the console and the idle task.
+    pub struct Desk {
+        sensor: Option<(&'static Part, u8)>,
+        calibration: Calibration,
+        is_armed: bool,
+        task: Option<Task>,
+        outcome: Option<Outcome>,
+    }
+
+    /// The idle task looks at it without a lock.
+    static TASK_WAITS: AtomicBool = AtomicBool::new(false);
 
     #[local]
     struct Local {
         bus: SensorBus,
-        uart: Uart,
+        transmitter: Transmitter,
+        receiver: Receiver,
+        console: Console,
     }
 
     #[init(local = [uart_buffer: [u8; uart::CAPACITY] = [0; uart::CAPACITY]])]
     fn init(context: init::Context) -> (Shared, Local) {
+        static RING: ReceiveRing = [const { AtomicU8::new(0) }; uart::RECEIVE_CAPACITY];
         let device = context.device;
         let (_, clock) = clocks::start(device.RCC);
         pins::start(device.GPIOA, device.SYSCFG, device.EXTI);
-        let timebase = Timebase::start(device.TIM5, TELEMETRY_PERIOD_US);
+        let timebase = Timebase::start(device.TIM5);
         let bus = SensorBus::new(device.I2C1, device.GPIOB);
-        let uart = Uart::start(device.USART2, BAUD, context.local.uart_buffer);
-        let reader = BurstReader::start();
         let mut messages = Mailbox::new();
         messages.post(Message::Started {
             board: BOARD.name,
             core_mhz: (BOARD.core_hz / 1_000_000) as u16,
             clock,
         });
+        let console = Console::new(
+            None,
+            SETTINGS.rest_scale(),
+            SETTINGS.sensor.sample_rate_hz(),
+            MOUNT,
+        );
+        let baud = console.working().preferences.baud;
+        let (transmitter, receiver) =
+            uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
         (
             Shared {
-                reader,
+                reader: BurstReader::start(),
                 timebase,
                 pipeline: None,
                 messages,
+                rest: None,
+                desk: Desk {
+                    sensor: None,
+                    calibration: console.working().calibration,
+                    is_armed: false,
+                    task: None,
+                    outcome: None,
+                },
             },
-            Local { bus, uart },
+            Local {
+                bus,
+                transmitter,
+                receiver,
+                console,
+            },
         )
     }
 
-    #[idle(local = [bus], shared = [pipeline, messages])]
-    fn idle(mut context: idle::Context) -> ! {
+    #[idle(local = [bus], shared = [pipeline, messages, desk])]
+    fn idle(context: idle::Context) -> ! {
         let bus = context.local.bus;
-        let mut post = |message| {
-            context
-                .shared
-                .messages
-                .lock(|messages| messages.post(message))
-        };
+        let idle::SharedResources {
+            mut pipeline,
+            mut messages,
+            mut desk,
+            ..
+        } = context.shared;
+        let mut post = |message| messages.lock(|messages| messages.post(message));
         loop {
             match set_up(bus) {
                 Ok((part, address)) => {
+                    let (calibration, is_armed) = desk.lock(|desk| {
+                        desk.sensor = Some((part, address));
+                        (desk.calibration, desk.is_armed)
+                    });
                     // After a fault the filter goes on with what it knows.
-                    context.shared.pipeline.lock(|pipeline| {
-                        pipeline.get_or_insert_with(|| {
-                            let mut settings = Settings::new(part);
-                            settings.mount = MOUNT;
-                            Pipeline::with_filter(&settings, Kalman::new())
-                        });
+                    pipeline.lock(|pipeline| {
+                        if pipeline.is_none() {
+                            start_pipeline(pipeline, part, calibration, is_armed);
+                        }
                     });
                     burst_reader::enable(address);
                     post(Message::SensorConfigured {
                         part: part.name,
                         address,
                     });
-                    timebase::sleep_until(|| !burst_reader::is_enabled());
-                    post(Message::Recovering);
+                    timebase::sleep_until(|| {
+                        !burst_reader::is_enabled() || TASK_WAITS.load(Ordering::Acquire)
+                    });
+                    if burst_reader::is_enabled() {
+                        burst_reader::pause();
+                    } else {
+                        post(Message::Recovering);
+                    }
                 }
                 Err(message) => {
                     post(message);
                     Delay.delay_ms(RETRY_MS);
                 }
             }
+            if TASK_WAITS.swap(false, Ordering::Acquire)
+                && let Some(task) = desk.lock(|desk| desk.task.take())
+            {
+                let since = timebase::now();
+                let outcome = perform(&task, bus);
+                desk.lock(|desk| desk.outcome = Some(outcome));
+                timebase::sleep_until(|| timebase::elapsed(since, PAUSE_US));
+            }
         }
+    }
+
+    /// Apart from the idle task, whose frame stays on the stack for ever.
+    #[inline(never)]
+    fn start_pipeline(
+        place: &mut Option<Pipeline<Kalman>>,
+        part: &'static Part,
+        calibration: Calibration,
+        is_armed: bool,
+    ) {
+        let settings = Settings {
+            part,
+            calibration,
+            ..SETTINGS
+        };
+        let pipeline = place.insert(Pipeline::with_filter(&settings, Kalman::new()));
+        pipeline.set_armed(is_armed);
     }
 
     /// Frees the bus and configures the sensor; the error is the message that says what stands in the way.
@@ -136,6 +224,29 @@ mod app {
             .configure(&Config::default(), &mut Delay)
             .map_err(Message::SensorFailed)?;
         Ok((sensor.part(), sensor.address()))
+    }
+
+    /// Does what the sensor was stopped for.
+    #[inline(never)]
+    fn perform(task: &Task, bus: &mut SensorBus) -> Outcome {
+        match task {
+            Task::Save(_record) => Outcome::new(false, "there is no storage yet"),
+            Task::SelfTest => match test_sensor(bus) {
+                Ok(outcome) => outcome,
+                Err(message) => Outcome::new(false, message),
+            },
+        }
+    }
+
+    fn test_sensor(bus: &mut SensorBus) -> Result<Outcome, Message> {
+        bus.recover()
+            .map_err(|held| Message::BusHeldLow { clock: held.clock })?;
+        let mut sensor = Mpu6050::probe(bus, &mut Delay)
+            .map_err(|failure| Message::SensorFailed(failure.error))?;
+        let result = sensor
+            .self_test(&mut Delay)
+            .map_err(Message::SensorFailed)?;
+        Ok(Outcome::new(result.has_passed() != Some(false), result))
     }
 
     #[task(binds = EXTI1, priority = 4, shared = [reader, timebase])]
@@ -172,25 +283,28 @@ mod app {
         }
     }
 
-    #[task(binds = SPI3, priority = 3, shared = [pipeline, messages], local = [last_flags: Flags = Flags::NONE])]
+    #[task(binds = SPI3, priority = 3, shared = [pipeline, messages, rest], local = [last_flags: Flags = Flags::NONE])]
     fn attitude(mut context: attitude::Context) {
-        let snapshot = burst_reader::with_burst(|burst| {
-            context
-                .shared
-                .pipeline
-                .lock(|pipeline| Some(pipeline.as_mut()?.update(burst)))
+        let outcome = burst_reader::with_burst(|burst| {
+            context.shared.pipeline.lock(|pipeline| {
+                let pipeline = pipeline.as_mut()?;
+                let snapshot = pipeline.update(burst);
+                publish::publish(&snapshot);
+                // The attitude is out; what follows has time until the next burst.
+                Some((snapshot.flags, pipeline.collect(burst)))
+            })
         });
-        let Some(Some(snapshot)) = snapshot else {
+        let Some(Some((flags, rest))) = outcome else {
             return;
         };
-        publish::publish(&snapshot);
-        if snapshot.flags != *context.local.last_flags {
-            let last = core::mem::replace(context.local.last_flags, snapshot.flags);
-            let message = if snapshot.flags.contains(Flags::MOVED) {
+        if let Some(seen @ (RestProgress::Moved(_) | RestProgress::Done(_))) = rest {
+            context.shared.rest.lock(|rest| *rest = Some(seen));
+        }
+        if flags != *context.local.last_flags {
+            let last = core::mem::replace(context.local.last_flags, flags);
+            let message = if flags.contains(Flags::MOVED) {
                 Message::MovedAtStart
-            } else if last.contains(Flags::CALIBRATING)
-                && !snapshot.flags.contains(Flags::CALIBRATING)
-            {
+            } else if last.contains(Flags::CALIBRATING) && !flags.contains(Flags::CALIBRATING) {
                 Message::OffsetMeasured
             } else {
                 return;
@@ -202,47 +316,242 @@ mod app {
         }
     }
 
-    #[task(priority = 1, shared = [messages], local = [uart, last_published: u32 = 0, last_failures: u16 = 0])]
-    async fn telemetry(mut context: telemetry::Context) {
+    #[task(
+        priority = 1,
+        shared = [pipeline, messages, rest, desk],
+        local = [
+            transmitter, receiver, console,
+            last_published: u32 = 0,
+            last_failures: u16 = 0,
+            tick: u16 = 0,
+            reception_errors: u32 = 0,
+            frames_dropped: u32 = 0,
+        ],
+    )]
+    async fn telemetry(context: telemetry::Context) {
+        let telemetry::LocalResources {
+            transmitter,
+            receiver,
+            console,
+            last_published,
+            last_failures,
+            tick,
+            reception_errors,
+            frames_dropped,
+            ..
+        } = context.local;
+        let mut messages = context.shared.messages;
+
         let (failures, failure) = burst_reader::failures();
-        let count = failures.wrapping_sub(*context.local.last_failures);
+        let count = failures.wrapping_sub(*last_failures);
         if let (1.., Some(failure)) = (count, failure) {
-            *context.local.last_failures = failures;
-            context
-                .shared
-                .messages
-                .lock(|messages| messages.post(Message::BurstsFailed { failure, count }));
+            *last_failures = failures;
+            messages.lock(|messages| messages.post(Message::BurstsFailed { failure, count }));
         }
-        let mut line = [0; text::LINE_LENGTH];
-        let line = match publish::latest() {
-            Some((snapshot, number)) if number != *context.local.last_published => {
-                *context.local.last_published = number;
-                // The text is ASCII.
-                core::str::from_utf8(text::encode(&snapshot, &mut line)).unwrap_or_default()
-            }
-            _ => "",
+        let has_reception_error = receiver.look(transmitter.baud()) != Reception::Sound;
+        *reception_errors = reception_errors.saturating_add(has_reception_error.into());
+
+        let preferences = console.working().preferences;
+        let pace = Pace::of(preferences.rate_hz);
+        timebase::set_telemetry_period_us(pace.period_us);
+        *tick += 1;
+        let is_due = *tick >= pace.ticks;
+        let mut frame = [0; FRAME_CAPACITY];
+        let frame = if is_due {
+            *tick = 0;
+            next_frame(preferences.format, last_published, &mut frame)
+        } else {
+            &[]
         };
-        if !line.is_empty() {
-            defmt::info!("{=str}", line.trim_end_matches('\n'));
+        if !transmitter.is_idle() {
+            *frames_dropped = frames_dropped.saturating_add((!frame.is_empty()).into());
+            return;
         }
-        let Some(buffer) = context.local.uart.idle_buffer() else {
+
+        let mut hands = Hands {
+            receiver,
+            transmitter,
+            pipeline: context.shared.pipeline,
+            rest: context.shared.rest,
+            desk: context.shared.desk,
+            has_reception_error,
+            state: State {
+                bursts_failed: failures,
+                reception_errors: *reception_errors,
+                frames_dropped: *frames_dropped,
+                ..State::default()
+            },
+        };
+        let mut answer = heapless::String::<ANSWER_CAPACITY>::new();
+        let kind = console.poll(timebase::now(), &mut hands, &mut answer);
+        let Some(buffer) = transmitter.idle_buffer() else {
             return;
         };
         let mut output = TextBuffer::new(buffer);
-        while output.room() >= message::LINE_CAPACITY + text::LINE_LENGTH
-            && let Some(message) = context.shared.messages.lock(Mailbox::take)
+        if let Some(kind) = kind {
+            // The room was made for it.
+            writeln!(output, "# {answer}").ok();
+            log_text(answer_severity(kind), &answer);
+        }
+        while output.room() >= message::LINE_CAPACITY + FRAME_CAPACITY
+            && let Some(message) = messages.lock(Mailbox::take)
         {
             // A test holds the longest message to its line.
             writeln!(output, "# {message}").ok();
-            let text = defmt::Display2Format(&message);
-            match message.severity() {
-                Severity::Information => defmt::info!("{}", text),
-                Severity::Warning => defmt::warn!("{}", text),
-                Severity::Error => defmt::error!("{}", text),
-            }
+            log(message.severity(), &message);
         }
-        output.write_str(line).ok();
+        output.write_bytes(frame);
         let length = output.length();
-        context.local.uart.send(length);
+        transmitter.send(length);
+    }
+
+    /// The latest snapshot as a frame, unless it was sent already. Text goes to the log too.
+    fn next_frame<'a>(
+        format: OutputFormat,
+        last_published: &mut u32,
+        frame: &'a mut [u8; FRAME_CAPACITY],
+    ) -> &'a [u8] {
+        let Some((snapshot, number)) = publish::latest() else {
+            return &[];
+        };
+        if number == *last_published {
+            return &[];
+        }
+        *last_published = number;
+        let frame = formats::encode(format, &snapshot, frame);
+        if let Ok(line) = core::str::from_utf8(frame) {
+            defmt::info!("{=str}", line.trim_end_matches('\n'));
+        }
+        frame
+    }
+
+    fn log(severity: Severity, line: &impl core::fmt::Display) {
+        let text = defmt::Display2Format(line);
+        match severity {
+            Severity::Information => defmt::info!("{}", text),
+            Severity::Warning => defmt::warn!("{}", text),
+            Severity::Error => defmt::error!("{}", text),
+        }
+    }
+
+    fn log_text(severity: Severity, line: &str) {
+        match severity {
+            Severity::Information => defmt::info!("{=str}", line),
+            Severity::Warning => defmt::warn!("{=str}", line),
+            Severity::Error => defmt::error!("{=str}", line),
+        }
+    }
+
+    fn answer_severity(kind: Kind) -> Severity {
+        match kind {
+            Kind::Ok | Kind::Progress | Kind::Done => Severity::Information,
+            Kind::Error | Kind::Failed => Severity::Warning,
+        }
+    }
+
+    /// What the console reaches of the rest.
+    struct Hands<'a, P, R, D> {
+        receiver: &'a mut Receiver,
+        transmitter: &'a mut Transmitter,
+        pipeline: P,
+        rest: R,
+        desk: D,
+        has_reception_error: bool,
+        /// The counters; the rest of it is filled in when it is asked for.
+        state: State,
+    }
+
+    impl<P, R, D> Module for Hands<'_, P, R, D>
+    where
+        P: Mutex<T = Option<Pipeline<Kalman>>>,
+        R: Mutex<T = Option<RestProgress>>,
+        D: Mutex<T = Desk>,
+    {
+        fn receive(&mut self) -> Option<u8> {
+            self.receiver.receive()
+        }
+
+        fn take_reception_error(&mut self) -> bool {
+            core::mem::take(&mut self.has_reception_error)
+        }
+
+        fn state(&mut self) -> State {
+            let mut state = self.state;
+            state.sensor = self.desk.lock(|desk| desk.sensor);
+            let copied = self.pipeline.lock(|pipeline| {
+                let pipeline = pipeline.as_ref()?;
+                let filter = pipeline.estimator().kalman()?;
+                Some((
+                    pipeline.temperature_celsius(),
+                    pipeline.rate_offset_rad_s(),
+                    filter.bias_sigma_rad_s(),
+                    filter.tilt_sigma_rad(),
+                ))
+            });
+            if let Some((temperature_celsius, bias_rad_s, sigma, tilt_sigma_rad)) = copied {
+                state.temperature_celsius = temperature_celsius;
+                state.bias_rad_s = bias_rad_s;
+                state.bias_sigma_rad_s = sigma.x.max(sigma.y).max(sigma.z);
+                state.tilt_sigma_rad = tilt_sigma_rad;
+            }
+            state
+        }
+
+        fn set_calibration(&mut self, calibration: &Calibration) {
+            self.desk.lock(|desk| desk.calibration = *calibration);
+            self.pipeline.lock(|pipeline| {
+                if let Some(pipeline) = pipeline {
+                    pipeline.set_calibration(calibration);
+                }
+            });
+        }
+
+        fn start_rest(&mut self, samples: u16) {
+            self.pipeline.lock(|pipeline| {
+                if let Some(pipeline) = pipeline {
+                    pipeline.start_rest(samples);
+                }
+            });
+        }
+
+        fn stop_rest(&mut self) {
+            self.pipeline.lock(|pipeline| {
+                if let Some(pipeline) = pipeline {
+                    pipeline.stop_rest();
+                }
+            });
+        }
+
+        fn take_rest(&mut self) -> Option<RestProgress> {
+            self.rest.lock(Option::take)
+        }
+
+        fn rest_percent(&mut self) -> u8 {
+            self.pipeline
+                .lock(|pipeline| pipeline.as_ref()?.rest_progress_percent())
+                .unwrap_or_default()
+        }
+
+        fn set_armed(&mut self, is_armed: bool) {
+            self.desk.lock(|desk| desk.is_armed = is_armed);
+            self.pipeline.lock(|pipeline| {
+                if let Some(pipeline) = pipeline {
+                    pipeline.set_armed(is_armed);
+                }
+            });
+        }
+
+        fn set_baud(&mut self, baud: u32) -> bool {
+            self.transmitter.set_baud(baud)
+        }
+
+        fn begin(&mut self, task: Task) {
+            self.desk.lock(|desk| desk.task = Some(task));
+            TASK_WAITS.store(true, Ordering::Release);
+        }
+
+        fn take_outcome(&mut self) -> Option<Outcome> {
+            self.desk.lock(|desk| desk.outcome.take())
+        }
     }
 }

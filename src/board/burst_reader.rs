@@ -18,6 +18,7 @@
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fence};
 
+use embedded_hal::delay::DelayNs;
 use stm32f4xx_hal::pac::{DMA1, EXTI, I2C1, dma1, i2c1};
 
 use super::clocks;
@@ -272,6 +273,13 @@ pub fn enable(address: u8) {
     LINK.enabled.store(true, Ordering::Release);
     exti().pr().write(|w| w.pr1().clear_bit_by_one());
     exti().imr().write(|w| w.mr1().set_bit());
+}
+
+/// Stops the reader, so that the idle task can use the bus or stall the core. A burst that runs comes to its end first.
+pub fn pause() {
+    exti().imr().reset();
+    timebase::Delay.delay_us(BURST_DEADLINE_US);
+    LINK.enabled.store(false, Ordering::Release);
 }
 
 /// Whether the reader runs. False after a fault that needs the bus recovered, until the next [`enable`].

@@ -6,6 +6,8 @@
 //! - Channel 4's compare wakes the idle task from a delay.
 //! - The update interrupt extends the count to 64 bits.
 
+use core::sync::atomic::{AtomicU32, Ordering};
+
 use stm32f4xx_hal::pac::TIM5;
 
 use super::boards::BOARD;
@@ -16,7 +18,7 @@ use crate::units::CounterExtender;
 pub struct Alarms {
     /// The burst reader's alarm went off.
     pub burst: bool,
-    /// The next telemetry line is due.
+    /// The telemetry task is due.
     pub telemetry: bool,
 }
 
@@ -24,12 +26,20 @@ pub struct Alarms {
 pub struct Timebase {
     timer: TIM5,
     extender: CounterExtender,
-    telemetry_period_us: u32,
+}
+
+/// The time from one telemetry tick to the next. Written by the telemetry task, read by the interrupt.
+static TELEMETRY_PERIOD_US: AtomicU32 = AtomicU32::new(20_000);
+
+/// Sets the time between telemetry ticks, from the next tick on.
+pub fn set_telemetry_period_us(period_us: u32) {
+    // A thousand ticks a second are the most that any rate asks for.
+    TELEMETRY_PERIOD_US.store(period_us.max(1_000), Ordering::Relaxed);
 }
 
 impl Timebase {
     /// Starts the count at zero.
-    pub fn start(timer: TIM5, telemetry_period_us: u32) -> Self {
+    pub fn start(timer: TIM5) -> Self {
         clocks::enable(|rcc| {
             rcc.apb1enr().modify(|_, w| w.tim5en().set_bit());
         });
@@ -42,7 +52,9 @@ impl Timebase {
         timer.ccmr1_input().write(|w| w.cc2s().ti2());
         timer.ccer().write(|w| w.cc2e().set_bit());
         timer.ccr1().write(|w| w.ccr().set(u32::MAX));
-        timer.ccr3().write(|w| w.ccr().set(telemetry_period_us));
+        timer
+            .ccr3()
+            .write(|w| w.ccr().set(TELEMETRY_PERIOD_US.load(Ordering::Relaxed)));
         timer.egr().write(|w| w.ug().set_bit());
         timer.sr().reset();
         timer.dier().write(|w| {
@@ -59,7 +71,6 @@ impl Timebase {
         Self {
             timer,
             extender: CounterExtender::new(),
-            telemetry_period_us,
         }
     }
 
@@ -87,9 +98,10 @@ impl Timebase {
         }
         if status.cc3if().bit_is_set() {
             let due = self.timer.ccr3().read().ccr().bits();
+            let period_us = TELEMETRY_PERIOD_US.load(Ordering::Relaxed);
             self.timer
                 .ccr3()
-                .write(|w| w.ccr().set(due.wrapping_add(self.telemetry_period_us)));
+                .write(|w| w.ccr().set(due.wrapping_add(period_us)));
         }
         Alarms {
             burst: status.cc1if().bit_is_set(),

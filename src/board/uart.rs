@@ -23,10 +23,10 @@ pub const RECEIVE_CAPACITY: usize = 2048;
 const BITS_PER_BYTE: u32 = 10;
 
 /// The error flags of the status register (RM0090, 30.6.1).
-const FRAMING: u32 = 1 << 1;
-const NOISE: u32 = 1 << 2;
-const OVERRUN: u32 = 1 << 3;
-const TRANSMISSION_COMPLETE: u32 = 1 << 6;
+const FRAMING: u16 = 1 << 1;
+const NOISE: u16 = 1 << 2;
+const OVERRUN: u16 = 1 << 3;
+const TRANSMISSION_COMPLETE: u16 = 1 << 6;
 
 /// Memory that the DMA writes.
 pub type ReceiveRing = [AtomicU8; RECEIVE_CAPACITY];
@@ -66,49 +66,49 @@ pub fn start(
     buffer: &'static mut [u8; CAPACITY],
     ring: &'static ReceiveRing,
 ) -> (Transmitter, Receiver) {
-        clocks::enable(|rcc| {
-            rcc.apb1enr().modify(|_, w| w.usart2en().set_bit());
-            rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
-        });
-        set_divider(&port, baud);
-        port.cr3().write(|w| w.dmat().set_bit().dmar().set_bit());
-        port.cr1()
-            .write(|w| w.ue().set_bit().te().set_bit().re().set_bit());
-        let data = port.dr().as_ptr() as u32;
-        for number in [5, 6] {
-            // SAFETY: the data register's address, as the manual asks (RM0090, 10.3.17).
-            dma1()
-                .st(number)
-                .par()
-                .write(|w| unsafe { w.pa().bits(data) });
-        }
-        let stream = dma1().st(5);
-        // SAFETY: the ring lives for ever, and is read as atomics only.
-        stream
-            .m0ar()
-            .write(|w| unsafe { w.m0a().bits(ring.as_ptr() as u32) });
-        stream
-            .ndtr()
-            .write(|w| w.ndt().set(RECEIVE_CAPACITY as u16));
-        stream.cr().write(|w| {
-            w.chsel()
-                .set(4)
-                .minc()
-                .set_bit()
-                .circ()
-                .set_bit()
-                .en()
-                .set_bit()
-        });
-        let transmitter = Transmitter { port, buffer, baud };
-        let receiver = Receiver {
-            ring,
-            read_at: 0,
-            looked_at_us: timebase::now(),
-            written_before: 0,
-        };
-        (transmitter, receiver)
+    clocks::enable(|rcc| {
+        rcc.apb1enr().modify(|_, w| w.usart2en().set_bit());
+        rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
+    });
+    set_divider(&port, baud);
+    port.cr3().write(|w| w.dmat().set_bit().dmar().set_bit());
+    port.cr1()
+        .write(|w| w.ue().set_bit().te().set_bit().re().set_bit());
+    let data = port.dr().as_ptr() as u32;
+    for number in [5, 6] {
+        // SAFETY: the data register's address, as the manual asks (RM0090, 10.3.17).
+        dma1()
+            .st(number)
+            .par()
+            .write(|w| unsafe { w.pa().bits(data) });
     }
+    let stream = dma1().st(5);
+    // SAFETY: the ring lives for ever, and is read as atomics only.
+    stream
+        .m0ar()
+        .write(|w| unsafe { w.m0a().bits(ring.as_ptr() as u32) });
+    stream
+        .ndtr()
+        .write(|w| w.ndt().set(RECEIVE_CAPACITY as u16));
+    stream.cr().write(|w| {
+        w.chsel()
+            .set(4)
+            .minc()
+            .set_bit()
+            .circ()
+            .set_bit()
+            .en()
+            .set_bit()
+    });
+    let transmitter = Transmitter { port, buffer, baud };
+    let receiver = Receiver {
+        ring,
+        read_at: 0,
+        looked_at_us: timebase::now(),
+        written_before: 0,
+    };
+    (transmitter, receiver)
+}
 
 impl Receiver {
     /// Looks at what has arrived since the last look, at this rate. Afterwards [`Self::receive`] gives what is sound.
@@ -128,8 +128,7 @@ impl Receiver {
         let new = lap + written - self.written_before;
         let unread = (self.written_before + RECEIVE_CAPACITY - self.read_at) % RECEIVE_CAPACITY;
         // A second lap shows in nothing but the time that it takes.
-        let is_lost =
-            unread + new >= RECEIVE_CAPACITY || has_wrapped && elapsed_us >= lap_us(baud);
+        let is_lost = unread + new >= RECEIVE_CAPACITY || has_wrapped && elapsed_us >= lap_us(baud);
         self.written_before = written;
         // Flags without a new byte are those of the look before.
         let is_garbled = new > 0 && status & (FRAMING | NOISE | OVERRUN) != 0;

@@ -5,10 +5,12 @@
 //! [`temperature`].
 
 pub mod accelerometer;
+mod encoding;
 pub mod level;
 mod mount;
 mod record;
 pub mod rest;
+pub mod storage;
 pub mod temperature;
 
 pub use mount::{Axis, Mount};

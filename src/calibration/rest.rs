@@ -9,8 +9,8 @@
 //!
 //! - an axis reads full scale;
 //! - an axis's variance lies beyond the χ² limit for the sensor's noise. Clones are noisier than the datasheet,
-//!   so at first the noise may be [`NOISE_TOLERANCE`] times as large; from the quietest window on, each axis is held to
-//!   what it has shown that it can do;
+//!   so at first the noise may be [`NOISE_TOLERANCE`] times as large; from the first still window on, each axis is held to
+//!   what it has shown that it can do (an F test, as the product of both sides' χ² limits);
 //! - an axis's mean differs from the mean of the windows before by more than the standard error of that difference
 //!   explains: a slow turn about a level axis shows in the accelerometer long before its gyroscope's rate
 //!   could be told from an offset;
@@ -39,8 +39,10 @@ const WINDOW_INDEPENDENT: f32 = 32.0;
 const LONGEST_WINDOW: u16 = 4096;
 /// Where the limits lie, in standard deviations: one sample of 3.5 million lies beyond, on one side.
 const LIMIT_SIGMA: f32 = 5.0;
-/// How far below its expectation the quietest of many windows may lie, in standard deviations: one of 4000.
-const QUIETEST_SIGMA: f32 = -3.5;
+/// How far the noise that was learned may be off, in standard deviations: one of 4000 is farther, on one side.
+const LEARNED_SIGMA: f32 = 3.5;
+/// Degrees of freedom that are remembered of it: eight windows.
+const LEARNED_FREEDOM: f32 = 8.0 * WINDOW_INDEPENDENT;
 /// So many times the datasheet's noise a poor clone may have.
 const NOISE_TOLERANCE: f32 = 4.0;
 
@@ -310,7 +312,7 @@ impl RestWatch {
         (100 * done / u32::from(self.samples)).min(100) as u8
     }
 
-    /// Starts over, but remembers how quiet the sensor can be.
+    /// Starts over, but remembers how much noise the sensor has.
     fn restart(&mut self) {
         self.count = 0;
         self.positions = Positions::NONE;
@@ -472,8 +474,42 @@ struct Channel {
     reference: [f32; 3],
     change_sum: [f32; 3],
     moment_sum: [f32; 3],
-    /// The least variance of any window, also of those that did not count.
-    quietest: [f32; 3],
+    /// How much noise each axis has, which outlives a restart.
+    learned: [Learned; 3],
+}
+
+/// The variance of an axis's noise as its still windows show it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Learned {
+    variance: f32,
+    freedom: f32,
+}
+
+impl Learned {
+    const NOTHING: Self = Self {
+        variance: f32::MAX,
+        freedom: 0.0,
+    };
+
+    /// What it may be at most.
+    fn most(&self) -> f32 {
+        if self.freedom <= 0.0 {
+            return f32::MAX;
+        }
+        self.variance / chi_squared_per_freedom(self.freedom, -LEARNED_SIGMA).max(0.01)
+    }
+
+    /// Takes a window's variance. What is quieter than noise can be (`least` of it) shows that there was more than noise before.
+    fn update(&mut self, variance: f32, freedom: f32, least: f32) {
+        if self.freedom <= 0.0 || variance < least * self.variance {
+            *self = Self { variance, freedom };
+            return;
+        }
+        let share = freedom / (self.freedom + freedom);
+        self.variance += share * (variance - self.variance);
+        self.freedom = (self.freedom + freedom).min(LEARNED_FREEDOM);
+    }
 }
 
 /// What a window says.
@@ -499,14 +535,14 @@ impl Channel {
             reference: [0.0; 3],
             change_sum: [0.0; 3],
             moment_sum: [0.0; 3],
-            quietest: [f32::MAX; 3],
+            learned: [Learned::NOTHING; 3],
         }
     }
 
     fn restart(&mut self) {
-        let quietest = self.quietest;
+        let learned = self.learned;
         *self = Self {
-            quietest,
+            learned,
             ..Self::new(self.sigma, self.correlation)
         };
     }
@@ -557,22 +593,23 @@ impl Channel {
         window
     }
 
-    /// The first axis whose variance no noise explains.
+    /// The first axis whose variance no noise explains; the others teach what noise there is.
     fn noisy(&mut self, window: &Window, samples: u16) -> Option<Axis> {
         let freedom = (f32::from(samples) / self.correlation - 1.0).max(1.0);
         let most = chi_squared_per_freedom(freedom, LIMIT_SIGMA);
-        let least = chi_squared_per_freedom(freedom, QUIETEST_SIGMA).max(0.1);
+        let least = chi_squared_per_freedom(freedom, -LEARNED_SIGMA);
         let datasheet = self.sigma * self.sigma;
         let mut is_noisy = [false; 3];
-        let axes = window.deviation.iter().zip(&mut self.quietest);
-        for ((deviation, quietest), is_noisy) in axes.zip(&mut is_noisy) {
+        let axes = window.deviation.iter().zip(&mut self.learned);
+        for ((deviation, learned), is_noisy) in axes.zip(&mut is_noisy) {
             let variance = deviation / (f32::from(samples) - 1.0).max(1.0);
-            let noise =
-                (*quietest / least).clamp(datasheet, NOISE_TOLERANCE * NOISE_TOLERANCE * datasheet);
+            let noise = learned
+                .most()
+                .max(datasheet)
+                .min(NOISE_TOLERANCE * NOISE_TOLERANCE * datasheet);
             *is_noisy = variance > most * noise;
-            // A short last window says too little about what the axis can do.
-            if freedom >= 0.5 * WINDOW_INDEPENDENT {
-                *quietest = quietest.min(variance);
+            if !*is_noisy {
+                learned.update(variance, freedom, least);
             }
         }
         first_axis(is_noisy)

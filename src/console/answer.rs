@@ -1,11 +1,13 @@
 //! What the console says: one line each, with a first word for programs and the rest for people.
+//!
+//! Lines are written where they are sent from, so that none is ever copied.
 
 use core::fmt::{self, Write};
 
 use crate::attitude::Vector3;
 
 /// Room for the longest answer, its line end not counted, in bytes.
-pub const ANSWER_CAPACITY: usize = 352;
+pub const ANSWER_CAPACITY: usize = 416;
 
 /// The first word of an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,37 +38,24 @@ impl Kind {
     }
 }
 
-/// An answer: its kind, and a text that begins with what it is about.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Answer {
-    /// Its kind.
-    pub kind: Kind,
-    text: heapless::String<ANSWER_CAPACITY>,
-}
+/// Where answers are written, one line at a time.
+pub(super) struct Reply<'a>(pub(super) &'a mut dyn Write);
 
-impl Answer {
-    pub(super) fn new(kind: Kind, arguments: fmt::Arguments<'_>) -> Self {
-        let mut text = heapless::String::new();
+impl Reply<'_> {
+    /// Writes an answer of this kind, and gives the kind back.
+    #[inline(never)]
+    pub(super) fn say(&mut self, kind: Kind, arguments: fmt::Arguments<'_>) -> Kind {
         // Tests hold the longest answers to their room; what does not fit is left out.
-        text.write_fmt(arguments).ok();
-        Self { kind, text }
+        write!(self.0, "{} {arguments}", kind.name()).ok();
+        kind
     }
 
-    /// What it says after its first word.
-    pub fn text(&self) -> &str {
-        &self.text
+    pub(super) fn ok(&mut self, arguments: fmt::Arguments<'_>) -> Kind {
+        self.say(Kind::Ok, arguments)
     }
-}
 
-impl fmt::Display for Answer {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{} {}", self.kind.name(), self.text)
-    }
-}
-
-impl fmt::Debug for Answer {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "Answer({self})")
+    pub(super) fn error(&mut self, arguments: fmt::Arguments<'_>) -> Kind {
+        self.say(Kind::Error, arguments)
     }
 }
 
@@ -88,7 +77,11 @@ impl fmt::Display for Decimal {
         if unit == 1 {
             return write!(formatter, "{sign}{whole}");
         }
-        write!(formatter, "{sign}{whole}.{rest:0width$}", width = decimals as usize)
+        write!(
+            formatter,
+            "{sign}{whole}.{rest:0width$}",
+            width = decimals as usize
+        )
     }
 }
 
@@ -125,7 +118,10 @@ mod tests {
         ] {
             assert_eq!(Decimal(value, decimals).to_string(), text);
         }
-        assert_eq!(Triple(Vector3::new(1.0, -2.5, 0.0), 1).to_string(), "1.0,-2.5,0.0");
+        assert_eq!(
+            Triple(Vector3::new(1.0, -2.5, 0.0), 1).to_string(),
+            "1.0,-2.5,0.0"
+        );
     }
 
     proptest! {

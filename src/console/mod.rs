@@ -32,13 +32,13 @@ mod tests;
 
 use core::fmt;
 
-use answer::{Answer, Decimal, Kind, Triple};
+use answer::{Decimal, Kind, Reply, Triple};
 use command::{BAUD_RATES, Calibrate, Command, Form, MountChoice, RATES_HZ};
 use line::LineAssembler;
 use procedure::{Procedure, Step};
 
 use crate::attitude::Vector3;
-use crate::calibration::{Calibration, Mount, OutputFormat, Preferences, Record, RestProgress, RestScale};
+use crate::calibration::{Calibration, Mount, Preferences, Record, RestProgress, RestScale};
 use crate::mpu6050::Part;
 use crate::telemetry;
 use crate::units::degrees;
@@ -172,9 +172,14 @@ enum Baud {
     /// To change to it as soon as the answer is out.
     Asked(u32),
     /// Changed, and nobody has been understood yet.
-    Trial { now: u32, since_us: u32 },
+    Trial {
+        now: u32,
+        since_us: u32,
+    },
     /// To change back, since nobody has.
-    Failed { tried: u32 },
+    Failed {
+        tried: u32,
+    },
 }
 
 impl Console {
@@ -230,100 +235,141 @@ impl Console {
         self.working.calibration.mount.unwrap_or(self.default_mount)
     }
 
-    /// Does what is due and gives the next line to send, if there is one. `now_us` may wrap.
+    /// Does what is due and writes the next line to send, if there is one, without its end. `now_us` may wrap.
     ///
-    /// To be called whenever there is room for a line, at least ten times a second; one line at a time, so that
-    /// whatever comes in waits until its answer can go out.
-    pub fn poll(&mut self, now_us: u32, module: &mut impl Module) -> Option<Answer> {
+    /// To be called whenever there is room for a line ([`answer::ANSWER_CAPACITY`]), at least ten times a second; one line at a
+    /// time, so that whatever comes in waits until its answer can go out.
+    pub fn poll(
+        &mut self,
+        now_us: u32,
+        module: &mut dyn Module,
+        output: &mut dyn fmt::Write,
+    ) -> Option<Kind> {
+        let reply = &mut Reply(output);
         if module.take_reception_error() {
             self.line.spoil();
         }
         if let Some(task) = self.task {
             let outcome = module.take_outcome()?;
             self.task = None;
-            return Some(self.ended(task, &outcome));
+            return Some(self.ended(task, &outcome, reply));
         }
-        if let Some(answer) = self.change_baud(now_us, module) {
+        if let Some(answer) = self.change_baud(now_us, module, reply) {
             return answer;
         }
-        self.rest(now_us, module)
-            .or_else(|| self.told_dropped(now_us))
-            .or_else(|| self.read(now_us, module))
+        self.rest(now_us, module, reply)
+            .or_else(|| self.tell_dropped(now_us, reply))
+            .or_else(|| self.read(now_us, module, reply))
     }
 
-    /// Does what a command asks for, and answers.
-    pub fn execute(&mut self, command: Command, now_us: u32, module: &mut impl Module) -> Answer {
+    /// Does what a command asks for, and writes the answer.
+    pub fn execute(
+        &mut self,
+        command: Command,
+        now_us: u32,
+        module: &mut dyn Module,
+        output: &mut dyn fmt::Write,
+    ) -> Kind {
+        self.carry_out(command, now_us, module, &mut Reply(output))
+    }
+
+    fn carry_out(
+        &mut self,
+        command: Command,
+        now_us: u32,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
         if let Baud::Trial { now, .. } = self.baud {
             self.baud = Baud::Steady;
             self.working.preferences.baud = now;
         }
-        if let Some(refusal) = self.refusal(command) {
+        if let Some(refusal) = self.refusal(command, reply) {
             return refusal;
         }
         match command {
-            Command::Help => ok(format_args!("help: {Forms}")),
-            Command::Status => self.status(&module.state()),
-            Command::Show => self.show(),
-            Command::Save => self.save(module),
-            Command::Forget => self.forget(module),
+            Command::Help => reply.ok(format_args!("help: {Forms}")),
+            Command::Status => self.status(&module.state(), reply),
+            Command::Show => self.show(reply),
+            Command::Save => self.save(module, reply),
+            Command::Forget => self.forget(module, reply),
             Command::SelfTest => {
                 self.task = Some(Task::SelfTest);
                 module.begin(Task::SelfTest);
-                ok(format_args!("self-test: the sensor stops for a second"))
+                reply.ok(format_args!("self-test: the sensor stops for a second"))
             }
-            Command::Arm => self.arm(module),
+            Command::Arm => self.arm(module, reply),
             Command::Disarm => {
                 self.is_armed = false;
                 module.set_armed(false);
-                ok(format_args!("disarm"))
+                reply.ok(format_args!("disarm"))
             }
-            Command::Calibrate(Calibrate::Stop) => self.stop(module),
-            Command::Calibrate(Calibrate::Done) => self.finish(module),
+            Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),
+            Command::Calibrate(Calibrate::Done) => self.finish(module, reply),
             Command::Calibrate(Calibrate::Gyroscope) => {
-                self.start(Procedure::gyroscope(), now_us, module)
+                self.start(Procedure::gyroscope(), now_us, module, reply)
             }
             Command::Calibrate(Calibrate::Accelerometer) => {
-                self.start(Procedure::accelerometer(&self.scale), now_us, module)
+                self.start(Procedure::accelerometer(&self.scale), now_us, module, reply)
             }
-            Command::Calibrate(Calibrate::Level) => self.start(Procedure::level(), now_us, module),
+            Command::Calibrate(Calibrate::Level) => {
+                self.start(Procedure::level(), now_us, module, reply)
+            }
             Command::Calibrate(Calibrate::Temperature) => {
-                self.start(Procedure::temperature(), now_us, module)
+                self.start(Procedure::temperature(), now_us, module, reply)
             }
-            Command::Mount(MountChoice::Find) => self.start(Procedure::mount(), now_us, module),
+            Command::Mount(MountChoice::Find) => {
+                self.start(Procedure::mount(), now_us, module, reply)
+            }
             Command::Mount(MountChoice::Named(mount)) => {
                 let before = self.mount();
                 let had_level = self.working.calibration.level.is_some();
                 procedure::set_mount(&mut self.working.calibration, mount, before);
                 module.set_calibration(&self.working.calibration);
                 let has_lost = had_level && self.working.calibration.level.is_none();
-                let lost = if has_lost { ", its level is to be calibrated again" } else { "" };
-                ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
+                let lost = if has_lost {
+                    ", its level is to be calibrated again"
+                } else {
+                    ""
+                };
+                reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
             }
-            Command::Rate(rate_hz) => self.prefer(Preferences {
-                rate_hz,
-                ..self.working.preferences
-            }),
-            Command::Format(format) => self.prefer(Preferences {
-                format,
-                ..self.working.preferences
-            }),
-            Command::Baud(baud) => self.ask_baud(baud),
+            Command::Rate(rate_hz) => {
+                let preferences = Preferences {
+                    rate_hz,
+                    ..self.working.preferences
+                };
+                self.prefer(preferences, reply)
+            }
+            Command::Format(format) => {
+                let preferences = Preferences {
+                    format,
+                    ..self.working.preferences
+                };
+                self.prefer(preferences, reply)
+            }
+            Command::Baud(baud) => self.ask_baud(baud, reply),
         }
     }
 
     /// Why a command is refused now.
-    fn refusal(&self, command: Command) -> Option<Answer> {
+    fn refusal(&self, command: Command, reply: &mut Reply<'_>) -> Option<Kind> {
         use Command::{Arm, Disarm, Format, Help, Rate, Show, Status};
         if self.is_armed && !matches!(command, Help | Status | Show | Arm | Disarm) {
-            return Some(error(format_args!("refused while armed: \"disarm\" first")));
+            return Some(reply.error(format_args!("refused while armed: \"disarm\" first")));
         }
         let is_compatible = matches!(
             command,
-            Help | Status | Show | Arm | Disarm | Rate(_) | Format(_)
+            Help | Status
+                | Show
+                | Arm
+                | Disarm
+                | Rate(_)
+                | Format(_)
                 | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
         );
         match &self.procedure {
-            Some(procedure) if !is_compatible => Some(error(format_args!(
+            Some(procedure) if !is_compatible => Some(reply.error(format_args!(
                 "refused while \"{}\" goes on: \"calibrate stop\" ends it",
                 procedure.name()
             ))),
@@ -331,18 +377,20 @@ impl Console {
         }
     }
 
-    fn save(&mut self, module: &mut impl Module) -> Answer {
+    fn save(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         if !self.has_unsaved() {
-            return ok(format_args!("save: nothing has changed, nothing is written"));
+            return reply.ok(format_args!(
+                "save: nothing has changed, nothing is written"
+            ));
         }
         let task = Task::Save(self.working);
         self.task = Some(task);
         module.begin(task);
-        ok(format_args!("save: the sensor stops for a second"))
+        reply.ok(format_args!("save: the sensor stops for a second"))
     }
 
     /// A task has ended.
-    fn ended(&mut self, task: Task, outcome: &Outcome) -> Answer {
+    fn ended(&mut self, task: Task, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
         let name = match task {
             Task::Save(record) => {
                 if outcome.is_ok {
@@ -352,12 +400,16 @@ impl Console {
             }
             Task::SelfTest => "self-test",
         };
-        let kind = if outcome.is_ok { Kind::Done } else { Kind::Failed };
-        Answer::new(kind, format_args!("{name}: {}", outcome.text))
+        let kind = if outcome.is_ok {
+            Kind::Done
+        } else {
+            Kind::Failed
+        };
+        reply.say(kind, format_args!("{name}: {}", outcome.text))
     }
 
     /// The baud rate stays, so that whoever says this is still understood.
-    fn forget(&mut self, module: &mut impl Module) -> Answer {
+    fn forget(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         let defaults = Preferences::default();
         self.working = Record {
             preferences: sane(Preferences {
@@ -367,13 +419,13 @@ impl Console {
             ..Record::default()
         };
         module.set_calibration(&self.working.calibration);
-        ok(format_args!(
+        reply.ok(format_args!(
             "forget: nothing is calibrated, mount {}; \"save\" makes it permanent, a restart undoes it",
             self.default_mount
         ))
     }
 
-    fn arm(&mut self, module: &mut impl Module) -> Answer {
+    fn arm(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         self.is_armed = true;
         let given_up = self.procedure.take();
         if given_up.is_some() {
@@ -381,74 +433,90 @@ impl Console {
         }
         module.set_armed(true);
         match given_up {
-            Some(procedure) => ok(format_args!("arm: \"{}\" is given up", procedure.name())),
-            None => ok(format_args!("arm")),
+            Some(procedure) => reply.ok(format_args!("arm: \"{}\" is given up", procedure.name())),
+            None => reply.ok(format_args!("arm")),
         }
     }
 
-    fn start(&mut self, procedure: Procedure, now_us: u32, module: &mut impl Module) -> Answer {
+    fn start(
+        &mut self,
+        procedure: Procedure,
+        now_us: u32,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
         if module.state().sensor.is_none() {
-            return error(format_args!("{}: there is no sensor yet", procedure.name()));
+            return reply.error(format_args!("{}: there is no sensor yet", procedure.name()));
         }
-        let instruction = procedure.instruction();
+        let said = procedure.instruction(reply);
         module.take_rest();
         module.start_rest(self.samples(&procedure));
         self.said_at_us = now_us;
         self.procedure = Some(procedure);
-        instruction
+        said
     }
 
     fn samples(&self, procedure: &Procedure) -> u16 {
         (procedure.rest_s() * self.sample_rate_hz) as u16
     }
 
-    fn stop(&mut self, module: &mut impl Module) -> Answer {
+    fn stop(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         match self.procedure.take() {
             Some(procedure) => {
                 module.stop_rest();
-                ok(format_args!("calibrate stop: \"{}\" is given up", procedure.name()))
+                reply.ok(format_args!(
+                    "calibrate stop: \"{}\" is given up",
+                    procedure.name()
+                ))
             }
-            None => ok(format_args!("calibrate stop: nothing went on")),
+            None => reply.ok(format_args!("calibrate stop: nothing went on")),
         }
     }
 
-    fn finish(&mut self, module: &mut impl Module) -> Answer {
+    fn finish(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         let Some(procedure) = &self.procedure else {
-            return error(format_args!("calibrate done: nothing goes on"));
+            return reply.error(format_args!("calibrate done: nothing goes on"));
         };
-        match procedure.finish(&self.working.calibration) {
-            Ok((answer, calibration)) => {
-                self.end(Some(calibration), module);
-                answer
+        match procedure.finish(&mut self.working.calibration, reply) {
+            Some(kind) => {
+                self.end(kind, module);
+                kind
             }
-            Err(answer) => answer,
+            None => Kind::Error,
         }
     }
 
-    fn end(&mut self, calibration: Option<Calibration>, module: &mut impl Module) {
+    fn end(&mut self, kind: Kind, module: &mut dyn Module) {
         self.procedure = None;
         module.stop_rest();
-        if let Some(calibration) = calibration {
-            self.working.calibration = calibration;
-            module.set_calibration(&calibration);
+        if kind == Kind::Done {
+            module.set_calibration(&self.working.calibration);
         }
     }
 
     /// Lets the measurement go on that is under way.
-    fn rest(&mut self, now_us: u32, module: &mut impl Module) -> Option<Answer> {
+    fn rest(
+        &mut self,
+        now_us: u32,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Option<Kind> {
         let mount = self.mount();
+        let samples = self.samples(self.procedure.as_ref()?);
         let procedure = self.procedure.as_mut()?;
         if let Some(progress) = module.take_rest() {
-            match procedure.rest(progress, &self.working.calibration, mount, &self.scale) {
-                Step::Wait => {}
-                Step::Say(answer) => {
-                    self.said_at_us = now_us;
-                    return Some(answer);
-                }
-                Step::End(answer, calibration) => {
-                    self.end(calibration, module);
-                    return Some(answer);
-                }
+            let calibration = &mut self.working.calibration;
+            let step = procedure.rest(&progress, calibration, mount, &self.scale, reply);
+            if let Step::End(kind) = step {
+                self.end(kind, module);
+                return Some(kind);
+            }
+            if matches!(progress, RestProgress::Done(_)) {
+                module.start_rest(samples);
+            }
+            if let Step::Said(kind) = step {
+                self.said_at_us = now_us;
+                return Some(kind);
             }
         }
         let procedure = self.procedure.as_mut()?;
@@ -456,43 +524,59 @@ impl Console {
             return None;
         }
         self.said_at_us = now_us;
-        procedure.report(module.rest_percent())
+        procedure.report(module.rest_percent(), reply)
     }
 
     /// New preferences, if the line carries them.
-    fn prefer(&mut self, preferences: Preferences) -> Answer {
-        let Preferences { format, rate_hz, baud } = preferences;
+    fn prefer(&mut self, preferences: Preferences, reply: &mut Reply<'_>) -> Kind {
+        let Preferences {
+            format,
+            rate_hz,
+            baud,
+        } = preferences;
         let most = telemetry::largest_rate_hz(format, baud);
         if u32::from(rate_hz) > most {
-            return error(format_args!(
+            return reply.error(format_args!(
                 "{rate_hz} lines of {} a second are too many for {baud} baud: \"rate {most}\" fits, or a higher baud rate",
                 format.name()
             ));
         }
         self.working.preferences = preferences;
-        ok(format_args!("{}, {rate_hz} a second; \"save\" keeps it", format.name()))
+        reply.ok(format_args!(
+            "{}, {rate_hz} a second; \"save\" keeps it",
+            format.name()
+        ))
     }
 
-    fn ask_baud(&mut self, baud: u32) -> Answer {
-        let Preferences { format, rate_hz, baud: before } = self.working.preferences;
+    fn ask_baud(&mut self, baud: u32, reply: &mut Reply<'_>) -> Kind {
+        let Preferences {
+            format,
+            rate_hz,
+            baud: before,
+        } = self.working.preferences;
         let most = telemetry::largest_rate_hz(format, baud);
         if u32::from(rate_hz) > most {
-            return error(format_args!(
+            return reply.error(format_args!(
                 "{baud} baud are too few for {rate_hz} lines of {} a second: \"rate {most}\" first",
                 format.name()
             ));
         }
         if baud == before {
-            return ok(format_args!("baud {baud}: as before"));
+            return reply.ok(format_args!("baud {baud}: as before"));
         }
         self.baud = Baud::Asked(baud);
-        ok(format_args!(
+        reply.ok(format_args!(
             "baud {baud} from now on; say something at {baud} within 10 s, or it is {before} again"
         ))
     }
 
     /// Goes on with a change of the baud rate. `Some` ends the poll, with or without an answer.
-    fn change_baud(&mut self, now_us: u32, module: &mut impl Module) -> Option<Option<Answer>> {
+    fn change_baud(
+        &mut self,
+        now_us: u32,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Option<Option<Kind>> {
         let before = self.working.preferences.baud;
         match self.baud {
             Baud::Steady => None,
@@ -519,7 +603,7 @@ impl Console {
                 }
                 self.line = LineAssembler::new();
                 self.baud = Baud::Steady;
-                Some(Some(Answer::new(
+                Some(Some(reply.say(
                     Kind::Failed,
                     format_args!("baud: nothing was understood at {tried}, it is {before} again"),
                 )))
@@ -528,7 +612,12 @@ impl Console {
     }
 
     /// Reads bytes until one ends a line that has an answer.
-    fn read(&mut self, now_us: u32, module: &mut impl Module) -> Option<Answer> {
+    fn read(
+        &mut self,
+        now_us: u32,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Option<Kind> {
         while let Some(byte) = module.receive() {
             let command = match self.line.push(byte) {
                 None => continue,
@@ -539,9 +628,9 @@ impl Console {
                 }
             };
             match command {
-                Ok(command) => return Some(self.execute(command, now_us, module)),
+                Ok(command) => return Some(self.carry_out(command, now_us, module, reply)),
                 Err(wrong) if self.may_answer_wrong(now_us) => {
-                    return Some(error(format_args!("{wrong}")));
+                    return Some(reply.error(format_args!("{wrong}")));
                 }
                 Err(_) => self.drop_line(),
             }
@@ -566,7 +655,7 @@ impl Console {
         is_left
     }
 
-    fn told_dropped(&mut self, now_us: u32) -> Option<Answer> {
+    fn tell_dropped(&mut self, now_us: u32, reply: &mut Reply<'_>) -> Option<Kind> {
         let is_due = now_us.wrapping_sub(self.dropped_told_at_us) >= DROPPED_PERIOD_US;
         if self.dropped_untold == 0 || !is_due {
             return None;
@@ -574,16 +663,16 @@ impl Console {
         self.dropped_told_at_us = now_us;
         let count = core::mem::take(&mut self.dropped_untold);
         let lines = if count == 1 { "line" } else { "lines" };
-        Some(error(format_args!(
+        Some(reply.error(format_args!(
             "{count} {lines} dropped: too long, unreadable or too many wrong ones; is the baud rate right?"
         )))
     }
 
-    fn status(&self, state: &State) -> Answer {
+    fn status(&self, state: &State, reply: &mut Reply<'_>) -> Kind {
         let yes_no = |is: bool| if is { "yes" } else { "no" };
         let mount = self.mount();
         let is_default = self.working.calibration.mount.is_none();
-        ok(format_args!(
+        reply.ok(format_args!(
             "status: sensor={} mount={mount}{} calibrated={} bias_dps={} bias_sigma_dps={} tilt_sigma_deg={} \
              temperature_c={} armed={} unsaved={} bursts_failed={} uart_errors={} lines_dropped={} \
              frames_dropped={}{}",
@@ -604,8 +693,8 @@ impl Console {
         ))
     }
 
-    fn show(&self) -> Answer {
-        ok(format_args!("show: {}", Shown(&self.working)))
+    fn show(&self, reply: &mut Reply<'_>) -> Kind {
+        reply.ok(format_args!("show: {}", Shown(&self.working)))
     }
 }
 
@@ -620,17 +709,9 @@ fn sane(preferences: Preferences) -> Preferences {
     let most = telemetry::largest_rate_hz(preferences.format, baud).min(u32::from(*RATES_HZ.end()));
     Preferences {
         format: preferences.format,
-        rate_hz: preferences.rate_hz.clamp(*RATES_HZ.start(), most as u16),
+        rate_hz: preferences.rate_hz.max(*RATES_HZ.start()).min(most as u16),
         baud,
     }
-}
-
-fn ok(arguments: fmt::Arguments<'_>) -> Answer {
-    Answer::new(Kind::Ok, arguments)
-}
-
-fn error(arguments: fmt::Arguments<'_>) -> Answer {
-    Answer::new(Kind::Error, arguments)
 }
 
 /// Every command.
@@ -638,10 +719,13 @@ struct Forms;
 
 impl fmt::Display for Forms {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        Form::all().iter().enumerate().try_for_each(|(index, form)| {
-            let separator = if index == 0 { "" } else { ", " };
-            write!(formatter, "{separator}{form}")
-        })
+        Form::all()
+            .iter()
+            .enumerate()
+            .try_for_each(|(index, form)| {
+                let separator = if index == 0 { "" } else { ", " };
+                write!(formatter, "{separator}{form}")
+            })
     }
 }
 
@@ -744,7 +828,12 @@ impl fmt::Display for Shown<'_> {
             Some(trim) => {
                 let angles = trim.to_euler();
                 let angle = |radians| Decimal(degrees(radians), 2);
-                write!(formatter, "{},{}", angle(angles.roll_rad), angle(angles.pitch_rad))?;
+                write!(
+                    formatter,
+                    "{},{}",
+                    angle(angles.roll_rad),
+                    angle(angles.pitch_rad)
+                )?;
             }
             None => formatter.write_str("none")?,
         }
@@ -753,6 +842,10 @@ impl fmt::Display for Shown<'_> {
             rate_hz,
             baud,
         } = preferences;
-        write!(formatter, " format={} rate={rate_hz} baud={baud}", format.name())
+        write!(
+            formatter,
+            " format={} rate={rate_hz} baud={baud}",
+            format.name()
+        )
     }
 }

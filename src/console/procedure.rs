@@ -3,11 +3,11 @@
 
 use core::fmt;
 
-use super::answer::{Answer, Decimal, Kind, Triple};
+use super::answer::{Decimal, Kind, Reply, Triple};
 use crate::calibration::accelerometer::{Pose, PoseCollector, PoseRefused};
 use crate::calibration::level::{self, MountFinder, MountStep};
 use crate::calibration::temperature::TemperatureLearner;
-use crate::calibration::{AtRest, Calibration, Mount, MotionReason, RestProgress, RestScale};
+use crate::calibration::{AtRest, Calibration, MotionReason, Mount, RestProgress, RestScale};
 use crate::units::degrees;
 
 /// An accelerometer that lies still in its last pose so many rests longer is done.
@@ -23,7 +23,10 @@ pub(super) struct Procedure {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "there is one, and it lives in the console")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one, and it lives in the console"
+)]
 enum Measurement {
     Gyroscope,
     Accelerometer { poses: PoseCollector, still: u8 },
@@ -36,10 +39,10 @@ enum Measurement {
 pub(super) enum Step {
     /// Nothing to say.
     Wait,
-    /// Something to say.
-    Say(Answer),
-    /// It has ended, with this calibration if it went well.
-    End(Answer, Option<Calibration>),
+    /// Something was said.
+    Said(Kind),
+    /// Something was said, and it has ended: well if the calibration was changed.
+    End(Kind),
 }
 
 impl Procedure {
@@ -95,10 +98,10 @@ impl Procedure {
     }
 
     /// What to do first.
-    pub(super) fn instruction(&self) -> Answer {
+    pub(super) fn instruction(&self, reply: &mut Reply<'_>) -> Kind {
         match &self.what {
-            Measurement::Gyroscope => self.say(Kind::Ok, "keep it still for 4 s, in any pose"),
-            Measurement::Accelerometer { poses, .. } => self.tell(
+            Measurement::Gyroscope => self.say(reply, Kind::Ok, "keep it still for 4 s, in any pose"),
+            Measurement::Accelerometer { poses, .. } => self.tell(reply,
                 Kind::Ok,
                 format_args!(
                     "lay it still for 2 s in each pose, the arrows of the sensor's axes as told; first: {}",
@@ -106,13 +109,13 @@ impl Procedure {
                 ),
             ),
             Measurement::Level => {
-                self.say(Kind::Ok, "keep it still for 2 s with the vehicle level")
+                self.say(reply, Kind::Ok, "keep it still for 2 s with the vehicle level")
             }
-            Measurement::Temperature(_) => self.say(
+            Measurement::Temperature(_) => self.say(reply,
                 Kind::Ok,
                 "let it lie still while it warms up or cools down; \"calibrate done\" ends it",
             ),
-            Measurement::Mount(_) => self.say(
+            Measurement::Mount(_) => self.say(reply,
                 Kind::Ok,
                 "keep it still for 2 s with the vehicle level, then with its nose down",
             ),
@@ -129,16 +132,20 @@ impl Procedure {
     }
 
     /// What there is to say after that silence.
-    pub(super) fn report(&mut self, rest_percent: u8) -> Option<Answer> {
+    pub(super) fn report(&mut self, rest_percent: u8, reply: &mut Reply<'_>) -> Option<Kind> {
         if let Some(reason) = self.moved.take() {
-            return Some(self.tell(Kind::Progress, format_args!("waits for rest, {reason}")));
+            return Some(self.tell(
+                reply,
+                Kind::Progress,
+                format_args!("waits for rest, {reason}"),
+            ));
         }
         match &self.what {
             Measurement::Gyroscope | Measurement::Level => {
-                Some(self.tell(Kind::Progress, format_args!("{rest_percent} %")))
+                Some(self.tell(reply, Kind::Progress, format_args!("{rest_percent} %")))
             }
             Measurement::Temperature(learner) => {
-                Some(self.tell(Kind::Progress, format_args!("{}", Seen(learner))))
+                Some(self.tell(reply, Kind::Progress, format_args!("{}", Seen(learner))))
             }
             Measurement::Accelerometer { .. } | Measurement::Mount(_) => None,
         }
@@ -152,15 +159,16 @@ impl Procedure {
         }
     }
 
-    /// Takes what the watch over rest says.
+    /// Takes what the watch over rest says; changes the calibration when it ends well.
     pub(super) fn rest(
         &mut self,
-        progress: RestProgress,
-        calibration: &Calibration,
+        progress: &RestProgress,
+        calibration: &mut Calibration,
         mount: Mount,
         scale: &RestScale,
+        reply: &mut Reply<'_>,
     ) -> Step {
-        let at_rest = match progress {
+        let at_rest = match *progress {
             RestProgress::Collecting => return Step::Wait,
             RestProgress::Moved(reason) => {
                 self.moved = Some(reason);
@@ -171,12 +179,12 @@ impl Procedure {
         };
         self.moved = None;
         let has_moved = core::mem::take(&mut self.has_moved);
-        let mut measured = *calibration;
         match &mut self.what {
             Measurement::Gyroscope => {
                 let offset = at_rest.gyroscope_offset(scale);
-                measured.gyroscope = Some(offset);
+                calibration.gyroscope = Some(offset);
                 let answer = self.tell(
+                    reply,
                     Kind::Done,
                     format_args!(
                         "offset {} deg/s at {} C; \"save\" keeps it",
@@ -184,7 +192,7 @@ impl Procedure {
                         Decimal(offset.temperature_celsius, 1)
                     ),
                 );
-                Step::End(answer, Some(measured))
+                Step::End(answer)
             }
             Measurement::Accelerometer { poses, still } => {
                 let added = poses.add(&at_rest);
@@ -200,24 +208,23 @@ impl Procedure {
                             number: accepted.count,
                             pose: accepted.pose,
                         };
-                        Step::Say(if has_sides {
-                            self.tell(
+                        Step::Said(if has_sides {
+                            self.tell(reply,
                                 Kind::Progress,
                                 format_args!("{taken}, all six sides are there; keep it still for 5 s more, or go on with: {next}"),
                             )
                         } else {
-                            self.tell(Kind::Progress, format_args!("{taken}, next: {next}"))
+                            self.tell(reply, Kind::Progress, format_args!("{taken}, next: {next}"))
                         })
                     }
                     Err(PoseRefused::Repeated { .. }) if has_sides && still >= STILL_RESTS => {
-                        match self.finish(calibration) {
-                            Ok((answer, calibration)) => Step::End(answer, Some(calibration)),
-                            Err(answer) => Step::End(answer, None),
-                        }
+                        Step::End(self.finish(calibration, reply).unwrap_or(Kind::Failed))
                     }
-                    Err(refused) if has_moved => {
-                        Step::Say(self.tell(Kind::Progress, format_args!("{refused}; next: {next}")))
-                    }
+                    Err(refused) if has_moved => Step::Said(self.tell(
+                        reply,
+                        Kind::Progress,
+                        format_args!("{refused}; next: {next}"),
+                    )),
                     Err(_) => Step::Wait,
                 }
             }
@@ -225,9 +232,10 @@ impl Procedure {
                 let force = corrected(calibration, &at_rest, scale);
                 match level::level(mount.to_body(force)) {
                     Ok(trim) => {
-                        measured.level = Some(trim);
+                        calibration.level = Some(trim);
                         let angles = trim.to_euler();
                         let answer = self.tell(
+                            reply,
                             Kind::Done,
                             format_args!(
                                 "trim {} deg of roll, {} deg of pitch; \"save\" keeps it",
@@ -235,9 +243,11 @@ impl Procedure {
                                 Decimal(degrees(angles.pitch_rad), 2)
                             ),
                         );
-                        Step::End(answer, Some(measured))
+                        Step::End(answer)
                     }
-                    Err(error) => Step::End(self.tell(Kind::Failed, format_args!("{error}")), None),
+                    Err(error) => {
+                        Step::End(self.tell(reply, Kind::Failed, format_args!("{error}")))
+                    }
                 }
             }
             Measurement::Temperature(learner) => {
@@ -248,20 +258,22 @@ impl Procedure {
             }
             Measurement::Mount(finder) => {
                 match finder.add(corrected(calibration, &at_rest, scale)) {
-                    Ok(MountStep::NoseDown) => Step::Say(self.say(
+                    Ok(MountStep::NoseDown) => Step::Said(self.say(
+                        reply,
                         Kind::Progress,
                         "level is known; now the nose down, as far as it goes",
                     )),
                     Ok(MountStep::Found(found)) => {
-                        set_mount(&mut measured, found, mount);
+                        set_mount(calibration, found, mount);
                         let answer = self.tell(
+                            reply,
                             Kind::Done,
                             format_args!("mount {found}; \"save\" keeps it"),
                         );
-                        Step::End(answer, Some(measured))
+                        Step::End(answer)
                     }
                     Err(error) if has_moved => {
-                        Step::Say(self.tell(Kind::Progress, format_args!("{error}")))
+                        Step::Said(self.tell(reply, Kind::Progress, format_args!("{error}")))
                     }
                     Err(_) => Step::Wait,
                 }
@@ -269,35 +281,48 @@ impl Procedure {
         }
     }
 
-    /// Ends it with what there is.
-    pub(super) fn finish(&self, calibration: &Calibration) -> Result<(Answer, Calibration), Answer> {
-        let mut measured = *calibration;
-        let answer = match &self.what {
-            Measurement::Accelerometer { poses, .. } => {
-                let fit = poses
-                    .fit()
-                    .map_err(|error| self.tell(Kind::Error, format_args!("{error}")))?;
-                measured.accelerometer = Some(fit.correction);
-                self.tell(Kind::Done, format_args!("{fit}; \"save\" keeps it"))
-            }
-            Measurement::Temperature(learner) => {
-                let model = learner
-                    .fit()
-                    .map_err(|error| self.tell(Kind::Error, format_args!("{error}")))?;
-                measured.temperature = Some(model);
-                self.tell(Kind::Done, format_args!("{}; \"save\" keeps it", Seen(learner)))
-            }
-            _ => return Err(self.say(Kind::Error, "it ends by itself")),
+    /// Ends it with what there is, if that is enough; else says what is missing, and it goes on.
+    pub(super) fn finish(
+        &self,
+        calibration: &mut Calibration,
+        reply: &mut Reply<'_>,
+    ) -> Option<Kind> {
+        match &self.what {
+            Measurement::Accelerometer { poses, .. } => match poses.fit() {
+                Ok(fit) => {
+                    calibration.accelerometer = Some(fit.correction);
+                    return Some(self.tell(
+                        reply,
+                        Kind::Done,
+                        format_args!("{fit}; \"save\" keeps it"),
+                    ));
+                }
+                Err(error) => self.tell(reply, Kind::Error, format_args!("{error}")),
+            },
+            Measurement::Temperature(learner) => match learner.fit() {
+                Ok(model) => {
+                    calibration.temperature = Some(model);
+                    let seen = Seen(learner);
+                    return Some(self.tell(
+                        reply,
+                        Kind::Done,
+                        format_args!("{seen}; \"save\" keeps it"),
+                    ));
+                }
+                Err(error) => self.tell(reply, Kind::Error, format_args!("{error}")),
+            },
+            _ => self.say(reply, Kind::Error, "it ends by itself"),
         };
-        Ok((answer, measured))
+        None
     }
 
-    fn say(&self, kind: Kind, text: &str) -> Answer {
-        self.tell(kind, format_args!("{text}"))
+    fn say(&self, reply: &mut Reply<'_>, kind: Kind, text: &str) -> Kind {
+        self.tell(reply, kind, format_args!("{text}"))
     }
 
-    fn tell(&self, kind: Kind, arguments: fmt::Arguments<'_>) -> Answer {
-        Answer::new(kind, format_args!("{}: {arguments}", self.name()))
+    #[inline(never)]
+    fn tell(&self, reply: &mut Reply<'_>, kind: Kind, arguments: fmt::Arguments<'_>) -> Kind {
+        reply.say(kind, format_args!("{}: {arguments}", self.name()))
     }
 }
 

@@ -192,6 +192,17 @@ impl<'a> TextBuffer<'a> {
     }
 }
 
+impl TextBuffer<'_> {
+    /// Appends bytes that are no text, all or none.
+    pub fn write_bytes(&mut self, bytes: &[u8]) {
+        let end = self.length + bytes.len();
+        if let Some(place) = self.buffer.get_mut(self.length..end) {
+            place.copy_from_slice(bytes);
+            self.length = end;
+        }
+    }
+}
+
 impl fmt::Write for TextBuffer<'_> {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         let mut fitting = text.len().min(self.room());
@@ -327,7 +338,10 @@ mod tests {
         let mut text = TextBuffer::new(&mut buffer);
         assert!(text.write_str("ab").is_ok());
         assert!(text.write_str("c°").is_err());
+        text.write_bytes(b"de");
         assert_eq!((text.length(), text.room()), (3, 1));
-        assert_eq!(&buffer, b"abc\0");
+        text.write_bytes(b"f");
+        assert_eq!((text.length(), text.room()), (4, 0));
+        assert_eq!(&buffer, b"abcf");
     }
 }

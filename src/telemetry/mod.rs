@@ -95,6 +95,31 @@ impl<'a> Output<'a> {
     }
 }
 
+/// How a rate is kept by ticks that also serve the console: so many ticks of this length to a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Pace {
+    /// From tick to tick, in µs.
+    pub period_us: u32,
+    /// Ticks to a frame.
+    pub ticks: u16,
+}
+
+impl Pace {
+    /// Ticks come at least so often, per second.
+    const LEAST_TICKS_HZ: u16 = 50;
+
+    /// The pace of so many frames per second; none counts as one.
+    pub const fn of(rate_hz: u16) -> Self {
+        let rate_hz = if rate_hz == 0 { 1 } else { rate_hz };
+        let ticks = Self::LEAST_TICKS_HZ.div_ceil(rate_hz);
+        Self {
+            period_us: 1_000_000 / (rate_hz as u32 * ticks as u32),
+            ticks,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -107,6 +132,22 @@ mod tests {
         assert!(text.starts_with(b"roll:0.00\t") && text.ends_with(b"\n"));
         let classic = encode(OutputFormat::Classic, &snapshot, &mut frame);
         assert_eq!(classic, b"Roll:0.00(0.00),\tPitch:0.00(0.00)\n");
+    }
+
+    #[test]
+    fn ticks_come_fifty_times_a_second_at_least_and_frames_at_their_rate() {
+        let pace = |period_us, ticks| Pace { period_us, ticks };
+        assert_eq!(Pace::of(50), pace(20_000, 1));
+        assert_eq!(Pace::of(1000), pace(1_000, 1));
+        assert_eq!(Pace::of(20), pace(16_666, 3));
+        assert_eq!(Pace::of(1), pace(20_000, 50));
+        for rate_hz in 1..=1000 {
+            let Pace { period_us, ticks } = Pace::of(rate_hz);
+            assert!(period_us <= 20_000, "{rate_hz}");
+            let frame_us = period_us * u32::from(ticks);
+            let error = 1.0 - f64::from(frame_us) * f64::from(rate_hz) / 1e6;
+            assert!((0.0..=0.001).contains(&error), "{rate_hz}: {error}");
+        }
     }
 
     #[test]

@@ -480,9 +480,9 @@ fn lines_of_text_pass_between_frames_and_after_noise() {
         .poll(bench.now_us, &mut |byte| text.push(byte));
     assert_eq!(bench.text, b"\xFD\x20\x00\x00format text\n");
     bench.text.clear();
-    // A frame within a wrong one is found.
+    // A frame within what began as a heartbeat is found.
     let request = frame(&command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]));
-    bench.send_bytes(b"\xFD\x00\x00\x00\x00\x01");
+    bench.send_bytes(b"\xFD\x01\x00\x00\x00\xFF\xBE\x00\x00\x00");
     bench.send_bytes(request.raw_bytes());
     bench.send_bytes(b"status\n");
     assert!(bench.text.ends_with(b"status\n"));

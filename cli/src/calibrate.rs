@@ -1,0 +1,552 @@
+//! `aplomb calibrate`: the accelerometer's calibration from a recording, with the device's own rule and fit.
+//!
+//! Rests are found by the watch that the firmware uses, and collected by its collector. A recording that never rests may
+//! still hold slow moments, in which the specific force is nearly gravity; they are taken where there are enough of them in every
+//! direction, and the output says so. Half of the poses are held out, to report what the fit is worth on poses that
+//! it has not seen.
+
+use std::error::Error;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use aplomb::attitude::Vector3;
+use aplomb::calibration::accelerometer::{self, AccelerometerFit, FitError, PoseCollector};
+use aplomb::calibration::{AtRest, RestProgress, RestWatch};
+use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part, RawSample};
+use aplomb::pipeline::Settings;
+use aplomb::telemetry::bursts;
+use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
+use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
+
+use crate::counts::counts;
+use crate::progress;
+use crate::replay::{parse_accelerometer_range, parse_gyroscope_range};
+
+/// A rest is so long, s: the device takes a second, a recording made by hand seldom has it.
+const REST_S: f64 = 0.5;
+/// A slow moment is so long, s: three periods of a hand's tremor, which is at about 10 Hz, average out.
+const SLOW_S: f64 = 0.3;
+/// And has at least so many rows.
+const LEAST_ROWS: usize = 10;
+/// Its rates spread by no more than this (standard deviation of the worst axis), °/s.
+const SLOW_SPREAD_DEGREES_S: f64 = 10.0;
+/// Fewer slow moments say too little, since each is only nearly at rest.
+const LEAST_SLOW_POSES: usize = 24;
+
+/// Find the accelerometer's calibration in a recording that shows the sensor from many sides.
+///
+/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with --raw) or a bursts.csv, plain or
+/// gzipped. Lay the sensor on each of its six sides for two seconds; a dozen poses, edges included, show the cross-axis
+/// terms too.
+#[derive(clap::Args)]
+pub struct Options {
+    /// The recording
+    input: Option<PathBuf>,
+    /// The log's values are register counts of a sensor with these ranges
+    #[arg(long, requires_all = ["accel_range", "gyro_range"])]
+    raw: bool,
+    /// Accelerometer range of counts in g: 2, 4, 8 or 16 (bursts: 16 unless told otherwise)
+    #[arg(long, value_name = "G", value_parser = parse_accelerometer_range)]
+    accel_range: Option<AccelerometerRange>,
+    /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000 (bursts: 2000 unless told otherwise)
+    #[arg(long, value_name = "DPS", value_parser = parse_gyroscope_range)]
+    gyro_range: Option<GyroscopeRange>,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    /// Draw the poses to hold the sensor in into this PNG file
+    #[arg(long, value_name = "OUT.png")]
+    draw_poses: Option<PathBuf>,
+}
+
+/// Does it.
+pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    if let Some(path) = &options.draw_poses {
+        let picture = crate::poses::draw()?;
+        std::fs::write(path, picture)
+            .map_err(|error| format!("{}: cannot be written: {error}", path.display()))?;
+    }
+    let Some(input) = &options.input else {
+        return match options.draw_poses {
+            Some(_) => Ok(()),
+            None => Err("name a recording; see `aplomb calibrate --help`".into()),
+        };
+    };
+    let recording = Recording::read(input, options)?;
+    let rested = recording.rests();
+    let mut report = format!(
+        "{}: {} rows, {:.1} s\n",
+        input.display(),
+        recording.samples.len(),
+        recording.duration_s(),
+    );
+    let found = match accelerometer::fit(rested.collector.poses()) {
+        Ok(fit) => {
+            rested.describe(&mut report);
+            Found {
+                rule: "rest",
+                poses: rested.collector.poses().to_vec(),
+                fit,
+            }
+        }
+        Err(error) => {
+            let slow = recording.slow_moments();
+            let why = rested.refusal(&error, &recording);
+            let fit = slow
+                .fit()
+                .map_err(|reason| format!("{}: {why}; {reason}", input.display()))?;
+            writeln!(report, "{why}")?;
+            writeln!(
+                report,
+                "instead: {} slow moments of {SLOW_S} s with a gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s, of {}",
+                slow.poses.len(),
+                slow.windows,
+            )?;
+            Found {
+                rule: "slow",
+                poses: slow.poses,
+                fit,
+            }
+        }
+    };
+    if options.json {
+        crate::say(&found.json());
+    } else {
+        found.describe(&mut report);
+        crate::say(report.trim_end());
+    }
+    Ok(())
+}
+
+/// Rows as counts.
+struct Recording {
+    settings: Settings,
+    samples: Vec<Sample>,
+}
+
+struct Sample {
+    t_us: i64,
+    raw: RawSample,
+}
+
+impl Recording {
+    fn read(path: &Path, options: &Options) -> Result<Self, Box<dyn Error>> {
+        let mut lines = progress::lines(path)?;
+        let Some(header) = lines.next_line()?.map(str::to_owned) else {
+            return Err(lines.refuse_file(LogFault::Empty).into());
+        };
+        let mut config = Config {
+            accelerometer_range: options.accel_range.unwrap_or_default(),
+            gyroscope_range: options.gyro_range.unwrap_or_default(),
+            ..Config::DEFAULT
+        };
+        let samples = if header == bursts::HEADER {
+            if options.raw {
+                return Err("--raw is for logs: bursts are raw in any case".into());
+            }
+            read_bursts(&mut lines)?
+        } else {
+            let Some(columns) = column_count(&header) else {
+                let fault = LogFault::Header(header);
+                return Err(
+                    format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into(),
+                );
+            };
+            if !options.raw && (options.accel_range.is_some() || options.gyro_range.is_some()) {
+                return Err("--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts".into());
+            }
+            let rows = read_rows(&mut lines, columns)?;
+            if !options.raw {
+                config = finest_config(&rows)
+                    .map_err(|reason| format!("{}: {reason}", path.display()))?;
+            }
+            to_samples(&rows, &config, options.raw)
+                .map_err(|(line, reason)| format!("{}:{line}: {reason}", path.display()))?
+        };
+        if samples.len() < LEAST_ROWS {
+            return Err(format!(
+                "{}: {} rows are too few to find a rest in",
+                path.display(),
+                samples.len()
+            )
+            .into());
+        }
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.sensor = config;
+        Ok(Self { settings, samples })
+    }
+
+    fn duration_s(&self) -> f64 {
+        match (self.samples.first(), self.samples.last()) {
+            (Some(first), Some(last)) => last.t_us.abs_diff(first.t_us) as f64 * 1e-6,
+            _ => 0.0,
+        }
+    }
+
+    fn rows_in(&self, seconds: f64) -> usize {
+        let rate = self.samples.len() as f64 / self.duration_s().max(1e-6);
+        ((rate * seconds) as usize).clamp(LEAST_ROWS, usize::from(u16::MAX))
+    }
+
+    /// What the device would have taken.
+    fn rests(&self) -> Rested {
+        let rate_hz = self.samples.len() as f64 / self.duration_s().max(1e-6);
+        let sensor = &self.settings.sensor;
+        let scale = aplomb::calibration::RestScale::new(
+            [
+                sensor.gyroscope_range.counts_per_degree_s(),
+                sensor.accelerometer_range.counts_per_g(),
+            ],
+            // Nobody says which filter was set; the widest is the one with the most noise.
+            [
+                LowPass::Hertz256.gyroscope_bandwidth_hz().into(),
+                LowPass::Hertz256.accelerometer_bandwidth_hz().into(),
+            ],
+            rate_hz as f32,
+        );
+        let rows = self.rows_in(REST_S) as u16;
+        let mut watch = RestWatch::new(&scale, rows);
+        let mut rested = Rested {
+            collector: PoseCollector::new(&scale),
+            rests: 0,
+            repeated: 0,
+            refused: Vec::new(),
+            moved: Vec::new(),
+            taken: Vec::new(),
+        };
+        for sample in &self.samples {
+            let celsius = sample.raw.temperature.to_celsius(self.settings.part);
+            let progress =
+                watch.update(sample.raw.gyroscope.0, sample.raw.accelerometer.0, celsius);
+            match progress {
+                RestProgress::Collecting => {}
+                RestProgress::Moved(reason) => count(&mut rested.moved, &reason.to_string()),
+                RestProgress::Done(at_rest) => rested.take(sample.t_us, &at_rest),
+            }
+        }
+        rested
+    }
+
+    /// Moments that are slow enough for the specific force to be nearly gravity.
+    fn slow_moments(&self) -> SlowMoments {
+        let per_degree_s = f64::from(self.settings.sensor.gyroscope_range.counts_per_degree_s());
+        let per_g = f64::from(self.settings.sensor.accelerometer_range.counts_per_g());
+        let mut slow = SlowMoments {
+            windows: 0,
+            calmest_degrees_s: f64::INFINITY,
+            poses: Vec::new(),
+        };
+        for window in self.samples.chunks_exact(self.rows_in(SLOW_S)) {
+            slow.windows += 1;
+            let [gyroscope, accelerometer] = [
+                statistics(window.iter().map(|sample| sample.raw.gyroscope.0)),
+                statistics(window.iter().map(|sample| sample.raw.accelerometer.0)),
+            ];
+            let spread = gyroscope.sigma.iter().copied().fold(0.0, f64::max) / per_degree_s;
+            slow.calmest_degrees_s = slow.calmest_degrees_s.min(spread);
+            let is_saturated = window.iter().any(|sample| {
+                sample.raw.gyroscope.is_saturated() || sample.raw.accelerometer.is_saturated()
+            });
+            if spread <= SLOW_SPREAD_DEGREES_S && !is_saturated {
+                let [x, y, z] = accelerometer.mean.map(|mean| (mean / per_g) as f32);
+                slow.poses.push(Vector3::new(x, y, z));
+            }
+        }
+        slow
+    }
+}
+
+fn read_bursts(lines: &mut Lines) -> Result<Vec<Sample>, Box<dyn Error>> {
+    let mut samples = Vec::new();
+    while let Some(line) = lines.next_line()? {
+        let burst =
+            bursts::decode(line).map_err(|reason| format!("{}: {reason}", lines.place()))?;
+        let t_us = i64::try_from(burst.captured_at_us)
+            .map_err(|reason| format!("{}: t_us: {reason}", lines.place()))?;
+        let raw = RawSample::decode(&burst.bytes);
+        samples.push(Sample { t_us, raw });
+    }
+    Ok(samples)
+}
+
+fn read_rows(lines: &mut Lines, columns: usize) -> Result<Vec<Row>, Box<dyn Error>> {
+    let mut rows = Vec::new();
+    while let Some(line) = lines.next_line()? {
+        rows.push(parse_row(line, columns).map_err(|fault| lines.refuse(fault))?);
+    }
+    Ok(rows)
+}
+
+/// The smallest ranges in which a log's values fit.
+fn finest_config(rows: &[Row]) -> Result<Config, String> {
+    let largest = |values: fn(&Row) -> [f64; 3]| {
+        rows.iter()
+            .flat_map(values)
+            .fold(0.0_f64, |largest, value| largest.max(value.abs()))
+    };
+    let g = largest(|row| row.specific_force_m_s2) / f64::from(STANDARD_GRAVITY_M_S2);
+    let degrees_s = largest(|row| row.rates_rad_s) * f64::from(DEGREES_PER_RADIAN);
+    let fits = |value: f64, counts: f32| value * f64::from(counts) < 32_767.0;
+    let accelerometer_range = AccelerometerRange::ALL
+        .into_iter()
+        .find(|range| fits(g, range.counts_per_g()))
+        .ok_or_else(|| {
+            format!(
+                "{g:.0} g is more than any range of the sensor: if the log holds counts, add --raw"
+            )
+        })?;
+    let gyroscope_range = GyroscopeRange::ALL
+        .into_iter()
+        .find(|range| fits(degrees_s, range.counts_per_degree_s()))
+        .ok_or_else(|| {
+            format!("{degrees_s:.0} °/s is more than any range of the sensor: if the log holds counts, add --raw")
+        })?;
+    Ok(Config {
+        accelerometer_range,
+        gyroscope_range,
+        ..Config::DEFAULT
+    })
+}
+
+/// Rows in counts; what does not fit, with its line.
+fn to_samples(rows: &[Row], config: &Config, is_raw: bool) -> Result<Vec<Sample>, (usize, String)> {
+    let per_m_s2 =
+        f64::from(config.accelerometer_range.counts_per_g()) / f64::from(STANDARD_GRAVITY_M_S2);
+    let per_rad_s =
+        f64::from(config.gyroscope_range.counts_per_degree_s()) * f64::from(DEGREES_PER_RADIAN);
+    let to_sample = |(index, row): (usize, &Row)| {
+        let [accelerometer, gyroscope] = if is_raw {
+            // The header is line 1.
+            counts(row).map_err(|reason| (index + 2, reason))?
+        } else {
+            [
+                row.specific_force_m_s2
+                    .map(|value| (value * per_m_s2).round() as i16),
+                row.rates_rad_s
+                    .map(|value| (value * per_rad_s).round() as i16),
+            ]
+        };
+        let mut raw = RawSample::default();
+        raw.accelerometer.0 = accelerometer;
+        raw.gyroscope.0 = gyroscope;
+        Ok(Sample {
+            t_us: row.time_us,
+            raw,
+        })
+    };
+    rows.iter().enumerate().map(to_sample).collect()
+}
+
+struct Statistics {
+    mean: [f64; 3],
+    sigma: [f64; 3],
+}
+
+fn statistics(counts: impl Iterator<Item = [i16; 3]> + Clone) -> Statistics {
+    let number = counts.clone().count().max(1) as f64;
+    let mean = [0, 1, 2].map(|axis| {
+        counts
+            .clone()
+            .map(|counts| f64::from(counts[axis]))
+            .sum::<f64>()
+            / number
+    });
+    let sigma = [0, 1, 2].map(|axis| {
+        let squares = counts
+            .clone()
+            .map(|counts| (f64::from(counts[axis]) - mean[axis]).powi(2));
+        (squares.sum::<f64>() / number).sqrt()
+    });
+    Statistics { mean, sigma }
+}
+
+/// What the device's rule finds.
+struct Rested {
+    collector: PoseCollector,
+    rests: usize,
+    repeated: usize,
+    refused: Vec<(String, usize)>,
+    moved: Vec<(String, usize)>,
+    taken: Vec<String>,
+}
+
+impl Rested {
+    fn take(&mut self, t_us: i64, at_rest: &AtRest) {
+        self.rests += 1;
+        match self.collector.add(at_rest) {
+            Ok(accepted) => {
+                let pose = accepted
+                    .pose
+                    .map_or_else(|| "between sides".to_owned(), |pose| pose.to_string());
+                self.taken.push(format!(
+                    "pose {} at {:.1} s: {pose}",
+                    accepted.count,
+                    t_us as f64 * 1e-6
+                ));
+            }
+            Err(accelerometer::PoseRefused::Repeated { .. }) => self.repeated += 1,
+            Err(reason) => count(&mut self.refused, &reason.to_string()),
+        }
+    }
+
+    fn describe(&self, report: &mut String) {
+        for line in &self.taken {
+            *report += line;
+            *report += "\n";
+        }
+        if self.repeated > 0 {
+            *report += &format!("refused {} rests: a pose again\n", self.repeated);
+        }
+        for (reason, number) in &self.refused {
+            *report += &format!("refused {number} rests: {reason}\n");
+        }
+        for (reason, number) in &self.moved {
+            *report += &format!("not at rest {number} times: {reason}\n");
+        }
+    }
+
+    /// Why the device's rule finds no calibration here.
+    fn refusal(&self, error: &FitError, recording: &Recording) -> String {
+        if self.rests == 0 {
+            let calmest = recording.slow_moments().calmest_degrees_s;
+            let most = self.moved.iter().max_by_key(|(_, number)| *number);
+            let most = most.map_or(String::new(), |(reason, number)| {
+                format!(" ({reason}, {number} times)")
+            });
+            return format!(
+                "too restless for the device's rule: it never rests for {REST_S} s; in the calmest {SLOW_S} s the gyroscope spreads by {calmest:.1} °/s{most}"
+            );
+        }
+        let moved: usize = self.moved.iter().map(|(_, number)| number).sum();
+        format!(
+            "its {} rests of {REST_S} s are not enough: {error} (moved {moved} times, a pose again {} times)",
+            self.rests, self.repeated
+        )
+    }
+}
+
+/// Moments that are nearly at rest.
+struct SlowMoments {
+    windows: usize,
+    calmest_degrees_s: f64,
+    poses: Vec<Vector3>,
+}
+
+impl SlowMoments {
+    fn fit(&self) -> Result<AccelerometerFit, String> {
+        let which = format!(
+            "nor do its {} slow moments (gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s for {SLOW_S} s) serve",
+            self.poses.len(),
+        );
+        if self.poses.len() < LEAST_SLOW_POSES {
+            return Err(format!("{which}: {LEAST_SLOW_POSES} are needed"));
+        }
+        accelerometer::fit(&self.poses).map_err(|error| format!("{which}: {error}"))
+    }
+}
+
+/// What was found.
+struct Found {
+    rule: &'static str,
+    poses: Vec<Vector3>,
+    fit: AccelerometerFit,
+}
+
+/// A fit on every other pose, and what it is worth on the rest.
+struct HeldOut {
+    fitted: usize,
+    held_out: usize,
+    before_g: f32,
+    after_g: f32,
+}
+
+impl Found {
+    fn held_out(&self) -> Option<HeldOut> {
+        let half = |odd: usize| -> Vec<Vector3> {
+            self.poses.iter().skip(odd).step_by(2).copied().collect()
+        };
+        let (fitted, held_out) = (half(0), half(1));
+        let fit = accelerometer::fit(&fitted).ok()?;
+        let correction = fit.correction;
+        Some(HeldOut {
+            fitted: fitted.len(),
+            held_out: held_out.len(),
+            before_g: rms(held_out.iter().map(|pose| pose.norm())),
+            after_g: rms(held_out.iter().map(|pose| {
+                let force = correction.apply(pose.scale(STANDARD_GRAVITY_M_S2));
+                force.norm() / STANDARD_GRAVITY_M_S2
+            })),
+        })
+    }
+
+    fn describe(&self, report: &mut String) {
+        let correction = &self.fit.correction;
+        let offset = correction.offset_m_s2.scale(1000.0 / STANDARD_GRAVITY_M_S2);
+        let [xx, yy, zz, xy, xz, yz] = correction.matrix;
+        *report += &format!("{}\n", self.fit);
+        *report += &format!(
+            "offset {:+.1} {:+.1} {:+.1} mg, scale {xx:.4} {yy:.4} {zz:.4}, cross-axis xy {xy:+.4} xz {xz:+.4} yz {yz:+.4}\n",
+            offset.x, offset.y, offset.z,
+        );
+        match self.held_out() {
+            Some(HeldOut {
+                fitted,
+                held_out,
+                before_g,
+                after_g,
+            }) => {
+                *report += &format!(
+                    "held out: fitted on {fitted} poses, residual of the other {held_out}: {:.2} mg before, {:.2} mg after, {:.2} times better\n",
+                    1000.0 * before_g,
+                    1000.0 * after_g,
+                    before_g / after_g,
+                );
+            }
+            None => {
+                *report += "held out: half of the poses are too few to fit\n";
+            }
+        }
+    }
+
+    fn json(&self) -> String {
+        let fit = &self.fit;
+        let offset = fit.correction.offset_m_s2;
+        let [xx, yy, zz, xy, xz, yz] = fit.correction.matrix;
+        let held_out = self.held_out().map_or_else(
+            || "null".to_owned(),
+            |held| {
+                format!(
+                    r#"{{"fitted":{},"held_out":{},"residual_before_g":{},"residual_after_g":{}}}"#,
+                    held.fitted, held.held_out, held.before_g, held.after_g
+                )
+            },
+        );
+        format!(
+            r#"{{"rule":"{}","poses":{},"offset_m_s2":[{},{},{}],"matrix":[[{xx},{xy},{xz}],[{xy},{yy},{yz}],[{xz},{yz},{zz}]],"cross_axis_fitted":{},"residual_before_g":{},"residual_after_g":{},"held_out":{held_out}}}"#,
+            self.rule,
+            fit.poses,
+            offset.x,
+            offset.y,
+            offset.z,
+            fit.has_cross_axis,
+            fit.residual_before_g,
+            fit.residual_after_g,
+        )
+    }
+}
+
+fn rms(norms: impl Iterator<Item = f32>) -> f32 {
+    let (mut sum, mut number) = (0.0, 0);
+    for norm in norms {
+        sum += (norm - 1.0) * (norm - 1.0);
+        number += 1;
+    }
+    (sum / number.max(1) as f32).sqrt()
+}
+
+fn count(counts: &mut Vec<(String, usize)>, reason: &str) {
+    match counts.iter_mut().find(|(known, _)| known == reason) {
+        Some((_, number)) => *number += 1,
+        None => counts.push((reason.to_owned(), 1)),
+    }
+}
