@@ -325,6 +325,7 @@ impl<F: Filter> Pipeline<F> {
         if has_other_axes || waits_for_average {
             self.estimator.restart();
             self.has_started = false;
+            self.was_still = false;
             if waits_for_average {
                 self.start_rest(self.settings.averaging_samples);
                 self.is_averaging = true;

@@ -116,8 +116,12 @@ impl Receiver {
         let now = timebase::now();
         let elapsed_us = now.wrapping_sub(self.looked_at_us);
         self.looked_at_us = now;
-        // Reading the status arms the clearing of its error flags by the DMA's next read of the data (30.6.1).
-        let status = usart2().sr().read().bits();
+        let is_garbled = usart2().sr().read().bits() & (FRAMING | NOISE | OVERRUN) != 0;
+        if is_garbled {
+            // After the status, reading the data clears the flags (RM0090, 30.6.1). Should that take a byte from the DMA, it
+            // is one of those that are thrown away.
+            usart2().dr().read();
+        }
         let is_complete = dma1().hisr().read().tcif5().bit();
         let written = written();
         let has_wrapped = is_complete || written < self.written_before;
@@ -130,8 +134,6 @@ impl Receiver {
         // A second lap shows in nothing but the time that it takes.
         let is_lost = unread + new >= RECEIVE_CAPACITY || has_wrapped && elapsed_us >= lap_us(baud);
         self.written_before = written;
-        // Flags without a new byte are those of the look before.
-        let is_garbled = new > 0 && status & (FRAMING | NOISE | OVERRUN) != 0;
         if is_garbled {
             self.read_at = written;
             Reception::Garbled
@@ -238,8 +240,8 @@ fn lap_us(baud: u32) -> u32 {
 }
 
 fn usart2() -> &'static usart1::RegisterBlock {
-    // SAFETY: the receiver only reads the status, which arms the clearing of error flags that the transmitter does
-    // not look at.
+    // SAFETY: the receiver only reads the status and the data, which clears error flags that the transmitter does not
+    // look at.
     unsafe { &*USART2::ptr() }
 }
 

@@ -1,0 +1,316 @@
+//! Commands on the UART of the real image: every one once, a flood of bytes, and a whole calibration.
+
+mod common;
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use common::firmware;
+use virtual_board::faults::Fault;
+use virtual_board::flight::{Outcome, Run};
+use virtual_board::motion::poses::Poses;
+use virtual_board::motion::rest::Rest;
+use virtual_board::motion::{Quaternion, inclination_error_rad};
+use virtual_board::random::Random;
+use virtual_board::script::Script;
+
+/// Makes a run that must be possible.
+fn fly(run: Run) -> Outcome {
+    run.run().unwrap()
+}
+
+/// The lines of a run that are no telemetry, each with its time in seconds.
+fn answers(outcome: &Outcome) -> Vec<(f64, &str)> {
+    let lines = outcome.uart_lines.iter();
+    lines
+        .filter_map(|line| Some((line.at_ns as f64 * 1e-9, line.text.strip_prefix("# ")?)))
+        .collect()
+}
+
+fn says(outcome: &Outcome, text: &str) -> bool {
+    answers(outcome)
+        .iter()
+        .any(|(_, answer)| answer.contains(text))
+}
+
+/// Compares with a file beside the tests, or writes it if `APLOMB_BLESS` is set.
+fn assert_golden(name: &str, text: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/golden")
+        .join(name);
+    if std::env::var_os("APLOMB_BLESS").is_some() {
+        return fs::write(path, text).unwrap();
+    }
+    let golden = fs::read_to_string(&path).unwrap();
+    for (number, (got, golden)) in text.lines().zip(golden.lines()).enumerate() {
+        assert_eq!(got, golden, "{name}:{}", number + 1);
+    }
+    assert_eq!(text.lines().count(), golden.lines().count(), "{name}");
+}
+
+/// Every command once, right and wrong, with time to answer.
+const EVERY_COMMAND: &str = "
+    0.6 help
+    0.8 status
+    1.0 show
+    1.2 stauts
+    1.4 calibrate
+    1.6 calibrate giro
+    1.8 rate 2000
+    2.0 mount z-donw
+    2.2 save
+    2.4 rate 20
+    2.6 format classic
+    3.0 format text
+    3.2 calibrate gyro
+    3.4 calibrate level
+    8.0 calibrate level
+    11.0 calibrate accel
+    11.2 calibrate done
+    11.4 calibrate stop
+    11.6 calibrate temperature
+    14.0 status
+    14.2 calibrate done
+    14.4 calibrate stop
+    14.6 mount find
+    16.5 calibrate stop
+    16.7 mount z-up
+    17.0 self-test
+    20.0 save
+    23.0 save
+    23.2 show
+    23.4 arm
+    23.6 forget
+    23.8 status
+    24.0 disarm
+    24.2 forget
+    24.4 show
+    24.6 baud 460800
+    26.0 baud 115200
+    26.2 status
+    26.4 baud 921600
+    38.0 status
+";
+
+#[test]
+fn every_command_is_answered_as_before() {
+    let script = Script::parse(EVERY_COMMAND).unwrap();
+    let outcome = fly(Run::new(firmware())
+        .seconds(39.0)
+        .motion(Rest::level())
+        .commands(&script));
+    assert_eq!(outcome.remarks, Vec::<String>::new());
+    let mut said = script.lines().iter().peekable();
+    let mut text = String::new();
+    for (at_s, answer) in answers(&outcome) {
+        while let Some((command_s, command)) = said.next_if(|(command_s, _)| *command_s <= at_s) {
+            writeln!(text, "{command_s:7.3} > {command}").unwrap();
+        }
+        writeln!(text, "{at_s:7.3}   {answer}").unwrap();
+    }
+    assert_golden("commands.txt", &text);
+    // Both outputs say the same.
+    for (_, answer) in answers(&outcome) {
+        assert!(
+            outcome.log().iter().any(|line| line.text.ends_with(answer)),
+            "{answer}"
+        );
+    }
+}
+
+#[test]
+fn the_formats_and_rates_are_what_was_asked_for() {
+    let outcome = fly(Run::new(firmware())
+        .seconds(7.0)
+        .motion(Rest::level())
+        .command(1.0, "rate 20")
+        .command(3.0, "format classic")
+        .command(5.0, "rate 200"));
+    let lines = |from_s: f64, to_s: f64, start: &str| {
+        let lines = outcome.uart_lines.iter();
+        lines
+            .filter(|line| (from_s..to_s).contains(&(line.at_ns as f64 * 1e-9)))
+            .filter(|line| line.text.starts_with(start))
+            .count()
+    };
+    assert!(
+        (39..=41).contains(&lines(1.0, 3.0, "roll:")),
+        "{}",
+        lines(1.0, 3.0, "roll:")
+    );
+    assert!(
+        (38..=41).contains(&lines(3.0, 5.0, "Roll:")),
+        "{}",
+        lines(3.0, 5.0, "Roll:")
+    );
+    assert_eq!(lines(3.1, 7.0, "roll:"), 0);
+    assert!(
+        (340..=400).contains(&lines(5.0, 7.0, "Roll:")),
+        "{}",
+        lines(5.0, 7.0, "Roll:")
+    );
+    let classic = outcome
+        .uart_lines
+        .iter()
+        .find(|line| line.text.starts_with("Roll:"));
+    assert!(aplomb::telemetry::classic::decode(&classic.unwrap().text).is_some());
+    assert_eq!(outcome.summary.missed, 0);
+}
+
+#[test]
+fn a_flood_changes_neither_samples_nor_times_nor_anything_else() {
+    let mut random = Random::new(9, "flood");
+    // Three seconds of bytes back to back, with commands in between that nobody sent.
+    let mut bytes: Vec<u8> = (0..34_000)
+        .map(|_| random.uniform(0.0, 256.0) as u8)
+        .collect();
+    for at in (0..33_000).step_by(1_500) {
+        bytes[at..at + 8].copy_from_slice(b"\xFFsave\xFF\r\n");
+    }
+    let run = || Run::new(firmware()).seconds(6.0).seed(4);
+    let quiet = fly(run());
+    let flooded = fly(run()
+        .says(1.5, &bytes)
+        .command(5.0, "")
+        .command(5.2, "status"));
+    assert_eq!(flooded.remarks, Vec::<String>::new());
+    assert_eq!(flooded.summary.missed, 0);
+    assert!(
+        flooded.summary.timestamp_error_us_max <= Some(1.0),
+        "{:?}",
+        flooded.summary
+    );
+    let published = |outcome: &Outcome| -> Vec<_> {
+        outcome
+            .samples()
+            .iter()
+            .map(|sample| sample.snapshot)
+            .collect()
+    };
+    assert!(
+        published(&quiet) == published(&flooded),
+        "every attitude is the same, to the bit"
+    );
+    let latest = |outcome: &Outcome| outcome.summary.edge_to_attitude_us_max.unwrap();
+    assert!(
+        latest(&flooded) <= latest(&quiet) + 0.5,
+        "{} {}",
+        latest(&flooded),
+        latest(&quiet)
+    );
+    assert!(says(&flooded, "lines dropped"));
+    assert!(says(&flooded, "unsaved=no"));
+    let answered = answers(&flooded).len() - answers(&quiet).len();
+    assert!(
+        (2..=20).contains(&answered),
+        "{answered} answers to three seconds of noise"
+    );
+}
+
+#[test]
+fn a_flood_of_commands_costs_no_sample_either() {
+    let flood = b"status\n".repeat(4_000);
+    let outcome = fly(Run::new(firmware()).seconds(4.0).says(1.0, &flood));
+    assert_eq!(outcome.summary.missed, 0);
+    assert!(
+        outcome.summary.timestamp_error_us_max <= Some(1.0),
+        "{:?}",
+        outcome.summary
+    );
+    let answered = answers(&outcome)
+        .iter()
+        .filter(|(_, text)| text.starts_with("ok status"))
+        .count();
+    assert!(answered > 20, "{answered}");
+}
+
+#[test]
+fn a_noisy_line_is_counted_and_its_commands_dropped() {
+    let garbled = Fault::ReceptionGarbled {
+        noise_per_million: 10_000,
+        framing_per_million: 10_000,
+    };
+    let mut run = Run::new(firmware()).seconds(8.0).fault(garbled);
+    for tenth in 10..70 {
+        let line = if tenth % 2 == 0 {
+            "mount z-down"
+        } else {
+            "status"
+        };
+        run = run.command(f64::from(tenth) * 0.1, line);
+    }
+    let outcome = fly(run);
+    assert_eq!(outcome.summary.missed, 0);
+    let count = |start: &str| {
+        answers(&outcome)
+            .iter()
+            .filter(|(_, text)| text.starts_with(start))
+            .count()
+    };
+    let (understood, dropped) = (count("ok "), count("error "));
+    assert!(understood > 20 && understood < 60, "{understood}");
+    assert!(dropped > 0, "{dropped}");
+    // What is understood is what was said.
+    assert_eq!(count("ok "), count("ok mount +x+z;") + count("ok status:"));
+    let (_, last) = *answers(&outcome)
+        .iter()
+        .rfind(|(_, text)| text.starts_with("ok status"))
+        .unwrap();
+    assert!(!last.contains("uart_errors=0"), "{last}");
+}
+
+/// The directions in which the sensor's axes are laid up, one after the other: face up, face down, X up, X down, Y up, Y down.
+fn six_poses() -> [Quaternion; 6] {
+    let pose =
+        |roll: f64, pitch: f64| Quaternion::from_euler(roll.to_radians(), pitch.to_radians(), 0.0);
+    // Body axes: the sensor lies face up, so its Y points left.
+    [
+        pose(0.0, 0.0),
+        pose(180.0, 0.0),
+        pose(0.0, 90.0),
+        pose(0.0, -90.0),
+        pose(90.0, 0.0),
+        pose(-90.0, 0.0),
+    ]
+}
+
+/// The mean inclination error at rest between two times, degrees.
+fn inclination_deg(outcome: &Outcome, from_s: f64, to_s: f64) -> f64 {
+    let errors: Vec<f64> = outcome
+        .samples()
+        .iter()
+        .filter(|sample| (from_s..to_s).contains(&(sample.published_ns as f64 * 1e-9)))
+        .filter_map(|sample| {
+            let truth = sample.edge?.truth.attitude?;
+            let attitude = sample.snapshot.attitude;
+            let [w, x, y, z] = [attitude.w, attitude.x, attitude.y, attitude.z].map(f64::from);
+            Some(inclination_error_rad(Quaternion { w, x, y, z }, truth).to_degrees())
+        })
+        .collect();
+    errors.iter().sum::<f64>() / errors.len() as f64
+}
+
+/// A tilted pose that no calibration has seen, and level.
+fn test_poses(from_s: f64) -> [(f64, Quaternion); 2] {
+    let tilted = Quaternion::from_euler(0.5, -0.4, 0.3);
+    [(from_s, tilted), (from_s + 4.0, Quaternion::IDENTITY)]
+}
+
+#[test]
+fn zz_latency() {
+    let outcome = fly(Run::new(firmware()).seconds(9.0));
+    let mut all: Vec<(u64, usize)> = outcome
+        .samples()
+        .iter()
+        .enumerate()
+        .filter_map(|(i, s)| Some((s.published_ns - s.edge?.time_ns, i)))
+        .collect();
+    all.sort();
+    for (ns, i) in all.iter().rev().take(12) {
+        eprintln!(
+            "{i} {ns} {:?}",
+            outcome.samples()[*i].snapshot.flags.to_string()
+        );
+    }
+}
