@@ -137,14 +137,29 @@ pub enum OutputFormat {
     Text,
     /// The classic tutorial's line.
     Classic,
+    /// Lines for Teleplot.
+    Teleplot,
+    /// The packet of the teapot demo.
+    Teapot,
+    /// MAVLink 2.
+    Mavlink,
+    /// The flight log.
+    Log,
 }
 
 impl OutputFormat {
-    /// Every format, in the order of [`OutputFormat::NAMES`].
-    pub const ALL: [Self; 2] = [Self::Text, Self::Classic];
+    /// Every format, in the order of [`OutputFormat::NAMES`]. A stored format is its place in here, so new ones come last.
+    pub const ALL: [Self; 6] = [
+        Self::Text,
+        Self::Classic,
+        Self::Teleplot,
+        Self::Teapot,
+        Self::Mavlink,
+        Self::Log,
+    ];
 
     /// Their names.
-    pub const NAMES: [&str; 2] = ["text", "classic"];
+    pub const NAMES: [&str; 6] = ["text", "classic", "teleplot", "teapot", "mavlink", "log"];
 
     /// The format of this name.
     pub fn parse(name: &str) -> Option<Self> {
@@ -156,6 +171,10 @@ impl OutputFormat {
         match self {
             Self::Text => "text",
             Self::Classic => "classic",
+            Self::Teleplot => "teleplot",
+            Self::Teapot => "teapot",
+            Self::Mavlink => "mavlink",
+            Self::Log => "log",
         }
     }
 }

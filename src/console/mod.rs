@@ -5,6 +5,7 @@
 //! | [`line`] | how bytes become lines, and which are dropped |
 //! | [`command`] | the words, and what was probably meant |
 //! | [`answer`] | the lines that go back |
+//! | `ground_station` | MAVLink's requests as commands |
 //! | `procedure` | the measurements, rest by rest |
 //!
 //! [`Console`] holds the *working record* (what is in use) and the *stored* one (what is in flash). Every command changes
@@ -24,6 +25,8 @@
 
 pub mod answer;
 pub mod command;
+#[cfg(feature = "mavlink")]
+pub mod ground_station;
 pub mod line;
 mod nearest;
 mod procedure;

@@ -51,6 +51,9 @@ pub const FRAME_CAPACITY: usize = BODY_CAPACITY + CRC_LENGTH + 1 + 2;
 /// Bytes of a burst's frame: kind, number, time, missed edges, data, CRC, COBS, two zeros.
 pub const BYTES_PER_BURST: usize = 1 + 4 + 6 + 1 + BURST_LENGTH + CRC_LENGTH + 1 + 2;
 
+/// Bytes of an attitude's frame: kind, time, quaternion, rates, flags, CRC, COBS, two zeros.
+pub const BYTES_PER_ATTITUDE: usize = 1 + 8 + 16 + 12 + 4 + CRC_LENGTH + 1 + 2;
+
 /// The longest text of a message; what is longer is cut.
 pub const TEXT_CAPACITY: usize = BODY_CAPACITY - 2;
 
@@ -628,6 +631,7 @@ mod tests {
     fn a_burst_takes_what_it_is_said_to_take_and_the_line_carries_it() {
         let [_, burst, attitude, ..] = examples();
         assert_eq!(stream(&[burst]).len(), BYTES_PER_BURST);
+        assert_eq!(stream(&[attitude]).len(), BYTES_PER_ATTITUDE);
         // At 1 kHz with 50 attitudes, a configuration each second and a state in ten.
         let configuration = stream(&examples()[..1]).len();
         let piece = stream(&examples()[3..4]).len();
