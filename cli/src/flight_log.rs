@@ -335,7 +335,8 @@ impl<W: Write> Recorder<W> {
     pub fn add(&mut self, burst: &Burst) -> std::io::Result<Snapshot> {
         let now_us = burst.captured_at_us;
         if self.sender.wants_state(now_us) {
-            self.sender.set_state(&self.pipeline, self.number, now_us);
+            self.sender.copy_state(&self.pipeline, self.number);
+            self.sender.measure_state(now_us);
         }
         let mut burst_to_send = Some(NumberedBurst {
             number: self.number,

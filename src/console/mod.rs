@@ -233,6 +233,11 @@ impl Console {
         self.working != self.stored
     }
 
+    /// Whether the module is armed.
+    pub const fn is_armed(&self) -> bool {
+        self.is_armed
+    }
+
     /// The mount in use.
     pub fn mount(&self) -> Mount {
         self.working.calibration.mount.unwrap_or(self.default_mount)

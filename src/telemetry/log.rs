@@ -431,28 +431,31 @@ impl<F: Filter + Copy> Sender<F> {
         now_us >= self.next_state_us
     }
 
-    /// Takes a copy of the pipeline before the burst of this number.
-    pub fn set_state(&mut self, pipeline: &Pipeline<F>, next_number: u32, now_us: u64) {
-        let mut pipeline = *pipeline;
-        let mut measure = Window::new(&mut [], 0);
-        pipeline.exchange(&mut measure);
-        // A pipeline that still averages has no state to send; it is asked again.
-        let (sent, whole) = match measure.length() {
-            Some(whole) => {
-                self.next_state_us = now_us + STATE_PERIOD_US;
-                (0, whole)
-            }
-            None => {
-                self.next_state_us = now_us + CONFIGURATION_PERIOD_US;
-                (0, 0)
-            }
-        };
+    /// Takes a copy of the pipeline before the burst of this number: no more than that, since the pipeline is locked meanwhile.
+    /// [`measure_state`](Self::measure_state) follows it.
+    pub fn copy_state(&mut self, pipeline: &Pipeline<F>, next_number: u32) {
         self.state = Some(Captured {
-            pipeline,
+            pipeline: *pipeline,
             number: next_number,
-            sent,
-            whole,
+            sent: 0,
+            whole: 0,
         });
+    }
+
+    /// Finds out how long the copied state is, and when the next one is due.
+    pub fn measure_state(&mut self, now_us: u64) {
+        let Some(state) = &mut self.state else {
+            return;
+        };
+        let mut measure = Window::new(&mut [], 0);
+        state.pipeline.exchange(&mut measure);
+        // A pipeline that still averages has no state to send; it is asked again.
+        let (whole, pause_us) = match measure.length() {
+            Some(whole) => (whole, STATE_PERIOD_US),
+            None => (0, CONFIGURATION_PERIOD_US),
+        };
+        state.whole = whole;
+        self.next_state_us = now_us + pause_us;
     }
 
     /// Writes what there is to write, as far as there is room. `bursts` gives the oldest burst that was not sent yet.
@@ -681,7 +684,8 @@ mod tests {
         };
         let mut sender = Sender::new(10);
         assert!(sender.wants_state(0));
-        sender.set_state(&pipeline, 10, 0);
+        sender.copy_state(&pipeline, 10);
+        sender.measure_state(0);
         assert!(!sender.wants_state(1));
         let mut next = 10;
         let mut all = Vec::new();

@@ -27,8 +27,8 @@
 //! Types, field order, checksums and enumerations are those of the `mavlink` crate, dialect `common`. Measured on the Cortex-M4F
 //! (release profile, ten messages out and six in): 7.4 KiB of flash, 410 to 1,000 instructions a message, against 3.2 KiB and 170 to
 //! 860 by hand. 4 KiB of 96 and a load of 0.05 % at 150 messages a second do not outweigh a definition that others
-//! maintain and test. Two messages are written here all the same (`wire`): the crate's types cannot hold a command that
-//! its dialect does not know, and every command wants an answer.
+//! maintain and test. What its types cannot hold is in `wire`: a command that its dialect does not know, and the fields that
+//! version 2 appended.
 
 pub mod parameter;
 mod receiver;
@@ -39,9 +39,9 @@ mod wire;
 use ::mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, AUTOPILOT_VERSION_DATA, HEARTBEAT_DATA,
     HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MISSION_COUNT_DATA, MISSION_REQUEST_LIST_DATA,
-    MavAutopilot, MavMissionType, MavModeFlag, MavParamType, MavProtocolCapability, MavSeverity,
-    MavState, MavSysStatusSensor, MavType, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
-    PARAM_SET_DATA, PARAM_VALUE_DATA, STATUSTEXT_DATA, SYS_STATUS_DATA,
+    MavAutopilot, MavModeFlag, MavParamType, MavProtocolCapability, MavSeverity, MavState,
+    MavSysStatusSensor, MavType, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
+    PARAM_VALUE_DATA, STATUSTEXT_DATA, SYS_STATUS_DATA,
 };
 use ::mavlink::types::CharArray;
 use ::mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkVersion, MessageData};
@@ -55,7 +55,7 @@ use crate::health::Flags;
 use crate::pipeline::Snapshot;
 use parameter::{PARAMETERS, Parameter};
 use receiver::{Received, Receiver};
-use wire::{Command, CommandAck};
+use wire::{Command, CommandAck, Extended};
 
 /// The module's address: the first system, as its autopilot, since ground stations look for one.
 pub const SYSTEM: u8 = 1;
@@ -191,7 +191,8 @@ enum Reply {
     NoMission {
         system: u8,
         component: u8,
-        kind: MavMissionType,
+        /// MAV_MISSION_TYPE.
+        kind: u8,
     },
     Version,
 }
@@ -287,7 +288,7 @@ impl Session {
     /// Writes a message of the module; false, and nothing of it, if there is no room.
     pub fn say(&mut self, severity: Severity, text: &str, output: &mut Output<'_>) -> bool {
         let chunks = text.len().div_ceil(TEXT_LENGTH).max(1);
-        if !output.has_room(chunks * (OVERHEAD + STATUSTEXT_DATA::ENCODED_LEN)) {
+        if !output.has_room(chunks * (OVERHEAD + STATUSTEXT_DATA::ENCODED_LEN + 3)) {
             return false;
         }
         let id = if chunks > 1 {
@@ -296,6 +297,7 @@ impl Session {
         } else {
             0
         };
+        let [id_low, id_high] = id.to_le_bytes();
         let mut rest = text.as_bytes();
         for chunk in 0..chunks {
             let (these, others) = rest.split_at_checked(TEXT_LENGTH).unwrap_or((rest, &[]));
@@ -305,15 +307,17 @@ impl Session {
                 *place = *letter;
             }
             self.send_or_drop(
-                &STATUSTEXT_DATA {
-                    severity: match severity {
-                        Severity::Information => MavSeverity::MAV_SEVERITY_INFO,
-                        Severity::Warning => MavSeverity::MAV_SEVERITY_WARNING,
-                        Severity::Error => MavSeverity::MAV_SEVERITY_ERROR,
+                &Extended {
+                    message: STATUSTEXT_DATA {
+                        severity: match severity {
+                            Severity::Information => MavSeverity::MAV_SEVERITY_INFO,
+                            Severity::Warning => MavSeverity::MAV_SEVERITY_WARNING,
+                            Severity::Error => MavSeverity::MAV_SEVERITY_ERROR,
+                        },
+                        text: CharArray::new(letters),
                     },
-                    text: CharArray::new(letters),
-                    id,
-                    chunk_seq: chunk as u8,
+                    // Which message, and which piece of it.
+                    extension: [id_low, id_high, chunk as u8],
                 },
                 output,
             );
@@ -342,12 +346,13 @@ impl Session {
                 component,
                 kind,
             } => self.send(
-                &MISSION_COUNT_DATA {
-                    count: 0,
-                    target_system: system,
-                    target_component: component,
-                    mission_type: kind,
-                    opaque_id: 0,
+                &Extended {
+                    message: MISSION_COUNT_DATA {
+                        count: 0,
+                        target_system: system,
+                        target_component: component,
+                    },
+                    extension: [kind],
                 },
                 output,
             ),
@@ -438,13 +443,18 @@ impl Inbox {
                 }
             }
             MISSION_REQUEST_LIST_DATA::ID => {
-                if let Ok(request) = MISSION_REQUEST_LIST_DATA::deser(version, payload)
-                    && is_ours(request.target_system, request.target_component)
+                type Request = Extended<MISSION_REQUEST_LIST_DATA, 1>;
+                if let Ok(request) = Request::deser(version, payload)
+                    && is_ours(
+                        request.message.target_system,
+                        request.message.target_component,
+                    )
                 {
+                    let [kind] = request.extension;
                     self.queue(Reply::NoMission {
                         system: frame.system,
                         component: frame.component,
-                        kind: request.mission_type,
+                        kind,
                     });
                 }
             }
@@ -645,7 +655,6 @@ fn quaternion(snapshot: &Snapshot) -> ATTITUDE_QUATERNION_DATA {
         rollspeed: rates.x,
         pitchspeed: rates.y,
         yawspeed: rates.z,
-        repr_offset_q: [0.0; 4],
     }
 }
 

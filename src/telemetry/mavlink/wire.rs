@@ -1,5 +1,8 @@
-//! The two messages whose types in the `mavlink` crate are too narrow: they know the commands of a dialect and no other, and every
-//! command wants an answer.
+//! Where the types of the `mavlink` crate are too narrow.
+//!
+//! Its commands are those of a dialect and no other, and every command wants an answer. And its option for the
+//! fields that version 2 appended to messages of version 1 pulls its code generator, which needs the standard library, into
+//! the firmware (0.21.0): [`Extended`] appends them.
 
 use ::mavlink::dialects::common::{
     COMMAND_ACK_DATA, COMMAND_INT_DATA, COMMAND_LONG_DATA, MavMessage,
@@ -43,6 +46,46 @@ impl Command {
             command: bytes.get_u16_le().ok()?,
             target_system: bytes.get_u8().ok()?,
             target_component: bytes.get_u8().ok()?,
+        })
+    }
+}
+
+/// A message with the fields behind those of version 1, as bytes.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Extended<M, const N: usize> {
+    pub(super) message: M,
+    pub(super) extension: [u8; N],
+}
+
+impl<M: MessageData, const N: usize> MessageData for Extended<M, N> {
+    type Message = M::Message;
+
+    const ID: u32 = M::ID;
+    const NAME: &'static str = M::NAME;
+    // The extension does not count.
+    const EXTRA_CRC: u8 = M::EXTRA_CRC;
+    const ENCODED_LEN: usize = M::ENCODED_LEN + N;
+
+    fn ser(&self, _: MavlinkVersion, payload: &mut [u8]) -> usize {
+        // Version 1 keeps the zeros at the end.
+        let length = self.message.ser(MavlinkVersion::V1, payload);
+        if let Some(place) = payload.get_mut(length..length + N) {
+            place.copy_from_slice(&self.extension);
+        }
+        mavlink::utils::remove_trailing_zeroes(payload.get(..length + N).unwrap_or_default())
+    }
+
+    fn deser(version: MavlinkVersion, payload: &[u8]) -> Result<Self, ParserError> {
+        let mut extension = [0; N];
+        for (place, byte) in extension
+            .iter_mut()
+            .zip(payload.get(M::ENCODED_LEN..).unwrap_or_default())
+        {
+            *place = *byte;
+        }
+        Ok(Self {
+            message: M::deser(version, payload)?,
+            extension,
         })
     }
 }
