@@ -188,12 +188,12 @@ impl<F: Filter> Pipeline<F> {
             freeze_watch: FreezeWatch::new(),
             sample: Sample::default(),
             temperature_celsius: 0.0,
-            until_temperature: TEMPERATURE_SAMPLES,
+            until_temperature: 1,
             rest: averages
                 .then(|| RestWatch::new(&settings.rest_scale(), settings.averaging_samples)),
             is_averaging: averages,
         };
-        pipeline.derive_maps();
+        pipeline.begin(settings.calibration.usual_celsius());
         pipeline
     }
 
@@ -201,9 +201,6 @@ impl<F: Filter> Pipeline<F> {
     pub fn update(&mut self, burst: &Burst) -> Snapshot {
         let raw = RawSample::decode(&burst.bytes);
         self.temperature_celsius = raw.temperature.to_celsius(self.settings.part);
-        if !self.has_started {
-            self.start();
-        }
         self.sample = Sample {
             t_us: burst.captured_at_us,
             specific_force_m_s2: self.accelerometer_map.apply(raw.accelerometer.0),
@@ -269,7 +266,7 @@ impl<F: Filter> Pipeline<F> {
     /// A stored offset that still holds shortens it to a quarter.
     pub fn start_rest(&mut self, samples: u16) {
         let watch = RestWatch::new(&self.settings.rest_scale(), samples);
-        let (expected_rad_s, sigma_rad_s) = self.known_offset();
+        let (expected_rad_s, sigma_rad_s) = self.known_offset(self.temperature_celsius);
         self.rest = Some(watch.expecting(expected_rad_s, sigma_rad_s));
         self.is_averaging = false;
     }
@@ -322,16 +319,16 @@ impl<F: Filter> Pipeline<F> {
         let has_other_axes = before.mount() != self.settings.mount()
             || before.calibration.level != calibration.level;
         let waits_for_average = self.settings.averaging_samples > 0 && !self.is_kalman();
+        if waits_for_average {
+            self.start_rest(self.settings.averaging_samples);
+            self.is_averaging = true;
+        }
         if has_other_axes || waits_for_average {
             self.estimator.restart();
-            self.has_started = false;
             self.was_still = false;
-            if waits_for_average {
-                self.start_rest(self.settings.averaging_samples);
-                self.is_averaging = true;
-            }
-        } else if self.has_started {
-            self.rate_offset_rad_s = self.known_offset().0;
+            self.begin(self.temperature_celsius);
+        } else {
+            self.rate_offset_rad_s = self.known_offset(self.temperature_celsius).0;
             self.derive_maps();
             // What the map removes now, the filter need not any more.
             self.estimator.shift_bias(rate_before - self.body_offset());
@@ -428,31 +425,28 @@ impl<F: Filter> Pipeline<F> {
         self.estimator.restart();
     }
 
-    /// With the first sample the temperature is known, and with it what is known of the offset.
-    #[cold]
+    /// Tells maps and filter what is known, at this temperature in °C, before their first sample.
     #[inline(never)]
-    fn start(&mut self) {
-        self.has_started = true;
-        let (offset_rad_s, sigma_rad_s) = self.known_offset();
+    fn begin(&mut self, celsius: f32) {
+        let (offset_rad_s, sigma_rad_s) = self.known_offset(celsius);
         self.rate_offset_rad_s = offset_rad_s;
         self.derive_maps();
         if sigma_rad_s < LARGEST_STORED_SIGMA_RAD_S {
             self.estimator.set_bias(Vector3::ZERO, sigma_rad_s);
             if self.is_averaging {
-                self.rest = self
-                    .rest
-                    .map(|rest| rest.expecting(offset_rad_s, sigma_rad_s));
+                let expecting = |rest: RestWatch| rest.expecting(offset_rad_s, sigma_rad_s);
+                self.rest = self.rest.map(expecting);
             }
         }
     }
 
-    /// The gyroscope's offset at the present temperature as it is known without the filter, rad/s in sensor axes, and its σ.
-    fn known_offset(&self) -> (Vector3, f32) {
+    /// The gyroscope's offset at this temperature as it is known without the filter, rad/s in sensor axes, and its σ.
+    fn known_offset(&self, celsius: f32) -> (Vector3, f32) {
         let calibration = &self.settings.calibration;
         let (stored, stored_sigma) = match calibration.gyroscope {
             None => (Vector3::ZERO, LARGEST_STORED_SIGMA_RAD_S),
             Some(stored) => {
-                let away = self.temperature_celsius - stored.temperature_celsius;
+                let away = celsius - stored.temperature_celsius;
                 let drift = STORED_OFFSET_SIGMA_PER_CELSIUS * away;
                 let variance =
                     STORED_OFFSET_SIGMA_RAD_S * STORED_OFFSET_SIGMA_RAD_S + drift * drift;
@@ -463,7 +457,7 @@ impl<F: Filter> Pipeline<F> {
         match calibration.temperature {
             None => (stored, stored_sigma),
             Some(model) => {
-                let (offset, weight) = model.offset_at(self.temperature_celsius);
+                let (offset, weight) = model.offset_at(celsius);
                 let rest = 1.0 - weight;
                 (
                     offset.scale(weight) + stored.scale(rest),
@@ -473,18 +467,26 @@ impl<F: Filter> Pipeline<F> {
         }
     }
 
-    /// Moves the offset along the temperature model; outside of its range it stays where it is.
+    /// Moves the offset along the temperature model; outside of its range it stays where it is. The first time it tells
+    /// the filter, which has one sample by then, at which temperature it really began.
     #[inline(never)]
     fn follow_temperature(&mut self) {
-        let Some(model) = self.settings.calibration.temperature else {
-            return;
-        };
-        if self.is_averaging || !self.has_started {
+        let celsius = self.temperature_celsius;
+        let calibration = &self.settings.calibration;
+        if !self.has_started {
+            self.has_started = true;
+            if calibration.gyroscope.is_some() || calibration.temperature.is_some() {
+                self.estimator.restart();
+                self.begin(celsius);
+            }
             return;
         }
-        let (_, weight) = model.offset_at(self.temperature_celsius);
-        if weight > 0.0 {
-            self.rate_offset_rad_s = self.known_offset().0;
+        let Some(model) = calibration.temperature else {
+            return;
+        };
+        let (_, weight) = model.offset_at(celsius);
+        if weight > 0.0 && !self.is_averaging {
+            self.rate_offset_rad_s = self.known_offset(celsius).0;
             self.gyroscope_map.remove(self.rate_offset_rad_s);
         }
     }

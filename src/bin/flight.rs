@@ -23,11 +23,12 @@ mod app {
 
     use aplomb::board::boards::BOARD;
     use aplomb::board::burst_reader::{self, BurstReader};
+    use aplomb::board::flash::CalibrationFlash;
     use aplomb::board::sensor_bus::SensorBus;
     use aplomb::board::timebase::{self, Delay, Timebase};
     use aplomb::board::uart::{self, ReceiveRing, Receiver, Reception, Transmitter};
     use aplomb::board::{clocks, pins, publish};
-    use aplomb::calibration::{Calibration, Mount, OutputFormat, RestProgress};
+    use aplomb::calibration::{Calibration, Mount, OutputFormat, RestProgress, storage};
     use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
     use aplomb::console::ground_station::GroundStation;
     use aplomb::console::{Console, Module, Outcome, State, Task};
@@ -109,6 +110,7 @@ mod app {
     #[local]
     struct Local {
         bus: SensorBus,
+        flash: CalibrationFlash,
         transmitter: Transmitter,
         receiver: Receiver,
         console: Console,
@@ -133,8 +135,16 @@ mod app {
             core_mhz: (BOARD.core_hz / 1_000_000) as u16,
             clock,
         });
+        let mut flash = CalibrationFlash::new(device.FLASH);
+        let storage::Loaded { record, problem } = storage::load(&mut flash);
+        if let Some(problem) = problem {
+            messages.post(Message::RecordProblem(problem));
+        }
+        if record.is_some() {
+            messages.post(Message::RecordLoaded);
+        }
         let console = Console::new(
-            None,
+            record,
             SETTINGS.rest_scale(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
@@ -160,6 +170,7 @@ mod app {
             },
             Local {
                 bus,
+                flash,
                 transmitter,
                 receiver,
                 console,
@@ -169,9 +180,9 @@ mod app {
         )
     }
 
-    #[idle(local = [bus], shared = [pipeline, messages, desk])]
+    #[idle(local = [bus, flash], shared = [pipeline, messages, desk])]
     fn idle(context: idle::Context) -> ! {
-        let bus = context.local.bus;
+        let idle::LocalResources { bus, flash, .. } = context.local;
         let idle::SharedResources {
             mut pipeline,
             mut messages,
@@ -215,7 +226,7 @@ mod app {
                 && let Some(task) = desk.lock(|desk| desk.task.take())
             {
                 let since = timebase::now();
-                let outcome = perform(&task, bus);
+                let outcome = perform(&task, bus, flash);
                 desk.lock(|desk| desk.outcome = Some(outcome));
                 timebase::sleep_until(|| timebase::elapsed(since, PAUSE_US));
             }
@@ -253,9 +264,12 @@ mod app {
 
     /// Does what the sensor was stopped for.
     #[inline(never)]
-    fn perform(task: &Task, bus: &mut SensorBus) -> Outcome {
+    fn perform(task: &Task, bus: &mut SensorBus, flash: &mut CalibrationFlash) -> Outcome {
         match task {
-            Task::Save(_record) => Outcome::new(false, "there is no storage yet"),
+            Task::Save(record) => match storage::save(flash, record) {
+                Ok(()) => Outcome::new(true, "stored"),
+                Err(error) => Outcome::new(false, error),
+            },
             Task::SelfTest => match test_sensor(bus) {
                 Ok(outcome) => outcome,
                 Err(message) => Outcome::new(false, message),

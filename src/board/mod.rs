@@ -15,6 +15,8 @@
 pub mod boards;
 pub mod burst_reader;
 pub mod clocks;
+#[cfg(feature = "firmware")]
+pub mod flash;
 #[cfg(feature = "qemu")]
 pub mod host_files;
 #[cfg(feature = "cost")]

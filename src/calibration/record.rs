@@ -32,6 +32,15 @@ impl Calibration {
         accelerometer: None,
         level: None,
     };
+
+    /// The temperature that is likely as long as none was measured, °C: that of the stored offset.
+    pub(crate) fn usual_celsius(&self) -> f32 {
+        match (&self.gyroscope, &self.temperature) {
+            (Some(stored), _) => stored.temperature_celsius,
+            (None, Some(model)) => model.reference_celsius,
+            (None, None) => 25.0,
+        }
+    }
 }
 
 impl Calibration {

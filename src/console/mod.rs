@@ -96,7 +96,6 @@ pub trait Module {
 
 /// What needs the sensor to stop for a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 pub enum Task {
     /// Stores this record.
     Save(Record),

@@ -13,6 +13,7 @@ impl<'a> Writer<'a> {
         Self { bytes, length: 0 }
     }
 
+    #[inline(never)]
     pub(super) fn text(&mut self, text: &str) {
         for byte in text.bytes() {
             self.byte(byte);
@@ -20,6 +21,7 @@ impl<'a> Writer<'a> {
     }
 
     /// Two decimals, rounded half away from zero, at most [`LARGEST`] either way; `nan` for none.
+    #[inline(never)]
     pub(super) fn number(&mut self, value: f32) {
         if value.is_nan() {
             return self.text("nan");
@@ -41,6 +43,7 @@ impl<'a> Writer<'a> {
         bytes.get(..length).unwrap_or(&[])
     }
 
+    #[inline(never)]
     fn hundredths(&mut self, hundredths: i32) {
         if hundredths < 0 {
             self.byte(b'-');

@@ -8,6 +8,7 @@ use core::fmt;
 use embedded_hal::i2c;
 use heapless::Deque;
 
+use crate::calibration::storage::LoadProblem;
 use crate::fault::{BurstFailure, ClockSource};
 use crate::mpu6050;
 
@@ -26,6 +27,10 @@ pub enum Message {
         /// What the clock runs from.
         clock: ClockSource,
     },
+    /// A stored record was found and is in use.
+    RecordLoaded,
+    /// Something is wrong with what is stored.
+    RecordProblem(LoadProblem),
     /// The sensor is configured and its bursts begin.
     SensorConfigured {
         /// The part's name.
@@ -79,14 +84,16 @@ impl Message {
                 clock: ClockSource::InternalOscillator,
                 ..
             }
+            | Self::RecordProblem(_)
             | Self::BurstsFailed { .. }
             | Self::Recovering
             | Self::MovedAtStart
             | Self::MessagesLost { .. } => Severity::Warning,
             Self::BusHeldLow { .. } | Self::SensorFailed(_) => Severity::Error,
-            Self::Started { .. } | Self::SensorConfigured { .. } | Self::OffsetMeasured => {
-                Severity::Information
-            }
+            Self::Started { .. }
+            | Self::RecordLoaded
+            | Self::SensorConfigured { .. }
+            | Self::OffsetMeasured => Severity::Information,
         }
     }
 }
@@ -108,6 +115,8 @@ impl fmt::Display for Message {
                     }
                 })
             }
+            Self::RecordLoaded => formatter.write_str("stored calibration and settings in use"),
+            Self::RecordProblem(problem) => write!(formatter, "{problem}"),
             Self::SensorConfigured { part, address } => {
                 write!(formatter, "{part} at 0x{address:02x} configured")
             }
@@ -274,6 +283,9 @@ mod tests {
                 core_mhz: 168,
                 clock: ClockSource::InternalOscillator,
             },
+            Message::RecordLoaded,
+            Message::RecordProblem(LoadProblem::Damaged),
+            Message::RecordProblem(LoadProblem::NewerFormat { version: u16::MAX }),
             Message::BusHeldLow { clock: true },
             Message::Recovering,
             Message::MovedAtStart,

@@ -260,3 +260,82 @@ fn strangers_and_absence_are_told_apart() {
         .unwrap();
     assert!(matches!(failure.error, Error::NotFound));
 }
+
+#[test]
+fn the_self_test_passes_on_every_chip_within_the_datasheet_and_says_its_deviations() {
+    for seed in 0..20 {
+        let bench = Bench::new(SensorConfig::new(seed), Rest::level());
+        let mut driver = configured(&bench, &Config::default());
+        let test = driver.self_test(&mut bench.clone()).unwrap();
+        assert_eq!(test.has_passed(), Some(true), "{seed}: {test}");
+        // The model ages each axis by up to 10 %, and has its own table of the trims.
+        let deviations = test
+            .gyroscope
+            .iter()
+            .chain(&test.accelerometer)
+            .map(|axis| axis.deviation().unwrap().abs());
+        let largest = deviations.fold(0.0, f32::max);
+        assert!((0.001..0.12).contains(&largest), "{seed}: {test}");
+        // It is as usable as before.
+        driver
+            .configure(&Config::default(), &mut bench.clone())
+            .unwrap();
+        bench.clone().delay_ms(100);
+        let sample = RawSample::decode(&driver.read_burst(0).unwrap().bytes);
+        assert!(
+            (1900..2200).contains(&sample.accelerometer.0[2]),
+            "{sample:?}"
+        );
+    }
+}
+
+#[test]
+fn a_chip_without_self_test_says_so_and_does_not_fail() {
+    for (who_am_i, has_self_test) in [(0x68, false), (0x72, false), (0x98, true), (0x70, true)] {
+        let sensor = SensorConfig {
+            who_am_i,
+            has_self_test,
+            ..SensorConfig::new(3)
+        };
+        let bench = Bench::new(sensor, Rest::level());
+        let mut driver = configured(&bench, &Config::default());
+        let test = driver.self_test(&mut bench.clone()).unwrap();
+        assert_eq!(test.has_passed(), None, "{who_am_i:#04x}: {test}");
+        assert!(test.to_string().contains("no factory trim"), "{test}");
+    }
+}
+
+#[test]
+fn an_axis_that_does_not_answer_fails_the_self_test() {
+    /// The Y axis of the gyroscope is stuck: it does not feel its self-test.
+    struct Stuck(Bench);
+    impl ErrorType for Stuck {
+        type Error = ErrorKind;
+    }
+    impl I2c for Stuck {
+        fn transaction(
+            &mut self,
+            address: u8,
+            operations: &mut [Operation<'_>],
+        ) -> Result<(), ErrorKind> {
+            self.0.transaction(address, operations)?;
+            for operation in operations {
+                if let Operation::Read(bytes) = operation
+                    && bytes.len() == 14
+                {
+                    bytes[10..12].copy_from_slice(&[0, 3]);
+                }
+            }
+            Ok(())
+        }
+    }
+    let bench = Bench::new(SensorConfig::new(4), Rest::level());
+    let mut driver = Mpu6050::probe(Stuck(bench.clone()), &mut bench.clone())
+        .ok()
+        .unwrap();
+    let test = driver.self_test(&mut bench.clone()).unwrap();
+    assert_eq!(test.has_passed(), Some(false));
+    assert_eq!(test.gyroscope[1].deviation(), Some(-1.0));
+    assert!(test.to_string().contains("gyroscope x +"), "{test}");
+    assert!(test.to_string().contains("y -100 %"), "{test}");
+}

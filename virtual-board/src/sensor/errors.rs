@@ -19,6 +19,8 @@ pub struct AxisErrors {
     pub offset: Vector,
     /// Change of the offset per °C.
     pub offset_per_c: Vector,
+    /// And how that change changes: the offset's factor of (T − 25 °C)², per °C².
+    pub offset_per_c2: Vector,
     /// One-sided noise density, per √Hz.
     pub noise_density: f64,
 }
@@ -52,12 +54,17 @@ impl AxisErrors {
         sensitivity: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         offset: [0.0; 3],
         offset_per_c: [0.0; 3],
+        offset_per_c2: [0.0; 3],
         noise_density: 0.0,
     };
 
     /// The true input as this sensor feels it, without noise.
     fn distort(&self, input: Vector, warmer_by_c: f64) -> Vector {
-        let offset = add(self.offset, scale(self.offset_per_c, warmer_by_c));
+        let drift = add(
+            scale(self.offset_per_c, warmer_by_c),
+            scale(self.offset_per_c2, warmer_by_c * warmer_by_c),
+        );
+        let offset = add(self.offset, drift);
         add(self.sensitivity.map(|row| dot(row, input)), offset)
     }
 }
@@ -109,12 +116,14 @@ impl SensorErrors {
                 sensitivity: sensitivity(),
                 offset: scale(accelerometer_offset, milli_g),
                 offset_per_c: scale(accelerometer_drift, milli_g),
+                offset_per_c2: [0.0; 3],
                 noise_density: 0.4 * milli_g,
             },
             gyroscope: AxisErrors {
                 sensitivity: sensitivity(),
                 offset: scale(gyroscope_offset, degree),
                 offset_per_c: scale(gyroscope_drift, degree),
+                offset_per_c2: [0.0; 3],
                 noise_density: 0.005 * degree,
             },
             rate_per_specific_force: scale(rate_per_g, degree / STANDARD_GRAVITY_M_S2),
@@ -122,6 +131,52 @@ impl SensorErrors {
             self_heating_c: random.uniform(2.0, 6.0),
             self_heating_time_s: random.uniform(60.0, 180.0),
             start_up_rate: scale(start_up_rate, degree),
+        }
+    }
+
+    /// A chip from anywhere within the datasheet's tolerance, its limits as likely as its middle, and with an offset that
+    /// follows temperature in a curve: harder than what is sold.
+    #[must_use]
+    pub fn anywhere_in_tolerance(seed: u64) -> Self {
+        let mut random = Random::new(seed, "sensor errors, uniform");
+        let milli_g = STANDARD_GRAVITY_M_S2 * 1e-3;
+        let degree = 1.0_f64.to_radians();
+        let mut each = |bounds: Vector| bounds.map(|bound| random.uniform(-bound, bound));
+        let accelerometer_offset = scale(each([50.0, 50.0, 80.0]), milli_g);
+        let accelerometer_drift = scale(each([0.5, 0.5, 0.86]), milli_g);
+        let gyroscope_offset = scale(each([20.0; 3]), degree);
+        // Together ±19 °/s between −40 and 85 °C; the datasheet has ±20.
+        let gyroscope_drift = scale(each([0.16; 3]), degree);
+        let gyroscope_curve = scale(each([0.002; 3]), degree);
+        let rate_per_g = scale(each([0.1; 3]), degree / STANDARD_GRAVITY_M_S2);
+        let mut sensitivity = || {
+            [0, 1, 2].map(|row| {
+                [0, 1, 2].map(|column| {
+                    if row == column {
+                        1.0 + random.uniform(-0.03, 0.03)
+                    } else {
+                        random.uniform(-0.02, 0.02)
+                    }
+                })
+            })
+        };
+        let typical = Self::typical(seed);
+        Self {
+            accelerometer: AxisErrors {
+                sensitivity: sensitivity(),
+                offset: accelerometer_offset,
+                offset_per_c: accelerometer_drift,
+                ..typical.accelerometer
+            },
+            gyroscope: AxisErrors {
+                sensitivity: sensitivity(),
+                offset: gyroscope_offset,
+                offset_per_c: gyroscope_drift,
+                offset_per_c2: gyroscope_curve,
+                ..typical.gyroscope
+            },
+            rate_per_specific_force: rate_per_g,
+            ..typical
         }
     }
 
@@ -208,6 +263,29 @@ mod tests {
         let warm_rate = errors.distort_rates([0.0; 3], [0.0; 3], warm, 10.0);
         let expected = errors.gyroscope.offset_per_c[0] * errors.self_heating_c;
         assert!((warm_rate[0] - cold_rate[0] - expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_chip_from_anywhere_reaches_its_limits_and_drifts_in_a_curve() {
+        let chips: Vec<SensorErrors> = (0..500).map(SensorErrors::anywhere_in_tolerance).collect();
+        let largest = |value: fn(&SensorErrors) -> f64| {
+            chips
+                .iter()
+                .map(|chip| value(chip).abs())
+                .fold(0.0, f64::max)
+        };
+        let offset_dps = largest(|chip| chip.gyroscope.offset[0].to_degrees());
+        assert!((19.0..=20.0).contains(&offset_dps), "{offset_dps}");
+        let cross = largest(|chip| chip.accelerometer.sensitivity[0][2]);
+        assert!((0.019..=0.02).contains(&cross), "{cross}");
+        for chip in &chips {
+            let rate = |celsius| chip.distort_rates([0.0; 3], [0.0; 3], celsius, 10.0)[1];
+            for celsius in [-40.0, 85.0] {
+                assert!((rate(celsius) - rate(25.0)).to_degrees().abs() <= 20.0);
+            }
+            let bend = rate(35.0) + rate(15.0) - 2.0 * rate(25.0);
+            assert!((bend - 200.0 * chip.gyroscope.offset_per_c2[1]).abs() < 1e-12);
+        }
     }
 
     #[test]

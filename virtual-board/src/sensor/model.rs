@@ -53,6 +53,8 @@ pub struct SensorConfig {
     pub start_up_ns: u64,
     /// Whether the low-pass filter filters. A recording has been through its own sensor's filter already.
     pub filtered: bool,
+    /// Whether it has a self-test with factory trim; many clones do not.
+    pub has_self_test: bool,
 }
 
 impl SensorConfig {
@@ -69,6 +71,7 @@ impl SensorConfig {
             // Drivers are told to wait 100 ms after a reset; how much of it a chip needs is its own affair.
             start_up_ns: Random::new(seed, "sensor start-up").uniform(20e6, 90e6) as u64,
             filtered: true,
+            has_self_test: true,
         }
     }
 
@@ -126,7 +129,11 @@ impl Sensor {
         let identity = Identity::of(config.who_am_i);
         let reset = RegisterFile::at_reset(identity.who_am_i, identity.power_management_1, [0; 4]);
         let settings = settings_of(&reset, &identity);
-        let path = SignalPath::new(config.seed, config.mount, config.errors, identity, settings);
+        let mut path =
+            SignalPath::new(config.seed, config.mount, config.errors, identity, settings);
+        if !config.has_self_test {
+            path = path.without_self_test();
+        }
         let mut sensor = Self {
             identity,
             motion,

@@ -45,6 +45,13 @@ const GYROSCOPE_TRIM_CODES: [u8; 3] = [11, 14, 12];
 const ACCELEROMETER_TRIM_CODES: [u8; 3] = [15, 17, 13];
 
 impl SelfTest {
+    /// A chip that has none.
+    pub const NONE: Self = Self {
+        trims: [0; 4],
+        gyroscope: [0.0; 3],
+        accelerometer: [0.0; 3],
+    };
+
     /// The response drawn within the datasheet's ±14 % of the factory's, with room left for noise.
     #[must_use]
     pub fn typical(seed: u64) -> Self {
@@ -142,6 +149,13 @@ impl SignalPath {
         };
         path.set_ranges();
         path
+    }
+
+    /// The same chip as a clone without self-test: no trim codes, and nothing deflects.
+    #[must_use]
+    pub fn without_self_test(mut self) -> Self {
+        self.self_test = SelfTest::NONE;
+        self
     }
 
     /// The factory's trim codes, for the register file.

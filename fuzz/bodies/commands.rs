@@ -1,0 +1,114 @@
+//! Any bytes at the UART: the console answers within its bounds, and keeps a record that can be worked with.
+
+use std::collections::VecDeque;
+
+use aplomb::calibration::{Calibration, Mount, RestProgress};
+use aplomb::console::answer::ANSWER_CAPACITY;
+use aplomb::console::command::{self, BAUD_RATES, RATES_HZ};
+use aplomb::console::{Console, Module, Outcome, State, Task};
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::Settings;
+use aplomb::telemetry;
+
+/// Runs the bytes through a console.
+///
+/// # Panics
+///
+/// When something is not as it should be.
+pub fn run(bytes: &[u8]) {
+    let settings = Settings::new(&Part::MPU_6050);
+    let mut console = Console::new(
+        None,
+        settings.rest_scale(),
+        settings.sensor.sample_rate_hz(),
+        Mount::Z_UP,
+    );
+    let mut wire = Wire::default();
+    let mut now_us = 0_u32;
+    for chunk in bytes.chunks(64) {
+        wire.received.extend(chunk);
+        for _ in 0..4 {
+            now_us = now_us.wrapping_add(20_000);
+            let mut answer = String::new();
+            if let Some(kind) = console.poll(now_us, &mut wire, &mut answer) {
+                assert!(answer.len() <= ANSWER_CAPACITY, "{answer}");
+                assert!(answer.starts_with(kind.name()), "{answer}");
+                assert!(
+                    answer.bytes().all(|byte| (b' '..=b'~').contains(&byte)),
+                    "{answer}"
+                );
+            }
+            let preferences = console.working().preferences;
+            assert!(RATES_HZ.contains(&preferences.rate_hz));
+            assert!(BAUD_RATES.contains(&preferences.baud));
+            let most = telemetry::largest_rate_hz(preferences.format, preferences.baud);
+            assert!(u32::from(preferences.rate_hz) <= most);
+        }
+    }
+    if let Ok(line) = std::str::from_utf8(bytes)
+        && let Err(error) = command::parse(line)
+    {
+        assert!(!error.to_string().is_empty());
+    }
+}
+
+/// A module that has nothing but a wire.
+#[derive(Default)]
+struct Wire {
+    received: VecDeque<u8>,
+    is_armed: bool,
+    outcome: Option<Outcome>,
+}
+
+impl Module for Wire {
+    fn receive(&mut self) -> Option<u8> {
+        self.received.pop_front()
+    }
+
+    fn take_reception_error(&mut self) -> bool {
+        false
+    }
+
+    fn state(&mut self) -> State {
+        State {
+            sensor: Some((&Part::MPU_6050, 0x68)),
+            ..State::default()
+        }
+    }
+
+    fn set_calibration(&mut self, _calibration: &Calibration) {
+        assert!(!self.is_armed);
+    }
+
+    fn start_rest(&mut self, samples: u16) {
+        assert!(!self.is_armed && samples > 0);
+    }
+
+    fn stop_rest(&mut self) {}
+
+    fn take_rest(&mut self) -> Option<RestProgress> {
+        None
+    }
+
+    fn rest_percent(&mut self) -> u8 {
+        0
+    }
+
+    fn set_armed(&mut self, is_armed: bool) {
+        self.is_armed = is_armed;
+    }
+
+    fn set_baud(&mut self, _baud: u32) -> bool {
+        assert!(!self.is_armed);
+        true
+    }
+
+    fn begin(&mut self, _task: Task) {
+        assert!(!self.is_armed && self.outcome.is_none());
+        self.outcome = Some(Outcome::new(true, "stored"));
+    }
+
+    fn take_outcome(&mut self) -> Option<Outcome> {
+        self.outcome.take()
+    }
+}
