@@ -20,7 +20,7 @@
 //! # Text commands while this runs
 //!
 //! The console stays within reach. Whatever is not a MAVLink frame is handed on as text, byte for byte (`receiver`),
-//! so that `format text` and a line end always bring text back. Its answers come as STATUSTEXT.
+//! so that `format text`, on a line of its own, always brings text back. Its answers come as STATUSTEXT.
 //!
 //! # Whose code
 //!
