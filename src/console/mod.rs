@@ -542,6 +542,12 @@ impl Console {
             baud,
         } = preferences;
         let most = telemetry::largest_rate_hz(format, baud);
+        if most == 0 {
+            return reply.error(format_args!(
+                "{} takes more than {baud} baud: a higher baud rate first",
+                format.name()
+            ));
+        }
         if u32::from(rate_hz) > most {
             return reply.error(format_args!(
                 "{rate_hz} lines of {} a second are too many for {baud} baud: \"rate {most}\" fits, or a higher baud rate",
@@ -562,6 +568,12 @@ impl Console {
             baud: before,
         } = self.working.preferences;
         let most = telemetry::largest_rate_hz(format, baud);
+        if most == 0 {
+            return reply.error(format_args!(
+                "{baud} baud are too few for {}: another format first",
+                format.name()
+            ));
+        }
         if u32::from(rate_hz) > most {
             return reply.error(format_args!(
                 "{baud} baud are too few for {rate_hz} lines of {} a second: \"rate {most}\" first",
@@ -713,9 +725,15 @@ fn sane(preferences: Preferences) -> Preferences {
     } else {
         defaults.baud
     };
-    let most = telemetry::largest_rate_hz(preferences.format, baud).min(u32::from(*RATES_HZ.end()));
+    // The flight log needs a fast line.
+    let format = if telemetry::largest_rate_hz(preferences.format, baud) > 0 {
+        preferences.format
+    } else {
+        defaults.format
+    };
+    let most = telemetry::largest_rate_hz(format, baud).min(u32::from(*RATES_HZ.end()));
     Preferences {
-        format: preferences.format,
+        format,
         rate_hz: preferences.rate_hz.max(*RATES_HZ.start()).min(most as u16),
         baud,
     }

@@ -512,10 +512,18 @@ pub fn put_attitude(snapshot: &Snapshot, output: &mut Output<'_>) -> bool {
     output.put(encode(&Frame::Attitude(*snapshot), &mut bytes))
 }
 
-/// Writes a message; false if there was no room.
+/// Writes a message, a long one in several frames; false if there was no room for all of it.
 pub fn put_text(text: &str, output: &mut Output<'_>) -> bool {
     let mut bytes = [0; FRAME_CAPACITY];
-    output.put(encode(&Frame::Text(Text::new(text)), &mut bytes))
+    let mut rest = text;
+    while !rest.is_empty() {
+        let part = Text::new(rest);
+        if !output.put(encode(&Frame::Text(part), &mut bytes)) {
+            return false;
+        }
+        rest = rest.get(part.as_str().len()..).unwrap_or_default();
+    }
+    true
 }
 
 #[cfg(test)]
@@ -657,6 +665,26 @@ mod tests {
         let (found, counts) = decoded(&bytes);
         assert_eq!(found.len(), 10);
         assert_eq!((counts.damaged, counts.damaged_bytes), (2, noise + 8));
+    }
+
+    #[test]
+    fn a_long_message_goes_in_several_frames() {
+        let text = "é".repeat(200);
+        let mut buffer = [0; 640];
+        let mut output = Output::new(&mut buffer);
+        assert!(put_text(&text, &mut output));
+        assert!(!put_text(&text, &mut output), "there is no room for another");
+        let length = output.length();
+        let parts: Vec<_> = decoded(&buffer[..length])
+            .0
+            .iter()
+            .map(|frame| match frame {
+                Frame::Text(text) => text.as_str().to_owned(),
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        assert!(parts.concat().starts_with(&text));
+        assert_eq!(parts[0].len(), TEXT_CAPACITY);
     }
 
     #[test]
