@@ -157,13 +157,15 @@ impl Quaternion {
     }
 
     /// The rotation about `rotation_rad` by its length.
+    #[inline]
     pub fn from_rotation_vector(rotation_rad: Vector3) -> Self {
         let half = rotation_rad.scale(0.5);
         let squared = half.dot(half);
         if squared < 0.0625 {
             // The series of cos(h) and sin(h)/h to h⁶: below h = 1/4 the rest is under 1e-9.
-            let w = 1.0 - squared * (1.0 / 2.0 - squared * (1.0 / 24.0 - squared / 720.0));
-            let s = 1.0 - squared * (1.0 / 6.0 - squared * (1.0 / 120.0 - squared / 5040.0));
+            let w = 1.0 - squared * (1.0 / 2.0 - squared * (1.0 / 24.0 - squared * (1.0 / 720.0)));
+            let s =
+                1.0 - squared * (1.0 / 6.0 - squared * (1.0 / 120.0 - squared * (1.0 / 5040.0)));
             return Self::new(w, half.x * s, half.y * s, half.z * s);
         }
         let norm = libm::sqrtf(squared);
@@ -293,6 +295,7 @@ impl Quaternion {
     }
 
     /// The same rotation at unit length; the identity if there is none (NaN, infinite or zero).
+    #[inline]
     pub fn normalize(self) -> Self {
         let squared = self.dot(self);
         let error = squared - 1.0;

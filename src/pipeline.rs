@@ -576,7 +576,7 @@ impl Affine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibration::GyroscopeOffset;
+    use crate::calibration::{GyroscopeOffset, TemperatureModel};
     use crate::mpu6050::{AccelerometerCounts, GyroscopeCounts, TemperatureCounts};
     use crate::units::radians;
 
@@ -773,6 +773,172 @@ mod tests {
         for other in others {
             assert_eq!(first, other);
         }
+    }
+
+    /// Everything that a calibration can hold, with errors that it describes exactly.
+    fn calibration() -> Calibration {
+        Calibration {
+            mount: Some(Mount::Z_DOWN),
+            gyroscope: Some(GyroscopeOffset {
+                offset_rad_s: Vector3::new(0.1, -0.2, 0.05),
+                temperature_celsius: 25.0,
+            }),
+            temperature: None,
+            accelerometer: Some(AccelerometerCorrection {
+                offset_m_s2: Vector3::new(0.3, -0.4, 0.5),
+                matrix: [1.02, 0.98, 1.01, 0.01, -0.005, 0.008],
+            }),
+            level: Some(Quaternion::from_euler(EulerAngles {
+                roll_rad: radians(2.0),
+                pitch_rad: radians(-3.0),
+                yaw_rad: 0.0,
+            })),
+        }
+    }
+
+    #[test]
+    fn a_calibration_is_applied_step_by_step_in_one_map() {
+        let calibration = calibration();
+        let mut pipeline = Pipeline::new(&Settings {
+            calibration,
+            ..settings()
+        });
+        let raw = RawSample {
+            accelerometer: AccelerometerCounts([300, -1200, 1500]),
+            temperature: TemperatureCounts(-3920),
+            gyroscope: GyroscopeCounts([500, -700, 900]),
+        };
+        pipeline.update(&Burst {
+            bytes: raw.encode(),
+            captured_at_us: 0,
+            missed_before: 0,
+        });
+        // The same, one step after the other.
+        let config = settings().sensor;
+        let reading = raw.accelerometer.to_m_s2(config.accelerometer_range);
+        let corrected = calibration.accelerometer.expect("set above").apply(reading);
+        let level = calibration.level.expect("set above");
+        let force = level.rotate(Mount::Z_DOWN.to_body(corrected));
+        let rate = raw.gyroscope.to_rad_s(config.gyroscope_range) - Vector3::new(0.1, -0.2, 0.05);
+        let rate = level.rotate(Mount::Z_DOWN.to_body(rate));
+        let sample = pipeline.sample();
+        assert!(
+            (sample.specific_force_m_s2 - force).norm() < 1e-5,
+            "{sample:?} {force:?}"
+        );
+        assert!(
+            (sample.angular_rate_rad_s - rate).norm() < 1e-6,
+            "{sample:?} {rate:?}"
+        );
+        let offset = pipeline.rate_offset_rad_s();
+        let expected = level.rotate(Mount::Z_DOWN.to_body(Vector3::new(0.1, -0.2, 0.05)));
+        assert!((offset - expected).norm() < 1e-6);
+    }
+
+    #[test]
+    fn a_new_mount_starts_the_filter_again_and_other_changes_do_not() {
+        let mut pipeline = Pipeline::new(&settings());
+        let tilted = force(10.0, 0.0);
+        let turn = Vector3::new(0.0, 0.0, 30.0);
+        for index in 0..1000_u64 {
+            pipeline.update(&burst(Mount::Z_UP, index * 1000, tilted, turn));
+        }
+        let yaw = pipeline.estimator().attitude().to_euler().yaw_rad;
+        assert!(yaw.to_degrees() > 20.0, "{yaw}");
+        let mut known = Calibration {
+            gyroscope: calibration().gyroscope,
+            ..Calibration::NONE
+        };
+        let before = pipeline.rate_offset_rad_s();
+        pipeline.set_calibration(&known);
+        assert!((pipeline.rate_offset_rad_s() - before).norm() < 1e-6);
+        let after = pipeline.update(&burst(Mount::Z_UP, 1_000_000, tilted, turn));
+        assert!((after.euler().yaw_rad - yaw).abs() < radians(0.1));
+        known.mount = Some(Mount::Z_DOWN);
+        pipeline.set_calibration(&known);
+        let after = pipeline.update(&burst(Mount::Z_DOWN, 1_001_000, tilted, turn));
+        assert!(after.euler().yaw_rad.abs() < radians(0.1), "{after:?}");
+        assert!((after.euler().roll_rad.to_degrees() - 10.0).abs() < 0.5);
+    }
+
+    #[test]
+    fn the_temperature_model_moves_the_offset_and_stays_where_it_ends() {
+        let mut calibration = Calibration::NONE;
+        calibration.temperature = Some(TemperatureModel {
+            reference_celsius: 25.0,
+            offset_rad_s: Vector3::new(radians(1.0), 0.0, 0.0),
+            slope_rad_s_per_celsius: Vector3::new(radians(0.1), 0.0, 0.0),
+            curvature_rad_s_per_celsius2: Vector3::ZERO,
+            coldest_celsius: 20.0,
+            warmest_celsius: 40.0,
+        });
+        let mut pipeline = Pipeline::new(&Settings {
+            calibration,
+            ..settings()
+        });
+        let mut offset_at = |celsius: f32, from: u64| {
+            let mut sample = RawSample::decode(&burst(Mount::Z_UP, 0, LEVEL, Vector3::ZERO).bytes);
+            sample.temperature = TemperatureCounts(((celsius - 36.53) * 340.0) as i16);
+            for index in 0..100_u64 {
+                let burst = Burst {
+                    bytes: sample.encode(),
+                    captured_at_us: (from + index) * 1000,
+                    missed_before: 0,
+                };
+                pipeline.update(&burst);
+                assert_eq!(pipeline.collect(&burst), None);
+            }
+            pipeline.body_offset().x.to_degrees()
+        };
+        for (celsius, expected, from) in [
+            (25.0, 1.0, 0),
+            (40.0, 2.5, 100),
+            (45.0, 3.0, 200),
+            // Beyond the range and its margin the last value holds.
+            (70.0, 3.0, 300),
+            (20.0, 0.5, 400),
+        ] {
+            let offset = offset_at(celsius, from);
+            assert!((offset - expected).abs() < 0.01, "{celsius}: {offset}");
+        }
+    }
+
+    #[test]
+    fn rest_is_collected_while_the_attitude_goes_on() {
+        let mut pipeline = Pipeline::new(&settings());
+        let mut twin = Pipeline::new(&settings());
+        pipeline.start_rest(500);
+        let mut done = None;
+        for index in 0..600_u64 {
+            let burst = burst(
+                Mount::Z_UP,
+                index * 1000,
+                LEVEL,
+                Vector3::new(1.0, 2.0, 3.0),
+            );
+            assert_eq!(pipeline.update(&burst), twin.update(&burst));
+            assert_eq!(twin.collect(&burst), None);
+            match pipeline.collect(&burst) {
+                Some(RestProgress::Done(at_rest)) => done = Some((index, at_rest)),
+                Some(RestProgress::Collecting) => {
+                    assert!(pipeline.rest_progress_percent() < Some(100));
+                }
+                other => assert!(other.is_none() && index >= 500, "{index}: {other:?}"),
+            }
+        }
+        let (index, at_rest) = done.expect("it rests");
+        assert_eq!(index, 499);
+        let offset = at_rest.gyroscope_offset(&pipeline.settings().rest_scale());
+        let expected = Vector3::new(radians(1.0), radians(-2.0), radians(-3.0));
+        assert!(
+            (offset.offset_rad_s - expected).is_within(radians(0.04)),
+            "{offset:?}"
+        );
+        let force = pipeline.mounted_force_m_s2(&at_rest);
+        assert!((force - LEVEL).norm() < 0.01, "{force:?}");
+        pipeline.start_rest(500);
+        pipeline.stop_rest();
+        assert_eq!(pipeline.rest_progress_percent(), None);
     }
 
     #[test]

@@ -1,7 +1,13 @@
 //! Properties of the library, over many generated inputs, against formulas of their own.
 
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3, sine_cosine, wrap_pi};
-use aplomb::calibration::{Mount, RestProgress, RestScale, RestWatch};
+use aplomb::calibration::accelerometer::{PoseCollector, fit};
+use aplomb::calibration::level::{MountFinder, level};
+use aplomb::calibration::temperature::TemperatureLearner;
+use aplomb::calibration::{
+    AccelerometerCorrection, AtRest, Calibration, GyroscopeOffset, Mount, RestProgress, RestScale,
+    RestWatch, TemperatureModel,
+};
 use aplomb::estimator::FilterKind;
 use aplomb::health::Flags;
 use aplomb::mpu6050::{AccelerometerRange, Burst, GyroscopeRange, PARTS, RawSample};
@@ -277,6 +283,124 @@ proptest! {
                 }
                 prop_assert!(watch.progress_percent() <= 100);
             }
+        }
+    }
+
+    #[test]
+    fn any_poses_are_fitted_or_refused(
+        poses in prop::collection::vec((any_bits(), any_bits(), any_bits()), 0..30),
+        near in prop::collection::vec(any_vector(1.3), 0..40),
+    ) {
+        let wild = poses.iter().map(|&(x, y, z)| Vector3::new(x, y, z)).collect::<Vec<_>>();
+        let scale = RestScale::new([16.4, 2048.0], [188.0, 184.0], 1000.0);
+        let mut collector = PoseCollector::new(&scale);
+        for pose in wild.iter().chain(&near) {
+            let at_rest = AtRest { accelerometer_counts: pose.scale(2048.0), ..AtRest::default() };
+            if let Ok(accepted) = collector.add(&at_rest) {
+                prop_assert_eq!(usize::from(accepted.count), collector.count());
+            }
+        }
+        for fitted in [fit(&wild), fit(&near), collector.fit()] {
+            match fitted {
+                Ok(found) => {
+                    prop_assert!(found.residual_after_g <= 0.05);
+                    prop_assert!(found.correction.offset_m_s2.is_within(2.0));
+                    prop_assert!(!found.to_string().is_empty());
+                }
+                Err(error) => prop_assert!(!error.to_string().is_empty()),
+            }
+        }
+    }
+
+    #[test]
+    fn any_sensor_within_the_datasheet_is_fitted(
+        offset in any_vector(0.08),
+        scales in any_vector(0.03),
+        cross in any_vector(0.02),
+        noise in prop::collection::vec(any_vector(3.0e-4), 12),
+    ) {
+        // In double precision and with a matrix of its own; every reading is S·f + o.
+        let rows = [
+            Vector3::new(1.0 + scales.x, cross.x, cross.y),
+            Vector3::new(cross.x, 1.0 + scales.y, cross.z),
+            Vector3::new(cross.y, cross.z, 1.0 + scales.z),
+        ];
+        let read = |f: Vector3| Vector3::new(rows[0].dot(f), rows[1].dot(f), rows[2].dot(f)) + offset;
+        let poses = aplomb::calibration::accelerometer::Pose::GUIDE;
+        let readings: Vec<_> = poses.iter().zip(&noise).map(|(pose, noise)| read(pose.up()) + *noise).collect();
+        let found = fit(&readings).expect("twelve good poses");
+        prop_assert!(found.has_cross_axis);
+        for pose in poses {
+            let g = 9.80665;
+            let corrected = found.correction.apply(read(pose.up()).scale(g)).scale(1.0 / g);
+            prop_assert!((corrected - pose.up()).norm() < 3.0e-3, "{:?}", corrected);
+        }
+    }
+
+    #[test]
+    fn any_force_levels_mounts_and_any_point_is_learned_or_refused(
+        numbers in prop::collection::vec((any_bits(), any_bits(), any_bits(), any_bits(), any_bits()), 1..20),
+        near in prop::collection::vec(any_vector(12.0), 1..10),
+    ) {
+        let mut learner = TemperatureLearner::new();
+        let mut finder = MountFinder::new();
+        for &(x, y, z, celsius, sigma) in &numbers {
+            let vector = Vector3::new(x, y, z);
+            for force in near.iter().chain([&vector]) {
+                if let Ok(trim) = level(*force) {
+                    prop_assert!((trim.dot(trim) - 1.0).abs() < 1e-3);
+                }
+                let _ = finder.add(*force);
+            }
+            learner.add(celsius, vector, sigma);
+            learner.add(celsius % 100.0, near[0].scale(0.01), sigma);
+            if let Ok(model) = learner.fit() {
+                let (offset, weight) = model.offset_at(celsius);
+                prop_assert!((0.0..=1.0).contains(&weight));
+                prop_assert!(offset.x.is_finite() && offset.y.is_finite() && offset.z.is_finite(), "{model:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn any_calibration_leaves_a_rotation(
+        numbers in prop::array::uniform32(any_bits()),
+        has in prop::array::uniform5(any::<bool>()),
+        mount in 0..24usize,
+        bursts in prop::collection::vec(any::<[u8; 14]>(), 1..100),
+        changed_at in 0..100usize,
+    ) {
+        let v = |at: usize| Vector3::new(numbers[at], numbers[at + 1], numbers[at + 2]);
+        let calibration = Calibration {
+            mount: has[0].then(|| Mount::ALL[mount]),
+            gyroscope: has[1].then(|| GyroscopeOffset { offset_rad_s: v(0), temperature_celsius: numbers[3] }),
+            temperature: has[2].then(|| TemperatureModel {
+                reference_celsius: numbers[4],
+                offset_rad_s: v(5),
+                slope_rad_s_per_celsius: v(8),
+                curvature_rad_s_per_celsius2: v(11),
+                coldest_celsius: numbers[14],
+                warmest_celsius: numbers[15],
+            }),
+            accelerometer: has[3].then(|| AccelerometerCorrection {
+                offset_m_s2: v(16),
+                matrix: [numbers[19], numbers[20], numbers[21], numbers[22], numbers[23], numbers[24]],
+            }),
+            level: has[4].then(|| Quaternion::new(numbers[25], numbers[26], numbers[27], numbers[28])),
+        };
+        let mut pipeline = Pipeline::new(&Settings::new(&PARTS[0]));
+        pipeline.start_rest(50);
+        for (index, bytes) in bursts.into_iter().enumerate() {
+            if index == changed_at {
+                pipeline.set_calibration(&calibration);
+            }
+            let burst = Burst { bytes, captured_at_us: index as u64 * 1000, missed_before: 0 };
+            let snapshot = pipeline.update(&burst);
+            pipeline.collect(&burst);
+            let q = snapshot.attitude;
+            prop_assert!((q.dot(q) - 1.0).abs() < 1e-3, "{q:?}");
+            let rates = snapshot.body_rates_rad_s;
+            prop_assert!(rates.x.is_finite() && rates.y.is_finite() && rates.z.is_finite());
         }
     }
 

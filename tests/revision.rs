@@ -13,7 +13,7 @@ use aplomb::state::{Reader, Window};
 const EXPECTED: (u16, [u64; 3]) = (
     1,
     [
-        0x5743_2D15_8AAC_B5A7,
+        0xAA82_592C_2FBE_489A,
         0x4221_DB10_0F2E_EC9A,
         0x6265_0189_1D7E_B9FF,
     ],

@@ -2,36 +2,37 @@
 //!
 //! Accuracy is the root mean square of the inclination error over the rows that count after 5 s. Timing is treated
 //! alike: every filter is fed so that its attitude is that of the last sample, and is then extrapolated by the
-//! recording's stated delay with the last rates. Throughput is that of the update alone, on samples in
-//! memory, in each filter's own axes.
+//! recording's stated delay with the last rates. Nothing that is found goes without a word: a recording without truth is
+//! checked where it rests, and what cannot be used is named with the reason.
 
 use std::error::Error;
 use std::fmt::Write as _;
-use std::hint::black_box;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Instant;
 
-use aplomb::estimator::{Estimator, FilterKind, Sample};
-use indicatif::{ProgressBar, ProgressStyle};
+use aplomb::mpu6050::{AccelerometerRange, GyroscopeRange};
 
 use crate::filter::Choice;
-use crate::peers::{self, Fusion, Madgwick, Mahony, Step, Vqf, VqfAsIs, tilt};
-use crate::plot;
-use crate::recording::{Recording, files};
-use crate::score::Score;
-use crate::simulated::{self, FIRST_EVALUATION_SEED};
+use crate::recording::{Found, Handling, Recording, Reference, files, is_table};
+use crate::replay::{parse_accelerometer_range, parse_gyroscope_range};
+use crate::score::{Honesty, Score, mean, median};
+use crate::simulated::{self, EVALUATION_SEEDS};
+use crate::{gains, leave_one_out, parallel, picture, plot, throughput};
 
 /// Where recordings lie if nothing else is said.
 const DEFAULT_FOLDER: &str = "../shared/data";
-/// How many flights are simulated if there are no recordings.
-const FLIGHTS: u64 = 8;
 /// Sets whose samples are known to be late: BROAD's inertial data lag its optical truth, by their correlation.
 const KNOWN_DELAYS_US: [(&str, u32); 1] = [("broad", 4_000)];
+/// Sets that are known to hold register counts, and at which ranges: by their publisher.
+const KNOWN_RANGES: [(&str, AccelerometerRange, GyroscopeRange); 1] = [(
+    "mpu6050-raw",
+    AccelerometerRange::G8,
+    GyroscopeRange::Degrees250,
+)];
 
-/// Compare the accuracy and the speed of filters on recordings with truth
+/// Compare the accuracy and the speed of filters on recordings
 ///
-/// Every log with truth below DIR counts; its folder is its set. Without recordings, simulated flights take their place.
+/// Every log below DIR counts, plain or gzipped; its folder is its set. One with truth is scored by it, one without is
+/// checked where it rests. Without recordings, simulated flights take their place.
 #[derive(clap::Args)]
 pub struct Options {
     /// Folders of recordings [default: ../shared/data, if it is there]
@@ -40,24 +41,55 @@ pub struct Options {
     /// By how much the samples of a set are late, in microseconds [known: broad=4000]
     #[arg(long = "sensor-delay-us", value_name = "SET=N", value_parser = parse_delay)]
     delays_us: Vec<(String, u32)>,
+    /// A set holds register counts, at this range in g and this one in degrees per second [known: mpu6050-raw=8,250]
+    #[arg(long = "counts", value_name = "SET=G,DPS", value_parser = parse_ranges)]
+    ranges: Vec<(String, (AccelerometerRange, GyroscopeRange))>,
     /// Where accuracy.csv and accuracy.png go
     #[arg(long, value_name = "DIR", default_value = "target/bench")]
     output: PathBuf,
+    /// Instead: tune the filter on all sets but one, and judge it on that one; for each set (minutes)
+    #[arg(long, group = "instead")]
+    leave_one_out: bool,
+    /// Instead: the gains with which the filters of other crates do best on the recordings (minutes)
+    #[arg(long, group = "instead")]
+    scan_gains: bool,
+    /// Instead: draw the default filter, VQF and the classic one through a simulated flight, as a PNG file
+    #[arg(long, value_name = "FILE", group = "instead")]
+    picture: Option<PathBuf>,
 }
 
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    if let Some(path) = &options.picture {
+        let drawn = picture::flight(&simulated::flight(picture::SEED))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let name = path.file_name().ok_or("--picture wants a file")?;
+        return Ok(write(folder, name.as_ref(), &drawn)?);
+    }
     let mut recordings = read(options)?;
+    if options.leave_one_out || options.scan_gains {
+        recordings.retain(|recording| recording.reference == Reference::Truth);
+        if recordings.is_empty() {
+            return Err("there are no recordings with truth: name their folder".into());
+        }
+        if options.leave_one_out {
+            crate::say(&leave_one_out::run(recordings));
+        } else {
+            crate::say(&gains::scan(&recordings));
+        }
+        return Ok(());
+    }
     if recordings.is_empty() {
         crate::say(&format!(
-            "There are no recordings with truth here, so these are {FLIGHTS} simulated flights of one minute: seeds \
-             {FIRST_EVALUATION_SEED} and up, which nothing was tuned on; gyroscope offset 4 °/s, not calibrated."
+            "There are no recordings to score here, so these are {} simulated flights of one minute: seeds {} and up, \
+             which nothing was tuned on; gyroscope offset 4 °/s, not calibrated.",
+            EVALUATION_SEEDS.count(),
+            EVALUATION_SEEDS.start
         ));
-        let seeds: Vec<u64> = (FIRST_EVALUATION_SEED..FIRST_EVALUATION_SEED + FLIGHTS).collect();
-        recordings = in_parallel("simulating", &seeds, |seed| simulated::flight(*seed));
+        recordings = simulated::flights(EVALUATION_SEEDS);
     }
     let filters = Choice::all();
-    let scores = in_parallel("filtering", &recordings, |recording| {
+    let scores = parallel::map_with_bar("filtering", &recordings, |recording| {
         let scores = filters.iter().map(|filter| recording.score(*filter));
         scores.collect::<Option<Vec<Score>>>()
     });
@@ -73,19 +105,32 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         .collect();
     let names: Vec<&str> = filters.iter().map(|filter| filter.name()).collect();
     let sets = summarise(&rows, filters.len());
-    crate::say(&table(&names, &sets));
-    let longest = rows.iter().max_by_key(|row| row.recording.samples.len());
+    for reference in [Reference::Truth, Reference::Rest] {
+        let sets: Vec<&Set> = sets
+            .iter()
+            .filter(|set| set.reference == reference)
+            .collect();
+        if !sets.is_empty() {
+            crate::say(&table(&names, reference, &sets));
+        }
+    }
+    crate::say(&one_by_one(&names, &rows));
+    // Those with truth are sampled regularly, unlike some others.
+    let longest = rows.iter().max_by_key(|row| {
+        let has_truth = row.recording.reference == Reference::Truth;
+        (has_truth, row.recording.samples.len())
+    });
     if let Some(row) = longest {
-        crate::say(&throughput(row.recording));
+        crate::say(&throughput::measure(row.recording));
     }
     write(
         &options.output,
-        "accuracy.csv",
+        "accuracy.csv".as_ref(),
         csv(&names, &rows).as_bytes(),
     )?;
     write(
         &options.output,
-        "accuracy.png",
+        "accuracy.png".as_ref(),
         &plot::accuracy(&names, &sets)?,
     )?;
     crate::say(&format!(
@@ -105,26 +150,12 @@ struct Row<'a> {
 pub struct Set {
     /// Its name.
     pub name: String,
+    /// What its recordings are judged by.
+    pub reference: Reference,
     /// The delay of its recordings.
     delay_us: u32,
     /// For each filter the root mean squares of all recordings, in degrees, in ascending order.
     pub rms: Vec<Vec<f64>>,
-}
-
-/// The middle one of ascending numbers, or the mean of the two in the middle.
-pub fn median(ascending: &[f64]) -> f64 {
-    let length = ascending.len();
-    match (
-        ascending.get(length.wrapping_sub(1) / 2),
-        ascending.get(length / 2),
-    ) {
-        (Some(lower), Some(upper)) => 0.5 * (lower + upper),
-        _ => f64::NAN,
-    }
-}
-
-fn mean(numbers: &[f64]) -> f64 {
-    numbers.iter().sum::<f64>() / numbers.len() as f64
 }
 
 fn read(options: &Options) -> Result<Vec<Recording>, Box<dyn Error>> {
@@ -139,31 +170,41 @@ fn read(options: &Options) -> Result<Vec<Recording>, Box<dyn Error>> {
         let found = files(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
         paths.extend(found);
     }
-    let results = in_parallel("reading", &paths, |path| {
+    let results = parallel::map_with_bar("reading", &paths, |path| {
+        // What somebody names is read whatever it is called.
+        if !is_table(path) && !folders.contains(path) {
+            return Ok(Found::Unusable("it is no .csv or .csv.gz".to_owned()));
+        }
         let set = path.parent().and_then(Path::file_name).unwrap_or_default();
-        Recording::read(path, delay_us(&set.to_string_lossy(), &options.delays_us))
+        Recording::read(path, options.handling(&set.to_string_lossy()))
     });
-    let count = results.len();
     let mut recordings = Vec::new();
-    for result in results {
-        recordings.extend(result?);
-    }
-    if count > recordings.len() {
-        crate::say(&format!(
-            "{} of {count} files have no truth and are left out",
-            count - recordings.len()
-        ));
+    for (path, result) in paths.iter().zip(results) {
+        match result? {
+            Found::Recording(recording) => recordings.push(recording),
+            Found::Unusable(reason) => {
+                crate::say(&format!("not scored: {}: {reason}", path.display()));
+            }
+        }
     }
     Ok(recordings)
 }
 
-fn delay_us(set: &str, stated: &[(String, u32)]) -> u32 {
-    let known = KNOWN_DELAYS_US.iter().map(|(name, delay)| (*name, *delay));
-    let stated = stated.iter().map(|(name, delay)| (name.as_str(), *delay));
-    stated
-        .chain(known)
-        .find(|(name, _)| *name == set)
-        .map_or(0, |(_, delay)| delay)
+impl Options {
+    /// What is stated of a set, or else known.
+    fn handling(&self, set: &str) -> Handling {
+        let stated = self.delays_us.iter().find(|(name, _)| name == set);
+        let known = KNOWN_DELAYS_US.iter().find(|(name, _)| *name == set);
+        let delay_us = stated.map(|(_, delay)| *delay);
+        let ranges = self.ranges.iter().find(|(name, _)| name == set);
+        let known_ranges = KNOWN_RANGES.iter().find(|(name, ..)| *name == set);
+        Handling {
+            delay_us: delay_us.or(known.map(|(_, delay)| *delay)).unwrap_or(0),
+            ranges: ranges
+                .map(|(_, ranges)| *ranges)
+                .or(known_ranges.map(|&(_, force, rate)| (force, rate))),
+        }
+    }
 }
 
 fn parse_delay(text: &str) -> Result<(String, u32), String> {
@@ -172,14 +213,26 @@ fn parse_delay(text: &str) -> Result<(String, u32), String> {
         .ok_or_else(|| "say for instance broad=4000".into())
 }
 
+fn parse_ranges(text: &str) -> Result<(String, (AccelerometerRange, GyroscopeRange)), String> {
+    let parse = || {
+        let (set, ranges) = text.split_once('=')?;
+        let (force, rate) = ranges.split_once(',')?;
+        let force = parse_accelerometer_range(force).ok()?;
+        Some((set.to_owned(), (force, parse_gyroscope_range(rate).ok()?)))
+    };
+    parse().ok_or_else(|| "say for instance mpu6050-raw=8,250".into())
+}
+
 fn summarise(rows: &[Row], filters: usize) -> Vec<Set> {
     let mut sets: Vec<Set> = Vec::new();
     for row in rows {
         let recording = row.recording;
-        let place = sets.iter().position(|set| set.name == recording.set);
+        let is_its = |set: &Set| set.name == recording.set && set.reference == recording.reference;
+        let place = sets.iter().position(is_its);
         let place = place.unwrap_or_else(|| {
             sets.push(Set {
                 name: recording.set.clone(),
+                reference: recording.reference,
                 delay_us: recording.delay_us,
                 rms: vec![Vec::new(); filters],
             });
@@ -195,14 +248,19 @@ fn summarise(rows: &[Row], filters: usize) -> Vec<Set> {
     sets
 }
 
-fn table(names: &[&str], sets: &[Set]) -> String {
-    let mut text = String::from(
-        "\nInclination error, root mean square in degrees: median/mean over recordings\n\n",
-    );
+fn table(names: &[&str], reference: Reference, sets: &[&Set]) -> String {
+    let mut text = String::from(match reference {
+        Reference::Truth => {
+            "\nInclination error, root mean square in degrees: median/mean over recordings\n\n"
+        }
+        Reference::Rest => {
+            "\nWithout truth, so a check and no measure: the same against the mean specific force, where the recording rests\n\n"
+        }
+    });
     let _ = write!(text, "{:<12}", "");
     for set in sets {
         let title = format!("{} ({})", set.name, set.rms[0].len());
-        let _ = write!(text, "{title:>16}");
+        let _ = write!(text, "{title:>17}");
     }
     for (index, name) in names.iter().enumerate() {
         let _ = write!(text, "\n{name:<12}");
@@ -210,7 +268,7 @@ fn table(names: &[&str], sets: &[Set]) -> String {
             let rms = &set.rms[index];
             let _ = write!(
                 text,
-                "{:>16}",
+                "{:>17}",
                 format!("{:.2}/{:.2}", median(rms), mean(rms))
             );
         }
@@ -226,138 +284,80 @@ fn table(names: &[&str], sets: &[Set]) -> String {
     text
 }
 
+/// The first filter's scores, one line a recording, and how honest its σ is.
+fn one_by_one(names: &[&str], rows: &[Row]) -> String {
+    let titles: Vec<String> = rows
+        .iter()
+        .map(|row| format!("{}/{}", row.recording.set, row.recording.name))
+        .collect();
+    let width = titles.iter().map(String::len).max().unwrap_or(0);
+    let mut text = format!(
+        "\n{}, recording by recording, in degrees; how much of the time the error is within 3 sigma; median of error/sigma (ideal: 0.83)\n\n\
+         {:<width$}{:>8}{:>8}{:>9}{:>10}{:>8}\n",
+        names[0], "", "rms", "95 %", "maximum", "<= 3 s", "median"
+    );
+    for (row, title) in rows.iter().zip(titles) {
+        let Some(score) = row.scores.first() else {
+            continue;
+        };
+        let _ = write!(
+            text,
+            "{title:<width$}{:>8.2}{:>8.2}{:>9.2}",
+            score.rms, score.p95, score.maximum
+        );
+        if let Some(honesty) = score.honesty {
+            let percent = 100.0 * honesty.within_3_sigma;
+            let _ = write!(text, "{percent:>8.2} %{:>8.2}", honesty.median);
+        } else {
+            text.push_str("    at rest");
+        }
+        text.push('\n');
+    }
+    text
+}
+
 fn csv(names: &[&str], rows: &[Row]) -> String {
-    let mut text =
-        String::from("set,recording,sensor_delay_us,filter,rows,rms_deg,p95_deg,maximum_deg\n");
+    let mut text = String::from(
+        "set,recording,reference,sensor_delay_us,filter,rows,rms_deg,p95_deg,maximum_deg,within_3_sigma,median_error_per_sigma\n",
+    );
     for row in rows {
         let Recording {
             set,
             name: recording,
+            reference,
             delay_us,
             ..
         } = row.recording;
+        let reference = reference.name();
         for (name, score) in names.iter().zip(&row.scores) {
             let Score {
                 rows,
                 rms,
                 p95,
                 maximum,
+                honesty,
             } = score;
-            let _ = writeln!(
+            let _ = write!(
                 text,
-                "{set},{recording},{delay_us},{name},{rows},{rms},{p95},{maximum}"
+                "{set},{recording},{reference},{delay_us},{name},{rows},{rms},{p95},{maximum}"
             );
+            let _ = match honesty {
+                Some(Honesty {
+                    within_3_sigma,
+                    median,
+                }) => writeln!(text, ",{within_3_sigma},{median}"),
+                None => writeln!(text, ",,"),
+            };
         }
     }
     text
 }
 
-fn write(folder: &Path, name: &str, contents: &[u8]) -> Result<(), String> {
+fn write(folder: &Path, name: &Path, contents: &[u8]) -> Result<(), String> {
     let path = folder.join(name);
     std::fs::create_dir_all(folder)
         .and_then(|()| std::fs::write(&path, contents))
         .map_err(|error| format!("{}: cannot be written: {error}", path.display()))
-}
-
-/// Does the same with every item, on every core, and shows how far it is.
-fn in_parallel<T: Sync, R: Send>(
-    what: &'static str,
-    items: &[T],
-    work: impl Fn(&T) -> R + Sync,
-) -> Vec<R> {
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}");
-    let bar = ProgressBar::new(items.len() as u64)
-        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-        .with_message(what);
-    let next = AtomicUsize::new(0);
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let mut results: Vec<(usize, R)> = std::thread::scope(|scope| {
-        let worker = || {
-            let mut done = Vec::new();
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                let Some(item) = items.get(index) else {
-                    return done;
-                };
-                done.push((index, work(item)));
-                bar.inc(1);
-            }
-        };
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
-        let joined = workers.into_iter().flat_map(|worker| match worker.join() {
-            Ok(done) => done,
-            Err(panic) => std::panic::resume_unwind(panic),
-        });
-        joined.collect()
-    });
-    bar.finish_and_clear();
-    results.sort_by_key(|(index, _)| *index);
-    results.into_iter().map(|(_, result)| result).collect()
-}
-
-/// How often each filter runs through the recording; the fastest counts, as it was disturbed least.
-const RUNS: usize = 25;
-
-fn throughput(recording: &Recording) -> String {
-    let step_s = recording.step_s();
-    let samples = &recording.samples;
-    let steps: Vec<Step> = samples
-        .iter()
-        .zip(samples.iter().skip(1))
-        .map(|(before, after)| Step::new(before, after))
-        .collect();
-    type Run<'a> = Box<dyn Fn() + 'a>;
-    let mut runs: Vec<(&str, Run)> = Vec::new();
-    for choice in Choice::all() {
-        let steps = &steps;
-        let run: Run = match choice {
-            Choice::Library(kind) => Box::new(move || run_library(kind, samples)),
-            Choice::Vqf => Box::new(move || run_peer::<Vqf>(step_s, steps)),
-            Choice::VqfAsIs => Box::new(move || run_peer::<VqfAsIs>(step_s, steps)),
-            Choice::Fusion => Box::new(move || run_peer::<Fusion>(step_s, steps)),
-            Choice::Madgwick => Box::new(move || run_peer::<Madgwick>(step_s, steps)),
-            Choice::Mahony => Box::new(move || run_peer::<Mahony>(step_s, steps)),
-        };
-        runs.push((choice.name(), run));
-    }
-    let mut fastest_s = vec![f64::INFINITY; runs.len()];
-    for _ in 0..RUNS {
-        for (fastest, (_, run)) in fastest_s.iter_mut().zip(&runs) {
-            let start = Instant::now();
-            run();
-            *fastest = fastest.min(start.elapsed().as_secs_f64());
-        }
-    }
-    let mut text = format!(
-        "\nThroughput of the update alone on this computer, one core, {} samples in memory, fastest of {RUNS} runs\n\n",
-        samples.len()
-    );
-    for (seconds, (name, _)) in fastest_s.iter().zip(&runs) {
-        let millions_per_s = samples.len() as f64 / seconds * 1e-6;
-        let ratio = fastest_s[0] / seconds;
-        let _ = writeln!(
-            text,
-            "{name:<12}{millions_per_s:>7.1} million/s, {ratio:.2} times {}",
-            runs[0].0
-        );
-    }
-    text
-}
-
-fn run_library(kind: FilterKind, samples: &[Sample]) {
-    let mut estimator = Estimator::new(kind);
-    for sample in samples {
-        black_box(estimator.update(black_box(sample)));
-    }
-}
-
-fn run_peer<F: peers::Filter>(step_s: f32, steps: &[Step]) {
-    let start = steps.first().map_or([0.0, 0.0, 1.0], |step| step.force);
-    let mut filter = F::new(tilt(start), step_s);
-    for step in steps {
-        filter.step(black_box(step));
-        black_box(filter.attitude());
-    }
 }
 
 #[cfg(test)]
@@ -365,31 +365,33 @@ mod tests {
     use super::*;
 
     #[test]
-    fn medians_are_of_the_middle() {
-        assert_eq!(median(&[1.0, 2.0, 10.0]), 2.0);
-        assert_eq!(median(&[1.0, 2.0, 4.0, 10.0]), 3.0);
-        assert!(median(&[]).is_nan());
-    }
-
-    #[test]
-    fn delays_are_those_stated_before_those_known() {
-        assert_eq!(delay_us("broad", &[]), 4_000);
-        assert_eq!(delay_us("other", &[]), 0);
-        let stated = [
-            parse_delay("broad=1000").unwrap(),
-            parse_delay("x=7").unwrap(),
-        ];
-        assert_eq!(delay_us("broad", &stated), 1_000);
-        assert_eq!(delay_us("x", &stated), 7);
+    fn what_is_stated_of_a_set_comes_before_what_is_known() {
+        let options = |delays_us: &[&str], ranges: &[&str]| Options {
+            folders: Vec::new(),
+            delays_us: delays_us
+                .iter()
+                .map(|text| parse_delay(text).unwrap())
+                .collect(),
+            ranges: ranges
+                .iter()
+                .map(|text| parse_ranges(text).unwrap())
+                .collect(),
+            output: PathBuf::new(),
+            leave_one_out: false,
+            scan_gains: false,
+            picture: None,
+        };
+        let none = options(&[], &[]);
+        assert_eq!(none.handling("broad").delay_us, 4_000);
+        assert_eq!(none.handling("other"), Handling::default());
+        let eight = (AccelerometerRange::G8, GyroscopeRange::Degrees250);
+        assert_eq!(none.handling("mpu6050-raw").ranges, Some(eight));
+        let some = options(&["broad=1000", "x=7"], &["mpu6050-raw=2,500"]);
+        assert_eq!(some.handling("broad").delay_us, 1_000);
+        assert_eq!(some.handling("x").delay_us, 7);
+        let two = (AccelerometerRange::G2, GyroscopeRange::Degrees500);
+        assert_eq!(some.handling("mpu6050-raw").ranges, Some(two));
         assert!(parse_delay("broad").is_err() && parse_delay("x=y").is_err());
-    }
-
-    #[test]
-    fn work_in_parallel_keeps_its_order() {
-        let items: Vec<u32> = (0..100).collect();
-        assert_eq!(
-            in_parallel("test", &items, |item| item * 2),
-            items.iter().map(|item| item * 2).collect::<Vec<_>>()
-        );
+        assert!(parse_ranges("x=8").is_err() && parse_ranges("x=9,250").is_err());
     }
 }

@@ -1,10 +1,10 @@
 //! The filters that can be chosen, the library's own and others, in one seat.
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::estimator::kalman::Kalman;
-use aplomb::estimator::{Estimate, Estimator, FilterKind, Sample};
+use aplomb::estimator::kalman::{Kalman, Tuning};
+use aplomb::estimator::{AnyFilter, Estimate, Estimator, FilterKind, Sample};
 
-use crate::peers::{Fusion, Madgwick, Mahony, Peer, Vqf, VqfAsIs};
+use crate::peers::{self, Fusion, Gains, Madgwick, Mahony, Peer, Vqf, VqfAsIs};
 
 /// Which filter runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,6 +67,21 @@ impl Choice {
             Self::VqfAsIs => "vqf as is",
         }
     }
+
+    /// The gains in use, of another crate's filter.
+    pub fn gains(self) -> Option<Gains> {
+        fn of<F: peers::Filter>() -> Option<Gains> {
+            Some(F::GAINS)
+        }
+        match self {
+            Self::Library(_) => None,
+            Self::Mahony => of::<Mahony>(),
+            Self::Madgwick => of::<Madgwick>(),
+            Self::Fusion => of::<Fusion>(),
+            Self::Vqf => of::<Vqf>(),
+            Self::VqfAsIs => of::<VqfAsIs>(),
+        }
+    }
 }
 
 /// A filter at work, whose attitudes are extrapolated by the delay of the sensor.
@@ -85,21 +100,35 @@ enum Seat {
 impl Filter {
     /// The chosen filter, before its first sample. Samples will be about `step_s` apart, and `delay_us` late.
     pub fn new(choice: Choice, step_s: f32, delay_us: u32) -> Self {
+        Self::with_gains(choice, step_s, delay_us, None)
+    }
+
+    /// The same with gains of one's own, if it is another crate's.
+    pub fn with_gains(choice: Choice, step_s: f32, delay_us: u32, gains: Option<Gains>) -> Self {
         let seat = match choice {
             Choice::Library(kind) => {
                 Seat::Library(Estimator::new(kind).with_sensor_delay_us(delay_us))
             }
-            Choice::Mahony => Seat::Peer(Peer::new::<Mahony>(step_s)),
-            Choice::Madgwick => Seat::Peer(Peer::new::<Madgwick>(step_s)),
-            Choice::Fusion => Seat::Peer(Peer::new::<Fusion>(step_s)),
-            Choice::Vqf => Seat::Peer(Peer::new::<Vqf>(step_s)),
-            Choice::VqfAsIs => Seat::Peer(Peer::new::<VqfAsIs>(step_s)),
+            Choice::Mahony => Seat::Peer(Peer::new::<Mahony>(step_s, gains)),
+            Choice::Madgwick => Seat::Peer(Peer::new::<Madgwick>(step_s, gains)),
+            Choice::Fusion => Seat::Peer(Peer::new::<Fusion>(step_s, gains)),
+            Choice::Vqf => Seat::Peer(Peer::new::<Vqf>(step_s, gains)),
+            Choice::VqfAsIs => Seat::Peer(Peer::new::<VqfAsIs>(step_s, gains)),
         };
         let delay_s = match choice {
             Choice::Library(FilterKind::Kalman) => 0.0,
             _ => delay_us as f32 * 1e-6,
         };
         Self { seat, delay_s }
+    }
+
+    /// The library's default filter with a tuning of one's own.
+    pub fn with_tuning(tuning: &'static Tuning, delay_us: u32) -> Self {
+        let filter = AnyFilter::Kalman(Kalman::with_tuning(tuning));
+        Self {
+            seat: Seat::Library(Estimator::with_filter(filter).with_sensor_delay_us(delay_us)),
+            delay_s: 0.0,
+        }
     }
 
     /// Takes one sample and gives the attitude at its time.

@@ -62,6 +62,10 @@ impl Flight {
 
 /// Whether a file is a flight log: text has no zeros in it.
 pub fn is_one(path: &Path) -> bool {
+    // What is read of a pipe is gone.
+    if !path.is_file() {
+        return false;
+    }
     let mut bytes = Vec::new();
     let read = open(path).and_then(|file| {
         file.take(SNIFFED_BYTES as u64)

@@ -7,8 +7,8 @@
 //! before get that sample's force. Those that take a step's length get it; the others get the recording's median. Those that take a
 //! first attitude get that of the first specific force; the others find their own.
 //!
-//! Gains: one for every recording, the best of a scan (1, 1.5, 2, 3, 5, 10 …) over 14 trials of BROAD and three rooms of TUM-VI by
-//! the mean error, both sets weighing alike.
+//! Gains: one for every recording, the best that `aplomb bench --scan-gains` found on 14 trials of BROAD and three rooms of
+//! TUM-VI by the mean error, both sets weighing alike. VQF keeps the tuning of its authors, which is meant to fit everything.
 
 use std::time::Duration;
 
@@ -44,12 +44,15 @@ impl Step {
     }
 }
 
+/// What can be set on a filter, at most two numbers; each filter says which.
+pub type Gains = [f32; 2];
+
 /// A filter that turns in forward-left-up axes.
 pub trait Filter {
+    /// Those that are in use.
+    const GAINS: Gains;
     /// A filter that starts in this attitude, for samples that are `step_s` apart.
-    fn new(start: [f32; 4], step_s: f32) -> Self
-    where
-        Self: Sized;
+    fn new(start: [f32; 4], step_s: f32, gains: Gains) -> Self;
     /// Takes one step.
     fn step(&mut self, step: &Step);
     /// w, x, y, z: sensor → earth with z up.
@@ -58,19 +61,38 @@ pub trait Filter {
 
 /// A filter of another crate, with the library's axes and sense of time.
 pub struct Peer {
-    filter: Box<dyn Filter>,
-    restart: fn([f32; 4], f32) -> Box<dyn Filter>,
+    filter: Box<dyn Turning>,
+    restart: fn([f32; 4], f32, Gains) -> Box<dyn Turning>,
     step_s: f32,
+    gains: Gains,
     last: Option<Sample>,
 }
 
+/// What a [`Filter`] does once it is there.
+trait Turning {
+    fn step(&mut self, step: &Step);
+    fn attitude(&self) -> [f32; 4];
+}
+
+impl<F: Filter> Turning for F {
+    fn step(&mut self, step: &Step) {
+        Filter::step(self, step);
+    }
+
+    fn attitude(&self) -> [f32; 4] {
+        Filter::attitude(self)
+    }
+}
+
 impl Peer {
-    /// A filter for samples that are about `step_s` apart.
-    pub fn new<F: Filter + 'static>(step_s: f32) -> Self {
+    /// A filter for samples that are about `step_s` apart, with gains of one's own or those in use.
+    pub fn new<F: Filter + 'static>(step_s: f32, gains: Option<Gains>) -> Self {
+        let gains = gains.unwrap_or(F::GAINS);
         Self {
-            filter: Box::new(F::new([1.0, 0.0, 0.0, 0.0], step_s)),
-            restart: |start, step_s| Box::new(F::new(start, step_s)),
+            filter: Box::new(F::new([1.0, 0.0, 0.0, 0.0], step_s, gains)),
+            restart: |start, step_s, gains| Box::new(F::new(start, step_s, gains)),
             step_s,
+            gains,
             last: None,
         }
     }
@@ -84,7 +106,7 @@ impl Peer {
         };
         if !remarks.rejected {
             match &self.last {
-                None => self.filter = (self.restart)(tilt(flip(force)), self.step_s),
+                None => self.filter = (self.restart)(tilt(flip(force)), self.step_s, self.gains),
                 Some(last) if sample.t_us <= last.t_us => remarks.time_went_back = true,
                 Some(last) if sample.t_us - last.t_us > LONGEST_STEP_US => remarks.gap = true,
                 Some(last) => self.filter.step(&Step::new(last, sample)),
@@ -137,8 +159,15 @@ impl VqfAsIs {
 }
 
 impl Filter for VqfAsIs {
-    fn new(_: [f32; 4], step_s: f32) -> Self {
-        Self::with(vqf::VqfParameters::default(), step_s)
+    /// The time constant of the accelerometer's correction, in s, that its authors chose.
+    const GAINS: Gains = [3.0, 0.0];
+
+    fn new(_: [f32; 4], step_s: f32, [time_s, _]: Gains) -> Self {
+        let parameters = vqf::VqfParameters {
+            tau_accelerometer: Duration::from_secs_f32(time_s),
+            ..Default::default()
+        };
+        Self::with(parameters, step_s)
     }
 
     fn step(&mut self, step: &Step) {
@@ -159,8 +188,13 @@ pub struct Vqf {
 }
 
 impl Filter for Vqf {
-    fn new(_: [f32; 4], step_s: f32) -> Self {
-        let mut parameters = vqf::VqfParameters::default();
+    const GAINS: Gains = VqfAsIs::GAINS;
+
+    fn new(_: [f32; 4], step_s: f32, [time_s, _]: Gains) -> Self {
+        let mut parameters = vqf::VqfParameters {
+            tau_accelerometer: Duration::from_secs_f32(time_s),
+            ..Default::default()
+        };
         parameters.rest_threshold_gyro = parameters.rest_threshold_gyro.to_radians();
         Self {
             filter: VqfAsIs::with(parameters, step_s),
@@ -181,24 +215,19 @@ impl Filter for Vqf {
     }
 
     fn attitude(&self) -> [f32; 4] {
-        self.filter.attitude()
+        Filter::attitude(&self.filter)
     }
 }
 
 /// Madgwick's filter of 2010, of the `ahrs` crate.
 pub struct Madgwick(ahrs::Madgwick<f32>);
 
-impl Madgwick {
-    const BETA: f32 = 0.02;
-}
-
 impl Filter for Madgwick {
-    fn new(start: [f32; 4], step_s: f32) -> Self {
-        Self(ahrs::Madgwick::new_with_quat(
-            step_s,
-            Self::BETA,
-            unit(start),
-        ))
+    /// β, in rad/s.
+    const GAINS: Gains = [0.015, 0.0];
+
+    fn new(start: [f32; 4], step_s: f32, [beta, _]: Gains) -> Self {
+        Self(ahrs::Madgwick::new_with_quat(step_s, beta, unit(start)))
     }
 
     fn step(&mut self, step: &Step) {
@@ -219,17 +248,15 @@ impl Filter for Madgwick {
 /// Mahony's filter, of the `ahrs` crate.
 pub struct Mahony(ahrs::Mahony<f32>);
 
-impl Mahony {
-    const PROPORTIONAL: f32 = 0.15;
-    const INTEGRAL: f32 = 0.0;
-}
-
 impl Filter for Mahony {
-    fn new(start: [f32; 4], step_s: f32) -> Self {
+    /// Proportional, in 1/s, and integral, in 1/s².
+    const GAINS: Gains = [0.15, 0.0003];
+
+    fn new(start: [f32; 4], step_s: f32, [proportional, integral]: Gains) -> Self {
         Self(ahrs::Mahony::new_with_quat(
             step_s,
-            Self::PROPORTIONAL,
-            Self::INTEGRAL,
+            proportional,
+            integral,
             unit(start),
         ))
     }
@@ -251,18 +278,19 @@ impl Filter for Mahony {
 /// x-io Technologies' Fusion, of the `fusion-ahrs` crate.
 pub struct Fusion(fusion_ahrs::Ahrs);
 
-impl Fusion {
-    /// Without rejection of accelerations, which made it worse at every gain.
-    const GAIN: f32 = 0.2;
-}
-
 impl Filter for Fusion {
-    fn new(_: [f32; 4], step_s: f32) -> Self {
+    /// Gain, in 1/s, and the angle in degrees from which on it rejects accelerations, 0 for never.
+    const GAINS: Gains = [0.15, 90.0];
+
+    fn new(_: [f32; 4], step_s: f32, [gain, acceleration_rejection]: Gains) -> Self {
         Self(fusion_ahrs::Ahrs::with_settings(
             fusion_ahrs::AhrsSettings {
                 sample_rate: 1.0 / step_s,
                 convention: fusion_ahrs::Convention::Nwu,
-                gain: Self::GAIN,
+                gain,
+                acceleration_rejection,
+                // That of its authors' example.
+                rejection_timeout: 5.0,
                 ..Default::default()
             },
         ))

@@ -9,7 +9,9 @@ use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle, Rectangle};
 use embedded_graphics::text::{Alignment, Text};
 
-use crate::bench::{Set, median};
+use crate::bench::Set;
+use crate::recording::Reference;
+use crate::score::median;
 
 const WIDTH: i32 = 1000;
 const LEFT: i32 = 130;
@@ -19,7 +21,8 @@ const ROW: i32 = 22;
 const AXIS: (f64, f64) = (0.1, 100.0);
 const GRID: [f64; 10] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
 
-const TEXT: Rgb888 = Rgb888::new(40, 40, 40);
+/// The colour of letters.
+pub const TEXT: Rgb888 = Rgb888::new(40, 40, 40);
 const FAINT: Rgb888 = Rgb888::new(222, 222, 222);
 const OURS: Rgb888 = Rgb888::new(200, 60, 30);
 const OTHERS: Rgb888 = Rgb888::new(60, 100, 160);
@@ -50,13 +53,16 @@ fn place(degrees: f64) -> i32 {
     LEFT + (share * f64::from(RIGHT - LEFT)).round() as i32
 }
 
-struct Canvas {
+/// A picture in memory.
+pub struct Canvas {
     size: Size,
+    /// Red, green and blue, row by row.
     pixels: Vec<u8>,
 }
 
 impl Canvas {
-    fn new(width: i32, height: i32) -> Self {
+    /// A white picture.
+    pub fn new(width: i32, height: i32) -> Self {
         let size = Size::new(width.unsigned_abs(), height.unsigned_abs());
         Self {
             size,
@@ -78,8 +84,12 @@ impl Canvas {
                 TEXT,
             );
         }
+        let title = match set.reference {
+            Reference::Truth => set.name.clone(),
+            Reference::Rest => format!("{}, without truth: only where it rests", set.name),
+        };
         self.text(
-            &set.name,
+            &title,
             Point::new(20, top + 12),
             Alignment::Left,
             &FONT_9X15_BOLD,
@@ -105,12 +115,14 @@ impl Canvas {
         }
     }
 
-    fn line(&mut self, start: Point, end: Point, colour: Rgb888, width: u32) {
+    /// Draws a straight line.
+    pub fn line(&mut self, start: Point, end: Point, colour: Rgb888, width: u32) {
         let style = PrimitiveStyle::with_stroke(colour, width);
         let Ok(()) = Line::new(start, end).into_styled(style).draw(self);
     }
 
-    fn text(
+    /// Writes a text; `at` is on its base line.
+    pub fn text(
         &mut self,
         text: &str,
         at: Point,
@@ -122,7 +134,27 @@ impl Canvas {
         let Ok(_) = Text::with_alignment(text, at, style, alignment).draw(self);
     }
 
-    fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
+    /// The picture so many times smaller, each pixel the mean of those it covers.
+    pub fn reduced(&self, factor: u32) -> Self {
+        let size = self.size / factor;
+        let mut pixels = Vec::with_capacity((3 * size.width * size.height) as usize);
+        for y in 0..size.height {
+            for x in 0..size.width {
+                for colour in 0..3 {
+                    let covered = (0..factor * factor).map(|nth| {
+                        let (x, y) = (factor * x + nth % factor, factor * y + nth / factor);
+                        let place = 3 * (y * self.size.width + x) + colour;
+                        u32::from(self.pixels[place as usize])
+                    });
+                    pixels.push((covered.sum::<u32>() / (factor * factor)) as u8);
+                }
+            }
+        }
+        Self { size, pixels }
+    }
+
+    /// As a PNG file.
+    pub fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
         let mut file = Vec::new();
         let mut encoder = png::Encoder::new(&mut file, self.size.width, self.size.height);
         encoder.set_color(png::ColorType::Rgb);
@@ -169,6 +201,15 @@ mod tests {
         assert_eq!(place(100.0), RIGHT);
         assert_eq!(place(0.001), LEFT);
         assert_eq!(place(1.0) - place(0.1), place(10.0) - place(1.0));
+    }
+
+    #[test]
+    fn a_smaller_picture_has_the_mean_of_the_pixels() {
+        let mut canvas = Canvas::new(6, 4);
+        let Ok(()) = canvas.draw_iter([Pixel(Point::new(0, 0), Rgb888::new(55, 255, 255))]);
+        let small = canvas.reduced(2);
+        assert_eq!(small.size, Size::new(3, 2));
+        assert_eq!(small.pixels[..4], [205, 255, 255, 255]);
     }
 
     #[test]

@@ -9,8 +9,11 @@ use virtual_board::motion::log::{Lines, LogError};
 /// Files from this size on take seconds.
 const LONG_BYTES: u64 = 16 * 1024 * 1024;
 
-/// Opens a file whose reading shows on a bar, if it is long and someone watches.
+/// Opens a file whose reading shows on a bar, if it is long and someone watches; `-` is standard input.
 pub fn lines(path: &Path) -> Result<Lines, LogError> {
+    if path == Path::new("-") {
+        return Lines::read_from(Path::new("standard input"), std::io::stdin());
+    }
     let length = std::fs::metadata(path).map_or(0, |data| data.len());
     let bar = if length < LONG_BYTES {
         ProgressBar::hidden()

@@ -1,16 +1,24 @@
-//! Recordings with truth, in memory, for comparing filters.
+//! Recordings with truth, or with rests to check by, in memory, for comparing filters.
 
 use std::path::{Path, PathBuf};
 
 use aplomb::attitude::Vector3;
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
-use virtual_board::motion::log::{Lines, LogError, LogFault, column_count, parse_row};
+use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
+use aplomb::units::STANDARD_GRAVITY_M_S2;
+use virtual_board::motion::geometry::angle_between;
+use virtual_board::motion::log::{Lines, LogError, LogFault, Row, column_count, parse_row};
 
+use crate::counts::counts;
 use crate::filter::{Choice, Filter, up_in_body};
+use crate::rest;
 use crate::score::{Errors, START_US, Score, up_in_sensor};
 
-/// One recording in body axes, its sensor mounted face up.
+/// Beyond what any such sensor measures: the columns are not in m/s².
+const IMPLAUSIBLE_FORCE_M_S2: f32 = 100.0 * STANDARD_GRAVITY_M_S2;
+
+/// One recording in body axes.
 #[derive(Clone, Debug)]
 pub struct Recording {
     /// The set to which it belongs: its folder.
@@ -19,46 +27,129 @@ pub struct Recording {
     pub name: String,
     /// By how much its samples are late.
     pub delay_us: u32,
+    /// What it is judged by.
+    pub reference: Reference,
     /// What the sensor said.
     pub samples: Vec<Sample>,
     /// "Up" in body axes for each sample, where it is known and counts.
     pub true_up: Vec<Option<[f64; 3]>>,
 }
 
+/// What a recording is judged by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Reference {
+    /// A truth that somebody else measured.
+    Truth,
+    /// The accelerometer itself, where it rests.
+    Rest,
+}
+
+impl Reference {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Truth => "truth",
+            Self::Rest => "rest",
+        }
+    }
+}
+
+/// What has to be known of a set, as its files do not say it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Handling {
+    /// By how much samples are late.
+    pub delay_us: u32,
+    /// Values are register counts at these ranges.
+    pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+}
+
+/// What came of a file.
+pub enum Found {
+    /// It can be scored.
+    Recording(Recording),
+    /// It cannot, for this reason.
+    Unusable(String),
+}
+
 impl Recording {
-    /// Reads a log; `None` if it is a file of another kind, holds register counts, or has no truth that counts.
-    pub fn read(path: &Path, delay_us: u32) -> Result<Option<Self>, LogError> {
+    /// Reads a file. Malformed rows are errors; a file that cannot be scored says why.
+    pub fn read(path: &Path, handling: Handling) -> Result<Found, LogError> {
+        let unusable = |reason: &str| Ok(Found::Unusable(reason.to_owned()));
         let mut lines = Lines::open(path, |file| file)?;
-        let header = lines.next_line()?;
-        let Some(columns @ 11..) = header.and_then(column_count) else {
-            return Ok(None);
+        let header = match lines.next_line() {
+            Ok(Some(header)) => header,
+            Ok(None) => return unusable("it is empty"),
+            Err(LogError {
+                reason: LogFault::NotText,
+                ..
+            }) => return unusable("it is no text"),
+            Err(error) => return Err(error),
+        };
+        if header == aplomb::telemetry::bursts::HEADER {
+            return unusable("bursts have no truth: `aplomb replay` takes them");
+        }
+        let Some(columns) = column_count(header) else {
+            return unusable("it is no log: it does not begin with t_us,ax,ay,az,gx,gy,gz");
         };
         let mut recording = Self {
             set: name_of(path.parent()),
             name: name_of(Some(path)),
-            delay_us,
+            delay_us: handling.delay_us,
+            reference: Reference::Truth,
             samples: Vec::new(),
             true_up: Vec::new(),
         };
-        let mut first_us = None;
+        let mut start = None;
+        let mut is_plausible = true;
         while let Some(line) = lines.next_line()? {
             let row = parse_row(line, columns).map_err(|fault| lines.refuse(fault))?;
-            let first_us = *first_us.get_or_insert(row.time_us);
+            let (first_us, mount) = *start.get_or_insert((row.time_us, mount(&row)));
             let since_us = row.time_us.checked_sub(first_us);
             let t_us = since_us
                 .and_then(|since| u64::try_from(since).ok())
                 .ok_or_else(|| lines.refuse(LogFault::Time(row.time_us.to_string())))?;
-            recording.samples.push(Sample {
-                t_us,
-                specific_force_m_s2: to_body(row.specific_force_m_s2),
-                angular_rate_rad_s: to_body(row.rates_rad_s),
-                ..Sample::default()
-            });
+            let Ok(sample) = sample(&row, t_us, mount, handling) else {
+                return unusable(
+                    "its values are no register counts, though its set is said to hold them",
+                );
+            };
+            is_plausible &= sample.specific_force_m_s2.is_within(IMPLAUSIBLE_FORCE_M_S2);
+            recording.samples.push(sample);
             let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
-            recording.true_up.push(up.map(|[x, y, z]| [x, -y, -z]));
+            recording.true_up.push(up.map(|up| {
+                let up = mount.to_body(vector(up));
+                [up.x, up.y, up.z].map(f64::from)
+            }));
         }
-        let has_truth = recording.true_up.iter().any(Option::is_some);
-        Ok(has_truth.then_some(recording))
+        if recording.counts() {
+            return Ok(Found::Recording(recording));
+        }
+        if !is_plausible && handling.ranges.is_none() {
+            return unusable(
+                "its values are beyond SI units: if they are counts, say --counts SET=G,DPS",
+            );
+        }
+        recording.reference = Reference::Rest;
+        recording.true_up = rest::up_at_rest(&recording.samples);
+        if recording.counts() {
+            Ok(Found::Recording(recording))
+        } else {
+            unusable(
+                "it has no truth, and after its first 5 s it does not lie still for 1.5 s either",
+            )
+        }
+    }
+
+    /// Whether there is a row by which to judge.
+    fn counts(&self) -> bool {
+        let start_us = self.start_us();
+        let mut rows = self.samples.iter().zip(&self.true_up);
+        rows.any(|(sample, up)| sample.t_us >= start_us && up.is_some())
+    }
+
+    /// From here on rows count.
+    fn start_us(&self) -> u64 {
+        self.samples.first().map_or(0, |first| first.t_us) + START_US.unsigned_abs()
     }
 
     /// The median step between its samples.
@@ -74,41 +165,92 @@ impl Recording {
 
     /// Runs a filter through it. `None` if no row counts.
     pub fn score(&self, choice: Choice) -> Option<Score> {
-        let mut filter = Filter::new(choice, self.step_s(), self.delay_us);
-        let start_us = self.samples.first()?.t_us + START_US.unsigned_abs();
         let mut errors = Errors::default();
+        let has_sigma = self.reference == Reference::Truth;
+        let filter = Filter::new(choice, self.step_s(), self.delay_us);
+        self.run(filter, |estimated, true_up, sigma_rad| {
+            errors.add(estimated, true_up, sigma_rad.filter(|_| has_sigma));
+        });
+        errors.score()
+    }
+
+    /// The root mean square in degrees alone, of a filter that was set up for this recording.
+    pub fn rms(&self, filter: Filter) -> f64 {
+        let (mut squares, mut rows) = (0.0, 0_u32);
+        self.run(filter, |estimated, true_up, _| {
+            let error = angle_between(estimated, true_up).to_degrees();
+            squares += error * error;
+            rows += 1;
+        });
+        (squares / f64::from(rows)).sqrt()
+    }
+
+    /// Runs a filter through it and tells of every row that counts: its "up", the true one, and σ in rad.
+    fn run(&self, mut filter: Filter, mut note: impl FnMut([f64; 3], [f64; 3], Option<f32>)) {
+        let start_us = self.start_us();
         for (sample, true_up) in self.samples.iter().zip(&self.true_up) {
             let attitude = filter.update(sample).attitude;
             if let Some(true_up) = *true_up
                 && sample.t_us >= start_us
             {
                 let up = up_in_body(attitude);
-                errors.add([up.x, up.y, up.z].map(f64::from), true_up);
+                let estimated = [up.x, up.y, up.z].map(f64::from);
+                note(estimated, true_up, filter.tilt_sigma_rad());
             }
         }
-        errors.score()
     }
 }
 
-/// Every file below a folder that may be a log, in order; or the file itself.
+/// Every file below a folder, in order; or the file itself.
 pub fn files(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
     let mut found = Vec::new();
     for entry in std::fs::read_dir(path)? {
-        let path = entry?.path();
-        let name = name_of(Some(&path));
-        if path.is_dir() || name.ends_with(".csv") || name.ends_with(".csv.gz") {
-            found.extend(files(&path)?);
-        }
+        found.extend(files(&entry?.path())?);
     }
     found.sort();
     Ok(found)
 }
 
-fn to_body([x, y, z]: [f64; 3]) -> Vector3 {
-    Mount::Z_UP.to_body(Vector3::new(x as f32, y as f32, z as f32))
+/// Whether the name is that of a table.
+pub fn is_table(path: &Path) -> bool {
+    let name = name_of(Some(path)).to_lowercase();
+    name.ends_with(".csv") || name.ends_with(".csv.gz")
+}
+
+/// Face up or face down, as it lies in this row. All filters get the same, and most do not care.
+fn mount(row: &Row) -> Mount {
+    if row.specific_force_m_s2[2] < 0.0 {
+        Mount::Z_DOWN
+    } else {
+        Mount::Z_UP
+    }
+}
+
+fn sample(row: &Row, t_us: u64, mount: Mount, handling: Handling) -> Result<Sample, String> {
+    let Some((accelerometer_range, gyroscope_range)) = handling.ranges else {
+        return Ok(Sample {
+            t_us,
+            specific_force_m_s2: mount.to_body(vector(row.specific_force_m_s2)),
+            angular_rate_rad_s: mount.to_body(vector(row.rates_rad_s)),
+            ..Sample::default()
+        });
+    };
+    let [force, rates] = counts(row)?;
+    let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
+    Ok(Sample {
+        t_us,
+        specific_force_m_s2: mount.to_body(force.to_m_s2(accelerometer_range)),
+        angular_rate_rad_s: mount.to_body(rates.to_rad_s(gyroscope_range)),
+        is_force_saturated: force.is_saturated(),
+        is_rate_saturated: rates.is_saturated(),
+    })
+}
+
+fn vector([x, y, z]: [f64; 3]) -> Vector3 {
+    Vector3::new(x as f32, y as f32, z as f32)
 }
 
 fn name_of(path: Option<&Path>) -> String {

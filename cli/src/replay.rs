@@ -31,14 +31,17 @@ use crate::score::{Errors, START_US, up_in_sensor};
 /// The first line of the output.
 pub const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,up_x,up_y,up_z,tilt_sigma_deg,flags";
 
+/// One second: no low-pass filter or bus is so slow, and no turn goes on for so long.
+const LONGEST_DELAY_US: i64 = 1_000_000;
+
 /// A first guess for filters that want one; each row then brings its own step.
 const USUAL_STEP_S: f32 = 0.001;
 
 /// Run a recording through a filter: one attitude for each row.
 ///
 /// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]; microseconds, m/s², rad/s; truth sensor to earth with z
-/// up), a bursts.csv (t_us,bytes,flags) or a flight log (what the module sends with `format log`), plain or gzipped. A flight log
-/// brings its own settings, and its attitudes are compared with those of the flight. With truth in it, the inclination error is printed, over the
+/// up), a bursts.csv (t_us,bytes,flags) or a flight log (what the module sends with `format log`), plain or gzipped; - is standard
+/// input, for all but flight logs. A flight log brings its own settings, and its attitudes are compared with those of the flight. With truth in it, the inclination error is printed, over the
 /// rows with mov 1 after 5 s.
 #[derive(clap::Args)]
 pub struct Options {
@@ -52,7 +55,7 @@ pub struct Options {
     mount: Mount,
     /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0 unless told
     /// otherwise; bursts: the delay of the sensor's low-pass filter)
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US))]
     sensor_delay_us: Option<u32>,
     /// The log's values are register counts of a sensor with these ranges
     #[arg(long, requires_all = ["accel_range", "gyro_range"])]
@@ -172,7 +175,13 @@ trait Source {
 }
 
 fn replay(options: &Options, mount: Mount, source: &mut impl Source) -> Result<(), Box<dyn Error>> {
-    let mut output = options.output.as_deref().map(Output::create).transpose()?;
+    let mut output = match &options.output {
+        Some(path) if is_same_file(path, &options.input) => {
+            return Err(format!("{}: the output would replace the input", path.display()).into());
+        }
+        Some(path) => Some(Output::create(path)?),
+        None => None,
+    };
     let mut errors = Errors::default();
     let mut flagged = [0_u64; Flags::NAMES.len()];
     let (mut rows, mut first_us, mut last_us) = (0_u64, None, 0);
@@ -182,9 +191,13 @@ fn replay(options: &Options, mount: Mount, source: &mut impl Source) -> Result<(
         rows += 1;
         let up = mount.to_sensor(up_in_body(point.attitude));
         if let Some(true_up) = point.true_up
-            && point.t_us - first_us >= START_US
+            && point.t_us.saturating_sub(first_us) >= START_US
         {
-            errors.add([up.x, up.y, up.z].map(f64::from), true_up);
+            errors.add(
+                [up.x, up.y, up.z].map(f64::from),
+                true_up,
+                point.tilt_sigma_rad,
+            );
         }
         for (count, (flag, _)) in flagged.iter_mut().zip(Flags::NAMES) {
             *count += u64::from(point.flags.contains(flag));
@@ -206,7 +219,7 @@ fn replay(options: &Options, mount: Mount, source: &mut impl Source) -> Result<(
     crate::say(&format!(
         "{}: {rows} rows, {:.1} s, filter {}, mount {}",
         options.input.display(),
-        (last_us - first_us) as f64 * 1e-6,
+        last_us.saturating_sub(first_us) as f64 * 1e-6,
         options.filter.name(),
         mount,
     ));
@@ -341,6 +354,7 @@ impl Source for Bursts {
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
         let mut snapshot = self.pipeline.update(&burst);
+        self.pipeline.collect(&burst);
         let kalman = self.pipeline.estimator().kalman();
         let mut tilt_sigma_rad = kalman.map(Kalman::tilt_sigma_rad);
         if let Some(peer) = &mut self.peer {
@@ -382,21 +396,36 @@ impl Source for Logged<'_> {
     }
 }
 
-/// The file of attitudes. It appears under its name when it is complete.
+fn is_same_file(one: &Path, other: &Path) -> bool {
+    // What is not there yet, or is standard input, is no other file.
+    let paths = one.canonicalize().ok().zip(other.canonicalize().ok());
+    paths.is_some_and(|(one, other)| one == other)
+}
+
+/// The file of attitudes. It appears under its name when it is complete; a device or a pipe is written as it goes.
 struct Output {
     path: PathBuf,
-    unfinished: PathBuf,
+    unfinished: Option<PathBuf>,
     file: BufWriter<File>,
     line: Vec<u8>,
 }
 
 impl Output {
     fn create(path: &Path) -> Result<Self, String> {
-        let mut unfinished = path.as_os_str().to_owned();
-        unfinished.push(".unfinished");
-        let unfinished = PathBuf::from(unfinished);
-        let file = File::create(&unfinished)
-            .map_err(|error| format!("{}: cannot be written: {error}", unfinished.display()))?;
+        let failed = |error: &io::Error| cannot_write(path, error);
+        let is_device = path
+            .metadata()
+            .is_ok_and(|data| !data.is_file() && !data.is_dir());
+        let (unfinished, file) = if is_device {
+            let file = File::options().write(true).open(path);
+            (None, file.map_err(|error| failed(&error))?)
+        } else {
+            let mut unfinished = path.as_os_str().to_owned();
+            unfinished.push(".unfinished");
+            let unfinished = PathBuf::from(unfinished);
+            let file = File::create(&unfinished).map_err(|error| failed(&error))?;
+            (Some(unfinished), file)
+        };
         let mut output = Self {
             path: path.to_owned(),
             unfinished,
@@ -452,19 +481,35 @@ impl Output {
     fn finish(mut self) -> Result<(), String> {
         self.file
             .flush()
-            .and_then(|()| std::fs::rename(&self.unfinished, &self.path))
+            .and_then(|()| match &self.unfinished {
+                Some(unfinished) => std::fs::rename(unfinished, &self.path),
+                None => Ok(()),
+            })
             .map_err(|error| self.failed(&error))
     }
 
     fn failed(&self, error: &io::Error) -> String {
-        format!("{}: cannot be written: {error}", self.path.display())
+        cannot_write(&self.path, error)
     }
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> String {
+    let mut message = format!("{}: cannot be written: {error}", path.display());
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        message.push_str(&format!("; there is no folder {}", folder.display()));
+    }
+    message
 }
 
 impl Drop for Output {
     fn drop(&mut self) {
-        // After `finish` it is gone already.
-        let _ = std::fs::remove_file(&self.unfinished);
+        if let Some(unfinished) = &self.unfinished {
+            // After `finish` it is gone already.
+            let _ = std::fs::remove_file(unfinished);
+        }
     }
 }
 
@@ -496,7 +541,7 @@ pub fn parse_mount(name: &str) -> Result<Mount, String> {
     })
 }
 
-/// An option's range.
+/// The range of this name in g.
 pub fn parse_accelerometer_range(text: &str) -> Result<AccelerometerRange, &'static str> {
     match text {
         "2" => Ok(AccelerometerRange::G2),
@@ -507,7 +552,7 @@ pub fn parse_accelerometer_range(text: &str) -> Result<AccelerometerRange, &'sta
     }
 }
 
-/// An option's range.
+/// The range of this name in degrees per second.
 pub fn parse_gyroscope_range(text: &str) -> Result<GyroscopeRange, &'static str> {
     match text {
         "250" => Ok(GyroscopeRange::Degrees250),

@@ -13,6 +13,8 @@ pub const START_US: i64 = 5_000_000;
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
     degrees: Vec<f64>,
+    /// Errors as multiples of the σ that the filter stated.
+    per_sigma: Vec<f64>,
 }
 
 /// What there is to say about the errors, in degrees.
@@ -26,13 +28,32 @@ pub struct Score {
     pub p95: f64,
     /// The largest.
     pub maximum: f64,
+    /// How far the filter's own σ is to be believed, if it states one.
+    pub honesty: Option<Honesty>,
+}
+
+/// Errors against the σ that the filter stated for them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Honesty {
+    /// The share of rows whose error is at most 3 σ.
+    pub within_3_sigma: f64,
+    /// The median of error/σ. Two independent normal errors, σ being the root of the sum of their variances, have 0.83.
+    pub median: f64,
 }
 
 impl Errors {
-    /// Notes the angle between an estimated "up" and the true one.
-    pub fn add(&mut self, estimated_up: [f64; 3], true_up: [f64; 3]) {
-        self.degrees
-            .push(angle_between(estimated_up, true_up).to_degrees());
+    /// Notes the angle between an estimated "up" and the true one, and the σ that the filter states for it.
+    pub fn add(&mut self, estimated_up: [f64; 3], true_up: [f64; 3], sigma_rad: Option<f32>) {
+        let error_rad = angle_between(estimated_up, true_up);
+        self.degrees.push(error_rad.to_degrees());
+        if let Some(sigma_rad) = sigma_rad {
+            let multiple = error_rad / f64::from(sigma_rad);
+            self.per_sigma.push(if multiple.is_nan() {
+                f64::INFINITY
+            } else {
+                multiple
+            });
+        }
     }
 
     /// The score; `None` if no row counted.
@@ -46,6 +67,17 @@ impl Errors {
             rms: (squares / rows as f64).sqrt(),
             p95: self.degrees[(rows * 95).div_ceil(100) - 1],
             maximum,
+            honesty: self.honesty(),
+        })
+    }
+
+    fn honesty(&mut self) -> Option<Honesty> {
+        self.per_sigma.sort_by(f64::total_cmp);
+        let rows = self.per_sigma.len();
+        let within = self.per_sigma.partition_point(|multiple| *multiple <= 3.0);
+        (rows > 0).then(|| Honesty {
+            within_3_sigma: within as f64 / rows as f64,
+            median: median(&self.per_sigma),
         })
     }
 }
@@ -57,12 +89,42 @@ impl fmt::Display for Score {
             p95,
             maximum,
             rows,
+            honesty,
         } = self;
         write!(
             formatter,
             "rms {rms:.3}°, 95 % within {p95:.3}°, maximum {maximum:.3}° over {rows} rows"
+        )?;
+        let Some(Honesty {
+            within_3_sigma,
+            median,
+        }) = honesty
+        else {
+            return Ok(());
+        };
+        let percent = 100.0 * within_3_sigma;
+        write!(
+            formatter,
+            "; {percent:.2} % within 3 sigma, median {median:.2} sigma"
         )
     }
+}
+
+/// The middle one of ascending numbers, or the mean of the two in the middle.
+pub fn median(ascending: &[f64]) -> f64 {
+    let length = ascending.len();
+    match (
+        ascending.get(length.wrapping_sub(1) / 2),
+        ascending.get(length / 2),
+    ) {
+        (Some(lower), Some(upper)) => 0.5 * (lower + upper),
+        _ => f64::NAN,
+    }
+}
+
+/// The mean.
+pub fn mean(numbers: &[f64]) -> f64 {
+    numbers.iter().sum::<f64>() / numbers.len() as f64
 }
 
 /// "Up" in the sensor's axes by the rotation sensor → earth with z up.
@@ -80,10 +142,35 @@ mod tests {
         let tilted = up_in_sensor(Quaternion::new(cosine, sine, 0.0, 0.0));
         let yawed = up_in_sensor(Quaternion::new(cosine, 0.0, 0.0, sine));
         let mut errors = Errors::default();
-        errors.add(tilted, yawed);
+        errors.add(tilted, yawed, None);
         let score = errors.score().unwrap();
         assert!((score.rms - 0.1_f64.to_degrees()).abs() < 1e-9);
-        assert_eq!(score.rows, 1);
+        assert_eq!((score.rows, score.honesty), (1, None));
+    }
+
+    #[test]
+    fn a_sigma_is_held_to_the_errors() {
+        let up = [0.0, 0.0, 1.0];
+        let mut errors = Errors::default();
+        for (error_rad, sigma_rad) in [(0.1_f64, 0.1), (0.2, 0.1), (0.29, 0.1), (0.31, 0.1)] {
+            let (sine, cosine) = error_rad.sin_cos();
+            errors.add([sine, 0.0, cosine], up, Some(sigma_rad));
+        }
+        let honesty = errors.score().unwrap().honesty.unwrap();
+        assert_eq!(honesty.within_3_sigma, 0.75);
+        assert!((honesty.median - 2.45).abs() < 1e-6, "{honesty:?}");
+        // A filter that is sure of what is wrong is not honest.
+        errors.add([1.0, 0.0, 0.0], up, Some(0.0));
+        errors.add([1.0, 0.0, 0.0], up, Some(f32::NAN));
+        let honesty = errors.score().unwrap().honesty.unwrap();
+        assert_eq!(honesty.within_3_sigma, 0.5);
+    }
+
+    #[test]
+    fn medians_are_of_the_middle() {
+        assert_eq!(median(&[1.0, 2.0, 10.0]), 2.0);
+        assert_eq!(median(&[1.0, 2.0, 4.0, 10.0]), 3.0);
+        assert!(median(&[]).is_nan());
     }
 
     #[test]
@@ -91,6 +178,7 @@ mod tests {
         assert_eq!(Errors::default().score(), None);
         let mut errors = Errors {
             degrees: (1..=200).rev().map(f64::from).collect(),
+            ..Errors::default()
         };
         let score = errors.score().unwrap();
         assert_eq!((score.rows, score.p95, score.maximum), (200, 190.0, 200.0));

@@ -15,16 +15,31 @@ use virtual_board::sensor::clock::TICKS_PER_SECOND;
 use virtual_board::sensor::identity::Identity;
 use virtual_board::sensor::signal_path::{Settings, SignalPath};
 
-use crate::recording::Recording;
+use crate::parallel;
+use crate::recording::{Recording, Reference};
 
 /// Seeds from here on are for judging; smaller ones are for tuning.
 pub const FIRST_EVALUATION_SEED: u64 = 1_000;
+
+/// What filters are tuned on.
+pub const TUNING_SEEDS: std::ops::Range<u64> = 1..13;
+/// What they are judged on.
+pub const EVALUATION_SEEDS: std::ops::Range<u64> = FIRST_EVALUATION_SEED..FIRST_EVALUATION_SEED + 8;
+
+// What is tuned on is not judged on.
+const _: () = assert!(TUNING_SEEDS.end <= FIRST_EVALUATION_SEED);
 
 /// The gyroscope's zero-rate offset in °/s, in a direction by the seed.
 const BIAS_DEGREES_S: f64 = 4.0;
 const SECONDS: u64 = 60;
 const TICKS_PER_SAMPLE: u64 = 8;
 const CONFIG: Config = Config::DEFAULT;
+
+/// The flights of these seeds.
+pub fn flights(seeds: std::ops::Range<u64>) -> Vec<Recording> {
+    let seeds: Vec<u64> = seeds.collect();
+    parallel::map_with_bar("simulating", &seeds, |seed| flight(*seed))
+}
 
 /// The flight of this seed, as the default settings of the sensor record it at 1 kHz, counts as they would be read.
 pub fn flight(seed: u64) -> Recording {
@@ -47,6 +62,7 @@ pub fn flight(seed: u64) -> Recording {
         set: "simulated".to_owned(),
         name: format!("flight {seed}"),
         delay_us: u32::from(LowPass::gyroscope_delay_us(CONFIG.low_pass)),
+        reference: Reference::Truth,
         samples: Vec::new(),
         true_up: Vec::new(),
     };

@@ -19,6 +19,15 @@ fn log(tilt_degrees: f64, offset_m_s2: f64) -> String {
     text
 }
 
+const UNKNOWN: &str = "t_us,ax,ay,az,gx,gy,gz\n";
+
+/// Ten seconds at 200 Hz without truth, at rest with this much on the z axis.
+fn resting(z: f64) -> String {
+    (0..2_000).fold(String::from(UNKNOWN), |text, index| {
+        format!("{text}{},0,0,{z},0,0,0\n", index * 5_000)
+    })
+}
+
 #[test]
 fn every_filter_is_scored_on_every_recording_with_truth() {
     file("bench/still", "a.csv", log(0.0, 0.0));
@@ -28,12 +37,16 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
         "b.csv",
         log(0.0, 9.80665 * 3_f64.to_radians().tan()),
     );
-    file(
-        "bench/wrong",
-        "without-truth.csv",
-        "t_us,ax,ay,az,gx,gy,gz\n0,0,0,9.8,0,0,0\n",
-    );
     file("bench/wrong", "notes.txt", "no recording");
+    file("bench/wrong", "other.csv", "a,b\n1,2\n");
+    // Without truth: one rests, one turns all the time. In register counts: one is said to be, one is not.
+    let turning = (0..2_000).fold(String::from(UNKNOWN), |text, index| {
+        format!("{text}{},0,0,9.8,{},0,0\n", index * 5_000, index % 200)
+    });
+    file("bench/unknown", "turning.csv", turning);
+    file("bench/unknown", "resting.csv", resting(9.8));
+    file("bench/counted", "resting.csv", resting(4_096.0));
+    file("bench/uncounted", "resting.csv", resting(-4_096.0));
     let (folder, output) = (path("bench", ""), path("bench-output", ""));
     let result = aplomb(&[
         "bench".as_ref(),
@@ -42,11 +55,26 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
         output.as_os_str(),
         "--sensor-delay-us".as_ref(),
         "still=1000".as_ref(),
+        "--counts=counted=8,250".as_ref(),
     ]);
     let printed = String::from_utf8(result.stdout).unwrap();
     let errors = String::from_utf8_lossy(&result.stderr);
     assert!(result.status.success(), "{errors}");
-    assert!(printed.contains("1 of 3 files have no truth"), "{printed}");
+    let reasons = [
+        ("wrong/notes.txt", "no .csv"),
+        ("wrong/other.csv", "it is no log"),
+        ("unknown/turning.csv", "does not lie still"),
+        ("uncounted/resting.csv", "--counts SET=G,DPS"),
+    ];
+    for (name, reason) in reasons {
+        let line = printed.lines().find(|line| line.contains(name));
+        let line = line.unwrap_or_else(|| panic!("{name} is not in {printed}"));
+        assert!(
+            line.starts_with("not scored: ") && line.contains(reason),
+            "{line}"
+        );
+    }
+    assert_eq!(printed.matches("not scored: ").count(), reasons.len());
     assert!(printed.contains("still (1)"), "{printed}");
     assert!(
         printed.contains("still: samples are 1000 µs late"),
@@ -57,17 +85,41 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     let mut filters = 0;
     for line in csv.lines().skip(1) {
         let cells: Vec<&str> = line.split(',').collect();
-        let rms: f64 = cells[5].parse().unwrap();
-        assert_eq!(cells[4], "1000", "rows after 5 s: {line}");
-        match cells[..3] {
-            ["still", "a.csv", "1000"] => assert!(rms < 0.05, "{line}"),
+        let rms: f64 = cells[6].parse().unwrap();
+        assert!(
+            ["999", "1000"].contains(&cells[5]),
+            "rows after 5 s: {line}"
+        );
+        match cells[..4] {
+            ["still", "a.csv", "truth", "1000"] => assert!(rms < 0.05, "{line}"),
             // It starts there or comes from level, within ten seconds.
-            ["wrong", "b.csv", "0"] => assert!((2.0..3.5).contains(&rms), "{line}"),
+            ["wrong", "b.csv", "truth", "0"] => assert!((2.0..3.5).contains(&rms), "{line}"),
+            ["unknown" | "counted", "resting.csv", "rest", "0"] => assert!(rms < 0.1, "{line}"),
             _ => panic!("{line}"),
+        }
+        // The Kalman filter alone says how sure it is, and is held to it where there is a truth.
+        let has_sigma = cells[4] == "kalman" && cells[2] == "truth";
+        assert_eq!(
+            !cells[9].is_empty() && !cells[10].is_empty(),
+            has_sigma,
+            "{line}"
+        );
+        if has_sigma {
+            let [within, median] = [9, 10].map(|cell| cells[cell].parse::<f64>().unwrap());
+            // It cannot know that the accelerometer errs.
+            let honest = if cells[0] == "still" {
+                0.0..=1.0
+            } else {
+                2.0..=12.0
+            };
+            assert!(
+                (0.0..=1.0).contains(&within) && honest.contains(&median),
+                "{line}"
+            );
         }
         filters += 1;
     }
-    assert!(filters >= 14 && filters % 2 == 0, "{filters}");
+    assert!(filters >= 28 && filters % 4 == 0, "{filters}");
     let picture = std::fs::read(output.join("accuracy.png")).unwrap();
     assert!(picture.starts_with(b"\x89PNG"));
 }
@@ -101,5 +153,34 @@ fn without_recordings_flights_are_simulated_and_it_says_so() {
     assert!(printed.contains("simulated flights"), "{printed}");
     assert!(printed.contains("simulated (8)"), "{printed}");
     let csv = std::fs::read_to_string(output.join("accuracy.csv")).unwrap();
-    assert!(csv.contains("simulated,flight 1000,1900,vqf,"), "{csv}");
+    assert!(
+        csv.contains("simulated,flight 1000,truth,1900,vqf,"),
+        "{csv}"
+    );
+}
+
+#[test]
+fn the_picture_is_drawn_by_one_command() {
+    let picture = path("bench-picture", "flight.png");
+    let result = aplomb(&["bench".as_ref(), "--picture".as_ref(), picture.as_os_str()]);
+    assert!(result.status.success());
+    assert!(std::fs::read(picture).unwrap().starts_with(b"\x89PNG"));
+}
+
+#[test]
+fn gains_are_scanned_on_recordings_with_truth() {
+    file("bench-scan/still", "a.csv", log(0.0, 0.0));
+    let result = aplomb(&[
+        "bench".as_ref(),
+        "--scan-gains".as_ref(),
+        path("bench-scan", "").as_os_str(),
+    ]);
+    let printed = String::from_utf8(result.stdout).unwrap();
+    assert!(result.status.success());
+    assert_eq!(printed.matches("<- in use").count(), 5, "{printed}");
+    for search in ["--scan-gains", "--leave-one-out"] {
+        let empty = path("bench-empty", "");
+        let nothing = aplomb(&["bench".as_ref(), search.as_ref(), empty.as_os_str()]);
+        assert_eq!(nothing.status.code(), Some(1));
+    }
 }

@@ -82,6 +82,7 @@ fn the_estimate_follows_and_is_in_the_files_axes() {
         assert!(rms(&printed) < 0.2, "{filter}: {printed}");
         // 495 of the 500 rows after 5 s have mov 1.
         assert!(printed.contains("over 495 rows"), "{printed}");
+        assert_eq!(printed.contains("within 3 sigma"), filter == "kalman");
         let last = |name| column(&output, name)[999].parse::<f64>().unwrap();
         let roll = 30_f64.to_radians() * (2.0 * 9.99_f64).sin();
         // Face up, the file's y points left: left side up is positive roll.
@@ -332,6 +333,114 @@ fn what_is_malformed_is_named_by_file_line_and_reason() {
 }
 
 #[test]
+fn a_byte_order_mark_is_skipped_and_standard_input_is_read() {
+    let text = log(200, 0.0);
+    let (_, expected) = replay("input", &file("input", "plain.csv", &text), &[]);
+    let marked = file("input", "marked.csv", format!("\u{FEFF}{text}"));
+    assert_eq!(replay("input", &marked, &[]).1, expected);
+    let output = path("input", "of-standard-input.csv");
+    let result = std::process::Command::new(env!("CARGO_BIN_EXE_aplomb"))
+        .args(["replay", "-", "--output"])
+        .arg(&output)
+        .stdin(std::fs::File::open(path("input", "plain.csv")).unwrap())
+        .output()
+        .unwrap();
+    assert!(result.status.success());
+    assert_eq!(std::fs::read_to_string(output).unwrap(), expected);
+}
+
+#[test]
+fn a_gzip_file_that_is_cut_off_is_refused() {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(log(5_000, 0.0).as_bytes()).unwrap();
+    let whole = encoder.finish().unwrap();
+    for length in [2, 9, whole.len() / 2, whole.len() - 1] {
+        let input = file("cut", "input.csv.gz", &whole[..length]);
+        let result = aplomb(&["replay".as_ref(), input.as_os_str()]);
+        let message = String::from_utf8(result.stderr).unwrap();
+        assert_eq!(result.status.code(), Some(1), "{length}: {message}");
+        assert!(
+            message.contains("cut off or damaged"),
+            "{length}: {message}"
+        );
+    }
+}
+
+#[test]
+fn what_cannot_be_written_or_must_not_is_left_alone() {
+    let input = file("output", "input.csv", log(3, 0.0));
+    let folder = input.parent().unwrap();
+    let refusal = |output: &Path| {
+        let result = aplomb(&[
+            "replay".as_ref(),
+            input.as_os_str(),
+            "--output".as_ref(),
+            output.as_os_str(),
+        ]);
+        assert_eq!(result.status.code(), Some(1), "{}", output.display());
+        String::from_utf8(result.stderr).unwrap()
+    };
+    let missing = refusal(&folder.join("no/such/output.csv"));
+    assert!(missing.contains("there is no folder") && missing.contains("no/such"));
+    assert!(refusal(folder).contains("cannot be written"));
+    assert!(refusal(&input).contains("would replace the input"));
+    assert_eq!(std::fs::read_to_string(&input).unwrap(), log(3, 0.0));
+}
+
+/// A file that took the place of a pipe, or of /dev/null, would be a nuisance.
+#[cfg(unix)]
+#[test]
+fn a_pipe_is_written_to_and_stays_one() {
+    use std::os::unix::fs::FileTypeExt as _;
+
+    let input = file("pipe", "input.csv", log(3, 0.0));
+    let (_, expected) = replay("pipe", &input, &[]);
+    let pipe = path("pipe", "pipe");
+    let _ = std::fs::remove_file(&pipe);
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.unwrap().success());
+    let reader = std::thread::spawn({
+        let pipe = pipe.clone();
+        move || std::fs::read_to_string(pipe).unwrap()
+    });
+    let arguments = ["replay", input.to_str().unwrap(), "--output"];
+    let result = aplomb(&[&arguments[..], &[pipe.to_str().unwrap()]].concat());
+    assert!(result.status.success());
+    assert!(pipe.metadata().unwrap().file_type().is_fifo());
+    assert_eq!(reader.join().unwrap(), expected);
+}
+
+#[test]
+fn times_may_be_as_far_apart_as_they_like() {
+    let input = file(
+        "far",
+        "input.csv",
+        format!(
+            "t_us,ax,ay,az,gx,gy,gz\n{},0,0,9.8,0,0,0\n{},0,0,9.8,0,0,0\n{},0,0,9.8,0,0,0\n",
+            i64::MIN,
+            i64::MAX,
+            i64::MIN
+        ),
+    );
+    let (printed, output) = replay("far", &input, &[]);
+    assert!(printed.contains("GAP: 1 rows") && printed.contains("TIME: 1 rows"));
+    assert_eq!(column(&output, "t_us")[1], i64::MAX.to_string());
+}
+
+#[test]
+fn every_mount_can_be_named() {
+    let input = file("mounts", "input.csv", log(3, 0.0));
+    let names = aplomb::calibration::Mount::ALL.map(aplomb::calibration::Mount::name);
+    for name in names.into_iter().chain(["z-up", "z-down"]) {
+        for arguments in [vec!["--mount", name], vec![&*format!("--mount={name}")]] {
+            let (printed, _) = replay("mounts", &input, &arguments);
+            let stated = aplomb::calibration::Mount::parse(name).unwrap().name();
+            assert!(printed.contains(&format!("mount {stated}")), "{printed}");
+        }
+    }
+}
+
+#[test]
 fn options_that_do_not_go_together_are_refused() {
     let input = file("options", "input.csv", log(3, 0.0));
     let bursts = file("options", "bursts.csv", format!("{}\n", bursts::HEADER));
@@ -340,6 +449,9 @@ fn options_that_do_not_go_together_are_refused() {
         (&input, vec!["--accel-range", "8"], "--raw"),
         (&input, vec!["--filter", "best"], "axis-kalman"),
         (&input, vec!["--mount", "+x+x"], "+x-z"),
+        (&input, vec!["--mount", "Z-UP"], "z-up"),
+        (&input, vec!["--sensor-delay-us", "1000001"], "1000000"),
+        (&input, vec!["--fitler", "kalman"], "--filter"),
         (
             &input,
             vec!["--raw", "--accel-range", "9", "--gyro-range", "250"],

@@ -199,6 +199,7 @@ mod app {
     fn attitude(context: attitude::Context) {
         while let Some(burst) = context.local.ready_out.dequeue() {
             let snapshot = context.local.pipeline.update(&burst);
+            context.local.pipeline.collect(&burst);
             // A full queue loses a snapshot, and `replay` then never counts to its end: the test sees it.
             context.local.snapshots_in.enqueue(snapshot).ok();
             *context.local.samples += 1;

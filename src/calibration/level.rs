@@ -201,3 +201,88 @@ fn direction(force_m_s2: Vector3) -> Option<Vector3> {
 fn whole(degrees: f32) -> i32 {
     (degrees + 0.5) as i32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::attitude::EulerAngles;
+
+    fn gravity_in(roll_degrees: f32, pitch_degrees: f32) -> Vector3 {
+        let attitude = Quaternion::from_euler(EulerAngles {
+            roll_rad: radians(roll_degrees),
+            pitch_rad: radians(pitch_degrees),
+            yaw_rad: 0.0,
+        });
+        -attitude.down_in_body().scale(STANDARD_GRAVITY_M_S2)
+    }
+
+    #[test]
+    fn the_trim_makes_the_pose_level() {
+        for (roll, pitch) in [(0.0, 0.0), (5.0, -3.0), (-10.0, 8.0)] {
+            let force = gravity_in(roll, pitch);
+            let trim = level(force).expect("near level");
+            let levelled = trim.rotate(force);
+            let up = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+            assert!((levelled - up).norm() < 1e-4, "{levelled:?}");
+            // It is the shortest: no yaw beyond what tilting about one level axis makes.
+            assert_eq!(trim.z, 0.0);
+        }
+    }
+
+    #[test]
+    fn what_is_far_from_level_is_another_mount() {
+        let error = level(gravity_in(20.0, 0.0)).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "it is 20 degrees from level, more than 15: is the mount right?"
+        );
+        let upside_down = level(gravity_in(180.0, 0.0)).unwrap_err();
+        assert!(matches!(upside_down, LevelError::TooFar { tilt_degrees } if tilt_degrees > 179.0));
+        for nothing in [0.0, 1.0, 30.0, f32::NAN, f32::INFINITY] {
+            let force = Vector3::new(0.0, 0.0, -nothing);
+            assert_eq!(level(force), Err(LevelError::NoGravity));
+        }
+    }
+
+    #[test]
+    fn every_mount_is_found_from_two_poses_held_roughly() {
+        for mount in Mount::ALL {
+            for (roll, pitch, nose) in [(0.0, 0.0, -90.0), (10.0, -12.0, -75.0), (-8.0, 5.0, -45.0)]
+            {
+                let mut finder = MountFinder::new();
+                let flat = mount.to_sensor(gravity_in(roll, pitch));
+                assert_eq!(finder.add(flat), Ok(MountStep::NoseDown));
+                let down = mount.to_sensor(gravity_in(0.5 * roll, nose));
+                assert_eq!(finder.add(down), Ok(MountStep::Found(mount)), "{mount}");
+            }
+        }
+    }
+
+    #[test]
+    fn poses_that_do_not_say_which_axis_are_refused_and_may_be_tried_again() {
+        let mut finder = MountFinder::new();
+        let slanted = finder.add(gravity_in(45.0, 0.0)).unwrap_err();
+        assert!(matches!(slanted, MountError::NotSquare { .. }), "{slanted}");
+        assert_eq!(finder.add(Vector3::ZERO), Err(MountError::NoGravity));
+        assert_eq!(finder.add(gravity_in(0.0, 0.0)), Ok(MountStep::NoseDown));
+        let still_level = finder.add(gravity_in(0.0, -10.0)).unwrap_err();
+        assert_eq!(
+            still_level.to_string(),
+            "the nose is 10 degrees from the level pose: point it straight down"
+        );
+        let upside_down = finder.add(gravity_in(180.0, 0.0));
+        assert!(matches!(upside_down, Err(MountError::NoseNotDown { .. })));
+        // Nose down, but turned by half a right angle: between two axes.
+        let diagonal = Vector3::new(1.0, 1.0, 0.0).scale(0.707 * STANDARD_GRAVITY_M_S2);
+        assert!(matches!(
+            finder.add(diagonal),
+            Err(MountError::NotSquare { .. })
+        ));
+        let nose_down = finder.add(gravity_in(0.0, -90.0));
+        assert_eq!(
+            nose_down,
+            Ok(MountStep::Found(Mount::Z_DOWN)),
+            "body = sensor here"
+        );
+    }
+}

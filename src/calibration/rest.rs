@@ -859,7 +859,7 @@ mod tests {
         ] {
             let mut noise = Noise(7);
             let mut watch = RestWatch::new(&scale, 1000);
-            for _ in 0..300 {
+            for _ in 0..100 {
                 let (index, event) = first_event(&mut watch, |_| noise.sample(&scale, times));
                 assert_eq!(index, 999, "{times}: {event:?}");
                 let error = done(event).gyroscope_counts - Vector3::new(20.3, -30.8, 5.5);

@@ -37,7 +37,7 @@ impl TemperatureModel {
             .max(0.0);
         let faded =
             (beyond - TRUSTED_BEYOND_CELSIUS) / (FADED_BEYOND_CELSIUS - TRUSTED_BEYOND_CELSIUS);
-        if !faded.is_finite() {
+        if !(celsius.is_finite() && faded.is_finite()) {
             return (self.offset_rad_s, 0.0);
         }
         let held = celsius
@@ -100,6 +100,16 @@ impl TemperatureLearner {
             },
             points: 0,
         }
+    }
+
+    /// A learner that goes on where a stored model stands: with three points of its curve.
+    pub fn from_model(model: &TemperatureModel) -> Self {
+        let mut learner = Self::new();
+        let middle = 0.5 * (model.coldest_celsius + model.warmest_celsius);
+        for celsius in [model.coldest_celsius, middle, model.warmest_celsius] {
+            learner.add(celsius, model.offset_at(celsius).0, 0.0);
+        }
+        learner
     }
 
     /// Takes an offset that was measured at rest (rad/s in sensor axes) with its σ and the die temperature.
@@ -285,5 +295,125 @@ impl Symmetric {
                 zz: (self.xx * self.yy - self.xy * self.xy) * factor,
             }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A chip's offset: 2 °/s at 25 °C with slope and curve, another on each axis.
+    fn offset(celsius: f32) -> Vector3 {
+        let t = celsius - 25.0;
+        let axis = |a: f32, b: f32, c: f32| radians(a + b * t + c * t * t);
+        Vector3::new(
+            axis(2.0, 0.1, 0.002),
+            axis(-5.0, -0.05, 0.001),
+            axis(0.0, 0.0, -0.002),
+        )
+    }
+
+    fn learned(from: f32, to: f32) -> TemperatureLearner {
+        let mut learner = TemperatureLearner::new();
+        let steps = ((to - from).abs() * 4.0) as u32;
+        for step in 0..=steps {
+            let celsius = from + (to - from) * step as f32 / steps.max(1) as f32;
+            learner.add(celsius, offset(celsius), radians(0.01));
+        }
+        learner
+    }
+
+    #[test]
+    fn a_curve_is_learned_from_one_warm_up_and_holds_five_degrees_beyond() {
+        let model = learned(15.0, 40.0).fit().expect("enough");
+        for tenths in 100..=450 {
+            let celsius = tenths as f32 * 0.1;
+            let (found, weight) = model.offset_at(celsius);
+            assert!((weight - 1.0).abs() < 1e-5, "{celsius}");
+            let error = (found - offset(celsius)).norm().to_degrees();
+            assert!(error < 0.05, "{celsius}: {error}");
+        }
+    }
+
+    #[test]
+    fn beyond_its_range_it_fades_and_holds_its_value() {
+        let model = learned(15.0, 40.0).fit().expect("enough");
+        let (edge, _) = model.offset_at(45.0);
+        for (celsius, weight) in [(45.0, 1.0), (50.0, 0.5), (55.0, 0.0), (200.0, 0.0)] {
+            let (found, found_weight) = model.offset_at(celsius);
+            assert!(
+                (found_weight - weight).abs() < 1e-3,
+                "{celsius}: {found_weight}"
+            );
+            assert!((found - edge).norm() < 1e-6);
+        }
+        assert!(model.offset_at(5.0).1 < 0.51 && model.offset_at(-10.0).1 == 0.0);
+        for celsius in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            let (found, weight) = model.offset_at(celsius);
+            assert_eq!(weight, 0.0);
+            assert!(found.is_within(1.0));
+        }
+    }
+
+    #[test]
+    fn too_little_seen_makes_no_model() {
+        assert!(TemperatureLearner::new().fit().is_err());
+        assert_eq!(TemperatureLearner::new().range_celsius(), None);
+        let error = learned(25.0, 25.4).fit().unwrap_err();
+        assert_eq!(error.points, 1);
+        assert!(
+            error
+                .to_string()
+                .starts_with("only 1 temperatures over 0 degrees C"),
+            "{error}"
+        );
+        assert!(learned(25.0, 26.5).fit().is_err());
+        assert!(learned(25.0, 33.0).fit().is_ok());
+    }
+
+    #[test]
+    fn an_hour_at_one_temperature_does_not_outweigh_a_warm_up() {
+        let mut learner = learned(15.0, 40.0);
+        for _ in 0..10_000 {
+            learner.add(
+                40.0,
+                offset(40.0) + Vector3::new(radians(0.02), 0.0, 0.0),
+                radians(0.01),
+            );
+        }
+        let model = learner.fit().expect("enough");
+        let error = (model.offset_at(15.0).0 - offset(15.0)).norm().to_degrees();
+        assert!(error < 0.05, "{error}");
+        assert!(learner.points() < 60);
+    }
+
+    #[test]
+    fn what_is_no_measurement_is_ignored() {
+        let mut learner = learned(15.0, 40.0);
+        let before = learner;
+        for (celsius, rate, sigma) in [
+            (f32::NAN, 0.1, 0.01),
+            (1e9, 0.1, 0.01),
+            (25.0, f32::INFINITY, 0.01),
+            (25.0, 0.1, f32::NAN),
+        ] {
+            learner.add(celsius, Vector3::new(rate, 0.0, 0.0), sigma);
+        }
+        assert_eq!(learner, before);
+    }
+
+    #[test]
+    fn a_stored_model_is_where_a_new_learner_goes_on() {
+        let model = learned(15.0, 40.0).fit().expect("enough");
+        let again = TemperatureLearner::from_model(&model)
+            .fit()
+            .expect("the same");
+        for celsius in [12.0, 20.0, 27.5, 33.0, 44.0] {
+            let difference = model.offset_at(celsius).0 - again.offset_at(celsius).0;
+            assert!(
+                difference.norm().to_degrees() < 0.03,
+                "{celsius}: {difference:?}"
+            );
+        }
     }
 }

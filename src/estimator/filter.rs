@@ -173,6 +173,7 @@ impl Filter for AnyFilter {
         }
     }
 
+    #[inline]
     fn start(&mut self, sample: &Sample, shows_gravity: bool) {
         match self {
             Self::Kalman(filter) => Filter::start(filter, sample, shows_gravity),
@@ -181,6 +182,7 @@ impl Filter for AnyFilter {
         }
     }
 
+    #[inline]
     fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
         match self {
             Self::Kalman(filter) => Filter::update(filter, sample, dt_s, shows_gravity),
@@ -189,6 +191,7 @@ impl Filter for AnyFilter {
         }
     }
 
+    #[inline]
     fn attitude(&self) -> Quaternion {
         match self {
             Self::Kalman(filter) => Filter::attitude(filter),
@@ -215,6 +218,7 @@ impl Filter for AnyFilter {
         }
     }
 
+    #[inline]
     fn kalman(&self) -> Option<&Kalman> {
         match self {
             Self::Kalman(filter) => Some(filter),

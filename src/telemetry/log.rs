@@ -673,7 +673,10 @@ mod tests {
         let mut buffer = [0; 640];
         let mut output = Output::new(&mut buffer);
         assert!(put_text(&text, &mut output));
-        assert!(!put_text(&text, &mut output), "there is no room for another");
+        assert!(
+            !put_text(&text, &mut output),
+            "there is no room for another"
+        );
         let length = output.length();
         let parts: Vec<_> = decoded(&buffer[..length])
             .0

@@ -145,6 +145,19 @@ pub fn virtual_board() -> Result<PathBuf, String> {
     Ok(target_folder().join("host/virtual-board"))
 }
 
+/// Builds the program `aplomb`.
+pub fn program() -> Result<PathBuf, String> {
+    step::run(step::command("cargo".as_ref()).args([
+        "build",
+        "--profile",
+        "host",
+        "-p",
+        "aplomb-cli",
+        "--ignore-rust-version",
+    ]))?;
+    Ok(target_folder().join("host/aplomb"))
+}
+
 /// Copies a program for the target to `target/firmware/<name>.elf`.
 fn keep(program: &str, name: &str) -> Result<PathBuf, String> {
     let folder = target_folder().join("firmware");

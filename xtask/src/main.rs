@@ -1,5 +1,6 @@
 //! What the README's commands call. Each sets up what it needs first; see [`setup`].
 
+mod agree;
 mod build;
 mod cost;
 mod setup;
@@ -18,6 +19,7 @@ usage: cargo xtask COMMAND
   fly [--log FILE] [--mount M] [--seconds S] [--seed N] [--board B] [--output DIR]
                       fly the firmware on the virtual board (`cargo xtask fly --help` says more)
   test                run every check and test
+  agree               board, replay and QEMU say the same of the same bursts; a part of `test`
   size [--board B]    flash, RAM and the largest symbols of the firmware
   cost [--bless]      what the filters cost on the Cortex-M4F, held to tests/golden/cost.txt; --bless writes it anew
   flash [--board B]   write the firmware to a board with probe-rs and show its log
@@ -41,6 +43,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
     match command.as_str() {
         "fly" => fly(rest),
         "test" => no_more(rest).and_then(|()| test::run()),
+        "agree" => no_more(rest).and_then(|()| agree::build_and_run()),
         "size" => size::run(board_alone(rest)?),
         "cost" => match rest {
             [] => cost::run(),

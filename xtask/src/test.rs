@@ -5,10 +5,7 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{cost, size, step};
-
-/// Seconds of simulated flight whose bursts QEMU replays.
-const REPLAYED_SECONDS: &str = "10";
+use crate::{agree, cost, size, step};
 
 /// Runs all of it.
 pub fn run() -> Result<(), String> {
@@ -97,27 +94,14 @@ pub fn run() -> Result<(), String> {
         test.env("APLOMB_FLIGHT_ELF", &images[0].1);
         step::run(&mut test)
     })?;
-    let flight = build::target_folder().join("fly-for-qemu");
-    step::timed("a flight for QEMU to replay", || {
-        let mut fly = step::command(&virtual_board);
-        fly.args(["fly", "--seconds", REPLAYED_SECONDS, "--output"]);
-        step::run(fly.arg(&flight).arg("--elf").arg(&images[0].1))
-    })?;
-    step::timed("QEMU tests", || {
-        setup::qemu()?;
-        let elf = build::qemu_application(&toolchain)?;
-        let mut test = host_cargo("test");
-        test.args(["-p", "aplomb", "--test", "qemu", "--", "--nocapture"]);
-        test.env("APLOMB_QEMU_ELF", elf);
-        step::run(test.env("APLOMB_BURSTS", flight.join("bursts.csv")))
-    })?;
+    agree::run(&toolchain, &virtual_board, &images[0].1)?;
     cost::run()?;
     eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
     Ok(())
 }
 
 /// A cargo command on this computer. The emulator asks for a newer compiler than it needs.
-fn host_cargo(subcommand: &str) -> std::process::Command {
+pub fn host_cargo(subcommand: &str) -> std::process::Command {
     let mut command = step::command(Path::new("cargo"));
     command.args([subcommand, "--ignore-rust-version"]);
     command

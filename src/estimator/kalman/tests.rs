@@ -422,6 +422,34 @@ fn a_long_acceleration_tilts_little_and_not_for_long() {
     assert!(error < 1.0, "{error}");
 }
 
+/// It started on the move and was never at rest before; then it flies on at 15 m/s, as if at rest.
+#[test]
+fn after_a_long_acceleration_steady_motion_is_like_rest() {
+    for bias_rad_s in [Vector3::ZERO, Vector3::new(0.04, -0.03, 0.05)] {
+        let mut world = World::at_rest(from_degrees(0.0, 20.0, 0.0));
+        world.bias_rad_s = bias_rad_s;
+        let mut estimator = estimator();
+        for millisecond in 0..30_000 {
+            let phase = 2.0e-3 * millisecond as f32;
+            world.rate_rad_s.y = 0.1 * phase.cos();
+            world.acceleration_m_s2 = Vector3::new(phase.sin(), (1.3 * phase).cos(), 0.0);
+            world.run(&mut estimator, 1);
+        }
+        world.rate_rad_s = Vector3::ZERO;
+        world.acceleration_m_s2 = Vector3::new(3.0, 0.0, 0.0);
+        let mut worst: f32 = 0.0;
+        for _ in 0..50 {
+            let estimate = world.run(&mut estimator, 100);
+            worst = worst.max(world.tilt_error_degrees(estimate.attitude));
+        }
+        assert!(worst < 3.5, "{worst}");
+        world.acceleration_m_s2 = Vector3::ZERO;
+        let estimate = world.run(&mut estimator, 5_000);
+        let error = world.tilt_error_degrees(estimate.attitude);
+        assert!(error < 0.5, "{error}");
+    }
+}
+
 #[test]
 fn a_stored_offset_shortens_the_start() {
     let start = |stored: bool| {

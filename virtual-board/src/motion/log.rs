@@ -35,6 +35,8 @@ const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f64 = 1000.0;
 const IMPLAUSIBLE_RATE_RAD_S: f64 = 200.0;
 /// How far a quaternion's length may be from 1: the truth is often printed with few digits.
 const QUATERNION_TOLERANCE: f64 = 0.01;
+/// U+FEFF in UTF-8.
+const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 /// What is read and unpacked at once, in bytes.
 const BUFFER_LENGTH: usize = 256 * 1024;
 
@@ -196,6 +198,18 @@ impl Lines {
         Self::new(path, wrap(file)).map_err(|error| at(LogFault::Read(error)))
     }
 
+    /// The lines of something that is open already; `name` stands for it in messages.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn read_from(name: &Path, bytes: impl Read + 'static) -> Result<Self, LogError> {
+        Self::new(name, bytes).map_err(|error| LogError {
+            file: name.to_owned(),
+            line: None,
+            reason: LogFault::Read(error),
+        })
+    }
+
     fn new(path: &Path, bytes: impl Read + 'static) -> io::Result<Self> {
         let mut bytes = BufReader::with_capacity(BUFFER_LENGTH, bytes);
         let is_zipped = bytes.fill_buf()?.starts_with(&[0x1F, 0x8B]);
@@ -233,7 +247,12 @@ impl Lines {
                 self.line.pop();
             }
         }
-        match std::str::from_utf8(&self.line) {
+        // Some programs begin a text with the mark of UTF-8, which is invisible.
+        let line = match self.line.strip_prefix(BYTE_ORDER_MARK) {
+            Some(rest) if self.number == 1 => rest,
+            _ => &self.line,
+        };
+        match std::str::from_utf8(line) {
             Ok(line) => Ok(Some(line)),
             Err(_) => Err(LogError {
                 file: self.path.clone(),

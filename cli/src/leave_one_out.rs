@@ -1,0 +1,303 @@
+//! `aplomb bench --leave-one-out`: whether the tuning would hold for a set of recordings that it never saw.
+//!
+//! For each set in turn the library's filter is tuned on the other sets, and judged on that one. The search knows
+//! nothing of the default tuning but its order of magnitude: it begins with every number doubled or halved, by chance. From there it
+//! goes along one number at a time by a factor, in both directions, keeps what is better, and takes a smaller factor
+//! when nothing is. Better is a smaller product of the sets' mean errors, so that every set weighs alike. Simulated flights
+//! are tuned on and judged on with different seeds.
+//!
+//! It is done twice. At first what the sensor's part is known to err by stays as it is, since the default has it from datasheets
+//! and not from recordings. Then every number is searched: sets of calibrated sensors cannot know how far off others are.
+
+use std::fmt::Write as _;
+
+use aplomb::estimator::kalman::Tuning;
+use virtual_board::random::Random;
+
+use crate::filter::Filter;
+use crate::parallel;
+use crate::recording::Recording;
+use crate::score::{mean, median};
+use crate::simulated::{self, EVALUATION_SEEDS, TUNING_SEEDS};
+
+/// Numbers begin this much too large or too small.
+const START_FACTOR: f32 = 2.0;
+/// The steps of the search, largest first.
+const FACTORS: [f32; 2] = [2.0, 1.4];
+/// No more rounds through all numbers for each factor.
+const MOST_ROUNDS: usize = 5;
+/// A change has to make the product better by this share, or it is kept out as chance.
+const LEAST_GAIN: f64 = 5e-4;
+
+/// What [`Tuning`] has from what is known of such sensors.
+const SENSOR: [&str; 8] = [
+    "start_tilt_rad",
+    "start_bias_rad_s",
+    "start_velocity_m_s",
+    "force_bias_m_s2",
+    "scale",
+    "misalignment_rad",
+    "bias_walk",
+    "force_bias_walk",
+];
+
+/// The numbers of a tuning that decide how accurate the filter is. Those that only cost time stay as they are.
+fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 24] {
+    // All fields are named, so that a new one cannot be forgotten.
+    let Tuning {
+        start_tilt_rad,
+        start_bias_rad_s,
+        start_velocity_m_s,
+        force_bias_m_s2,
+        scale,
+        misalignment_rad,
+        rate_noise,
+        rate_noise_per_rate,
+        bias_walk,
+        force_bias_walk,
+        force_noise,
+        force_noise_per_velocity,
+        velocity,
+        velocity_per_velocity,
+        velocity_limit,
+        velocity_time_s,
+        velocity_smoothing_s,
+        coupling,
+        surprise,
+        rest_after_s,
+        rest_rate_rad_s,
+        rest_force_m_s2,
+        rest_velocity,
+        rest_rate,
+        covariance_period_s: _,
+        earth_period_s: _,
+    } = tuning;
+    [
+        ("start_tilt_rad", start_tilt_rad),
+        ("start_bias_rad_s", start_bias_rad_s),
+        ("start_velocity_m_s", start_velocity_m_s),
+        ("force_bias_m_s2", force_bias_m_s2),
+        ("scale", scale),
+        ("misalignment_rad", misalignment_rad),
+        ("rate_noise", rate_noise),
+        ("rate_noise_per_rate", rate_noise_per_rate),
+        ("bias_walk", bias_walk),
+        ("force_bias_walk", force_bias_walk),
+        ("force_noise", force_noise),
+        ("force_noise_per_velocity", force_noise_per_velocity),
+        ("velocity", velocity),
+        ("velocity_per_velocity", velocity_per_velocity),
+        ("velocity_limit", velocity_limit),
+        ("velocity_time_s", velocity_time_s),
+        ("velocity_smoothing_s", velocity_smoothing_s),
+        ("coupling", coupling),
+        ("surprise", surprise),
+        ("rest_after_s", rest_after_s),
+        ("rest_rate_rad_s", rest_rate_rad_s),
+        ("rest_force_m_s2", rest_force_m_s2),
+        ("rest_velocity", rest_velocity),
+        ("rest_rate", rest_rate),
+    ]
+}
+
+/// One set, as it is tuned on and as it is judged on: the same recordings, but for flights.
+struct Set {
+    name: String,
+    to_tune: Vec<Recording>,
+    to_judge: Option<Vec<Recording>>,
+}
+
+impl Set {
+    fn to_judge(&self) -> &[Recording] {
+        self.to_judge.as_deref().unwrap_or(&self.to_tune)
+    }
+}
+
+/// Leaves every set out once, then none, and says what came of it.
+pub fn run(recordings: Vec<Recording>) -> String {
+    let mut sets: Vec<Set> = Vec::new();
+    for recording in recordings {
+        match sets.iter_mut().find(|set| set.name == recording.set) {
+            Some(set) => set.to_tune.push(recording),
+            None => sets.push(Set {
+                name: recording.set.clone(),
+                to_tune: vec![recording],
+                to_judge: None,
+            }),
+        }
+    }
+    sets.push(Set {
+        name: "simulated".to_owned(),
+        to_tune: simulated::flights(TUNING_SEEDS),
+        to_judge: Some(simulated::flights(EVALUATION_SEEDS)),
+    });
+    let before: Vec<Vec<f64>> = sets
+        .iter()
+        .map(|set| errors(set.to_judge(), &Tuning::DEFAULT))
+        .collect();
+    let mut text = String::from(
+        "\nInclination error in degrees, median/mean over the recordings of a set, with the default tuning and with one that was\n\
+         searched on the other sets alone, from a start that is off by a factor of two in every number searched\n",
+    );
+    for (title, kept) in [
+        ("what is known of the sensor stays", &SENSOR[..]),
+        ("every number is searched", &[]),
+    ] {
+        let _ = writeln!(
+            text,
+            "\n{title}\n{:<18}{:>11}{:>16}{:>10}   largest changes from the default",
+            "left out", "default", "others' tuning", "change"
+        );
+        for (left_out, (set, before)) in sets.iter().zip(&before).enumerate() {
+            let others = sets.iter().enumerate();
+            let others = others.filter(|(other, _)| *other != left_out);
+            let others: Vec<&Set> = others.map(|(_, other)| other).collect();
+            let found = search(&format!("without {}", set.name), &others, kept);
+            let after = errors(set.to_judge(), &found);
+            line(&mut text, &set.name, before, &after, &changes(&found));
+        }
+        let found = search("with all", &sets.iter().collect::<Vec<_>>(), kept);
+        let mut remark = changes(&found);
+        for (set, before) in sets.iter().zip(&before) {
+            let after = errors(set.to_judge(), &found);
+            let name = format!("none: {}", set.name);
+            line(&mut text, &name, before, &after, &remark);
+            remark.clear();
+        }
+    }
+    text
+}
+
+fn line(text: &mut String, name: &str, before: &[f64], after: &[f64], remark: &str) {
+    let both = |errors: &[f64]| format!("{:.2}/{:.2}", median(errors), mean(errors));
+    let change = 100.0 * (mean(after) / mean(before) - 1.0);
+    let line = format!(
+        "{name:<18}{:>11}{:>16}{change:>+8.0} %   {remark}",
+        both(before),
+        both(after)
+    );
+    let _ = writeln!(text, "{}", line.trim_end());
+}
+
+/// The errors of the recordings, ascending.
+fn errors(recordings: &[Recording], tuning: &Tuning) -> Vec<f64> {
+    // A filter borrows its tuning for ever. A search leaks some hundred kilobytes.
+    let tuning: &'static Tuning = Box::leak(Box::new(*tuning));
+    let mut errors = parallel::map(recordings, |recording| {
+        recording.rms(Filter::with_tuning(tuning, recording.delay_us))
+    });
+    errors.sort_by(f64::total_cmp);
+    errors
+}
+
+/// The logarithm of the product of the sets' mean errors.
+fn cost(sets: &[&Set], tuning: &Tuning) -> f64 {
+    let means = sets
+        .iter()
+        .map(|set| mean(&errors(&set.to_tune, tuning)).ln());
+    means.sum()
+}
+
+fn search(what: &str, sets: &[&Set], kept: &[&str]) -> Tuning {
+    let mut random = Random::new(1, "start of the search for a tuning");
+    let mut tuning = Tuning::DEFAULT;
+    let mut searched = Vec::new();
+    for (index, (name, number)) in numbers(&mut tuning).into_iter().enumerate() {
+        let doubled = random.uniform(0.0, 1.0) < 0.5;
+        if kept.contains(&name) {
+            continue;
+        }
+        searched.push(index);
+        *number *= if doubled {
+            START_FACTOR
+        } else {
+            1.0 / START_FACTOR
+        };
+    }
+    let rounds = FACTORS.len() * MOST_ROUNDS;
+    let bar = parallel::bar(what, (rounds * searched.len()) as u64);
+    let mut least = cost(sets, &tuning);
+    for factor in FACTORS {
+        for round in 0..MOST_ROUNDS {
+            let mut is_better = false;
+            for index in &searched {
+                is_better |= improve(&mut tuning, *index, factor, &mut least, sets);
+                bar.inc(1);
+            }
+            if !is_better {
+                bar.inc(((MOST_ROUNDS - 1 - round) * searched.len()) as u64);
+                break;
+            }
+        }
+    }
+    bar.finish_and_clear();
+    tuning
+}
+
+/// Tries a larger and a smaller value of one number. Whether one was better.
+fn improve(tuning: &mut Tuning, index: usize, factor: f32, least: &mut f64, sets: &[&Set]) -> bool {
+    for factor in [factor, 1.0 / factor] {
+        let mut candidate = *tuning;
+        if let Some((_, number)) = numbers(&mut candidate).into_iter().nth(index) {
+            *number *= factor;
+        }
+        let cost = cost(sets, &candidate);
+        if cost < *least - LEAST_GAIN {
+            (*tuning, *least) = (candidate, cost);
+            return true;
+        }
+    }
+    false
+}
+
+/// By what the numbers differ most from the default.
+fn changes(tuning: &Tuning) -> String {
+    let (mut tuning, mut default) = (*tuning, Tuning::DEFAULT);
+    let pairs = numbers(&mut tuning).into_iter().zip(numbers(&mut default));
+    let mut factors: Vec<(&str, f32)> = pairs
+        .map(|((name, new), (_, old))| (name, *new / *old))
+        .collect();
+    factors.sort_by(|left, right| right.1.ln().abs().total_cmp(&left.1.ln().abs()));
+    let largest = factors.iter().take(4);
+    let largest: Vec<String> = largest
+        .map(|(name, factor)| format!("{name} ×{factor:.2}"))
+        .collect();
+    largest.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_kept_is_a_number_of_the_tuning() {
+        let mut tuning = Tuning::DEFAULT;
+        let names = numbers(&mut tuning).map(|(name, _)| name);
+        assert!(SENSOR.iter().all(|kept| names.contains(kept)));
+    }
+
+    #[test]
+    fn a_search_finds_back_to_a_good_tuning() {
+        let flights = Set {
+            name: "simulated".to_owned(),
+            to_tune: vec![simulated::flight(1)],
+            to_judge: None,
+        };
+        let sets = [&flights];
+        let mut wrong = Tuning::DEFAULT;
+        wrong.velocity_per_velocity *= 0.2;
+        let mut least = cost(&sets, &wrong);
+        let start = least;
+        let index = numbers(&mut wrong)
+            .iter()
+            .position(|(name, _)| *name == "velocity_per_velocity")
+            .unwrap();
+        assert!(improve(&mut wrong, index, 2.0, &mut least, &sets));
+        assert!(
+            least < start
+                && wrong.velocity_per_velocity > 0.3 * Tuning::DEFAULT.velocity_per_velocity
+        );
+        assert_eq!(least, cost(&sets, &wrong));
+        assert!(changes(&wrong).starts_with("velocity_per_velocity ×0.40"));
+    }
+}

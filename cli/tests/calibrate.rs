@@ -1,0 +1,144 @@
+//! `aplomb calibrate` from the outside: what it finds, and what it refuses with which reason.
+
+mod common;
+
+use std::fmt::Write as _;
+
+use aplomb::calibration::accelerometer::Pose;
+use common::{aplomb, file, path};
+
+const GRAVITY: f64 = 9.80665;
+
+/// Counts at ±8 g and ±250 °/s of a sensor with known errors, two seconds in each pose and a turn between them, at 100 Hz.
+fn recording(poses: &[Pose], moving_degrees_s: f64) -> String {
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    let mut noise = 1_u32;
+    let mut random = || {
+        noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(noise >> 8) / f64::from(1 << 24) - 0.5
+    };
+    let mut row = 0;
+    for pose in poses {
+        let up = pose.up();
+        let [x, y, z] = [up.x, up.y, up.z].map(f64::from);
+        // Scale, cross-axis and offset: the fit has to find (30, −40, 60) mg.
+        let read = [
+            1.02 * x + 0.01 * y + 0.030,
+            0.01 * x + 0.99 * y - 0.040,
+            1.01 * z + 0.060,
+        ];
+        for step in 0..230 {
+            let is_turning = step >= 200;
+            write!(text, "{}", row * 10_000).unwrap();
+            for value in read {
+                let shake = if is_turning { 2000.0 } else { 40.0 };
+                write!(text, ",{:.0}", value * 4096.0 + shake * random()).unwrap();
+            }
+            for _ in 0..3 {
+                let rate = if is_turning { 60.0 } else { moving_degrees_s };
+                let rate = rate * (f64::from(step) * 0.7).sin();
+                write!(text, ",{:.0}", 131.0 * (rate + 0.3 * random()) + 300.0).unwrap();
+            }
+            text.push('\n');
+            row += 1;
+        }
+    }
+    text
+}
+
+const RAW: [&str; 5] = ["--raw", "--accel-range", "8", "--gyro-range", "250"];
+
+/// What it printed, or its error.
+fn calibrate(test: &str, text: &str, options: &[&str]) -> Result<String, String> {
+    let input = file(test, "input.csv", text);
+    let mut arguments = vec!["calibrate", input.to_str().unwrap()];
+    arguments.extend(options);
+    let result = aplomb(&arguments);
+    let errors = String::from_utf8(result.stderr).unwrap();
+    if result.status.success() {
+        Ok(String::from_utf8(result.stdout).unwrap())
+    } else {
+        Err(errors)
+    }
+}
+
+#[test]
+fn rests_are_found_and_the_known_errors_with_them() {
+    let text = recording(&Pose::GUIDE, 0.0);
+    let printed = calibrate("rests", &text, &RAW).unwrap();
+    assert!(printed.contains("pose 1 at "), "{printed}");
+    assert!(printed.contains("pose 12 at "), "{printed}");
+    assert!(printed.contains("a pose again"), "{printed}");
+    assert!(printed.contains("not at rest"), "{printed}");
+    assert!(
+        printed.contains("12 poses, offset, scale and cross-axis"),
+        "{printed}"
+    );
+
+    let json = calibrate("rests-json", &text, &[&RAW[..], &["--json"]].concat()).unwrap();
+    assert!(json.contains(r#""rule":"rest","poses":12,"#), "{json}");
+    let numbers = json.split_once("\"offset_m_s2\":[").unwrap().1;
+    let offset: Vec<f64> = numbers
+        .split(']')
+        .next()
+        .unwrap()
+        .split(',')
+        .map(|number| number.parse().unwrap())
+        .collect();
+    for (found, expected) in offset.iter().zip([0.030, -0.040, 0.060]) {
+        assert!((found / GRAVITY - expected).abs() < 0.001, "{json}");
+    }
+}
+
+#[test]
+fn what_cannot_be_used_is_refused_with_its_reason() {
+    let restless = calibrate("restless", &recording(&Pose::GUIDE, 40.0), &RAW).unwrap_err();
+    assert!(
+        restless.contains("too restless for the device's rule"),
+        "{restless}"
+    );
+    assert!(
+        restless.contains("the gyroscope spreads by 2"),
+        "{restless}"
+    );
+
+    let flat = recording(&[Pose::GUIDE[0]; 4], 0.0);
+    let flat = calibrate("flat", &flat, &RAW).unwrap_err();
+    assert!(flat.contains("1 of at least 6 poses"), "{flat}");
+
+    let half: Vec<Pose> = Pose::GUIDE[2..8].to_vec();
+    let half = calibrate("half", &recording(&half, 0.0), &RAW).unwrap_err();
+    assert!(half.contains("missing z up, z down"), "{half}");
+
+    let forgotten = calibrate("forgotten", &recording(&Pose::GUIDE, 0.0), &[]).unwrap_err();
+    assert!(forgotten.contains("add --raw"), "{forgotten}");
+    let empty = calibrate("empty", "t_us,ax,ay,az,gx,gy,gz\n", &[]).unwrap_err();
+    assert!(empty.contains("too few to find a rest in"), "{empty}");
+    let other = calibrate("other", "a,b\n", &[]).unwrap_err();
+    assert!(other.contains("the header is"), "{other}");
+}
+
+#[test]
+fn slow_moments_serve_where_nothing_rests_and_it_says_so() {
+    let poses: Vec<Pose> = Pose::GUIDE.into_iter().cycle().take(24).collect();
+    let printed = calibrate("slow", &recording(&poses, 6.0), &RAW).unwrap();
+    assert!(
+        printed.contains("too restless for the device's rule"),
+        "{printed}"
+    );
+    assert!(printed.contains("instead: "), "{printed}");
+    assert!(printed.contains("held out: fitted on "), "{printed}");
+    let times = printed.split_once("after, ").unwrap().1;
+    let times: f64 = times.split_once(" times").unwrap().0.parse().unwrap();
+    assert!(times > 3.0, "{printed}");
+}
+
+#[test]
+fn the_poses_are_drawn() {
+    let picture = path("poses", "poses.png");
+    let result = aplomb(&["calibrate", "--draw-poses", picture.to_str().unwrap()]);
+    assert!(result.status.success());
+    let bytes = std::fs::read(picture).unwrap();
+    assert!(bytes.starts_with(b"\x89PNG"));
+    assert!(!aplomb(&["calibrate"]).status.success());
+}

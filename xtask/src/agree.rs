@@ -1,0 +1,166 @@
+//! One flight, three places: the virtual board, `aplomb replay` and QEMU say the same of the same bursts, to the last bit.
+//!
+//! A simulated flight always, and a whole recorded trial where recordings are at hand. What QEMU says is held to the library by
+//! `tests/qemu.rs`.
+
+use std::path::{Path, PathBuf};
+
+use crate::build::{self, Board, Firmware};
+use crate::setup::{self, Toolchain};
+use crate::{step, test};
+
+/// Seconds of the simulated flight, from power-up to the middle of its manoeuvres.
+const SIMULATED_SECONDS: &str = "30";
+/// The recorded trial: 141 s of walking about with the sensor in the hand.
+const RECORDING: &str = "tumvi/room1.csv.gz";
+/// Names the folder of recordings if it is not the usual one.
+const RECORDINGS_VARIABLE: &str = "APLOMB_RECORDINGS";
+const RECORDINGS: &str = "../shared/data";
+
+/// Builds what it takes, and does it.
+pub fn build_and_run() -> Result<(), String> {
+    let toolchain = Toolchain::for_target()?;
+    let firmware = Firmware {
+        board: Board::default(),
+        mount: None,
+    };
+    let elf = firmware.build(&toolchain)?;
+    run(&toolchain, &build::virtual_board()?, &elf)
+}
+
+/// Flies the image, and replays its bursts here and in QEMU.
+pub fn run(toolchain: &Toolchain, virtual_board: &Path, elf: &Path) -> Result<(), String> {
+    let bursts = fly_and_replay(virtual_board, elf)?;
+    let bursts = std::env::join_paths(bursts)
+        .map_err(|error| format!("the target folder's name is no part of a list: {error}"))?;
+    step::timed("QEMU tests", || {
+        setup::qemu()?;
+        let elf = build::qemu_application(toolchain)?;
+        let mut test = test::host_cargo("test");
+        test.args(["-p", "aplomb", "--test", "qemu", "--", "--nocapture"]);
+        test.env("APLOMB_QEMU_ELF", elf);
+        step::run(test.env("APLOMB_BURSTS", bursts))
+    })
+}
+
+/// Returns the files of bursts.
+fn fly_and_replay(virtual_board: &Path, elf: &Path) -> Result<Vec<PathBuf>, String> {
+    let aplomb = build::program()?;
+    let simulated = ["--seconds", SIMULATED_SECONDS].map(str::to_owned);
+    let mut flights = vec![("simulated", simulated.to_vec())];
+    let folder = match std::env::var_os(RECORDINGS_VARIABLE) {
+        Some(folder) => PathBuf::from(folder),
+        None => crate::root().join(RECORDINGS),
+    };
+    let recording = folder.join(RECORDING);
+    if recording.is_file() {
+        let path = recording.to_string_lossy().into_owned();
+        flights.push(("recorded", vec!["--log".to_owned(), path]));
+    } else {
+        eprintln!(
+            "   skipped: a recorded trial through board, replay and QEMU, as there is no {}; {RECORDINGS_VARIABLE} may name the folder of recordings",
+            recording.display()
+        );
+    }
+    let mut bursts = Vec::new();
+    for (name, motion) in flights {
+        let folder = build::target_folder().join("agree").join(name);
+        step::timed(&format!("a {name} flight, and its replay"), || {
+            let mut fly = step::command(virtual_board);
+            fly.arg("fly").args(motion).arg("--output").arg(&folder);
+            step::run(fly.arg("--elf").arg(elf))?;
+            let replayed = folder.join("replayed.csv");
+            let mut replay = step::command(&aplomb);
+            replay.arg("replay").arg(folder.join("bursts.csv"));
+            step::run(replay.arg("--output").arg(&replayed))?;
+            let flown = folder.join("attitude.csv");
+            let rows = compare(&read(&flown)?, &read(&replayed)?)
+                .map_err(|error| format!("{} as replayed: {error}", flown.display()))?;
+            eprintln!("   {rows} attitudes agree to the bit");
+            Ok(())
+        })?;
+        bursts.push(folder.join("bursts.csv"));
+    }
+    Ok(bursts)
+}
+
+fn read(path: &Path) -> Result<String, String> {
+    std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))
+}
+
+/// Holds every column of `flown` to that of the same name in `replayed`: numbers by their bits, the rest as text.
+/// Returns how many rows there are.
+fn compare(flown: &str, replayed: &str) -> Result<usize, String> {
+    let (mut flown, mut replayed) = (flown.lines(), replayed.lines());
+    let columns: Vec<&str> = flown.next().unwrap_or_default().split(',').collect();
+    let others: Vec<&str> = replayed.next().unwrap_or_default().split(',').collect();
+    let places = columns.iter().map(|name| {
+        let place = others.iter().position(|other| other == name);
+        place.ok_or_else(|| format!("column {name:?} is missing"))
+    });
+    let places = places.collect::<Result<Vec<usize>, String>>()?;
+    let mut rows = 0;
+    loop {
+        let (row, other) = match (flown.next(), replayed.next()) {
+            (None, None) if rows > 0 => return Ok(rows),
+            (Some(row), Some(other)) => (row, other),
+            _ => return Err(format!("one of both ends after {rows} rows")),
+        };
+        rows += 1;
+        let (cells, others): (Vec<&str>, Vec<&str>) =
+            (row.split(',').collect(), other.split(',').collect());
+        for ((name, place), cell) in columns.iter().zip(&places).zip(&cells) {
+            let other = others.get(*place).copied().unwrap_or_default();
+            if !is_same(cell, other) {
+                return Err(format!("row {rows}: {name} is {cell:?} and {other:?}"));
+            }
+        }
+        if cells.len() != columns.len() {
+            return Err(format!("row {rows} has {} columns", cells.len()));
+        }
+    }
+}
+
+/// Times are whole and longer than an `f32`: they are compared as text, as flags are.
+fn is_same(cell: &str, other: &str) -> bool {
+    let bits = |text: &str| text.parse().map(f32::to_bits);
+    match (bits(cell), bits(other)) {
+        (Ok(one), Ok(two)) if cell.contains('.') => one == two,
+        _ => cell == other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FLOWN: &str = "t_us,qw,flags\n16777217,0.1,MISSED\n16777218,-0,\n";
+
+    #[test]
+    fn columns_agree_by_name_and_numbers_by_bits() {
+        let replayed = "t_us,up_x,flags,qw\n16777217,9,MISSED,0.10000000149\n16777218,9,,-0\n";
+        assert_eq!(compare(FLOWN, replayed), Ok(2));
+    }
+
+    #[test]
+    fn what_differs_is_named() {
+        for (from, to, what) in [
+            (",0.1,", ",0.10000001,", "row 1: qw"),
+            (",-0,", ",0,", "row 2: qw"),
+            (",-0,", ",,", "row 2: qw"),
+            ("MISSED", "GAP", "row 1: flags"),
+            ("16777217", "16777216", "row 1: t_us"),
+            ("qw", "qx", "column \"qw\" is missing"),
+            ("16777218,-0,\n", "", "after 1 rows"),
+        ] {
+            let error = compare(FLOWN, &FLOWN.replacen(from, to, 1)).unwrap_err();
+            assert!(error.contains(what), "{error}");
+        }
+        assert!(
+            compare("t_us\n", "t_us\n").is_err(),
+            "nothing agrees with nothing"
+        );
+        let short = compare("t_us,qw,flags\n1,0.1\n", "t_us,qw,flags\n1,0.1,\n");
+        assert!(short.is_err_and(|error| error.contains("2 columns")));
+    }
+}
