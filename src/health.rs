@@ -3,6 +3,8 @@
 use core::fmt;
 use core::ops::{BitOr, BitOrAssign};
 
+use crate::state::Exchange;
+
 /// What there is to say about a sample; none set means that all is well.
 ///
 /// As text it is the names joined by `|`, empty if none is set.
@@ -147,6 +149,12 @@ impl FreezeWatch {
             last: [0; 14],
             repeats: 0,
         }
+    }
+
+    /// Walks through everything it remembers.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        state.bytes(&mut self.last);
+        state.byte(&mut self.repeats);
     }
 
     /// Takes a sample's bytes; true while they are frozen.

@@ -22,6 +22,7 @@
 //! | [`fault`] | what can go wrong between the sensor's pins and the pipeline |
 //! | [`health`] | the flags that travel with every attitude |
 //! | [`pipeline`] | the order of the steps |
+//! | [`state`] | a filter's memory as bytes, for logs that replay to the bit |
 //! | [`telemetry`] | one file per output format, encoder and decoder together |
 //!
 //! Body axes are forward-right-down, earth axes are north-east-down ("north" being the heading at
@@ -39,6 +40,7 @@ pub mod fault;
 pub mod health;
 pub mod mpu6050;
 pub mod pipeline;
+pub mod state;
 pub mod telemetry;
 pub mod units;
 

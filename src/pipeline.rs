@@ -21,6 +21,7 @@ use crate::estimator::kalman::Kalman;
 use crate::estimator::{AnyFilter, ClassicAngles, Estimator, Filter, FilterKind, Sample};
 use crate::health::{Flags, FreezeWatch};
 use crate::mpu6050::{Burst, Config, Part, RawSample};
+use crate::state::Exchange;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
 /// σ of a stored gyroscope offset at the temperature where it was measured, rad/s: it is not the same from one
@@ -70,6 +71,24 @@ impl Settings {
             averaging_samples: 1000,
             sensor_delay_us: None,
         }
+    }
+
+    /// Is shown to `state`, or set by it.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        self.sensor.exchange(state);
+        let mut who_am_i = self.part.who_am_i;
+        state.byte(&mut who_am_i);
+        match Part::from_who_am_i(who_am_i) {
+            Some(part) => self.part = part,
+            None => state.refuse(),
+        }
+        self.mount.exchange(state);
+        self.calibration.exchange(state);
+        self.filter.exchange(state);
+        state.short(&mut self.averaging_samples);
+        state.optional(&mut self.sensor_delay_us, 0, |state, delay_us| {
+            state.word(delay_us);
+        });
     }
 
     /// The mount that holds: the calibration's, or else the one that is set.
@@ -262,6 +281,26 @@ impl<F: Filter> Pipeline<F> {
     /// How much of the rest is collected, 0 to 100; `None` if none is.
     pub fn rest_progress_percent(&self) -> Option<u8> {
         self.rest.as_ref().map(RestWatch::progress_percent)
+    }
+
+    /// Walks through its settings and everything that the attitudes to come depend on. Rest that is being collected is
+    /// left out, and a pipeline that has to average before its filter can start refuses.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        self.settings.exchange(state);
+        self.accelerometer_map.exchange(state);
+        self.gyroscope_map.exchange(state);
+        state.vector(&mut self.rate_offset_rad_s);
+        state.truth(&mut self.has_started);
+        self.estimator.exchange(state);
+        state.truth(&mut self.was_still);
+        self.freeze_watch.exchange(state);
+        state.byte(&mut self.until_temperature);
+        let mut is_averaging = self.is_averaging;
+        state.truth(&mut is_averaging);
+        if is_averaging {
+            state.refuse();
+        }
+        self.is_averaging = is_averaging;
     }
 
     /// What is known about the sensor.
@@ -490,6 +529,14 @@ struct Affine {
 }
 
 impl Affine {
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        for column in &mut self.columns {
+            state.vector(column);
+        }
+        state.vector(&mut self.offset);
+        state.number(&mut self.counts_per_unit);
+    }
+
     const NONE: Self = Self {
         columns: [Vector3::ZERO; 3],
         offset: Vector3::ZERO,

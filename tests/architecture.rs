@@ -6,19 +6,21 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each part of the library with those that it may import. `A → [B]` reads "A may import B".
-const MAY_IMPORT: [(&str, &[&str]); 12] = [
+const MAY_IMPORT: [(&str, &[&str]); 13] = [
     ("units", &[]),
     ("attitude", &["units"]),
+    ("state", &["attitude"]),
     ("fault", &["units"]),
-    ("mpu6050", &["units", "attitude"]),
-    ("calibration", &["units", "attitude"]),
-    ("estimator", &["units", "attitude"]),
-    ("health", &["units", "attitude"]),
+    ("mpu6050", &["units", "attitude", "state"]),
+    ("calibration", &["units", "attitude", "state"]),
+    ("estimator", &["units", "attitude", "state"]),
+    ("health", &["units", "attitude", "state"]),
     (
         "pipeline",
         &[
             "units",
             "attitude",
+            "state",
             "mpu6050",
             "calibration",
             "estimator",
@@ -30,6 +32,7 @@ const MAY_IMPORT: [(&str, &[&str]); 12] = [
         &[
             "units",
             "attitude",
+            "state",
             "fault",
             "mpu6050",
             "calibration",

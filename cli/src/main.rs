@@ -2,8 +2,10 @@
 
 mod bench;
 mod calibrate;
+mod convert;
 mod counts;
 mod filter;
+mod flight_log;
 mod gains;
 mod leave_one_out;
 mod number;
@@ -32,6 +34,7 @@ enum Command {
     Replay(replay::Options),
     Bench(bench::Options),
     Calibrate(calibrate::Options),
+    Convert(convert::Options),
 }
 
 fn main() -> ExitCode {
@@ -39,6 +42,7 @@ fn main() -> ExitCode {
         Command::Replay(options) => replay::run(&options),
         Command::Bench(options) => bench::run(&options),
         Command::Calibrate(options) => calibrate::run(&options),
+        Command::Convert(options) => convert::run(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

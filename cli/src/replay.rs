@@ -23,6 +23,7 @@ use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
 
 use crate::counts::counts;
 use crate::filter::{Choice, Filter, up_in_body};
+use crate::flight_log;
 use crate::number;
 use crate::progress;
 use crate::score::{Errors, START_US, up_in_sensor};
@@ -39,7 +40,8 @@ const USUAL_STEP_S: f32 = 0.001;
 /// Run a recording through a filter: one attitude for each row.
 ///
 /// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]; microseconds, m/s², rad/s; truth sensor to earth with z
-/// up) or a bursts.csv (t_us,bytes,flags), plain or gzipped; - is standard input. With truth in it, the inclination error is printed, over the
+/// up), a bursts.csv (t_us,bytes,flags) or a flight log (what the module sends with `format log`), plain or gzipped; - is standard
+/// input, for all but flight logs. A flight log brings its own settings, and its attitudes are compared with those of the flight. With truth in it, the inclination error is printed, over the
 /// rows with mov 1 after 5 s.
 #[derive(clap::Args)]
 pub struct Options {
@@ -71,6 +73,9 @@ pub struct Options {
 
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    if flight_log::is_one(&options.input) {
+        return run_flight_log(options);
+    }
     let mut lines = progress::lines(&options.input)?;
     let Some(header) = lines.next_line()? else {
         return Err(lines.refuse_file(LogFault::Empty).into());
@@ -80,7 +85,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             return Err("--raw is for logs: bursts are raw in any case".into());
         }
         let mut source = Bursts::new(options, lines);
-        return replay(options, &mut source);
+        return replay(options, options.mount, &mut source);
     }
     let Some(columns) = column_count(header) else {
         let fault = LogFault::Header(header.to_owned());
@@ -89,7 +94,68 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if !options.raw && (options.accel_range.is_some() || options.gyro_range.is_some()) {
         return Err("--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts".into());
     }
-    replay(options, &mut Log::new(options, lines, columns))
+    replay(
+        options,
+        options.mount,
+        &mut Log::new(options, lines, columns),
+    )
+}
+
+/// Every flight of a log, one after the other. That an attitude of the log differs is an error.
+fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
+    let log = flight_log::read(&options.input)?;
+    let Choice::Library(kind) = options.filter else {
+        return Err("a flight log is replayed with a filter of the library".into());
+    };
+    let place = options.input.display();
+    for message in &log.messages {
+        crate::say(&format!("# {message}"));
+    }
+    let flown = log
+        .flights
+        .iter()
+        .filter(|flight| !flight.bursts.is_empty());
+    for (index, flight) in flown.enumerate() {
+        if index > 0 && options.output.is_some() {
+            return Err(format!(
+                "{place}: the module started again in it: --output takes one flight"
+            )
+            .into());
+        }
+        let mut source = Logged {
+            replay: flight_log::Replay::new(flight, |settings| {
+                if kind != FilterKind::default() {
+                    settings.filter = kind;
+                }
+            })
+            .map_err(|reason| format!("{place}: {reason}"))?,
+        };
+        let mount = source.replay.pipeline().settings().mount();
+        replay(options, mount, &mut source)?;
+        let lost = flight.lost();
+        crate::say(&format!(
+            "log: {lost} bursts lost, {} damaged pieces ({} bytes) skipped",
+            log.counts.damaged, log.counts.damaged_bytes
+        ));
+        let agreement = source.replay.agreement();
+        crate::say(&format!(
+            "exact: {} of {} attitudes; {} compared with the flight's own, {} differ",
+            agreement.exact, agreement.bursts, agreement.compared, agreement.different
+        ));
+        if let Some(revision) = agreement.other_revision {
+            crate::say(&format!(
+                "the filters that flew are of revision {revision}, these of {}: nothing can be exact",
+                aplomb::estimator::REVISION
+            ));
+        }
+        if let Some(t_us) = agreement.first_difference_us {
+            return Err(format!(
+                "{place}: the attitude at {t_us} us is not the flight's, although nothing is missing before it"
+            )
+            .into());
+        }
+    }
+    Ok(())
 }
 
 /// What the output says of one row.
@@ -108,7 +174,7 @@ trait Source {
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>>;
 }
 
-fn replay(options: &Options, source: &mut impl Source) -> Result<(), Box<dyn Error>> {
+fn replay(options: &Options, mount: Mount, source: &mut impl Source) -> Result<(), Box<dyn Error>> {
     let mut output = match &options.output {
         Some(path) if is_same_file(path, &options.input) => {
             return Err(format!("{}: the output would replace the input", path.display()).into());
@@ -123,7 +189,7 @@ fn replay(options: &Options, source: &mut impl Source) -> Result<(), Box<dyn Err
         let first_us = *first_us.get_or_insert(point.t_us);
         last_us = point.t_us;
         rows += 1;
-        let up = options.mount.to_sensor(up_in_body(point.attitude));
+        let up = mount.to_sensor(up_in_body(point.attitude));
         if let Some(true_up) = point.true_up
             && point.t_us.saturating_sub(first_us) >= START_US
         {
@@ -155,7 +221,7 @@ fn replay(options: &Options, source: &mut impl Source) -> Result<(), Box<dyn Err
         options.input.display(),
         last_us.saturating_sub(first_us) as f64 * 1e-6,
         options.filter.name(),
-        options.mount,
+        mount,
     ));
     for (count, (_, name)) in flagged.iter().zip(Flags::NAMES) {
         if *count > 0 {
@@ -308,6 +374,28 @@ impl Source for Bursts {
     }
 }
 
+/// A flight of a flight log.
+struct Logged<'a> {
+    replay: flight_log::Replay<'a>,
+}
+
+impl Source for Logged<'_> {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(snapshot) = self.replay.next() else {
+            return Ok(None);
+        };
+        let kalman = self.replay.pipeline().estimator().kalman();
+        Ok(Some(Point {
+            t_us: i64::try_from(snapshot.t_us)?,
+            attitude: snapshot.attitude,
+            body_rates_rad_s: snapshot.body_rates_rad_s,
+            tilt_sigma_rad: kalman.map(Kalman::tilt_sigma_rad),
+            flags: snapshot.flags,
+            true_up: None,
+        }))
+    }
+}
+
 fn is_same_file(one: &Path, other: &Path) -> bool {
     // What is not there yet, or is standard input, is no other file.
     let paths = one.canonicalize().ok().zip(other.canonicalize().ok());
@@ -445,7 +533,8 @@ fn vector([x, y, z]: [f64; 3]) -> Vector3 {
     Vector3::new(x as f32, y as f32, z as f32)
 }
 
-fn parse_mount(name: &str) -> Result<Mount, String> {
+/// An option's mount.
+pub fn parse_mount(name: &str) -> Result<Mount, String> {
     Mount::parse(name).ok_or_else(|| {
         "name the sensor axes to which forward and down point, such as +x-z, or z-up or z-down"
             .into()

@@ -19,7 +19,7 @@ use panic_probe as _;
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [SPI2])]
 mod app {
     use core::fmt::Write;
-    use core::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+    use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
     use aplomb::board::boards::BOARD;
     use aplomb::board::burst_reader::{self, BurstReader};
@@ -30,14 +30,20 @@ mod app {
     use aplomb::board::{clocks, pins, publish};
     use aplomb::calibration::{Calibration, Mount, OutputFormat, RestProgress, storage};
     use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
+    use aplomb::console::ground_station::GroundStation;
     use aplomb::console::{Console, Module, Outcome, State, Task};
+    use aplomb::estimator::Sample;
     use aplomb::estimator::kalman::Kalman;
     use aplomb::health::Flags;
     use aplomb::mpu6050::{Config, Mpu6050, Part};
+    use aplomb::pipeline::Snapshot;
     use aplomb::pipeline::{Pipeline, Settings};
-    use aplomb::telemetry::message::{self, Mailbox, Message, Severity, TextBuffer};
-    use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Pace};
+    use aplomb::telemetry::log::{self, NumberedBurst, Sender};
+    use aplomb::telemetry::mavlink::Vehicle;
+    use aplomb::telemetry::message::{self, Mailbox, Message, Severity};
+    use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Output, Pace};
     use embedded_hal::delay::DelayNs;
+    use heapless::spsc::{Consumer, Producer, Queue};
     use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
 
@@ -49,7 +55,13 @@ mod app {
     /// Room that a tick's answer, with its mark and line end, needs beside a frame.
     const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
     const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
-    const _: () = assert!(message::LINE_CAPACITY <= ANSWER_ROOM);
+    /// Room for a message in any format: a MAVLink frame for each 50 letters is the longest.
+    const MESSAGE_ROOM: usize = message::LINE_CAPACITY.div_ceil(50) * 66;
+    const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM);
+    /// Bursts on their way to the flight log: three ticks' worth.
+    const LOG_BURSTS: usize = 32;
+    /// The pipeline is copied for the log at most so long after a sample, in µs, so that no attitude waits for the copy.
+    const COPY_WINDOW_US: u32 = 900;
     /// How the sensor sits in the vehicle unless a stored mount says otherwise; set at build time.
     const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {
         None => Mount::Z_UP,
@@ -90,6 +102,11 @@ mod app {
     /// The idle task looks at it without a lock.
     static TASK_WAITS: AtomicBool = AtomicBool::new(false);
 
+    /// Whether bursts are wanted for the flight log.
+    static LOGS: AtomicBool = AtomicBool::new(false);
+    /// Bursts that the pipeline has taken; changes under its lock.
+    static BURSTS_TAKEN: AtomicU32 = AtomicU32::new(0);
+
     #[local]
     struct Local {
         bus: SensorBus,
@@ -97,9 +114,14 @@ mod app {
         transmitter: Transmitter,
         receiver: Receiver,
         console: Console,
+        to_log: Producer<'static, NumberedBurst>,
+        logged: Consumer<'static, NumberedBurst>,
     }
 
-    #[init(local = [uart_buffer: [u8; uart::CAPACITY] = [0; uart::CAPACITY]])]
+    #[init(local = [
+        uart_buffer: [u8; uart::CAPACITY] = [0; uart::CAPACITY],
+        log_queue: Queue<NumberedBurst, LOG_BURSTS> = Queue::new(),
+    ])]
     fn init(context: init::Context) -> (Shared, Local) {
         static RING: ReceiveRing = [const { AtomicU8::new(0) }; uart::RECEIVE_CAPACITY];
         let device = context.device;
@@ -130,6 +152,7 @@ mod app {
         let baud = console.working().preferences.baud;
         let (transmitter, receiver) =
             uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
+        let (to_log, logged) = context.local.log_queue.split();
         (
             Shared {
                 reader: BurstReader::start(),
@@ -151,6 +174,8 @@ mod app {
                 transmitter,
                 receiver,
                 console,
+                to_log,
+                logged,
             },
         )
     }
@@ -297,14 +322,26 @@ mod app {
         }
     }
 
-    #[task(binds = SPI3, priority = 3, shared = [pipeline, messages, rest], local = [last_flags: Flags = Flags::NONE])]
+    #[task(binds = SPI3, priority = 3, shared = [pipeline, messages, rest], local = [to_log, last_flags: Flags = Flags::NONE])]
     fn attitude(mut context: attitude::Context) {
+        let to_log = context.local.to_log;
         let outcome = burst_reader::with_burst(|burst| {
             context.shared.pipeline.lock(|pipeline| {
                 let pipeline = pipeline.as_mut()?;
                 let snapshot = pipeline.update(burst);
                 publish::publish(&snapshot);
                 // The attitude is out; what follows has time until the next burst.
+                let number = BURSTS_TAKEN.load(Ordering::Relaxed);
+                BURSTS_TAKEN.store(number.wrapping_add(1), Ordering::Relaxed);
+                if LOGS.load(Ordering::Relaxed) {
+                    // What finds no room is missing in the log, and its number says so.
+                    to_log
+                        .enqueue(NumberedBurst {
+                            number,
+                            burst: *burst,
+                        })
+                        .ok();
+                }
                 Some((snapshot.flags, pipeline.collect(burst)))
             })
         });
@@ -334,7 +371,11 @@ mod app {
         priority = 1,
         shared = [pipeline, messages, rest, desk],
         local = [
-            transmitter, receiver, console,
+            transmitter, receiver, console, logged,
+            station: GroundStation = GroundStation::new(),
+            sender: Sender<Kalman> = Sender::new(0),
+            now_us: u64 = 0,
+            frames_sent: u8 = 0,
             last_published: u32 = 0,
             last_failures: u16 = 0,
             tick: u16 = 0,
@@ -347,6 +388,11 @@ mod app {
             transmitter,
             receiver,
             console,
+            logged,
+            station,
+            sender,
+            now_us,
+            frames_sent,
             last_published,
             last_failures,
             tick,
@@ -365,21 +411,29 @@ mod app {
         let has_reception_error = receiver.look(transmitter.baud()) != Reception::Sound;
         *reception_errors = reception_errors.saturating_add(has_reception_error.into());
 
+        // This runs much more often than the count wraps.
+        *now_us += u64::from(timebase::now().wrapping_sub(*now_us as u32));
+        let now_us = *now_us;
         let preferences = console.working().preferences;
-        let pace = Pace::of(preferences.rate_hz);
+        let format = preferences.format;
+        let pace = Pace::of(format, preferences.rate_hz);
         timebase::set_telemetry_period_us(pace.period_us);
         *tick += 1;
         let is_due = *tick >= pace.ticks;
-        let mut frame = [0; FRAME_CAPACITY];
-        let frame = if is_due {
+        let snapshot = if is_due {
             *tick = 0;
-            next_frame(preferences.format, last_published, &mut frame)
+            next_snapshot(last_published)
         } else {
-            &[]
+            None
         };
         if !transmitter.is_idle() {
-            *frames_dropped = frames_dropped.saturating_add((!frame.is_empty()).into());
+            *frames_dropped = frames_dropped.saturating_add(snapshot.is_some().into());
             return;
+        }
+        let logs = format == OutputFormat::Log;
+        if logs != LOGS.swap(logs, Ordering::Relaxed) {
+            while logged.dequeue().is_some() {}
+            sender.restart(BURSTS_TAKEN.load(Ordering::Relaxed));
         }
 
         let mut hands = Hands {
@@ -389,6 +443,10 @@ mod app {
             rest: context.shared.rest,
             desk: context.shared.desk,
             has_reception_error,
+            station,
+            is_mavlink: format == OutputFormat::Mavlink,
+            now_us,
+            changed_at: None,
             state: State {
                 bursts_failed: failures,
                 reception_errors: *reception_errors,
@@ -397,54 +455,125 @@ mod app {
             },
         };
         let mut answer = heapless::String::<ANSWER_CAPACITY>::new();
-        let kind = console.poll(timebase::now(), &mut hands, &mut answer);
+        let mut kind = console.poll(timebase::now(), &mut hands, &mut answer);
+        match kind {
+            Some(kind) => hands.station.hear(kind),
+            None => {
+                if let Some((ticket, command)) = hands.station.take_command() {
+                    let said = console.execute(command, timebase::now(), &mut hands, &mut answer);
+                    hands.station.answer(ticket, command, said);
+                    kind = Some(said);
+                }
+            }
+        }
+        if let Some(number) = hands.changed_at {
+            sender.restart(number);
+        }
+        let bursts_failed = hands.state.bursts_failed;
+        let mut pipeline = hands.pipeline;
         let Some(buffer) = transmitter.idle_buffer() else {
             return;
         };
-        let mut output = TextBuffer::new(buffer);
+        let output = &mut Output::new(buffer);
+        // The answer to a command that changes the format still comes in the old one.
         if let Some(kind) = kind {
             // The room was made for it.
-            writeln!(output, "# {answer}").ok();
+            say(format, answer_severity(kind), &answer, station, output);
             log_text(answer_severity(kind), &answer);
         }
-        while output.room() >= message::LINE_CAPACITY + FRAME_CAPACITY
+        while output.has_room(MESSAGE_ROOM + FRAME_CAPACITY)
             && let Some(message) = messages.lock(Mailbox::take)
         {
+            let mut line = heapless::String::<{ message::LINE_CAPACITY }>::new();
             // A test holds the longest message to its line.
-            writeln!(output, "# {message}").ok();
-            log(message.severity(), &message);
+            write!(line, "{message}").ok();
+            say(format, message.severity(), &line, station, output);
+            log_text(message.severity(), &line);
         }
-        output.write_bytes(frame);
+        match format {
+            OutputFormat::Mavlink => {
+                let (sample, temperature_celsius) = pipeline.lock(|pipeline| {
+                    pipeline
+                        .as_ref()
+                        .map_or((Sample::default(), 0.0), |pipeline| {
+                            (*pipeline.sample(), pipeline.temperature_celsius())
+                        })
+                });
+                let vehicle = Vehicle {
+                    snapshot: snapshot.as_ref(),
+                    sample: &sample,
+                    temperature_celsius,
+                    record: console.working(),
+                    is_armed: console.is_armed(),
+                    bursts_failed,
+                };
+                station.session.fill(now_us, &vehicle, output);
+            }
+            OutputFormat::Log => {
+                if sender.wants_state(now_us)
+                    && let Some((latest, _)) = publish::latest()
+                    && timebase::now().wrapping_sub(latest.t_us as u32) < COPY_WINDOW_US
+                {
+                    pipeline.lock(|pipeline| {
+                        if let Some(pipeline) = pipeline {
+                            let next = BURSTS_TAKEN.load(Ordering::Relaxed);
+                            sender.copy_state(pipeline, next);
+                        }
+                    });
+                    sender.measure_state(now_us);
+                }
+                if let Some(snapshot) = &snapshot {
+                    log::put_attitude(snapshot, output);
+                }
+                sender.fill(now_us, output, || logged.dequeue());
+            }
+            _ => {
+                if let Some(snapshot) = &snapshot {
+                    let mut frame = [0; FRAME_CAPACITY];
+                    let frame = formats::encode(format, snapshot, *frames_sent, &mut frame);
+                    *frames_sent = frames_sent.wrapping_add(1);
+                    output.put(frame);
+                    if let Ok(line) = core::str::from_utf8(frame) {
+                        defmt::info!("{=str}", line.trim_end_matches('\n'));
+                    }
+                }
+            }
+        }
         let length = output.length();
         transmitter.send(length);
     }
 
-    /// The latest snapshot as a frame, unless it was sent already. Text goes to the log too.
-    fn next_frame<'a>(
-        format: OutputFormat,
-        last_published: &mut u32,
-        frame: &'a mut [u8; FRAME_CAPACITY],
-    ) -> &'a [u8] {
-        let Some((snapshot, number)) = publish::latest() else {
-            return &[];
-        };
-        if number == *last_published {
-            return &[];
+    /// The latest snapshot, unless it was sent already.
+    fn next_snapshot(last_published: &mut u32) -> Option<Snapshot> {
+        let (snapshot, number) = publish::latest()?;
+        if number == core::mem::replace(last_published, number) {
+            return None;
         }
-        *last_published = number;
-        let frame = formats::encode(format, &snapshot, frame);
-        if let Ok(line) = core::str::from_utf8(frame) {
-            defmt::info!("{=str}", line.trim_end_matches('\n'));
-        }
-        frame
+        Some(snapshot)
     }
 
-    fn log(severity: Severity, line: &impl core::fmt::Display) {
-        let text = defmt::Display2Format(line);
-        match severity {
-            Severity::Information => defmt::info!("{}", text),
-            Severity::Warning => defmt::warn!("{}", text),
-            Severity::Error => defmt::error!("{}", text),
+    /// A line of the module, as the format has it.
+    fn say(
+        format: OutputFormat,
+        severity: Severity,
+        line: &str,
+        station: &mut GroundStation,
+        output: &mut Output<'_>,
+    ) {
+        match format {
+            OutputFormat::Mavlink => {
+                station.session.say(severity, line, output);
+            }
+            OutputFormat::Log => {
+                log::put_text(line, output);
+            }
+            _ => {
+                if output.has_room(line.len() + 3) {
+                    output.put(b"# ");
+                    output.put(line.as_bytes());
+                    output.put(b"\n");
+                }
+            }
         }
     }
 
@@ -471,6 +600,12 @@ mod app {
         rest: R,
         desk: D,
         has_reception_error: bool,
+        station: &'a mut GroundStation,
+        /// Frames of a ground station are among what is received.
+        is_mavlink: bool,
+        now_us: u64,
+        /// The settings that a log tells have changed, before the burst of this number.
+        changed_at: Option<u32>,
         /// The counters; the rest of it is filled in when it is asked for.
         state: State,
     }
@@ -482,7 +617,14 @@ mod app {
         D: Mutex<T = Desk>,
     {
         fn receive(&mut self) -> Option<u8> {
-            self.receiver.receive()
+            let Self {
+                station, receiver, ..
+            } = self;
+            if self.is_mavlink {
+                station.receive(self.now_us, || receiver.receive())
+            } else {
+                receiver.receive()
+            }
         }
 
         fn take_reception_error(&mut self) -> bool {
@@ -513,10 +655,9 @@ mod app {
 
         fn set_calibration(&mut self, calibration: &Calibration) {
             self.desk.lock(|desk| desk.calibration = *calibration);
-            self.pipeline.lock(|pipeline| {
-                if let Some(pipeline) = pipeline {
-                    pipeline.set_calibration(calibration);
-                }
+            self.changed_at = self.pipeline.lock(|pipeline| {
+                pipeline.as_mut()?.set_calibration(calibration);
+                Some(BURSTS_TAKEN.load(Ordering::Relaxed))
             });
         }
 
@@ -548,10 +689,9 @@ mod app {
 
         fn set_armed(&mut self, is_armed: bool) {
             self.desk.lock(|desk| desk.is_armed = is_armed);
-            self.pipeline.lock(|pipeline| {
-                if let Some(pipeline) = pipeline {
-                    pipeline.set_armed(is_armed);
-                }
+            self.changed_at = self.pipeline.lock(|pipeline| {
+                pipeline.as_mut()?.set_armed(is_armed);
+                Some(BURSTS_TAKEN.load(Ordering::Relaxed))
             });
         }
 

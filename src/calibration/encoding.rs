@@ -65,6 +65,10 @@ impl Stored for Record {
         let format = match preferences.format {
             OutputFormat::Text => 0,
             OutputFormat::Classic => 1,
+            OutputFormat::Teleplot => 2,
+            OutputFormat::Teapot => 3,
+            OutputFormat::Mavlink => 4,
+            OutputFormat::Log => 5,
         };
         put(body, &[format])?;
         put(body, &preferences.rate_hz.to_le_bytes())?;
@@ -114,6 +118,10 @@ impl Stored for Record {
             format: match body.take()? {
                 [0] => OutputFormat::Text,
                 [1] => OutputFormat::Classic,
+                [2] => OutputFormat::Teleplot,
+                [3] => OutputFormat::Teapot,
+                [4] => OutputFormat::Mavlink,
+                [5] => OutputFormat::Log,
                 _ => return None,
             },
             rate_hz: u16::from_le_bytes(body.take()?),

@@ -5,6 +5,7 @@
 //! The right axis follows, so a mount is always a proper rotation.
 
 use crate::attitude::Vector3;
+use crate::state::Exchange;
 
 /// A mounting, sensor axes to body axes. The default is [`Z_UP`](Self::Z_UP).
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -75,6 +76,19 @@ impl Mount {
             .zip(Self::ALL)
             .find_map(|(name, mount)| (mount == self).then_some(name))
             .unwrap_or("+x-z")
+    }
+
+    /// Is shown to `state`, or set by it.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        let mount = *self;
+        let mut index = Self::ALL
+            .iter()
+            .position(|known| *known == mount)
+            .unwrap_or(0);
+        state.index(&mut index, Self::ALL.len());
+        if let Some(mount) = Self::ALL.get(index) {
+            *self = *mount;
+        }
     }
 
     /// Turns a vector in sensor axes into body axes.

@@ -5,6 +5,7 @@
 
 use super::Mount;
 use crate::attitude::{Quaternion, Vector3};
+use crate::state::Exchange;
 
 /// What is known about one sensor and how it sits. Default: nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -39,6 +40,50 @@ impl Calibration {
             (None, Some(model)) => model.reference_celsius,
             (None, None) => 25.0,
         }
+    }
+}
+
+impl Calibration {
+    /// Walks through everything that is known.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        state.optional(&mut self.mount, Mount::Z_UP, |state, mount| {
+            mount.exchange(state);
+        });
+        let gyroscope = GyroscopeOffset {
+            offset_rad_s: Vector3::ZERO,
+            temperature_celsius: 0.0,
+        };
+        state.optional(&mut self.gyroscope, gyroscope, |state, gyroscope| {
+            state.vector(&mut gyroscope.offset_rad_s);
+            state.number(&mut gyroscope.temperature_celsius);
+        });
+        let model = TemperatureModel {
+            reference_celsius: 0.0,
+            offset_rad_s: Vector3::ZERO,
+            slope_rad_s_per_celsius: Vector3::ZERO,
+            curvature_rad_s_per_celsius2: Vector3::ZERO,
+            coldest_celsius: 0.0,
+            warmest_celsius: 0.0,
+        };
+        state.optional(&mut self.temperature, model, |state, model| {
+            state.number(&mut model.reference_celsius);
+            state.vector(&mut model.offset_rad_s);
+            state.vector(&mut model.slope_rad_s_per_celsius);
+            state.vector(&mut model.curvature_rad_s_per_celsius2);
+            state.number(&mut model.coldest_celsius);
+            state.number(&mut model.warmest_celsius);
+        });
+        let correction = AccelerometerCorrection {
+            offset_m_s2: Vector3::ZERO,
+            matrix: [0.0; 6],
+        };
+        state.optional(&mut self.accelerometer, correction, |state, correction| {
+            state.vector(&mut correction.offset_m_s2);
+            state.numbers(&mut correction.matrix);
+        });
+        state.optional(&mut self.level, Quaternion::IDENTITY, |state, level| {
+            state.quaternion(level);
+        });
     }
 }
 
@@ -101,14 +146,29 @@ pub enum OutputFormat {
     Text,
     /// The classic tutorial's line.
     Classic,
+    /// Lines for Teleplot.
+    Teleplot,
+    /// The packet of the teapot demo.
+    Teapot,
+    /// MAVLink 2.
+    Mavlink,
+    /// The flight log.
+    Log,
 }
 
 impl OutputFormat {
-    /// Every format, in the order of [`OutputFormat::NAMES`].
-    pub const ALL: [Self; 2] = [Self::Text, Self::Classic];
+    /// Every format, in the order of [`OutputFormat::NAMES`]. A stored format is its place in here, so new ones come last.
+    pub const ALL: [Self; 6] = [
+        Self::Text,
+        Self::Classic,
+        Self::Teleplot,
+        Self::Teapot,
+        Self::Mavlink,
+        Self::Log,
+    ];
 
     /// Their names.
-    pub const NAMES: [&str; 2] = ["text", "classic"];
+    pub const NAMES: [&str; 6] = ["text", "classic", "teleplot", "teapot", "mavlink", "log"];
 
     /// The format of this name.
     pub fn parse(name: &str) -> Option<Self> {
@@ -120,6 +180,10 @@ impl OutputFormat {
         match self {
             Self::Text => "text",
             Self::Classic => "classic",
+            Self::Teleplot => "teleplot",
+            Self::Teapot => "teapot",
+            Self::Mavlink => "mavlink",
+            Self::Log => "log",
         }
     }
 }

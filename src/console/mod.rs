@@ -5,6 +5,7 @@
 //! | [`line`] | how bytes become lines, and which are dropped |
 //! | [`command`] | the words, and what was probably meant |
 //! | [`answer`] | the lines that go back |
+//! | `ground_station` | MAVLink's requests as commands |
 //! | `procedure` | the measurements, rest by rest |
 //!
 //! [`Console`] holds the *working record* (what is in use) and the *stored* one (what is in flash). Every command changes
@@ -24,6 +25,8 @@
 
 pub mod answer;
 pub mod command;
+#[cfg(feature = "mavlink")]
+pub mod ground_station;
 pub mod line;
 mod nearest;
 mod procedure;
@@ -227,6 +230,11 @@ impl Console {
     /// Whether `save` would change what is stored.
     pub fn has_unsaved(&self) -> bool {
         self.working != self.stored
+    }
+
+    /// Whether the module is armed.
+    pub const fn is_armed(&self) -> bool {
+        self.is_armed
     }
 
     /// The mount in use.
@@ -534,6 +542,12 @@ impl Console {
             baud,
         } = preferences;
         let most = telemetry::largest_rate_hz(format, baud);
+        if most == 0 {
+            return reply.error(format_args!(
+                "{} takes more than {baud} baud: a higher baud rate first",
+                format.name()
+            ));
+        }
         if u32::from(rate_hz) > most {
             return reply.error(format_args!(
                 "{rate_hz} lines of {} a second are too many for {baud} baud: \"rate {most}\" fits, or a higher baud rate",
@@ -554,6 +568,12 @@ impl Console {
             baud: before,
         } = self.working.preferences;
         let most = telemetry::largest_rate_hz(format, baud);
+        if most == 0 {
+            return reply.error(format_args!(
+                "{baud} baud are too few for {}: another format first",
+                format.name()
+            ));
+        }
         if u32::from(rate_hz) > most {
             return reply.error(format_args!(
                 "{baud} baud are too few for {rate_hz} lines of {} a second: \"rate {most}\" first",
@@ -705,9 +725,15 @@ fn sane(preferences: Preferences) -> Preferences {
     } else {
         defaults.baud
     };
-    let most = telemetry::largest_rate_hz(preferences.format, baud).min(u32::from(*RATES_HZ.end()));
+    // The flight log needs a fast line.
+    let format = if telemetry::largest_rate_hz(preferences.format, baud) > 0 {
+        preferences.format
+    } else {
+        defaults.format
+    };
+    let most = telemetry::largest_rate_hz(format, baud).min(u32::from(*RATES_HZ.end()));
     Preferences {
-        format: preferences.format,
+        format,
         rate_hz: preferences.rate_hz.max(*RATES_HZ.start()).min(most as u16),
         baud,
     }

@@ -13,6 +13,8 @@
 //! on the unit of the angle, so the covariance is in degrees, where the classic constants live,
 //! whatever the angle's unit.
 
+use crate::state::Exchange;
+
 /// Variance that the angle gains, in deg²/s. Larger: trusts the rate less, follows the measured
 /// angle faster and with more of its noise. The classic value.
 pub const Q_ANGLE: f32 = 0.001;
@@ -40,6 +42,14 @@ impl Default for AngleBias {
 }
 
 impl AngleBias {
+    /// Walks through everything it remembers.
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        state.number(&mut self.bias);
+        state.number(&mut self.variance_angle);
+        state.number(&mut self.covariance);
+        state.number(&mut self.variance_bias);
+    }
+
     /// Angle and bias known exactly, as the classic filter starts.
     pub const fn new() -> Self {
         Self {

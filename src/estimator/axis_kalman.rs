@@ -16,6 +16,7 @@
 use super::Measurement;
 use super::angle_bias::{AngleBias, R_MEASURE};
 use crate::attitude::{Quaternion, Vector3};
+use crate::state::Exchange;
 use crate::units::radians;
 
 /// No part of the family has a larger zero-rate offset (20 °/s, and 20 more over temperature:
@@ -39,6 +40,19 @@ pub struct AxisKalman {
     roll_cosine: f32,
     roll_sine: f32,
     has_tilt: bool,
+}
+
+impl AxisKalman {
+    /// Walks through everything it remembers.
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        state.quaternion(&mut self.attitude);
+        state.vector(&mut self.rate_rad_s);
+        self.roll.exchange(state);
+        self.pitch.exchange(state);
+        state.number(&mut self.roll_cosine);
+        state.number(&mut self.roll_sine);
+        state.truth(&mut self.has_tilt);
+    }
 }
 
 impl Default for AxisKalman {

@@ -11,6 +11,7 @@
 use super::Measurement;
 use super::angle_bias::{AngleBias, R_MEASURE};
 use crate::attitude::{EulerAngles, Quaternion, Vector3, wrap_pi};
+use crate::state::Exchange;
 use crate::units::{degrees, radians};
 
 /// What the tutorial prints: angles and the rates at which the filtered angles change.
@@ -49,6 +50,20 @@ pub struct Classic {
     pitch: Axis,
     yaw_rad: f32,
     attitude: Quaternion,
+}
+
+impl Classic {
+    /// Walks through everything it remembers.
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        for axis in [&mut self.roll, &mut self.pitch] {
+            state.number(&mut axis.angle_deg);
+            state.number(&mut axis.rate_deg_s);
+            axis.filter.exchange(state);
+            state.truth(&mut axis.has_angle);
+        }
+        state.number(&mut self.yaw_rad);
+        state.quaternion(&mut self.attitude);
+    }
 }
 
 impl Default for Classic {

@@ -8,6 +8,7 @@ use super::classic::{Classic, ClassicAngles};
 use super::kalman::Kalman;
 use super::{FilterKind, Measurement, Sample};
 use crate::attitude::Quaternion;
+use crate::state::Exchange;
 
 /// A filter, as [`Estimator`](super::Estimator) sees it: it gets finite samples only, and steps
 /// between 1 µs and 0.5 s.
@@ -24,6 +25,9 @@ pub trait Filter {
 
     /// Body to earth, at the last sample's time.
     fn attitude(&self) -> Quaternion;
+
+    /// Walks through everything it remembers. Its kind comes first.
+    fn exchange(&mut self, state: &mut impl Exchange);
 
     /// The [`Kalman`] filter that this is, if it is.
     fn kalman(&self) -> Option<&Kalman> {
@@ -61,6 +65,11 @@ impl Filter for Kalman {
         self.attitude()
     }
 
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        expect(FilterKind::Kalman, state);
+        self.exchange(state);
+    }
+
     #[inline]
     fn kalman(&self) -> Option<&Kalman> {
         Some(self)
@@ -88,6 +97,11 @@ impl Filter for AxisKalman {
     fn attitude(&self) -> Quaternion {
         self.attitude()
     }
+
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        expect(FilterKind::AxisKalman, state);
+        self.exchange(state);
+    }
 }
 
 impl Filter for Classic {
@@ -107,8 +121,22 @@ impl Filter for Classic {
         self.attitude()
     }
 
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        expect(FilterKind::Classic, state);
+        self.exchange(state);
+    }
+
     fn classic_angles(&self) -> Option<ClassicAngles> {
         Some(self.angles())
+    }
+}
+
+/// A filter of one kind takes no other's memory.
+fn expect(kind: FilterKind, state: &mut impl Exchange) {
+    let mut found = kind;
+    found.exchange(state);
+    if found != kind {
+        state.refuse();
     }
 }
 
@@ -169,6 +197,24 @@ impl Filter for AnyFilter {
             Self::Kalman(filter) => Filter::attitude(filter),
             Self::AxisKalman(filter) => Filter::attitude(filter),
             Self::Classic(filter) => Filter::attitude(filter),
+        }
+    }
+
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        let kind = match self {
+            Self::Kalman(_) => FilterKind::Kalman,
+            Self::AxisKalman(_) => FilterKind::AxisKalman,
+            Self::Classic(_) => FilterKind::Classic,
+        };
+        let mut found = kind;
+        found.exchange(state);
+        if found != kind {
+            *self = Self::new(found);
+        }
+        match self {
+            Self::Kalman(filter) => filter.exchange(state),
+            Self::AxisKalman(filter) => filter.exchange(state),
+            Self::Classic(filter) => filter.exchange(state),
         }
     }
 

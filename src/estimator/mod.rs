@@ -22,8 +22,13 @@ pub use classic::ClassicAngles;
 pub use filter::{AnyFilter, Filter};
 
 use crate::attitude::{Quaternion, Vector3};
+use crate::state::Exchange;
 use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2};
 use kalman::Kalman;
+
+/// Counts the changes after which a filter gives other attitudes, if only in one bit. A log says which one flew.
+/// `tests/revision.rs` notices a change that did not raise it.
+pub const REVISION: u16 = 1;
 
 /// A longer pause between samples is a gap: what happened in it is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
@@ -70,6 +75,15 @@ impl FilterKind {
             b"classic" => Some(Self::Classic),
             _ => None,
         }
+    }
+}
+
+impl FilterKind {
+    /// Is shown to `state`, or set by it.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        let mut index = *self as usize;
+        state.index(&mut index, Self::ALL.len());
+        *self = Self::ALL.get(index).copied().unwrap_or_default();
     }
 }
 
@@ -188,6 +202,13 @@ impl<F: Filter> Estimator<F> {
     /// The [`kalman`] filter with all it knows; `None` with any other.
     pub fn kalman(&self) -> Option<&Kalman> {
         self.filter.kalman()
+    }
+
+    /// Walks through everything it remembers.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        self.filter.exchange(state);
+        state.optional(&mut self.last_t_us, 0, |state, t_us| state.long(t_us));
+        state.vector(&mut self.body_rates_rad_s);
     }
 
     /// Forgets everything but the quaternion's sign; yaw starts at zero again.

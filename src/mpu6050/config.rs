@@ -1,5 +1,6 @@
 //! Settings of the sensor: full scales, low-pass filter, sample rate.
 
+use crate::state::Exchange;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
 /// The accelerometer's full scale.
@@ -215,6 +216,29 @@ impl Config {
         low_pass: LowPass::Hertz188,
         sample_rate_divider: 0,
     };
+
+    /// Is shown to `state`, or set by it.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        fn choose<T: Copy>(value: &mut T, bits: u8, all: &[T], state: &mut impl Exchange) {
+            let mut index = bits.into();
+            state.index(&mut index, all.len());
+            if let Some(chosen) = all.get(index) {
+                *value = *chosen;
+            }
+        }
+        let bits = self.accelerometer_range.bits();
+        choose(
+            &mut self.accelerometer_range,
+            bits,
+            &AccelerometerRange::ALL,
+            state,
+        );
+        let bits = self.gyroscope_range.bits();
+        choose(&mut self.gyroscope_range, bits, &GyroscopeRange::ALL, state);
+        let bits = self.low_pass.bits();
+        choose(&mut self.low_pass, bits, &LowPass::ALL, state);
+        state.byte(&mut self.sample_rate_divider);
+    }
 
     /// The nominal sample rate in hertz; the sensor's own clock is within 1 % of it
     /// (product specification §6.6). Above 1 kHz the accelerometer repeats its samples.

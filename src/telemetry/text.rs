@@ -1,4 +1,4 @@
-//! Labelled text for people and Arduino-style plotters: one line per sample,
+//! Labelled text for people and Arduino-style plotters ([`teleplot`](super::teleplot) has its own): one line per sample,
 //!
 //! ```text
 //! roll:1.00⇥pitch:-2.50⇥yaw:90.00⇥roll_rate:0.00⇥pitch_rate:0.12⇥yaw_rate:-3.00
@@ -13,7 +13,7 @@ use super::decimal::{self, LONGEST_NUMBER, Writer};
 use crate::pipeline::Snapshot;
 use crate::units::degrees;
 
-const LABELS: [&str; 6] = [
+pub(super) const LABELS: [&str; 6] = [
     "roll",
     "pitch",
     "yaw",
@@ -52,6 +52,29 @@ pub struct Line {
     pub yaw_rate_deg_s: f32,
 }
 
+impl Line {
+    /// The numbers in the order of the labels.
+    pub(super) const fn values(&self) -> [f32; 6] {
+        [
+            self.roll_deg,
+            self.pitch_deg,
+            self.yaw_deg,
+            self.roll_rate_deg_s,
+            self.pitch_rate_deg_s,
+            self.yaw_rate_deg_s,
+        ]
+    }
+}
+
+/// Writes a value as its label asks for.
+pub(super) fn put(writer: &mut Writer<'_>, label: &str, value: f32) {
+    if label == "roll" || label == "yaw" {
+        writer.angle(value);
+    } else {
+        writer.number(value);
+    }
+}
+
 impl From<&Snapshot> for Line {
     fn from(snapshot: &Snapshot) -> Self {
         let angles = snapshot.euler();
@@ -76,24 +99,12 @@ pub fn encode<'a>(snapshot: &Snapshot, line: &'a mut [u8; LINE_LENGTH]) -> &'a [
 
 /// Writes a line from its numbers.
 pub fn encode_line<'a>(numbers: &Line, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
-    let values = [
-        numbers.roll_deg,
-        numbers.pitch_deg,
-        numbers.yaw_deg,
-        numbers.roll_rate_deg_s,
-        numbers.pitch_rate_deg_s,
-        numbers.yaw_rate_deg_s,
-    ];
     let mut writer = Writer::new(line);
-    for (index, (label, value)) in LABELS.into_iter().zip(values).enumerate() {
+    for (index, (label, value)) in LABELS.into_iter().zip(numbers.values()).enumerate() {
         writer.text(if index > 0 { "\t" } else { "" });
         writer.text(label);
         writer.text(":");
-        if label == "roll" || label == "yaw" {
-            writer.angle(value);
-        } else {
-            writer.number(value);
-        }
+        put(&mut writer, label, value);
     }
     writer.text("\n");
     writer.finish()

@@ -20,7 +20,15 @@ pub fn run() -> Result<(), String> {
         step::run(clippy.args(["--workspace", "--all-targets", "--", "-D", "warnings"]))
     })?;
     step::timed("host tests", || {
-        step::run(host_cargo("test").args(["-p", "aplomb", "-p", "xtask"]))
+        let mut test = host_cargo("test");
+        step::run(test.args([
+            "-p",
+            "aplomb",
+            "-p",
+            "xtask",
+            "--features",
+            "aplomb/mavlink",
+        ]))
     })?;
     step::timed("tests of the program `aplomb`", || {
         // Whole recordings run through every filter, which takes minutes without optimisation.

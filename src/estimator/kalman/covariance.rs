@@ -12,7 +12,8 @@
 //! δ, the correction, is about the interval's end, which is some samples ago when the last slice is
 //! done; whoever applies it carries it forward.
 
-use super::matrix::{CONSTANTS, Column, Covariance, Transition};
+use super::matrix::{CONSTANTS, Column, Covariance, MOVING, Transition};
+use crate::state::Exchange;
 
 /// No step has more measurements: two of the velocity, three of the gyroscope's bias.
 const MOST_MEASUREMENTS: usize = 5;
@@ -97,7 +98,77 @@ pub(super) struct Step {
     inverse: f32,
 }
 
+impl Measurement {
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        let (mut is_constant, mut index) = match self.state {
+            State::Moving(index) => (false, index),
+            State::Constant(index) => (true, index),
+        };
+        state.truth(&mut is_constant);
+        state.index(&mut index, if is_constant { CONSTANTS } else { MOVING });
+        self.state = if is_constant {
+            State::Constant(index)
+        } else {
+            State::Moving(index)
+        };
+        state.number(&mut self.innovation);
+        state.number(&mut self.variance);
+    }
+}
+
+impl Phase {
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        let (mut kind, mut first, mut second) = match *self {
+            Self::Idle => (0, 0, 0),
+            Self::Carry => (1, 0, 0),
+            Self::Mix(row) => (2, row, 0),
+            Self::Close => (3, 0, 0),
+            Self::Predicted => (4, 0, 0),
+            Self::Measure(index) => (5, index, 0),
+            Self::Reduce(index, row) => (6, index, row),
+            Self::Check => (7, 0, 0),
+            Self::Done => (8, 0, 0),
+        };
+        state.index(&mut kind, 9);
+        // Both are compared with what they count before they are used.
+        state.index(&mut first, CONSTANTS + 1);
+        state.index(&mut second, CONSTANTS + 1);
+        *self = match kind {
+            1 => Self::Carry,
+            2 => Self::Mix(first),
+            3 => Self::Close,
+            4 => Self::Predicted,
+            5 => Self::Measure(first),
+            6 => Self::Reduce(first, second),
+            7 => Self::Check,
+            8 => Self::Done,
+            _ => Self::Idle,
+        };
+    }
+}
+
 impl Step {
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        self.covariance.exchange(state);
+        self.correction.exchange(state);
+        self.phase.exchange(state);
+        self.transition.exchange(state);
+        state.number(&mut self.duration_s);
+        for measurement in &mut self.measurements {
+            state.optional(
+                measurement,
+                Measurement {
+                    state: State::Moving(0),
+                    innovation: 0.0,
+                    variance: 0.0,
+                },
+                |state, measurement| measurement.exchange(state),
+            );
+        }
+        self.column.exchange(state);
+        state.number(&mut self.inverse);
+    }
+
     pub(super) const fn new() -> Self {
         Self {
             covariance: Covariance::ZERO,

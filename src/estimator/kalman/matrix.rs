@@ -14,6 +14,8 @@
 //! C cannot be asymmetric, because half of it is not stored; M is mirrored from its lower half.
 //! Everything goes by rows of constants, so that a caller can do a few rows at a time.
 
+use crate::state::Exchange;
+
 /// Tilt about north and east, velocity to north and east.
 pub(super) const MOVING: usize = 4;
 /// Gyroscope bias, gyroscope matrix by rows, accelerometer bias.
@@ -37,6 +39,11 @@ pub(super) struct Transition {
 }
 
 impl Transition {
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        state.numbers(self.tilt_per.as_flattened_mut());
+        state.number(&mut self.vertical_m_s);
+    }
+
     pub(super) const NONE: Self = Self {
         tilt_per: [[0.0; 2]; TURNING],
         vertical_m_s: 0.0,
@@ -79,6 +86,11 @@ pub(super) struct Column {
 }
 
 impl Column {
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        state.numbers(&mut self.moving);
+        state.numbers(&mut self.constants);
+    }
+
     pub(super) const ZERO: Self = Self {
         moving: [0.0; MOVING],
         constants: [0.0; CONSTANTS],
@@ -93,6 +105,12 @@ impl Column {
 }
 
 impl Covariance {
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        state.numbers(self.moving.as_flattened_mut());
+        state.numbers(self.cross.as_flattened_mut());
+        state.numbers(&mut self.triangle);
+    }
+
     pub(super) const ZERO: Self = Self {
         moving: [[0.0; MOVING]; MOVING],
         cross: [[0.0; MOVING]; CONSTANTS],

@@ -6,6 +6,7 @@
 use super::matrix::{CONSTANTS, MOVING, Transition};
 use super::{LARGEST_BIAS_RAD_S, LARGEST_FORCE_BIAS_M_S2, LARGEST_MATRIX_ERROR};
 use crate::attitude::{Quaternion, Vector3};
+use crate::state::Exchange;
 
 const UNITY: [Vector3; 3] = [
     Vector3::new(1.0, 0.0, 0.0),
@@ -57,6 +58,22 @@ pub(super) struct EarthStep {
 }
 
 impl Mean {
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        state.quaternion(&mut self.attitude);
+        state.vector(&mut self.bias_rad_s);
+        state.vector(&mut self.force_bias_m_s2);
+        for row in &mut self.matrix {
+            state.vector(row);
+        }
+        state.vector(&mut self.offset_rad_s);
+        state.numbers(&mut self.velocity_m_s);
+        state.vector(&mut self.rate_rad_s);
+        state.vector(&mut self.force_m_s2);
+        state.vector(&mut self.turned_rad);
+        state.vector(&mut self.pushed_m_s);
+        state.number(&mut self.elapsed_s);
+    }
+
     pub(super) const fn new() -> Self {
         Self {
             attitude: Quaternion::IDENTITY,

@@ -76,6 +76,7 @@ pub use tuning::Tuning;
 
 use super::Sample;
 use crate::attitude::{Quaternion, Vector3};
+use crate::state::Exchange;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 use covariance::{Measurement, Progress, State, Step};
 use matrix::{Column, Covariance, TURNING, Transition};
@@ -169,6 +170,17 @@ impl Interval {
     };
 }
 
+impl Interval {
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        self.transition.exchange(state);
+        state.numbers(&mut self.velocity_m_s);
+        state.number(&mut self.duration_s);
+        state.number(&mut self.squared_rate);
+        state.number(&mut self.tilt_variance);
+        state.number(&mut self.velocity_variance);
+    }
+}
+
 /// How much the vehicle has been moving of late.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -184,6 +196,12 @@ impl UsualVelocity {
         squared: 0.0,
         age_s: 0.5,
     };
+
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        state.numbers(&mut self.smooth_m_s);
+        state.number(&mut self.squared);
+        state.number(&mut self.age_s);
+    }
 
     fn update(&mut self, velocity_m_s: [f32; 2], duration_s: f32, tuning: &Tuning) {
         let share = duration_s / (tuning.velocity_smoothing_s + duration_s);
@@ -285,6 +303,24 @@ impl Kalman {
             .begin(sample.angular_rate_rad_s, sample.specific_force_m_s2);
         self.mean
             .begin(sample.angular_rate_rad_s, sample.specific_force_m_s2);
+    }
+
+    /// Walks through everything it remembers; the tuning is the owner's.
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        state.number(&mut self.delay_s);
+        state.truth(&mut self.is_armed);
+        state.truth(&mut self.has_tilt);
+        state.truth(&mut self.has_work);
+        state.truth(&mut self.is_bias_known);
+        self.mean.exchange(state);
+        self.step.exchange(state);
+        self.interval.exchange(state);
+        self.rest.exchange(state);
+        self.usual.exchange(state);
+        state.vector(&mut self.prior_bias_rad_s);
+        state.numbers(&mut self.bias_prior);
+        state.vector(&mut self.mean_force_m_s2);
+        state.index(&mut self.next_axis, 3);
     }
 
     /// One step of `dt_s` seconds.

@@ -6,6 +6,7 @@
 use super::LARGEST_BIAS_RAD_S;
 use super::tuning::Tuning;
 use crate::attitude::Vector3;
+use crate::state::Exchange;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
 /// Readings are compared with their average over this time, s.
@@ -27,6 +28,12 @@ pub(super) struct Rest {
 }
 
 impl Rest {
+    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
+        state.vector(&mut self.average_rate_rad_s);
+        state.vector(&mut self.average_force_m_s2);
+        state.number(&mut self.quiet_s);
+    }
+
     pub(super) const fn new() -> Self {
         Self {
             average_rate_rad_s: Vector3::ZERO,

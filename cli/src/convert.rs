@@ -1,0 +1,181 @@
+//! `aplomb convert`: flight logs, bursts and CSV logs into each other.
+
+use std::error::Error;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use aplomb::calibration::Mount;
+use aplomb::mpu6050::{
+    AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
+};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::telemetry::bursts;
+use virtual_board::motion::log::{LogFault, column_count, parse_row};
+
+use crate::flight_log::{self, Recorder};
+use crate::{number, progress, replay};
+
+/// Convert a recording into another form.
+///
+/// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI units, plain or gzipped.
+/// OUTPUT's name says what it becomes: *.log a flight log, *bursts.csv bursts, any other *.csv a log in SI units and the sensor's
+/// axes, as `replay` reads it. A log in SI units becomes counts at 16 g and 2000 degrees per second, rounded.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  aplomb convert flight.log flight-bursts.csv\n  aplomb convert recording.csv.gz recording.log"
+)]
+pub struct Options {
+    /// The recording
+    input: PathBuf,
+    /// The file to write
+    output: PathBuf,
+    /// What a flight log that is made of bursts or of CSV says about the mount
+    #[arg(long, default_value = "z-up", allow_hyphen_values = true, value_parser = replay::parse_mount)]
+    mount: Mount,
+}
+
+/// Does it.
+pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    let (config, part, bursts) = read(&options.input)?;
+    let settings = Settings {
+        sensor: config,
+        mount: options.mount,
+        ..Settings::new(part)
+    };
+    let output = &options.output;
+    let failed =
+        |error: std::io::Error| format!("{}: cannot be written: {error}", output.display());
+    let name = output.file_name().unwrap_or_default().to_string_lossy();
+    let write: fn(&mut BufWriter<File>, &Settings, &[Burst]) -> std::io::Result<()> =
+        if name.ends_with(".log") {
+            write_log
+        } else if name.ends_with("bursts.csv") {
+            write_bursts
+        } else if name.ends_with(".csv") {
+            write_csv
+        } else {
+            return Err(format!(
+                "{}: the name has to end with .log, bursts.csv or .csv, which says what to write",
+                output.display()
+            )
+            .into());
+        };
+    let mut file = BufWriter::new(File::create(output).map_err(failed)?);
+    write(&mut file, &settings, &bursts)
+        .and_then(|()| file.flush())
+        .map_err(failed)?;
+    crate::say(&format!("{}: {} bursts", output.display(), bursts.len()));
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<(Config, &'static Part, Vec<Burst>), Box<dyn Error>> {
+    if flight_log::is_one(path) {
+        let log = flight_log::read(path)?;
+        let Some(first) = log
+            .flights
+            .iter()
+            .find_map(|flight| flight.configurations.first())
+        else {
+            return Err(format!("{}: there is no configuration in it", path.display()).into());
+        };
+        let lost: u64 = log.flights.iter().map(flight_log::Flight::lost).sum();
+        if lost + log.counts.damaged > 0 {
+            crate::say(&format!(
+                "{}: {lost} bursts are missing, {} damaged pieces skipped",
+                path.display(),
+                log.counts.damaged
+            ));
+        }
+        let bursts = log.flights.iter().flat_map(|flight| &flight.bursts);
+        let bursts = bursts.map(|numbered| numbered.burst).collect();
+        return Ok((first.settings.sensor, first.settings.part, bursts));
+    }
+    let mut lines = progress::lines(path)?;
+    let Some(header) = lines.next_line()?.map(str::to_owned) else {
+        return Err(lines.refuse_file(LogFault::Empty).into());
+    };
+    let columns = column_count(&header);
+    if header != bursts::HEADER && columns.is_none() {
+        let fault = LogFault::Header(header);
+        return Err(format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into());
+    }
+    let mut found = Vec::new();
+    while let Some(line) = lines.next_line()? {
+        let burst = match columns {
+            None => bursts::decode(line).map_err(|error| error.to_string()),
+            Some(columns) => match parse_row(line, columns) {
+                Err(fault) => return Err(lines.refuse(fault).into()),
+                Ok(row) => Ok(Burst {
+                    bytes: counts_of(row.specific_force_m_s2, row.rates_rad_s).encode(),
+                    captured_at_us: u64::try_from(row.time_us)
+                        .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
+                    missed_before: 0,
+                }),
+            },
+        };
+        found.push(burst.map_err(|reason| format!("{}: {reason}", lines.place()))?);
+    }
+    Ok((Config::DEFAULT, &Part::MPU_6050, found))
+}
+
+/// What the default full scales make of SI units.
+fn counts_of(force_m_s2: [f64; 3], rates_rad_s: [f64; 3]) -> RawSample {
+    let config = Config::DEFAULT;
+    let count = |values: [f64; 3], unit: f32| {
+        // A cast saturates, as the sensor does.
+        values.map(|value| (value / f64::from(unit)).round() as i16)
+    };
+    RawSample {
+        accelerometer: AccelerometerCounts(count(
+            force_m_s2,
+            config.accelerometer_range.m_s2_per_count(),
+        )),
+        // 25 °C (register map §4.18).
+        temperature: TemperatureCounts(-3_920),
+        gyroscope: GyroscopeCounts(count(rates_rad_s, config.gyroscope_range.rad_s_per_count())),
+    }
+}
+
+fn write_log(
+    file: &mut BufWriter<File>,
+    settings: &Settings,
+    bursts: &[Burst],
+) -> std::io::Result<()> {
+    let mut recorder = Recorder::new(file, Pipeline::new(settings), 0);
+    bursts
+        .iter()
+        .try_for_each(|burst| recorder.add(burst).map(|_| ()))
+}
+
+fn write_bursts(file: &mut BufWriter<File>, _: &Settings, bursts: &[Burst]) -> std::io::Result<()> {
+    writeln!(file, "{}", bursts::HEADER)?;
+    bursts
+        .iter()
+        .try_for_each(|burst| writeln!(file, "{}", bursts::Line(burst)))
+}
+
+fn write_csv(
+    file: &mut BufWriter<File>,
+    settings: &Settings,
+    bursts: &[Burst],
+) -> std::io::Result<()> {
+    writeln!(file, "t_us,ax,ay,az,gx,gy,gz")?;
+    let mut line = Vec::new();
+    for burst in bursts {
+        let raw = RawSample::decode(&burst.bytes);
+        let force = raw
+            .accelerometer
+            .to_m_s2(settings.sensor.accelerometer_range);
+        let rates = raw.gyroscope.to_rad_s(settings.sensor.gyroscope_range);
+        line.clear();
+        write!(line, "{}", burst.captured_at_us)?;
+        for value in [force.x, force.y, force.z, rates.x, rates.y, rates.z] {
+            line.push(b',');
+            number::append(&mut line, value);
+        }
+        line.push(b'\n');
+        file.write_all(&line)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,8 @@
+//! Any bytes as a flight log.
+
+#![no_main]
+
+#[path = "../bodies/flight_log.rs"]
+mod flight_log;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| flight_log::run(bytes));

@@ -1,0 +1,236 @@
+//! A MAVLink ground station at the other end of the line: what it asks for becomes commands, and their answers go back to it.
+//!
+//! A command that takes its time is answered twice, as the protocol wants it: when it has begun, and when it has ended.
+
+use heapless::Deque;
+
+use super::answer::Kind;
+use super::command::{BAUD_RATES, Calibrate, Command, MountChoice, RATES_HZ};
+use crate::telemetry::mavlink::{self, Action, Outcome, Session, Ticket};
+
+/// Bytes that were no frame after all come at once, at most so many.
+const TEXT_CAPACITY: usize = 288;
+
+/// The station.
+#[derive(Debug, Clone, Default)]
+pub struct GroundStation {
+    /// The connection.
+    pub session: Session,
+    text: Deque<u8, TEXT_CAPACITY>,
+    /// What has begun and wants another answer.
+    waiting: Option<Ticket>,
+}
+
+impl GroundStation {
+    /// A station that has not said anything.
+    pub const fn new() -> Self {
+        Self {
+            session: Session::new(),
+            text: Deque::new(),
+            waiting: None,
+        }
+    }
+
+    /// The next byte of text among what `source` has received.
+    pub fn receive(&mut self, now_us: u64, mut source: impl FnMut() -> Option<u8>) -> Option<u8> {
+        let Self { session, text, .. } = self;
+        loop {
+            if let Some(byte) = text.pop_front() {
+                return Some(byte);
+            }
+            // There is room for all that a session can let go of at once.
+            let mut keep = |byte| {
+                text.push_back(byte).ok();
+            };
+            match source() {
+                Some(byte) => session.receive(byte, now_us, &mut keep),
+                None => {
+                    session.poll(now_us, &mut keep);
+                    return text.pop_front();
+                }
+            }
+        }
+    }
+
+    /// The next command that it asks for; what makes no command is answered here.
+    pub fn take_command(&mut self) -> Option<(Ticket, Command)> {
+        while let Some((ticket, action)) = self.session.take_action() {
+            match command(action) {
+                Some(command) => return Some((ticket, command)),
+                None => self.session.answer(ticket, Outcome::Denied),
+            }
+        }
+        None
+    }
+
+    /// What came of that command at once.
+    pub fn answer(&mut self, ticket: Ticket, command: Command, kind: Kind) {
+        let takes_time = matches!(
+            command,
+            Command::Save
+                | Command::Calibrate(
+                    Calibrate::Gyroscope | Calibrate::Accelerometer | Calibrate::Level
+                )
+        );
+        let outcome = match kind {
+            Kind::Ok if command == Command::Calibrate(Calibrate::Stop) => {
+                if let Some(ended) = self.waiting.take() {
+                    self.session.answer(ended, Outcome::Cancelled);
+                }
+                Outcome::Accepted
+            }
+            Kind::Ok if takes_time => {
+                self.waiting = Some(ticket);
+                Outcome::InProgress
+            }
+            Kind::Ok | Kind::Progress | Kind::Done => Outcome::Accepted,
+            Kind::Error => Outcome::NotNow,
+            Kind::Failed => Outcome::Failed,
+        };
+        self.session.answer(ticket, outcome);
+    }
+
+    /// The console has said something by itself.
+    pub fn hear(&mut self, kind: Kind) {
+        let outcome = match kind {
+            Kind::Done => Outcome::Accepted,
+            Kind::Failed => Outcome::Failed,
+            Kind::Ok | Kind::Error | Kind::Progress => return,
+        };
+        if let Some(ticket) = self.waiting.take() {
+            self.session.answer(ticket, outcome);
+        }
+    }
+}
+
+fn command(action: Action) -> Option<Command> {
+    Some(match action {
+        Action::Calibrate(mavlink::Calibrate::Gyroscope) => {
+            Command::Calibrate(Calibrate::Gyroscope)
+        }
+        Action::Calibrate(mavlink::Calibrate::Accelerometer) => {
+            Command::Calibrate(Calibrate::Accelerometer)
+        }
+        Action::Calibrate(mavlink::Calibrate::Level) => Command::Calibrate(Calibrate::Level),
+        Action::Calibrate(mavlink::Calibrate::Cancel) => Command::Calibrate(Calibrate::Stop),
+        Action::SetRate(rate_hz) if RATES_HZ.contains(&rate_hz) => Command::Rate(rate_hz),
+        Action::SetBaud(baud) if BAUD_RATES.contains(&baud) => Command::Baud(baud),
+        Action::SetRate(_) | Action::SetBaud(_) => return None,
+        Action::SetFormat(format) => Command::Format(format),
+        Action::SetMount(mount) => Command::Mount(MountChoice::Named(mount)),
+        Action::Save => Command::Save,
+        Action::SetArmed(true) => Command::Arm,
+        Action::SetArmed(false) => Command::Disarm,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use ::mavlink::MessageData;
+    use ::mavlink::dialects::common::{COMMAND_ACK_DATA, COMMAND_LONG_DATA, MavCmd, MavResult};
+    use ::mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkVersion};
+
+    use super::*;
+    use crate::calibration::Record;
+    use crate::estimator::Sample;
+    use crate::telemetry::Output;
+    use crate::telemetry::mavlink::Vehicle;
+
+    fn command_long(command: MavCmd, param1: f32) -> Vec<u8> {
+        let mut raw = MAVLinkV2MessageRaw::new();
+        raw.serialize_message_data(
+            MavHeader::default(),
+            &COMMAND_LONG_DATA {
+                param1,
+                command,
+                target_system: 1,
+                ..COMMAND_LONG_DATA::default()
+            },
+        );
+        raw.raw_bytes().to_vec()
+    }
+
+    /// The results that go back.
+    fn results(station: &mut GroundStation) -> Vec<MavResult> {
+        let mut buffer = [0; 1024];
+        let mut output = Output::new(&mut buffer);
+        let (sample, record) = (Sample::default(), Record::default());
+        let vehicle = Vehicle {
+            snapshot: None,
+            sample: &sample,
+            temperature_celsius: 0.0,
+            record: &record,
+            is_armed: false,
+            bursts_failed: 0,
+        };
+        station.session.fill(1, &vehicle, &mut output);
+        let length = output.length();
+        let mut bytes = &buffer[..length];
+        let mut found = Vec::new();
+        while let [_, payload, ..] = bytes {
+            let (frame, rest) = bytes.split_at(12 + usize::from(*payload));
+            if frame[7] == COMMAND_ACK_DATA::ID as u8 {
+                let payload = &frame[10..frame.len() - 2];
+                let ack = COMMAND_ACK_DATA::deser(MavlinkVersion::V2, payload);
+                found.push(ack.expect("an acknowledgement").result);
+            }
+            bytes = rest;
+        }
+        found
+    }
+
+    fn receive(station: &mut GroundStation, bytes: &[u8]) -> Vec<u8> {
+        let mut bytes = bytes.iter().copied();
+        std::iter::from_fn(|| station.receive(0, || bytes.next())).collect()
+    }
+
+    #[test]
+    fn a_calibration_is_answered_when_it_begins_and_when_it_ends() {
+        for (end, result) in [
+            (Kind::Done, MavResult::MAV_RESULT_ACCEPTED),
+            (Kind::Failed, MavResult::MAV_RESULT_FAILED),
+        ] {
+            let mut station = GroundStation::new();
+            let bytes = command_long(MavCmd::MAV_CMD_PREFLIGHT_CALIBRATION, 1.0);
+            assert_eq!(receive(&mut station, &bytes), b"");
+            let (ticket, command) = station.take_command().expect("a command");
+            assert_eq!(command, Command::Calibrate(Calibrate::Gyroscope));
+            station.answer(ticket, command, Kind::Ok);
+            assert_eq!(results(&mut station), [MavResult::MAV_RESULT_IN_PROGRESS]);
+            station.hear(Kind::Progress);
+            assert_eq!(results(&mut station), []);
+            station.hear(end);
+            station.hear(end);
+            assert_eq!(results(&mut station), [result]);
+        }
+    }
+
+    #[test]
+    fn what_the_console_refuses_is_temporarily_rejected_and_the_rest_is_done_at_once() {
+        let mut station = GroundStation::new();
+        let bytes = command_long(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0);
+        for (kind, result) in [
+            (Kind::Error, MavResult::MAV_RESULT_TEMPORARILY_REJECTED),
+            (Kind::Ok, MavResult::MAV_RESULT_ACCEPTED),
+        ] {
+            receive(&mut station, &bytes);
+            let (ticket, command) = station.take_command().expect("a command");
+            assert_eq!(command, Command::Arm);
+            station.answer(ticket, command, kind);
+            assert_eq!(results(&mut station), [result]);
+        }
+    }
+
+    #[test]
+    fn lines_between_frames_are_text() {
+        let mut station = GroundStation::new();
+        let mut bytes = b"status\n".to_vec();
+        bytes.extend(command_long(MavCmd::MAV_CMD_PREFLIGHT_STORAGE, 1.0));
+        bytes.extend(b"format text\n");
+        assert_eq!(receive(&mut station, &bytes), b"status\nformat text\n");
+        assert_eq!(
+            station.take_command().map(|(_, command)| command),
+            Some(Command::Save)
+        );
+    }
+}

@@ -1,0 +1,208 @@
+//! Finds MAVLink 2 frames in what arrives, and leaves the rest to whoever reads lines of text.
+//!
+//! A frame begins with 0xFD, which no printable text contains, and says how long it is. A candidate whose checksum is wrong
+//! was none: its first byte goes to the text, and what follows is looked at again. So does one that stays incomplete for
+//! [`PATIENCE_US`], so that a typed line reaches the console whatever noise came before it. The checksum of a message that is not
+//! known here cannot be checked; such a frame is dropped as a whole.
+
+use ::mavlink::{MessageData, calculate_crc, dialects::common};
+
+use super::wire::Command;
+
+/// A frame's bytes come without longer pauses than this, µs.
+pub const PATIENCE_US: u64 = 100_000;
+
+/// STX, then length, flags (2), sequence, system, component, message (3).
+const HEADER_LENGTH: usize = 10;
+const CHECKSUM_LENGTH: usize = 2;
+const SIGNATURE_LENGTH: usize = 13;
+/// The longest frame of MAVLink 2.
+const CAPACITY: usize = HEADER_LENGTH + 255 + CHECKSUM_LENGTH + SIGNATURE_LENGTH;
+
+const START: u8 = 0xFD;
+/// Incompatibility flag: a signature follows.
+const SIGNED: u8 = 0x01;
+
+/// What was received.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Received {
+    pub(super) system: u8,
+    pub(super) component: u8,
+    pub(super) message: u32,
+    payload: [u8; LONGEST_PAYLOAD],
+    length: usize,
+}
+
+/// The longest of the messages that are read: COMMAND_INT.
+const LONGEST_PAYLOAD: usize = 36;
+
+impl Received {
+    /// The payload, without the zeros that a sender leaves out.
+    pub(super) fn payload(&self) -> &[u8] {
+        self.payload.get(..self.length).unwrap_or_default()
+    }
+}
+
+/// Bytes that may be a frame.
+#[derive(Debug, Clone)]
+pub(super) struct Receiver {
+    bytes: [u8; CAPACITY],
+    length: usize,
+    last_us: u64,
+}
+
+/// What a candidate turned out to be.
+enum Verdict {
+    Incomplete,
+    NoFrame,
+    /// A frame of this length, if it is one to look at with what it says.
+    Frame(usize, Option<Received>),
+}
+
+impl Receiver {
+    pub(super) const fn new() -> Self {
+        Self {
+            bytes: [0; CAPACITY],
+            length: 0,
+            last_us: 0,
+        }
+    }
+
+    /// Takes a byte.
+    pub(super) fn push(
+        &mut self,
+        byte: u8,
+        now_us: u64,
+        text: &mut impl FnMut(u8),
+        frame: &mut impl FnMut(&Received),
+    ) {
+        self.poll(now_us, text, frame);
+        self.last_us = now_us;
+        if let Some(place) = self.bytes.get_mut(self.length) {
+            *place = byte;
+            self.length += 1;
+        }
+        self.sort(text, frame);
+    }
+
+    /// Gives up a candidate that has waited for too long.
+    pub(super) fn poll(
+        &mut self,
+        now_us: u64,
+        text: &mut impl FnMut(u8),
+        frame: &mut impl FnMut(&Received),
+    ) {
+        while self.length > 0 && now_us.saturating_sub(self.last_us) > PATIENCE_US {
+            self.drop_front(1, text);
+            self.sort(text, frame);
+        }
+    }
+
+    fn sort(&mut self, text: &mut impl FnMut(u8), frame: &mut impl FnMut(&Received)) {
+        while self.length > 0 {
+            match self.judge() {
+                Verdict::Incomplete => return,
+                Verdict::NoFrame => self.drop_front(1, text),
+                Verdict::Frame(length, received) => {
+                    if let Some(received) = received {
+                        frame(&received);
+                    }
+                    self.drop_front(length, &mut |_| {});
+                }
+            }
+        }
+    }
+
+    fn drop_front(&mut self, count: usize, text: &mut impl FnMut(u8)) {
+        let count = count.min(self.length);
+        for byte in self.bytes.iter().take(count) {
+            text(*byte);
+        }
+        // The counts are within the array.
+        if count <= self.length && self.length <= CAPACITY {
+            self.bytes.copy_within(count..self.length, 0);
+        }
+        self.length -= count;
+    }
+
+    fn judge(&self) -> Verdict {
+        let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        if bytes.first() != Some(&START) {
+            return Verdict::NoFrame;
+        }
+        let Some((header, rest)) = bytes.split_at_checked(HEADER_LENGTH) else {
+            return Verdict::Incomplete;
+        };
+        let &[
+            _,
+            length,
+            incompatible,
+            _,
+            _,
+            system,
+            component,
+            low,
+            middle,
+            high,
+        ] = header
+        else {
+            return Verdict::Incomplete;
+        };
+        if incompatible & !SIGNED != 0 {
+            return Verdict::NoFrame;
+        }
+        let signature = if incompatible & SIGNED != 0 {
+            SIGNATURE_LENGTH
+        } else {
+            0
+        };
+        let length = usize::from(length);
+        let Some((payload, rest)) = rest.split_at_checked(length) else {
+            return Verdict::Incomplete;
+        };
+        if rest.len() < CHECKSUM_LENGTH + signature {
+            return Verdict::Incomplete;
+        }
+        let message = u32::from_le_bytes([low, middle, high, 0]);
+        let whole = HEADER_LENGTH + length + CHECKSUM_LENGTH + signature;
+        let Some(extra) = extra_of(message) else {
+            return Verdict::Frame(whole, None);
+        };
+        let checked = bytes.get(1..HEADER_LENGTH + length).unwrap_or_default();
+        let [low, high, ..] = rest else {
+            return Verdict::Incomplete;
+        };
+        if calculate_crc(checked, extra) != u16::from_le_bytes([*low, *high]) {
+            return Verdict::NoFrame;
+        }
+        let mut received = Received {
+            system,
+            component,
+            message,
+            payload: [0; LONGEST_PAYLOAD],
+            length: length.min(LONGEST_PAYLOAD),
+        };
+        for (place, byte) in received.payload.iter_mut().zip(payload) {
+            *place = *byte;
+        }
+        Verdict::Frame(whole, Some(received))
+    }
+}
+
+/// The byte by which a checksum tells the versions of a message apart, of those that are read.
+const fn extra_of(message: u32) -> Option<u8> {
+    use common::{
+        COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MISSION_REQUEST_LIST_DATA,
+        PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
+    };
+    match message {
+        HEARTBEAT_DATA::ID => Some(HEARTBEAT_DATA::EXTRA_CRC),
+        PARAM_REQUEST_LIST_DATA::ID => Some(PARAM_REQUEST_LIST_DATA::EXTRA_CRC),
+        PARAM_REQUEST_READ_DATA::ID => Some(PARAM_REQUEST_READ_DATA::EXTRA_CRC),
+        PARAM_SET_DATA::ID => Some(PARAM_SET_DATA::EXTRA_CRC),
+        MISSION_REQUEST_LIST_DATA::ID => Some(MISSION_REQUEST_LIST_DATA::EXTRA_CRC),
+        Command::INT => Some(COMMAND_INT_DATA::EXTRA_CRC),
+        Command::LONG => Some(COMMAND_LONG_DATA::EXTRA_CRC),
+        _ => None,
+    }
+}

@@ -1,0 +1,151 @@
+//! Where the types of the `mavlink` crate are too narrow.
+//!
+//! Its commands are those of a dialect and no other, and every command wants an answer. And its option for the
+//! fields that version 2 appended to messages of version 1 pulls its code generator, which needs the standard library, into
+//! the firmware (0.21.0): [`Extended`] appends them.
+
+use ::mavlink::dialects::common::{
+    COMMAND_ACK_DATA, COMMAND_INT_DATA, COMMAND_LONG_DATA, MavMessage,
+};
+use ::mavlink::{
+    MavlinkVersion, MessageData, bytes::Bytes, bytes_mut::BytesMut, error::ParserError,
+};
+
+/// COMMAND_LONG or COMMAND_INT, whichever: they differ in the form of two parameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Command {
+    /// Parameters 1 to 7.
+    pub(super) parameters: [f32; 7],
+    pub(super) command: u16,
+    pub(super) target_system: u8,
+    pub(super) target_component: u8,
+}
+
+impl Command {
+    pub(super) const LONG: u32 = COMMAND_LONG_DATA::ID;
+    pub(super) const INT: u32 = COMMAND_INT_DATA::ID;
+
+    /// Reads a payload; zeros at its end may be missing.
+    pub(super) fn read(message: u32, payload: &[u8]) -> Option<Self> {
+        let mut whole = [0; 36];
+        for (place, byte) in whole.iter_mut().zip(payload) {
+            *place = *byte;
+        }
+        let mut bytes = Bytes::new(&whole);
+        let mut parameters = [0.0; 7];
+        for (index, parameter) in parameters.iter_mut().enumerate() {
+            let is_integer = message == Self::INT && (index == 4 || index == 5);
+            *parameter = if is_integer {
+                bytes.get_i32_le().ok()? as f32
+            } else {
+                bytes.get_f32_le().ok()?
+            };
+        }
+        Some(Self {
+            parameters,
+            command: bytes.get_u16_le().ok()?,
+            target_system: bytes.get_u8().ok()?,
+            target_component: bytes.get_u8().ok()?,
+        })
+    }
+}
+
+/// A message with the fields behind those of version 1, as bytes.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Extended<M, const N: usize> {
+    pub(super) message: M,
+    pub(super) extension: [u8; N],
+}
+
+impl<M: MessageData, const N: usize> MessageData for Extended<M, N> {
+    type Message = M::Message;
+
+    const ID: u32 = M::ID;
+    const NAME: &'static str = M::NAME;
+    // The extension does not count.
+    const EXTRA_CRC: u8 = M::EXTRA_CRC;
+    const ENCODED_LEN: usize = M::ENCODED_LEN + N;
+
+    fn ser(&self, _: MavlinkVersion, payload: &mut [u8]) -> usize {
+        // Version 1 keeps the zeros at the end.
+        let length = self.message.ser(MavlinkVersion::V1, payload);
+        if let Some(place) = payload.get_mut(length..length + N) {
+            place.copy_from_slice(&self.extension);
+        }
+        mavlink::utils::remove_trailing_zeroes(payload.get(..length + N).unwrap_or_default())
+    }
+
+    fn deser(version: MavlinkVersion, payload: &[u8]) -> Result<Self, ParserError> {
+        let mut extension = [0; N];
+        for (place, byte) in extension
+            .iter_mut()
+            .zip(payload.get(M::ENCODED_LEN..).unwrap_or_default())
+        {
+            *place = *byte;
+        }
+        Ok(Self {
+            message: M::deser(version, payload)?,
+            extension,
+        })
+    }
+}
+
+/// COMMAND_ACK of any command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct CommandAck {
+    pub(super) command: u16,
+    /// MAV_RESULT.
+    pub(super) result: u8,
+    pub(super) target_system: u8,
+    pub(super) target_component: u8,
+}
+
+impl MessageData for CommandAck {
+    type Message = MavMessage;
+
+    const ID: u32 = COMMAND_ACK_DATA::ID;
+    const NAME: &'static str = COMMAND_ACK_DATA::NAME;
+    const EXTRA_CRC: u8 = COMMAND_ACK_DATA::EXTRA_CRC;
+    const ENCODED_LEN: usize = 10;
+
+    fn ser(&self, _: MavlinkVersion, payload: &mut [u8]) -> usize {
+        let mut bytes = BytesMut::new(payload);
+        if bytes.remaining() < Self::ENCODED_LEN {
+            return 0;
+        }
+        bytes.put_u16_le(self.command);
+        bytes.put_u8(self.result);
+        // Progress in percent, where there is any, and a second result.
+        bytes.put_u8(0);
+        bytes.put_i32_le(0);
+        bytes.put_u8(self.target_system);
+        bytes.put_u8(self.target_component);
+        let length = bytes.len();
+        mavlink::utils::remove_trailing_zeroes(payload.get(..length).unwrap_or_default())
+    }
+
+    fn deser(_: MavlinkVersion, payload: &[u8]) -> Result<Self, ParserError> {
+        let mut whole = [0; Self::ENCODED_LEN];
+        for (place, byte) in whole.iter_mut().zip(payload) {
+            *place = *byte;
+        }
+        let [
+            low,
+            high,
+            result,
+            _,
+            _,
+            _,
+            _,
+            _,
+            target_system,
+            target_component,
+        ] = whole;
+        Ok(Self {
+            command: u16::from_le_bytes([low, high]),
+            result,
+            target_system,
+            target_component,
+        })
+    }
+}

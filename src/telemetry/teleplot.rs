@@ -1,0 +1,94 @@
+//! Lines for Teleplot: one variable each.
+//!
+//! ```text
+//! >roll:1.00
+//! >pitch:-2.50
+//! ```
+//!
+//! Teleplot wants a line for each variable, begun with `>` on a serial port, and reads a second colon as a time. An
+//! Arduino plotter wants all variables of a moment in one line, so no single form serves both: [`text`] is
+//! for the latter. Labels and units are the same.
+
+use super::decimal::{LONGEST_NUMBER, Writer};
+use super::text;
+use crate::pipeline::Snapshot;
+
+/// The longest set of lines, newlines included.
+pub const LINES_LENGTH: usize = {
+    // Each field has `>`, a label, a colon, a number and a newline.
+    let mut length = 0;
+    let mut index = 0;
+    while index < text::LABELS.len() {
+        length += 1 + text::LABELS[index].len() + 1 + LONGEST_NUMBER + 1;
+        index += 1;
+    }
+    length
+};
+
+/// Writes the lines of a snapshot and returns them.
+pub fn encode<'a>(snapshot: &Snapshot, lines: &'a mut [u8; LINES_LENGTH]) -> &'a [u8] {
+    let mut writer = Writer::new(lines);
+    for (label, value) in text::LABELS
+        .into_iter()
+        .zip(text::Line::from(snapshot).values())
+    {
+        writer.text(">");
+        writer.text(label);
+        writer.text(":");
+        text::put(&mut writer, label, value);
+        writer.text("\n");
+    }
+    writer.finish()
+}
+
+/// Reads one line, with or without its line end: label and value.
+pub fn decode(line: &str) -> Option<(&str, f32)> {
+    let line = line.strip_suffix('\n').unwrap_or(line);
+    let line = line.strip_suffix('\r').unwrap_or(line);
+    let (label, value) = line.strip_prefix('>')?.split_once(':')?;
+    let is_known = text::LABELS.contains(&label);
+    Some((label, super::decimal::parse(value)?)).filter(|_| is_known)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::attitude::{EulerAngles, Quaternion, Vector3};
+    use crate::units::radians;
+
+    #[test]
+    fn each_variable_has_a_line_that_reads_back() {
+        let snapshot = Snapshot {
+            attitude: Quaternion::from_euler(EulerAngles {
+                roll_rad: radians(1.0),
+                pitch_rad: radians(-2.5),
+                yaw_rad: radians(90.0),
+            }),
+            body_rates_rad_s: Vector3::new(0.0, radians(0.12), radians(-3.0)),
+            ..Snapshot::default()
+        };
+        let mut lines = [0; LINES_LENGTH];
+        let lines = core::str::from_utf8(encode(&snapshot, &mut lines)).expect("ASCII");
+        assert_eq!(
+            lines,
+            ">roll:1.00\n>pitch:-2.50\n>yaw:90.00\n>roll_rate:0.00\n>pitch_rate:0.12\n>yaw_rate:-3.00\n"
+        );
+        let read: Vec<_> = lines.lines().map(decode).collect();
+        assert_eq!(read[1], Some(("pitch", -2.5)));
+        assert!(read.iter().all(Option::is_some));
+        assert_eq!(decode("roll:1.00"), None);
+        assert_eq!(decode(">height:1.00"), None);
+    }
+
+    #[test]
+    fn the_longest_lines_fit_exactly() {
+        let snapshot = Snapshot {
+            body_rates_rad_s: Vector3::new(-1e9, -1e9, -1e9),
+            ..Snapshot::default()
+        };
+        let mut lines = [0; LINES_LENGTH];
+        let length = encode(&snapshot, &mut lines).len();
+        // Angles of zero are five bytes shorter than the longest number.
+        assert_eq!(length, LINES_LENGTH - 3 * (LONGEST_NUMBER - 4));
+    }
+}
