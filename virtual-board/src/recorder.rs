@@ -84,6 +84,8 @@ impl Observer for Nobody {}
 pub struct Record {
     /// Published samples, in order.
     pub samples: Vec<Sample>,
+    /// What was published without a sample, in order, and when (ns since power-up).
+    pub stale: Vec<(u64, Snapshot)>,
     /// Data-ready edges, in order.
     pub edges: Vec<DataReady>,
     /// The firmware's log, as the probe read it.
@@ -196,8 +198,14 @@ impl Recorder {
     /// The firmware has counted its published sequence up.
     fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
         self.follow_sensor(session, hit.instruction_count);
-        let (Some(snapshot), Some(burst)) = (read_snapshot(host, self.snapshot), self.last_burst)
-        else {
+        let Some(snapshot) = read_snapshot(host, self.snapshot) else {
+            return;
+        };
+        if snapshot.flags.contains(Flags::STALE) {
+            self.record.stale.push((hit.at.0, snapshot));
+            return;
+        }
+        let Some(burst) = self.last_burst else {
             return;
         };
         self.attitude = self.profile.lock().ok().map(|profile| profile.current());
