@@ -22,7 +22,7 @@ pub use classic::ClassicAngles;
 pub use filter::{AnyFilter, Filter};
 
 use crate::attitude::{Quaternion, Vector3};
-use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2};
+use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
 use kalman::Kalman;
 
 /// A longer pause between samples is a gap: what happened in it is unknown.
@@ -31,6 +31,10 @@ pub const LONGEST_STEP_US: u64 = 500_000;
 /// Below a quarter of gravity the accelerometer's own offset (80 mg, product specification §6.2) may
 /// turn its direction by 20° and more, so it says nothing about down.
 pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
+
+/// What turns faster than this is fast: 200 °/s. Whoever wonders whether a reading is that of a changed
+/// full scale asks above this.
+pub const FAST_RATE_RAD_S: f32 = radians(200.0);
 
 /// No sensor of this family reaches a tenth of these; beyond them a sample is not a measurement.
 const LARGEST_SPECIFIC_FORCE_M_S2: f32 = 10_000.0;
@@ -116,6 +120,8 @@ pub struct Remarks {
     pub rejected: bool,
     /// The specific force was under [`LEAST_SPECIFIC_FORCE_M_S2`]: the gyroscope alone was used.
     pub no_gravity: bool,
+    /// The rate was above [`FAST_RATE_RAD_S`].
+    pub fast: bool,
 }
 
 /// A filter with its sense of time. Total: whatever comes in, the attitude stays a finite rotation,
@@ -211,10 +217,12 @@ impl<F: Filter> Estimator<F> {
         let force = sample.specific_force_m_s2;
         let rate = sample.angular_rate_rad_s;
         let force_squared = force.dot(force);
+        let rate_squared = rate.dot(rate);
+        remarks.fast = rate_squared > FAST_RATE_RAD_S * FAST_RATE_RAD_S;
         // A NaN fails every comparison.
         let is_measurement = force_squared
             <= LARGEST_SPECIFIC_FORCE_M_S2 * LARGEST_SPECIFIC_FORCE_M_S2
-            && rate.dot(rate) <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
+            && rate_squared <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
         if is_measurement {
             remarks.no_gravity =
                 force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
