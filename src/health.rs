@@ -64,6 +64,7 @@ impl Flags {
     /// What an attitude cannot be valid with.
     pub const SPOILS: Self = Self(
         Self::CALIBRATING.0
+            | Self::GYROSCOPE_SATURATED.0
             | Self::TIME.0
             | Self::FROZEN.0
             | Self::REJECTED.0
@@ -71,9 +72,7 @@ impl Flags {
             | Self::TEMPERATURE.0,
     );
     /// What makes an attitude degraded.
-    pub const DEGRADES: Self = Self(
-        Self::GYROSCOPE_SATURATED.0 | Self::SPOILS.0 | Self::POLLED.0 | Self::INTERNAL_CLOCK.0,
-    );
+    pub const DEGRADES: Self = Self(Self::SPOILS.0 | Self::POLLED.0 | Self::INTERNAL_CLOCK.0);
 
     /// What needs a second look at whether an attitude is valid or degraded.
     pub(crate) const ODD: Self = Self(Self::SPOILS.0 | Self::DEGRADES.0);

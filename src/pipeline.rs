@@ -13,7 +13,7 @@
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
 use crate::calibration::{AtRest, Mount, Progress, StartupAverage, StartupScale};
 use crate::estimator::kalman::{Kalman, Known};
-use crate::estimator::{AnyFilter, ClassicAngles, Estimator, Filter, FilterKind, Sample};
+use crate::estimator::{AnyFilter, ClassicAngles, Estimate, Estimator, Filter, FilterKind, Sample};
 use crate::health::{
     self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, UNSEEN_RATE_RAD_S,
 };
@@ -114,6 +114,10 @@ pub struct Pipeline<F = AnyFilter> {
     temperature_celsius: f32,
     /// A longer step than this between samples leaves some of the motion unseen, µs.
     longest_step_us: u32,
+    /// The same, or zero if the next sample has to be looked at anyway.
+    pause_us: u32,
+    /// For how long the gyroscope has been reading full scale, µs.
+    saturated_us: u32,
     /// The low half of the last sample's time, µs.
     last_t_us: u32,
     temperature_limits: (i16, i16),
@@ -168,6 +172,8 @@ impl<F: Filter> Pipeline<F> {
             sample: Sample::default(),
             temperature_celsius: 0.0,
             longest_step_us: (PERIODS_UNSEEN * 1.0e6 / settings.sensor.sample_rate_hz()) as u32,
+            pause_us: 0,
+            saturated_us: 0,
             last_t_us: 0,
             temperature_limits: health::temperature_limits(
                 settings.part.temperature.celsius_per_count,
@@ -209,33 +215,28 @@ impl<F: Filter> Pipeline<F> {
             is_force_saturated: raw.accelerometer.is_saturated(),
         };
         let t_us = burst.captured_at_us as u32;
-        let is_pause = t_us.wrapping_sub(self.last_t_us) > self.longest_step_us;
+        let is_pause = t_us.wrapping_sub(self.last_t_us) > self.pause_us;
         self.last_t_us = t_us;
-        if is_pause || health::is_blank(&burst.bytes) || !board_flags.is_empty() {
+        if is_pause
+            || health::is_blank(&burst.bytes)
+            || !board_flags.is_empty()
+            || self.sample.is_rate_saturated
+        {
             self.doubt(burst, board_flags);
         }
         let estimate = self.estimator.update(&self.sample);
         let startup_flags = self.average_at_rest(&raw);
-        let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
-        let has_moved = estimate.is_calibrating && self.was_still && !is_still;
-        self.was_still = is_still;
-
         let remarks = estimate.remarks;
         let mut flags = (startup_flags | self.standing | board_flags)
-            .with(Flags::CALIBRATING, estimate.is_calibrating)
-            .with(Flags::MOVED, has_moved)
             .with(Flags::MISSED, burst.missed_before > 0)
-            .with(Flags::GAP, remarks.gap)
-            .with(Flags::TIME, remarks.time_went_back)
-            .with(Flags::REJECTED, remarks.rejected)
-            .with(Flags::FREE_FALL, remarks.no_gravity)
             .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
             .with(
                 Flags::ACCELEROMETER_SATURATED,
                 self.sample.is_force_saturated,
             );
-        if remarks.fast | self.is_suspect | flags.intersects(Flags::ODD) {
-            flags = self.judge(flags, remarks.fast);
+        let is_odd = flags.intersects(Flags::ODD) | estimate.is_calibrating;
+        if is_odd | remarks.any() | self.is_suspect {
+            flags = self.judge(flags, &estimate);
         }
         let snapshot = Snapshot {
             t_us: burst.captured_at_us,
@@ -316,12 +317,33 @@ impl<F: Filter> Pipeline<F> {
         }
         let step_us = burst.captured_at_us.saturating_sub(last_t_us);
         let longest_step_us = u64::from(self.longest_step_us);
+        self.pause_us = self.longest_step_us;
+        let was_saturated_us = self.saturated_us;
+        if self.sample.is_rate_saturated {
+            self.pause_us = 0;
+            self.saturated_us = was_saturated_us.saturating_add(step_us as u32);
+        } else if was_saturated_us > 0 {
+            self.saturated_us = 0;
+            if was_saturated_us >= LONG_SATURATION_US {
+                // Nobody knows how far it has turned: down is where the force says.
+                self.estimator.forget_tilt();
+                self.samples_to_stocktaking = 0;
+                return;
+            }
+        }
         let filter = self.estimator.kalman_mut();
         let Some(filter) = filter.filter(|filter| filter.has_tilt()) else {
             return;
         };
         if step_us > longest_step_us {
             filter.doubt_tilt(unseen_variance(step_us));
+        }
+        if self.sample.is_rate_saturated {
+            let total = |saturated_us: u32| {
+                let turn_rad = HIDDEN_RATE_RAD_S * SECONDS_PER_MICROSECOND * saturated_us as f32;
+                turn_rad * turn_rad
+            };
+            filter.doubt_tilt(total(self.saturated_us) - total(was_saturated_us));
         }
         if board_flags.contains(Flags::SENSOR_RESET) {
             filter.doubt_motion(WRONG_SETTINGS_TILT_RAD * WRONG_SETTINGS_TILT_RAD);
@@ -331,13 +353,25 @@ impl<F: Filter> Pipeline<F> {
         self.samples_to_stocktaking = 0;
     }
 
-    /// Decides whether an attitude with odd flags, or that turns fast, is valid or degraded.
+    /// Decides what to say of a sample with something to remark, and whether its attitude is valid.
     #[cold]
     #[inline(never)]
-    fn judge(&mut self, flags: Flags, is_fast: bool) -> Flags {
-        self.is_suspect = is_fast;
+    fn judge(&mut self, flags: Flags, estimate: &Estimate) -> Flags {
+        let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
+        let has_moved = estimate.is_calibrating && self.was_still && !is_still;
+        self.was_still = is_still;
+        let remarks = estimate.remarks;
+        let flags = flags
+            .with(Flags::CALIBRATING, estimate.is_calibrating)
+            .with(Flags::MOVED, has_moved)
+            .with(Flags::GAP, remarks.gap)
+            .with(Flags::TIME, remarks.time_went_back)
+            .with(Flags::REJECTED, remarks.rejected)
+            .with(Flags::FREE_FALL, remarks.no_gravity);
+        let is_fast = remarks.fast;
         let is_believable = !is_fast || self.are_scales_confirmed;
         self.are_scales_confirmed &= is_fast;
+        self.is_suspect = is_fast;
         let flags = flags.with(Flags::DEGRADED, flags.intersects(Flags::DEGRADES));
         if is_believable && !flags.intersects(Flags::SPOILS) {
             flags
@@ -475,6 +509,13 @@ const SAMPLES_BETWEEN_STOCKTAKINGS: u32 = 7;
 
 /// σ per axis of the tilt that a changed full scale can have done before it was noticed.
 const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);
+
+/// A gyroscope that reads full scale may be wrong by so much, one σ per axis, in rad/s: six of them are
+/// more than the whole scale.
+const HIDDEN_RATE_RAD_S: f32 = radians(400.0);
+
+/// After reading full scale for so long, the gyroscope has lost the tilt: 20° of it.
+const LONG_SATURATION_US: u32 = 10_000;
 
 /// Variance per axis of a turn that no sample shows, rad².
 fn unseen_variance(duration_us: u64) -> f32 {
@@ -878,6 +919,32 @@ mod tests {
         assert!((kept / last - 1.0).abs() < 1e-3, "{kept} {last}");
         let flags = pipeline.update(&noisy(t_us + 301_000, LEVEL)).flags;
         assert_eq!(flags, Flags::VALID | Flags::DEGRADED);
+    }
+
+    #[test]
+    fn a_gyroscope_stuck_at_full_scale_is_not_believed() {
+        for milliseconds in [1, 5, 9, 11, 50, 400] {
+            let (mut pipeline, t_us) = settled();
+            for step in 1..=milliseconds {
+                let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
+                raw.gyroscope = GyroscopeCounts([i16::MAX, 0, 0]);
+                let snapshot = pipeline.update(&Burst {
+                    bytes: raw.encode(),
+                    captured_at_us: t_us + step * 1000,
+                    missed_before: 0,
+                });
+                assert!(!snapshot.flags.contains(Flags::VALID));
+            }
+            for step in milliseconds + 1..milliseconds + 300 {
+                let snapshot = pipeline.update(&noisy(t_us + step * 1000, LEVEL));
+                let error = libm::acosf(snapshot.attitude.down_in_body().z.min(1.0));
+                let sigma = libm::sqrtf(pipeline.tilt_variance_rad2(snapshot.t_us));
+                let allowed = (6.0 * sigma).max(radians(5.0));
+                let is_valid = snapshot.flags.contains(Flags::VALID);
+                assert!(error < allowed || !is_valid, "{step}: {error} {sigma}");
+                assert!(is_valid || step < milliseconds + 10, "{step}");
+            }
+        }
     }
 
     #[test]

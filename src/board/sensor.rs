@@ -78,6 +78,8 @@ impl Sensor {
                 FaultClass::DataLineLow
             }),
             Err(NotReady::Sensor(Error::NotFound)) => retained::count(FaultClass::SensorSilent),
+            // The bus is at fault, and no reset of the sensor mends it.
+            Err(NotReady::Sensor(Error::Bus { .. })) => {}
             Err(NotReady::Sensor(_)) => {
                 self.failures = self.failures.saturating_add(1);
                 if self.failures >= TRIES_WITHOUT_RESET {

@@ -52,7 +52,7 @@ impl Upkeep {
         if self.samples_to_check == 0 {
             self.every_so_often(pipeline);
         }
-        if pipeline.is_suspect() || flags.contains(Flags::POLLED) {
+        if pipeline.is_suspect() | flags.contains(Flags::POLLED) {
             self.check_now(pipeline);
         }
         self.note(flags)

@@ -124,6 +124,14 @@ pub struct Remarks {
     pub fast: bool,
 }
 
+impl Remarks {
+    /// Whether there is anything to remark.
+    #[inline]
+    pub const fn any(self) -> bool {
+        self.time_went_back | self.gap | self.rejected | self.no_gravity | self.fast
+    }
+}
+
 /// A filter with its sense of time. Total: whatever comes in, the attitude stays a finite rotation,
 /// and good samples bring it back.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -209,6 +217,12 @@ impl<F: Filter> Estimator<F> {
     pub fn restart(&mut self) {
         self.last_t_us = None;
         self.filter.restart();
+    }
+
+    /// Has the next sample set the tilt from its specific force, as after a gap; yaw and what is known of
+    /// the sensor are kept.
+    pub const fn forget_tilt(&mut self) {
+        self.last_t_us = None;
     }
 
     /// Takes one sample and gives the attitude at its time.
