@@ -2,6 +2,7 @@
 
 mod build;
 mod cost;
+mod panics;
 mod setup;
 mod size;
 mod step;
