@@ -30,6 +30,7 @@ use crate::motion::{Motion, Mount};
 use crate::probe::{LogLine, Probe};
 use crate::profile::Profile;
 use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
+use crate::schedule::Schedule;
 use crate::sensor::{Sensor, SensorConfig};
 use crate::summary::Summary;
 
@@ -112,6 +113,14 @@ impl Run {
     #[must_use]
     pub fn fault(mut self, fault: Fault) -> Self {
         self.faults.push(fault);
+        self
+    }
+
+    /// Adds the faults of a schedule.
+    #[must_use]
+    pub fn schedule(mut self, schedule: &Schedule) -> Self {
+        self.faults
+            .extend(schedule.faults.iter().copied().map(Fault::Scheduled));
         self
     }
 

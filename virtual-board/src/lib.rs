@@ -4,8 +4,9 @@
 //! |---|---|
 //! | [`motion`] | where the board really is: a simulated flight, or a recording |
 //! | [`sensor`] | the MPU-6050, register by register |
-//! | [`fitted`], [`faults`] | the sensor on its wires, and what can go wrong there |
-//! | [`mcu`], [`exti`], [`i2c`], [`crystal`] | the microcontroller, and what rigless's model of it lacks |
+//! | [`fitted`], [`wires`] | the sensor on its wires |
+//! | [`faults`], [`schedule`] | what can go wrong, and when |
+//! | [`mcu`], [`exti`], [`i2c`], [`dma`], [`crystal`] | the microcontroller, and what rigless's model of it lacks |
 //! | [`board`] | the boards and their cores |
 //! | [`image`] | the firmware image |
 //! | [`profile`] | which interrupt executes how many instructions |
@@ -26,6 +27,8 @@ pub mod sensor;
 pub mod board;
 #[cfg(feature = "emulator")]
 pub mod crystal;
+#[cfg(feature = "emulator")]
+pub mod dma;
 #[cfg(feature = "emulator")]
 pub mod error;
 #[cfg(feature = "emulator")]
@@ -53,7 +56,11 @@ pub mod profile;
 #[cfg(feature = "emulator")]
 pub mod recorder;
 #[cfg(feature = "emulator")]
+pub mod schedule;
+#[cfg(feature = "emulator")]
 pub mod summary;
+#[cfg(feature = "emulator")]
+pub mod wires;
 
 #[cfg(feature = "emulator")]
 pub use error::Error;
