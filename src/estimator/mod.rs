@@ -165,6 +165,28 @@ impl<F: Filter> Estimator<F> {
         self
     }
 
+    /// Goes on from what an earlier run knew; see [`Kalman::resume`]. Call it before the first sample.
+    pub fn resume(&mut self, known: &kalman::Known) {
+        if let Some(filter) = self.filter.kalman_mut() {
+            filter.resume(known);
+        }
+    }
+
+    /// The [`kalman`] filter, to be told what the samples do not show; `None` with any other.
+    pub fn kalman_mut(&mut self) -> Option<&mut Kalman> {
+        self.filter.kalman_mut()
+    }
+
+    /// When the last sample was taken, in microseconds since start.
+    pub const fn last_t_us(&self) -> Option<u64> {
+        self.last_t_us
+    }
+
+    /// The body's rates at that sample, rad/s.
+    pub const fn body_rates_rad_s(&self) -> Vector3 {
+        self.body_rates_rad_s
+    }
+
     /// Armed (`true`), nothing is done that is only safe on the ground. Default: false.
     pub fn set_armed(&mut self, is_armed: bool) {
         if let Some(filter) = self.filter.kalman_mut() {

@@ -360,7 +360,7 @@ fn read_snapshot(memory: &mut dyn Host, address: u64) -> Option<Snapshot> {
         z: float(20)?,
     };
     let body_rates_rad_s = Vector3::new(float(24)?, float(28)?, float(32)?);
-    let flags = Flags::from_bits((word(36)? & 0xFFFF) as u16);
+    let flags = Flags::from_bits(word(36)?);
     Some(Snapshot {
         t_us,
         attitude,
