@@ -1,19 +1,18 @@
 //! The DMA controller of the sensor's bus, with memory that may refuse.
 //!
-//! While the fault lasts, a stream that is enabled for the receiver of I2C1 points to an address that no memory
-//! answers at. The first item that it writes is then an AHB error: TEIF is set, and the hardware clears EN (RM0090,
-//! section 10.3.18).
+//! While the fault lasts, the bus answers the accesses of stream 0, which serves the receiver of I2C1, with an error:
+//! TEIF is set, and the hardware clears EN (RM0090, section 10.3.18).
 
 use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
 use rigless::soc::RegisterSpec;
-use rigless::soc::stm32f427::generated::dma2::{Register, s0cr};
+use rigless::soc::stm32f427::generated::dma2::Register;
 use rigless::soc::stm32f427::peripherals::dma::Dma;
 use rigless::time::{EventId, VirtualNanos};
 
 use crate::faults::{Fault, FaultKind, ScheduledFault, scheduled};
 
-/// Where there is no memory (RM0090, section 2.3).
-const NOWHERE: u64 = 0x3000_0000;
+/// rigless numbers the accesses of its streams two to a stream: to its source, and to its destination.
+const ACCESSES_OF_STREAM_0: std::ops::Range<u64> = 0..2;
 
 /// The controller.
 #[derive(Debug)]
@@ -62,15 +61,6 @@ impl Device for RefusedDma {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        let fails = register == Register::S0cr
-            && s0cr::EN.is_set(value)
-            && self
-                .faults
-                .iter()
-                .any(|fault| fault.lasts(context.now().0));
-        if fails {
-            registers.set(Register::S0m0ar, NOWHERE);
-        }
         Device::write(&mut self.model, register, value, registers, context);
     }
 
@@ -99,7 +89,13 @@ impl Device for RefusedDma {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        Device::on_access(&mut self.model, token, value, registers, context);
+        let is_refused = ACCESSES_OF_STREAM_0.contains(&token)
+            && self.faults.iter().any(|fault| fault.lasts(context.now().0));
+        if is_refused {
+            Device::on_refused(&mut self.model, token, registers, context);
+        } else {
+            Device::on_access(&mut self.model, token, value, registers, context);
+        }
     }
 
     fn on_refused(

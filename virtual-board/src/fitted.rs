@@ -289,9 +289,7 @@ impl FittedSensor {
     fn is_deaf(&self, now_ns: u64) -> bool {
         let is_silent = |fault: &Fault| match fault {
             Fault::SensorSilent(range) => within(now_ns, range),
-            Fault::Scheduled(fault) => {
-                fault.kind == FaultKind::SensorSilent && fault.lasts(now_ns)
-            }
+            Fault::Scheduled(fault) => fault.kind == FaultKind::SensorSilent && fault.lasts(now_ns),
             _ => false,
         };
         self.is_absent(now_ns) || self.faults.iter().any(is_silent)
@@ -374,8 +372,7 @@ impl Peer for FittedSensor {
         } else {
             BusByte::Value
         };
-        let is_heard =
-            self.is_addressed && !self.is_deaf(now_ns) && !self.refuses(now_ns, kind);
+        let is_heard = self.is_addressed && !self.is_deaf(now_ns) && !self.refuses(now_ns, kind);
         self.written = self.written.saturating_add(1);
         if !is_heard {
             return false;

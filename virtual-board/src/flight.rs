@@ -21,7 +21,7 @@ use rigless::time::VirtualNanos;
 use crate::Error;
 use crate::board::{BOARDS, Board, BoardModel};
 use crate::crystal::HighSpeedInput;
-use crate::faults::{Fault, nanoseconds};
+use crate::faults::{Fault, ScheduledFault, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
 use crate::image::Firmware;
 use crate::mcu::Microcontroller;
@@ -99,6 +99,13 @@ impl Run {
     #[must_use]
     pub fn motion(mut self, motion: impl Motion + 'static) -> Self {
         self.motion = Some((Box::new(motion), false));
+        self
+    }
+
+    /// The same, for a motion that has been chosen at run time.
+    #[must_use]
+    pub fn boxed_motion(mut self, motion: Box<dyn Motion>) -> Self {
+        self.motion = Some((motion, false));
         self
     }
 
@@ -180,6 +187,7 @@ impl Run {
             Fault::TimerStartsAt(count) => Some(*count),
             _ => None,
         });
+        let scheduled: Vec<ScheduledFault> = scheduled(&self.faults).copied().collect();
         let controller = Microcontroller::new(FittedSensor::new(sensor, self.faults), input)
             .map_err(Error::emulator)?;
         let profile = if self.steps_everything {
@@ -203,6 +211,7 @@ impl Run {
             nanoseconds(self.seconds),
             probe,
             timer_starts_at,
+            &scheduled,
             Arc::clone(&profile),
             self.observer,
         );

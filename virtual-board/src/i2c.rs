@@ -82,10 +82,7 @@ impl WiredI2c {
     #[must_use]
     pub fn new(model: I2c, wires: SharedWires, faults: &[Fault]) -> Self {
         let is_own = |fault: &&ScheduledFault| {
-            matches!(
-                fault.kind,
-                FaultKind::BusError | FaultKind::ArbitrationLost
-            )
+            matches!(fault.kind, FaultKind::BusError | FaultKind::ArbitrationLost)
         };
         Self {
             model,
@@ -104,11 +101,7 @@ impl WiredI2c {
     }
 
     /// The lines may have changed: BUSY, and what waits for them.
-    pub fn follow_lines(
-        &mut self,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
+    pub fn follow_lines(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         let is_data_high = !self.is_low(BusLine::Data, context);
         let is_clock_high = !self.is_low(BusLine::Clock, context);
         let is_risen = is_data_high && !self.was_data_high;
@@ -192,11 +185,7 @@ impl WiredI2c {
     }
 
     /// The arbitration is lost: the controller lets go of the lines and is one no longer.
-    fn lose_arbitration(
-        &mut self,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
+    fn lose_arbitration(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         let control = registers.get(Register::Cr1);
         let kept = control & !(cr1::START.mask() | cr1::STOP.mask());
         // PE = 0 is how the model ends a transfer without a STOP; BUSY stays.
@@ -229,8 +218,8 @@ impl WiredI2c {
             return;
         }
         let is_sending = self.is_addressing || !self.is_reading;
-        let is_pulled = self.is_low(BusLine::Data, context)
-            || self.lasts(FaultKind::ArbitrationLost, context);
+        let is_pulled =
+            self.is_low(BusLine::Data, context) || self.lasts(FaultKind::ArbitrationLost, context);
         if is_sending && is_pulled && self.sent != 0 {
             self.is_addressing = false;
             self.lose_arbitration(registers, context);

@@ -13,6 +13,7 @@
 //! | [`probe`] | a debug probe that reads the log |
 //! | [`recorder`] | what is noted during a run |
 //! | [`flight`], [`summary`] | a run, and its figures |
+//! | [`campaign`] | flights by chance with faults by chance, and what must hold in them |
 //! | [`outputs`], [`plot`] | the files that a flight leaves |
 //!
 //! The motion and the sensor need no emulator, and share no code with the library and the driver that they judge.
@@ -25,6 +26,8 @@ pub mod sensor;
 
 #[cfg(feature = "emulator")]
 pub mod board;
+#[cfg(feature = "emulator")]
+pub mod campaign;
 #[cfg(feature = "emulator")]
 pub mod crystal;
 #[cfg(feature = "emulator")]

@@ -20,8 +20,8 @@ use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
 
 use crate::crystal::{CrystalAware, HighSpeedInput};
-use crate::exti::{self, Exti, Syscfg};
 use crate::dma::RefusedDma;
+use crate::exti::{self, Exti, Syscfg};
 use crate::faults::{FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
 use crate::i2c::{WiredI2c, items_left};

@@ -178,15 +178,19 @@ impl Schedule {
         Ok(Self { faults })
     }
 
-    /// One to three faults for a flight, drawn from a seed. Most come one after another, with time to recover; now and
-    /// then one comes on top of another.
+    /// One to three faults for a flight, drawn from a seed; consecutive seeds begin with consecutive classes. Most come
+    /// one after another, with time to recover; now and then one comes on top of another.
     #[must_use]
     pub fn by_seed(seed: u64) -> Self {
         let mut random = Random::new(seed, "faults");
         let mut faults: Vec<ScheduledFault> = Vec::new();
         let mut start_s = FIRST_FAULT_S + random.uniform(0.0, 0.2);
-        for _ in 0..1 + whole(&mut random, 3) {
-            let form = whole(&mut random, FORMS.len());
+        let count = [1, 1, 1, 1, 2, 2, 3][whole(&mut random, 7)];
+        for nth in 0..count {
+            let form = match nth {
+                0 => (seed % FORMS.len() as u64) as usize,
+                _ => whole(&mut random, FORMS.len()),
+            };
             let fault = draw(FORMS[form].name, start_s, &mut random);
             let is_last = fault.kind == FaultKind::WatchdogHang
                 || fault.kind == FaultKind::CrystalDies && fault.duration_ns == 0;
@@ -242,9 +246,9 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
     let form = FORMS.iter().find(|form| form.name == class);
     let pick = whole(random, 1 << 16);
     let kind = match class {
-        "address-nack" => FaultKind::AddressNack(
-            [None, Some(Direction::Write), Some(Direction::Read)][pick % 3],
-        ),
+        "address-nack" => {
+            FaultKind::AddressNack([None, Some(Direction::Write), Some(Direction::Read)][pick % 3])
+        }
         "data-nack" => FaultKind::DataNack((pick % 2) as u8),
         // Half of them are a sensor that has lost count.
         "sda-low" if pick % 2 == 0 => FaultKind::SdaLow(Some((1 + pick / 2 % 9) as u8)),
@@ -264,12 +268,12 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         FaultKind::SdaLow(Some(_)) | FaultKind::RegisterFlip(..) | FaultKind::WatchdogHang => {
             (0.0, 0.0)
         }
-        FaultKind::CoreStall => (0.001, 0.03),
-        FaultKind::AddressNack(_) | FaultKind::DataNack(_) => (0.0005, 0.03),
-        FaultKind::BusError | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.001, 0.03),
-        FaultKind::BurstStall | FaultKind::SdaLow(None) | FaultKind::SclLow => (0.0005, 0.08),
+        FaultKind::CoreStall => (0.0015, 0.03),
+        FaultKind::AddressNack(_) | FaultKind::DataNack(_) => (0.0015, 0.03),
+        FaultKind::BusError | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),
+        FaultKind::BurstStall | FaultKind::SdaLow(None) | FaultKind::SclLow => (0.0015, 0.08),
         FaultKind::IntMissing | FaultKind::IntHigh | FaultKind::IntLow => (0.004, 0.1),
-        FaultKind::SensorSilent | FaultKind::SensorBrownout => (0.0, 0.15),
+        FaultKind::SensorSilent | FaultKind::SensorBrownout => (0.002, 0.15),
         FaultKind::CrystalDies if pick % 2 == 0 => (0.0, 0.0),
         FaultKind::Saturated(_) => (0.005, 0.1),
         _ => (0.05, 0.4),
@@ -361,7 +365,11 @@ mod tests {
                 let schedule = Schedule::of_class(form.name, seed).unwrap();
                 assert_eq!(schedule.faults[0].kind.name(), form.name);
                 let text = schedule.to_string();
-                assert_eq!(Schedule::parse("f.txt", &text).as_ref(), Ok(&schedule), "{text}");
+                assert_eq!(
+                    Schedule::parse("f.txt", &text).as_ref(),
+                    Ok(&schedule),
+                    "{text}"
+                );
             }
         }
     }
@@ -373,7 +381,11 @@ mod tests {
             let schedule = Schedule::by_seed(seed);
             assert_eq!(schedule, Schedule::by_seed(seed));
             let text = schedule.to_string();
-            assert_eq!(Schedule::parse("f.txt", &text).as_ref(), Ok(&schedule), "{text}");
+            assert_eq!(
+                Schedule::parse("f.txt", &text).as_ref(),
+                Ok(&schedule),
+                "{text}"
+            );
             assert!((1..=3).contains(&schedule.faults.len()));
             names.extend(schedule.faults.iter().map(|fault| fault.kind.name()));
         }
@@ -426,7 +438,8 @@ mod tests {
         ] {
             let name = text.split(':').next().unwrap_or_default();
             assert!(
-                refusal(&format!("1 1 {text}")).contains(&format!("is not a parameter of `{name}`")),
+                refusal(&format!("1 1 {text}"))
+                    .contains(&format!("is not a parameter of `{name}`")),
                 "{text}"
             );
         }
@@ -440,6 +453,9 @@ mod tests {
             "`seed:x` is not a seed: after `seed:` comes a whole number, such as seed:7"
         );
         let missing = Schedule::from_argument("/no/such/file").unwrap_err();
-        assert!(missing.to_string().starts_with("/no/such/file: "), "{missing}");
+        assert!(
+            missing.to_string().starts_with("/no/such/file: "),
+            "{missing}"
+        );
     }
 }

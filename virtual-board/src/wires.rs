@@ -103,9 +103,7 @@ impl Wires {
         let shorts = self
             .shorts
             .iter()
-            .filter(|&&(line, start, end)| {
-                line == BusLine::Clock && (start..end).contains(&now_ns)
-            })
+            .filter(|&&(line, start, end)| line == BusLine::Clock && (start..end).contains(&now_ns))
             .map(|&(_, _, end)| end);
         let stretch = Some(self.stretched_until_ns).filter(|&until_ns| now_ns < until_ns);
         shorts.chain(stretch).max()

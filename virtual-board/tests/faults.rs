@@ -122,10 +122,9 @@ fn assert_one_burst_is_lost(byte: BusByte, place: &str) {
             .replace("its register", "the register"),
     );
     assert_eq!(outcome.summary.missed, 1, "{}", transcript(&outcome));
-    let after = outcome
-        .samples()
-        .iter()
-        .find(|sample| sample.published_ns > 2_000_000_000 && sample.snapshot.flags != Flags::VALID);
+    let after = outcome.samples().iter().find(|sample| {
+        sample.published_ns > 2_000_000_000 && sample.snapshot.flags != Flags::VALID
+    });
     assert_eq!(
         after.map(|sample| sample.snapshot.flags),
         Some(Flags::MISSED | Flags::BUS_FAULT | Flags::VALID)

@@ -274,7 +274,14 @@ impl Sensor {
     pub fn corrupt_register(&mut self, now_ns: u64, register: u8, value: u8) {
         self.advance_to(now_ns);
         let is_trigger = register == address::PWR_MGMT_1;
-        self.write_register(register, if is_trigger { value & !DEVICE_RESET } else { value });
+        self.write_register(
+            register,
+            if is_trigger {
+                value & !DEVICE_RESET
+            } else {
+                value
+            },
+        );
     }
 
     /// What is wrong with the data registers, from the next sample on.
