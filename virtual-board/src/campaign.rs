@@ -21,6 +21,7 @@ use crate::motion::quadrotor::{Quadrotor, REST_S};
 use crate::motion::rest::Rest;
 use crate::motion::swing::{Later, Swing};
 use crate::motion::{Motion, Quaternion, inclination_error_rad};
+use crate::profile::CRASHES;
 use crate::random::Random;
 use crate::recorder::Sample;
 use crate::schedule::Schedule;
@@ -128,7 +129,8 @@ impl Case {
             .seed(self.seed)
             .seconds(self.seconds)
             .boxed_motion(self.motion())
-            .schedule(&self.schedule);
+            .schedule(&self.schedule)
+            .without_account();
         if !needs_probe {
             run = run.without_probe();
         }
@@ -248,13 +250,9 @@ impl Judge<'_> {
         if resets.len() < hangs {
             failures.push("the core hung, and no watchdog reset it".into());
         }
-        let crashed: u64 = self
-            .outcome
-            .record
-            .instructions
-            .iter()
-            .skip(3)
-            .take(4)
+        let instructions = &self.outcome.record.instructions;
+        let crashed: u64 = CRASHES
+            .filter_map(|exception| instructions.get(exception))
             .sum();
         if crashed > 0 {
             failures.push("a fault handler ran: a crash or a panic".into());

@@ -46,6 +46,7 @@ pub struct Run {
     faults: Vec<Fault>,
     has_probe: bool,
     steps_everything: bool,
+    has_account: bool,
     observer: Box<dyn Observer>,
 }
 
@@ -63,6 +64,7 @@ impl Run {
             faults: Vec::new(),
             has_probe: true,
             steps_everything: false,
+            has_account: true,
             observer: Box::new(Nobody),
         }
     }
@@ -145,6 +147,13 @@ impl Run {
         self
     }
 
+    /// Accounts for no instructions, which is quicker.
+    #[must_use]
+    pub fn without_account(mut self) -> Self {
+        self.has_account = false;
+        self
+    }
+
     /// Shows the run to somebody while it goes on.
     #[must_use]
     pub fn observer(mut self, observer: impl Observer + 'static) -> Self {
@@ -192,6 +201,8 @@ impl Run {
             .map_err(Error::emulator)?;
         let profile = if self.steps_everything {
             Profile::stepping_everything()
+        } else if !self.has_account {
+            Profile::crashes_only()
         } else {
             Profile::default()
         };

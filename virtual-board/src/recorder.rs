@@ -208,8 +208,12 @@ impl Recorder {
 
     /// Credits the work since the last edge to the sample published in the meantime.
     fn close_window(&mut self, retired: u64) {
-        let (Some((before, published)), Some(attitude)) = (self.window.take(), self.attitude)
-        else {
+        let is_account = self
+            .profile
+            .lock()
+            .is_ok_and(|profile| profile.is_account());
+        let attitude = self.attitude.filter(|_| is_account);
+        let (Some((before, published)), Some(attitude)) = (self.window.take(), attitude) else {
             return;
         };
         let now = self.counts(retired);
