@@ -275,6 +275,22 @@ pub struct BurstFailure {
 }
 
 impl BurstFailure {
+    /// The class that it is counted in.
+    pub const fn class(&self) -> FaultClass {
+        match (self.fault, self.step) {
+            (BurstFault::NotAcknowledged, BurstStep::AddressWrite | BurstStep::AddressRead) => {
+                FaultClass::AddressNotAcknowledged
+            }
+            (BurstFault::NotAcknowledged, _) => FaultClass::DataNotAcknowledged,
+            (BurstFault::BusError, _) => FaultClass::BusError,
+            (BurstFault::ArbitrationLost, _) => FaultClass::ArbitrationLost,
+            (BurstFault::Overrun, _) => FaultClass::Overrun,
+            (BurstFault::Dma, _) => FaultClass::Dma,
+            (BurstFault::Deadline, _) => FaultClass::BurstDeadline,
+            (BurstFault::NoDataReady, _) => FaultClass::InterruptMissing,
+        }
+    }
+
     /// The failure with these numbers, or nothing if either number stands for nothing.
     pub const fn from_codes(fault: u8, step: u8) -> Option<Self> {
         let fault = match fault {

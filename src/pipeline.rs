@@ -123,6 +123,7 @@ pub struct Pipeline<F = AnyFilter> {
     standing: Flags,
     /// Whether σ of the tilt is small enough for an attitude to be valid.
     is_trusted: bool,
+    last_tilt_variance: f32,
 }
 
 /// What the board knows of a burst besides its bytes and its time.
@@ -193,6 +194,7 @@ impl<F: Filter> Pipeline<F> {
             is_suspect: false,
             standing: Flags::NONE,
             is_trusted: false,
+            last_tilt_variance: f32::INFINITY,
         }
     }
 
@@ -289,6 +291,11 @@ impl<F: Filter> Pipeline<F> {
         known + 2.0 * unseen_variance(age_us)
     }
 
+    /// [`tilt_variance_rad2`](Self::tilt_variance_rad2) at the last sample.
+    pub const fn last_tilt_variance_rad2(&self) -> f32 {
+        self.last_tilt_variance
+    }
+
     /// Goes on from what an earlier run knew. Before the first burst.
     pub fn resume(&mut self, known: &Known) {
         self.estimator.resume(known);
@@ -354,6 +361,7 @@ impl<F: Filter> Pipeline<F> {
                 self.estimator.kalman().is_some()
                     && variance > DEGRADED_TILT_RAD * DEGRADED_TILT_RAD,
             );
+        self.last_tilt_variance = variance;
         self.is_trusted = variance < LOST_TILT_RAD * LOST_TILT_RAD;
     }
 

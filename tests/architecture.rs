@@ -40,7 +40,15 @@ const MAY_IMPORT: [(&str, &[&str]); 11] = [
     ),
     (
         "board",
-        &["units", "fault", "mpu6050", "health", "pipeline"],
+        &[
+            "units",
+            "attitude",
+            "fault",
+            "mpu6050",
+            "estimator",
+            "health",
+            "pipeline",
+        ],
     ),
     ("lib", &[]),
 ];

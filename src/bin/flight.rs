@@ -20,25 +20,32 @@ mod app {
 
     use aplomb::board::boards::BOARD;
     use aplomb::board::burst_reader::{self, BurstReader};
+    use aplomb::board::sensor::{self, NotReady, Sensor};
     use aplomb::board::sensor_bus::SensorBus;
     use aplomb::board::timebase::{self, Delay, Timebase};
     use aplomb::board::uart::{self, Uart};
-    use aplomb::board::{clocks, pins, publish};
+    use aplomb::board::upkeep::Upkeep;
+    use aplomb::board::{clocks, pins, publish, retained, watchdog};
     use aplomb::calibration::Mount;
-    use aplomb::estimator::kalman::Kalman;
+    use aplomb::estimator::kalman::{Kalman, Known};
+    use aplomb::fault::{ClockSource, FaultClass, ResetCause};
     use aplomb::health::Flags;
-    use aplomb::mpu6050::{Config, Mpu6050, Part};
+    use aplomb::mpu6050::{self, Config};
     use aplomb::pipeline::{Pipeline, Settings};
     use aplomb::telemetry::message::{self, Mailbox, Message, Severity, TextBuffer};
     use aplomb::telemetry::text;
     use embedded_hal::delay::DelayNs;
     use stm32f4xx_hal::pac::Interrupt;
 
+    /// The crystal has stopped. The burst reader sees it at the next edge and brings the clock back.
+    #[cortex_m_rt::exception]
+    unsafe fn NonMaskableInt() {
+        clocks::acknowledge_failure();
+    }
+
     /// Text lines come at 50 Hz.
     const TELEMETRY_PERIOD_US: u32 = 20_000;
     const BAUD: u32 = 115_200;
-    /// Pause between two attempts to find the sensor.
-    const RETRY_MS: u32 = 500;
     /// How the sensor sits in the vehicle; set at build time.
     const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {
         None => Mount::Z_UP,
@@ -60,14 +67,20 @@ mod app {
 
     #[local]
     struct Local {
-        bus: SensorBus,
+        sensor: Sensor,
+        known: Option<Known>,
         uart: Uart,
     }
 
     #[init(local = [uart_buffer: [u8; uart::CAPACITY] = [0; uart::CAPACITY]])]
     fn init(context: init::Context) -> (Shared, Local) {
         let device = context.device;
+        let start = retained::start(&device.RCC);
+        watchdog::start(&device.IWDG, &device.DBGMCU);
         let (_, clock) = clocks::start(device.RCC);
+        if clock == ClockSource::Crystal {
+            clocks::watch_crystal();
+        }
         pins::start(device.GPIOA, device.SYSCFG, device.EXTI);
         let timebase = Timebase::start(device.TIM5, TELEMETRY_PERIOD_US);
         let bus = SensorBus::new(device.I2C1, device.GPIOB);
@@ -79,6 +92,15 @@ mod app {
             core_mhz: (BOARD.core_hz / 1_000_000) as u16,
             clock,
         });
+        if start.cause != ResetCause::Power || start.starts > 1 {
+            messages.post(Message::Restarted {
+                cause: start.cause,
+                last_fault: start.last_fault,
+                crash_address: start.crash_address,
+            });
+        }
+        // A sensor that the run before has brought up only has to be looked at.
+        let sensor = Sensor::new(bus, Config::DEFAULT, start.known.is_some());
         (
             Shared {
                 reader,
@@ -86,56 +108,67 @@ mod app {
                 pipeline: None,
                 messages,
             },
-            Local { bus, uart },
+            Local {
+                sensor,
+                known: start.known,
+                uart,
+            },
         )
     }
 
-    #[idle(local = [bus], shared = [pipeline, messages])]
+    #[idle(local = [sensor, known], shared = [pipeline, messages])]
     fn idle(mut context: idle::Context) -> ! {
-        let bus = context.local.bus;
+        let known = context.local.known.take();
         let mut post = |message| {
             context
                 .shared
                 .messages
                 .lock(|messages| messages.post(message))
         };
+        let mut last_complaint = None;
+        let mut silent_looks = 0;
         loop {
-            match set_up(bus) {
-                Ok((part, address)) => {
+            watchdog::samples_go_on();
+            match context.local.sensor.make_ready() {
+                Ok(ready) => {
+                    last_complaint = None;
+                    silent_looks = 0;
                     // After a fault the filter goes on with what it knows.
                     context.shared.pipeline.lock(|pipeline| {
                         pipeline.get_or_insert_with(|| {
-                            let mut settings = Settings::new(part);
+                            let mut settings = Settings::new(ready.part);
                             settings.mount = MOUNT;
-                            Pipeline::with_filter(&settings, Kalman::new())
+                            let mut pipeline = Pipeline::with_filter(&settings, Kalman::new());
+                            if let Some(known) = &known {
+                                pipeline.resume(known);
+                            }
+                            pipeline
                         });
                     });
-                    burst_reader::enable(address);
+                    burst_reader::enable(&ready, &Config::DEFAULT);
                     post(Message::SensorConfigured {
-                        part: part.name,
-                        address,
+                        part: ready.part.name,
+                        address: ready.address,
                     });
                     timebase::sleep_until(|| !burst_reader::is_enabled());
                     post(Message::Recovering);
                 }
-                Err(message) => {
-                    post(message);
-                    Delay.delay_ms(RETRY_MS);
+                Err(reason) => {
+                    // It may have been powered up together with the processor.
+                    let is_patient = reason == NotReady::Sensor(mpu6050::Error::NotFound)
+                        && silent_looks < sensor::LOOKS_BEFORE_COMPLAINT;
+                    silent_looks += u32::from(is_patient);
+                    // Said once, and tried many times.
+                    if !is_patient && last_complaint.replace(reason) != Some(reason) {
+                        post(match reason {
+                            NotReady::BusHeldLow(held) => Message::BusHeldLow { clock: held.clock },
+                            NotReady::Sensor(error) => Message::SensorFailed(error),
+                        });
+                    }
+                    Delay.delay_ms(sensor::RETRY_MS);
                 }
             }
         }
-    }
-
-    /// Frees the bus and configures the sensor; the error is the message that says what stands in the way.
-    fn set_up(bus: &mut SensorBus) -> Result<(&'static Part, u8), Message> {
-        bus.recover()
-            .map_err(|held| Message::BusHeldLow { clock: held.clock })?;
-        let mut sensor = Mpu6050::probe(bus, &mut Delay)
-            .map_err(|failure| Message::SensorFailed(failure.error))?;
-        sensor
-            .configure(&Config::default(), &mut Delay)
-            .map_err(Message::SensorFailed)?;
-        Ok((sensor.part(), sensor.address()))
     }
 
     #[task(binds = EXTI1, priority = 4, shared = [reader, timebase])]
@@ -153,9 +186,13 @@ mod app {
         context.shared.reader.on_bus_error();
     }
 
-    #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader])]
+    #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]
     fn transfer_complete(context: transfer_complete::Context) {
-        if context.shared.reader.on_transfer_complete() {
+        if context
+            .shared
+            .reader
+            .on_transfer_complete(context.shared.timebase)
+        {
             rtic::pend(Interrupt::SPI3);
         }
     }
@@ -163,8 +200,8 @@ mod app {
     #[task(binds = TIM5, priority = 4, shared = [reader, timebase])]
     fn time(context: time::Context) {
         let alarms = context.shared.timebase.on_interrupt();
-        if alarms.burst {
-            context.shared.reader.on_alarm();
+        if alarms.burst && context.shared.reader.on_alarm(context.shared.timebase) {
+            rtic::pend(Interrupt::SPI3);
         }
         if alarms.telemetry {
             // A line that is still being written makes this one come later: none waits for it.
@@ -172,38 +209,47 @@ mod app {
         }
     }
 
-    #[task(binds = SPI3, priority = 3, shared = [pipeline, messages], local = [last_flags: Flags = Flags::NONE])]
+    #[task(binds = SPI3, priority = 3, shared = [pipeline, messages], local = [upkeep: Upkeep = Upkeep::new()])]
     fn attitude(mut context: attitude::Context) {
-        let snapshot = burst_reader::with_burst(|burst| {
-            context
-                .shared
-                .pipeline
-                .lock(|pipeline| Some(pipeline.as_mut()?.update(burst)))
+        let upkeep = context.local.upkeep;
+        let change = context.shared.pipeline.lock(|pipeline| {
+            let Some(pipeline) = pipeline.as_mut() else {
+                watchdog::attitude_goes_on();
+                return None;
+            };
+            let sampled = burst_reader::with_burst(|burst, circumstances| {
+                let snapshot = pipeline.update_with(burst, circumstances, publish::publish);
+                upkeep.after_sample(pipeline, snapshot.flags)
+            });
+            if let Some(change) = sampled {
+                return change;
+            }
+            let (t_us, flags) = burst_reader::take_stale()?;
+            let snapshot = pipeline.stale(t_us, flags);
+            publish::publish(&snapshot);
+            upkeep.after_silence(pipeline, &snapshot)
         });
-        let Some(Some(snapshot)) = snapshot else {
+        let Some((last, flags)) = change else {
             return;
         };
-        publish::publish(&snapshot);
-        if snapshot.flags != *context.local.last_flags {
-            let last = core::mem::replace(context.local.last_flags, snapshot.flags);
-            let message = if snapshot.flags.contains(Flags::MOVED) {
-                Message::MovedAtStart
-            } else if last.contains(Flags::CALIBRATING)
-                && !snapshot.flags.contains(Flags::CALIBRATING)
-            {
-                Message::OffsetMeasured
-            } else {
-                return;
-            };
-            context
-                .shared
-                .messages
-                .lock(|messages| messages.post(message));
-        }
+        let message = if flags.contains(Flags::MOVED) {
+            Message::MovedAtStart
+        } else if last.contains(Flags::CALIBRATING)
+            && !flags.intersects(Flags::CALIBRATING | Flags::STALE)
+        {
+            Message::OffsetMeasured
+        } else {
+            return;
+        };
+        context
+            .shared
+            .messages
+            .lock(|messages| messages.post(message));
     }
 
     #[task(priority = 1, shared = [messages], local = [uart, last_published: u32 = 0, last_failures: u16 = 0])]
     async fn telemetry(mut context: telemetry::Context) {
+        watchdog::telemetry_goes_on();
         let (failures, failure) = burst_reader::failures();
         let count = failures.wrapping_sub(*context.local.last_failures);
         if let (1.., Some(failure)) = (count, failure) {
@@ -226,6 +272,7 @@ mod app {
             defmt::info!("{=str}", line.trim_end_matches('\n'));
         }
         let Some(buffer) = context.local.uart.idle_buffer() else {
+            retained::count(FaultClass::TelemetryLate);
             return;
         };
         let mut output = TextBuffer::new(buffer);

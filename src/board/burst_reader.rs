@@ -6,10 +6,17 @@
 //!
 //! The order of register accesses is the reference manual's (RM0090, 27.3.3 master transmitter and
 //! receiver, 27.3.7 DMA). A burst takes 384 µs at 400 kHz. Every step is under the alarm: a burst
-//! that has not ended [`BURST_DEADLINE_US`] after its edge, in whatever step, is aborted; and so is
-//! the wait for an edge that does not come within [`SILENCE_DEADLINE_US`]. After
+//! that has not ended [`BURST_DEADLINE_US`] after its edge, in whatever step, is aborted. After
 //! [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an unknown state, the reader stops
-//! and the idle task recovers the bus and configures the sensor again.
+//! and the idle task recovers the bus; meanwhile the alarm has the attitude task say that no sample comes.
+//!
+//! An edge that does not come within [`SILENCE_DEADLINE_US`] is done without: bursts are then started
+//! by the alarm, one a sample period, until edges come again. An edge that comes too soon after the last
+//! one is a glitch, or a sensor that has forgotten its sample rate; it starts nothing.
+//!
+//! Between bursts the attitude task may ask for a check: the same steps read a few of the sensor's
+//! settings back, which are compared with what they should be. One that differs stops the reader, and
+//! the idle task sets the sensor up again.
 //!
 //! DMA fills one slot while the attitude task reads the other: nothing is copied. An edge that comes
 //! while a burst runs, a failed burst, and a burst that ends before the attitude task is done with
@@ -20,27 +27,47 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fen
 
 use stm32f4xx_hal::pac::{DMA1, EXTI, I2C1, dma1, i2c1};
 
-use super::clocks;
+use super::sensor::Ready;
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
-use crate::fault::{BurstFailure, BurstFault, BurstStep};
+use super::{clocks, pins, retained};
+use crate::fault::{BurstFailure, BurstFault, BurstStep, FaultClass};
+use crate::health::Flags;
 use crate::mpu6050::registers::Register;
-use crate::mpu6050::{BURST_LENGTH, Burst};
+use crate::mpu6050::{BURST_LENGTH, Burst, Check, Condition, Config, Part};
+use crate::pipeline::Circumstances;
 
 /// Longest time from the edge to the end of its burst, in microseconds: twice what the bus needs.
 pub const BURST_DEADLINE_US: u32 = 800;
-/// Longest time without an edge, in microseconds: ten periods at the default 1 kHz.
-pub const SILENCE_DEADLINE_US: u32 = 10_000;
-/// Failed bursts in a row after which the sensor is configured again.
+/// Longest time without an edge, in microseconds: three periods at the default 1 kHz.
+pub const SILENCE_DEADLINE_US: u32 = 3_000;
+/// How often it is said that no sample comes, in microseconds.
+const STALE_PERIOD_US: u32 = 5_000;
+/// Failed bursts in a row after which the bus is recovered and the sensor looked at.
 pub const FAILURES_IN_A_ROW: u8 = 3;
+/// The order of the checks: the full scales come every other time, since they scale the attitude.
+const CHECK_ORDER: [u8; 4] = [0, 1, 0, 2];
 
 /// The reader. All of its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
     filling: u8,
     captured_at_us: u64,
+    /// The count at the last edge that started a burst, or at the burst that the alarm started.
+    started: u32,
     missed: u8,
     failures_in_a_row: u8,
+    /// No edges come: the alarm starts the bursts.
+    is_polling: bool,
+    /// The steps under way read settings back.
+    is_check: bool,
+    /// An edge has come during a check.
+    edge_waits: bool,
+    /// The full scales have been read back since the last burst.
+    is_verified: bool,
+    next_check: u8,
+    /// What is to be said of every burst from now on.
+    standing: Flags,
 }
 
 impl BurstReader {
@@ -58,10 +85,18 @@ impl BurstReader {
             step: BurstStep::Idle,
             filling: 0,
             captured_at_us: 0,
+            started: 0,
             missed: 0,
             failures_in_a_row: 0,
+            is_polling: false,
+            is_check: false,
+            edge_waits: false,
+            is_verified: false,
+            next_check: 0,
+            standing: Flags::NONE,
         };
         reader.arm_dma();
+        timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
         reader
     }
 
@@ -69,13 +104,48 @@ impl BurstReader {
     #[inline(always)]
     pub fn on_data_ready(&mut self, timebase: &Timebase) {
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
-        if self.step != BurstStep::Idle {
-            self.missed = self.missed.saturating_add(1);
-            return;
+        if clocks::have_fallen_back() {
+            clocks::restore();
+            self.standing |= Flags::INTERNAL_CLOCK;
         }
         let count = timebase.captured();
+        let is_too_soon = count.wrapping_sub(self.started) < setup().shortest_period_us;
+        if self.step != BurstStep::Idle || (is_too_soon && !self.is_polling) {
+            self.on_odd_edge(is_too_soon);
+            return;
+        }
+        self.is_polling = false;
+        self.begin(count, timebase);
+    }
+
+    /// An edge that starts no burst.
+    #[cold]
+    #[inline(never)]
+    fn on_odd_edge(&mut self, is_too_soon: bool) {
+        if is_too_soon && !self.is_polling {
+            retained::count(FaultClass::InterruptGlitch);
+        } else if self.is_check {
+            self.edge_waits = true;
+            self.is_polling = false;
+        } else if self.is_polling {
+            // Edges are back; the burst under way reads this one's sample.
+            self.is_polling = false;
+        } else {
+            self.missed = self.missed.saturating_add(1);
+        }
+    }
+
+    /// Asks for the bus to read a burst.
+    #[inline(always)]
+    fn begin(&mut self, count: u32, timebase: &Timebase) {
+        self.started = count;
         self.captured_at_us = timebase.extend_capture(count);
         timebase::set_burst_alarm(count.wrapping_add(BURST_DEADLINE_US));
+        self.ask_for_bus();
+    }
+
+    #[inline(always)]
+    fn ask_for_bus(&mut self) {
         i2c1()
             .cr2()
             .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
@@ -98,8 +168,12 @@ impl BurstReader {
             }
             BurstStep::AddressWrite if status.addr().bit() => {
                 i2c.sr2().read();
-                i2c.dr()
-                    .write(|w| w.dr().set(Register::AccelerometerXHigh as u8));
+                let pointer = if self.is_check {
+                    self.check().first
+                } else {
+                    Register::AccelerometerXHigh
+                };
+                i2c.dr().write(|w| w.dr().set(pointer as u8));
                 self.step = BurstStep::Pointer;
             }
             BurstStep::Pointer if status.btf().bit() => {
@@ -131,9 +205,9 @@ impl BurstReader {
         }
     }
 
-    /// DMA1 stream 0: the 14 bytes are there. True if a burst is ready for the attitude task.
+    /// DMA1 stream 0: the bytes are there. True if a burst is ready for the attitude task.
     #[inline(always)]
-    pub fn on_transfer_complete(&mut self) -> bool {
+    pub fn on_transfer_complete(&mut self, timebase: &Timebase) -> bool {
         let complete = dma1().lisr().read().tcif0().bit();
         clear_dma_flags();
         // Aborting a stream sets its flag too; such an interrupt finds another step here.
@@ -144,10 +218,19 @@ impl BurstReader {
             self.fail(BurstFault::Dma);
             return false;
         }
+        if self.is_check {
+            self.end_check(timebase);
+            return false;
+        }
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
-        timebase::set_burst_alarm((self.captured_at_us as u32).wrapping_add(SILENCE_DEADLINE_US));
+        let patience_us = if self.is_polling {
+            setup().period_us
+        } else {
+            SILENCE_DEADLINE_US
+        };
+        timebase::set_burst_alarm(self.started.wrapping_add(patience_us));
         self.step = BurstStep::Idle;
         self.failures_in_a_row = 0;
         let handed_over = !HANDOVER.held.load(Ordering::Relaxed);
@@ -157,15 +240,94 @@ impl BurstReader {
             burst.captured_at_us = self.captured_at_us;
             burst.missed_before = self.missed;
             self.missed = 0;
+            let notes = Flags::from_bits(LINK.notes.load(Ordering::Relaxed));
+            LINK.notes.store(0, Ordering::Relaxed);
+            let flags = (self.standing | notes).with(Flags::POLLED, self.is_polling);
+            HANDOVER.flags.store(flags.bits(), Ordering::Relaxed);
+            HANDOVER
+                .is_verified
+                .store(self.is_verified, Ordering::Relaxed);
+            self.is_verified = false;
             compiler_fence(Ordering::Release);
             HANDOVER.ready.store(self.filling, Ordering::Relaxed);
             HANDOVER.held.store(true, Ordering::Relaxed);
             self.filling ^= 1;
         } else {
             self.missed = self.missed.saturating_add(1);
+            LINK.note(Flags::LATE);
+            retained::count(FaultClass::AttitudeLate);
         }
         self.arm_dma();
         handed_over
+    }
+
+    /// The settings are read back: compares them, and gives the bus to an edge that has come meanwhile.
+    #[cold]
+    #[inline(never)]
+    fn end_check(&mut self, timebase: &Timebase) {
+        // SAFETY: the transfer into these bytes is complete.
+        let bytes = unsafe { *CHECKED.bytes.get() };
+        let condition = self.check().of(&bytes);
+        self.is_verified |= self.check_number() == 0;
+        self.is_check = false;
+        self.failures_in_a_row = 0;
+        self.next_check = (self.next_check + 1) % CHECK_ORDER.len() as u8;
+        self.step = BurstStep::Idle;
+        self.arm_dma();
+        let edge_waits = core::mem::take(&mut self.edge_waits);
+        if edge_waits && condition == Condition::Intact {
+            self.begin(timebase.captured(), timebase);
+            return;
+        }
+        i2c1()
+            .cr1()
+            .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
+        timebase::set_burst_alarm(timebase::now().wrapping_add(if self.is_polling {
+            POLL_AFTER_CHECK_US
+        } else {
+            SILENCE_DEADLINE_US
+        }));
+        if condition != Condition::Intact {
+            // The idle task looks again and counts.
+            self.is_verified = false;
+            disable();
+        }
+    }
+
+    /// Reads some settings back, if nothing else is on the bus.
+    #[cold]
+    #[inline(never)]
+    fn begin_check(&mut self) {
+        let is_free =
+            i2c1().sr2().read().busy().bit_is_clear() && i2c1().cr1().read().stop().bit_is_clear();
+        if self.step != BurstStep::Idle || !is_free {
+            // In case the alarm itself came at the same time and is taken for the request.
+            timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
+            return;
+        }
+        self.is_check = true;
+        timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
+        self.arm_dma();
+        self.ask_for_bus();
+    }
+
+    fn check_number(&self) -> u8 {
+        let [a, b, c, d] = CHECK_ORDER;
+        match self.next_check {
+            0 => a,
+            1 => b,
+            2 => c,
+            _ => d,
+        }
+    }
+
+    fn check(&self) -> &'static Check {
+        let [scales, interrupt, power] = &setup().checks;
+        match self.check_number() {
+            0 => scales,
+            1 => interrupt,
+            _ => power,
+        }
     }
 
     /// I2C1 error: the sensor did not acknowledge, or the bus misbehaved.
@@ -187,28 +349,63 @@ impl BurstReader {
         }
     }
 
-    /// The alarm: a burst took too long, or no edge came.
-    pub fn on_alarm(&mut self) {
+    /// The alarm: a burst took too long, no edge came, a check is asked for, or it is time to say that no
+    /// sample comes. True if the attitude task has to say so.
+    pub fn on_alarm(&mut self, timebase: &Timebase) -> bool {
         if !is_enabled() {
-            return;
+            timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
+            self.is_polling = false;
+            let t_us = timebase.extend_capture(timebase::now());
+            LINK.stale_low.store(t_us as u32, Ordering::Relaxed);
+            LINK.stale_high
+                .store((t_us >> 32) as u32, Ordering::Relaxed);
+            LINK.is_stale.store(true, Ordering::Release);
+            return true;
         }
-        let fault = match self.step {
-            BurstStep::Idle => BurstFault::NoDataReady,
-            _ => BurstFault::Deadline,
-        };
-        self.fail(fault);
+        if LINK.check_wanted.load(Ordering::Relaxed) {
+            LINK.check_wanted.store(false, Ordering::Relaxed);
+            self.begin_check();
+            return false;
+        }
+        if self.step != BurstStep::Idle {
+            self.fail(BurstFault::Deadline);
+            return false;
+        }
+        if !self.is_polling {
+            self.is_polling = true;
+            retained::count(if pins::interrupt_is_high() {
+                FaultClass::InterruptStuckHigh
+            } else {
+                FaultClass::InterruptMissing
+            });
+            LINK.record(BurstFailure {
+                fault: BurstFault::NoDataReady,
+                step: BurstStep::Idle,
+            });
+        }
+        self.begin(timebase::now(), timebase);
+        false
     }
 
+    #[cold]
+    #[inline(never)]
     fn fail(&mut self, fault: BurstFault) {
-        LINK.record(BurstFailure {
+        let failure = BurstFailure {
             fault,
             step: self.step,
-        });
+        };
+        LINK.record(failure);
+        retained::count(failure.class());
+        LINK.note(Flags::BUS_FAULT);
         i2c1().cr2().write(|w| with_clock(w));
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().stop().bit(self.step != BurstStep::Idle));
-        self.missed = self.missed.saturating_add(1);
+        if !self.is_check {
+            self.missed = self.missed.saturating_add(1);
+        }
+        self.is_check = false;
+        self.edge_waits = false;
         self.failures_in_a_row = self.failures_in_a_row.saturating_add(1);
         self.step = BurstStep::Idle;
         self.arm_dma();
@@ -229,11 +426,19 @@ impl BurstReader {
             while stream.cr().read().en().bit() {} // Ends with the byte in flight (RM0090, 10.3, DMA transfer suspension).
             clear_dma_flags();
         }
-        let address =
-            HANDOVER.slot(self.filling).get() as u32 + core::mem::offset_of!(Burst, bytes) as u32;
-        // SAFETY: the slot lives for ever, and the attitude task reads the other one.
+        let (address, length) = if self.is_check {
+            (CHECKED.bytes.get() as u32, self.check().length)
+        } else {
+            let slot = HANDOVER.slot(self.filling).get() as u32;
+            (
+                slot + core::mem::offset_of!(Burst, bytes) as u32,
+                BURST_LENGTH,
+            )
+        };
+        // SAFETY: the slot lives for ever, and the attitude task reads the other one; nobody reads the
+        // bytes of a check before it ends.
         stream.m0ar().write(|w| unsafe { w.m0a().bits(address) });
-        stream.ndtr().write(|w| w.ndt().set(BURST_LENGTH as u16));
+        stream.ndtr().write(|w| w.ndt().set(length as u16));
         stream.cr().write(|w| {
             w.chsel()
                 .set(1)
@@ -251,23 +456,62 @@ impl BurstReader {
     }
 }
 
-/// Lends the ready burst to `work`, and gives its slot back afterwards. Only the attitude task calls this.
-pub fn with_burst<R>(work: impl FnOnce(&Burst) -> R) -> Option<R> {
+/// Lends the ready burst to `work`, with what else there is to say of it, and gives its slot back
+/// afterwards. Only the attitude task calls this.
+#[inline(always)]
+pub fn with_burst<R>(work: impl FnOnce(&Burst, Circumstances) -> R) -> Option<R> {
     if !HANDOVER.held.load(Ordering::Relaxed) {
         return None;
     }
     compiler_fence(Ordering::Acquire);
     let ready = HANDOVER.ready.load(Ordering::Relaxed);
+    let circumstances = Circumstances {
+        flags: Flags::from_bits(HANDOVER.flags.load(Ordering::Relaxed)),
+        is_verified: HANDOVER.is_verified.load(Ordering::Relaxed),
+    };
     // SAFETY: while `held` is true the reader neither writes this slot nor points DMA at it.
-    let result = work(unsafe { &*HANDOVER.slot(ready).get() });
+    let result = work(unsafe { &*HANDOVER.slot(ready).get() }, circumstances);
     compiler_fence(Ordering::Release);
     HANDOVER.held.store(false, Ordering::Relaxed);
     Some(result)
 }
 
-/// Lets edges through to the reader, for the sensor at `address`. Called by the idle task with the reader disabled, the bus free and the sensor configured.
-pub fn enable(address: u8) {
-    LINK.address.store(address, Ordering::Relaxed);
+/// The time at which it was noticed that no sample comes, in microseconds since boot, and what there is to
+/// say of it, if that is still to be said. Only the attitude task calls this.
+pub fn take_stale() -> Option<(u64, Flags)> {
+    if !LINK.is_stale.load(Ordering::Acquire) {
+        return None;
+    }
+    LINK.is_stale.store(false, Ordering::Relaxed);
+    let low = LINK.stale_low.load(Ordering::Relaxed);
+    let high = LINK.stale_high.load(Ordering::Relaxed);
+    let notes = Flags::from_bits(LINK.notes.load(Ordering::Relaxed));
+    Some((u64::from(high) << 32 | u64::from(low), notes))
+}
+
+/// Asks the reader to read some settings back now. Only the attitude task calls this, when it is done
+/// with a burst: then the bus is free.
+pub fn request_check() {
+    LINK.check_wanted.store(true, Ordering::Relaxed);
+    timebase::raise_burst_alarm();
+}
+
+/// Lets edges through to the reader. Called by the idle task with the reader disabled, the bus free and the sensor ready with these settings.
+pub fn enable(ready: &Ready, config: &Config) {
+    let period_us = (1.0e6 / config.sample_rate_hz()) as u32;
+    // SAFETY: the reader is disabled, and looks at its set-up only when it runs.
+    unsafe {
+        *SETUP.0.get() = Setup {
+            checks: Check::all(config, ready.part),
+            period_us,
+            shortest_period_us: period_us - period_us / 16,
+        };
+    }
+    LINK.address.store(ready.address, Ordering::Relaxed);
+    if ready.was_reset {
+        LINK.note(Flags::SENSOR_RESET);
+    }
+    LINK.check_wanted.store(false, Ordering::Relaxed);
     timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
     LINK.enabled.store(true, Ordering::Release);
     exti().pr().write(|w| w.pr1().clear_bit_by_one());
@@ -292,7 +536,50 @@ pub fn failures() -> (u16, Option<BurstFailure>) {
 fn disable() {
     exti().imr().reset();
     LINK.enabled.store(false, Ordering::Release);
+    // Which has it said at once that no sample comes.
+    timebase::raise_burst_alarm();
 }
+
+/// When the alarm starts the bursts: so long after a check the next one is due, in microseconds.
+const POLL_AFTER_CHECK_US: u32 = 300;
+
+/// What the reader has to know of the sensor.
+struct Setup {
+    checks: [Check; 3],
+    /// The sample period.
+    period_us: u32,
+    /// An edge that comes sooner after the last is none of the sensor's: its clock is right to 1 %
+    /// (product specification §6.6), and a clone's to 5 %.
+    shortest_period_us: u32,
+}
+
+struct SetupCell(UnsafeCell<Setup>);
+
+// SAFETY: the idle task writes it while the reader is disabled, and the reader reads it while it runs.
+unsafe impl Sync for SetupCell {}
+
+static SETUP: SetupCell = SetupCell(UnsafeCell::new(Setup {
+    checks: Check::all(&Config::DEFAULT, &Part::MPU_6050),
+    period_us: 1_000,
+    shortest_period_us: 938,
+}));
+
+fn setup() -> &'static Setup {
+    // SAFETY: see `SetupCell`; what the reader does while it is disabled never depends on the contents.
+    unsafe { &*SETUP.0.get() }
+}
+
+/// What a check has read.
+struct Checked {
+    bytes: UnsafeCell<[u8; Check::LONGEST]>,
+}
+
+// SAFETY: DMA writes it during a check, and the reader reads it when that has ended.
+unsafe impl Sync for Checked {}
+
+static CHECKED: Checked = Checked {
+    bytes: UnsafeCell::new([0; Check::LONGEST]),
+};
 
 /// What the reader shares with tasks of lower priority.
 struct Link {
@@ -300,9 +587,21 @@ struct Link {
     enabled: AtomicBool,
     /// Count (16 bits), fault and step (8 bits each) in one word, so that no reader sees half of it.
     failures: AtomicU32,
+    /// Flags for the next burst.
+    notes: AtomicU32,
+    /// The attitude task has asked for a check.
+    check_wanted: AtomicBool,
+    /// It is to be said that no sample comes, as of this time in microseconds since boot.
+    is_stale: AtomicBool,
+    stale_low: AtomicU32,
+    stale_high: AtomicU32,
 }
 
 impl Link {
+    fn note(&self, flags: Flags) {
+        self.notes.fetch_or(flags.bits(), Ordering::Relaxed);
+    }
+
     fn record(&self, failure: BurstFailure) {
         let count = (self.failures.load(Ordering::Relaxed) as u16).wrapping_add(1);
         let [count_low, count_high] = count.to_le_bytes();
@@ -321,6 +620,11 @@ static LINK: Link = Link {
     address: AtomicU8::new(0),
     enabled: AtomicBool::new(false),
     failures: AtomicU32::new(0),
+    notes: AtomicU32::new(0),
+    check_wanted: AtomicBool::new(false),
+    is_stale: AtomicBool::new(false),
+    stale_low: AtomicU32::new(0),
+    stale_high: AtomicU32::new(0),
 };
 
 /// Two slots: DMA fills one while the attitude task reads the other.
@@ -330,6 +634,9 @@ struct Handover {
     ready: AtomicU8,
     /// Whether the attitude task still needs that slot.
     held: AtomicBool,
+    /// What there is to say of the burst.
+    flags: AtomicU32,
+    is_verified: AtomicBool,
 }
 
 impl Handover {
@@ -352,6 +659,8 @@ static HANDOVER: Handover = Handover {
     slots: [const { UnsafeCell::new(NO_BURST) }; 2],
     ready: AtomicU8::new(0),
     held: AtomicBool::new(false),
+    flags: AtomicU32::new(0),
+    is_verified: AtomicBool::new(false),
 };
 
 fn clear_dma_flags() {

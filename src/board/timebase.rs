@@ -106,6 +106,12 @@ pub fn set_burst_alarm(count: u32) {
         .write(|w| w.ccr().set(count));
 }
 
+/// Sets the burst reader's alarm off at once.
+pub fn raise_burst_alarm() {
+    // SAFETY: a store to this register does what its ones say and nothing else (RM0090, 18.4.6).
+    unsafe { &*TIM5::ptr() }.egr().write(|w| w.cc1g().set_bit());
+}
+
 /// The count now, for whoever does not own the time base.
 pub fn now() -> u32 {
     // SAFETY: reading the count has no side effect.
@@ -131,6 +137,7 @@ impl embedded_hal::delay::DelayNs for Delay {
             .ccr4()
             .write(|w| w.ccr().set(start.wrapping_add(limit_us)));
         sleep_until(|| elapsed(start, limit_us));
+        super::watchdog::samples_go_on();
     }
 }
 

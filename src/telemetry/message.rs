@@ -8,7 +8,7 @@ use core::fmt;
 use embedded_hal::i2c;
 use heapless::Deque;
 
-use crate::fault::{BurstFailure, ClockSource};
+use crate::fault::{BurstFailure, ClockSource, FaultClass, ResetCause};
 use crate::mpu6050;
 
 /// Room for the longest message on a line of its own, in bytes.
@@ -25,6 +25,15 @@ pub enum Message {
         core_mhz: u16,
         /// What the clock runs from.
         clock: ClockSource,
+    },
+    /// It was a reset that started it, with power on.
+    Restarted {
+        /// What reset the processor.
+        cause: ResetCause,
+        /// The last fault before that.
+        last_fault: Option<FaultClass>,
+        /// Where the firmware crashed; zero if it did not.
+        crash_address: u32,
     },
     /// The sensor is configured and its bursts begin.
     SensorConfigured {
@@ -80,6 +89,7 @@ impl Message {
                 ..
             }
             | Self::BurstsFailed { .. }
+            | Self::Restarted { .. }
             | Self::Recovering
             | Self::MovedAtStart
             | Self::MessagesLost { .. } => Severity::Warning,
@@ -107,6 +117,18 @@ impl fmt::Display for Message {
                         "from the internal oscillator: no crystal answered, times are right to 1 % only"
                     }
                 })
+            }
+            Self::Restarted {
+                cause,
+                last_fault,
+                crash_address,
+            } => {
+                let fault = last_fault.map_or("none", FaultClass::name);
+                write!(formatter, "reset by {}, last fault: {fault}", cause.name())?;
+                if *crash_address != 0 {
+                    write!(formatter, ", at 0x{crash_address:08x}")?;
+                }
+                Ok(())
             }
             Self::SensorConfigured { part, address } => {
                 write!(formatter, "{part} at 0x{address:02x} configured")
@@ -262,6 +284,11 @@ mod tests {
                 board: "blackpill-f411",
                 core_mhz: 168,
                 clock: ClockSource::InternalOscillator,
+            },
+            Message::Restarted {
+                cause: ResetCause::Software,
+                last_fault: Some(FaultClass::InterruptStuckHigh),
+                crash_address: u32::MAX,
             },
             Message::BusHeldLow { clock: true },
             Message::Recovering,

@@ -14,6 +14,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use aplomb::health::Flags;
+use aplomb::pipeline::Snapshot;
 
 use crate::faults::{FaultKind, ScheduledFault};
 use crate::flight::{Outcome, Run};
@@ -23,7 +24,6 @@ use crate::motion::swing::{Later, Swing};
 use crate::motion::{Motion, Quaternion, inclination_error_rad};
 use crate::profile::CRASHES;
 use crate::random::Random;
-use crate::recorder::Sample;
 use crate::schedule::Schedule;
 
 /// The rule's angle, degrees, and its factor of σ.
@@ -204,9 +204,11 @@ pub fn run(case: &Case, firmware: &Path) -> Report {
 /// Judges what came of a case.
 #[must_use]
 pub fn judge(case: &Case, outcome: &Outcome) -> Report {
+    let published = publications(outcome);
     let judge = Judge {
         outcome,
-        valid: valid_spans(outcome.samples()),
+        valid: valid_spans(&published),
+        published,
         episodes: episodes(case, outcome),
     };
     let mut report = Report::default();
@@ -218,8 +220,38 @@ pub fn judge(case: &Case, outcome: &Outcome) -> Report {
     report
 }
 
+/// A snapshot of either kind.
+#[derive(Clone, Copy, Debug)]
+struct Publication {
+    at_ns: u64,
+    snapshot: Snapshot,
+    tilt_sigma_rad: Option<f64>,
+    /// The true attitude at its sample, if that is known from the sample.
+    truth: Option<Quaternion>,
+}
+
+/// All snapshots, in the order of their publication.
+fn publications(outcome: &Outcome) -> Vec<Publication> {
+    let samples = outcome.samples().iter().map(|sample| Publication {
+        at_ns: sample.published_ns,
+        snapshot: sample.snapshot,
+        tilt_sigma_rad: sample.tilt_sigma_rad,
+        truth: sample.edge.and_then(|edge| edge.truth.attitude),
+    });
+    let stale = outcome.record.stale.iter().map(|stale| Publication {
+        at_ns: stale.published_ns,
+        snapshot: stale.snapshot,
+        tilt_sigma_rad: stale.tilt_sigma_rad,
+        truth: None,
+    });
+    let mut all: Vec<Publication> = samples.chain(stale).collect();
+    all.sort_by_key(|publication| publication.at_ns);
+    all
+}
+
 struct Judge<'a> {
     outcome: &'a Outcome,
+    published: Vec<Publication>,
     /// When the published attitude was valid, ns.
     valid: Vec<(u64, u64)>,
     episodes: Vec<Episode>,
@@ -264,15 +296,14 @@ impl Judge<'_> {
         let mut motion = case.motion();
         let mut worst: Option<(f64, f64, u64)> = None;
         let mut count = 0;
-        for sample in self.outcome.samples() {
-            let truth = match sample.edge {
-                Some(edge) => edge.truth.attitude,
-                None => motion.at(sample.published_ns as f64 * 1e-9).attitude,
-            };
-            let Some(truth) = truth else { continue };
+        for sample in &self.published {
             if !sample.snapshot.flags.contains(Flags::VALID) {
                 continue;
             }
+            let at_publication = || motion.at(sample.at_ns as f64 * 1e-9).attitude;
+            let Some(truth) = sample.truth.or_else(at_publication) else {
+                continue;
+            };
             let error_deg = tilt_error_deg(sample, truth);
             let sigma_deg = sample.tilt_sigma_rad.unwrap_or(0.0).to_degrees();
             let allowed_deg = ALLOWED_DEG.max(ALLOWED_SIGMAS * sigma_deg);
@@ -281,7 +312,7 @@ impl Judge<'_> {
             if !is_allowed {
                 count += 1;
                 if worst.is_none_or(|(error, ..)| error_deg > error) {
-                    worst = Some((error_deg, sigma_deg, sample.published_ns));
+                    worst = Some((error_deg, sigma_deg, sample.at_ns));
                 }
             }
         }
@@ -467,16 +498,12 @@ impl Judge<'_> {
 
     /// Something is published all the time.
     fn silence(&self, case: &Case, failures: &mut Vec<String>) {
-        let Some(first) = self.outcome.samples().first() else {
+        let Some(first) = self.published.first() else {
             return;
         };
-        let mut last_ns = first.published_ns;
+        let mut last_ns = first.at_ns;
         let ends = std::iter::once(self.end_ns());
-        let published = self
-            .outcome
-            .samples()
-            .iter()
-            .map(|sample| sample.published_ns);
+        let published = self.published.iter().map(|sample| sample.at_ns);
         let mut longest: Option<(u64, u64)> = None;
         for at_ns in published.chain(ends) {
             let held = case
@@ -510,16 +537,16 @@ impl Judge<'_> {
 }
 
 /// The times at which the attitude that was published last is valid and fresh.
-fn valid_spans(samples: &[Sample]) -> Vec<(u64, u64)> {
+fn valid_spans(samples: &[Publication]) -> Vec<(u64, u64)> {
     let mut spans: Vec<(u64, u64)> = Vec::new();
     for (nth, sample) in samples.iter().enumerate() {
         if !sample.snapshot.flags.contains(Flags::VALID) {
             continue;
         }
-        let start_ns = sample.published_ns;
+        let start_ns = sample.at_ns;
         let next_ns = samples
             .get(nth + 1)
-            .map_or(u64::MAX, |next| next.published_ns);
+            .map_or(u64::MAX, |next| next.at_ns);
         let end_ns = next_ns.min(start_ns + COVERED_NS);
         match spans.last_mut() {
             Some(last) if last.1 == start_ns => last.1 = end_ns,
@@ -570,7 +597,7 @@ fn end_ns(fault: &ScheduledFault, outcome: &Outcome) -> u64 {
     }
 }
 
-fn tilt_error_deg(sample: &Sample, truth: Quaternion) -> f64 {
+fn tilt_error_deg(sample: &Publication, truth: Quaternion) -> f64 {
     let attitude = sample.snapshot.attitude;
     let [w, x, y, z] = [attitude.w, attitude.x, attitude.y, attitude.z].map(f64::from);
     inclination_error_rad(Quaternion { w, x, y, z }, truth).to_degrees()

@@ -49,7 +49,7 @@ pub struct Sample {
     pub tilt_sigma_rad: Option<f64>,
     /// The burst that the bus had delivered last.
     pub burst: Burst,
-    /// The edge that announced the burst's data, with the true motion at that instant. `None` for a stale snapshot too.
+    /// The edge that announced the burst's data, with the true motion at that instant.
     pub edge: Option<DataReady>,
     /// The true time of the edge by the firmware's clock, in microseconds with their fraction.
     pub true_t_us: Option<f64>,
@@ -88,6 +88,8 @@ impl Observer for Nobody {}
 pub struct Record {
     /// Published samples, in order.
     pub samples: Vec<Sample>,
+    /// What was published without a sample, in order, and when (ns since power-up).
+    pub stale: Vec<StaleSnapshot>,
     /// Data-ready edges, in order.
     pub edges: Vec<DataReady>,
     /// The firmware's log, as the probe read it.
@@ -108,6 +110,17 @@ pub struct Record {
     pub sensor_ready_ns: Vec<u64>,
     /// When the processor was reset, ns.
     pub resets_ns: Vec<u64>,
+}
+
+/// A snapshot that the firmware published because no sample had come.
+#[derive(Clone, Copy, Debug)]
+pub struct StaleSnapshot {
+    /// What the firmware published.
+    pub snapshot: Snapshot,
+    /// When, ns since power-up.
+    pub published_ns: u64,
+    /// σ of the tilt that the firmware gave with it, in rad, if it gives one.
+    pub tilt_sigma_rad: Option<f64>,
 }
 
 /// What the firmware says of its own health at a time.
@@ -236,19 +249,26 @@ impl Recorder {
         // Start-up code clears the count.
         let is_published =
             Memory::read(host, self.snapshot + SEQUENCE, Width::W32).unwrap_or(0) != 0;
-        let (true, Some(snapshot), Some(burst)) = (
-            is_published,
-            read_snapshot(host, self.snapshot),
-            self.last_burst,
-        ) else {
+        let (true, Some(snapshot)) = (is_published, read_snapshot(host, self.snapshot)) else {
             return;
         };
-        let is_stale = snapshot.flags.contains(Flags::STALE);
+        let tilt_sigma_rad = self.read_tilt_sigma(host);
+        if snapshot.flags.contains(Flags::STALE) {
+            self.record.stale.push(StaleSnapshot {
+                snapshot,
+                published_ns: hit.at.0,
+                tilt_sigma_rad,
+            });
+            return;
+        }
+        let Some(burst) = self.last_burst else {
+            return;
+        };
         self.attitude = self.profile.lock().ok().map(|profile| profile.current());
         self.record
             .first
             .get_or_insert((hit.instruction_count, hit.at.0));
-        let edge = burst.edge.filter(|_| !is_stale).and_then(|index| {
+        let edge = burst.edge.and_then(|index| {
             let place = self
                 .record
                 .edges
@@ -259,7 +279,7 @@ impl Recorder {
         self.record.samples.push(Sample {
             snapshot,
             published_ns: hit.at.0,
-            tilt_sigma_rad: self.read_tilt_sigma(host),
+            tilt_sigma_rad,
             burst,
             edge,
             true_t_us: edge.and_then(|edge| self.timer.microseconds(edge.time_ns)),
