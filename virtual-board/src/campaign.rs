@@ -40,6 +40,9 @@ const RESET_DEADLINE_NS: u64 = 250_000_000;
 /// The longest pause between publications while the core runs, ns.
 const LONGEST_SILENCE_NS: u64 = 20_000_000;
 
+/// From an edge to the end of its burst, and some more, ns.
+const IN_FLIGHT_NS: u64 = 1_000_000;
+
 /// Valid for this long without a break is recovered, ns.
 const STEADY_NS: u64 = 5_000_000;
 
@@ -402,10 +405,11 @@ impl Judge<'_> {
         let end_ns = self.end_ns().saturating_sub(COVERED_NS);
         let is_free = |at_ns: u64| {
             (first_ns..end_ns).contains(&at_ns)
-                && !self
-                    .episodes
-                    .iter()
-                    .any(|episode| (episode.start_ns..=episode.due_ns).contains(&at_ns))
+                && !self.episodes.iter().any(|episode| {
+                    // The burst of an edge shortly before the fault is still under way.
+                    (episode.start_ns.saturating_sub(IN_FLIGHT_NS)..=episode.due_ns)
+                        .contains(&at_ns)
+                })
         };
         let step_ns = 100_000;
         let (mut free, mut valid) = (0_u64, 0_u64);
@@ -544,9 +548,7 @@ fn valid_spans(samples: &[Publication]) -> Vec<(u64, u64)> {
             continue;
         }
         let start_ns = sample.at_ns;
-        let next_ns = samples
-            .get(nth + 1)
-            .map_or(u64::MAX, |next| next.at_ns);
+        let next_ns = samples.get(nth + 1).map_or(u64::MAX, |next| next.at_ns);
         let end_ns = next_ns.min(start_ns + COVERED_NS);
         match spans.last_mut() {
             Some(last) if last.1 == start_ns => last.1 = end_ns,

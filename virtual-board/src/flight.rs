@@ -244,6 +244,7 @@ impl Run {
             summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
             uart_lines: lines(&record),
             record,
+            faults: scheduled,
             remarks,
         })
     }
@@ -258,6 +259,8 @@ pub struct Outcome {
     pub uart_lines: Vec<UartLine>,
     /// Everything that was noted.
     pub record: Record,
+    /// The faults of the schedule.
+    pub faults: Vec<ScheduledFault>,
     /// What the firmware did that this board cannot do, and what the emulator could not account for. Empty if all is well.
     pub remarks: Vec<String>,
 }
