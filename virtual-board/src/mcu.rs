@@ -403,6 +403,9 @@ impl uart::Peer for Listener {
 }
 
 #[cfg(test)]
+mod fault_tests;
+
+#[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
 
@@ -412,6 +415,7 @@ mod tests {
     use rigless::soc::{Peripheral, Width};
 
     use super::*;
+    use crate::faults::Fault;
     use crate::motion::rest::Rest;
     use crate::sensor::{Sensor, SensorConfig};
 
@@ -431,15 +435,15 @@ mod tests {
     const EXTI1: u16 = 7;
 
     /// A controller on a bench, driven without a core.
-    struct Bench {
-        controller: Microcontroller,
-        now: VirtualNanos,
+    pub(super) struct Bench {
+        pub(super) controller: Microcontroller,
+        pub(super) now: VirtualNanos,
         interrupts: BTreeMap<u16, bool>,
-        ram: Ram,
+        pub(super) ram: Ram,
     }
 
     /// RAM for the DMA.
-    struct Ram(BTreeMap<u64, u8>);
+    pub(super) struct Ram(BTreeMap<u64, u8>);
 
     impl Memory for Ram {
         fn read(&mut self, address: u64, width: Width) -> Result<u64, EmulatorError> {
@@ -461,6 +465,11 @@ mod tests {
     impl Bench {
         /// A board at rest, its sensor awake and pulsing once a millisecond, all clocks enabled.
         fn new(input: HighSpeedInput) -> Self {
+            Self::with_faults(input, vec![])
+        }
+
+        /// The same with faults.
+        pub(super) fn with_faults(input: HighSpeedInput, faults: Vec<Fault>) -> Self {
             let mut sensor = Sensor::new(SensorConfig::new(1), Box::new(Rest::level()));
             let mut at_ns = 100_000_000;
             // Awake on the gyroscope's clock, 1 kHz, filter 1, interrupt on data ready.
@@ -472,7 +481,7 @@ mod tests {
                 at_ns += 1000;
             }
             let mut bench = Self {
-                controller: Microcontroller::new(FittedSensor::new(sensor, vec![]), input).unwrap(),
+                controller: Microcontroller::new(FittedSensor::new(sensor, faults), input).unwrap(),
                 now: VirtualNanos(at_ns),
                 interrupts: BTreeMap::new(),
                 ram: Ram(BTreeMap::new()),
@@ -484,14 +493,14 @@ mod tests {
             bench
         }
 
-        fn write(&mut self, peripheral: &Peripheral, offset: u64, value: u64) {
+        pub(super) fn write(&mut self, peripheral: &Peripheral, offset: u64, value: u64) {
             self.controller
                 .write(self.now, peripheral.base + offset, Width::W32, value)
                 .unwrap();
             self.settle();
         }
 
-        fn read(&mut self, peripheral: &Peripheral, offset: u64) -> u64 {
+        pub(super) fn read(&mut self, peripheral: &Peripheral, offset: u64) -> u64 {
             let value = self
                 .controller
                 .read(self.now, peripheral.base + offset, Width::W32)
@@ -510,7 +519,7 @@ mod tests {
         }
 
         /// Runs until `at_ns` with a stop at every event, as a session does.
-        fn run_until(&mut self, at_ns: u64) {
+        pub(super) fn run_until(&mut self, at_ns: u64) {
             loop {
                 let next = self
                     .controller
@@ -527,12 +536,12 @@ mod tests {
             }
         }
 
-        fn run_for(&mut self, nanoseconds: u64) {
+        pub(super) fn run_for(&mut self, nanoseconds: u64) {
             self.run_until(self.now.0 + nanoseconds);
         }
 
         /// The next data-ready edge, once the board has lived through it.
-        fn next_edge_ns(&mut self) -> u64 {
+        pub(super) fn next_edge_ns(&mut self) -> u64 {
             self.controller.sensor().take_edges();
             loop {
                 self.run_for(1000);
@@ -542,7 +551,7 @@ mod tests {
             }
         }
 
-        fn interrupts_on(&self, interrupt: u16) -> bool {
+        pub(super) fn interrupts_on(&self, interrupt: u16) -> bool {
             self.interrupts.get(&interrupt).copied().unwrap_or(false)
         }
     }
