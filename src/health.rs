@@ -210,16 +210,16 @@ pub struct FreezeWatch {
 
 impl FreezeWatch {
     /// A watch that has seen nothing, for a sensor that filters with this bandwidth in hertz, of which it
-    /// is shown every seventh sample at 1 kHz.
+    /// is shown every eleventh sample at 1 kHz.
     ///
     /// At 98 Hz and more, noise alone (product specification §6.1 and §6.2) makes a repeat of all six
     /// axes less likely than one in 10,000, so two in a row are none of noise's; below, samples a few
-    /// milliseconds apart are alike, and it takes 14, which is 0.1 s.
+    /// milliseconds apart are alike, and it takes 9, which is 0.1 s.
     pub const fn new(bandwidth_hz: u16) -> Self {
         Self {
             last: [0; 14],
             repeats: 0,
-            limit: if bandwidth_hz >= 98 { 2 } else { 14 },
+            limit: if bandwidth_hz >= 98 { 2 } else { 9 },
         }
     }
 
@@ -306,7 +306,7 @@ mod tests {
 
     #[test]
     fn data_freeze_after_repeats_and_thaw_at_once() {
-        for (bandwidth_hz, limit) in [(188, 2), (98, 2), (42, 14)] {
+        for (bandwidth_hz, limit) in [(188, 2), (98, 2), (42, 9)] {
             let mut watch = FreezeWatch::new(bandwidth_hz);
             let mut bytes = [7; 14];
             for _ in 0..300 {

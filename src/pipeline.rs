@@ -121,10 +121,8 @@ pub struct Pipeline<F = AnyFilter> {
     /// The low half of the last sample's time, µs.
     last_t_us: u32,
     temperature_limits: (i16, i16),
-    /// How fast it turns could be that of a changed full scale.
+    /// The rate has jumped as if by a changed full scale, and nobody has read that back yet.
     is_suspect: bool,
-    /// The full scales have been read back since it turns so.
-    are_scales_confirmed: bool,
     /// What the samples before have left to say of the next one, [`Flags::VALID`] included.
     standing: Flags,
     tilt_variance_rad2: f32,
@@ -172,7 +170,7 @@ impl<F: Filter> Pipeline<F> {
             sample: Sample::default(),
             temperature_celsius: 0.0,
             longest_step_us: (PERIODS_UNSEEN * 1.0e6 / settings.sensor.sample_rate_hz()) as u32,
-            pause_us: 0,
+            pause_us: u32::MAX,
             saturated_us: 0,
             last_t_us: 0,
             temperature_limits: health::temperature_limits(
@@ -180,7 +178,6 @@ impl<F: Filter> Pipeline<F> {
                 settings.part.temperature.celsius_at_zero,
             ),
             is_suspect: false,
-            are_scales_confirmed: true,
             standing: Flags::NONE,
             tilt_variance_rad2: f32::INFINITY,
             samples_to_stocktaking: 0,
@@ -189,8 +186,10 @@ impl<F: Filter> Pipeline<F> {
 
     /// Takes one burst and gives the attitude at its time.
     pub fn update(&mut self, burst: &Burst) -> Snapshot {
+        let snapshot = self.update_with(burst, Flags::NONE, |_, _| {});
+        // Nobody can read the sensor's settings back here.
         self.confirm_scales();
-        self.update_with(burst, Flags::NONE, |_, _| {})
+        snapshot
     }
 
     /// The same with what the board has to say of the burst: [`Flags::BUS_FAULT`],
@@ -234,7 +233,7 @@ impl<F: Filter> Pipeline<F> {
                 Flags::ACCELEROMETER_SATURATED,
                 self.sample.is_force_saturated,
             );
-        let is_odd = flags.intersects(Flags::ODD) | estimate.is_calibrating;
+        let is_odd = flags.intersects(Flags::ODD) | estimate.is_calibrating | estimate.has_jumped;
         if is_odd | remarks.any() | self.is_suspect {
             flags = self.judge(flags, &estimate);
         }
@@ -293,15 +292,22 @@ impl<F: Filter> Pipeline<F> {
         })
     }
 
-    /// Whether the last sample is such that the sensor's full scales should be read back at once; until
-    /// [`confirm_scales`](Self::confirm_scales), its likes are not valid.
+    /// Whether the rate has jumped as if the gyroscope's full scale had changed. It should then be read
+    /// back at once; until [`confirm_scales`](Self::confirm_scales), nothing is valid.
     pub const fn is_suspect(&self) -> bool {
         self.is_suspect
     }
 
     /// The sensor's full scales have been read back since the last sample, and are what they should be.
     pub const fn confirm_scales(&mut self) {
-        self.are_scales_confirmed = true;
+        self.is_suspect = false;
+    }
+
+    /// Whether the last sample was one of those, some milliseconds apart, after which things are looked
+    /// at that take time: others may do so, too.
+    #[inline]
+    pub const fn has_taken_stock(&self) -> bool {
+        self.samples_to_stocktaking == SAMPLES_BETWEEN_STOCKTAKINGS - 1
     }
 
     /// What pauses, samples that are no measurements, and what the board says do to what is known.
@@ -368,12 +374,9 @@ impl<F: Filter> Pipeline<F> {
             .with(Flags::TIME, remarks.time_went_back)
             .with(Flags::REJECTED, remarks.rejected)
             .with(Flags::FREE_FALL, remarks.no_gravity);
-        let is_fast = remarks.fast;
-        let is_believable = !is_fast || self.are_scales_confirmed;
-        self.are_scales_confirmed &= is_fast;
-        self.is_suspect = is_fast;
+        self.is_suspect |= estimate.has_jumped;
         let flags = flags.with(Flags::DEGRADED, flags.intersects(Flags::DEGRADES));
-        if is_believable && !flags.intersects(Flags::SPOILS) {
+        if !self.is_suspect && !flags.intersects(Flags::SPOILS) {
             flags
         } else {
             flags.without(Flags::VALID)
@@ -385,6 +388,7 @@ impl<F: Filter> Pipeline<F> {
     fn take_stock(&mut self, burst: &Burst, raw: &RawSample) {
         self.temperature_celsius = raw.temperature.to_celsius(self.settings.part);
         self.samples_to_stocktaking = SAMPLES_BETWEEN_STOCKTAKINGS - 1;
+        self.pause_us = self.pause_us.min(self.longest_step_us);
         let (coldest, hottest) = self.temperature_limits;
         let is_frozen = self.freeze_watch.update(&burst.bytes);
         let is_extreme = raw.temperature.0 < coldest || raw.temperature.0 > hottest;
@@ -503,9 +507,9 @@ impl<F: Filter> Pipeline<F> {
 /// More sample periods than this without a sample are a pause in which the motion went unseen.
 const PERIODS_UNSEEN: f32 = 3.5;
 
-/// So many samples apart is looked at what changes slowly or takes time to tell: 7 ms, so that nothing
-/// that repeats itself every other sample looks frozen.
-const SAMPLES_BETWEEN_STOCKTAKINGS: u32 = 7;
+/// So many samples apart is looked at what changes slowly or takes time to tell: 11 ms, so that nothing
+/// that repeats itself every few samples looks frozen.
+const SAMPLES_BETWEEN_STOCKTAKINGS: u32 = 11;
 
 /// σ per axis of the tilt that a changed full scale can have done before it was noticed.
 const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);
@@ -887,10 +891,10 @@ mod tests {
                 assert_eq!(snapshot.attitude, attitude);
             }
             // The first good sample may still carry that the data had been frozen.
-            for step in 301..308 {
+            for step in 301..312 {
                 pipeline.update(&noisy(t_us + step * 1000, LEVEL));
             }
-            let after = pipeline.update(&noisy(t_us + 308_000, LEVEL));
+            let after = pipeline.update(&noisy(t_us + 312_000, LEVEL));
             assert!(after.flags.contains(Flags::VALID), "{}", after.flags);
         }
     }
@@ -952,7 +956,7 @@ mod tests {
         for (counts, is_good) in [(-26_000, true), (-26_100, false), (16_500, false)] {
             let (mut pipeline, t_us) = settled();
             let mut flags = Flags::NONE;
-            for step in 1..=9 {
+            for step in 1..=13 {
                 let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
                 raw.temperature = TemperatureCounts(counts);
                 flags = pipeline
@@ -970,27 +974,31 @@ mod tests {
 
     #[test]
     fn rates_that_a_changed_full_scale_would_show_are_valid_once_it_is_read_back() {
-        let (mut pipeline, mut t_us) = settled();
-        let mut turn = |pipeline: &mut Pipeline, rate| {
-            t_us += 1000;
-            let rates = Vector3::new(0.0, 0.0, rate + (t_us / 1000 % 2) as f32);
-            let burst = burst(Mount::Z_UP, t_us, LEVEL, rates);
-            let snapshot = pipeline.update_with(&burst, Flags::NONE, |_, _| {});
-            snapshot.flags.contains(Flags::VALID)
-        };
-        // Nobody has asked before this: the first fast turn is believed from what start-up read back.
-        pipeline.confirm_scales();
-        assert!(turn(&mut pipeline, 190.0) && !pipeline.is_suspect());
-        assert!(turn(&mut pipeline, 210.0) && pipeline.is_suspect());
-        assert!(turn(&mut pipeline, 190.0) && !pipeline.is_suspect());
-        for rate in [210.0, -210.0, 1600.0] {
-            assert!(!turn(&mut pipeline, rate) && pipeline.is_suspect());
+        for (before, after, is_jump) in [
+            (10.0, 80.0, true),    // ±2000 °/s become ±250 °/s.
+            (-10.0, -40.0, false), // ±2000 °/s become ±500 °/s: 30 °/s too much for 40 ms are 1.2°.
+            (-20.0, -80.0, true),
+            (200.0, 220.0, false),
+            (0.0, 49.0, false),
+        ] {
+            let (mut pipeline, mut t_us) = settled();
+            let mut turn = |pipeline: &mut Pipeline, rate| {
+                t_us += 1000;
+                let rates = Vector3::new(0.0, 0.0, rate + 0.1 * (t_us / 1000 % 2) as f32);
+                let burst = burst(Mount::Z_UP, t_us, LEVEL, rates);
+                let snapshot = pipeline.update_with(&burst, Flags::NONE, |_, _| {});
+                snapshot.flags.contains(Flags::VALID)
+            };
+            for part in 1..=20 {
+                assert!(turn(&mut pipeline, before * 0.05 * part as f32));
+            }
+            for _ in 0..3 {
+                assert_eq!(turn(&mut pipeline, after), !is_jump, "{before} {after}");
+                assert_eq!(pipeline.is_suspect(), is_jump);
+            }
+            pipeline.confirm_scales();
+            assert!(turn(&mut pipeline, after), "{before} {after}");
         }
-        pipeline.confirm_scales();
-        assert!(turn(&mut pipeline, 300.0) && pipeline.is_suspect());
-        assert!(turn(&mut pipeline, 300.0));
-        assert!(turn(&mut pipeline, 0.0));
-        assert!(!turn(&mut pipeline, 300.0));
     }
 
     #[test]
@@ -1038,8 +1046,8 @@ mod tests {
             let flags = pipeline
                 .update(&burst(Mount::Z_UP, index * 1000, LEVEL, Vector3::ZERO))
                 .flags;
-            // Every seventh is compared with the one before, and the sample after it tells.
-            assert_eq!(flags.contains(Flags::FROZEN), index > 14, "{index}");
+            // Every eleventh is compared with the one before, and the sample after it tells.
+            assert_eq!(flags.contains(Flags::FROZEN), index > 22, "{index}");
         }
     }
 

@@ -6,11 +6,8 @@ use crate::fault::FaultClass;
 use crate::health::Flags;
 use crate::pipeline::{Pipeline, Snapshot};
 
-/// So many samples apart are two looks at the sensor's settings: 12 ms, so 24 between two at the full
-/// scales, in which an excess of 200 °/s turns the attitude by less than 5°.
-const CHECK_PERIOD: u32 = 12;
-/// So many looks apart is what the filter knows kept for a start after a reset: 0.2 s.
-const CHECKS_TO_A_KEEPING: u32 = 16;
+/// So many stocktakings apart is what the filter knows kept for a start after a reset: 0.2 s.
+const STOCKTAKINGS_TO_A_KEEPING: u32 = 18;
 
 /// The flags whose coming is counted, with their classes.
 const COUNTED: [(Flags, FaultClass); 6] = [
@@ -24,8 +21,7 @@ const COUNTED: [(Flags, FaultClass); 6] = [
 
 /// The state of it.
 pub struct Upkeep {
-    samples_to_check: u32,
-    checks_to_keeping: u32,
+    stocktakings: u32,
     is_watching: bool,
     last_flags: Flags,
 }
@@ -34,8 +30,7 @@ impl Upkeep {
     /// Before the first sample.
     pub const fn new() -> Self {
         Self {
-            samples_to_check: CHECK_PERIOD,
-            checks_to_keeping: CHECKS_TO_A_KEEPING,
+            stocktakings: 0,
             is_watching: false,
             last_flags: Flags::NONE,
         }
@@ -48,8 +43,7 @@ impl Upkeep {
         pipeline: &mut Pipeline<Kalman>,
         flags: Flags,
     ) -> Option<(Flags, Flags)> {
-        self.samples_to_check -= 1;
-        if self.samples_to_check == 0 {
+        if pipeline.has_taken_stock() {
             self.every_so_often(pipeline);
         }
         if pipeline.is_suspect() | flags.contains(Flags::POLLED) {
@@ -60,14 +54,16 @@ impl Upkeep {
 
     #[inline(never)]
     fn every_so_often(&mut self, pipeline: &Pipeline<Kalman>) {
-        self.samples_to_check = CHECK_PERIOD;
         watchdog::samples_go_on();
         watchdog::attitude_goes_on();
-        burst_reader::request_check();
         self.is_watching = pipeline.is_suspect();
-        self.checks_to_keeping -= 1;
-        if self.checks_to_keeping == 0 {
-            self.checks_to_keeping = CHECKS_TO_A_KEEPING;
+        self.stocktakings = self.stocktakings.wrapping_add(1);
+        // Every 22 ms: so every 44 ms at the full scales, and every 88 ms at the others.
+        if self.stocktakings % 2 == 0 {
+            burst_reader::request_check();
+        }
+        if self.stocktakings >= STOCKTAKINGS_TO_A_KEEPING {
+            self.stocktakings = 0;
             if let Some(known) = pipeline.known() {
                 retained::keep(&known);
             }
@@ -78,7 +74,7 @@ impl Upkeep {
     #[cold]
     #[inline(never)]
     fn check_now(&mut self, pipeline: &mut Pipeline<Kalman>) {
-        // What was read back before it turned so fast says nothing.
+        // What was read back before the rate jumped says nothing.
         if burst_reader::take_verified() && self.is_watching {
             pipeline.confirm_scales();
         }
