@@ -156,9 +156,11 @@ impl FaultClass {
 pub mod report {
     use super::FaultClass;
 
-    /// Offset of the flags of the last snapshot, as in its own.
-    pub const FLAGS: usize = 0;
-    /// Offset of the variance of the tilt, both axes together, an `f32` in rad²; its root is σ.
+    /// Offset of the version of this layout.
+    pub const VERSION_OFFSET: usize = 0;
+    /// The version.
+    pub const VERSION: u32 = 1;
+    /// Offset of the variance of the published tilt, both axes together, an `f32` in rad²; its root is σ.
     pub const TILT_VARIANCE: usize = 4;
     /// Offset of the cause of the last reset: a [`ResetCause`](super::ResetCause) as a number.
     pub const RESET_CAUSE: usize = 8;

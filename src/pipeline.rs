@@ -13,10 +13,9 @@
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
 use crate::calibration::{AtRest, Mount, Progress, StartupAverage, StartupScale};
 use crate::estimator::kalman::{Kalman, Known};
-use crate::estimator::{AnyFilter, ClassicAngles, Estimator, Filter, FilterKind, Sample};
+use crate::estimator::{AnyFilter, ClassicAngles, Estimate, Estimator, Filter, FilterKind, Sample};
 use crate::health::{
-    self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, SUSPECT_RATE_RAD_S,
-    UNSEEN_RATE_RAD_S,
+    self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, UNSEEN_RATE_RAD_S,
 };
 use crate::mpu6050::{Burst, Config, Part, RawSample};
 use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
@@ -114,35 +113,20 @@ pub struct Pipeline<F = AnyFilter> {
     sample: Sample,
     temperature_celsius: f32,
     /// A longer step than this between samples leaves some of the motion unseen, µs.
-    longest_step_us: u64,
+    longest_step_us: u32,
+    /// The same, or zero if the next sample has to be looked at anyway.
+    pause_us: u32,
+    /// For how long the gyroscope has been reading full scale, µs.
+    saturated_us: u32,
+    /// The low half of the last sample's time, µs.
+    last_t_us: u32,
     temperature_limits: (i16, i16),
-    /// A gyroscope reading beyond this, in counts, may be that of a changed full scale.
-    suspect_counts: u16,
+    /// The rate has jumped as if by a changed full scale, and nobody has read that back yet.
     is_suspect: bool,
-    /// What the samples before have left to say of the next one.
+    /// What the samples before have left to say of the next one, [`Flags::VALID`] included.
     standing: Flags,
-    /// Whether σ of the tilt is small enough for an attitude to be valid.
-    is_trusted: bool,
-    last_tilt_variance: f32,
-}
-
-/// What the board knows of a burst besides its bytes and its time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Circumstances {
-    /// What there is to say: [`Flags::BUS_FAULT`], [`Flags::SENSOR_RESET`], [`Flags::LATE`],
-    /// [`Flags::POLLED`], [`Flags::INTERNAL_CLOCK`].
-    pub flags: Flags,
-    /// Whether the sensor's full scales have been read back since the burst before.
-    pub is_verified: bool,
-}
-
-impl Circumstances {
-    /// Nothing is wrong.
-    pub const GOOD: Self = Self {
-        flags: Flags::NONE,
-        is_verified: true,
-    };
+    tilt_variance_rad2: f32,
+    samples_to_stocktaking: u32,
 }
 
 impl Pipeline {
@@ -185,86 +169,85 @@ impl<F: Filter> Pipeline<F> {
             freeze_watch: FreezeWatch::new(settings.sensor.low_pass.gyroscope_bandwidth_hz()),
             sample: Sample::default(),
             temperature_celsius: 0.0,
-            longest_step_us: (PERIODS_UNSEEN * 1.0e6 / settings.sensor.sample_rate_hz()) as u64,
+            longest_step_us: (PERIODS_UNSEEN * 1.0e6 / settings.sensor.sample_rate_hz()) as u32,
+            pause_us: u32::MAX,
+            saturated_us: 0,
+            last_t_us: 0,
             temperature_limits: health::temperature_limits(
                 settings.part.temperature.celsius_per_count,
                 settings.part.temperature.celsius_at_zero,
             ),
-            suspect_counts: (SUSPECT_RATE_RAD_S / gyroscope_range.rad_s_per_count()) as u16,
             is_suspect: false,
             standing: Flags::NONE,
-            is_trusted: false,
-            last_tilt_variance: f32::INFINITY,
+            tilt_variance_rad2: f32::INFINITY,
+            samples_to_stocktaking: 0,
         }
     }
 
     /// Takes one burst and gives the attitude at its time.
     pub fn update(&mut self, burst: &Burst) -> Snapshot {
-        self.update_with(burst, Circumstances::GOOD, |_| {})
+        let snapshot = self.update_with(burst, Flags::NONE, |_, _| {});
+        // Nobody can read the sensor's settings back here.
+        self.confirm_scales();
+        snapshot
     }
 
-    /// The same with what the board knows besides. The snapshot goes to `publish` as soon as it is
-    /// there; what is done afterwards is for the next one.
+    /// The same with what the board has to say of the burst: [`Flags::BUS_FAULT`],
+    /// [`Flags::SENSOR_RESET`], [`Flags::LATE`], [`Flags::POLLED`], [`Flags::INTERNAL_CLOCK`]. The
+    /// snapshot goes to `publish` as soon as it is there, with the variance of its tilt (rad², both axes
+    /// together); what is done afterwards is for the next one.
     #[inline]
     pub fn update_with(
         &mut self,
         burst: &Burst,
-        circumstances: Circumstances,
-        publish: impl FnOnce(&Snapshot),
+        board_flags: Flags,
+        publish: impl FnOnce(&Snapshot, f32),
     ) -> Snapshot {
         let raw = RawSample::decode(&burst.bytes);
-        let gyroscope_peak = raw.gyroscope.peak();
         self.sample = Sample {
             t_us: burst.captured_at_us,
             specific_force_m_s2: self.in_body(raw.accelerometer.0, self.m_s2_per_count)
                 - self.force_offset_m_s2,
             angular_rate_rad_s: self.in_body(raw.gyroscope.0, self.rad_s_per_count)
                 - self.rate_offset_rad_s,
-            is_rate_saturated: gyroscope_peak >= FULL_SCALE,
+            is_rate_saturated: raw.gyroscope.is_saturated(),
             is_force_saturated: raw.accelerometer.is_saturated(),
         };
-        let step_us = burst.captured_at_us.saturating_sub(self.last_t_us());
-        let is_blank = health::is_blank(&burst.bytes);
-        let has_lost_settings = circumstances.flags.contains(Flags::SENSOR_RESET);
-        if step_us > self.longest_step_us || is_blank || has_lost_settings {
-            self.doubt(step_us, is_blank, has_lost_settings);
+        let t_us = burst.captured_at_us as u32;
+        let is_pause = t_us.wrapping_sub(self.last_t_us) > self.pause_us;
+        self.last_t_us = t_us;
+        if is_pause
+            || health::is_blank(&burst.bytes)
+            || !board_flags.is_empty()
+            || self.sample.is_rate_saturated
+        {
+            self.doubt(burst, board_flags);
         }
         let estimate = self.estimator.update(&self.sample);
         let startup_flags = self.average_at_rest(&raw);
-        let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
-        let has_moved = estimate.is_calibrating && self.was_still && !is_still;
-        self.was_still = is_still;
-        self.is_suspect = gyroscope_peak > self.suspect_counts;
-
         let remarks = estimate.remarks;
-        let flags = (startup_flags | self.standing | circumstances.flags)
-            .with(Flags::CALIBRATING, estimate.is_calibrating)
-            .with(Flags::MOVED, has_moved)
+        let mut flags = (startup_flags | self.standing | board_flags)
             .with(Flags::MISSED, burst.missed_before > 0)
-            .with(Flags::GAP, remarks.gap)
-            .with(Flags::TIME, remarks.time_went_back)
-            .with(Flags::REJECTED, remarks.rejected)
-            .with(Flags::FREE_FALL, remarks.no_gravity)
             .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
             .with(
                 Flags::ACCELEROMETER_SATURATED,
                 self.sample.is_force_saturated,
             );
-        let is_believable = circumstances.is_verified || !self.is_suspect;
-        let flags = flags
-            .with(Flags::DEGRADED, flags.intersects(Flags::DEGRADES))
-            .with(
-                Flags::VALID,
-                self.is_trusted && is_believable && !flags.intersects(Flags::SPOILS),
-            );
+        let is_odd = flags.intersects(Flags::ODD) | estimate.is_calibrating | estimate.has_jumped;
+        if is_odd | remarks.any() | self.is_suspect {
+            flags = self.judge(flags, &estimate);
+        }
         let snapshot = Snapshot {
             t_us: burst.captured_at_us,
             attitude: estimate.attitude,
             body_rates_rad_s: estimate.body_rates_rad_s,
             flags,
         };
-        publish(&snapshot);
-        self.take_stock(burst, &raw);
+        publish(&snapshot, self.tilt_variance_rad2);
+        match self.samples_to_stocktaking.checked_sub(1) {
+            Some(left) => self.samples_to_stocktaking = left,
+            None => self.take_stock(burst, &raw),
+        }
         snapshot
     }
 
@@ -284,16 +267,11 @@ impl<F: Filter> Pipeline<F> {
     /// know it.
     pub fn tilt_variance_rad2(&self, t_us: u64) -> f32 {
         let known = self.known_tilt_variance();
-        let age_us = t_us.saturating_sub(self.last_t_us());
-        if age_us <= self.longest_step_us {
+        let age_us = t_us.saturating_sub(self.estimator.last_t_us().unwrap_or(0));
+        if age_us <= u64::from(self.longest_step_us) {
             return known;
         }
         known + 2.0 * unseen_variance(age_us)
-    }
-
-    /// [`tilt_variance_rad2`](Self::tilt_variance_rad2) at the last sample.
-    pub const fn last_tilt_variance_rad2(&self) -> f32 {
-        self.last_tilt_variance
     }
 
     /// Goes on from what an earlier run knew. Before the first burst.
@@ -305,7 +283,8 @@ impl<F: Filter> Pipeline<F> {
     pub fn known(&self) -> Option<Known> {
         let filter = self.estimator.kalman()?;
         let sigma = filter.bias_sigma_rad_s();
-        (filter.is_bias_known() && self.is_trusted).then(|| Known {
+        let is_worth_it = filter.is_bias_known() && self.standing.contains(Flags::VALID);
+        is_worth_it.then(|| Known {
             attitude: filter.attitude(),
             tilt_sigma_rad: filter.tilt_sigma_rad(),
             bias_rad_s: filter.bias_rad_s(),
@@ -313,56 +292,123 @@ impl<F: Filter> Pipeline<F> {
         })
     }
 
-    /// Whether the last sample is such that the sensor's full scales should be read back at once.
+    /// Whether the rate has jumped as if the gyroscope's full scale had changed. It should then be read
+    /// back at once; until [`confirm_scales`](Self::confirm_scales), nothing is valid.
     pub const fn is_suspect(&self) -> bool {
         self.is_suspect
     }
 
-    /// What samples that are missing, or no measurements, do to what is known.
+    /// The sensor's full scales have been read back since the last sample, and are what they should be.
+    pub const fn confirm_scales(&mut self) {
+        self.is_suspect = false;
+    }
+
+    /// Whether the last sample was one of those, some milliseconds apart, after which things are looked
+    /// at that take time: others may do so, too.
+    #[inline]
+    pub const fn has_taken_stock(&self) -> bool {
+        self.samples_to_stocktaking == SAMPLES_BETWEEN_STOCKTAKINGS - 1
+    }
+
+    /// What pauses, samples that are no measurements, and what the board says do to what is known.
     #[cold]
     #[inline(never)]
-    fn doubt(&mut self, step_us: u64, is_blank: bool, has_lost_settings: bool) {
-        if is_blank {
-            // Not a number, so that the estimator rejects it.
+    fn doubt(&mut self, burst: &Burst, board_flags: Flags) {
+        let last_t_us = self.estimator.last_t_us().unwrap_or(0);
+        if health::is_blank(&burst.bytes) {
+            // Not a number, so that the estimator rejects it; and what is rejected does not end a pause.
             self.sample.specific_force_m_s2.x = f32::NAN;
+            self.last_t_us = last_t_us as u32;
             return;
         }
-        let longest_step_us = self.longest_step_us;
-        let Some(filter) = self
-            .estimator
-            .kalman_mut()
-            .filter(|filter| filter.has_tilt())
-        else {
+        let step_us = burst.captured_at_us.saturating_sub(last_t_us);
+        let longest_step_us = u64::from(self.longest_step_us);
+        self.pause_us = self.longest_step_us;
+        let was_saturated_us = self.saturated_us;
+        if self.sample.is_rate_saturated {
+            self.pause_us = 0;
+            self.saturated_us = was_saturated_us.saturating_add(step_us as u32);
+        } else if was_saturated_us > 0 {
+            self.saturated_us = 0;
+            if was_saturated_us >= LONG_SATURATION_US {
+                // Nobody knows how far it has turned: down is where the force says.
+                self.estimator.forget_tilt();
+                self.samples_to_stocktaking = 0;
+                return;
+            }
+        }
+        let filter = self.estimator.kalman_mut();
+        let Some(filter) = filter.filter(|filter| filter.has_tilt()) else {
             return;
         };
         if step_us > longest_step_us {
             filter.doubt_tilt(unseen_variance(step_us));
         }
-        if has_lost_settings {
+        if self.sample.is_rate_saturated {
+            let total = |saturated_us: u32| {
+                let turn_rad = HIDDEN_RATE_RAD_S * SECONDS_PER_MICROSECOND * saturated_us as f32;
+                turn_rad * turn_rad
+            };
+            filter.doubt_tilt(total(self.saturated_us) - total(was_saturated_us));
+        }
+        if board_flags.contains(Flags::SENSOR_RESET) {
             filter.doubt_motion(WRONG_SETTINGS_TILT_RAD * WRONG_SETTINGS_TILT_RAD);
+        }
+        self.take_stock_of_variance();
+        // The snapshot after this one knows for good.
+        self.samples_to_stocktaking = 0;
+    }
+
+    /// Decides what to say of a sample with something to remark, and whether its attitude is valid.
+    #[cold]
+    #[inline(never)]
+    fn judge(&mut self, flags: Flags, estimate: &Estimate) -> Flags {
+        let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
+        let has_moved = estimate.is_calibrating && self.was_still && !is_still;
+        self.was_still = is_still;
+        let remarks = estimate.remarks;
+        let flags = flags
+            .with(Flags::CALIBRATING, estimate.is_calibrating)
+            .with(Flags::MOVED, has_moved)
+            .with(Flags::GAP, remarks.gap)
+            .with(Flags::TIME, remarks.time_went_back)
+            .with(Flags::REJECTED, remarks.rejected)
+            .with(Flags::FREE_FALL, remarks.no_gravity);
+        self.is_suspect |= estimate.has_jumped;
+        let flags = flags.with(Flags::DEGRADED, flags.intersects(Flags::DEGRADES));
+        if !self.is_suspect && !flags.intersects(Flags::SPOILS) {
+            flags
+        } else {
+            flags.without(Flags::VALID)
         }
     }
 
-    /// What a sample leaves to say of the next one. Nobody waits for this.
-    #[inline]
+    /// What a sample leaves to say of the next ones. Nobody waits for this.
+    #[inline(never)]
     fn take_stock(&mut self, burst: &Burst, raw: &RawSample) {
         self.temperature_celsius = raw.temperature.to_celsius(self.settings.part);
+        self.samples_to_stocktaking = SAMPLES_BETWEEN_STOCKTAKINGS - 1;
+        self.pause_us = self.pause_us.min(self.longest_step_us);
         let (coldest, hottest) = self.temperature_limits;
-        let variance = self.known_tilt_variance();
         let is_frozen = self.freeze_watch.update(&burst.bytes);
+        let is_extreme = raw.temperature.0 < coldest || raw.temperature.0 > hottest;
         self.standing = Flags::NONE
-            .with(
-                Flags::TEMPERATURE,
-                raw.temperature.0 < coldest || raw.temperature.0 > hottest,
-            )
-            .with(Flags::FROZEN, is_frozen)
-            .with(
-                Flags::DEGRADED,
-                self.estimator.kalman().is_some()
-                    && variance > DEGRADED_TILT_RAD * DEGRADED_TILT_RAD,
-            );
-        self.last_tilt_variance = variance;
-        self.is_trusted = variance < LOST_TILT_RAD * LOST_TILT_RAD;
+            .with(Flags::TEMPERATURE, is_extreme)
+            .with(Flags::FROZEN, is_frozen);
+        self.take_stock_of_variance();
+    }
+
+    fn take_stock_of_variance(&mut self) {
+        let variance = self.known_tilt_variance();
+        self.tilt_variance_rad2 = variance;
+        let is_known = variance < LOST_TILT_RAD * LOST_TILT_RAD;
+        let is_large =
+            variance > DEGRADED_TILT_RAD * DEGRADED_TILT_RAD && self.estimator.kalman().is_some();
+        self.standing = self
+            .standing
+            .without(Flags::VALID | Flags::DEGRADED)
+            .with(Flags::VALID, is_known)
+            .with(Flags::DEGRADED, is_large);
     }
 
     #[inline]
@@ -371,12 +417,6 @@ impl<F: Filter> Pipeline<F> {
             Some(filter) if filter.has_tilt() => filter.tilt_variance_rad2(),
             _ => f32::INFINITY,
         }
-    }
-
-    /// The time of the last sample that was a measurement, or zero.
-    #[inline]
-    fn last_t_us(&self) -> u64 {
-        self.estimator.last_t_us().unwrap_or(0)
     }
 
     /// Armed (`true`), the filter does nothing that is only safe on the ground. Default: false.
@@ -467,11 +507,19 @@ impl<F: Filter> Pipeline<F> {
 /// More sample periods than this without a sample are a pause in which the motion went unseen.
 const PERIODS_UNSEEN: f32 = 3.5;
 
-/// The magnitude that a reading cannot exceed.
-const FULL_SCALE: u16 = i16::MAX as u16;
+/// So many samples apart is looked at what changes slowly or takes time to tell: 11 ms, so that nothing
+/// that repeats itself every few samples looks frozen.
+const SAMPLES_BETWEEN_STOCKTAKINGS: u32 = 11;
 
 /// σ per axis of the tilt that a changed full scale can have done before it was noticed.
 const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);
+
+/// A gyroscope that reads full scale may be wrong by so much, one σ per axis, in rad/s: six of them are
+/// more than the whole scale.
+const HIDDEN_RATE_RAD_S: f32 = radians(400.0);
+
+/// After reading full scale for so long, the gyroscope has lost the tilt: 20° of it.
+const LONG_SATURATION_US: u32 = 10_000;
 
 /// Variance per axis of a turn that no sample shows, rad².
 fn unseen_variance(duration_us: u64) -> f32 {
@@ -842,9 +890,11 @@ mod tests {
                 assert!(!snapshot.flags.contains(Flags::VALID));
                 assert_eq!(snapshot.attitude, attitude);
             }
-            // The first good sample still carries that the data had been frozen.
-            pipeline.update(&noisy(t_us + 301_000, LEVEL));
-            let after = pipeline.update(&noisy(t_us + 302_000, LEVEL));
+            // The first good sample may still carry that the data had been frozen.
+            for step in 301..312 {
+                pipeline.update(&noisy(t_us + step * 1000, LEVEL));
+            }
+            let after = pipeline.update(&noisy(t_us + 312_000, LEVEL));
             assert!(after.flags.contains(Flags::VALID), "{}", after.flags);
         }
     }
@@ -876,11 +926,37 @@ mod tests {
     }
 
     #[test]
+    fn a_gyroscope_stuck_at_full_scale_is_not_believed() {
+        for milliseconds in [1, 5, 9, 11, 50, 400] {
+            let (mut pipeline, t_us) = settled();
+            for step in 1..=milliseconds {
+                let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
+                raw.gyroscope = GyroscopeCounts([i16::MAX, 0, 0]);
+                let snapshot = pipeline.update(&Burst {
+                    bytes: raw.encode(),
+                    captured_at_us: t_us + step * 1000,
+                    missed_before: 0,
+                });
+                assert!(!snapshot.flags.contains(Flags::VALID));
+            }
+            for step in milliseconds + 1..milliseconds + 300 {
+                let snapshot = pipeline.update(&noisy(t_us + step * 1000, LEVEL));
+                let error = libm::acosf(snapshot.attitude.down_in_body().z.min(1.0));
+                let sigma = libm::sqrtf(pipeline.tilt_variance_rad2(snapshot.t_us));
+                let allowed = (6.0 * sigma).max(radians(5.0));
+                let is_valid = snapshot.flags.contains(Flags::VALID);
+                assert!(error < allowed || !is_valid, "{step}: {error} {sigma}");
+                assert!(is_valid || step < milliseconds + 10, "{step}");
+            }
+        }
+    }
+
+    #[test]
     fn a_temperature_that_the_part_is_not_made_for_is_not_valid() {
         for (counts, is_good) in [(-26_000, true), (-26_100, false), (16_500, false)] {
             let (mut pipeline, t_us) = settled();
             let mut flags = Flags::NONE;
-            for step in 1..=2 {
+            for step in 1..=13 {
                 let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
                 raw.temperature = TemperatureCounts(counts);
                 flags = pipeline
@@ -898,40 +974,46 @@ mod tests {
 
     #[test]
     fn rates_that_a_changed_full_scale_would_show_are_valid_once_it_is_read_back() {
-        for (rate, is_verified, is_valid) in [
-            (250.0, false, true),
-            (350.0, false, false),
-            (-350.0, false, false),
-            (350.0, true, true),
+        for (before, after, is_jump) in [
+            (10.0, 80.0, true),    // ±2000 °/s become ±250 °/s.
+            (-10.0, -40.0, false), // ±2000 °/s become ±500 °/s: 30 °/s too much for 40 ms are 1.2°.
+            (-20.0, -80.0, true),
+            (200.0, 220.0, false),
+            (0.0, 49.0, false),
         ] {
-            let (mut pipeline, t_us) = settled();
-            let rates = Vector3::new(0.0, 0.0, rate);
-            let burst = burst(Mount::Z_UP, t_us + 1000, LEVEL, rates);
-            let circumstances = Circumstances {
-                is_verified,
-                ..Circumstances::GOOD
+            let (mut pipeline, mut t_us) = settled();
+            let mut turn = |pipeline: &mut Pipeline, rate| {
+                t_us += 1000;
+                let rates = Vector3::new(0.0, 0.0, rate + 0.1 * (t_us / 1000 % 2) as f32);
+                let burst = burst(Mount::Z_UP, t_us, LEVEL, rates);
+                let snapshot = pipeline.update_with(&burst, Flags::NONE, |_, _| {});
+                snapshot.flags.contains(Flags::VALID)
             };
-            let snapshot = pipeline.update_with(&burst, circumstances, |_| {});
-            assert_eq!(snapshot.flags.contains(Flags::VALID), is_valid, "{rate}");
-            assert_eq!(pipeline.is_suspect(), rate.abs() > 300.0);
+            for part in 1..=20 {
+                assert!(turn(&mut pipeline, before * 0.05 * part as f32));
+            }
+            for _ in 0..3 {
+                assert_eq!(turn(&mut pipeline, after), !is_jump, "{before} {after}");
+                assert_eq!(pipeline.is_suspect(), is_jump);
+            }
+            pipeline.confirm_scales();
+            assert!(turn(&mut pipeline, after), "{before} {after}");
         }
     }
 
     #[test]
     fn lost_settings_cost_certainty_and_not_the_attitude() {
         let (mut pipeline, t_us) = settled();
-        let circumstances = Circumstances {
-            flags: Flags::SENSOR_RESET,
-            is_verified: true,
-        };
         let burst = noisy(t_us + 50_000, LEVEL);
         let mut published = None;
-        let snapshot = pipeline.update_with(&burst, circumstances, |snapshot| {
-            published = Some(*snapshot);
+        let snapshot = pipeline.update_with(&burst, Flags::SENSOR_RESET, |snapshot, variance| {
+            published = Some((*snapshot, variance));
         });
-        assert_eq!(published, Some(snapshot));
-        assert_eq!(snapshot.flags, Flags::VALID | Flags::SENSOR_RESET);
-        let sigma = libm::sqrtf(pipeline.tilt_variance_rad2(t_us + 50_000)).to_degrees();
+        let variance = pipeline.tilt_variance_rad2(t_us + 50_000);
+        assert_eq!(published, Some((snapshot, variance)));
+        let said = Flags::VALID | Flags::DEGRADED | Flags::SENSOR_RESET;
+        assert_eq!(snapshot.flags, said);
+        let sigma = libm::sqrtf(variance).to_degrees();
         assert!((7.0..8.0).contains(&sigma), "{sigma}");
     }
 
@@ -964,8 +1046,8 @@ mod tests {
             let flags = pipeline
                 .update(&burst(Mount::Z_UP, index * 1000, LEVEL, Vector3::ZERO))
                 .flags;
-            // Twenty repeats, and the sample after them tells.
-            assert_eq!(flags.contains(Flags::FROZEN), index > 20, "{index}");
+            // Every eleventh is compared with the one before, and the sample after it tells.
+            assert_eq!(flags.contains(Flags::FROZEN), index > 22, "{index}");
         }
     }
 

@@ -217,8 +217,8 @@ mod app {
                 watchdog::attitude_goes_on();
                 return None;
             };
-            let sampled = burst_reader::with_burst(|burst, circumstances| {
-                let snapshot = pipeline.update_with(burst, circumstances, publish::publish);
+            let sampled = burst_reader::with_burst(|burst, flags| {
+                let snapshot = pipeline.update_with(burst, flags, publish::publish);
                 upkeep.after_sample(pipeline, snapshot.flags)
             });
             if let Some(change) = sampled {
@@ -226,8 +226,8 @@ mod app {
             }
             let (t_us, flags) = burst_reader::take_stale()?;
             let snapshot = pipeline.stale(t_us, flags);
-            publish::publish(&snapshot);
-            upkeep.after_silence(pipeline, &snapshot)
+            publish::publish(&snapshot, pipeline.tilt_variance_rad2(t_us));
+            upkeep.after_silence(&snapshot)
         });
         let Some((last, flags)) = change else {
             return;

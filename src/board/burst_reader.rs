@@ -25,7 +25,7 @@
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fence};
 
-use stm32f4xx_hal::pac::{DMA1, EXTI, I2C1, dma1, i2c1};
+use stm32f4xx_hal::pac::{DMA1, EXTI, I2C1, Interrupt, dma1, i2c1};
 
 use super::sensor::Ready;
 use super::sensor_bus::with_clock;
@@ -35,7 +35,6 @@ use crate::fault::{BurstFailure, BurstFault, BurstStep, FaultClass};
 use crate::health::Flags;
 use crate::mpu6050::registers::Register;
 use crate::mpu6050::{BURST_LENGTH, Burst, Check, Condition, Config, Part};
-use crate::pipeline::Circumstances;
 
 /// Longest time from the edge to the end of its burst, in microseconds: twice what the bus needs.
 pub const BURST_DEADLINE_US: u32 = 800;
@@ -52,23 +51,41 @@ const CHECK_ORDER: [u8; 4] = [0, 1, 0, 2];
 pub struct BurstReader {
     step: BurstStep,
     filling: u8,
-    captured_at_us: u64,
-    /// The count at the last edge that started a burst, or at the burst that the alarm started.
-    started: u32,
+    /// Where the steps under way read from.
+    pointer: Register,
     missed: u8,
+    /// When the edge of this burst, or of the last one, came; its low half is the timer's count.
+    captured_at_us: u64,
+    /// An edge that comes sooner after the last one than this is an odd one, in microseconds.
+    shortest_period_us: u32,
+    /// When the alarm goes off if no edge comes, in microseconds after the last.
+    patience_us: u32,
+    /// What there is to say of the next burst.
+    flags: Flags,
+    /// What there is to say of every burst from now on.
+    standing: Flags,
+    mode: Mode,
     failures_in_a_row: u8,
-    /// No edges come: the alarm starts the bursts.
-    is_polling: bool,
     /// The steps under way read settings back.
     is_check: bool,
     /// An edge has come during a check.
     edge_waits: bool,
-    /// The full scales have been read back since the last burst.
-    is_verified: bool,
     next_check: u8,
-    /// What is to be said of every burst from now on.
-    standing: Flags,
 }
+
+/// What the next edge means.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Mode {
+    /// It is the first since the reader was enabled.
+    Starting,
+    /// It starts the next burst.
+    Edges,
+    /// Edges are back, after the alarm has started the bursts.
+    Polling,
+}
+
+/// A period that no edge keeps: every one is looked at.
+const EVERY_EDGE_IS_ODD: u32 = u32::MAX;
 
 impl BurstReader {
     /// Sets the DMA stream up. The reader starts when [`enable`] lets the first edge through.
@@ -84,16 +101,18 @@ impl BurstReader {
         let reader = Self {
             step: BurstStep::Idle,
             filling: 0,
-            captured_at_us: 0,
-            started: 0,
+            pointer: Register::AccelerometerXHigh,
             missed: 0,
+            captured_at_us: 0,
+            shortest_period_us: EVERY_EDGE_IS_ODD,
+            patience_us: SILENCE_DEADLINE_US,
+            flags: Flags::NONE,
+            standing: Flags::NONE,
+            mode: Mode::Starting,
             failures_in_a_row: 0,
-            is_polling: false,
             is_check: false,
             edge_waits: false,
-            is_verified: false,
             next_check: 0,
-            standing: Flags::NONE,
         };
         reader.arm_dma();
         timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
@@ -104,41 +123,69 @@ impl BurstReader {
     #[inline(always)]
     pub fn on_data_ready(&mut self, timebase: &Timebase) {
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
-        if clocks::have_fallen_back() {
-            clocks::restore();
-            self.standing |= Flags::INTERNAL_CLOCK;
-        }
         let count = timebase.captured();
-        let is_too_soon = count.wrapping_sub(self.started) < setup().shortest_period_us;
-        if self.step != BurstStep::Idle || (is_too_soon && !self.is_polling) {
-            self.on_odd_edge(is_too_soon);
+        let since = count.wrapping_sub(self.captured_at_us as u32);
+        if self.step != BurstStep::Idle
+            || since < self.shortest_period_us
+            || clocks::have_fallen_back()
+        {
+            self.on_odd_edge(timebase);
             return;
         }
-        self.is_polling = false;
         self.begin(count, timebase);
     }
 
-    /// An edge that starts no burst.
+    /// An edge that is not the next one of many.
     #[cold]
     #[inline(never)]
-    fn on_odd_edge(&mut self, is_too_soon: bool) {
-        if is_too_soon && !self.is_polling {
-            retained::count(FaultClass::InterruptGlitch);
-        } else if self.is_check {
-            self.edge_waits = true;
-            self.is_polling = false;
-        } else if self.is_polling {
-            // Edges are back; the burst under way reads this one's sample.
-            self.is_polling = false;
-        } else {
-            self.missed = self.missed.saturating_add(1);
+    fn on_odd_edge(&mut self, timebase: &Timebase) {
+        if clocks::have_fallen_back() {
+            clocks::restore();
+            self.standing |= Flags::INTERNAL_CLOCK;
+            self.flags |= Flags::INTERNAL_CLOCK;
         }
+        let count = timebase.captured();
+        let is_idle = self.step == BurstStep::Idle;
+        match self.mode {
+            Mode::Starting => self.take_up(),
+            // Where a burst is under way, it reads this edge's sample.
+            Mode::Polling => self.return_to_edges(),
+            Mode::Edges => {
+                let since = count.wrapping_sub(self.captured_at_us as u32);
+                if since < self.shortest_period_us {
+                    retained::count(FaultClass::InterruptGlitch);
+                    return;
+                }
+                if !is_idle && !self.is_check {
+                    self.missed = self.missed.saturating_add(1);
+                }
+            }
+        }
+        if is_idle {
+            self.begin(count, timebase);
+        } else {
+            self.edge_waits = self.is_check;
+        }
+    }
+
+    /// The first edge, or none of it, after the idle task has made the sensor ready.
+    fn take_up(&mut self) {
+        self.return_to_edges();
+        self.flags = self.standing | Flags::from_bits(LINK.notes.load(Ordering::Relaxed));
+        LINK.notes.store(0, Ordering::Relaxed);
+    }
+
+    fn return_to_edges(&mut self) {
+        self.mode = Mode::Edges;
+        self.shortest_period_us = setup().shortest_period_us;
+        self.patience_us = SILENCE_DEADLINE_US;
+        self.standing = self.standing.without(Flags::POLLED);
+        self.flags = self.flags.without(Flags::POLLED);
     }
 
     /// Asks for the bus to read a burst.
     #[inline(always)]
     fn begin(&mut self, count: u32, timebase: &Timebase) {
-        self.started = count;
         self.captured_at_us = timebase.extend_capture(count);
         timebase::set_burst_alarm(count.wrapping_add(BURST_DEADLINE_US));
         self.ask_for_bus();
@@ -168,12 +215,7 @@ impl BurstReader {
             }
             BurstStep::AddressWrite if status.addr().bit() => {
                 i2c.sr2().read();
-                let pointer = if self.is_check {
-                    self.check().first
-                } else {
-                    Register::AccelerometerXHigh
-                };
-                i2c.dr().write(|w| w.dr().set(pointer as u8));
+                i2c.dr().write(|w| w.dr().set(self.pointer as u8));
                 self.step = BurstStep::Pointer;
             }
             BurstStep::Pointer if status.btf().bit() => {
@@ -201,6 +243,7 @@ impl BurstReader {
                 i2c.sr2().read();
                 self.step = BurstStep::Data;
             }
+            BurstStep::Idle => self.begin_check(),
             _ => {}
         }
     }
@@ -225,12 +268,7 @@ impl BurstReader {
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
-        let patience_us = if self.is_polling {
-            setup().period_us
-        } else {
-            SILENCE_DEADLINE_US
-        };
-        timebase::set_burst_alarm(self.started.wrapping_add(patience_us));
+        timebase::set_burst_alarm((self.captured_at_us as u32).wrapping_add(self.patience_us));
         self.step = BurstStep::Idle;
         self.failures_in_a_row = 0;
         let handed_over = !HANDOVER.held.load(Ordering::Relaxed);
@@ -240,74 +278,74 @@ impl BurstReader {
             burst.captured_at_us = self.captured_at_us;
             burst.missed_before = self.missed;
             self.missed = 0;
-            let notes = Flags::from_bits(LINK.notes.load(Ordering::Relaxed));
-            LINK.notes.store(0, Ordering::Relaxed);
-            let flags = (self.standing | notes).with(Flags::POLLED, self.is_polling);
-            HANDOVER.flags.store(flags.bits(), Ordering::Relaxed);
-            HANDOVER
-                .is_verified
-                .store(self.is_verified, Ordering::Relaxed);
-            self.is_verified = false;
+            HANDOVER.flags.store(self.flags.bits(), Ordering::Relaxed);
+            self.flags = self.standing;
             compiler_fence(Ordering::Release);
             HANDOVER.ready.store(self.filling, Ordering::Relaxed);
             HANDOVER.held.store(true, Ordering::Relaxed);
             self.filling ^= 1;
         } else {
-            self.missed = self.missed.saturating_add(1);
-            LINK.note(Flags::LATE);
-            retained::count(FaultClass::AttitudeLate);
+            self.note_late();
         }
         self.arm_dma();
         handed_over
     }
 
-    /// The settings are read back: compares them, and gives the bus to an edge that has come meanwhile.
     #[cold]
+    #[inline(never)]
+    fn note_late(&mut self) {
+        self.missed = self.missed.saturating_add(1);
+        self.flags |= Flags::LATE;
+        retained::count(FaultClass::AttitudeLate);
+    }
+
+    /// The settings are read back: compares them, and gives the bus to an edge that has come meanwhile.
     #[inline(never)]
     fn end_check(&mut self, timebase: &Timebase) {
         // SAFETY: the transfer into these bytes is complete.
         let bytes = unsafe { *CHECKED.bytes.get() };
-        let condition = self.check().of(&bytes);
-        self.is_verified |= self.check_number() == 0;
-        self.is_check = false;
-        self.failures_in_a_row = 0;
+        let is_intact = self.check().of(&bytes) == Condition::Intact;
+        if is_intact && self.check_number() == 0 {
+            LINK.are_scales_verified.store(true, Ordering::Relaxed);
+        }
         self.next_check = (self.next_check + 1) % CHECK_ORDER.len() as u8;
+        self.is_check = false;
+        self.pointer = Register::AccelerometerXHigh;
+        self.failures_in_a_row = 0;
         self.step = BurstStep::Idle;
         self.arm_dma();
         let edge_waits = core::mem::take(&mut self.edge_waits);
-        if edge_waits && condition == Condition::Intact {
+        if edge_waits && is_intact {
             self.begin(timebase.captured(), timebase);
             return;
         }
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
-        timebase::set_burst_alarm(timebase::now().wrapping_add(if self.is_polling {
-            POLL_AFTER_CHECK_US
-        } else {
-            SILENCE_DEADLINE_US
-        }));
-        if condition != Condition::Intact {
+        let patience_us = match self.mode {
+            Mode::Polling => POLL_AFTER_CHECK_US,
+            _ => SILENCE_DEADLINE_US - BURST_DEADLINE_US,
+        };
+        timebase::set_burst_alarm(timebase::now().wrapping_add(patience_us));
+        if !is_intact {
             // The idle task looks again and counts.
-            self.is_verified = false;
-            disable();
+            self.disable();
         }
     }
 
-    /// Reads some settings back, if nothing else is on the bus.
-    #[cold]
+    /// Reads some settings back if that is asked for and the bus is free.
     #[inline(never)]
     fn begin_check(&mut self) {
         let is_free =
             i2c1().sr2().read().busy().bit_is_clear() && i2c1().cr1().read().stop().bit_is_clear();
-        if self.step != BurstStep::Idle || !is_free {
-            // In case the alarm itself came at the same time and is taken for the request.
-            timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
+        if !LINK.check_wanted.load(Ordering::Relaxed) || !is_free || !is_enabled() {
             return;
         }
+        LINK.check_wanted.store(false, Ordering::Relaxed);
         self.is_check = true;
+        self.pointer = self.check().first;
         timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
-        self.arm_dma();
+        self.arm_dma_for_check();
         self.ask_for_bus();
     }
 
@@ -354,37 +392,49 @@ impl BurstReader {
     pub fn on_alarm(&mut self, timebase: &Timebase) -> bool {
         if !is_enabled() {
             timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
-            self.is_polling = false;
             let t_us = timebase.extend_capture(timebase::now());
             LINK.stale_low.store(t_us as u32, Ordering::Relaxed);
             LINK.stale_high
                 .store((t_us >> 32) as u32, Ordering::Relaxed);
+            LINK.stale_flags
+                .store((self.flags | self.standing).bits(), Ordering::Relaxed);
             LINK.is_stale.store(true, Ordering::Release);
             return true;
         }
-        if LINK.check_wanted.load(Ordering::Relaxed) {
-            LINK.check_wanted.store(false, Ordering::Relaxed);
-            self.begin_check();
-            return false;
+        if clocks::have_fallen_back() {
+            clocks::restore();
+            self.standing |= Flags::INTERNAL_CLOCK;
+            self.flags |= Flags::INTERNAL_CLOCK;
         }
         if self.step != BurstStep::Idle {
             self.fail(BurstFault::Deadline);
             return false;
         }
-        if !self.is_polling {
-            self.is_polling = true;
-            retained::count(if pins::interrupt_is_high() {
-                FaultClass::InterruptStuckHigh
-            } else {
-                FaultClass::InterruptMissing
-            });
-            LINK.record(BurstFailure {
-                fault: BurstFault::NoDataReady,
-                step: BurstStep::Idle,
-            });
+        if self.mode == Mode::Starting {
+            self.take_up();
+        }
+        if self.mode == Mode::Edges {
+            self.poll_instead_of_edges();
         }
         self.begin(timebase::now(), timebase);
         false
+    }
+
+    fn poll_instead_of_edges(&mut self) {
+        self.mode = Mode::Polling;
+        self.shortest_period_us = EVERY_EDGE_IS_ODD;
+        self.patience_us = setup().period_us;
+        self.standing |= Flags::POLLED;
+        self.flags |= Flags::POLLED;
+        retained::count(if pins::interrupt_is_high() {
+            FaultClass::InterruptStuckHigh
+        } else {
+            FaultClass::InterruptMissing
+        });
+        LINK.record(BurstFailure {
+            fault: BurstFault::NoDataReady,
+            step: BurstStep::Idle,
+        });
     }
 
     #[cold]
@@ -396,7 +446,7 @@ impl BurstReader {
         };
         LINK.record(failure);
         retained::count(failure.class());
-        LINK.note(Flags::BUS_FAULT);
+        self.flags |= Flags::BUS_FAULT;
         i2c1().cr2().write(|w| with_clock(w));
         i2c1()
             .cr1()
@@ -405,6 +455,7 @@ impl BurstReader {
             self.missed = self.missed.saturating_add(1);
         }
         self.is_check = false;
+        self.pointer = Register::AccelerometerXHigh;
         self.edge_waits = false;
         self.failures_in_a_row = self.failures_in_a_row.saturating_add(1);
         self.step = BurstStep::Idle;
@@ -413,64 +464,90 @@ impl BurstReader {
         let bus_is_known = fault == BurstFault::NotAcknowledged;
         if !bus_is_known || self.failures_in_a_row >= FAILURES_IN_A_ROW {
             self.failures_in_a_row = 0;
-            disable();
+            self.disable();
         }
+    }
+
+    /// Leaves the bus to the idle task.
+    fn disable(&mut self) {
+        self.mode = Mode::Starting;
+        self.shortest_period_us = EVERY_EDGE_IS_ODD;
+        exti().imr().reset();
+        LINK.enabled.store(false, Ordering::Release);
+        // Which has it said at once that no sample comes.
+        timebase::raise_burst_alarm();
     }
 
     /// Readies the stream for the next burst. It moves nothing until the I2C asks, in step `Data`.
     #[inline(always)]
     fn arm_dma(&self) {
-        let stream = dma1().st(0);
-        if stream.cr().read().en().bit() {
-            stream.cr().reset();
-            while stream.cr().read().en().bit() {} // Ends with the byte in flight (RM0090, 10.3, DMA transfer suspension).
-            clear_dma_flags();
-        }
-        let (address, length) = if self.is_check {
-            (CHECKED.bytes.get() as u32, self.check().length)
-        } else {
-            let slot = HANDOVER.slot(self.filling).get() as u32;
-            (
-                slot + core::mem::offset_of!(Burst, bytes) as u32,
-                BURST_LENGTH,
-            )
-        };
-        // SAFETY: the slot lives for ever, and the attitude task reads the other one; nobody reads the
-        // bytes of a check before it ends.
-        stream.m0ar().write(|w| unsafe { w.m0a().bits(address) });
-        stream.ndtr().write(|w| w.ndt().set(length as u16));
-        stream.cr().write(|w| {
-            w.chsel()
-                .set(1)
-                .pl()
-                .very_high()
-                .minc()
-                .set_bit()
-                .tcie()
-                .set_bit()
-                .teie()
-                .set_bit()
-                .en()
-                .set_bit()
-        });
+        let address =
+            HANDOVER.slot(self.filling).get() as u32 + core::mem::offset_of!(Burst, bytes) as u32;
+        // The slot lives for ever, and the attitude task reads the other one.
+        arm_dma(address, BURST_LENGTH as u16);
+    }
+
+    fn arm_dma_for_check(&self) {
+        // Nobody reads the bytes of a check before it ends.
+        arm_dma(CHECKED.bytes.get() as u32, self.check().length as u16);
     }
 }
+
+/// Readies the stream for a transfer to this address, which must be the reader's to fill.
+#[inline(always)]
+fn arm_dma(address: u32, length: u16) {
+    let stream = dma1().st(0);
+    if stream.cr().read().en().bit() {
+        stop_dma();
+    }
+    // SAFETY: see the two callers.
+    stream.m0ar().write(|w| unsafe { w.m0a().bits(address) });
+    stream.ndtr().write(|w| w.ndt().set(length));
+    stream.cr().write(|w| {
+        w.chsel()
+            .set(1)
+            .pl()
+            .very_high()
+            .minc()
+            .set_bit()
+            .tcie()
+            .set_bit()
+            .teie()
+            .set_bit()
+            .en()
+            .set_bit()
+    });
+}
+
+#[cold]
+#[inline(never)]
+fn stop_dma() {
+    let stream = dma1().st(0);
+    stream.cr().reset();
+    // Ends with the byte in flight (RM0090, 10.3, DMA transfer suspension): well within the readings.
+    for _ in 0..STOP_READINGS {
+        if stream.cr().read().en().bit_is_clear() {
+            break;
+        }
+    }
+    clear_dma_flags();
+}
+
+/// The stream is asked so often whether it has stopped.
+const STOP_READINGS: u32 = 1_000;
 
 /// Lends the ready burst to `work`, with what else there is to say of it, and gives its slot back
 /// afterwards. Only the attitude task calls this.
 #[inline(always)]
-pub fn with_burst<R>(work: impl FnOnce(&Burst, Circumstances) -> R) -> Option<R> {
+pub fn with_burst<R>(work: impl FnOnce(&Burst, Flags) -> R) -> Option<R> {
     if !HANDOVER.held.load(Ordering::Relaxed) {
         return None;
     }
     compiler_fence(Ordering::Acquire);
     let ready = HANDOVER.ready.load(Ordering::Relaxed);
-    let circumstances = Circumstances {
-        flags: Flags::from_bits(HANDOVER.flags.load(Ordering::Relaxed)),
-        is_verified: HANDOVER.is_verified.load(Ordering::Relaxed),
-    };
+    let flags = Flags::from_bits(HANDOVER.flags.load(Ordering::Relaxed));
     // SAFETY: while `held` is true the reader neither writes this slot nor points DMA at it.
-    let result = work(unsafe { &*HANDOVER.slot(ready).get() }, circumstances);
+    let result = work(unsafe { &*HANDOVER.slot(ready).get() }, flags);
     compiler_fence(Ordering::Release);
     HANDOVER.held.store(false, Ordering::Relaxed);
     Some(result)
@@ -485,15 +562,30 @@ pub fn take_stale() -> Option<(u64, Flags)> {
     LINK.is_stale.store(false, Ordering::Relaxed);
     let low = LINK.stale_low.load(Ordering::Relaxed);
     let high = LINK.stale_high.load(Ordering::Relaxed);
-    let notes = Flags::from_bits(LINK.notes.load(Ordering::Relaxed));
-    Some((u64::from(high) << 32 | u64::from(low), notes))
+    let flags = LINK.stale_flags.load(Ordering::Relaxed) | LINK.notes.load(Ordering::Relaxed);
+    Some((
+        u64::from(high) << 32 | u64::from(low),
+        Flags::from_bits(flags),
+    ))
 }
 
 /// Asks the reader to read some settings back now. Only the attitude task calls this, when it is done
 /// with a burst: then the bus is free.
 pub fn request_check() {
     LINK.check_wanted.store(true, Ordering::Relaxed);
-    timebase::raise_burst_alarm();
+    cortex_m::peripheral::NVIC::pend(Interrupt::I2C1_EV);
+}
+
+/// Whether the full scales have been read back, and are right, since this was asked last.
+pub fn take_verified() -> bool {
+    let is_verified = LINK.are_scales_verified.load(Ordering::Relaxed);
+    LINK.are_scales_verified.store(false, Ordering::Relaxed);
+    is_verified
+}
+
+/// Says with every snapshot that the sensor has lost its settings, until samples come again.
+pub fn note_sensor_reset() {
+    LINK.note(Flags::SENSOR_RESET);
 }
 
 /// Lets edges through to the reader. Called by the idle task with the reader disabled, the bus free and the sensor ready with these settings.
@@ -508,9 +600,6 @@ pub fn enable(ready: &Ready, config: &Config) {
         };
     }
     LINK.address.store(ready.address, Ordering::Relaxed);
-    if ready.was_reset {
-        LINK.note(Flags::SENSOR_RESET);
-    }
     LINK.check_wanted.store(false, Ordering::Relaxed);
     timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
     LINK.enabled.store(true, Ordering::Release);
@@ -531,13 +620,6 @@ pub fn failures() -> (u16, Option<BurstFailure>) {
         u16::from_le_bytes([count_low, count_high]),
         BurstFailure::from_codes(fault, step),
     )
-}
-
-fn disable() {
-    exti().imr().reset();
-    LINK.enabled.store(false, Ordering::Release);
-    // Which has it said at once that no sample comes.
-    timebase::raise_burst_alarm();
 }
 
 /// When the alarm starts the bursts: so long after a check the next one is due, in microseconds.
@@ -591,10 +673,12 @@ struct Link {
     notes: AtomicU32,
     /// The attitude task has asked for a check.
     check_wanted: AtomicBool,
+    are_scales_verified: AtomicBool,
     /// It is to be said that no sample comes, as of this time in microseconds since boot.
     is_stale: AtomicBool,
     stale_low: AtomicU32,
     stale_high: AtomicU32,
+    stale_flags: AtomicU32,
 }
 
 impl Link {
@@ -625,6 +709,8 @@ static LINK: Link = Link {
     is_stale: AtomicBool::new(false),
     stale_low: AtomicU32::new(0),
     stale_high: AtomicU32::new(0),
+    stale_flags: AtomicU32::new(0),
+    are_scales_verified: AtomicBool::new(false),
 };
 
 /// Two slots: DMA fills one while the attitude task reads the other.
@@ -636,7 +722,6 @@ struct Handover {
     held: AtomicBool,
     /// What there is to say of the burst.
     flags: AtomicU32,
-    is_verified: AtomicBool,
 }
 
 impl Handover {
@@ -660,7 +745,6 @@ static HANDOVER: Handover = Handover {
     ready: AtomicU8::new(0),
     held: AtomicBool::new(false),
     flags: AtomicU32::new(0),
-    is_verified: AtomicBool::new(false),
 };
 
 fn clear_dma_flags() {

@@ -11,12 +11,12 @@ use stm32f4xx_hal::pac::{RCC, rcc};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::kalman::Known;
 use crate::fault::{FaultClass, ResetCause, report};
-use crate::health::{Flags, UNSEEN_RATE_RAD_S};
+use crate::health::UNSEEN_RATE_RAD_S;
 
 /// The counters and what goes with them, as `fault::report` says.
 #[repr(C)]
 struct Report {
-    flags: AtomicU32,
+    version: AtomicU32,
     tilt_variance: AtomicU32,
     reset_cause: AtomicU32,
     last_fault: AtomicU32,
@@ -38,7 +38,7 @@ const _: () = assert!(core::mem::offset_of!(Report, check) == report::LENGTH);
 #[unsafe(no_mangle)]
 #[unsafe(link_section = ".uninit.APLOMB_HEALTH")]
 static APLOMB_HEALTH: Report = Report {
-    flags: AtomicU32::new(0),
+    version: AtomicU32::new(0),
     tilt_variance: AtomicU32::new(0),
     reset_cause: AtomicU32::new(0),
     last_fault: AtomicU32::new(0),
@@ -122,7 +122,7 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
         }
         report.check.store(CHECK, Ordering::Relaxed);
     }
-    report.flags.store(Flags::NONE.bits(), Ordering::Relaxed);
+    report.version.store(report::VERSION, Ordering::Relaxed);
     report
         .tilt_variance
         .store(f32::INFINITY.to_bits(), Ordering::Relaxed);
@@ -176,10 +176,9 @@ pub fn note_crash(class: FaultClass, address: u32) {
         .store(address, Ordering::Relaxed);
 }
 
-/// Shows the flags and the variance of the tilt (rad²) of the last snapshot.
+/// Shows the variance of the tilt of the snapshot that is published next, rad².
 #[inline(always)]
-pub fn show(flags: Flags, tilt_variance: f32) {
-    APLOMB_HEALTH.flags.store(flags.bits(), Ordering::Relaxed);
+pub fn show_variance(tilt_variance: f32) {
     APLOMB_HEALTH
         .tilt_variance
         .store(tilt_variance.to_bits(), Ordering::Relaxed);

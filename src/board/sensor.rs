@@ -6,9 +6,9 @@
 
 use embedded_hal::i2c::ErrorKind;
 
-use super::retained;
 use super::sensor_bus::{BusHeldLow, SensorBus};
 use super::timebase::Delay;
+use super::{burst_reader, retained};
 use crate::fault::FaultClass;
 use crate::mpu6050::{Condition, Config, Error, Mpu6050, Part};
 
@@ -29,8 +29,6 @@ pub struct Ready {
     pub part: &'static Part,
     /// Its address on the bus, 7 bits.
     pub address: u8,
-    /// Whether it had lost its settings.
-    pub was_reset: bool,
 }
 
 /// Why there is no sensor.
@@ -80,6 +78,8 @@ impl Sensor {
                 FaultClass::DataLineLow
             }),
             Err(NotReady::Sensor(Error::NotFound)) => retained::count(FaultClass::SensorSilent),
+            // The bus is at fault, and no reset of the sensor mends it.
+            Err(NotReady::Sensor(Error::Bus { .. })) => {}
             Err(NotReady::Sensor(_)) => {
                 self.failures = self.failures.saturating_add(1);
                 if self.failures >= TRIES_WITHOUT_RESET {
@@ -95,16 +95,16 @@ impl Sensor {
         self.bus.recover().map_err(NotReady::BusHeldLow)?;
         let mut sensor =
             Mpu6050::look(&mut self.bus).map_err(|failure| NotReady::Sensor(failure.error))?;
-        let mut was_reset = false;
         if self.is_known {
             let condition = sensor.inspect(&self.config).map_err(NotReady::Sensor)?;
-            was_reset = condition != Condition::Intact;
+            let was_reset = condition != Condition::Intact;
             match condition {
                 Condition::Intact => {}
                 Condition::Reset => retained::count(FaultClass::SensorReset),
                 Condition::Changed => retained::count(FaultClass::RegisterChanged),
             }
             if was_reset {
+                burst_reader::note_sensor_reset();
                 sensor
                     .configure_again(&self.config, &mut Delay)
                     .map_err(NotReady::Sensor)?;
@@ -117,7 +117,6 @@ impl Sensor {
         Ok(Ready {
             part: sensor.part(),
             address: sensor.address(),
-            was_reset,
         })
     }
 }

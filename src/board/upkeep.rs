@@ -6,11 +6,8 @@ use crate::fault::FaultClass;
 use crate::health::Flags;
 use crate::pipeline::{Pipeline, Snapshot};
 
-/// So many samples apart are two looks at the sensor's settings: 8 ms, and 16 between two at the full
-/// scales. A power of two.
-const CHECK_PERIOD: u32 = 8;
-/// So many samples apart is what the filter knows kept for a start after a reset. A power of two.
-const KEEP_PERIOD: u32 = 128;
+/// So many stocktakings apart is what the filter knows kept for a start after a reset: 0.2 s.
+const STOCKTAKINGS_TO_A_KEEPING: u32 = 18;
 
 /// The flags whose coming is counted, with their classes.
 const COUNTED: [(Flags, FaultClass); 6] = [
@@ -24,7 +21,8 @@ const COUNTED: [(Flags, FaultClass); 6] = [
 
 /// The state of it.
 pub struct Upkeep {
-    number: u32,
+    stocktakings: u32,
+    is_watching: bool,
     last_flags: Flags,
 }
 
@@ -32,7 +30,8 @@ impl Upkeep {
     /// Before the first sample.
     pub const fn new() -> Self {
         Self {
-            number: 0,
+            stocktakings: 0,
+            is_watching: false,
             last_flags: Flags::NONE,
         }
     }
@@ -41,34 +40,51 @@ impl Upkeep {
     #[inline(always)]
     pub fn after_sample(
         &mut self,
-        pipeline: &Pipeline<Kalman>,
+        pipeline: &mut Pipeline<Kalman>,
         flags: Flags,
     ) -> Option<(Flags, Flags)> {
-        watchdog::samples_go_on();
-        watchdog::attitude_goes_on();
-        retained::show(flags, pipeline.last_tilt_variance_rad2());
-        self.number = self.number.wrapping_add(1);
-        let is_due = self.number % CHECK_PERIOD == 0;
-        if is_due || pipeline.is_suspect() || flags.contains(Flags::POLLED) {
-            burst_reader::request_check();
+        if pipeline.has_taken_stock() {
+            self.every_so_often(pipeline);
         }
-        if self.number % KEEP_PERIOD == 0
-            && let Some(known) = pipeline.known()
-        {
-            retained::keep(&known);
+        if pipeline.is_suspect() | flags.contains(Flags::POLLED) {
+            self.check_now(pipeline);
         }
         self.note(flags)
     }
 
-    /// After a snapshot without a sample, at `t_us`.
-    pub fn after_silence(
-        &mut self,
-        pipeline: &Pipeline<Kalman>,
-        snapshot: &Snapshot,
-    ) -> Option<(Flags, Flags)> {
+    #[inline(never)]
+    fn every_so_often(&mut self, pipeline: &Pipeline<Kalman>) {
+        watchdog::samples_go_on();
         watchdog::attitude_goes_on();
-        let variance = pipeline.tilt_variance_rad2(snapshot.t_us);
-        retained::show(snapshot.flags, variance);
+        self.is_watching = pipeline.is_suspect();
+        self.stocktakings = self.stocktakings.wrapping_add(1);
+        // Every 22 ms: so every 44 ms at the full scales, and every 88 ms at the others.
+        if self.stocktakings % 2 == 0 {
+            burst_reader::request_check();
+        }
+        if self.stocktakings >= STOCKTAKINGS_TO_A_KEEPING {
+            self.stocktakings = 0;
+            if let Some(known) = pipeline.known() {
+                retained::keep(&known);
+            }
+        }
+    }
+
+    /// Where something is odd, settings are read back after every sample.
+    #[cold]
+    #[inline(never)]
+    fn check_now(&mut self, pipeline: &mut Pipeline<Kalman>) {
+        // What was read back before the rate jumped says nothing.
+        if burst_reader::take_verified() && self.is_watching {
+            pipeline.confirm_scales();
+        }
+        self.is_watching = true;
+        burst_reader::request_check();
+    }
+
+    /// After a snapshot without a sample.
+    pub fn after_silence(&mut self, snapshot: &Snapshot) -> Option<(Flags, Flags)> {
+        watchdog::attitude_goes_on();
         self.note(snapshot.flags)
     }
 

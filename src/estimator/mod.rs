@@ -22,7 +22,7 @@ pub use classic::ClassicAngles;
 pub use filter::{AnyFilter, Filter};
 
 use crate::attitude::{Quaternion, Vector3};
-use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2};
+use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
 use kalman::Kalman;
 
 /// A longer pause between samples is a gap: what happened in it is unknown.
@@ -31,6 +31,11 @@ pub const LONGEST_STEP_US: u64 = 500_000;
 /// Below a quarter of gravity the accelerometer's own offset (80 mg, product specification §6.2) may
 /// turn its direction by 20° and more, so it says nothing about down.
 pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
+
+/// From one sample to the next a rate at most doubles, but for this much, in rad/s: 50 °/s. An airframe
+/// gains less than that in a millisecond; a gyroscope whose full scale has changed by itself, or that was
+/// hit, does not.
+const RATE_JUMP_RAD_S: f32 = radians(50.0);
 
 /// No sensor of this family reaches a tenth of these; beyond them a sample is not a measurement.
 const LARGEST_SPECIFIC_FORCE_M_S2: f32 = 10_000.0;
@@ -101,6 +106,8 @@ pub struct Estimate {
     pub remarks: Remarks,
     /// The filter does not know the gyroscope's bias well yet. Only [`kalman`] looks for it.
     pub is_calibrating: bool,
+    /// The rate is more than twice the one before and 50 °/s, as if the full scale had changed.
+    pub has_jumped: bool,
 }
 
 /// What was wrong with a sample, and what was done about it.
@@ -118,6 +125,14 @@ pub struct Remarks {
     pub no_gravity: bool,
 }
 
+impl Remarks {
+    /// Whether there is anything to remark.
+    #[inline]
+    pub const fn any(self) -> bool {
+        self.time_went_back | self.gap | self.rejected | self.no_gravity
+    }
+}
+
 /// A filter with its sense of time. Total: whatever comes in, the attitude stays a finite rotation,
 /// and good samples bring it back.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,6 +141,7 @@ pub struct Estimator<F = AnyFilter> {
     filter: F,
     last_t_us: Option<u64>,
     body_rates_rad_s: Vector3,
+    rate_squared: f32,
 }
 
 impl Estimator {
@@ -142,6 +158,7 @@ impl<F: Filter> Estimator<F> {
             filter,
             last_t_us: None,
             body_rates_rad_s: Vector3::ZERO,
+            rate_squared: 0.0,
         }
     }
 
@@ -205,17 +222,27 @@ impl<F: Filter> Estimator<F> {
         self.filter.restart();
     }
 
+    /// Has the next sample set the tilt from its specific force, as after a gap; yaw and what is known of
+    /// the sensor are kept.
+    pub const fn forget_tilt(&mut self) {
+        self.last_t_us = None;
+    }
+
     /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
         let mut remarks = Remarks::default();
         let force = sample.specific_force_m_s2;
         let rate = sample.angular_rate_rad_s;
         let force_squared = force.dot(force);
+        let rate_squared = rate.dot(rate);
+        remarks.jump = rate_squared > 4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S;
+        self.rate_squared = rate_squared;
         // A NaN fails every comparison.
         let is_measurement = force_squared
             <= LARGEST_SPECIFIC_FORCE_M_S2 * LARGEST_SPECIFIC_FORCE_M_S2
-            && rate.dot(rate) <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
+            && rate_squared <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
         if is_measurement {
+            self.rate_squared = rate_squared;
             remarks.no_gravity =
                 force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
             self.step(sample, &mut remarks);
@@ -230,6 +257,7 @@ impl<F: Filter> Estimator<F> {
             attitude: self.attitude(),
             body_rates_rad_s: self.body_rates_rad_s,
             remarks,
+            has_jumped,
             is_calibrating: self
                 .filter
                 .kalman()

@@ -117,13 +117,6 @@ impl GyroscopeCounts {
         scale(self.0, range.rad_s_per_count())
     }
 
-    /// The largest magnitude of the three.
-    #[inline]
-    pub fn peak(self) -> u16 {
-        let [x, y, z] = self.0.map(i16::unsigned_abs);
-        x.max(y).max(z)
-    }
-
     /// Whether an axis reads full scale, so that the truth may lie beyond it.
     #[inline]
     pub fn is_saturated(self) -> bool {
