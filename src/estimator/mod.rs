@@ -235,8 +235,7 @@ impl<F: Filter> Estimator<F> {
         let rate = sample.angular_rate_rad_s;
         let force_squared = force.dot(force);
         let rate_squared = rate.dot(rate);
-        remarks.jump = rate_squared > 4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S;
-        self.rate_squared = rate_squared;
+        let has_jumped = rate_squared > 4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S;
         // A NaN fails every comparison.
         let is_measurement = force_squared
             <= LARGEST_SPECIFIC_FORCE_M_S2 * LARGEST_SPECIFIC_FORCE_M_S2

@@ -17,13 +17,14 @@ use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
 
 use crate::faults::{FaultKind, ScheduledFault};
-use crate::flight::{Outcome, Run};
+use crate::flight::{Outcome, Run, UartLine};
 use crate::motion::quadrotor::{Quadrotor, REST_S};
 use crate::motion::rest::Rest;
 use crate::motion::swing::{Later, Swing};
 use crate::motion::{Motion, Quaternion, inclination_error_rad};
 use crate::profile::CRASHES;
 use crate::random::Random;
+use crate::recorder::Record;
 use crate::schedule::Schedule;
 
 /// The rule's angle, degrees, and its factor of σ.
@@ -196,7 +197,7 @@ struct Episode {
 #[must_use]
 pub fn run(case: &Case, firmware: &Path) -> Report {
     match case.fly(firmware) {
-        Ok(outcome) => judge(case, &outcome),
+        Ok(outcome) => judge(case, &outcome.record, &outcome.uart_lines),
         Err(error) => Report {
             faults: Vec::new(),
             failures: vec![error],
@@ -206,13 +207,14 @@ pub fn run(case: &Case, firmware: &Path) -> Report {
 
 /// Judges what came of a case.
 #[must_use]
-pub fn judge(case: &Case, outcome: &Outcome) -> Report {
-    let published = publications(outcome);
+pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
+    let published = publications(record);
     let judge = Judge {
-        outcome,
+        record,
+        uart_lines,
         valid: valid_spans(&published),
         published,
-        episodes: episodes(case, outcome),
+        episodes: episodes(case, record),
     };
     let mut report = Report::default();
     judge.the_processor(case, &mut report.failures);
@@ -234,14 +236,14 @@ struct Publication {
 }
 
 /// All snapshots, in the order of their publication.
-fn publications(outcome: &Outcome) -> Vec<Publication> {
-    let samples = outcome.samples().iter().map(|sample| Publication {
+fn publications(record: &Record) -> Vec<Publication> {
+    let samples = record.samples.iter().map(|sample| Publication {
         at_ns: sample.published_ns,
         snapshot: sample.snapshot,
         tilt_sigma_rad: sample.tilt_sigma_rad,
         truth: sample.edge.and_then(|edge| edge.truth.attitude),
     });
-    let stale = outcome.record.stale.iter().map(|stale| Publication {
+    let stale = record.stale.iter().map(|stale| Publication {
         at_ns: stale.published_ns,
         snapshot: stale.snapshot,
         tilt_sigma_rad: stale.tilt_sigma_rad,
@@ -253,7 +255,8 @@ fn publications(outcome: &Outcome) -> Vec<Publication> {
 }
 
 struct Judge<'a> {
-    outcome: &'a Outcome,
+    record: &'a Record,
+    uart_lines: &'a [UartLine],
     published: Vec<Publication>,
     /// When the published attitude was valid, ns.
     valid: Vec<(u64, u64)>,
@@ -262,7 +265,7 @@ struct Judge<'a> {
 
 impl Judge<'_> {
     fn end_ns(&self) -> u64 {
-        self.outcome.record.last.1
+        self.record.last.1
     }
 
     /// Nothing but a hang that was asked for resets the processor, and nothing crashes it.
@@ -273,7 +276,7 @@ impl Judge<'_> {
             .iter()
             .filter(|fault| fault.kind == FaultKind::WatchdogHang)
             .count();
-        let resets = &self.outcome.record.resets_ns;
+        let resets = &self.record.resets_ns;
         if resets.len() > hangs {
             let at: Vec<String> = resets.iter().map(|&at_ns| seconds(at_ns)).collect();
             failures.push(format!(
@@ -285,7 +288,7 @@ impl Judge<'_> {
         if resets.len() < hangs {
             failures.push("the core hung, and no watchdog reset it".into());
         }
-        let instructions = &self.outcome.record.instructions;
+        let instructions = &self.record.instructions;
         let crashed: u64 = CRASHES
             .filter_map(|exception| instructions.get(exception))
             .sum();
@@ -364,21 +367,21 @@ impl Judge<'_> {
 
     /// Whether the firmware has counted, flagged or said anything from the beginning of an episode to its deadline.
     fn is_detected(&self, episode: &Episode) -> bool {
-        let during = |at_ns: u64| (episode.start_ns..=episode.due_ns).contains(&at_ns);
+        let last_ns = episode.faults.iter().map(ScheduledFault::end_ns);
+        let last_ns = last_ns.filter(|&end_ns| end_ns != u64::MAX).max();
+        let until_ns = episode.due_ns.max(last_ns.unwrap_or(0));
+        let during = |at_ns: u64| (episode.start_ns..=until_ns).contains(&at_ns);
         let is_counted = self
-            .outcome
             .record
             .health
             .iter()
             .skip(1)
             .any(|reading| during(reading.at_ns));
         let is_flagged = self
-            .outcome
-            .samples()
+            .published
             .iter()
-            .any(|sample| during(sample.published_ns) && sample.snapshot.flags != Flags::VALID);
+            .any(|sample| during(sample.at_ns) && sample.snapshot.flags != Flags::VALID);
         let is_said = self
-            .outcome
             .uart_lines
             .iter()
             .any(|line| during(line.at_ns) && line.text.starts_with('#'));
@@ -435,14 +438,13 @@ impl Judge<'_> {
     /// No edge without its sample.
     fn missed(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
         let mut published: Vec<u64> = self
-            .outcome
-            .samples()
+            .record
+            .samples
             .iter()
             .filter_map(|sample| Some(sample.edge?.index))
             .collect();
         published.sort_unstable();
         let missed: Vec<u64> = self
-            .outcome
             .record
             .edges
             .iter()
@@ -461,10 +463,9 @@ impl Judge<'_> {
     /// Times follow the edges, and never go back.
     fn times(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
         let mut worst: Option<(f64, u64)> = None;
-        for pair in self.outcome.samples().windows(2) {
+        for pair in self.record.samples.windows(2) {
             let [before, after] = pair else { continue };
             let was_reset = self
-                .outcome
                 .record
                 .resets_ns
                 .iter()
@@ -519,7 +520,6 @@ impl Judge<'_> {
                 })
                 .any(|fault| fault.start_ns < at_ns && fault.end_ns() > last_ns);
             let was_reset = self
-                .outcome
                 .record
                 .resets_ns
                 .iter()
@@ -559,10 +559,10 @@ fn valid_spans(samples: &[Publication]) -> Vec<(u64, u64)> {
 }
 
 /// The faults in groups that can be told apart.
-fn episodes(case: &Case, outcome: &Outcome) -> Vec<Episode> {
+fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
     let mut episodes: Vec<Episode> = Vec::new();
     for fault in &case.schedule.faults {
-        let end_ns = end_ns(fault, outcome);
+        let end_ns = end_ns(fault, record);
         let deadline_ns = deadline_ns(fault.kind);
         let episode = Episode {
             start_ns: fault.start_ns,
@@ -583,18 +583,19 @@ fn episodes(case: &Case, outcome: &Outcome) -> Vec<Episode> {
 }
 
 /// When a fault is over, so that the firmware can recover from it.
-fn end_ns(fault: &ScheduledFault, outcome: &Outcome) -> u64 {
+fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
     let first_after =
         |times: &[u64], from_ns: u64| times.iter().copied().find(|&at_ns| at_ns >= from_ns);
     match fault.kind {
         FaultKind::SensorBrownout => {
-            first_after(&outcome.record.sensor_ready_ns, fault.end_ns()).unwrap_or(fault.end_ns())
+            first_after(&record.sensor_ready_ns, fault.end_ns()).unwrap_or(fault.end_ns())
         }
         FaultKind::WatchdogHang => {
-            first_after(&outcome.record.resets_ns, fault.start_ns).unwrap_or(fault.start_ns)
+            first_after(&record.resets_ns, fault.start_ns).unwrap_or(fault.start_ns)
         }
         FaultKind::CrystalDies => fault.start_ns,
-        // Nothing is asked of them while they last, and everything else goes on.
+        // Nothing may be seen of these.
+        kind if deadline_ns(kind).is_none() => fault.start_ns,
         _ => fault.end_ns(),
     }
 }
@@ -661,5 +662,259 @@ impl std::fmt::Display for Table {
             )?;
         }
         formatter.write_str(&text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use aplomb::attitude::Quaternion as Attitude;
+    use rigless::time::VirtualNanos;
+
+    use super::*;
+    use crate::recorder::{Sample, StaleSnapshot};
+    use crate::sensor::{Burst, DataReady};
+
+    const MILLISECOND: u64 = 1_000_000;
+
+    fn case(text: &str) -> Case {
+        Case::new(3, Schedule::parse("test", text).unwrap())
+    }
+
+    /// What a firmware without a fault of its own leaves: a right attitude every millisecond from 0.3 s on, valid from
+    /// 1.2 s on, but for some time without.
+    fn record(case: &Case, without_ns: std::ops::Range<u64>) -> Record {
+        let end_ns = VirtualNanos((case.seconds * 1e9) as u64).0;
+        let mut motion = case.motion();
+        let mut record = Record {
+            last: (0, end_ns),
+            instructions: vec![0; 128],
+            ..Record::default()
+        };
+        for (index, time_ns) in (300 * MILLISECOND..end_ns)
+            .step_by(MILLISECOND as usize)
+            .enumerate()
+        {
+            let truth = motion.at(time_ns as f64 * 1e-9);
+            let edge = DataReady {
+                index: index as u64,
+                time_ns,
+                truth,
+            };
+            record.edges.push(edge);
+            let true_attitude = truth.attitude.unwrap();
+            let [w, x, y, z] = [
+                true_attitude.w,
+                true_attitude.x,
+                true_attitude.y,
+                true_attitude.z,
+            ]
+            .map(|part| part as f32);
+            let is_known = time_ns >= 1200 * MILLISECOND;
+            let mut snapshot = Snapshot {
+                t_us: time_ns / 1000,
+                attitude: Attitude { w, x, y, z },
+                flags: if is_known {
+                    Flags::VALID
+                } else {
+                    Flags::CALIBRATING
+                },
+                ..Snapshot::default()
+            };
+            let published_ns = time_ns + 390_000;
+            if without_ns.contains(&time_ns) {
+                snapshot.flags = Flags::STALE;
+                record.stale.push(StaleSnapshot {
+                    snapshot,
+                    published_ns,
+                    tilt_sigma_rad: Some(0.01),
+                });
+                continue;
+            }
+            record.samples.push(Sample {
+                snapshot,
+                published_ns,
+                tilt_sigma_rad: Some(0.01),
+                burst: Burst {
+                    edge: Some(edge.index),
+                    bytes: [0; 14],
+                    completed_ns: published_ns,
+                },
+                edge: Some(edge),
+                true_t_us: None,
+                instructions: None,
+                input_instructions: None,
+            });
+        }
+        record
+    }
+
+    /// A gap of 40 ms for a fault of 30 ms, which is what is allowed.
+    fn sound() -> (Case, Record) {
+        let case = case("1.8 0.03 sda-low");
+        let record = record(&case, 1800 * MILLISECOND..1840 * MILLISECOND);
+        (case, record)
+    }
+
+    #[track_caller]
+    fn assert_fails(case: &Case, record: &Record, why: &str) {
+        let failures = judge(case, record, &[]).failures;
+        assert!(
+            failures.iter().any(|failure| failure.contains(why)),
+            "{failures:?}"
+        );
+    }
+
+    #[test]
+    fn what_is_sound_passes_and_is_measured() {
+        let (case, record) = sound();
+        let report = judge(&case, &record, &[]);
+        assert_eq!(report.failures, Vec::<String>::new());
+        assert_eq!(report.faults.len(), 1);
+        assert!(report.faults[0].is_detected);
+        let recovery_ms = report.faults[0].recovery_ns.unwrap() as f64 * 1e-6;
+        assert!((recovery_ms - 10.39).abs() < 0.01, "{recovery_ms}");
+    }
+
+    #[test]
+    fn a_late_recovery_fails() {
+        let case = case("1.8 0.03 sda-low");
+        let record = record(&case, 1800 * MILLISECOND..1855 * MILLISECOND);
+        assert_fails(
+            &case,
+            &record,
+            "valid again after 25.4 ms, allowed are 20.0 ms",
+        );
+        assert_eq!(judge(&case, &record, &[]).faults[0].recovery_ns, None);
+    }
+
+    #[test]
+    fn a_wrong_attitude_fails_unless_its_sigma_or_its_flags_say_so() {
+        let (case, record) = sound();
+        let spoilt = |flags: Flags, sigma_deg: f64| {
+            let mut record = Record {
+                samples: record.samples.clone(),
+                edges: record.edges.clone(),
+                stale: record.stale.clone(),
+                instructions: record.instructions.clone(),
+                last: record.last,
+                ..Record::default()
+            };
+            let sample = &mut record.samples[1000];
+            let wrong = Quaternion::from_rotation_vector([0.2, 0.0, 0.0])
+                .multiply(sample.edge.unwrap().truth.attitude.unwrap());
+            let [w, x, y, z] = [wrong.w, wrong.x, wrong.y, wrong.z].map(|part| part as f32);
+            sample.snapshot.attitude = Attitude { w, x, y, z };
+            sample.snapshot.flags = flags;
+            sample.tilt_sigma_rad = Some(sigma_deg.to_radians());
+            record
+        };
+        assert_fails(
+            &case,
+            &spoilt(Flags::VALID, 0.1),
+            "1 attitudes published as valid were wrong, the worst by 11.",
+        );
+        for (flags, sigma_deg) in [(Flags::VALID, 2.0), (Flags::DEGRADED, 0.1)] {
+            assert_eq!(
+                judge(&case, &spoilt(flags, sigma_deg), &[]).failures,
+                Vec::<String>::new()
+            );
+        }
+        let mut no_number = spoilt(Flags::VALID, 0.1);
+        no_number.samples[1000].snapshot.attitude.w = f32::NAN;
+        assert_fails(&case, &no_number, "published as valid were wrong");
+    }
+
+    #[test]
+    fn caution_without_a_fault_fails() {
+        let (case, mut record) = sound();
+        for sample in record.samples.iter_mut().rev().take(20) {
+            sample.snapshot.flags = Flags::DEGRADED;
+        }
+        assert_fails(&case, &record, "% of the time without a fault");
+    }
+
+    #[test]
+    fn missed_samples_wrong_times_and_silence_fail() {
+        let (case, mut record) = sound();
+        record.samples.remove(1200);
+        assert_fails(&case, &record, "1 samples missed without a fault");
+
+        let (case, mut record) = sound();
+        record.samples[1200].snapshot.t_us += 2;
+        assert_fails(&case, &record, "a step of time was wrong by 2.0 us");
+
+        let (case, mut record) = sound();
+        record.samples[1200].snapshot.t_us -= 2_000;
+        assert_fails(&case, &record, "time went back");
+
+        let (case, mut record) = sound();
+        record.stale.clear();
+        assert_fails(&case, &record, "nothing was published for 41.0 ms");
+    }
+
+    #[test]
+    fn resets_crashes_and_hangs_fail() {
+        let (case, mut record) = sound();
+        record.resets_ns.push(1900 * MILLISECOND);
+        assert_fails(&case, &record, "1 resets, 0 asked for: at 1.9000 s");
+
+        let (case, mut record) = sound();
+        record.instructions[3] = 1;
+        assert_fails(&case, &record, "a crash or a panic");
+
+        let case = self::case("1.8 0 watchdog-hang");
+        let record = self::record(&case, 0..0);
+        assert_fails(&case, &record, "no watchdog reset it");
+    }
+
+    #[test]
+    fn a_firmware_that_is_never_ready_fails() {
+        let (case, mut record) = sound();
+        for sample in &mut record.samples {
+            sample.snapshot.flags = Flags::CALIBRATING;
+        }
+        assert_fails(&case, &record, "never valid");
+    }
+
+    #[test]
+    fn nothing_may_be_seen_of_what_comes_in_by_uart() {
+        let case = case("1.8 0.2 uart-flood");
+        assert_eq!(
+            judge(&case, &record(&case, 0..0), &[]).failures,
+            Vec::<String>::new()
+        );
+        let record = record(&case, 1850 * MILLISECOND..1860 * MILLISECOND);
+        assert_fails(&case, &record, "10 samples missed without a fault");
+    }
+
+    #[test]
+    fn faults_that_follow_closely_are_one_episode() {
+        let case = case("1.8 0.03 sda-low\n1.84 0.02 frozen");
+        let report = judge(
+            &case,
+            &record(&case, 1800 * MILLISECOND..2000 * MILLISECOND),
+            &[],
+        );
+        assert_eq!(
+            report.failures,
+            Vec::<String>::new(),
+            "250 ms after the second"
+        );
+        assert_eq!(report.faults.len(), 2);
+    }
+
+    #[test]
+    fn the_table_counts_by_class() {
+        let (case, record) = sound();
+        let mut table = Table::default();
+        table.add(&judge(&case, &record, &[]));
+        let text = table.to_string();
+        let row = text
+            .lines()
+            .find(|line| line.starts_with("sda-low"))
+            .unwrap();
+        let cells: Vec<&str> = row.split_whitespace().collect();
+        assert_eq!(cells, ["sda-low", "1", "1", "1", "10.4"]);
+        assert_eq!(text.lines().count(), 27);
     }
 }

@@ -257,7 +257,7 @@ fn one_case(options: &Faults) -> Result<(), String> {
         case.seconds, case.schedule
     );
     let outcome = case.fly(&options.elf)?;
-    let report = campaign::judge(&case, &outcome);
+    let report = campaign::judge(&case, &outcome.record, &outcome.uart_lines);
     for line in outcome
         .uart_lines
         .iter()
