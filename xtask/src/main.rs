@@ -2,6 +2,7 @@
 
 mod build;
 mod cost;
+mod faults;
 mod panics;
 mod setup;
 mod size;
@@ -18,6 +19,9 @@ usage: cargo xtask COMMAND
 
   fly [--log FILE] [--mount M] [--seconds S] [--seed N] [--board B] [--output DIR]
                       fly the firmware on the virtual board (`cargo xtask fly --help` says more)
+                      --faults FILE|seed:N lets things go wrong
+  faults [--runs N] [--seed S] [--jobs J]
+                      fly many times with faults by chance, and check what must hold (`--help` says more)
   test                run every check and test
   size [--board B]    flash, RAM and the largest symbols of the firmware
   cost [--bless]      what the filters cost on the Cortex-M4F, held to tests/golden/cost.txt; --bless writes it anew
@@ -41,6 +45,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
     let (command, rest) = arguments.split_first().ok_or(USAGE)?;
     match command.as_str() {
         "fly" => fly(rest),
+        "faults" => faults::run(rest),
         "test" => no_more(rest).and_then(|()| test::run()),
         "size" => size::run(board_alone(rest)?),
         "cost" => match rest {

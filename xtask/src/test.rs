@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{cost, panics, size, step};
+use crate::{cost, faults, panics, size, step};
 
 /// Seconds of simulated flight whose bursts QEMU replays.
 const REPLAYED_SECONDS: &str = "10";
@@ -93,6 +93,9 @@ pub fn run() -> Result<(), String> {
         }
         test.env("APLOMB_FLIGHT_ELF", &images[0].1);
         step::run(&mut test)
+    })?;
+    step::timed("flights with faults by chance", || {
+        faults::short(&virtual_board, &images[0].1)
     })?;
     let flight = build::target_folder().join("fly-for-qemu");
     step::timed("a flight for QEMU to replay", || {
