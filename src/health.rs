@@ -1,16 +1,23 @@
-//! The flags that travel with every attitude, and the watch for data that no longer change.
+//! How far an attitude can be trusted: the flags that travel with it, and the watch over the samples.
+//!
+//! The rule that [`Flags::VALID`] stands for: a tilt that is wrong by more than the larger of 5° and
+//! six of its own σ is never published as valid. So σ has to be honest where samples are missing, and
+//! what cannot be told from a wrong sample costs the flag: a sample that is no measurement, data that
+//! repeat themselves, a temperature the part is not made for, rates that could come from a changed
+//! full scale as long as the sensor's registers have not been read back, and an offset not known yet.
 
 use core::fmt;
-use core::ops::{BitOr, BitOrAssign};
+use core::ops::{BitAnd, BitOr, BitOrAssign};
 
 use crate::state::Exchange;
+use crate::units::radians;
 
-/// What there is to say about a sample; none set means that all is well.
+/// What there is to say about a sample. [`Flags::VALID`] alone means that all is well.
 ///
 /// As text it is the names joined by `|`, empty if none is set.
 #[repr(transparent)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub struct Flags(u16);
+pub struct Flags(u32);
 
 impl Flags {
     /// Nothing to report.
@@ -36,9 +43,43 @@ impl Flags {
     pub const FROZEN: Self = Self(1 << 8);
     /// The sample was not a measurement and was ignored.
     pub const REJECTED: Self = Self(1 << 9);
+    /// The tilt is wrong by no more than the larger of 5° and six σ. Only with a filter that knows its σ.
+    pub const VALID: Self = Self(1 << 10);
+    /// The attitude rests on less than it should: σ is above 5°, or one of the flags after this one says why.
+    pub const DEGRADED: Self = Self(1 << 11);
+    /// No sample has come: the attitude is the last one, carried on, and its σ grows.
+    pub const STALE: Self = Self(1 << 12);
+    /// Bursts have failed since the sample before.
+    pub const BUS_FAULT: Self = Self(1 << 13);
+    /// The sensor had lost its settings, and has been or is being set up again.
+    pub const SENSOR_RESET: Self = Self(1 << 14);
+    /// A sample was lost because the attitude of the one before was not done in time.
+    pub const LATE: Self = Self(1 << 15);
+    /// The die is outside −40 °C to 85 °C, where the datasheet promises nothing.
+    pub const TEMPERATURE: Self = Self(1 << 16);
+    /// No data-ready edges come: samples are read by timer, and their time is uncertain by a period.
+    pub const POLLED: Self = Self(1 << 17);
+    /// The crystal has failed: times are those of the chip's own oscillator, right to 1 %.
+    pub const INTERNAL_CLOCK: Self = Self(1 << 18);
+
+    /// What an attitude cannot be valid with.
+    pub const SPOILS: Self = Self(
+        Self::CALIBRATING.0
+            | Self::GYROSCOPE_SATURATED.0
+            | Self::TIME.0
+            | Self::FROZEN.0
+            | Self::REJECTED.0
+            | Self::STALE.0
+            | Self::TEMPERATURE.0,
+    );
+    /// What makes an attitude degraded.
+    pub const DEGRADES: Self = Self(Self::SPOILS.0 | Self::POLLED.0 | Self::INTERNAL_CLOCK.0);
+
+    /// What needs a second look at whether an attitude is valid or degraded.
+    pub(crate) const ODD: Self = Self(Self::SPOILS.0 | Self::DEGRADES.0);
 
     /// Every flag with its name.
-    pub const NAMES: [(Self, &'static str); 10] = [
+    pub const NAMES: [(Self, &'static str); 19] = [
         (Self::CALIBRATING, "CALIBRATING"),
         (Self::MOVED, "MOVED"),
         (Self::MISSED, "MISSED"),
@@ -49,21 +90,46 @@ impl Flags {
         (Self::FREE_FALL, "FREE_FALL"),
         (Self::FROZEN, "FROZEN"),
         (Self::REJECTED, "REJECTED"),
+        (Self::VALID, "VALID"),
+        (Self::DEGRADED, "DEGRADED"),
+        (Self::STALE, "STALE"),
+        (Self::BUS_FAULT, "BUS_FAULT"),
+        (Self::SENSOR_RESET, "SENSOR_RESET"),
+        (Self::LATE, "LATE"),
+        (Self::TEMPERATURE, "TEMPERATURE"),
+        (Self::POLLED, "POLLED"),
+        (Self::INTERNAL_CLOCK, "INTERNAL_CLOCK"),
     ];
 
     /// The bits, as they lie in memory.
-    pub const fn bits(self) -> u16 {
+    pub const fn bits(self) -> u32 {
         self.0
     }
 
     /// Flags from bits as they lie in memory.
-    pub const fn from_bits(bits: u16) -> Self {
+    pub const fn from_bits(bits: u32) -> Self {
         Self(bits)
+    }
+
+    /// Walks through them.
+    pub fn exchange(&mut self, state: &mut impl Exchange) {
+        state.word(&mut self.0);
     }
 
     /// Whether every flag of `other` is set.
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
+    }
+
+    /// Whether any flag of `other` is set.
+    pub const fn intersects(self, other: Self) -> bool {
+        self.0 & other.0 != 0
+    }
+
+    /// These flags without those of `other`.
+    #[must_use]
+    pub const fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
     }
 
     /// Whether none is set.
@@ -75,7 +141,7 @@ impl Flags {
     #[must_use]
     pub const fn with(self, other: Self, condition: bool) -> Self {
         // Without a branch, since this runs for every flag of every sample.
-        Self(self.0 | (other.0 * condition as u16))
+        Self(self.0 | (other.0 * condition as u32))
     }
 
     /// Flags from names joined by `|`; `None` if one is unknown.
@@ -97,6 +163,14 @@ impl BitOr for Flags {
 
     fn bitor(self, other: Self) -> Self {
         Self(self.0 | other.0)
+    }
+}
+
+impl BitAnd for Flags {
+    type Output = Self;
+
+    fn bitand(self, other: Self) -> Self {
+        Self(self.0 & other.0)
     }
 }
 
@@ -137,17 +211,21 @@ impl defmt::Format for Flags {
 pub struct FreezeWatch {
     last: [u8; 14],
     repeats: u8,
+    limit: u8,
 }
 
 impl FreezeWatch {
-    /// This many repeats in a row (0.1 s at 1 kHz) are a frozen sensor.
-    pub const REPEATS: u8 = 100;
-
-    /// A watch that has seen nothing.
-    pub const fn new() -> Self {
+    /// A watch that has seen nothing, for a sensor that filters with this bandwidth in hertz, of which it
+    /// is shown every eleventh sample at 1 kHz.
+    ///
+    /// At 98 Hz and more, noise alone (product specification §6.1 and §6.2) makes a repeat of all six
+    /// axes less likely than one in 10,000, so two in a row are none of noise's; below, samples a few
+    /// milliseconds apart are alike, and it takes 9, which is 0.1 s.
+    pub const fn new(bandwidth_hz: u16) -> Self {
         Self {
             last: [0; 14],
             repeats: 0,
+            limit: if bandwidth_hz >= 98 { 2 } else { 9 },
         }
     }
 
@@ -155,6 +233,7 @@ impl FreezeWatch {
     pub fn exchange(&mut self, state: &mut impl Exchange) {
         state.bytes(&mut self.last);
         state.byte(&mut self.repeats);
+        state.byte(&mut self.limit);
     }
 
     /// Takes a sample's bytes; true while they are frozen.
@@ -165,15 +244,40 @@ impl FreezeWatch {
             self.last = *bytes;
             self.repeats = 0;
         }
-        self.repeats >= Self::REPEATS
+        self.repeats >= self.limit
     }
 }
 
-impl Default for FreezeWatch {
-    fn default() -> Self {
-        Self::new()
-    }
+/// Whether these bytes are those of a bus or a sensor that says nothing: all zeros or all ones in the
+/// accelerometer and the temperature, which no noise leaves so.
+#[inline]
+pub const fn is_blank(bytes: &[u8; 14]) -> bool {
+    let &[a, b, c, d, e, f, g, h, ..] = bytes;
+    let first = u32::from_ne_bytes([a, b, c, d]);
+    let second = u32::from_ne_bytes([e, f, g, h]);
+    first == second && (first == 0 || first == u32::MAX)
 }
+
+/// Counts are within the temperatures that the part is made for, −40 °C to 85 °C (product
+/// specification §6.2), by this scale, as (lowest, highest).
+pub fn temperature_limits(celsius_per_count: f32, celsius_at_zero: f32) -> (i16, i16) {
+    let counts = |celsius: f32| ((celsius - celsius_at_zero) / celsius_per_count) as i16;
+    (counts(COLDEST_CELSIUS), counts(HOTTEST_CELSIUS))
+}
+
+const COLDEST_CELSIUS: f32 = -40.0;
+const HOTTEST_CELSIUS: f32 = 85.0;
+
+/// While samples are missing, the body may turn faster than anybody knows: this much is one σ of it per
+/// axis, in rad/s, so that the rule's six σ are 180 °/s for as long as it lasts.
+pub const UNSEEN_RATE_RAD_S: f32 = radians(30.0);
+
+/// With a larger σ of the tilt than this an attitude is degraded, in rad.
+pub const DEGRADED_TILT_RAD: f32 = radians(5.0);
+
+/// With a larger σ of the tilt than this there is no attitude to speak of, in rad: six of them are more
+/// than half a turn.
+pub const LOST_TILT_RAD: f32 = radians(30.0);
 
 #[cfg(test)]
 mod tests {
@@ -184,9 +288,11 @@ mod tests {
         assert_eq!(Flags::NONE.to_string(), "");
         let flags = Flags::MOVED | Flags::CALIBRATING;
         assert_eq!(flags.to_string(), "CALIBRATING|MOVED");
-        for bits in 0..1 << Flags::NAMES.len() {
-            let flags = Flags::from_bits(bits);
-            assert_eq!(Flags::parse(&flags.to_string()), Some(flags));
+        for first in 0..Flags::NAMES.len() {
+            for second in 0..=first {
+                let flags = Flags::from_bits(1 << first | 1 << second);
+                assert_eq!(Flags::parse(&flags.to_string()), Some(flags));
+            }
         }
         assert_eq!(Flags::parse("MOVED|"), None);
         assert_eq!(Flags::parse("moved"), None);
@@ -212,17 +318,37 @@ mod tests {
     }
 
     #[test]
-    fn data_freeze_after_a_hundred_repeats_and_thaw_at_once() {
-        let mut watch = FreezeWatch::new();
-        let mut bytes = [7; 14];
-        for _ in 0..300 {
-            bytes[13] ^= 1;
+    fn data_freeze_after_repeats_and_thaw_at_once() {
+        for (bandwidth_hz, limit) in [(188, 2), (98, 2), (42, 9)] {
+            let mut watch = FreezeWatch::new(bandwidth_hz);
+            let mut bytes = [7; 14];
+            for _ in 0..300 {
+                bytes[13] ^= 1;
+                assert!(!watch.update(&bytes));
+            }
+            for repeat in 1..=1000 {
+                assert_eq!(watch.update(&bytes), repeat >= limit, "{repeat}");
+            }
+            bytes[0] ^= 1;
             assert!(!watch.update(&bytes));
         }
-        for repeat in 1..=1000 {
-            assert_eq!(watch.update(&bytes), repeat >= 100, "{repeat}");
+    }
+
+    #[test]
+    fn blank_is_all_zeros_or_all_ones_and_no_measurement() {
+        assert!(is_blank(&[0; 14]) && is_blank(&[0xFF; 14]));
+        // A burst of a sensor in free fall, at rest about every axis, at 36.53 °C: one count of noise.
+        for place in 0..8 {
+            let mut bytes = [0; 14];
+            bytes[place] = 1;
+            assert!(!is_blank(&bytes), "{place}");
         }
-        bytes[0] ^= 1;
-        assert!(!watch.update(&bytes));
+        assert!(!is_blank(&[0x55; 14]));
+    }
+
+    #[test]
+    fn temperature_limits_are_the_datasheet_s() {
+        // −40 °C and 85 °C by the MPU-6050's scale: 340 counts per °C, zero at 36.53 °C.
+        assert_eq!(temperature_limits(1.0 / 340.0, 36.53), (-26_020, 16_479));
     }
 }

@@ -17,12 +17,14 @@ use crate::attitude::{EulerAngles, Quaternion, Vector3};
 use crate::calibration::{
     AccelerometerCorrection, AtRest, Calibration, Mount, RestProgress, RestScale, RestWatch,
 };
-use crate::estimator::kalman::Kalman;
-use crate::estimator::{AnyFilter, ClassicAngles, Estimator, Filter, FilterKind, Sample};
-use crate::health::{Flags, FreezeWatch};
+use crate::estimator::kalman::{Kalman, Known};
+use crate::estimator::{AnyFilter, ClassicAngles, Estimate, Estimator, Filter, FilterKind, Sample};
+use crate::health::{
+    self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, UNSEEN_RATE_RAD_S,
+};
 use crate::mpu6050::{Burst, Config, Part, RawSample};
 use crate::state::Exchange;
-use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
 
 /// σ of a stored gyroscope offset at the temperature where it was measured, rad/s: it is not the same from one
 /// power-up to the next, nor in every pose (0.1 °/s per g, product specification §6.1).
@@ -161,6 +163,21 @@ pub struct Pipeline<F = AnyFilter> {
     rest: Option<RestWatch>,
     /// The rest is the one that a filter without a bias of its own waits for.
     is_averaging: bool,
+    /// A longer step than this between samples leaves some of the motion unseen, µs.
+    longest_step_us: u32,
+    /// The same, or zero if the next sample has to be looked at anyway.
+    pause_us: u32,
+    /// For how long the gyroscope has been reading full scale, µs.
+    saturated_us: u32,
+    /// The low half of the last sample's time, µs.
+    last_t_us: u32,
+    temperature_limits: (i16, i16),
+    /// The rate has jumped as if by a changed full scale, and nobody has read that back yet.
+    is_suspect: bool,
+    /// What the samples before have left to say of the next one, [`Flags::VALID`] included.
+    standing: Flags,
+    tilt_variance_rad2: f32,
+    samples_to_stocktaking: u32,
 }
 
 impl Pipeline {
@@ -185,22 +202,48 @@ impl<F: Filter> Pipeline<F> {
             has_started: false,
             estimator: Estimator::with_filter(filter).with_sensor_delay_us(delay_us),
             was_still: false,
-            freeze_watch: FreezeWatch::new(),
+            freeze_watch: FreezeWatch::new(settings.sensor.low_pass.gyroscope_bandwidth_hz()),
             sample: Sample::default(),
             temperature_celsius: 0.0,
             until_temperature: 1,
             rest: averages
                 .then(|| RestWatch::new(&settings.rest_scale(), settings.averaging_samples)),
             is_averaging: averages,
+            longest_step_us: 0,
+            pause_us: u32::MAX,
+            saturated_us: 0,
+            last_t_us: 0,
+            temperature_limits: (0, 0),
+            is_suspect: false,
+            standing: Flags::NONE,
+            tilt_variance_rad2: f32::INFINITY,
+            samples_to_stocktaking: 0,
         };
+        pipeline.derive_limits();
         pipeline.begin(settings.calibration.usual_celsius());
         pipeline
     }
 
     /// Takes one burst and gives the attitude at its time.
     pub fn update(&mut self, burst: &Burst) -> Snapshot {
+        let snapshot = self.update_with(burst, Flags::NONE, |_, _| {});
+        // Nobody can read the sensor's settings back here.
+        self.confirm_scales();
+        snapshot
+    }
+
+    /// The same with what the board has to say of the burst: [`Flags::BUS_FAULT`],
+    /// [`Flags::SENSOR_RESET`], [`Flags::LATE`], [`Flags::POLLED`], [`Flags::INTERNAL_CLOCK`]. The
+    /// snapshot goes to `publish` as soon as it is there, with the variance of its tilt (rad², both axes
+    /// together); what is done afterwards is for the next one.
+    #[inline]
+    pub fn update_with(
+        &mut self,
+        burst: &Burst,
+        board_flags: Flags,
+        publish: impl FnOnce(&Snapshot, f32),
+    ) -> Snapshot {
         let raw = RawSample::decode(&burst.bytes);
-        self.temperature_celsius = raw.temperature.to_celsius(self.settings.part);
         self.sample = Sample {
             t_us: burst.captured_at_us,
             specific_force_m_s2: self.accelerometer_map.apply(raw.accelerometer.0),
@@ -208,32 +251,215 @@ impl<F: Filter> Pipeline<F> {
             is_rate_saturated: raw.gyroscope.is_saturated(),
             is_force_saturated: raw.accelerometer.is_saturated(),
         };
+        let t_us = burst.captured_at_us as u32;
+        let is_pause = t_us.wrapping_sub(self.last_t_us) > self.pause_us;
+        self.last_t_us = t_us;
+        if is_pause
+            || health::is_blank(&burst.bytes)
+            || !board_flags.is_empty()
+            || self.sample.is_rate_saturated
+        {
+            self.doubt(burst, board_flags);
+        }
         let estimate = self.estimator.update(&self.sample);
         let startup_flags = self.average_at_rest(&raw);
-        let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
-        let has_moved = estimate.is_calibrating && self.was_still && !is_still;
-        self.was_still = is_still;
-
         let remarks = estimate.remarks;
-        let flags = startup_flags
-            .with(Flags::CALIBRATING, estimate.is_calibrating)
-            .with(Flags::MOVED, has_moved)
+        let mut flags = (startup_flags | self.standing | board_flags)
             .with(Flags::MISSED, burst.missed_before > 0)
-            .with(Flags::GAP, remarks.gap)
-            .with(Flags::TIME, remarks.time_went_back)
-            .with(Flags::REJECTED, remarks.rejected)
-            .with(Flags::FREE_FALL, remarks.no_gravity)
             .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
             .with(
                 Flags::ACCELEROMETER_SATURATED,
                 self.sample.is_force_saturated,
-            )
-            .with(Flags::FROZEN, self.freeze_watch.update(&burst.bytes));
-        Snapshot {
+            );
+        let is_odd = flags.intersects(Flags::ODD) | estimate.is_calibrating | estimate.has_jumped;
+        if is_odd | remarks.any() | self.is_suspect {
+            flags = self.judge(flags, &estimate);
+        }
+        let snapshot = Snapshot {
             t_us: burst.captured_at_us,
             attitude: estimate.attitude,
             body_rates_rad_s: estimate.body_rates_rad_s,
             flags,
+        };
+        publish(&snapshot, self.tilt_variance_rad2);
+        match self.samples_to_stocktaking.checked_sub(1) {
+            Some(left) => self.samples_to_stocktaking = left,
+            None => self.take_stock(burst, &raw),
+        }
+        snapshot
+    }
+
+    /// The snapshot to publish at `t_us` when no sample has come: the last attitude, with
+    /// [`Flags::STALE`]. [`tilt_variance_rad2`](Self::tilt_variance_rad2) says how its σ grows.
+    pub fn stale(&self, t_us: u64, flags: Flags) -> Snapshot {
+        Snapshot {
+            t_us,
+            attitude: self.estimator.attitude(),
+            body_rates_rad_s: self.estimator.body_rates_rad_s(),
+            flags: flags | Flags::STALE | Flags::DEGRADED,
+        }
+    }
+
+    /// The variance of the tilt, both axes together, at `t_us`, rad²: the filter's, and what may have
+    /// happened since the last sample. Infinite without an attitude, or with a filter that does not
+    /// know it.
+    pub fn tilt_variance_rad2(&self, t_us: u64) -> f32 {
+        let known = self.known_tilt_variance();
+        let age_us = t_us.saturating_sub(self.estimator.last_t_us().unwrap_or(0));
+        if age_us <= u64::from(self.longest_step_us) {
+            return known;
+        }
+        known + 2.0 * unseen_variance(age_us)
+    }
+
+    /// Goes on from what an earlier run knew. Before the first burst.
+    pub fn resume(&mut self, known: &Known) {
+        let known = Known {
+            bias_rad_s: known.bias_rad_s - self.body_offset(),
+            ..*known
+        };
+        self.estimator.resume(&known);
+        // At which temperature it began, the earlier run has seen to.
+        self.has_started = true;
+    }
+
+    /// What a later run has to know to go on from here; `None` if there is nothing worth it.
+    pub fn known(&self) -> Option<Known> {
+        let filter = self.estimator.kalman()?;
+        let sigma = filter.bias_sigma_rad_s();
+        let is_worth_it = filter.is_bias_known() && self.standing.contains(Flags::VALID);
+        is_worth_it.then(|| Known {
+            attitude: filter.attitude(),
+            tilt_sigma_rad: filter.tilt_sigma_rad(),
+            bias_rad_s: self.rate_offset_rad_s(),
+            bias_sigma_rad_s: sigma.x.max(sigma.y).max(sigma.z),
+        })
+    }
+
+    /// Whether the rate has jumped as if the gyroscope's full scale had changed. It should then be read
+    /// back at once; until [`confirm_scales`](Self::confirm_scales), nothing is valid.
+    pub const fn is_suspect(&self) -> bool {
+        self.is_suspect
+    }
+
+    /// The sensor's full scales have been read back since the last sample, and are what they should be.
+    pub const fn confirm_scales(&mut self) {
+        self.is_suspect = false;
+    }
+
+    /// Whether the last sample was one of those, some milliseconds apart, after which things are looked
+    /// at that take time: others may do so, too.
+    #[inline]
+    pub const fn has_taken_stock(&self) -> bool {
+        self.samples_to_stocktaking == SAMPLES_BETWEEN_STOCKTAKINGS - 1
+    }
+
+    /// What pauses, samples that are no measurements, and what the board says do to what is known.
+    #[cold]
+    #[inline(never)]
+    fn doubt(&mut self, burst: &Burst, board_flags: Flags) {
+        let last_t_us = self.estimator.last_t_us().unwrap_or(0);
+        if health::is_blank(&burst.bytes) {
+            // Not a number, so that the estimator rejects it; and what is rejected does not end a pause.
+            self.sample.specific_force_m_s2.x = f32::NAN;
+            self.last_t_us = last_t_us as u32;
+            return;
+        }
+        let step_us = burst.captured_at_us.saturating_sub(last_t_us);
+        let longest_step_us = u64::from(self.longest_step_us);
+        self.pause_us = self.longest_step_us;
+        let was_saturated_us = self.saturated_us;
+        if self.sample.is_rate_saturated {
+            self.pause_us = 0;
+            self.saturated_us = was_saturated_us.saturating_add(step_us as u32);
+        } else if was_saturated_us > 0 {
+            self.saturated_us = 0;
+            if was_saturated_us >= LONG_SATURATION_US {
+                // Nobody knows how far it has turned: down is where the force says.
+                self.estimator.forget_tilt();
+                self.samples_to_stocktaking = 0;
+                return;
+            }
+        }
+        let filter = self.estimator.kalman_mut();
+        let Some(filter) = filter.filter(|filter| filter.has_tilt()) else {
+            return;
+        };
+        if step_us > longest_step_us {
+            filter.doubt_tilt(unseen_variance(step_us));
+        }
+        if self.sample.is_rate_saturated {
+            let total = |saturated_us: u32| {
+                let turn_rad = HIDDEN_RATE_RAD_S * SECONDS_PER_MICROSECOND * saturated_us as f32;
+                turn_rad * turn_rad
+            };
+            filter.doubt_tilt(total(self.saturated_us) - total(was_saturated_us));
+        }
+        if board_flags.contains(Flags::SENSOR_RESET) {
+            filter.doubt_motion(WRONG_SETTINGS_TILT_RAD * WRONG_SETTINGS_TILT_RAD);
+        }
+        self.take_stock_of_variance();
+        // The snapshot after this one knows for good.
+        self.samples_to_stocktaking = 0;
+    }
+
+    /// Decides what to say of a sample with something to remark, and whether its attitude is valid.
+    #[cold]
+    #[inline(never)]
+    fn judge(&mut self, flags: Flags, estimate: &Estimate) -> Flags {
+        let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
+        let has_moved = estimate.is_calibrating && self.was_still && !is_still;
+        self.was_still = is_still;
+        let remarks = estimate.remarks;
+        let flags = flags
+            .with(Flags::CALIBRATING, estimate.is_calibrating)
+            .with(Flags::MOVED, has_moved)
+            .with(Flags::GAP, remarks.gap)
+            .with(Flags::TIME, remarks.time_went_back)
+            .with(Flags::REJECTED, remarks.rejected)
+            .with(Flags::FREE_FALL, remarks.no_gravity);
+        self.is_suspect |= estimate.has_jumped;
+        let flags = flags.with(Flags::DEGRADED, flags.intersects(Flags::DEGRADES));
+        if !self.is_suspect && !flags.intersects(Flags::SPOILS) {
+            flags
+        } else {
+            flags.without(Flags::VALID)
+        }
+    }
+
+    /// What a sample leaves to say of the next ones. Nobody waits for this.
+    #[inline(never)]
+    fn take_stock(&mut self, burst: &Burst, raw: &RawSample) {
+        self.temperature_celsius = raw.temperature.to_celsius(self.settings.part);
+        self.samples_to_stocktaking = SAMPLES_BETWEEN_STOCKTAKINGS - 1;
+        self.pause_us = self.pause_us.min(self.longest_step_us);
+        let (coldest, hottest) = self.temperature_limits;
+        let is_frozen = self.freeze_watch.update(&burst.bytes);
+        let is_extreme = raw.temperature.0 < coldest || raw.temperature.0 > hottest;
+        self.standing = Flags::NONE
+            .with(Flags::TEMPERATURE, is_extreme)
+            .with(Flags::FROZEN, is_frozen);
+        self.take_stock_of_variance();
+    }
+
+    fn take_stock_of_variance(&mut self) {
+        let variance = self.known_tilt_variance();
+        self.tilt_variance_rad2 = variance;
+        let is_known = variance < LOST_TILT_RAD * LOST_TILT_RAD;
+        let is_large =
+            variance > DEGRADED_TILT_RAD * DEGRADED_TILT_RAD && self.estimator.kalman().is_some();
+        self.standing = self
+            .standing
+            .without(Flags::VALID | Flags::DEGRADED)
+            .with(Flags::VALID, is_known)
+            .with(Flags::DEGRADED, is_large);
+    }
+
+    #[inline]
+    fn known_tilt_variance(&self) -> f32 {
+        match self.estimator.kalman() {
+            Some(filter) if filter.has_tilt() => filter.tilt_variance_rad2(),
+            _ => f32::INFINITY,
         }
     }
 
@@ -287,6 +513,7 @@ impl<F: Filter> Pipeline<F> {
     /// left out, and a pipeline that has to average before its filter can start refuses.
     pub fn exchange(&mut self, state: &mut impl Exchange) {
         self.settings.exchange(state);
+        self.derive_limits();
         self.accelerometer_map.exchange(state);
         self.gyroscope_map.exchange(state);
         state.vector(&mut self.rate_offset_rad_s);
@@ -294,7 +521,15 @@ impl<F: Filter> Pipeline<F> {
         self.estimator.exchange(state);
         state.truth(&mut self.was_still);
         self.freeze_watch.exchange(state);
+        state.number(&mut self.temperature_celsius);
         state.byte(&mut self.until_temperature);
+        state.word(&mut self.pause_us);
+        state.word(&mut self.saturated_us);
+        state.word(&mut self.last_t_us);
+        state.truth(&mut self.is_suspect);
+        self.standing.exchange(state);
+        state.number(&mut self.tilt_variance_rad2);
+        state.word(&mut self.samples_to_stocktaking);
         let mut is_averaging = self.is_averaging;
         state.truth(&mut is_averaging);
         if is_averaging {
@@ -399,7 +634,7 @@ impl<F: Filter> Pipeline<F> {
         let progress = rest.update(
             raw.gyroscope.0,
             raw.accelerometer.0,
-            self.temperature_celsius,
+            raw.temperature.to_celsius(self.settings.part),
         );
         match progress {
             RestProgress::Collecting => Flags::CALIBRATING,
@@ -423,6 +658,15 @@ impl<F: Filter> Pipeline<F> {
             map.offset = gravity - map.turn(at_rest.accelerometer_counts);
         }
         self.estimator.restart();
+    }
+
+    /// What the settings say of samples that are normal.
+    fn derive_limits(&mut self) {
+        let period_us = 1.0e6 / self.settings.sensor.sample_rate_hz();
+        self.longest_step_us = (PERIODS_UNSEEN * period_us) as u32;
+        let temperature = self.settings.part.temperature;
+        self.temperature_limits =
+            health::temperature_limits(temperature.celsius_per_count, temperature.celsius_at_zero);
     }
 
     /// Tells maps and filter what is known, at this temperature in °C, before their first sample.
@@ -573,6 +817,33 @@ impl Affine {
     }
 }
 
+/// More sample periods than this without a sample are a pause in which the motion went unseen.
+const PERIODS_UNSEEN: f32 = 3.5;
+
+/// So many samples apart is looked at what changes slowly or takes time to tell: 11 ms, so that nothing
+/// that repeats itself every few samples looks frozen.
+const SAMPLES_BETWEEN_STOCKTAKINGS: u32 = 11;
+
+/// σ per axis of the tilt that a changed full scale can have done before it was noticed.
+const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);
+
+/// A gyroscope that reads full scale may be wrong by so much, one σ per axis, in rad/s: six of them are
+/// more than the whole scale.
+const HIDDEN_RATE_RAD_S: f32 = radians(400.0);
+
+/// After reading full scale for so long, the gyroscope has lost the tilt: 20° of it.
+const LONG_SATURATION_US: u32 = 10_000;
+
+/// Variance per axis of a turn that no sample shows, rad².
+fn unseen_variance(duration_us: u64) -> f32 {
+    let duration_s = duration_us.min(LONGEST_UNSEEN_US) as u32 as f32 * SECONDS_PER_MICROSECOND;
+    let turn_rad = UNSEEN_RATE_RAD_S * duration_s;
+    turn_rad * turn_rad
+}
+
+/// After a minute nothing is known at all.
+const LONGEST_UNSEEN_US: u64 = 60_000_000;
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -686,7 +957,7 @@ mod tests {
         }
         let known = known.expect("an offset");
         assert!((800..2500).contains(&known), "{known} ms");
-        assert_eq!(last.flags, Flags::NONE);
+        assert_eq!(last.flags, Flags::VALID);
         assert!(last.body_rates_rad_s.norm().to_degrees() < 0.2);
         let found = pipeline.rate_offset_rad_s().scale(1_f32.to_degrees());
         assert!((found - offset).norm() < 0.2, "{found:?}");
@@ -969,7 +1240,11 @@ mod tests {
                     let table = force(4.0, -3.0);
                     last = pipeline.update(&burst(mount, index * 1000, table, Vector3::ZERO));
                 }
-                assert_eq!(last.flags, Flags::FROZEN, "a noiseless sensor");
+                assert_eq!(
+                    last.flags,
+                    Flags::FROZEN | Flags::DEGRADED,
+                    "a noiseless sensor"
+                );
                 let roll = last.euler().roll_rad.to_degrees();
                 assert!((roll - expected).abs() < 0.05, "{filter:?} {mount}: {roll}");
                 assert_eq!(
@@ -1044,15 +1319,202 @@ mod tests {
         let hard = Vector3::new(0.0, 0.0, 300.0);
         assert_eq!(update(LEVEL, still, 1000, 0), Flags::NONE);
         assert_eq!(update(LEVEL, still, 1000, 3), Flags::MISSED);
-        assert_eq!(update(LEVEL, fast, 1000, 0), Flags::GYROSCOPE_SATURATED);
+        assert_eq!(
+            update(LEVEL, fast, 1000, 0),
+            Flags::GYROSCOPE_SATURATED | Flags::DEGRADED
+        );
         assert_eq!(update(LEVEL, still, 1000, 0), Flags::NONE);
         assert_eq!(update(hard, still, 1000, 0), Flags::ACCELEROMETER_SATURATED);
         assert_eq!(update(still, still, 1000, 0), Flags::FREE_FALL);
         assert_eq!(update(LEVEL, still, 500_000, 0), Flags::NONE);
         assert_eq!(update(LEVEL, still, 500_001, 0), Flags::GAP);
-        assert_eq!(update(LEVEL, still, -5, 0), Flags::TIME);
-        assert_eq!(update(LEVEL, still, 0, 255), Flags::TIME | Flags::MISSED);
+        let back = Flags::TIME | Flags::DEGRADED;
+        assert_eq!(update(LEVEL, still, -5, 0), back);
+        assert_eq!(update(LEVEL, still, 0, 255), back | Flags::MISSED);
         assert_eq!(update(LEVEL, still, 1000, 0), Flags::NONE);
+    }
+
+    /// A pipeline that has been at rest for three seconds, with a count of noise, and the time.
+    fn settled() -> (Pipeline, u64) {
+        let mut pipeline = Pipeline::new(&settings());
+        for index in 0..3000 {
+            let burst = noisy(index * 1000, LEVEL);
+            let flags = pipeline.update(&burst).flags;
+            assert!(!flags.contains(Flags::VALID | Flags::CALIBRATING));
+        }
+        let flags = pipeline.update(&noisy(3_000_000, LEVEL)).flags;
+        assert_eq!(flags, Flags::VALID);
+        (pipeline, 3_000_000)
+    }
+
+    /// At rest about every axis, never the same twice running.
+    fn noisy(t_us: u64, force_m_s2: Vector3) -> Burst {
+        let noise = 0.06 * (t_us / 1000 % 2) as f32;
+        burst(Mount::Z_UP, t_us, force_m_s2, Vector3::new(noise, 0.0, 0.0))
+    }
+
+    #[test]
+    fn what_is_no_measurement_is_not_valid_and_changes_nothing() {
+        for byte in [0x00, 0xFF] {
+            let (mut pipeline, t_us) = settled();
+            let attitude = pipeline.estimator().attitude();
+            for step in 1..=300 {
+                let snapshot = pipeline.update(&Burst {
+                    bytes: [byte; 14],
+                    captured_at_us: t_us + step * 1000,
+                    missed_before: 0,
+                });
+                assert!(snapshot.flags.contains(Flags::REJECTED | Flags::DEGRADED));
+                assert!(!snapshot.flags.contains(Flags::VALID));
+                assert_eq!(snapshot.attitude, attitude);
+            }
+            // The first good sample may still carry that the data had been frozen.
+            for step in 301..312 {
+                pipeline.update(&noisy(t_us + step * 1000, LEVEL));
+            }
+            let after = pipeline.update(&noisy(t_us + 312_000, LEVEL));
+            assert!(after.flags.contains(Flags::VALID), "{}", after.flags);
+        }
+    }
+
+    #[test]
+    fn sigma_grows_while_samples_are_missing_and_is_kept_by_the_next_one() {
+        let (mut pipeline, t_us) = settled();
+        let before = pipeline.tilt_variance_rad2(t_us);
+        assert_eq!(pipeline.tilt_variance_rad2(t_us + 3_000), before);
+        let mut last = before;
+        for age_ms in [5, 20, 100, 300] {
+            let variance = pipeline.tilt_variance_rad2(t_us + age_ms * 1000);
+            assert!(variance > last, "{age_ms} ms");
+            last = variance;
+        }
+        // 30 °/s per axis for 0.3 s.
+        let sigma_deg = libm::sqrtf(last - before).to_degrees();
+        assert!((sigma_deg - 12.73).abs() < 0.01, "{sigma_deg}");
+        let stale = pipeline.stale(t_us + 300_000, Flags::BUS_FAULT);
+        let said = Flags::STALE | Flags::DEGRADED | Flags::BUS_FAULT;
+        assert_eq!((stale.t_us, stale.flags), (t_us + 300_000, said));
+
+        let flags = pipeline.update(&noisy(t_us + 300_000, LEVEL)).flags;
+        assert!(flags.contains(Flags::VALID), "{flags}");
+        let kept = pipeline.tilt_variance_rad2(t_us + 300_000);
+        assert!((kept / last - 1.0).abs() < 1e-3, "{kept} {last}");
+        let flags = pipeline.update(&noisy(t_us + 301_000, LEVEL)).flags;
+        assert_eq!(flags, Flags::VALID | Flags::DEGRADED);
+    }
+
+    #[test]
+    fn a_gyroscope_stuck_at_full_scale_is_not_believed() {
+        for milliseconds in [1, 5, 9, 11, 50, 400] {
+            let (mut pipeline, t_us) = settled();
+            for step in 1..=milliseconds {
+                let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
+                raw.gyroscope = GyroscopeCounts([i16::MAX, 0, 0]);
+                let snapshot = pipeline.update(&Burst {
+                    bytes: raw.encode(),
+                    captured_at_us: t_us + step * 1000,
+                    missed_before: 0,
+                });
+                assert!(!snapshot.flags.contains(Flags::VALID));
+            }
+            for step in milliseconds + 1..milliseconds + 300 {
+                let snapshot = pipeline.update(&noisy(t_us + step * 1000, LEVEL));
+                let error = libm::acosf(snapshot.attitude.down_in_body().z.min(1.0));
+                let sigma = libm::sqrtf(pipeline.tilt_variance_rad2(snapshot.t_us));
+                let allowed = (6.0 * sigma).max(radians(5.0));
+                let is_valid = snapshot.flags.contains(Flags::VALID);
+                assert!(error < allowed || !is_valid, "{step}: {error} {sigma}");
+                assert!(is_valid || step < milliseconds + 10, "{step}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_temperature_that_the_part_is_not_made_for_is_not_valid() {
+        for (counts, is_good) in [(-26_000, true), (-26_100, false), (16_500, false)] {
+            let (mut pipeline, t_us) = settled();
+            let mut flags = Flags::NONE;
+            for step in 1..=13 {
+                let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
+                raw.temperature = TemperatureCounts(counts);
+                flags = pipeline
+                    .update(&Burst {
+                        bytes: raw.encode(),
+                        captured_at_us: t_us + step * 1000,
+                        missed_before: 0,
+                    })
+                    .flags;
+            }
+            assert_eq!(flags.contains(Flags::VALID), is_good, "{counts}");
+            assert_eq!(flags.contains(Flags::TEMPERATURE), !is_good, "{counts}");
+        }
+    }
+
+    #[test]
+    fn rates_that_a_changed_full_scale_would_show_are_valid_once_it_is_read_back() {
+        for (before, after, is_jump) in [
+            (10.0, 80.0, true),    // ±2000 °/s become ±250 °/s.
+            (-10.0, -40.0, false), // ±2000 °/s become ±500 °/s: 30 °/s too much for 40 ms are 1.2°.
+            (-20.0, -80.0, true),
+            (200.0, 220.0, false),
+            (0.0, 49.0, false),
+        ] {
+            let (mut pipeline, mut t_us) = settled();
+            let mut turn = |pipeline: &mut Pipeline, rate| {
+                t_us += 1000;
+                let rates = Vector3::new(0.0, 0.0, rate + 0.1 * (t_us / 1000 % 2) as f32);
+                let burst = burst(Mount::Z_UP, t_us, LEVEL, rates);
+                let snapshot = pipeline.update_with(&burst, Flags::NONE, |_, _| {});
+                snapshot.flags.contains(Flags::VALID)
+            };
+            for part in 1..=20 {
+                assert!(turn(&mut pipeline, before * 0.05 * part as f32));
+            }
+            for _ in 0..3 {
+                assert_eq!(turn(&mut pipeline, after), !is_jump, "{before} {after}");
+                assert_eq!(pipeline.is_suspect(), is_jump);
+            }
+            pipeline.confirm_scales();
+            assert!(turn(&mut pipeline, after), "{before} {after}");
+        }
+    }
+
+    #[test]
+    fn lost_settings_cost_certainty_and_not_the_attitude() {
+        let (mut pipeline, t_us) = settled();
+        let burst = noisy(t_us + 50_000, LEVEL);
+        let mut published = None;
+        let snapshot = pipeline.update_with(&burst, Flags::SENSOR_RESET, |snapshot, variance| {
+            published = Some((*snapshot, variance));
+        });
+        let variance = pipeline.tilt_variance_rad2(t_us + 50_000);
+        assert_eq!(published, Some((snapshot, variance)));
+        let said = Flags::VALID | Flags::DEGRADED | Flags::SENSOR_RESET;
+        assert_eq!(snapshot.flags, said);
+        let sigma = libm::sqrtf(variance).to_degrees();
+        assert!((7.0..8.0).contains(&sigma), "{sigma}");
+    }
+
+    #[test]
+    fn what_an_earlier_run_knew_is_gone_on_from() {
+        let (pipeline, _) = settled();
+        let mut known = pipeline.known().expect("it is settled");
+        known.attitude = Quaternion::from_euler(EulerAngles {
+            roll_rad: 0.1,
+            pitch_rad: -0.2,
+            yaw_rad: 0.3,
+        });
+        known.tilt_sigma_rad = 0.1;
+        let mut pipeline = Pipeline::new(&settings());
+        assert_eq!(pipeline.known(), None);
+        pipeline.resume(&known);
+        let first = pipeline.update(&noisy(5_000, LEVEL));
+        assert_eq!(first.flags & Flags::CALIBRATING, Flags::NONE);
+        let angles = first.euler();
+        assert!((angles.roll_rad - 0.1).abs() < 0.01 && (angles.yaw_rad - 0.3).abs() < 0.01);
+        let second = pipeline.update(&noisy(6_000, LEVEL));
+        assert!(second.flags.contains(Flags::VALID), "{}", second.flags);
+        assert!(pipeline.rate_offset_rad_s() == known.bias_rad_s);
     }
 
     #[test]
@@ -1062,7 +1524,8 @@ mod tests {
             let flags = pipeline
                 .update(&burst(Mount::Z_UP, index * 1000, LEVEL, Vector3::ZERO))
                 .flags;
-            assert_eq!(flags.contains(Flags::FROZEN), index >= 100, "{index}");
+            // Every eleventh is compared with the one before, and the sample after it tells.
+            assert_eq!(flags.contains(Flags::FROZEN), index > 22, "{index}");
         }
     }
 
@@ -1077,7 +1540,7 @@ mod tests {
                     missed_before: 0,
                 })
                 .flags;
-            assert!(flags.contains(Flags::CALIBRATING | Flags::FREE_FALL));
+            assert!(flags.contains(Flags::CALIBRATING | Flags::REJECTED));
         }
     }
 }

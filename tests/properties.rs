@@ -502,7 +502,7 @@ proptest! {
     }
 
     #[test]
-    fn flags_survive_their_text(bits in 0..1u16 << Flags::NAMES.len()) {
+    fn flags_survive_their_text(bits in 0..1u32 << Flags::NAMES.len()) {
         let flags = Flags::from_bits(bits);
         prop_assert_eq!(Flags::parse(&flags.to_string()), Some(flags));
     }

@@ -218,6 +218,6 @@ fn bits(snapshot: &Snapshot) -> String {
     ] {
         write!(line, ",{:08x}", number.to_bits()).expect("a string takes everything");
     }
-    write!(line, ",{:04x}", snapshot.flags.bits()).expect("a string takes everything");
+    write!(line, ",{:08x}", snapshot.flags.bits()).expect("a string takes everything");
     line
 }

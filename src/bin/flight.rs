@@ -24,18 +24,21 @@ mod app {
     use aplomb::board::boards::BOARD;
     use aplomb::board::burst_reader::{self, BurstReader};
     use aplomb::board::flash::CalibrationFlash;
+    use aplomb::board::sensor::{self, NotReady, Sensor};
     use aplomb::board::sensor_bus::SensorBus;
     use aplomb::board::timebase::{self, Delay, Timebase};
     use aplomb::board::uart::{self, ReceiveRing, Receiver, Reception, Transmitter};
-    use aplomb::board::{clocks, pins, publish};
+    use aplomb::board::upkeep::Upkeep;
+    use aplomb::board::{clocks, pins, publish, retained, watchdog};
     use aplomb::calibration::{Calibration, Mount, OutputFormat, RestProgress, storage};
     use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
     use aplomb::console::ground_station::GroundStation;
     use aplomb::console::{Console, Module, Outcome, State, Task};
     use aplomb::estimator::Sample;
-    use aplomb::estimator::kalman::Kalman;
+    use aplomb::estimator::kalman::{Kalman, Known};
+    use aplomb::fault::{ClockSource, FaultClass, ResetCause};
     use aplomb::health::Flags;
-    use aplomb::mpu6050::{Config, Mpu6050, Part};
+    use aplomb::mpu6050::{self, Config, Part};
     use aplomb::pipeline::Snapshot;
     use aplomb::pipeline::{Pipeline, Settings};
     use aplomb::telemetry::log::{self, NumberedBurst, Sender};
@@ -47,8 +50,15 @@ mod app {
     use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
 
-    /// Pause between two attempts to find the sensor.
-    const RETRY_MS: u32 = 500;
+    /// The crystal has stopped. The burst reader sees it at the next edge and brings the clock back.
+    #[cortex_m_rt::exception]
+    unsafe fn NonMaskableInt() {
+        clocks::acknowledge_failure();
+    }
+
+    /// So long may a task of the idle task take: to erase a sector of 16 KiB, which stalls the core for half a second
+    /// (STM32F405 datasheet, table "Flash memory programming"), and to test the sensor.
+    const TASK_LIMIT_MS: u32 = 2_000;
     /// So long no sample comes when the sensor was stopped on purpose, at least: longer than the filter bridges, so that the
     /// attitude says [`Flags::GAP`] and starts again from gravity instead of guessing.
     const PAUSE_US: u32 = 600_000;
@@ -109,7 +119,8 @@ mod app {
 
     #[local]
     struct Local {
-        bus: SensorBus,
+        sensor: Sensor,
+        known: Option<Known>,
         flash: CalibrationFlash,
         transmitter: Transmitter,
         receiver: Receiver,
@@ -125,7 +136,12 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         static RING: ReceiveRing = [const { AtomicU8::new(0) }; uart::RECEIVE_CAPACITY];
         let device = context.device;
+        let start = retained::start(&device.RCC);
+        watchdog::start(&device.IWDG, &device.DBGMCU);
         let (_, clock) = clocks::start(device.RCC);
+        if clock == ClockSource::Crystal {
+            clocks::watch_crystal();
+        }
         pins::start(device.GPIOA, device.SYSCFG, device.EXTI);
         let timebase = Timebase::start(device.TIM5);
         let bus = SensorBus::new(device.I2C1, device.GPIOB);
@@ -135,6 +151,15 @@ mod app {
             core_mhz: (BOARD.core_hz / 1_000_000) as u16,
             clock,
         });
+        if start.cause != ResetCause::Power || start.starts > 1 {
+            messages.post(Message::Restarted {
+                cause: start.cause,
+                last_fault: start.last_fault,
+                crash_address: start.crash_address,
+            });
+        }
+        // A sensor that the run before has brought up only has to be looked at.
+        let sensor = Sensor::new(bus, Config::DEFAULT, start.known.is_some());
         let mut flash = CalibrationFlash::new(device.FLASH);
         let storage::Loaded { record, problem } = storage::load(&mut flash);
         if let Some(problem) = problem {
@@ -169,7 +194,8 @@ mod app {
                 },
             },
             Local {
-                bus,
+                sensor,
+                known: start.known,
                 flash,
                 transmitter,
                 receiver,
@@ -180,9 +206,14 @@ mod app {
         )
     }
 
-    #[idle(local = [bus, flash], shared = [pipeline, messages, desk])]
+    #[idle(local = [sensor, known, flash], shared = [pipeline, messages, desk])]
     fn idle(context: idle::Context) -> ! {
-        let idle::LocalResources { bus, flash, .. } = context.local;
+        let idle::LocalResources {
+            sensor,
+            known,
+            flash,
+            ..
+        } = context.local;
         let idle::SharedResources {
             mut pipeline,
             mut messages,
@@ -190,23 +221,27 @@ mod app {
             ..
         } = context.shared;
         let mut post = |message| messages.lock(|messages| messages.post(message));
+        let mut last_complaint = None;
         loop {
-            match set_up(bus) {
-                Ok((part, address)) => {
+            watchdog::samples_go_on();
+            match sensor.make_ready() {
+                Ok(ready) => {
+                    last_complaint = None;
                     let (calibration, is_armed) = desk.lock(|desk| {
-                        desk.sensor = Some((part, address));
+                        desk.sensor = Some((ready.part, ready.address));
                         (desk.calibration, desk.is_armed)
                     });
                     // After a fault the filter goes on with what it knows.
                     pipeline.lock(|pipeline| {
                         if pipeline.is_none() {
-                            start_pipeline(pipeline, part, calibration, is_armed);
+                            let known = known.take();
+                            start_pipeline(pipeline, ready.part, calibration, is_armed, known);
                         }
                     });
-                    burst_reader::enable(address);
+                    burst_reader::enable(&ready, &Config::DEFAULT);
                     post(Message::SensorConfigured {
-                        part: part.name,
-                        address,
+                        part: ready.part.name,
+                        address: ready.address,
                     });
                     timebase::sleep_until(|| {
                         !burst_reader::is_enabled() || TASK_WAITS.load(Ordering::Acquire)
@@ -217,18 +252,29 @@ mod app {
                         post(Message::Recovering);
                     }
                 }
-                Err(message) => {
-                    post(message);
-                    Delay.delay_ms(RETRY_MS);
+                Err(reason) => {
+                    // It may have been powered up together with the processor.
+                    let is_patient = reason == NotReady::Sensor(mpu6050::Error::NotFound)
+                        && sensor.may_be_starting();
+                    // Said once, and tried many times.
+                    if !is_patient && last_complaint.replace(reason) != Some(reason) {
+                        post(complaint(reason));
+                    }
+                    Delay.delay_ms(sensor::RETRY_MS);
                 }
             }
             if TASK_WAITS.swap(false, Ordering::Acquire)
                 && let Some(task) = desk.lock(|desk| desk.task.take())
             {
                 let since = timebase::now();
-                let outcome = perform(&task, bus, flash);
+                watchdog::allow_ms(TASK_LIMIT_MS);
+                let outcome = perform(&task, sensor, flash);
+                watchdog::allow_ms(watchdog::LIMIT_MS);
                 desk.lock(|desk| desk.outcome = Some(outcome));
-                timebase::sleep_until(|| timebase::elapsed(since, PAUSE_US));
+                timebase::sleep_until(|| {
+                    watchdog::samples_go_on();
+                    timebase::elapsed(since, PAUSE_US)
+                });
             }
         }
     }
@@ -240,6 +286,7 @@ mod app {
         part: &'static Part,
         calibration: Calibration,
         is_armed: bool,
+        known: Option<Known>,
     ) {
         let settings = Settings {
             part,
@@ -248,44 +295,32 @@ mod app {
         };
         let pipeline = place.insert(Pipeline::with_filter(&settings, Kalman::new()));
         pipeline.set_armed(is_armed);
+        if let Some(known) = &known {
+            pipeline.resume(known);
+        }
     }
 
-    /// Frees the bus and configures the sensor; the error is the message that says what stands in the way.
-    fn set_up(bus: &mut SensorBus) -> Result<(&'static Part, u8), Message> {
-        bus.recover()
-            .map_err(|held| Message::BusHeldLow { clock: held.clock })?;
-        let mut sensor = Mpu6050::probe(bus, &mut Delay)
-            .map_err(|failure| Message::SensorFailed(failure.error))?;
-        sensor
-            .configure(&Config::default(), &mut Delay)
-            .map_err(Message::SensorFailed)?;
-        Ok((sensor.part(), sensor.address()))
+    /// What stands in the way of samples.
+    fn complaint(reason: NotReady) -> Message {
+        match reason {
+            NotReady::BusHeldLow(held) => Message::BusHeldLow { clock: held.clock },
+            NotReady::Sensor(error) => Message::SensorFailed(error),
+        }
     }
 
     /// Does what the sensor was stopped for.
     #[inline(never)]
-    fn perform(task: &Task, bus: &mut SensorBus, flash: &mut CalibrationFlash) -> Outcome {
+    fn perform(task: &Task, sensor: &mut Sensor, flash: &mut CalibrationFlash) -> Outcome {
         match task {
             Task::Save(record) => match storage::save(flash, record) {
                 Ok(()) => Outcome::new(true, "stored"),
                 Err(error) => Outcome::new(false, error),
             },
-            Task::SelfTest => match test_sensor(bus) {
-                Ok(outcome) => outcome,
-                Err(message) => Outcome::new(false, message),
+            Task::SelfTest => match sensor.test() {
+                Ok(result) => Outcome::new(result.has_passed() != Some(false), result),
+                Err(reason) => Outcome::new(false, complaint(reason)),
             },
         }
-    }
-
-    fn test_sensor(bus: &mut SensorBus) -> Result<Outcome, Message> {
-        bus.recover()
-            .map_err(|held| Message::BusHeldLow { clock: held.clock })?;
-        let mut sensor = Mpu6050::probe(bus, &mut Delay)
-            .map_err(|failure| Message::SensorFailed(failure.error))?;
-        let result = sensor
-            .self_test(&mut Delay)
-            .map_err(Message::SensorFailed)?;
-        Ok(Outcome::new(result.has_passed() != Some(false), result))
     }
 
     #[task(binds = EXTI1, priority = 4, shared = [reader, timebase])]
@@ -303,9 +338,13 @@ mod app {
         context.shared.reader.on_bus_error();
     }
 
-    #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader])]
+    #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]
     fn transfer_complete(context: transfer_complete::Context) {
-        if context.shared.reader.on_transfer_complete() {
+        if context
+            .shared
+            .reader
+            .on_transfer_complete(context.shared.timebase)
+        {
             rtic::pend(Interrupt::SPI3);
         }
     }
@@ -313,8 +352,8 @@ mod app {
     #[task(binds = TIM5, priority = 4, shared = [reader, timebase])]
     fn time(context: time::Context) {
         let alarms = context.shared.timebase.on_interrupt();
-        if alarms.burst {
-            context.shared.reader.on_alarm();
+        if alarms.burst && context.shared.reader.on_alarm(context.shared.timebase) {
+            rtic::pend(Interrupt::SPI3);
         }
         if alarms.telemetry {
             // A line that is still being written makes this one come later: none waits for it.
@@ -322,14 +361,17 @@ mod app {
         }
     }
 
-    #[task(binds = SPI3, priority = 3, shared = [pipeline, messages, rest], local = [to_log, last_flags: Flags = Flags::NONE])]
+    #[task(binds = SPI3, priority = 3, shared = [pipeline, messages, rest], local = [to_log, upkeep: Upkeep = Upkeep::new()])]
     fn attitude(mut context: attitude::Context) {
-        let to_log = context.local.to_log;
-        let outcome = burst_reader::with_burst(|burst| {
-            context.shared.pipeline.lock(|pipeline| {
-                let pipeline = pipeline.as_mut()?;
-                let snapshot = pipeline.update(burst);
-                publish::publish(&snapshot);
+        let attitude::LocalResources { to_log, upkeep, .. } = context.local;
+        let mut rest = None;
+        let change = context.shared.pipeline.lock(|pipeline| {
+            let Some(pipeline) = pipeline.as_mut() else {
+                watchdog::attitude_goes_on();
+                return None;
+            };
+            let sampled = burst_reader::with_burst(|burst, flags| {
+                let snapshot = pipeline.update_with(burst, flags, publish::publish);
                 // The attitude is out; what follows has time until the next burst.
                 let number = BURSTS_TAKEN.load(Ordering::Relaxed);
                 BURSTS_TAKEN.store(number.wrapping_add(1), Ordering::Relaxed);
@@ -342,29 +384,36 @@ mod app {
                         })
                         .ok();
                 }
-                Some((snapshot.flags, pipeline.collect(burst)))
-            })
+                rest = pipeline.collect(burst);
+                upkeep.after_sample(pipeline, snapshot.flags)
+            });
+            if let Some(change) = sampled {
+                return change;
+            }
+            let (t_us, flags) = burst_reader::take_stale()?;
+            let snapshot = pipeline.stale(t_us, flags);
+            publish::publish(&snapshot, pipeline.tilt_variance_rad2(t_us));
+            upkeep.after_silence(&snapshot)
         });
-        let Some(Some((flags, rest))) = outcome else {
-            return;
-        };
         if let Some(seen @ (RestProgress::Moved(_) | RestProgress::Done(_))) = rest {
             context.shared.rest.lock(|rest| *rest = Some(seen));
         }
-        if flags != *context.local.last_flags {
-            let last = core::mem::replace(context.local.last_flags, flags);
-            let message = if flags.contains(Flags::MOVED) {
-                Message::MovedAtStart
-            } else if last.contains(Flags::CALIBRATING) && !flags.contains(Flags::CALIBRATING) {
-                Message::OffsetMeasured
-            } else {
-                return;
-            };
-            context
-                .shared
-                .messages
-                .lock(|messages| messages.post(message));
-        }
+        let Some((last, flags)) = change else {
+            return;
+        };
+        let message = if flags.contains(Flags::MOVED) {
+            Message::MovedAtStart
+        } else if last.contains(Flags::CALIBRATING)
+            && !flags.intersects(Flags::CALIBRATING | Flags::STALE)
+        {
+            Message::OffsetMeasured
+        } else {
+            return;
+        };
+        context
+            .shared
+            .messages
+            .lock(|messages| messages.post(message));
     }
 
     #[task(
@@ -402,6 +451,7 @@ mod app {
         } = context.local;
         let mut messages = context.shared.messages;
 
+        watchdog::telemetry_goes_on();
         let (failures, failure) = burst_reader::failures();
         let count = failures.wrapping_sub(*last_failures);
         if let (1.., Some(failure)) = (count, failure) {
@@ -427,7 +477,10 @@ mod app {
             None
         };
         if !transmitter.is_idle() {
-            *frames_dropped = frames_dropped.saturating_add(snapshot.is_some().into());
+            if snapshot.is_some() {
+                *frames_dropped = frames_dropped.saturating_add(1);
+                retained::count(FaultClass::TelemetryLate);
+            }
             return;
         }
         let logs = format == OutputFormat::Log;

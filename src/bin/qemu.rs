@@ -177,7 +177,7 @@ mod app {
         ] {
             write!(output, ",{:08x}", number.to_bits())?;
         }
-        writeln!(output, ",{:04x}", snapshot.flags.bits())
+        writeln!(output, ",{:08x}", snapshot.flags.bits())
     }
 
     /// Stands for the sensor: one sample per period.

@@ -6,10 +6,17 @@
 //!
 //! The order of register accesses is the reference manual's (RM0090, 27.3.3 master transmitter and
 //! receiver, 27.3.7 DMA). A burst takes 384 µs at 400 kHz. Every step is under the alarm: a burst
-//! that has not ended [`BURST_DEADLINE_US`] after its edge, in whatever step, is aborted; and so is
-//! the wait for an edge that does not come within [`SILENCE_DEADLINE_US`]. After
+//! that has not ended [`BURST_DEADLINE_US`] after its edge, in whatever step, is aborted. After
 //! [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an unknown state, the reader stops
-//! and the idle task recovers the bus and configures the sensor again.
+//! and the idle task recovers the bus; meanwhile the alarm has the attitude task say that no sample comes.
+//!
+//! An edge that does not come within [`SILENCE_DEADLINE_US`] is done without: bursts are then started
+//! by the alarm, one a sample period, until edges come again. An edge that comes too soon after the last
+//! one is a glitch, or a sensor that has forgotten its sample rate; it starts nothing.
+//!
+//! Between bursts the attitude task may ask for a check: the same steps read a few of the sensor's
+//! settings back, which are compared with what they should be. One that differs stops the reader, and
+//! the idle task sets the sensor up again.
 //!
 //! DMA fills one slot while the attitude task reads the other: nothing is copied. An edge that comes
 //! while a burst runs, a failed burst, and a burst that ends before the attitude task is done with
@@ -19,30 +26,67 @@ use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fence};
 
 use embedded_hal::delay::DelayNs;
-use stm32f4xx_hal::pac::{DMA1, EXTI, I2C1, dma1, i2c1};
+use stm32f4xx_hal::pac::{DMA1, EXTI, I2C1, Interrupt, dma1, i2c1};
 
-use super::clocks;
+use super::sensor::Ready;
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
-use crate::fault::{BurstFailure, BurstFault, BurstStep};
+use super::{clocks, pins, retained};
+use crate::fault::{BurstFailure, BurstFault, BurstStep, FaultClass};
+use crate::health::Flags;
 use crate::mpu6050::registers::Register;
-use crate::mpu6050::{BURST_LENGTH, Burst};
+use crate::mpu6050::{BURST_LENGTH, Burst, Check, Condition, Config, Part};
 
 /// Longest time from the edge to the end of its burst, in microseconds: twice what the bus needs.
 pub const BURST_DEADLINE_US: u32 = 800;
-/// Longest time without an edge, in microseconds: ten periods at the default 1 kHz.
-pub const SILENCE_DEADLINE_US: u32 = 10_000;
-/// Failed bursts in a row after which the sensor is configured again.
+/// Longest time without an edge, in microseconds: three periods at the default 1 kHz.
+pub const SILENCE_DEADLINE_US: u32 = 3_000;
+/// How often it is said that no sample comes, in microseconds.
+const STALE_PERIOD_US: u32 = 5_000;
+/// Failed bursts in a row after which the bus is recovered and the sensor looked at.
 pub const FAILURES_IN_A_ROW: u8 = 3;
+/// The order of the checks: the full scales come every other time, since they scale the attitude.
+const CHECK_ORDER: [u8; 4] = [0, 1, 0, 2];
 
 /// The reader. All of its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
     filling: u8,
-    captured_at_us: u64,
+    /// Where the steps under way read from.
+    pointer: Register,
     missed: u8,
+    /// When the edge of this burst, or of the last one, came; its low half is the timer's count.
+    captured_at_us: u64,
+    /// An edge that comes sooner after the last one than this is an odd one, in microseconds.
+    shortest_period_us: u32,
+    /// When the alarm goes off if no edge comes, in microseconds after the last.
+    patience_us: u32,
+    /// What there is to say of the next burst.
+    flags: Flags,
+    /// What there is to say of every burst from now on.
+    standing: Flags,
+    mode: Mode,
     failures_in_a_row: u8,
+    /// The steps under way read settings back.
+    is_check: bool,
+    /// An edge has come during a check.
+    edge_waits: bool,
+    next_check: u8,
 }
+
+/// What the next edge means.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Mode {
+    /// It is the first since the reader was enabled.
+    Starting,
+    /// It starts the next burst.
+    Edges,
+    /// Edges are back, after the alarm has started the bursts.
+    Polling,
+}
+
+/// A period that no edge keeps: every one is looked at.
+const EVERY_EDGE_IS_ODD: u32 = u32::MAX;
 
 impl BurstReader {
     /// Sets the DMA stream up. The reader starts when [`enable`] lets the first edge through.
@@ -58,11 +102,21 @@ impl BurstReader {
         let reader = Self {
             step: BurstStep::Idle,
             filling: 0,
-            captured_at_us: 0,
+            pointer: Register::AccelerometerXHigh,
             missed: 0,
+            captured_at_us: 0,
+            shortest_period_us: EVERY_EDGE_IS_ODD,
+            patience_us: SILENCE_DEADLINE_US,
+            flags: Flags::NONE,
+            standing: Flags::NONE,
+            mode: Mode::Starting,
             failures_in_a_row: 0,
+            is_check: false,
+            edge_waits: false,
+            next_check: 0,
         };
         reader.arm_dma();
+        timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
         reader
     }
 
@@ -70,13 +124,76 @@ impl BurstReader {
     #[inline(always)]
     pub fn on_data_ready(&mut self, timebase: &Timebase) {
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
-        if self.step != BurstStep::Idle {
-            self.missed = self.missed.saturating_add(1);
+        let count = timebase.captured();
+        let since = count.wrapping_sub(self.captured_at_us as u32);
+        if self.step != BurstStep::Idle
+            || since < self.shortest_period_us
+            || clocks::have_fallen_back()
+        {
+            self.on_odd_edge(timebase);
             return;
         }
+        self.begin(count, timebase);
+    }
+
+    /// An edge that is not the next one of many.
+    #[cold]
+    #[inline(never)]
+    fn on_odd_edge(&mut self, timebase: &Timebase) {
+        if clocks::have_fallen_back() {
+            clocks::restore();
+            self.standing |= Flags::INTERNAL_CLOCK;
+            self.flags |= Flags::INTERNAL_CLOCK;
+        }
         let count = timebase.captured();
+        let is_idle = self.step == BurstStep::Idle;
+        match self.mode {
+            Mode::Starting => self.take_up(),
+            // Where a burst is under way, it reads this edge's sample.
+            Mode::Polling => self.return_to_edges(),
+            Mode::Edges => {
+                let since = count.wrapping_sub(self.captured_at_us as u32);
+                if since < self.shortest_period_us {
+                    retained::count(FaultClass::InterruptGlitch);
+                    return;
+                }
+                if !is_idle && !self.is_check {
+                    self.missed = self.missed.saturating_add(1);
+                }
+            }
+        }
+        if is_idle {
+            self.begin(count, timebase);
+        } else {
+            self.edge_waits = self.is_check;
+        }
+    }
+
+    /// The first edge, or none of it, after the idle task has made the sensor ready.
+    fn take_up(&mut self) {
+        self.return_to_edges();
+        self.flags = self.standing | Flags::from_bits(LINK.notes.load(Ordering::Relaxed));
+        LINK.notes.store(0, Ordering::Relaxed);
+    }
+
+    fn return_to_edges(&mut self) {
+        self.mode = Mode::Edges;
+        self.shortest_period_us = setup().shortest_period_us;
+        self.patience_us = SILENCE_DEADLINE_US;
+        self.standing = self.standing.without(Flags::POLLED);
+        self.flags = self.flags.without(Flags::POLLED);
+    }
+
+    /// Asks for the bus to read a burst.
+    #[inline(always)]
+    fn begin(&mut self, count: u32, timebase: &Timebase) {
         self.captured_at_us = timebase.extend_capture(count);
         timebase::set_burst_alarm(count.wrapping_add(BURST_DEADLINE_US));
+        self.ask_for_bus();
+    }
+
+    #[inline(always)]
+    fn ask_for_bus(&mut self) {
         i2c1()
             .cr2()
             .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
@@ -99,8 +216,7 @@ impl BurstReader {
             }
             BurstStep::AddressWrite if status.addr().bit() => {
                 i2c.sr2().read();
-                i2c.dr()
-                    .write(|w| w.dr().set(Register::AccelerometerXHigh as u8));
+                i2c.dr().write(|w| w.dr().set(self.pointer as u8));
                 self.step = BurstStep::Pointer;
             }
             BurstStep::Pointer if status.btf().bit() => {
@@ -128,13 +244,14 @@ impl BurstReader {
                 i2c.sr2().read();
                 self.step = BurstStep::Data;
             }
+            BurstStep::Idle => self.begin_check(),
             _ => {}
         }
     }
 
-    /// DMA1 stream 0: the 14 bytes are there. True if a burst is ready for the attitude task.
+    /// DMA1 stream 0: the bytes are there. True if a burst is ready for the attitude task.
     #[inline(always)]
-    pub fn on_transfer_complete(&mut self) -> bool {
+    pub fn on_transfer_complete(&mut self, timebase: &Timebase) -> bool {
         let complete = dma1().lisr().read().tcif0().bit();
         clear_dma_flags();
         // Aborting a stream sets its flag too; such an interrupt finds another step here.
@@ -145,10 +262,14 @@ impl BurstReader {
             self.fail(BurstFault::Dma);
             return false;
         }
+        if self.is_check {
+            self.end_check(timebase);
+            return false;
+        }
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
-        timebase::set_burst_alarm((self.captured_at_us as u32).wrapping_add(SILENCE_DEADLINE_US));
+        timebase::set_burst_alarm((self.captured_at_us as u32).wrapping_add(self.patience_us));
         self.step = BurstStep::Idle;
         self.failures_in_a_row = 0;
         let handed_over = !HANDOVER.held.load(Ordering::Relaxed);
@@ -158,15 +279,94 @@ impl BurstReader {
             burst.captured_at_us = self.captured_at_us;
             burst.missed_before = self.missed;
             self.missed = 0;
+            HANDOVER.flags.store(self.flags.bits(), Ordering::Relaxed);
+            self.flags = self.standing;
             compiler_fence(Ordering::Release);
             HANDOVER.ready.store(self.filling, Ordering::Relaxed);
             HANDOVER.held.store(true, Ordering::Relaxed);
             self.filling ^= 1;
         } else {
-            self.missed = self.missed.saturating_add(1);
+            self.note_late();
         }
         self.arm_dma();
         handed_over
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn note_late(&mut self) {
+        self.missed = self.missed.saturating_add(1);
+        self.flags |= Flags::LATE;
+        retained::count(FaultClass::AttitudeLate);
+    }
+
+    /// The settings are read back: compares them, and gives the bus to an edge that has come meanwhile.
+    #[inline(never)]
+    fn end_check(&mut self, timebase: &Timebase) {
+        // SAFETY: the transfer into these bytes is complete.
+        let bytes = unsafe { *CHECKED.bytes.get() };
+        let is_intact = self.check().of(&bytes) == Condition::Intact;
+        if is_intact && self.check_number() == 0 {
+            LINK.are_scales_verified.store(true, Ordering::Relaxed);
+        }
+        self.next_check = (self.next_check + 1) % CHECK_ORDER.len() as u8;
+        self.is_check = false;
+        self.pointer = Register::AccelerometerXHigh;
+        self.failures_in_a_row = 0;
+        self.step = BurstStep::Idle;
+        self.arm_dma();
+        let edge_waits = core::mem::take(&mut self.edge_waits);
+        if edge_waits && is_intact {
+            self.begin(timebase.captured(), timebase);
+            return;
+        }
+        i2c1()
+            .cr1()
+            .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
+        let patience_us = match self.mode {
+            Mode::Polling => POLL_AFTER_CHECK_US,
+            _ => SILENCE_DEADLINE_US - BURST_DEADLINE_US,
+        };
+        timebase::set_burst_alarm(timebase::now().wrapping_add(patience_us));
+        if !is_intact {
+            // The idle task looks again and counts.
+            self.disable();
+        }
+    }
+
+    /// Reads some settings back if that is asked for and the bus is free.
+    #[inline(never)]
+    fn begin_check(&mut self) {
+        let is_free =
+            i2c1().sr2().read().busy().bit_is_clear() && i2c1().cr1().read().stop().bit_is_clear();
+        if !LINK.check_wanted.load(Ordering::Relaxed) || !is_free || !is_enabled() {
+            return;
+        }
+        LINK.check_wanted.store(false, Ordering::Relaxed);
+        self.is_check = true;
+        self.pointer = self.check().first;
+        timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
+        self.arm_dma_for_check();
+        self.ask_for_bus();
+    }
+
+    fn check_number(&self) -> u8 {
+        let [a, b, c, d] = CHECK_ORDER;
+        match self.next_check {
+            0 => a,
+            1 => b,
+            2 => c,
+            _ => d,
+        }
+    }
+
+    fn check(&self) -> &'static Check {
+        let [scales, interrupt, power] = &setup().checks;
+        match self.check_number() {
+            0 => scales,
+            1 => interrupt,
+            _ => power,
+        }
     }
 
     /// I2C1 error: the sensor did not acknowledge, or the bus misbehaved.
@@ -188,28 +388,76 @@ impl BurstReader {
         }
     }
 
-    /// The alarm: a burst took too long, or no edge came.
-    pub fn on_alarm(&mut self) {
+    /// The alarm: a burst took too long, no edge came, a check is asked for, or it is time to say that no
+    /// sample comes. True if the attitude task has to say so.
+    pub fn on_alarm(&mut self, timebase: &Timebase) -> bool {
         if !is_enabled() {
-            return;
+            timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
+            let t_us = timebase.extend_capture(timebase::now());
+            LINK.stale_low.store(t_us as u32, Ordering::Relaxed);
+            LINK.stale_high
+                .store((t_us >> 32) as u32, Ordering::Relaxed);
+            LINK.stale_flags
+                .store((self.flags | self.standing).bits(), Ordering::Relaxed);
+            LINK.is_stale.store(true, Ordering::Release);
+            return true;
         }
-        let fault = match self.step {
-            BurstStep::Idle => BurstFault::NoDataReady,
-            _ => BurstFault::Deadline,
-        };
-        self.fail(fault);
+        if clocks::have_fallen_back() {
+            clocks::restore();
+            self.standing |= Flags::INTERNAL_CLOCK;
+            self.flags |= Flags::INTERNAL_CLOCK;
+        }
+        if self.step != BurstStep::Idle {
+            self.fail(BurstFault::Deadline);
+            return false;
+        }
+        if self.mode == Mode::Starting {
+            self.take_up();
+        }
+        if self.mode == Mode::Edges {
+            self.poll_instead_of_edges();
+        }
+        self.begin(timebase::now(), timebase);
+        false
     }
 
-    fn fail(&mut self, fault: BurstFault) {
+    fn poll_instead_of_edges(&mut self) {
+        self.mode = Mode::Polling;
+        self.shortest_period_us = EVERY_EDGE_IS_ODD;
+        self.patience_us = setup().period_us;
+        self.standing |= Flags::POLLED;
+        self.flags |= Flags::POLLED;
+        retained::count(if pins::interrupt_is_high() {
+            FaultClass::InterruptStuckHigh
+        } else {
+            FaultClass::InterruptMissing
+        });
         LINK.record(BurstFailure {
+            fault: BurstFault::NoDataReady,
+            step: BurstStep::Idle,
+        });
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn fail(&mut self, fault: BurstFault) {
+        let failure = BurstFailure {
             fault,
             step: self.step,
-        });
+        };
+        LINK.record(failure);
+        retained::count(failure.class());
+        self.flags |= Flags::BUS_FAULT;
         i2c1().cr2().write(|w| with_clock(w));
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().stop().bit(self.step != BurstStep::Idle));
-        self.missed = self.missed.saturating_add(1);
+        if !self.is_check {
+            self.missed = self.missed.saturating_add(1);
+        }
+        self.is_check = false;
+        self.pointer = Register::AccelerometerXHigh;
+        self.edge_waits = false;
         self.failures_in_a_row = self.failures_in_a_row.saturating_add(1);
         self.step = BurstStep::Idle;
         self.arm_dma();
@@ -217,58 +465,143 @@ impl BurstReader {
         let bus_is_known = fault == BurstFault::NotAcknowledged;
         if !bus_is_known || self.failures_in_a_row >= FAILURES_IN_A_ROW {
             self.failures_in_a_row = 0;
-            disable();
+            self.disable();
         }
+    }
+
+    /// Leaves the bus to the idle task.
+    fn disable(&mut self) {
+        self.mode = Mode::Starting;
+        self.shortest_period_us = EVERY_EDGE_IS_ODD;
+        exti().imr().reset();
+        LINK.enabled.store(false, Ordering::Release);
+        // Which has it said at once that no sample comes.
+        timebase::raise_burst_alarm();
     }
 
     /// Readies the stream for the next burst. It moves nothing until the I2C asks, in step `Data`.
     #[inline(always)]
     fn arm_dma(&self) {
-        let stream = dma1().st(0);
-        if stream.cr().read().en().bit() {
-            stream.cr().reset();
-            while stream.cr().read().en().bit() {} // Ends with the byte in flight (RM0090, 10.3, DMA transfer suspension).
-            clear_dma_flags();
-        }
         let address =
             HANDOVER.slot(self.filling).get() as u32 + core::mem::offset_of!(Burst, bytes) as u32;
-        // SAFETY: the slot lives for ever, and the attitude task reads the other one.
-        stream.m0ar().write(|w| unsafe { w.m0a().bits(address) });
-        stream.ndtr().write(|w| w.ndt().set(BURST_LENGTH as u16));
-        stream.cr().write(|w| {
-            w.chsel()
-                .set(1)
-                .pl()
-                .very_high()
-                .minc()
-                .set_bit()
-                .tcie()
-                .set_bit()
-                .teie()
-                .set_bit()
-                .en()
-                .set_bit()
-        });
+        // The slot lives for ever, and the attitude task reads the other one.
+        arm_dma(address, BURST_LENGTH as u16);
+    }
+
+    fn arm_dma_for_check(&self) {
+        // Nobody reads the bytes of a check before it ends.
+        arm_dma(CHECKED.bytes.get() as u32, self.check().length as u16);
     }
 }
 
-/// Lends the ready burst to `work`, and gives its slot back afterwards. Only the attitude task calls this.
-pub fn with_burst<R>(work: impl FnOnce(&Burst) -> R) -> Option<R> {
+/// Readies the stream for a transfer to this address, which must be the reader's to fill.
+#[inline(always)]
+fn arm_dma(address: u32, length: u16) {
+    let stream = dma1().st(0);
+    if stream.cr().read().en().bit() {
+        stop_dma();
+    }
+    // SAFETY: see the two callers.
+    stream.m0ar().write(|w| unsafe { w.m0a().bits(address) });
+    stream.ndtr().write(|w| w.ndt().set(length));
+    stream.cr().write(|w| {
+        w.chsel()
+            .set(1)
+            .pl()
+            .very_high()
+            .minc()
+            .set_bit()
+            .tcie()
+            .set_bit()
+            .teie()
+            .set_bit()
+            .en()
+            .set_bit()
+    });
+}
+
+#[cold]
+#[inline(never)]
+fn stop_dma() {
+    let stream = dma1().st(0);
+    stream.cr().reset();
+    // Ends with the byte in flight (RM0090, 10.3, DMA transfer suspension): well within the readings.
+    for _ in 0..STOP_READINGS {
+        if stream.cr().read().en().bit_is_clear() {
+            break;
+        }
+    }
+    clear_dma_flags();
+}
+
+/// The stream is asked so often whether it has stopped.
+const STOP_READINGS: u32 = 1_000;
+
+/// Lends the ready burst to `work`, with what else there is to say of it, and gives its slot back
+/// afterwards. Only the attitude task calls this.
+#[inline(always)]
+pub fn with_burst<R>(work: impl FnOnce(&Burst, Flags) -> R) -> Option<R> {
     if !HANDOVER.held.load(Ordering::Relaxed) {
         return None;
     }
     compiler_fence(Ordering::Acquire);
     let ready = HANDOVER.ready.load(Ordering::Relaxed);
+    let flags = Flags::from_bits(HANDOVER.flags.load(Ordering::Relaxed));
     // SAFETY: while `held` is true the reader neither writes this slot nor points DMA at it.
-    let result = work(unsafe { &*HANDOVER.slot(ready).get() });
+    let result = work(unsafe { &*HANDOVER.slot(ready).get() }, flags);
     compiler_fence(Ordering::Release);
     HANDOVER.held.store(false, Ordering::Relaxed);
     Some(result)
 }
 
-/// Lets edges through to the reader, for the sensor at `address`. Called by the idle task with the reader disabled, the bus free and the sensor configured.
-pub fn enable(address: u8) {
-    LINK.address.store(address, Ordering::Relaxed);
+/// The time at which it was noticed that no sample comes, in microseconds since boot, and what there is to
+/// say of it, if that is still to be said. Only the attitude task calls this.
+pub fn take_stale() -> Option<(u64, Flags)> {
+    if !LINK.is_stale.load(Ordering::Acquire) {
+        return None;
+    }
+    LINK.is_stale.store(false, Ordering::Relaxed);
+    let low = LINK.stale_low.load(Ordering::Relaxed);
+    let high = LINK.stale_high.load(Ordering::Relaxed);
+    let flags = LINK.stale_flags.load(Ordering::Relaxed) | LINK.notes.load(Ordering::Relaxed);
+    Some((
+        u64::from(high) << 32 | u64::from(low),
+        Flags::from_bits(flags),
+    ))
+}
+
+/// Asks the reader to read some settings back now. Only the attitude task calls this, when it is done
+/// with a burst: then the bus is free.
+pub fn request_check() {
+    LINK.check_wanted.store(true, Ordering::Relaxed);
+    cortex_m::peripheral::NVIC::pend(Interrupt::I2C1_EV);
+}
+
+/// Whether the full scales have been read back, and are right, since this was asked last.
+pub fn take_verified() -> bool {
+    let is_verified = LINK.are_scales_verified.load(Ordering::Relaxed);
+    LINK.are_scales_verified.store(false, Ordering::Relaxed);
+    is_verified
+}
+
+/// Says with every snapshot that the sensor has lost its settings, until samples come again.
+pub fn note_sensor_reset() {
+    LINK.note(Flags::SENSOR_RESET);
+}
+
+/// Lets edges through to the reader. Called by the idle task with the reader disabled, the bus free and the sensor ready with these settings.
+pub fn enable(ready: &Ready, config: &Config) {
+    let period_us = (1.0e6 / config.sample_rate_hz()) as u32;
+    // SAFETY: the reader is disabled, and looks at its set-up only when it runs.
+    unsafe {
+        *SETUP.0.get() = Setup {
+            checks: Check::all(config, ready.part),
+            period_us,
+            shortest_period_us: period_us - period_us / 16,
+        };
+    }
+    LINK.address.store(ready.address, Ordering::Relaxed);
+    LINK.check_wanted.store(false, Ordering::Relaxed);
     timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
     LINK.enabled.store(true, Ordering::Release);
     exti().pr().write(|w| w.pr1().clear_bit_by_one());
@@ -297,10 +630,46 @@ pub fn failures() -> (u16, Option<BurstFailure>) {
     )
 }
 
-fn disable() {
-    exti().imr().reset();
-    LINK.enabled.store(false, Ordering::Release);
+/// When the alarm starts the bursts: so long after a check the next one is due, in microseconds.
+const POLL_AFTER_CHECK_US: u32 = 300;
+
+/// What the reader has to know of the sensor.
+struct Setup {
+    checks: [Check; 3],
+    /// The sample period.
+    period_us: u32,
+    /// An edge that comes sooner after the last is none of the sensor's: its clock is right to 1 %
+    /// (product specification §6.6), and a clone's to 5 %.
+    shortest_period_us: u32,
 }
+
+struct SetupCell(UnsafeCell<Setup>);
+
+// SAFETY: the idle task writes it while the reader is disabled, and the reader reads it while it runs.
+unsafe impl Sync for SetupCell {}
+
+static SETUP: SetupCell = SetupCell(UnsafeCell::new(Setup {
+    checks: Check::all(&Config::DEFAULT, &Part::MPU_6050),
+    period_us: 1_000,
+    shortest_period_us: 938,
+}));
+
+fn setup() -> &'static Setup {
+    // SAFETY: see `SetupCell`; what the reader does while it is disabled never depends on the contents.
+    unsafe { &*SETUP.0.get() }
+}
+
+/// What a check has read.
+struct Checked {
+    bytes: UnsafeCell<[u8; Check::LONGEST]>,
+}
+
+// SAFETY: DMA writes it during a check, and the reader reads it when that has ended.
+unsafe impl Sync for Checked {}
+
+static CHECKED: Checked = Checked {
+    bytes: UnsafeCell::new([0; Check::LONGEST]),
+};
 
 /// What the reader shares with tasks of lower priority.
 struct Link {
@@ -308,9 +677,23 @@ struct Link {
     enabled: AtomicBool,
     /// Count (16 bits), fault and step (8 bits each) in one word, so that no reader sees half of it.
     failures: AtomicU32,
+    /// Flags for the next burst.
+    notes: AtomicU32,
+    /// The attitude task has asked for a check.
+    check_wanted: AtomicBool,
+    are_scales_verified: AtomicBool,
+    /// It is to be said that no sample comes, as of this time in microseconds since boot.
+    is_stale: AtomicBool,
+    stale_low: AtomicU32,
+    stale_high: AtomicU32,
+    stale_flags: AtomicU32,
 }
 
 impl Link {
+    fn note(&self, flags: Flags) {
+        self.notes.fetch_or(flags.bits(), Ordering::Relaxed);
+    }
+
     fn record(&self, failure: BurstFailure) {
         let count = (self.failures.load(Ordering::Relaxed) as u16).wrapping_add(1);
         let [count_low, count_high] = count.to_le_bytes();
@@ -329,6 +712,13 @@ static LINK: Link = Link {
     address: AtomicU8::new(0),
     enabled: AtomicBool::new(false),
     failures: AtomicU32::new(0),
+    notes: AtomicU32::new(0),
+    check_wanted: AtomicBool::new(false),
+    is_stale: AtomicBool::new(false),
+    stale_low: AtomicU32::new(0),
+    stale_high: AtomicU32::new(0),
+    stale_flags: AtomicU32::new(0),
+    are_scales_verified: AtomicBool::new(false),
 };
 
 /// Two slots: DMA fills one while the attitude task reads the other.
@@ -338,6 +728,8 @@ struct Handover {
     ready: AtomicU8,
     /// Whether the attitude task still needs that slot.
     held: AtomicBool,
+    /// What there is to say of the burst.
+    flags: AtomicU32,
 }
 
 impl Handover {
@@ -360,6 +752,7 @@ static HANDOVER: Handover = Handover {
     slots: [const { UnsafeCell::new(NO_BURST) }; 2],
     ready: AtomicU8::new(0),
     held: AtomicBool::new(false),
+    flags: AtomicU32::new(0),
 };
 
 fn clear_dma_flags() {

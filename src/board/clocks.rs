@@ -34,6 +34,65 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
     (rcc.freeze(config), source)
 }
 
+/// Has the hardware watch the crystal: if it stops, the core goes on from the internal oscillator, at
+/// 16 MHz, and an NMI comes (RM0090, 6.2.7). [`restore`] then brings the frequencies back.
+pub fn watch_crystal() {
+    // SAFETY: only init, before any interrupt, writes this register, and `restore`, which comes later.
+    let rcc = unsafe { &*RCC::ptr() };
+    rcc.cr().modify(|_, w| w.csson().set_bit());
+}
+
+/// Whether the core has lost its crystal and runs from the bare internal oscillator.
+#[inline(always)]
+pub fn have_fallen_back() -> bool {
+    // SAFETY: reading this register has no side effect.
+    !unsafe { &*RCC::ptr() }.cfgr().read().sws().is_pll()
+}
+
+/// Runs the core, and with it every timer and bus, at [`BOARD`]'s frequency again, from the internal
+/// oscillator. Waits for the PLL, 0.3 ms at most (STM32F405 datasheet, table "Main PLL characteristics"):
+/// once, when the crystal has died.
+#[cold]
+#[inline(never)]
+pub fn restore() {
+    // SAFETY: init is long over, so the only writers are this, which nothing interrupts but the NMI, and
+    // the NMI, which writes another register.
+    let rcc = unsafe { &*RCC::ptr() };
+    acknowledge_failure();
+    super::retained::count(crate::fault::FaultClass::ClockFailed);
+    rcc.cr().modify(|_, w| w.pllon().clear_bit());
+    // 16 MHz / 16, times N, / 2; the division for USB does not matter, but must be 2 or more.
+    // SAFETY: N is 200 or 336, within the 50 to 432 that the manual allows (RM0090, 6.3.2).
+    rcc.pllcfgr().write(|w| unsafe {
+        w.pllsrc()
+            .hsi()
+            .pllm()
+            .bits(16)
+            .plln()
+            .bits((2 * (BOARD.core_hz / 1_000_000)) as u16)
+            .pllp()
+            .div2()
+            .pllq()
+            .bits(8)
+    });
+    rcc.cr().modify(|_, w| w.pllon().set_bit());
+    for _ in 0..PLL_READINGS {
+        if rcc.cr().read().pllrdy().bit_is_set() {
+            rcc.cfgr().modify(|_, w| w.sw().pll());
+            return;
+        }
+    }
+}
+
+/// The PLL is asked so often whether it is ready: 0.3 ms at 16 MHz and 4 cycles each.
+const PLL_READINGS: u32 = 1_200;
+
+/// Clears the crystal's failure, so that its NMI ends. For the NMI's handler.
+pub fn acknowledge_failure() {
+    // SAFETY: the bit clears a flag, and no other of this register is in use.
+    unsafe { &*RCC::ptr() }.cir().write(|w| w.cssc().set_bit());
+}
+
 /// Switches on the clocks that `change` asks for. Only for init, before any interrupt is enabled.
 pub(super) fn enable(change: impl FnOnce(&rcc::RegisterBlock)) {
     // SAFETY: nothing else writes RCC at that time.

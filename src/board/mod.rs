@@ -16,6 +16,8 @@ pub mod boards;
 pub mod burst_reader;
 pub mod clocks;
 #[cfg(feature = "firmware")]
+pub mod crash;
+#[cfg(feature = "firmware")]
 pub mod flash;
 #[cfg(feature = "qemu")]
 pub mod host_files;
@@ -23,6 +25,10 @@ pub mod host_files;
 pub mod instruction_counter;
 pub mod pins;
 pub mod publish;
+pub mod retained;
+pub mod sensor;
 pub mod sensor_bus;
 pub mod timebase;
 pub mod uart;
+pub mod upkeep;
+pub mod watchdog;

@@ -29,8 +29,11 @@ static APLOMB_SNAPSHOT: Published = Published {
     sequence: AtomicU32::new(0),
 };
 
-/// Publishes a snapshot. Only the attitude task calls this.
-pub fn publish(snapshot: &Snapshot) {
+/// Publishes a snapshot and, before it, the variance of its tilt (rad²) where `retained` shows it. Only the
+/// attitude task calls this.
+#[inline(always)]
+pub fn publish(snapshot: &Snapshot, tilt_variance_rad2: f32) {
+    super::retained::show_variance(tilt_variance_rad2);
     // SAFETY: the attitude task is the only writer and cannot preempt itself; readers have lower
     // priority, so none is half-way while this runs except one that will see `sequence` change.
     unsafe {

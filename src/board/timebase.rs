@@ -96,18 +96,32 @@ impl Timebase {
         if status.uif().bit_is_set() {
             self.extender.overflow();
         }
+        let mut is_burst_alarm = status.cc1if().bit_is_set();
         if status.cc3if().bit_is_set() {
+            let now = self.timer.cnt().read().cnt().bits();
             let due = self.timer.ccr3().read().ccr().bits();
             let period_us = TELEMETRY_PERIOD_US.load(Ordering::Relaxed);
-            self.timer
-                .ccr3()
-                .write(|w| w.ccr().set(due.wrapping_add(period_us)));
+            let next = due.wrapping_add(period_us);
+            // After a long stall of the core the next one may be past: its compare would come an hour later.
+            let next = if has_passed(next, now) {
+                now.wrapping_add(period_us)
+            } else {
+                next
+            };
+            self.timer.ccr3().write(|w| w.ccr().set(next));
+            // The same may have happened to the burst reader's alarm, which it always sets again.
+            is_burst_alarm |= has_passed(self.timer.ccr1().read().ccr().bits(), now);
         }
         Alarms {
-            burst: status.cc1if().bit_is_set(),
+            burst: is_burst_alarm,
             telemetry: status.cc3if().bit_is_set(),
         }
     }
+}
+
+/// Whether a count has been reached `now`, give or take half a turn of the counter.
+fn has_passed(count: u32, now: u32) -> bool {
+    now.wrapping_sub(count) < 1 << 31
 }
 
 /// Sets the burst reader's alarm to a count. For the reader, and for the idle task while the reader is disabled.
@@ -116,6 +130,12 @@ pub fn set_burst_alarm(count: u32) {
     unsafe { &*TIM5::ptr() }
         .ccr1()
         .write(|w| w.ccr().set(count));
+}
+
+/// Sets the burst reader's alarm off at once.
+pub fn raise_burst_alarm() {
+    // SAFETY: a store to this register does what its ones say and nothing else (RM0090, 18.4.6).
+    unsafe { &*TIM5::ptr() }.egr().write(|w| w.cc1g().set_bit());
 }
 
 /// The count now, for whoever does not own the time base.
@@ -143,6 +163,7 @@ impl embedded_hal::delay::DelayNs for Delay {
             .ccr4()
             .write(|w| w.ccr().set(start.wrapping_add(limit_us)));
         sleep_until(|| elapsed(start, limit_us));
+        super::watchdog::samples_go_on();
     }
 }
 

@@ -23,7 +23,7 @@ pub use filter::{AnyFilter, Filter};
 
 use crate::attitude::{Quaternion, Vector3};
 use crate::state::Exchange;
-use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2};
+use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
 use kalman::Kalman;
 
 /// Counts the changes after which a filter gives other attitudes, if only in one bit. A log says which one flew.
@@ -36,6 +36,11 @@ pub const LONGEST_STEP_US: u64 = 500_000;
 /// Below a quarter of gravity the accelerometer's own offset (80 mg, product specification §6.2) may
 /// turn its direction by 20° and more, so it says nothing about down.
 pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
+
+/// From one sample to the next a rate at most doubles, but for this much, in rad/s: 50 °/s. An airframe
+/// gains less than that in a millisecond; a gyroscope whose full scale has changed by itself, or that was
+/// hit, does not.
+const RATE_JUMP_RAD_S: f32 = radians(50.0);
 
 /// No sensor of this family reaches a tenth of these; beyond them a sample is not a measurement.
 const LARGEST_SPECIFIC_FORCE_M_S2: f32 = 10_000.0;
@@ -115,6 +120,8 @@ pub struct Estimate {
     pub remarks: Remarks,
     /// The filter does not know the gyroscope's bias well yet. Only [`kalman`] looks for it.
     pub is_calibrating: bool,
+    /// The rate is more than twice the one before and 50 °/s, as if the full scale had changed.
+    pub has_jumped: bool,
 }
 
 /// What was wrong with a sample, and what was done about it.
@@ -132,6 +139,14 @@ pub struct Remarks {
     pub no_gravity: bool,
 }
 
+impl Remarks {
+    /// Whether there is anything to remark.
+    #[inline]
+    pub const fn any(self) -> bool {
+        self.time_went_back | self.gap | self.rejected | self.no_gravity
+    }
+}
+
 /// A filter with its sense of time. Total: whatever comes in, the attitude stays a finite rotation,
 /// and good samples bring it back.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -140,6 +155,7 @@ pub struct Estimator<F = AnyFilter> {
     filter: F,
     last_t_us: Option<u64>,
     body_rates_rad_s: Vector3,
+    rate_squared: f32,
 }
 
 impl Estimator {
@@ -156,6 +172,7 @@ impl<F: Filter> Estimator<F> {
             filter,
             last_t_us: None,
             body_rates_rad_s: Vector3::ZERO,
+            rate_squared: 0.0,
         }
     }
 
@@ -192,6 +209,28 @@ impl<F: Filter> Estimator<F> {
         }
     }
 
+    /// Goes on from what an earlier run knew; see [`Kalman::resume`]. Call it before the first sample.
+    pub fn resume(&mut self, known: &kalman::Known) {
+        if let Some(filter) = self.filter.kalman_mut() {
+            filter.resume(known);
+        }
+    }
+
+    /// The [`kalman`] filter, to be told what the samples do not show; `None` with any other.
+    pub fn kalman_mut(&mut self) -> Option<&mut Kalman> {
+        self.filter.kalman_mut()
+    }
+
+    /// When the last sample was taken, in microseconds since start.
+    pub const fn last_t_us(&self) -> Option<u64> {
+        self.last_t_us
+    }
+
+    /// The body's rates at that sample, rad/s.
+    pub const fn body_rates_rad_s(&self) -> Vector3 {
+        self.body_rates_rad_s
+    }
+
     /// Armed (`true`), nothing is done that is only safe on the ground. Default: false.
     pub fn set_armed(&mut self, is_armed: bool) {
         if let Some(filter) = self.filter.kalman_mut() {
@@ -209,6 +248,7 @@ impl<F: Filter> Estimator<F> {
         self.filter.exchange(state);
         state.optional(&mut self.last_t_us, 0, |state, t_us| state.long(t_us));
         state.vector(&mut self.body_rates_rad_s);
+        state.number(&mut self.rate_squared);
     }
 
     /// Forgets everything but the quaternion's sign; yaw starts at zero again.
@@ -217,17 +257,26 @@ impl<F: Filter> Estimator<F> {
         self.filter.restart();
     }
 
+    /// Has the next sample set the tilt from its specific force, as after a gap; yaw and what is known of
+    /// the sensor are kept.
+    pub const fn forget_tilt(&mut self) {
+        self.last_t_us = None;
+    }
+
     /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
         let mut remarks = Remarks::default();
         let force = sample.specific_force_m_s2;
         let rate = sample.angular_rate_rad_s;
         let force_squared = force.dot(force);
+        let rate_squared = rate.dot(rate);
+        let has_jumped = rate_squared > 4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S;
         // A NaN fails every comparison.
         let is_measurement = force_squared
             <= LARGEST_SPECIFIC_FORCE_M_S2 * LARGEST_SPECIFIC_FORCE_M_S2
-            && rate.dot(rate) <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
+            && rate_squared <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
         if is_measurement {
+            self.rate_squared = rate_squared;
             remarks.no_gravity =
                 force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
             self.step(sample, &mut remarks);
@@ -242,6 +291,7 @@ impl<F: Filter> Estimator<F> {
             attitude: self.attitude(),
             body_rates_rad_s: self.body_rates_rad_s,
             remarks,
+            has_jumped,
             is_calibrating: self
                 .filter
                 .kalman()

@@ -30,6 +30,8 @@ pub enum Register {
     SignalPathReset = 0x68,
     /// PWR_MGMT_1, §4.28: device reset, sleep, clock source.
     PowerManagement1 = 0x6B,
+    /// PWR_MGMT_2, §4.29: single axes in standby.
+    PowerManagement2 = 0x6C,
     /// WHO_AM_I, §4.32: the identity.
     WhoAmI = 0x75,
 }
@@ -54,6 +56,7 @@ impl Register {
             Self::AccelerometerXHigh => "ACCEL_XOUT_H",
             Self::SignalPathReset => "SIGNAL_PATH_RESET",
             Self::PowerManagement1 => "PWR_MGMT_1",
+            Self::PowerManagement2 => "PWR_MGMT_2",
             Self::WhoAmI => "WHO_AM_I",
         }
     }
@@ -77,6 +80,10 @@ pub const INTERRUPT_DATA_READY: u8 = 0x01;
 pub const SIGNAL_PATH_RESET_ALL: u8 = 0x07;
 /// PWR_MGMT_1 bit 7, DEVICE_RESET (§4.28).
 pub const POWER_DEVICE_RESET: u8 = 0x80;
+/// PWR_MGMT_1 bit 6, SLEEP (§4.28).
+pub const POWER_SLEEP: u8 = 0x40;
+/// PWR_MGMT_2 with no axis in standby and no wake-up cycles (§4.29).
+pub const POWER_EVERY_AXIS_ON: u8 = 0x00;
 /// PWR_MGMT_1 with everything off: awake, on the internal oscillator (§4.28).
 pub const POWER_AWAKE_INTERNAL_CLOCK: u8 = 0x00;
 /// PWR_MGMT_1 CLKSEL = 1: awake, on the X gyroscope's PLL, "highly recommended" (§4.28). In the

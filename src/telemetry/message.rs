@@ -9,7 +9,7 @@ use embedded_hal::i2c;
 use heapless::Deque;
 
 use crate::calibration::storage::LoadProblem;
-use crate::fault::{BurstFailure, ClockSource};
+use crate::fault::{BurstFailure, ClockSource, FaultClass, ResetCause};
 use crate::mpu6050;
 
 /// Room for the longest message on a line of its own, in bytes.
@@ -31,6 +31,15 @@ pub enum Message {
     RecordLoaded,
     /// Something is wrong with what is stored.
     RecordProblem(LoadProblem),
+    /// It was a reset that started it, with power on.
+    Restarted {
+        /// What reset the processor.
+        cause: ResetCause,
+        /// The last fault before that.
+        last_fault: Option<FaultClass>,
+        /// Where the firmware crashed; zero if it did not.
+        crash_address: u32,
+    },
     /// The sensor is configured and its bursts begin.
     SensorConfigured {
         /// The part's name.
@@ -86,6 +95,7 @@ impl Message {
             }
             | Self::RecordProblem(_)
             | Self::BurstsFailed { .. }
+            | Self::Restarted { .. }
             | Self::Recovering
             | Self::MovedAtStart
             | Self::MessagesLost { .. } => Severity::Warning,
@@ -117,6 +127,18 @@ impl fmt::Display for Message {
             }
             Self::RecordLoaded => formatter.write_str("stored calibration and settings in use"),
             Self::RecordProblem(problem) => write!(formatter, "{problem}"),
+            Self::Restarted {
+                cause,
+                last_fault,
+                crash_address,
+            } => {
+                let fault = last_fault.map_or("none", FaultClass::name);
+                write!(formatter, "reset by {}, last fault: {fault}", cause.name())?;
+                if *crash_address != 0 {
+                    write!(formatter, ", at 0x{crash_address:08x}")?;
+                }
+                Ok(())
+            }
             Self::SensorConfigured { part, address } => {
                 write!(formatter, "{part} at 0x{address:02x} configured")
             }
@@ -286,6 +308,11 @@ mod tests {
             Message::RecordLoaded,
             Message::RecordProblem(LoadProblem::Damaged),
             Message::RecordProblem(LoadProblem::NewerFormat { version: u16::MAX }),
+            Message::Restarted {
+                cause: ResetCause::Software,
+                last_fault: Some(FaultClass::InterruptStuckHigh),
+                crash_address: u32::MAX,
+            },
             Message::BusHeldLow { clock: true },
             Message::Recovering,
             Message::MovedAtStart,

@@ -48,9 +48,40 @@ pub struct CrystalAware {
     pub model: Rcc,
     /// What the board has.
     pub input: HighSpeedInput,
+    /// What the board had before the crystal stopped.
+    pub stopped: Option<HighSpeedInput>,
 }
 
 impl CrystalAware {
+    /// The crystal, or the other chip's clock, stops. With the clock security system on, the hardware switches over to
+    /// the internal oscillator and says so in CSSF (RM0090, section 7.2.7); the NMI is not modelled. Returns whether
+    /// the core has lost its clock, because it is off.
+    pub fn stop_crystal(
+        &mut self,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> bool {
+        let control = registers.get(Register::Cr);
+        let is_used = cr::HSERDY.is_set(control);
+        let is_guarded = cr::CSSON.is_set(control);
+        self.stopped.get_or_insert(self.input);
+        self.input = HighSpeedInput::Nothing;
+        if is_guarded {
+            self.model.fail_hse(registers, context);
+        }
+        // SWS: 0 is the internal oscillator; 1 and 2 are the crystal and the PLL, which runs from it if PLLSRC says so.
+        let switched = registers.get(Register::Cfgr) >> 2 & 3;
+        let pll_from_crystal = registers.get(Register::Pllcfgr) >> 22 & 1 == 1;
+        is_used && !is_guarded && (switched == 1 || switched == 2 && pll_from_crystal)
+    }
+
+    /// The crystal runs again.
+    pub fn restart_crystal(&mut self) {
+        if let Some(input) = self.stopped.take() {
+            self.input = input;
+        }
+    }
+
     /// Takes the ready flag back if the oscillator cannot run.
     fn refuse_readiness(&self, registers: &mut RegisterFile) {
         let control = registers.get(Register::Cr);

@@ -1,8 +1,213 @@
-//! What can go wrong on the virtual board, each at a time that a test chooses.
+//! What can go wrong on the virtual board, each at a time that a test, a schedule or a seed chooses.
 //!
-//! Times are seconds of virtual time since power-up.
+//! Times are seconds of virtual time since power-up. [`FaultKind`] has the faults of a schedule, by name; each
+//! behaves as the silicon does, and says after which section of RM0090 or of the sensor's documents. [`Fault`] has
+//! besides them what only tests ask for.
 
+use std::fmt;
 use std::ops::Range;
+
+/// A way in which something goes wrong, with its parameter. As text it is its name and the parameter after a colon.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FaultKind {
+    /// The sensor does not acknowledge its address, in the one direction if one is given: AF (RM0090, 27.3.4).
+    AddressNack(Option<Direction>),
+    /// The sensor does not acknowledge this byte of those written to it: 0 is the register number, 1 the first value.
+    DataNack(u8),
+    /// The sensor holds SCL low from the end of the byte on the wire (clock stretching, UM10204, 3.1.9): the
+    /// controller waits for as long as that takes (RM0090, 27.3.3).
+    BurstStall,
+    /// SDA is short-circuited to ground. With a number: the sensor has lost count in the middle of a byte, and lets
+    /// go of SDA after so many clocks, however long that takes (UM10204, 3.1.16).
+    SdaLow(Option<u8>),
+    /// SCL is short-circuited to ground.
+    SclLow,
+    /// A STOP lies in the middle of every byte: BERR, and the sensor is no longer addressed (RM0090, 27.3.4).
+    BusError,
+    /// SDA is pulled low while the controller sends a one: ARLO, and the controller is one no longer (RM0090, 27.3.4).
+    ArbitrationLost,
+    /// The memory refuses what the DMA stream of the sensor's bus writes: TEIF, and the stream stops (RM0090, 10.3.18).
+    DmaError,
+    /// The INT wire is open: the pin follows the microcontroller's own pull resistor, or stays low.
+    IntMissing,
+    /// The INT wire is short-circuited to the supply.
+    IntHigh,
+    /// The INT wire is short-circuited to ground.
+    IntLow,
+    /// Pulses of 1 µs on the INT wire, this many a second, opposite to its level.
+    IntGlitch(u32),
+    /// The sensor acknowledges nothing, and goes on as before afterwards.
+    SensorSilent,
+    /// The sensor's supply fails; it comes back with all registers at reset, asleep.
+    SensorBrownout,
+    /// A register of the sensor changes by itself, once.
+    RegisterFlip(u8, u8),
+    /// The data registers keep their values, while the data-ready edges go on.
+    Frozen,
+    /// The data registers read zero.
+    Zeros,
+    /// The data registers read ones.
+    Ones,
+    /// An axis reads full scale.
+    Saturated(Axis),
+    /// The temperature registers read this, in °C.
+    Temperature(f64),
+    /// The core executes nothing, as while the flash is erased (RM0090, 3.5.2): every interrupt is late.
+    CoreStall,
+    /// Bytes come in on the UART without a pause.
+    UartFlood,
+    /// The same, with noise and framing errors (RM0090, 30.3.3).
+    UartNoise,
+    /// A debug probe that had made the log wait for it (as probe-rs does) is pulled off.
+    ProbeDetach,
+    /// The crystal stops. With the clock security system on, CSSF is set and the core goes on from the internal
+    /// oscillator (RM0090, 7.2.7); the NMI is not modelled. With it off, the core stops. The crystal comes back at the
+    /// end, if the duration is not zero.
+    CrystalDies,
+    /// The core hangs until a reset, at the longest until the end, if the duration is not zero.
+    WatchdogHang,
+}
+
+/// The direction of a transaction, as the address byte says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// To the sensor.
+    Write,
+    /// From the sensor.
+    Read,
+}
+
+/// An axis of the sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Axis {
+    /// Accelerometer X.
+    AccelerometerX,
+    /// Accelerometer Y.
+    AccelerometerY,
+    /// Accelerometer Z.
+    AccelerometerZ,
+    /// Gyroscope X.
+    GyroscopeX,
+    /// Gyroscope Y.
+    GyroscopeY,
+    /// Gyroscope Z.
+    GyroscopeZ,
+}
+
+impl Axis {
+    /// All of them with their names.
+    pub const NAMES: [(Self, &'static str); 6] = [
+        (Self::AccelerometerX, "ax"),
+        (Self::AccelerometerY, "ay"),
+        (Self::AccelerometerZ, "az"),
+        (Self::GyroscopeX, "gx"),
+        (Self::GyroscopeY, "gy"),
+        (Self::GyroscopeZ, "gz"),
+    ];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        Self::NAMES[self as usize].1
+    }
+}
+
+impl FaultKind {
+    /// Its name, which is also its class.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::AddressNack(_) => "address-nack",
+            Self::DataNack(_) => "data-nack",
+            Self::BurstStall => "burst-stall",
+            Self::SdaLow(_) => "sda-low",
+            Self::SclLow => "scl-low",
+            Self::BusError => "bus-error",
+            Self::ArbitrationLost => "arbitration-lost",
+            Self::DmaError => "dma-error",
+            Self::IntMissing => "int-missing",
+            Self::IntHigh => "int-high",
+            Self::IntLow => "int-low",
+            Self::IntGlitch(_) => "int-glitch",
+            Self::SensorSilent => "sensor-silent",
+            Self::SensorBrownout => "sensor-brownout",
+            Self::RegisterFlip(..) => "register-flip",
+            Self::Frozen => "frozen",
+            Self::Zeros => "zeros",
+            Self::Ones => "ones",
+            Self::Saturated(_) => "saturated",
+            Self::Temperature(_) => "temperature",
+            Self::CoreStall => "core-stall",
+            Self::UartFlood => "uart-flood",
+            Self::UartNoise => "uart-noise",
+            Self::ProbeDetach => "probe-detach",
+            Self::CrystalDies => "crystal-dies",
+            Self::WatchdogHang => "watchdog-hang",
+        }
+    }
+}
+
+impl fmt::Display for FaultKind {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name())?;
+        match self {
+            Self::AddressNack(Some(Direction::Write)) => formatter.write_str(":write"),
+            Self::AddressNack(Some(Direction::Read)) => formatter.write_str(":read"),
+            Self::DataNack(byte) => write!(formatter, ":{byte}"),
+            Self::SdaLow(Some(clocks)) => write!(formatter, ":{clocks}"),
+            Self::IntGlitch(hz) => write!(formatter, ":{hz}"),
+            Self::RegisterFlip(register, value) => {
+                write!(formatter, ":{register:#04x}:{value:#04x}")
+            }
+            Self::Saturated(axis) => write!(formatter, ":{}", axis.name()),
+            Self::Temperature(celsius) => write!(formatter, ":{celsius}"),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A fault with its time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScheduledFault {
+    /// When it begins, ns since power-up.
+    pub start_ns: u64,
+    /// How long it lasts, ns; zero for what happens once, or does not end by itself.
+    pub duration_ns: u64,
+    /// What it is.
+    pub kind: FaultKind,
+}
+
+impl ScheduledFault {
+    /// When it ends by itself, ns since power-up; `u64::MAX` if it does not.
+    #[must_use]
+    pub fn end_ns(&self) -> u64 {
+        let is_endless = matches!(self.kind, FaultKind::CrystalDies | FaultKind::WatchdogHang);
+        if is_endless && self.duration_ns == 0 {
+            u64::MAX
+        } else {
+            self.start_ns + self.duration_ns
+        }
+    }
+
+    /// Whether it lasts at this time.
+    #[must_use]
+    pub fn lasts(&self, now_ns: u64) -> bool {
+        (self.start_ns..self.end_ns()).contains(&now_ns)
+    }
+}
+
+impl fmt::Display for ScheduledFault {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let seconds = |nanoseconds: u64| nanoseconds as f64 / 1e9;
+        write!(
+            formatter,
+            "{} {} {}",
+            seconds(self.start_ns),
+            seconds(self.duration_ns),
+            self.kind
+        )
+    }
+}
 
 /// A byte of a bus transaction that the sensor ought to acknowledge.
 ///
@@ -63,6 +268,16 @@ pub enum Fault {
     NoCrystal,
     /// The firmware's microsecond timer starts at this count instead of zero.
     TimerStartsAt(u32),
+    /// A fault of a schedule.
+    Scheduled(ScheduledFault),
+}
+
+/// The scheduled faults among these.
+pub fn scheduled(faults: &[Fault]) -> impl Iterator<Item = &ScheduledFault> {
+    faults.iter().filter_map(|fault| match fault {
+        Fault::Scheduled(scheduled) => Some(scheduled),
+        _ => None,
+    })
 }
 
 /// Seconds as nanoseconds since power-up.

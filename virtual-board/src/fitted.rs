@@ -6,20 +6,39 @@ use rigless::chip::Timeline;
 use rigless::chip::i2c::Peer;
 use rigless::snapshot::Store;
 
-use crate::faults::{BusByte, BusLine, Fault, nanoseconds, within};
+use crate::faults::{
+    BusByte, BusLine, Direction, Fault, FaultKind, ScheduledFault, nanoseconds, scheduled, within,
+};
 use crate::sensor::registers::address;
-use crate::sensor::{Burst, DataReady, Sensor};
+use crate::sensor::{Burst, DataReady, OutputFault, Sensor};
+use crate::wires::SharedWires;
+
+/// How long a glitch on the INT wire lasts, ns.
+const GLITCH_NS: u64 = 1_000;
 
 /// The sensor with its wires and their faults.
 pub struct FittedSensor {
     sensor: Sensor,
+    wires: SharedWires,
     faults: Vec<Fault>,
+    /// The faults of a schedule.
+    scheduled: Vec<ScheduledFault>,
     /// Instants at which a fault begins or ends, in order; those that have passed are gone.
     fault_times_ns: Vec<u64>,
     /// The level that the board saw last.
     wire_high: bool,
+    /// Whether the microcontroller pulls the INT pin up.
+    is_pulled_up: bool,
+    /// Whether the sensor has acknowledged its address, and there has been no STOP since.
+    is_addressed: bool,
+    /// Whether it sends.
+    is_sending: bool,
+    /// The number of the byte that is written next, the register's first.
+    written: u8,
     /// The register that the next byte concerns, as the bus shows it.
     pointer: Option<u8>,
+    /// What the bus has delivered in this transfer.
+    delivered: Vec<u8>,
     edges: Vec<DataReady>,
     bursts: Vec<Burst>,
 }
@@ -38,6 +57,7 @@ impl FittedSensor {
                     vec![nanoseconds(range.start), nanoseconds(range.end)]
                 }
                 Fault::SensorReset(at_s) => vec![nanoseconds(*at_s)],
+                Fault::Scheduled(fault) => vec![fault.start_ns, fault.end_ns()],
                 Fault::Identity(..)
                 | Fault::Nack { .. }
                 | Fault::ReceptionGarbled { .. }
@@ -46,15 +66,41 @@ impl FittedSensor {
             })
             .collect();
         fault_times_ns.sort_unstable();
+        fault_times_ns.dedup();
+        fault_times_ns.retain(|&at_ns| at_ns != u64::MAX);
         Self {
             sensor,
+            wires: SharedWires::new(&faults),
+            scheduled: scheduled(&faults).copied().collect(),
             faults,
             fault_times_ns,
             wire_high: false,
+            is_pulled_up: false,
+            is_addressed: false,
+            is_sending: false,
+            written: 0,
             pointer: None,
+            delivered: Vec::new(),
             edges: Vec::new(),
             bursts: Vec::new(),
         }
+    }
+
+    /// The lines of its bus.
+    #[must_use]
+    pub fn wires(&self) -> SharedWires {
+        self.wires.clone()
+    }
+
+    /// Every fault of the board.
+    #[must_use]
+    pub fn faults(&self) -> &[Fault] {
+        &self.faults
+    }
+
+    /// Says whether the microcontroller pulls the INT pin up, which shows if the wire is open.
+    pub fn set_pull_up(&mut self, is_pulled_up: bool) {
+        self.is_pulled_up = is_pulled_up;
     }
 
     /// Brings the sensor up to `now_ns` and says how the INT wire has changed since the last call, in order.
@@ -67,35 +113,28 @@ impl FittedSensor {
         {
             self.fault_times_ns.remove(0);
             self.follow(at_ns, &mut changes);
-            let restarts = self.faults.iter().any(|fault| match fault {
-                Fault::SensorAbsent(range) => nanoseconds(range.end) == at_ns,
-                Fault::SensorReset(at_s) => nanoseconds(*at_s) == at_ns,
-                _ => false,
-            });
-            if restarts {
-                self.sensor.power_up(at_ns);
-            }
+            self.begin_and_end(at_ns);
             self.show(at_ns, &mut changes);
         }
         self.follow(now_ns, &mut changes);
         changes
     }
 
-    /// Whether a line of the bus is held low.
-    #[must_use]
-    pub fn holds_low(&self, line: BusLine, now_ns: u64) -> bool {
-        let is_held = |fault: &Fault| matches!(fault, Fault::BusHeldLow(held, range) if *held == line && within(now_ns, range));
-        self.faults.iter().any(is_held)
-    }
-
     /// When the wire next changes, or a fault comes or goes, at the latest.
     #[must_use]
     pub fn next_event_ns(&self) -> Option<u64> {
         let fault = self.fault_times_ns.first().copied();
-        [fault, self.sensor.next_event_ns()]
+        let glitch = self.next_glitch_ns(self.sensor.now_ns());
+        [fault, glitch, self.sensor.next_event_ns()]
             .into_iter()
             .flatten()
             .min()
+    }
+
+    /// When the sensor has the registers of a reset and acknowledges nothing, as after power-up: until then, ns.
+    #[must_use]
+    pub fn ready_at_ns(&self) -> Option<u64> {
+        self.sensor.ready_at_ns()
     }
 
     /// Takes the data-ready edges since the last call, whatever became of them on the wire.
@@ -108,13 +147,81 @@ impl FittedSensor {
         std::mem::take(&mut self.bursts)
     }
 
+    /// There is a STOP on the bus that the controller has not made.
+    pub fn hear_stop(&mut self, now_ns: u64) {
+        self.is_addressed = false;
+        self.is_sending = false;
+        self.sensor.stop(now_ns);
+    }
+
+    /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte, and holds SDA until it
+    /// has had the rest of its clocks (UM10204, 3.1.16).
+    pub fn controller_restarts(&mut self, now_ns: u64) {
+        if self.is_addressed && self.is_sending {
+            let clocks = 1 + now_ns / 2_500 % 8;
+            self.wires.lock().lose_count(clocks as u8);
+        }
+        self.hear_stop(now_ns);
+    }
+
+    /// What happens at the very instant at which faults begin or end.
+    fn begin_and_end(&mut self, at_ns: u64) {
+        let restarts = self.faults.iter().any(|fault| match fault {
+            Fault::SensorAbsent(range) => nanoseconds(range.end) == at_ns,
+            Fault::SensorReset(at_s) => nanoseconds(*at_s) == at_ns,
+            Fault::Scheduled(fault) => {
+                fault.kind == FaultKind::SensorBrownout && fault.end_ns() == at_ns
+            }
+            _ => false,
+        });
+        if restarts {
+            self.hear_stop(at_ns);
+            self.wires.lock().lose_count(0);
+            self.sensor.power_up(at_ns);
+        }
+        for nth in 0..self.scheduled.len() {
+            let fault = self.scheduled[nth];
+            if fault.start_ns != at_ns {
+                continue;
+            }
+            match fault.kind {
+                FaultKind::RegisterFlip(register, value) => {
+                    self.sensor.corrupt_register(at_ns, register, value);
+                }
+                FaultKind::SdaLow(Some(clocks)) => {
+                    self.hear_stop(at_ns);
+                    self.wires.lock().lose_count(clocks);
+                }
+                _ => {}
+            }
+        }
+        let outputs = self
+            .scheduled
+            .iter()
+            .filter(|fault| fault.lasts(at_ns))
+            .filter_map(|fault| match fault.kind {
+                FaultKind::Frozen => Some(OutputFault::Frozen),
+                FaultKind::Zeros => Some(OutputFault::All(0x00)),
+                FaultKind::Ones => Some(OutputFault::All(0xFF)),
+                FaultKind::Saturated(axis) => Some(OutputFault::FullScale(axis as usize)),
+                FaultKind::Temperature(celsius) => Some(OutputFault::Temperature(celsius)),
+                _ => None,
+            })
+            .collect();
+        self.sensor.set_output_faults(outputs);
+    }
+
     /// Steps the sensor through its events up to `now_ns`, so that no pulse is lost between two calls.
     fn follow(&mut self, now_ns: u64, changes: &mut Vec<bool>) {
-        while let Some(event_ns) = self
-            .sensor
-            .next_event_ns()
-            .filter(|&event_ns| event_ns <= now_ns)
-        {
+        loop {
+            let glitch_ns = self.next_glitch_ns(self.sensor.now_ns());
+            let next_ns = [glitch_ns, self.sensor.next_event_ns()]
+                .into_iter()
+                .flatten()
+                .min();
+            let Some(event_ns) = next_ns.filter(|&event_ns| event_ns <= now_ns) else {
+                break;
+            };
             self.sensor.advance_to(event_ns);
             self.show(event_ns, changes);
         }
@@ -132,32 +239,66 @@ impl FittedSensor {
             Fault::InterruptStuck(level, range) if within(now_ns, range) => Some(*level),
             _ => None,
         });
-        let high = stuck.unwrap_or(self.sensor.interrupt_level() && !self.is_absent(now_ns));
+        let mut high = stuck.unwrap_or(self.sensor.interrupt_level() && !self.is_absent(now_ns));
+        for fault in self.scheduled.iter().filter(|fault| fault.lasts(now_ns)) {
+            match fault.kind {
+                FaultKind::IntMissing => high = self.is_pulled_up,
+                FaultKind::IntHigh => high = true,
+                FaultKind::IntLow => high = false,
+                FaultKind::IntGlitch(hz) => high ^= is_glitch(fault, hz, now_ns),
+                _ => {}
+            }
+        }
         if high != self.wire_high {
             self.wire_high = high;
             changes.push(high);
         }
     }
 
+    /// The next beginning or end of a glitch after `now_ns`.
+    fn next_glitch_ns(&self, now_ns: u64) -> Option<u64> {
+        let of = |fault: &ScheduledFault| {
+            let FaultKind::IntGlitch(hz) = fault.kind else {
+                return None;
+            };
+            let period_ns = 1_000_000_000 / u64::from(hz);
+            let first_ns = fault.start_ns + period_ns / 2;
+            let since_ns = now_ns.checked_sub(first_ns);
+            let next_ns = match since_ns {
+                None => first_ns,
+                Some(since_ns) if since_ns % period_ns < GLITCH_NS => {
+                    now_ns - since_ns % period_ns + GLITCH_NS
+                }
+                Some(since_ns) => now_ns - since_ns % period_ns + period_ns,
+            };
+            (next_ns < fault.end_ns()).then_some(next_ns)
+        };
+        self.scheduled.iter().filter_map(of).min()
+    }
+
     fn is_absent(&self, now_ns: u64) -> bool {
-        self.faults
-            .iter()
-            .any(|fault| matches!(fault, Fault::SensorAbsent(range) if within(now_ns, range)))
+        self.faults.iter().any(|fault| match fault {
+            Fault::SensorAbsent(range) => within(now_ns, range),
+            Fault::Scheduled(fault) => {
+                fault.kind == FaultKind::SensorBrownout && fault.lasts(now_ns)
+            }
+            _ => false,
+        })
     }
 
     /// Whether the bus hears nothing of the sensor.
     fn is_deaf(&self, now_ns: u64) -> bool {
-        let is_off = |fault: &Fault| match fault {
-            Fault::SensorAbsent(range)
-            | Fault::SensorSilent(range)
-            | Fault::BusHeldLow(_, range) => within(now_ns, range),
+        let is_silent = |fault: &Fault| match fault {
+            Fault::SensorSilent(range) => within(now_ns, range),
+            Fault::Scheduled(fault) => fault.kind == FaultKind::SensorSilent && fault.lasts(now_ns),
             _ => false,
         };
-        self.faults.iter().any(is_off)
+        self.is_absent(now_ns) || self.faults.iter().any(is_silent)
     }
 
-    /// Whether a fault refuses this byte; each refusal counts.
+    /// Whether a fault refuses this byte; each refusal of a counted fault counts.
     fn refuses(&mut self, now_ns: u64, kind: BusByte) -> bool {
+        let number = self.written;
         self.faults.iter_mut().any(|fault| match fault {
             Fault::Nack {
                 byte,
@@ -167,9 +308,27 @@ impl FittedSensor {
                 *count -= 1;
                 true
             }
+            Fault::Scheduled(fault) if fault.lasts(now_ns) => match fault.kind {
+                FaultKind::AddressNack(direction) => match kind {
+                    BusByte::AddressWrite => direction != Some(Direction::Read),
+                    BusByte::AddressRead => direction != Some(Direction::Write),
+                    BusByte::Pointer | BusByte::Value => false,
+                },
+                FaultKind::DataNack(byte) => {
+                    matches!(kind, BusByte::Pointer | BusByte::Value) && byte == number
+                }
+                _ => false,
+            },
             _ => false,
         })
     }
+}
+
+/// Whether a glitch lies on the wire.
+fn is_glitch(fault: &ScheduledFault, hz: u32, now_ns: u64) -> bool {
+    let period_ns = 1_000_000_000 / u64::from(hz);
+    let since_ns = now_ns.checked_sub(fault.start_ns + period_ns / 2);
+    since_ns.is_some_and(|since_ns| since_ns % period_ns < GLITCH_NS)
 }
 
 impl fmt::Debug for FittedSensor {
@@ -195,9 +354,16 @@ impl Peer for FittedSensor {
         if !read {
             self.pointer = None;
         }
-        !self.is_deaf(now_ns)
+        self.written = 0;
+        self.delivered.clear();
+        if self.wires.lock().take_stop() {
+            self.hear_stop(now_ns);
+        }
+        self.is_addressed = !self.is_deaf(now_ns)
             && !self.refuses(now_ns, kind)
-            && self.sensor.start(now_ns, address, read)
+            && self.sensor.start(now_ns, address, read);
+        self.is_sending = self.is_addressed && read;
+        self.is_addressed
     }
 
     fn write(&mut self, byte: u8, context: &mut Timeline<'_, '_>) -> bool {
@@ -207,7 +373,9 @@ impl Peer for FittedSensor {
         } else {
             BusByte::Value
         };
-        if self.is_deaf(now_ns) || self.refuses(now_ns, kind) {
+        let is_heard = self.is_addressed && !self.is_deaf(now_ns) && !self.refuses(now_ns, kind);
+        self.written = self.written.saturating_add(1);
+        if !is_heard {
             return false;
         }
         self.pointer = Some(self.pointer.map_or(byte, |pointer| pointer.wrapping_add(1)));
@@ -216,23 +384,36 @@ impl Peer for FittedSensor {
 
     fn read(&mut self, _last: bool, context: &mut Timeline<'_, '_>) -> u8 {
         let now_ns = context.now().0;
-        let value = self.sensor.read(now_ns);
-        if self.is_deaf(now_ns) {
-            return 0xFF;
-        }
+        let value = if self.is_addressed {
+            self.sensor.read(now_ns)
+        } else {
+            0xFF
+        };
         let register = self.pointer;
         self.pointer = register.map(|pointer| pointer.wrapping_add(1));
         let identity = self.faults.iter().find_map(|fault| match fault {
             Fault::Identity(identity, range) if within(now_ns, range) => Some(*identity),
             _ => None,
         });
-        match identity {
+        let delivered = match identity {
+            _ if self.wires.lock().holds_low(BusLine::Data, now_ns) => 0x00,
+            _ if self.is_deaf(now_ns) => 0xFF,
             Some(identity) if register == Some(address::WHO_AM_I) => identity,
             _ => value,
+        };
+        self.delivered.push(delivered);
+        // What the bus has delivered counts, not what the sensor has sent.
+        for mut burst in self.sensor.take_bursts() {
+            let first = self.delivered.len().saturating_sub(burst.bytes.len());
+            for (byte, &delivered) in burst.bytes.iter_mut().zip(&self.delivered[first..]) {
+                *byte = delivered;
+            }
+            self.bursts.push(burst);
         }
+        delivered
     }
 
     fn stop(&mut self, context: &mut Timeline<'_, '_>) {
-        self.sensor.stop(context.now().0);
+        self.hear_stop(context.now().0);
     }
 }

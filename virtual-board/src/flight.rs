@@ -21,7 +21,7 @@ use rigless::time::VirtualNanos;
 use crate::Error;
 use crate::board::{BOARDS, Board, BoardModel};
 use crate::crystal::HighSpeedInput;
-use crate::faults::{Fault, nanoseconds};
+use crate::faults::{Fault, ScheduledFault, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
 use crate::image::Firmware;
 use crate::mcu::{Microcontroller, SaidByte, Terminal};
@@ -30,6 +30,7 @@ use crate::motion::{Motion, Mount};
 use crate::probe::{LogLine, Probe};
 use crate::profile::Profile;
 use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
+use crate::schedule::Schedule;
 use crate::script::Script;
 use crate::sensor::{Sensor, SensorConfig, SensorErrors};
 use crate::summary::Summary;
@@ -48,6 +49,7 @@ pub struct Run {
     errors: Option<SensorErrors>,
     has_probe: bool,
     steps_everything: bool,
+    has_account: bool,
     observer: Box<dyn Observer>,
 }
 
@@ -67,6 +69,7 @@ impl Run {
             errors: None,
             has_probe: true,
             steps_everything: false,
+            has_account: true,
             observer: Box::new(Nobody),
         }
     }
@@ -103,6 +106,13 @@ impl Run {
     #[must_use]
     pub fn motion(mut self, motion: impl Motion + 'static) -> Self {
         self.motion = Some((Box::new(motion), false));
+        self
+    }
+
+    /// The same, for a motion that has been chosen at run time.
+    #[must_use]
+    pub fn boxed_motion(mut self, motion: Box<dyn Motion>) -> Self {
+        self.motion = Some((motion, false));
         self
     }
 
@@ -149,6 +159,14 @@ impl Run {
         self
     }
 
+    /// Adds the faults of a schedule.
+    #[must_use]
+    pub fn schedule(mut self, schedule: &Schedule) -> Self {
+        self.faults
+            .extend(schedule.faults.iter().copied().map(Fault::Scheduled));
+        self
+    }
+
     /// Leaves the log buffer unread, as without a debug probe.
     #[must_use]
     pub fn without_probe(mut self) -> Self {
@@ -160,6 +178,13 @@ impl Run {
     #[must_use]
     pub fn step_everything(mut self) -> Self {
         self.steps_everything = true;
+        self
+    }
+
+    /// Accounts for no instructions, which is quicker.
+    #[must_use]
+    pub fn without_account(mut self) -> Self {
+        self.has_account = false;
         self
     }
 
@@ -206,6 +231,7 @@ impl Run {
             Fault::TimerStartsAt(count) => Some(*count),
             _ => None,
         });
+        let scheduled: Vec<ScheduledFault> = scheduled(&self.faults).copied().collect();
         let garbled = self.faults.iter().find_map(|fault| match fault {
             Fault::ReceptionGarbled {
                 noise_per_million,
@@ -224,6 +250,8 @@ impl Run {
         }
         let profile = if self.steps_everything {
             Profile::stepping_everything()
+        } else if !self.has_account {
+            Profile::crashes_only()
         } else {
             Profile::default()
         };
@@ -243,6 +271,7 @@ impl Run {
             nanoseconds(self.seconds),
             probe,
             timer_starts_at,
+            &scheduled,
             Arc::clone(&profile),
             self.observer,
         );
@@ -264,6 +293,7 @@ impl Run {
             summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
             uart_lines: lines(&record),
             record,
+            faults: scheduled,
             remarks,
         })
     }
@@ -278,6 +308,8 @@ pub struct Outcome {
     pub uart_lines: Vec<UartLine>,
     /// Everything that was noted.
     pub record: Record,
+    /// The faults of the schedule.
+    pub faults: Vec<ScheduledFault>,
     /// What the firmware did that this board cannot do, and what the emulator could not account for. Empty if all is well.
     pub remarks: Vec<String>,
 }

@@ -1,16 +1,29 @@
-//! The I2C controller with the one behaviour that rigless leaves out: CR2.LAST.
+//! The I2C controller with what rigless leaves out: CR2.LAST, and lines that do not follow.
 //!
-//! With LAST set, the controller does not acknowledge the last byte that the DMA takes (RM0090, section 27.3.7), so the
-//! sensor lets go of the bus and the STOP that follows is clean. Without it, every burst after the first starts with
-//! the sensor still sending. Here the acknowledge bit is taken away around a byte's end while the DMA stream that
-//! serves the receiver has one item left.
+//! | what | where |
+//! |---|---|
+//! | With CR2.LAST set, the last byte that the DMA takes is not acknowledged, so the sensor lets go of the bus and the STOP that follows is clean | RM0090, 27.3.7 |
+//! | While SCL is held low no byte ends: it ends once SCL is free | 27.3.3 |
+//! | SDA low where a one is sent is ARLO: the transfer ends, MSL is cleared, BUSY stays | 27.3.4 |
+//! | A START or STOP of somebody else's within a byte is BERR; the transfer goes on, whatever the sensor makes of it | 27.3.4 |
+//! | BUSY is set while a line is low, and only a STOP on the lines, or SWRST, clears it: SDA rising with SCL high is one | 27.6.7 |
+//! | START and STOP are not carried out while a line is low, and read back set | 27.6.1 |
+//! | A STOP asked for by who is not controller changes nothing | 27.6.1 |
+//! | BERR and ARLO raise the error interrupt under ITERREN, and a written zero or PE = 0 clears them | 27.4, 27.6.6 |
+//!
+//! Both errors are seen at the end of the byte, up to 22 µs later than on silicon, and what happens between two bits
+//! is not modelled.
 
-use rigless::device::{Device, DeviceContext, RegisterFile};
+use rigless::device::{Device, DeviceContext, Level, RegisterFile};
 use rigless::soc::RegisterSpec;
 use rigless::soc::stm32f427::generated::dma2;
-use rigless::soc::stm32f427::generated::i2c3::{Register, cr1, cr2};
+use rigless::soc::stm32f427::generated::i2c3::{Register, cr1, cr2, sr1, sr2};
 use rigless::soc::stm32f427::peripherals::i2c::I2c;
 use rigless::time::{EventId, VirtualNanos};
+
+use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
+use crate::fitted::FittedSensor;
+use crate::wires::SharedWires;
 
 /// The channel and the streams of DMA1 that serve I2C1's receiver (RM0090, table 42), by their control and count registers.
 const RECEIVE_CHANNEL: u64 = 1;
@@ -18,6 +31,12 @@ const RECEIVE_STREAMS: [(dma2::Register, dma2::Register); 2] = [
     (dma2::Register::S0cr, dma2::Register::S0ndtr),
     (dma2::Register::S5cr, dma2::Register::S5ndtr),
 ];
+
+/// The error interrupt's place among the instance's two (RM0090, table 62).
+const ERROR_INTERRUPT: usize = 1;
+
+/// From a clock that is let go to the end of the byte that waited for it: one bit at 400 kHz, ns.
+const REST_OF_BYTE_NS: u64 = 2_500;
 
 /// The items that the enabled stream has left to move for I2C1's receiver, from DMA1's registers.
 #[must_use]
@@ -32,14 +51,218 @@ pub fn items_left(dma1: &RegisterFile) -> Option<u64> {
 
 /// The controller.
 #[derive(Debug)]
-pub struct LastAware {
+pub struct WiredI2c {
     /// What rigless models of it.
     pub model: I2c,
     /// What [`items_left`] says; whoever calls the controller sets it first.
     pub items_left: Option<u64>,
+    /// Whether the pins are the controller's; whoever calls it sets this first.
+    pub is_connected: bool,
+    wires: SharedWires,
+    /// The scheduled faults of the controller's own: bus errors and lost arbitration.
+    faults: Vec<ScheduledFault>,
+    /// A byte's end that waits for the clock: the event that ends the wait, and the one that ends the byte.
+    delayed: Option<(EventId, EventId)>,
+    /// START and STOP that wait for the lines.
+    waiting: u64,
+    /// Whether the byte on the wire is an address.
+    is_addressing: bool,
+    /// The direction of the transfer, from the last address.
+    is_reading: bool,
+    /// The byte that is sent.
+    sent: u8,
+    /// Whether SDA was high when it was looked at last.
+    was_data_high: bool,
+    /// Whether one of the errors of this layer interrupts.
+    interrupts: bool,
 }
 
-impl Device for LastAware {
+impl WiredI2c {
+    /// The controller on these wires with these faults.
+    #[must_use]
+    pub fn new(model: I2c, wires: SharedWires, faults: &[Fault]) -> Self {
+        let is_own = |fault: &&ScheduledFault| {
+            matches!(fault.kind, FaultKind::BusError | FaultKind::ArbitrationLost)
+        };
+        Self {
+            model,
+            items_left: None,
+            is_connected: false,
+            wires,
+            faults: scheduled(faults).filter(is_own).copied().collect(),
+            delayed: None,
+            waiting: 0,
+            is_addressing: false,
+            is_reading: false,
+            sent: 0,
+            was_data_high: true,
+            interrupts: false,
+        }
+    }
+
+    /// The lines may have changed: BUSY, and what waits for them.
+    pub fn follow_lines(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let is_data_high = !self.is_low(BusLine::Data, context);
+        let is_clock_high = !self.is_low(BusLine::Clock, context);
+        let is_risen = is_data_high && !self.was_data_high;
+        self.was_data_high = is_data_high;
+        if self.is_connected {
+            let status = registers.get(Register::Sr2);
+            if !is_data_high || !is_clock_high {
+                registers.set(Register::Sr2, sr2::BUSY.set(status, 1));
+            } else if is_risen && !sr2::MSL.is_set(status) {
+                registers.set(Register::Sr2, sr2::BUSY.set(status, 0));
+            }
+        }
+        if is_data_high && is_clock_high && self.waiting != 0 {
+            let waiting = std::mem::take(&mut self.waiting);
+            let control = registers.get(Register::Cr1) & !waiting;
+            registers.set(Register::Cr1, control);
+            Device::write(&mut self.model, Register::Cr1, control, registers, context);
+            if cr1::PE.is_set(control) {
+                self.pass_control(control | waiting, registers, context);
+            }
+            self.refresh_errors(registers, context);
+        }
+    }
+
+    fn is_low(&self, line: BusLine, context: &DeviceContext<'_>) -> bool {
+        self.wires.lock().holds_low(line, context.now().0)
+    }
+
+    fn lasts(&self, kind: FaultKind, context: &DeviceContext<'_>) -> bool {
+        self.faults
+            .iter()
+            .any(|fault| fault.kind == kind && fault.lasts(context.now().0))
+    }
+
+    /// Hands a value of CR1 on to the model, less what it would misunderstand.
+    fn pass_control(
+        &mut self,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
+        let value = if is_controller || cr1::START.is_set(value) {
+            value
+        } else {
+            cr1::STOP.set(value, 0)
+        };
+        registers.set(Register::Cr1, value);
+        Device::write(&mut self.model, Register::Cr1, value, registers, context);
+    }
+
+    fn write_control(
+        &mut self,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let is_reset = cr1::SWRST.is_set(value);
+        if is_reset || !cr1::PE.is_set(value) {
+            self.waiting = 0;
+            self.delayed = None;
+            Device::write(&mut self.model, Register::Cr1, value, registers, context);
+            if !is_reset {
+                let status = registers.get(Register::Sr1);
+                registers.set(Register::Sr1, sr1::BERR.set(sr1::ARLO.set(status, 0), 0));
+            }
+            return;
+        }
+        let asked = value & (cr1::START.mask() | cr1::STOP.mask());
+        let is_held = self.is_low(BusLine::Clock, context) || self.is_low(BusLine::Data, context);
+        if asked != 0 && is_held && self.is_connected {
+            self.waiting = asked;
+            let passed = value & !asked;
+            registers.set(Register::Cr1, passed);
+            Device::write(&mut self.model, Register::Cr1, passed, registers, context);
+            registers.set(Register::Cr1, passed | asked);
+        } else {
+            self.waiting = 0;
+            self.pass_control(value, registers, context);
+        }
+    }
+
+    /// The arbitration is lost: the controller lets go of the lines and is one no longer.
+    fn lose_arbitration(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let control = registers.get(Register::Cr1);
+        let kept = control & !(cr1::START.mask() | cr1::STOP.mask());
+        // PE = 0 is how the model ends a transfer without a STOP; BUSY stays.
+        for value in [kept & !cr1::PE.mask(), kept] {
+            registers.set(Register::Cr1, value);
+            Device::write(&mut self.model, Register::Cr1, value, registers, context);
+        }
+        self.waiting = 0;
+        self.delayed = None;
+        let status = registers.get(Register::Sr1);
+        registers.set(Register::Sr1, sr1::ARLO.set(status, 1));
+    }
+
+    /// A byte has crossed the wire.
+    fn byte_ends(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let now_ns = context.now().0;
+        let free_ns = {
+            let mut wires = self.wires.lock();
+            wires.byte_ends(now_ns);
+            wires.clock_free_ns(now_ns)
+        };
+        if let Some(free_ns) = free_ns {
+            let wait = context.schedule(VirtualNanos(free_ns.saturating_add(REST_OF_BYTE_NS)));
+            self.delayed = Some((wait, event));
+            return;
+        }
+        let is_sending = self.is_addressing || !self.is_reading;
+        let is_pulled =
+            self.is_low(BusLine::Data, context) || self.lasts(FaultKind::ArbitrationLost, context);
+        if is_sending && is_pulled && self.sent != 0 {
+            self.is_addressing = false;
+            self.lose_arbitration(registers, context);
+            return;
+        }
+        if self.lasts(FaultKind::BusError, context) {
+            let status = registers.get(Register::Sr1);
+            registers.set(Register::Sr1, sr1::BERR.set(status, 1));
+            if let Some(sensor) = self.model.chip_mut::<FittedSensor>(0) {
+                sensor.hear_stop(now_ns);
+            }
+        }
+        let control = registers.get(Register::Cr2);
+        let is_last =
+            cr2::LAST.is_set(control) && cr2::DMAEN.is_set(control) && self.items_left == Some(1);
+        let acknowledge = cr1::ACK.mask();
+        let before = registers.get(Register::Cr1);
+        if is_last {
+            registers.set(Register::Cr1, before & !acknowledge);
+        }
+        self.is_addressing = false;
+        Device::on_event(&mut self.model, event, registers, context);
+        if is_last {
+            registers.restore(Register::Cr1, acknowledge, before);
+        }
+    }
+
+    /// Drives the error interrupt for the errors that the model does not know.
+    fn refresh_errors(&mut self, registers: &RegisterFile, context: &mut DeviceContext<'_>) {
+        let status = registers.get(Register::Sr1);
+        let is_enabled = cr2::ITERREN.is_set(registers.get(Register::Cr2));
+        let interrupts = is_enabled && (sr1::BERR.is_set(status) || sr1::ARLO.is_set(status));
+        if interrupts {
+            context.interrupt(ERROR_INTERRUPT, Level::High);
+        } else if self.interrupts {
+            let is_refused = is_enabled && sr1::AF.is_set(status);
+            context.interrupt(ERROR_INTERRUPT, Level::from(is_refused));
+        }
+        self.interrupts = interrupts;
+    }
+}
+
+impl Device for WiredI2c {
     type Register = Register;
 
     fn layout(&self) -> &'static [RegisterSpec] {
@@ -52,7 +275,10 @@ impl Device for LastAware {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
-        Device::read(&mut self.model, register, registers, context)
+        self.follow_lines(registers, context);
+        let value = Device::read(&mut self.model, register, registers, context);
+        self.refresh_errors(registers, context);
+        value
     }
 
     fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
@@ -66,7 +292,21 @@ impl Device for LastAware {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        Device::write(&mut self.model, register, value, registers, context);
+        self.follow_lines(registers, context);
+        match register {
+            Register::Cr1 => self.write_control(value, registers, context),
+            Register::Dr => {
+                self.sent = value.to_le_bytes()[0];
+                if sr1::SB.is_set(registers.get(Register::Sr1)) {
+                    self.is_addressing = true;
+                    self.is_reading = self.sent & 1 == 1;
+                }
+                Device::write(&mut self.model, register, value, registers, context);
+            }
+            _ => Device::write(&mut self.model, register, value, registers, context),
+        }
+        self.follow_lines(registers, context);
+        self.refresh_errors(registers, context);
     }
 
     fn on_event(
@@ -75,18 +315,15 @@ impl Device for LastAware {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        let control = registers.get(Register::Cr2);
-        let is_last =
-            cr2::LAST.is_set(control) && cr2::DMAEN.is_set(control) && self.items_left == Some(1);
-        let acknowledge = cr1::ACK.mask();
-        let before = registers.get(Register::Cr1);
-        if is_last {
-            registers.set(Register::Cr1, before & !acknowledge);
+        match self.delayed {
+            Some((wait, byte)) if wait == event => {
+                self.delayed = None;
+                self.byte_ends(byte, registers, context);
+            }
+            _ => self.byte_ends(event, registers, context),
         }
-        Device::on_event(&mut self.model, event, registers, context);
-        if is_last {
-            registers.restore(Register::Cr1, acknowledge, before);
-        }
+        self.follow_lines(registers, context);
+        self.refresh_errors(registers, context);
     }
 
     fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
@@ -95,9 +332,22 @@ impl Device for LastAware {
 
     fn reset(&mut self) {
         Device::reset(&mut self.model);
+        self.forget();
     }
 
     fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         Device::reset_line(&mut self.model, registers, context);
+        self.forget();
+    }
+}
+
+impl WiredI2c {
+    /// What a reset leaves of this layer.
+    pub fn forget(&mut self) {
+        self.delayed = None;
+        self.waiting = 0;
+        self.is_addressing = false;
+        self.is_reading = false;
+        self.interrupts = false;
     }
 }

@@ -22,6 +22,8 @@ pub struct Firmware {
     pub bytes: Vec<u8>,
     /// The address of `APLOMB_SNAPSHOT`.
     pub snapshot: u64,
+    /// The address of `APLOMB_HEALTH`, if the image has it.
+    pub health: Option<u64>,
     /// The address of the RTT control block, if the image logs.
     pub log_channel: Option<u64>,
     /// The vector table's entries, by exception number.
@@ -84,6 +86,7 @@ impl Firmware {
             .max();
         Ok(Self {
             snapshot: required("APLOMB_SNAPSHOT")?,
+            health: symbol("APLOMB_HEALTH"),
             log_channel: symbol("_SEGGER_RTT"),
             handlers,
             stack: stack_bottom.unwrap_or(RAM_START)..stack_top,

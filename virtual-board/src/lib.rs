@@ -4,14 +4,16 @@
 //! |---|---|
 //! | [`motion`] | where the board really is: a simulated flight, or a recording |
 //! | [`sensor`] | the MPU-6050, register by register |
-//! | [`fitted`], [`faults`] | the sensor on its wires, and what can go wrong there |
-//! | [`mcu`], [`exti`], [`i2c`], [`crystal`] | the microcontroller, and what rigless's model of it lacks |
+//! | [`fitted`], [`wires`] | the sensor on its wires |
+//! | [`faults`], [`schedule`] | what can go wrong, and when |
+//! | [`mcu`], [`exti`], [`i2c`], [`dma`], [`crystal`] | the microcontroller, and what rigless's model of it lacks |
 //! | [`board`] | the boards and their cores |
 //! | [`image`] | the firmware image |
 //! | [`profile`] | which interrupt executes how many instructions |
 //! | [`probe`] | a debug probe that reads the log |
 //! | [`recorder`] | what is noted during a run |
 //! | [`flight`], [`summary`] | a run, and its figures |
+//! | [`campaign`] | flights by chance with faults by chance, and what must hold in them |
 //! | [`outputs`], [`plot`] | the files that a flight leaves |
 //!
 //! The motion and the sensor need no emulator, and share no code with the library and the driver that they judge.
@@ -25,7 +27,11 @@ pub mod sensor;
 #[cfg(feature = "emulator")]
 pub mod board;
 #[cfg(feature = "emulator")]
+pub mod campaign;
+#[cfg(feature = "emulator")]
 pub mod crystal;
+#[cfg(feature = "emulator")]
+pub mod dma;
 #[cfg(feature = "emulator")]
 pub mod error;
 #[cfg(feature = "emulator")]
@@ -53,9 +59,12 @@ pub mod profile;
 #[cfg(feature = "emulator")]
 pub mod recorder;
 #[cfg(feature = "emulator")]
+pub mod schedule;
 pub mod script;
 #[cfg(feature = "emulator")]
 pub mod summary;
+#[cfg(feature = "emulator")]
+pub mod wires;
 
 #[cfg(feature = "emulator")]
 pub use error::Error;

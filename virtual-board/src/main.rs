@@ -4,10 +4,14 @@ use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use clap::{Args, Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
 use virtual_board::board::{BOARDS, BoardModel};
+use virtual_board::campaign::{self, Case, Table};
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::motion::Mount;
 use virtual_board::motion::recording::Recording;
@@ -15,6 +19,7 @@ use virtual_board::outputs;
 use virtual_board::plot::Labels;
 use virtual_board::probe::LogLine;
 use virtual_board::recorder::{Observer, Progress};
+use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
 /// How long the simulated flight is shown unless told otherwise, s.
@@ -32,6 +37,27 @@ struct Arguments {
 enum Command {
     /// Fly a firmware image and write what came of it.
     Fly(Fly),
+    /// Fly it many times with faults by chance, and check what must hold.
+    Faults(Faults),
+}
+
+#[derive(Args)]
+struct Faults {
+    /// The firmware image; `cargo xtask faults` builds it and gives it.
+    #[arg(long, value_name = "PATH")]
+    elf: PathBuf,
+    /// How many flights. One alone is also written to the output folder.
+    #[arg(long, value_name = "NUMBER", default_value_t = 208)]
+    runs: u64,
+    /// The seed of the first flight; the others count on from it.
+    #[arg(long, value_name = "NUMBER", default_value_t = 1)]
+    seed: u64,
+    /// How many flights at a time. Default: as many as there are cores.
+    #[arg(long, value_name = "NUMBER")]
+    jobs: Option<usize>,
+    /// Where a single flight's files go.
+    #[arg(long, value_name = "FOLDER", default_value = "target/faults")]
+    output: PathBuf,
 }
 
 #[derive(Args)]
@@ -51,6 +77,9 @@ struct Fly {
     /// Seeds the flight and the sensor's errors.
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
+    /// Let things go wrong: a file with a line `start_s duration_s fault` for each fault, or seed:N for faults by chance.
+    #[arg(long, value_name = "FILE|seed:N")]
+    faults: Option<String>,
     /// The board: stm32f405, blackpill-f411 or nucleo-f411.
     #[arg(long, value_name = "NAME", default_value = BOARDS[0].name, value_parser = board)]
     board: BoardModel,
@@ -88,8 +117,11 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 fn main() -> ExitCode {
-    let Command::Fly(options) = Arguments::parse().command;
-    match fly(&options) {
+    let result = match Arguments::parse().command {
+        Command::Fly(options) => fly(&options),
+        Command::Faults(options) => faults(&options),
+    };
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => {
             eprintln!("error: {message}");
@@ -106,6 +138,11 @@ fn fly(options: &Fly) -> Result<(), String> {
     if let Some(path) = &options.commands {
         run = run.commands(&Script::open(path).map_err(|error| error.to_string())?);
     }
+    let schedule = match &options.faults {
+        Some(argument) => Schedule::from_argument(argument).map_err(|error| error.to_string())?,
+        None => Schedule::default(),
+    };
+    run = run.schedule(&schedule);
     let motion;
     match &options.log {
         Some(path) => {
@@ -128,6 +165,9 @@ fn fly(options: &Fly) -> Result<(), String> {
         }
     }
     eprintln!("{motion}, on {}", options.board.name);
+    for fault in &schedule.faults {
+        eprintln!("fault: {fault}");
+    }
     let outcome = run
         .observer(Screen::new())
         .run()
@@ -146,6 +186,120 @@ fn fly(options: &Fly) -> Result<(), String> {
         return Err("the firmware published no attitude".into());
     }
     Ok(())
+}
+
+/// Flies a campaign, or one flight of it.
+fn faults(options: &Faults) -> Result<(), String> {
+    let started = Instant::now();
+    if options.runs == 1 {
+        return one_case(options);
+    }
+    let jobs = options
+        .jobs
+        .or_else(|| std::thread::available_parallelism().ok().map(usize::from))
+        .unwrap_or(1);
+    let bar = ProgressBar::new(options.runs);
+    if let Ok(style) =
+        ProgressStyle::with_template("{bar:40} {pos}/{len} flights, {msg} left {eta}")
+    {
+        bar.set_style(style);
+    }
+    let next = AtomicU64::new(0);
+    let results = Mutex::new((Table::default(), Vec::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..jobs.max(1) {
+            scope.spawn(|| {
+                loop {
+                    let number = next.fetch_add(1, Ordering::Relaxed);
+                    if number >= options.runs {
+                        return;
+                    }
+                    let case = Case::by_seed(options.seed.wrapping_add(number));
+                    let report = campaign::run(&case, &options.elf);
+                    let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
+                    results.0.add(&report);
+                    if !report.failures.is_empty() {
+                        results.1.push((case, report));
+                        bar.set_message(format!("{} failed,", results.1.len()));
+                    }
+                    bar.inc(1);
+                }
+            });
+        }
+    });
+    bar.finish_and_clear();
+    let (table, mut failed) = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    failed.sort_by_key(|(case, _)| case.seed);
+    println!("{table}");
+    for (case, report) in &failed {
+        println!("seed {}:", case.seed);
+        for failure in &report.failures {
+            println!("  {failure}");
+        }
+        println!("  again: cargo xtask faults --runs 1 --seed {}", case.seed);
+    }
+    println!(
+        "{} flights from seed {} on in {:.0} s, {} failed",
+        options.runs,
+        options.seed,
+        started.elapsed().as_secs_f64(),
+        failed.len()
+    );
+    if failed.is_empty() {
+        Ok(())
+    } else {
+        Err(format!(
+            "{} of {} flights failed",
+            failed.len(),
+            options.runs
+        ))
+    }
+}
+
+/// Flies one case, shows what happened, and writes its files.
+fn one_case(options: &Faults) -> Result<(), String> {
+    let case = Case::by_seed(options.seed);
+    println!(
+        "{:.3} s with these faults:\n{}",
+        case.seconds, case.schedule
+    );
+    let outcome = case.fly(&options.elf)?;
+    let report = campaign::judge(&case, &outcome.record, &outcome.uart_lines);
+    for line in outcome
+        .uart_lines
+        .iter()
+        .filter(|line| line.text.starts_with('#'))
+    {
+        println!("{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text);
+    }
+    let labels = Labels {
+        title: format!("flight of seed {} with faults", options.seed),
+        subtitle: subtitle(&outcome),
+    };
+    outputs::write(&options.output, &outcome, &labels).map_err(|error| error.to_string())?;
+    println!("\nwritten to {}", options.output.display());
+    for fault in &report.faults {
+        println!(
+            "{}: {}, {}",
+            fault.class,
+            if fault.is_detected {
+                "detected"
+            } else {
+                "not detected"
+            },
+            fault
+                .recovery_ns
+                .map_or("not recovered in time".into(), |recovery_ns| format!(
+                    "recovered in {:.1} ms",
+                    recovery_ns as f64 * 1e-6
+                ))
+        );
+    }
+    if report.failures.is_empty() {
+        Ok(())
+    } else {
+        Err(report.failures.join("\n       "))
+    }
 }
 
 /// Shows the run while it goes on: the firmware's log, and how far it is.

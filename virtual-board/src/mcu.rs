@@ -15,31 +15,32 @@ use rigless::device::{ErasedDevice, Level, ResetCause};
 use rigless::mcu::Mcu;
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
+use rigless::soc::stm32f427::generated::gpioa;
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin};
 use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
 
 use crate::crystal::{CrystalAware, HighSpeedInput};
+use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
-use crate::faults::BusLine;
+use crate::faults::{FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
-use crate::i2c::{LastAware, items_left};
+use crate::i2c::{WiredI2c, items_left};
+use crate::wires::PortB;
 
-/// Ports by their number, as SYSCFG_EXTICR counts them.
+/// Port A's number, as SYSCFG_EXTICR counts them.
 const PORT_A: u8 = 0;
-const PORT_B: u8 = 1;
 
 /// INT is on PA1.
 const INTERRUPT_PIN: u8 = 1;
-
-/// SCL is PB8, SDA is PB9.
-const BUS_PINS: [(BusLine, u8); 2] = [(BusLine::Clock, 8), (BusLine::Data, 9)];
 
 /// PA1 reaches TIM5 channel 2 through this alternate function (STM32F405 datasheet, table 9).
 const TIM5_FUNCTION: u8 = 2;
 
 /// Places in rigless's lists of instances.
+const PORT_B: usize = 1;
+const DMA1: usize = 0;
 const I2C1: usize = 0;
 const USART2: usize = 1;
 const TIM5: usize = 3;
@@ -52,15 +53,28 @@ const SUPPLY_MILLIVOLTS: u32 = 3300;
 pub struct Microcontroller {
     part: Stm32f427,
     clocks: CrystalAware,
-    sensor_bus: LastAware,
+    sensor_bus: WiredI2c,
+    port_b: PortB,
+    dma: RefusedDma,
     exti: Exti,
     syscfg: Syscfg,
     slots: Slots,
     /// The instant at which the sensor's wire has to be looked at, and for which an event is scheduled.
     awaited_ns: Option<u64>,
-    /// The levels that were last put on [`BUS_PINS`].
-    bus_levels: [Option<bool>; BUS_PINS.len()],
+    /// The faults of a schedule.
+    faults: Vec<ScheduledFault>,
+    /// Whether the crystal has stopped.
+    is_crystal_dead: bool,
+    /// Whether the crystal stopped with nothing to take over, so that the core has no clock.
+    is_clock_lost: bool,
+    /// Whether the UART's line garbles what comes in.
+    is_noisy: bool,
+    /// When the last reset was, ns.
+    reset_ns: u64,
 }
+
+/// How many of a million bytes come with noise, and with a framing error, while the UART's line garbles.
+const NOISE_PER_MILLION: u32 = 200_000;
 
 /// Where on the bus the decorated instances are.
 #[derive(Clone, Copy, Debug)]
@@ -71,6 +85,7 @@ struct Slots {
     syscfg: usize,
     dma1: usize,
     port_a: usize,
+    port_b: usize,
 }
 
 impl Microcontroller {
@@ -82,11 +97,15 @@ impl Microcontroller {
     pub fn new(
         sensor: FittedSensor,
         input: HighSpeedInput,
-        terminal: Terminal,
+        mut terminal: Terminal,
     ) -> Result<Self, Error> {
         let mut part = Stm32f427::new()?;
         part.rcc.attach_crystals(input.frequency_hz(), 0);
         part.set_supply(SUPPLY_MILLIVOLTS);
+        let faults: Vec<ScheduledFault> = scheduled(sensor.faults()).copied().collect();
+        let all_faults = sensor.faults().to_vec();
+        let wires = sensor.wires();
+        terminal.flood(&faults);
         part.usart[USART2].attach(terminal);
         part.i2c[I2C1].attach(sensor);
         let bus = part.bus();
@@ -97,26 +116,38 @@ impl Microcontroller {
             syscfg: bus.slot("SYSCFG")?,
             dma1: bus.slot("DMA1")?,
             port_a: bus.slot("GPIOA")?,
+            port_b: bus.slot("GPIOB")?,
         };
         let mut spare = Stm32f427::new()?;
         std::mem::swap(&mut spare.rcc, &mut part.rcc);
         std::mem::swap(&mut spare.i2c[I2C1], &mut part.i2c[I2C1]);
+        std::mem::swap(&mut spare.gpio[PORT_B], &mut part.gpio[PORT_B]);
+        std::mem::swap(&mut spare.dma[DMA1], &mut part.dma[DMA1]);
         let [i2c1, ..] = spare.i2c;
+        let [_, port_b, ..] = spare.gpio;
+        let [dma1, ..] = spare.dma;
         let mut controller = Self {
             part,
             clocks: CrystalAware {
                 model: spare.rcc,
                 input,
+                stopped: None,
             },
-            sensor_bus: LastAware {
-                model: i2c1,
-                items_left: None,
+            sensor_bus: WiredI2c::new(i2c1, wires.clone(), &all_faults),
+            port_b: PortB {
+                model: port_b,
+                wires,
             },
+            dma: RefusedDma::new(dma1, &all_faults),
             exti: Exti::default(),
             syscfg: Syscfg,
             slots,
             awaited_ns: None,
-            bus_levels: [None; BUS_PINS.len()],
+            faults,
+            is_crystal_dead: false,
+            is_clock_lost: false,
+            is_noisy: false,
+            reset_ns: 0,
         };
         controller.release_pins(VirtualNanos(0));
         Ok(controller)
@@ -164,41 +195,81 @@ impl Microcontroller {
         };
     }
 
+    /// Whether the core executes nothing: it is stalled, hangs, or has no clock.
+    #[must_use]
+    pub fn is_core_held(&self, now_ns: u64) -> bool {
+        let holds = |fault: &ScheduledFault| match fault.kind {
+            FaultKind::CoreStall => fault.lasts(now_ns),
+            FaultKind::WatchdogHang => fault.lasts(now_ns) && self.reset_ns < fault.start_ns,
+            _ => false,
+        };
+        self.is_clock_lost || self.faults.iter().any(holds)
+    }
+
     /// The levels that the board's resistors give the pins before anything else drives them.
     fn release_pins(&mut self, at: VirtualNanos) {
-        self.pull_up_bus(at);
-        self.drive_pin(at, PORT_A, INTERRUPT_PIN, false);
+        self.follow_bus(at);
+        self.drive_pin(at, INTERRUPT_PIN, false);
     }
 
-    /// Both lines of the bus are high unless something holds them low. (The levels are for whoever reads the pins;
-    /// rigless carries the bytes apart from them.)
-    fn pull_up_bus(&mut self, at: VirtualNanos) {
-        for (nth, (line, pin)) in BUS_PINS.into_iter().enumerate() {
-            let high = !self.sensor().holds_low(line, at.0);
-            if self.bus_levels[nth] != Some(high) {
-                self.bus_levels[nth] = Some(high);
-                self.drive_pin(at, PORT_B, pin, high);
-            }
-        }
+    /// Lets the port and the controller look at the lines of the bus.
+    fn follow_bus(&mut self, at: VirtualNanos) {
+        let slots = self.slots;
+        let (registers, mut context) = self.part.bus_mut().drive(at, slots.port_b);
+        self.port_b.follow(at, registers, &mut context);
+        self.sensor_bus.is_connected = PortB::is_connected(registers);
+        let (registers, mut context) = self.part.bus_mut().drive(at, slots.i2c1);
+        self.sensor_bus.follow_lines(registers, &mut context);
     }
 
-    fn drive_pin(&mut self, at: VirtualNanos, port: u8, pin: u8, high: bool) {
+    fn drive_pin(&mut self, at: VirtualNanos, pin: u8, high: bool) {
         let Some(pin) = Pin::new(pin) else { return };
         self.part
-            .drive_port(at, usize::from(port), |gpio, registers, context| {
+            .drive_port(at, usize::from(PORT_A), |gpio, registers, context| {
                 gpio.drive(pin, Some(Level::from(high)), registers, context);
             });
     }
 
+    /// Lets the faults of the microcontroller's own begin and end.
+    fn follow_faults(&mut self, now: VirtualNanos) {
+        let lasts = |kind: FaultKind| {
+            self.faults
+                .iter()
+                .any(|fault| fault.kind == kind && fault.lasts(now.0))
+        };
+        let (is_dead, is_noisy) = (lasts(FaultKind::CrystalDies), lasts(FaultKind::UartNoise));
+        if is_dead != self.is_crystal_dead {
+            self.is_crystal_dead = is_dead;
+            self.is_clock_lost = false;
+            if is_dead {
+                let (registers, mut context) = self.part.bus_mut().drive(now, self.slots.rcc);
+                self.is_clock_lost = self.clocks.stop_crystal(registers, &mut context);
+            } else {
+                self.clocks.restart_crystal();
+            }
+        }
+        if is_noisy != self.is_noisy {
+            self.is_noisy = is_noisy;
+            let errors = self.part.usart[USART2].errors_mut();
+            let per_million = if is_noisy { NOISE_PER_MILLION } else { 0 };
+            errors.noise.per_million = per_million;
+            errors.framing.per_million = per_million;
+        }
+    }
+
     /// Brings the sensor to `now`, carries what its INT pin did to where the wire goes, and asks to be called again in time.
     fn follow_sensor(&mut self, now: VirtualNanos) {
+        let registers = self.part.bus().slots()[self.slots.port_a].registers();
+        let pulls = registers.get(gpioa::Register::Pupdr) >> (2 * INTERRUPT_PIN) & 3;
+        self.sensor().set_pull_up(pulls == 1);
         for high in self.sensor().advance_to(now.0) {
             self.interrupt_wire(now, high);
         }
         let next_ns = self.sensor().next_event_ns();
         if next_ns != self.awaited_ns {
             self.awaited_ns = next_ns;
-            self.pull_up_bus(now);
+            self.follow_bus(now);
+            self.follow_faults(now);
             if let Some(next_ns) = next_ns {
                 let (_, mut context) = self.part.bus_mut().drive(now, self.slots.exti);
                 context.schedule(VirtualNanos(next_ns));
@@ -208,7 +279,7 @@ impl Microcontroller {
 
     /// The INT wire changes its level.
     fn interrupt_wire(&mut self, at: VirtualNanos, high: bool) {
-        self.drive_pin(at, PORT_A, INTERRUPT_PIN, high);
+        self.drive_pin(at, INTERRUPT_PIN, high);
         let slots = self.slots;
         let registers = |slot: usize| self.part.bus().slots()[slot].registers();
         let is_routed = exti::routes(PORT_A, INTERRUPT_PIN, registers(slots.syscfg));
@@ -232,6 +303,8 @@ impl Microcontroller {
     fn lend_models(&mut self) {
         std::mem::swap(&mut self.clocks.model, &mut self.part.rcc);
         std::mem::swap(&mut self.sensor_bus.model, &mut self.part.i2c[I2C1]);
+        std::mem::swap(&mut self.port_b.model, &mut self.part.gpio[PORT_B]);
+        std::mem::swap(&mut self.dma.model, &mut self.part.dma[DMA1]);
     }
 }
 
@@ -245,12 +318,15 @@ impl Mcu for Microcontroller {
     }
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
+        self.sensor().controller_restarts(at.0);
         self.lend_models();
         self.part.reset(at, cause);
         self.lend_models();
+        self.sensor_bus.forget();
         self.exti = Exti::default();
         self.awaited_ns = None;
-        self.bus_levels = [None; BUS_PINS.len()];
+        self.is_clock_lost = false;
+        self.reset_ns = at.0;
         self.release_pins(at);
     }
 
@@ -265,7 +341,13 @@ impl Mcu for Microcontroller {
         } else if slot == self.slots.i2c1 {
             let bus = self.part.bus_mut();
             self.sensor_bus.items_left = items_left(bus.slots()[self.slots.dma1].registers());
+            self.sensor_bus.is_connected =
+                PortB::is_connected(bus.slots()[self.slots.port_b].registers());
             (bus, Some(&mut self.sensor_bus))
+        } else if slot == self.slots.port_b {
+            (self.part.bus_mut(), Some(&mut self.port_b))
+        } else if slot == self.slots.dma1 {
+            (self.part.bus_mut(), Some(&mut self.dma))
         } else if slot == self.slots.exti {
             (self.part.bus_mut(), Some(&mut self.exti))
         } else if slot == self.slots.syscfg {
@@ -276,12 +358,16 @@ impl Mcu for Microcontroller {
     }
 }
 
-/// The far end of the UART: it notes what it hears, and says what it was told to say.
+/// The far end of the UART: it notes what it hears, and says what it was told to say, or anything while a fault floods the line.
 #[derive(Debug, Default)]
 pub struct Terminal {
     heard: Vec<HeardByte>,
     /// What is left to say, the first of it first.
     script: VecDeque<SaidByte>,
+    /// When it sends without a pause.
+    floods: Vec<ScheduledFault>,
+    /// How many bytes it has sent.
+    sent: u64,
 }
 
 /// A byte from the UART.
@@ -310,9 +396,23 @@ impl Terminal {
         // Those of one instant keep their order.
         script.sort_by_key(|said| said.at_ns);
         Self {
-            heard: Vec::new(),
             script: script.into(),
+            ..Self::default()
         }
+    }
+
+    /// Has it flood the line when these faults say so.
+    fn flood(&mut self, faults: &[ScheduledFault]) {
+        let floods = |fault: &&ScheduledFault| {
+            matches!(fault.kind, FaultKind::UartFlood | FaultKind::UartNoise)
+        };
+        self.floods = faults.iter().filter(floods).copied().collect();
+    }
+
+    /// How many bytes it has sent.
+    #[must_use]
+    pub fn sent(&self) -> u64 {
+        self.sent
     }
 
     /// Takes out what it has heard since the last call.
@@ -333,11 +433,26 @@ impl uart::Peer for Terminal {
     }
 
     fn transmit(&mut self, now: VirtualNanos) -> Option<u16> {
-        self.script
-            .pop_front_if(|said| said.at_ns <= now.0)
-            .map(|said| said.byte.into())
+        if !self.floods.iter().any(|fault| fault.lasts(now.0)) {
+            return self
+                .script
+                .pop_front_if(|said| said.at_ns <= now.0)
+                .map(|said| said.byte.into());
+        }
+        self.sent += 1;
+        // Any byte may come, most of them printable, and a line's end now and then.
+        let mixed = self.sent.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
+        let byte = match mixed % 40 {
+            0 => u64::from(b'\n'),
+            1..=4 => mixed >> 8,
+            _ => 0x20 + (mixed >> 8) % 95,
+        };
+        Some(u16::from(byte.to_le_bytes()[0]))
     }
 }
+
+#[cfg(test)]
+mod fault_tests;
 
 #[cfg(test)]
 mod tests {
@@ -349,6 +464,7 @@ mod tests {
     use rigless::soc::{Peripheral, Width};
 
     use super::*;
+    use crate::faults::Fault;
     use crate::motion::rest::Rest;
     use crate::sensor::{Sensor, SensorConfig};
 
@@ -368,15 +484,15 @@ mod tests {
     const EXTI1: u16 = 7;
 
     /// A controller on a bench, driven without a core.
-    struct Bench {
-        controller: Microcontroller,
-        now: VirtualNanos,
+    pub(super) struct Bench {
+        pub(super) controller: Microcontroller,
+        pub(super) now: VirtualNanos,
         interrupts: BTreeMap<u16, bool>,
-        ram: Ram,
+        pub(super) ram: Ram,
     }
 
     /// RAM for the DMA.
-    struct Ram(BTreeMap<u64, u8>);
+    pub(super) struct Ram(BTreeMap<u64, u8>);
 
     impl Memory for Ram {
         fn read(&mut self, address: u64, width: Width) -> Result<u64, EmulatorError> {
@@ -398,6 +514,11 @@ mod tests {
     impl Bench {
         /// A board at rest, its sensor awake and pulsing once a millisecond, all clocks enabled.
         fn new(input: HighSpeedInput) -> Self {
+            Self::with_faults(input, vec![])
+        }
+
+        /// The same with faults.
+        pub(super) fn with_faults(input: HighSpeedInput, faults: Vec<Fault>) -> Self {
             let mut sensor = Sensor::new(SensorConfig::new(1), Box::new(Rest::level()));
             let mut at_ns = 100_000_000;
             // Awake on the gyroscope's clock, 1 kHz, filter 1, interrupt on data ready.
@@ -410,7 +531,7 @@ mod tests {
             }
             let mut bench = Self {
                 controller: Microcontroller::new(
-                    FittedSensor::new(sensor, vec![]),
+                    FittedSensor::new(sensor, faults),
                     input,
                     Terminal::default(),
                 )
@@ -426,14 +547,14 @@ mod tests {
             bench
         }
 
-        fn write(&mut self, peripheral: &Peripheral, offset: u64, value: u64) {
+        pub(super) fn write(&mut self, peripheral: &Peripheral, offset: u64, value: u64) {
             self.controller
                 .write(self.now, peripheral.base + offset, Width::W32, value)
                 .unwrap();
             self.settle();
         }
 
-        fn read(&mut self, peripheral: &Peripheral, offset: u64) -> u64 {
+        pub(super) fn read(&mut self, peripheral: &Peripheral, offset: u64) -> u64 {
             let value = self
                 .controller
                 .read(self.now, peripheral.base + offset, Width::W32)
@@ -452,7 +573,7 @@ mod tests {
         }
 
         /// Runs until `at_ns` with a stop at every event, as a session does.
-        fn run_until(&mut self, at_ns: u64) {
+        pub(super) fn run_until(&mut self, at_ns: u64) {
             loop {
                 let next = self
                     .controller
@@ -469,12 +590,12 @@ mod tests {
             }
         }
 
-        fn run_for(&mut self, nanoseconds: u64) {
+        pub(super) fn run_for(&mut self, nanoseconds: u64) {
             self.run_until(self.now.0 + nanoseconds);
         }
 
         /// The next data-ready edge, once the board has lived through it.
-        fn next_edge_ns(&mut self) -> u64 {
+        pub(super) fn next_edge_ns(&mut self) -> u64 {
             self.controller.sensor().take_edges();
             loop {
                 self.run_for(1000);
@@ -484,7 +605,7 @@ mod tests {
             }
         }
 
-        fn interrupts_on(&self, interrupt: u16) -> bool {
+        pub(super) fn interrupts_on(&self, interrupt: u16) -> bool {
             self.interrupts.get(&interrupt).copied().unwrap_or(false)
         }
     }

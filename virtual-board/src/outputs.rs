@@ -45,7 +45,7 @@ pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Er
         file.write_all(&bytes)
     })?;
     in_file(folder, "attitude.png", |file| {
-        plot::write(file, samples, labels)
+        plot::write(file, outcome, labels)
     })?;
     in_file(folder, "summary.json", |file| {
         serde_json::to_writer_pretty(&mut *file, &outcome.summary)?;

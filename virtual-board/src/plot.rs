@@ -1,4 +1,5 @@
-//! `attitude.png`: roll, pitch and yaw against the truth, and the inclination error, over time.
+//! `attitude.png`: roll, pitch and yaw against the truth, and the inclination error, over time. In a flight with faults
+//! these are shaded and named, and a row for each flag shows when it was set.
 //!
 //! Curves are drawn three times as large and averaged down, which smooths them; letters are drawn afterwards, sharp.
 
@@ -8,12 +9,13 @@ use aplomb::health::Flags;
 use embedded_graphics::Drawable;
 use embedded_graphics::draw_target::DrawTarget;
 use embedded_graphics::geometry::{OriginDimensions, Point, Size};
-use embedded_graphics::mono_font::ascii::{FONT_9X18, FONT_9X18_BOLD, FONT_10X20};
+use embedded_graphics::mono_font::ascii::{FONT_6X12, FONT_9X18, FONT_9X18_BOLD, FONT_10X20};
 use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
 use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
 use embedded_graphics::prelude::Pixel;
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
+use crate::flight::Outcome;
 use crate::motion::Quaternion;
 use crate::recorder::Sample;
 use crate::summary::inclination_deg;
@@ -31,6 +33,11 @@ const TOP: usize = 104;
 const BOTTOM: usize = 1215;
 const GAP: usize = 42;
 
+/// The height of a flag's row, in pixels.
+const ROW: usize = 17;
+/// The narrowest shade of a fault, in pixels of the large picture.
+const NARROWEST: f64 = 6.0;
+
 /// Half a curve's width, in pixels.
 const HALF_STROKE: f64 = 1.0;
 
@@ -39,6 +46,8 @@ const WRAP_DEG: f64 = 180.0;
 
 const BACKGROUND: Rgb888 = Rgb888::new(255, 255, 255);
 const SHADE: Rgb888 = Rgb888::new(238, 240, 244);
+const FAULT_SHADE: Rgb888 = Rgb888::new(255, 222, 214);
+const FAULT_INK: Rgb888 = Rgb888::new(165, 50, 20);
 const GRID: Rgb888 = Rgb888::new(218, 221, 226);
 const FRAME: Rgb888 = Rgb888::new(110, 116, 126);
 const INK: Rgb888 = Rgb888::new(30, 34, 42);
@@ -77,8 +86,8 @@ struct Panel {
 /// # Errors
 ///
 /// When the writer refuses.
-pub fn write(to: &mut impl Write, samples: &[Sample], labels: &Labels) -> io::Result<()> {
-    let pixels = draw(samples, labels);
+pub fn write(to: &mut impl Write, outcome: &Outcome, labels: &Labels) -> io::Result<()> {
+    let pixels = draw(outcome.samples(), &Timeline::of(outcome), labels);
     let mut encoder = png::Encoder::new(to, WIDTH as u32, HEIGHT as u32);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
@@ -88,7 +97,7 @@ pub fn write(to: &mut impl Write, samples: &[Sample], labels: &Labels) -> io::Re
 }
 
 /// The picture's pixels, row by row.
-fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
+fn draw(samples: &[Sample], timeline: &Timeline, labels: &Labels) -> Vec<u8> {
     let time_s = |sample: &Sample| sample.published_ns as f64 * 1e-9;
     let end_s = samples.last().map_or(1.0, time_s);
     let panels = panels(samples, time_s);
@@ -98,7 +107,13 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
         .map(time_s)
         .reduce(f64::max);
 
-    let height = (BOTTOM - TOP - GAP * (panels.len() - 1)) / panels.len();
+    // Beneath the panels each flag has a row of its own, if there are faults to show.
+    let rows_height = match timeline.flags.len() {
+        0 => 0,
+        rows => rows * ROW + GAP,
+    };
+    let panels_height = BOTTOM - TOP - rows_height - GAP * (panels.len() - 1);
+    let height = panels_height / panels.len();
     let places: Vec<Place> = (0..panels.len())
         .zip(&panels)
         .map(|(nth, panel)| Place {
@@ -118,6 +133,15 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
                 place.x(until_s),
                 place.y_bottom(),
                 SHADE,
+            );
+        }
+        for fault in &timeline.faults {
+            large.fill(
+                place.x(fault.start_s),
+                place.y_top(),
+                place.x(fault.end_s).max(place.x(fault.start_s) + NARROWEST),
+                place.y_bottom(),
+                FAULT_SHADE,
             );
         }
         for tick in ticks(place.time_s, decimal_step(place.time_s, 12.0)) {
@@ -142,7 +166,30 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
             large.curve(curve, place, panel.wraps);
         }
     }
+    let rows_top = BOTTOM - rows_height + GAP;
+    if let Some(place) = places.first() {
+        for (nth, (name, spans)) in timeline.flags.iter().enumerate() {
+            let top = ((rows_top + nth * ROW) * SCALE) as f64;
+            let bottom = top + ((ROW - 5) * SCALE) as f64;
+            let color = if *name == "VALID" { PITCH } else { ERROR };
+            for &(start_s, end_s) in spans {
+                large.fill(
+                    place.x(start_s),
+                    top,
+                    place.x(end_s).max(place.x(start_s) + NARROWEST / 2.0),
+                    bottom,
+                    color,
+                );
+            }
+        }
+    }
     let mut canvas = large.reduced(SCALE);
+    canvas.name_faults(timeline, &places);
+    for (nth, (name, _)) in timeline.flags.iter().enumerate() {
+        let y = rows_top + nth * ROW - 1;
+        let name = name.to_lowercase().replace('_', " ");
+        canvas.text(&name, LEFT - 8, y, &FONT_6X12, INK, Alignment::Right);
+    }
     for (nth, (panel, place)) in panels.iter().zip(&places).enumerate() {
         canvas.annotate(panel, place, nth + 1 == panels.len());
     }
@@ -176,6 +223,78 @@ fn draw(samples: &[Sample], labels: &Labels) -> Vec<u8> {
         Alignment::Center,
     );
     canvas.pixels
+}
+
+/// What went wrong, and what the firmware said of it.
+#[derive(Debug, Default)]
+struct Timeline {
+    faults: Vec<FaultSpan>,
+    /// Flags with the times at which they were set; those that last from beginning to end or never come are left out.
+    flags: Vec<(&'static str, Vec<(f64, f64)>)>,
+}
+
+#[derive(Debug)]
+struct FaultSpan {
+    start_s: f64,
+    end_s: f64,
+    name: String,
+}
+
+impl Timeline {
+    /// Empty if nothing was to go wrong.
+    fn of(outcome: &Outcome) -> Self {
+        if outcome.faults.is_empty() {
+            return Self::default();
+        }
+        let end_ns = outcome.record.last.1;
+        let faults = outcome.faults.iter().map(|fault| FaultSpan {
+            start_s: fault.start_ns as f64 * 1e-9,
+            end_s: fault.end_ns().min(end_ns) as f64 * 1e-9,
+            name: fault.kind.to_string(),
+        });
+        let samples = outcome.samples().iter();
+        let mut flags: Vec<(u64, Flags)> = samples
+            .map(|sample| (sample.published_ns, sample.snapshot.flags))
+            .chain(
+                outcome
+                    .record
+                    .stale
+                    .iter()
+                    .map(|stale| (stale.published_ns, stale.snapshot.flags)),
+            )
+            .collect();
+        flags.sort_by_key(|&(at_ns, _)| at_ns);
+        let valid_first = Flags::NAMES
+            .into_iter()
+            .filter(|&(flag, _)| flag == Flags::VALID)
+            .chain(
+                Flags::NAMES
+                    .into_iter()
+                    .filter(|&(flag, _)| flag != Flags::VALID),
+            );
+        let rows = valid_first.map(|(flag, name)| (name, spans(&flags, flag, end_ns)));
+        Self {
+            faults: faults.collect(),
+            flags: rows.filter(|(_, spans)| !spans.is_empty()).collect(),
+        }
+    }
+}
+
+/// When a flag was set, in seconds: each publication stands until the next one.
+fn spans(published: &[(u64, Flags)], flag: Flags, end_ns: u64) -> Vec<(f64, f64)> {
+    let mut spans: Vec<(f64, f64)> = Vec::new();
+    for (nth, &(at_ns, flags)) in published.iter().enumerate() {
+        if !flags.contains(flag) {
+            continue;
+        }
+        let next_ns = published.get(nth + 1).map_or(end_ns, |next| next.0);
+        let (start_s, end_s) = (at_ns as f64 * 1e-9, next_ns as f64 * 1e-9);
+        match spans.last_mut() {
+            Some(last) if last.1 == start_s => last.1 = end_s,
+            _ => spans.push((start_s, end_s)),
+        }
+    }
+    spans
 }
 
 /// The four panels.
@@ -516,6 +635,22 @@ impl Canvas {
                 curve.color,
             );
             right -= 26 + 24;
+        }
+    }
+
+    /// Writes the faults' names into the first panel, one beneath the other.
+    fn name_faults(&mut self, timeline: &Timeline, places: &[Place]) {
+        let Some(place) = places.first() else { return };
+        for (nth, fault) in timeline.faults.iter().enumerate() {
+            let x = (place.x(fault.start_s) / SCALE as f64) as usize + 3;
+            let y = place.top + 3 + nth % 5 * 13;
+            // A name near the right edge is written to the left of its fault.
+            let (x, alignment) = if x + 6 * fault.name.len() > RIGHT {
+                (x - 6, Alignment::Right)
+            } else {
+                (x, Alignment::Left)
+            };
+            self.text(&fault.name, x, y, &FONT_6X12, FAULT_INK, alignment);
         }
     }
 

@@ -10,6 +10,10 @@ const BUFFER: u64 = 4;
 const SIZE: u64 = 8;
 const WRITE_OFFSET: u64 = 12;
 const READ_OFFSET: u64 = 16;
+const FLAGS: u64 = 20;
+
+/// The up channel's mode that has the firmware wait for room in the buffer.
+const BLOCK_IF_FULL: u64 = 2;
 
 /// The identification that says that the control block has been set up.
 const IDENTIFICATION: &[u8; 10] = b"SEGGER RTT";
@@ -73,6 +77,14 @@ impl Probe {
         drop(decoder);
         self.rest.drain(..complete);
         lines
+    }
+
+    /// Asks the firmware to wait whenever the buffer is full, as probe-rs does when it attaches.
+    pub fn make_log_wait(&self, memory: &mut dyn Memory) {
+        if self.is_set_up(memory) {
+            let address = self.control_block + FIRST_UP_CHANNEL + FLAGS;
+            memory.write(address, Width::W32, BLOCK_IF_FULL).ok();
+        }
     }
 
     /// Empties the up channel's buffer, as a probe does. `None` if there is nothing yet.

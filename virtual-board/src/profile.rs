@@ -45,7 +45,12 @@ pub struct Profile {
     unexplained: u64,
     /// Whether every instruction is executed on its own.
     steps_everything: bool,
+    /// Whether only the handlers of faults are watched, and nothing is accounted for.
+    crashes_only: bool,
 }
+
+/// The exceptions of a crash: HardFault, MemManage, BusFault, UsageFault (PM0214, table 16).
+pub const CRASHES: std::ops::RangeInclusive<usize> = 3..=6;
 
 impl Default for Profile {
     fn default() -> Self {
@@ -55,6 +60,7 @@ impl Default for Profile {
             credited_at: 0,
             unexplained: 0,
             steps_everything: false,
+            crashes_only: false,
         }
     }
 }
@@ -69,10 +75,28 @@ impl Profile {
         }
     }
 
+    /// No account, except that the handlers of a crash show as having executed something: quick.
+    #[must_use]
+    pub fn crashes_only() -> Self {
+        Self {
+            crashes_only: true,
+            ..Self::default()
+        }
+    }
+
+    /// Whether instructions are accounted for.
+    #[must_use]
+    pub fn is_account(&self) -> bool {
+        !self.crashes_only
+    }
+
     /// The account when `retired` instructions had been executed altogether.
     #[must_use]
     pub fn counts(&self, retired: u64) -> Counts {
         let mut counts = self.counts;
+        if self.crashes_only {
+            return counts;
+        }
         counts[self.current] += retired.saturating_sub(self.credited_at);
         counts
     }
@@ -175,10 +199,17 @@ impl ProfiledProcessor {
     /// Puts a breakpoint on every handler, and none on what the table leaves empty.
     fn arm(&mut self) {
         self.is_armed = true;
+        let crashes_only = self
+            .profile
+            .lock()
+            .is_ok_and(|profile| profile.crashes_only);
         let mut addresses: Vec<u64> = self
             .handlers
             .iter()
             .copied()
+            .enumerate()
+            .filter(|(exception, _)| !crashes_only || CRASHES.contains(exception))
+            .map(|(_, address)| address)
             .filter(|&address| address != 0)
             .collect();
         addresses.sort_unstable();
@@ -201,6 +232,11 @@ impl ProfiledProcessor {
         };
         let retired = self.inner.retired();
         if let Ok(mut profile) = self.profile.lock() {
+            if profile.crashes_only {
+                profile.counts[exception] += u64::from(is_entry);
+                self.activations.clear();
+                return;
+            }
             profile.unexplained += u64::from(!is_explained);
             profile.switch(retired, exception);
         }
@@ -211,7 +247,7 @@ impl ProfiledProcessor {
         if self
             .profile
             .lock()
-            .is_ok_and(|profile| profile.current != self.exception())
+            .is_ok_and(|profile| !profile.crashes_only && profile.current != self.exception())
         {
             self.look(bus);
         }

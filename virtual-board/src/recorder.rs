@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::fault::{FaultClass, report};
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
 use rigless::emulator::{AccessKind, Driver, Hit, Host, Memory, Settled, Stop, Watch};
@@ -18,6 +19,7 @@ use rigless::soc::{Layout, Width};
 use rigless::time::VirtualNanos;
 
 use crate::board::Board;
+use crate::faults::{FaultKind, ScheduledFault};
 use crate::image::Firmware;
 use crate::mcu::HeardByte;
 use crate::probe::{LogLine, Probe};
@@ -43,6 +45,8 @@ pub struct Sample {
     pub snapshot: Snapshot,
     /// When, ns since power-up.
     pub published_ns: u64,
+    /// σ of the tilt that the firmware gave with it, in rad, if it gives one.
+    pub tilt_sigma_rad: Option<f64>,
     /// The burst that the bus had delivered last.
     pub burst: Burst,
     /// The edge that announced the burst's data, with the true motion at that instant.
@@ -84,6 +88,8 @@ impl Observer for Nobody {}
 pub struct Record {
     /// Published samples, in order.
     pub samples: Vec<Sample>,
+    /// What was published without a sample, in order, and when (ns since power-up).
+    pub stale: Vec<StaleSnapshot>,
     /// Data-ready edges, in order.
     pub edges: Vec<DataReady>,
     /// The firmware's log, as the probe read it.
@@ -98,12 +104,46 @@ pub struct Record {
     pub instructions: Vec<u64>,
     /// How much of the stack was ever written, in bytes.
     pub stack_bytes_used: u64,
+    /// What the firmware has counted, whenever that changed.
+    pub health: Vec<HealthReading>,
+    /// Until when the sensor could not acknowledge after its supply had come back, ns; one for each time.
+    pub sensor_ready_ns: Vec<u64>,
+    /// When the processor was reset, ns.
+    pub resets_ns: Vec<u64>,
+}
+
+/// A snapshot that the firmware published because no sample had come.
+#[derive(Clone, Copy, Debug)]
+pub struct StaleSnapshot {
+    /// What the firmware published.
+    pub snapshot: Snapshot,
+    /// When, ns since power-up.
+    pub published_ns: u64,
+    /// σ of the tilt that the firmware gave with it, in rad, if it gives one.
+    pub tilt_sigma_rad: Option<f64>,
+}
+
+/// What the firmware says of its own health at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HealthReading {
+    /// When it was read, ns since power-up.
+    pub at_ns: u64,
+    /// The cause of the last reset, by the firmware's number.
+    pub reset_cause: u32,
+    /// How often each class of faults has been seen, by the firmware's number of the class.
+    pub counters: [u32; FaultClass::COUNT],
 }
 
 /// Notes a run.
 pub struct Recorder {
     end_ns: u64,
     snapshot: u64,
+    /// Where the firmware's report of its health is, if it has one.
+    health: Option<u64>,
+    /// The faults of the debug probe.
+    detachments: Vec<ScheduledFault>,
+    is_detached: bool,
+    is_held: bool,
     stack: std::ops::Range<u64>,
     probe: Option<Probe>,
     observer: Box<dyn Observer>,
@@ -127,12 +167,18 @@ impl Recorder {
         end_ns: u64,
         probe: Option<Probe>,
         timer_starts_at: Option<u32>,
+        faults: &[ScheduledFault],
         profile: Arc<Mutex<Profile>>,
         observer: Box<dyn Observer>,
     ) -> Self {
+        let detaches = |fault: &&ScheduledFault| fault.kind == FaultKind::ProbeDetach;
         Self {
             end_ns,
             snapshot: firmware.snapshot,
+            health: firmware.health,
+            detachments: faults.iter().filter(detaches).copied().collect(),
+            is_detached: false,
+            is_held: false,
             stack: firmware.stack.clone(),
             probe,
             observer,
@@ -175,8 +221,12 @@ impl Recorder {
 
     /// Credits the work since the last edge to the sample published in the meantime.
     fn close_window(&mut self, retired: u64) {
-        let (Some((before, published)), Some(attitude)) = (self.window.take(), self.attitude)
-        else {
+        let is_account = self
+            .profile
+            .lock()
+            .is_ok_and(|profile| profile.is_account());
+        let attitude = self.attitude.filter(|_| is_account);
+        let (Some((before, published)), Some(attitude)) = (self.window.take(), attitude) else {
             return;
         };
         let now = self.counts(retired);
@@ -196,8 +246,22 @@ impl Recorder {
     /// The firmware has counted its published sequence up.
     fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
         self.follow_sensor(session, hit.instruction_count);
-        let (Some(snapshot), Some(burst)) = (read_snapshot(host, self.snapshot), self.last_burst)
-        else {
+        // Start-up code clears the count.
+        let is_published =
+            Memory::read(host, self.snapshot + SEQUENCE, Width::W32).unwrap_or(0) != 0;
+        let (true, Some(snapshot)) = (is_published, read_snapshot(host, self.snapshot)) else {
+            return;
+        };
+        let tilt_sigma_rad = self.read_tilt_sigma(host);
+        if snapshot.flags.contains(Flags::STALE) {
+            self.record.stale.push(StaleSnapshot {
+                snapshot,
+                published_ns: hit.at.0,
+                tilt_sigma_rad,
+            });
+            return;
+        }
+        let Some(burst) = self.last_burst else {
             return;
         };
         self.attitude = self.profile.lock().ok().map(|profile| profile.current());
@@ -215,6 +279,7 @@ impl Recorder {
         self.record.samples.push(Sample {
             snapshot,
             published_ns: hit.at.0,
+            tilt_sigma_rad,
             burst,
             edge,
             true_t_us: edge.and_then(|edge| self.timer.microseconds(edge.time_ns)),
@@ -223,12 +288,70 @@ impl Recorder {
         });
     }
 
+    fn read_tilt_sigma(&self, host: &mut dyn Host) -> Option<f64> {
+        let address = self.health? + report::TILT_VARIANCE as u64;
+        let bits = u32::try_from(Memory::read(host, address, Width::W32).ok()?).ok()?;
+        Some(f64::from(f32::from_bits(bits)).sqrt())
+    }
+
+    /// Notes what the firmware has counted, if that has changed.
+    fn read_health(&mut self, host: &mut dyn Host, now_ns: u64) -> Option<()> {
+        let health = self.health?;
+        let mut word = |offset: usize| {
+            let value = Memory::read(host, health + offset as u64, Width::W32).ok()?;
+            u32::try_from(value).ok()
+        };
+        let mut reading = HealthReading {
+            at_ns: now_ns,
+            reset_cause: word(report::RESET_CAUSE)?,
+            counters: [0; FaultClass::COUNT],
+        };
+        for (number, counter) in reading.counters.iter_mut().enumerate() {
+            *counter = word(report::COUNTERS + 4 * number)?;
+        }
+        let is_new = |last: &HealthReading| {
+            (last.reset_cause, last.counters) != (reading.reset_cause, reading.counters)
+        };
+        if self.record.health.last().is_none_or(is_new) {
+            self.record.health.push(reading);
+        }
+        Some(())
+    }
+
+    /// What the faults of the debug probe and of the core do now, and whether the processor has been reset.
+    fn follow_faults(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
+        let resets = session.resets();
+        if resets.len() > self.record.resets_ns.len() {
+            self.record.resets_ns = resets.iter().map(|reset| reset.at.0).collect();
+            self.timer.zero_ns = None;
+            self.window = None;
+        }
+        let is_held = session.board_mut().controller.is_core_held(now_ns);
+        if is_held != self.is_held {
+            self.is_held = is_held;
+            host.hold(is_held);
+        }
+        let is_detached = self.detachments.iter().any(|fault| fault.lasts(now_ns));
+        if is_detached != self.is_detached {
+            self.is_detached = is_detached;
+            if let Some(probe) = self.probe.as_ref().filter(|_| is_detached) {
+                probe.make_log_wait(host);
+            }
+        }
+        if let Some(ready_ns) = session.board_mut().controller.sensor().ready_at_ns()
+            && self.record.sensor_ready_ns.last() != Some(&ready_ns)
+        {
+            self.record.sensor_ready_ns.push(ready_ns);
+        }
+    }
+
     /// Takes the firmware's outputs and tells the observer.
     fn serve(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
+        self.read_health(host, now_ns);
         self.record
             .heard
             .append(&mut session.board_mut().controller.terminal().take());
-        if let Some(probe) = &mut self.probe {
+        if let Some(probe) = self.probe.as_mut().filter(|_| !self.is_detached) {
             for line in probe.drain(host, now_ns) {
                 self.observer.log(&line);
                 self.record.log.push(line);
@@ -273,6 +396,7 @@ impl Driver<Board> for Recorder {
             }
             Settled::Hit(hit) => self.published(session, host, hit),
             Settled::Stop(stop) => {
+                self.follow_faults(session, host, stop.at.0);
                 self.follow_sensor(session, stop.instruction_count);
                 if stop.at.0 >= self.next_service_ns {
                     self.serve(session, host, stop.at.0);
@@ -360,7 +484,7 @@ fn read_snapshot(memory: &mut dyn Host, address: u64) -> Option<Snapshot> {
         z: float(20)?,
     };
     let body_rates_rad_s = Vector3::new(float(24)?, float(28)?, float(32)?);
-    let flags = Flags::from_bits((word(36)? & 0xFFFF) as u16);
+    let flags = Flags::from_bits(word(36)?);
     Some(Snapshot {
         t_us,
         attitude,

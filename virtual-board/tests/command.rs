@@ -143,3 +143,64 @@ fn a_file_that_is_no_image_is_refused() {
     assert!(!refused.status.success());
     assert!(!String::from_utf8_lossy(&refused.stderr).is_empty());
 }
+
+/// What `fly` says to this `--faults`, which it refuses before anything runs.
+fn refusal_of_faults(argument: &str) -> String {
+    let output = folder("refused-faults").join("output");
+    let refused = fly(&["--faults", argument, "--output", output.to_str().unwrap()]);
+    assert!(!refused.status.success());
+    assert!(!output.exists());
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!message.contains("flown"), "{message}");
+    message
+}
+
+#[test]
+fn a_schedule_of_faults_that_is_not_understood_is_refused_with_line_and_reason() {
+    let file = folder("refused-faults").join("bad.txt");
+    fs::write(&file, "1 0.1 frozen\n2 0.1 melted\n").unwrap();
+    let message = refusal_of_faults(file.to_str().unwrap());
+    assert!(
+        message.contains("bad.txt, line 2: there is no fault `melted`; there are address-nack, "),
+        "{message}"
+    );
+    let message = refusal_of_faults("seed:x");
+    assert!(message.contains("such as seed:7"), "{message}");
+    assert!(refusal_of_faults("/no/such/file").contains("/no/such/file"));
+}
+
+#[test]
+fn a_campaign_shows_its_table_and_fails_if_a_flight_does() {
+    // What is no firmware fails every flight.
+    let file = folder("campaign").join("no.elf");
+    fs::write(&file, "no firmware").unwrap();
+    let campaign = |elf: &Path, runs: &str| {
+        Command::new(env!("CARGO_BIN_EXE_virtual-board"))
+            .args([
+                "faults", "--seed", "21", "--jobs", "2", "--runs", runs, "--elf",
+            ])
+            .arg(elf)
+            .output()
+            .unwrap()
+    };
+    let failed = campaign(&file, "3");
+    let text = String::from_utf8_lossy(&failed.stdout).into_owned();
+    assert!(!failed.status.success());
+    assert!(
+        text.contains("3 flights from seed 21 on") && text.contains("3 failed"),
+        "{text}"
+    );
+    assert!(
+        text.contains("again: cargo xtask faults --runs 1 --seed 22"),
+        "{text}"
+    );
+    let passed = campaign(&firmware(), "2");
+    let text = String::from_utf8_lossy(&passed.stdout).into_owned();
+    assert!(passed.status.success(), "{text}");
+    assert!(
+        text.contains("worst recovery ms") && text.contains(", 0 failed"),
+        "{text}"
+    );
+    let rows = text.lines().filter(|line| line.starts_with("uart-"));
+    assert_eq!(rows.count(), 2, "{text}");
+}

@@ -23,7 +23,7 @@ fn fly(run: Run) -> Outcome {
 }
 
 /// All of a snapshot, as bits.
-fn bits(snapshot: &Snapshot) -> (u64, [u32; 7], u16) {
+fn bits(snapshot: &Snapshot) -> (u64, [u32; 7], u32) {
     let (attitude, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
     let floats = [
         attitude.w, attitude.x, attitude.y, attitude.z, rates.x, rates.y, rates.z,

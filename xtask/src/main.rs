@@ -3,6 +3,8 @@
 mod agree;
 mod build;
 mod cost;
+mod faults;
+mod panics;
 mod setup;
 mod size;
 mod step;
@@ -18,6 +20,9 @@ usage: cargo xtask COMMAND
 
   fly [--log FILE] [--mount M] [--seconds S] [--seed N] [--board B] [--output DIR]
                       fly the firmware on the virtual board (`cargo xtask fly --help` says more)
+                      --faults FILE|seed:N lets things go wrong
+  faults [--runs N] [--seed S] [--jobs J]
+                      fly many times with faults by chance, and check what must hold (`--help` says more)
   test                run every check and test
   agree               board, replay and QEMU say the same of the same bursts; a part of `test`
   size [--board B]    flash, RAM and the largest symbols of the firmware
@@ -42,6 +47,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
     let (command, rest) = arguments.split_first().ok_or(USAGE)?;
     match command.as_str() {
         "fly" => fly(rest),
+        "faults" => faults::run(rest),
         "test" => no_more(rest).and_then(|()| test::run()),
         "agree" => no_more(rest).and_then(|()| agree::build_and_run()),
         "size" => size::run(board_alone(rest)?),

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{agree, cost, size, step};
+use crate::{agree, cost, faults, panics, size, step};
 
 /// Runs all of it.
 pub fn run() -> Result<(), String> {
@@ -46,10 +46,11 @@ pub fn run() -> Result<(), String> {
             .map(|board| board.feature())
             .iter()
             .map(String::as_str)
-            .chain(["qemu", "cost"])
+            .chain(["qemu", "cost", "proof"])
         {
             let bin = match features {
                 "qemu" | "cost" => features,
+                "proof" => "no_panic",
                 _ => "flight",
             };
             step::run(toolchain.cargo("clippy").args([
@@ -75,10 +76,14 @@ pub fn run() -> Result<(), String> {
             "warnings",
         ]))
     })?;
+    step::timed("nothing in the library panics", || {
+        panics::prove_library(&toolchain)
+    })?;
     let mut images = Vec::new();
     for board in BOARDS {
         let elf = Firmware { board, mount: None }.build(&toolchain)?;
         let sizes = size::check(&elf)?;
+        panics::check(&elf)?;
         eprintln!("   {} bytes of flash, {} of RAM", sizes.flash, sizes.ram);
         images.push((board, elf));
     }
@@ -93,6 +98,9 @@ pub fn run() -> Result<(), String> {
         }
         test.env("APLOMB_FLIGHT_ELF", &images[0].1);
         step::run(&mut test)
+    })?;
+    step::timed("flights with faults by chance", || {
+        faults::short(&virtual_board, &images[0].1)
     })?;
     agree::run(&toolchain, &virtual_board, &images[0].1)?;
     cost::run()?;

@@ -127,6 +127,8 @@ pub struct Kalman {
     delay_s: f32,
     is_armed: bool,
     has_tilt: bool,
+    /// Above zero if the first sample finds an attitude to go on from: its tilt's variance, rad².
+    resumed_tilt_variance: f32,
     /// A covariance step is due or under way.
     has_work: bool,
     is_bias_known: bool,
@@ -142,6 +144,20 @@ pub struct Kalman {
     mean_force_m_s2: Vector3,
     /// Which bias was last measured at rest.
     next_axis: usize,
+}
+
+/// What an earlier run knew.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Known {
+    /// Body to earth.
+    pub attitude: Quaternion,
+    /// σ of its tilt per axis, rad.
+    pub tilt_sigma_rad: f32,
+    /// The gyroscope's bias in body axes, rad/s.
+    pub bias_rad_s: Vector3,
+    /// σ of the bias per axis, rad/s.
+    pub bias_sigma_rad_s: f32,
 }
 
 /// Sums since the last covariance step began.
@@ -236,6 +252,7 @@ impl Kalman {
             delay_s: 0.0,
             is_armed: false,
             has_tilt: false,
+            resumed_tilt_variance: 0.0,
             has_work: false,
             is_bias_known: false,
             mean: Mean::new(),
@@ -293,8 +310,14 @@ impl Kalman {
         if !self.has_tilt {
             self.step.covariance = start_covariance(tuning, &self.bias_prior);
         }
-        self.forget_motion(square(tuning.start_tilt_rad));
-        if shows_gravity {
+        let resumed = core::mem::take(&mut self.resumed_tilt_variance);
+        if resumed > 0.0 {
+            self.forget_motion(resumed);
+            self.has_tilt = true;
+        } else {
+            self.forget_motion(square(tuning.start_tilt_rad));
+        }
+        if shows_gravity && resumed <= 0.0 {
             let down = -sample.specific_force_m_s2;
             self.mean.attitude = self.mean.attitude.with_down(down);
             self.has_tilt = true;
@@ -310,6 +333,7 @@ impl Kalman {
         state.number(&mut self.delay_s);
         state.truth(&mut self.is_armed);
         state.truth(&mut self.has_tilt);
+        state.number(&mut self.resumed_tilt_variance);
         state.truth(&mut self.has_work);
         state.truth(&mut self.is_bias_known);
         self.mean.exchange(state);
@@ -382,10 +406,48 @@ impl Kalman {
 
     /// σ of the direction of down, rad: the root of the sum of both tilt variances.
     pub fn tilt_sigma_rad(&self) -> f32 {
-        TOLD_SIGMA
-            * sigma(
-                self.step.covariance.moving_variance(0) + self.step.covariance.moving_variance(1),
-            )
+        sigma(self.tilt_variance_rad2())
+    }
+
+    /// The square of [`tilt_sigma_rad`](Self::tilt_sigma_rad), rad². What the next covariance step will
+    /// add for missing samples and full-scale readings counts at once.
+    #[inline]
+    pub fn tilt_variance_rad2(&self) -> f32 {
+        TOLD_SIGMA * TOLD_SIGMA * self.doubled_tilt_variance()
+    }
+
+    /// The sum of both tilt variances of the covariance, rad².
+    #[inline]
+    fn doubled_tilt_variance(&self) -> f32 {
+        self.step.covariance.moving_variance(0)
+            + self.step.covariance.moving_variance(1)
+            + 2.0 * self.interval.tilt_variance
+    }
+
+    /// Whether a specific force has shown where down is.
+    pub const fn has_tilt(&self) -> bool {
+        self.has_tilt
+    }
+
+    /// Adds so much variance per axis to the tilt, rad²: what the motion did that no sample shows.
+    pub fn doubt_tilt(&mut self, variance: f32) {
+        self.interval.tilt_variance += variance;
+    }
+
+    /// Doubts what the last samples have said: adds so much variance per axis to the tilt, rad², and
+    /// forgets the velocity, which wrong samples spoil at once.
+    pub fn doubt_motion(&mut self, variance: f32) {
+        let tilt_variance = 0.5 * self.doubled_tilt_variance();
+        self.forget_motion(tilt_variance + variance);
+    }
+
+    /// Goes on from what an earlier run knew, instead of taking the tilt from the first sample: call it
+    /// before that. The bias is as in [`set_bias`](Self::set_bias), σ of the tilt is per axis, rad.
+    pub fn resume(&mut self, known: &Known) {
+        self.set_bias(known.bias_rad_s, known.bias_sigma_rad_s);
+        self.mean.attitude = known.attitude;
+        self.resumed_tilt_variance = square(known.tilt_sigma_rad);
+        self.is_bias_known = known.bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
     }
 
     /// The acceleration of the body without gravity, m/s² in body axes.

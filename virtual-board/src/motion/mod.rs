@@ -3,7 +3,8 @@
 //! - [`quadrotor`]: a simulated flight with physics, by seed;
 //! - [`recording`]: a recorded log, led in by rest and a smooth turn into its first pose;
 //! - [`poses`]: a body that is laid down in one pose after the other, as a calibration asks for it;
-//! - [`rest`]: a body that stands still, or is nudged once: for tests with closed-form answers.
+//! - [`rest`]: a body that stands still, or is nudged once: for tests with closed-form answers;
+//! - [`swing`]: a body that swings to and fro, and motions that begin later: for short flights.
 //!
 //! Everything here is in double precision and shares no code with the library that is being judged.
 
@@ -17,6 +18,7 @@ pub mod quadrotor;
 pub mod recording;
 pub mod rest;
 pub mod route;
+pub mod swing;
 pub mod truth;
 pub mod turn;
 pub mod wind;

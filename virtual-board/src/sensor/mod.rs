@@ -29,4 +29,4 @@ pub use bus::Burst;
 pub use clock::ClockErrors;
 pub use errors::SensorErrors;
 pub use interrupt::PinLevel;
-pub use model::{DataReady, Sensor, SensorConfig};
+pub use model::{DataReady, OutputFault, Sensor, SensorConfig};

@@ -9,7 +9,7 @@ use super::clock::{ClockErrors, SampleClock, TICKS_PER_SECOND};
 use super::errors::SensorErrors;
 use super::identity::Identity;
 use super::interrupt::{Interrupt, PinLevel};
-use super::registers::{RegisterFile, address, writable_bits};
+use super::registers::{DATA_LENGTH, RegisterFile, address, writable_bits};
 use super::signal_path::{Settings, SignalPath};
 use crate::motion::{Motion, Mount, Truth};
 use crate::random::Random;
@@ -98,6 +98,19 @@ pub struct DataReady {
     pub truth: Truth,
 }
 
+/// What is wrong with the data registers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OutputFault {
+    /// They keep their values.
+    Frozen,
+    /// They all read this.
+    All(u8),
+    /// This axis reads positive full scale: 0 to 2 are the accelerometer's, 3 to 5 the gyroscope's.
+    FullScale(usize),
+    /// The temperature reads this, in °C.
+    Temperature(f64),
+}
+
 /// A modelled chip.
 pub struct Sensor {
     config: SensorConfig,
@@ -120,6 +133,7 @@ pub struct Sensor {
     edges: Vec<DataReady>,
     edge_count: u64,
     bursts: Vec<Burst>,
+    output_faults: Vec<OutputFault>,
 }
 
 impl Sensor {
@@ -150,6 +164,7 @@ impl Sensor {
             edges: Vec::new(),
             edge_count: 0,
             bursts: Vec::new(),
+            output_faults: Vec::new(),
             config,
         };
         sensor.power_up(0);
@@ -244,6 +259,43 @@ impl Sensor {
             .min()
     }
 
+    /// The time that the chip has been brought up to, ns since power-up.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+
+    /// Until when the registers cannot be used; `None` if they can.
+    #[must_use]
+    pub fn ready_at_ns(&self) -> Option<u64> {
+        self.ready_at_ns
+    }
+
+    /// The value of a register, as a look inside the chip shows it.
+    #[must_use]
+    pub fn register(&self, register: u8) -> u8 {
+        self.read_register(register)
+    }
+
+    /// A register changes by itself: of its bits those that hold something (a reset is not among them).
+    pub fn corrupt_register(&mut self, now_ns: u64, register: u8, value: u8) {
+        self.advance_to(now_ns);
+        let is_trigger = register == address::PWR_MGMT_1;
+        self.write_register(
+            register,
+            if is_trigger {
+                value & !DEVICE_RESET
+            } else {
+                value
+            },
+        );
+    }
+
+    /// What is wrong with the data registers, from the next sample on.
+    pub fn set_output_faults(&mut self, faults: Vec<OutputFault>) {
+        self.output_faults = faults;
+    }
+
     /// Brings the chip up to `now_ns`.
     pub fn advance_to(&mut self, now_ns: u64) {
         if let Some(ready_at_ns) = self
@@ -311,6 +363,7 @@ impl Sensor {
 
     /// Puts a sample into the data registers and raises the interrupt.
     fn publish(&mut self, truth: Truth) {
+        let before = self.internal.bytes;
         let counts = self.path.counts();
         let standby = self.registers.get(address::PWR_MGMT_2);
         // STBY_XA is bit 5, STBY_ZG bit 0. What does not measure keeps its last value.
@@ -325,6 +378,7 @@ impl Sensor {
         if self.registers.get(address::PWR_MGMT_1) & TEMPERATURE_DISABLE == 0 {
             self.internal.put(6, counts.temperature);
         }
+        self.spoil_output(before);
         self.internal.edge = None;
         if self.registers.get(address::INT_ENABLE) & DATA_READY != 0
             && self.interrupt.raise(self.now_ns)
@@ -339,6 +393,26 @@ impl Sensor {
         }
         if !self.bus.busy {
             self.visible = self.internal;
+        }
+    }
+
+    /// What the output faults make of the data registers, which held `before` until now.
+    fn spoil_output(&mut self, before: [u8; DATA_LENGTH]) {
+        for fault in &self.output_faults {
+            match *fault {
+                OutputFault::Frozen => self.internal.bytes = before,
+                OutputFault::All(byte) => self.internal.bytes = [byte; DATA_LENGTH],
+                // The temperature lies between the two sensors.
+                OutputFault::FullScale(axis) => {
+                    let place = if axis < 3 { axis } else { axis + 1 };
+                    self.internal.put(2 * place, i16::MAX);
+                }
+                OutputFault::Temperature(celsius) => {
+                    let warmer = celsius - self.identity.temperature_zero_c;
+                    let counts = (warmer * self.identity.temperature_lsb_per_c).round();
+                    self.internal.put(6, counts as i16);
+                }
+            }
         }
     }
 

@@ -1,0 +1,56 @@
+//! Hard faults, panics and a used-up stack: noted in RAM that outlives the reset, and then the reset.
+//!
+//! Every fault of the core ends in HardFault, since no other handler is enabled; a panic gets there by
+//! an undefined instruction. The stack lies below all variables, so an overflow faults at the start of
+//! RAM, when there is no room left for a handler's own frame: the entry below takes the whole stack anew
+//! before it calls anything.
+
+use core::arch::global_asm;
+
+use cortex_m::peripheral::SCB;
+
+use super::retained;
+use crate::fault::FaultClass;
+
+unsafe extern "C" {
+    /// The lowest address of the stack (memory.x).
+    static _stack_end: u32;
+}
+
+// Where the processor goes on a hard fault, in place of cortex-m-rt's endless loop.
+global_asm!(
+    ".section .HardFault.aplomb, \"ax\"",
+    ".global HardFault",
+    ".type HardFault, %function",
+    ".thumb_func",
+    "HardFault:",
+    "mov r0, sp",
+    "ldr r1, =_stack_start",
+    "mov sp, r1",
+    "bl {note_and_reset}",
+    "udf #0",
+    ".size HardFault, . - HardFault",
+    note_and_reset = sym note_and_reset,
+);
+
+/// CFSR: stacking failed, of the memory protection unit or of the bus (PM0214, 4.4.15).
+const STACKING_FAILED: u32 = 1 << 4 | 1 << 12;
+/// Place of the program counter in the frame that the processor pushes (PM0214, 2.3.7).
+const PROGRAM_COUNTER: usize = 6;
+
+/// Notes where it happened and resets. `frame` is what the processor pushed, if it could.
+extern "C" fn note_and_reset(frame: *const u32) -> ! {
+    let bottom = &raw const _stack_end;
+    // SAFETY: reading the fault status has no side effect, and nothing else runs any more.
+    let status = unsafe { (*SCB::PTR).cfsr.read() };
+    let is_overflow = frame < bottom || status & STACKING_FAILED != 0;
+    let (class, address) = if is_overflow {
+        (FaultClass::StackOverflow, 0)
+    } else {
+        // SAFETY: the frame lies in the stack, where the processor has just pushed its eight words.
+        let address = unsafe { frame.add(PROGRAM_COUNTER).read_volatile() };
+        (FaultClass::Crash, address)
+    };
+    retained::note_crash(class, address);
+    SCB::sys_reset()
+}

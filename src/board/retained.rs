@@ -1,0 +1,270 @@
+//! What outlives a reset: the counters of faults, the cause of the last reset, and what the filter knew.
+//!
+//! It lies in RAM that start-up does not clear (`.uninit`). A check word says whether it is from an
+//! earlier run or what RAM holds by chance after power came. A debugger finds the first part under the
+//! symbol `APLOMB_HEALTH`, laid out as `fault::report` says.
+
+use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
+
+use stm32f4xx_hal::pac::{RCC, rcc};
+
+use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::kalman::Known;
+use crate::fault::{FaultClass, ResetCause, report};
+use crate::health::UNSEEN_RATE_RAD_S;
+
+/// The counters and what goes with them, as `fault::report` says.
+#[repr(C)]
+struct Report {
+    version: AtomicU32,
+    tilt_variance: AtomicU32,
+    reset_cause: AtomicU32,
+    last_fault: AtomicU32,
+    starts: AtomicU32,
+    crash_address: AtomicU32,
+    counters: [AtomicU32; FaultClass::COUNT],
+    check: AtomicU32,
+}
+
+const _: () = assert!(core::mem::offset_of!(Report, tilt_variance) == report::TILT_VARIANCE);
+const _: () = assert!(core::mem::offset_of!(Report, reset_cause) == report::RESET_CAUSE);
+const _: () = assert!(core::mem::offset_of!(Report, last_fault) == report::LAST_FAULT);
+const _: () = assert!(core::mem::offset_of!(Report, starts) == report::STARTS);
+const _: () = assert!(core::mem::offset_of!(Report, crash_address) == report::CRASH_ADDRESS);
+const _: () = assert!(core::mem::offset_of!(Report, counters) == report::COUNTERS);
+const _: () = assert!(core::mem::offset_of!(Report, check) == report::LENGTH);
+
+// Nothing here relies on the initial value: start-up leaves this section alone.
+#[unsafe(no_mangle)]
+#[unsafe(link_section = ".uninit.APLOMB_HEALTH")]
+static APLOMB_HEALTH: Report = Report {
+    version: AtomicU32::new(0),
+    tilt_variance: AtomicU32::new(0),
+    reset_cause: AtomicU32::new(0),
+    last_fault: AtomicU32::new(0),
+    starts: AtomicU32::new(0),
+    crash_address: AtomicU32::new(0),
+    counters: [const { AtomicU32::new(0) }; FaultClass::COUNT],
+    check: AtomicU32::new(0),
+};
+
+/// Changes with the layout, so that another version's report is not taken for this one's.
+const CHECK: u32 = 0x4150_4C4D ^ (report::LENGTH as u32) << 8;
+
+/// What the filter knew, in two copies that are written in turn: a reset in the middle of one leaves
+/// the other.
+#[unsafe(link_section = ".uninit.APLOMB_KNOWN")]
+static KNOWN: [Words; 2] = [const { Words::EMPTY }; 2];
+
+/// Which copy was written last.
+static NEWEST: AtomicU8 = AtomicU8::new(0);
+
+/// Quaternion, bias, both σ; then their number and their sum.
+struct Words([AtomicU32; LENGTH]);
+
+const NUMBERS: usize = 9;
+const LENGTH: usize = NUMBERS + 2;
+
+impl Words {
+    const EMPTY: Self = Self([const { AtomicU32::new(0) }; LENGTH]);
+}
+
+/// The last snapshot's attitude may be as old as this when a warm start goes on from it, in seconds: the
+/// watchdog's limit, the time between two savings and the start itself.
+const LONGEST_AGE_S: f32 = 0.5;
+
+/// How much a bias is trusted after a reset, at least, in rad/s: 0.2 °/s.
+const BIAS_SIGMA_RAD_S: f32 = 3.5e-3;
+
+/// What start-up found.
+#[derive(Clone, Copy)]
+pub struct Start {
+    /// What reset the processor.
+    pub cause: ResetCause,
+    /// The last fault before it, if RAM has outlived it.
+    pub last_fault: Option<FaultClass>,
+    /// How often the firmware has started since power came, this time included.
+    pub starts: u32,
+    /// Where it crashed, if it did.
+    pub crash_address: u32,
+    /// What the filter knew, if RAM has outlived the reset and it was a reset in flight.
+    pub known: Option<Known>,
+}
+
+/// Reads the cause of the reset and what is left of the run before. Once, in init, before any interrupt.
+pub fn start(rcc: &rcc::RegisterBlock) -> Start {
+    let status = rcc.csr().read();
+    rcc.csr().modify(|_, w| w.rmvf().set_bit());
+    // The reset pin is pulled by every other cause too (RM0090, 6.1.1).
+    let cause = if status.wdgrstf().bit() || status.wwdgrstf().bit() {
+        ResetCause::Watchdog
+    } else if status.sftrstf().bit() {
+        ResetCause::Software
+    } else if status.porrstf().bit() || status.borrstf().bit() {
+        ResetCause::Power
+    } else if status.padrstf().bit() {
+        ResetCause::Pin
+    } else {
+        ResetCause::Other
+    };
+    let report = &APLOMB_HEALTH;
+    let is_kept = report.check.load(Ordering::Relaxed) == CHECK && cause != ResetCause::Power;
+    if !is_kept {
+        for word in [&report.starts, &report.crash_address] {
+            word.store(0, Ordering::Relaxed);
+        }
+        report.last_fault.store(report::NO_FAULT, Ordering::Relaxed);
+        for counter in &report.counters {
+            counter.store(0, Ordering::Relaxed);
+        }
+        for copy in &KNOWN {
+            copy.spoil();
+        }
+        report.check.store(CHECK, Ordering::Relaxed);
+    }
+    report.version.store(report::VERSION, Ordering::Relaxed);
+    report
+        .tilt_variance
+        .store(f32::INFINITY.to_bits(), Ordering::Relaxed);
+    report.reset_cause.store(cause as u32, Ordering::Relaxed);
+    let starts = report.starts.load(Ordering::Relaxed).wrapping_add(1);
+    report.starts.store(starts, Ordering::Relaxed);
+    let last_fault = FaultClass::from_number(report.last_fault.load(Ordering::Relaxed));
+    if cause == ResetCause::Watchdog {
+        count(FaultClass::Watchdog);
+    }
+    let known = (is_kept && cause.is_warm())
+        .then(|| KNOWN.iter().filter_map(Words::read).max_by_key(|(n, _)| *n))
+        .flatten()
+        .map(|(_, known)| known);
+    for copy in &KNOWN {
+        copy.spoil();
+    }
+    Start {
+        cause,
+        last_fault,
+        starts,
+        crash_address: report.crash_address.swap(0, Ordering::Relaxed),
+        known,
+    }
+}
+
+/// Counts a fault. From any priority.
+#[inline(never)]
+pub fn count(class: FaultClass) {
+    if let Some(counter) = APLOMB_HEALTH.counters.get(class as usize) {
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+    APLOMB_HEALTH
+        .last_fault
+        .store(class as u32, Ordering::Relaxed);
+}
+
+/// How often this fault has been seen since power came.
+pub fn counted(class: FaultClass) -> u32 {
+    APLOMB_HEALTH
+        .counters
+        .get(class as usize)
+        .map_or(0, |counter| counter.load(Ordering::Relaxed))
+}
+
+/// Notes a crash for the next start.
+pub fn note_crash(class: FaultClass, address: u32) {
+    count(class);
+    APLOMB_HEALTH
+        .crash_address
+        .store(address, Ordering::Relaxed);
+}
+
+/// Shows the variance of the tilt of the snapshot that is published next, rad².
+#[inline(always)]
+pub fn show_variance(tilt_variance: f32) {
+    APLOMB_HEALTH
+        .tilt_variance
+        .store(tilt_variance.to_bits(), Ordering::Relaxed);
+}
+
+/// Keeps what the filter knows for a start after a reset. Only the attitude task calls this.
+#[inline(never)]
+pub fn keep(known: &Known) {
+    let newest = NEWEST.load(Ordering::Relaxed);
+    let [first, second] = &KNOWN;
+    let (next, last) = if newest == 0 {
+        (second, first)
+    } else {
+        (first, second)
+    };
+    next.write(last.number().wrapping_add(1), known);
+    NEWEST.store(newest ^ 1, Ordering::Relaxed);
+}
+
+impl Words {
+    fn spoil(&self) {
+        let [.., sum] = &self.0;
+        sum.store(!self.sum(), Ordering::Relaxed);
+    }
+
+    fn number(&self) -> u32 {
+        let [.., number, _] = &self.0;
+        number.load(Ordering::Relaxed)
+    }
+
+    fn sum(&self) -> u32 {
+        let [words @ .., _] = &self.0;
+        words.iter().fold(CHECK, |sum, word| {
+            sum.rotate_left(5) ^ word.load(Ordering::Relaxed)
+        })
+    }
+
+    fn write(&self, number: u32, known: &Known) {
+        let Known {
+            attitude: q,
+            tilt_sigma_rad,
+            bias_rad_s: b,
+            bias_sigma_rad_s,
+        } = known;
+        self.spoil();
+        let numbers = [
+            q.w,
+            q.x,
+            q.y,
+            q.z,
+            b.x,
+            b.y,
+            b.z,
+            *tilt_sigma_rad,
+            *bias_sigma_rad_s,
+        ];
+        let words = numbers.map(f32::to_bits).into_iter().chain([number]);
+        for (place, word) in self.0.iter().zip(words) {
+            place.store(word, Ordering::Relaxed);
+        }
+        let [.., sum] = &self.0;
+        sum.store(self.sum(), Ordering::Release);
+    }
+
+    /// The number and the contents, with the σ that they have by now.
+    fn read(&self) -> Option<(u32, Known)> {
+        let [.., sum] = &self.0;
+        if sum.load(Ordering::Acquire) != self.sum() {
+            return None;
+        }
+        let [w, x, y, z, bx, by, bz, tilt, bias, number, _] = &self.0;
+        let float = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
+        let known = Known {
+            attitude: Quaternion::new(float(w), float(x), float(y), float(z)),
+            tilt_sigma_rad: float(tilt) + UNSEEN_RATE_RAD_S * LONGEST_AGE_S,
+            bias_rad_s: Vector3::new(float(bx), float(by), float(bz)),
+            bias_sigma_rad_s: float(bias).max(BIAS_SIGMA_RAD_S),
+        };
+        let q = known.attitude;
+        let is_rotation = (q.dot(q) - 1.0).abs() < 0.01;
+        is_rotation.then(|| (number.load(Ordering::Relaxed), known))
+    }
+}
+
+/// The register block that [`start`] reads, for whoever has not got it.
+pub fn reset_status() -> &'static rcc::RegisterBlock {
+    // SAFETY: init calls this before it hands the peripheral to the HAL; nothing runs beside it.
+    unsafe { &*RCC::ptr() }
+}

@@ -1,0 +1,116 @@
+//! What the attitude task does when the attitude is out: nobody waits for it.
+
+use super::{burst_reader, retained, watchdog};
+use crate::estimator::kalman::Kalman;
+use crate::fault::FaultClass;
+use crate::health::Flags;
+use crate::pipeline::{Pipeline, Snapshot};
+
+/// So many stocktakings apart is what the filter knows kept for a start after a reset: 0.2 s.
+const STOCKTAKINGS_TO_A_KEEPING: u32 = 18;
+
+/// The flags whose coming is counted, with their classes.
+const COUNTED: [(Flags, FaultClass); 6] = [
+    (Flags::FROZEN, FaultClass::Frozen),
+    (Flags::REJECTED, FaultClass::Rejected),
+    (Flags::GYROSCOPE_SATURATED, FaultClass::Saturated),
+    (Flags::ACCELEROMETER_SATURATED, FaultClass::Saturated),
+    (Flags::TEMPERATURE, FaultClass::Temperature),
+    (Flags::MISSED, FaultClass::SamplesMissed),
+];
+
+/// The state of it.
+pub struct Upkeep {
+    stocktakings: u32,
+    is_watching: bool,
+    last_flags: Flags,
+}
+
+impl Upkeep {
+    /// Before the first sample.
+    pub const fn new() -> Self {
+        Self {
+            stocktakings: 0,
+            is_watching: false,
+            last_flags: Flags::NONE,
+        }
+    }
+
+    /// After a sample. Gives the flags before and now if they differ.
+    #[inline(always)]
+    pub fn after_sample(
+        &mut self,
+        pipeline: &mut Pipeline<Kalman>,
+        flags: Flags,
+    ) -> Option<(Flags, Flags)> {
+        if pipeline.has_taken_stock() {
+            self.every_so_often(pipeline);
+        }
+        if pipeline.is_suspect() | flags.contains(Flags::POLLED) {
+            self.check_now(pipeline);
+        }
+        self.note(flags)
+    }
+
+    #[inline(never)]
+    fn every_so_often(&mut self, pipeline: &Pipeline<Kalman>) {
+        watchdog::samples_go_on();
+        watchdog::attitude_goes_on();
+        self.is_watching = pipeline.is_suspect();
+        self.stocktakings = self.stocktakings.wrapping_add(1);
+        // Every 22 ms: so every 44 ms at the full scales, and every 88 ms at the others.
+        if self.stocktakings % 2 == 0 {
+            burst_reader::request_check();
+        }
+        if self.stocktakings >= STOCKTAKINGS_TO_A_KEEPING {
+            self.stocktakings = 0;
+            if let Some(known) = pipeline.known() {
+                retained::keep(&known);
+            }
+        }
+    }
+
+    /// Where something is odd, settings are read back after every sample.
+    #[cold]
+    #[inline(never)]
+    fn check_now(&mut self, pipeline: &mut Pipeline<Kalman>) {
+        // What was read back before the rate jumped says nothing.
+        if burst_reader::take_verified() && self.is_watching {
+            pipeline.confirm_scales();
+        }
+        self.is_watching = true;
+        burst_reader::request_check();
+    }
+
+    /// After a snapshot without a sample.
+    pub fn after_silence(&mut self, snapshot: &Snapshot) -> Option<(Flags, Flags)> {
+        watchdog::attitude_goes_on();
+        self.note(snapshot.flags)
+    }
+
+    #[inline(always)]
+    fn note(&mut self, flags: Flags) -> Option<(Flags, Flags)> {
+        if flags == self.last_flags {
+            return None;
+        }
+        Some(self.change(flags))
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn change(&mut self, flags: Flags) -> (Flags, Flags) {
+        let last = core::mem::replace(&mut self.last_flags, flags);
+        for (flag, class) in COUNTED {
+            if flags.contains(flag) && !last.contains(flag) {
+                retained::count(class);
+            }
+        }
+        (last, flags)
+    }
+}
+
+impl Default for Upkeep {
+    fn default() -> Self {
+        Self::new()
+    }
+}

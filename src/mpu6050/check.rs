@@ -1,0 +1,145 @@
+//! Which registers are read back while the sensor runs, and what they should hold.
+//!
+//! A sensor whose supply sags, or a cheap clone, forgets its settings without a word; a changed full
+//! scale then scales the attitude. Three short reads cover every setting, and each takes the bus for
+//! less time than a burst leaves.
+
+use super::config::Config;
+use super::part::Part;
+use super::registers::{
+    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, INTERRUPT_ACTIVE_HIGH_PULSE,
+    INTERRUPT_DATA_READY, LOW_PASS_MASK, POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON,
+    POWER_SLEEP, Register,
+};
+
+/// What a sensor's registers say of its settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Condition {
+    /// They are as they were set.
+    Intact,
+    /// The sensor has reset itself and sleeps.
+    Reset,
+    /// Some setting is another one.
+    Changed,
+}
+
+/// Neighbouring registers that are read back together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Check {
+    /// The first register.
+    pub first: Register,
+    /// How many are read: two or more, which is what a transfer by DMA needs (RM0090, 27.3.7).
+    pub length: usize,
+    masks: [u8; Self::LONGEST],
+    expected: [u8; Self::LONGEST],
+}
+
+impl Check {
+    /// No check reads more bytes.
+    pub const LONGEST: usize = 5;
+
+    /// The checks for these settings of this part: rates and full scales first, then the interrupt pin,
+    /// then power and clock.
+    pub const fn all(config: &Config, part: &Part) -> [Self; 3] {
+        let low_pass = config.low_pass.bits();
+        let own_low_pass = if part.has_accelerometer_low_pass {
+            ACCELEROMETER_LOW_PASS_MASK
+        } else {
+            0
+        };
+        [
+            Self {
+                first: Register::SampleRateDivider,
+                length: 5,
+                masks: [
+                    0xFF,
+                    LOW_PASS_MASK,
+                    FULL_SCALE_MASK,
+                    FULL_SCALE_MASK,
+                    own_low_pass,
+                ],
+                expected: [
+                    config.sample_rate_divider,
+                    low_pass,
+                    config.gyroscope_range.bits() << FULL_SCALE_SHIFT,
+                    config.accelerometer_range.bits() << FULL_SCALE_SHIFT,
+                    low_pass & own_low_pass,
+                ],
+            },
+            Self {
+                first: Register::InterruptPinConfiguration,
+                length: 2,
+                masks: [0xFF, 0xFF, 0, 0, 0],
+                expected: [INTERRUPT_ACTIVE_HIGH_PULSE, INTERRUPT_DATA_READY, 0, 0, 0],
+            },
+            Self {
+                first: Register::PowerManagement1,
+                length: 2,
+                masks: [0xFF, 0xFF, 0, 0, 0],
+                expected: [POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, 0, 0, 0],
+            },
+        ]
+    }
+
+    /// Judges the bytes that were read; those beyond [`length`](Self::length) do not count.
+    #[inline]
+    pub const fn of(&self, bytes: &[u8; Self::LONGEST]) -> Condition {
+        let &[a, b, c, d, e] = bytes;
+        let [ma, mb, mc, md, me] = self.masks;
+        let [ea, eb, ec, ed, ee] = self.expected;
+        let differences =
+            (a & ma) ^ ea | (b & mb) ^ eb | (c & mc) ^ ec | (d & md) ^ ed | (e & me) ^ ee;
+        if differences == 0 {
+            Condition::Intact
+        } else if matches!(self.first, Register::PowerManagement1) && a & POWER_SLEEP != 0 {
+            Condition::Reset
+        } else {
+            Condition::Changed
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_changed_setting_is_noticed_and_reserved_bits_are_not() {
+        let [scales, interrupt, power] = Check::all(&Config::DEFAULT, &Part::MPU_6050);
+        // SMPLRT_DIV 0, CONFIG 1, GYRO_CONFIG and ACCEL_CONFIG at full scale 3.
+        let good = [0x00, 0x01, 0x18, 0x18, 0x00];
+        assert_eq!(scales.of(&good), Condition::Intact);
+        let meaningful: [u8; 5] = [0xFF, 0x07, 0x18, 0x18, 0x00];
+        for place in 0..5 {
+            for bit in 0..8 {
+                let mut bytes = good;
+                bytes[place] ^= 1 << bit;
+                let expected = if meaningful[place] & 1 << bit == 0 {
+                    Condition::Intact
+                } else {
+                    Condition::Changed
+                };
+                assert_eq!(scales.of(&bytes), expected, "{place} {bit}");
+            }
+        }
+        assert_eq!(interrupt.of(&[0x00, 0x01, 9, 9, 9]), Condition::Intact);
+        assert_eq!(interrupt.of(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
+        assert_eq!(interrupt.of(&[0x80, 0x01, 0, 0, 0]), Condition::Changed);
+        assert_eq!(power.of(&[0x01, 0x00, 0, 0, 0]), Condition::Intact);
+        assert_eq!(power.of(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
+        assert_eq!(power.of(&[0x01, 0x08, 0, 0, 0]), Condition::Changed);
+        assert_eq!(power.of(&[0x40, 0x00, 0, 0, 0]), Condition::Reset);
+    }
+
+    #[test]
+    fn a_part_with_a_second_low_pass_has_it_checked() {
+        for part in &super::super::part::PARTS {
+            let [scales, ..] = Check::all(&Config::DEFAULT, part);
+            let other = scales.of(&[0x00, 0x01, 0x18, 0x18, 0x00]);
+            let is_checked = other == Condition::Changed;
+            assert_eq!(is_checked, part.has_accelerometer_low_pass, "{}", part.name);
+        }
+    }
+}

@@ -1,0 +1,920 @@
+//! Flights by chance with faults by chance, and what must hold in every one of them.
+//!
+//! - No hang, no crash, and no reset but the one that a `watchdog-hang` asks for.
+//! - A tilt that is wrong by more than the larger of 5° and six σ is never published as valid.
+//! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within the deadline after
+//!   each fault: 20 ms after the end of a fault of the bus, 250 ms after a reset or the sensor's first possible
+//!   acknowledge, and after a fault of what the sensor measures.
+//! - Something is published every 20 ms while the core runs: if nothing is known, that nothing is known.
+//! - Without a fault no data-ready edge is without its sample, and times are right to a microsecond.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use aplomb::health::Flags;
+use aplomb::pipeline::Snapshot;
+
+use crate::faults::{FaultKind, ScheduledFault};
+use crate::flight::{Outcome, Run, UartLine};
+use crate::motion::quadrotor::{Quadrotor, REST_S};
+use crate::motion::rest::Rest;
+use crate::motion::swing::{Later, Swing};
+use crate::motion::{Motion, Quaternion, inclination_error_rad};
+use crate::profile::CRASHES;
+use crate::random::Random;
+use crate::recorder::Record;
+use crate::schedule::Schedule;
+
+/// The rule's angle, degrees, and its factor of σ.
+const ALLOWED_DEG: f64 = 5.0;
+const ALLOWED_SIGMAS: f64 = 6.0;
+
+/// The share of fault-free time in which the attitude must be valid.
+const VALID_SHARE: f64 = 0.995;
+
+/// Deadlines of recovery, ns.
+const BUS_DEADLINE_NS: u64 = 20_000_000;
+const RESET_DEADLINE_NS: u64 = 250_000_000;
+
+/// The longest pause between publications while the core runs, ns.
+const LONGEST_SILENCE_NS: u64 = 20_000_000;
+
+/// From an edge to the end of its burst, and some more, ns.
+const IN_FLIGHT_NS: u64 = 1_000_000;
+
+/// Valid for this long without a break is recovered, ns.
+const STEADY_NS: u64 = 5_000_000;
+
+/// A valid snapshot covers this much time until the next one, ns: two periods.
+const COVERED_NS: u64 = 2_000_000;
+
+/// The motion begins after this much rest, s: the gyroscope's offset has been measured by then.
+const MOTION_REST_S: f64 = 1.45;
+
+/// What a run goes on for after its last deadline, ns, and after the start of a hang, within which the watchdog must bite.
+const TAIL_NS: u64 = 300_000_000;
+const WATCHDOG_NS: u64 = 3_000_000_000;
+
+/// What is flown, and what goes wrong.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// The seed that all the rest follows from.
+    pub seed: u64,
+    /// The faults.
+    pub schedule: Schedule,
+    /// How long, s.
+    pub seconds: f64,
+}
+
+impl Case {
+    /// The case of this seed. Consecutive seeds begin with consecutive classes of faults.
+    #[must_use]
+    pub fn by_seed(seed: u64) -> Self {
+        Self::new(seed, Schedule::by_seed(seed))
+    }
+
+    /// A flight of this seed with these faults.
+    #[must_use]
+    pub fn new(seed: u64, schedule: Schedule) -> Self {
+        let over_ns = |fault: &ScheduledFault| match fault.end_ns() {
+            _ if fault.kind == FaultKind::WatchdogHang => fault.start_ns + WATCHDOG_NS,
+            u64::MAX => fault.start_ns + RESET_DEADLINE_NS,
+            // The sensor takes up to 90 ms to start.
+            end_ns if fault.kind == FaultKind::SensorBrownout => {
+                end_ns + 100_000_000 + RESET_DEADLINE_NS
+            }
+            end_ns => end_ns + deadline_ns(fault.kind).unwrap_or(0),
+        };
+        let last_ns = schedule
+            .faults
+            .iter()
+            .map(over_ns)
+            .max()
+            .unwrap_or(2_000_000_000);
+        Self {
+            seed,
+            schedule,
+            seconds: (last_ns + TAIL_NS) as f64 * 1e-9,
+        }
+    }
+
+    /// How the board moves: a flight, a swing, or not at all.
+    #[must_use]
+    pub fn motion(&self) -> Box<dyn Motion> {
+        let mut random = Random::new(self.seed, "motion of a case");
+        let kind = random.uniform(0.0, 1.0);
+        if kind < 0.5 {
+            Box::new(Swing::by_seed(self.seed, MOTION_REST_S))
+        } else if kind < 0.8 {
+            Box::new(Later {
+                motion: Quadrotor::by_seed(self.seed),
+                by_s: REST_S - MOTION_REST_S,
+            })
+        } else {
+            let mut angle = || random.uniform(-0.7, 0.7);
+            Box::new(Rest::new(Quaternion::from_euler(angle(), angle(), 0.0)))
+        }
+    }
+
+    /// Flies it.
+    ///
+    /// # Errors
+    ///
+    /// When the image cannot be used, or the emulator gives up or panics.
+    pub fn fly(&self, firmware: &Path) -> Result<Outcome, String> {
+        let needs_probe = self
+            .schedule
+            .faults
+            .iter()
+            .any(|fault| fault.kind == FaultKind::ProbeDetach);
+        let mut run = Run::new(firmware)
+            .seed(self.seed)
+            .seconds(self.seconds)
+            .boxed_motion(self.motion())
+            .schedule(&self.schedule)
+            .without_account();
+        if !needs_probe {
+            run = run.without_probe();
+        }
+        match catch_unwind(AssertUnwindSafe(|| run.run())) {
+            Ok(outcome) => outcome.map_err(|error| error.to_string()),
+            Err(_) => Err("the emulator panicked".into()),
+        }
+    }
+}
+
+/// The deadline of the recovery from a fault; `None` if nothing may be seen of it at all.
+#[must_use]
+pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
+    match kind {
+        FaultKind::UartFlood | FaultKind::UartNoise | FaultKind::ProbeDetach => None,
+        FaultKind::SensorBrownout
+        | FaultKind::RegisterFlip(..)
+        | FaultKind::Frozen
+        | FaultKind::Zeros
+        | FaultKind::Ones
+        | FaultKind::Saturated(_)
+        | FaultKind::CrystalDies
+        | FaultKind::WatchdogHang => Some(RESET_DEADLINE_NS),
+        _ => Some(BUS_DEADLINE_NS),
+    }
+}
+
+/// What became of one fault.
+#[derive(Clone, Debug)]
+pub struct FaultReport {
+    /// Its class.
+    pub class: &'static str,
+    /// Whether the firmware noticed: a counter, a flag, or a message.
+    pub is_detected: bool,
+    /// From its end to a valid attitude again, ns; `None` if that did not come in time.
+    pub recovery_ns: Option<u64>,
+}
+
+/// What became of a case.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// A report for each fault.
+    pub faults: Vec<FaultReport>,
+    /// What should have held and did not.
+    pub failures: Vec<String>,
+}
+
+/// A fault, or several that follow too closely to tell apart.
+#[derive(Clone, Debug)]
+struct Episode {
+    start_ns: u64,
+    /// When the last of them is over, so that recovery can begin.
+    end_ns: u64,
+    /// When the attitude must be valid again.
+    due_ns: u64,
+    faults: Vec<ScheduledFault>,
+}
+
+/// Flies a case and judges it.
+#[must_use]
+pub fn run(case: &Case, firmware: &Path) -> Report {
+    match case.fly(firmware) {
+        Ok(outcome) => judge(case, &outcome.record, &outcome.uart_lines),
+        Err(error) => Report {
+            faults: Vec::new(),
+            failures: vec![error],
+        },
+    }
+}
+
+/// Judges what came of a case.
+#[must_use]
+pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
+    let published = publications(record);
+    let judge = Judge {
+        record,
+        uart_lines,
+        valid: valid_spans(&published),
+        published,
+        episodes: episodes(case, record),
+    };
+    let mut report = Report::default();
+    judge.the_processor(case, &mut report.failures);
+    judge.the_rule(case, &mut report.failures);
+    judge.recovery(&mut report);
+    judge.fault_free_time(&mut report.failures);
+    judge.silence(case, &mut report.failures);
+    report
+}
+
+/// A snapshot of either kind.
+#[derive(Clone, Copy, Debug)]
+struct Publication {
+    at_ns: u64,
+    snapshot: Snapshot,
+    tilt_sigma_rad: Option<f64>,
+    /// The true attitude at its sample, if that is known from the sample.
+    truth: Option<Quaternion>,
+}
+
+/// All snapshots, in the order of their publication.
+fn publications(record: &Record) -> Vec<Publication> {
+    let samples = record.samples.iter().map(|sample| Publication {
+        at_ns: sample.published_ns,
+        snapshot: sample.snapshot,
+        tilt_sigma_rad: sample.tilt_sigma_rad,
+        truth: sample.edge.and_then(|edge| edge.truth.attitude),
+    });
+    let stale = record.stale.iter().map(|stale| Publication {
+        at_ns: stale.published_ns,
+        snapshot: stale.snapshot,
+        tilt_sigma_rad: stale.tilt_sigma_rad,
+        truth: None,
+    });
+    let mut all: Vec<Publication> = samples.chain(stale).collect();
+    all.sort_by_key(|publication| publication.at_ns);
+    all
+}
+
+struct Judge<'a> {
+    record: &'a Record,
+    uart_lines: &'a [UartLine],
+    published: Vec<Publication>,
+    /// When the published attitude was valid, ns.
+    valid: Vec<(u64, u64)>,
+    episodes: Vec<Episode>,
+}
+
+impl Judge<'_> {
+    fn end_ns(&self) -> u64 {
+        self.record.last.1
+    }
+
+    /// Nothing but a hang that was asked for resets the processor, and nothing crashes it.
+    fn the_processor(&self, case: &Case, failures: &mut Vec<String>) {
+        let hangs = case
+            .schedule
+            .faults
+            .iter()
+            .filter(|fault| fault.kind == FaultKind::WatchdogHang)
+            .count();
+        let resets = &self.record.resets_ns;
+        if resets.len() > hangs {
+            let at: Vec<String> = resets.iter().map(|&at_ns| seconds(at_ns)).collect();
+            failures.push(format!(
+                "{} resets, {hangs} asked for: at {} s",
+                resets.len(),
+                at.join(", ")
+            ));
+        }
+        if resets.len() < hangs {
+            failures.push("the core hung, and no watchdog reset it".into());
+        }
+        let instructions = &self.record.instructions;
+        let crashed: u64 = CRASHES
+            .filter_map(|exception| instructions.get(exception))
+            .sum();
+        if crashed > 0 {
+            failures.push("a fault handler ran: a crash or a panic".into());
+        }
+    }
+
+    /// What is far wrong is not valid.
+    fn the_rule(&self, case: &Case, failures: &mut Vec<String>) {
+        let mut motion = case.motion();
+        let mut worst: Option<(f64, f64, u64)> = None;
+        let mut count = 0;
+        for sample in &self.published {
+            if !sample.snapshot.flags.contains(Flags::VALID) {
+                continue;
+            }
+            let at_publication = || motion.at(sample.at_ns as f64 * 1e-9).attitude;
+            let Some(truth) = sample.truth.or_else(at_publication) else {
+                continue;
+            };
+            let error_deg = tilt_error_deg(sample, truth);
+            let sigma_deg = sample.tilt_sigma_rad.unwrap_or(0.0).to_degrees();
+            let allowed_deg = ALLOWED_DEG.max(ALLOWED_SIGMAS * sigma_deg);
+            // A comparison that is false for what is not a number.
+            let is_allowed = error_deg <= allowed_deg;
+            if !is_allowed {
+                count += 1;
+                if worst.is_none_or(|(error, ..)| error_deg > error) {
+                    worst = Some((error_deg, sigma_deg, sample.at_ns));
+                }
+            }
+        }
+        if let Some((error_deg, sigma_deg, at_ns)) = worst {
+            failures.push(format!(
+                "{count} attitudes published as valid were wrong, the worst by {error_deg:.1} degrees with a sigma of {sigma_deg:.2} at {} s",
+                seconds(at_ns)
+            ));
+        }
+    }
+
+    /// Every episode ends in time.
+    fn recovery(&self, report: &mut Report) {
+        for episode in &self.episodes {
+            // Steadily valid from here on, unless it was valid all the time.
+            let back_ns = self
+                .valid
+                .iter()
+                .find(|&&(start, end)| {
+                    let from = start.max(episode.end_ns);
+                    end > from && (end - from >= STEADY_NS || end + COVERED_NS > self.end_ns())
+                })
+                .map(|&(start, _)| start.max(episode.end_ns));
+            let recovery_ns = back_ns
+                .filter(|&back_ns| back_ns <= episode.due_ns)
+                .map(|back_ns| back_ns - episode.end_ns);
+            if recovery_ns.is_none() {
+                let took = back_ns.map_or("not by the end".into(), |back_ns| {
+                    format!("after {:.1} ms", (back_ns - episode.end_ns) as f64 * 1e-6)
+                });
+                report.failures.push(format!(
+                    "valid again {took}, allowed are {:.1} ms: {}",
+                    (episode.due_ns - episode.end_ns) as f64 * 1e-6,
+                    names(&episode.faults)
+                ));
+            }
+            for fault in &episode.faults {
+                report.faults.push(FaultReport {
+                    class: fault.kind.name(),
+                    is_detected: self.is_detected(episode),
+                    recovery_ns,
+                });
+            }
+        }
+    }
+
+    /// Whether the firmware has counted, flagged or said anything from the beginning of an episode to its deadline.
+    fn is_detected(&self, episode: &Episode) -> bool {
+        let last_ns = episode.faults.iter().map(ScheduledFault::end_ns);
+        let last_ns = last_ns.filter(|&end_ns| end_ns != u64::MAX).max();
+        let until_ns = episode.due_ns.max(last_ns.unwrap_or(0));
+        let during = |at_ns: u64| (episode.start_ns..=until_ns).contains(&at_ns);
+        let is_counted = self
+            .record
+            .health
+            .iter()
+            .skip(1)
+            .any(|reading| during(reading.at_ns));
+        let is_flagged = self
+            .published
+            .iter()
+            .any(|sample| during(sample.at_ns) && sample.snapshot.flags != Flags::VALID);
+        let is_said = self
+            .uart_lines
+            .iter()
+            .any(|line| during(line.at_ns) && line.text.starts_with('#'));
+        is_counted || is_flagged || is_said
+    }
+
+    /// Between the episodes all is well.
+    fn fault_free_time(&self, failures: &mut Vec<String>) {
+        let Some(&(first_ns, _)) = self.valid.first() else {
+            failures.push("the attitude was never valid".into());
+            return;
+        };
+        if self
+            .episodes
+            .first()
+            .is_some_and(|first| first_ns > first.start_ns)
+        {
+            failures.push(format!(
+                "not valid before the first fault: only at {} s",
+                seconds(first_ns)
+            ));
+        }
+        // Samples of the last moments may still be on their way.
+        let end_ns = self.end_ns().saturating_sub(COVERED_NS);
+        let is_free = |at_ns: u64| {
+            (first_ns..end_ns).contains(&at_ns)
+                && !self.episodes.iter().any(|episode| {
+                    // The burst of an edge shortly before the fault is still under way.
+                    (episode.start_ns.saturating_sub(IN_FLIGHT_NS)..=episode.due_ns)
+                        .contains(&at_ns)
+                })
+        };
+        let step_ns = 100_000;
+        let (mut free, mut valid) = (0_u64, 0_u64);
+        let mut spans = self.valid.iter().peekable();
+        for at_ns in (first_ns..end_ns).step_by(step_ns) {
+            while spans.next_if(|&&(_, end)| end <= at_ns).is_some() {}
+            if is_free(at_ns) {
+                free += 1;
+                valid += u64::from(spans.peek().is_some_and(|&&(start, _)| start <= at_ns));
+            }
+        }
+        let share = valid as f64 / free.max(1) as f64;
+        if share < VALID_SHARE {
+            failures.push(format!(
+                "valid for {:.2} % of the time without a fault",
+                100.0 * share
+            ));
+        }
+        self.missed(&is_free, failures);
+        self.times(&is_free, failures);
+    }
+
+    /// No edge without its sample.
+    fn missed(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+        let mut published: Vec<u64> = self
+            .record
+            .samples
+            .iter()
+            .filter_map(|sample| Some(sample.edge?.index))
+            .collect();
+        published.sort_unstable();
+        let missed: Vec<u64> = self
+            .record
+            .edges
+            .iter()
+            .filter(|edge| is_free(edge.time_ns) && published.binary_search(&edge.index).is_err())
+            .map(|edge| edge.time_ns)
+            .collect();
+        if let Some(&first_ns) = missed.first() {
+            failures.push(format!(
+                "{} samples missed without a fault, the first at {} s",
+                missed.len(),
+                seconds(first_ns)
+            ));
+        }
+    }
+
+    /// Times follow the edges, and never go back.
+    fn times(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+        let mut worst: Option<(f64, u64)> = None;
+        for pair in self.record.samples.windows(2) {
+            let [before, after] = pair else { continue };
+            let was_reset = self
+                .record
+                .resets_ns
+                .iter()
+                .any(|&at_ns| (before.published_ns..=after.published_ns).contains(&at_ns));
+            if was_reset {
+                continue;
+            }
+            if after.snapshot.t_us < before.snapshot.t_us {
+                failures.push(format!(
+                    "time went back from {} us to {} us",
+                    before.snapshot.t_us, after.snapshot.t_us
+                ));
+                return;
+            }
+            let (Some(first), Some(second)) = (before.edge, after.edge) else {
+                continue;
+            };
+            if !is_free(first.time_ns) || !is_free(second.time_ns) || second.index == first.index {
+                continue;
+            }
+            let true_us = (second.time_ns - first.time_ns) as f64 * 1e-3;
+            let told_us = (after.snapshot.t_us - before.snapshot.t_us) as f64;
+            let error_us = (told_us - true_us).abs();
+            if error_us > 1.0 && worst.is_none_or(|(worst_us, _)| error_us > worst_us) {
+                worst = Some((error_us, second.time_ns));
+            }
+        }
+        if let Some((error_us, at_ns)) = worst {
+            failures.push(format!(
+                "a step of time was wrong by {error_us:.1} us without a fault, at {} s",
+                seconds(at_ns)
+            ));
+        }
+    }
+
+    /// Something is published all the time.
+    fn silence(&self, case: &Case, failures: &mut Vec<String>) {
+        let Some(first) = self.published.first() else {
+            return;
+        };
+        let mut last_ns = first.at_ns;
+        let ends = std::iter::once(self.end_ns());
+        let published = self.published.iter().map(|sample| sample.at_ns);
+        let mut longest: Option<(u64, u64)> = None;
+        for at_ns in published.chain(ends) {
+            let held = case
+                .schedule
+                .faults
+                .iter()
+                .filter(|fault| {
+                    matches!(fault.kind, FaultKind::CoreStall | FaultKind::WatchdogHang)
+                })
+                .any(|fault| fault.start_ns < at_ns && fault.end_ns() > last_ns);
+            let was_reset = self
+                .record
+                .resets_ns
+                .iter()
+                .any(|&reset_ns| (last_ns..=at_ns).contains(&reset_ns));
+            let gap_ns = at_ns - last_ns;
+            if !held && !was_reset && longest.is_none_or(|(longest_ns, _)| gap_ns > longest_ns) {
+                longest = Some((gap_ns, last_ns));
+            }
+            last_ns = at_ns;
+        }
+        if let Some((gap_ns, at_ns)) = longest.filter(|&(gap_ns, _)| gap_ns > LONGEST_SILENCE_NS) {
+            failures.push(format!(
+                "nothing was published for {:.1} ms from {} s on",
+                gap_ns as f64 * 1e-6,
+                seconds(at_ns)
+            ));
+        }
+    }
+}
+
+/// The times at which the attitude that was published last is valid and fresh.
+fn valid_spans(samples: &[Publication]) -> Vec<(u64, u64)> {
+    let mut spans: Vec<(u64, u64)> = Vec::new();
+    for (nth, sample) in samples.iter().enumerate() {
+        if !sample.snapshot.flags.contains(Flags::VALID) {
+            continue;
+        }
+        let start_ns = sample.at_ns;
+        let next_ns = samples.get(nth + 1).map_or(u64::MAX, |next| next.at_ns);
+        let end_ns = next_ns.min(start_ns + COVERED_NS);
+        match spans.last_mut() {
+            Some(last) if last.1 == start_ns => last.1 = end_ns,
+            _ => spans.push((start_ns, end_ns)),
+        }
+    }
+    spans
+}
+
+/// The faults in groups that can be told apart.
+fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
+    let mut episodes: Vec<Episode> = Vec::new();
+    for fault in &case.schedule.faults {
+        let end_ns = end_ns(fault, record);
+        let deadline_ns = deadline_ns(fault.kind);
+        let episode = Episode {
+            start_ns: fault.start_ns,
+            end_ns,
+            due_ns: end_ns + deadline_ns.unwrap_or(0),
+            faults: vec![*fault],
+        };
+        match episodes.last_mut() {
+            Some(last) if last.due_ns >= episode.start_ns => {
+                last.end_ns = last.end_ns.max(episode.end_ns);
+                last.due_ns = last.due_ns.max(episode.due_ns);
+                last.faults.push(*fault);
+            }
+            _ => episodes.push(episode),
+        }
+    }
+    episodes
+}
+
+/// When a fault is over, so that the firmware can recover from it.
+fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
+    let first_after =
+        |times: &[u64], from_ns: u64| times.iter().copied().find(|&at_ns| at_ns >= from_ns);
+    match fault.kind {
+        FaultKind::SensorBrownout => {
+            first_after(&record.sensor_ready_ns, fault.end_ns()).unwrap_or(fault.end_ns())
+        }
+        FaultKind::WatchdogHang => {
+            first_after(&record.resets_ns, fault.start_ns).unwrap_or(fault.start_ns)
+        }
+        FaultKind::CrystalDies => fault.start_ns,
+        // Nothing may be seen of these.
+        kind if deadline_ns(kind).is_none() => fault.start_ns,
+        _ => fault.end_ns(),
+    }
+}
+
+fn tilt_error_deg(sample: &Publication, truth: Quaternion) -> f64 {
+    let attitude = sample.snapshot.attitude;
+    let [w, x, y, z] = [attitude.w, attitude.x, attitude.y, attitude.z].map(f64::from);
+    inclination_error_rad(Quaternion { w, x, y, z }, truth).to_degrees()
+}
+
+fn names(faults: &[ScheduledFault]) -> String {
+    let names: Vec<String> = faults.iter().map(ScheduledFault::to_string).collect();
+    names.join(", then ")
+}
+
+fn seconds(at_ns: u64) -> String {
+    format!("{:.4}", at_ns as f64 * 1e-9)
+}
+
+/// The table of a campaign: a row for each class.
+#[derive(Clone, Debug, Default)]
+pub struct Table {
+    rows: BTreeMap<&'static str, Row>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Row {
+    faults: u32,
+    detected: u32,
+    recovered: u32,
+    worst_ns: u64,
+}
+
+impl Table {
+    /// Takes a case's report into account.
+    pub fn add(&mut self, report: &Report) {
+        for fault in &report.faults {
+            let row = self.rows.entry(fault.class).or_default();
+            row.faults += 1;
+            row.detected += u32::from(fault.is_detected);
+            if let Some(recovery_ns) = fault.recovery_ns {
+                row.recovered += 1;
+                row.worst_ns = row.worst_ns.max(recovery_ns);
+            }
+        }
+    }
+}
+
+impl std::fmt::Display for Table {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut text = format!(
+            "{:<18} {:>7} {:>9} {:>10} {:>17}\n",
+            "fault", "runs", "detected", "recovered", "worst recovery ms"
+        );
+        for class in Schedule::classes() {
+            let row = self.rows.get(class).copied().unwrap_or_default();
+            writeln!(
+                text,
+                "{class:<18} {:>7} {:>9} {:>10} {:>17.1}",
+                row.faults,
+                row.detected,
+                row.recovered,
+                row.worst_ns as f64 * 1e-6
+            )?;
+        }
+        formatter.write_str(&text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use aplomb::attitude::Quaternion as Attitude;
+    use rigless::time::VirtualNanos;
+
+    use super::*;
+    use crate::recorder::{Sample, StaleSnapshot};
+    use crate::sensor::{Burst, DataReady};
+
+    const MILLISECOND: u64 = 1_000_000;
+
+    fn case(text: &str) -> Case {
+        Case::new(3, Schedule::parse("test", text).unwrap())
+    }
+
+    /// What a firmware without a fault of its own leaves: a right attitude every millisecond from 0.3 s on, valid from
+    /// 1.2 s on, but for some time without.
+    fn record(case: &Case, without_ns: std::ops::Range<u64>) -> Record {
+        let end_ns = VirtualNanos((case.seconds * 1e9) as u64).0;
+        let mut motion = case.motion();
+        let mut record = Record {
+            last: (0, end_ns),
+            instructions: vec![0; 128],
+            ..Record::default()
+        };
+        for (index, time_ns) in (300 * MILLISECOND..end_ns)
+            .step_by(MILLISECOND as usize)
+            .enumerate()
+        {
+            let truth = motion.at(time_ns as f64 * 1e-9);
+            let edge = DataReady {
+                index: index as u64,
+                time_ns,
+                truth,
+            };
+            record.edges.push(edge);
+            let true_attitude = truth.attitude.unwrap();
+            let [w, x, y, z] = [
+                true_attitude.w,
+                true_attitude.x,
+                true_attitude.y,
+                true_attitude.z,
+            ]
+            .map(|part| part as f32);
+            let is_known = time_ns >= 1200 * MILLISECOND;
+            let mut snapshot = Snapshot {
+                t_us: time_ns / 1000,
+                attitude: Attitude { w, x, y, z },
+                flags: if is_known {
+                    Flags::VALID
+                } else {
+                    Flags::CALIBRATING
+                },
+                ..Snapshot::default()
+            };
+            let published_ns = time_ns + 390_000;
+            if without_ns.contains(&time_ns) {
+                snapshot.flags = Flags::STALE;
+                record.stale.push(StaleSnapshot {
+                    snapshot,
+                    published_ns,
+                    tilt_sigma_rad: Some(0.01),
+                });
+                continue;
+            }
+            record.samples.push(Sample {
+                snapshot,
+                published_ns,
+                tilt_sigma_rad: Some(0.01),
+                burst: Burst {
+                    edge: Some(edge.index),
+                    bytes: [0; 14],
+                    completed_ns: published_ns,
+                },
+                edge: Some(edge),
+                true_t_us: None,
+                instructions: None,
+                input_instructions: None,
+            });
+        }
+        record
+    }
+
+    /// A gap of 40 ms for a fault of 30 ms, which is what is allowed.
+    fn sound() -> (Case, Record) {
+        let case = case("1.8 0.03 sda-low");
+        let record = record(&case, 1800 * MILLISECOND..1840 * MILLISECOND);
+        (case, record)
+    }
+
+    #[track_caller]
+    fn assert_fails(case: &Case, record: &Record, why: &str) {
+        let failures = judge(case, record, &[]).failures;
+        assert!(
+            failures.iter().any(|failure| failure.contains(why)),
+            "{failures:?}"
+        );
+    }
+
+    #[test]
+    fn what_is_sound_passes_and_is_measured() {
+        let (case, record) = sound();
+        let report = judge(&case, &record, &[]);
+        assert_eq!(report.failures, Vec::<String>::new());
+        assert_eq!(report.faults.len(), 1);
+        assert!(report.faults[0].is_detected);
+        let recovery_ms = report.faults[0].recovery_ns.unwrap() as f64 * 1e-6;
+        assert!((recovery_ms - 10.39).abs() < 0.01, "{recovery_ms}");
+    }
+
+    #[test]
+    fn a_late_recovery_fails() {
+        let case = case("1.8 0.03 sda-low");
+        let record = record(&case, 1800 * MILLISECOND..1855 * MILLISECOND);
+        assert_fails(
+            &case,
+            &record,
+            "valid again after 25.4 ms, allowed are 20.0 ms",
+        );
+        assert_eq!(judge(&case, &record, &[]).faults[0].recovery_ns, None);
+    }
+
+    #[test]
+    fn a_wrong_attitude_fails_unless_its_sigma_or_its_flags_say_so() {
+        let (case, record) = sound();
+        let spoilt = |flags: Flags, sigma_deg: f64| {
+            let mut record = Record {
+                samples: record.samples.clone(),
+                edges: record.edges.clone(),
+                stale: record.stale.clone(),
+                instructions: record.instructions.clone(),
+                last: record.last,
+                ..Record::default()
+            };
+            let sample = &mut record.samples[1000];
+            let wrong = Quaternion::from_rotation_vector([0.2, 0.0, 0.0])
+                .multiply(sample.edge.unwrap().truth.attitude.unwrap());
+            let [w, x, y, z] = [wrong.w, wrong.x, wrong.y, wrong.z].map(|part| part as f32);
+            sample.snapshot.attitude = Attitude { w, x, y, z };
+            sample.snapshot.flags = flags;
+            sample.tilt_sigma_rad = Some(sigma_deg.to_radians());
+            record
+        };
+        assert_fails(
+            &case,
+            &spoilt(Flags::VALID, 0.1),
+            "1 attitudes published as valid were wrong, the worst by 11.",
+        );
+        for (flags, sigma_deg) in [(Flags::VALID, 2.0), (Flags::DEGRADED, 0.1)] {
+            assert_eq!(
+                judge(&case, &spoilt(flags, sigma_deg), &[]).failures,
+                Vec::<String>::new()
+            );
+        }
+        let mut no_number = spoilt(Flags::VALID, 0.1);
+        no_number.samples[1000].snapshot.attitude.w = f32::NAN;
+        assert_fails(&case, &no_number, "published as valid were wrong");
+    }
+
+    #[test]
+    fn caution_without_a_fault_fails() {
+        let (case, mut record) = sound();
+        for sample in record.samples.iter_mut().rev().take(20) {
+            sample.snapshot.flags = Flags::DEGRADED;
+        }
+        assert_fails(&case, &record, "% of the time without a fault");
+    }
+
+    #[test]
+    fn missed_samples_wrong_times_and_silence_fail() {
+        let (case, mut record) = sound();
+        record.samples.remove(1200);
+        assert_fails(&case, &record, "1 samples missed without a fault");
+
+        let (case, mut record) = sound();
+        record.samples[1200].snapshot.t_us += 2;
+        assert_fails(&case, &record, "a step of time was wrong by 2.0 us");
+
+        let (case, mut record) = sound();
+        record.samples[1200].snapshot.t_us -= 2_000;
+        assert_fails(&case, &record, "time went back");
+
+        let (case, mut record) = sound();
+        record.stale.clear();
+        assert_fails(&case, &record, "nothing was published for 41.0 ms");
+    }
+
+    #[test]
+    fn resets_crashes_and_hangs_fail() {
+        let (case, mut record) = sound();
+        record.resets_ns.push(1900 * MILLISECOND);
+        assert_fails(&case, &record, "1 resets, 0 asked for: at 1.9000 s");
+
+        let (case, mut record) = sound();
+        record.instructions[3] = 1;
+        assert_fails(&case, &record, "a crash or a panic");
+
+        let case = self::case("1.8 0 watchdog-hang");
+        let record = self::record(&case, 0..0);
+        assert_fails(&case, &record, "no watchdog reset it");
+    }
+
+    #[test]
+    fn a_firmware_that_is_never_ready_fails() {
+        let (case, mut record) = sound();
+        for sample in &mut record.samples {
+            sample.snapshot.flags = Flags::CALIBRATING;
+        }
+        assert_fails(&case, &record, "never valid");
+    }
+
+    #[test]
+    fn nothing_may_be_seen_of_what_comes_in_by_uart() {
+        let case = case("1.8 0.2 uart-flood");
+        assert_eq!(
+            judge(&case, &record(&case, 0..0), &[]).failures,
+            Vec::<String>::new()
+        );
+        let record = record(&case, 1850 * MILLISECOND..1860 * MILLISECOND);
+        assert_fails(&case, &record, "10 samples missed without a fault");
+    }
+
+    #[test]
+    fn faults_that_follow_closely_are_one_episode() {
+        let case = case("1.8 0.03 sda-low\n1.84 0.02 frozen");
+        let report = judge(
+            &case,
+            &record(&case, 1800 * MILLISECOND..2000 * MILLISECOND),
+            &[],
+        );
+        assert_eq!(
+            report.failures,
+            Vec::<String>::new(),
+            "250 ms after the second"
+        );
+        assert_eq!(report.faults.len(), 2);
+    }
+
+    #[test]
+    fn the_table_counts_by_class() {
+        let (case, record) = sound();
+        let mut table = Table::default();
+        table.add(&judge(&case, &record, &[]));
+        let text = table.to_string();
+        let row = text
+            .lines()
+            .find(|line| line.starts_with("sda-low"))
+            .unwrap();
+        let cells: Vec<&str> = row.split_whitespace().collect();
+        assert_eq!(cells, ["sda-low", "1", "1", "1", "10.4"]);
+        assert_eq!(text.lines().count(), 27);
+    }
+}

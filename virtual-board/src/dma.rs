@@ -1,0 +1,117 @@
+//! The DMA controller of the sensor's bus, with memory that may refuse.
+//!
+//! While the fault lasts, the bus answers the accesses of stream 0, which serves the receiver of I2C1, with an error:
+//! TEIF is set, and the hardware clears EN (RM0090, section 10.3.18).
+
+use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
+use rigless::soc::RegisterSpec;
+use rigless::soc::stm32f427::generated::dma2::Register;
+use rigless::soc::stm32f427::peripherals::dma::Dma;
+use rigless::time::{EventId, VirtualNanos};
+
+use crate::faults::{Fault, FaultKind, ScheduledFault, scheduled};
+
+/// rigless numbers the accesses of its streams two to a stream: to its source, and to its destination.
+const ACCESSES_OF_STREAM_0: std::ops::Range<u64> = 0..2;
+
+/// The controller.
+#[derive(Debug)]
+pub struct RefusedDma {
+    /// What rigless models of it.
+    pub model: Dma,
+    faults: Vec<ScheduledFault>,
+}
+
+impl RefusedDma {
+    /// The controller with these faults.
+    #[must_use]
+    pub fn new(model: Dma, faults: &[Fault]) -> Self {
+        let is_own = |fault: &&ScheduledFault| fault.kind == FaultKind::DmaError;
+        Self {
+            model,
+            faults: scheduled(faults).filter(is_own).copied().collect(),
+        }
+    }
+}
+
+impl Device for RefusedDma {
+    type Register = Register;
+
+    fn layout(&self) -> &'static [RegisterSpec] {
+        Device::layout(&self.model)
+    }
+
+    fn read(
+        &mut self,
+        register: Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        Device::read(&mut self.model, register, registers, context)
+    }
+
+    fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
+        Device::peek(&self.model, register, registers, now)
+    }
+
+    fn write(
+        &mut self,
+        register: Register,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::write(&mut self.model, register, value, registers, context);
+    }
+
+    fn on_event(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_event(&mut self.model, event, registers, context);
+    }
+
+    fn on_request(
+        &mut self,
+        request: RequestChange,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_request(&mut self.model, request, registers, context);
+    }
+
+    fn on_access(
+        &mut self,
+        token: u64,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let is_refused = ACCESSES_OF_STREAM_0.contains(&token)
+            && self.faults.iter().any(|fault| fault.lasts(context.now().0));
+        if is_refused {
+            Device::on_refused(&mut self.model, token, registers, context);
+        } else {
+            Device::on_access(&mut self.model, token, value, registers, context);
+        }
+    }
+
+    fn on_refused(
+        &mut self,
+        token: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_refused(&mut self.model, token, registers, context);
+    }
+
+    fn reset(&mut self) {
+        Device::reset(&mut self.model);
+    }
+
+    fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        Device::reset_line(&mut self.model, registers, context);
+    }
+}

@@ -1,0 +1,616 @@
+//! Each fault shows at the pins, in the registers or on the bus, whatever firmware runs.
+
+use rigless::device::ResetCause;
+use rigless::emulator::Memory;
+use rigless::soc::Width;
+use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, RCC, USART2};
+
+use super::tests::Bench;
+use super::*;
+use crate::faults::{Axis, Direction, Fault};
+
+/// Offsets of registers (RM0090).
+const CR1: u64 = 0x00;
+const CR2: u64 = 0x04;
+const DR: u64 = 0x10;
+const SR1: u64 = 0x14;
+const SR2: u64 = 0x18;
+const CCR: u64 = 0x1C;
+const IDR: u64 = 0x10;
+const BSRR: u64 = 0x18;
+
+/// Bits of I2C_CR1, I2C_CR2, I2C_SR1 and I2C_SR2 (RM0090, 27.6).
+const PE: u64 = 1;
+const START: u64 = 1 << 8;
+const STOP: u64 = 1 << 9;
+const ACK: u64 = 1 << 10;
+const SWRST: u64 = 1 << 15;
+const ITERREN: u64 = 1 << 8;
+const SB: u64 = 1;
+const ADDR: u64 = 1 << 1;
+const RXNE: u64 = 1 << 6;
+const BERR: u64 = 1 << 8;
+const ARLO: u64 = 1 << 9;
+const AF: u64 = 1 << 10;
+const MSL: u64 = 1;
+const BUSY: u64 = 1 << 1;
+
+/// The interrupt number of I2C1's errors (RM0090, table 62).
+const I2C1_ER: u16 = 32;
+
+const SCL: u64 = 1 << 8;
+const SDA: u64 = 1 << 9;
+const MILLISECOND: u64 = 1_000_000;
+
+/// The fault begins here, ns.
+const BEGIN: u64 = 150 * MILLISECOND;
+
+/// A board with one fault that lasts ten milliseconds, or happens once, shortly before it begins.
+fn bench(kind: FaultKind) -> Bench {
+    let is_once = matches!(
+        kind,
+        FaultKind::SdaLow(Some(_)) | FaultKind::RegisterFlip(..)
+    );
+    let fault = ScheduledFault {
+        start_ns: BEGIN,
+        duration_ns: if is_once { 0 } else { 10 * MILLISECOND },
+        kind,
+    };
+    let input = HighSpeedInput::Crystal(8_000_000);
+    let mut bench = Bench::with_faults(input, vec![Fault::Scheduled(fault)]);
+    // PB8 and PB9: alternate function 4, open drain.
+    bench.write(&GPIOB, 0x24, 0x44);
+    bench.write(&GPIOB, 0x04, 0x300);
+    connect(&mut bench);
+    program(&mut bench);
+    bench.run_until(BEGIN - 2 * MILLISECOND);
+    bench
+}
+
+/// Gives the pins to the I2C controller.
+fn connect(bench: &mut Bench) {
+    bench.write(&GPIOB, 0x00, 0xA << 16);
+}
+
+/// 400 kHz from 16 MHz.
+fn program(bench: &mut Bench) {
+    bench.write(&I2C1, CR2, 16);
+    bench.write(&I2C1, CCR, 0x8000 | 13);
+    bench.write(&I2C1, CR1, PE | ACK);
+}
+
+/// A byte and its acknowledge take 22 µs, and a little more here.
+const BYTE_NS: u64 = 30_000;
+
+/// START, and the address; the flags in SR1 that came of it.
+fn address(bench: &mut Bench, byte: u64) -> u64 {
+    bench.write(&I2C1, CR1, PE | ACK | START);
+    if bench.read(&I2C1, SR1) & SB == 0 {
+        return 0;
+    }
+    bench.write(&I2C1, DR, byte);
+    bench.run_for(BYTE_NS);
+    bench.read(&I2C1, SR1)
+}
+
+/// Sends a byte; the flags in SR1 that came of it.
+fn send(bench: &mut Bench, byte: u64) -> u64 {
+    bench.read(&I2C1, SR2);
+    bench.write(&I2C1, DR, byte);
+    bench.run_for(BYTE_NS);
+    bench.read(&I2C1, SR1)
+}
+
+/// Reads registers, byte by byte; `None` if something was not acknowledged.
+fn read_registers(bench: &mut Bench, register: u64, count: usize) -> Option<Vec<u8>> {
+    let mut bytes = None;
+    if address(bench, 0xD0) & ADDR != 0
+        && send(bench, register) & AF == 0
+        && address(bench, 0xD1) & ADDR != 0
+    {
+        if count == 1 {
+            bench.write(&I2C1, CR1, PE);
+        }
+        bench.read(&I2C1, SR2);
+        let read = (1..=count).map(|nth| {
+            for _ in 0..30 {
+                if bench.read(&I2C1, SR1) & RXNE == 0 {
+                    bench.run_for(1_000);
+                }
+            }
+            // The last byte is on the wire, and is not to be acknowledged.
+            if nth + 1 == count {
+                bench.write(&I2C1, CR1, PE);
+            }
+            bench.read(&I2C1, DR).to_le_bytes()[0]
+        });
+        bytes = Some(read.collect());
+    }
+    bench.write(&I2C1, SR1, 0);
+    bench.write(&I2C1, CR1, PE | ACK | STOP);
+    bench.write(&I2C1, CR1, PE | ACK);
+    bytes
+}
+
+/// The 14 data registers as seven values.
+fn data(bench: &mut Bench) -> [i16; 7] {
+    let bytes = read_registers(bench, 0x3B, 14).expect("the sensor answers");
+    let mut values = [0; 7];
+    for (value, pair) in values.iter_mut().zip(bytes.chunks_exact(2)) {
+        *value = i16::from_be_bytes([pair[0], pair[1]]);
+    }
+    values
+}
+
+fn who_am_i(bench: &mut Bench) -> Option<u8> {
+    read_registers(bench, 0x75, 1).map(|bytes| bytes[0])
+}
+
+fn lines(bench: &mut Bench) -> (bool, bool) {
+    let pins = bench.read(&GPIOB, IDR);
+    (pins & SCL != 0, pins & SDA != 0)
+}
+
+#[test]
+fn without_a_fault_the_sensor_answers() {
+    let mut bench = bench(FaultKind::SensorSilent);
+    assert_eq!(who_am_i(&mut bench), Some(0x68));
+    assert_eq!(lines(&mut bench), (true, true));
+    assert_eq!(bench.read(&I2C1, SR2) & (BUSY | MSL), 0);
+}
+
+#[test]
+fn an_address_is_refused_in_the_direction_asked_for() {
+    for (direction, write, read) in [
+        (None, AF, AF),
+        (Some(Direction::Write), AF, ADDR),
+        (Some(Direction::Read), ADDR, AF),
+    ] {
+        let mut bench = bench(FaultKind::AddressNack(direction));
+        bench.run_until(BEGIN);
+        assert_eq!(address(&mut bench, 0xD0) & (AF | ADDR), write);
+        bench.read(&I2C1, SR2);
+        bench.write(&I2C1, SR1, 0);
+        bench.write(&I2C1, CR1, PE | ACK | STOP);
+        bench.run_for(BYTE_NS);
+        assert_eq!(address(&mut bench, 0xD1) & (AF | ADDR), read);
+    }
+}
+
+#[test]
+fn the_byte_asked_for_is_refused_and_no_other() {
+    for byte in 0..3 {
+        let mut bench = bench(FaultKind::DataNack(byte));
+        bench.run_until(BEGIN);
+        assert_ne!(address(&mut bench, 0xD0) & ADDR, 0);
+        for sent in 0..=byte {
+            assert_eq!(
+                send(&mut bench, 0x19) & AF != 0,
+                sent == byte,
+                "{byte} {sent}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_stretched_clock_holds_the_byte_until_the_end() {
+    let mut bench = bench(FaultKind::BurstStall);
+    bench.run_until(BEGIN);
+    assert_eq!(lines(&mut bench), (true, true), "an idle bus is left alone");
+    assert_eq!(address(&mut bench, 0xD0) & (ADDR | AF), 0);
+    assert_eq!(lines(&mut bench), (false, true));
+    bench.run_until(BEGIN + 10 * MILLISECOND - 1000);
+    assert_eq!(bench.read(&I2C1, SR1) & ADDR, 0);
+    bench.run_for(5_000);
+    assert_ne!(bench.read(&I2C1, SR1) & ADDR, 0, "then it goes on");
+    assert_eq!(lines(&mut bench), (true, true));
+}
+
+#[test]
+fn a_start_waits_for_a_data_line_that_is_low_and_comes_when_it_rises() {
+    let mut bench = bench(FaultKind::SdaLow(None));
+    bench.run_until(BEGIN + 1000);
+    assert_eq!(lines(&mut bench), (true, false));
+    assert_ne!(bench.read(&I2C1, SR2) & BUSY, 0);
+    bench.write(&I2C1, CR1, PE | ACK | START);
+    bench.run_until(BEGIN + 9 * MILLISECOND);
+    assert_eq!(bench.read(&I2C1, SR1) & SB, 0);
+    assert_ne!(bench.read(&I2C1, CR1) & START, 0, "and reads back set");
+    bench.run_until(BEGIN + 10 * MILLISECOND + 1000);
+    assert_ne!(bench.read(&I2C1, SR1) & SB, 0);
+    assert_eq!(bench.read(&I2C1, CR1) & START, 0);
+}
+
+#[test]
+fn a_data_line_that_rises_is_a_stop() {
+    let mut bench = bench(FaultKind::SdaLow(None));
+    bench.run_until(BEGIN + 11 * MILLISECOND);
+    assert_eq!(bench.read(&I2C1, SR2) & BUSY, 0);
+    assert_eq!(who_am_i(&mut bench), Some(0x68));
+}
+
+#[test]
+fn a_one_on_a_data_line_that_is_low_loses_the_arbitration() {
+    let mut bench = bench(FaultKind::SdaLow(None));
+    bench.run_until(BEGIN - 10_000);
+    // The address is on the wire when the line falls.
+    assert_eq!(address(&mut bench, 0xD0) & (ARLO | ADDR | AF), ARLO);
+    assert_eq!(bench.read(&I2C1, SR2) & (MSL | BUSY), BUSY);
+}
+
+#[test]
+fn a_stop_waits_for_a_data_line_that_is_low() {
+    let mut bench = bench(FaultKind::SdaLow(None));
+    bench.run_until(BEGIN - 40_000);
+    assert_ne!(address(&mut bench, 0xD0) & ADDR, 0);
+    bench.run_until(BEGIN + 1000);
+    bench.write(&I2C1, CR1, PE | ACK | STOP);
+    assert_ne!(bench.read(&I2C1, CR1) & STOP, 0);
+    assert_eq!(bench.read(&I2C1, SR2) & (MSL | BUSY), MSL | BUSY);
+    bench.run_until(BEGIN + 11 * MILLISECOND);
+    assert_eq!(bench.read(&I2C1, CR1) & STOP, 0);
+    assert_eq!(bench.read(&I2C1, SR2) & (MSL | BUSY), 0);
+}
+
+/// Takes the pins as open-drain outputs, both let go.
+fn take_pins(bench: &mut Bench) {
+    bench.write(&GPIOB, BSRR, SCL | SDA);
+    bench.write(&GPIOB, 0x00, 0x5 << 16);
+}
+
+fn clock(bench: &mut Bench) {
+    bench.write(&GPIOB, BSRR, SCL << 16);
+    bench.run_for(5_000);
+    bench.write(&GPIOB, BSRR, SCL);
+    bench.run_for(5_000);
+}
+
+#[test]
+fn a_sensor_that_has_lost_count_lets_go_after_its_clocks_and_no_sooner() {
+    for clocks in 1..=9 {
+        let mut bench = bench(FaultKind::SdaLow(Some(clocks)));
+        bench.run_until(BEGIN + 100 * MILLISECOND);
+        assert_eq!(
+            lines(&mut bench),
+            (true, false),
+            "it does not let go by itself"
+        );
+        bench.write(&I2C1, CR1, PE | ACK | START);
+        bench.run_for(BYTE_NS);
+        assert_eq!(bench.read(&I2C1, SR1) & SB, 0);
+        take_pins(&mut bench);
+        for made in 1..=clocks {
+            assert_eq!(lines(&mut bench), (true, false), "{made} of {clocks}");
+            clock(&mut bench);
+        }
+        assert_eq!(lines(&mut bench), (true, true));
+        assert_eq!(
+            bench.controller.port_b.wires.lock().clocks_made(),
+            u32::from(clocks)
+        );
+        connect(&mut bench);
+        bench.write(&I2C1, CR1, SWRST);
+        bench.write(&I2C1, CR1, 0);
+        program(&mut bench);
+        assert_eq!(who_am_i(&mut bench), Some(0x68));
+    }
+}
+
+#[test]
+fn a_reset_in_the_middle_of_a_read_leaves_the_sensor_holding_the_line() {
+    let mut bench = bench(FaultKind::SensorSilent);
+    assert_ne!(address(&mut bench, 0xD1) & ADDR, 0);
+    let now = bench.now;
+    bench.controller.reset(now, ResetCause::Core);
+    let owed = bench.controller.port_b.wires.lock().clocks_owed();
+    assert!((1..=8).contains(&owed), "{owed}");
+    bench.write(&RCC, 0x30, 0x0020_0003);
+    assert_eq!(lines(&mut bench), (true, false));
+}
+
+#[test]
+fn a_byte_waits_for_a_clock_line_that_is_low_and_busy_stays_until_a_reset() {
+    let mut bench = bench(FaultKind::SclLow);
+    bench.run_until(BEGIN - 10_000);
+    assert_eq!(address(&mut bench, 0xD0) & (ADDR | AF), 0);
+    assert_eq!(lines(&mut bench), (false, true));
+    bench.run_until(BEGIN + 10 * MILLISECOND + 5_000);
+    assert_ne!(bench.read(&I2C1, SR1) & ADDR, 0);
+
+    let mut bench = self::bench(FaultKind::SclLow);
+    bench.run_until(BEGIN + 11 * MILLISECOND);
+    assert_eq!(lines(&mut bench), (true, true));
+    assert_eq!(address(&mut bench, 0xD0), 0, "no STOP has freed the bus");
+    assert_ne!(bench.read(&I2C1, SR2) & BUSY, 0);
+    bench.write(&I2C1, CR1, SWRST);
+    bench.write(&I2C1, CR1, 0);
+    program(&mut bench);
+    assert_eq!(who_am_i(&mut bench), Some(0x68));
+}
+
+#[test]
+fn a_stop_within_a_byte_is_a_bus_error_and_the_sensor_is_gone() {
+    let mut bench = bench(FaultKind::BusError);
+    bench.write(&I2C1, CR2, 16 | ITERREN);
+    bench.run_until(BEGIN - 40_000);
+    assert_eq!(address(&mut bench, 0xD0) & (ADDR | BERR), ADDR);
+    bench.run_until(BEGIN);
+    assert_eq!(send(&mut bench, 0x75) & (BERR | AF), BERR | AF);
+    assert!(bench.interrupts_on(I2C1_ER));
+    bench.write(&I2C1, SR1, !BERR & !AF & 0xFFFF);
+    assert_eq!(bench.read(&I2C1, SR1) & (BERR | AF), 0, "a zero clears it");
+    assert!(!bench.interrupts_on(I2C1_ER));
+    bench.write(&I2C1, SR1, 0xFFFF);
+    assert_eq!(bench.read(&I2C1, SR1) & BERR, 0, "a one does not set it");
+}
+
+#[test]
+fn lost_arbitration_ends_the_transfer_and_leaves_the_bus_busy() {
+    let mut bench = bench(FaultKind::ArbitrationLost);
+    bench.write(&I2C1, CR2, 16 | ITERREN);
+    bench.run_until(BEGIN);
+    assert_eq!(address(&mut bench, 0xD0) & (ARLO | ADDR | AF), ARLO);
+    assert!(bench.interrupts_on(I2C1_ER));
+    assert_eq!(bench.read(&I2C1, SR2) & (MSL | BUSY), BUSY);
+    bench.write(&I2C1, CR1, PE | ACK | STOP);
+    assert_ne!(bench.read(&I2C1, SR2) & BUSY, 0, "its STOP is nobody's");
+    bench.write(&I2C1, CR1, 0);
+    assert_eq!(bench.read(&I2C1, SR1) & ARLO, 0, "PE = 0 clears it");
+}
+
+/// Reads two bytes by DMA; DMA1_LISR and DMA1_S0CR afterwards.
+fn read_by_dma(bench: &mut Bench) -> (u64, u64) {
+    const BUFFER: u64 = 0x2000_0000;
+    assert_ne!(address(bench, 0xD0) & ADDR, 0);
+    send(bench, 0x75);
+    assert_ne!(address(bench, 0xD1) & ADDR, 0);
+    bench.write(&I2C1, CR2, 16 | 1 << 11 | 1 << 12);
+    for (offset, value) in [
+        (0x08, 0x3F),
+        (0x18, I2C1.base + DR),
+        (0x1C, BUFFER),
+        (0x14, 2),
+        (0x10, 1 << 25 | 1 << 10 | 1),
+    ] {
+        bench.write(&DMA1, offset, value);
+    }
+    bench.read(&I2C1, SR2);
+    bench.run_for(4 * BYTE_NS);
+    assert!(bench.ram.read(BUFFER, Width::W8).is_ok());
+    (bench.read(&DMA1, 0x00), bench.read(&DMA1, 0x10))
+}
+
+#[test]
+fn a_refused_access_is_a_transfer_error_and_stops_the_stream() {
+    const TEIF0: u64 = 1 << 3;
+    const TCIF0: u64 = 1 << 5;
+    let mut good = bench(FaultKind::SensorSilent);
+    let (flags, control) = read_by_dma(&mut good);
+    assert_eq!((flags & (TEIF0 | TCIF0), control & 1), (TCIF0, 0));
+    let mut bad = bench(FaultKind::DmaError);
+    bad.run_until(BEGIN);
+    let (flags, control) = read_by_dma(&mut bad);
+    assert_eq!((flags & (TEIF0 | TCIF0), control & 1), (TEIF0, 0));
+}
+
+/// Rising edges on PA1 in the fault's ten milliseconds, and the level in the middle of them.
+fn edges(kind: FaultKind, pull_up: bool) -> (u32, bool) {
+    let mut bench = bench(kind);
+    bench.write(&EXTI, 0x08, 1 << 1);
+    bench.write(&GPIOA, 0x0C, u64::from(pull_up) << 2);
+    let mut count = 0;
+    let mut level = false;
+    bench.run_until(BEGIN + 1000);
+    bench.write(&EXTI, 0x14, 1 << 1);
+    while bench.now.0 < BEGIN + 10 * MILLISECOND {
+        bench.run_for(700);
+        if bench.read(&EXTI, 0x14) & 1 << 1 != 0 {
+            count += 1;
+            bench.write(&EXTI, 0x14, 1 << 1);
+        }
+        if bench
+            .now
+            .0
+            .abs_diff(BEGIN + 5 * MILLISECOND + MILLISECOND / 2)
+            < 400
+        {
+            level = bench.read(&GPIOA, IDR) & 1 << 1 != 0;
+        }
+    }
+    (count, level)
+}
+
+#[test]
+fn the_interrupt_wire_is_open_shorted_or_glitches() {
+    let (pulses, _) = edges(FaultKind::SensorSilent, false);
+    assert!((9..=11).contains(&pulses), "{pulses}");
+    assert_eq!(edges(FaultKind::IntLow, false), (0, false));
+    assert_eq!(edges(FaultKind::IntHigh, false), (0, true));
+    assert_eq!(edges(FaultKind::IntMissing, false), (0, false));
+    assert_eq!(
+        edges(FaultKind::IntMissing, true),
+        (0, true),
+        "the pin is pulled up"
+    );
+    let (doubled, _) = edges(FaultKind::IntGlitch(8_000), false);
+    assert!((80..=95).contains(&doubled), "{doubled}");
+}
+
+#[test]
+fn a_silent_sensor_acknowledges_nothing_and_remembers_everything() {
+    let mut bench = bench(FaultKind::SensorSilent);
+    bench.run_until(BEGIN);
+    assert_eq!(who_am_i(&mut bench), None);
+    bench.run_until(BEGIN + 11 * MILLISECOND);
+    assert_eq!(
+        read_registers(&mut bench, 0x6B, 1),
+        Some(vec![0x01]),
+        "still awake"
+    );
+}
+
+#[test]
+fn a_sensor_without_supply_comes_back_asleep() {
+    let mut bench = bench(FaultKind::SensorBrownout);
+    bench.run_until(BEGIN);
+    assert_eq!(who_am_i(&mut bench), None);
+    bench.run_until(BEGIN + 11 * MILLISECOND);
+    assert_eq!(who_am_i(&mut bench), None, "it is starting");
+    let ready_ns = bench.controller.sensor().ready_at_ns().expect("it starts");
+    bench.run_until(ready_ns + 1000);
+    assert_eq!(read_registers(&mut bench, 0x6B, 1), Some(vec![0x40]));
+    assert_eq!(read_registers(&mut bench, 0x38, 1), Some(vec![0x00]));
+}
+
+#[test]
+fn a_register_changes_by_itself() {
+    let mut bench = bench(FaultKind::RegisterFlip(0x1B, 0x18));
+    assert_eq!(read_registers(&mut bench, 0x1B, 1), Some(vec![0x00]));
+    bench.run_until(BEGIN + 1000);
+    assert_eq!(read_registers(&mut bench, 0x1B, 1), Some(vec![0x18]));
+    assert_eq!(read_registers(&mut bench, 0x6B, 1), Some(vec![0x01]));
+}
+
+#[test]
+fn frozen_data_do_not_change_while_the_edges_go_on() {
+    let mut bench = bench(FaultKind::Frozen);
+    bench.run_until(BEGIN + 2 * MILLISECOND);
+    let first = data(&mut bench);
+    let edge_ns = bench.next_edge_ns();
+    assert!(edge_ns < BEGIN + 5 * MILLISECOND);
+    assert_eq!(data(&mut bench), first);
+    bench.run_until(BEGIN + 12 * MILLISECOND);
+    assert_ne!(data(&mut bench), first);
+}
+
+#[test]
+fn zeros_ones_full_scale_and_temperature_are_what_the_bus_delivers() {
+    let during = |kind| {
+        let mut bench = bench(kind);
+        bench.run_until(BEGIN + 2 * MILLISECOND);
+        let values = data(&mut bench);
+        let burst = bench.controller.sensor().take_bursts();
+        let noted = burst.last().expect("a burst").bytes;
+        let first = i16::from_be_bytes([noted[0], noted[1]]);
+        assert_eq!(first, values[0], "what is noted is what was delivered");
+        bench.run_until(BEGIN + 12 * MILLISECOND);
+        let after = data(&mut bench);
+        assert!(after.iter().all(|&value| value != -1 && value != i16::MAX));
+        assert!(after[2] > 10_000, "about 1 g: {after:?}");
+        values
+    };
+    assert_eq!(during(FaultKind::Zeros), [0; 7]);
+    assert_eq!(during(FaultKind::Ones), [-1; 7]);
+    for (nth, (axis, _)) in Axis::NAMES.into_iter().enumerate() {
+        let values = during(FaultKind::Saturated(axis));
+        let place = if nth < 3 { nth } else { nth + 1 };
+        for (value, at) in values.into_iter().zip(0..) {
+            assert_eq!(value == i16::MAX, at == place, "{axis:?} {values:?}");
+        }
+    }
+    let [.., temperature, _, _, _] = during(FaultKind::Temperature(100.0));
+    // (100 − 36.53) · 340 (register map, section 4.18).
+    assert_eq!(temperature, 21_580);
+}
+
+#[test]
+fn the_core_stands_still_while_it_is_stalled_and_hangs_until_a_reset() {
+    for kind in [FaultKind::CoreStall, FaultKind::WatchdogHang] {
+        let bench = bench(kind);
+        assert!(!bench.controller.is_core_held(BEGIN - 1));
+        assert!(bench.controller.is_core_held(BEGIN));
+        assert!(!bench.controller.is_core_held(BEGIN + 10 * MILLISECOND));
+    }
+    for (kind, hangs_on) in [
+        (FaultKind::CoreStall, true),
+        (FaultKind::WatchdogHang, false),
+    ] {
+        let mut bench = bench(kind);
+        bench.run_until(BEGIN + 1000);
+        let now = bench.now;
+        bench.controller.reset(now, ResetCause::Core);
+        assert_eq!(bench.controller.is_core_held(BEGIN + 2000), hangs_on);
+    }
+}
+
+/// The clocks: HSE on, PLL from it, PLL as the system's clock, and the clock security system if asked for.
+fn run_from_crystal(bench: &mut Bench, guarded: bool) {
+    bench.write(&RCC, 0x00, 1 << 16 | 1);
+    bench.run_for(MILLISECOND / 100);
+    bench.write(&RCC, 0x04, 1 << 22 | 7 << 24 | 168 << 6 | 4);
+    let control = 1 << 16 | 1 | u64::from(guarded) << 19;
+    bench.write(&RCC, 0x00, control | 1 << 24);
+    bench.run_for(MILLISECOND / 100);
+    bench.write(&RCC, 0x08, 2);
+    bench.run_for(MILLISECOND / 100);
+    assert_eq!(bench.read(&RCC, 0x08) >> 2 & 3, 2, "it runs from the PLL");
+}
+
+#[test]
+fn a_dead_crystal_is_flagged_and_replaced_if_it_is_guarded() {
+    let mut bench = bench(FaultKind::CrystalDies);
+    run_from_crystal(&mut bench, true);
+    bench.run_until(BEGIN + 1000);
+    assert_ne!(bench.read(&RCC, 0x0C) & 1 << 7, 0, "CSSF");
+    assert_eq!(bench.read(&RCC, 0x08) >> 2 & 3, 0, "HSI");
+    assert_eq!(bench.read(&RCC, 0x00) & (1 << 17 | 1 << 25), 0);
+    assert!(!bench.controller.is_core_held(bench.now.0));
+    bench.write(&RCC, 0x00, 1 << 16 | 1);
+    bench.run_for(MILLISECOND);
+    assert_eq!(
+        bench.read(&RCC, 0x00) & 1 << 17,
+        0,
+        "it does not start again"
+    );
+    bench.run_until(BEGIN + 11 * MILLISECOND);
+    bench.write(&RCC, 0x00, 1);
+    bench.write(&RCC, 0x00, 1 << 16 | 1);
+    bench.run_for(MILLISECOND);
+    assert_ne!(bench.read(&RCC, 0x00) & 1 << 17, 0, "after its end it does");
+}
+
+#[test]
+fn a_dead_crystal_stops_the_core_if_it_is_not_guarded() {
+    let mut bench = bench(FaultKind::CrystalDies);
+    run_from_crystal(&mut bench, false);
+    bench.run_until(BEGIN + 1000);
+    assert!(bench.controller.is_core_held(bench.now.0));
+    let now = bench.now;
+    bench.controller.reset(now, ResetCause::Core);
+    assert!(
+        !bench.controller.is_core_held(now.0),
+        "a reset chooses the HSI"
+    );
+}
+
+/// Listens on USART2 at 115,200 baud for the fault's ten milliseconds: bytes, and those among them with an error.
+fn listen(kind: FaultKind) -> (u32, u32) {
+    let mut bench = bench(kind);
+    bench.write(&RCC, 0x40, 1 << 21 | 1 << 17);
+    bench.write(&USART2, 0x08, 0x8B);
+    bench.write(&USART2, 0x0C, 1 << 13 | 1 << 2);
+    bench.run_until(BEGIN);
+    let (mut bytes, mut errors) = (0, 0);
+    while bench.now.0 < BEGIN + 12 * MILLISECOND {
+        bench.run_for(40_000);
+        let status = bench.read(&USART2, 0x00);
+        if status & 1 << 5 != 0 {
+            bytes += 1;
+            errors += u32::from(status & 0x6 != 0);
+            bench.read(&USART2, 0x04);
+        }
+    }
+    (bytes, errors)
+}
+
+#[test]
+fn bytes_come_in_without_a_pause_and_garbled_if_asked_for() {
+    assert_eq!(listen(FaultKind::SensorSilent), (0, 0));
+    let (bytes, errors) = listen(FaultKind::UartFlood);
+    assert!((105..=118).contains(&bytes), "{bytes} at 11,520 a second");
+    assert_eq!(errors, 0);
+    let (bytes, errors) = listen(FaultKind::UartNoise);
+    assert!((105..=118).contains(&bytes), "{bytes}");
+    assert!((15..=70).contains(&errors), "{errors} of {bytes}");
+}

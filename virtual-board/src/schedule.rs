@@ -1,0 +1,461 @@
+//! Schedules of faults: read from a file, or drawn from a seed.
+//!
+//! A line is `start_s duration_s fault`, for instance `2.5 0.02 sda-low`; what follows a `#` is a comment.
+
+use std::fmt;
+use std::fs;
+use std::path::Path;
+
+use thiserror::Error;
+
+use crate::faults::{Axis, Direction, FaultKind, ScheduledFault, nanoseconds};
+use crate::random::Random;
+
+/// Faults with their times.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Schedule {
+    /// The faults, in the order of their starts.
+    pub faults: Vec<ScheduledFault>,
+}
+
+/// Every fault: its name, its parameter, and how a parameter is read.
+const FORMS: [Form; 26] = [
+    Form::new("address-nack", "[:write|read]", |text| match text {
+        "" => Some(FaultKind::AddressNack(None)),
+        "write" => Some(FaultKind::AddressNack(Some(Direction::Write))),
+        "read" => Some(FaultKind::AddressNack(Some(Direction::Read))),
+        _ => None,
+    }),
+    Form::new("data-nack", ":BYTE (0 to 15)", |text| {
+        number(text, 0, 15).map(|byte| FaultKind::DataNack(byte as u8))
+    }),
+    Form::bare("burst-stall", FaultKind::BurstStall),
+    Form::new("sda-low", "[:CLOCKS] (1 to 9)", |text| match text {
+        "" => Some(FaultKind::SdaLow(None)),
+        _ => number(text, 1, 9).map(|clocks| FaultKind::SdaLow(Some(clocks as u8))),
+    }),
+    Form::bare("scl-low", FaultKind::SclLow),
+    Form::bare("bus-error", FaultKind::BusError),
+    Form::bare("arbitration-lost", FaultKind::ArbitrationLost),
+    Form::bare("dma-error", FaultKind::DmaError),
+    Form::bare("int-missing", FaultKind::IntMissing),
+    Form::bare("int-high", FaultKind::IntHigh),
+    Form::bare("int-low", FaultKind::IntLow),
+    Form::new("int-glitch", ":HERTZ (1 to 100000)", |text| {
+        number(text, 1, 100_000).map(FaultKind::IntGlitch)
+    }),
+    Form::bare("sensor-silent", FaultKind::SensorSilent),
+    Form::bare("sensor-brownout", FaultKind::SensorBrownout),
+    Form::new(
+        "register-flip",
+        ":REGISTER:VALUE (such as 0x1b:0x08)",
+        |text| {
+            let (register, value) = text.split_once(':')?;
+            let [register, value] = [number(register, 0, 0x75)?, number(value, 0, 0xFF)?];
+            Some(FaultKind::RegisterFlip(register as u8, value as u8))
+        },
+    ),
+    Form::bare("frozen", FaultKind::Frozen),
+    Form::bare("zeros", FaultKind::Zeros),
+    Form::bare("ones", FaultKind::Ones),
+    Form::new("saturated", ":ax|ay|az|gx|gy|gz", |text| {
+        let named = Axis::NAMES.into_iter().find(|&(_, name)| name == text);
+        named.map(|(axis, _)| FaultKind::Saturated(axis))
+    }),
+    Form::new("temperature", ":CELSIUS (-59 to 132)", |text| {
+        let celsius: f64 = text.parse().ok()?;
+        ((-59.0..=132.0).contains(&celsius)).then_some(FaultKind::Temperature(celsius))
+    }),
+    Form::bare("core-stall", FaultKind::CoreStall),
+    Form::bare("uart-flood", FaultKind::UartFlood),
+    Form::bare("uart-noise", FaultKind::UartNoise),
+    Form::bare("probe-detach", FaultKind::ProbeDetach),
+    Form::bare("crystal-dies", FaultKind::CrystalDies),
+    Form::bare("watchdog-hang", FaultKind::WatchdogHang),
+];
+
+/// How a fault is written.
+struct Form {
+    name: &'static str,
+    parameter: &'static str,
+    read: fn(&str) -> Option<FaultKind>,
+    /// The fault, if it takes no parameter.
+    bare: Option<FaultKind>,
+}
+
+impl Form {
+    const fn new(
+        name: &'static str,
+        parameter: &'static str,
+        read: fn(&str) -> Option<FaultKind>,
+    ) -> Self {
+        Self {
+            name,
+            parameter,
+            read,
+            bare: None,
+        }
+    }
+
+    const fn bare(name: &'static str, kind: FaultKind) -> Self {
+        Self {
+            name,
+            parameter: "",
+            read: |_| None,
+            bare: Some(kind),
+        }
+    }
+}
+
+/// A decimal number, or a hexadecimal one after `0x`, within these limits.
+fn number(text: &str, low: u32, high: u32) -> Option<u32> {
+    let value = match text.strip_prefix("0x") {
+        Some(digits) => u32::from_str_radix(digits, 16).ok()?,
+        None => text.parse().ok()?,
+    };
+    (low..=high).contains(&value).then_some(value)
+}
+
+/// Why a schedule cannot be used.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum ScheduleError {
+    /// The file cannot be read.
+    #[error("{0}: {1}")]
+    Unreadable(String, String),
+    /// A line is not understood.
+    #[error("{file}, line {line}: {reason}")]
+    Line {
+        /// The file, or what stands for it.
+        file: String,
+        /// Counted from 1.
+        line: usize,
+        /// What is wrong, and what would be right.
+        reason: String,
+    },
+    /// The seed is not a number.
+    #[error("`{0}` is not a seed: after `seed:` comes a whole number, such as seed:7")]
+    Seed(String),
+}
+
+impl Schedule {
+    /// What `--faults` takes: the name of a file, or `seed:` and a number.
+    ///
+    /// # Errors
+    ///
+    /// When there is no such file, a line is not understood, or the seed is not a number.
+    pub fn from_argument(argument: &str) -> Result<Self, ScheduleError> {
+        if let Some(seed) = argument.strip_prefix("seed:") {
+            let seed = seed
+                .parse()
+                .map_err(|_| ScheduleError::Seed(argument.into()))?;
+            return Ok(Self::by_seed(seed));
+        }
+        let text = fs::read_to_string(Path::new(argument))
+            .map_err(|cause| ScheduleError::Unreadable(argument.into(), cause.to_string()))?;
+        Self::parse(argument, &text)
+    }
+
+    /// Reads the text of a schedule; `file` names it in errors.
+    ///
+    /// # Errors
+    ///
+    /// When a line is not understood.
+    pub fn parse(file: &str, text: &str) -> Result<Self, ScheduleError> {
+        let mut faults = Vec::new();
+        for (line, text) in (1..).zip(text.lines()) {
+            let content = text.split('#').next().unwrap_or_default();
+            let words: Vec<&str> = content.split_whitespace().collect();
+            if words.is_empty() {
+                continue;
+            }
+            faults.push(fault(&words).map_err(|reason| ScheduleError::Line {
+                file: file.into(),
+                line,
+                reason,
+            })?);
+        }
+        faults.sort_by_key(|fault: &ScheduledFault| fault.start_ns);
+        Ok(Self { faults })
+    }
+
+    /// One to three faults for a flight, drawn from a seed; consecutive seeds begin with consecutive classes. Most come
+    /// one after another, with time to recover; now and then one comes on top of another.
+    #[must_use]
+    pub fn by_seed(seed: u64) -> Self {
+        let mut random = Random::new(seed, "faults");
+        let mut faults: Vec<ScheduledFault> = Vec::new();
+        let mut start_s = FIRST_FAULT_S + random.uniform(0.0, 0.2);
+        let count = [1, 1, 1, 1, 2, 2, 3][whole(&mut random, 7)];
+        for nth in 0..count {
+            let form = match nth {
+                0 => (seed % FORMS.len() as u64) as usize,
+                _ => whole(&mut random, FORMS.len()),
+            };
+            let fault = draw(FORMS[form].name, start_s, &mut random);
+            let is_last = fault.kind == FaultKind::WatchdogHang
+                || fault.kind == FaultKind::CrystalDies && fault.duration_ns == 0;
+            faults.push(fault);
+            if is_last {
+                break;
+            }
+            start_s = if random.uniform(0.0, 1.0) < 0.15 {
+                start_s + random.uniform(0.0, 0.02)
+            } else {
+                fault.end_ns() as f64 * 1e-9 + random.uniform(0.35, 0.55)
+            };
+        }
+        faults.sort_by_key(|fault| fault.start_ns);
+        Self { faults }
+    }
+
+    /// One fault of a class, its parameter and its times drawn from a seed. `None` if there is no such class.
+    #[must_use]
+    pub fn of_class(class: &str, seed: u64) -> Option<Self> {
+        let form = FORMS.iter().find(|form| form.name == class)?;
+        let mut random = Random::new(seed, "fault of a class");
+        let start_s = FIRST_FAULT_S + random.uniform(0.0, 0.2);
+        Some(Self {
+            faults: vec![draw(form.name, start_s, &mut random)],
+        })
+    }
+
+    /// The names of all faults, which are their classes.
+    pub fn classes() -> impl Iterator<Item = &'static str> {
+        FORMS.iter().map(|form| form.name)
+    }
+}
+
+impl fmt::Display for Schedule {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.faults
+            .iter()
+            .try_for_each(|fault| writeln!(formatter, "{fault}"))
+    }
+}
+
+/// Drawn faults begin after this time, when the gyroscope's offset has been measured, s.
+pub const FIRST_FAULT_S: f64 = 1.7;
+
+/// A whole number below `count`.
+fn whole(random: &mut Random, count: usize) -> usize {
+    (random.uniform(0.0, count as f64) as usize).min(count - 1)
+}
+
+/// A fault of this class that begins then.
+fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
+    let form = FORMS.iter().find(|form| form.name == class);
+    let pick = whole(random, 1 << 16);
+    let kind = match class {
+        "address-nack" => {
+            FaultKind::AddressNack([None, Some(Direction::Write), Some(Direction::Read)][pick % 3])
+        }
+        "data-nack" => FaultKind::DataNack((pick % 2) as u8),
+        // Half of them are a sensor that has lost count.
+        "sda-low" if pick % 2 == 0 => FaultKind::SdaLow(Some((1 + pick / 2 % 9) as u8)),
+        "sda-low" => FaultKind::SdaLow(None),
+        "int-glitch" => FaultKind::IntGlitch([200, 700, 1_900, 8_000][pick % 4]),
+        "register-flip" => {
+            let registers = [0x19, 0x1A, 0x1B, 0x1C, 0x37, 0x38, 0x6B];
+            FaultKind::RegisterFlip(registers[pick % 7], (pick / 7 % 256) as u8)
+        }
+        "saturated" => FaultKind::Saturated(Axis::NAMES[pick % 6].0),
+        "temperature" => FaultKind::Temperature(if pick % 2 == 0 { -55.0 } else { 120.0 }),
+        _ => form
+            .and_then(|form| form.bare)
+            .unwrap_or(FaultKind::SensorSilent),
+    };
+    let (shortest_s, longest_s) = match kind {
+        FaultKind::SdaLow(Some(_)) | FaultKind::RegisterFlip(..) | FaultKind::WatchdogHang => {
+            (0.0, 0.0)
+        }
+        FaultKind::CoreStall => (0.0015, 0.03),
+        FaultKind::AddressNack(_) | FaultKind::DataNack(_) => (0.0015, 0.03),
+        FaultKind::BusError | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),
+        FaultKind::BurstStall | FaultKind::SdaLow(None) | FaultKind::SclLow => (0.0015, 0.08),
+        FaultKind::IntMissing | FaultKind::IntHigh | FaultKind::IntLow => (0.004, 0.1),
+        FaultKind::SensorSilent | FaultKind::SensorBrownout => (0.002, 0.15),
+        FaultKind::CrystalDies if pick % 2 == 0 => (0.0, 0.0),
+        FaultKind::Saturated(_) => (0.005, 0.1),
+        _ => (0.05, 0.4),
+    };
+    // Whole microseconds read back as themselves.
+    let microseconds = |seconds: f64| (seconds * 1e6).round() as u64 * 1000;
+    ScheduledFault {
+        start_ns: microseconds(start_s),
+        duration_ns: microseconds(random.uniform(shortest_s, longest_s)),
+        kind,
+    }
+}
+
+/// The fault that a line's words say.
+fn fault(words: &[&str]) -> Result<ScheduledFault, String> {
+    let [start, duration, fault] = words else {
+        return Err(format!(
+            "a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; this one has {} words",
+            words.len()
+        ));
+    };
+    let seconds = |text: &str, what: &str| match text.parse::<f64>() {
+        Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(nanoseconds(seconds)),
+        _ => Err(format!(
+            "`{text}` is not a {what}: it is in seconds, from 0 to 86400"
+        )),
+    };
+    Ok(ScheduledFault {
+        start_ns: seconds(start, "start")?,
+        duration_ns: seconds(duration, "duration")?,
+        kind: kind(fault)?,
+    })
+}
+
+/// The fault of this name and parameter.
+fn kind(text: &str) -> Result<FaultKind, String> {
+    let (name, parameter) = text.split_once(':').unwrap_or((text, ""));
+    let Some(form) = FORMS.iter().find(|form| form.name == name) else {
+        let names: Vec<&str> = Schedule::classes().collect();
+        return Err(format!(
+            "there is no fault `{name}`; there are {}",
+            names.join(", ")
+        ));
+    };
+    match form.bare {
+        Some(kind) if text == name => Ok(kind),
+        Some(_) => Err(format!("`{name}` takes no parameter")),
+        None => (form.read)(parameter).ok_or(format!(
+            "`{parameter}` is not a parameter of `{name}`: it is written {name}{}",
+            form.parameter
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(text: &str) -> String {
+        Schedule::parse("f.txt", text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_file_is_read_with_its_comments() {
+        let text = "# two faults\n\n2.5 0.02 sda-low # shorted\n1 0 register-flip:0x1b:0x08\n";
+        let schedule = Schedule::parse("f.txt", text).unwrap();
+        assert_eq!(
+            schedule.faults,
+            [
+                ScheduledFault {
+                    start_ns: 1_000_000_000,
+                    duration_ns: 0,
+                    kind: FaultKind::RegisterFlip(0x1B, 0x08)
+                },
+                ScheduledFault {
+                    start_ns: 2_500_000_000,
+                    duration_ns: 20_000_000,
+                    kind: FaultKind::SdaLow(None)
+                },
+            ],
+            "in the order of their starts"
+        );
+    }
+
+    #[test]
+    fn every_fault_reads_back_as_itself() {
+        for form in &FORMS {
+            for seed in 0..50 {
+                let schedule = Schedule::of_class(form.name, seed).unwrap();
+                assert_eq!(schedule.faults[0].kind.name(), form.name);
+                let text = schedule.to_string();
+                assert_eq!(
+                    Schedule::parse("f.txt", &text).as_ref(),
+                    Ok(&schedule),
+                    "{text}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn one_seed_gives_one_schedule_and_all_seeds_every_class() {
+        let mut names: Vec<&str> = Vec::new();
+        for seed in 0..400 {
+            let schedule = Schedule::by_seed(seed);
+            assert_eq!(schedule, Schedule::by_seed(seed));
+            let text = schedule.to_string();
+            assert_eq!(
+                Schedule::parse("f.txt", &text).as_ref(),
+                Ok(&schedule),
+                "{text}"
+            );
+            assert!((1..=3).contains(&schedule.faults.len()));
+            names.extend(schedule.faults.iter().map(|fault| fault.kind.name()));
+        }
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), FORMS.len(), "{names:?}");
+        assert_ne!(Schedule::by_seed(1), Schedule::by_seed(2));
+    }
+
+    #[test]
+    fn errors_say_where_what_and_what_is_allowed() {
+        assert_eq!(
+            refusal("1 0.1 frozen\n2.5 sda-low"),
+            "f.txt, line 2: a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; this one has 2 words"
+        );
+        assert_eq!(
+            refusal("\n-1 0.1 frozen"),
+            "f.txt, line 2: `-1` is not a start: it is in seconds, from 0 to 86400"
+        );
+        assert_eq!(
+            refusal("1 x frozen"),
+            "f.txt, line 1: `x` is not a duration: it is in seconds, from 0 to 86400"
+        );
+        assert_eq!(
+            refusal("1 nan frozen"),
+            "f.txt, line 1: `nan` is not a duration: it is in seconds, from 0 to 86400"
+        );
+        assert!(refusal("1 1 melted").starts_with(
+            "f.txt, line 1: there is no fault `melted`; there are address-nack, data-nack, "
+        ));
+        assert_eq!(
+            refusal("1 1 frozen:2"),
+            "f.txt, line 1: `frozen` takes no parameter"
+        );
+        assert_eq!(
+            refusal("1 1 sda-low:10"),
+            "f.txt, line 1: `10` is not a parameter of `sda-low`: it is written sda-low[:CLOCKS] (1 to 9)"
+        );
+        for text in [
+            "data-nack",
+            "data-nack:16",
+            "register-flip:0x1b",
+            "register-flip:0x76:0",
+            "register-flip:1:256",
+            "saturated:mx",
+            "temperature:200",
+            "temperature:nan",
+            "int-glitch:0",
+            "address-nack:both",
+        ] {
+            let name = text.split(':').next().unwrap_or_default();
+            assert!(
+                refusal(&format!("1 1 {text}"))
+                    .contains(&format!("is not a parameter of `{name}`")),
+                "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn an_argument_is_a_seed_or_a_file() {
+        assert_eq!(Schedule::from_argument("seed:7"), Ok(Schedule::by_seed(7)));
+        assert_eq!(
+            Schedule::from_argument("seed:x").unwrap_err().to_string(),
+            "`seed:x` is not a seed: after `seed:` comes a whole number, such as seed:7"
+        );
+        let missing = Schedule::from_argument("/no/such/file").unwrap_err();
+        assert!(
+            missing.to_string().starts_with("/no/such/file: "),
+            "{missing}"
+        );
+    }
+}

@@ -1,0 +1,259 @@
+//! The two lines of the sensor's bus, as open-drain wires: low if anybody pulls them low.
+//!
+//! rigless carries the bytes apart from the lines. Here is what the lines do besides: short circuits, a sensor that
+//! holds SDA because it has lost count within a byte, one that stretches the clock, and what the port's pins do when
+//! the firmware drives them by hand. The I2C controller ([`crate::i2c`]) and the port ([`PortB`]) both look here.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use rigless::device::{Device, DeviceContext, Level, RegisterFile};
+use rigless::soc::RegisterSpec;
+use rigless::soc::stm32f427::generated::gpioa::Register;
+use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin};
+use rigless::time::{EventId, VirtualNanos};
+
+use crate::faults::{BusLine, Fault, FaultKind, nanoseconds, scheduled};
+
+/// SCL is PB8, SDA is PB9.
+pub const BUS_PINS: [(BusLine, u8); 2] = [(BusLine::Clock, 8), (BusLine::Data, 9)];
+
+/// The alternate function of I2C1 (STM32F405 datasheet, table 9).
+const I2C_FUNCTION: u8 = 4;
+
+/// What goes on with the lines apart from the bytes.
+#[derive(Debug, Default)]
+pub struct Wires {
+    /// Short circuits to ground, each with its time in ns.
+    shorts: Vec<(BusLine, u64, u64)>,
+    /// Times at which the sensor stretches the clock, if it is addressed.
+    stretches: Vec<(u64, u64)>,
+    /// Until when the sensor holds SCL.
+    stretched_until_ns: u64,
+    /// How many falling edges of SCL the sensor still waits for before it lets go of SDA.
+    clocks_owed: u8,
+    /// Whether the firmware pulls the pins low by hand: SCL, SDA.
+    driven_low: [bool; 2],
+    /// The levels of the lines when they were looked at last: SCL, SDA.
+    levels: [bool; 2],
+    /// Falling edges of SCL that the firmware made by hand.
+    clocks_made: u32,
+    /// Whether the firmware has made a STOP by hand that the sensor has not heard of yet.
+    has_stopped: bool,
+}
+
+/// The wires, for everybody who looks at them.
+#[derive(Clone, Debug)]
+pub struct SharedWires(Arc<Mutex<Wires>>);
+
+impl SharedWires {
+    /// Wires with these faults.
+    #[must_use]
+    pub fn new(faults: &[Fault]) -> Self {
+        let mut shorts: Vec<(BusLine, u64, u64)> = faults
+            .iter()
+            .filter_map(|fault| match fault {
+                Fault::BusHeldLow(line, range) => {
+                    Some((*line, nanoseconds(range.start), nanoseconds(range.end)))
+                }
+                _ => None,
+            })
+            .collect();
+        let mut stretches = Vec::new();
+        for fault in scheduled(faults) {
+            let (start_ns, end_ns) = (fault.start_ns, fault.end_ns());
+            match fault.kind {
+                FaultKind::SdaLow(None) => shorts.push((BusLine::Data, start_ns, end_ns)),
+                FaultKind::SclLow => shorts.push((BusLine::Clock, start_ns, end_ns)),
+                FaultKind::BurstStall => stretches.push((start_ns, end_ns)),
+                _ => {}
+            }
+        }
+        Self(Arc::new(Mutex::new(Wires {
+            shorts,
+            stretches,
+            levels: [true; 2],
+            ..Wires::default()
+        })))
+    }
+
+    /// The wires, to look at and to change.
+    pub fn lock(&self) -> MutexGuard<'_, Wires> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Wires {
+    /// Whether somebody other than the microcontroller pulls a line low.
+    #[must_use]
+    pub fn holds_low(&self, line: BusLine, now_ns: u64) -> bool {
+        let is_shorted = self
+            .shorts
+            .iter()
+            .any(|&(short, start, end)| short == line && (start..end).contains(&now_ns));
+        is_shorted
+            || match line {
+                BusLine::Clock => now_ns < self.stretched_until_ns,
+                BusLine::Data => self.clocks_owed > 0,
+            }
+    }
+
+    /// When a clock that is held low now will be free, as far as is known.
+    #[must_use]
+    pub fn clock_free_ns(&self, now_ns: u64) -> Option<u64> {
+        let shorts = self
+            .shorts
+            .iter()
+            .filter(|&&(line, start, end)| line == BusLine::Clock && (start..end).contains(&now_ns))
+            .map(|&(_, _, end)| end);
+        let stretch = Some(self.stretched_until_ns).filter(|&until_ns| now_ns < until_ns);
+        shorts.chain(stretch).max()
+    }
+
+    /// A byte ends on the bus. The sensor stretches the clock from here on if it is to.
+    pub fn byte_ends(&mut self, now_ns: u64) {
+        let stretch = self
+            .stretches
+            .iter()
+            .find(|&&(start, end)| (start..end).contains(&now_ns));
+        if let Some(&(_, end)) = stretch {
+            self.stretched_until_ns = self.stretched_until_ns.max(end);
+        }
+    }
+
+    /// The sensor has lost count within a byte whose rest is all zeros: it holds SDA for so many clocks.
+    pub fn lose_count(&mut self, clocks: u8) {
+        self.clocks_owed = clocks;
+    }
+
+    /// How many clocks the sensor still waits for.
+    #[must_use]
+    pub fn clocks_owed(&self) -> u8 {
+        self.clocks_owed
+    }
+
+    /// Falling edges of SCL that the firmware has made by hand.
+    #[must_use]
+    pub fn clocks_made(&self) -> u32 {
+        self.clocks_made
+    }
+
+    /// Whether a STOP has been made by hand since the last call.
+    pub fn take_stop(&mut self) -> bool {
+        std::mem::take(&mut self.has_stopped)
+    }
+
+    /// The pins, or what holds the lines, may have changed: follows the edges as the sensor sees them.
+    fn follow(&mut self, now_ns: u64) {
+        loop {
+            let before = self.levels;
+            let level = |nth: usize, line| !self.driven_low[nth] && !self.holds_low(line, now_ns);
+            let now = [level(0, BusLine::Clock), level(1, BusLine::Data)];
+            self.levels = now;
+            if before[0] && now[0] && !before[1] && now[1] && self.clocks_owed == 0 {
+                self.has_stopped = true;
+            }
+            if before[0] && !now[0] && self.driven_low[0] {
+                self.clocks_made += 1;
+                // The sensor may let go of SDA here, which is another edge.
+                self.clocks_owed = self.clocks_owed.saturating_sub(1);
+            }
+            if before == now {
+                return;
+            }
+        }
+    }
+}
+
+/// The port with the sensor's bus on it: rigless's model, with the lines as they really are.
+#[derive(Debug)]
+pub struct PortB {
+    /// What rigless models of it.
+    pub model: Gpio,
+    /// The lines.
+    pub wires: SharedWires,
+}
+
+impl PortB {
+    /// Looks at what the pins drive, and puts the lines' levels on the pins.
+    pub fn follow(
+        &mut self,
+        now: VirtualNanos,
+        registers: &RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let levels = {
+            let mut wires = self.wires.lock();
+            let (modes, outputs) = (registers.get(Register::Moder), registers.get(Register::Odr));
+            for (nth, (_, pin)) in BUS_PINS.into_iter().enumerate() {
+                let is_output = modes >> (2 * pin) & 3 == 1;
+                wires.driven_low[nth] = is_output && outputs >> pin & 1 == 0;
+            }
+            wires.follow(now.0);
+            BUS_PINS.map(|(line, _)| !wires.holds_low(line, now.0))
+        };
+        for ((_, pin), high) in BUS_PINS.into_iter().zip(levels) {
+            if let Some(pin) = Pin::new(pin) {
+                self.model
+                    .drive(pin, Some(Level::from(high)), registers, context);
+            }
+        }
+    }
+
+    /// Whether both pins are connected to the I2C controller.
+    #[must_use]
+    pub fn is_connected(registers: &RegisterFile) -> bool {
+        BUS_PINS.into_iter().all(|(_, pin)| {
+            Pin::new(pin).and_then(|pin| Gpio::function(pin, registers)) == Some(I2C_FUNCTION)
+        })
+    }
+}
+
+impl Device for PortB {
+    type Register = Register;
+
+    fn layout(&self) -> &'static [RegisterSpec] {
+        Device::layout(&self.model)
+    }
+
+    fn read(
+        &mut self,
+        register: Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        self.follow(context.now(), registers, context);
+        Device::read(&mut self.model, register, registers, context)
+    }
+
+    fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
+        Device::peek(&self.model, register, registers, now)
+    }
+
+    fn write(
+        &mut self,
+        register: Register,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::write(&mut self.model, register, value, registers, context);
+        self.follow(context.now(), registers, context);
+    }
+
+    fn on_event(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_event(&mut self.model, event, registers, context);
+    }
+
+    fn reset(&mut self) {
+        Device::reset(&mut self.model);
+    }
+
+    fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        Device::reset_line(&mut self.model, registers, context);
+    }
+}

@@ -1,0 +1,103 @@
+//! Flights with faults of a schedule: what stays as it was, and that one seed is one flight.
+
+mod common;
+
+use std::fs;
+use std::path::Path;
+
+use common::firmware;
+use virtual_board::campaign::Case;
+use virtual_board::flight::{Outcome, Run};
+use virtual_board::outputs;
+use virtual_board::plot::Labels;
+use virtual_board::schedule::Schedule;
+
+fn fly(seconds: f64, schedule: &str) -> Outcome {
+    let schedule = Schedule::parse("test", schedule).unwrap();
+    Run::new(firmware())
+        .seconds(seconds)
+        .schedule(&schedule)
+        .run()
+        .unwrap()
+}
+
+fn times(outcome: &Outcome) -> Vec<u64> {
+    let samples = outcome.samples().iter();
+    samples.map(|sample| sample.snapshot.t_us).collect()
+}
+
+#[test]
+fn a_flooded_uart_and_a_probe_pulled_off_change_neither_samples_nor_times() {
+    let undisturbed = fly(2.5, "");
+    for fault in ["uart-flood", "uart-noise", "probe-detach"] {
+        let outcome = fly(2.5, &format!("1 1 {fault}"));
+        assert_eq!(outcome.summary.missed, 0, "{fault}");
+        assert_eq!(times(&outcome), times(&undisturbed), "{fault}");
+        assert!(
+            outcome.summary.timestamp_error_us_max <= Some(1.0),
+            "{fault}: {:?}",
+            outcome.summary
+        );
+        let lines = outcome
+            .uart_lines
+            .iter()
+            .filter(|line| (1_000_000_000..2_000_000_000).contains(&line.at_ns))
+            .count();
+        assert!(lines >= 45, "{fault}: {lines} lines by UART in that second");
+    }
+}
+
+#[test]
+fn a_probe_that_is_pulled_off_reads_nothing() {
+    let outcome = fly(2.5, "1 1 probe-detach");
+    let read = |from_s: f64, to_s: f64| {
+        let within = |at_ns: u64| (from_s..to_s).contains(&(at_ns as f64 * 1e-9));
+        outcome
+            .log()
+            .iter()
+            .filter(|line| within(line.at_ns))
+            .count()
+    };
+    assert!(read(0.5, 0.999) > 10);
+    assert_eq!(read(1.001, 1.999), 0);
+    assert!(read(2.01, 2.5) > 10);
+}
+
+#[test]
+fn one_seed_of_faults_gives_the_same_files_every_time() {
+    let folder = |name: &str, seed: u64| {
+        let case = Case::by_seed(seed);
+        let outcome = case.fly(&firmware()).unwrap();
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+        let labels = Labels {
+            title: "title".into(),
+            subtitle: "subtitle".into(),
+        };
+        outputs::write(&folder, &outcome, &labels).unwrap();
+        folder
+    };
+    // 13: a brown-out; 39: another one, another flight.
+    let (first, second, other) = (
+        folder("faults-first", 13),
+        folder("faults-second", 13),
+        folder("faults-other", 39),
+    );
+    for file in [
+        "attitude.csv",
+        "bursts.csv",
+        "truth.csv",
+        "uart.log",
+        "attitude.png",
+    ] {
+        let read = |folder: &Path| fs::read(folder.join(file)).unwrap();
+        assert!(!read(&first).is_empty());
+        assert!(
+            read(&first) == read(&second),
+            "{file} differs between two runs"
+        );
+        assert!(
+            read(&first) != read(&other),
+            "{file} does not depend on the seed"
+        );
+    }
+}

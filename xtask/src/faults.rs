@@ -1,0 +1,32 @@
+//! `cargo xtask faults`: the campaign of flights with faults by chance on the virtual board.
+
+use std::path::Path;
+
+use crate::build::{self, Board, Firmware};
+use crate::setup::Toolchain;
+use crate::step;
+
+/// Flights of the short campaign that `cargo xtask test` flies: four that begin with each class of faults.
+const SHORT_RUNS: &str = "104";
+
+/// Builds what is needed and hands the arguments on.
+pub fn run(arguments: &[String]) -> Result<(), String> {
+    let virtual_board = build::virtual_board()?;
+    if arguments.iter().any(|a| a == "--help" || a == "-h") {
+        return step::run(step::command(&virtual_board).arg("faults").args(arguments));
+    }
+    let elf = Firmware {
+        board: Board::default(),
+        mount: None,
+    }
+    .build(&Toolchain::for_target()?)?;
+    let mut faults = step::command(&virtual_board);
+    step::run(faults.arg("faults").args(arguments).arg("--elf").arg(elf))
+}
+
+/// The short campaign, with the default seed.
+pub fn short(virtual_board: &Path, elf: &Path) -> Result<(), String> {
+    let mut faults = step::command(virtual_board);
+    faults.args(["faults", "--runs", SHORT_RUNS, "--elf"]);
+    step::run(faults.arg(elf))
+}
