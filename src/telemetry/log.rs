@@ -26,7 +26,7 @@
 //!
 //! # The line
 //!
-//! At 1 kHz and 50 attitudes a second it takes 36 kB/s: 39 % of 921,600 baud ([`BYTES_PER_BURST`] says what a burst
+//! At 1 kHz and 50 attitudes a second it takes 36 kB/s, 39 % of 921,600 baud, and 1.5 % of the core at 168 MHz ([`BYTES_PER_BURST`] says what a burst
 //! takes). [`Sender`] never waits: what does not fit is left out, and the gap in the bursts' numbers says so. Configurations come
 //! first, then bursts, then pieces of the state.
 
@@ -70,7 +70,7 @@ const STATE_PERIOD_US: u64 = 10_000_000;
 const PIECES_AT_ONCE: usize = 4;
 
 const CRC_LENGTH: usize = 4;
-// Without a table: 0.5 % of the core at 1 kHz, and 1 KiB of flash less.
+// Without a table: 1 KiB of flash less. The whole log takes 1.5 % of the core at 1 kHz all the same.
 static CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 
 /// A frame.
