@@ -1,7 +1,7 @@
 //! The accelerometer's offset, scale and cross-axis terms, from poses at rest.
 //!
 //! At rest the specific force is one g whatever the pose. The fit finds offset o and symmetric matrix M so that
-//! |M·(reading − o)| is one g in every pose, by Gauss-Newton on the differences (a Levenberg-free one: what a chip may
+//! |M·(reading − o)| is one g in every pose, by Gauss-Newton on the differences (what a chip may
 //! have by its datasheet is so close to none that it converges in three or four steps). A pose needs to be still, not exact.
 //!
 //! - Six poses, one for each side, give offset and scale of each axis.
@@ -9,7 +9,7 @@
 //! - What a magnitude cannot show is a rotation of the whole triad: that is [`level`](super::level)'s part.
 //!
 //! How much the poses say is not guessed: from the normal equations follows by how much an error of one pose may grow in a parameter;
-//! beyond [`MOST_AMPLIFICATION`] the geometry is refused, with the directions that are missing.
+//! beyond 2.5 times the geometry is refused, with the directions that are missing.
 //!
 //! Units are g inside; [`AccelerometerCorrection`] is in m/s².
 
@@ -647,6 +647,7 @@ fn unit(axis: Axis, is_down: bool) -> Vector3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::radians;
 
     const SCALE: RestScale = RestScale {
         counts_per_degree_s: 16.4,
@@ -805,6 +806,31 @@ mod tests {
             .to_vec();
         let error = fit(&poses).unwrap_err();
         assert!(error.to_string().ends_with("missing z down"), "{error}");
+    }
+
+    #[test]
+    fn a_geometry_that_is_regular_but_weak_is_refused() {
+        // Three rings down to 70° from z up: scale and offset of z can hardly be told apart.
+        let ring = |polar: f32, number: u32| {
+            (0..number).map(move |index| {
+                let azimuth = core::f32::consts::TAU * index as f32 / number as f32;
+                let (sine, cosine) = azimuth.sin_cos();
+                let across = polar.sin();
+                reading(Vector3::new(across * cosine, across * sine, polar.cos()))
+            })
+        };
+        let cap = |widest: f32| -> std::vec::Vec<Vector3> {
+            ring(0.0, 1)
+                .chain(ring(radians(35.0), 6))
+                .chain(ring(radians(widest), 8))
+                .collect()
+        };
+        let error = fit(&cap(70.0)).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "the poses do not show every direction: missing z down"
+        );
+        assert!(fit(&cap(140.0)).is_ok());
     }
 
     #[test]

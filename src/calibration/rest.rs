@@ -5,11 +5,11 @@
 //! The product specification gives the noise as a density; over the bandwidth of the set low-pass filter it
 //! becomes a σ per sample, and neighbouring samples are correlated, so that n of them say as much as n·2B/f
 //! independent ones (B the bandwidth, f the sample rate). Samples are judged in windows worth about
-//! [`WINDOW_INDEPENDENT`] independent ones. A window is motion if
+//! 32 independent ones. A window is motion if
 //!
 //! - an axis reads full scale;
 //! - an axis's variance lies beyond the χ² limit for the sensor's noise. Clones are noisier than the datasheet,
-//!   so at first the noise may be [`NOISE_TOLERANCE`] times as large; from the first still window on, each axis is held to
+//!   so at first the noise may be four times as large; from the first still window on, each axis is held to
 //!   what it has shown that it can do (an F test, as the product of both sides' χ² limits);
 //! - an axis's mean differs from the mean of the windows before by more than the standard error of that difference
 //!   explains: a slow turn about a level axis shows in the accelerometer long before its gyroscope's rate
@@ -17,7 +17,7 @@
 //! - the gyroscope's mean is beyond any zero-rate offset that the datasheet allows (a fast steady turn about the vertical),
 //!   or the accelerometer's is not about one g (free fall, a sensor that returns zeros).
 //!
-//! At the end the means must not show a trend either. All limits lie at [`LIMIT_SIGMA`] standard deviations, which white
+//! At the end the means must not show a trend either. All limits lie at five standard deviations, which white
 //! noise exceeds in less than one of ten thousand collections of 1000 samples.
 //!
 //! One motion looks exactly like rest to these six sensors: a steady turn about the vertical, slower than the
@@ -970,6 +970,16 @@ mod tests {
         let mut watch = RestWatch::new(&coarse(), 1000);
         let turn = |index: u32| ([0, 0, if index < 500 { 0 } else { 16 }], LEVEL);
         let (_, event) = first_event(&mut watch, turn);
+        assert_eq!(event, RestProgress::Moved(MotionReason::Turned(Axis::Z)));
+    }
+
+    #[test]
+    fn a_window_that_differs_from_those_before_is_motion_though_nothing_trends() {
+        // Turned about the vertical by a tenth of a degree, in the middle: one window of eleven, still in itself.
+        let mut watch = RestWatch::new(&coarse(), 946);
+        let turn = |index: u32| ([0, 0, if index / WINDOW == 5 { 16 } else { 0 }], LEVEL);
+        let (index, event) = first_event(&mut watch, turn);
+        assert_eq!(index, 6 * WINDOW - 1);
         assert_eq!(event, RestProgress::Moved(MotionReason::Turned(Axis::Z)));
     }
 
