@@ -19,11 +19,13 @@ pub trait Exchange {
     fn refuse(&mut self);
 
     /// A byte.
+    #[inline(never)]
     fn byte(&mut self, value: &mut u8) {
         self.bytes(core::slice::from_mut(value));
     }
 
     /// A number of 16 bits.
+    #[inline(never)]
     fn short(&mut self, value: &mut u16) {
         let mut bytes = value.to_le_bytes();
         self.bytes(&mut bytes);
@@ -31,6 +33,7 @@ pub trait Exchange {
     }
 
     /// A number of 32 bits.
+    #[inline(never)]
     fn word(&mut self, value: &mut u32) {
         let mut bytes = value.to_le_bytes();
         self.bytes(&mut bytes);
@@ -38,6 +41,7 @@ pub trait Exchange {
     }
 
     /// A number of 64 bits.
+    #[inline(never)]
     fn long(&mut self, value: &mut u64) {
         let mut bytes = value.to_le_bytes();
         self.bytes(&mut bytes);
@@ -45,6 +49,7 @@ pub trait Exchange {
     }
 
     /// A truth.
+    #[inline(never)]
     fn truth(&mut self, value: &mut bool) {
         let mut byte = u8::from(*value);
         self.byte(&mut byte);
@@ -55,6 +60,7 @@ pub trait Exchange {
     }
 
     /// An index that is below 256, and on the way back below `limit`.
+    #[inline(never)]
     fn index(&mut self, value: &mut usize, limit: usize) {
         let mut byte = *value as u8;
         self.byte(&mut byte);
@@ -66,6 +72,7 @@ pub trait Exchange {
     }
 
     /// A float, to the bit.
+    #[inline(never)]
     fn number(&mut self, value: &mut f32) {
         let mut bits = value.to_bits();
         self.word(&mut bits);
@@ -73,6 +80,7 @@ pub trait Exchange {
     }
 
     /// Floats, one by one.
+    #[inline(never)]
     fn numbers(&mut self, values: &mut [f32]) {
         for value in values {
             self.number(value);
@@ -80,6 +88,7 @@ pub trait Exchange {
     }
 
     /// A vector.
+    #[inline(never)]
     fn vector(&mut self, value: &mut Vector3) {
         self.number(&mut value.x);
         self.number(&mut value.y);
@@ -87,6 +96,7 @@ pub trait Exchange {
     }
 
     /// A quaternion.
+    #[inline(never)]
     fn quaternion(&mut self, value: &mut Quaternion) {
         self.number(&mut value.w);
         self.number(&mut value.x);
@@ -139,6 +149,7 @@ impl<'a> Window<'a> {
 }
 
 impl Exchange for Window<'_> {
+    #[inline(never)]
     fn bytes(&mut self, bytes: &mut [u8]) {
         for byte in bytes {
             if let Some(place) = self

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use aplomb::calibration::Record;
@@ -18,18 +18,15 @@ use aplomb::telemetry::mavlink::parameter::PARAMETERS;
 use aplomb::telemetry::mavlink::{Action, Calibrate, Outcome, Session, Vehicle};
 use aplomb::telemetry::message::Severity;
 
-/// The version that the test is written for.
-const PYMAVLINK: &str = "pymavlink==2.4.50";
+#[path = "pymavlink/python.rs"]
+mod python;
 
 /// Turns of 20 ms.
 const TURNS: u64 = 500;
 
 #[test]
 fn pymavlink_understands_the_module_and_the_module_understands_it() {
-    let Some(python) = python_with_pymavlink() else {
-        eprintln!(
-            "SKIPPED: pymavlink cannot be installed here; it needs Python 3 with venv and pip, and the network"
-        );
+    let Some(python) = python::with_pymavlink(Path::new(env!("CARGO_TARGET_TMPDIR"))) else {
         return;
     };
     let station = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/pymavlink/station.py");
@@ -260,24 +257,4 @@ impl Module {
         let length = output.length();
         (buffer[..length].to_vec(), snapshot)
     }
-}
-
-/// The Python of a virtual environment that has pymavlink.
-fn python_with_pymavlink() -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("pymavlink");
-    let python = folder.join("bin/python");
-    let has_it = |python: &Path| {
-        python.exists()
-            && Command::new(python)
-                .args(["-c", "import pymavlink.dialects.v20.common"])
-                .output()
-                .is_ok_and(|output| output.status.success())
-    };
-    if !has_it(&python) {
-        let runs =
-            |command: &mut Command| command.output().is_ok_and(|output| output.status.success());
-        runs(Command::new("python3").args(["-m", "venv"]).arg(&folder));
-        runs(Command::new(&python).args(["-m", "pip", "install", "--quiet", PYMAVLINK]));
-    }
-    has_it(&python).then_some(python)
 }

@@ -127,6 +127,8 @@ mod app {
         console: Console,
         to_log: Producer<'static, NumberedBurst>,
         logged: Consumer<'static, NumberedBurst>,
+        station: GroundStation,
+        sender: Sender<Kalman>,
     }
 
     #[init(local = [
@@ -202,6 +204,8 @@ mod app {
                 console,
                 to_log,
                 logged,
+                station: GroundStation::new(),
+                sender: Sender::new(0),
             },
         )
     }
@@ -420,9 +424,7 @@ mod app {
         priority = 1,
         shared = [pipeline, messages, rest, desk],
         local = [
-            transmitter, receiver, console, logged,
-            station: GroundStation = GroundStation::new(),
-            sender: Sender<Kalman> = Sender::new(0),
+            transmitter, receiver, console, logged, station, sender,
             now_us: u64 = 0,
             frames_sent: u8 = 0,
             last_published: u32 = 0,
@@ -597,6 +599,7 @@ mod app {
     }
 
     /// The latest snapshot, unless it was sent already.
+    #[inline(never)]
     fn next_snapshot(last_published: &mut u32) -> Option<Snapshot> {
         let (snapshot, number) = publish::latest()?;
         if number == core::mem::replace(last_published, number) {
@@ -606,6 +609,7 @@ mod app {
     }
 
     /// A line of the module, as the format has it.
+    #[inline(never)]
     fn say(
         format: OutputFormat,
         severity: Severity,

@@ -53,6 +53,7 @@ impl GroundStation {
     }
 
     /// The next command that it asks for; what makes no command is answered here.
+    #[inline(never)]
     pub fn take_command(&mut self) -> Option<(Ticket, Command)> {
         while let Some((ticket, action)) = self.session.take_action() {
             match command(action) {
@@ -64,6 +65,7 @@ impl GroundStation {
     }
 
     /// What came of that command at once.
+    #[inline(never)]
     pub fn answer(&mut self, ticket: Ticket, command: Command, kind: Kind) {
         let takes_time = matches!(
             command,
@@ -91,6 +93,7 @@ impl GroundStation {
     }
 
     /// The console has said something by itself.
+    #[inline(never)]
     pub fn hear(&mut self, kind: Kind) {
         let outcome = match kind {
             Kind::Done => Outcome::Accepted,

@@ -18,6 +18,7 @@ pub const LINE_LENGTH: usize = "Roll:(),\tPitch:()\n".len() + 4 * LONGEST_NUMBER
 /// Roll and pitch of a snapshot, and the rates at which they change.
 ///
 /// φ' = p + (q sin φ + r cos φ) tan θ and θ' = q cos φ − r sin φ, with roll φ, pitch θ and the body's rates p, q, r.
+#[inline(never)]
 pub fn angles_of(snapshot: &Snapshot) -> ClassicAngles {
     let angles = snapshot.euler();
     let rates = snapshot.body_rates_rad_s;
@@ -34,6 +35,7 @@ pub fn angles_of(snapshot: &Snapshot) -> ClassicAngles {
 }
 
 /// Writes a line, newline included, and returns it.
+#[inline(never)]
 pub fn encode<'a>(angles: &ClassicAngles, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
     let mut writer = Writer::new(line);
     writer.text("Roll:");

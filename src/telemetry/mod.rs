@@ -56,6 +56,7 @@ const fn other_bytes_per_second(format: OutputFormat) -> u32 {
 
 /// Writes a snapshot in a format, and returns what it wrote. The counter is one more for each frame that is sent.
 /// MAVLink and the flight log are more than a frame for a snapshot: their own files write them.
+#[inline(never)]
 pub fn encode<'a>(
     format: OutputFormat,
     snapshot: &Snapshot,
@@ -115,6 +116,7 @@ impl<'a> Output<'a> {
     }
 
     /// Adds bytes, all or none; false if there is no room.
+    #[inline(never)]
     pub fn put(&mut self, bytes: &[u8]) -> bool {
         let end = self.length + bytes.len();
         match self.buffer.get_mut(self.length..end) {

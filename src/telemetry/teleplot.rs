@@ -26,6 +26,7 @@ pub const LINES_LENGTH: usize = {
 };
 
 /// Writes the lines of a snapshot and returns them.
+#[inline(never)]
 pub fn encode<'a>(snapshot: &Snapshot, lines: &'a mut [u8; LINES_LENGTH]) -> &'a [u8] {
     let mut writer = Writer::new(lines);
     for (label, value) in text::LABELS

@@ -98,6 +98,7 @@ pub fn encode<'a>(snapshot: &Snapshot, line: &'a mut [u8; LINE_LENGTH]) -> &'a [
 }
 
 /// Writes a line from its numbers.
+#[inline(never)]
 pub fn encode_line<'a>(numbers: &Line, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
     let mut writer = Writer::new(line);
     for (index, (label, value)) in LABELS.into_iter().zip(numbers.values()).enumerate() {

@@ -253,6 +253,7 @@ impl Session {
     }
 
     /// Writes what is due, the most urgent first, as far as there is room.
+    #[inline(never)]
     pub fn fill(&mut self, now_us: u64, vehicle: &Vehicle<'_>, output: &mut Output<'_>) {
         if now_us >= self.next_heartbeat_us {
             self.next_heartbeat_us = now_us + HEARTBEAT_PERIOD_US;
@@ -286,6 +287,7 @@ impl Session {
     }
 
     /// Writes a message of the module; false, and nothing of it, if there is no room.
+    #[inline(never)]
     pub fn say(&mut self, severity: Severity, text: &str, output: &mut Output<'_>) -> bool {
         let chunks = text.len().div_ceil(TEXT_LENGTH).max(1);
         if !output.has_room(chunks * (OVERHEAD + STATUSTEXT_DATA::ENCODED_LEN + 3)) {
@@ -325,6 +327,7 @@ impl Session {
         true
     }
 
+    #[inline(never)]
     fn reply(&mut self, reply: Reply, vehicle: &Vehicle<'_>, output: &mut Output<'_>) -> bool {
         match reply {
             Reply::Acknowledge(acknowledgement) => self.send(&acknowledgement, output),
@@ -360,6 +363,7 @@ impl Session {
         }
     }
 
+    #[inline(never)]
     fn status(&self, vehicle: &Vehicle<'_>) -> SYS_STATUS_DATA {
         let all = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
             | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -400,6 +404,7 @@ impl Session {
 }
 
 impl Inbox {
+    #[inline(never)]
     fn take(&mut self, frame: &Received) {
         let payload = frame.payload();
         let version = MavlinkVersion::V2;
@@ -480,6 +485,7 @@ impl Inbox {
         self.queue(Reply::Parameter(index));
     }
 
+    #[inline(never)]
     fn command(&mut self, frame: &Received, command: &Command) {
         let ticket = Ticket {
             command: Some(command.command),
@@ -542,6 +548,7 @@ impl Inbox {
         Outcome::Accepted
     }
 
+    #[inline(never)]
     fn answer(&mut self, ticket: Ticket, outcome: Outcome) {
         let Some(command) = ticket.command else {
             return;
@@ -554,6 +561,7 @@ impl Inbox {
         }));
     }
 
+    #[inline(never)]
     fn queue(&mut self, reply: Reply) {
         if self.replies.push_back(reply).is_err() {
             self.dropped = self.dropped.saturating_add(1);
@@ -572,6 +580,7 @@ const REQUEST_MESSAGE: u16 = 512;
 /// MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES.
 const REQUEST_CAPABILITIES: u16 = 520;
 
+#[inline(never)]
 fn heartbeat(vehicle: &Vehicle<'_>) -> HEARTBEAT_DATA {
     let flags = vehicle.snapshot.map(|snapshot| snapshot.flags);
     HEARTBEAT_DATA {
@@ -596,6 +605,7 @@ fn heartbeat(vehicle: &Vehicle<'_>) -> HEARTBEAT_DATA {
 }
 
 /// Which sensors are well.
+#[inline(never)]
 fn health(snapshot: Option<&Snapshot>) -> MavSysStatusSensor {
     let Some(Snapshot { flags, .. }) = snapshot else {
         return MavSysStatusSensor::empty();
@@ -629,6 +639,7 @@ fn health(snapshot: Option<&Snapshot>) -> MavSysStatusSensor {
     )
 }
 
+#[inline(never)]
 fn attitude(snapshot: &Snapshot) -> ATTITUDE_DATA {
     let angles = snapshot.euler();
     let rates = snapshot.body_rates_rad_s;
@@ -643,6 +654,7 @@ fn attitude(snapshot: &Snapshot) -> ATTITUDE_DATA {
     }
 }
 
+#[inline(never)]
 fn quaternion(snapshot: &Snapshot) -> ATTITUDE_QUATERNION_DATA {
     let attitude = snapshot.attitude;
     let rates = snapshot.body_rates_rad_s;
@@ -658,6 +670,7 @@ fn quaternion(snapshot: &Snapshot) -> ATTITUDE_QUATERNION_DATA {
     }
 }
 
+#[inline(never)]
 fn imu(snapshot: &Snapshot, vehicle: &Vehicle<'_>) -> HIGHRES_IMU_DATA {
     let force = vehicle.sample.specific_force_m_s2;
     let rates = snapshot.body_rates_rad_s;

@@ -49,6 +49,7 @@ pub const PARAMETERS: [(Parameter, &str); 15] = [
 
 impl Parameter {
     /// The index of the parameter with this name.
+    #[inline(never)]
     pub fn find(name: &[u8]) -> Option<u16> {
         PARAMETERS
             .iter()
@@ -57,6 +58,7 @@ impl Parameter {
     }
 
     /// What a record says of it.
+    #[inline(never)]
     pub fn value(self, record: &Record) -> f32 {
         let Calibration {
             mount,
@@ -90,6 +92,7 @@ impl Parameter {
     }
 
     /// What setting it asks for; `None` if it cannot be set, or not to this.
+    #[inline(never)]
     pub fn action(self, value: f32) -> Option<Action> {
         // A cast saturates; what comes back as the same float was a whole number.
         let whole = value as u32;

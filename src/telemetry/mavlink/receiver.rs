@@ -98,6 +98,7 @@ impl Receiver {
         }
     }
 
+    #[inline(never)]
     fn sort(&mut self, text: &mut impl FnMut(u8), frame: &mut impl FnMut(&Received)) {
         while self.length > 0 {
             match self.judge() {
@@ -113,18 +114,22 @@ impl Receiver {
         }
     }
 
+    #[inline(never)]
     fn drop_front(&mut self, count: usize, text: &mut impl FnMut(u8)) {
         let count = count.min(self.length);
         for byte in self.bytes.iter().take(count) {
             text(*byte);
         }
-        // The counts are within the array.
-        if count <= self.length && self.length <= CAPACITY {
-            self.bytes.copy_within(count..self.length, 0);
+        // Cells let one loop read ahead of where it writes.
+        let bytes = core::cell::Cell::from_mut(self.bytes.as_mut_slice()).as_slice_of_cells();
+        let kept = bytes.iter().skip(count);
+        for (place, byte) in bytes.iter().zip(kept) {
+            place.set(byte.get());
         }
         self.length -= count;
     }
 
+    #[inline(never)]
     fn judge(&self) -> Verdict {
         let bytes = self.bytes.get(..self.length).unwrap_or_default();
         if bytes.first() != Some(&START) {

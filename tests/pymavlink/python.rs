@@ -1,0 +1,33 @@
+//! A Python that has pymavlink, for the tests that want somebody else's opinion.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// The version that the tests are written for.
+const PYMAVLINK: &str = "pymavlink==2.4.50";
+
+/// The Python of a virtual environment in this folder that has pymavlink; installs it if need be. Without it, says so and gives
+/// nothing.
+pub fn with_pymavlink(folder: &Path) -> Option<PathBuf> {
+    let folder = folder.join("pymavlink");
+    let python = folder.join("bin/python");
+    let has_it = || {
+        let import = ["-c", "import pymavlink.dialects.v20.common"];
+        python.exists() && runs(Command::new(&python).args(import))
+    };
+    if !has_it() {
+        runs(Command::new("python3").args(["-m", "venv"]).arg(&folder));
+        runs(Command::new(&python).args(["-m", "pip", "install", "--quiet", PYMAVLINK]));
+    }
+    if !has_it() {
+        eprintln!(
+            "SKIPPED: pymavlink cannot be installed here; it needs Python 3 with venv and pip, and the network"
+        );
+        return None;
+    }
+    Some(python)
+}
+
+fn runs(command: &mut Command) -> bool {
+    command.output().is_ok_and(|output| output.status.success())
+}
