@@ -23,6 +23,7 @@ use crate::board::{BOARDS, Board, BoardModel};
 use crate::crystal::HighSpeedInput;
 use crate::faults::{Fault, nanoseconds};
 use crate::fitted::FittedSensor;
+use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
 use crate::mcu::{Microcontroller, SaidByte, Terminal};
 use crate::motion::quadrotor::Quadrotor;
@@ -46,6 +47,7 @@ pub struct Run {
     faults: Vec<Fault>,
     script: Vec<SaidByte>,
     errors: Option<SensorErrors>,
+    flash: FlashRecord,
     has_probe: bool,
     steps_everything: bool,
     observer: Box<dyn Observer>,
@@ -65,6 +67,7 @@ impl Run {
             faults: Vec::new(),
             script: Vec::new(),
             errors: None,
+            flash: FlashRecord::blank(),
             has_probe: true,
             steps_everything: false,
             observer: Box::new(Nobody),
@@ -149,6 +152,13 @@ impl Run {
         self
     }
 
+    /// Starts with these bytes in the calibration slots, as [`FlashRecord::holding`] takes them.
+    #[must_use]
+    pub fn flash(mut self, bytes: Vec<u8>) -> Self {
+        self.flash = FlashRecord::holding(bytes);
+        self
+    }
+
     /// Leaves the log buffer unread, as without a debug probe.
     #[must_use]
     pub fn without_probe(mut self) -> Self {
@@ -213,10 +223,12 @@ impl Run {
             } => Some((*noise_per_million, *framing_per_million)),
             _ => None,
         });
+        let cells = SharedCells::new(self.flash);
         let mut controller = Microcontroller::new(
             FittedSensor::new(sensor, self.faults),
             input,
             Terminal::new(&self.script),
+            cells.clone(),
         )
         .map_err(Error::emulator)?;
         if let Some((noise, framing)) = garbled {
@@ -233,6 +245,7 @@ impl Run {
             controller,
             firmware.handlers.clone(),
             Arc::clone(&profile),
+            cells.clone(),
         );
         let probe = firmware
             .log_channel
@@ -264,6 +277,7 @@ impl Run {
             summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
             uart_lines: lines(&record),
             record,
+            flash: cells.record(),
             remarks,
         })
     }
@@ -278,6 +292,8 @@ pub struct Outcome {
     pub uart_lines: Vec<UartLine>,
     /// Everything that was noted.
     pub record: Record,
+    /// The calibration slots, and what was done to them.
+    pub flash: FlashRecord,
     /// What the firmware did that this board cannot do, and what the emulator could not account for. Empty if all is well.
     pub remarks: Vec<String>,
 }

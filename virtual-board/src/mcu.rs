@@ -24,6 +24,7 @@ use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::exti::{self, Exti, Syscfg};
 use crate::faults::BusLine;
 use crate::fitted::FittedSensor;
+use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{LastAware, items_left};
 
 /// Ports by their number, as SYSCFG_EXTICR counts them.
@@ -55,6 +56,7 @@ pub struct Microcontroller {
     sensor_bus: LastAware,
     exti: Exti,
     syscfg: Syscfg,
+    flash: FlashInterface,
     slots: Slots,
     /// The instant at which the sensor's wire has to be looked at, and for which an event is scheduled.
     awaited_ns: Option<u64>,
@@ -69,6 +71,7 @@ struct Slots {
     i2c1: usize,
     exti: usize,
     syscfg: usize,
+    flash: usize,
     dma1: usize,
     port_a: usize,
 }
@@ -83,6 +86,7 @@ impl Microcontroller {
         sensor: FittedSensor,
         input: HighSpeedInput,
         terminal: Terminal,
+        cells: SharedCells,
     ) -> Result<Self, Error> {
         let mut part = Stm32f427::new()?;
         part.rcc.attach_crystals(input.frequency_hz(), 0);
@@ -95,11 +99,13 @@ impl Microcontroller {
             i2c1: bus.slot("I2C1")?,
             exti: bus.slot("EXTI")?,
             syscfg: bus.slot("SYSCFG")?,
+            flash: bus.slot("Flash")?,
             dma1: bus.slot("DMA1")?,
             port_a: bus.slot("GPIOA")?,
         };
         let mut spare = Stm32f427::new()?;
         std::mem::swap(&mut spare.rcc, &mut part.rcc);
+        std::mem::swap(&mut spare.flash, &mut part.flash);
         std::mem::swap(&mut spare.i2c[I2C1], &mut part.i2c[I2C1]);
         let [i2c1, ..] = spare.i2c;
         let mut controller = Self {
@@ -114,6 +120,10 @@ impl Microcontroller {
             },
             exti: Exti::default(),
             syscfg: Syscfg,
+            flash: FlashInterface {
+                model: spare.flash,
+                cells,
+            },
             slots,
             awaited_ns: None,
             bus_levels: [None; BUS_PINS.len()],
@@ -132,6 +142,12 @@ impl Microcontroller {
             .model
             .chip_mut(0)
             .expect("the sensor is the one chip on this bus")
+    }
+
+    /// When the flash's operation ends that was started last, ns since power-up.
+    #[must_use]
+    pub fn flash_busy_until_ns(&self) -> u64 {
+        self.flash.cells.with(|cells| cells.busy_until_ns())
     }
 
     /// The far end of the UART.
@@ -231,6 +247,7 @@ impl Microcontroller {
     /// Lends the decorated models to the part for as long as it rebuilds itself.
     fn lend_models(&mut self) {
         std::mem::swap(&mut self.clocks.model, &mut self.part.rcc);
+        std::mem::swap(&mut self.flash.model, &mut self.part.flash);
         std::mem::swap(&mut self.sensor_bus.model, &mut self.part.i2c[I2C1]);
     }
 }
@@ -249,6 +266,7 @@ impl Mcu for Microcontroller {
         self.part.reset(at, cause);
         self.lend_models();
         self.exti = Exti::default();
+        self.flash.restart();
         self.awaited_ns = None;
         self.bus_levels = [None; BUS_PINS.len()];
         self.release_pins(at);
@@ -266,6 +284,8 @@ impl Mcu for Microcontroller {
             let bus = self.part.bus_mut();
             self.sensor_bus.items_left = items_left(bus.slots()[self.slots.dma1].registers());
             (bus, Some(&mut self.sensor_bus))
+        } else if slot == self.slots.flash {
+            (self.part.bus_mut(), Some(&mut self.flash))
         } else if slot == self.slots.exti {
             (self.part.bus_mut(), Some(&mut self.exti))
         } else if slot == self.slots.syscfg {
@@ -349,6 +369,7 @@ mod tests {
     use rigless::soc::{Peripheral, Width};
 
     use super::*;
+    use crate::flash::FlashRecord;
     use crate::motion::rest::Rest;
     use crate::sensor::{Sensor, SensorConfig};
 
@@ -413,6 +434,7 @@ mod tests {
                     FittedSensor::new(sensor, vec![]),
                     input,
                     Terminal::default(),
+                    SharedCells::new(FlashRecord::blank()),
                 )
                 .unwrap(),
                 now: VirtualNanos(at_ns),
