@@ -195,7 +195,14 @@ impl NorFlash for CalibrationFlash {
                 let control = this.interface.cr();
                 // SAFETY: `check_erase` leaves sectors 1 and 2 alone, neither of which holds code.
                 control.write(|w| unsafe {
-                    w.psize().psize32().ser().set_bit().snb().bits(sector as u8)
+                    w.lock()
+                        .clear_bit()
+                        .psize()
+                        .psize32()
+                        .ser()
+                        .set_bit()
+                        .snb()
+                        .bits(sector as u8)
                 });
                 control.modify(|_, w| w.strt().set_bit());
                 this.wait(ERASE_DEADLINE_US)?;
@@ -210,7 +217,7 @@ impl NorFlash for CalibrationFlash {
             // A supply of 2.7 V or more allows 32 bits at a time (RM0090, section 3.6.2).
             this.interface
                 .cr()
-                .write(|w| w.psize().psize32().pg().set_bit());
+                .write(|w| w.lock().clear_bit().psize().psize32().pg().set_bit());
             let first = (START + offset as usize) as *mut u32;
             let (words, _) = bytes.as_chunks::<4>();
             for (index, word) in words.iter().enumerate() {
