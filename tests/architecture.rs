@@ -196,6 +196,18 @@ fn the_sensor_model_has_its_own_register_table() {
 }
 
 #[test]
+fn writing_firmware_never_erases_the_whole_chip() {
+    // That would take the stored calibration with it.
+    for file in ["Embed.toml", ".cargo/config.toml", "xtask/src/main.rs"] {
+        let contents = fs::read_to_string(root().join(file)).expect("the file is there");
+        assert!(contents.contains("probe-rs") || contents.contains("[default.flashing]"));
+        for asks in ["chip-erase", "do_chip_erase = true", "probe-rs erase"] {
+            assert!(!contents.contains(asks), "{file} asks for `{asks}`");
+        }
+    }
+}
+
+#[test]
 fn every_module_header_says_what_it_is() {
     for folder in ["src", "cli/src", "virtual-board/src", "xtask/src"] {
         for (path, contents) in rust_files(folder) {

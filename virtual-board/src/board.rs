@@ -9,6 +9,7 @@ use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::Store;
 
 use crate::crystal::HighSpeedInput;
+use crate::flash::SharedCells;
 use crate::mcu::Microcontroller;
 use crate::profile::{Profile, ProfiledProcessor};
 
@@ -59,6 +60,7 @@ pub struct Board {
     /// The vector table's handlers, by exception number.
     handlers: Vec<u32>,
     profile: Arc<Mutex<Profile>>,
+    cells: SharedCells,
 }
 
 impl Board {
@@ -69,12 +71,14 @@ impl Board {
         controller: Microcontroller,
         handlers: Vec<u32>,
         profile: Arc<Mutex<Profile>>,
+        cells: SharedCells,
     ) -> Self {
         Self {
             controller,
             core_hz: NonZeroU64::new(model.core_hz).unwrap_or(NonZeroU64::MIN),
             handlers,
             profile,
+            cells,
         }
     }
 }
@@ -117,11 +121,13 @@ impl machine::Board for Board {
             core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, armv7m::MpuRegions::Eight);
         let make = Arc::clone(&spec.processor);
         let (handlers, profile) = (self.handlers.clone(), Arc::clone(&self.profile));
+        let cells = self.cells.clone();
         spec.processor = Arc::new(move |endian| {
             Ok(Box::new(ProfiledProcessor::new(
                 make(endian)?,
                 handlers.clone(),
                 Arc::clone(&profile),
+                cells.clone(),
             )))
         });
         vec![Target::new(CORE, &mut self.controller, spec)]

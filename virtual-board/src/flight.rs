@@ -23,6 +23,7 @@ use crate::board::{BOARDS, Board, BoardModel};
 use crate::crystal::HighSpeedInput;
 use crate::faults::{Fault, ScheduledFault, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
+use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
 use crate::mcu::{Microcontroller, SaidByte, Terminal};
 use crate::motion::quadrotor::Quadrotor;
@@ -47,6 +48,7 @@ pub struct Run {
     faults: Vec<Fault>,
     script: Vec<SaidByte>,
     errors: Option<SensorErrors>,
+    flash: FlashRecord,
     has_probe: bool,
     steps_everything: bool,
     has_account: bool,
@@ -67,6 +69,7 @@ impl Run {
             faults: Vec::new(),
             script: Vec::new(),
             errors: None,
+            flash: FlashRecord::blank(),
             has_probe: true,
             steps_everything: false,
             has_account: true,
@@ -167,6 +170,13 @@ impl Run {
         self
     }
 
+    /// Starts with these bytes in the calibration slots, as [`FlashRecord::holding`] takes them.
+    #[must_use]
+    pub fn flash(mut self, bytes: Vec<u8>) -> Self {
+        self.flash = FlashRecord::holding(bytes);
+        self
+    }
+
     /// Leaves the log buffer unread, as without a debug probe.
     #[must_use]
     pub fn without_probe(mut self) -> Self {
@@ -239,10 +249,12 @@ impl Run {
             } => Some((*noise_per_million, *framing_per_million)),
             _ => None,
         });
+        let cells = SharedCells::new(self.flash);
         let mut controller = Microcontroller::new(
             FittedSensor::new(sensor, self.faults),
             input,
             Terminal::new(&self.script),
+            cells.clone(),
         )
         .map_err(Error::emulator)?;
         if let Some((noise, framing)) = garbled {
@@ -261,6 +273,7 @@ impl Run {
             controller,
             firmware.handlers.clone(),
             Arc::clone(&profile),
+            cells.clone(),
         );
         let probe = firmware
             .log_channel
@@ -294,6 +307,7 @@ impl Run {
             uart_lines: lines(&record),
             record,
             faults: scheduled,
+            flash: cells.record(),
             remarks,
         })
     }
@@ -310,6 +324,8 @@ pub struct Outcome {
     pub record: Record,
     /// The faults of the schedule.
     pub faults: Vec<ScheduledFault>,
+    /// The calibration slots, and what was done to them.
+    pub flash: FlashRecord,
     /// What the firmware did that this board cannot do, and what the emulator could not account for. Empty if all is well.
     pub remarks: Vec<String>,
 }

@@ -41,6 +41,8 @@ pub mod faults;
 #[cfg(feature = "emulator")]
 pub mod fitted;
 #[cfg(feature = "emulator")]
+pub mod flash;
+#[cfg(feature = "emulator")]
 pub mod flight;
 #[cfg(feature = "emulator")]
 pub mod i2c;

@@ -1,6 +1,7 @@
 //! `virtual-board fly`: flies a firmware image on the virtual board and leaves what came of it in a folder.
 
 use std::fmt::Write as _;
+use std::fs;
 use std::io::{self, IsTerminal, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -12,6 +13,7 @@ use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use virtual_board::board::{BOARDS, BoardModel};
 use virtual_board::campaign::{self, Case, Table};
+use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::motion::Mount;
 use virtual_board::motion::recording::Recording;
@@ -86,6 +88,9 @@ struct Fly {
     /// Say commands to the UART: a file with lines such as `2.5 status`, seconds and command.
     #[arg(long, value_name = "FILE")]
     commands: Option<PathBuf>,
+    /// Keep the calibration slots in this file: read at the start if it is there, written at the end.
+    #[arg(long, value_name = "FILE")]
+    flash: Option<PathBuf>,
     /// Where the files go.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
@@ -143,6 +148,19 @@ fn fly(options: &Fly) -> Result<(), String> {
         None => Schedule::default(),
     };
     run = run.schedule(&schedule);
+    if let Some(path) = options.flash.as_ref().filter(|path| path.exists()) {
+        let bytes =
+            fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+        if bytes.len() != 2 * SLOT_BYTES {
+            return Err(format!(
+                "{} has {} bytes: two calibration slots have {}",
+                path.display(),
+                bytes.len(),
+                2 * SLOT_BYTES
+            ));
+        }
+        run = run.flash(bytes);
+    }
     let motion;
     match &options.log {
         Some(path) => {
@@ -177,6 +195,10 @@ fn fly(options: &Fly) -> Result<(), String> {
         subtitle: subtitle(&outcome),
     };
     outputs::write(&options.output, &outcome, &labels).map_err(|error| error.to_string())?;
+    if let Some(path) = &options.flash {
+        fs::write(path, &outcome.flash.bytes)
+            .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    }
     println!("\n{}", table(&outcome));
     println!("written to {}", options.output.display());
     for remark in &outcome.remarks {

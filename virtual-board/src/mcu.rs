@@ -26,6 +26,7 @@ use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
 use crate::faults::{FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
+use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{WiredI2c, items_left};
 use crate::wires::PortB;
 
@@ -58,6 +59,7 @@ pub struct Microcontroller {
     dma: RefusedDma,
     exti: Exti,
     syscfg: Syscfg,
+    flash: FlashInterface,
     slots: Slots,
     /// The instant at which the sensor's wire has to be looked at, and for which an event is scheduled.
     awaited_ns: Option<u64>,
@@ -83,6 +85,7 @@ struct Slots {
     i2c1: usize,
     exti: usize,
     syscfg: usize,
+    flash: usize,
     dma1: usize,
     port_a: usize,
     port_b: usize,
@@ -98,6 +101,7 @@ impl Microcontroller {
         sensor: FittedSensor,
         input: HighSpeedInput,
         mut terminal: Terminal,
+        cells: SharedCells,
     ) -> Result<Self, Error> {
         let mut part = Stm32f427::new()?;
         part.rcc.attach_crystals(input.frequency_hz(), 0);
@@ -114,12 +118,14 @@ impl Microcontroller {
             i2c1: bus.slot("I2C1")?,
             exti: bus.slot("EXTI")?,
             syscfg: bus.slot("SYSCFG")?,
+            flash: bus.slot("FLASH")?,
             dma1: bus.slot("DMA1")?,
             port_a: bus.slot("GPIOA")?,
             port_b: bus.slot("GPIOB")?,
         };
         let mut spare = Stm32f427::new()?;
         std::mem::swap(&mut spare.rcc, &mut part.rcc);
+        std::mem::swap(&mut spare.flash, &mut part.flash);
         std::mem::swap(&mut spare.i2c[I2C1], &mut part.i2c[I2C1]);
         std::mem::swap(&mut spare.gpio[PORT_B], &mut part.gpio[PORT_B]);
         std::mem::swap(&mut spare.dma[DMA1], &mut part.dma[DMA1]);
@@ -141,6 +147,10 @@ impl Microcontroller {
             dma: RefusedDma::new(dma1, &all_faults),
             exti: Exti::default(),
             syscfg: Syscfg,
+            flash: FlashInterface {
+                model: spare.flash,
+                cells,
+            },
             slots,
             awaited_ns: None,
             faults,
@@ -163,6 +173,12 @@ impl Microcontroller {
             .model
             .chip_mut(0)
             .expect("the sensor is the one chip on this bus")
+    }
+
+    /// When the flash's operation ends that was started last, ns since power-up.
+    #[must_use]
+    pub fn flash_busy_until_ns(&self) -> u64 {
+        self.flash.cells.with(|cells| cells.busy_until_ns())
     }
 
     /// The far end of the UART.
@@ -302,6 +318,7 @@ impl Microcontroller {
     /// Lends the decorated models to the part for as long as it rebuilds itself.
     fn lend_models(&mut self) {
         std::mem::swap(&mut self.clocks.model, &mut self.part.rcc);
+        std::mem::swap(&mut self.flash.model, &mut self.part.flash);
         std::mem::swap(&mut self.sensor_bus.model, &mut self.part.i2c[I2C1]);
         std::mem::swap(&mut self.port_b.model, &mut self.part.gpio[PORT_B]);
         std::mem::swap(&mut self.dma.model, &mut self.part.dma[DMA1]);
@@ -324,6 +341,7 @@ impl Mcu for Microcontroller {
         self.lend_models();
         self.sensor_bus.forget();
         self.exti = Exti::default();
+        self.flash.restart();
         self.awaited_ns = None;
         self.is_clock_lost = false;
         self.reset_ns = at.0;
@@ -348,6 +366,8 @@ impl Mcu for Microcontroller {
             (self.part.bus_mut(), Some(&mut self.port_b))
         } else if slot == self.slots.dma1 {
             (self.part.bus_mut(), Some(&mut self.dma))
+        } else if slot == self.slots.flash {
+            (self.part.bus_mut(), Some(&mut self.flash))
         } else if slot == self.slots.exti {
             (self.part.bus_mut(), Some(&mut self.exti))
         } else if slot == self.slots.syscfg {
@@ -465,6 +485,7 @@ mod tests {
 
     use super::*;
     use crate::faults::Fault;
+    use crate::flash::FlashRecord;
     use crate::motion::rest::Rest;
     use crate::sensor::{Sensor, SensorConfig};
 
@@ -534,6 +555,7 @@ mod tests {
                     FittedSensor::new(sensor, faults),
                     input,
                     Terminal::default(),
+                    SharedCells::new(FlashRecord::blank()),
                 )
                 .unwrap(),
                 now: VirtualNanos(at_ns),

@@ -19,6 +19,8 @@ use rigless::emulator::{
 use rigless::soc::{Endian, Width};
 use rigless::time::VirtualNanos;
 
+use crate::flash::{SLOTS, SharedCells};
+
 /// One more than the highest exception number of the part: 16 of the core, 91 of the STM32F427, and some to spare.
 pub const EXCEPTIONS: usize = 128;
 
@@ -125,6 +127,8 @@ impl Profile {
 pub struct ProfiledProcessor {
     inner: Box<dyn Processor>,
     profile: Arc<Mutex<Profile>>,
+    /// The part of the flash that the inner processor does not map.
+    cells: SharedCells,
     /// The handlers' first instructions, by exception number.
     handlers: Vec<u64>,
     is_armed: bool,
@@ -167,10 +171,12 @@ impl ProfiledProcessor {
         inner: Box<dyn Processor>,
         handlers: Vec<u32>,
         profile: Arc<Mutex<Profile>>,
+        cells: SharedCells,
     ) -> Self {
         Self {
             inner,
             profile,
+            cells,
             handlers: handlers
                 .into_iter()
                 .map(|handler| u64::from(handler & !1))
@@ -306,6 +312,7 @@ impl Processor for ProfiledProcessor {
             .is_ok_and(|profile| profile.steps_everything);
         let mut stretch = Stretch {
             bus,
+            cells: self.cells.clone(),
             until: start + u64::from(budget),
             is_stepped: false,
         };
@@ -348,8 +355,22 @@ impl Processor for ProfiledProcessor {
         reason = "the emulator hands its memory over by pointer, and this only passes it on"
     )]
     unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
-        // SAFETY: the caller's promise is passed on whole; the inner processor lives as long as this one.
-        unsafe { self.inner.map(start, length, host, writable) };
+        let end = start + length;
+        let below = start..end.min(SLOTS.start.max(start));
+        let above = start.max(SLOTS.end.min(end))..end;
+        // The slots stay out, so that accesses to them come to the bus, and there to the flash model.
+        for part in [below, above] {
+            if !part.is_empty() {
+                let offset = usize::try_from(part.start - start).unwrap_or(0);
+                // SAFETY: the caller's promise for the whole range, passed on for a part of it. The inner processor
+                // lives as long as this one.
+                unsafe {
+                    let first = host.add(offset);
+                    self.inner
+                        .map(part.start, part.end - part.start, first, writable);
+                }
+            }
+        }
     }
 
     fn retired(&self) -> u64 {
@@ -490,6 +511,7 @@ impl Processor for ProfiledProcessor {
 /// The bus of a stretch of execution, which notes how far the stretch may go: an access can extend it.
 struct Stretch<'a> {
     bus: &'a mut dyn CoreBus,
+    cells: SharedCells,
     until: u64,
     /// Whether the processor comes back after every instruction.
     is_stepped: bool,
@@ -508,6 +530,16 @@ impl CoreBus for Stretch<'_> {
     }
 
     fn access(&mut self, access: Access, from_code: bool) -> Option<u64> {
+        if SLOTS.contains(&access.address) {
+            return Some(self.cells.with(|cells| match access.kind {
+                AccessKind::Read => cells.read(access.address, access.width),
+                AccessKind::Write => {
+                    let now = access.virtual_time;
+                    cells.store(now, access.address, access.width, access.value);
+                    access.value
+                }
+            }));
+        }
         self.bus.access(access, from_code)
     }
 

@@ -13,8 +13,8 @@ use aplomb::pipeline::Snapshot;
 use rigless::emulator::{AccessKind, Driver, Hit, Host, Memory, Settled, Stop, Watch};
 use rigless::mcu::Operate;
 use rigless::session::Session;
-use rigless::soc::stm32f427::generated::TIM5;
 use rigless::soc::stm32f427::generated::tim5::{Register, cr1, egr};
+use rigless::soc::stm32f427::generated::{FLASH, TIM5};
 use rigless::soc::{Layout, Width};
 use rigless::time::VirtualNanos;
 
@@ -150,6 +150,8 @@ pub struct Recorder {
     profile: Arc<Mutex<Profile>>,
     timer: Timer,
     next_service_ns: u64,
+    /// Until when the core waits for the flash.
+    stalled_until_ns: Option<u64>,
     told_at: Instant,
     /// The account at the last edge, and the number of samples published before it.
     window: Option<(Box<Counts>, usize)>,
@@ -188,6 +190,7 @@ impl Recorder {
                 starts_at: timer_starts_at,
             },
             next_service_ns: 0,
+            stalled_until_ns: None,
             told_at: Instant::now(),
             window: None,
             attitude: None,
@@ -326,7 +329,8 @@ impl Recorder {
             self.timer.zero_ns = None;
             self.window = None;
         }
-        let is_held = session.board_mut().controller.is_core_held(now_ns);
+        let is_held =
+            self.stalled_until_ns.is_some() || session.board_mut().controller.is_core_held(now_ns);
         if is_held != self.is_held {
             self.is_held = is_held;
             host.hold(is_held);
@@ -343,6 +347,23 @@ impl Recorder {
         {
             self.record.sensor_ready_ns.push(ready_ns);
         }
+    }
+
+    /// Holds the core while the flash is busy, as its next fetch would.
+    fn stall(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
+        let end_ns = session.board_mut().controller.flash_busy_until_ns();
+        if end_ns > now_ns && self.stalled_until_ns.is_none() {
+            self.stalled_until_ns = Some(end_ns);
+            self.is_held = true;
+            host.hold(true);
+            self.pause(session);
+        }
+    }
+
+    /// Has the run stop for whatever is due next.
+    fn pause(&self, session: &mut Session<Board>) {
+        let stall_ns = self.stalled_until_ns.unwrap_or(u64::MAX);
+        session.pause_at(Some(VirtualNanos(self.next_service_ns.min(stall_ns))));
     }
 
     /// Takes the firmware's outputs and tells the observer.
@@ -393,16 +414,25 @@ impl Driver<Board> for Recorder {
                         access.virtual_time,
                     );
                 }
+                if (FLASH.base..FLASH.base + FLASH.size).contains(&access.address) {
+                    self.stall(session, host, access.virtual_time.0);
+                }
             }
             Settled::Hit(hit) => self.published(session, host, hit),
             Settled::Stop(stop) => {
+                if self
+                    .stalled_until_ns
+                    .is_some_and(|end_ns| stop.at.0 >= end_ns)
+                {
+                    self.stalled_until_ns = None;
+                }
                 self.follow_faults(session, host, stop.at.0);
                 self.follow_sensor(session, stop.instruction_count);
                 if stop.at.0 >= self.next_service_ns {
                     self.serve(session, host, stop.at.0);
                     self.next_service_ns = stop.at.0 + SERVICE_PERIOD_NS;
-                    session.pause_at(Some(VirtualNanos(self.next_service_ns)));
                 }
+                self.pause(session);
             }
             _ => {}
         }

@@ -1,0 +1,101 @@
+//! Any bytes in the calibration slots: what loads as a record is one that was saved whole.
+//!
+//! Of the input, the first byte chooses how the rest is laid into a slot: as it is, or as the body of a record with a
+//! right header, so that the check of the CRC does not keep everything from the decoder. Header and CRC are put together
+//! here, apart from the library.
+
+use aplomb::calibration::storage;
+use embedded_storage::nor_flash::{
+    ErrorType, MultiwriteNorFlash, NorFlash, NorFlashErrorKind, ReadNorFlash,
+};
+
+/// The longest record, which is all of a slot that is ever read.
+const SLOT: usize = storage::LONGEST_RECORD;
+
+/// Lays the bytes into the first slot and loads.
+///
+/// # Panics
+///
+/// When something is not as it should be.
+pub fn run(bytes: &[u8]) {
+    let [layout, rest @ ..] = bytes else { return };
+    let rest = &rest[..rest.len().min(SLOT - 16)];
+    let slot = match layout % 3 {
+        0 => rest.to_vec(),
+        1 => image(1, rest),
+        _ => image(u16::from(*layout), rest),
+    };
+    let mut flash = Memory([0xFF; 2 * SLOT]);
+    flash.0[..slot.len()].copy_from_slice(&slot);
+    let loaded = storage::load(&mut flash);
+    let Some(record) = loaded.record else {
+        let is_blank = flash.0[..16] == [0xFF; 16];
+        assert_eq!(loaded.problem.is_none(), is_blank);
+        return;
+    };
+    // There is one form for one record: saving this one again on blank flash gives the same bytes.
+    let mut again = Memory([0xFF; 2 * SLOT]);
+    storage::save(&mut again, &record).expect("what was read can be saved");
+    let length = 16 + usize::from(u16::from_le_bytes([slot[6], slot[7]]));
+    let expected = image(1, &slot[16..length]);
+    assert_eq!(again.0[..expected.len()], expected);
+    assert_eq!(storage::load(&mut again).record, Some(record));
+}
+
+/// A slot with a right header, sequence number 1.
+pub fn image(version: u16, body: &[u8]) -> Vec<u8> {
+    let mut covered = version.to_le_bytes().to_vec();
+    covered.extend((body.len() as u16).to_le_bytes());
+    covered.extend(1_u32.to_le_bytes());
+    let header = [&b"APLB"[..], &covered].concat();
+    covered.extend(body);
+    [&header, &crc_32(&covered).to_le_bytes()[..], body].concat()
+}
+
+/// CRC-32 bit by bit: reflected, polynomial 0x04C11DB7.
+fn crc_32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(u32::MAX, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| {
+            (crc >> 1) ^ (0xEDB8_8320 & 0_u32.wrapping_sub(crc & 1))
+        })
+    })
+}
+
+/// Flash that does as it is told.
+struct Memory([u8; 2 * SLOT]);
+
+impl ErrorType for Memory {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Memory {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.len()
+    }
+}
+
+impl NorFlash for Memory {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SLOT;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        self.0[from as usize..to as usize].fill(0xFF);
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        for (cell, byte) in self.0[offset as usize..].iter_mut().zip(bytes) {
+            *cell &= byte;
+        }
+        Ok(())
+    }
+}
+
+impl MultiwriteNorFlash for Memory {}

@@ -1,0 +1,311 @@
+//! The calibration slots of the on-chip flash, which rigless keeps as the image left them: programming clears bits,
+//! erasing sets them, both take the datasheet's time, and the power can go in the middle of either.
+//!
+//! The cells are those of sectors 1 and 2 alone; the rest of the flash holds the image and cannot be written here. The
+//! core's accesses to the two sectors come here ([`Cells::read`], [`Cells::store`]) instead of to rigless's memory; the
+//! registers are rigless's, which models the keys, the lock and the erase's flags, and [`FlashInterface`] adds what
+//! programming does (RM0090, sections 3.6 and 3.9, as the STM32F405 has it).
+//!
+//! While an operation runs, the core of a real chip waits at its next fetch from flash. Here the recorder holds the core
+//! until then ([`Cells::busy_until_ns`]); what it does between the operation's start and its next access to the
+//! interface is not held up.
+
+use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rigless::device::{Device, DeviceContext, RegisterFile};
+use rigless::soc::stm32f427::generated::flash::{Register, cr, sr};
+use rigless::soc::stm32f427::peripherals::flash::Flash;
+use rigless::soc::{RegisterSpec, Width};
+use rigless::time::{EventId, VirtualNanos};
+
+use crate::random::Random;
+
+/// Where the slots are.
+pub const SLOTS: Range<u64> = 0x0800_4000..0x0800_C000;
+/// A slot: a sector of 16 KiB.
+pub const SLOT_BYTES: usize = 0x4000;
+/// The number of the first slot's sector.
+const FIRST_SECTOR: u64 = 1;
+
+/// The datasheet's longest erase of a 16 KiB sector, 32 bits at a time, and its longest programming of a word (STM32F405
+/// datasheet, table "Flash memory programming").
+const ERASE_NS: u64 = 500_000_000;
+const PROGRAM_NS: u64 = 100_000;
+
+/// PSIZE for 32 bits at a time, all that a supply of 3.3 V is used for here.
+const WORDS: u64 = 0b10;
+
+/// One step of a change, at which the power can go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// A sector was erased.
+    Erase {
+        /// 0 or 1.
+        slot: usize,
+    },
+    /// A word was programmed.
+    Program {
+        /// Its place from the first slot's start, in bytes.
+        offset: usize,
+        /// What was asked for: cells keep the bits that both have.
+        word: u32,
+    },
+}
+
+/// What both slots hold, and what happened to them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FlashRecord {
+    /// At the start of the run.
+    before: Vec<u8>,
+    /// At its end.
+    pub bytes: Vec<u8>,
+    /// What was done to them, in order.
+    pub steps: Vec<Step>,
+}
+
+impl FlashRecord {
+    /// Blank slots.
+    #[must_use]
+    pub fn blank() -> Self {
+        Self::holding(vec![0xFF; 2 * SLOT_BYTES])
+    }
+
+    /// Slots that hold this; what is missing is blank, and what is too much is left out.
+    #[must_use]
+    pub fn holding(mut bytes: Vec<u8>) -> Self {
+        bytes.resize(2 * SLOT_BYTES, 0xFF);
+        Self {
+            before: bytes.clone(),
+            bytes,
+            steps: Vec::new(),
+        }
+    }
+
+    /// What a power cut within step number `step` would have left: the steps before it whole, those after it not begun,
+    /// and of its own bits some old, some new, and of an erase, which first programs every cell, some neither.
+    #[must_use]
+    pub fn cut_in(&self, step: usize, seed: u64) -> Vec<u8> {
+        let mut bytes = self.before.clone();
+        for step in self.steps.iter().take(step) {
+            apply(&mut bytes, *step);
+        }
+        let Some(&step) = self.steps.get(step) else {
+            return bytes;
+        };
+        let mut after = bytes.clone();
+        apply(&mut after, step);
+        let mut random = Random::new(seed, "power cut");
+        // Early and late cuts: from nothing changed to everything.
+        let (changed, programmed) = (random.uniform(0.0, 1.0), random.uniform(0.0, 1.0));
+        let is_erase = matches!(step, Step::Erase { .. });
+        let range = match step {
+            Step::Erase { slot } => slot * SLOT_BYTES..(slot + 1) * SLOT_BYTES,
+            Step::Program { offset, .. } => offset..offset + 4,
+        };
+        for (byte, new) in bytes[range.clone()].iter_mut().zip(&after[range]) {
+            for bit in (0..8).map(|bit| 1 << bit) {
+                if random.uniform(0.0, 1.0) < changed {
+                    *byte = (*byte & !bit) | (new & bit);
+                } else if is_erase && random.uniform(0.0, 1.0) < programmed {
+                    *byte &= !bit;
+                }
+            }
+        }
+        bytes
+    }
+}
+
+fn apply(bytes: &mut [u8], step: Step) {
+    match step {
+        Step::Erase { slot } => bytes[slot * SLOT_BYTES..][..SLOT_BYTES].fill(0xFF),
+        Step::Program { offset, word } => {
+            for (cell, byte) in bytes[offset..].iter_mut().zip(word.to_le_bytes()) {
+                *cell &= byte;
+            }
+        }
+    }
+}
+
+/// The cells, which both the core's accesses and the interface's registers reach.
+#[derive(Clone, Debug)]
+pub struct SharedCells(Arc<Mutex<Cells>>);
+
+/// The cells and what the interface lets the core do to them.
+#[derive(Debug)]
+pub struct Cells {
+    record: FlashRecord,
+    /// CR as it stands.
+    control: u64,
+    /// Error flags that stores have raised.
+    errors: u64,
+    /// When the operation that runs ends, ns since power-up.
+    busy_until_ns: u64,
+}
+
+impl SharedCells {
+    /// Cells that hold this.
+    #[must_use]
+    pub fn new(record: FlashRecord) -> Self {
+        Self(Arc::new(Mutex::new(Cells {
+            record,
+            control: cr::LOCK.mask(),
+            errors: 0,
+            busy_until_ns: 0,
+        })))
+    }
+
+    /// Does something with the cells.
+    pub fn with<T>(&self, work: impl FnOnce(&mut Cells) -> T) -> T {
+        work(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The cells now, and what was done to them.
+    #[must_use]
+    pub fn record(&self) -> FlashRecord {
+        self.with(|cells| cells.record.clone())
+    }
+}
+
+impl Cells {
+    /// When the operation that was started last ends, ns since power-up.
+    #[must_use]
+    pub fn busy_until_ns(&self) -> u64 {
+        self.busy_until_ns
+    }
+
+    /// What the core reads.
+    #[must_use]
+    pub fn read(&self, address: u64, width: Width) -> u64 {
+        let start = (address - SLOTS.start) as usize;
+        let bytes = self.record.bytes.iter().skip(start);
+        bytes
+            .take(width.bytes() as usize)
+            .rev()
+            .fold(0, |value, &byte| value << 8 | u64::from(byte))
+    }
+
+    /// The core stores: it programs, or raises the flag that says why not (RM0090, section 3.6.4 and 3.9.5).
+    pub fn store(&mut self, now: VirtualNanos, address: u64, width: Width, value: u64) {
+        let is_ready = cr::PG.is_set(self.control)
+            && !cr::LOCK.is_set(self.control)
+            && now.0 >= self.busy_until_ns;
+        if !is_ready {
+            self.errors |= sr::PGSERR.mask();
+        } else if cr::PSIZE.get(self.control) != WORDS || width != Width::W32 {
+            self.errors |= sr::PGPERR.mask();
+        } else if !address.is_multiple_of(4) {
+            self.errors |= sr::PGAERR.mask();
+        } else {
+            self.busy_until_ns = now.0 + PROGRAM_NS;
+            self.change(Step::Program {
+                offset: (address - SLOTS.start) as usize,
+                word: value as u32,
+            });
+        }
+    }
+
+    fn change(&mut self, step: Step) {
+        apply(&mut self.record.bytes, step);
+        self.record.steps.push(step);
+    }
+}
+
+/// The interface's registers.
+#[derive(Debug)]
+pub struct FlashInterface {
+    /// What rigless models of it.
+    pub model: Flash,
+    /// The cells behind it.
+    pub cells: SharedCells,
+}
+
+impl FlashInterface {
+    /// The flags that stores have raised, and that an operation runs.
+    fn status(&self, now: VirtualNanos) -> u64 {
+        self.cells.with(|cells| {
+            let busy = u64::from(now.0 < cells.busy_until_ns);
+            sr::BSY.set(cells.errors, busy)
+        })
+    }
+}
+
+impl Device for FlashInterface {
+    type Register = Register;
+
+    fn layout(&self) -> &'static [RegisterSpec] {
+        Device::layout(&self.model)
+    }
+
+    fn read(
+        &mut self,
+        register: Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        let value = Device::read(&mut self.model, register, registers, context);
+        if register != Register::Sr {
+            return value;
+        }
+        let value = value.unwrap_or_else(|| registers.get(Register::Sr));
+        Some(value | self.status(context.now()))
+    }
+
+    fn write(
+        &mut self,
+        register: Register,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let was_busy = sr::BSY.is_set(registers.get(Register::Sr));
+        Device::write(&mut self.model, register, value, registers, context);
+        let control = registers.get(Register::Cr);
+        let starts =
+            !was_busy && sr::BSY.is_set(registers.get(Register::Sr)) && cr::SER.is_set(control);
+        self.cells.with(|cells| {
+            cells.control = control;
+            if register == Register::Sr {
+                cells.errors &= !value;
+            }
+            let slot = cr::SNB.get(control).checked_sub(FIRST_SECTOR);
+            if let Some(slot @ 0..=1) = slot.filter(|_| starts) {
+                cells.busy_until_ns = context.now().0 + ERASE_NS;
+                cells.change(Step::Erase {
+                    slot: slot as usize,
+                });
+            }
+        });
+    }
+
+    fn on_event(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_event(&mut self.model, event, registers, context);
+        let control = registers.get(Register::Cr);
+        self.cells.with(|cells| cells.control = control);
+    }
+
+    fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        Device::on_clock(&mut self.model, hz, registers, context);
+    }
+
+    fn reset(&mut self) {
+        Device::reset(&mut self.model);
+        self.restart();
+    }
+}
+
+impl FlashInterface {
+    /// A reset: the cells stay, the interface is locked.
+    pub fn restart(&mut self) {
+        self.cells.with(|cells| {
+            cells.control = cr::LOCK.mask();
+            cells.errors = 0;
+            cells.busy_until_ns = 0;
+        });
+    }
+}

@@ -1,0 +1,160 @@
+//! The stored record in the flash of the real image: it lasts, and no power cut during a save loses it.
+
+mod common;
+
+use aplomb::calibration::{OutputFormat, storage};
+use common::firmware;
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use virtual_board::flash::{FlashRecord, SLOT_BYTES, Step};
+use virtual_board::flight::{Outcome, Run};
+use virtual_board::motion::rest::Rest;
+
+/// Seeds of each power cut.
+const SEEDS: u64 = 5;
+
+/// A run on a table with these slots, in which the commands are said at these times.
+fn run(slots: &[u8], seconds: f64, commands: &[(f64, &str)]) -> Outcome {
+    let run = Run::new(firmware())
+        .motion(Rest::level())
+        .seconds(seconds)
+        .flash(slots.to_vec());
+    let outcome = commands
+        .iter()
+        .fold(run, |run, (at_s, line)| run.command(*at_s, line))
+        .run()
+        .unwrap();
+    assert_eq!(outcome.remarks, Vec::<String>::new());
+    outcome
+}
+
+/// Slots for the library's `load`, the same code as the firmware's.
+struct Slots<'a>(&'a [u8]);
+
+impl ErrorType for Slots<'_> {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Slots<'_> {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        let stored = self
+            .0
+            .get(offset as usize..)
+            .ok_or(NorFlashErrorKind::OutOfBounds)?;
+        bytes.copy_from_slice(
+            stored
+                .get(..bytes.len())
+                .ok_or(NorFlashErrorKind::OutOfBounds)?,
+        );
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.len()
+    }
+}
+
+impl NorFlash for Slots<'_> {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SLOT_BYTES;
+
+    fn erase(&mut self, _from: u32, _to: u32) -> Result<(), Self::Error> {
+        Err(NorFlashErrorKind::Other)
+    }
+
+    fn write(&mut self, _offset: u32, _bytes: &[u8]) -> Result<(), Self::Error> {
+        Err(NorFlashErrorKind::Other)
+    }
+}
+
+/// The rate of the record in force, and its format, which the tests tell records apart by.
+fn in_force(slots: &[u8]) -> Option<(u16, OutputFormat)> {
+    let record = storage::load(&mut Slots(slots)).record?;
+    Some((record.preferences.rate_hz, record.preferences.format))
+}
+
+/// Saves three records, one run each, and returns what the slots went through in the last.
+fn third_save() -> FlashRecord {
+    let blank = FlashRecord::blank().bytes;
+    let first = run(&blank, 3.0, &[(1.0, "rate 10"), (1.3, "save")]);
+    assert_eq!(in_force(&first.flash.bytes), Some((10, OutputFormat::Text)));
+    let second = run(&first.flash.bytes, 3.0, &[(1.0, "rate 20"), (1.3, "save")]);
+    assert_eq!(
+        in_force(&second.flash.bytes),
+        Some((20, OutputFormat::Text))
+    );
+    let commands = [(1.0, "rate 25"), (1.2, "format classic"), (1.4, "save")];
+    let third = run(&second.flash.bytes, 3.0, &commands);
+    assert_eq!(
+        in_force(&third.flash.bytes),
+        Some((25, OutputFormat::Classic))
+    );
+    third.flash
+}
+
+#[test]
+fn a_power_cut_at_any_step_of_a_save_leaves_the_old_record_or_the_new_one() {
+    let save = third_save();
+    let erases = save
+        .steps
+        .iter()
+        .filter(|step| matches!(step, Step::Erase { .. }));
+    assert_eq!(erases.count(), 1);
+    assert!(save.steps.len() > 10, "{}", save.steps.len());
+    let old = Some((20, OutputFormat::Text));
+    let new = Some((25, OutputFormat::Classic));
+    let mut seen = [0, 0];
+    for step in 0..save.steps.len() {
+        for seed in 0..SEEDS {
+            let found = in_force(&save.cut_in(step, seed));
+            assert!(
+                found == old || found == new,
+                "step {step}, seed {seed}: {found:?}"
+            );
+            seen[usize::from(found == new)] += 1;
+        }
+    }
+    assert!(seen[0] > 0, "a cut before the end leaves the old record");
+    // The image itself starts from some of them: it has the record, and says what is damaged.
+    let last = save.steps.len() - 1;
+    let erase = save
+        .steps
+        .iter()
+        .position(|step| matches!(step, Step::Erase { .. }))
+        .unwrap();
+    for step in [0, erase, erase + 1, (erase + last) / 2, last] {
+        let slots = save.cut_in(step, 1);
+        let outcome = run(&slots, 1.5, &[(1.0, "show")]);
+        let rates: Vec<bool> = [20, 25]
+            .map(|rate| outcome.uart_says(&format!("rate={rate} ")))
+            .to_vec();
+        let expected = in_force(&slots).map(|(rate, _)| [20, 25].map(|each| each == rate).to_vec());
+        assert_eq!(
+            Some(rates),
+            expected,
+            "step {step}: {:?}",
+            outcome.uart_lines.last()
+        );
+        assert_eq!(outcome.flash.bytes, slots, "a start changes nothing");
+    }
+}
+
+#[test]
+fn a_save_stalls_the_core_for_the_datasheet_s_time_and_the_bursts_go_on_after_it() {
+    let blank = FlashRecord::blank().bytes;
+    let outcome = run(&blank, 3.5, &[(1.5, "rate 20"), (1.8, "save")]);
+    let published: Vec<u64> = outcome
+        .samples()
+        .iter()
+        .map(|sample| sample.published_ns)
+        .collect();
+    let gap_ns = published
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .max()
+        .unwrap();
+    // An erase of 500 ms, and the sensor's configuration after it.
+    assert!((500_000_000..900_000_000).contains(&gap_ns), "{gap_ns} ns");
+    assert!(published.last().unwrap() > &3_400_000_000);
+}
