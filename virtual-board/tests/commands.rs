@@ -6,6 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
+use aplomb::health::Flags;
 use common::firmware;
 use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
@@ -78,6 +79,8 @@ const EVERY_COMMAND: &str = "
     16.5 calibrate stop
     16.7 mount z-up
     17.0 self-test
+    20.0 save
+    23.0 save
     23.2 show
     23.4 arm
     23.6 forget
@@ -310,42 +313,50 @@ fn tilted() -> Quaternion {
 }
 
 #[test]
-fn a_guided_calibration_takes_the_tilt_out() {
+fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
     let run = || Run::new(firmware()).sensor_errors(poor_chip());
-    let uncalibrated = fly(run().seconds(7.0).motion(Poses::new(&[(1.5, tilted())])));
+    let trial = || run().seconds(7.0).motion(Poses::new(&[(1.5, tilted())]));
+
+    let uncalibrated = fly(trial());
     let before_deg = inclination_deg(&uncalibrated, 5.0, 7.0);
 
-    // Every pose is held for three seconds, the last one until it is done; then level again, and at last a pose that is new.
+    // Every pose is held for three seconds, the last one until it is done; then level again.
     let [_, poses @ ..] = six_poses();
     let mut motion: Vec<(f64, Quaternion)> = poses
         .into_iter()
         .enumerate()
         .map(|(index, pose)| (8.0 + 3.0 * index as f64, pose))
         .collect();
-    motion.extend([(29.0, Quaternion::IDENTITY), (34.0, tilted())]);
-    let calibrated = fly(run()
-        .seconds(40.0)
+    motion.push((29.0, Quaternion::IDENTITY));
+    let calibration = fly(run()
+        .seconds(36.0)
         .motion(Poses::new(&motion))
         .command(1.0, "calibrate gyro")
         .command(6.0, "calibrate accel")
-        .command(31.0, "calibrate level"));
-    assert_eq!(calibrated.remarks, Vec::<String>::new());
+        .command(31.0, "calibrate level")
+        .command(34.0, "save"));
+    assert_eq!(calibration.remarks, Vec::<String>::new());
     for text in [
         "done calibrate gyro: offset ",
         "pose 6 is ",
         "done calibrate accel: 6 poses, offset and scale: residual ",
         "done calibrate level: trim ",
+        "done save: stored",
     ] {
-        assert!(
-            says(&calibrated, text),
-            "{text}: {:#?}",
-            answers(&calibrated)
-        );
+        assert!(says(&calibration, text), "{text}: {:#?}", answers(&calibration));
     }
-    let after_deg = inclination_deg(&calibrated, 38.0, 40.0);
-    eprintln!(
-        "inclination error in an unseen pose: {before_deg:.2} degrees, calibrated {after_deg:.2}"
-    );
+    // The first attitude after the pause says that there was one.
+    let samples = calibration.samples();
+    let gaps = samples.iter().filter(|sample| sample.snapshot.flags.contains(Flags::GAP));
+    assert_eq!(gaps.count(), 1);
+
+    let calibrated = fly(trial().flash(calibration.flash.bytes.clone()));
+    assert!(says(&calibrated, "stored calibration and settings in use"));
+    let after_deg = inclination_deg(&calibrated, 5.0, 7.0);
+    eprintln!("inclination error in an unseen pose: {before_deg:.2} degrees, calibrated {after_deg:.2}");
     assert!(before_deg > 2.0, "{before_deg}");
     assert!(after_deg < 0.3, "{after_deg}");
+    // The offset is known from the first second on.
+    let rates = calibrated.samples()[1000].snapshot.body_rates_rad_s;
+    assert!(rates.norm().to_degrees() < 0.3, "{rates:?}");
 }
