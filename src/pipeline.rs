@@ -239,7 +239,14 @@ impl<F: Filter> Pipeline<F> {
                 Flags::ACCELEROMETER_SATURATED,
                 self.sample.is_force_saturated,
             );
-        let is_odd = flags.intersects(Flags::ODD) | estimate.is_calibrating | estimate.has_jumped;
+        if estimate.is_calibrating {
+            let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
+            flags = (flags | Flags::CALIBRATING | Flags::DEGRADED)
+                .without(Flags::VALID)
+                .with(Flags::MOVED, self.was_still && !is_still);
+            self.was_still = is_still;
+        }
+        let is_odd = flags.intersects(Flags::ODD.without(Flags::CALIBRATING)) | estimate.has_jumped;
         if is_odd | remarks.any() | self.is_suspect {
             flags = self.judge(flags, &estimate);
         }
@@ -381,13 +388,8 @@ impl<F: Filter> Pipeline<F> {
     #[cold]
     #[inline(never)]
     fn judge(&mut self, flags: Flags, estimate: &Estimate) -> Flags {
-        let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
-        let has_moved = estimate.is_calibrating && self.was_still && !is_still;
-        self.was_still = is_still;
         let remarks = estimate.remarks;
         let flags = flags
-            .with(Flags::CALIBRATING, estimate.is_calibrating)
-            .with(Flags::MOVED, has_moved)
             .with(Flags::GAP, remarks.gap)
             .with(Flags::TIME, remarks.time_went_back)
             .with(Flags::REJECTED, remarks.rejected)
