@@ -148,7 +148,12 @@ impl BurstReader {
         let count = timebase.captured();
         let is_idle = self.step == BurstStep::Idle;
         match self.mode {
-            Mode::Starting => self.take_up(),
+            Mode::Starting => {
+                // The bus first: what is to be known of the sensor is not needed for that.
+                self.begin(count, timebase);
+                self.take_up();
+                return;
+            }
             // Where a burst is under way, it reads this edge's sample.
             Mode::Polling => self.return_to_edges(),
             Mode::Edges => {
@@ -413,6 +418,8 @@ impl BurstReader {
         }
         if self.mode == Mode::Starting {
             self.take_up();
+            timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
+            return false;
         }
         if self.mode == Mode::Edges {
             self.poll_instead_of_edges();
@@ -602,8 +609,9 @@ pub fn enable(ready: &Ready, config: &Config) {
     }
     LINK.address.store(ready.address, Ordering::Relaxed);
     LINK.check_wanted.store(false, Ordering::Relaxed);
-    timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
     LINK.enabled.store(true, Ordering::Release);
+    // At which the reader takes all this up, so that the first edge finds it ready.
+    timebase::raise_burst_alarm();
     exti().pr().write(|w| w.pr1().clear_bit_by_one());
     exti().imr().write(|w| w.mr1().set_bit());
 }

@@ -343,17 +343,25 @@ fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
         "done calibrate level: trim ",
         "done save: stored",
     ] {
-        assert!(says(&calibration, text), "{text}: {:#?}", answers(&calibration));
+        assert!(
+            says(&calibration, text),
+            "{text}: {:#?}",
+            answers(&calibration)
+        );
     }
     // The first attitude after the pause says that there was one.
     let samples = calibration.samples();
-    let gaps = samples.iter().filter(|sample| sample.snapshot.flags.contains(Flags::GAP));
+    let gaps = samples
+        .iter()
+        .filter(|sample| sample.snapshot.flags.contains(Flags::GAP));
     assert_eq!(gaps.count(), 1);
 
     let calibrated = fly(trial().flash(calibration.flash.bytes.clone()));
     assert!(says(&calibrated, "stored calibration and settings in use"));
     let after_deg = inclination_deg(&calibrated, 5.0, 7.0);
-    eprintln!("inclination error in an unseen pose: {before_deg:.2} degrees, calibrated {after_deg:.2}");
+    eprintln!(
+        "inclination error in an unseen pose: {before_deg:.2} degrees, calibrated {after_deg:.2}"
+    );
     assert!(before_deg > 2.0, "{before_deg}");
     assert!(after_deg < 0.3, "{after_deg}");
     // The offset is known from the first second on.

@@ -84,7 +84,8 @@ impl Firmware {
             || {
                 let mut cargo = toolchain.cargo("build");
                 cargo.args([
-                    "--release",
+                    "--profile",
+                    "firmware",
                     "--bin",
                     "flight",
                     "--features",
@@ -96,7 +97,11 @@ impl Firmware {
                 };
                 step::run(&mut cargo)?;
                 let mount = self.mount.as_deref().unwrap_or("default");
-                keep("flight", &format!("flight-{}-{mount}", self.board.name))
+                keep(
+                    "firmware",
+                    "flight",
+                    &format!("flight-{}-{mount}", self.board.name),
+                )
             },
         )
     }
@@ -109,7 +114,7 @@ pub fn qemu_application(toolchain: &Toolchain) -> Result<PathBuf, String> {
             .cargo("build")
             .args(["--release", "--bin", "qemu", "--features", "qemu"]),
     )?;
-    keep("qemu", "qemu")
+    keep("release", "qemu", "qemu")
 }
 
 /// Builds the application that counts instructions, with one filter.
@@ -124,7 +129,7 @@ pub fn cost_application(toolchain: &Toolchain, filter: &str) -> Result<PathBuf, 
         "cost",
     ]);
     step::run(cargo.env("APLOMB_COST_FILTER", filter))?;
-    keep("cost", "cost")
+    keep("release", "cost", "cost")
 }
 
 /// Builds the virtual board's program.
@@ -159,9 +164,9 @@ pub fn program() -> Result<PathBuf, String> {
 }
 
 /// Copies a program for the target to `target/firmware/<name>.elf`.
-fn keep(program: &str, name: &str) -> Result<PathBuf, String> {
+fn keep(profile: &str, program: &str, name: &str) -> Result<PathBuf, String> {
     let folder = target_folder().join("firmware");
-    let built = target_folder().join(TARGET).join("release").join(program);
+    let built = target_folder().join(TARGET).join(profile).join(program);
     let kept = folder.join(format!("{name}.elf"));
     std::fs::create_dir_all(&folder)
         .and_then(|()| std::fs::copy(&built, &kept))

@@ -117,6 +117,13 @@ impl Covariance {
         triangle: [0.0; TRIANGLE],
     };
 
+    /// Sets every entry to zero, in its place.
+    pub(super) fn clear(&mut self) {
+        self.moving.as_flattened_mut().fill(0.0);
+        self.cross.as_flattened_mut().fill(0.0);
+        self.triangle.fill(0.0);
+    }
+
     /// The covariance of a moving state with itself.
     #[inline]
     pub(super) fn moving_variance(&self, state: usize) -> f32 {

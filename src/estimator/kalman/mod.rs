@@ -313,7 +313,7 @@ impl Kalman {
     pub(super) fn start(&mut self, sample: &Sample, shows_gravity: bool) {
         let tuning = self.tuning;
         if !self.has_tilt {
-            self.step.covariance = start_covariance(tuning, &self.bias_prior);
+            set_start_covariance(&mut self.step.covariance, tuning, &self.bias_prior);
         }
         let resumed = core::mem::take(&mut self.resumed_tilt_variance);
         if resumed > 0.0 {
@@ -775,8 +775,9 @@ fn sigma(variance: f32) -> f32 {
 }
 
 /// Before the first sample: everything at its prior.
-fn start_covariance(tuning: &Tuning, bias_prior: &[f32; 3]) -> Covariance {
-    let mut covariance = Covariance::ZERO;
+/// In its place, since a copy would cost the first sample a thousand instructions.
+fn set_start_covariance(covariance: &mut Covariance, tuning: &Tuning, bias_prior: &[f32; 3]) {
+    covariance.clear();
     for (axis, prior) in bias_prior.iter().enumerate() {
         covariance.add_to_constant(axis, *prior);
         covariance.add_to_constant(TURNING + axis, square(tuning.force_bias_m_s2));
@@ -789,7 +790,6 @@ fn start_covariance(tuning: &Tuning, bias_prior: &[f32; 3]) -> Covariance {
             covariance.add_to_constant(3 + 3 * axis + column, square(sigma));
         }
     }
-    covariance
 }
 
 /// The shortest turn that brings this direction, which is not zero, up: to (0, 0, −1).

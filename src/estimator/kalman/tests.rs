@@ -136,7 +136,7 @@ fn random_transition(random: &mut Random) -> Transition {
 fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
     let mut random = Random(1);
     let mut step = Step::new();
-    step.covariance = start_covariance(&Tuning::DEFAULT, &[0.01, 0.02, 0.03]);
+    set_start_covariance(&mut step.covariance, &Tuning::DEFAULT, &[0.01, 0.02, 0.03]);
     for (state, variance) in [0.04, 0.04, 0.01, 0.01].into_iter().enumerate() {
         step.covariance.reset_moving(state, variance);
     }
