@@ -4,11 +4,12 @@ use std::path::Path;
 use std::{env, fs};
 
 /// The boards and the file under `boards/` that holds their memory sizes.
-const BOARDS: [(&str, &str); 4] = [
+const BOARDS: [(&str, &str); 5] = [
     ("CARGO_FEATURE_BOARD_STM32F405", "stm32f405.x"),
     ("CARGO_FEATURE_BOARD_BLACKPILL_F411", "stm32f411.x"),
     ("CARGO_FEATURE_BOARD_NUCLEO_F411", "stm32f411.x"),
     ("CARGO_FEATURE_QEMU", "stm32f405.x"),
+    ("CARGO_FEATURE_PROOF", "stm32f405.x"),
 ];
 
 fn main() {

@@ -92,6 +92,41 @@ fn only_bins_import_the_board() {
     }
 }
 
+/// The list of `unsafe` for people: each reason with the files that give it.
+#[test]
+fn unsafe_is_listed_with_its_reasons() {
+    let mut list = String::from(
+        "# `unsafe`, and why it is sound\n\nWritten by `APLOMB_BLESS=1 cargo test --test architecture`; the test fails if it is old.\n\n| file | why |\n|---|---|\n",
+    );
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut files = rust_files("src");
+    files.sort();
+    for (path, contents) in files {
+        let path = path.strip_prefix(root).unwrap_or(&path);
+        let lines: Vec<&str> = contents.lines().map(str::trim).collect();
+        for (index, line) in lines.iter().enumerate() {
+            let Some(start) = line.strip_prefix("// SAFETY: ") else {
+                continue;
+            };
+            let mut reason = start.to_owned();
+            for more in &lines[index + 1..] {
+                let Some(more) = more.strip_prefix("// ") else {
+                    break;
+                };
+                reason.push(' ');
+                reason.push_str(more);
+            }
+            list.push_str(&format!("| `{}` | {reason} |\n", path.display()));
+        }
+    }
+    let file = root.join("docs/unsafe.md");
+    if std::env::var_os("APLOMB_BLESS").is_some() {
+        fs::write(&file, &list).expect("docs/unsafe.md can be written");
+    }
+    let committed = fs::read_to_string(&file).unwrap_or_default();
+    assert_eq!(committed, list, "bless docs/unsafe.md anew");
+}
+
 #[test]
 fn unsafe_stands_in_the_board_alone_and_gives_its_reason() {
     let mut blocks = 0;

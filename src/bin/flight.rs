@@ -126,13 +126,11 @@ mod app {
                 .lock(|messages| messages.post(message))
         };
         let mut last_complaint = None;
-        let mut silent_looks = 0;
         loop {
             watchdog::samples_go_on();
             match context.local.sensor.make_ready() {
                 Ok(ready) => {
                     last_complaint = None;
-                    silent_looks = 0;
                     // After a fault the filter goes on with what it knows.
                     context.shared.pipeline.lock(|pipeline| {
                         pipeline.get_or_insert_with(|| {
@@ -156,8 +154,7 @@ mod app {
                 Err(reason) => {
                     // It may have been powered up together with the processor.
                     let is_patient = reason == NotReady::Sensor(mpu6050::Error::NotFound)
-                        && silent_looks < sensor::LOOKS_BEFORE_COMPLAINT;
-                    silent_looks += u32::from(is_patient);
+                        && context.local.sensor.may_be_starting();
                     // Said once, and tried many times.
                     if !is_patient && last_complaint.replace(reason) != Some(reason) {
                         post(match reason {

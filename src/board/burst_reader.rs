@@ -147,7 +147,12 @@ impl BurstReader {
         let count = timebase.captured();
         let is_idle = self.step == BurstStep::Idle;
         match self.mode {
-            Mode::Starting => self.take_up(),
+            Mode::Starting => {
+                // The bus first: what is to be known of the sensor is not needed for that.
+                self.begin(count, timebase);
+                self.take_up();
+                return;
+            }
             // Where a burst is under way, it reads this edge's sample.
             Mode::Polling => self.return_to_edges(),
             Mode::Edges => {

@@ -54,7 +54,7 @@ const CHECK: u32 = 0x4150_4C4D ^ (report::LENGTH as u32) << 8;
 /// What the filter knew, in two copies that are written in turn: a reset in the middle of one leaves
 /// the other.
 #[unsafe(link_section = ".uninit.APLOMB_KNOWN")]
-static KNOWN: [Words; 2] = [const { Words::EMPTY }; 2];
+static KNOWN: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LENGTH]) }; 2];
 
 /// Which copy was written last.
 static NEWEST: AtomicU8 = AtomicU8::new(0);
@@ -64,10 +64,6 @@ struct Words([AtomicU32; LENGTH]);
 
 const NUMBERS: usize = 9;
 const LENGTH: usize = NUMBERS + 2;
-
-impl Words {
-    const EMPTY: Self = Self([const { AtomicU32::new(0) }; LENGTH]);
-}
 
 /// The last snapshot's attitude may be as old as this when a warm start goes on from it, in seconds: the
 /// watchdog's limit, the time between two savings and the start itself.

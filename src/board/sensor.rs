@@ -17,7 +17,7 @@ pub const RETRY_MS: u32 = 5;
 
 /// A sensor that is powered up together with the processor answers 100 ms later at most (product
 /// specification §6.3).
-pub const LOOKS_BEFORE_COMPLAINT: u32 = 100 / RETRY_MS;
+const LOOKS_WHILE_STARTING: u32 = 100 / RETRY_MS;
 
 /// So often in a row is setting it again tried before the whole sequence is, reset included.
 const TRIES_WITHOUT_RESET: u8 = 3;
@@ -47,6 +47,7 @@ pub struct Sensor {
     /// Whether it has had the whole sequence in this run or the one before.
     is_known: bool,
     failures: u8,
+    silent_looks: u32,
 }
 
 impl Sensor {
@@ -57,6 +58,7 @@ impl Sensor {
             config,
             is_known,
             failures: 0,
+            silent_looks: 0,
         }
     }
 
@@ -71,13 +73,19 @@ impl Sensor {
             Ok(_) => {
                 self.is_known = true;
                 self.failures = 0;
+                self.silent_looks = 0;
             }
             Err(NotReady::BusHeldLow(held)) => retained::count(if held.clock {
                 FaultClass::ClockLineLow
             } else {
                 FaultClass::DataLineLow
             }),
-            Err(NotReady::Sensor(Error::NotFound)) => retained::count(FaultClass::SensorSilent),
+            Err(NotReady::Sensor(Error::NotFound)) => {
+                self.silent_looks = self.silent_looks.saturating_add(1);
+                if self.is_known || !self.may_be_starting() {
+                    retained::count(FaultClass::SensorSilent);
+                }
+            }
             // The bus is at fault, and no reset of the sensor mends it.
             Err(NotReady::Sensor(Error::Bus { .. })) => {}
             Err(NotReady::Sensor(_)) => {
@@ -89,6 +97,11 @@ impl Sensor {
             }
         }
         result
+    }
+
+    /// Whether it has been silent for no longer than it takes to start.
+    pub const fn may_be_starting(&self) -> bool {
+        self.silent_looks < LOOKS_WHILE_STARTING
     }
 
     fn attempt(&mut self) -> Result<Ready, NotReady> {

@@ -298,7 +298,10 @@ impl I2c for SensorBus {
                 .iter()
                 .take_while(|operation| matches!(operation, Operation::Read(_)) == reads)
                 .count();
-            let (these, others) = rest.split_at_mut(run);
+            // The run is a part of the rest, so there is always something to split.
+            let Some((these, others)) = rest.split_at_mut_checked(run) else {
+                return Ok(());
+            };
             let last = others.is_empty();
             self.start(address, reads)?;
             if reads {

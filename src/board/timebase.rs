@@ -85,17 +85,31 @@ impl Timebase {
         if status.uif().bit_is_set() {
             self.extender.overflow();
         }
+        let mut is_burst_alarm = status.cc1if().bit_is_set();
         if status.cc3if().bit_is_set() {
+            let now = self.timer.cnt().read().cnt().bits();
             let due = self.timer.ccr3().read().ccr().bits();
-            self.timer
-                .ccr3()
-                .write(|w| w.ccr().set(due.wrapping_add(self.telemetry_period_us)));
+            let next = due.wrapping_add(self.telemetry_period_us);
+            // After a long stall of the core the next one may be past: its compare would come an hour later.
+            let next = if has_passed(next, now) {
+                now.wrapping_add(self.telemetry_period_us)
+            } else {
+                next
+            };
+            self.timer.ccr3().write(|w| w.ccr().set(next));
+            // The same may have happened to the burst reader's alarm, which it always sets again.
+            is_burst_alarm |= has_passed(self.timer.ccr1().read().ccr().bits(), now);
         }
         Alarms {
-            burst: status.cc1if().bit_is_set(),
+            burst: is_burst_alarm,
             telemetry: status.cc3if().bit_is_set(),
         }
     }
+}
+
+/// Whether a count has been reached `now`, give or take half a turn of the counter.
+fn has_passed(count: u32, now: u32) -> bool {
+    now.wrapping_sub(count) < 1 << 31
 }
 
 /// Sets the burst reader's alarm to a count. For the reader, and for the idle task while the reader is disabled.

@@ -59,7 +59,7 @@ impl Upkeep {
         self.is_watching = pipeline.is_suspect();
         self.stocktakings = self.stocktakings.wrapping_add(1);
         // Every 22 ms: so every 44 ms at the full scales, and every 88 ms at the others.
-        if self.stocktakings % 2 == 0 {
+        if self.stocktakings.is_multiple_of(2) {
             burst_reader::request_check();
         }
         if self.stocktakings >= STOCKTAKINGS_TO_A_KEEPING {

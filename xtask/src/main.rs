@@ -3,6 +3,7 @@
 mod build;
 mod cost;
 mod faults;
+mod panics;
 mod setup;
 mod size;
 mod step;

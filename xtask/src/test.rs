@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{cost, faults, size, step};
+use crate::{cost, faults, panics, size, step};
 
 /// Seconds of simulated flight whose bursts QEMU replays.
 const REPLAYED_SECONDS: &str = "10";
@@ -41,10 +41,11 @@ pub fn run() -> Result<(), String> {
             .map(|board| board.feature())
             .iter()
             .map(String::as_str)
-            .chain(["qemu", "cost"])
+            .chain(["qemu", "cost", "proof"])
         {
             let bin = match features {
                 "qemu" | "cost" => features,
+                "proof" => "no_panic",
                 _ => "flight",
             };
             step::run(toolchain.cargo("clippy").args([
@@ -70,10 +71,14 @@ pub fn run() -> Result<(), String> {
             "warnings",
         ]))
     })?;
+    step::timed("nothing in the library panics", || {
+        panics::prove_library(&toolchain)
+    })?;
     let mut images = Vec::new();
     for board in BOARDS {
         let elf = Firmware { board, mount: None }.build(&toolchain)?;
         let sizes = size::check(&elf)?;
+        panics::check(&elf)?;
         eprintln!("   {} bytes of flash, {} of RAM", sizes.flash, sizes.ram);
         images.push((board, elf));
     }
