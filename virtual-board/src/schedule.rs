@@ -249,7 +249,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         "address-nack" => {
             FaultKind::AddressNack([None, Some(Direction::Write), Some(Direction::Read)][pick % 3])
         }
-        "data-nack" => FaultKind::DataNack((pick % 2) as u8),
+        "data-nack" => FaultKind::DataNack(u8::from(pick.is_multiple_of(8))),
         // Half of them are a sensor that has lost count.
         "sda-low" if pick.is_multiple_of(2) => FaultKind::SdaLow(Some((1 + pick / 2 % 9) as u8)),
         "sda-low" => FaultKind::SdaLow(None),
