@@ -118,6 +118,10 @@ pub struct Pipeline<F = AnyFilter> {
     pause_us: u32,
     /// For how long the gyroscope has been reading full scale, µs.
     saturated_us: u32,
+    /// The low half of the time at which the data were last seen to change, and how long they had been
+    /// frozen when that was last taken into σ, µs.
+    thawed_at_us: u32,
+    frozen_us: u32,
     /// The low half of the last sample's time, µs.
     last_t_us: u32,
     temperature_limits: (i16, i16),
@@ -172,6 +176,8 @@ impl<F: Filter> Pipeline<F> {
             longest_step_us: (PERIODS_UNSEEN * 1.0e6 / settings.sensor.sample_rate_hz()) as u32,
             pause_us: u32::MAX,
             saturated_us: 0,
+            thawed_at_us: 0,
+            frozen_us: 0,
             last_t_us: 0,
             temperature_limits: health::temperature_limits(
                 settings.part.temperature.celsius_per_count,
@@ -359,6 +365,18 @@ impl<F: Filter> Pipeline<F> {
         self.samples_to_stocktaking = 0;
     }
 
+    /// While data are frozen, the motion goes unseen as in a pause.
+    #[cold]
+    #[inline(never)]
+    fn doubt_frozen(&mut self, t_us: u32) {
+        let before_us = self.frozen_us;
+        self.frozen_us = t_us.wrapping_sub(self.thawed_at_us);
+        if let Some(filter) = self.estimator.kalman_mut() {
+            let variance = |us: u32| unseen_variance(us.into());
+            filter.doubt_tilt((variance(self.frozen_us) - variance(before_us)).max(0.0));
+        }
+    }
+
     /// Decides what to say of a sample with something to remark, and whether its attitude is valid.
     #[cold]
     #[inline(never)]
@@ -388,9 +406,15 @@ impl<F: Filter> Pipeline<F> {
     fn take_stock(&mut self, burst: &Burst, raw: &RawSample) {
         self.temperature_celsius = raw.temperature.to_celsius(self.settings.part);
         self.samples_to_stocktaking = SAMPLES_BETWEEN_STOCKTAKINGS - 1;
-        self.pause_us = self.pause_us.min(self.longest_step_us);
         let (coldest, hottest) = self.temperature_limits;
         let is_frozen = self.freeze_watch.update(&burst.bytes);
+        self.pause_us = self.pause_us.min(self.longest_step_us);
+        if is_frozen {
+            self.doubt_frozen(burst.captured_at_us as u32);
+        } else {
+            self.thawed_at_us = burst.captured_at_us as u32;
+            self.frozen_us = 0;
+        }
         let is_extreme = raw.temperature.0 < coldest || raw.temperature.0 > hottest;
         self.standing = Flags::NONE
             .with(Flags::TEMPERATURE, is_extreme)
@@ -948,6 +972,33 @@ mod tests {
                 assert!(error < allowed || !is_valid, "{step}: {error} {sigma}");
                 assert!(is_valid || step < milliseconds + 10, "{step}");
             }
+        }
+    }
+
+    #[test]
+    fn while_data_are_frozen_sigma_grows() {
+        let (mut pipeline, t_us) = settled();
+        let frozen = burst(Mount::Z_UP, 0, LEVEL, Vector3::new(100.0, 0.0, 0.0));
+        for step in 1..=300 {
+            let burst = Burst {
+                captured_at_us: t_us + step * 1000,
+                ..frozen
+            };
+            let flags = pipeline.update(&burst).flags;
+            let is_frozen = flags.contains(Flags::FROZEN);
+            assert!(
+                is_frozen == (step > 36) || (20..=36).contains(&step),
+                "{step}"
+            );
+            assert!(!flags.contains(Flags::VALID | Flags::FROZEN));
+        }
+        // The filter has turned on at 100 °/s.
+        for step in 301..=320 {
+            let snapshot = pipeline.update(&noisy(t_us + step * 1000, LEVEL));
+            let turned = libm::acosf(snapshot.attitude.down_in_body().z.min(1.0));
+            let sigma = libm::sqrtf(pipeline.tilt_variance_rad2(snapshot.t_us));
+            assert!(turned > radians(20.0) && turned < 6.0 * sigma, "{sigma}");
+            assert!(snapshot.flags.contains(Flags::VALID) || step < 315);
         }
     }
 

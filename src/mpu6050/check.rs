@@ -9,7 +9,7 @@ use super::part::Part;
 use super::registers::{
     ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, INTERRUPT_ACTIVE_HIGH_PULSE,
     INTERRUPT_DATA_READY, LOW_PASS_MASK, POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON,
-    POWER_SLEEP, Register,
+    POWER_SLEEP, Register, SELF_TEST_MASK,
 };
 
 /// What a sensor's registers say of its settings.
@@ -56,8 +56,8 @@ impl Check {
                 masks: [
                     0xFF,
                     LOW_PASS_MASK,
-                    FULL_SCALE_MASK,
-                    FULL_SCALE_MASK,
+                    FULL_SCALE_MASK | SELF_TEST_MASK,
+                    FULL_SCALE_MASK | SELF_TEST_MASK,
                     own_low_pass,
                 ],
                 expected: [
@@ -111,7 +111,7 @@ mod tests {
         // SMPLRT_DIV 0, CONFIG 1, GYRO_CONFIG and ACCEL_CONFIG at full scale 3.
         let good = [0x00, 0x01, 0x18, 0x18, 0x00];
         assert_eq!(scales.of(&good), Condition::Intact);
-        let meaningful: [u8; 5] = [0xFF, 0x07, 0x18, 0x18, 0x00];
+        let meaningful: [u8; 5] = [0xFF, 0x07, 0xF8, 0xF8, 0x00];
         for place in 0..5 {
             for bit in 0..8 {
                 let mut bytes = good;

@@ -18,7 +18,7 @@ use super::part::{PARTS, Part};
 use super::registers::{
     ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, INTERRUPT_ACTIVE_HIGH_PULSE,
     INTERRUPT_DATA_READY, LOW_PASS_MASK, POWER_AWAKE_GYROSCOPE_CLOCK, POWER_AWAKE_INTERNAL_CLOCK,
-    POWER_DEVICE_RESET, POWER_EVERY_AXIS_ON, Register, SIGNAL_PATH_RESET_ALL,
+    POWER_DEVICE_RESET, POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK, SIGNAL_PATH_RESET_ALL,
 };
 
 /// The two bus addresses, with the AD0 pin low and high (product specification §9.2).
@@ -144,12 +144,12 @@ impl<I2C: I2c> Mpu6050<I2C> {
         self.modify(Register::Configuration, LOW_PASS_MASK, low_pass)?;
         self.modify(
             Register::GyroscopeConfiguration,
-            FULL_SCALE_MASK,
+            FULL_SCALE_MASK | SELF_TEST_MASK,
             config.gyroscope_range.bits() << FULL_SCALE_SHIFT,
         )?;
         self.modify(
             Register::AccelerometerConfiguration,
-            FULL_SCALE_MASK,
+            FULL_SCALE_MASK | SELF_TEST_MASK,
             config.accelerometer_range.bits() << FULL_SCALE_SHIFT,
         )?;
         if self.part.has_accelerometer_low_pass {
@@ -715,7 +715,7 @@ mod tests {
             Write(0x1A, 0x81),
             Read(0x1A),
             Read(0x1B),
-            Write(0x1B, 0xFF),
+            Write(0x1B, 0x1F),
             Read(0x1B),
             Read(0x1C),
             Write(0x1C, 0x1D),
@@ -740,7 +740,7 @@ mod tests {
                 .expect(part.name);
             assert_eq!(bench.register(0x19), 9);
             assert_eq!(bench.register(0x1A), 0x84);
-            assert_eq!(bench.register(0x1B), 0xF7);
+            assert_eq!(bench.register(0x1B), 0x17);
             assert_eq!(bench.register(0x1C), 0x0D);
             let has_own_filter = matches!(part.who_am_i, 0x70 | 0x71 | 0x73 | 0x98);
             let expected = if has_own_filter { 0xC4 } else { 0xC8 };

@@ -65,6 +65,8 @@ pub const LOW_PASS_MASK: u8 = 0b0000_0111;
 pub const ACCELEROMETER_LOW_PASS_MASK: u8 = 0b0000_1111;
 /// GYRO_CONFIG and ACCEL_CONFIG bits 4:3, FS_SEL and AFS_SEL (§4.4, §4.5).
 pub const FULL_SCALE_MASK: u8 = 0b0001_1000;
+/// GYRO_CONFIG and ACCEL_CONFIG bits 7:5, the self-test of each axis (§4.4, §4.5).
+pub const SELF_TEST_MASK: u8 = 0b1110_0000;
 /// Where [`FULL_SCALE_MASK`] begins.
 pub const FULL_SCALE_SHIFT: u32 = 3;
 /// INT_PIN_CFG: active high, push-pull, 50 µs pulse, no bypass (§4.15: every bit zero).
