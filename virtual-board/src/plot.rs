@@ -188,6 +188,10 @@ fn draw(samples: &[Sample], timeline: &Timeline, labels: &Labels) -> Vec<u8> {
     for (nth, (name, _)) in timeline.flags.iter().enumerate() {
         let y = rows_top + nth * ROW - 1;
         let name = name.to_lowercase().replace('_', " ");
+        // The longest names have no room.
+        let name = name
+            .replace("gyroscope", "gyro")
+            .replace("accelerometer", "accel");
         canvas.text(&name, LEFT - 8, y, &FONT_6X12, INK, Alignment::Right);
     }
     for (nth, (panel, place)) in panels.iter().zip(&places).enumerate() {

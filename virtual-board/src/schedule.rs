@@ -249,9 +249,9 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         "address-nack" => {
             FaultKind::AddressNack([None, Some(Direction::Write), Some(Direction::Read)][pick % 3])
         }
-        "data-nack" => FaultKind::DataNack((pick % 2) as u8),
+        "data-nack" => FaultKind::DataNack(u8::from(pick.is_multiple_of(8))),
         // Half of them are a sensor that has lost count.
-        "sda-low" if pick % 2 == 0 => FaultKind::SdaLow(Some((1 + pick / 2 % 9) as u8)),
+        "sda-low" if pick.is_multiple_of(2) => FaultKind::SdaLow(Some((1 + pick / 2 % 9) as u8)),
         "sda-low" => FaultKind::SdaLow(None),
         "int-glitch" => FaultKind::IntGlitch([200, 700, 1_900, 8_000][pick % 4]),
         "register-flip" => {
@@ -259,7 +259,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
             FaultKind::RegisterFlip(registers[pick % 7], (pick / 7 % 256) as u8)
         }
         "saturated" => FaultKind::Saturated(Axis::NAMES[pick % 6].0),
-        "temperature" => FaultKind::Temperature(if pick % 2 == 0 { -55.0 } else { 120.0 }),
+        "temperature" => FaultKind::Temperature(if pick.is_multiple_of(2) { -55.0 } else { 120.0 }),
         _ => form
             .and_then(|form| form.bare)
             .unwrap_or(FaultKind::SensorSilent),
@@ -274,7 +274,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         FaultKind::BurstStall | FaultKind::SdaLow(None) | FaultKind::SclLow => (0.0015, 0.08),
         FaultKind::IntMissing | FaultKind::IntHigh | FaultKind::IntLow => (0.004, 0.1),
         FaultKind::SensorSilent | FaultKind::SensorBrownout => (0.002, 0.15),
-        FaultKind::CrystalDies if pick % 2 == 0 => (0.0, 0.0),
+        FaultKind::CrystalDies if pick.is_multiple_of(2) => (0.0, 0.0),
         FaultKind::Saturated(_) => (0.005, 0.1),
         _ => (0.05, 0.4),
     };
