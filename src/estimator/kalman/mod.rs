@@ -115,6 +115,7 @@ const REST_ACCELERATION: f32 = 0.03;
 /// more is taken off, so that 3 σ hold 99 % of the errors of each
 /// set together. A single recording may have less, such as 98.6 % of one room of TUM-VI.
 const TOLD_SIGMA: f32 = 0.92;
+const TOLD_VARIANCE: f32 = TOLD_SIGMA * TOLD_SIGMA;
 
 /// At rest a velocity of more σ than this is one that lasts, and no error of the tilt.
 const COASTING: f32 = 3.0;
@@ -418,7 +419,7 @@ impl Kalman {
     /// add for missing samples and full-scale readings counts at once.
     #[inline]
     pub fn tilt_variance_rad2(&self) -> f32 {
-        TOLD_SIGMA * TOLD_SIGMA * self.doubled_tilt_variance()
+        TOLD_VARIANCE * self.doubled_tilt_variance()
     }
 
     /// The sum of both tilt variances of the covariance, rad².
@@ -436,14 +437,14 @@ impl Kalman {
 
     /// Adds so much variance per axis to the tilt, rad²: what the motion did that no sample shows.
     pub fn doubt_tilt(&mut self, variance: f32) {
-        self.interval.tilt_variance += variance;
+        self.interval.tilt_variance += variance / TOLD_VARIANCE;
     }
 
     /// Doubts what the last samples have said: adds so much variance per axis to the tilt, rad², and
     /// forgets the velocity, which wrong samples spoil at once.
     pub fn doubt_motion(&mut self, variance: f32) {
         let tilt_variance = 0.5 * self.doubled_tilt_variance();
-        self.forget_motion(tilt_variance + variance);
+        self.forget_motion(tilt_variance + variance / TOLD_VARIANCE);
     }
 
     /// Goes on from what an earlier run knew, instead of taking the tilt from the first sample: call it
@@ -451,7 +452,7 @@ impl Kalman {
     pub fn resume(&mut self, known: &Known) {
         self.set_bias(known.bias_rad_s, known.bias_sigma_rad_s);
         self.mean.attitude = known.attitude;
-        self.resumed_tilt_variance = square(known.tilt_sigma_rad);
+        self.resumed_tilt_variance = square(known.tilt_sigma_rad) / TOLD_VARIANCE;
         self.is_bias_known = known.bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
     }
 
