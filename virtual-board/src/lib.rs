@@ -62,6 +62,7 @@ pub mod profile;
 pub mod recorder;
 #[cfg(feature = "emulator")]
 pub mod schedule;
+#[cfg(feature = "emulator")]
 pub mod script;
 #[cfg(feature = "emulator")]
 pub mod summary;
