@@ -708,6 +708,7 @@ impl<F: Filter> Pipeline<F> {
                 self.rest = self.rest.map(expecting);
             }
         }
+        self.estimator.prepare();
     }
 
     /// The gyroscope's offset at this temperature as it is known without the filter, rad/s in sensor axes, and its σ.

@@ -251,6 +251,13 @@ impl<F: Filter> Estimator<F> {
         state.number(&mut self.rate_squared);
     }
 
+    /// Does what can be done before the first sample; it costs that sample time otherwise.
+    pub fn prepare(&mut self) {
+        if let Some(filter) = self.filter.kalman_mut() {
+            filter.prepare();
+        }
+    }
+
     /// Forgets everything but the quaternion's sign; yaw starts at zero again.
     pub fn restart(&mut self) {
         self.last_t_us = None;

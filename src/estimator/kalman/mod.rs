@@ -133,8 +133,10 @@ pub struct Kalman {
     delay_s: f32,
     is_armed: bool,
     has_tilt: bool,
-    /// Above zero if the first sample finds an attitude to go on from: its tilt's variance, rad².
-    resumed_tilt_variance: f32,
+    /// The covariance is the one that the first sample wants.
+    is_prepared: bool,
+    /// The tilt is known from an earlier run; the first sample does not set it.
+    is_resumed: bool,
     /// A covariance step is due or under way.
     has_work: bool,
     is_bias_known: bool,
@@ -149,7 +151,7 @@ pub struct Kalman {
     /// The mean specific force in earth axes over [`RECOVERY_TIME_S`], m/s².
     mean_force_m_s2: Vector3,
     /// Which bias was last measured at rest.
-    next_axis: usize,
+    next_axis: u8,
 }
 
 /// What an earlier run knew.
@@ -258,7 +260,8 @@ impl Kalman {
             delay_s: 0.0,
             is_armed: false,
             has_tilt: false,
-            resumed_tilt_variance: 0.0,
+            is_prepared: false,
+            is_resumed: false,
             has_work: false,
             is_bias_known: false,
             mean: Mean::new(),
@@ -289,6 +292,7 @@ impl Kalman {
         self.mean.derive_offset();
         self.prior_bias_rad_s = bias_rad_s;
         self.bias_prior = [square(sigma_rad_s); 3];
+        self.is_prepared = false;
     }
 
     /// From the next sample on the readings have this more of a bias, rad/s, because less is removed before they come here.
@@ -310,20 +314,28 @@ impl Kalman {
         self.mean.attitude = attitude;
     }
 
+    /// Does what can be done before the first sample, which is the slowest one anyway.
+    pub(super) fn prepare(&mut self) {
+        self.expect(square(self.tuning.start_tilt_rad));
+        self.is_prepared = true;
+    }
+
+    /// Sets the covariance for a sample that sets the tilt: what is known of the sensor stays, or is at its prior.
+    fn expect(&mut self, tilt_variance: f32) {
+        if !self.has_tilt {
+            set_start_covariance(&mut self.step.covariance, self.tuning, &self.bias_prior);
+        }
+        self.forget_motion(tilt_variance);
+    }
+
     /// The first sample, or the first after a gap: takes roll and pitch from the specific force if it shows gravity, and keeps yaw and what is known of the sensor.
     pub(super) fn start(&mut self, sample: &Sample, shows_gravity: bool) {
-        let tuning = self.tuning;
-        if !self.has_tilt {
-            set_start_covariance(&mut self.step.covariance, tuning, &self.bias_prior);
+        if !core::mem::take(&mut self.is_prepared) {
+            self.expect(square(self.tuning.start_tilt_rad));
         }
-        let resumed = core::mem::take(&mut self.resumed_tilt_variance);
-        if resumed > 0.0 {
-            self.forget_motion(resumed);
+        if core::mem::take(&mut self.is_resumed) {
             self.has_tilt = true;
-        } else {
-            self.forget_motion(square(tuning.start_tilt_rad));
-        }
-        if shows_gravity && resumed <= 0.0 {
+        } else if shows_gravity {
             let down = -sample.specific_force_m_s2;
             self.mean.attitude = self.mean.attitude.with_down(down);
             self.has_tilt = true;
@@ -339,7 +351,8 @@ impl Kalman {
         state.number(&mut self.delay_s);
         state.truth(&mut self.is_armed);
         state.truth(&mut self.has_tilt);
-        state.number(&mut self.resumed_tilt_variance);
+        state.truth(&mut self.is_prepared);
+        state.truth(&mut self.is_resumed);
         state.truth(&mut self.has_work);
         state.truth(&mut self.is_bias_known);
         self.mean.exchange(state);
@@ -350,7 +363,9 @@ impl Kalman {
         state.vector(&mut self.prior_bias_rad_s);
         state.numbers(&mut self.bias_prior);
         state.vector(&mut self.mean_force_m_s2);
-        state.index(&mut self.next_axis, 3);
+        let mut next_axis = usize::from(self.next_axis);
+        state.index(&mut next_axis, 3);
+        self.next_axis = next_axis as u8;
     }
 
     /// One step of `dt_s` seconds.
@@ -452,7 +467,9 @@ impl Kalman {
     pub fn resume(&mut self, known: &Known) {
         self.set_bias(known.bias_rad_s, known.bias_sigma_rad_s);
         self.mean.attitude = known.attitude;
-        self.resumed_tilt_variance = square(known.tilt_sigma_rad) / TOLD_VARIANCE;
+        self.expect(square(known.tilt_sigma_rad) / TOLD_VARIANCE);
+        self.is_prepared = true;
+        self.is_resumed = true;
         self.is_bias_known = known.bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
     }
 
@@ -648,7 +665,7 @@ impl Kalman {
         };
         for (axis, innovation) in innovations.into_iter().enumerate() {
             let own = self.step.covariance.constant_variance(axis);
-            if own > square(WELL_KNOWN_BIAS_RAD_S) || axis == self.next_axis {
+            if own > square(WELL_KNOWN_BIAS_RAD_S) || axis == usize::from(self.next_axis) {
                 let state = State::Constant(axis);
                 self.step.measure(Measurement {
                     state,
@@ -776,7 +793,6 @@ fn sigma(variance: f32) -> f32 {
 }
 
 /// Before the first sample: everything at its prior.
-/// In its place, since a copy would cost the first sample a thousand instructions.
 fn set_start_covariance(covariance: &mut Covariance, tuning: &Tuning, bias_prior: &[f32; 3]) {
     covariance.clear();
     for (axis, prior) in bias_prior.iter().enumerate() {
