@@ -22,6 +22,10 @@ const FASTEST_KHZ: u32 = 47;
 const PRESCALER: u8 = 4;
 const DIVISION: u32 = 64;
 
+/// How often the status is read until a new limit has arrived. At 168 MHz a reading takes at least 4 cycles, so this is 1 ms
+/// or more; five cycles of the slowest oscillator are 0.3 ms (RM0090, 21.4.4).
+const CROSSING_READINGS: u32 = 50_000;
+
 /// What has to go on.
 static SAMPLES: AtomicBool = AtomicBool::new(false);
 static ATTITUDE: AtomicBool = AtomicBool::new(false);
@@ -48,6 +52,13 @@ pub fn allow_ms(limit_ms: u32) {
         watchdog
             .rlr()
             .write(|w| w.rl().bits(ticks.min(0xFFF) as u16));
+    }
+    // The limit reaches the counter within five cycles of its oscillator; fed before that it would reload the old one.
+    for _ in 0..CROSSING_READINGS {
+        let status = watchdog.sr().read();
+        if status.pvu().bit_is_clear() && status.rvu().bit_is_clear() {
+            break;
+        }
     }
     feed();
 }

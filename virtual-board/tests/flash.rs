@@ -155,6 +155,14 @@ fn a_save_stalls_the_core_for_the_datasheet_s_time_and_the_bursts_go_on_after_it
         .max()
         .unwrap();
     // An erase of 500 ms, and the sensor's configuration after it.
-    assert!((500_000_000..900_000_000).contains(&gap_ns), "{gap_ns} ns");
+    assert!(
+        (500_000_000..900_000_000).contains(&gap_ns),
+        "{gap_ns} ns: {:#?}",
+        outcome
+            .uart_lines
+            .iter()
+            .filter(|line| line.text.starts_with('#'))
+            .collect::<Vec<_>>()
+    );
     assert!(published.last().unwrap() > &3_400_000_000);
 }
