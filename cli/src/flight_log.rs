@@ -362,6 +362,7 @@ impl<W: Write> Recorder<W> {
     }
 
     /// Gives back what it writes to.
+    #[cfg(test)]
     pub fn into_inner(self) -> W {
         self.output
     }

@@ -34,7 +34,6 @@ use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 
 use super::Output;
 use crate::estimator::{Filter, REVISION};
-use crate::health::Flags;
 use crate::mpu6050::{BURST_LENGTH, Burst, Part};
 use crate::pipeline::{Pipeline, Settings, Snapshot};
 use crate::state::{Exchange, Reader, Window};
@@ -236,7 +235,7 @@ impl Frame {
                 state.long(t_us);
                 state.quaternion(attitude);
                 state.vector(body_rates_rad_s);
-                exchange_flags(flags, state);
+                flags.exchange(state);
             }
             Self::StatePiece(piece) => {
                 state.word(&mut piece.number);
@@ -263,16 +262,6 @@ impl Frame {
                 }
             }
         }
-    }
-}
-
-/// Flags are 32 bits in a log, however many the library has.
-fn exchange_flags(flags: &mut Flags, state: &mut impl Exchange) {
-    let mut bits = u32::from(flags.bits());
-    state.word(&mut bits);
-    match bits.try_into() {
-        Ok(bits) => *flags = Flags::from_bits(bits),
-        Err(_) => state.refuse(),
     }
 }
 
@@ -543,6 +532,7 @@ mod tests {
         AccelerometerCorrection, Calibration, GyroscopeOffset, Mount, TemperatureModel,
     };
     use crate::estimator::FilterKind;
+    use crate::health::Flags;
     use crate::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass};
 
     /// Everything that a configuration can hold.
