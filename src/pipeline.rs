@@ -552,6 +552,8 @@ impl<F: Filter> Pipeline<F> {
         state.word(&mut self.pause_us);
         state.word(&mut self.saturated_us);
         state.word(&mut self.last_t_us);
+        state.word(&mut self.thawed_at_us);
+        state.word(&mut self.frozen_us);
         state.truth(&mut self.is_suspect);
         self.standing.exchange(state);
         state.number(&mut self.tilt_variance_rad2);

@@ -68,6 +68,7 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
     let burst = (any::<u32>(), any::<[u8; 14]>()).prop_map(move |(number, data)| {
         bytes(Frame::Burst(NumberedBurst {
             number,
+            flags: aplomb::health::Flags::NONE,
             burst: Burst {
                 bytes: data,
                 captured_at_us: number.into(),

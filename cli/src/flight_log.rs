@@ -9,6 +9,7 @@ use std::path::Path;
 
 use aplomb::attitude::Quaternion;
 use aplomb::estimator::{AnyFilter, REVISION};
+use aplomb::health::Flags;
 use aplomb::mpu6050::Burst;
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::state::Reader;
@@ -244,7 +245,11 @@ impl<'a> Replay<'a> {
 
     /// The next burst's time and snapshot.
     pub fn next(&mut self) -> Option<Snapshot> {
-        let NumberedBurst { number, burst } = *self.flight.bursts.get(self.next)?;
+        let NumberedBurst {
+            number,
+            flags,
+            burst,
+        } = *self.flight.bursts.get(self.next)?;
         let before = self.next.checked_sub(1);
         let follows = before.is_some_and(|before| self.flight.bursts[before].number + 1 == number);
         self.is_exact &= follows;
@@ -261,7 +266,9 @@ impl<'a> Replay<'a> {
                 self.is_exact = true;
             }
         }
-        let snapshot = self.pipeline.update(&burst);
+        let snapshot = self.pipeline.update_with(&burst, flags, |_, _| {});
+        // The module reads the scales back, which is not in the log; only VALID depends on it.
+        self.pipeline.confirm_scales();
         self.pipeline.collect(&burst);
         self.agreement.bursts += 1;
         if self.is_exact {
@@ -344,6 +351,7 @@ impl<W: Write> Recorder<W> {
         }
         let mut burst_to_send = Some(NumberedBurst {
             number: self.number,
+            flags: Flags::NONE,
             burst: *burst,
         });
         let mut buffer = [0; 8 * FRAME_CAPACITY];

@@ -384,6 +384,7 @@ mod app {
                     to_log
                         .enqueue(NumberedBurst {
                             number,
+                            flags,
                             burst: *burst,
                         })
                         .ok();

@@ -118,7 +118,8 @@ fn a_flight_log_has_every_burst_and_replays_to_the_bit() {
     assert!(reader.is_complete());
     let mut compared = 0;
     for numbered in logged.iter().skip_while(|burst| burst.number < *number) {
-        let q = pipeline.update(&numbered.burst).attitude;
+        let snapshot = pipeline.update_with(&numbered.burst, numbered.flags, |_, _| {});
+        let q = snapshot.attitude;
         pipeline.collect(&numbered.burst);
         let bits = [q.w, q.x, q.y, q.z].map(f32::to_bits);
         let t_us = numbered.burst.captured_at_us;
