@@ -34,6 +34,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 
 use super::Output;
 use crate::estimator::{Filter, REVISION};
+use crate::health::Flags;
 use crate::mpu6050::{BURST_LENGTH, Burst, Part};
 use crate::pipeline::{Pipeline, Settings, Snapshot};
 use crate::state::{Exchange, Reader, Window};
@@ -540,7 +541,6 @@ mod tests {
         AccelerometerCorrection, Calibration, GyroscopeOffset, Mount, TemperatureModel,
     };
     use crate::estimator::FilterKind;
-    use crate::health::Flags;
     use crate::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass};
 
     /// Everything that a configuration can hold.
