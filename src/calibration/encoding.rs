@@ -20,7 +20,7 @@ use crate::attitude::{Quaternion, Vector3};
 pub(super) type Writer = Vec<u8, LONGEST_RECORD>;
 
 /// What can be kept in flash.
-pub(super) trait Stored: Copy + PartialEq {
+pub(super) trait Stored: Copy {
     /// The version of the form that [`encode`](Self::encode) writes; the first is 1.
     const VERSION: u16;
 
@@ -135,10 +135,13 @@ impl Stored for Record {
     }
 }
 
+// Not inlined, because size counts here and time does not; so below.
+#[inline(never)]
 fn put(body: &mut Writer, bytes: &[u8]) -> Result<(), TooLong> {
     body.extend_from_slice(bytes).map_err(|_| TooLong)
 }
 
+#[inline(never)]
 fn put_numbers(body: &mut Writer, numbers: &[f32]) -> Result<(), TooLong> {
     numbers
         .iter()
@@ -168,6 +171,7 @@ impl Reader<'_> {
         Some(*taken)
     }
 
+    #[inline(never)]
     fn number(&mut self) -> Option<f32> {
         let number = f32::from_le_bytes(self.take()?);
         number.is_finite().then_some(number)

@@ -196,7 +196,7 @@ fn save_as<F: MultiwriteNorFlash, T: Stored>(
         // A power cut may have left bits of this record weak, so that they read right today and wrong
         // tomorrow. Programming the same bits again makes them firm before the other slot goes.
         program(flash, index, &images[index]).map_err(SaveError::Flash)?;
-        if matches!(slots[index], Slot::Valid { record: old, .. } if old == *record) {
+        if content(&images[index]) == content(&image) {
             return Ok(());
         }
     }
@@ -268,10 +268,12 @@ fn encode<T: Stored>(record: &T, sequence: u32) -> Option<Image> {
     header[8..12].copy_from_slice(&sequence.to_le_bytes());
     let crc = checksum(header, &body);
     header[12..16].copy_from_slice(&crc.to_le_bytes());
-    match decode::<T>(&image) {
-        Slot::Valid { record: read, .. } if read == *record => Some(image),
-        _ => None,
-    }
+    matches!(decode::<T>(&image), Slot::Valid { .. }).then_some(image)
+}
+
+/// All but the sequence number and the CRC over it: version, length and body.
+fn content(image: &Image) -> (Option<&[u8]>, Option<&[u8]>) {
+    (image.get(..8), image.get(HEADER_LENGTH..))
 }
 
 fn decode<T: Stored>(image: &Image) -> Slot<T> {
