@@ -52,9 +52,6 @@ impl Timebase {
         timer.ccmr1_input().write(|w| w.cc2s().ti2());
         timer.ccer().write(|w| w.cc2e().set_bit());
         timer.ccr1().write(|w| w.ccr().set(u32::MAX));
-        timer
-            .ccr3()
-            .write(|w| w.ccr().set(TELEMETRY_PERIOD_US.load(Ordering::Relaxed)));
         timer.egr().write(|w| w.ug().set_bit());
         timer.sr().reset();
         timer.dier().write(|w| {
@@ -68,6 +65,10 @@ impl Timebase {
                 .set_bit()
         });
         timer.cr1().write(|w| w.cen().set_bit());
+        // From wherever the count begins, so that tests may begin it just before it wraps.
+        let first = (timer.cnt().read().cnt().bits())
+            .wrapping_add(TELEMETRY_PERIOD_US.load(Ordering::Relaxed));
+        timer.ccr3().write(|w| w.ccr().set(first));
         Self {
             timer,
             extender: CounterExtender::new(),

@@ -309,7 +309,8 @@ impl RestWatch {
     /// How much of it is done: 0 to 100.
     pub fn progress_percent(&self) -> u8 {
         let done = u32::from(self.count) + u32::from(self.window_count);
-        (100 * done / u32::from(self.samples)).min(100) as u8
+        let percent = (100 * done).checked_div(u32::from(self.samples));
+        percent.unwrap_or_default().min(100) as u8
     }
 
     /// Starts over, but remembers how much noise the sensor has.

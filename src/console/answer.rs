@@ -65,15 +65,17 @@ pub(super) struct Decimal(pub(super) f32, pub(super) u32);
 
 impl fmt::Display for Decimal {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let &Self(value, decimals) = self;
+        let value = self.0;
+        let decimals = self.1.min(6);
         if value.is_nan() {
             return formatter.write_str("nan");
         }
-        let unit = 10_u32.saturating_pow(decimals.min(6));
+        let unit = 10_u32.saturating_pow(decimals);
         // The conversion saturates.
         let rounded = (value.abs() * unit as f32 + 0.5) as u32;
         let sign = if value < 0.0 && rounded > 0 { "-" } else { "" };
-        let (whole, rest) = (rounded / unit, rounded % unit);
+        let whole = rounded.checked_div(unit).unwrap_or_default();
+        let rest = rounded.checked_rem(unit).unwrap_or_default();
         if unit == 1 {
             return write!(formatter, "{sign}{whole}");
         }

@@ -107,9 +107,10 @@ fn every_command_is_answered_as_before() {
     let mut text = String::new();
     for (at_s, answer) in answers(&outcome) {
         while let Some((command_s, command)) = said.next_if(|(command_s, _)| *command_s <= at_s) {
-            writeln!(text, "{command_s:7.3} > {command}").unwrap();
+            writeln!(text, "{command_s:5.1} > {command}").unwrap();
         }
-        writeln!(text, "{at_s:7.3}   {answer}").unwrap();
+        // To a tenth of a second: which tick of the telemetry answers goes with every instruction at start.
+        writeln!(text, "{at_s:5.1}   {answer}").unwrap();
     }
     assert_golden("commands.txt", &text);
     // Both outputs say the same.
