@@ -407,6 +407,10 @@ impl BurstReader {
             LINK.is_stale.store(true, Ordering::Release);
             return true;
         }
+        if LINK.pause_wanted.swap(false, Ordering::Relaxed) && self.step == BurstStep::Idle {
+            self.disable();
+            return false;
+        }
         if clocks::have_fallen_back() {
             clocks::restore();
             self.standing |= Flags::INTERNAL_CLOCK;
@@ -620,7 +624,9 @@ pub fn enable(ready: &Ready, config: &Config) {
 pub fn pause() {
     exti().imr().reset();
     timebase::Delay.delay_us(BURST_DEADLINE_US);
-    LINK.enabled.store(false, Ordering::Release);
+    LINK.pause_wanted.store(true, Ordering::Relaxed);
+    timebase::raise_burst_alarm();
+    timebase::sleep_until(|| !is_enabled());
 }
 
 /// Whether the reader runs. False after a fault that needs the bus recovered, until the next [`enable`].
@@ -688,6 +694,8 @@ struct Link {
     /// Flags for the next burst.
     notes: AtomicU32,
     /// The attitude task has asked for a check.
+    /// The idle task wants the bus.
+    pause_wanted: AtomicBool,
     check_wanted: AtomicBool,
     are_scales_verified: AtomicBool,
     /// It is to be said that no sample comes, as of this time in microseconds since boot.
@@ -721,6 +729,7 @@ static LINK: Link = Link {
     enabled: AtomicBool::new(false),
     failures: AtomicU32::new(0),
     notes: AtomicU32::new(0),
+    pause_wanted: AtomicBool::new(false),
     check_wanted: AtomicBool::new(false),
     is_stale: AtomicBool::new(false),
     stale_low: AtomicU32::new(0),
