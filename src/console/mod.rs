@@ -2,7 +2,7 @@
 //!
 //! | module | what it knows |
 //! |---|---|
-//! | [`line`] | how bytes become lines, and which are dropped |
+//! | [`mod@line`] | how bytes become lines, and which are dropped |
 //! | [`command`] | the words, and what was probably meant |
 //! | [`answer`] | the lines that go back |
 //! | `ground_station` | MAVLink's requests as commands |

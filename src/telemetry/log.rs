@@ -22,7 +22,7 @@
 //! state itself travels: [`Pipeline::exchange`](crate::pipeline::Pipeline::exchange) as bytes (1.7 KiB), in pieces that
 //! go between the bursts. A replay that has all pieces of a state, and every burst from that state's number on, gives
 //! the same attitudes as the filter in flight until a burst is lost or the settings change; the next state makes it exact again. That
-//! holds for the same [`REVISION`](crate::estimator::REVISION) of the filters.
+//! holds for the same [`REVISION`] of the filters.
 //!
 //! # The line
 //!
