@@ -708,7 +708,9 @@ mod app {
                     filter.tilt_sigma_rad(),
                 ))
             });
-            if let Some((temperature_celsius, bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad)) = copied {
+            if let Some((temperature_celsius, bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad)) =
+                copied
+            {
                 state.temperature_celsius = temperature_celsius;
                 state.bias_rad_s = bias_rad_s;
                 state.bias_sigma_rad_s = bias_sigma_rad_s;
