@@ -3,6 +3,7 @@
 //! | task | priority | started by | must end before |
 //! |---|---|---|---|
 //! | `data_ready`, `bus_event`, `bus_error`, `transfer_complete` | 4 | INT pin, I2C1, DMA1 stream 0 | the next bus event, 22 µs |
+//! | `check_settings` | 4 | `attitude`, every 22 ms | the next bus event, 22 µs |
 //! | `time` | 4 | TIM5: counter wrap, alarms, telemetry ticks | the next bus event, 22 µs |
 //! | `attitude` | 3 | `transfer_complete` | the end of the next burst, 1 ms |
 //! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: it skips a line rather than wait |
@@ -345,6 +346,11 @@ mod app {
     #[task(binds = I2C1_ER, priority = 4, shared = [reader])]
     fn bus_error(context: bus_error::Context) {
         context.shared.reader.on_bus_error();
+    }
+
+    #[task(binds = SPI1, priority = 4, shared = [reader])]
+    fn check_settings(context: check_settings::Context) {
+        context.shared.reader.on_check_request();
     }
 
     #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]
