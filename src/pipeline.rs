@@ -339,13 +339,12 @@ impl<F: Filter> Pipeline<F> {
     /// What a later run has to know to go on from here; `None` if there is nothing worth it.
     pub fn known(&self) -> Option<Known> {
         let filter = self.estimator.kalman()?;
-        let sigma = filter.bias_sigma_rad_s();
         let is_worth_it = filter.is_bias_known() && self.standing.contains(Flags::VALID);
         is_worth_it.then(|| Known {
             attitude: filter.attitude(),
             tilt_sigma_rad: filter.tilt_sigma_rad(),
             bias_rad_s: self.rate_offset_rad_s(),
-            bias_sigma_rad_s: sigma.x.max(sigma.y).max(sigma.z),
+            bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
         })
     }
 

@@ -121,7 +121,9 @@ impl<'a> Output<'a> {
         let end = self.length + bytes.len();
         match self.buffer.get_mut(self.length..end) {
             Some(place) => {
-                place.copy_from_slice(bytes);
+                for (place, byte) in place.iter_mut().zip(bytes) {
+                    *place = *byte;
+                }
                 self.length = end;
                 true
             }

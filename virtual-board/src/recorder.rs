@@ -35,8 +35,9 @@ const SERVICE_PERIOD_NS: u64 = 1_000_000;
 /// What unused stack is filled with.
 const STACK_PATTERN: u32 = 0xA5A5_A5A5;
 
-/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1 events and errors, TIM5.
-const INPUT_INTERRUPTS: [usize; 5] = [11, 7, 31, 32, 50];
+/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1 events and errors, TIM5;
+/// and SPI1's, by which settings are read back.
+const INPUT_INTERRUPTS: [usize; 6] = [11, 7, 31, 32, 50, 35];
 
 /// A published sample.
 #[derive(Clone, Debug)]

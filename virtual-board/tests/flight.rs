@@ -70,7 +70,7 @@ fn a_flight_keeps_its_promises() {
         "{summary:?}"
     );
     assert!(summary.cpu_load_percent <= Some(1.5), "{summary:?}");
-    assert!(summary.flash_bytes <= 112 * 1024, "{summary:?}");
+    assert!(summary.flash_bytes <= 96 * 1024, "{summary:?}");
     assert!(summary.ram_bytes <= 16 * 1024, "{summary:?}");
     assert!(summary.stack_bytes_used > 0, "{summary:?}");
     assert!(
