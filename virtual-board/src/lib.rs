@@ -31,6 +31,8 @@ pub mod campaign;
 #[cfg(feature = "emulator")]
 pub mod crystal;
 #[cfg(feature = "emulator")]
+mod delegate;
+#[cfg(feature = "emulator")]
 pub mod dma;
 #[cfg(feature = "emulator")]
 pub mod error;
