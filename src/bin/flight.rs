@@ -43,7 +43,7 @@ mod app {
     use aplomb::estimator::Sample;
     use aplomb::estimator::kalman::{Kalman, Known};
     use aplomb::fault::{ClockSource, FaultClass, ResetCause};
-    use aplomb::health::Flags;
+    use aplomb::health::{FlagReport, Flags};
     use aplomb::mpu6050::{self, Config, Part};
     use aplomb::pipeline::Snapshot;
     use aplomb::pipeline::{Pipeline, Settings};
@@ -442,8 +442,7 @@ mod app {
             last_published: u32 = 0,
             last_failures: u16 = 0,
             tick: u16 = 0,
-            reception_errors: u32 = 0,
-            frames_dropped: u32 = 0,
+            flag_report: FlagReport = FlagReport::new(),
         ],
     )]
     async fn telemetry(context: telemetry::Context) {
@@ -459,8 +458,7 @@ mod app {
             last_published,
             last_failures,
             tick,
-            reception_errors,
-            frames_dropped,
+            flag_report,
             ..
         } = context.local;
         let mut messages = context.shared.messages;
@@ -470,10 +468,12 @@ mod app {
         let count = failures.wrapping_sub(*last_failures);
         if let (1.., Some(failure)) = (count, failure) {
             *last_failures = failures;
-            messages.lock(|messages| messages.post(Message::BurstsFailed { failure, count }));
+            post(&mut messages, Message::BurstsFailed { failure, count });
         }
         let has_reception_error = receiver.look(transmitter.baud()) != Reception::Sound;
-        *reception_errors = reception_errors.saturating_add(has_reception_error.into());
+        if has_reception_error {
+            retained::count(FaultClass::UartInput);
+        }
 
         // This runs much more often than the count wraps.
         *now_us += u64::from(timebase::now().wrapping_sub(*now_us as u32));
@@ -490,9 +490,13 @@ mod app {
         } else {
             None
         };
+        if let Some(snapshot) = &snapshot
+            && let Some(flags) = flag_report.update(snapshot.flags, now_us as u32)
+        {
+            post(&mut messages, Message::Attitude(flags));
+        }
         if !transmitter.is_idle() {
             if snapshot.is_some() {
-                *frames_dropped = frames_dropped.saturating_add(1);
                 retained::count(FaultClass::TelemetryLate);
             }
             return;
@@ -516,8 +520,8 @@ mod app {
             changed_at: None,
             state: State {
                 bursts_failed: failures,
-                reception_errors: *reception_errors,
-                frames_dropped: *frames_dropped,
+                reception_errors: retained::counted(FaultClass::UartInput),
+                frames_dropped: retained::counted(FaultClass::TelemetryLate),
                 ..State::default()
             },
         };
@@ -609,6 +613,11 @@ mod app {
         }
         let length = output.length();
         transmitter.send(length);
+    }
+
+    #[inline(never)]
+    fn post(messages: &mut impl Mutex<T = Mailbox>, message: Message) {
+        messages.lock(|messages| messages.post(message));
     }
 
     /// The latest snapshot, unless it was sent already.

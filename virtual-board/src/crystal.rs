@@ -55,8 +55,8 @@ pub struct CrystalAware {
 
 impl CrystalAware {
     /// The crystal, or the other chip's clock, stops. With the clock security system on, the hardware switches over to
-    /// the internal oscillator and says so in CSSF (RM0090, section 7.2.7); the NMI is not modelled. Returns whether
-    /// the core has lost its clock, because it is off.
+    /// the internal oscillator and says so in CSSF (RM0090, section 7.2.7), which asks for the NMI. Returns whether the core has lost
+    /// its clock, because it is off.
     pub fn stop_crystal(
         &mut self,
         registers: &mut RegisterFile,
