@@ -4,10 +4,12 @@ use std::path::Path;
 use std::{env, fs};
 
 /// The boards and the file under `boards/` that holds their memory sizes.
-const BOARDS: [(&str, &str); 5] = [
+const BOARDS: [(&str, &str); 7] = [
     ("CARGO_FEATURE_BOARD_STM32F405", "stm32f405.x"),
+    ("CARGO_FEATURE_BOARD_BLACKPILL_F401", "stm32f401.x"),
     ("CARGO_FEATURE_BOARD_BLACKPILL_F411", "stm32f411.x"),
     ("CARGO_FEATURE_BOARD_NUCLEO_F411", "stm32f411.x"),
+    ("CARGO_FEATURE_BOARD_NUCLEO_F446", "stm32f446.x"),
     ("CARGO_FEATURE_QEMU", "stm32f405.x"),
     ("CARGO_FEATURE_PROOF", "stm32f405.x"),
 ];

@@ -1,4 +1,32 @@
-//! What differs from board to board: the crystal and the clock that the chip is rated for.
+//! What differs from board to board: the crystal and the clocks that the chip is rated for. One file for each board.
+//!
+//! Pins, alternate functions and DMA streams are the same on all of them, as the datasheets' tables "Alternate function
+//! mapping" and the manuals' tables "DMA1 request mapping" have them: I2C1 on PB8 and PB9 (AF4), TIM5 channel 2 on PA1 (AF2),
+//! USART2 on PA2 and PA3 (AF7); I2C1_RX on DMA1 stream 0, channel 1, USART2 on streams 5 and 6, channel 4. So are the flash
+//! sectors up to the first 64 KiB. Register sections are cited from RM0090 (STM32F405); RM0368 (F401), RM0383 (F411) and
+//! RM0390 (F446) have the same registers.
+
+#[cfg(feature = "board-blackpill-f401")]
+mod blackpill_f401;
+#[cfg(feature = "board-blackpill-f411")]
+mod blackpill_f411;
+#[cfg(feature = "board-nucleo-f411")]
+mod nucleo_f411;
+#[cfg(feature = "board-nucleo-f446")]
+mod nucleo_f446;
+#[cfg(any(feature = "board-stm32f405", feature = "qemu"))]
+mod stm32f405;
+
+#[cfg(feature = "board-blackpill-f401")]
+pub use blackpill_f401::BOARD;
+#[cfg(feature = "board-blackpill-f411")]
+pub use blackpill_f411::BOARD;
+#[cfg(feature = "board-nucleo-f411")]
+pub use nucleo_f411::BOARD;
+#[cfg(feature = "board-nucleo-f446")]
+pub use nucleo_f446::BOARD;
+#[cfg(any(feature = "board-stm32f405", feature = "qemu"))]
+pub use stm32f405::BOARD;
 
 /// One board.
 pub struct Board {
@@ -13,33 +41,3 @@ pub struct Board {
     /// The APB1 bus clock, in hertz: the I2C's input. The timers on it run at twice this.
     pub peripheral_hz: u32,
 }
-
-/// The board that this image is built for.
-#[cfg(any(feature = "board-stm32f405", feature = "qemu"))]
-pub const BOARD: Board = Board {
-    name: "stm32f405",
-    crystal_hz: 8_000_000,
-    crystal_is_external_clock: false,
-    core_hz: 168_000_000,
-    peripheral_hz: 42_000_000,
-};
-
-/// The board that this image is built for.
-#[cfg(feature = "board-blackpill-f411")]
-pub const BOARD: Board = Board {
-    name: "blackpill-f411",
-    crystal_hz: 25_000_000,
-    crystal_is_external_clock: false,
-    core_hz: 100_000_000,
-    peripheral_hz: 50_000_000,
-};
-
-/// The board that this image is built for.
-#[cfg(feature = "board-nucleo-f411")]
-pub const BOARD: Board = Board {
-    name: "nucleo-f411",
-    crystal_hz: 8_000_000,
-    crystal_is_external_clock: true,
-    core_hz: 100_000_000,
-    peripheral_hz: 50_000_000,
-};

@@ -2,6 +2,7 @@
 //!
 //! The HAL's `freeze` waits for ever for a dead crystal, so the crystal is asked first, with a limit.
 
+use stm32f4xx_hal::pac::rcc::pllcfgr::PLLP;
 use stm32f4xx_hal::pac::{RCC, rcc};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{Config, Rcc};
@@ -61,17 +62,17 @@ pub fn restore() {
     acknowledge_failure();
     super::retained::count(crate::fault::FaultClass::ClockFailed);
     rcc.cr().modify(|_, w| w.pllon().clear_bit());
-    // 16 MHz / 16, times N, / 2; the division for USB does not matter, but must be 2 or more.
-    // SAFETY: N is 200 or 336, within the 50 to 432 that the manual allows (RM0090, 6.3.2).
+    // 16 MHz / 16, times N, / P; the division for USB does not matter, but must be 2 or more.
+    // SAFETY: N is 336 to 400, within the 192 to 432 that the manual allows (RM0090, 6.3.2).
     rcc.pllcfgr().write(|w| unsafe {
         w.pllsrc()
             .hsi()
             .pllm()
             .bits(16)
             .plln()
-            .bits((2 * (BOARD.core_hz / 1_000_000)) as u16)
+            .bits(PLL_MULTIPLIER)
             .pllp()
-            .div2()
+            .variant(PLL_DIVISION)
             .pllq()
             .bits(8)
     });
@@ -83,6 +84,18 @@ pub fn restore() {
         }
     }
 }
+
+/// N and P of the PLL at 1 MHz. Slower cores divide by four, so that the multiplied frequency is 192 MHz or more.
+const PLL_MULTIPLIER: u16 = match PLL_DIVISION {
+    PLLP::Div2 => 2 * (BOARD.core_hz / 1_000_000) as u16,
+    _ => 4 * (BOARD.core_hz / 1_000_000) as u16,
+};
+const PLL_DIVISION: PLLP = if BOARD.core_hz > 108_000_000 {
+    PLLP::Div2
+} else {
+    PLLP::Div4
+};
+const _: () = assert!(PLL_MULTIPLIER >= 192 && PLL_MULTIPLIER <= 432);
 
 /// The PLL is asked so often whether it is ready: 0.3 ms at 16 MHz and 4 cycles each.
 const PLL_READINGS: u32 = 1_200;

@@ -1,6 +1,6 @@
 //! The two calibration slots in on-chip flash, sectors 1 and 2, as NOR flash that `calibration::storage` writes.
 //!
-//! Registers and procedures are RM0090, chapter 3 (STM32F405) and RM0383, chapter 3 (STM32F411), which agree.
+//! Registers and procedures are RM0090 (STM32F405), RM0368 (F401), RM0383 (F411) and RM0390 (F446), chapter 3 each, which agree.
 //! While a sector is erased or a word programmed, every fetch from flash waits, so the whole firmware stands
 //! still: 0.25 s, at most 0.5 s, for a sector; 16 µs, at most 100 µs, for a word (STM32F405 datasheet, table
 //! "Flash memory programming", 32 bits at a time). So the caller stops the bursts first and gives a watchdog

@@ -15,12 +15,9 @@ use super::burst::{BURST_LENGTH, Burst, RawSample};
 use super::check::{Check, Condition};
 use super::config::{AccelerometerRange, Config, GyroscopeRange, LowPass};
 use super::part::{PARTS, Part};
-use super::registers::{
-    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, INTERRUPT_ACTIVE_HIGH_PULSE,
-    INTERRUPT_DATA_READY, LOW_PASS_MASK, POWER_AWAKE_GYROSCOPE_CLOCK, POWER_AWAKE_INTERNAL_CLOCK,
-    POWER_DEVICE_RESET, POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK, SIGNAL_PATH_RESET_ALL,
-};
+use super::registers::Register;
 use super::self_test::{AxisTest, SelfTest};
+use super::steps::{Step, Steps};
 
 /// The two bus addresses, with the AD0 pin low and high (product specification §9.2).
 pub const ADDRESSES: [u8; 2] = [0x68, 0x69];
@@ -29,10 +26,6 @@ pub const ADDRESSES: [u8; 2] = [0x68, 0x69];
 /// apart, cover it.
 const POWER_UP_LOOKS: u32 = 10;
 const POWER_UP_INTERVAL_MS: u32 = 10;
-/// Wait after a device reset and after a signal path reset (register map §4.28).
-const RESET_MS: u32 = 100;
-/// The gyroscope's zero-rate output settles in this time (product specification §6.1).
-const ZERO_RATE_SETTLING_MS: u32 = 30;
 /// Samples that each of the self-test's two readings is a mean of, 1 ms apart.
 const SELF_TEST_SAMPLES: u16 = 200;
 /// The filter of [`SELF_TEST_CONFIG`] and the deflection itself settle in much less than this.
@@ -94,8 +87,7 @@ impl<I2C: I2c> Mpu6050<I2C> {
         config: &Config,
         delay: &mut impl DelayNs,
     ) -> Result<(), Error<I2C::Error>> {
-        self.reset_and_wake(delay)?;
-        self.set_up(config)
+        self.take(Step::configuration(config, self.part), delay)
     }
 
     /// Sets up a sensor that has just reset itself, or that lost one setting: as
@@ -110,10 +102,7 @@ impl<I2C: I2c> Mpu6050<I2C> {
         config: &Config,
         delay: &mut impl DelayNs,
     ) -> Result<(), Error<I2C::Error>> {
-        self.set(Register::PowerManagement1, POWER_AWAKE_GYROSCOPE_CLOCK)?;
-        self.set(Register::PowerManagement2, POWER_EVERY_AXIS_ON)?;
-        delay.delay_ms(ZERO_RATE_SETTLING_MS);
-        self.set_up(config)
+        self.take(Step::configuration_again(config, self.part), delay)
     }
 
     /// Reads every setting back.
@@ -150,15 +139,6 @@ impl<I2C: I2c> Mpu6050<I2C> {
         Err(ProbeFailure { i2c, error })
     }
 
-    fn set_up(&mut self, config: &Config) -> Result<(), Error<I2C::Error>> {
-        self.set_ranges(config)?;
-        self.set(
-            Register::InterruptPinConfiguration,
-            INTERRUPT_ACTIVE_HIGH_PULSE,
-        )?;
-        self.set(Register::InterruptEnable, INTERRUPT_DATA_READY)
-    }
-
     /// Does the datasheet's self-test; the sensor has to rest meanwhile, for about 0.9 s.
     ///
     /// It leaves the sensor without interrupts and at other ranges: call [`configure`](Self::configure) after it.
@@ -167,20 +147,14 @@ impl<I2C: I2c> Mpu6050<I2C> {
     ///
     /// Those of [`configure`](Self::configure). A response that is wrong is no error but in the result.
     pub fn self_test(&mut self, delay: &mut impl DelayNs) -> Result<SelfTest, Error<I2C::Error>> {
-        self.reset_and_wake(delay)?;
-        self.set_ranges(&SELF_TEST_CONFIG)?;
+        self.take(Step::before_self_test(&SELF_TEST_CONFIG, self.part), delay)?;
         let mut codes = [0; 4];
         if self.part.has_self_test_trim {
             read(&mut self.i2c, self.address, Register::SelfTestX, &mut codes)?;
         }
         delay.delay_ms(SELF_TEST_SETTLING_MS);
         let off = self.mean_counts(delay)?;
-        for register in [
-            Register::GyroscopeConfiguration,
-            Register::AccelerometerConfiguration,
-        ] {
-            self.modify(register, SELF_TEST_MASK, SELF_TEST_MASK)?;
-        }
+        self.take(Step::self_test(&SELF_TEST_CONFIG, self.part), delay)?;
         delay.delay_ms(SELF_TEST_SETTLING_MS);
         let on = self.mean_counts(delay)?;
         let mut axes =
@@ -264,70 +238,50 @@ impl<I2C: I2c> Mpu6050<I2C> {
         Ok(sums.map(|sum| sum.map(|sum| sum as f32 / f32::from(SELF_TEST_SAMPLES))))
     }
 
-    /// Everything but the interrupt.
-    fn set_ranges(&mut self, config: &Config) -> Result<(), Error<I2C::Error>> {
-        self.set(Register::SampleRateDivider, config.sample_rate_divider)?;
-        let low_pass = config.low_pass.bits();
-        self.modify(Register::Configuration, LOW_PASS_MASK, low_pass)?;
-        self.modify(
-            Register::GyroscopeConfiguration,
-            FULL_SCALE_MASK | SELF_TEST_MASK,
-            config.gyroscope_range.bits() << FULL_SCALE_SHIFT,
-        )?;
-        self.modify(
-            Register::AccelerometerConfiguration,
-            FULL_SCALE_MASK | SELF_TEST_MASK,
-            config.accelerometer_range.bits() << FULL_SCALE_SHIFT,
-        )?;
-        if self.part.has_accelerometer_low_pass {
-            self.modify(
-                Register::AccelerometerConfiguration2,
-                ACCELEROMETER_LOW_PASS_MASK,
-                low_pass,
-            )?;
-        }
-        Ok(())
-    }
-
-    fn reset_and_wake(&mut self, delay: &mut impl DelayNs) -> Result<(), Error<I2C::Error>> {
-        self.write(Register::PowerManagement1, POWER_DEVICE_RESET)?;
-        delay.delay_ms(RESET_MS);
-        let read = self.read(Register::PowerManagement1)?;
-        if !self.part.power_after_reset.contains(&read) {
-            return Err(Error::ResetFailed {
-                address: self.address,
-                read,
-            });
-        }
-        self.set(Register::PowerManagement1, POWER_AWAKE_INTERNAL_CLOCK)?;
-        // This one reads back as zero by definition, so there is nothing to compare.
-        self.write(Register::SignalPathReset, SIGNAL_PATH_RESET_ALL)?;
-        delay.delay_ms(RESET_MS);
-        self.set(Register::PowerManagement1, POWER_AWAKE_GYROSCOPE_CLOCK)?;
-        delay.delay_ms(ZERO_RATE_SETTLING_MS);
-        Ok(())
-    }
-
-    /// Replaces the bits of `mask`, keeps the others, and compares.
+    /// Takes these steps, and reads each register back.
     #[inline(never)]
-    fn modify(&mut self, register: Register, mask: u8, bits: u8) -> Result<(), Error<I2C::Error>> {
-        let kept = self.read(register)? & !mask;
-        self.set(register, kept | (bits & mask))
+    fn take(
+        &mut self,
+        mut steps: Steps,
+        delay: &mut impl DelayNs,
+    ) -> Result<(), Error<I2C::Error>> {
+        steps.try_for_each(|step| self.take_one(step, delay))
     }
 
-    /// Writes a register, reads it back and compares.
-    fn set(&mut self, register: Register, written: u8) -> Result<(), Error<I2C::Error>> {
+    fn take_one(&mut self, step: Step, delay: &mut impl DelayNs) -> Result<(), Error<I2C::Error>> {
+        let register = step.register;
+        let kept = if step.mask == u8::MAX {
+            0
+        } else {
+            self.read(register)? & !step.mask
+        };
+        let written = kept | step.value;
         self.write(register, written)?;
-        let read = self.read(register)?;
-        if read == written {
-            return Ok(());
+        let address = self.address;
+        if step.is_device_reset() {
+            delay.delay_ms(step.wait_ms);
+            let read = self.read(register)?;
+            return if self.part.power_after_reset.contains(&read) {
+                Ok(())
+            } else {
+                Err(Error::ResetFailed { address, read })
+            };
         }
-        Err(Error::Readback {
-            address: self.address,
-            register,
-            written,
-            read,
-        })
+        if step.reads_back() {
+            let read = self.read(register)?;
+            if read != written {
+                return Err(Error::Readback {
+                    address,
+                    register,
+                    written,
+                    read,
+                });
+            }
+        }
+        if step.wait_ms > 0 {
+            delay.delay_ms(step.wait_ms);
+        }
+        Ok(())
     }
 
     #[inline(never)]

@@ -25,11 +25,16 @@ pub struct BoardModel {
 }
 
 /// All boards; the first is the default.
-pub const BOARDS: [BoardModel; 3] = [
+pub const BOARDS: [BoardModel; 5] = [
     BoardModel {
         name: "stm32f405",
         input: HighSpeedInput::Crystal(8_000_000),
         core_hz: 168_000_000,
+    },
+    BoardModel {
+        name: "blackpill-f401",
+        input: HighSpeedInput::Crystal(25_000_000),
+        core_hz: 84_000_000,
     },
     BoardModel {
         name: "blackpill-f411",
@@ -40,6 +45,11 @@ pub const BOARDS: [BoardModel; 3] = [
         name: "nucleo-f411",
         input: HighSpeedInput::ExternalClock(8_000_000),
         core_hz: 100_000_000,
+    },
+    BoardModel {
+        name: "nucleo-f446",
+        input: HighSpeedInput::ExternalClock(8_000_000),
+        core_hz: 180_000_000,
     },
 ];
 

@@ -82,8 +82,7 @@ struct Fly {
     /// Let things go wrong: a file with a line `start_s duration_s fault` for each fault, or seed:N for faults by chance.
     #[arg(long, value_name = "FILE|seed:N")]
     faults: Option<String>,
-    /// The board: stm32f405, blackpill-f411 or nucleo-f411.
-    #[arg(long, value_name = "NAME", default_value = BOARDS[0].name, value_parser = board)]
+    #[arg(long, value_name = "NAME", help = format!("The board: {}", board_names()), default_value = BOARDS[0].name, value_parser = board)]
     board: BoardModel,
     /// Say commands to the UART: a file with lines such as `2.5 status`, seconds and command.
     #[arg(long, value_name = "FILE")]
@@ -105,9 +104,13 @@ fn mount(name: &str) -> Result<Mount, String> {
     })
 }
 
+fn board_names() -> String {
+    BOARDS.map(|board| board.name).join(", ")
+}
+
 fn board(name: &str) -> Result<BoardModel, String> {
-    let names = BOARDS.map(|board| board.name).join(", ");
-    BoardModel::named(name).ok_or_else(|| format!("there is no such board; there are {names}"))
+    BoardModel::named(name)
+        .ok_or_else(|| format!("there is no such board; there are {}", board_names()))
 }
 
 fn seconds(text: &str) -> Result<f64, String> {

@@ -1,5 +1,5 @@
-//! The microcontroller with its pins wired up: rigless's STM32F427, which runs an STM32F405's or F411's image
-//! unchanged, and what that part's model lacks.
+//! The microcontroller with its pins wired up: rigless's STM32F427, which runs the image of an STM32F401, F405,
+//! F411 or F446 unchanged, and what that part's model lacks.
 //!
 //! | wire | from | to |
 //! |---|---|---|

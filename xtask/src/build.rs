@@ -15,10 +15,14 @@ pub struct Board {
 }
 
 /// Every board, the default one first.
-pub const BOARDS: [Board; 3] = [
+pub const BOARDS: [Board; 5] = [
     Board {
         name: "stm32f405",
         chip: "STM32F405RG",
+    },
+    Board {
+        name: "blackpill-f401",
+        chip: "STM32F401CC",
     },
     Board {
         name: "blackpill-f411",
@@ -27,6 +31,10 @@ pub const BOARDS: [Board; 3] = [
     Board {
         name: "nucleo-f411",
         chip: "STM32F411RE",
+    },
+    Board {
+        name: "nucleo-f446",
+        chip: "STM32F446RE",
     },
 ];
 
@@ -203,5 +211,30 @@ mod tests {
         assert_eq!(mounts, 24);
         assert!(is_mount("z-up") && is_mount("z-down"));
         assert!(!is_mount("up") && !is_mount("x+z+") && !is_mount(""));
+    }
+
+    /// The places that a new board has to be added to, beside those where the build fails without it.
+    #[test]
+    fn boards_are_named_wherever_boards_are_listed() {
+        let read = |file: &str| std::fs::read_to_string(crate::root().join(file)).expect(file);
+        let (readme, embed) = (read("README.md"), read("Embed.toml"));
+        let list = crate::USAGE.rsplit_once("boards: ").expect("a list").1;
+        for Board { name, chip } in BOARDS {
+            assert!(list.contains(name), "{name} in the usage");
+            let row = readme
+                .lines()
+                .find(|line| line.starts_with(&format!("| `{name}` |")));
+            assert!(
+                row.is_some_and(|row| row.contains(chip)),
+                "{name} in README.md"
+            );
+            let section = if name == Board::default().name {
+                "default"
+            } else {
+                name
+            };
+            let section = format!("[{section}.general]\nchip = \"{chip}\"");
+            assert!(embed.contains(&section), "{section} in Embed.toml");
+        }
     }
 }

@@ -30,7 +30,7 @@ usage: cargo xtask COMMAND
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
-boards: stm32f405 (default), blackpill-f411, nucleo-f411";
+boards: stm32f405 (default), blackpill-f401, blackpill-f411, nucleo-f411, nucleo-f446";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

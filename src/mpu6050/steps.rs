@@ -1,0 +1,243 @@
+//! The configuration as a list of writes, for any kind of bus: the blocking driver takes these steps, and so may an
+//! asynchronous one.
+//!
+//! A bus that only writes sends each step's `value` and waits; after the device reset every other bit is zero. One that
+//! wants to be sure then reads back what [`Check::all`](super::Check::all) says.
+
+use super::config::Config;
+use super::part::Part;
+use super::registers::{
+    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, INTERRUPT_ACTIVE_HIGH_PULSE,
+    INTERRUPT_DATA_READY, LOW_PASS_MASK, POWER_AWAKE_GYROSCOPE_CLOCK, POWER_AWAKE_INTERNAL_CLOCK,
+    POWER_DEVICE_RESET, POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK, SIGNAL_PATH_RESET_ALL,
+};
+
+/// Wait after a device reset and after a signal path reset (register map §4.28).
+const RESET_MS: u32 = 100;
+/// The gyroscope's zero-rate output settles in this time (product specification §6.1).
+const ZERO_RATE_SETTLING_MS: u32 = 30;
+
+/// One write, and the wait after it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Step {
+    /// Where to write.
+    pub register: Register,
+    /// What to write, within `mask`.
+    pub value: u8,
+    /// The bits that are meant; the others are kept, or zero after a device reset.
+    pub mask: u8,
+    /// How long to wait before the next step, in ms.
+    pub wait_ms: u32,
+}
+
+impl Step {
+    /// Everything that [`Mpu6050::configure`](super::Mpu6050::configure) does, in the datasheet's order, for a sensor in any
+    /// state; data-ready pulses begin with the last step, after 230 ms.
+    pub const fn configuration(config: &Config, part: &Part) -> Steps {
+        Steps::new(RESET_AND_WAKE | RANGES | INTERRUPT, config, part)
+    }
+
+    /// The same for a sensor that has just reset itself, or that lost one setting: 30 ms.
+    pub(super) const fn configuration_again(config: &Config, part: &Part) -> Steps {
+        Steps::new(WAKE | RANGES | INTERRUPT, config, part)
+    }
+
+    /// Makes ready for a self-test, with no interrupt.
+    pub(super) const fn before_self_test(config: &Config, part: &Part) -> Steps {
+        Steps::new(RESET_AND_WAKE | RANGES, config, part)
+    }
+
+    /// Switches the self-test of every axis on.
+    pub(super) const fn self_test(config: &Config, part: &Part) -> Steps {
+        Steps::new(SELF_TEST, config, part)
+    }
+
+    /// Whether it is the device reset, after which the register holds one of the part's own values.
+    pub(super) fn is_device_reset(self) -> bool {
+        self.register == Register::PowerManagement1 && self.value == POWER_DEVICE_RESET
+    }
+
+    /// Whether the register then reads back what was written. (SIGNAL_PATH_RESET reads back as zero, §4.26.)
+    pub(super) fn reads_back(self) -> bool {
+        self.register != Register::SignalPathReset
+    }
+
+    const fn whole(register: Register, value: u8, wait_ms: u32) -> Self {
+        Self {
+            register,
+            value,
+            mask: u8::MAX,
+            wait_ms,
+        }
+    }
+
+    const fn setting(register: Register, mask: u8) -> Self {
+        Self {
+            register,
+            value: 0,
+            mask,
+            wait_ms: 0,
+        }
+    }
+
+    const fn testing(register: Register) -> Self {
+        Self {
+            register,
+            value: SELF_TEST_MASK,
+            mask: SELF_TEST_MASK,
+            wait_ms: 0,
+        }
+    }
+}
+
+/// Every step that there is. What depends on the settings is zero here.
+const ALL: [Step; 15] = [
+    Step::whole(Register::PowerManagement1, POWER_DEVICE_RESET, RESET_MS),
+    Step::whole(Register::PowerManagement1, POWER_AWAKE_INTERNAL_CLOCK, 0),
+    Step::whole(Register::SignalPathReset, SIGNAL_PATH_RESET_ALL, RESET_MS),
+    Step::whole(
+        Register::PowerManagement1,
+        POWER_AWAKE_GYROSCOPE_CLOCK,
+        ZERO_RATE_SETTLING_MS,
+    ),
+    Step::whole(Register::PowerManagement1, POWER_AWAKE_GYROSCOPE_CLOCK, 0),
+    Step::whole(
+        Register::PowerManagement2,
+        POWER_EVERY_AXIS_ON,
+        ZERO_RATE_SETTLING_MS,
+    ),
+    Step::setting(Register::SampleRateDivider, u8::MAX),
+    Step::setting(Register::Configuration, LOW_PASS_MASK),
+    Step::setting(
+        Register::GyroscopeConfiguration,
+        FULL_SCALE_MASK | SELF_TEST_MASK,
+    ),
+    Step::setting(
+        Register::AccelerometerConfiguration,
+        FULL_SCALE_MASK | SELF_TEST_MASK,
+    ),
+    Step::setting(
+        Register::AccelerometerConfiguration2,
+        ACCELEROMETER_LOW_PASS_MASK,
+    ),
+    Step::whole(
+        Register::InterruptPinConfiguration,
+        INTERRUPT_ACTIVE_HIGH_PULSE,
+        0,
+    ),
+    Step::whole(Register::InterruptEnable, INTERRUPT_DATA_READY, 0),
+    Step::testing(Register::GyroscopeConfiguration),
+    Step::testing(Register::AccelerometerConfiguration),
+];
+
+/// Sets of them, by their places.
+const RESET_AND_WAKE: u16 = 0b1111;
+const WAKE: u16 = 0b11 << 4;
+const RANGES: u16 = 0b1_1111 << 6;
+const INTERRUPT: u16 = 0b11 << 11;
+const SELF_TEST: u16 = 0b11 << 13;
+/// In [`RANGES`], and only for parts that have this register.
+const OWN_LOW_PASS: u16 = 1 << 10;
+
+/// The steps that are still to be taken, in order.
+#[derive(Debug, Clone)]
+pub struct Steps {
+    left: u16,
+    config: Config,
+}
+
+impl Steps {
+    const fn new(set: u16, config: &Config, part: &Part) -> Self {
+        let left = if part.has_accelerometer_low_pass {
+            set
+        } else {
+            set & !OWN_LOW_PASS
+        };
+        Self {
+            left,
+            config: *config,
+        }
+    }
+}
+
+impl Iterator for Steps {
+    type Item = Step;
+
+    fn next(&mut self) -> Option<Step> {
+        let mut step = *ALL.get(self.left.trailing_zeros() as usize)?;
+        self.left &= self.left.wrapping_sub(1);
+        let config = &self.config;
+        step.value |= step.mask
+            & match step.register {
+                Register::SampleRateDivider => config.sample_rate_divider,
+                Register::Configuration | Register::AccelerometerConfiguration2 => {
+                    config.low_pass.bits()
+                }
+                Register::GyroscopeConfiguration => {
+                    config.gyroscope_range.bits() << FULL_SCALE_SHIFT
+                }
+                Register::AccelerometerConfiguration => {
+                    config.accelerometer_range.bits() << FULL_SCALE_SHIFT
+                }
+                _ => 0,
+            };
+        Some(step)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{AccelerometerRange, GyroscopeRange, LowPass};
+    use super::*;
+
+    /// Register, value and wait by the numbers of the datasheet.
+    fn list(config: &Config, part: &Part) -> Vec<(u8, u8, u32)> {
+        Step::configuration(config, part)
+            .inspect(|step| assert_eq!(step.value & !step.mask, 0, "{step:?}"))
+            .map(|step| (step.register.address(), step.value, step.wait_ms))
+            .collect()
+    }
+
+    #[test]
+    fn the_default_configuration_is_the_datasheet_s_sequence() {
+        let expected = [
+            (0x6B, 0x80, 100),
+            (0x6B, 0x00, 0),
+            (0x68, 0x07, 100),
+            (0x6B, 0x01, 30),
+            (0x19, 0x00, 0),
+            (0x1A, 0x01, 0),
+            (0x1B, 0x18, 0),
+            (0x1C, 0x18, 0),
+            (0x37, 0x00, 0),
+            (0x38, 0x01, 0),
+        ];
+        assert_eq!(list(&Config::DEFAULT, &Part::MPU_6050), expected);
+    }
+
+    #[test]
+    fn settings_and_parts_differ_where_they_should() {
+        let config = Config {
+            accelerometer_range: AccelerometerRange::G4,
+            gyroscope_range: GyroscopeRange::Degrees500,
+            low_pass: LowPass::Hertz42,
+            sample_rate_divider: 4,
+        };
+        let part = super::super::PARTS
+            .iter()
+            .find(|part| part.has_accelerometer_low_pass)
+            .expect("the MPU-6500 has one");
+        let ranges = list(&config, part).split_off(4);
+        let expected = [
+            (0x19, 4, 0),
+            (0x1A, 3, 0),
+            (0x1B, 0x08, 0),
+            (0x1C, 0x08, 0),
+            (0x1D, 3, 0),
+            (0x37, 0x00, 0),
+            (0x38, 0x01, 0),
+        ];
+        assert_eq!(ranges, expected);
+    }
+}
