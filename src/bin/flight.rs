@@ -68,6 +68,8 @@ mod app {
     /// So long no sample comes when the sensor was stopped on purpose, at least: longer than the filter bridges, so that the
     /// attitude says [`Flags::GAP`] and starts again from gravity instead of guessing.
     const PAUSE_US: u32 = 600_000;
+    /// A recovery that begins sooner after the last one that was told is not told, so that what is has room, in µs.
+    const QUIET_US: u32 = 200_000;
     /// Room that a tick's answer, with its mark and line end, needs beside a frame.
     const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
     const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
@@ -232,11 +234,13 @@ mod app {
         } = context.shared;
         let mut post = |message| messages.lock(|messages| messages.post(message));
         let mut last_complaint = None;
+        let mut is_told = true;
+        let mut told_at = timebase::now();
         loop {
             watchdog::samples_go_on();
             match sensor.make_ready() {
                 Ok(ready) => {
-                    last_complaint = None;
+                    is_told |= last_complaint.take().is_some();
                     let (calibration, is_armed) = desk.lock(|desk| {
                         desk.sensor = Some((ready.part, ready.address));
                         (desk.calibration, desk.is_armed)
@@ -249,17 +253,25 @@ mod app {
                         }
                     });
                     burst_reader::enable(&ready, &Config::DEFAULT);
-                    post(Message::SensorConfigured {
-                        part: ready.part.name,
-                        address: ready.address,
-                    });
+                    if is_told {
+                        post(Message::SensorConfigured {
+                            part: ready.part.name,
+                            address: ready.address,
+                        });
+                    }
                     timebase::sleep_until(|| {
                         !burst_reader::is_enabled() || TASK_WAITS.load(Ordering::Acquire)
                     });
                     if burst_reader::is_enabled() {
                         burst_reader::pause();
+                        is_told = true;
                     } else {
-                        post(Message::Recovering);
+                        // A fault that lasts is recovered from in vain, hundreds of times a second.
+                        is_told = timebase::elapsed(told_at, QUIET_US);
+                        if is_told {
+                            told_at = timebase::now();
+                            post(Message::Recovering);
+                        }
                     }
                 }
                 Err(reason) => {
