@@ -6,6 +6,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use aplomb::calibration::Mount;
+use aplomb::health::Flags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
@@ -35,6 +36,9 @@ pub struct Options {
     mount: Mount,
 }
 
+/// A burst, and what the board said of it.
+type FlaggedBurst = (Burst, Flags);
+
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let (config, part, bursts) = read(&options.input)?;
@@ -47,7 +51,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let failed =
         |error: std::io::Error| format!("{}: cannot be written: {error}", output.display());
     let name = output.file_name().unwrap_or_default().to_string_lossy();
-    let write: fn(&mut BufWriter<File>, &Settings, &[Burst]) -> std::io::Result<()> =
+    let write: fn(&mut BufWriter<File>, &Settings, &[FlaggedBurst]) -> std::io::Result<()> =
         if name.ends_with(".log") {
             write_log
         } else if name.ends_with("bursts.csv") {
@@ -69,7 +73,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn read(path: &Path) -> Result<(Config, &'static Part, Vec<Burst>), Box<dyn Error>> {
+fn read(path: &Path) -> Result<(Config, &'static Part, Vec<FlaggedBurst>), Box<dyn Error>> {
     if flight_log::is_one(path) {
         let log = flight_log::read(path)?;
         let Some(first) = log
@@ -88,7 +92,9 @@ fn read(path: &Path) -> Result<(Config, &'static Part, Vec<Burst>), Box<dyn Erro
             ));
         }
         let bursts = log.flights.iter().flat_map(|flight| &flight.bursts);
-        let bursts = bursts.map(|numbered| numbered.burst).collect();
+        let bursts = bursts
+            .map(|numbered| (numbered.burst, numbered.flags))
+            .collect();
         return Ok((first.settings.sensor, first.settings.part, bursts));
     }
     let mut lines = progress::lines(path)?;
@@ -106,12 +112,15 @@ fn read(path: &Path) -> Result<(Config, &'static Part, Vec<Burst>), Box<dyn Erro
             None => bursts::decode(line).map_err(|error| error.to_string()),
             Some(columns) => match parse_row(line, columns) {
                 Err(fault) => return Err(lines.refuse(fault).into()),
-                Ok(row) => Ok(Burst {
-                    bytes: counts_of(row.specific_force_m_s2, row.rates_rad_s).encode(),
-                    captured_at_us: u64::try_from(row.time_us)
-                        .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
-                    missed_before: 0,
-                }),
+                Ok(row) => {
+                    let burst = Burst {
+                        bytes: counts_of(row.specific_force_m_s2, row.rates_rad_s).encode(),
+                        captured_at_us: u64::try_from(row.time_us)
+                            .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
+                        missed_before: 0,
+                    };
+                    Ok((burst, Flags::NONE))
+                }
             },
         };
         found.push(burst.map_err(|reason| format!("{}: {reason}", lines.place()))?);
@@ -140,29 +149,33 @@ fn counts_of(force_m_s2: [f64; 3], rates_rad_s: [f64; 3]) -> RawSample {
 fn write_log(
     file: &mut BufWriter<File>,
     settings: &Settings,
-    bursts: &[Burst],
+    bursts: &[FlaggedBurst],
 ) -> std::io::Result<()> {
     let mut recorder = Recorder::new(file, Pipeline::new(settings), 0);
     bursts
         .iter()
-        .try_for_each(|burst| recorder.add(burst).map(|_| ()))
+        .try_for_each(|(burst, flags)| recorder.add(burst, *flags).map(|_| ()))
 }
 
-fn write_bursts(file: &mut BufWriter<File>, _: &Settings, bursts: &[Burst]) -> std::io::Result<()> {
+fn write_bursts(
+    file: &mut BufWriter<File>,
+    _: &Settings,
+    bursts: &[FlaggedBurst],
+) -> std::io::Result<()> {
     writeln!(file, "{}", bursts::HEADER)?;
     bursts
         .iter()
-        .try_for_each(|burst| writeln!(file, "{}", bursts::Line(burst)))
+        .try_for_each(|(burst, flags)| writeln!(file, "{}", bursts::Line(burst, *flags)))
 }
 
 fn write_csv(
     file: &mut BufWriter<File>,
     settings: &Settings,
-    bursts: &[Burst],
+    bursts: &[FlaggedBurst],
 ) -> std::io::Result<()> {
     writeln!(file, "t_us,ax,ay,az,gx,gy,gz")?;
     let mut line = Vec::new();
-    for burst in bursts {
+    for (burst, _) in bursts {
         let raw = RawSample::decode(&burst.bytes);
         let force = raw
             .accelerometer

@@ -1,8 +1,9 @@
 //! `aplomb replay`: a recording through the library, one attitude for each row.
 //!
-//! Rows of a log go to the filter as they are, in SI units; bursts go through the whole pipeline, as they
-//! do on a board, and give the same attitudes to the last bit.
+//! Rows of a log go through the pipeline as they are, in SI units; bursts from their bytes on, as they do on a board, and
+//! give the same attitudes to the last bit. So both say what a board would say of them, `VALID` included.
 
+use std::collections::VecDeque;
 use std::error::Error;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -11,12 +12,12 @@ use std::path::{Path, PathBuf};
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::kalman::Kalman;
-use aplomb::estimator::{Estimate, FilterKind, Sample};
+use aplomb::estimator::{FilterKind, Sample};
 use aplomb::health::Flags;
 use aplomb::mpu6050::{
     AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
 };
-use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
 use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
@@ -36,6 +37,9 @@ const LONGEST_DELAY_US: i64 = 1_000_000;
 
 /// A first guess for filters that want one; each row then brings its own step.
 const USUAL_STEP_S: f32 = 0.001;
+
+/// So many rows of a log tell how far apart they are.
+const ROWS_AHEAD: usize = 101;
 
 /// Run a recording through a filter: one attitude for each row.
 ///
@@ -97,7 +101,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     replay(
         options,
         options.mount,
-        &mut Log::new(options, lines, columns),
+        &mut Log::new(options, lines, columns)?,
     )
 }
 
@@ -235,28 +239,114 @@ fn replay(options: &Options, mount: Mount, source: &mut impl Source) -> Result<(
     Ok(())
 }
 
-/// A log's rows through a filter.
+/// The pipeline, and behind it a filter that is none of those it has.
+struct Device {
+    pipeline: Pipeline,
+    peer: Option<Filter>,
+}
+
+impl Device {
+    fn point(&mut self, snapshot: &Snapshot, t_us: i64, true_up: Option<[f64; 3]>) -> Point {
+        let kalman = self.pipeline.estimator().kalman();
+        let mut point = Point {
+            t_us,
+            attitude: snapshot.attitude,
+            body_rates_rad_s: snapshot.body_rates_rad_s,
+            tilt_sigma_rad: kalman.map(Kalman::tilt_sigma_rad),
+            flags: snapshot.flags,
+            true_up,
+        };
+        if let Some(peer) = &mut self.peer {
+            let estimate = peer.update(self.pipeline.sample());
+            point.attitude = estimate.attitude;
+            point.body_rates_rad_s = estimate.body_rates_rad_s;
+            point.tilt_sigma_rad = None;
+        }
+        point
+    }
+}
+
+/// A log's rows through the pipeline, as samples in SI units.
 struct Log {
     lines: Lines,
     columns: usize,
-    filter: Filter,
     mount: Mount,
     ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+    /// Rows that were read ahead.
+    ahead: VecDeque<LogRow>,
+    device: Device,
+}
+
+/// A row of a log.
+struct LogRow {
+    t_us: i64,
+    /// In body axes.
+    sample: Sample,
+    /// "Up" in sensor axes, if it is known and the row counts.
+    true_up: Option<[f64; 3]>,
 }
 
 impl Log {
-    fn new(options: &Options, lines: Lines, columns: usize) -> Self {
-        Self {
+    /// A log whose header has been read. The first rows say how far apart they all are: then more is a pause.
+    fn new(options: &Options, lines: Lines, columns: usize) -> Result<Self, Box<dyn Error>> {
+        let delay_us = options.sensor_delay_us.unwrap_or(0);
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.sensor_delay_us = Some(delay_us);
+        // There are no counts to average.
+        settings.averaging_samples = 0;
+        settings.filter = FilterKind::AxisKalman;
+        let mut peer = Some(Filter::new(options.filter, USUAL_STEP_S, delay_us));
+        if let Choice::Library(kind) = options.filter {
+            settings.filter = kind;
+            // The others are extrapolated here.
+            peer = peer.filter(|_| kind != FilterKind::Kalman);
+        }
+        let mut log = Self {
             lines,
             columns,
-            filter: Filter::new(
-                options.filter,
-                USUAL_STEP_S,
-                options.sensor_delay_us.unwrap_or(0),
-            ),
             mount: options.mount,
             ranges: options.accel_range.zip(options.gyro_range),
+            ahead: VecDeque::new(),
+            device: Device {
+                pipeline: Pipeline::new(&settings),
+                peer,
+            },
+        };
+        while log.ahead.len() < ROWS_AHEAD
+            && let Some(row) = log.read()?
+        {
+            log.ahead.push_back(row);
         }
+        settings.sensor.sample_rate_divider = log.sample_rate_divider();
+        log.device.pipeline = Pipeline::new(&settings);
+        Ok(log)
+    }
+
+    /// What a sensor is set to that takes a sample as often as the log has a row; rounded up, for rows come irregularly.
+    fn sample_rate_divider(&self) -> u8 {
+        let pairs = self.ahead.iter().zip(self.ahead.iter().skip(1));
+        let mut steps_us: Vec<u64> = pairs
+            .map(|(before, after)| before.t_us.abs_diff(after.t_us))
+            .collect();
+        steps_us.sort_unstable();
+        let median_us = steps_us.get(steps_us.len() / 2).copied().unwrap_or(0);
+        let periods = median_us.div_ceil(1_000).saturating_sub(1);
+        periods.try_into().unwrap_or(u8::MAX)
+    }
+
+    fn read(&mut self) -> Result<Option<LogRow>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let row = parse_row(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
+        let sample = self
+            .sample(&row)
+            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        Ok(Some(LogRow {
+            t_us: row.time_us,
+            sample,
+            true_up: row.attitude.filter(|_| row.moving).map(up_in_sensor),
+        }))
     }
 
     /// The row as a sample in body axes.
@@ -284,23 +374,13 @@ impl Log {
 
 impl Source for Log {
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
-        let Some(line) = self.lines.next_line()? else {
-            return Ok(None);
+        let row = match self.ahead.pop_front() {
+            Some(row) => Some(row),
+            None => self.read()?,
         };
-        let row = parse_row(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
-        let sample = self
-            .sample(&row)
-            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
-        let estimate = self.filter.update(&sample);
-        Ok(Some(Point {
-            t_us: row.time_us,
-            attitude: estimate.attitude,
-            body_rates_rad_s: estimate.body_rates_rad_s,
-            tilt_sigma_rad: self.filter.tilt_sigma_rad(),
-            flags: flags_of(&estimate)
-                .with(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated)
-                .with(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated),
-            true_up: row.attitude.filter(|_| row.moving).map(up_in_sensor),
+        Ok(row.map(|row| {
+            let snapshot = self.device.pipeline.update_sample(&row.sample);
+            self.device.point(&snapshot, row.t_us, row.true_up)
         }))
     }
 }
@@ -308,9 +388,7 @@ impl Source for Log {
 /// Bursts through the whole pipeline.
 struct Bursts {
     lines: Lines,
-    pipeline: Pipeline,
-    /// Runs behind the pipeline's calibration, if it is none of the library's.
-    peer: Option<Filter>,
+    device: Device,
 }
 
 impl Bursts {
@@ -336,10 +414,10 @@ impl Bursts {
                 settings.sensor.low_pass.gyroscope_delay_us().into(),
             )),
         };
+        let pipeline = Pipeline::new(&settings);
         Self {
             lines,
-            pipeline: Pipeline::new(&settings),
-            peer,
+            device: Device { pipeline, peer },
         }
     }
 }
@@ -349,28 +427,13 @@ impl Source for Bursts {
         let Some(line) = self.lines.next_line()? else {
             return Ok(None);
         };
-        let burst =
+        let (burst, flags) =
             bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
-        let mut snapshot = self.pipeline.update(&burst);
-        self.pipeline.collect(&burst);
-        let kalman = self.pipeline.estimator().kalman();
-        let mut tilt_sigma_rad = kalman.map(Kalman::tilt_sigma_rad);
-        if let Some(peer) = &mut self.peer {
-            let estimate = peer.update(self.pipeline.sample());
-            snapshot.attitude = estimate.attitude;
-            snapshot.body_rates_rad_s = estimate.body_rates_rad_s;
-            tilt_sigma_rad = None;
-        }
-        Ok(Some(Point {
-            t_us,
-            attitude: snapshot.attitude,
-            body_rates_rad_s: snapshot.body_rates_rad_s,
-            tilt_sigma_rad,
-            flags: snapshot.flags,
-            true_up: None,
-        }))
+        let snapshot = self.device.pipeline.update_flagged(&burst, flags);
+        self.device.pipeline.collect(&burst);
+        Ok(Some(self.device.point(&snapshot, t_us, None)))
     }
 }
 
@@ -511,17 +574,6 @@ impl Drop for Output {
             let _ = std::fs::remove_file(unfinished);
         }
     }
-}
-
-/// What the pipeline would say of a sample.
-fn flags_of(estimate: &Estimate) -> Flags {
-    let remarks = estimate.remarks;
-    Flags::NONE
-        .with(Flags::CALIBRATING, estimate.is_calibrating)
-        .with(Flags::GAP, remarks.gap)
-        .with(Flags::TIME, remarks.time_went_back)
-        .with(Flags::REJECTED, remarks.rejected)
-        .with(Flags::FREE_FALL, remarks.no_gravity)
 }
 
 /// The same moments on a scale without a sign: only differences matter to a filter.
