@@ -16,7 +16,7 @@ use crate::recording::{Found, Handling, Recording, Reference, files, is_table};
 use crate::replay::{parse_accelerometer_range, parse_gyroscope_range};
 use crate::score::{Honesty, Score, mean, median};
 use crate::simulated::{self, EVALUATION_SEEDS};
-use crate::{gains, leave_one_out, parallel, picture, plot, throughput};
+use crate::{accuracy, gains, leave_one_out, parallel, picture, throughput};
 
 /// Where recordings lie if nothing else is said.
 const DEFAULT_FOLDER: &str = "../shared/data";
@@ -61,7 +61,7 @@ pub struct Options {
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(path) = &options.picture {
-        let drawn = picture::flight(&simulated::flight(picture::SEED))?;
+        let drawn = picture::flight(&simulated::flight(picture::SEED)).png();
         let folder = path.parent().unwrap_or(Path::new(""));
         let name = path.file_name().ok_or("--picture wants a file")?;
         return Ok(write(folder, name.as_ref(), &drawn)?);
@@ -131,7 +131,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     write(
         &options.output,
         "accuracy.png".as_ref(),
-        &plot::accuracy(&names, &sets)?,
+        &accuracy::picture(&names, &sets).png(),
     )?;
     crate::say(&format!(
         "\nwritten: accuracy.csv and accuracy.png in {}",

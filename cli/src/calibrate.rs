@@ -62,8 +62,7 @@ pub struct Options {
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(path) = &options.draw_poses {
-        let picture = crate::poses::draw()?;
-        std::fs::write(path, picture)
+        std::fs::write(path, crate::poses::draw().png())
             .map_err(|error| format!("{}: cannot be written: {error}", path.display()))?;
     }
     let Some(input) = &options.input else {

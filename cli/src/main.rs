@@ -1,5 +1,6 @@
 //! `aplomb`: replays recordings through the library, measures its filters, and finds calibrations.
 
+mod accuracy;
 mod bench;
 mod calibrate;
 mod convert;
@@ -12,7 +13,6 @@ mod number;
 mod parallel;
 mod peers;
 mod picture;
-mod plot;
 mod poses;
 mod progress;
 mod recording;

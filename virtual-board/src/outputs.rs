@@ -47,7 +47,7 @@ pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Er
         file.write_all(&bytes)
     })?;
     in_file(folder, "attitude.png", |file| {
-        plot::write(file, outcome, labels)
+        file.write_all(&plot::png(outcome, labels))
     })?;
     in_file(folder, "summary.json", |file| {
         serde_json::to_writer_pretty(&mut *file, &outcome.summary)?;
@@ -142,7 +142,7 @@ pub fn write_truth(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
         let Some(attitude) = truth.attitude else {
             continue;
         };
-        let [roll, pitch, yaw] = plot::euler_deg(attitude);
+        let [roll, pitch, yaw] = attitude.to_euler_degrees();
         let [p, q, r] = truth.body_rates_rad_s.map(f64::to_degrees);
         writeln!(
             to,
