@@ -49,6 +49,15 @@ pub struct Flight {
     states: BTreeMap<u32, Vec<u8>>,
 }
 
+impl FlightLog {
+    /// The flights of which there are bursts.
+    pub fn flown(&self) -> impl Iterator<Item = &Flight> {
+        self.flights
+            .iter()
+            .filter(|flight| !flight.bursts.is_empty())
+    }
+}
+
 impl Flight {
     /// Bursts that are missing between the first and the last.
     pub fn lost(&self) -> u64 {

@@ -116,6 +116,31 @@ fn up_in_the_files_axes_does_not_depend_on_the_mount() {
 }
 
 #[test]
+fn the_summary_is_told_as_json_too() {
+    let input = file("json", "input.csv", log(1_000, 0.0));
+    let (printed, _) = replay("json", &input, &[]);
+    let (json, _) = replay("json", &input, &["--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(summary["samples"], 1_000);
+    assert_eq!(summary["filter"], "kalman");
+    assert_eq!(summary["mount"], "+x-z");
+    assert_eq!(summary["inclination_samples"], 495);
+    let found = summary["inclination_rms_deg"].as_f64().unwrap();
+    assert!((found - rms(&printed)).abs() < 5.1e-4, "{json}");
+    for (flag, count) in summary["flags"].as_object().unwrap() {
+        assert!(
+            printed.contains(&format!("{flag}: {count} rows")),
+            "{printed}"
+        );
+    }
+    assert!(summary.get("log").is_none());
+    let without = "t_us,ax,ay,az,gx,gy,gz\n0,0,0,9.8,0,0,0\n";
+    let (json, _) = replay("json", &file("json", "short.csv", without), &["--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert!(summary.get("inclination_rms_deg").is_none(), "{json}");
+}
+
+#[test]
 fn a_late_sensor_is_made_up_for() {
     let input = file("delay", "input.csv", log(1_500, 0.02));
     for filter in ["kalman", "axis-kalman", "mahony"] {
