@@ -62,6 +62,15 @@ impl Flags {
     /// The crystal has failed: times are those of the chip's own oscillator, right to 1 %.
     pub const INTERNAL_CLOCK: Self = Self(1 << 18);
 
+    /// What the board has to say of a burst, and the pipeline takes into account.
+    pub const OF_BOARD: Self = Self(
+        Self::BUS_FAULT.0
+            | Self::SENSOR_RESET.0
+            | Self::LATE.0
+            | Self::POLLED.0
+            | Self::INTERNAL_CLOCK.0,
+    );
+
     /// What an attitude cannot be valid with.
     pub const SPOILS: Self = Self(
         Self::CALIBRATING.0

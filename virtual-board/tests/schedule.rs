@@ -5,6 +5,10 @@ mod common;
 use std::fs;
 use std::path::Path;
 
+use aplomb::health::Flags;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{Pipeline, Settings, Snapshot};
+use aplomb::telemetry::bursts;
 use common::firmware;
 use virtual_board::campaign::Case;
 use virtual_board::flight::{Outcome, Run};
@@ -61,6 +65,57 @@ fn a_probe_that_is_pulled_off_reads_nothing() {
     assert!(read(0.5, 0.999) > 10);
     assert_eq!(read(1.001, 1.999), 0);
     assert!(read(2.01, 2.5) > 10);
+}
+
+#[test]
+fn the_bursts_of_a_flight_with_faults_replay_to_the_bit() {
+    let outcome = fly(
+        6.0,
+        "2.0 0.05 sensor-silent\n2.5 0.1 sensor-brownout\n3.2 0.03 sda-low\n3.6 0.2 int-missing\n4.2 0 crystal-dies\n\
+         4.8 0.02 zeros\n5.2 0.0015 address-nack\n5.4 0.1 saturated:gx\n",
+    );
+    let mut file = Vec::new();
+    outputs::write_bursts(&mut file, outcome.samples()).unwrap();
+    let text = String::from_utf8(file).unwrap();
+    let mut seen = Flags::NONE;
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let mut plain = pipeline;
+    let mut differ_without_flags = 0;
+    let bits = |snapshot: &Snapshot| {
+        let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
+        [q.w, q.x, q.y, q.z, rates.x, rates.y, rates.z].map(f32::to_bits)
+    };
+    let lines = text.lines().skip(1);
+    assert_eq!(lines.clone().count(), outcome.samples().len());
+    for (line, sample) in lines.zip(outcome.samples()) {
+        let (burst, flags) = bursts::decode(line).unwrap();
+        let flown = &sample.snapshot;
+        let replayed = pipeline.update_flagged(&burst, flags);
+        pipeline.collect(&burst);
+        assert_eq!(bits(&replayed), bits(flown), "at {} us: {line}", flown.t_us);
+        // Only when the settings were read back is not in the file.
+        let known = |flags: Flags| flags.without(Flags::VALID);
+        assert_eq!(
+            known(replayed.flags),
+            known(flown.flags),
+            "at {} us",
+            flown.t_us
+        );
+        seen |= flags.with(Flags::MISSED, burst.missed_before > 0);
+        let unflagged = plain.update(&burst);
+        plain.collect(&burst);
+        differ_without_flags += usize::from(bits(&unflagged) != bits(flown));
+    }
+    let expected = Flags::MISSED
+        | Flags::BUS_FAULT
+        | Flags::SENSOR_RESET
+        | Flags::POLLED
+        | Flags::INTERNAL_CLOCK;
+    assert!(seen.contains(expected), "{seen}");
+    assert!(
+        differ_without_flags > 1_000,
+        "the flags matter: {differ_without_flags}"
+    );
 }
 
 #[test]
