@@ -137,7 +137,7 @@ pub struct HealthReading {
 /// Notes a run.
 pub struct Recorder {
     end_ns: u64,
-    snapshot: u64,
+    snapshot: Option<u64>,
     /// Where the firmware's report of its health is, if it has one.
     health: Option<u64>,
     /// The faults of the debug probe.
@@ -249,10 +249,10 @@ impl Recorder {
     /// The firmware has counted its published sequence up.
     fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
         self.follow_sensor(session, hit.instruction_count);
+        let Some(address) = self.snapshot else { return };
         // Start-up code clears the count.
-        let is_published =
-            Memory::read(host, self.snapshot + SEQUENCE, Width::W32).unwrap_or(0) != 0;
-        let (true, Some(snapshot)) = (is_published, read_snapshot(host, self.snapshot)) else {
+        let is_published = Memory::read(host, address + SEQUENCE, Width::W32).unwrap_or(0) != 0;
+        let (true, Some(snapshot)) = (is_published, read_snapshot(host, address)) else {
             return;
         };
         let tilt_sigma_rad = self.read_tilt_sigma(host);
@@ -450,10 +450,12 @@ impl Driver<Board> for Recorder {
                 host.write(address, Width::W32, u64::from(STACK_PATTERN))
                     .ok()?;
             }
-            session.watch(Watch::Writes {
-                address: self.snapshot + SEQUENCE,
-                length: 4,
-            });
+            if let Some(address) = self.snapshot {
+                session.watch(Watch::Writes {
+                    address: address + SEQUENCE,
+                    length: 4,
+                });
+            }
             return Some(VirtualNanos(self.end_ns));
         }
         self.end(session, host, stop);
