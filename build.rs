@@ -38,6 +38,9 @@ fn main() {
     )
     .unwrap_or_else(|error| panic!("cannot copy boards/{file}: {error}"));
     println!("cargo:rustc-link-search={output}");
-    // Only the firmware logs through defmt; the other binaries have no such section.
+    // Only the firmware and the examples log through defmt; the other binaries have no such section.
     println!("cargo:rustc-link-arg-bin=flight=-Tdefmt.x");
+    if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
+        println!("cargo:rustc-link-arg-examples=-Tdefmt.x");
+    }
 }

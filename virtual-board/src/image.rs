@@ -20,8 +20,8 @@ pub struct Firmware {
     pub path: PathBuf,
     /// The ELF file.
     pub bytes: Vec<u8>,
-    /// The address of `APLOMB_SNAPSHOT`.
-    pub snapshot: u64,
+    /// The address of `APLOMB_SNAPSHOT`, if the image publishes its attitudes there. Of another only the log shows.
+    pub snapshot: Option<u64>,
     /// The address of `APLOMB_HEALTH`, if the image has it.
     pub health: Option<u64>,
     /// The address of the RTT control block, if the image logs.
@@ -41,7 +41,7 @@ impl Firmware {
     ///
     /// # Errors
     ///
-    /// When the file cannot be read, is not an image for this processor, or does not publish snapshots.
+    /// When the file cannot be read, is not an image for this processor, or has no stack.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let bytes =
             fs::read(path).map_err(|cause| Error::Firmware(path.into(), cause.to_string()))?;
@@ -85,7 +85,7 @@ impl Firmware {
             .filter(|&end| end <= stack_top)
             .max();
         Ok(Self {
-            snapshot: required("APLOMB_SNAPSHOT")?,
+            snapshot: symbol("APLOMB_SNAPSHOT"),
             health: symbol("APLOMB_HEALTH"),
             log_channel: symbol("_SEGGER_RTT"),
             handlers,

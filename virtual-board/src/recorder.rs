@@ -144,7 +144,7 @@ pub struct HealthReading {
 /// Notes a run.
 pub struct Recorder {
     end_ns: u64,
-    snapshot: u64,
+    snapshot: Option<u64>,
     /// Where the firmware's report of its health is, if it has one.
     health: Option<u64>,
     /// The faults of the debug probe.
@@ -274,10 +274,10 @@ impl Recorder {
     /// The firmware has counted its published sequence up.
     fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
         self.follow_sensor(session, hit.instruction_count);
+        let Some(address) = self.snapshot else { return };
         // Start-up code clears the count.
-        let is_published =
-            Memory::read(host, self.snapshot + SEQUENCE, Width::W32).unwrap_or(0) != 0;
-        let (true, Some(snapshot)) = (is_published, read_snapshot(host, self.snapshot)) else {
+        let is_published = Memory::read(host, address + SEQUENCE, Width::W32).unwrap_or(0) != 0;
+        let (true, Some(snapshot)) = (is_published, read_snapshot(host, address)) else {
             return;
         };
         let tilt_sigma_rad = self.read_tilt_sigma(host);
@@ -521,7 +521,7 @@ impl Driver<Board> for Recorder {
                 }
             }
             Settled::Hit(hit) => {
-                if hit.address == self.snapshot + SEQUENCE {
+                if self.snapshot.map(|address| address + SEQUENCE) == Some(hit.address) {
                     self.published(session, host, hit);
                 } else {
                     self.read_health(host, hit.at.0);
@@ -558,15 +558,16 @@ impl Driver<Board> for Recorder {
                 host.write(address, Width::W32, u64::from(STACK_PATTERN))
                     .ok()?;
             }
-            session.watch(Watch::Writes {
-                address: self.snapshot + SEQUENCE,
+            let counters = self.health.map(|health| Watch::Writes {
+                address: health + report::COUNTERS as u64,
+                length: 4 * FaultClass::COUNT as u64,
+            });
+            let sequence = self.snapshot.map(|address| Watch::Writes {
+                address: address + SEQUENCE,
                 length: 4,
             });
-            if let Some(health) = self.health {
-                session.watch(Watch::Writes {
-                    address: health + report::COUNTERS as u64,
-                    length: 4 * FaultClass::COUNT as u64,
-                });
+            for watch in sequence.into_iter().chain(counters) {
+                session.watch(watch);
             }
             return Some(VirtualNanos(self.end_ns));
         }

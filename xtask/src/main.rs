@@ -3,6 +3,7 @@
 mod agree;
 mod build;
 mod cost;
+mod examples;
 mod faults;
 mod panics;
 mod setup;

@@ -5,14 +5,15 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{agree, cost, faults, panics, size, step};
+use crate::{agree, cost, examples, faults, panics, size, step};
 
 /// Runs all of it.
 pub fn run() -> Result<(), String> {
     let start = Instant::now();
     step::timed("formatting", || {
         component("rustfmt", "fmt")?;
-        cargo(&["fmt", "--all", "--", "--check"])
+        cargo(&["fmt", "--all", "--", "--check"])?;
+        examples::check_format()
     })?;
     step::timed("lints, host", || {
         component("clippy", "clippy")?;
@@ -28,7 +29,8 @@ pub fn run() -> Result<(), String> {
             "xtask",
             "--features",
             "aplomb/mavlink",
-        ]))
+        ]))?;
+        examples::run_on_host()
     })?;
     step::timed("tests of the program `aplomb`", || {
         // Whole recordings run through every filter, which takes minutes without optimisation.
@@ -65,6 +67,10 @@ pub fn run() -> Result<(), String> {
                 "warnings",
             ]))?;
         }
+        let mut clippy = toolchain.cargo("clippy");
+        clippy.args(["--release", "--example", "rtic", "--example", "polling"]);
+        clippy.args(["--features", &build::Board::default().feature()]);
+        step::run(clippy.args(["--", "-D", "warnings"]))?;
         // The library alone, as someone else's firmware uses it.
         step::run(toolchain.cargo("clippy").args([
             "--release",
@@ -88,6 +94,8 @@ pub fn run() -> Result<(), String> {
         images.push((board, elf));
     }
 
+    let examples = step::timed("examples", || examples::build(&toolchain))?;
+
     let virtual_board = build::virtual_board()?;
     step::timed("virtual board tests", || {
         let mut test = host_cargo("test");
@@ -97,6 +105,9 @@ pub fn run() -> Result<(), String> {
             test.env(format!("APLOMB_FLIGHT_ELF_{name}"), elf);
         }
         test.env("APLOMB_FLIGHT_ELF", &images[0].1);
+        for (name, elf) in &examples {
+            test.env(format!("APLOMB_EXAMPLE_{name}"), elf);
+        }
         step::run(&mut test)
     })?;
     step::timed("flights with faults by chance", || {

@@ -1,0 +1,59 @@
+//! Attitude on any microcontroller that has an `embedded-hal` bus: no interrupts, no DMA, nothing of this project's firmware.
+//!
+//! ```sh
+//! cargo run --profile firmware --target thumbv7em-none-eabihf --features board-stm32f405 --example polling
+//! ```
+//!
+//! [`show_attitude`] is all there is to it, and knows nothing of the chip; `main` is an STM32F4 with `stm32f4xx-hal`. In a project
+//! of your own: `aplomb = { git = "…" }` without features, and your chip's HAL. A read blocks for 0.4 ms at 400 kHz. At less
+//! than 1000 samples a second, raise `sample_rate_divider` and lower the low-pass filter with it.
+
+#![no_std]
+#![no_main]
+
+use core::convert::Infallible;
+
+use aplomb::mpu6050::{Config, Error, Mpu6050};
+use aplomb::pipeline::{Pipeline, Settings};
+use embedded_hal::{delay::DelayNs, digital::InputPin, i2c::I2c};
+use stm32f4xx_hal::{i2c::I2c as Bus, pac, prelude::*, rcc};
+use {defmt_rtt as _, panic_probe as _};
+
+/// Reads a sample whenever the sensor's INT pin says that there is one, and shows every hundredth attitude.
+fn show_attitude<I2C: I2c>(
+    i2c: I2C,
+    interrupt: &mut impl InputPin<Error = Infallible>,
+    delay: &mut impl DelayNs,
+    now_us: impl Fn() -> u64,
+) -> Result<Infallible, Error<I2C::Error>> {
+    let config = Config::default();
+    let mut sensor = Mpu6050::probe(i2c, delay).map_err(|failure| failure.error)?;
+    sensor.configure(&config, delay)?;
+    let mut pipeline = Pipeline::new(&Settings::new(sensor.part()));
+    for number in 1_u32.. {
+        // The pulse lasts for 50 µs, so this loop has to look more often than that; a pin interrupt would be better.
+        while let Ok(false) = interrupt.is_high() {}
+        let burst = sensor.read_burst(now_us())?;
+        let angles = pipeline.update(&burst).euler();
+        if number.is_multiple_of(100) {
+            let (roll, pitch) = (angles.roll_rad.to_degrees(), angles.pitch_rad.to_degrees());
+            defmt::info!("roll {} pitch {}", roll, pitch);
+        }
+    }
+    unreachable!("the numbers end after seven weeks")
+}
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    let device = pac::Peripherals::take().unwrap();
+    let mut rcc = device.RCC.freeze(rcc::Config::hsi().sysclk(84.MHz()));
+    let ports = (device.GPIOA.split(&mut rcc), device.GPIOB.split(&mut rcc));
+    let i2c = Bus::new(device.I2C1, (ports.1.pb8, ports.1.pb9), 400.kHz(), &mut rcc);
+    let mut interrupt = ports.0.pa1.into_pull_down_input();
+    let mut delay = device.TIM2.delay_us(&mut rcc);
+    let mut counter = device.TIM5.counter_us(&mut rcc);
+    counter.start(u32::MAX.micros()).unwrap();
+    let now_us = || u64::from(counter.now().ticks());
+    let Err(error) = show_attitude(i2c, &mut interrupt, &mut delay, now_us);
+    panic!("{}", error);
+}

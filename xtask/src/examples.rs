@@ -1,0 +1,56 @@
+//! The examples: those for the target are built, and the virtual board's tests fly them; the one for the computer runs.
+
+use std::path::PathBuf;
+
+use crate::build::{Board, target_folder};
+use crate::setup::{TARGET, Toolchain};
+use crate::{step, test};
+
+/// Embassy's example is a workspace of its own.
+const EMBASSY: &str = "examples/embassy";
+
+/// What the example for the computer says of the largest roll that it has made up, 29.8 degrees.
+const HOST_SAYS: &str = "  6.0 s  roll  29.7";
+
+/// Builds RTIC's, the polling one and Embassy's. Returns those that are flown, and their ELF files: polling a bus and a pin
+/// keeps the emulator busy for fifty times as long as it flies.
+pub fn build(toolchain: &Toolchain) -> Result<[(&'static str, PathBuf); 2], String> {
+    let feature = Board::default().feature();
+    let mut cargo = toolchain.cargo("build");
+    cargo.args(["--profile", "firmware", "--features", &feature]);
+    step::run(cargo.args(["--example", "rtic", "--example", "polling"]))?;
+
+    let target = target_folder();
+    let of_embassy = target.join("embassy");
+    let mut cargo = toolchain.cargo("build");
+    cargo.current_dir(crate::root().join(EMBASSY));
+    step::run(cargo.args(["--release", "--target-dir"]).arg(&of_embassy))?;
+    Ok([
+        ("RTIC", target.join(TARGET).join("firmware/examples/rtic")),
+        (
+            "EMBASSY",
+            of_embassy.join(TARGET).join("release/aplomb-embassy"),
+        ),
+    ])
+}
+
+/// Checks the format of those that `cargo fmt --all` does not see.
+pub fn check_format() -> Result<(), String> {
+    let mut cargo = step::command("cargo".as_ref());
+    cargo.current_dir(crate::root().join(EMBASSY));
+    step::run(cargo.args(["fmt", "--check"]))
+}
+
+/// Runs the one for the computer, and looks at what it says.
+pub fn run_on_host() -> Result<(), String> {
+    let mut cargo = test::host_cargo("run");
+    cargo.args(["--quiet", "--example", "host"]);
+    let said = step::output(&mut cargo).ok_or("the example `host` failed")?;
+    if said.contains(HOST_SAYS) {
+        Ok(())
+    } else {
+        Err(format!(
+            "the example `host` does not say `{HOST_SAYS}`:\n{said}"
+        ))
+    }
+}
