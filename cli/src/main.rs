@@ -15,12 +15,14 @@ mod picture;
 mod plot;
 mod poses;
 mod progress;
+mod record;
 mod recording;
 mod replay;
 mod rest;
 mod score;
 mod simulated;
 mod throughput;
+mod view;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -35,6 +37,8 @@ enum Command {
     Bench(bench::Options),
     Calibrate(calibrate::Options),
     Convert(convert::Options),
+    View(view::Options),
+    Record(record::Options),
 }
 
 fn main() -> ExitCode {
@@ -43,6 +47,8 @@ fn main() -> ExitCode {
         Command::Bench(options) => bench::run(&options),
         Command::Calibrate(options) => calibrate::run(&options),
         Command::Convert(options) => convert::run(&options),
+        Command::View(options) => view::run(&options),
+        Command::Record(options) => record::run(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
