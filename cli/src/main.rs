@@ -1,4 +1,4 @@
-//! `aplomb`: replays recordings through the library, measures its filters, and finds calibrations.
+//! `aplomb`: shows and records a module, replays recordings through the library, measures its filters, and finds calibrations.
 
 mod bench;
 mod calibrate;

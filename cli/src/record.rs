@@ -49,7 +49,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let Some(port) = &options.port else {
         return Err(which_port().into());
     };
-    if options.seconds.is_some_and(|seconds| !(seconds > 0.0)) {
+    if options
+        .seconds
+        .is_some_and(|seconds| seconds.is_nan() || seconds <= 0.0)
+    {
         return Err("--seconds has to be above 0".into());
     }
     // Whoever has two files of one name does not want to learn it after the flight.

@@ -193,6 +193,11 @@ fn aircraft(area: Rect, buffer: &mut Buffer) {
     let wing = (area.width / 10).max(3);
     let mut put = |x: u16, y: u16, symbol: &str| {
         if let Some(cell) = buffer.cell_mut((x, y)) {
+            // Behind it is what there is most of.
+            let is_mostly = |symbols: &[&str; 9]| symbols[4..].contains(&cell.symbol());
+            if is_mostly(&FROM_BELOW) || is_mostly(&FROM_LEFT) {
+                cell.bg = cell.fg;
+            }
             cell.set_symbol(symbol);
             cell.set_style(style);
         }

@@ -37,11 +37,14 @@ const COMMANDS: [(char, &str, &str); 7] = [
     ('i', "status", "how the module is"),
 ];
 
-/// What every key does, for the help: where there is a module to command, or a recording.
-pub fn help(takes_commands: bool) -> Vec<(String, String)> {
+/// What every key does, for the help: with a recording, or with a module.
+pub fn help(is_playing: bool) -> Vec<(String, String)> {
     let mut lines = Vec::new();
     let mut add = |key: &str, what: &str| lines.push((key.to_owned(), what.to_owned()));
-    if takes_commands {
+    if is_playing {
+        add("space", "stop, or go on");
+        add("+ -", "faster, slower");
+    } else {
         for (key, command, what) in COMMANDS {
             add(&key.to_string(), &format!("{command}: {what}"));
         }
@@ -49,9 +52,6 @@ pub fn help(takes_commands: bool) -> Vec<(String, String)> {
         add("r", "record to a file here, and end it");
         add(":", "type any command (`:help` lists them)");
         add("space", "hold the screen still, or go on");
-    } else {
-        add("space", "stop, or go on");
-        add("+ -", "faster, slower");
     }
     add("?", "these keys");
     add("q", "quit");
@@ -59,8 +59,15 @@ pub fn help(takes_commands: bool) -> Vec<(String, String)> {
 }
 
 /// What is most needed, for the last line.
-pub fn summary(takes_commands: bool) -> &'static [(&'static str, &'static str)] {
-    if takes_commands {
+pub fn summary(is_playing: bool) -> &'static [(&'static str, &'static str)] {
+    if is_playing {
+        &[
+            ("space", "pause"),
+            ("+ -", "speed"),
+            ("?", "help"),
+            ("q", "quit"),
+        ]
+    } else {
         &[
             ("g", "gyro"),
             ("a", "accel"),
@@ -69,14 +76,7 @@ pub fn summary(takes_commands: bool) -> &'static [(&'static str, &'static str)] 
             ("f", "format"),
             ("r", "record"),
             ("space", "pause"),
-            (":", "command"),
-            ("?", "help"),
-            ("q", "quit"),
-        ]
-    } else {
-        &[
-            ("space", "pause"),
-            ("+ -", "speed"),
+            (":", "say"),
             ("?", "help"),
             ("q", "quit"),
         ]
@@ -109,9 +109,9 @@ pub fn action(key: KeyEvent, model: &Model) -> Option<Action> {
         'q' => Some(Action::Quit),
         '?' | 'h' => Some(Action::Help),
         ' ' | 'p' => Some(Action::Pause),
-        '+' | '=' if !model.takes_commands() => Some(Action::Faster(2.0)),
-        '-' if !model.takes_commands() => Some(Action::Faster(0.5)),
-        _ if !model.takes_commands() => None,
+        '+' | '=' if model.is_playing() => Some(Action::Faster(2.0)),
+        '-' if model.is_playing() => Some(Action::Faster(0.5)),
+        _ if model.is_playing() => None,
         'f' => Some(Action::SetFormat(model.next_format())),
         'r' => Some(Action::Record),
         ':' => Some(Action::Type(Some(String::new()))),
@@ -145,6 +145,15 @@ mod tests {
         assert_eq!(press(KeyCode::Char('+'), &model), Some(Action::Faster(2.0)));
         let control_c = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
         assert_eq!(action(control_c, &model), Some(Action::Quit));
+    }
+
+    #[test]
+    fn the_last_line_fits_the_smallest_terminal() {
+        for is_playing in [false, true] {
+            let words = summary(is_playing).iter();
+            let length: usize = words.map(|(key, what)| key.len() + what.len() + 2).sum();
+            assert!(length <= 80, "{length}");
+        }
     }
 
     #[test]

@@ -436,13 +436,7 @@ impl Live {
             let text = format!("what comes cannot be read at {baud} baud: is --baud right?");
             return model.say(now_s, Speaker::Program, text);
         }
-        // The usual ones first, then down.
-        let next = match BAUD_RATES.iter().position(|rate| *rate == baud) {
-            _ if baud == BAUD => LOG_BAUD,
-            Some(0) | None => BAUD,
-            Some(place) if BAUD_RATES[place - 1] == BAUD => BAUD_RATES[place - 2],
-            Some(place) => BAUD_RATES[place - 1],
-        };
+        let next = next_baud(baud);
         self.baud = Some(next);
         self.first_baud = Some(next);
         model.connection = Connection::Open(Some(next));
@@ -452,6 +446,10 @@ impl Live {
     }
 
     fn say(&self, line: &str, model: &mut Model) {
+        if !model.takes_commands() {
+            let text = format!("not said, since nobody is there: {line}");
+            return model.say(model.now_s, Speaker::Program, text);
+        }
         model.say(model.now_s, Speaker::Person, line.to_owned());
         // The answer to a person's question is shown.
         if line == "status" {
@@ -462,7 +460,7 @@ impl Live {
 
     fn set_format(&mut self, format: OutputFormat, model: &mut Model) {
         let is_fast = self.baud == Some(LOG_BAUD);
-        if format == OutputFormat::Log && !is_fast {
+        if format == OutputFormat::Log && !is_fast && model.takes_commands() {
             model.say(model.now_s, Speaker::Person, format!("baud {LOG_BAUD}"));
             self.link.switch_baud(LOG_BAUD);
             if self.baud.is_some() {
@@ -472,6 +470,18 @@ impl Live {
         }
         self.say(&format!("format {}", format.name()), model);
     }
+}
+
+/// The rate to try after this one: the usual two first, then down.
+fn next_baud(baud: u32) -> u32 {
+    if baud == BAUD {
+        return LOG_BAUD;
+    }
+    let slower = BAUD_RATES
+        .iter()
+        .rev()
+        .find(|rate| **rate < baud && **rate != BAUD);
+    slower.copied().unwrap_or(BAUD)
 }
 
 /// A file that was not there, with a number in its name.

@@ -11,7 +11,7 @@ use super::detect::{Counts, Format, Item, Reading, Sensors};
 pub const STRIP_S: f64 = 20.0;
 
 /// Rates are counted over this time, s.
-const RATE_WINDOW_S: f64 = 2.0;
+const RATE_WINDOW_S: f64 = 4.0;
 
 /// Without an attitude for so long, the last one is not shown as if it were fresh, s.
 const FRESH_S: f64 = 1.0;
@@ -182,7 +182,7 @@ impl Model {
         }
         self.now_s = now_s;
         self.counts = counts;
-        let is_due = |last: &(f64, u64, u64)| now_s - last.0 >= RATE_WINDOW_S / 20.0;
+        let is_due = |last: &(f64, u64, u64)| now_s - last.0 >= RATE_WINDOW_S / 40.0;
         if self.totals.back().is_none_or(is_due) {
             self.totals
                 .push_back((now_s, counts.readings, counts.bursts));
@@ -262,6 +262,11 @@ impl Model {
     /// Whether there is a module that takes commands.
     pub fn takes_commands(&self) -> bool {
         matches!(self.connection, Connection::Open(_))
+    }
+
+    /// Whether it is a recording that is played.
+    pub fn is_playing(&self) -> bool {
+        matches!(self.connection, Connection::Playing { .. })
     }
 
     /// The format that follows the present one.
@@ -348,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_are_those_of_the_last_two_seconds() {
+    fn rates_are_those_of_the_last_seconds() {
         let mut model = model();
         let mut counts = Counts::default();
         for tenth in 0..100 {

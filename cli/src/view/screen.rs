@@ -26,7 +26,7 @@ const NEUTRAL: Color = Color::Indexed(240);
 const WHITE: Color = Color::Indexed(231);
 
 /// What the ends of a strip's scale can be: degrees.
-const ANGLES: [f64; 7] = [5.0, 10.0, 20.0, 30.0, 45.0, 90.0, 180.0];
+const ANGLES: [f64; 8] = [5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 180.0];
 /// And °/s, up to the sensor's largest full scale.
 const RATES: [f64; 9] = [5.0, 10.0, 20.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 2000.0];
 
@@ -498,14 +498,14 @@ fn draw_footer(model: &Model, area: Rect, buffer: &mut Buffer) {
         return;
     }
     let mut x = 1;
-    for (key, what) in keys::summary(model.takes_commands()) {
+    for (key, what) in keys::summary(model.is_playing()) {
         x = put(buffer, area, x, 0, key, bold);
         x = put(buffer, area, x, 0, &format!(" {what} "), bar);
     }
 }
 
 fn draw_help(model: &Model, area: Rect, buffer: &mut Buffer) {
-    let lines = keys::help(model.takes_commands());
+    let lines = keys::help(model.is_playing());
     let width = 66.min(area.width);
     let height = (lines.len() as u16 + 2).min(area.height);
     let place = Rect {

@@ -94,10 +94,7 @@ impl Link {
 
     /// The next report, waited for so long.
     pub fn next(&self, timeout: Duration) -> Option<Report> {
-        match self.reports.recv_timeout(timeout) {
-            Ok(report) => Some(report),
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
-        }
+        self.reports.recv_timeout(timeout).ok()
     }
 
     /// Sends a command.

@@ -12,7 +12,7 @@ use ratatui::style::Color;
 
 use super::detect::{Counts, Format, Item, Reading};
 use super::model::{Connection, Model, Speaker};
-use super::{horizon, screen};
+use super::{horizon, next_baud, screen};
 
 fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it takes everything");
@@ -174,4 +174,16 @@ fn any_size_and_any_number_can_be_drawn() {
             drawn(&model, width, height);
         }
     }
+}
+
+#[test]
+fn every_baud_rate_is_tried_once_in_a_round() {
+    let mut tried = vec![115_200];
+    while tried.len() < 8 {
+        tried.push(next_baud(tried[tried.len() - 1]));
+    }
+    assert_eq!(next_baud(tried[7]), 115_200);
+    assert_eq!(tried[1], 921_600);
+    tried.sort_unstable();
+    assert_eq!(tried, aplomb::console::command::BAUD_RATES);
 }
