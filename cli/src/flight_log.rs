@@ -102,7 +102,7 @@ pub fn read(path: &Path) -> Result<FlightLog, String> {
     Ok(log)
 }
 
-fn open(path: &Path) -> Result<Box<dyn Read>, String> {
+pub fn open(path: &Path) -> Result<Box<dyn Read>, String> {
     let text = |error: std::io::Error| format!("{}: {error}", path.display());
     let mut magic = [0; 2];
     let is_zipped = File::open(path)
@@ -157,13 +157,13 @@ pub fn decode(bytes: &[u8]) -> FlightLog {
 
 /// Puts the pieces of a state together.
 #[derive(Default)]
-struct Collector {
+pub struct Collector {
     number: u32,
     bytes: Vec<u8>,
 }
 
 impl Collector {
-    fn add(&mut self, piece: &StatePiece) -> Option<(u32, Vec<u8>)> {
+    pub fn add(&mut self, piece: &StatePiece) -> Option<(u32, Vec<u8>)> {
         if piece.offset == 0 {
             self.number = piece.number;
             self.bytes.clear();

@@ -1,5 +1,5 @@
-//! `aplomb`: replays recordings through the library, draws, converts and simulates them, measures its filters, and finds
-//! calibrations.
+//! `aplomb`: shows and records a module, replays recordings through the library, draws, converts and simulates them,
+//! measures its filters, and finds calibrations.
 
 mod accuracy;
 mod bench;
@@ -19,6 +19,7 @@ mod picture;
 mod plot;
 mod poses;
 mod progress;
+mod record;
 mod recording;
 mod replay;
 mod rest;
@@ -26,6 +27,7 @@ mod score;
 mod simulated;
 mod spectrum;
 mod throughput;
+mod view;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -48,6 +50,8 @@ enum Command {
     Bench(bench::Options),
     Calibrate(calibrate::Options),
     Convert(convert::Options),
+    View(view::Options),
+    Record(record::Options),
     Plot(plot::Options),
     Simulate(simulated::Options),
     Completions(completions::Options),
@@ -59,6 +63,8 @@ fn main() -> ExitCode {
         Command::Bench(options) => bench::run(&options),
         Command::Calibrate(options) => calibrate::run(&options),
         Command::Convert(options) => convert::run(&options),
+        Command::View(options) => view::run(&options),
+        Command::Record(options) => record::run(&options),
         Command::Plot(options) => plot::run(&options),
         Command::Simulate(options) => simulated::run(&options),
         Command::Completions(options) => {

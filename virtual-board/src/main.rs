@@ -1,5 +1,7 @@
 //! `virtual-board fly`: flies a firmware image on the virtual board and leaves what came of it in a folder.
 
+mod live;
+
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{self, IsTerminal, Write as _};
@@ -24,8 +26,13 @@ use virtual_board::recorder::{Observer, Progress};
 use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
+use live::Live;
+
 /// How long the simulated flight is shown unless told otherwise, s.
 const SECONDS: f64 = 30.0;
+
+/// The longest run, s.
+const DAY_S: f64 = 86_400.0;
 
 /// An emulated STM32F4 board with a modelled MPU-6050.
 #[derive(Parser)]
@@ -93,6 +100,10 @@ struct Fly {
     /// Where the files go.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
+    /// Fly in real time, for a day unless told otherwise: the UART's bytes go to standard output, and lines from standard input to
+    /// the UART, until that ends. No files are written.
+    #[arg(long, conflicts_with_all = ["output", "flash"])]
+    live: bool,
 }
 
 fn mount(name: &str) -> Result<Mount, String> {
@@ -117,7 +128,7 @@ fn seconds(text: &str) -> Result<f64, String> {
     let seconds: f64 = text
         .parse()
         .map_err(|_| "this is not a number".to_owned())?;
-    if seconds > 0.0 && seconds <= 86_400.0 {
+    if seconds > 0.0 && seconds <= DAY_S {
         Ok(seconds)
     } else {
         Err("it must be above 0 and at most 86400".into())
@@ -181,9 +192,14 @@ fn fly(options: &Fly) -> Result<(), String> {
             motion = format!("recording {}", name.display());
         }
         None => {
-            run = run.seconds(options.seconds.unwrap_or(SECONDS));
+            let seconds = if options.live { DAY_S } else { SECONDS };
+            run = run.seconds(options.seconds.unwrap_or(seconds));
             motion = format!("simulated flight, seed {}", options.seed);
         }
+    }
+    if options.live {
+        let run = run.without_account().observer(Live::new()).run();
+        return run.map(|_| ()).map_err(|error| error.to_string());
     }
     eprintln!("{motion}, on {}", options.board.name);
     for fault in &schedule.faults {

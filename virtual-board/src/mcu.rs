@@ -445,6 +445,12 @@ impl Terminal {
         self.sent
     }
 
+    /// Has it say these bytes too, from `at_ns` on.
+    pub fn say(&mut self, at_ns: u64, bytes: &[u8]) {
+        let said = bytes.iter().map(|&byte| SaidByte { at_ns, byte });
+        self.script.extend(said);
+    }
+
     /// Takes out what it has heard since the last call.
     pub fn take(&mut self) -> Vec<HeardByte> {
         std::mem::take(&mut self.heard)

@@ -11,7 +11,7 @@ use embedded_graphics::geometry::{OriginDimensions, Point, Size};
 use embedded_graphics::mono_font::iso_8859_1::{
     FONT_6X12, FONT_9X15, FONT_9X15_BOLD, FONT_9X18, FONT_9X18_BOLD, FONT_10X20,
 };
-use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
+use embedded_graphics::mono_font::{MonoFont, MonoTextStyle, iso_8859_7};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::{Pixel, RgbColor};
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
@@ -45,8 +45,16 @@ pub enum Font {
 }
 
 impl Font {
-    fn bitmap(self) -> &'static MonoFont<'static> {
+    /// The letters for this text: those with Greek ones among them, if it has any.
+    fn bitmap(self, text: &str) -> &'static MonoFont<'static> {
+        let is_greek = text.chars().any(|letter| ('Α'..='ω').contains(&letter));
         match self {
+            Self::Tiny if is_greek => &iso_8859_7::FONT_6X12,
+            Self::Small if is_greek => &iso_8859_7::FONT_9X15,
+            Self::SmallBold if is_greek => &iso_8859_7::FONT_9X15_BOLD,
+            Self::Normal if is_greek => &iso_8859_7::FONT_9X18,
+            Self::Bold if is_greek => &iso_8859_7::FONT_9X18_BOLD,
+            Self::Large if is_greek => &iso_8859_7::FONT_10X20,
             Self::Tiny => &FONT_6X12,
             Self::Small => &FONT_9X15,
             Self::SmallBold => &FONT_9X15_BOLD,
@@ -59,7 +67,7 @@ impl Font {
     /// The width of a letter, in pixels.
     #[must_use]
     pub fn width(self) -> f32 {
-        self.bitmap().character_size.width as f32
+        self.bitmap("").character_size.width as f32
     }
 }
 
@@ -215,7 +223,7 @@ fn draw(shape: &Shape, pixels: &mut Pixmap) {
                 .alignment(alignment)
                 .baseline(Baseline::Middle)
                 .build();
-            let letters = MonoTextStyle::new(font.bitmap(), Rgb888::new(red, green, blue));
+            let letters = MonoTextStyle::new(font.bitmap(text), Rgb888::new(red, green, blue));
             let at = Point::new(x.round() as i32, y.round() as i32);
             let Ok(_) = Text::with_text_style(text, at, letters, style).draw(&mut Letters(pixels));
         }

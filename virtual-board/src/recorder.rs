@@ -83,6 +83,16 @@ pub trait Observer: Send {
 
     /// Time has passed.
     fn progress(&mut self, _progress: Progress) {}
+
+    /// What came out of the UART since the last call; what is given back is said to it. Every millisecond of virtual time.
+    fn uart(&mut self, _now_ns: u64, _heard: &[HeardByte]) -> Vec<u8> {
+        Vec::new()
+    }
+
+    /// Whether anybody wants the record of the run. A run without end has none.
+    fn keeps_record(&self) -> bool {
+        true
+    }
 }
 
 /// An observer that looks away.
@@ -117,6 +127,21 @@ pub struct Record {
     pub sensor_ready_ns: Vec<u64>,
     /// When the processor was reset, ns.
     pub resets_ns: Vec<u64>,
+}
+
+impl Record {
+    /// Forgets what would grow without end.
+    fn forget(&mut self) {
+        /// The edge of a burst is looked for among the last ones.
+        const EDGES_KEPT: usize = 8;
+        self.samples.clear();
+        self.stale.clear();
+        self.edges
+            .drain(..self.edges.len().saturating_sub(EDGES_KEPT));
+        self.log.clear();
+        self.heard.clear();
+        self.health.drain(..self.health.len().saturating_sub(1));
+    }
 }
 
 /// A snapshot that the firmware published because no sample had come.
@@ -471,14 +496,19 @@ impl Recorder {
     /// Takes the firmware's outputs and tells the observer.
     fn serve(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         self.read_health(host, now_ns);
-        self.record
-            .heard
-            .append(&mut session.board_mut().controller.terminal().take());
+        let terminal = session.board_mut().controller.terminal();
+        let mut heard = terminal.take();
+        let said = self.observer.uart(now_ns, &heard);
+        terminal.say(now_ns, &said);
+        self.record.heard.append(&mut heard);
         if let Some(probe) = self.probe.as_mut().filter(|_| !self.is_detached) {
             for line in probe.drain(host, now_ns) {
                 self.observer.log(&line);
                 self.record.log.push(line);
             }
+        }
+        if !self.observer.keeps_record() {
+            self.record.forget();
         }
         if self.told_at.elapsed().as_millis() >= 100 {
             self.told_at = Instant::now();

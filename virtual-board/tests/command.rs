@@ -3,8 +3,10 @@
 mod common;
 
 use std::fs;
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::Instant;
 
 use common::firmware;
 
@@ -203,4 +205,39 @@ fn a_campaign_shows_its_table_and_fails_if_a_flight_does() {
     );
     let rows = text.lines().filter(|line| line.starts_with("uart-"));
     assert_eq!(rows.count(), 2, "{text}");
+}
+
+#[test]
+fn live_it_keeps_to_real_time_answers_lines_and_ends_with_its_input() {
+    let started = Instant::now();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_virtual-board"))
+        .args(["fly", "--live", "--elf"])
+        .arg(firmware())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut input = child.stdin.take().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let mut next = |start: &str| {
+        let line = lines.by_ref().map(Result::unwrap);
+        line.take_while(|line| !line.starts_with(start)).count()
+    };
+    next("# MPU-6050 at 0x68 configured");
+    writeln!(input, "rate 20").unwrap();
+    next("# ok text, 20 a second");
+    // Forty attitudes take two seconds.
+    writeln!(input, "status").unwrap();
+    next("# ok status: ");
+    let (before, from) = (Instant::now(), started.elapsed());
+    for _ in 0..40 {
+        next("roll:");
+    }
+    let seconds = before.elapsed().as_secs_f64();
+    assert!(
+        (1.8..10.0).contains(&seconds),
+        "{seconds} s, after {from:?}"
+    );
+    drop(input);
+    assert!(child.wait().unwrap().success());
 }

@@ -22,6 +22,7 @@ usage: cargo xtask COMMAND
   fly [--log FILE] [--mount M] [--seconds S] [--seed N] [--board B] [--output DIR]
                       fly the firmware on the virtual board (`cargo xtask fly --help` says more)
                       --faults FILE|seed:N lets things go wrong
+  view                fly it in real time and watch it on a terminal, with keys for commands (`cargo xtask view --help` says more)
   faults [--runs N] [--seed S] [--jobs J]
                       fly many times with faults by chance, and check what must hold (`--help` says more)
   test                run every check and test
@@ -48,6 +49,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
     let (command, rest) = arguments.split_first().ok_or(USAGE)?;
     match command.as_str() {
         "fly" => fly(rest),
+        "view" => view(rest),
         "faults" => faults::run(rest),
         "test" => no_more(rest).and_then(|()| test::run()),
         "agree" => no_more(rest).and_then(|()| agree::build_and_run()),
@@ -96,6 +98,20 @@ fn fly(arguments: &[String]) -> Result<(), String> {
     flight.arg("--elf").arg(elf);
     // A failed flight has said why already.
     step::run(&mut flight)
+}
+
+/// Builds the program `aplomb`, the virtual board and the firmware, and shows the one by the other.
+fn view(arguments: &[String]) -> Result<(), String> {
+    let program = build::program()?;
+    let mut view = step::command(&program);
+    view.arg("view");
+    if arguments.iter().any(|a| a == "--help" || a == "-h") {
+        return step::run(view.arg("--help"));
+    }
+    build::virtual_board()?;
+    let board = Board::default();
+    let elf = Firmware { board, mount: None }.build(&setup::Toolchain::for_target()?)?;
+    step::run(view.args(["--virtual", "--elf"]).arg(elf).args(arguments))
 }
 
 fn flash(board: Board) -> Result<(), String> {

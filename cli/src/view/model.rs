@@ -1,0 +1,377 @@
+//! What the screen shows: everything it knows, and no port, file or clock, so that a state can be drawn in a test.
+
+use std::collections::VecDeque;
+
+use aplomb::calibration::OutputFormat;
+use aplomb::health::Flags;
+
+use super::detect::{Counts, Format, Item, Reading, Sensors};
+
+/// How long the strips are, s.
+pub const STRIP_S: f64 = 20.0;
+
+/// Rates are counted over this time, s.
+const RATE_WINDOW_S: f64 = 4.0;
+
+/// Without an attitude for so long, the last one is not shown as if it were fresh, s.
+const FRESH_S: f64 = 1.0;
+
+/// Messages that are kept.
+const MESSAGES: usize = 200;
+
+/// The connection.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Connection {
+    /// Bytes may come; the baud rate, if there is one.
+    Open(Option<u32>),
+    /// It is gone and being looked for, for this reason.
+    Away(String),
+    /// It has ended, for this reason.
+    Ended(String),
+    /// A recording is played.
+    Playing {
+        /// Times real time.
+        speed: f64,
+        /// Whether it is at its end.
+        is_over: bool,
+    },
+}
+
+/// Who says a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Speaker {
+    /// The module.
+    Module,
+    /// The person at the keyboard, by a key or a command.
+    Person,
+    /// This program.
+    Program,
+}
+
+/// A line of what was said.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Message {
+    /// When, s.
+    pub at_s: f64,
+    pub speaker: Speaker,
+    pub text: String,
+}
+
+/// A point of the strips.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    pub at_s: f64,
+    pub reading: Reading,
+}
+
+/// How far the attitude can be trusted.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Trust {
+    /// The module says so.
+    Valid,
+    /// It does not; what there is to say, by name.
+    NotValid(Vec<&'static str>),
+    /// The format does not tell.
+    Untold,
+    /// None has come for a while; how long, s.
+    NoData(Option<f64>),
+}
+
+/// The state of the screen.
+#[derive(Debug, Clone)]
+pub struct Model {
+    /// The port, the file, or the virtual board.
+    pub name: String,
+    pub connection: Connection,
+    pub format: Option<Format>,
+    /// Seconds since the beginning.
+    pub now_s: f64,
+    pub tilt_sigma_deg: Option<f32>,
+    pub temperature_c: Option<f32>,
+    pub sensors: Option<Sensors>,
+    pub counts: Counts,
+    /// What the module itself has dropped and failed to read, by its status.
+    pub frames_dropped: Option<u64>,
+    pub bursts_failed: Option<u64>,
+    pub points: VecDeque<Point>,
+    pub messages: VecDeque<Message>,
+    /// The file that is recorded to, and its bytes so far.
+    pub recording: Option<(String, u64)>,
+    pub is_paused: bool,
+    pub shows_help: bool,
+    /// The command that is being typed.
+    pub typed: Option<String>,
+    /// Answers to `status` that were asked for unasked.
+    pub quiet_answers: u32,
+    totals: VecDeque<(f64, u64, u64)>,
+}
+
+impl Model {
+    /// Nothing known yet.
+    pub fn new(name: String, connection: Connection) -> Self {
+        Self {
+            name,
+            connection,
+            format: None,
+            now_s: 0.0,
+            tilt_sigma_deg: None,
+            temperature_c: None,
+            sensors: None,
+            counts: Counts::default(),
+            frames_dropped: None,
+            bursts_failed: None,
+            points: VecDeque::new(),
+            messages: VecDeque::new(),
+            recording: None,
+            is_paused: false,
+            shows_help: false,
+            typed: None,
+            quiet_answers: 0,
+            totals: VecDeque::new(),
+        }
+    }
+
+    /// Takes something that was decoded at this time.
+    pub fn take(&mut self, at_s: f64, item: Item) {
+        match item {
+            Item::Reading(reading) => {
+                self.points.push_back(Point { at_s, reading });
+                while let Some(first) = self.points.front()
+                    && first.at_s < at_s - STRIP_S
+                {
+                    self.points.pop_front();
+                }
+            }
+            Item::TiltSigma(sigma) => self.tilt_sigma_deg = Some(sigma),
+            Item::Temperature(temperature) => self.temperature_c = Some(temperature),
+            Item::Sensors(sensors) => self.sensors = Some(sensors),
+            Item::Message(text) => {
+                if let Some(status) = text.strip_prefix("ok status:") {
+                    self.take_status(status);
+                    if self.quiet_answers > 0 {
+                        self.quiet_answers -= 1;
+                        return;
+                    }
+                }
+                self.say(at_s, Speaker::Module, text);
+            }
+        }
+    }
+
+    /// This state's attitudes with the present one's keys, connection and messages: the screen while it is held still.
+    pub fn held_beside(&self, present: &Self) -> Self {
+        Self {
+            is_paused: true,
+            shows_help: present.shows_help,
+            typed: present.typed.clone(),
+            recording: present.recording.clone(),
+            connection: present.connection.clone(),
+            messages: present.messages.clone(),
+            ..self.clone()
+        }
+    }
+
+    /// The time is now this, and so much has come.
+    pub fn tick(&mut self, now_s: f64, format: Option<Format>, counts: Counts) {
+        if format != self.format {
+            // Another format may not have them.
+            self.tilt_sigma_deg = None;
+            self.temperature_c = None;
+            self.sensors = None;
+            self.format = format;
+        }
+        self.now_s = now_s;
+        self.counts = counts;
+        let is_due = |last: &(f64, u64, u64)| now_s - last.0 >= RATE_WINDOW_S / 40.0;
+        if self.totals.back().is_none_or(is_due) {
+            self.totals
+                .push_back((now_s, counts.readings, counts.bursts));
+        }
+        while let Some((first_s, ..)) = self.totals.front()
+            && *first_s < now_s - RATE_WINDOW_S
+        {
+            self.totals.pop_front();
+        }
+    }
+
+    /// Adds a line to what was said.
+    pub fn say(&mut self, at_s: f64, speaker: Speaker, text: String) {
+        if self.messages.len() == MESSAGES {
+            self.messages.pop_front();
+        }
+        self.messages.push_back(Message {
+            at_s,
+            speaker,
+            text,
+        });
+    }
+
+    /// The newest attitude, if it is fresh.
+    pub fn reading(&self) -> Option<&Reading> {
+        let last = self.points.back()?;
+        (self.now_s - last.at_s < FRESH_S).then_some(&last.reading)
+    }
+
+    /// How far it can be trusted.
+    pub fn trust(&self) -> Trust {
+        let Some(reading) = self.reading() else {
+            return Trust::NoData(self.points.back().map(|last| self.now_s - last.at_s));
+        };
+        match (reading.flags, self.sensors) {
+            (Some(flags), _) if flags.contains(Flags::VALID) => Trust::Valid,
+            (Some(_), _) => Trust::NotValid(self.flag_names()),
+            (None, Some(sensors)) if !(sensors.attitude && sensors.gyroscope) => {
+                let names = [
+                    (sensors.gyroscope, "GYROSCOPE"),
+                    (sensors.accelerometer, "ACCELEROMETER"),
+                    (sensors.attitude, "ATTITUDE"),
+                ];
+                let unhealthy = names.iter().filter(|(is_healthy, _)| !is_healthy);
+                Trust::NotValid(unhealthy.map(|(_, name)| *name).collect())
+            }
+            (None, _) => Trust::Untold,
+        }
+    }
+
+    /// The names of the flags that are set, but for `VALID`.
+    pub fn flag_names(&self) -> Vec<&'static str> {
+        let Some(flags) = self.reading().and_then(|reading| reading.flags) else {
+            return Vec::new();
+        };
+        let is_set = |(flag, _): &&(Flags, &str)| flags.contains(*flag) && *flag != Flags::VALID;
+        Flags::NAMES
+            .iter()
+            .filter(is_set)
+            .map(|(_, name)| *name)
+            .collect()
+    }
+
+    /// Attitudes and bursts a second.
+    pub fn rates_hz(&self) -> Option<(f64, f64)> {
+        let (first_s, readings, bursts) = self.totals.front()?;
+        let seconds = self.now_s - first_s;
+        let rate = |now: u64, then: u64| now.saturating_sub(then) as f64 / seconds;
+        (seconds > 0.2).then(|| {
+            (
+                rate(self.counts.readings, *readings),
+                rate(self.counts.bursts, *bursts),
+            )
+        })
+    }
+
+    /// Whether there is a module that takes commands.
+    pub fn takes_commands(&self) -> bool {
+        matches!(self.connection, Connection::Open(_))
+    }
+
+    /// Whether it is a recording that is played.
+    pub fn is_playing(&self) -> bool {
+        matches!(self.connection, Connection::Playing { .. })
+    }
+
+    /// The format that follows the present one.
+    pub fn next_format(&self) -> OutputFormat {
+        let formats = OutputFormat::ALL;
+        let present = formats
+            .iter()
+            .position(|format| self.format == Some(Format::Module(*format)));
+        formats[present.map_or(0, |present| present + 1) % formats.len()]
+    }
+
+    fn take_status(&mut self, status: &str) {
+        let field = |name: &str| {
+            let values = status.split(' ').filter_map(|field| field.split_once('='));
+            values
+                .into_iter()
+                .find(|(key, _)| *key == name)
+                .map(|(_, value)| value)
+        };
+        let number = |name| field(name).and_then(|value| value.parse().ok());
+        let whole = |name| field(name).and_then(|value| value.parse().ok());
+        self.tilt_sigma_deg = number("tilt_sigma_deg").or(self.tilt_sigma_deg);
+        self.temperature_c = number("temperature_c").or(self.temperature_c);
+        self.frames_dropped = whole("frames_dropped");
+        self.bursts_failed = whole("bursts_failed");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model() -> Model {
+        Model::new("port".into(), Connection::Open(Some(115_200)))
+    }
+
+    #[test]
+    fn an_attitude_is_fresh_for_a_second_and_trusted_by_its_flags() {
+        let mut model = model();
+        assert_eq!(model.trust(), Trust::NoData(None));
+        let reading = |flags| {
+            Item::Reading(Reading {
+                flags,
+                ..Reading::default()
+            })
+        };
+        model.take(1.0, reading(Some(Flags::VALID | Flags::MISSED)));
+        model.tick(1.5, None, Counts::default());
+        assert_eq!(model.trust(), Trust::Valid);
+        assert_eq!(model.flag_names(), ["MISSED"]);
+        model.tick(2.5, None, Counts::default());
+        assert_eq!(model.trust(), Trust::NoData(Some(1.5)));
+        model.take(2.5, reading(Some(Flags::DEGRADED | Flags::STALE)));
+        assert_eq!(model.trust(), Trust::NotValid(vec!["DEGRADED", "STALE"]));
+        model.take(2.5, reading(None));
+        assert_eq!(model.trust(), Trust::Untold);
+        model.sensors = Some(Sensors {
+            gyroscope: true,
+            accelerometer: true,
+            attitude: false,
+        });
+        assert_eq!(model.trust(), Trust::NotValid(vec!["ATTITUDE"]));
+    }
+
+    #[test]
+    fn a_status_is_read_and_shown_only_if_a_person_asked() {
+        let mut model = model();
+        let status = "ok status: sensor=MPU-6050@0x68 tilt_sigma_deg=0.58 temperature_c=25.6 armed=no bursts_failed=2 \
+                      frames_dropped=7 doing=\"calibrate gyro\"";
+        model.quiet_answers = 1;
+        model.take(0.0, Item::Message(status.into()));
+        assert_eq!(
+            (
+                model.tilt_sigma_deg,
+                model.temperature_c,
+                model.frames_dropped,
+                model.bursts_failed
+            ),
+            (Some(0.58), Some(25.6), Some(7), Some(2))
+        );
+        assert!(model.messages.is_empty());
+        model.take(0.0, Item::Message(status.into()));
+        assert_eq!(model.messages.len(), 1);
+    }
+
+    #[test]
+    fn rates_are_those_of_the_last_seconds() {
+        let mut model = model();
+        let mut counts = Counts::default();
+        for tenth in 0..100 {
+            // 50 a second, then 10.
+            counts.readings += if tenth < 50 { 5 } else { 1 };
+            model.tick(f64::from(tenth) * 0.1, None, counts);
+        }
+        let (hertz, bursts) = model.rates_hz().expect("there were enough");
+        assert!((hertz - 10.0).abs() < 0.1, "{hertz}");
+        assert_eq!(bursts, 0.0);
+    }
+
+    #[test]
+    fn the_formats_follow_each_other_in_a_circle() {
+        let mut model = model();
+        for format in OutputFormat::ALL.into_iter().chain(OutputFormat::ALL) {
+            assert_eq!(model.next_format(), format);
+            model.format = Some(Format::Module(format));
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! A recording as a source: what was decoded, handed out at the pace at which it was recorded.
+
+use std::collections::VecDeque;
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+use super::detect::{Counts, Decoder, Format, Item};
+use crate::flight_log;
+
+/// Attitudes a second in recordings that have no time: the module's default.
+pub const ASSUMED_HZ: f64 = 50.0;
+
+/// A step of time that is longer, or backwards, is a restart or a hole: the clock goes on from there.
+const LONGEST_STEP_US: u64 = 5_000_000;
+
+/// Plays a file.
+pub struct Player {
+    file: BufReader<Box<dyn Read>>,
+    decoder: Decoder,
+    /// What is decoded and not due yet, with its time in seconds from the beginning.
+    waiting: VecDeque<(f64, Item)>,
+    /// The time of the last attitude that was decoded.
+    clock: Option<Clock>,
+    count: u64,
+    position_s: f64,
+    is_read: bool,
+}
+
+impl Player {
+    /// Opens a recording, plain or gzipped, that has an attitude in it.
+    pub fn open(path: &Path) -> Result<Self, String> {
+        let mut player = Self {
+            file: BufReader::new(flight_log::open(path)?),
+            decoder: Decoder::default(),
+            waiting: VecDeque::new(),
+            clock: None,
+            count: 0,
+            position_s: 0.0,
+            is_read: false,
+        };
+        while player.decoder.format().is_none() && !player.is_read {
+            player.read();
+        }
+        if player.decoder.format().is_none() {
+            return Err(format!(
+                "{}: there is no attitude in it. It has to be a flight log, what the module sent in any format, or a CSV with \
+                 t_us, roll_deg, pitch_deg and yaw_deg; `aplomb replay` makes such a CSV of sensor data",
+                path.display()
+            ));
+        }
+        Ok(player)
+    }
+
+    /// Goes on by so many seconds, and gives what is due with its time.
+    pub fn advance(&mut self, seconds: f64) -> Vec<(f64, Item)> {
+        self.position_s += seconds;
+        let mut due = Vec::new();
+        loop {
+            while let Some(next) = self
+                .waiting
+                .pop_front_if(|(at_s, _)| *at_s <= self.position_s)
+            {
+                due.push(next);
+            }
+            if self.is_read || !self.waiting.is_empty() {
+                return due;
+            }
+            self.read();
+        }
+    }
+
+    /// Where it is, s.
+    pub fn position_s(&self) -> f64 {
+        self.position_s
+    }
+
+    /// Whether everything has been given out.
+    pub fn is_over(&self) -> bool {
+        self.is_read && self.waiting.is_empty()
+    }
+
+    /// What was decoded, a little ahead of what is given out.
+    pub fn counts(&self) -> Counts {
+        self.decoder.counts()
+    }
+
+    /// The format.
+    pub fn format(&self) -> Option<Format> {
+        self.decoder.format()
+    }
+
+    fn read(&mut self) {
+        // Little at a time: what is decoded is counted before it is due.
+        let mut buffer = [0; 512];
+        let length = self.file.read(&mut buffer).unwrap_or_default();
+        let mut items = Vec::new();
+        if length == 0 {
+            self.is_read = true;
+            // A file may end without the end of its last line or frame.
+            self.decoder.push(b"\n\0", &mut items);
+        } else {
+            self.decoder.push(&buffer[..length], &mut items);
+        }
+        for item in items {
+            if let Item::Reading(reading) = &item {
+                self.time(reading.t_us);
+            }
+            let at_s = self.clock.as_ref().map_or(0.0, Clock::seconds);
+            self.waiting.push_back((at_s, item));
+        }
+    }
+
+    /// The time of the next attitude, from the module's or from how many there were.
+    fn time(&mut self, t_us: Option<u64>) {
+        let t_us = t_us.unwrap_or((self.count as f64 * 1e6 / ASSUMED_HZ) as u64);
+        self.count += 1;
+        let clock = self.clock.get_or_insert(Clock {
+            start_us: t_us,
+            start_s: 0.0,
+            last_us: t_us,
+        });
+        let last_s = clock.seconds();
+        let step_us = t_us.checked_sub(clock.last_us);
+        clock.last_us = t_us;
+        if step_us.is_none_or(|step_us| step_us > LONGEST_STEP_US) {
+            *clock = Clock {
+                start_us: t_us,
+                start_s: last_s,
+                last_us: t_us,
+            };
+        }
+    }
+}
+
+/// The module's time and the recording's, which has no holes.
+struct Clock {
+    start_us: u64,
+    start_s: f64,
+    last_us: u64,
+}
+
+impl Clock {
+    fn seconds(&self) -> f64 {
+        self.start_s + (self.last_us - self.start_us) as f64 / 1e6
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn player(name: &str, text: &str) -> Result<Player, String> {
+        let path = std::env::temp_dir().join(format!("aplomb-{name}-{}", std::process::id()));
+        std::fs::write(&path, text).expect("a file");
+        let player = Player::open(&path);
+        std::fs::remove_file(&path).expect("it was there");
+        player
+    }
+
+    #[test]
+    fn a_table_is_played_by_its_times() {
+        let mut text = "t_us,roll_deg,pitch_deg,yaw_deg\n".to_owned();
+        for t_us in [
+            5_000_000, 5_100_000, 5_200_000, 90_000_000, 90_050_000, 1_000,
+        ] {
+            text += &format!("{t_us},1,2,3\n");
+        }
+        let mut player = player("table", &text).expect("it can be played");
+        let times = |items: &[(f64, Item)]| items.iter().map(|(at_s, _)| *at_s).collect::<Vec<_>>();
+        assert_eq!(times(&player.advance(0.0)), [0.0]);
+        assert_eq!(times(&player.advance(0.15)), [0.1]);
+        let rest = times(&player.advance(1.0));
+        let expected = [0.2, 0.2, 0.25, 0.25];
+        assert_eq!(rest.len(), expected.len());
+        for (time, expected) in rest.iter().zip(expected) {
+            assert!((time - expected).abs() < 1e-9, "{rest:?}");
+        }
+        assert!(player.is_over());
+    }
+
+    #[test]
+    fn lines_without_time_come_fifty_a_second() {
+        let line = "Roll:1.00(0.00),\tPitch:2.00(0.00)\n";
+        let mut player = player("classic", &line.repeat(100)).expect("it can be played");
+        assert_eq!(player.advance(1.0).len(), 51);
+        assert!(!player.is_over());
+        assert_eq!(player.advance(1.0).len(), 49);
+        assert!(player.is_over());
+    }
+
+    #[test]
+    fn what_has_no_attitude_is_refused() {
+        let error = player("other", "t_us,ax,ay,az\n1,2,3,4\n").err();
+        assert!(error.is_some_and(|error| error.contains("there is no attitude in it")));
+    }
+}

@@ -1,0 +1,528 @@
+//! Draws the state: header, horizon, figures and health, strips, messages, keys.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+
+use super::detect::Reading;
+use super::dots::{ACROSS, DOWN, Dots};
+use super::model::{Connection, Model, STRIP_S, Speaker, Trust};
+use super::{horizon, keys};
+
+/// The smallest terminal for which everything has its place.
+const LEAST: (u16, u16) = (80, 24);
+
+pub const ROLL: Color = Color::Indexed(208);
+pub const PITCH: Color = Color::Indexed(45);
+pub const YAW: Color = Color::Indexed(141);
+const COLOURS: [Color; 3] = [ROLL, PITCH, YAW];
+const FAINT: Color = Color::Indexed(244);
+const TEXT: Color = Color::Indexed(252);
+const BAR: Color = Color::Indexed(237);
+const GOOD: Color = Color::Indexed(28);
+const BAD: Color = Color::Indexed(160);
+const DOUBTFUL: Color = Color::Indexed(136);
+const NEUTRAL: Color = Color::Indexed(240);
+const WHITE: Color = Color::Indexed(231);
+
+/// What the ends of a strip's scale can be: degrees.
+const ANGLES: [f64; 8] = [5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 180.0];
+/// And °/s, up to the sensor's largest full scale.
+const RATES: [f64; 9] = [5.0, 10.0, 20.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 2000.0];
+
+/// Draws everything.
+pub fn draw(model: &Model, area: Rect, buffer: &mut Buffer) {
+    if area.width < LEAST.0 || area.height < LEAST.1 {
+        let text = format!("{} by {} letters are needed", LEAST.0, LEAST.1);
+        put(buffer, area, 0, 0, &text, Style::new());
+        return;
+    }
+    // What a larger terminal has more goes to all parts.
+    let more = area.height - LEAST.1;
+    let [header, top, strips, messages, footer] = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Fill(1),
+        Constraint::Length(6 + more * 5 / 16),
+        Constraint::Length(4 + more / 8),
+        Constraint::Length(1),
+    ])
+    .areas(area);
+    let [left, _, right] = Layout::horizontal([
+        Constraint::Fill(1),
+        Constraint::Length(1),
+        Constraint::Length((area.width * 2 / 5).clamp(32, 44)),
+    ])
+    .areas(top);
+    draw_header(model, header, buffer);
+    draw_horizon(model, left, buffer);
+    draw_figures(model, right, buffer);
+    let [angles, _, rates] = Layout::horizontal([
+        Constraint::Fill(1),
+        Constraint::Length(1),
+        Constraint::Fill(1),
+    ])
+    .areas(strips);
+    let strip = Strip {
+        names: &["roll", "pitch"],
+        unit: "degrees",
+        scales: &ANGLES,
+        values: |reading| [Some(reading.roll_deg), Some(reading.pitch_deg), None],
+    };
+    draw_strip(model, &strip, angles, buffer);
+    let strip = Strip {
+        names: &["roll", "pitch", "yaw rate"],
+        unit: "°/s",
+        scales: &RATES,
+        values: |reading| reading.rates_deg_s,
+    };
+    draw_strip(model, &strip, rates, buffer);
+    draw_messages(model, messages, buffer);
+    draw_footer(model, footer, buffer);
+    if model.shows_help {
+        draw_help(model, area, buffer);
+    }
+}
+
+/// Writes a text in a row of an area, as far as there is room, and says where it ends.
+fn put(buffer: &mut Buffer, area: Rect, x: u16, y: u16, text: &str, style: Style) -> u16 {
+    if x >= area.width || y >= area.height {
+        return x;
+    }
+    let room = usize::from(area.width - x);
+    let (end, _) = buffer.set_stringn(area.x + x, area.y + y, text, room, style);
+    end - area.x
+}
+
+/// The same at the right end.
+fn put_right(buffer: &mut Buffer, area: Rect, y: u16, text: &str, style: Style) {
+    let width = text.chars().count() as u16;
+    put(
+        buffer,
+        area,
+        area.width.saturating_sub(width),
+        y,
+        text,
+        style,
+    );
+}
+
+fn draw_header(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let bar = Style::new().bg(BAR).fg(TEXT);
+    buffer.set_style(area, bar);
+    let bold = bar.add_modifier(Modifier::BOLD);
+    let mut x = put(buffer, area, 1, 0, "aplomb ", bold.fg(WHITE));
+    let name_room = usize::from(area.width) - 56;
+    let name: String = match model.name.char_indices().nth_back(name_room) {
+        // Of a long path the end counts.
+        Some((start, _)) => format!("…{}", &model.name[start + 1..]),
+        None => model.name.clone(),
+    };
+    x = put(buffer, area, x, 0, &name, bar);
+    let (text, style) = match &model.connection {
+        Connection::Open(Some(baud)) => (format!(" {baud} baud"), bar),
+        Connection::Open(None) => (String::new(), bar),
+        Connection::Away(_) => (" UNPLUGGED".into(), bold.bg(BAD).fg(WHITE)),
+        Connection::Ended(_) => (" ENDED".into(), bold.bg(BAD).fg(WHITE)),
+        Connection::Playing { speed, is_over } => {
+            let end = if *is_over { ", at its end" } else { "" };
+            (format!(" at {:.1} s, ×{speed}{end}", model.now_s), bar)
+        }
+    };
+    x = put(buffer, area, x, 0, &text, style);
+    if let Some(format) = model.format {
+        x = put(
+            buffer,
+            area,
+            x,
+            0,
+            &format!(" · {}", format.name()),
+            bar.fg(WHITE),
+        );
+    }
+    if model.is_paused {
+        put(
+            buffer,
+            area,
+            x + 1,
+            0,
+            " PAUSED ",
+            bold.bg(DOUBTFUL).fg(WHITE),
+        );
+    }
+    if let Some((file, bytes)) = &model.recording {
+        let text = format!(" ● {file} {} ", size(*bytes));
+        put_right(buffer, area, 0, &text, bold.bg(BAD).fg(WHITE));
+    }
+}
+
+fn size(bytes: u64) -> String {
+    if bytes < 1_000_000 {
+        format!("{:.1} kB", bytes as f64 / 1e3)
+    } else {
+        format!("{:.1} MB", bytes as f64 / 1e6)
+    }
+}
+
+fn draw_horizon(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let attitude = model
+        .reading()
+        .map(|reading| (f64::from(reading.roll_deg), f64::from(reading.pitch_deg)));
+    horizon::draw(attitude, area, buffer);
+    let trust = model.trust();
+    if attitude.is_none() || matches!(trust, Trust::NotValid(_)) {
+        let text = match trust {
+            Trust::NoData(_) => "  NO ATTITUDE  ",
+            _ => "  NOT VALID  ",
+        };
+        let style = Style::new().bg(BAD).fg(WHITE).add_modifier(Modifier::BOLD);
+        let x = (area.width - text.len() as u16) / 2;
+        put(buffer, area, x, area.height * 3 / 4, text, style);
+    }
+}
+
+fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let reading = model.reading();
+    let plain = Style::new().fg(TEXT);
+    let faint = Style::new().fg(FAINT);
+    // Where there is room, with air between the rows and around the banner.
+    let (step, tall) = if area.height >= 17 { (2, 5) } else { (1, 3) };
+    for (index, (name, colour)) in ["roll", "pitch", "yaw"]
+        .into_iter()
+        .zip(COLOURS)
+        .enumerate()
+    {
+        let row = step * index as u16;
+        let bold = Style::new().fg(colour).add_modifier(Modifier::BOLD);
+        put(buffer, area, 0, row, name, bold);
+        let angle = reading.and_then(|reading| match index {
+            0 => Some(reading.roll_deg),
+            1 => Some(reading.pitch_deg),
+            _ => reading.yaw_deg,
+        });
+        let rate = reading.and_then(|reading| reading.rates_deg_s[index]);
+        put(buffer, area, 6, row, &number(angle, 8, "°"), bold);
+        put(buffer, area, 17, row, &number(rate, 8, " °/s"), plain);
+    }
+    let (text, colour) = match model.trust() {
+        Trust::Valid => ("VALID".to_owned(), GOOD),
+        Trust::NotValid(_) => ("NOT VALID".to_owned(), BAD),
+        Trust::Untold => ("health is not in this format".to_owned(), NEUTRAL),
+        Trust::NoData(None) => ("NO ATTITUDE YET".to_owned(), DOUBTFUL),
+        Trust::NoData(Some(seconds)) => (format!("NO ATTITUDE FOR {seconds:.0} s"), BAD),
+    };
+    let banner_row = 3 * step + 1;
+    let banner = Rect {
+        y: area.y + banner_row,
+        height: tall,
+        ..area
+    };
+    let style = Style::new()
+        .bg(colour)
+        .fg(WHITE)
+        .add_modifier(Modifier::BOLD);
+    buffer.set_style(banner, style);
+    let x = (banner.width.saturating_sub(text.chars().count() as u16)) / 2;
+    put(buffer, banner, x, tall / 2, &text, style);
+    // Names of flags, as many to a row as fit; two rows at least.
+    let names = match model.trust() {
+        Trust::NotValid(names) => names,
+        _ => model.flag_names(),
+    };
+    let last_row = area.height - 3;
+    let (mut x, mut y) = (0, banner_row + tall);
+    for name in names {
+        let length = name.len() as u16;
+        if x > 0 && x + length > area.width {
+            (x, y) = (0, y + 1);
+        }
+        if y > last_row {
+            break;
+        }
+        let style = Style::new()
+            .fg(colour_of(name))
+            .add_modifier(Modifier::BOLD);
+        x = put(buffer, area, x, y, name, style) + 1;
+    }
+    // Old ones are as good as none.
+    let sigma = model
+        .tilt_sigma_deg
+        .filter(|sigma| sigma.is_finite() && reading.is_some());
+    let sigma = number(sigma, 0, "°");
+    let temperature = match model.temperature_c.filter(|_| reading.is_some()) {
+        Some(celsius) => format!("{celsius:.1} °C"),
+        None => "-".into(),
+    };
+    let y = area.height - 2;
+    let x = put(buffer, area, 0, y, "tilt σ ", faint);
+    put(buffer, area, x, y, &sigma, plain);
+    let x = put(buffer, area, 17, y, "chip ", faint);
+    put(buffer, area, x, y, &temperature, plain);
+    draw_counts(model, area, y + 1, buffer);
+}
+
+/// Names in red are what an attitude cannot be valid with.
+fn colour_of(name: &str) -> Color {
+    use aplomb::health::Flags;
+    match Flags::parse(name) {
+        Some(flag) if !Flags::SPOILS.contains(flag) => Color::Indexed(214),
+        _ => Color::Indexed(203),
+    }
+}
+
+fn draw_counts(model: &Model, area: Rect, y: u16, buffer: &mut Buffer) {
+    let mut x = 0;
+    let mut word = |text: &str, style: Style| x = put(buffer, area, x, y, text, style);
+    let (plain, faint) = (Style::new().fg(TEXT), Style::new().fg(FAINT));
+    let bad = Style::new()
+        .fg(Color::Indexed(203))
+        .add_modifier(Modifier::BOLD);
+    let (hertz, bursts_hertz) = match model.rates_hz() {
+        Some((hertz, bursts)) => (format!("{hertz:.0}"), (bursts > 0.0).then_some(bursts)),
+        None => ("-".into(), None),
+    };
+    word(&hertz, plain);
+    word("/s", faint);
+    if let Some(bursts) = bursts_hertz {
+        word(&format!(" {bursts:.0}"), plain);
+        word(" samples/s", faint);
+    }
+    let counts = model.counts;
+    for (name, count) in [
+        ("lost", counts.lost),
+        ("bad", counts.damaged),
+        ("dropped", model.frames_dropped.unwrap_or_default()),
+        ("failed", model.bursts_failed.unwrap_or_default()),
+    ] {
+        if count > 0 || name == "lost" {
+            word(&format!(" {name} "), faint);
+            word(&count.to_string(), if count > 0 { bad } else { plain });
+        }
+    }
+}
+
+/// A number with two decimals, right-aligned in a width, or a dash.
+fn number(value: Option<f32>, width: usize, unit: &str) -> String {
+    match value {
+        // Minus zero is zero.
+        Some(value) => format!(
+            "{:width$.2}{unit}",
+            if value.abs() < 0.005 { 0.0 } else { value }
+        ),
+        None => format!("{:>width$}", "-"),
+    }
+}
+
+/// What a strip shows.
+struct Strip {
+    names: &'static [&'static str],
+    unit: &'static str,
+    scales: &'static [f64],
+    values: fn(&Reading) -> [Option<f32>; 3],
+}
+
+fn draw_strip(model: &Model, strip: &Strip, area: Rect, buffer: &mut Buffer) {
+    let Strip {
+        names,
+        unit,
+        scales,
+        values,
+    } = *strip;
+    let faint = Style::new().fg(FAINT);
+    let title = Rect { height: 1, ..area };
+    put(
+        buffer,
+        title,
+        0,
+        0,
+        &"─".repeat(area.width.into()),
+        Style::new().fg(BAR),
+    );
+    let mut x = 1;
+    for (name, colour) in names.iter().zip(COLOURS) {
+        let style = Style::new().fg(colour).add_modifier(Modifier::BOLD);
+        x = put(buffer, title, x, 0, &format!(" {name}"), style);
+    }
+    put(buffer, title, x, 0, &format!(" in {unit} "), faint);
+    put_right(buffer, title, 0, &format!(" {STRIP_S:.0} s "), faint);
+    let [scale_area, plot] = Layout::horizontal([Constraint::Length(5), Constraint::Fill(1)])
+        .areas(Rect {
+            y: area.y + 1,
+            height: area.height - 1,
+            ..area
+        });
+    let largest = model
+        .points
+        .iter()
+        .flat_map(|point| values(&point.reading))
+        .flatten()
+        .map(|value| f64::from(value.abs()))
+        .fold(0.0, f64::max);
+    let fitting = scales.iter().find(|scale| **scale >= largest);
+    let scale = *fitting.unwrap_or(&scales[scales.len() - 1]);
+    put_right(
+        buffer,
+        Rect {
+            width: 4,
+            ..scale_area
+        },
+        0,
+        &format!("{scale:.0}"),
+        faint,
+    );
+    let low = format!("{:.0}", -scale);
+    put_right(
+        buffer,
+        Rect {
+            width: 4,
+            ..scale_area
+        },
+        scale_area.height - 1,
+        &low,
+        faint,
+    );
+    let width = f64::from(i32::from(plot.width) * ACROSS);
+    let height = f64::from(i32::from(plot.height) * DOWN);
+    let mut dots = Dots::new(plot);
+    for x in (0..i32::from(plot.width) * ACROSS).step_by(4) {
+        dots.set(x, (height / 2.0) as i32, NEUTRAL);
+    }
+    for (index, colour) in COLOURS.into_iter().enumerate().rev() {
+        let mut last: Option<(f64, f64)> = None;
+        for point in &model.points {
+            let Some(value) = values(&point.reading)[index] else {
+                last = None;
+                continue;
+            };
+            let age_s = model.now_s - point.at_s;
+            let share = (f64::from(value) / scale).clamp(-1.0, 1.0);
+            let place = (
+                width - 1.0 - age_s / STRIP_S * width,
+                (height - 1.0) * (0.5 - 0.5 * share) + 0.5,
+            );
+            // Across a wrap from 180 to −180, or a hole, there is no line.
+            let start = last.filter(|(x, y)| {
+                (y - place.1).abs() < height * 0.6 && place.0 - x < width / STRIP_S
+            });
+            // What is on the same point adds nothing.
+            if start.is_none_or(|(x, y)| x.floor() != place.0.floor() || (y - place.1).abs() >= 1.0)
+            {
+                dots.line(start.unwrap_or(place), place, colour);
+                last = Some(place);
+            }
+        }
+    }
+    dots.draw(buffer, |_| true);
+}
+
+fn draw_messages(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let faint = Style::new().fg(FAINT);
+    put(
+        buffer,
+        area,
+        0,
+        0,
+        &"─".repeat(area.width.into()),
+        Style::new().fg(BAR),
+    );
+    put(buffer, area, 1, 0, " messages ", faint);
+    let rows = usize::from(area.height - 1);
+    // Long ones take several rows; the newest is below.
+    let mut lines: Vec<(String, Style)> = Vec::new();
+    for message in model.messages.iter().rev() {
+        let style = match message.speaker {
+            Speaker::Person => Style::new().fg(PITCH),
+            Speaker::Program => Style::new().fg(Color::Indexed(214)),
+            Speaker::Module if is_bad(&message.text) => Style::new().fg(Color::Indexed(203)),
+            Speaker::Module => Style::new().fg(TEXT),
+        };
+        let sign = if message.speaker == Speaker::Person {
+            "> "
+        } else {
+            ""
+        };
+        let text = format!("{:7.1}  {sign}{}", message.at_s, message.text);
+        let mut parts = wrapped(&text, usize::from(area.width), 9);
+        parts.reverse();
+        lines.extend(parts.into_iter().map(|part| (part, style)));
+        if lines.len() >= rows {
+            break;
+        }
+    }
+    lines.truncate(rows);
+    for (row, (text, style)) in (1..).zip(lines.iter().rev()) {
+        put(buffer, area, 0, row, text, *style);
+    }
+}
+
+/// Whether the module says that something is wrong.
+fn is_bad(text: &str) -> bool {
+    ["error", "failed"]
+        .iter()
+        .any(|word| text.starts_with(word))
+        || text.contains("lost")
+        || text.contains("trying again")
+}
+
+/// A text in rows of so many letters, broken at spaces; all rows but the first are indented.
+fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
+    let mut rows = Vec::new();
+    let mut row = String::new();
+    for word in text.split_inclusive(' ') {
+        let has_more = row.trim().chars().count() > 0;
+        if has_more && row.chars().count() + word.trim_end().chars().count() > width {
+            rows.push(row.trim_end().to_owned());
+            row = " ".repeat(indent);
+        }
+        row.push_str(word);
+    }
+    rows.push(row.trim_end().to_owned());
+    rows
+}
+
+fn draw_footer(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let bar = Style::new().bg(BAR).fg(TEXT);
+    buffer.set_style(area, bar);
+    let bold = bar.fg(WHITE).add_modifier(Modifier::BOLD);
+    if let Some(typed) = &model.typed {
+        let x = put(buffer, area, 1, 0, ":", bold);
+        let x = put(buffer, area, x, 0, typed, bold);
+        let x = put(buffer, area, x, 0, "█", bold);
+        put(
+            buffer,
+            area,
+            x + 2,
+            0,
+            "enter says it, escape does not",
+            bar.fg(FAINT),
+        );
+        return;
+    }
+    let mut x = 1;
+    for (key, what) in keys::summary(model.is_playing()) {
+        x = put(buffer, area, x, 0, key, bold);
+        x = put(buffer, area, x, 0, &format!(" {what} "), bar);
+    }
+}
+
+fn draw_help(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let lines = keys::help(model.is_playing());
+    let width = 66.min(area.width);
+    let height = (lines.len() as u16 + 2).min(area.height);
+    let place = Rect {
+        x: area.x + (area.width - width) / 2,
+        y: area.y + (area.height - height) / 2,
+        width,
+        height,
+    };
+    for cell in place.positions() {
+        if let Some(cell) = buffer.cell_mut(cell) {
+            cell.set_symbol(" ").set_fg(TEXT).set_bg(BAR);
+        }
+    }
+    let bar = Style::new().fg(TEXT).bg(BAR);
+    for (row, (key, what)) in (1..).zip(&lines) {
+        let bold = bar.fg(WHITE).add_modifier(Modifier::BOLD);
+        put(buffer, place, 2, row, key, bold);
+        put(buffer, place, 9, row, what, bar);
+    }
+}

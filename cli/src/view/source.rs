@@ -1,0 +1,429 @@
+//! Where the bytes come from: a serial port, which may be unplugged and come back, or the virtual board as another process.
+//!
+//! A thread of its own reads, so that nothing is lost while the screen is drawn, and obeys orders. It ends when
+//! the [`Link`] is dropped.
+
+use std::io::{self, Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
+
+/// The module's baud rate unless it has been told otherwise.
+pub const BAUD: u32 = 115_200;
+
+/// How long a read waits: orders wait as long.
+const READ_TIMEOUT: Duration = Duration::from_millis(20);
+
+/// Bytes gather for so long between reads: at 921,600 baud 460 of them, of the 4096 that a terminal's buffer has.
+const GATHER: Duration = Duration::from_millis(5);
+
+/// From one attempt to open the port again to the next.
+const RETRY: Duration = Duration::from_millis(250);
+
+/// The module answers a command to change its baud rate within this time, and changes it then.
+const BAUD_ANSWER: Duration = Duration::from_millis(300);
+
+/// What the thread tells.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Report {
+    /// These bytes have come.
+    Bytes(Vec<u8>),
+    /// It is there again.
+    Back,
+    /// It is gone, for this reason; it is being looked for.
+    Away(String),
+    /// It has ended for good, for this reason.
+    Ended(String),
+}
+
+/// What the thread is told.
+enum Order {
+    /// Send a line.
+    Say(String),
+    /// Go on at this rate.
+    SetBaud(u32),
+    /// Have the module change to this rate, and go on at it.
+    SwitchBaud(u32),
+}
+
+/// A connection.
+pub struct Link {
+    reports: Receiver<Report>,
+    orders: Option<Sender<Order>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Link {
+    /// A serial port, which must be there now; later it may go and come.
+    pub fn port(path: &str, baud: u32) -> Result<Self, String> {
+        let port = open(path, baud).map_err(|error| explain(path, &error))?;
+        let path = path.to_owned();
+        Ok(Self::start(move |reports, orders| {
+            Port { path, baud }.serve(port, &reports, &orders);
+        }))
+    }
+
+    /// A process: bytes from its standard output, lines to its standard input.
+    pub fn process(mut command: Command) -> Result<Self, String> {
+        let name = Path::new(command.get_program()).display().to_string();
+        command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let child = command
+            .spawn()
+            .map_err(|error| format!("{name} cannot be started: {error}"))?;
+        Ok(Self::start(|reports, orders| {
+            serve_process(child, &reports, &orders);
+        }))
+    }
+
+    fn start(serve: impl FnOnce(Sender<Report>, Receiver<Order>) + Send + 'static) -> Self {
+        let (report, reports) = channel();
+        let (orders, ordered) = channel();
+        Self {
+            reports,
+            orders: Some(orders),
+            thread: Some(std::thread::spawn(|| serve(report, ordered))),
+        }
+    }
+
+    /// The next report, waited for so long.
+    pub fn next(&self, timeout: Duration) -> Option<Report> {
+        self.reports.recv_timeout(timeout).ok()
+    }
+
+    /// Sends a command.
+    pub fn say(&self, line: &str) {
+        self.order(Order::Say(line.to_owned()));
+    }
+
+    /// Listens at another rate.
+    pub fn set_baud(&self, baud: u32) {
+        self.order(Order::SetBaud(baud));
+    }
+
+    /// Has the module change its rate, and goes along.
+    pub fn switch_baud(&self, baud: u32) {
+        self.order(Order::SwitchBaud(baud));
+    }
+
+    fn order(&self, order: Order) {
+        if let Some(orders) = &self.orders {
+            // A thread that has ended has said so.
+            orders.send(order).ok();
+        }
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        // The thread carries out what it has been told, and ends.
+        self.orders = None;
+        if let Some(thread) = self.thread.take() {
+            thread.join().ok();
+        }
+    }
+}
+
+fn open(path: &str, baud: u32) -> serialport::Result<Box<dyn SerialPort>> {
+    serialport::new(path, baud).timeout(READ_TIMEOUT).open()
+}
+
+/// Why a port cannot be opened, and what to do.
+fn explain(path: &str, error: &serialport::Error) -> String {
+    let advice = match error.kind() {
+        ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
+            "your user may not use it: on Linux, `sudo usermod -a -G dialout $USER`, then log in again"
+                .into()
+        }
+        ErrorKind::NoDevice if Path::new(path).exists() => {
+            "another program has it open: close that one (a serial monitor, a ground station, ModemManager)".into()
+        }
+        ErrorKind::NoDevice | ErrorKind::Io(io::ErrorKind::NotFound) => {
+            format!("there is no such port. {}", found())
+        }
+        _ => found(),
+    };
+    format!("{path}: {error}: {advice}")
+}
+
+/// For whoever has not said which port.
+pub fn which_port() -> String {
+    format!("which port? {}", found())
+}
+
+/// The ports of this computer, as a sentence.
+fn found() -> String {
+    let ports = serialport::available_ports().unwrap_or_default();
+    if ports.is_empty() {
+        return "No serial port was found: is the adapter plugged in, and the cable one that carries data?".into();
+    }
+    let lines: Vec<String> = ports
+        .iter()
+        .map(|port| {
+            let what = match &port.port_type {
+                SerialPortType::UsbPort(usb) => {
+                    let name = usb.product.clone().unwrap_or_else(|| "USB".into());
+                    format!("  ({name})")
+                }
+                _ => String::new(),
+            };
+            format!("  --port {}{what}", port.port_name)
+        })
+        .collect();
+    format!("These were found:\n{}", lines.join("\n"))
+}
+
+/// What serves a port.
+struct Port {
+    path: String,
+    baud: u32,
+}
+
+/// Why a port is served no longer.
+enum End {
+    /// It is gone.
+    Away(String),
+    /// Nobody wants it.
+    Unwanted,
+}
+
+impl Port {
+    fn serve(
+        mut self,
+        mut port: Box<dyn SerialPort>,
+        reports: &Sender<Report>,
+        orders: &Receiver<Order>,
+    ) {
+        // The module keeps the rate that it has stored, and starts with that after a loss of power.
+        let first_baud = self.baud;
+        loop {
+            let End::Away(reason) = self.follow(port, reports, orders) else {
+                return;
+            };
+            if reports.send(Report::Away(reason)).is_err() {
+                return;
+            }
+            self.baud = first_baud;
+            port = loop {
+                match orders.recv_timeout(RETRY) {
+                    Ok(Order::SetBaud(baud)) => self.baud = baud,
+                    Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => return,
+                }
+                if let Ok(port) = open(&self.path, self.baud) {
+                    break port;
+                }
+            };
+            if reports.send(Report::Back).is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Reads, and does what it is told, until either ends.
+    fn follow(
+        &mut self,
+        mut port: Box<dyn SerialPort>,
+        reports: &Sender<Report>,
+        orders: &Receiver<Order>,
+    ) -> End {
+        loop {
+            let obeyed = match orders.try_recv() {
+                Ok(order) => self.obey(order, port.as_mut(), reports),
+                Err(TryRecvError::Empty) => Ok(()),
+                Err(TryRecvError::Disconnected) => return End::Unwanted,
+            };
+            match obeyed.and_then(|()| forward(port.as_mut(), reports)) {
+                Ok(true) => {}
+                Ok(false) => return End::Unwanted,
+                Err(error) => return End::Away(error.to_string()),
+            }
+        }
+    }
+
+    fn obey(
+        &mut self,
+        order: Order,
+        port: &mut dyn SerialPort,
+        reports: &Sender<Report>,
+    ) -> io::Result<()> {
+        match order {
+            Order::Say(line) => {
+                port.write_all(format!("{line}\n").as_bytes())?;
+                port.flush()
+            }
+            Order::SetBaud(baud) => {
+                self.baud = baud;
+                port.set_baud_rate(baud)?;
+                Ok(port.clear(ClearBuffer::Input)?)
+            }
+            Order::SwitchBaud(baud) => {
+                port.write_all(format!("baud {baud}\n").as_bytes())?;
+                port.flush()?;
+                let start = Instant::now();
+                while start.elapsed() < BAUD_ANSWER {
+                    forward(port, reports)?;
+                }
+                self.baud = baud;
+                Ok(port.set_baud_rate(baud)?)
+            }
+        }
+    }
+}
+
+/// Hands on what has come; false if nobody wants it.
+fn forward(port: &mut dyn SerialPort, reports: &Sender<Report>) -> io::Result<bool> {
+    let mut buffer = [0; 4096];
+    match port.read(&mut buffer) {
+        Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
+        Ok(length) => {
+            let is_wanted = reports
+                .send(Report::Bytes(buffer[..length].to_vec()))
+                .is_ok();
+            std::thread::sleep(GATHER);
+            Ok(is_wanted)
+        }
+        Err(error)
+            if matches!(
+                error.kind(),
+                io::ErrorKind::TimedOut | io::ErrorKind::Interrupted
+            ) =>
+        {
+            Ok(true)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<Order>) {
+    let (Some(mut input), Some(mut output), Some(mut errors)) =
+        (child.stdin.take(), child.stdout.take(), child.stderr.take())
+    else {
+        return;
+    };
+    let reader = {
+        let reports = reports.clone();
+        std::thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            while let Ok(length @ 1..) = output.read(&mut buffer) {
+                if reports
+                    .send(Report::Bytes(buffer[..length].to_vec()))
+                    .is_err()
+                {
+                    break;
+                }
+            }
+        })
+    };
+    let errors = std::thread::spawn(move || {
+        let mut text = String::new();
+        errors.read_to_string(&mut text).ok();
+        text
+    });
+    loop {
+        let line = match orders.recv_timeout(RETRY) {
+            Ok(Order::Say(line)) => line,
+            // There is no line to have a rate, but the firmware believes in one.
+            Ok(Order::SwitchBaud(baud)) => format!("baud {baud}"),
+            Ok(Order::SetBaud(_)) | Err(RecvTimeoutError::Timeout) => {
+                if reader.is_finished() {
+                    break;
+                }
+                continue;
+            }
+            Err(RecvTimeoutError::Disconnected) => break,
+        };
+        if writeln!(input, "{line}")
+            .and_then(|()| input.flush())
+            .is_err()
+        {
+            break;
+        }
+    }
+    child.kill().ok();
+    child.wait().ok();
+    let said = errors.join().unwrap_or_default();
+    let last = said.lines().rfind(|line| !line.is_empty());
+    let reason = last.unwrap_or("the virtual board has ended").to_owned();
+    reports.send(Report::Ended(reason)).ok();
+}
+
+#[cfg(all(test, unix))]
+#[path = "../../tests/common/plug.rs"]
+mod plug;
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::plug::Plug;
+    use super::*;
+
+    fn wait_for(link: &Link, what: impl Fn(&Report) -> bool) -> Report {
+        let start = Instant::now();
+        while start.elapsed() < Duration::from_secs(10) {
+            if let Some(report) = link.next(Duration::from_millis(100)).filter(&what) {
+                return report;
+            }
+        }
+        panic!("nothing of the kind was reported");
+    }
+
+    fn wait_for_bytes(link: &Link, bytes: &[u8]) {
+        let mut got = Vec::new();
+        while got != bytes {
+            match wait_for(link, |report| matches!(report, Report::Bytes(_))) {
+                Report::Bytes(more) => got.extend(more),
+                _ => unreachable!("it was asked for bytes"),
+            }
+            assert!(bytes.starts_with(&got), "{got:?}");
+        }
+    }
+
+    #[test]
+    fn a_port_that_goes_away_comes_back_and_takes_commands_again() {
+        let mut plug = Plug::new("replug");
+        let link = Link::port(plug.name(), BAUD).expect("it opens");
+        plug.send(b"one\n\0\xFFtwo");
+        wait_for_bytes(&link, b"one\n\0\xFFtwo");
+        plug.unplug();
+        wait_for(&link, |report| matches!(report, Report::Away(_)));
+        link.say("lost");
+        plug.plug_in();
+        wait_for(&link, |report| *report == Report::Back);
+        plug.send(b"three");
+        wait_for_bytes(&link, b"three");
+        link.say("status");
+        assert_eq!(plug.hear().as_deref(), Some("status"));
+    }
+
+    #[test]
+    fn a_port_that_another_has_says_so() {
+        let plug = Plug::new("busy");
+        let name = plug.name();
+        let _other = open(name, BAUD).expect("it opens once");
+        let error = Link::port(name, BAUD).err().expect("but not twice");
+        assert!(error.contains("another program has it open"), "{error}");
+        let error = Link::port("/dev/no-such-port", BAUD).err().expect("none");
+        assert!(error.contains("there is no such port"), "{error}");
+    }
+
+    #[test]
+    fn a_process_speaks_and_is_spoken_to_and_its_end_says_why() {
+        let mut command = Command::new("sh");
+        command.args([
+            "-c",
+            "echo hello; read line; echo \"got $line\"; echo 'error: no image' >&2",
+        ]);
+        let link = Link::process(command).expect("there is a shell");
+        wait_for_bytes(&link, b"hello\n");
+        link.say("status");
+        wait_for_bytes(&link, b"got status\n");
+        let end = wait_for(&link, |report| matches!(report, Report::Ended(_)));
+        assert_eq!(end, Report::Ended("error: no image".into()));
+    }
+}

@@ -1,0 +1,189 @@
+//! Screens as golden text: the letters, then a letter for each background colour. `APLOMB_BLESS=1 cargo test …` writes them anew.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use aplomb::calibration::OutputFormat;
+use aplomb::health::Flags;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::buffer::Buffer;
+use ratatui::style::Color;
+
+use super::detect::{Counts, Format, Item, Reading};
+use super::model::{Connection, Model, Speaker};
+use super::{horizon, next_baud, screen};
+
+fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it takes everything");
+    terminal
+        .draw(|frame| screen::draw(model, frame.area(), frame.buffer_mut()))
+        .expect("it takes everything");
+    terminal.backend().buffer().clone()
+}
+
+/// The letters, and below them the backgrounds: sky, ground, good, bad, and `.` for others.
+fn text(buffer: &Buffer) -> String {
+    let mut text = String::new();
+    let area = buffer.area;
+    for is_colour in [false, true] {
+        for y in 0..area.height {
+            let mut row = String::new();
+            for x in 0..area.width {
+                let cell = &buffer[(x, y)];
+                let colour = match cell.bg {
+                    horizon::SKY => "s",
+                    horizon::GROUND => "G",
+                    Color::Indexed(28) => "+",
+                    Color::Indexed(160) => "!",
+                    _ => ".",
+                };
+                row += if is_colour { colour } else { cell.symbol() };
+            }
+            writeln!(text, "{}", row.trim_end()).expect("a string takes everything");
+        }
+    }
+    text
+}
+
+fn assert_golden(name: &str, buffer: &Buffer) {
+    let text = text(buffer);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/golden")
+        .join(name);
+    if std::env::var_os("APLOMB_BLESS").is_some() {
+        return std::fs::write(&path, text).expect("the folder can be written");
+    }
+    let golden = std::fs::read_to_string(&path).expect("a golden file");
+    for (number, (got, golden)) in text.lines().zip(golden.lines()).enumerate() {
+        assert_eq!(got, golden, "{name}:{}", number + 1);
+    }
+    assert_eq!(text.lines().count(), golden.lines().count(), "{name}");
+}
+
+/// A module that swings for 25 s, sends the flight log, and has a word to say now and then.
+fn swinging(flags: Flags) -> Model {
+    let mut model = Model::new("/dev/ttyUSB0".into(), Connection::Open(Some(921_600)));
+    let mut counts = Counts::default();
+    model.say(0.3, Speaker::Module, "MPU-6050 at 0x68 configured".into());
+    model.say(
+        1.2,
+        Speaker::Module,
+        "gyroscope's offset measured, ready".into(),
+    );
+    for index in 0..=1250 {
+        let at_s = f64::from(index) * 0.02;
+        let phase = (at_s * 0.7) as f32;
+        let reading = Reading {
+            t_us: Some((at_s * 1e6) as u64),
+            roll_deg: 25.0 * phase.sin() + 5.0,
+            pitch_deg: 12.0 * (1.7 * phase).cos(),
+            yaw_deg: Some(-30.0),
+            rates_deg_s: [
+                Some(17.5 * phase.cos()),
+                Some(-14.3 * (1.7 * phase).sin()),
+                Some(3.0),
+            ],
+            flags: Some(flags),
+        };
+        counts.readings += 1;
+        counts.bursts += 20;
+        model.take(at_s, Item::Reading(reading));
+        model.tick(at_s, Some(Format::Module(OutputFormat::Log)), counts);
+    }
+    model.take(25.0, Item::TiltSigma(0.58));
+    model.take(25.0, Item::Temperature(31.4));
+    model
+}
+
+#[test]
+fn a_valid_attitude() {
+    let model = swinging(Flags::VALID);
+    assert_golden("view-valid-80x24.txt", &drawn(&model, 80, 24));
+    assert_golden("view-valid-120x40.txt", &drawn(&model, 120, 40));
+}
+
+#[test]
+fn an_attitude_that_is_not_valid_says_so_with_the_reasons() {
+    let flags = [
+        Flags::DEGRADED,
+        Flags::CALIBRATING,
+        Flags::MISSED,
+        Flags::BUS_FAULT,
+        Flags::POLLED,
+    ];
+    let mut model = swinging(flags.into_iter().fold(Flags::NONE, |all, flag| all | flag));
+    model.counts.lost = 12;
+    model.recording = Some(("aplomb-1.log".into(), 1_234_567));
+    model.say(24.0, Speaker::Person, "calibrate gyro".into());
+    let error = "error refused while \"calibrate accel\" goes on: \"calibrate stop\" ends it";
+    model.say(24.1, Speaker::Module, error.into());
+    assert_golden("view-not-valid-80x24.txt", &drawn(&model, 80, 24));
+    assert_golden("view-not-valid-120x40.txt", &drawn(&model, 120, 40));
+}
+
+#[test]
+fn a_port_that_is_gone_leaves_no_attitude_on_the_screen() {
+    let mut model = swinging(Flags::VALID);
+    model.connection = Connection::Away("Broken pipe".into());
+    model.tick(31.0, model.format, model.counts);
+    assert_golden("view-unplugged-80x24.txt", &drawn(&model, 80, 24));
+}
+
+#[test]
+fn a_format_without_health_and_yaw_says_so_and_help_lies_above_all() {
+    let mut model = Model::new("recording.uart".into(), Connection::Open(None));
+    let format = Some(Format::Module(OutputFormat::Classic));
+    let reading = Reading {
+        roll_deg: -35.0,
+        pitch_deg: 8.0,
+        rates_deg_s: [Some(-0.001), Some(2.0), None],
+        ..Reading::default()
+    };
+    model.take(0.0, Item::Reading(reading));
+    model.tick(0.1, format, Counts::default());
+    model.typed = Some("mount z-do".into());
+    assert_golden("view-classic-80x24.txt", &drawn(&model, 80, 24));
+    model.typed = None;
+    model.shows_help = true;
+    assert_golden("view-help-80x24.txt", &drawn(&model, 80, 24));
+}
+
+#[test]
+fn any_size_and_any_number_can_be_drawn() {
+    let mut model = swinging(Flags::NONE);
+    for value in [f32::NAN, f32::INFINITY, f32::MAX, -1e9] {
+        let reading = Reading {
+            roll_deg: value,
+            pitch_deg: value,
+            yaw_deg: Some(value),
+            rates_deg_s: [Some(value); 3],
+            flags: Some(Flags::from_bits(u32::MAX)),
+            t_us: None,
+        };
+        model.take(25.0, Item::Reading(reading));
+        for (width, height) in [
+            (0, 0),
+            (1, 1),
+            (79, 24),
+            (80, 23),
+            (80, 24),
+            (81, 25),
+            (300, 90),
+        ] {
+            drawn(&model, width, height);
+        }
+    }
+}
+
+#[test]
+fn every_baud_rate_is_tried_once_in_a_round() {
+    let mut tried = vec![115_200];
+    while tried.len() < 8 {
+        tried.push(next_baud(tried[tried.len() - 1]));
+    }
+    assert_eq!(next_baud(tried[7]), 115_200);
+    assert_eq!(tried[1], 921_600);
+    tried.sort_unstable();
+    assert_eq!(tried, aplomb::console::command::BAUD_RATES);
+}
