@@ -366,6 +366,7 @@ pub fn wrap_pi(angle_rad: f32) -> f32 {
 
 /// What is left of a finite angle when whole turns are taken off it, with its sign, to the last bit: what `fmodf` gives, without
 /// the 64-bit division of `libm`'s, which is a kilobyte of flash. Every difference in it is exact.
+#[inline(never)]
 fn remainder_of_turn(angle_rad: f32) -> f32 {
     let mut rest = angle_rad.abs();
     let mut turns = TAU;
