@@ -6,7 +6,7 @@
 //! repeat themselves, a temperature the part is not made for, rates that could come from a changed
 //! full scale as long as the sensor's registers have not been read back, and an offset not known yet.
 
-use core::fmt;
+use core::fmt::{self, Write};
 use core::ops::{BitAnd, BitOr, BitOrAssign};
 
 use crate::state::Exchange;
@@ -62,6 +62,15 @@ impl Flags {
     /// The crystal has failed: times are those of the chip's own oscillator, right to 1 %.
     pub const INTERNAL_CLOCK: Self = Self(1 << 18);
 
+    /// What the board has to say of a burst, and the pipeline takes into account.
+    pub const OF_BOARD: Self = Self(
+        Self::BUS_FAULT.0
+            | Self::SENSOR_RESET.0
+            | Self::LATE.0
+            | Self::POLLED.0
+            | Self::INTERNAL_CLOCK.0,
+    );
+
     /// What an attitude cannot be valid with.
     pub const SPOILS: Self = Self(
         Self::CALIBRATING.0
@@ -74,6 +83,14 @@ impl Flags {
     );
     /// What makes an attitude degraded.
     pub const DEGRADES: Self = Self(Self::SPOILS.0 | Self::POLLED.0 | Self::INTERNAL_CLOCK.0);
+
+    /// What lasts for as long as its cause does, and so tells what an attitude is like; the others say what has happened.
+    pub const LASTING: Self = Self(
+        (Self::DEGRADES.0 & !Self::CALIBRATING.0)
+            | Self::ACCELEROMETER_SATURATED.0
+            | Self::VALID.0
+            | Self::DEGRADED.0,
+    );
 
     /// What needs a second look at whether an attitude is valid or degraded.
     pub(crate) const ODD: Self = Self(Self::SPOILS.0 | Self::DEGRADES.0);
@@ -180,14 +197,26 @@ impl BitOrAssign for Flags {
     }
 }
 
+/// The names by the numbers of their bits, which take less flash so than in a table.
+const NAMES_BY_BIT: &str = "CALIBRATING|MOVED|MISSED|GAP|TIME|GYROSCOPE_SATURATED|ACCELEROMETER_SATURATED|\
+                            FREE_FALL|FROZEN|REJECTED|VALID|DEGRADED|STALE|BUS_FAULT|SENSOR_RESET|LATE|TEMPERATURE|\
+                            POLLED|INTERNAL_CLOCK";
+
 impl fmt::Display for Flags {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let set = Self::NAMES.iter().filter(|(flag, _)| self.contains(*flag));
-        for (index, (_, name)) in set.enumerate() {
-            if index > 0 {
-                formatter.write_str("|")?;
+        let mut left = self.0;
+        let (mut is_first, mut is_between) = (true, false);
+        for letter in NAMES_BY_BIT.bytes() {
+            if letter == b'|' {
+                left >>= 1;
+                is_between = !is_first;
+            } else if left & 1 == 1 {
+                if core::mem::take(&mut is_between) {
+                    formatter.write_char('|')?;
+                }
+                is_first = false;
+                formatter.write_char(letter.into())?;
             }
-            formatter.write_str(name)?;
         }
         Ok(())
     }
@@ -201,6 +230,51 @@ impl defmt::Format for Flags {
             let separator = if index > 0 { "|" } else { "" };
             defmt::write!(formatter, "{=str}{=str}", separator, name);
         }
+    }
+}
+
+/// Tells a person when the flags that last have changed, and not again and again if they flicker.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct FlagReport {
+    told: Flags,
+    seen: Flags,
+    seen_since_us: u32,
+}
+
+impl FlagReport {
+    /// Flags that stay for less than this are not told, in µs: a burst that is lost and a bus that is freed
+    /// have messages of their own.
+    const STEADY_US: u32 = 200_000;
+
+    /// A report that begins with a valid attitude: that it is not yet, [`Flags::CALIBRATING`] says.
+    pub const fn new() -> Self {
+        Self {
+            told: Flags::VALID,
+            seen: Flags::VALID,
+            seen_since_us: 0,
+        }
+    }
+
+    /// Takes the flags of an attitude at a time in µs, which may wrap; gives what there is to tell.
+    pub fn update(&mut self, flags: Flags, now_us: u32) -> Option<Flags> {
+        let lasting = flags & Flags::LASTING;
+        if lasting != self.seen || flags.contains(Flags::CALIBRATING) {
+            self.seen = lasting;
+            self.seen_since_us = now_us;
+        }
+        let is_steady = now_us.wrapping_sub(self.seen_since_us) >= Self::STEADY_US;
+        if !is_steady || self.told == lasting {
+            return None;
+        }
+        self.told = lasting;
+        Some(lasting)
+    }
+}
+
+impl Default for FlagReport {
+    fn default() -> Self {
+        Self::new()
     }
 }
 
@@ -238,7 +312,7 @@ impl FreezeWatch {
 
     /// Takes a sample's bytes; true while they are frozen.
     pub fn update(&mut self, bytes: &[u8; 14]) -> bool {
-        if *bytes == self.last {
+        if is_same(bytes, &self.last) {
             self.repeats = self.repeats.saturating_add(1);
         } else {
             self.last = *bytes;
@@ -246,6 +320,17 @@ impl FreezeWatch {
         }
         self.repeats >= self.limit
     }
+}
+
+/// Word by word: a compiler that saves flash calls a loop over bytes for so few of them.
+#[inline]
+const fn is_same(one: &[u8; 14], other: &[u8; 14]) -> bool {
+    let &[a, b, c, d, e, f, g, h, i, j, k, l, m, n] = one;
+    let &[aa, bb, cc, dd, ee, ff, gg, hh, ii, jj, kk, ll, mm, nn] = other;
+    u32::from_ne_bytes([a, b, c, d]) == u32::from_ne_bytes([aa, bb, cc, dd])
+        && u32::from_ne_bytes([e, f, g, h]) == u32::from_ne_bytes([ee, ff, gg, hh])
+        && u32::from_ne_bytes([i, j, k, l]) == u32::from_ne_bytes([ii, jj, kk, ll])
+        && u16::from_ne_bytes([m, n]) == u16::from_ne_bytes([mm, nn])
 }
 
 /// Whether these bytes are those of a bus or a sensor that says nothing: all zeros or all ones in the
@@ -315,6 +400,33 @@ mod tests {
         assert_eq!(flags, Flags::GAP | Flags::TIME);
         assert!(!flags.is_empty());
         assert!(!flags.contains(Flags::GAP | Flags::FROZEN));
+    }
+
+    #[test]
+    fn flags_that_last_are_told_once_and_flickering_ones_never() {
+        let mut report = FlagReport::new();
+        // Shortly before the count wraps, one look every 20 ms.
+        let mut now_us = u32::MAX - 100_000;
+        let mut told = |flags: Flags, looks: u32| {
+            let mut told = Vec::new();
+            for _ in 0..looks {
+                now_us = now_us.wrapping_add(20_000);
+                told.extend(report.update(flags, now_us));
+            }
+            told
+        };
+        assert_eq!(told(Flags::CALIBRATING | Flags::DEGRADED, 100), []);
+        assert_eq!(told(Flags::VALID, 100), []);
+        let polled = Flags::VALID | Flags::DEGRADED | Flags::POLLED;
+        assert_eq!(told(polled, 10), [], "not at once");
+        assert_eq!(told(polled | Flags::MISSED, 50), [polled]);
+        assert_eq!(told(Flags::STALE | Flags::DEGRADED, 9), []);
+        assert_eq!(told(polled, 50), []);
+        for _ in 0..50 {
+            assert_eq!(told(Flags::VALID, 1), []);
+            assert_eq!(told(Flags::STALE | Flags::DEGRADED, 1), []);
+        }
+        assert_eq!(told(Flags::VALID, 50), [Flags::VALID]);
     }
 
     #[test]

@@ -22,7 +22,7 @@ use crate::estimator::{AnyFilter, ClassicAngles, Estimate, Estimator, Filter, Fi
 use crate::health::{
     self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, UNSEEN_RATE_RAD_S,
 };
-use crate::mpu6050::{Burst, Config, Part, RawSample};
+use crate::mpu6050::{BURST_LENGTH, Burst, Config, Part, RawSample, TemperatureCounts};
 use crate::state::Exchange;
 use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
 
@@ -232,15 +232,42 @@ impl<F: Filter> Pipeline<F> {
 
     /// Takes one burst and gives the attitude at its time.
     pub fn update(&mut self, burst: &Burst) -> Snapshot {
-        let snapshot = self.update_with(burst, Flags::NONE, |_, _| {});
+        self.update_flagged(burst, Flags::NONE)
+    }
+
+    /// The same with what the board had to say of the burst, one or more of [`Flags::OF_BOARD`]: for a recording.
+    pub fn update_flagged(&mut self, burst: &Burst, board_flags: Flags) -> Snapshot {
+        let snapshot = self.update_with(burst, board_flags, |_, _| {});
         // Nobody can read the sensor's settings back here.
         self.confirm_scales();
         snapshot
     }
 
-    /// The same with what the board has to say of the burst: [`Flags::BUS_FAULT`],
-    /// [`Flags::SENSOR_RESET`], [`Flags::LATE`], [`Flags::POLLED`], [`Flags::INTERNAL_CLOCK`]. The
-    /// snapshot goes to `publish` as soon as it is there, with the variance of its tilt (rad², both axes
+    /// Takes a sample of which nobody has kept the bytes, as of a recording in SI units: calibrated, in body axes. What only
+    /// bytes tell is left out: blank and frozen data, the temperature, and an average at rest.
+    pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
+        self.sample = *sample;
+        // Bytes about which there is nothing to say: not blank, and never twice the same.
+        let mut bytes = [0x55; BURST_LENGTH];
+        if let Some(place) = bytes.last_chunk_mut() {
+            *place = sample.t_us.to_be_bytes();
+        }
+        let (coldest, hottest) = self.temperature_limits;
+        let raw = RawSample {
+            temperature: TemperatureCounts(coldest.midpoint(hottest)),
+            ..RawSample::default()
+        };
+        let burst = Burst {
+            bytes,
+            captured_at_us: sample.t_us,
+            missed_before: 0,
+        };
+        let snapshot = self.judge_sample(&burst, &raw, Flags::NONE, |_, _| {});
+        self.confirm_scales();
+        snapshot
+    }
+
+    /// The same as [`update_flagged`](Self::update_flagged) where the sensor's settings are read back. The snapshot goes to `publish` as soon as it is there, with the variance of its tilt (rad², both axes
     /// together); what is done afterwards is for the next one.
     #[inline]
     pub fn update_with(
@@ -257,6 +284,18 @@ impl<F: Filter> Pipeline<F> {
             is_rate_saturated: raw.gyroscope.is_saturated(),
             is_force_saturated: raw.accelerometer.is_saturated(),
         };
+        self.judge_sample(burst, &raw, board_flags, publish)
+    }
+
+    /// The way of the sample that is in `self.sample`, and came with these bytes.
+    #[inline(always)]
+    fn judge_sample(
+        &mut self,
+        burst: &Burst,
+        raw: &RawSample,
+        board_flags: Flags,
+        publish: impl FnOnce(&Snapshot, f32),
+    ) -> Snapshot {
         let t_us = burst.captured_at_us as u32;
         let is_pause = t_us.wrapping_sub(self.last_t_us) > self.pause_us;
         self.last_t_us = t_us;
@@ -268,7 +307,7 @@ impl<F: Filter> Pipeline<F> {
             self.doubt(burst, board_flags);
         }
         let estimate = self.estimator.update(&self.sample);
-        let startup_flags = self.average_at_rest(&raw);
+        let startup_flags = self.average_at_rest(raw);
         let remarks = estimate.remarks;
         let mut flags = (startup_flags | self.standing | board_flags)
             .with(Flags::MISSED, burst.missed_before > 0)
@@ -297,7 +336,7 @@ impl<F: Filter> Pipeline<F> {
         publish(&snapshot, self.tilt_variance_rad2);
         match self.samples_to_stocktaking.checked_sub(1) {
             Some(left) => self.samples_to_stocktaking = left,
-            None => self.take_stock(burst, &raw),
+            None => self.take_stock(burst, raw),
         }
         snapshot
     }
@@ -339,13 +378,12 @@ impl<F: Filter> Pipeline<F> {
     /// What a later run has to know to go on from here; `None` if there is nothing worth it.
     pub fn known(&self) -> Option<Known> {
         let filter = self.estimator.kalman()?;
-        let sigma = filter.bias_sigma_rad_s();
         let is_worth_it = filter.is_bias_known() && self.standing.contains(Flags::VALID);
         is_worth_it.then(|| Known {
             attitude: filter.attitude(),
             tilt_sigma_rad: filter.tilt_sigma_rad(),
             bias_rad_s: self.rate_offset_rad_s(),
-            bias_sigma_rad_s: sigma.x.max(sigma.y).max(sigma.z),
+            bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
         })
     }
 

@@ -441,7 +441,10 @@ proptest! {
     }
 
     #[test]
-    fn text_says_its_numbers_to_a_hundredth(numbers in prop::array::uniform6(-99_000.0..99_000.0f32)) {
+    fn text_says_its_numbers_to_a_hundredth(
+        numbers in prop::array::uniform6(-99_000.0..99_000.0f32),
+        is_valid: bool,
+    ) {
         let [roll_deg, pitch_deg, yaw_deg, roll_rate_deg_s, pitch_rate_deg_s, yaw_rate_deg_s] = numbers;
         let numbers = text::Line {
             roll_deg: wrap_pi(roll_deg).to_degrees(),
@@ -450,10 +453,12 @@ proptest! {
             roll_rate_deg_s,
             pitch_rate_deg_s,
             yaw_rate_deg_s,
+            is_valid,
         };
         let mut line = [0; text::LINE_LENGTH];
         let line = std::str::from_utf8(text::encode_line(&numbers, &mut line)).expect("ASCII");
         let back = text::decode(line).expect("our own line");
+        prop_assert_eq!(back.is_valid, is_valid);
         for (there, here) in [
             (numbers.roll_deg, back.roll_deg),
             (numbers.pitch_deg, back.pitch_deg),
@@ -479,6 +484,7 @@ proptest! {
         let line = text::encode_line(
             &text::Line {
                 roll_deg, pitch_deg, yaw_deg, roll_rate_deg_s, pitch_rate_deg_s, yaw_rate_deg_s,
+                is_valid: true,
             },
             &mut line,
         );

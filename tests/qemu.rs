@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use aplomb::health::Flags;
 use aplomb::mpu6050::{BURST_LENGTH, Burst, Part, RawSample};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::{bursts, text};
@@ -34,7 +35,7 @@ fn qemu_agrees_with_the_host_on_whole_flights() {
     };
     for (index, path) in std::env::split_paths(&paths).enumerate() {
         let contents = std::fs::read_to_string(&path).expect("APLOMB_BURSTS can be read");
-        let bursts: Vec<Burst> = contents
+        let bursts: Vec<(Burst, Flags)> = contents
             .lines()
             .skip(1)
             .map(|line| bursts::decode(line).expect("bursts.csv holds bursts"))
@@ -78,8 +79,8 @@ fn folder(name: &str) -> PathBuf {
     folder
 }
 
-/// Rest, motion, saturation, lost samples, gaps, time that stands still and goes back, and noise.
-fn bursts_of_every_kind() -> Vec<Burst> {
+/// Rest, motion, saturation, lost samples, gaps, time that stands still and goes back, noise, and what a board may say.
+fn bursts_of_every_kind() -> Vec<(Burst, Flags)> {
     let mut random = 0x2545_F491_4F6C_DD1D_u64;
     let mut next = move || {
         random ^= random << 13;
@@ -125,19 +126,26 @@ fn bursts_of_every_kind() -> Vec<Burst> {
                 pair.copy_from_slice(&count.to_be_bytes());
             }
             assert_eq!(RawSample::decode(&bytes).encode(), bytes);
-            Burst {
+            let burst = Burst {
                 bytes,
                 captured_at_us: time_us,
                 missed_before: u8::from(index % 500 == 499),
-            }
+            };
+            let flags = match index {
+                1_800 => Flags::OF_BOARD,
+                2_800 => Flags::SENSOR_RESET,
+                3_500..3_600 => Flags::POLLED,
+                _ => Flags::NONE,
+            };
+            (burst, flags)
         })
         .collect()
 }
 
-fn csv(bursts: &[Burst]) -> String {
+fn csv(bursts: &[(Burst, Flags)]) -> String {
     let mut contents = format!("{}\n", bursts::HEADER);
-    for burst in bursts {
-        writeln!(contents, "{}", bursts::Line(burst)).expect("a string takes everything");
+    for (burst, flags) in bursts {
+        writeln!(contents, "{}", bursts::Line(burst, *flags)).expect("a string takes everything");
     }
     contents
 }
@@ -187,9 +195,12 @@ fn run(elf: &Path, folder: &Path, contents: &str) -> Run {
 }
 
 /// Holds what QEMU wrote to the library on this computer.
-fn agree(run: &Run, bursts: &[Burst]) {
+fn agree(run: &Run, bursts: &[(Burst, Flags)]) {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
-    let expected: Vec<Snapshot> = bursts.iter().map(|burst| pipeline.update(burst)).collect();
+    let expected: Vec<Snapshot> = bursts
+        .iter()
+        .map(|(burst, flags)| pipeline.update_flagged(burst, *flags))
+        .collect();
     let lines: Vec<&str> = run.snapshots.lines().collect();
     assert_eq!(lines.len(), expected.len(), "one snapshot for every burst");
     for (number, (line, snapshot)) in lines.iter().zip(&expected).enumerate() {

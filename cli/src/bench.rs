@@ -12,11 +12,12 @@ use std::path::{Path, PathBuf};
 use aplomb::mpu6050::{AccelerometerRange, GyroscopeRange};
 
 use crate::filter::Choice;
+use crate::output::OutputFile;
 use crate::recording::{Found, Handling, Recording, Reference, files, is_table};
 use crate::replay::{parse_accelerometer_range, parse_gyroscope_range};
 use crate::score::{Honesty, Score, mean, median};
 use crate::simulated::{self, EVALUATION_SEEDS};
-use crate::{gains, leave_one_out, parallel, picture, plot, throughput};
+use crate::{accuracy, gains, leave_one_out, parallel, picture, throughput};
 
 /// Where recordings lie if nothing else is said.
 const DEFAULT_FOLDER: &str = "../shared/data";
@@ -34,6 +35,13 @@ const KNOWN_RANGES: [(&str, AccelerometerRange, GyroscopeRange); 1] = [(
 /// Every log below DIR counts, plain or gzipped; its folder is its set. One with truth is scored by it, one without is
 /// checked where it rests. Without recordings, simulated flights take their place.
 #[derive(clap::Args)]
+#[command(after_help = "Examples:
+  aplomb bench
+  aplomb bench recordings --counts raw=8,250 --output target/bench
+  aplomb bench recordings --json
+
+JSON: scores, one for each recording and filter (set, recording, reference, sensor_delay_us, filter, inclination_samples,
+inclination_rms_deg, inclination_p95_deg, inclination_max_deg, within_3_sigma (a share), median_error_per_sigma), and not_scored (file, reason).")]
 pub struct Options {
     /// Folders of recordings [default: ../shared/data, if it is there]
     #[arg(value_name = "DIR")]
@@ -47,6 +55,9 @@ pub struct Options {
     /// Where accuracy.csv and accuracy.png go
     #[arg(long, value_name = "DIR", default_value = "target/bench")]
     output: PathBuf,
+    /// Print the scores as JSON; neither speed nor files
+    #[arg(long, conflicts_with = "instead")]
+    json: bool,
     /// Instead: tune the filter on all sets but one, and judge it on that one; for each set (minutes)
     #[arg(long, group = "instead")]
     leave_one_out: bool,
@@ -61,12 +72,15 @@ pub struct Options {
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(path) = &options.picture {
-        let drawn = picture::flight(&simulated::flight(picture::SEED))?;
-        let folder = path.parent().unwrap_or(Path::new(""));
-        let name = path.file_name().ok_or("--picture wants a file")?;
-        return Ok(write(folder, name.as_ref(), &drawn)?);
+        let drawn = picture::flight(&simulated::flight(picture::SEED)).png();
+        return Ok(write(path, &drawn)?);
     }
-    let mut recordings = read(options)?;
+    let (mut recordings, not_scored) = read(options)?;
+    if !options.json {
+        for NotScored { file, reason } in &not_scored {
+            crate::say(&format!("not scored: {file}: {reason}"));
+        }
+    }
     if options.leave_one_out || options.scan_gains {
         recordings.retain(|recording| recording.reference == Reference::Truth);
         if recordings.is_empty() {
@@ -78,6 +92,9 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             crate::say(&gains::scan(&recordings));
         }
         return Ok(());
+    }
+    if recordings.is_empty() && options.json {
+        recordings = simulated::flights(EVALUATION_SEEDS);
     }
     if recordings.is_empty() {
         crate::say(&format!(
@@ -104,6 +121,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         })
         .collect();
     let names: Vec<&str> = filters.iter().map(|filter| filter.name()).collect();
+    if options.json {
+        crate::say(&json(&names, &rows, &not_scored)?);
+        return Ok(());
+    }
     let sets = summarise(&rows, filters.len());
     for reference in [Reference::Truth, Reference::Rest] {
         let sets: Vec<&Set> = sets
@@ -123,16 +144,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(row) = longest {
         crate::say(&throughput::measure(row.recording));
     }
-    write(
-        &options.output,
-        "accuracy.csv".as_ref(),
-        csv(&names, &rows).as_bytes(),
-    )?;
-    write(
-        &options.output,
-        "accuracy.png".as_ref(),
-        &plot::accuracy(&names, &sets)?,
-    )?;
+    let in_folder = |name| options.output.join(name);
+    write(&in_folder("accuracy.csv"), csv(&names, &rows).as_bytes())?;
+    let picture = accuracy::picture(&names, &sets);
+    write(&in_folder("accuracy.png"), &picture.png())?;
     crate::say(&format!(
         "\nwritten: accuracy.csv and accuracy.png in {}",
         options.output.display()
@@ -158,7 +173,14 @@ pub struct Set {
     pub rms: Vec<Vec<f64>>,
 }
 
-fn read(options: &Options) -> Result<Vec<Recording>, Box<dyn Error>> {
+/// A file that cannot be scored.
+#[derive(serde::Serialize)]
+struct NotScored {
+    file: String,
+    reason: String,
+}
+
+fn read(options: &Options) -> Result<(Vec<Recording>, Vec<NotScored>), Box<dyn Error>> {
     let default = Path::new(DEFAULT_FOLDER);
     let folders = if options.folders.is_empty() && default.is_dir() {
         vec![default.to_owned()]
@@ -178,16 +200,17 @@ fn read(options: &Options) -> Result<Vec<Recording>, Box<dyn Error>> {
         let set = path.parent().and_then(Path::file_name).unwrap_or_default();
         Recording::read(path, options.handling(&set.to_string_lossy()))
     });
-    let mut recordings = Vec::new();
+    let (mut recordings, mut not_scored) = (Vec::new(), Vec::new());
     for (path, result) in paths.iter().zip(results) {
         match result? {
             Found::Recording(recording) => recordings.push(recording),
-            Found::Unusable(reason) => {
-                crate::say(&format!("not scored: {}: {reason}", path.display()));
-            }
+            Found::Unusable(reason) => not_scored.push(NotScored {
+                file: path.display().to_string(),
+                reason,
+            }),
         }
     }
-    Ok(recordings)
+    Ok((recordings, not_scored))
 }
 
 impl Options {
@@ -353,11 +376,46 @@ fn csv(names: &[&str], rows: &[Row]) -> String {
     text
 }
 
-fn write(folder: &Path, name: &Path, contents: &[u8]) -> Result<(), String> {
-    let path = folder.join(name);
-    std::fs::create_dir_all(folder)
-        .and_then(|()| std::fs::write(&path, contents))
-        .map_err(|error| format!("{}: cannot be written: {error}", path.display()))
+fn json(names: &[&str], rows: &[Row], not_scored: &[NotScored]) -> serde_json::Result<String> {
+    #[derive(serde::Serialize)]
+    struct Scores<'a> {
+        scores: Vec<Scored<'a>>,
+        not_scored: &'a [NotScored],
+    }
+    #[derive(serde::Serialize)]
+    struct Scored<'a> {
+        set: &'a str,
+        recording: &'a str,
+        reference: &'static str,
+        sensor_delay_us: u32,
+        filter: &'a str,
+        #[serde(flatten)]
+        score: Score,
+    }
+    let scores = rows.iter().flat_map(|row| {
+        let recording = row.recording;
+        names.iter().zip(&row.scores).map(|(filter, score)| Scored {
+            set: &recording.set,
+            recording: &recording.name,
+            reference: recording.reference.name(),
+            sensor_delay_us: recording.delay_us,
+            filter,
+            score: *score,
+        })
+    });
+    serde_json::to_string(&Scores {
+        scores: scores.collect(),
+        not_scored,
+    })
+}
+
+/// Writes a file into a folder, which is made if need be.
+fn write(path: &Path, contents: &[u8]) -> Result<(), String> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)
+            .map_err(|error| format!("{}: cannot be made: {error}", folder.display()))?;
+    }
+    OutputFile::write(path, &[], contents)
 }
 
 #[cfg(test)]
@@ -380,6 +438,7 @@ mod tests {
             leave_one_out: false,
             scan_gains: false,
             picture: None,
+            json: false,
         };
         let none = options(&[], &[]);
         assert_eq!(none.handling("broad").delay_us, 4_000);

@@ -19,6 +19,7 @@ use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
 use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
 
 use crate::counts::counts;
+use crate::output::OutputFile;
 use crate::progress;
 use crate::replay::{parse_accelerometer_range, parse_gyroscope_range};
 
@@ -39,8 +40,16 @@ const LEAST_SLOW_POSES: usize = 24;
 /// gzipped. Lay the sensor on each of its six sides for two seconds; a dozen poses, edges included, show the cross-axis
 /// terms too.
 #[derive(clap::Args)]
+#[command(after_help = "Examples:
+  aplomb calibrate poses.csv
+  aplomb calibrate counts.csv --raw --accel-range 2 --gyro-range 250 --json
+  aplomb calibrate --draw-poses poses.png
+
+JSON: rule (rest or slow), poses, offset_m_s2, matrix (what corrects: times reading less offset), cross_axis_fitted, residual_before_g,
+residual_after_g, and held_out: fitted and held_out poses, residual_before_g and residual_after_g of those held out.")]
 pub struct Options {
     /// The recording
+    #[arg(required_unless_present = "draw_poses")]
     input: Option<PathBuf>,
     /// The log's values are register counts of a sensor with these ranges
     #[arg(long, requires_all = ["accel_range", "gyro_range"])]
@@ -62,15 +71,10 @@ pub struct Options {
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(path) = &options.draw_poses {
-        let picture = crate::poses::draw()?;
-        std::fs::write(path, picture)
-            .map_err(|error| format!("{}: cannot be written: {error}", path.display()))?;
+        OutputFile::write(path, &[], &crate::poses::draw().png())?;
     }
     let Some(input) = &options.input else {
-        return match options.draw_poses {
-            Some(_) => Ok(()),
-            None => Err("name a recording; see `aplomb calibrate --help`".into()),
-        };
+        return Ok(());
     };
     let recording = Recording::read(input, options)?;
     let rested = recording.rests();
@@ -110,7 +114,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         }
     };
     if options.json {
-        crate::say(&found.json());
+        crate::say(&found.json()?);
     } else {
         found.describe(&mut report);
         crate::say(report.trim_end());
@@ -259,7 +263,7 @@ impl Recording {
 fn read_bursts(lines: &mut Lines) -> Result<Vec<Sample>, Box<dyn Error>> {
     let mut samples = Vec::new();
     while let Some(line) = lines.next_line()? {
-        let burst =
+        let (burst, _) =
             bursts::decode(line).map_err(|reason| format!("{}: {reason}", lines.place()))?;
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", lines.place()))?;
@@ -453,10 +457,13 @@ struct Found {
 }
 
 /// A fit on every other pose, and what it is worth on the rest.
+#[derive(serde::Serialize)]
 struct HeldOut {
     fitted: usize,
     held_out: usize,
+    #[serde(rename = "residual_before_g")]
     before_g: f32,
+    #[serde(rename = "residual_after_g")]
     after_g: f32,
 }
 
@@ -508,31 +515,34 @@ impl Found {
         }
     }
 
-    fn json(&self) -> String {
+    fn json(&self) -> serde_json::Result<String> {
         let fit = &self.fit;
         let offset = fit.correction.offset_m_s2;
         let [xx, yy, zz, xy, xz, yz] = fit.correction.matrix;
-        let held_out = self.held_out().map_or_else(
-            || "null".to_owned(),
-            |held| {
-                format!(
-                    r#"{{"fitted":{},"held_out":{},"residual_before_g":{},"residual_after_g":{}}}"#,
-                    held.fitted, held.held_out, held.before_g, held.after_g
-                )
-            },
-        );
-        format!(
-            r#"{{"rule":"{}","poses":{},"offset_m_s2":[{},{},{}],"matrix":[[{xx},{xy},{xz}],[{xy},{yy},{yz}],[{xz},{yz},{zz}]],"cross_axis_fitted":{},"residual_before_g":{},"residual_after_g":{},"held_out":{held_out}}}"#,
-            self.rule,
-            fit.poses,
-            offset.x,
-            offset.y,
-            offset.z,
-            fit.has_cross_axis,
-            fit.residual_before_g,
-            fit.residual_after_g,
-        )
+        serde_json::to_string(&Summary {
+            rule: self.rule,
+            poses: fit.poses,
+            offset_m_s2: [offset.x, offset.y, offset.z],
+            matrix: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]],
+            cross_axis_fitted: fit.has_cross_axis,
+            residual_before_g: fit.residual_before_g,
+            residual_after_g: fit.residual_after_g,
+            held_out: self.held_out(),
+        })
     }
+}
+
+/// What was found, as JSON has it.
+#[derive(serde::Serialize)]
+struct Summary {
+    rule: &'static str,
+    poses: usize,
+    offset_m_s2: [f32; 3],
+    matrix: [[f32; 3]; 3],
+    cross_axis_fitted: bool,
+    residual_before_g: f32,
+    residual_after_g: f32,
+    held_out: Option<HeldOut>,
 }
 
 fn rms(norms: impl Iterator<Item = f32>) -> f32 {

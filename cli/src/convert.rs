@@ -1,11 +1,11 @@
 //! `aplomb convert`: flight logs, bursts and CSV logs into each other.
 
 use std::error::Error;
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use aplomb::calibration::Mount;
+use aplomb::health::Flags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
@@ -14,6 +14,7 @@ use aplomb::telemetry::bursts;
 use virtual_board::motion::log::{LogFault, column_count, parse_row};
 
 use crate::flight_log::{self, Recorder};
+use crate::output::OutputFile;
 use crate::{number, progress, replay};
 
 /// Convert a recording into another form.
@@ -22,9 +23,11 @@ use crate::{number, progress, replay};
 /// OUTPUT's name says what it becomes: *.log a flight log, *bursts.csv bursts, any other *.csv a log in SI units and the sensor's
 /// axes, as `replay` reads it. A log in SI units becomes counts at 16 g and 2000 degrees per second, rounded.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Examples:\n  aplomb convert flight.log flight-bursts.csv\n  aplomb convert recording.csv.gz recording.log"
-)]
+#[command(after_help = "Examples:
+  aplomb convert flight.log flight-bursts.csv
+  aplomb convert recording.csv.gz recording.log
+
+JSON: input, output, bursts, bursts_lost, damaged_pieces.")]
 pub struct Options {
     /// The recording
     input: PathBuf,
@@ -33,21 +36,25 @@ pub struct Options {
     /// What a flight log that is made of bursts or of CSV says about the mount
     #[arg(long, default_value = "z-up", allow_hyphen_values = true, value_parser = replay::parse_mount)]
     mount: Mount,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
 }
+
+/// A burst, and what the board said of it.
+type FlaggedBurst = (Burst, Flags);
 
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
-    let (config, part, bursts) = read(&options.input)?;
+    let found = read(&options.input)?;
     let settings = Settings {
-        sensor: config,
+        sensor: found.config,
         mount: options.mount,
-        ..Settings::new(part)
+        ..Settings::new(found.part)
     };
     let output = &options.output;
-    let failed =
-        |error: std::io::Error| format!("{}: cannot be written: {error}", output.display());
     let name = output.file_name().unwrap_or_default().to_string_lossy();
-    let write: fn(&mut BufWriter<File>, &Settings, &[Burst]) -> std::io::Result<()> =
+    let write: fn(&mut OutputFile, &Settings, &[FlaggedBurst]) -> std::io::Result<()> =
         if name.ends_with(".log") {
             write_log
         } else if name.ends_with("bursts.csv") {
@@ -61,15 +68,50 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             )
             .into());
         };
-    let mut file = BufWriter::new(File::create(output).map_err(failed)?);
-    write(&mut file, &settings, &bursts)
-        .and_then(|()| file.flush())
-        .map_err(failed)?;
-    crate::say(&format!("{}: {} bursts", output.display(), bursts.len()));
+    let mut file = OutputFile::create(output, &[&options.input])?;
+    write(&mut file, &settings, &found.bursts).map_err(|error| file.failed(&error))?;
+    file.finish()?;
+    let summary = Summary {
+        input: options.input.display().to_string(),
+        output: output.display().to_string(),
+        bursts: found.bursts.len(),
+        bursts_lost: found.bursts_lost,
+        damaged_pieces: found.damaged_pieces,
+    };
+    if options.json {
+        crate::say(&serde_json::to_string(&summary)?);
+        return Ok(());
+    }
+    if found.bursts_lost + found.damaged_pieces > 0 {
+        crate::say(&format!(
+            "{}: {} bursts are missing, {} damaged pieces skipped",
+            summary.input, found.bursts_lost, found.damaged_pieces
+        ));
+    }
+    crate::say(&format!("{}: {} bursts", summary.output, summary.bursts));
     Ok(())
 }
 
-fn read(path: &Path) -> Result<(Config, &'static Part, Vec<Burst>), Box<dyn Error>> {
+/// What is printed in the end; the names are those of the JSON.
+#[derive(serde::Serialize)]
+struct Summary {
+    input: String,
+    output: String,
+    bursts: usize,
+    bursts_lost: u64,
+    damaged_pieces: u64,
+}
+
+/// What is in a recording.
+struct Found {
+    config: Config,
+    part: &'static Part,
+    bursts: Vec<FlaggedBurst>,
+    bursts_lost: u64,
+    damaged_pieces: u64,
+}
+
+fn read(path: &Path) -> Result<Found, Box<dyn Error>> {
     if flight_log::is_one(path) {
         let log = flight_log::read(path)?;
         let Some(first) = log
@@ -79,17 +121,17 @@ fn read(path: &Path) -> Result<(Config, &'static Part, Vec<Burst>), Box<dyn Erro
         else {
             return Err(format!("{}: there is no configuration in it", path.display()).into());
         };
-        let lost: u64 = log.flights.iter().map(flight_log::Flight::lost).sum();
-        if lost + log.counts.damaged > 0 {
-            crate::say(&format!(
-                "{}: {lost} bursts are missing, {} damaged pieces skipped",
-                path.display(),
-                log.counts.damaged
-            ));
-        }
         let bursts = log.flights.iter().flat_map(|flight| &flight.bursts);
-        let bursts = bursts.map(|numbered| numbered.burst).collect();
-        return Ok((first.settings.sensor, first.settings.part, bursts));
+        let bursts = bursts
+            .map(|numbered| (numbered.burst, numbered.flags))
+            .collect();
+        return Ok(Found {
+            config: first.settings.sensor,
+            part: first.settings.part,
+            bursts,
+            bursts_lost: log.flights.iter().map(flight_log::Flight::lost).sum(),
+            damaged_pieces: log.counts.damaged,
+        });
     }
     let mut lines = progress::lines(path)?;
     let Some(header) = lines.next_line()?.map(str::to_owned) else {
@@ -106,17 +148,26 @@ fn read(path: &Path) -> Result<(Config, &'static Part, Vec<Burst>), Box<dyn Erro
             None => bursts::decode(line).map_err(|error| error.to_string()),
             Some(columns) => match parse_row(line, columns) {
                 Err(fault) => return Err(lines.refuse(fault).into()),
-                Ok(row) => Ok(Burst {
-                    bytes: counts_of(row.specific_force_m_s2, row.rates_rad_s).encode(),
-                    captured_at_us: u64::try_from(row.time_us)
-                        .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
-                    missed_before: 0,
-                }),
+                Ok(row) => {
+                    let burst = Burst {
+                        bytes: counts_of(row.specific_force_m_s2, row.rates_rad_s).encode(),
+                        captured_at_us: u64::try_from(row.time_us)
+                            .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
+                        missed_before: 0,
+                    };
+                    Ok((burst, Flags::NONE))
+                }
             },
         };
         found.push(burst.map_err(|reason| format!("{}: {reason}", lines.place()))?);
     }
-    Ok((Config::DEFAULT, &Part::MPU_6050, found))
+    Ok(Found {
+        config: Config::DEFAULT,
+        part: &Part::MPU_6050,
+        bursts: found,
+        bursts_lost: 0,
+        damaged_pieces: 0,
+    })
 }
 
 /// What the default full scales make of SI units.
@@ -138,31 +189,35 @@ fn counts_of(force_m_s2: [f64; 3], rates_rad_s: [f64; 3]) -> RawSample {
 }
 
 fn write_log(
-    file: &mut BufWriter<File>,
+    file: &mut OutputFile,
     settings: &Settings,
-    bursts: &[Burst],
+    bursts: &[FlaggedBurst],
 ) -> std::io::Result<()> {
     let mut recorder = Recorder::new(file, Pipeline::new(settings), 0);
     bursts
         .iter()
-        .try_for_each(|burst| recorder.add(burst).map(|_| ()))
+        .try_for_each(|(burst, flags)| recorder.add(burst, *flags).map(|_| ()))
 }
 
-fn write_bursts(file: &mut BufWriter<File>, _: &Settings, bursts: &[Burst]) -> std::io::Result<()> {
+fn write_bursts(
+    file: &mut OutputFile,
+    _: &Settings,
+    bursts: &[FlaggedBurst],
+) -> std::io::Result<()> {
     writeln!(file, "{}", bursts::HEADER)?;
     bursts
         .iter()
-        .try_for_each(|burst| writeln!(file, "{}", bursts::Line(burst)))
+        .try_for_each(|(burst, flags)| writeln!(file, "{}", bursts::Line(burst, *flags)))
 }
 
 fn write_csv(
-    file: &mut BufWriter<File>,
+    file: &mut OutputFile,
     settings: &Settings,
-    bursts: &[Burst],
+    bursts: &[FlaggedBurst],
 ) -> std::io::Result<()> {
     writeln!(file, "t_us,ax,ay,az,gx,gy,gz")?;
     let mut line = Vec::new();
-    for burst in bursts {
+    for (burst, _) in bursts {
         let raw = RawSample::decode(&burst.bytes);
         let force = raw
             .accelerometer

@@ -49,6 +49,15 @@ pub struct Flight {
     states: BTreeMap<u32, Vec<u8>>,
 }
 
+impl FlightLog {
+    /// The flights of which there are bursts.
+    pub fn flown(&self) -> impl Iterator<Item = &Flight> {
+        self.flights
+            .iter()
+            .filter(|flight| !flight.bursts.is_empty())
+    }
+}
+
 impl Flight {
     /// Bursts that are missing between the first and the last.
     pub fn lost(&self) -> u64 {
@@ -266,9 +275,8 @@ impl<'a> Replay<'a> {
                 self.is_exact = true;
             }
         }
-        let snapshot = self.pipeline.update_with(&burst, flags, |_, _| {});
-        // The module reads the scales back, which is not in the log; only VALID depends on it.
-        self.pipeline.confirm_scales();
+        // That the module reads the scales back is not in the log; only VALID depends on it.
+        let snapshot = self.pipeline.update_flagged(&burst, flags);
         self.pipeline.collect(&burst);
         self.agreement.bursts += 1;
         if self.is_exact {
@@ -342,8 +350,8 @@ impl<W: Write> Recorder<W> {
         }
     }
 
-    /// Adds a burst.
-    pub fn add(&mut self, burst: &Burst) -> std::io::Result<Snapshot> {
+    /// Adds a burst, with what the board said of it.
+    pub fn add(&mut self, burst: &Burst, flags: Flags) -> std::io::Result<Snapshot> {
         let now_us = burst.captured_at_us;
         if self.sender.wants_state(now_us) {
             self.sender.copy_state(&self.pipeline, self.number);
@@ -351,14 +359,14 @@ impl<W: Write> Recorder<W> {
         }
         let mut burst_to_send = Some(NumberedBurst {
             number: self.number,
-            flags: Flags::NONE,
+            flags,
             burst: *burst,
         });
         let mut buffer = [0; 8 * FRAME_CAPACITY];
         let mut output = Output::new(&mut buffer);
         self.sender
             .fill(now_us, &mut output, || burst_to_send.take());
-        let snapshot = self.pipeline.update(burst);
+        let snapshot = self.pipeline.update_flagged(burst, flags);
         self.pipeline.collect(burst);
         if self.number.is_multiple_of(BURSTS_PER_ATTITUDE) {
             put_attitude(&snapshot, &mut output);
@@ -436,11 +444,11 @@ mod tests {
             })
             .collect();
         let mut recorder = Recorder::new(Vec::new(), pipeline, first as u32);
-        snapshots.extend(
-            bursts[first..]
-                .iter()
-                .map(|burst| recorder.add(burst).expect("memory takes everything")),
-        );
+        snapshots.extend(bursts[first..].iter().map(|burst| {
+            recorder
+                .add(burst, Flags::NONE)
+                .expect("memory takes everything")
+        }));
         (recorder.into_inner(), snapshots)
     }
 

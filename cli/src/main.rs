@@ -1,7 +1,10 @@
-//! `aplomb`: replays recordings through the library, measures its filters, and finds calibrations.
+//! `aplomb`: replays recordings through the library, draws, converts and simulates them, measures its filters, and finds
+//! calibrations.
 
+mod accuracy;
 mod bench;
 mod calibrate;
+mod completions;
 mod convert;
 mod counts;
 mod filter;
@@ -9,6 +12,7 @@ mod flight_log;
 mod gains;
 mod leave_one_out;
 mod number;
+mod output;
 mod parallel;
 mod peers;
 mod picture;
@@ -20,6 +24,7 @@ mod replay;
 mod rest;
 mod score;
 mod simulated;
+mod spectrum;
 mod throughput;
 
 use std::io::Write;
@@ -29,12 +34,23 @@ use clap::Parser;
 
 /// Attitude from an MPU-6050, on a computer.
 #[derive(Parser)]
-#[command(version, arg_required_else_help = true)]
+#[command(version, arg_required_else_help = true, name = "aplomb")]
+#[command(after_help = "Examples:
+  aplomb simulate --output flight.csv.gz
+  aplomb replay flight.csv.gz --sensor-delay-us 1900 --output attitude.csv
+  aplomb plot flight.csv.gz --sensor-delay-us 1900 --output flight.png
+  aplomb bench --json
+`aplomb COMMAND --help` has more of each.
+
+Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage.")]
 enum Command {
     Replay(replay::Options),
     Bench(bench::Options),
     Calibrate(calibrate::Options),
     Convert(convert::Options),
+    Plot(plot::Options),
+    Simulate(simulated::Options),
+    Completions(completions::Options),
 }
 
 fn main() -> ExitCode {
@@ -43,6 +59,12 @@ fn main() -> ExitCode {
         Command::Bench(options) => bench::run(&options),
         Command::Calibrate(options) => calibrate::run(&options),
         Command::Convert(options) => convert::run(&options),
+        Command::Plot(options) => plot::run(&options),
+        Command::Simulate(options) => simulated::run(&options),
+        Command::Completions(options) => {
+            completions::run::<Command>(&options);
+            Ok(())
+        }
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,226 +1,570 @@
-//! The picture of `aplomb bench`: one dot for each recording, one line for each filter, one block for each set.
+//! `aplomb plot`: a recording, or the attitudes that came of one, as a picture.
+//!
+//! Everything is read once and kept as what the picture can show of it, so that an hour takes no more memory than a minute.
 
-use std::convert::Infallible;
+use std::error::Error;
+use std::path::{Path, PathBuf};
 
-use embedded_graphics::mono_font::iso_8859_1::{FONT_9X15, FONT_9X15_BOLD};
-use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
-use embedded_graphics::pixelcolor::Rgb888;
-use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle, Rectangle};
-use embedded_graphics::text::{Alignment, Text};
+use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::calibration::Mount;
+use aplomb::health::Flags;
+use aplomb::units::{degrees, radians};
+use virtual_board::chart::{
+    Axis, Chart, Curve, FIRST, NARROWEST_DEG, Panel, SECOND, THIRD, TRUTH, error_panel, flag_lanes,
+};
+use virtual_board::motion::geometry::Quaternion as Truth;
+use virtual_board::motion::log::{Lines, LogFault, column_count, parse_row};
+use virtual_board::motion::recording::body_to_earth;
+use virtual_board::motion::{self, inclination_error_rad};
+use virtual_board::timeline::{Merge, Timeline, Trace};
 
-use crate::bench::Set;
-use crate::recording::Reference;
-use crate::score::median;
+use crate::flight_log;
+use crate::output::OutputFile;
+use crate::progress;
+use crate::replay::{Point, Reading, Source};
+use crate::spectrum::{Spectrum, Vibration, Welch};
 
-const WIDTH: i32 = 1000;
-const LEFT: i32 = 130;
-const RIGHT: i32 = WIDTH - 30;
-const ROW: i32 = 22;
-/// The axis is logarithmic, from here to there, in degrees.
-const AXIS: (f64, f64) = (0.1, 100.0);
-const GRID: [f64; 10] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
+const WIDTH: u32 = 1600;
+/// The height of a panel with its name, and of what is above and beneath all of them.
+const PANEL_HEIGHT: u32 = 215;
+const MARGINS: u32 = 190;
+const LANE_HEIGHT: u32 = 17;
 
-/// The colour of letters.
-pub const TEXT: Rgb888 = Rgb888::new(40, 40, 40);
-const FAINT: Rgb888 = Rgb888::new(222, 222, 222);
-const OURS: Rgb888 = Rgb888::new(200, 60, 30);
-const OTHERS: Rgb888 = Rgb888::new(60, 100, 160);
+/// Rows of a truth that are further away in time than this say nothing of an attitude, µs.
+const TRUTH_WITHIN_US: u64 = 5_000;
 
-/// The picture as a PNG file.
-pub fn accuracy(names: &[&str], sets: &[Set]) -> Result<Vec<u8>, png::EncodingError> {
-    let block = ROW * (names.len() as i32 + 2);
-    let mut canvas = Canvas::new(WIDTH, 60 + block * sets.len() as i32);
-    let title = "Inclination error in degrees (root mean square of each recording; bar: median)";
-    canvas.text(
-        title,
-        Point::new(20, 28),
-        Alignment::Left,
-        &FONT_9X15_BOLD,
-        TEXT,
-    );
-    for (index, set) in sets.iter().enumerate() {
-        let top = 50 + block * index as i32;
-        canvas.block(names, set, top);
-    }
-    canvas.png()
+/// The spectrum is shown over so many powers of ten, beneath its peak.
+const DECADES: f64 = 7.0;
+
+/// Draw a recording, or the attitudes that came of one.
+///
+/// INPUT is an attitude.csv (of `replay`, or of `cargo xtask fly`), or whatever `replay` reads: a log, a bursts.csv or a flight
+/// log, which goes through the filter first. The picture shows roll, pitch, yaw and rates; where there is truth, the inclination error and
+/// the filter's 3 sigma; which flags were set when, and when the attitude was not valid; and of a recording the spectrum of the specific force, with
+/// the peak of the vibration.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  aplomb plot flight.log --output flight.png
+  aplomb plot target/fly/attitude.csv --truth target/fly/truth.csv
+  aplomb plot recording.csv.gz --filter classic --output classic.svg")]
+pub struct Options {
+    #[command(flatten)]
+    reading: Reading,
+    /// A file with the true attitudes at the same times: the truth.csv of a flight, or a log with truth
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
+    /// The picture, by its name a PNG or an SVG file
+    #[arg(long, value_name = "OUT.png|OUT.svg", default_value = "plot.png")]
+    output: PathBuf,
 }
 
-/// Where an error lies on the axis.
-fn place(degrees: f64) -> i32 {
-    let (low, high) = (AXIS.0.log10(), AXIS.1.log10());
-    let share = (degrees.clamp(AXIS.0, AXIS.1).log10() - low) / (high - low);
-    LEFT + (share * f64::from(RIGHT - LEFT)).round() as i32
-}
-
-/// A picture in memory.
-pub struct Canvas {
-    size: Size,
-    /// Red, green and blue, row by row.
-    pixels: Vec<u8>,
-}
-
-impl Canvas {
-    /// A white picture.
-    pub fn new(width: i32, height: i32) -> Self {
-        let size = Size::new(width.unsigned_abs(), height.unsigned_abs());
-        Self {
-            size,
-            pixels: vec![255; (3 * size.width * size.height) as usize],
+/// Does it.
+pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    let (input, output) = (&options.reading.input, &options.output);
+    let is_vector = match output.extension().and_then(|extension| extension.to_str()) {
+        Some("png") => false,
+        Some("svg") => true,
+        _ => {
+            return Err(format!(
+                "{}: the name has to end with .png or .svg, which says what to draw",
+                output.display()
+            )
+            .into());
         }
-    }
-
-    fn block(&mut self, names: &[&str], set: &Set, top: i32) {
-        let bottom = top + ROW * (names.len() as i32 + 1) - 6;
-        for degrees in GRID {
-            let x = place(degrees);
-            self.line(Point::new(x, top + ROW), Point::new(x, bottom), FAINT, 1);
-            let below = Point::new(x, bottom + 14);
-            self.text(
-                &degrees.to_string(),
-                below,
-                Alignment::Center,
-                &FONT_9X15,
-                TEXT,
-            );
+    };
+    let mut truth = match &options.truth {
+        Some(path) => Some(TruthFile::open(path, options.reading.mount())?),
+        None => None,
+    };
+    let shown = if flight_log::is_one(input) {
+        let log = flight_log::read(input)?;
+        let flights = log.flown().count();
+        let longest = log.flown().max_by_key(|flight| flight.bursts.len());
+        let longest = longest.ok_or("there is no flight in it")?;
+        if flights > 1 {
+            crate::say(&format!(
+                "{}: the module started {flights} times in it; this is its longest flight",
+                input.display()
+            ));
         }
-        let title = match set.reference {
-            Reference::Truth => set.name.clone(),
-            Reference::Rest => format!("{}, without truth: only where it rests", set.name),
+        let mut source = options.reading.open_flight(longest)?;
+        let mount = source.mount();
+        Shown::of(&mut source, mount, truth.as_mut())?
+    } else {
+        let mut lines = progress::lines(input)?;
+        let mount = options.reading.mount();
+        let Some(header) = lines.next_line()? else {
+            return Err(lines.refuse_file(LogFault::Empty).into());
         };
-        self.text(
-            &title,
-            Point::new(20, top + 12),
-            Alignment::Left,
-            &FONT_9X15_BOLD,
-            TEXT,
-        );
-        for (index, (name, rms)) in names.iter().zip(&set.rms).enumerate() {
-            let y = top + ROW * (index as i32 + 1) + 8;
-            let colour = if index == 0 { OURS } else { OTHERS };
-            self.text(
-                name,
-                Point::new(LEFT - 12, y + 4),
-                Alignment::Right,
-                &FONT_9X15,
-                colour,
-            );
-            for degrees in rms {
-                let dot = Circle::with_center(Point::new(place(*degrees), y), 7);
-                let style = PrimitiveStyle::with_stroke(colour, 1);
-                let Ok(()) = dot.into_styled(style).draw(self);
+        match Columns::of(header) {
+            Some(columns) => Shown::of(&mut Table { lines, columns }, mount, truth.as_mut())?,
+            None => {
+                lines.unread();
+                Shown::of(&mut *options.reading.open(lines)?, mount, truth.as_mut())?
             }
-            let x = place(median(rms));
-            self.line(Point::new(x, y - 8), Point::new(x, y + 8), colour, 3);
+        }
+    };
+    let name = input.file_name().unwrap_or(input.as_os_str());
+    if shown.rows == 0 {
+        return Err(format!("{}: there is no row after the header", input.display()).into());
+    }
+    if let Some(path) = options.truth.as_ref().filter(|_| shown.errors.is_empty()) {
+        return Err(format!(
+            "{}: none of its times is one of {}",
+            path.display(),
+            input.display()
+        )
+        .into());
+    }
+    let picture = shown.chart(&name.to_string_lossy()).draw();
+    let contents = match is_vector {
+        true => picture.svg().into_bytes(),
+        false => picture.png(),
+    };
+    let mut inputs = vec![input.as_path()];
+    inputs.extend(options.truth.as_deref());
+    OutputFile::write(output, &inputs, &contents)?;
+    crate::say(&format!("{}: {}", output.display(), shown.summary()));
+    Ok(())
+}
+
+/// What the picture shows.
+struct Shown {
+    rows: u64,
+    start_us: i64,
+    end_us: i64,
+    /// Roll, pitch and yaw, in degrees.
+    angles: [Trace; 3],
+    true_angles: [Trace; 3],
+    /// What has to be added to the true yaw: the estimate's zero is the heading at its start.
+    heading_degrees: Option<f64>,
+    /// About forward, right and down, in degrees per second.
+    rates: [Trace; 3],
+    errors: Trace,
+    squares: f64,
+    compared: u64,
+    three_sigma: Trace,
+    flags: Timeline<FlagPiece>,
+    valid: u64,
+    welch: Welch,
+    has_force: bool,
+}
+
+/// The flags that were set at any time of a piece, and those that were set all the time.
+#[derive(Clone, Copy)]
+struct FlagPiece {
+    any: Flags,
+    all: Flags,
+}
+
+impl Merge for FlagPiece {
+    fn merge(&mut self, later: &Self) {
+        self.any |= later.any;
+        self.all = self.all & later.all;
+    }
+}
+
+impl Shown {
+    fn of(
+        source: &mut dyn Source,
+        mount: Mount,
+        mut truth: Option<&mut TruthFile>,
+    ) -> Result<Self, Box<dyn Error>> {
+        let mut shown = Self {
+            rows: 0,
+            start_us: 0,
+            end_us: 0,
+            angles: [(); 3].map(|()| Trace::of_angles()),
+            true_angles: [(); 3].map(|()| Trace::of_angles()),
+            heading_degrees: None,
+            rates: Default::default(),
+            errors: Trace::default(),
+            squares: 0.0,
+            compared: 0,
+            three_sigma: Trace::default(),
+            flags: Timeline::default(),
+            valid: 0,
+            welch: Welch::new(),
+            has_force: false,
+        };
+        let mount = modelled(mount)?;
+        while let Some(point) = source.next()? {
+            let truth = match &mut truth {
+                Some(file) => file.at(point.t_us)?,
+                None => point.truth.map(|truth| body_to_earth(truth, mount)),
+            };
+            shown.add(&point, truth);
+        }
+        Ok(shown)
+    }
+
+    fn add(&mut self, point: &Point, truth: Option<Truth>) {
+        if self.rows == 0 {
+            self.start_us = point.t_us;
+        }
+        self.rows += 1;
+        self.end_us = self.end_us.max(point.t_us);
+        let time_s = point.t_us.saturating_sub(self.start_us) as f64 * 1e-6;
+        let Quaternion { w, x, y, z } = point.attitude;
+        let attitude = Truth::new(w.into(), x.into(), y.into(), z.into());
+        let angles = attitude.to_euler_degrees();
+        for (trace, angle) in self.angles.iter_mut().zip(angles) {
+            trace.push(time_s, angle);
+        }
+        let rates = point.body_rates_rad_s;
+        for (trace, rate) in self.rates.iter_mut().zip([rates.x, rates.y, rates.z]) {
+            trace.push(time_s, degrees(rate).into());
+        }
+        self.flags.push(
+            time_s,
+            FlagPiece {
+                any: point.flags,
+                all: point.flags,
+            },
+        );
+        self.valid += u64::from(point.flags.contains(Flags::VALID));
+        if let Some(force) = point.specific_force_m_s2 {
+            self.has_force = true;
+            let force = [force.x, force.y, force.z].map(f64::from);
+            self.welch.add(time_s, force);
+        }
+        let Some(truth) = truth else { return };
+        let error = inclination_error_rad(attitude, truth).to_degrees();
+        self.errors.push(time_s, error);
+        self.squares += error * error;
+        self.compared += 1;
+        if let Some(sigma_rad) = point.tilt_sigma_rad {
+            self.three_sigma
+                .push(time_s, 3.0 * f64::from(degrees(sigma_rad)));
+        }
+        let [roll, pitch, yaw] = truth.to_euler_degrees();
+        let is_ready = !point.flags.contains(Flags::CALIBRATING);
+        if is_ready && self.heading_degrees.is_none() {
+            self.heading_degrees = Some(angles[2] - yaw);
+        }
+        // Where the headings are not compared yet, there is nothing to draw.
+        let yaw = self
+            .heading_degrees
+            .map_or(f64::NAN, |heading| yaw + heading);
+        for (trace, angle) in self.true_angles.iter_mut().zip([roll, pitch, yaw]) {
+            trace.push(time_s, angle);
         }
     }
 
-    /// Draws a straight line.
-    pub fn line(&mut self, start: Point, end: Point, colour: Rgb888, width: u32) {
-        let style = PrimitiveStyle::with_stroke(colour, width);
-        let Ok(()) = Line::new(start, end).into_styled(style).draw(self);
+    fn chart(&self, name: &str) -> Chart {
+        let mut panels = vec![
+            self.angle_panel("roll (degrees)", 0),
+            self.angle_panel("pitch (degrees)", 1),
+            self.angle_panel("yaw, relative (degrees)", 2),
+            self.rate_panel(),
+        ];
+        if !self.errors.is_empty() {
+            let three_sigma = Some(&self.three_sigma).filter(|trace| !trace.is_empty());
+            panels.push(error_panel(&self.errors, three_sigma));
+        }
+        let spectrum = self.welch.spectrum();
+        let others: Vec<_> = spectrum.as_ref().map(spectrum_panel).into_iter().collect();
+        let lanes = flag_lanes(|flag| self.spans(flag));
+        let height = PANEL_HEIGHT * (panels.len() + others.len()) as u32
+            + LANE_HEIGHT * lanes.len() as u32
+            + MARGINS;
+        Chart {
+            width: WIDTH,
+            height,
+            title: name.to_owned(),
+            subtitle: self.summary(),
+            legend: Vec::new(),
+            time_s: (0.0, self.seconds().max(1e-3)),
+            time_name: "time since the first row (s)",
+            panels,
+            shades: Vec::new(),
+            lanes,
+            others,
+        }
     }
 
-    /// Writes a text; `at` is on its base line.
-    pub fn text(
-        &mut self,
-        text: &str,
-        at: Point,
-        alignment: Alignment,
-        font: &MonoFont<'_>,
-        colour: Rgb888,
-    ) {
-        let style = MonoTextStyle::new(font, colour);
-        let Ok(_) = Text::with_alignment(text, at, style, alignment).draw(self);
+    fn seconds(&self) -> f64 {
+        self.end_us.saturating_sub(self.start_us) as f64 * 1e-6
     }
 
-    /// The picture so many times smaller, each pixel the mean of those it covers.
-    pub fn reduced(&self, factor: u32) -> Self {
-        let size = self.size / factor;
-        let mut pixels = Vec::with_capacity((3 * size.width * size.height) as usize);
-        for y in 0..size.height {
-            for x in 0..size.width {
-                for colour in 0..3 {
-                    let covered = (0..factor * factor).map(|nth| {
-                        let (x, y) = (factor * x + nth % factor, factor * y + nth / factor);
-                        let place = 3 * (y * self.size.width + x) + colour;
-                        u32::from(self.pixels[place as usize])
-                    });
-                    pixels.push((covered.sum::<u32>() / (factor * factor)) as u8);
+    fn angle_panel(&self, name: &str, index: usize) -> Panel {
+        let color = [FIRST, SECOND, THIRD][index];
+        let mut curves = vec![(color, "estimate", &self.angles[index])];
+        if !self.true_angles[index].is_empty() {
+            curves.insert(0, (TRUTH, "truth", &self.true_angles[index]));
+        }
+        Panel::around(name, NARROWEST_DEG, curves)
+    }
+
+    fn rate_panel(&self) -> Panel {
+        let [p, q, r] = &self.rates;
+        let curves = vec![
+            (THIRD, "about down", r),
+            (SECOND, "about right", q),
+            (FIRST, "about forward", p),
+        ];
+        Panel::around("body rates (degrees per second)", NARROWEST_DEG, curves)
+    }
+
+    /// When a flag was set; of `VALID`, when it was set all the time.
+    fn spans(&self, flag: Flags) -> Vec<(f64, f64)> {
+        let mut spans: Vec<(f64, f64)> = Vec::new();
+        for (start_s, end_s, piece) in self.flags.iter() {
+            let flags = if flag == Flags::VALID {
+                piece.all
+            } else {
+                piece.any
+            };
+            match spans.last_mut() {
+                _ if !flags.contains(flag) => {}
+                Some(last) if start_s - last.1 < 1e-6 => last.1 = end_s,
+                _ => spans.push((start_s, end_s)),
+            }
+        }
+        spans
+    }
+
+    /// In one line.
+    fn summary(&self) -> String {
+        let mut text = format!("{} rows in {:.1} s", self.rows, self.seconds());
+        let share = 100.0 * self.valid as f64 / self.rows.max(1) as f64;
+        text += &format!("; valid {share:.1} % of the time");
+        if self.compared > 0 {
+            let rms = (self.squares / self.compared as f64).sqrt();
+            text += &format!("; inclination error {rms:.2} degrees rms");
+        }
+        let vibration = self
+            .welch
+            .spectrum()
+            .and_then(|spectrum| spectrum.vibration());
+        match vibration {
+            Some(Vibration {
+                peak_hz,
+                rms_m_s2,
+                from_hz,
+            }) => {
+                text += &format!("; vibration {rms_m_s2:.2} m/s² rms above {from_hz:.0} Hz");
+                if let Some(peak_hz) = peak_hz {
+                    text += &format!(", peak at {peak_hz:.0} Hz");
                 }
             }
+            None if self.has_force => text += "; too short or too slow to show vibration",
+            None => text += "; no spectrum, since there is no specific force in it",
         }
-        Self { size, pixels }
+        text
     }
+}
 
-    /// As a PNG file.
-    pub fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
-        let mut file = Vec::new();
-        let mut encoder = png::Encoder::new(&mut file, self.size.width, self.size.height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.write_header()?.write_image_data(&self.pixels)?;
+/// The three densities, over frequency.
+fn spectrum_panel(spectrum: &Spectrum) -> (Panel, Axis) {
+    // The lowest values are the motion and the means that were removed.
+    let points = |axis: &[f64]| -> Vec<(f64, f64)> {
+        let points = axis.iter().enumerate().skip(1);
+        points
+            .map(|(index, power)| (index as f64 * spectrum.step_hz, power.max(1e-30).log10()))
+            .collect()
+    };
+    let colors = [(FIRST, "forward"), (SECOND, "right"), (THIRD, "down")];
+    let curves = colors.into_iter().zip(&spectrum.axes).rev();
+    let curves: Vec<Curve> = curves
+        .map(|((color, meaning), axis)| Curve {
+            lines: vec![points(axis)],
+            ..Curve::new(color, meaning, &Trace::default())
+        })
+        .collect();
+    let all = curves.iter().flat_map(|curve| &curve.lines[0]);
+    let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), point| {
+        (low.min(point.1), high.max(point.1))
+    });
+    let high = high.ceil().max(-20.0);
+    let low = low.floor().max(high - DECADES).min(high - 1.0);
+    let mut remarks = Vec::new();
+    if let Some(peak_hz) = spectrum.vibration().and_then(|found| found.peak_hz) {
+        let index = (peak_hz / spectrum.step_hz).round() as usize;
+        let highest = spectrum.axes.iter().map(|axis| axis[index]);
+        let highest = highest.fold(1e-30, f64::max).log10().clamp(low, high);
+        remarks.push(((peak_hz, highest), format!("{peak_hz:.0} Hz")));
+    }
+    let panel = Panel {
+        name: "specific force, power spectral density ((m/s²)²/Hz)".to_owned(),
+        curves,
+        range: (low, high),
+        is_logarithmic: true,
+        remarks,
+    };
+    let axis = Axis {
+        end: spectrum.end_hz(),
+        name: "frequency (Hz)",
+    };
+    (panel, axis)
+}
+
+/// The same mount, for the truth.
+fn modelled(mount: Mount) -> Result<motion::Mount, String> {
+    let name = mount.name();
+    motion::Mount::parse(name).ok_or_else(|| format!("{name} is no mount of a recording"))
+}
+
+/// Where the columns of a table of attitudes are.
+struct Columns {
+    time: usize,
+    quaternion: [usize; 4],
+    rates: Option<[usize; 3]>,
+    sigma: Option<usize>,
+    flags: Option<usize>,
+}
+
+impl Columns {
+    /// The columns by their names, if it has a time and an attitude and is no log.
+    fn of(header: &str) -> Option<Self> {
+        let names: Vec<&str> = header.split(',').collect();
+        let place = |name: &str| names.iter().position(|other| *other == name);
+        let all = |columns: [&str; 3]| {
+            let [a, b, c] = columns.map(place);
+            Some([a?, b?, c?])
+        };
+        if place("ax").is_some() {
+            return None;
+        }
+        let [x, y, z] = all(["qx", "qy", "qz"])?;
+        Some(Self {
+            time: place("t_us")?,
+            quaternion: [place("qw")?, x, y, z],
+            rates: all(["roll_rate_dps", "pitch_rate_dps", "yaw_rate_dps"]),
+            sigma: place("tilt_sigma_deg"),
+            flags: place("flags"),
+        })
+    }
+}
+
+/// The rows of an attitude.csv, or of a truth.csv.
+struct Table {
+    lines: Lines,
+    columns: Columns,
+}
+
+impl Source for Table {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let parsed = parse_attitude(line, &self.columns);
+        let point = parsed.map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        Ok(Some(point))
+    }
+}
+
+fn parse_attitude(line: &str, columns: &Columns) -> Result<Point, String> {
+    let cells: Vec<&str> = line.split(',').collect();
+    let cell = |index: usize| {
+        let cell = cells.get(index).copied();
+        cell.ok_or_else(|| format!("the row has {} columns only", cells.len()))
+    };
+    let number = |index: usize| {
+        let cell = cell(index)?;
+        let number = cell.parse::<f32>();
+        number.map_err(|_| format!("\"{cell}\" is not a number"))
+    };
+    let time = cell(columns.time)?;
+    let [w, x, y, z] = columns.quaternion;
+    let body_rates_rad_s = match columns.rates {
+        Some([p, q, r]) => Vector3::new(number(p)?, number(q)?, number(r)?).scale(radians(1.0)),
+        None => Vector3::ZERO,
+    };
+    let tilt_sigma_rad = match columns.sigma {
+        Some(index) if !cell(index)?.is_empty() => Some(radians(number(index)?)),
+        _ => None,
+    };
+    let flags = match columns.flags {
+        Some(index) => {
+            let cell = cell(index)?;
+            Flags::parse(cell).ok_or_else(|| format!("\"{cell}\" are no flags"))?
+        }
+        None => Flags::NONE,
+    };
+    Ok(Point {
+        t_us: time.parse().map_err(|_| {
+            format!("t_us is \"{time}\", which is not a whole number of microseconds")
+        })?,
+        attitude: Quaternion {
+            w: number(w)?,
+            x: number(x)?,
+            y: number(y)?,
+            z: number(z)?,
+        },
+        body_rates_rad_s,
+        tilt_sigma_rad,
+        flags,
+        specific_force_m_s2: None,
+        truth: None,
+        counts: false,
+    })
+}
+
+/// True attitudes over time, read along.
+struct TruthFile {
+    rows: Box<dyn FnMut() -> Result<Option<(i64, Option<Truth>)>, Box<dyn Error>>>,
+    before: Option<(i64, Option<Truth>)>,
+    after: Option<(i64, Option<Truth>)>,
+}
+
+impl TruthFile {
+    fn open(path: &Path, mount: Mount) -> Result<Self, Box<dyn Error>> {
+        let mount = modelled(mount)?;
+        let mut lines = progress::lines(path)?;
+        let header = lines.next_line()?.unwrap_or_default().to_owned();
+        let mut file = if let Some(columns) = Columns::of(&header) {
+            let mut table = Table { lines, columns };
+            Self::new(move || {
+                let point = table.next()?;
+                Ok(point.map(|point| {
+                    let Quaternion { w, x, y, z } = point.attitude;
+                    let truth = Truth::new(w.into(), x.into(), y.into(), z.into());
+                    (point.t_us, Some(truth))
+                }))
+            })
+        } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 7) {
+            Self::new(move || {
+                let Some(line) = lines.next_line()? else {
+                    return Ok(None);
+                };
+                let row = parse_row(line, columns).map_err(|fault| lines.refuse(fault))?;
+                let truth = row.attitude.map(|truth| body_to_earth(truth, mount));
+                Ok(Some((row.time_us, truth)))
+            })
+        } else {
+            let refused = lines.refuse(LogFault::Header(header));
+            return Err(format!("{refused}; or t_us,qw,qx,qy,qz,… for truth").into());
+        };
+        file.after = (file.rows)()?;
         Ok(file)
     }
-}
 
-impl OriginDimensions for Canvas {
-    fn size(&self) -> Size {
-        self.size
-    }
-}
-
-impl DrawTarget for Canvas {
-    type Color = Rgb888;
-    type Error = Infallible;
-
-    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(
-        &mut self,
-        pixels: I,
-    ) -> Result<(), Infallible> {
-        let area = Rectangle::new(Point::zero(), self.size);
-        for Pixel(point, colour) in pixels {
-            if area.contains(point) {
-                let start = 3
-                    * (point.y.unsigned_abs() * self.size.width + point.x.unsigned_abs()) as usize;
-                let bytes = [colour.r(), colour.g(), colour.b()];
-                self.pixels[start..start + 3].copy_from_slice(&bytes);
-            }
+    fn new(
+        rows: impl FnMut() -> Result<Option<(i64, Option<Truth>)>, Box<dyn Error>> + 'static,
+    ) -> Self {
+        Self {
+            rows: Box::new(rows),
+            before: None,
+            after: None,
         }
-        Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn errors_lie_on_a_logarithmic_axis() {
-        assert_eq!(place(0.1), LEFT);
-        assert_eq!(place(100.0), RIGHT);
-        assert_eq!(place(0.001), LEFT);
-        assert_eq!(place(1.0) - place(0.1), place(10.0) - place(1.0));
     }
 
-    #[test]
-    fn a_smaller_picture_has_the_mean_of_the_pixels() {
-        let mut canvas = Canvas::new(6, 4);
-        let Ok(()) = canvas.draw_iter([Pixel(Point::new(0, 0), Rgb888::new(55, 255, 255))]);
-        let small = canvas.reduced(2);
-        assert_eq!(small.size, Size::new(3, 2));
-        assert_eq!(small.pixels[..4], [205, 255, 255, 255]);
-    }
-
-    #[test]
-    fn what_is_outside_is_not_drawn() {
-        let mut canvas = Canvas::new(10, 10);
-        canvas.line(Point::new(-50, 5), Point::new(50, 5), TEXT, 1);
-        let drawn = canvas
-            .pixels
-            .iter()
-            .filter(|byte| **byte == TEXT.r())
-            .count();
-        assert_eq!(drawn, 30);
+    /// The truth nearest to this time, if it is near. Times do not go back.
+    fn at(&mut self, t_us: i64) -> Result<Option<Truth>, Box<dyn Error>> {
+        while let Some(after) = self.after
+            && after.0 < t_us
+        {
+            self.before = Some(after);
+            self.after = (self.rows)()?;
+        }
+        let distance = |row: &(i64, Option<Truth>)| row.0.abs_diff(t_us);
+        let nearest = self
+            .after
+            .into_iter()
+            .chain(self.before)
+            .min_by_key(distance);
+        let near = nearest.filter(|row| distance(row) <= TRUTH_WITHIN_US);
+        Ok(near.and_then(|(_, truth)| truth))
     }
 }

@@ -2,17 +2,11 @@
 //!
 //! A parallel projection, seen from the front, the right and above. The board's axes are those printed on it.
 
-use embedded_graphics::mono_font::iso_8859_1::{FONT_9X15, FONT_9X15_BOLD};
-use embedded_graphics::pixelcolor::Rgb888;
-use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{PrimitiveStyle, Triangle};
-use embedded_graphics::text::Alignment;
+use virtual_board::picture::{Align, At, Color, Font, Picture};
 
-use crate::plot::{Canvas, TEXT};
-
-const CELL: (i32, i32) = (250, 250);
-const MARGIN: i32 = 20;
-const TITLE: i32 = 44;
+const CELL: f32 = 250.0;
+const MARGIN: f32 = 20.0;
+const TITLE: f32 = 44.0;
 /// Pixels per unit of length.
 const SCALE: f64 = 52.0;
 /// Half the board: along x, y and z.
@@ -23,17 +17,14 @@ const HALF_CHIP: f64 = 0.28;
 const AZIMUTH: f64 = 0.45;
 const ELEVATION: f64 = 0.5;
 
-const FRONT: Rgb888 = Rgb888::new(52, 98, 163);
-const BACK: Rgb888 = Rgb888::new(125, 150, 186);
-const EDGE: Rgb888 = Rgb888::new(36, 70, 118);
-const CHIP: Rgb888 = Rgb888::new(30, 30, 34);
-const MARK: Rgb888 = Rgb888::new(235, 235, 235);
-const TABLE: Rgb888 = Rgb888::new(240, 237, 230);
-const AXES: [Rgb888; 3] = [
-    Rgb888::new(200, 40, 40),
-    Rgb888::new(20, 140, 60),
-    Rgb888::new(235, 140, 0),
-];
+const TEXT: Color = Color(40, 40, 40);
+const FRONT: Color = Color(52, 98, 163);
+const BACK: Color = Color(125, 150, 186);
+const EDGE: Color = Color(36, 70, 118);
+const CHIP: Color = Color(30, 30, 34);
+const MARK: Color = Color(235, 235, 235);
+const TABLE: Color = Color(240, 237, 230);
+const AXES: [Color; 3] = [Color(200, 40, 40), Color(20, 140, 60), Color(235, 140, 0)];
 
 type Vector = [f64; 3];
 
@@ -65,91 +56,63 @@ const fn pose(name: &'static str, hint: &'static str, axes: [Vector; 3]) -> Pose
     Pose { name, hint, axes }
 }
 
-/// The picture as a PNG file.
-pub fn draw() -> Result<Vec<u8>, png::EncodingError> {
-    let mut canvas = Canvas::new(3 * CELL.0 + 2 * MARGIN, 2 * CELL.1 + TITLE + MARGIN);
-    canvas.text(
-        "Lay the sensor still in each position, in any order; a few degrees off do no harm",
-        Point::new(MARGIN, 26),
-        Alignment::Left,
-        &FONT_9X15_BOLD,
-        TEXT,
-    );
-    for (index, pose) in (0..).zip(&POSES) {
-        let corner = Point::new(MARGIN + index % 3 * CELL.0, TITLE + index / 3 * CELL.1);
-        draw_pose(&mut canvas, index + 1, pose, corner);
+/// The picture.
+pub fn draw() -> Picture {
+    let (width, height) = (3.0 * CELL + 2.0 * MARGIN, 2.0 * CELL + TITLE + MARGIN);
+    let mut picture = Picture::new(width as u32, height as u32);
+    let title = "Lay the sensor still in each position, in any order; a few degrees off do no harm";
+    picture.text(title, (MARGIN, 22.0), Font::SmallBold, TEXT, Align::Left);
+    for (index, pose) in POSES.iter().enumerate() {
+        let (column, row) = ((index % 3) as f32, (index / 3) as f32);
+        let corner = (MARGIN + column * CELL, TITLE + row * CELL);
+        draw_pose(&mut picture, index + 1, pose, corner);
     }
-    canvas.png()
+    picture
 }
 
-fn draw_pose(canvas: &mut Canvas, number: i32, pose: &Pose, corner: Point) {
+fn draw_pose(picture: &mut Picture, number: usize, pose: &Pose, corner: At) {
     // The board stands on the table: its lowest point is at height zero.
     let height = (0..3)
         .map(|axis| HALF[axis] * pose.axes[axis][2].abs())
         .sum::<f64>();
-    let centre = corner + Point::new(CELL.0 / 2, 160);
+    let centre = (corner.0 + CELL / 2.0, corner.1 + 160.0);
     let at = |board: Vector| project(pose, board, height, centre);
-    let on_table = |x: f64, y: f64| centre + flat([x, y, 0.0]);
-    quad(
-        canvas,
-        [
-            on_table(-1.5, -1.1),
-            on_table(1.5, -1.1),
-            on_table(1.5, 1.1),
-            on_table(-1.5, 1.1),
-        ],
-        TABLE,
-    );
+    let corners = [(-1.5, -1.1), (1.5, -1.1), (1.5, 1.1), (-1.5, 1.1)];
+    let table = corners.map(|(x, y)| flat([x, y, 0.0], centre));
+    picture.area(table.to_vec(), TABLE);
     // What points away from the viewer is behind the board.
     let is_in_front = |axis: usize| dot(pose.axes[axis], viewer()) > 0.0;
     for axis in (0..3).filter(|axis| !is_in_front(*axis)) {
-        arrow(canvas, axis, &at);
+        arrow(picture, axis, &at);
     }
     for axis in 0..3 {
         for sign in [-1.0, 1.0] {
             if sign * dot(pose.axes[axis], viewer()) <= 0.0 {
                 continue;
             }
-            let colour = match (axis, sign > 0.0) {
+            let color = match (axis, sign > 0.0) {
                 (2, true) => FRONT,
                 (2, false) => BACK,
                 _ => EDGE,
             };
-            quad(
-                canvas,
-                face(
-                    axis,
-                    sign * HALF[axis],
-                    [HALF[(axis + 1) % 3], HALF[(axis + 2) % 3]],
-                )
-                .map(at),
-                colour,
-            );
+            let across = [HALF[(axis + 1) % 3], HALF[(axis + 2) % 3]];
+            let side = face(axis, sign * HALF[axis], across);
+            picture.area(side.map(at).to_vec(), color);
             if axis == 2 && sign > 0.0 {
-                quad(canvas, face(2, HALF[2], [HALF_CHIP; 2]).map(at), CHIP);
+                let chip = face(2, HALF[2], [HALF_CHIP; 2]);
+                picture.area(chip.map(at).to_vec(), CHIP);
                 let mark = face(2, HALF[2], [0.05; 2]).map(|[x, y, z]| [x - 0.18, y + 0.18, z]);
-                quad(canvas, mark.map(at), MARK);
+                picture.area(mark.map(at).to_vec(), MARK);
             }
         }
     }
     for axis in (0..3).filter(|axis| is_in_front(*axis)) {
-        arrow(canvas, axis, &at);
+        arrow(picture, axis, &at);
     }
-    let below = corner + Point::new(CELL.0 / 2, CELL.1 - 24);
-    canvas.text(
-        &format!("{number}  {}", pose.name),
-        below,
-        Alignment::Center,
-        &FONT_9X15_BOLD,
-        TEXT,
-    );
-    canvas.text(
-        pose.hint,
-        below + Point::new(0, 17),
-        Alignment::Center,
-        &FONT_9X15,
-        TEXT,
-    );
+    let (x, y) = (corner.0 + CELL / 2.0, corner.1 + CELL - 28.0);
+    let name = format!("{number}  {}", pose.name);
+    picture.text(&name, (x, y), Font::SmallBold, TEXT, Align::Center);
+    picture.text(pose.hint, (x, y + 17.0), Font::Small, TEXT, Align::Center);
 }
 
 /// The corners of a rectangle across an axis at this distance, so large along the two axes that follow it.
@@ -164,43 +127,42 @@ fn face(axis: usize, distance: f64, [first, second]: [f64; 2]) -> [Vector; 4] {
 }
 
 /// An arrow along an axis of the board, from its surface.
-fn arrow(canvas: &mut Canvas, axis: usize, at: &impl Fn(Vector) -> Point) {
+fn arrow(picture: &mut Picture, axis: usize, at: &impl Fn(Vector) -> At) {
     let along = |length: f64| {
         let mut point = [0.0; 3];
         point[axis] = length;
         at(point)
     };
     let (start, end) = (HALF[axis], HALF[axis] + 0.55);
-    canvas.line(along(start), along(end), AXES[axis], 3);
+    picture.line(vec![along(start), along(end)], AXES[axis], 3.0);
     let (tip, base) = (along(end + 0.12), along(end - 0.08));
-    let across = (tip - base) / 2;
-    let across = Point::new(-across.y, across.x);
-    let head = PrimitiveStyle::with_fill(AXES[axis]);
-    let Ok(()) = Triangle::new(tip, base + across, base - across)
-        .into_styled(head)
-        .draw(canvas);
-    let letter = along(end + 0.35) + Point::new(0, 5);
+    let across = ((base.1 - tip.1) / 2.0, (tip.0 - base.0) / 2.0);
+    let head = vec![
+        tip,
+        (base.0 + across.0, base.1 + across.1),
+        (base.0 - across.0, base.1 - across.1),
+    ];
+    picture.area(head, AXES[axis]);
     let name = ["x", "y", "z"][axis];
-    canvas.text(name, letter, Alignment::Center, &FONT_9X15_BOLD, AXES[axis]);
-}
-
-fn quad(canvas: &mut Canvas, [a, b, c, d]: [Point; 4], colour: Rgb888) {
-    let style = PrimitiveStyle::with_fill(colour);
-    for triangle in [Triangle::new(a, b, c), Triangle::new(a, c, d)] {
-        let Ok(()) = triangle.into_styled(style).draw(canvas);
-    }
+    picture.text(
+        name,
+        along(end + 0.35),
+        Font::SmallBold,
+        AXES[axis],
+        Align::Center,
+    );
 }
 
 /// Where a point of the board is on the picture.
-fn project(pose: &Pose, board: Vector, height: f64, centre: Point) -> Point {
+fn project(pose: &Pose, board: Vector, height: f64, centre: At) -> At {
     let mut world =
         [0, 1, 2].map(|row| (0..3).map(|axis| pose.axes[axis][row] * board[axis]).sum());
     world[2] += height;
-    centre + flat(world)
+    flat(world, centre)
 }
 
-/// A point of the world from the centre of the picture.
-fn flat(world: Vector) -> Point {
+/// Where a point of the world is on a picture with this centre.
+fn flat(world: Vector, centre: At) -> At {
     let right = [AZIMUTH.cos(), AZIMUTH.sin(), 0.0];
     let [vx, vy, vz] = viewer();
     let up = [
@@ -208,8 +170,8 @@ fn flat(world: Vector) -> Point {
         vz * right[0] - vx * right[2],
         vx * right[1] - vy * right[0],
     ];
-    let pixels = |direction: Vector| (SCALE * dot(world, direction)).round() as i32;
-    Point::new(pixels(right), -pixels(up))
+    let pixels = |direction: Vector| (SCALE * dot(world, direction)) as f32;
+    (centre.0 + pixels(right), centre.1 - pixels(up))
 }
 
 /// The direction from the scene to the viewer.
@@ -252,7 +214,7 @@ mod tests {
 
     #[test]
     fn the_picture_is_small() {
-        let picture = draw().expect("a picture");
+        let picture = draw().png();
         assert!(
             (2_000..100_000).contains(&picture.len()),
             "{}",

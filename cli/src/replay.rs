@@ -1,32 +1,34 @@
 //! `aplomb replay`: a recording through the library, one attitude for each row.
 //!
-//! Rows of a log go to the filter as they are, in SI units; bursts go through the whole pipeline, as they
-//! do on a board, and give the same attitudes to the last bit.
+//! Rows of a log go through the pipeline as they are, in SI units; bursts from their bytes on, as they do on a board, and
+//! give the same attitudes to the last bit. So both say what a board would say of them, `VALID` included.
 
+use std::collections::{BTreeMap, VecDeque};
 use std::error::Error;
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::kalman::Kalman;
-use aplomb::estimator::{Estimate, FilterKind, Sample};
+use aplomb::estimator::{FilterKind, REVISION, Sample};
 use aplomb::health::Flags;
 use aplomb::mpu6050::{
     AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
 };
-use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
+use virtual_board::motion::geometry::Quaternion as Truth;
 use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
 
 use crate::counts::counts;
 use crate::filter::{Choice, Filter, up_in_body};
-use crate::flight_log;
+use crate::flight_log::{self, Flight};
 use crate::number;
+use crate::output::OutputFile;
 use crate::progress;
-use crate::score::{Errors, START_US, up_in_sensor};
+use crate::score::{Errors, START_US, Score, up_in_sensor};
 
 /// The first line of the output.
 pub const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,up_x,up_y,up_z,tilt_sigma_deg,flags";
@@ -37,6 +39,9 @@ const LONGEST_DELAY_US: i64 = 1_000_000;
 /// A first guess for filters that want one; each row then brings its own step.
 const USUAL_STEP_S: f32 = 0.001;
 
+/// So many rows of a log tell how far apart they are.
+const ROWS_AHEAD: usize = 101;
+
 /// Run a recording through a filter: one attitude for each row.
 ///
 /// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]; microseconds, m/s², rad/s; truth sensor to earth with z
@@ -44,9 +49,30 @@ const USUAL_STEP_S: f32 = 0.001;
 /// input, for all but flight logs. A flight log brings its own settings, and its attitudes are compared with those of the flight. With truth in it, the inclination error is printed, over the
 /// rows with mov 1 after 5 s.
 #[derive(clap::Args)]
+#[command(after_help = "Examples:
+  aplomb replay recording.csv.gz --output attitude.csv
+  aplomb replay flight.log --json
+  aplomb replay counts.csv --raw --accel-range 8 --gyro-range 250 --mount z-down
+
+JSON: input, filter, mount, samples, seconds, flags (how many samples have each); with truth inclination_samples, inclination_rms_deg,
+inclination_p95_deg, inclination_max_deg, within_3_sigma (a share), median_error_per_sigma; of a flight log also log with bursts_lost,
+damaged_pieces, damaged_bytes, exact, compared, different, revision_flown.")]
 pub struct Options {
+    #[command(flatten)]
+    reading: Reading,
+    /// Write the attitudes to this file; zipped if its name ends with .gz
+    #[arg(long, value_name = "OUT.csv")]
+    output: Option<PathBuf>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// How a recording is read.
+#[derive(clap::Args)]
+pub struct Reading {
     /// The recording
-    input: PathBuf,
+    pub input: PathBuf,
     /// Which filter: kalman, axis-kalman, classic, mahony
     #[arg(long, value_name = "NAME", value_parser = Choice::parse, default_value = FilterKind::default().name())]
     filter: Choice,
@@ -66,88 +92,163 @@ pub struct Options {
     /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000 (bursts: 2000 unless told otherwise)
     #[arg(long, value_name = "DPS", value_parser = parse_gyroscope_range)]
     gyro_range: Option<GyroscopeRange>,
-    /// Write the attitudes to this file
-    #[arg(long, value_name = "OUT.csv")]
-    output: Option<PathBuf>,
 }
 
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
-    if flight_log::is_one(&options.input) {
+    let reading = &options.reading;
+    if flight_log::is_one(&reading.input) {
         return run_flight_log(options);
     }
-    let mut lines = progress::lines(&options.input)?;
-    let Some(header) = lines.next_line()? else {
-        return Err(lines.refuse_file(LogFault::Empty).into());
-    };
-    if header == bursts::HEADER {
-        if options.raw {
-            return Err("--raw is for logs: bursts are raw in any case".into());
+    let lines = progress::lines(&reading.input)?;
+    let summary = replay(options, reading.mount, &mut *reading.open(lines)?)?;
+    summary.say(options.json)
+}
+
+impl Reading {
+    /// A log or bursts, whose header is the next of the lines.
+    pub fn open(&self, mut lines: Lines) -> Result<Box<dyn Source>, Box<dyn Error>> {
+        let Some(header) = lines.next_line()? else {
+            return Err(lines.refuse_file(LogFault::Empty).into());
+        };
+        if header == bursts::HEADER {
+            if self.raw {
+                return Err("--raw is for logs: bursts are raw in any case".into());
+            }
+            return Ok(Box::new(Bursts::new(self, lines)));
         }
-        let mut source = Bursts::new(options, lines);
-        return replay(options, options.mount, &mut source);
+        let Some(columns) = column_count(header) else {
+            let fault = LogFault::Header(header.to_owned());
+            return Err(
+                format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into(),
+            );
+        };
+        if !self.raw && (self.accel_range.is_some() || self.gyro_range.is_some()) {
+            return Err("--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts".into());
+        }
+        Ok(Box::new(Log::new(self, lines, columns)?))
     }
-    let Some(columns) = column_count(header) else {
-        let fault = LogFault::Header(header.to_owned());
-        return Err(format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into());
-    };
-    if !options.raw && (options.accel_range.is_some() || options.gyro_range.is_some()) {
-        return Err("--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts".into());
+
+    /// The mount that is told of.
+    pub fn mount(&self) -> Mount {
+        self.mount
     }
-    replay(
-        options,
-        options.mount,
-        &mut Log::new(options, lines, columns),
-    )
+
+    /// A flight of a flight log.
+    pub fn open_flight<'a>(&self, flight: &'a Flight) -> Result<Logged<'a>, String> {
+        let place = self.input.display();
+        let Choice::Library(kind) = self.filter else {
+            return Err("a flight log is replayed with a filter of the library".into());
+        };
+        let replay = flight_log::Replay::new(flight, |settings| {
+            if kind != FilterKind::default() {
+                settings.filter = kind;
+            }
+        });
+        replay
+            .map(|replay| Logged { replay })
+            .map_err(|reason| format!("{place}: {reason}"))
+    }
+}
+
+/// What is printed in the end; the names are those of the JSON.
+#[derive(serde::Serialize)]
+struct Summary {
+    input: String,
+    filter: &'static str,
+    mount: &'static str,
+    samples: u64,
+    seconds: f64,
+    flags: BTreeMap<&'static str, u64>,
+    #[serde(flatten)]
+    score: Option<Score>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    log: Option<LogSummary>,
+}
+
+/// How far the replay of a flight log is the flight.
+#[derive(serde::Serialize)]
+struct LogSummary {
+    bursts_lost: u64,
+    damaged_pieces: u64,
+    damaged_bytes: u64,
+    exact: u64,
+    compared: u64,
+    different: u64,
+    revision_flown: u16,
+}
+
+impl Summary {
+    fn say(&self, as_json: bool) -> Result<(), Box<dyn Error>> {
+        if as_json {
+            crate::say(&serde_json::to_string(self)?);
+            return Ok(());
+        }
+        crate::say(&format!(
+            "{}: {} rows, {:.1} s, filter {}, mount {}",
+            self.input, self.samples, self.seconds, self.filter, self.mount,
+        ));
+        for (_, name) in Flags::NAMES {
+            if let Some(count) = self.flags.get(name) {
+                crate::say(&format!("{name}: {count} rows"));
+            }
+        }
+        crate::say(&match &self.score {
+            Some(score) => format!("inclination error: {score}"),
+            None => "inclination error: unknown, the recording has no truth that counts".to_owned(),
+        });
+        let Some(log) = &self.log else {
+            return Ok(());
+        };
+        crate::say(&format!(
+            "log: {} bursts lost, {} damaged pieces ({} bytes) skipped",
+            log.bursts_lost, log.damaged_pieces, log.damaged_bytes
+        ));
+        crate::say(&format!(
+            "exact: {} of {} attitudes; {} compared with the flight's own, {} differ",
+            log.exact, self.samples, log.compared, log.different
+        ));
+        if log.revision_flown != REVISION {
+            crate::say(&format!(
+                "the filters that flew are of revision {}, these of {REVISION}: nothing can be exact",
+                log.revision_flown
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// Every flight of a log, one after the other. That an attitude of the log differs is an error.
 fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
-    let log = flight_log::read(&options.input)?;
-    let Choice::Library(kind) = options.filter else {
-        return Err("a flight log is replayed with a filter of the library".into());
-    };
-    let place = options.input.display();
-    for message in &log.messages {
-        crate::say(&format!("# {message}"));
+    let reading = &options.reading;
+    let log = flight_log::read(&reading.input)?;
+    let place = reading.input.display();
+    if !options.json {
+        for message in &log.messages {
+            crate::say(&format!("# {message}"));
+        }
     }
-    let flown = log
-        .flights
-        .iter()
-        .filter(|flight| !flight.bursts.is_empty());
-    for (index, flight) in flown.enumerate() {
-        if index > 0 && options.output.is_some() {
+    for (index, flight) in log.flown().enumerate() {
+        if index > 0 && (options.output.is_some() || options.json) {
             return Err(format!(
-                "{place}: the module started again in it: --output takes one flight"
+                "{place}: the module started again in it: --output and --json take one flight"
             )
             .into());
         }
-        let mut source = Logged {
-            replay: flight_log::Replay::new(flight, |settings| {
-                if kind != FilterKind::default() {
-                    settings.filter = kind;
-                }
-            })
-            .map_err(|reason| format!("{place}: {reason}"))?,
-        };
-        let mount = source.replay.pipeline().settings().mount();
-        replay(options, mount, &mut source)?;
-        let lost = flight.lost();
-        crate::say(&format!(
-            "log: {lost} bursts lost, {} damaged pieces ({} bytes) skipped",
-            log.counts.damaged, log.counts.damaged_bytes
-        ));
+        let mut source = reading.open_flight(flight)?;
+        let mount = source.mount();
+        let mut summary = replay(options, mount, &mut source)?;
         let agreement = source.replay.agreement();
-        crate::say(&format!(
-            "exact: {} of {} attitudes; {} compared with the flight's own, {} differ",
-            agreement.exact, agreement.bursts, agreement.compared, agreement.different
-        ));
-        if let Some(revision) = agreement.other_revision {
-            crate::say(&format!(
-                "the filters that flew are of revision {revision}, these of {}: nothing can be exact",
-                aplomb::estimator::REVISION
-            ));
-        }
+        summary.log = Some(LogSummary {
+            bursts_lost: flight.lost(),
+            damaged_pieces: log.counts.damaged,
+            damaged_bytes: log.counts.damaged_bytes,
+            exact: agreement.exact,
+            compared: agreement.compared,
+            different: agreement.different,
+            revision_flown: agreement.other_revision.unwrap_or(REVISION),
+        });
+        summary.say(options.json)?;
         if let Some(t_us) = agreement.first_difference_us {
             return Err(format!(
                 "{place}: the attitude at {t_us} us is not the flight's, although nothing is missing before it"
@@ -158,44 +259,56 @@ fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// What the output says of one row.
-struct Point {
-    t_us: i64,
-    attitude: Quaternion,
-    body_rates_rad_s: Vector3,
-    tilt_sigma_rad: Option<f32>,
-    flags: Flags,
-    /// "Up" in sensor axes, if it is known and the row counts.
-    true_up: Option<[f64; 3]>,
+/// What there is to say of one row.
+pub struct Point {
+    /// Its time, in its own microseconds.
+    pub t_us: i64,
+    /// Body to earth.
+    pub attitude: Quaternion,
+    /// The body's own rates.
+    pub body_rates_rad_s: Vector3,
+    /// σ of the tilt, if the filter has one.
+    pub tilt_sigma_rad: Option<f32>,
+    /// What the pipeline says.
+    pub flags: Flags,
+    /// What the accelerometer said, in body axes, if that is known.
+    pub specific_force_m_s2: Option<Vector3>,
+    /// The true attitude, sensor to earth with z up, if it is known.
+    pub truth: Option<Truth>,
+    /// Whether the row counts for scores.
+    pub counts: bool,
 }
 
-trait Source {
+/// A sequence of rows.
+pub trait Source {
     /// The next row; `None` after the last.
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>>;
 }
 
-fn replay(options: &Options, mount: Mount, source: &mut impl Source) -> Result<(), Box<dyn Error>> {
+fn replay(
+    options: &Options,
+    mount: Mount,
+    source: &mut dyn Source,
+) -> Result<Summary, Box<dyn Error>> {
+    let input = &options.reading.input;
     let mut output = match &options.output {
-        Some(path) if is_same_file(path, &options.input) => {
-            return Err(format!("{}: the output would replace the input", path.display()).into());
-        }
-        Some(path) => Some(Output::create(path)?),
+        Some(path) => Some(Attitudes::create(path, input)?),
         None => None,
     };
     let mut errors = Errors::default();
     let mut flagged = [0_u64; Flags::NAMES.len()];
-    let (mut rows, mut first_us, mut last_us) = (0_u64, None, 0);
+    let (mut samples, mut first_us, mut last_us) = (0_u64, None, 0);
     while let Some(point) = source.next()? {
         let first_us = *first_us.get_or_insert(point.t_us);
         last_us = point.t_us;
-        rows += 1;
+        samples += 1;
         let up = mount.to_sensor(up_in_body(point.attitude));
-        if let Some(true_up) = point.true_up
+        if let Some(truth) = point.truth.filter(|_| point.counts)
             && point.t_us.saturating_sub(first_us) >= START_US
         {
             errors.add(
                 [up.x, up.y, up.z].map(f64::from),
-                true_up,
+                up_in_sensor(truth),
                 point.tilt_sigma_rad,
             );
         }
@@ -207,56 +320,138 @@ fn replay(options: &Options, mount: Mount, source: &mut impl Source) -> Result<(
         }
     }
     let Some(first_us) = first_us else {
-        return Err(format!(
-            "{}: there is no row after the header",
-            options.input.display()
-        )
-        .into());
+        return Err(format!("{}: there is no row after the header", input.display()).into());
     };
     if let Some(output) = output {
-        output.finish()?;
+        output.file.finish()?;
     }
-    crate::say(&format!(
-        "{}: {rows} rows, {:.1} s, filter {}, mount {}",
-        options.input.display(),
-        last_us.saturating_sub(first_us) as f64 * 1e-6,
-        options.filter.name(),
-        mount,
-    ));
-    for (count, (_, name)) in flagged.iter().zip(Flags::NAMES) {
-        if *count > 0 {
-            crate::say(&format!("{name}: {count} rows"));
-        }
-    }
-    crate::say(&match errors.score() {
-        Some(score) => format!("inclination error: {score}"),
-        None => "inclination error: unknown, the recording has no truth that counts".to_owned(),
-    });
-    Ok(())
+    let named = flagged.into_iter().zip(Flags::NAMES);
+    Ok(Summary {
+        input: input.display().to_string(),
+        filter: options.reading.filter.name(),
+        mount: mount.name(),
+        samples,
+        seconds: last_us.saturating_sub(first_us) as f64 * 1e-6,
+        flags: named
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, (_, name))| (name, count))
+            .collect(),
+        score: errors.score(),
+        log: None,
+    })
 }
 
-/// A log's rows through a filter.
+/// The pipeline, and behind it a filter that is none of those it has.
+struct Device {
+    pipeline: Pipeline,
+    peer: Option<Filter>,
+}
+
+impl Device {
+    fn point(&mut self, snapshot: &Snapshot, t_us: i64) -> Point {
+        let kalman = self.pipeline.estimator().kalman();
+        let mut point = Point {
+            t_us,
+            attitude: snapshot.attitude,
+            body_rates_rad_s: snapshot.body_rates_rad_s,
+            tilt_sigma_rad: kalman.map(Kalman::tilt_sigma_rad),
+            flags: snapshot.flags,
+            specific_force_m_s2: Some(self.pipeline.sample().specific_force_m_s2),
+            truth: None,
+            counts: false,
+        };
+        if let Some(peer) = &mut self.peer {
+            let estimate = peer.update(self.pipeline.sample());
+            point.attitude = estimate.attitude;
+            point.body_rates_rad_s = estimate.body_rates_rad_s;
+            point.tilt_sigma_rad = None;
+        }
+        point
+    }
+}
+
+/// A log's rows through the pipeline, as samples in SI units.
 struct Log {
     lines: Lines,
     columns: usize,
-    filter: Filter,
     mount: Mount,
     ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+    /// Rows that were read ahead.
+    ahead: VecDeque<LogRow>,
+    device: Device,
+}
+
+/// A row of a log.
+struct LogRow {
+    t_us: i64,
+    /// In body axes.
+    sample: Sample,
+    truth: Option<Truth>,
+    counts: bool,
 }
 
 impl Log {
-    fn new(options: &Options, lines: Lines, columns: usize) -> Self {
-        Self {
+    /// A log whose header has been read. The first rows say how far apart they all are: then more is a pause.
+    fn new(options: &Reading, lines: Lines, columns: usize) -> Result<Self, Box<dyn Error>> {
+        let delay_us = options.sensor_delay_us.unwrap_or(0);
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.sensor_delay_us = Some(delay_us);
+        // There are no counts to average.
+        settings.averaging_samples = 0;
+        settings.filter = FilterKind::AxisKalman;
+        let mut peer = Some(Filter::new(options.filter, USUAL_STEP_S, delay_us));
+        if let Choice::Library(kind) = options.filter {
+            settings.filter = kind;
+            // The others are extrapolated here.
+            peer = peer.filter(|_| kind != FilterKind::Kalman);
+        }
+        let mut log = Self {
             lines,
             columns,
-            filter: Filter::new(
-                options.filter,
-                USUAL_STEP_S,
-                options.sensor_delay_us.unwrap_or(0),
-            ),
             mount: options.mount,
             ranges: options.accel_range.zip(options.gyro_range),
+            ahead: VecDeque::new(),
+            device: Device {
+                pipeline: Pipeline::new(&settings),
+                peer,
+            },
+        };
+        while log.ahead.len() < ROWS_AHEAD
+            && let Some(row) = log.read()?
+        {
+            log.ahead.push_back(row);
         }
+        settings.sensor.sample_rate_divider = log.sample_rate_divider();
+        log.device.pipeline = Pipeline::new(&settings);
+        Ok(log)
+    }
+
+    /// What a sensor is set to that takes a sample as often as the log has a row; rounded up, for rows come irregularly.
+    fn sample_rate_divider(&self) -> u8 {
+        let pairs = self.ahead.iter().zip(self.ahead.iter().skip(1));
+        let mut steps_us: Vec<u64> = pairs
+            .map(|(before, after)| before.t_us.abs_diff(after.t_us))
+            .collect();
+        steps_us.sort_unstable();
+        let median_us = steps_us.get(steps_us.len() / 2).copied().unwrap_or(0);
+        let periods = median_us.div_ceil(1_000).saturating_sub(1);
+        periods.try_into().unwrap_or(u8::MAX)
+    }
+
+    fn read(&mut self) -> Result<Option<LogRow>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let row = parse_row(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
+        let sample = self
+            .sample(&row)
+            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        Ok(Some(LogRow {
+            t_us: row.time_us,
+            sample,
+            truth: row.attitude,
+            counts: row.moving,
+        }))
     }
 
     /// The row as a sample in body axes.
@@ -284,23 +479,17 @@ impl Log {
 
 impl Source for Log {
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
-        let Some(line) = self.lines.next_line()? else {
-            return Ok(None);
+        let row = match self.ahead.pop_front() {
+            Some(row) => Some(row),
+            None => self.read()?,
         };
-        let row = parse_row(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
-        let sample = self
-            .sample(&row)
-            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
-        let estimate = self.filter.update(&sample);
-        Ok(Some(Point {
-            t_us: row.time_us,
-            attitude: estimate.attitude,
-            body_rates_rad_s: estimate.body_rates_rad_s,
-            tilt_sigma_rad: self.filter.tilt_sigma_rad(),
-            flags: flags_of(&estimate)
-                .with(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated)
-                .with(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated),
-            true_up: row.attitude.filter(|_| row.moving).map(up_in_sensor),
+        Ok(row.map(|row| {
+            let snapshot = self.device.pipeline.update_sample(&row.sample);
+            Point {
+                truth: row.truth,
+                counts: row.counts,
+                ..self.device.point(&snapshot, row.t_us)
+            }
         }))
     }
 }
@@ -308,13 +497,11 @@ impl Source for Log {
 /// Bursts through the whole pipeline.
 struct Bursts {
     lines: Lines,
-    pipeline: Pipeline,
-    /// Runs behind the pipeline's calibration, if it is none of the library's.
-    peer: Option<Filter>,
+    device: Device,
 }
 
 impl Bursts {
-    fn new(options: &Options, lines: Lines) -> Self {
+    fn new(options: &Reading, lines: Lines) -> Self {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.mount = options.mount;
         settings.sensor_delay_us = options.sensor_delay_us;
@@ -336,10 +523,10 @@ impl Bursts {
                 settings.sensor.low_pass.gyroscope_delay_us().into(),
             )),
         };
+        let pipeline = Pipeline::new(&settings);
         Self {
             lines,
-            pipeline: Pipeline::new(&settings),
-            peer,
+            device: Device { pipeline, peer },
         }
     }
 }
@@ -349,34 +536,26 @@ impl Source for Bursts {
         let Some(line) = self.lines.next_line()? else {
             return Ok(None);
         };
-        let burst =
+        let (burst, flags) =
             bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
-        let mut snapshot = self.pipeline.update(&burst);
-        self.pipeline.collect(&burst);
-        let kalman = self.pipeline.estimator().kalman();
-        let mut tilt_sigma_rad = kalman.map(Kalman::tilt_sigma_rad);
-        if let Some(peer) = &mut self.peer {
-            let estimate = peer.update(self.pipeline.sample());
-            snapshot.attitude = estimate.attitude;
-            snapshot.body_rates_rad_s = estimate.body_rates_rad_s;
-            tilt_sigma_rad = None;
-        }
-        Ok(Some(Point {
-            t_us,
-            attitude: snapshot.attitude,
-            body_rates_rad_s: snapshot.body_rates_rad_s,
-            tilt_sigma_rad,
-            flags: snapshot.flags,
-            true_up: None,
-        }))
+        let snapshot = self.device.pipeline.update_flagged(&burst, flags);
+        self.device.pipeline.collect(&burst);
+        Ok(Some(self.device.point(&snapshot, t_us)))
     }
 }
 
 /// A flight of a flight log.
-struct Logged<'a> {
+pub struct Logged<'a> {
     replay: flight_log::Replay<'a>,
+}
+
+impl Logged<'_> {
+    /// How the sensor was mounted.
+    pub fn mount(&self) -> Mount {
+        self.replay.pipeline().settings().mount()
+    }
 }
 
 impl Source for Logged<'_> {
@@ -384,56 +563,35 @@ impl Source for Logged<'_> {
         let Some(snapshot) = self.replay.next() else {
             return Ok(None);
         };
-        let kalman = self.replay.pipeline().estimator().kalman();
+        let pipeline = self.replay.pipeline();
+        let kalman = pipeline.estimator().kalman();
         Ok(Some(Point {
             t_us: i64::try_from(snapshot.t_us)?,
             attitude: snapshot.attitude,
             body_rates_rad_s: snapshot.body_rates_rad_s,
             tilt_sigma_rad: kalman.map(Kalman::tilt_sigma_rad),
             flags: snapshot.flags,
-            true_up: None,
+            specific_force_m_s2: Some(pipeline.sample().specific_force_m_s2),
+            truth: None,
+            counts: false,
         }))
     }
 }
 
-fn is_same_file(one: &Path, other: &Path) -> bool {
-    // What is not there yet, or is standard input, is no other file.
-    let paths = one.canonicalize().ok().zip(other.canonicalize().ok());
-    paths.is_some_and(|(one, other)| one == other)
-}
-
-/// The file of attitudes. It appears under its name when it is complete; a device or a pipe is written as it goes.
-struct Output {
-    path: PathBuf,
-    unfinished: Option<PathBuf>,
-    file: BufWriter<File>,
+/// The file of attitudes.
+struct Attitudes {
+    file: OutputFile,
     line: Vec<u8>,
 }
 
-impl Output {
-    fn create(path: &Path) -> Result<Self, String> {
-        let failed = |error: &io::Error| cannot_write(path, error);
-        let is_device = path
-            .metadata()
-            .is_ok_and(|data| !data.is_file() && !data.is_dir());
-        let (unfinished, file) = if is_device {
-            let file = File::options().write(true).open(path);
-            (None, file.map_err(|error| failed(&error))?)
-        } else {
-            let mut unfinished = path.as_os_str().to_owned();
-            unfinished.push(".unfinished");
-            let unfinished = PathBuf::from(unfinished);
-            let file = File::create(&unfinished).map_err(|error| failed(&error))?;
-            (Some(unfinished), file)
-        };
-        let mut output = Self {
-            path: path.to_owned(),
-            unfinished,
-            file: BufWriter::with_capacity(256 * 1024, file),
+impl Attitudes {
+    fn create(path: &Path, input: &Path) -> Result<Self, String> {
+        let mut file = OutputFile::create(path, &[input])?;
+        writeln!(file, "{HEADER}").map_err(|error| file.failed(&error))?;
+        Ok(Self {
+            file,
             line: Vec::new(),
-        };
-        writeln!(output.file, "{HEADER}").map_err(|error| output.failed(&error))?;
-        Ok(output)
+        })
     }
 
     fn write(&mut self, point: &Point, up: Vector3) -> Result<(), String> {
@@ -475,53 +633,8 @@ impl Output {
         self.line.push(b'\n');
         written
             .and_then(|()| self.file.write_all(&self.line))
-            .map_err(|error| self.failed(&error))
+            .map_err(|error| self.file.failed(&error))
     }
-
-    fn finish(mut self) -> Result<(), String> {
-        self.file
-            .flush()
-            .and_then(|()| match &self.unfinished {
-                Some(unfinished) => std::fs::rename(unfinished, &self.path),
-                None => Ok(()),
-            })
-            .map_err(|error| self.failed(&error))
-    }
-
-    fn failed(&self, error: &io::Error) -> String {
-        cannot_write(&self.path, error)
-    }
-}
-
-fn cannot_write(path: &Path, error: &io::Error) -> String {
-    let mut message = format!("{}: cannot be written: {error}", path.display());
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        message.push_str(&format!("; there is no folder {}", folder.display()));
-    }
-    message
-}
-
-impl Drop for Output {
-    fn drop(&mut self) {
-        if let Some(unfinished) = &self.unfinished {
-            // After `finish` it is gone already.
-            let _ = std::fs::remove_file(unfinished);
-        }
-    }
-}
-
-/// What the pipeline would say of a sample.
-fn flags_of(estimate: &Estimate) -> Flags {
-    let remarks = estimate.remarks;
-    Flags::NONE
-        .with(Flags::CALIBRATING, estimate.is_calibrating)
-        .with(Flags::GAP, remarks.gap)
-        .with(Flags::TIME, remarks.time_went_back)
-        .with(Flags::REJECTED, remarks.rejected)
-        .with(Flags::FREE_FALL, remarks.no_gravity)
 }
 
 /// The same moments on a scale without a sign: only differences matter to a filter.

@@ -17,27 +17,34 @@ pub struct Errors {
     per_sigma: Vec<f64>,
 }
 
-/// What there is to say about the errors, in degrees.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What there is to say about the errors, in degrees. The names in JSON are those of the `summary.json` of a flight on the
+/// virtual board, as far as it has them.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Score {
     /// How many rows counted.
+    #[serde(rename = "inclination_samples")]
     pub rows: usize,
     /// Root mean square.
+    #[serde(rename = "inclination_rms_deg")]
     pub rms: f64,
     /// So large are the largest 5 % at least.
+    #[serde(rename = "inclination_p95_deg")]
     pub p95: f64,
     /// The largest.
+    #[serde(rename = "inclination_max_deg")]
     pub maximum: f64,
     /// How far the filter's own σ is to be believed, if it states one.
+    #[serde(flatten)]
     pub honesty: Option<Honesty>,
 }
 
 /// Errors against the σ that the filter stated for them.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Honesty {
     /// The share of rows whose error is at most 3 σ.
     pub within_3_sigma: f64,
     /// The median of error/σ. Two independent normal errors, σ being the root of the sum of their variances, have 0.83.
+    #[serde(rename = "median_error_per_sigma")]
     pub median: f64,
 }
 

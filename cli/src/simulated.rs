@@ -1,22 +1,31 @@
-//! Simulated flights, for when no recordings are at hand: a quadrotor with vibration and wind, and an MPU-6050 whose
-//! gyroscope nobody calibrated.
+//! Simulated motions, for when no recordings are at hand, seen by an MPU-6050 whose gyroscope nobody calibrated; and
+//! `aplomb simulate`, which writes them.
 //!
 //! Filters are tuned on flights with seeds below [`FIRST_EVALUATION_SEED`], and judged on those from there on.
+
+use std::error::Error;
+use std::io::Write;
+use std::path::PathBuf;
 
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::mpu6050::{Config, LowPass, RawSample};
-use virtual_board::motion::Motion;
 use virtual_board::motion::geometry::{Quaternion, scale};
+use virtual_board::motion::poses::Poses;
 use virtual_board::motion::quadrotor::Quadrotor;
+use virtual_board::motion::recording::truth_of;
+use virtual_board::motion::rest::Rest;
+use virtual_board::motion::swing::Swing;
+use virtual_board::motion::{self, Motion, Truth};
 use virtual_board::random::Random;
 use virtual_board::sensor::SensorErrors;
 use virtual_board::sensor::clock::TICKS_PER_SECOND;
 use virtual_board::sensor::identity::Identity;
 use virtual_board::sensor::signal_path::{Settings, SignalPath};
 
-use crate::parallel;
+use crate::output::OutputFile;
 use crate::recording::{Recording, Reference};
+use crate::{number, parallel};
 
 /// Seeds from here on are for judging; smaller ones are for tuning.
 pub const FIRST_EVALUATION_SEED: u64 = 1_000;
@@ -34,6 +43,7 @@ const BIAS_DEGREES_S: f64 = 4.0;
 const SECONDS: u64 = 60;
 const TICKS_PER_SAMPLE: u64 = 8;
 const CONFIG: Config = Config::DEFAULT;
+const MOUNT: motion::Mount = motion::Mount::Z_UP;
 
 /// The flights of these seeds.
 pub fn flights(seeds: std::ops::Range<u64>) -> Vec<Recording> {
@@ -41,12 +51,68 @@ pub fn flights(seeds: std::ops::Range<u64>) -> Vec<Recording> {
     parallel::map_with_bar("simulating", &seeds, |seed| flight(*seed))
 }
 
-/// The flight of this seed, as the default settings of the sensor record it at 1 kHz, counts as they would be read.
-pub fn flight(seed: u64) -> Recording {
-    let mut motion = Quadrotor::by_seed(seed);
+/// What moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Kind {
+    /// A quadrotor with vibration and wind, on a course of manoeuvres
+    Flight,
+    /// Rest for 3 s, then a swing to and fro
+    Swing,
+    /// Rest on a level table
+    Rest,
+    /// Three seconds on each of the six sides, then in six poses between them
+    Poses,
+}
+
+/// The time in each pose, s.
+const POSE_S: f64 = 3.0;
+
+impl Kind {
+    fn motion(self, seed: u64) -> Box<dyn Motion> {
+        match self {
+            Self::Flight => Box::new(Quadrotor::by_seed(seed)),
+            Self::Swing => Box::new(Swing::by_seed(seed, 3.0)),
+            Self::Rest => Box::new(Rest::level()),
+            Self::Poses => {
+                let degrees = [
+                    [180.0, 0.0],
+                    [90.0, 0.0],
+                    [-90.0, 0.0],
+                    [0.0, 90.0],
+                    [0.0, -90.0],
+                    [45.0, 0.0],
+                    [-45.0, 0.0],
+                    [0.0, 45.0],
+                    [0.0, -45.0],
+                    [135.0, 20.0],
+                    [-135.0, -20.0],
+                ];
+                let poses = degrees.iter().zip(1..).map(|([roll, pitch], nth)| {
+                    let [roll, pitch] = [roll, pitch].map(|angle: &f64| angle.to_radians());
+                    (
+                        f64::from(nth) * POSE_S,
+                        Quaternion::from_euler(roll, pitch, 0.0),
+                    )
+                });
+                Box::new(Poses::new(&poses.collect::<Vec<_>>()))
+            }
+        }
+    }
+}
+
+/// What the sensor says at one time, and what is true.
+struct Simulated {
+    t_us: u64,
+    raw: RawSample,
+    truth: Truth,
+}
+
+/// A motion as the default settings of the sensor record it at 1 kHz, counts as they would be read.
+fn samples(kind: Kind, seed: u64, seconds: u64) -> impl Iterator<Item = Simulated> {
+    let mut motion = kind.motion(seed);
     let mut sensor = SignalPath::new(
         seed,
-        virtual_board::motion::Mount::Z_UP,
+        MOUNT,
         errors(seed),
         Identity::of(0x68),
         Settings {
@@ -58,6 +124,26 @@ pub fn flight(seed: u64) -> Recording {
             accelerometer_self_test: [false; 3],
         },
     );
+    (1..=seconds * TICKS_PER_SECOND as u64).filter_map(move |tick| {
+        let time_s = tick as f64 / TICKS_PER_SECOND;
+        let truth = motion.at(time_s);
+        let is_due = tick.is_multiple_of(TICKS_PER_SAMPLE);
+        sensor.convert(&truth, time_s, is_due);
+        let counts = is_due.then(|| sensor.counts())?;
+        Some(Simulated {
+            t_us: tick * 1_000_000 / TICKS_PER_SECOND as u64,
+            raw: RawSample {
+                accelerometer: aplomb::mpu6050::AccelerometerCounts(counts.accelerometer),
+                gyroscope: aplomb::mpu6050::GyroscopeCounts(counts.gyroscope),
+                ..RawSample::default()
+            },
+            truth,
+        })
+    })
+}
+
+/// The flight of this seed.
+pub fn flight(seed: u64) -> Recording {
     let mut recording = Recording {
         set: "simulated".to_owned(),
         name: format!("flight {seed}"),
@@ -66,33 +152,91 @@ pub fn flight(seed: u64) -> Recording {
         samples: Vec::new(),
         true_up: Vec::new(),
     };
-    for tick in 1..=SECONDS * TICKS_PER_SECOND as u64 {
-        let time_s = tick as f64 / TICKS_PER_SECOND;
-        let truth = motion.at(time_s);
-        let is_due = tick.is_multiple_of(TICKS_PER_SAMPLE);
-        sensor.convert(&truth, time_s, is_due);
-        if is_due {
-            let counts = sensor.counts();
-            let raw = RawSample {
-                accelerometer: aplomb::mpu6050::AccelerometerCounts(counts.accelerometer),
-                gyroscope: aplomb::mpu6050::GyroscopeCounts(counts.gyroscope),
-                ..RawSample::default()
-            };
-            recording.samples.push(Sample {
-                t_us: tick * 1_000_000 / TICKS_PER_SECOND as u64,
-                specific_force_m_s2: Mount::Z_UP
-                    .to_body(raw.accelerometer.to_m_s2(CONFIG.accelerometer_range)),
-                angular_rate_rad_s: Mount::Z_UP
-                    .to_body(raw.gyroscope.to_rad_s(CONFIG.gyroscope_range)),
-                is_rate_saturated: raw.gyroscope.is_saturated(),
-                is_force_saturated: raw.accelerometer.is_saturated(),
-            });
-            recording
-                .true_up
-                .push(truth.attitude.filter(|_| truth.scored).map(up_in_body));
-        }
+    for Simulated { t_us, raw, truth } in samples(Kind::Flight, seed, SECONDS) {
+        recording.samples.push(Sample {
+            t_us,
+            specific_force_m_s2: Mount::Z_UP
+                .to_body(raw.accelerometer.to_m_s2(CONFIG.accelerometer_range)),
+            angular_rate_rad_s: Mount::Z_UP.to_body(raw.gyroscope.to_rad_s(CONFIG.gyroscope_range)),
+            is_rate_saturated: raw.gyroscope.is_saturated(),
+            is_force_saturated: raw.accelerometer.is_saturated(),
+        });
+        recording
+            .true_up
+            .push(truth.attitude.filter(|_| truth.scored).map(up_in_body));
     }
     recording
+}
+
+/// Write a simulated motion with its truth as a log.
+///
+/// The sensor has the errors of a typical one (noise, a gyroscope offset of 4 degrees per second, which nobody calibrated) and lies
+/// face up, X forward. One seed is one motion, to the last bit. The log has 1000 rows a second
+/// (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s; truth sensor to earth with z up; mov 1 where rows count), as `replay`,
+/// `plot`, `bench` and `cargo xtask fly --log` read it. Samples are 1900 microseconds late, as a real sensor's are: --sensor-delay-us 1900.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  aplomb simulate --seed 7 --output flight.csv.gz
+  aplomb replay flight.csv.gz --sensor-delay-us 1900
+  aplomb simulate --kind poses --seconds 36 --output poses.csv && aplomb calibrate poses.csv")]
+pub struct Options {
+    /// Which motion
+    #[arg(long, value_enum, default_value_t = Kind::Flight)]
+    kind: Kind,
+    /// Which of them, and which sensor
+    #[arg(long, value_name = "N", default_value_t = FIRST_EVALUATION_SEED)]
+    seed: u64,
+    /// How long
+    #[arg(long, value_name = "S", default_value_t = SECONDS, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    seconds: u64,
+    /// The log to write; zipped if its name ends with .gz
+    #[arg(long, value_name = "OUT.csv[.gz]")]
+    output: PathBuf,
+}
+
+/// Writes a log.
+pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    let mut file = OutputFile::create(&options.output, &[])?;
+    let rows = options.seconds * 1_000;
+    let bar = parallel::bar("simulating", rows);
+    let mut line = Vec::from("t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov\n");
+    for sample in samples(options.kind, options.seed, options.seconds) {
+        file.write_all(&line).map_err(|error| file.failed(&error))?;
+        line.clear();
+        sample.write(&mut line)?;
+        bar.inc(1);
+    }
+    file.write_all(&line).map_err(|error| file.failed(&error))?;
+    bar.finish_and_clear();
+    file.finish()?;
+    crate::say(&format!(
+        "{}: {rows} rows, {}.0 s, seed {}",
+        options.output.display(),
+        options.seconds,
+        options.seed
+    ));
+    Ok(())
+}
+
+impl Simulated {
+    /// As a row of a log.
+    fn write(&self, line: &mut Vec<u8>) -> std::io::Result<()> {
+        let force = self.raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
+        let rates = self.raw.gyroscope.to_rad_s(CONFIG.gyroscope_range);
+        write!(line, "{}", self.t_us)?;
+        for value in [force.x, force.y, force.z, rates.x, rates.y, rates.z] {
+            line.push(b',');
+            number::append(line, value);
+        }
+        match self.truth.attitude {
+            Some(attitude) => {
+                let Quaternion { w, x, y, z } = truth_of(attitude, MOUNT);
+                write!(line, ",{w},{x},{y},{z}")?;
+            }
+            None => line.extend_from_slice(b",,,,"),
+        }
+        writeln!(line, ",{}", u8::from(self.truth.scored))
+    }
 }
 
 fn errors(seed: u64) -> SensorErrors {

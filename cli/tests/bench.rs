@@ -122,6 +122,34 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     assert!(filters >= 28 && filters % 4 == 0, "{filters}");
     let picture = std::fs::read(output.join("accuracy.png")).unwrap();
     assert!(picture.starts_with(b"\x89PNG"));
+    // The same as JSON.
+    let result = aplomb(&[
+        "bench".as_ref(),
+        folder.as_os_str(),
+        "--sensor-delay-us=still=1000".as_ref(),
+        "--counts=counted=8,250".as_ref(),
+        "--json".as_ref(),
+    ]);
+    let found: serde_json::Value = serde_json::from_slice(&result.stdout).unwrap();
+    assert_eq!(found["not_scored"].as_array().unwrap().len(), reasons.len());
+    let scores = found["scores"].as_array().unwrap();
+    assert_eq!(scores.len(), filters);
+    for (score, line) in scores.iter().zip(csv.lines().skip(1)) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let names = ["set", "recording", "reference", "sensor_delay_us", "filter"];
+        for (name, cell) in names.iter().zip(&cells) {
+            let value = score[name].to_string();
+            assert_eq!(value.trim_matches('"'), *cell, "{name}: {line}");
+        }
+        let rms: f64 = cells[6].parse().unwrap();
+        let found = score["inclination_rms_deg"].as_f64().unwrap();
+        assert!((found - rms).abs() < 1e-12, "{line}");
+        assert_eq!(
+            score.get("within_3_sigma").is_some(),
+            !cells[9].is_empty(),
+            "{line}"
+        );
+    }
 }
 
 #[test]
@@ -157,6 +185,28 @@ fn without_recordings_flights_are_simulated_and_it_says_so() {
         csv.contains("simulated,flight 1000,truth,1900,vqf,"),
         "{csv}"
     );
+    // The same flight as a file has the same error.
+    let log = path("bench-simulated", "flight.csv");
+    let seed = ["simulate", "--seed", "1000", "--output"].map(std::ffi::OsStr::new);
+    assert!(
+        aplomb(&[&seed[..], &[log.as_os_str()]].concat())
+            .status
+            .success()
+    );
+    let replay = ["replay", "--json", "--sensor-delay-us", "1900"].map(std::ffi::OsStr::new);
+    let replayed = aplomb(&[&replay[..], &[log.as_os_str()]].concat());
+    let replayed: serde_json::Value = serde_json::from_slice(&replayed.stdout).unwrap();
+    let start = "simulated,flight 1000,truth,1900,kalman,";
+    let row = csv.lines().find(|row| row.starts_with(start)).unwrap();
+    let cells: Vec<f64> = row[start.len()..]
+        .split(',')
+        .map(|cell| cell.parse().unwrap())
+        .collect();
+    let names = ["samples", "rms_deg", "p95_deg", "max_deg"];
+    for (name, cell) in names.iter().zip(&cells) {
+        let value = replayed[format!("inclination_{name}")].as_f64().unwrap();
+        assert!((value - cell).abs() < 1e-6, "{name}: {value} and {cell}");
+    }
 }
 
 #[test]

@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 
+use aplomb::health::Flags;
 use aplomb::mpu6050::{BURST_LENGTH, Burst, Part};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
@@ -115,6 +116,31 @@ fn up_in_the_files_axes_does_not_depend_on_the_mount() {
 }
 
 #[test]
+fn the_summary_is_told_as_json_too() {
+    let input = file("json", "input.csv", log(1_000, 0.0));
+    let (printed, _) = replay("json", &input, &[]);
+    let (json, _) = replay("json", &input, &["--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(summary["samples"], 1_000);
+    assert_eq!(summary["filter"], "kalman");
+    assert_eq!(summary["mount"], "+x-z");
+    assert_eq!(summary["inclination_samples"], 495);
+    let found = summary["inclination_rms_deg"].as_f64().unwrap();
+    assert!((found - rms(&printed)).abs() < 5.1e-4, "{json}");
+    for (flag, count) in summary["flags"].as_object().unwrap() {
+        assert!(
+            printed.contains(&format!("{flag}: {count} rows")),
+            "{printed}"
+        );
+    }
+    assert!(summary.get("log").is_none());
+    let without = "t_us,ax,ay,az,gx,gy,gz\n0,0,0,9.8,0,0,0\n";
+    let (json, _) = replay("json", &file("json", "short.csv", without), &["--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert!(summary.get("inclination_rms_deg").is_none(), "{json}");
+}
+
+#[test]
 fn a_late_sensor_is_made_up_for() {
     let input = file("delay", "input.csv", log(1_500, 0.02));
     for filter in ["kalman", "axis-kalman", "mahony"] {
@@ -169,7 +195,8 @@ fn every_row_gives_one_whatever_it_holds() {
         }
         assert!(flags[7].contains("GAP"), "{filter}: {flags:?}");
         for row in [1, 9] {
-            assert!(["", "CALIBRATING"].contains(&flags[row]), "{filter}");
+            let at_first = ["", "CALIBRATING|DEGRADED"];
+            assert!(at_first.contains(&flags[row]), "{filter}: {flags:?}");
         }
         assert!(printed.contains("TIME: 2 rows"), "{printed}");
         assert!(printed.contains("no truth"), "{printed}");
@@ -219,6 +246,104 @@ fn counts_and_si_values_give_the_same() {
     }
 }
 
+/// Rest, motion, a pause, a jump of the rates, a gap, a saturated gyroscope, free fall: time in µs and counts.
+fn eventful() -> Vec<(u64, [i16; 6])> {
+    let mut t_us = 5_000;
+    (0..9_000_u32)
+        .map(|index| {
+            let noise = (index * 7 % 5) as i16;
+            let turn = if index < 3_500 {
+                0.0
+            } else {
+                (f64::from(index) / 300.0).sin()
+            };
+            let wave = |amplitude: f64| (amplitude * turn) as i16 + noise;
+            let mut counts = [noise, -noise, 2_048 - noise, wave(700.0), noise, 12 - noise];
+            t_us += match index {
+                4_000 => 40_000,
+                6_000 => 700_000,
+                _ => 1_000,
+            };
+            match index {
+                5_000 => counts[4] = 3_000,
+                7_000..7_004 => counts[5] = i16::MAX,
+                8_000..8_050 => counts[2] = noise,
+                _ => {}
+            }
+            (t_us, counts)
+        })
+        .collect()
+}
+
+#[test]
+fn a_log_says_of_its_rows_what_a_board_says_of_its_bursts() {
+    let mut log = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    let mut text = format!("{}\n", bursts::HEADER);
+    for (t_us, [ax, ay, az, gx, gy, gz]) in eventful() {
+        writeln!(log, "{t_us},{ax},{ay},{az},{gx},{gy},{gz}").unwrap();
+        let mut bytes = [0; BURST_LENGTH];
+        // 25 °C.
+        let registers = [ax, ay, az, -3_920, gx, gy, gz];
+        for (pair, count) in bytes.chunks_exact_mut(2).zip(registers) {
+            pair.copy_from_slice(&count.to_be_bytes());
+        }
+        let burst = Burst {
+            bytes,
+            captured_at_us: t_us,
+            missed_before: 0,
+        };
+        writeln!(text, "{}", bursts::Line(&burst, Flags::NONE)).unwrap();
+    }
+    let (_, of_bursts) = replay("valid", &file("valid", "bursts.csv", text), &[]);
+    let raw = ["--raw", "--accel-range", "16", "--gyro-range", "2000"];
+    let delay = ["--sensor-delay-us", "1900"];
+    let log = file("valid", "log.csv", log);
+    let (printed, of_log) = replay("valid", &log, &[raw.as_slice(), &delay].concat());
+    let (flags, expected) = (column(&of_log, "flags"), column(&of_bursts, "flags"));
+    for (row, (flags, expected)) in flags.iter().zip(&expected).enumerate() {
+        assert_eq!(flags, expected, "row {row}");
+    }
+    let with = |flag| flags.iter().filter(|flags| flags.contains(flag)).count();
+    assert!(with("VALID") > 4_000, "{printed}");
+    for flag in [
+        "GAP",
+        "GYROSCOPE_SATURATED",
+        "FREE_FALL",
+        "DEGRADED",
+        "CALIBRATING",
+    ] {
+        assert!(with(flag) > 0, "{flag}: {printed}");
+    }
+    // After a pause and a jump σ says that something went unseen.
+    let sigma = |row: usize| {
+        column(&of_log, "tilt_sigma_deg")[row]
+            .parse::<f64>()
+            .unwrap()
+    };
+    assert!(
+        sigma(4_000) > sigma(3_999) + 0.5,
+        "{} {}",
+        sigma(3_999),
+        sigma(4_000)
+    );
+    assert_ne!(flags[5_000], "VALID", "the rates have jumped");
+}
+
+#[test]
+fn rows_far_apart_are_no_pauses_if_all_of_them_are() {
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    for index in 0..400_u32 {
+        let noise = f64::from(index * 7 % 5) * 1e-3;
+        writeln!(text, "{},{noise},0,9.8,0,{noise},0", index * 50_000).unwrap();
+    }
+    let (printed, output) = replay("slow", &file("slow", "input.csv", text), &[]);
+    let flags = column(&output, "flags");
+    assert!(
+        flags[200..].iter().all(|flags| *flags == "VALID"),
+        "{printed}"
+    );
+}
+
 #[test]
 fn bursts_go_through_the_whole_pipeline_to_the_bit() {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
@@ -248,8 +373,11 @@ fn bursts_go_through_the_whole_pipeline_to_the_bit() {
             captured_at_us: 1_000 * u64::from(index) + u64::from(noise),
             missed_before: u8::from(index == 1_200),
         };
-        writeln!(input, "{}", bursts::Line(&burst)).unwrap();
-        let snapshot = pipeline.update(&burst);
+        let flags = Flags::NONE
+            .with(Flags::SENSOR_RESET, index == 1_250)
+            .with(Flags::INTERNAL_CLOCK, index > 1_300);
+        writeln!(input, "{}", bursts::Line(&burst, flags)).unwrap();
+        let snapshot = pipeline.update_flagged(&burst, flags);
         let (q, rates, angles) = (
             snapshot.attitude,
             snapshot.body_rates_rad_s,

@@ -3,6 +3,7 @@
 //! | task | priority | started by | must end before |
 //! |---|---|---|---|
 //! | `data_ready`, `bus_event`, `bus_error`, `transfer_complete` | 4 | INT pin, I2C1, DMA1 stream 0 | the next bus event, 22 µs |
+//! | `check_settings` | 4 | `attitude`, every 22 ms | the next bus event, 22 µs |
 //! | `time` | 4 | TIM5: counter wrap, alarms, telemetry ticks | the next bus event, 22 µs |
 //! | `attitude` | 3 | `transfer_complete` | the end of the next burst, 1 ms |
 //! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: it skips a line rather than wait |
@@ -14,7 +15,12 @@
 #![no_main]
 
 use defmt_rtt as _;
-use panic_probe as _;
+/// Ends in the hard fault that `aplomb::board::crash` notes. What the panic says is left out, for it would take 4 KiB of flash with all
+/// that the compiler knows to say: a debugger that stops at the fault shows file and line.
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+    cortex_m::asm::udf()
+}
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [SPI2])]
 mod app {
@@ -37,7 +43,7 @@ mod app {
     use aplomb::estimator::Sample;
     use aplomb::estimator::kalman::{Kalman, Known};
     use aplomb::fault::{ClockSource, FaultClass, ResetCause};
-    use aplomb::health::Flags;
+    use aplomb::health::{FlagReport, Flags};
     use aplomb::mpu6050::{self, Config, Part};
     use aplomb::pipeline::Snapshot;
     use aplomb::pipeline::{Pipeline, Settings};
@@ -62,6 +68,8 @@ mod app {
     /// So long no sample comes when the sensor was stopped on purpose, at least: longer than the filter bridges, so that the
     /// attitude says [`Flags::GAP`] and starts again from gravity instead of guessing.
     const PAUSE_US: u32 = 600_000;
+    /// A recovery that begins sooner after the last one that was told is not told, so that what is has room, in µs.
+    const QUIET_US: u32 = 200_000;
     /// Room that a tick's answer, with its mark and line end, needs beside a frame.
     const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
     const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
@@ -226,11 +234,13 @@ mod app {
         } = context.shared;
         let mut post = |message| messages.lock(|messages| messages.post(message));
         let mut last_complaint = None;
+        let mut is_told = true;
+        let mut told_at = timebase::now();
         loop {
             watchdog::samples_go_on();
             match sensor.make_ready() {
                 Ok(ready) => {
-                    last_complaint = None;
+                    is_told |= last_complaint.take().is_some();
                     let (calibration, is_armed) = desk.lock(|desk| {
                         desk.sensor = Some((ready.part, ready.address));
                         (desk.calibration, desk.is_armed)
@@ -243,17 +253,25 @@ mod app {
                         }
                     });
                     burst_reader::enable(&ready, &Config::DEFAULT);
-                    post(Message::SensorConfigured {
-                        part: ready.part.name,
-                        address: ready.address,
-                    });
+                    if is_told {
+                        post(Message::SensorConfigured {
+                            part: ready.part.name,
+                            address: ready.address,
+                        });
+                    }
                     timebase::sleep_until(|| {
                         !burst_reader::is_enabled() || TASK_WAITS.load(Ordering::Acquire)
                     });
                     if burst_reader::is_enabled() {
                         burst_reader::pause();
+                        is_told = true;
                     } else {
-                        post(Message::Recovering);
+                        // A fault that lasts is recovered from in vain, hundreds of times a second.
+                        is_told = timebase::elapsed(told_at, QUIET_US);
+                        if is_told {
+                            told_at = timebase::now();
+                            post(Message::Recovering);
+                        }
                     }
                 }
                 Err(reason) => {
@@ -340,6 +358,11 @@ mod app {
     #[task(binds = I2C1_ER, priority = 4, shared = [reader])]
     fn bus_error(context: bus_error::Context) {
         context.shared.reader.on_bus_error();
+    }
+
+    #[task(binds = SPI1, priority = 4, shared = [reader])]
+    fn check_settings(context: check_settings::Context) {
+        context.shared.reader.on_check_request();
     }
 
     #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]
@@ -431,8 +454,7 @@ mod app {
             last_published: u32 = 0,
             last_failures: u16 = 0,
             tick: u16 = 0,
-            reception_errors: u32 = 0,
-            frames_dropped: u32 = 0,
+            flag_report: FlagReport = FlagReport::new(),
         ],
     )]
     async fn telemetry(context: telemetry::Context) {
@@ -448,8 +470,7 @@ mod app {
             last_published,
             last_failures,
             tick,
-            reception_errors,
-            frames_dropped,
+            flag_report,
             ..
         } = context.local;
         let mut messages = context.shared.messages;
@@ -459,10 +480,12 @@ mod app {
         let count = failures.wrapping_sub(*last_failures);
         if let (1.., Some(failure)) = (count, failure) {
             *last_failures = failures;
-            messages.lock(|messages| messages.post(Message::BurstsFailed { failure, count }));
+            post(&mut messages, Message::BurstsFailed { failure, count });
         }
         let has_reception_error = receiver.look(transmitter.baud()) != Reception::Sound;
-        *reception_errors = reception_errors.saturating_add(has_reception_error.into());
+        if has_reception_error {
+            retained::count(FaultClass::UartInput);
+        }
 
         // This runs much more often than the count wraps.
         *now_us += u64::from(timebase::now().wrapping_sub(*now_us as u32));
@@ -479,9 +502,13 @@ mod app {
         } else {
             None
         };
+        if let Some(snapshot) = &snapshot
+            && let Some(flags) = flag_report.update(snapshot.flags, now_us as u32)
+        {
+            post(&mut messages, Message::Attitude(flags));
+        }
         if !transmitter.is_idle() {
             if snapshot.is_some() {
-                *frames_dropped = frames_dropped.saturating_add(1);
                 retained::count(FaultClass::TelemetryLate);
             }
             return;
@@ -505,8 +532,8 @@ mod app {
             changed_at: None,
             state: State {
                 bursts_failed: failures,
-                reception_errors: *reception_errors,
-                frames_dropped: *frames_dropped,
+                reception_errors: retained::counted(FaultClass::UartInput),
+                frames_dropped: retained::counted(FaultClass::TelemetryLate),
                 ..State::default()
             },
         };
@@ -589,14 +616,20 @@ mod app {
                     let frame = formats::encode(format, snapshot, *frames_sent, &mut frame);
                     *frames_sent = frames_sent.wrapping_add(1);
                     output.put(frame);
-                    if let Ok(line) = core::str::from_utf8(frame) {
-                        defmt::info!("{=str}", line.trim_end_matches('\n'));
+                    let line = frame.strip_suffix(b"\n").unwrap_or(frame);
+                    if let Ok(line) = core::str::from_utf8(line) {
+                        defmt::info!("{=str}", line);
                     }
                 }
             }
         }
         let length = output.length();
         transmitter.send(length);
+    }
+
+    #[inline(never)]
+    fn post(messages: &mut impl Mutex<T = Mailbox>, message: Message) {
+        messages.lock(|messages| messages.post(message));
     }
 
     /// The latest snapshot, unless it was sent already.
@@ -698,14 +731,16 @@ mod app {
                 Some((
                     pipeline.temperature_celsius(),
                     pipeline.rate_offset_rad_s(),
-                    filter.bias_sigma_rad_s(),
+                    filter.largest_bias_sigma_rad_s(),
                     filter.tilt_sigma_rad(),
                 ))
             });
-            if let Some((temperature_celsius, bias_rad_s, sigma, tilt_sigma_rad)) = copied {
+            if let Some((temperature_celsius, bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad)) =
+                copied
+            {
                 state.temperature_celsius = temperature_celsius;
                 state.bias_rad_s = bias_rad_s;
-                state.bias_sigma_rad_s = sigma.x.max(sigma.y).max(sigma.z);
+                state.bias_sigma_rad_s = bias_sigma_rad_s;
                 state.tilt_sigma_rad = tilt_sigma_rad;
             }
             state

@@ -30,6 +30,7 @@ mod app {
     use core::fmt::Write;
 
     use aplomb::board::host_files::{self, HostFile};
+    use aplomb::health::Flags;
     use aplomb::mpu6050::{Burst, Part};
     use aplomb::pipeline::{Pipeline, Settings, Snapshot};
     use aplomb::telemetry::{bursts, text};
@@ -45,6 +46,9 @@ mod app {
     const SAMPLE_HZ: u32 = 1_000;
     const BAUD: u32 = 921_600;
 
+    /// A burst, and what the board said of it.
+    type FlaggedBurst = (Burst, Flags);
+
     #[shared]
     struct Shared {}
 
@@ -53,10 +57,10 @@ mod app {
         timer: stm32f4xx_hal::timer::CounterHz<TIM2>,
         port: stm32f4xx_hal::serial::Tx<USART1>,
         pipeline: Pipeline,
-        bursts_in: Producer<'static, Burst>,
-        bursts_out: Consumer<'static, Burst>,
-        ready_in: Producer<'static, Burst>,
-        ready_out: Consumer<'static, Burst>,
+        bursts_in: Producer<'static, FlaggedBurst>,
+        bursts_out: Consumer<'static, FlaggedBurst>,
+        ready_in: Producer<'static, FlaggedBurst>,
+        ready_out: Consumer<'static, FlaggedBurst>,
         snapshots_in: Producer<'static, Snapshot>,
         snapshots_out: Consumer<'static, Snapshot>,
         lines_in: Producer<'static, Snapshot>,
@@ -64,8 +68,8 @@ mod app {
     }
 
     #[init(local = [
-        bursts: Queue<Burst, 16> = Queue::new(),
-        ready: Queue<Burst, 2> = Queue::new(),
+        bursts: Queue<FlaggedBurst, 16> = Queue::new(),
+        ready: Queue<FlaggedBurst, 2> = Queue::new(),
         snapshots: Queue<Snapshot, 16> = Queue::new(),
         lines: Queue<Snapshot, 2> = Queue::new(),
     ])]
@@ -128,7 +132,7 @@ mod app {
     fn replay(
         input: &str,
         output: &str,
-        bursts_in: &mut Producer<'static, Burst>,
+        bursts_in: &mut Producer<'static, FlaggedBurst>,
         snapshots_out: &mut Consumer<'static, Snapshot>,
     ) -> bool {
         let (Some(mut input), Some(mut output)) = (HostFile::open(input), HostFile::create(output))
@@ -197,8 +201,8 @@ mod app {
 
     #[task(binds = SPI3, priority = 3, local = [pipeline, ready_out, snapshots_in, lines_in, samples: u32 = 0])]
     fn attitude(context: attitude::Context) {
-        while let Some(burst) = context.local.ready_out.dequeue() {
-            let snapshot = context.local.pipeline.update(&burst);
+        while let Some((burst, flags)) = context.local.ready_out.dequeue() {
+            let snapshot = context.local.pipeline.update_flagged(&burst, flags);
             context.local.pipeline.collect(&burst);
             // A full queue loses a snapshot, and `replay` then never counts to its end: the test sees it.
             context.local.snapshots_in.enqueue(snapshot).ok();

@@ -213,9 +213,9 @@ impl BurstReader {
     pub fn on_bus_event(&mut self) {
         let i2c = i2c1();
         let status = i2c.sr1().read();
-        let address = LINK.address.load(Ordering::Relaxed);
         match self.step {
             BurstStep::Start if status.sb().bit() => {
+                let address = LINK.address.load(Ordering::Relaxed);
                 i2c.dr().write(|w| w.dr().set(address << 1));
                 self.step = BurstStep::AddressWrite;
             }
@@ -232,6 +232,7 @@ impl BurstReader {
                 self.step = BurstStep::RepeatedStart;
             }
             BurstStep::RepeatedStart if status.sb().bit() => {
+                let address = LINK.address.load(Ordering::Relaxed);
                 i2c.dr().write(|w| w.dr().set(address << 1 | 1));
                 self.step = BurstStep::AddressRead;
             }
@@ -249,7 +250,10 @@ impl BurstReader {
                 i2c.sr2().read();
                 self.step = BurstStep::Data;
             }
-            BurstStep::Idle => self.begin_check(),
+            // Nothing is under way that an event could belong to: none interrupts again.
+            BurstStep::Idle => {
+                i2c.cr2().write(|w| with_clock(w));
+            }
             _ => {}
         }
     }
@@ -339,15 +343,14 @@ impl BurstReader {
         }
     }
 
-    /// Reads some settings back if that is asked for and the bus is free.
-    #[inline(never)]
-    fn begin_check(&mut self) {
-        let is_free =
-            i2c1().sr2().read().busy().bit_is_clear() && i2c1().cr1().read().stop().bit_is_clear();
-        if !LINK.check_wanted.load(Ordering::Relaxed) || !is_free || !is_enabled() {
+    /// SPI1, a peripheral that is not used: [`request_check`] asks. Reads some settings back if the bus is free.
+    pub fn on_check_request(&mut self) {
+        let is_free = self.step == BurstStep::Idle
+            && i2c1().sr2().read().busy().bit_is_clear()
+            && i2c1().cr1().read().stop().bit_is_clear();
+        if !is_free || !is_enabled() {
             return;
         }
-        LINK.check_wanted.store(false, Ordering::Relaxed);
         self.is_check = true;
         self.pointer = self.check().first;
         timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
@@ -393,7 +396,7 @@ impl BurstReader {
         }
     }
 
-    /// The alarm: a burst took too long, no edge came, a check is asked for, or it is time to say that no
+    /// The alarm: a burst took too long, no edge came, or it is time to say that no
     /// sample comes. True if the attitude task has to say so.
     pub fn on_alarm(&mut self, timebase: &Timebase) -> bool {
         if !is_enabled() {
@@ -584,8 +587,7 @@ pub fn take_stale() -> Option<(u64, Flags)> {
 /// Asks the reader to read some settings back now. Only the attitude task calls this, when it is done
 /// with a burst: then the bus is free.
 pub fn request_check() {
-    LINK.check_wanted.store(true, Ordering::Relaxed);
-    cortex_m::peripheral::NVIC::pend(Interrupt::I2C1_EV);
+    cortex_m::peripheral::NVIC::pend(Interrupt::SPI1);
 }
 
 /// Whether the full scales have been read back, and are right, since this was asked last.
@@ -612,7 +614,6 @@ pub fn enable(ready: &Ready, config: &Config) {
         };
     }
     LINK.address.store(ready.address, Ordering::Relaxed);
-    LINK.check_wanted.store(false, Ordering::Relaxed);
     LINK.enabled.store(true, Ordering::Release);
     // At which the reader takes all this up, so that the first edge finds it ready.
     timebase::raise_burst_alarm();
@@ -693,10 +694,8 @@ struct Link {
     failures: AtomicU32,
     /// Flags for the next burst.
     notes: AtomicU32,
-    /// The attitude task has asked for a check.
     /// The idle task wants the bus.
     pause_wanted: AtomicBool,
-    check_wanted: AtomicBool,
     are_scales_verified: AtomicBool,
     /// It is to be said that no sample comes, as of this time in microseconds since boot.
     is_stale: AtomicBool,
@@ -730,7 +729,6 @@ static LINK: Link = Link {
     failures: AtomicU32::new(0),
     notes: AtomicU32::new(0),
     pause_wanted: AtomicBool::new(false),
-    check_wanted: AtomicBool::new(false),
     is_stale: AtomicBool::new(false),
     stale_low: AtomicU32::new(0),
     stale_high: AtomicU32::new(0),

@@ -4,28 +4,30 @@
 //! finds the same count before and after its copy holds one whole snapshot. A debugger finds it
 //! under the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0, the count at 40.
 
-use core::cell::UnsafeCell;
-use core::mem::{MaybeUninit, offset_of};
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::mem::offset_of;
+use core::sync::atomic::{AtomicU32, Ordering, fence};
 
+use crate::attitude::{Quaternion, Vector3};
+use crate::health::Flags;
 use crate::pipeline::Snapshot;
 
 /// The place that the snapshots are published in.
 #[repr(C)]
 pub struct Published {
-    snapshot: UnsafeCell<MaybeUninit<Snapshot>>,
+    /// The snapshot, word by word.
+    snapshot: [AtomicU32; size_of::<Snapshot>() / 4],
     sequence: AtomicU32,
 }
 
-// SAFETY: `publish` has one caller, and `latest` discards a copy that a publication interrupted.
-unsafe impl Sync for Published {}
-
 const _: () = assert!(offset_of!(Published, sequence) == 40);
+// The order of the words below.
+const _: () = assert!(offset_of!(Snapshot, attitude) == 8 && offset_of!(Quaternion, z) == 12);
+const _: () = assert!(offset_of!(Snapshot, body_rates_rad_s) == 24 && offset_of!(Vector3, z) == 8);
 
 /// Zero until the first publication.
 #[unsafe(no_mangle)]
 static APLOMB_SNAPSHOT: Published = Published {
-    snapshot: UnsafeCell::new(MaybeUninit::zeroed()),
+    snapshot: [const { AtomicU32::new(0) }; size_of::<Snapshot>() / 4],
     sequence: AtomicU32::new(0),
 };
 
@@ -34,14 +36,19 @@ static APLOMB_SNAPSHOT: Published = Published {
 #[inline(always)]
 pub fn publish(snapshot: &Snapshot, tilt_variance_rad2: f32) {
     super::retained::show_variance(tilt_variance_rad2);
-    // SAFETY: the attitude task is the only writer and cannot preempt itself; readers have lower
-    // priority, so none is half-way while this runs except one that will see `sequence` change.
-    unsafe {
-        APLOMB_SNAPSHOT
-            .snapshot
-            .get()
-            .write_volatile(MaybeUninit::new(*snapshot));
-    }
+    let (q, rates) = (&snapshot.attitude, &snapshot.body_rates_rad_s);
+    let [low, high, qw, qx, qy, qz, p_rate, q_rate, r_rate, flags] = &APLOMB_SNAPSHOT.snapshot;
+    let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);
+    store(low, snapshot.t_us as u32);
+    store(high, (snapshot.t_us >> 32) as u32);
+    store(qw, q.w.to_bits());
+    store(qx, q.x.to_bits());
+    store(qy, q.y.to_bits());
+    store(qz, q.z.to_bits());
+    store(p_rate, rates.x.to_bits());
+    store(q_rate, rates.y.to_bits());
+    store(r_rate, rates.z.to_bits());
+    store(flags, snapshot.flags.bits());
     let sequence = APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed);
     APLOMB_SNAPSHOT
         .sequence
@@ -55,11 +62,25 @@ pub fn latest() -> Option<(Snapshot, u32)> {
         if before == 0 {
             return None;
         }
-        // SAFETY: the bytes are initialised once `sequence` is above zero, and plain numbers: a
-        // torn copy is a valid value, which the comparison below throws away.
-        let snapshot = unsafe { APLOMB_SNAPSHOT.snapshot.get().read_volatile().assume_init() };
-        if APLOMB_SNAPSHOT.sequence.load(Ordering::Acquire) == before {
-            return Some((snapshot, before));
+        let words = APLOMB_SNAPSHOT
+            .snapshot
+            .each_ref()
+            .map(|word| word.load(Ordering::Relaxed));
+        // The copy comes before the count is looked at again.
+        fence(Ordering::Acquire);
+        if APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed) == before {
+            return Some((snapshot_of(words), before));
         }
+    }
+}
+
+fn snapshot_of(words: [u32; size_of::<Snapshot>() / 4]) -> Snapshot {
+    let [low, high, numbers @ .., flags] = words;
+    let [w, x, y, z, p, q, r] = numbers.map(f32::from_bits);
+    Snapshot {
+        t_us: u64::from(high) << 32 | u64::from(low),
+        attitude: Quaternion::new(w, x, y, z),
+        body_rates_rad_s: Vector3::new(p, q, r),
+        flags: Flags::from_bits(flags),
     }
 }

@@ -219,22 +219,19 @@ impl Words {
             bias_rad_s: b,
             bias_sigma_rad_s,
         } = known;
-        self.spoil();
-        let numbers = [
-            q.w,
-            q.x,
-            q.y,
-            q.z,
-            b.x,
-            b.y,
-            b.z,
-            *tilt_sigma_rad,
-            *bias_sigma_rad_s,
-        ];
-        let words = numbers.map(f32::to_bits).into_iter().chain([number]);
-        for (place, word) in self.0.iter().zip(words) {
-            place.store(word, Ordering::Relaxed);
-        }
+        // Until its sum is there, too, a copy that is half written fails its check.
+        let [pw, px, py, pz, pbx, pby, pbz, tilt, bias, place, _] = &self.0;
+        let store = |place: &AtomicU32, value: f32| place.store(value.to_bits(), Ordering::Relaxed);
+        store(pw, q.w);
+        store(px, q.x);
+        store(py, q.y);
+        store(pz, q.z);
+        store(pbx, b.x);
+        store(pby, b.y);
+        store(pbz, b.z);
+        store(tilt, *tilt_sigma_rad);
+        store(bias, *bias_sigma_rad_s);
+        place.store(number, Ordering::Relaxed);
         let [.., sum] = &self.0;
         sum.store(self.sum(), Ordering::Release);
     }

@@ -8,6 +8,8 @@ use crate::pipeline::{Pipeline, Snapshot};
 
 /// So many stocktakings apart is what the filter knows kept for a start after a reset: 0.2 s.
 const STOCKTAKINGS_TO_A_KEEPING: u32 = 18;
+/// The one of them after which it is: an odd one, so that no sample has this and settings to read back.
+const KEEPING: u32 = 9;
 
 /// The flags whose coming is counted, with their classes.
 const COUNTED: [(Flags, FaultClass); 6] = [
@@ -57,16 +59,18 @@ impl Upkeep {
         watchdog::samples_go_on();
         watchdog::attitude_goes_on();
         self.is_watching = pipeline.is_suspect();
-        self.stocktakings = self.stocktakings.wrapping_add(1);
+        self.stocktakings += 1;
         // Every 22 ms: so every 44 ms at the full scales, and every 88 ms at the others.
         if self.stocktakings.is_multiple_of(2) {
             burst_reader::request_check();
         }
-        if self.stocktakings >= STOCKTAKINGS_TO_A_KEEPING {
+        if self.stocktakings == KEEPING
+            && let Some(known) = pipeline.known()
+        {
+            retained::keep(&known);
+        }
+        if self.stocktakings == STOCKTAKINGS_TO_A_KEEPING {
             self.stocktakings = 0;
-            if let Some(known) = pipeline.known() {
-                retained::keep(&known);
-            }
         }
     }
 

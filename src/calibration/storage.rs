@@ -261,13 +261,19 @@ fn encode<T: Stored>(record: &T, sequence: u32) -> Option<Image> {
     record.encode(&mut body).ok()?;
     let mut image: Image = [ERASED; LONGEST_RECORD];
     let (header, rest) = image.split_first_chunk_mut::<HEADER_LENGTH>()?;
-    rest.get_mut(..body.len())?.copy_from_slice(&body);
-    header[0..4].copy_from_slice(&MARK);
-    header[4..6].copy_from_slice(&T::VERSION.to_le_bytes());
-    header[6..8].copy_from_slice(&(body.len() as u16).to_le_bytes());
-    header[8..12].copy_from_slice(&sequence.to_le_bytes());
+    for (place, byte) in rest.iter_mut().zip(&body) {
+        *place = *byte;
+    }
+    let form = u32::from(T::VERSION) | (body.len() as u32) << 16;
+    let (words, _) = header.as_chunks_mut::<4>();
+    let [mark, version_and_length, number, _] = words else {
+        return None;
+    };
+    *mark = MARK;
+    *version_and_length = form.to_le_bytes();
+    *number = sequence.to_le_bytes();
     let crc = checksum(header, &body);
-    header[12..16].copy_from_slice(&crc.to_le_bytes());
+    *header.last_chunk_mut()? = crc.to_le_bytes();
     matches!(decode::<T>(&image), Slot::Valid { .. }).then_some(image)
 }
 

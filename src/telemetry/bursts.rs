@@ -4,37 +4,41 @@
 //! t_us,bytes,flags
 //! 1250345,0f3effc2e01c0a50ffe900130004,
 //! 1252345,0f3cffc3e01a0a50ffe800130005,MISSED
+//! 1262345,0f3cffc3e01a0a50ffe800130005,MISSED|BUS_FAULT|SENSOR_RESET
 //! ```
 //!
-//! The time is that of the capture in microseconds since boot, the bytes are 28 hexadecimal digits,
-//! and the flag `MISSED` says that data-ready edges before this burst gave none.
+//! The time is that of the capture in microseconds since boot, the bytes are 28 hexadecimal digits, and the flags,
+//! joined by `|`, are what goes into the pipeline with them: `MISSED` says that data-ready edges before this burst gave
+//! none, the others are those of [`Flags::OF_BOARD`]. (Files of earlier versions have `MISSED` alone.)
 
 use core::fmt;
 
+use crate::health::Flags;
 use crate::mpu6050::{BURST_LENGTH, Burst};
 
 /// The first line of the file.
 pub const HEADER: &str = "t_us,bytes,flags";
 
-/// The longest line, without its end: 20 digits, 28 digits, the flag and two commas.
-pub const LINE_LENGTH: usize = 20 + 1 + 2 * BURST_LENGTH + 1 + MISSED.len();
+/// The longest line, without its end: 20 digits, 28 digits, every flag and two commas.
+pub const LINE_LENGTH: usize = 20 + 1 + 2 * BURST_LENGTH + 1 + FLAGS_LENGTH;
 
-const MISSED: &str = "MISSED";
+/// The flags that a line can have.
+const KNOWN: Flags = Flags::OF_BOARD.with(Flags::MISSED, true);
 
-/// Displays a burst as its line, without its end.
-pub struct Line<'a>(pub &'a Burst);
+const FLAGS_LENGTH: usize = "MISSED|BUS_FAULT|SENSOR_RESET|LATE|POLLED|INTERNAL_CLOCK".len();
+
+/// Displays a burst, and what the board said of it, as its line, without its end.
+pub struct Line<'a>(pub &'a Burst, pub Flags);
 
 impl fmt::Display for Line<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{},", self.0.captured_at_us)?;
-        for byte in self.0.bytes {
+        let Self(burst, flags) = *self;
+        write!(formatter, "{},", burst.captured_at_us)?;
+        for byte in burst.bytes {
             write!(formatter, "{byte:02x}")?;
         }
-        formatter.write_str(",")?;
-        if self.0.missed_before > 0 {
-            formatter.write_str(MISSED)?;
-        }
-        Ok(())
+        let flags = (flags & Flags::OF_BOARD).with(Flags::MISSED, burst.missed_before > 0);
+        write!(formatter, ",{flags}")
     }
 }
 
@@ -47,25 +51,25 @@ pub enum DecodeError {
     Time,
     /// The second field is not 28 hexadecimal digits.
     Bytes,
-    /// The third field is neither empty nor `MISSED`.
+    /// The third field has a name in it that is none of a burst's flags.
     Flags,
 }
 
 impl fmt::Display for DecodeError {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::Fields => "expected three fields: t_us,bytes,flags",
-            Self::Time => "t_us is not a whole number of microseconds",
-            Self::Bytes => "bytes are not 28 hexadecimal digits",
-            Self::Flags => "flags are neither empty nor MISSED",
-        })
+        match self {
+            Self::Fields => formatter.write_str("expected three fields: t_us,bytes,flags"),
+            Self::Time => formatter.write_str("t_us is not a whole number of microseconds"),
+            Self::Bytes => formatter.write_str("bytes are not 28 hexadecimal digits"),
+            Self::Flags => write!(formatter, "flags are not names of {KNOWN}, joined by |"),
+        }
     }
 }
 
 impl core::error::Error for DecodeError {}
 
-/// Reads a line, without its end. `missed_before` becomes 1 where the flag is set.
-pub fn decode(line: &str) -> Result<Burst, DecodeError> {
+/// Reads a line, without its end: the burst, and what the board said of it. `missed_before` becomes 1 where `MISSED` is set.
+pub fn decode(line: &str) -> Result<(Burst, Flags), DecodeError> {
     let mut fields = line.split(',');
     let (Some(time), Some(digits), Some(flags), None) =
         (fields.next(), fields.next(), fields.next(), fields.next())
@@ -86,16 +90,15 @@ pub fn decode(line: &str) -> Result<Burst, DecodeError> {
             })
             .ok_or(DecodeError::Bytes)?;
     }
-    let missed_before = match flags {
-        "" => 0,
-        MISSED => 1,
-        _ => return Err(DecodeError::Flags),
-    };
-    Ok(Burst {
+    let flags = Flags::parse(flags)
+        .filter(|flags| KNOWN.contains(*flags))
+        .ok_or(DecodeError::Flags)?;
+    let burst = Burst {
         bytes,
         captured_at_us,
-        missed_before,
-    })
+        missed_before: u8::from(flags.contains(Flags::MISSED)),
+    };
+    Ok((burst, flags & Flags::OF_BOARD))
 }
 
 #[cfg(test)]
@@ -110,17 +113,19 @@ mod tests {
             bytes: [u8; BURST_LENGTH],
             captured_at_us: u64,
             missed_before in 0..2_u8,
+            bits: u32,
         ) {
             let burst = Burst { bytes, captured_at_us, missed_before };
-            let line = Line(&burst).to_string();
+            let flags = Flags::from_bits(bits);
+            let line = Line(&burst, flags).to_string();
             prop_assert!(line.len() <= LINE_LENGTH);
-            prop_assert_eq!(decode(&line), Ok(burst));
+            prop_assert_eq!(decode(&line), Ok((burst, flags & Flags::OF_BOARD)));
         }
 
         #[test]
-        fn any_text_is_a_burst_or_an_error(text in "[0-9a-f,MISED+ é-]{0,60}") {
-            if let Ok(burst) = decode(&text) {
-                prop_assert_eq!(decode(&Line(&burst).to_string()), Ok(burst));
+        fn any_text_is_a_burst_or_an_error(text in "[0-9a-f,MISED|LAT+ é-]{0,60}") {
+            if let Ok((burst, flags)) = decode(&text) {
+                prop_assert_eq!(decode(&Line(&burst, flags).to_string()), Ok((burst, flags)));
             }
         }
     }
@@ -133,6 +138,34 @@ mod tests {
         assert_eq!(decode(&format!("7,{digits}00,")), Err(DecodeError::Bytes));
         let sign = digits.replacen("00", "+1", 1);
         assert_eq!(decode(&format!("7,{sign},")), Err(DecodeError::Bytes));
-        assert_eq!(decode(&format!("7,{digits},x")), Err(DecodeError::Flags));
+        // What the pipeline finds out by itself is no flag of a burst.
+        for flags in ["x", "VALID", "MISSED|GAP", "|", "MISSED|"] {
+            let line = format!("7,{digits},{flags}");
+            assert_eq!(decode(&line), Err(DecodeError::Flags), "{flags}");
+        }
+        assert!(DecodeError::Flags.to_string().contains("MISSED|BUS_FAULT"));
+    }
+
+    #[test]
+    fn the_longest_line_has_every_flag() {
+        let burst = Burst {
+            bytes: [0; BURST_LENGTH],
+            captured_at_us: u64::MAX,
+            missed_before: 1,
+        };
+        let line = Line(&burst, Flags::from_bits(u32::MAX)).to_string();
+        assert_eq!(line.len(), LINE_LENGTH);
+    }
+
+    #[test]
+    fn lines_of_earlier_versions_are_read() {
+        let line = |flags| format!("1250345,0f3effc2e01c0a50ffe900130004,{flags}");
+        for (flags, missed_before) in [("", 0), ("MISSED", 1)] {
+            let (burst, of_board) = decode(&line(flags)).expect("a burst");
+            assert_eq!(
+                (burst.missed_before, of_board),
+                (missed_before, Flags::NONE)
+            );
+        }
     }
 }

@@ -10,6 +10,7 @@ use heapless::Deque;
 
 use crate::calibration::storage::LoadProblem;
 use crate::fault::{BurstFailure, ClockSource, FaultClass, ResetCause};
+use crate::health::Flags;
 use crate::mpu6050;
 
 /// Room for the longest message on a line of its own, in bytes.
@@ -67,6 +68,8 @@ pub enum Message {
     MovedAtStart,
     /// The gyroscope's offset is measured: rates are free of it from here on.
     OffsetMeasured,
+    /// The flags of the attitude have changed for longer than a moment.
+    Attitude(Flags),
     /// Messages were lost, since too many came at once.
     MessagesLost {
         /// How many.
@@ -99,10 +102,12 @@ impl Message {
             | Self::Recovering
             | Self::MovedAtStart
             | Self::MessagesLost { .. } => Severity::Warning,
+            Self::Attitude(flags) if flags.intersects(Flags::DEGRADED) => Severity::Warning,
             Self::BusHeldLow { .. } | Self::SensorFailed(_) => Severity::Error,
             Self::Started { .. }
             | Self::RecordLoaded
             | Self::SensorConfigured { .. }
+            | Self::Attitude(_)
             | Self::OffsetMeasured => Severity::Information,
         }
     }
@@ -158,6 +163,10 @@ impl fmt::Display for Message {
             Self::MovedAtStart => formatter
                 .write_str("moved while the gyroscope's offset was being measured: hold it still"),
             Self::OffsetMeasured => formatter.write_str("gyroscope's offset measured, ready"),
+            Self::Attitude(flags) => {
+                formatter.write_str("attitude: ")?;
+                fmt::Display::fmt(flags, formatter)
+            }
             Self::MessagesLost { count } => write!(formatter, "{count} messages lost"),
         }
     }
@@ -290,6 +299,10 @@ mod tests {
                 },
                 "MPU-6050 at 0x69 configured",
             ),
+            (
+                Message::Attitude(Flags::VALID | Flags::DEGRADED | Flags::POLLED),
+                "attitude: VALID|DEGRADED|POLLED",
+            ),
         ];
         for (message, text) in cases {
             assert_eq!(message.to_string(), text);
@@ -317,6 +330,7 @@ mod tests {
             Message::Recovering,
             Message::MovedAtStart,
             Message::OffsetMeasured,
+            Message::Attitude(Flags::LASTING),
             Message::MessagesLost { count: u16::MAX },
             error(mpu6050::Error::NotFound),
             error(mpu6050::Error::UnknownIdentity {

@@ -16,7 +16,7 @@ use crate::pipeline::Snapshot;
 /// The longest set of lines, newlines included.
 pub const LINES_LENGTH: usize = {
     // Each field has `>`, a label, a colon, a number and a newline.
-    let mut length = 0;
+    let mut length = 1 + text::VALID.len();
     let mut index = 0;
     while index < text::LABELS.len() {
         length += 1 + text::LABELS[index].len() + 1 + LONGEST_NUMBER + 1;
@@ -29,16 +29,7 @@ pub const LINES_LENGTH: usize = {
 #[inline(never)]
 pub fn encode<'a>(snapshot: &Snapshot, lines: &'a mut [u8; LINES_LENGTH]) -> &'a [u8] {
     let mut writer = Writer::new(lines);
-    for (label, value) in text::LABELS
-        .into_iter()
-        .zip(text::Line::from(snapshot).values())
-    {
-        writer.text(">");
-        writer.text(label);
-        writer.text(":");
-        text::put(&mut writer, label, value);
-        writer.text("\n");
-    }
+    text::put(&mut writer, &text::Line::from(snapshot), ">", "\n");
     writer.finish()
 }
 
@@ -47,14 +38,20 @@ pub fn decode(line: &str) -> Option<(&str, f32)> {
     let line = line.strip_suffix('\n').unwrap_or(line);
     let line = line.strip_suffix('\r').unwrap_or(line);
     let (label, value) = line.strip_prefix('>')?.split_once(':')?;
-    let is_known = text::LABELS.contains(&label);
-    Some((label, super::decimal::parse(value)?)).filter(|_| is_known)
+    let value = match (label, value) {
+        (text::VALID_LABEL, "0") => 0.0,
+        (text::VALID_LABEL, "1") => 1.0,
+        _ if text::LABELS.contains(&label) => super::decimal::parse(value)?,
+        _ => return None,
+    };
+    Some((label, value))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::attitude::{EulerAngles, Quaternion, Vector3};
+    use crate::health::Flags;
     use crate::units::radians;
 
     #[test]
@@ -66,17 +63,20 @@ mod tests {
                 yaw_rad: radians(90.0),
             }),
             body_rates_rad_s: Vector3::new(0.0, radians(0.12), radians(-3.0)),
+            flags: Flags::VALID,
             ..Snapshot::default()
         };
         let mut lines = [0; LINES_LENGTH];
         let lines = core::str::from_utf8(encode(&snapshot, &mut lines)).expect("ASCII");
         assert_eq!(
             lines,
-            ">roll:1.00\n>pitch:-2.50\n>yaw:90.00\n>roll_rate:0.00\n>pitch_rate:0.12\n>yaw_rate:-3.00\n"
+            ">roll:1.00\n>pitch:-2.50\n>yaw:90.00\n>roll_rate:0.00\n>pitch_rate:0.12\n>yaw_rate:-3.00\n>valid:1\n"
         );
         let read: Vec<_> = lines.lines().map(decode).collect();
         assert_eq!(read[1], Some(("pitch", -2.5)));
         assert!(read.iter().all(Option::is_some));
+        assert_eq!(read[6], Some(("valid", 1.0)));
+        assert_eq!(decode(">valid:2"), None);
         assert_eq!(decode("roll:1.00"), None);
         assert_eq!(decode(">height:1.00"), None);
     }

@@ -1,15 +1,17 @@
 //! Labelled text for people and Arduino-style plotters ([`teleplot`](super::teleplot) has its own): one line per sample,
 //!
 //! ```text
-//! roll:1.00⇥pitch:-2.50⇥yaw:90.00⇥roll_rate:0.00⇥pitch_rate:0.12⇥yaw_rate:-3.00
+//! roll:1.00⇥pitch:-2.50⇥yaw:90.00⇥roll_rate:0.00⇥pitch_rate:0.12⇥yaw_rate:-3.00⇥valid:1
 //! ```
 //!
 //! with tabs between the fields. Angles are degrees, rates are the body's own p, q, r in °/s; yaw
 //! is relative to the heading at start. Two decimals; encoding takes no floating-point formatting.
+//! `valid` is 1 with [`Flags::VALID`], else 0; a message names the other flags when they change.
 
 use core::fmt;
 
 use super::decimal::{self, LONGEST_NUMBER, Writer};
+use crate::health::Flags;
 use crate::pipeline::Snapshot;
 use crate::units::degrees;
 
@@ -22,10 +24,15 @@ pub(super) const LABELS: [&str; 6] = [
     "yaw_rate",
 ];
 
+/// The field after those: whether the attitude is valid.
+pub(super) const VALID_LABEL: &str = "valid";
+const INVALID: &str = "valid:0\n";
+pub(super) const VALID: &str = "valid:1\n";
+
 /// The longest line, its newline included.
 pub const LINE_LENGTH: usize = {
-    // Each field has a label, a colon, a number, and a tab or the newline.
-    let mut length = 0;
+    // Each field has a label, a colon, a number, and a tab.
+    let mut length = VALID.len();
     let mut index = 0;
     while index < LABELS.len() {
         length += LABELS[index].len() + 1 + LONGEST_NUMBER + 1;
@@ -50,6 +57,8 @@ pub struct Line {
     pub pitch_rate_deg_s: f32,
     /// Rate about the down axis in °/s.
     pub yaw_rate_deg_s: f32,
+    /// Whether the attitude is valid, by the rule of [`Flags::VALID`].
+    pub is_valid: bool,
 }
 
 impl Line {
@@ -66,13 +75,22 @@ impl Line {
     }
 }
 
-/// Writes a value as its label asks for.
-pub(super) fn put(writer: &mut Writer<'_>, label: &str, value: f32) {
-    if label == "roll" || label == "yaw" {
-        writer.angle(value);
-    } else {
-        writer.number(value);
+/// Writes the fields with `before` before each and `after` after each, the last one's newline apart.
+#[inline(never)]
+pub(super) fn put(writer: &mut Writer<'_>, numbers: &Line, before: &str, after: &str) {
+    for (label, value) in LABELS.into_iter().zip(numbers.values()) {
+        writer.text(before);
+        writer.text(label);
+        writer.text(":");
+        if label == "roll" || label == "yaw" {
+            writer.angle(value);
+        } else {
+            writer.number(value);
+        }
+        writer.text(after);
     }
+    writer.text(before);
+    writer.text(if numbers.is_valid { VALID } else { INVALID });
 }
 
 impl From<&Snapshot> for Line {
@@ -86,6 +104,7 @@ impl From<&Snapshot> for Line {
             roll_rate_deg_s: degrees(rates.x),
             pitch_rate_deg_s: degrees(rates.y),
             yaw_rate_deg_s: degrees(rates.z),
+            is_valid: snapshot.flags.contains(Flags::VALID),
         }
     }
 }
@@ -101,13 +120,7 @@ pub fn encode<'a>(snapshot: &Snapshot, line: &'a mut [u8; LINE_LENGTH]) -> &'a [
 #[inline(never)]
 pub fn encode_line<'a>(numbers: &Line, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
     let mut writer = Writer::new(line);
-    for (index, (label, value)) in LABELS.into_iter().zip(numbers.values()).enumerate() {
-        writer.text(if index > 0 { "\t" } else { "" });
-        writer.text(label);
-        writer.text(":");
-        put(&mut writer, label, value);
-    }
-    writer.text("\n");
+    put(&mut writer, numbers, "", "\t");
     writer.finish()
 }
 
@@ -119,6 +132,8 @@ pub enum DecodeError {
     MissingField(&'static str),
     /// The value of the field with this label is not a number with two decimals.
     NotANumber(&'static str),
+    /// `valid` is neither 0 nor 1.
+    NotAValidity,
     /// Something follows the last field.
     TrailingText,
 }
@@ -130,6 +145,7 @@ impl fmt::Display for DecodeError {
             Self::NotANumber(label) => {
                 write!(formatter, "`{label}` is not a number with two decimals")
             }
+            Self::NotAValidity => write!(formatter, "`{VALID_LABEL}` is neither 0 nor 1"),
             Self::TrailingText => write!(formatter, "there is text after the last field"),
         }
     }
@@ -146,14 +162,14 @@ pub fn decode(line: &str) -> Result<Line, DecodeError> {
     let line = line.strip_suffix('\n').unwrap_or(line);
     let line = line.strip_suffix('\r').unwrap_or(line);
     let mut fields = line.split('\t');
-    let mut field = |label: &'static str| {
-        let value = fields
+    let mut value = |label: &'static str| {
+        fields
             .next()
             .and_then(|field| field.strip_prefix(label))
             .and_then(|field| field.strip_prefix(':'))
-            .ok_or(DecodeError::MissingField(label))?;
-        decimal::parse(value).ok_or(DecodeError::NotANumber(label))
+            .ok_or(DecodeError::MissingField(label))
     };
+    let mut field = |label| decimal::parse(value(label)?).ok_or(DecodeError::NotANumber(label));
     let [roll, pitch, yaw, roll_rate, pitch_rate, yaw_rate] = LABELS;
     let numbers = Line {
         roll_deg: field(roll)?,
@@ -162,6 +178,11 @@ pub fn decode(line: &str) -> Result<Line, DecodeError> {
         roll_rate_deg_s: field(roll_rate)?,
         pitch_rate_deg_s: field(pitch_rate)?,
         yaw_rate_deg_s: field(yaw_rate)?,
+        is_valid: match value(VALID_LABEL)? {
+            "0" => false,
+            "1" => true,
+            _ => return Err(DecodeError::NotAValidity),
+        },
     };
     match fields.next() {
         None => Ok(numbers),
@@ -175,8 +196,7 @@ mod tests {
     use crate::attitude::{EulerAngles, Quaternion, Vector3};
     use crate::units::radians;
 
-    const EXAMPLE: &str =
-        "roll:1.00\tpitch:-2.50\tyaw:90.00\troll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\n";
+    const EXAMPLE: &str = "roll:1.00\tpitch:-2.50\tyaw:90.00\troll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:1\n";
 
     fn written(snapshot: &Snapshot) -> String {
         let mut line = [0; LINE_LENGTH];
@@ -192,9 +212,15 @@ mod tests {
                 yaw_rad: radians(90.0),
             }),
             body_rates_rad_s: Vector3::new(0.0, radians(0.12), radians(-3.0)),
+            flags: Flags::VALID | Flags::POLLED,
             ..Snapshot::default()
         };
         assert_eq!(written(&snapshot), EXAMPLE);
+        let degraded = Snapshot {
+            flags: Flags::DEGRADED,
+            ..snapshot
+        };
+        assert_eq!(written(&degraded), EXAMPLE.replace("valid:1", "valid:0"));
     }
 
     #[test]
@@ -206,13 +232,14 @@ mod tests {
             roll_rate_deg_s: -180.0,
             pitch_rate_deg_s: 0.0,
             yaw_rate_deg_s: -180.0,
+            is_valid: false,
         };
         let mut line = [0; LINE_LENGTH];
         let text = core::str::from_utf8(encode_line(&numbers, &mut line)).expect("ASCII");
         assert_eq!(
             text,
             "roll:180.00\tpitch:0.00\tyaw:180.00\t\
-             roll_rate:-180.00\tpitch_rate:0.00\tyaw_rate:-180.00\n"
+             roll_rate:-180.00\tpitch_rate:0.00\tyaw_rate:-180.00\tvalid:0\n"
         );
     }
 
@@ -226,6 +253,7 @@ mod tests {
             roll_rate_deg_s: worst,
             pitch_rate_deg_s: worst,
             yaw_rate_deg_s: worst,
+            is_valid: true,
         };
         let mut line = [0; LINE_LENGTH];
         let text = encode_line(&numbers, &mut line);
@@ -242,6 +270,7 @@ mod tests {
             roll_rate_deg_s: 0.0,
             pitch_rate_deg_s: 0.12,
             yaw_rate_deg_s: -3.0,
+            is_valid: true,
         };
         let bare = EXAMPLE.trim_end();
         assert_eq!(decode(EXAMPLE), Ok(expected));
@@ -257,6 +286,8 @@ mod tests {
         assert_eq!(decode(&swapped), Err(DecodeError::MissingField("pitch")));
         let broken = EXAMPLE.replace("90.00", "90.0");
         assert_eq!(decode(&broken), Err(DecodeError::NotANumber("yaw")));
+        let unsure = EXAMPLE.replace("valid:1", "valid:2");
+        assert_eq!(decode(&unsure), Err(DecodeError::NotAValidity));
         let longer = EXAMPLE.replace('\n', "\tmore:1.00\n");
         assert_eq!(decode(&longer), Err(DecodeError::TrailingText));
         assert_eq!(decode(""), Err(DecodeError::MissingField("roll")));

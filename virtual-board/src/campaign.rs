@@ -1,6 +1,6 @@
 //! Flights by chance with faults by chance, and what must hold in every one of them.
 //!
-//! - No hang, no crash, and no reset but the one that a `watchdog-hang` asks for.
+//! - No hang, no crash, and no reset but those that a `watchdog-hang`, a `crash` or a `stack-overflow` asks for.
 //! - A tilt that is wrong by more than the larger of 5° and six σ is never published as valid.
 //! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within the deadline after
 //!   each fault: 20 ms after the end of a fault of the bus, 250 ms after a reset or the sensor's first possible
@@ -79,7 +79,7 @@ impl Case {
     #[must_use]
     pub fn new(seed: u64, schedule: Schedule) -> Self {
         let over_ns = |fault: &ScheduledFault| match fault.end_ns() {
-            _ if fault.kind == FaultKind::WatchdogHang => fault.start_ns + WATCHDOG_NS,
+            _ if fault.kind.resets() => fault.start_ns + WATCHDOG_NS,
             u64::MAX => fault.start_ns + RESET_DEADLINE_NS,
             // The sensor takes up to 90 ms to start.
             end_ns if fault.kind == FaultKind::SensorBrownout => {
@@ -157,7 +157,9 @@ pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
         | FaultKind::Ones
         | FaultKind::Saturated(_)
         | FaultKind::CrystalDies
-        | FaultKind::WatchdogHang => Some(RESET_DEADLINE_NS),
+        | FaultKind::WatchdogHang
+        | FaultKind::Crash
+        | FaultKind::StackOverflow => Some(RESET_DEADLINE_NS),
         _ => Some(BUS_DEADLINE_NS),
     }
 }
@@ -268,31 +270,32 @@ impl Judge<'_> {
         self.record.last.1
     }
 
-    /// Nothing but a hang that was asked for resets the processor, and nothing crashes it.
+    /// Nothing resets the processor but what was asked for, and nothing else crashes it.
     fn the_processor(&self, case: &Case, failures: &mut Vec<String>) {
-        let hangs = case
-            .schedule
-            .faults
-            .iter()
-            .filter(|fault| fault.kind == FaultKind::WatchdogHang)
-            .count();
+        let count = |is_asked_for: fn(&FaultKind) -> bool| {
+            let faults = case.schedule.faults.iter();
+            faults.filter(|fault| is_asked_for(&fault.kind)).count()
+        };
+        let asked_for = count(FaultKind::resets);
+        let crashes =
+            count(|kind| matches!(kind, FaultKind::Crash | FaultKind::StackOverflow)) as u64;
         let resets = &self.record.resets_ns;
-        if resets.len() > hangs {
+        if resets.len() > asked_for {
             let at: Vec<String> = resets.iter().map(|&at_ns| seconds(at_ns)).collect();
             failures.push(format!(
-                "{} resets, {hangs} asked for: at {} s",
+                "{} resets, {asked_for} asked for: at {} s",
                 resets.len(),
                 at.join(", ")
             ));
         }
-        if resets.len() < hangs {
-            failures.push("the core hung, and no watchdog reset it".into());
+        if resets.len() < asked_for {
+            failures.push("the core hung or crashed, and nothing reset it".into());
         }
         let instructions = &self.record.instructions;
         let crashed: u64 = CRASHES
             .filter_map(|exception| instructions.get(exception))
             .sum();
-        if crashed > 0 {
+        if crashed > crashes {
             failures.push("a fault handler ran: a crash or a panic".into());
         }
     }
@@ -590,7 +593,7 @@ fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
         FaultKind::SensorBrownout => {
             first_after(&record.sensor_ready_ns, fault.end_ns()).unwrap_or(fault.end_ns())
         }
-        FaultKind::WatchdogHang => {
+        kind if kind.resets() => {
             first_after(&record.resets_ns, fault.start_ns).unwrap_or(fault.start_ns)
         }
         FaultKind::CrystalDies => fault.start_ns,
@@ -864,7 +867,7 @@ mod tests {
 
         let case = self::case("1.8 0 watchdog-hang");
         let record = self::record(&case, 0..0);
-        assert_fails(&case, &record, "no watchdog reset it");
+        assert_fails(&case, &record, "nothing reset it");
     }
 
     #[test]
@@ -915,6 +918,6 @@ mod tests {
             .unwrap();
         let cells: Vec<&str> = row.split_whitespace().collect();
         assert_eq!(cells, ["sda-low", "1", "1", "1", "10.4"]);
-        assert_eq!(text.lines().count(), 27);
+        assert_eq!(text.lines().count(), 30);
     }
 }

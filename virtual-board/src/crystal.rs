@@ -4,11 +4,12 @@
 //! has what the firmware asked for: a crystal, with HSEBYP clear, or another chip's clock, with HSEBYP set (RM0090,
 //! section 6.2.1).
 
-use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
-use rigless::soc::RegisterSpec;
+use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::rcc::{Register, cr};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
-use rigless::time::{EventId, VirtualNanos};
+use rigless::time::EventId;
+
+use crate::delegate::delegate;
 
 /// What is connected to the high-speed oscillator's pins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,8 +55,8 @@ pub struct CrystalAware {
 
 impl CrystalAware {
     /// The crystal, or the other chip's clock, stops. With the clock security system on, the hardware switches over to
-    /// the internal oscillator and says so in CSSF (RM0090, section 7.2.7); the NMI is not modelled. Returns whether
-    /// the core has lost its clock, because it is off.
+    /// the internal oscillator and says so in CSSF (RM0090, section 7.2.7), which asks for the NMI. Returns whether the core has lost
+    /// its clock, because it is off.
     pub fn stop_crystal(
         &mut self,
         registers: &mut RegisterFile,
@@ -94,22 +95,7 @@ impl CrystalAware {
 impl Device for CrystalAware {
     type Register = Register;
 
-    fn layout(&self) -> &'static [RegisterSpec] {
-        Device::layout(&self.model)
-    }
-
-    fn read(
-        &mut self,
-        register: Register,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) -> Option<u64> {
-        Device::read(&mut self.model, register, registers, context)
-    }
-
-    fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
-        Device::peek(&self.model, register, registers, now)
-    }
+    delegate!(layout read peek on_request on_access on_refused on_clock reset reset_line);
 
     fn write(
         &mut self,
@@ -130,18 +116,5 @@ impl Device for CrystalAware {
     ) {
         Device::on_event(&mut self.model, event, registers, context);
         self.refuse_readiness(registers);
-    }
-
-    fn on_request(
-        &mut self,
-        request: RequestChange,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_request(&mut self.model, request, registers, context);
-    }
-
-    fn reset(&mut self) {
-        Device::reset(&mut self.model);
     }
 }

@@ -3,12 +3,11 @@
 //! While the fault lasts, the bus answers the accesses of stream 0, which serves the receiver of I2C1, with an error:
 //! TEIF is set, and the hardware clears EN (RM0090, section 10.3.18).
 
-use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
-use rigless::soc::RegisterSpec;
+use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::dma2::Register;
 use rigless::soc::stm32f427::peripherals::dma::Dma;
-use rigless::time::{EventId, VirtualNanos};
 
+use crate::delegate::delegate;
 use crate::faults::{Fault, FaultKind, ScheduledFault, scheduled};
 
 /// rigless numbers the accesses of its streams two to a stream: to its source, and to its destination.
@@ -37,50 +36,7 @@ impl RefusedDma {
 impl Device for RefusedDma {
     type Register = Register;
 
-    fn layout(&self) -> &'static [RegisterSpec] {
-        Device::layout(&self.model)
-    }
-
-    fn read(
-        &mut self,
-        register: Register,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) -> Option<u64> {
-        Device::read(&mut self.model, register, registers, context)
-    }
-
-    fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
-        Device::peek(&self.model, register, registers, now)
-    }
-
-    fn write(
-        &mut self,
-        register: Register,
-        value: u64,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::write(&mut self.model, register, value, registers, context);
-    }
-
-    fn on_event(
-        &mut self,
-        event: EventId,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_event(&mut self.model, event, registers, context);
-    }
-
-    fn on_request(
-        &mut self,
-        request: RequestChange,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_request(&mut self.model, request, registers, context);
-    }
+    delegate!(layout read peek write on_event on_request on_refused on_clock reset reset_line);
 
     fn on_access(
         &mut self,
@@ -96,22 +52,5 @@ impl Device for RefusedDma {
         } else {
             Device::on_access(&mut self.model, token, value, registers, context);
         }
-    }
-
-    fn on_refused(
-        &mut self,
-        token: u64,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_refused(&mut self.model, token, registers, context);
-    }
-
-    fn reset(&mut self) {
-        Device::reset(&mut self.model);
-    }
-
-    fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::reset_line(&mut self.model, registers, context);
     }
 }

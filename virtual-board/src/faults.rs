@@ -60,10 +60,17 @@ pub enum FaultKind {
     UartNoise,
     /// A debug probe that had made the log wait for it (as probe-rs does) is pulled off.
     ProbeDetach,
-    /// The crystal stops. With the clock security system on, CSSF is set and the core goes on from the internal
-    /// oscillator (RM0090, 7.2.7); the NMI is not modelled. With it off, the core stops. The crystal comes back at the
-    /// end, if the duration is not zero.
+    /// The crystal stops. With the clock security system on, CSSF is set, the core goes on from the internal
+    /// oscillator, and executes the NMI for as long as CSSF stays set (RM0090, 7.2.7). With it off, the core stops. The
+    /// crystal comes back at the end, if the duration is not zero.
     CrystalDies,
+    /// The interrupt that the attitude task runs on is held back, as by another of its priority that takes too long.
+    AttitudeLate,
+    /// The processor is told to leave the Thumb state, as by a jump through a spoilt pointer: a usage fault, and as no
+    /// handler is enabled for that, a hard fault (PM0214, 2.4).
+    Crash,
+    /// The stack pointer comes so close to the end of the stack that the next exception finds no room.
+    StackOverflow,
     /// The core hangs until a reset, at the longest until the end, if the duration is not zero.
     WatchdogHang,
 }
@@ -142,8 +149,19 @@ impl FaultKind {
             Self::UartNoise => "uart-noise",
             Self::ProbeDetach => "probe-detach",
             Self::CrystalDies => "crystal-dies",
+            Self::AttitudeLate => "attitude-late",
+            Self::Crash => "crash",
+            Self::StackOverflow => "stack-overflow",
             Self::WatchdogHang => "watchdog-hang",
         }
+    }
+}
+
+impl FaultKind {
+    /// Whether it ends in a reset of the processor.
+    #[must_use]
+    pub fn resets(&self) -> bool {
+        matches!(self, Self::WatchdogHang | Self::Crash | Self::StackOverflow)
     }
 }
 

@@ -103,8 +103,8 @@ impl FittedSensor {
         self.is_pulled_up = is_pulled_up;
     }
 
-    /// Brings the sensor up to `now_ns` and says how the INT wire has changed since the last call, in order.
-    pub fn advance_to(&mut self, now_ns: u64) -> Vec<bool> {
+    /// Brings the sensor up to `now_ns` and says when the INT wire has changed since the last call, and to what, in order.
+    pub fn advance_to(&mut self, now_ns: u64) -> Vec<(u64, bool)> {
         let mut changes = Vec::new();
         while let Some(&at_ns) = self
             .fault_times_ns
@@ -212,7 +212,7 @@ impl FittedSensor {
     }
 
     /// Steps the sensor through its events up to `now_ns`, so that no pulse is lost between two calls.
-    fn follow(&mut self, now_ns: u64, changes: &mut Vec<bool>) {
+    fn follow(&mut self, now_ns: u64, changes: &mut Vec<(u64, bool)>) {
         loop {
             let glitch_ns = self.next_glitch_ns(self.sensor.now_ns());
             let next_ns = [glitch_ns, self.sensor.next_event_ns()]
@@ -234,7 +234,7 @@ impl FittedSensor {
     }
 
     /// Puts the level at `now_ns` on the wire.
-    fn show(&mut self, now_ns: u64, changes: &mut Vec<bool>) {
+    fn show(&mut self, now_ns: u64, changes: &mut Vec<(u64, bool)>) {
         let stuck = self.faults.iter().find_map(|fault| match fault {
             Fault::InterruptStuck(level, range) if within(now_ns, range) => Some(*level),
             _ => None,
@@ -251,7 +251,7 @@ impl FittedSensor {
         }
         if high != self.wire_high {
             self.wire_high = high;
-            changes.push(high);
+            changes.push((now_ns, high));
         }
     }
 

@@ -14,11 +14,12 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
+use rigless::soc::Width;
 use rigless::soc::stm32f427::generated::flash::{Register, cr, sr};
 use rigless::soc::stm32f427::peripherals::flash::Flash;
-use rigless::soc::{RegisterSpec, Width};
 use rigless::time::{EventId, VirtualNanos};
 
+use crate::delegate::delegate;
 use crate::random::Random;
 
 /// Where the slots are.
@@ -233,9 +234,7 @@ impl FlashInterface {
 impl Device for FlashInterface {
     type Register = Register;
 
-    fn layout(&self) -> &'static [RegisterSpec] {
-        Device::layout(&self.model)
-    }
+    delegate!(layout peek on_request on_access on_refused on_clock reset_line);
 
     fn read(
         &mut self,
@@ -287,10 +286,6 @@ impl Device for FlashInterface {
         Device::on_event(&mut self.model, event, registers, context);
         let control = registers.get(Register::Cr);
         self.cells.with(|cells| cells.control = control);
-    }
-
-    fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::on_clock(&mut self.model, hz, registers, context);
     }
 
     fn reset(&mut self) {

@@ -15,12 +15,12 @@
 //! is not modelled.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
-use rigless::soc::RegisterSpec;
 use rigless::soc::stm32f427::generated::dma2;
 use rigless::soc::stm32f427::generated::i2c3::{Register, cr1, cr2, sr1, sr2};
 use rigless::soc::stm32f427::peripherals::i2c::I2c;
 use rigless::time::{EventId, VirtualNanos};
 
+use crate::delegate::delegate;
 use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
 use crate::wires::SharedWires;
@@ -265,9 +265,7 @@ impl WiredI2c {
 impl Device for WiredI2c {
     type Register = Register;
 
-    fn layout(&self) -> &'static [RegisterSpec] {
-        Device::layout(&self.model)
-    }
+    delegate!(layout peek on_request on_access on_refused on_clock);
 
     fn read(
         &mut self,
@@ -279,10 +277,6 @@ impl Device for WiredI2c {
         let value = Device::read(&mut self.model, register, registers, context);
         self.refresh_errors(registers, context);
         value
-    }
-
-    fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
-        Device::peek(&self.model, register, registers, now)
     }
 
     fn write(
@@ -324,10 +318,6 @@ impl Device for WiredI2c {
         }
         self.follow_lines(registers, context);
         self.refresh_errors(registers, context);
-    }
-
-    fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::on_clock(&mut self.model, hz, registers, context);
     }
 
     fn reset(&mut self) {

@@ -15,6 +15,7 @@
 //! | [`flight`], [`summary`] | a run, and its figures |
 //! | [`campaign`] | flights by chance with faults by chance, and what must hold in them |
 //! | [`outputs`], [`plot`] | the files that a flight leaves |
+//! | [`picture`], [`chart`], [`timeline`] | pictures, as PNG and SVG; charts over time, in fixed memory |
 //!
 //! The motion and the sensor need no emulator, and share no code with the library and the driver that they judge.
 
@@ -28,8 +29,12 @@ pub mod sensor;
 pub mod board;
 #[cfg(feature = "emulator")]
 pub mod campaign;
+#[cfg(feature = "picture")]
+pub mod chart;
 #[cfg(feature = "emulator")]
 pub mod crystal;
+#[cfg(feature = "emulator")]
+mod delegate;
 #[cfg(feature = "emulator")]
 pub mod dma;
 #[cfg(feature = "emulator")]
@@ -52,6 +57,8 @@ pub mod image;
 pub mod mcu;
 #[cfg(feature = "emulator")]
 pub mod outputs;
+#[cfg(feature = "picture")]
+pub mod picture;
 #[cfg(feature = "emulator")]
 pub mod plot;
 #[cfg(feature = "emulator")]
@@ -66,6 +73,8 @@ pub mod schedule;
 pub mod script;
 #[cfg(feature = "emulator")]
 pub mod summary;
+#[cfg(feature = "picture")]
+pub mod timeline;
 #[cfg(feature = "emulator")]
 pub mod wires;
 

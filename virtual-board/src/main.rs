@@ -49,7 +49,7 @@ struct Faults {
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
     /// How many flights. One alone is also written to the output folder.
-    #[arg(long, value_name = "NUMBER", default_value_t = 208)]
+    #[arg(long, value_name = "NUMBER", default_value_t = 232)]
     runs: u64,
     /// The seed of the first flight; the others count on from it.
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
@@ -403,6 +403,10 @@ fn table(outcome: &Outcome) -> String {
         value.map_or("-".into(), |value| format!("{value:.decimals$}"))
     };
     let count = |value: Option<u64>| value.map_or("-".into(), |value| value.to_string());
+    let flags = summary.flags.iter();
+    let flags: Vec<String> = flags
+        .map(|(name, count)| format!("{name} {count}"))
+        .collect();
     let rows = [
         (
             "samples, missed",
@@ -450,6 +454,7 @@ fn table(outcome: &Outcome) -> String {
                 number(summary.inclination_max_deg, 2)
             ),
         ),
+        ("attitudes with flags", flags.join(", ")),
         (
             "memory",
             format!(

@@ -16,6 +16,7 @@ use rigless::mcu::Mcu;
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::gpioa;
+use rigless::soc::stm32f427::generated::rcc::{self, cir};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin};
 use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::soc::{Bus, Error};
@@ -211,6 +212,14 @@ impl Microcontroller {
         };
     }
 
+    /// Whether the clock security system has seen the crystal fail, and nobody has cleared that: the core executes the
+    /// NMI for as long (RM0090, 7.2.7).
+    #[must_use]
+    pub fn has_clock_failure(&self) -> bool {
+        let registers = self.part.bus().slots()[self.slots.rcc].registers();
+        cir::CSSF.is_set(registers.get(rcc::Register::Cir))
+    }
+
     /// Whether the core executes nothing: it is stalled, hangs, or has no clock.
     #[must_use]
     pub fn is_core_held(&self, now_ns: u64) -> bool {
@@ -278,8 +287,8 @@ impl Microcontroller {
         let registers = self.part.bus().slots()[self.slots.port_a].registers();
         let pulls = registers.get(gpioa::Register::Pupdr) >> (2 * INTERRUPT_PIN) & 3;
         self.sensor().set_pull_up(pulls == 1);
-        for high in self.sensor().advance_to(now.0) {
-            self.interrupt_wire(now, high);
+        for (changed_ns, high) in self.sensor().advance_to(now.0) {
+            self.interrupt_wire(now, VirtualNanos(changed_ns), high);
         }
         let next_ns = self.sensor().next_event_ns();
         if next_ns != self.awaited_ns {
@@ -293,8 +302,9 @@ impl Microcontroller {
         }
     }
 
-    /// The INT wire changes its level.
-    fn interrupt_wire(&mut self, at: VirtualNanos, high: bool) {
+    /// The INT wire has changed its level. The core hears of it `at` once, which is up to an access later; the timer
+    /// captures the instant itself, whatever the core does.
+    fn interrupt_wire(&mut self, at: VirtualNanos, changed: VirtualNanos, high: bool) {
         self.drive_pin(at, INTERRUPT_PIN, high);
         let slots = self.slots;
         let registers = |slot: usize| self.part.bus().slots()[slot].registers();
@@ -309,7 +319,7 @@ impl Microcontroller {
             && let Some(channel) = Channel::new(2)
         {
             self.part
-                .drive_timer(at, TIM5, |timer, registers, context| {
+                .drive_timer(changed, TIM5, |timer, registers, context| {
                     timer.drive_input(channel, Level::from(high), registers, context);
                 });
         }

@@ -17,6 +17,8 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use aplomb::health::Flags;
+use aplomb::mpu6050::Burst;
+use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
 
 use crate::Error;
@@ -45,7 +47,7 @@ pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Er
         file.write_all(&bytes)
     })?;
     in_file(folder, "attitude.png", |file| {
-        plot::write(file, outcome, labels)
+        file.write_all(&plot::png(outcome, labels))
     })?;
     in_file(folder, "summary.json", |file| {
         serde_json::to_writer_pretty(&mut *file, &outcome.summary)?;
@@ -104,20 +106,21 @@ pub fn write_attitude(to: &mut impl Write, samples: &[Sample]) -> io::Result<()>
     Ok(())
 }
 
-/// `bursts.csv`. Of the flags it has the one that goes into the pipeline with the bytes: `MISSED`.
+/// `bursts.csv`: what went into the pipeline, flags of the board included.
 ///
 /// # Errors
 ///
 /// When the writer refuses.
 pub fn write_bursts(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
-    writeln!(to, "t_us,bytes,flags")?;
+    writeln!(to, "{}", bursts::HEADER)?;
     for sample in samples {
-        write!(to, "{},", sample.snapshot.t_us)?;
-        for byte in sample.burst.bytes {
-            write!(to, "{byte:02x}")?;
-        }
-        let missed = Flags::NONE.with(Flags::MISSED, sample.snapshot.flags.contains(Flags::MISSED));
-        writeln!(to, ",{missed}")?;
+        let flags = sample.snapshot.flags;
+        let burst = Burst {
+            bytes: sample.burst.bytes,
+            captured_at_us: sample.snapshot.t_us,
+            missed_before: u8::from(flags.contains(Flags::MISSED)),
+        };
+        writeln!(to, "{}", bursts::Line(&burst, flags))?;
     }
     Ok(())
 }
@@ -139,7 +142,7 @@ pub fn write_truth(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
         let Some(attitude) = truth.attitude else {
             continue;
         };
-        let [roll, pitch, yaw] = plot::euler_deg(attitude);
+        let [roll, pitch, yaw] = attitude.to_euler_degrees();
         let [p, q, r] = truth.body_rates_rad_s.map(f64::to_degrees);
         writeln!(
             to,

@@ -49,6 +49,21 @@ pub struct Profile {
     steps_everything: bool,
     /// Whether only the handlers of faults are watched, and nothing is accounted for.
     crashes_only: bool,
+    /// What befalls the core before its next instruction.
+    upsets: Vec<Upset>,
+}
+
+/// What befalls the core from outside of its program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Upset {
+    /// It leaves the Thumb state, the only one that it has.
+    ThumbStateLost,
+    /// The stack pointer is here from now on.
+    StackPointer(u32),
+    /// The non-maskable interrupt is asked for.
+    NonMaskableInterrupt,
+    /// An interrupt is masked in the interrupt controller, or let through again.
+    Masked(u16, bool),
 }
 
 /// The exceptions of a crash: HardFault, MemManage, BusFault, UsageFault (PM0214, table 16).
@@ -63,6 +78,7 @@ impl Default for Profile {
             unexplained: 0,
             steps_everything: false,
             crashes_only: false,
+            upsets: Vec::new(),
         }
     }
 }
@@ -84,6 +100,11 @@ impl Profile {
             crashes_only: true,
             ..Self::default()
         }
+    }
+
+    /// Has this befall the core before its next instruction.
+    pub fn upset(&mut self, upset: Upset) {
+        self.upsets.push(upset);
     }
 
     /// Whether instructions are accounted for.
@@ -164,6 +185,15 @@ const RETURN_ADDRESS: u64 = 24;
 /// IPSR in the status register (section B1.4.2).
 const EXCEPTION_NUMBER: u64 = 0x1FF;
 
+/// EPSR.T in the status register (section B1.4.2).
+const THUMB: u64 = 1 << 24;
+
+/// ICSR with its bit NMIPENDSET, and the first of the registers that enable and disable interrupts (PM0214, 4.3 and 4.4.3).
+const ICSR: u64 = 0xE000_ED04;
+const NMIPENDSET: u64 = 1 << 31;
+const NVIC_ISER: u64 = 0xE000_E100;
+const NVIC_ICER: u64 = 0xE000_E180;
+
 impl ProfiledProcessor {
     /// Wraps a processor. `handlers` are the vector table's entries by exception number.
     #[must_use]
@@ -194,6 +224,40 @@ impl ProfiledProcessor {
             .iter()
             .rev()
             .fold(0, |value, &byte| value << 8 | u64::from(byte))
+    }
+
+    fn set_register(&mut self, number: usize, value: u64) {
+        let bytes = value.to_le_bytes();
+        self.inner.set_gdb_register(number, &bytes[..4]);
+    }
+
+    /// Has the core suffer what is due.
+    fn suffer(&mut self) {
+        let upsets = match self.profile.lock() {
+            Ok(mut profile) => std::mem::take(&mut profile.upsets),
+            Err(_) => return,
+        };
+        for upset in upsets {
+            let store = match upset {
+                Upset::ThumbStateLost => {
+                    self.set_register(STATUS, self.register(STATUS) & !THUMB);
+                    continue;
+                }
+                Upset::StackPointer(address) => {
+                    self.set_register(STACK_POINTER, address.into());
+                    continue;
+                }
+                Upset::NonMaskableInterrupt => (ICSR, NMIPENDSET),
+                Upset::Masked(interrupt, is_masked) => {
+                    let first = if is_masked { NVIC_ICER } else { NVIC_ISER };
+                    (first + u64::from(interrupt / 32 * 4), 1 << (interrupt % 32))
+                }
+            };
+            // Neither register has to do with time.
+            let now = VirtualNanos(0);
+            self.inner
+                .debugger_access(Some(store.1), store.0, Width::W32, now);
+        }
     }
 
     fn exception(&self) -> usize {
@@ -302,6 +366,7 @@ impl Processor for ProfiledProcessor {
         if !self.is_armed {
             self.arm();
         }
+        self.suffer();
         let start = self.inner.retired();
         if self.inner.waiting() {
             self.slept_at = start;

@@ -23,7 +23,7 @@ use crate::faults::{FaultKind, ScheduledFault};
 use crate::image::Firmware;
 use crate::mcu::HeardByte;
 use crate::probe::{LogLine, Probe};
-use crate::profile::{Counts, EXCEPTIONS, Profile, exception_of};
+use crate::profile::{Counts, EXCEPTIONS, Profile, Upset, exception_of};
 use crate::sensor::{Burst, DataReady};
 
 /// Offset of the count in the published structure; the snapshot is at 0.
@@ -35,8 +35,15 @@ const SERVICE_PERIOD_NS: u64 = 1_000_000;
 /// What unused stack is filled with.
 const STACK_PATTERN: u32 = 0xA5A5_A5A5;
 
-/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1 events and errors, TIM5.
-const INPUT_INTERRUPTS: [usize; 5] = [11, 7, 31, 32, 50];
+/// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight.rs`; RM0090, table 62).
+const ATTITUDE_INTERRUPT: u16 = 51;
+
+/// An NMI that has not cleared its cause after this time never will, ns: the handler is a store.
+const NMI_LIMIT_NS: u64 = 20_000;
+
+/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1 events and errors, TIM5;
+/// and SPI1's, by which settings are read back.
+const INPUT_INTERRUPTS: [usize; 6] = [11, 7, 31, 32, 50, 35];
 
 /// A published sample.
 #[derive(Clone, Debug)]
@@ -142,6 +149,11 @@ pub struct Recorder {
     health: Option<u64>,
     /// The faults of the debug probe.
     detachments: Vec<ScheduledFault>,
+    /// The faults of the core's own that are still to come.
+    upsets: Vec<ScheduledFault>,
+    is_attitude_masked: bool,
+    /// Since when the NMI has been asked for by a failure of the clock.
+    nmi_since_ns: Option<u64>,
     is_detached: bool,
     is_held: bool,
     stack: std::ops::Range<u64>,
@@ -158,6 +170,8 @@ pub struct Recorder {
     /// The exception that publishes.
     attitude: Option<usize>,
     last_burst: Option<Burst>,
+    /// The bursts that nothing has been published of yet, in order.
+    unpublished: Vec<Burst>,
     record: Record,
 }
 
@@ -174,11 +188,20 @@ impl Recorder {
         observer: Box<dyn Observer>,
     ) -> Self {
         let detaches = |fault: &&ScheduledFault| fault.kind == FaultKind::ProbeDetach;
+        let upsets = |fault: &&ScheduledFault| {
+            matches!(
+                fault.kind,
+                FaultKind::AttitudeLate | FaultKind::Crash | FaultKind::StackOverflow
+            )
+        };
         Self {
             end_ns,
             snapshot: firmware.snapshot,
             health: firmware.health,
             detachments: faults.iter().filter(detaches).copied().collect(),
+            upsets: faults.iter().filter(upsets).copied().collect(),
+            is_attitude_masked: false,
+            nmi_since_ns: None,
             is_detached: false,
             is_held: false,
             stack: firmware.stack.clone(),
@@ -195,6 +218,7 @@ impl Recorder {
             window: None,
             attitude: None,
             last_burst: None,
+            unpublished: Vec::new(),
             record: Record::default(),
         }
     }
@@ -215,6 +239,7 @@ impl Recorder {
         let sensor = session.board_mut().controller.sensor();
         let bursts = sensor.take_bursts();
         self.last_burst = bursts.last().copied().or(self.last_burst);
+        self.unpublished.extend(bursts);
         for edge in sensor.take_edges() {
             self.close_window(retired);
             self.window = Some((self.counts(retired), self.record.samples.len()));
@@ -264,7 +289,7 @@ impl Recorder {
             });
             return;
         }
-        let Some(burst) = self.last_burst else {
+        let Some(burst) = self.take_burst(&snapshot) else {
             return;
         };
         self.attitude = self.profile.lock().ok().map(|profile| profile.current());
@@ -289,6 +314,32 @@ impl Recorder {
             instructions: None,
             input_instructions: None,
         });
+    }
+
+    /// The burst that a snapshot is of: the last one. If the attitude task was late, several have come since the snapshot
+    /// before: then it is the one whose edge came as long after that one's as the firmware says.
+    fn take_burst(&mut self, snapshot: &Snapshot) -> Option<Burst> {
+        let edge_ns = |burst: &Burst| {
+            let index = burst.edge?;
+            let place = self
+                .record
+                .edges
+                .binary_search_by_key(&index, |edge| edge.index);
+            Some(self.record.edges.get(place.ok()?)?.time_ns)
+        };
+        let nearest = self.record.samples.last().and_then(|last| {
+            let since_us = snapshot.t_us.checked_sub(last.snapshot.t_us)?;
+            let expected_ns = last.edge?.time_ns + 1000 * since_us;
+            let candidates = self.unpublished.iter().enumerate();
+            candidates
+                .filter_map(|(place, burst)| Some((place, edge_ns(burst)?)))
+                .min_by_key(|&(_, at_ns)| at_ns.abs_diff(expected_ns))
+        });
+        let burst = match nearest {
+            Some((place, _)) => self.unpublished.drain(..=place).next_back(),
+            None => self.unpublished.drain(..).next_back(),
+        };
+        burst.or(self.last_burst)
     }
 
     fn read_tilt_sigma(&self, host: &mut dyn Host) -> Option<f64> {
@@ -329,8 +380,11 @@ impl Recorder {
             self.timer.zero_ns = None;
             self.window = None;
         }
-        let is_held =
-            self.stalled_until_ns.is_some() || session.board_mut().controller.is_core_held(now_ns);
+        self.upset_core(now_ns);
+        let controller = &mut session.board_mut().controller;
+        let is_held = self.stalled_until_ns.is_some()
+            || controller.is_core_held(now_ns)
+            || self.hangs_in_nmi(controller.has_clock_failure(), now_ns);
         if is_held != self.is_held {
             self.is_held = is_held;
             host.hold(is_held);
@@ -349,6 +403,51 @@ impl Recorder {
         }
     }
 
+    /// Lets the faults of the core's own begin and end.
+    fn upset_core(&mut self, now_ns: u64) {
+        let Ok(mut profile) = self.profile.lock() else {
+            return;
+        };
+        let stack_end = u32::try_from(self.stack.start).unwrap_or(0);
+        let mut is_masked = false;
+        self.upsets.retain(|fault| {
+            let begins = fault.start_ns <= now_ns;
+            match fault.kind {
+                FaultKind::AttitudeLate => {
+                    is_masked |= fault.lasts(now_ns);
+                    return now_ns < fault.end_ns();
+                }
+                FaultKind::Crash if begins => profile.upset(Upset::ThumbStateLost),
+                // Room for two words; an exception needs eight.
+                FaultKind::StackOverflow if begins => {
+                    profile.upset(Upset::StackPointer(stack_end + 8));
+                }
+                _ => {}
+            }
+            !begins
+        });
+        if is_masked != self.is_attitude_masked {
+            self.is_attitude_masked = is_masked;
+            profile.upset(Upset::Masked(ATTITUDE_INTERRUPT, is_masked));
+        }
+    }
+
+    /// A clock that has failed asks for the NMI until that is acknowledged: an NMI that does not is all that the core
+    /// executes. Says whether it is so.
+    fn hangs_in_nmi(&mut self, has_failed: bool, now_ns: u64) -> bool {
+        if !has_failed {
+            self.nmi_since_ns = None;
+            return false;
+        }
+        let since_ns = *self.nmi_since_ns.get_or_insert_with(|| {
+            if let Ok(mut profile) = self.profile.lock() {
+                profile.upset(Upset::NonMaskableInterrupt);
+            }
+            now_ns
+        });
+        now_ns >= since_ns + NMI_LIMIT_NS
+    }
+
     /// Holds the core while the flash is busy, as its next fetch would.
     fn stall(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         let end_ns = session.board_mut().controller.flash_busy_until_ns();
@@ -356,14 +455,17 @@ impl Recorder {
             self.stalled_until_ns = Some(end_ns);
             self.is_held = true;
             host.hold(true);
-            self.pause(session);
+            self.pause(session, now_ns);
         }
     }
 
     /// Has the run stop for whatever is due next.
-    fn pause(&self, session: &mut Session<Board>) {
-        let stall_ns = self.stalled_until_ns.unwrap_or(u64::MAX);
-        session.pause_at(Some(VirtualNanos(self.next_service_ns.min(stall_ns))));
+    fn pause(&self, session: &mut Session<Board>, now_ns: u64) {
+        let nmi_ns = self.nmi_since_ns.map(|since_ns| since_ns + NMI_LIMIT_NS);
+        let nmi_ns = nmi_ns.filter(|&nmi_ns| nmi_ns > now_ns);
+        let times_ns = [Some(self.next_service_ns), self.stalled_until_ns, nmi_ns];
+        let next_ns = times_ns.into_iter().flatten().min();
+        session.pause_at(next_ns.map(VirtualNanos));
     }
 
     /// Takes the firmware's outputs and tells the observer.
@@ -418,7 +520,13 @@ impl Driver<Board> for Recorder {
                     self.stall(session, host, access.virtual_time.0);
                 }
             }
-            Settled::Hit(hit) => self.published(session, host, hit),
+            Settled::Hit(hit) => {
+                if self.snapshot.map(|address| address + SEQUENCE) == Some(hit.address) {
+                    self.published(session, host, hit);
+                } else {
+                    self.read_health(host, hit.at.0);
+                }
+            }
             Settled::Stop(stop) => {
                 if self
                     .stalled_until_ns
@@ -432,7 +540,7 @@ impl Driver<Board> for Recorder {
                     self.serve(session, host, stop.at.0);
                     self.next_service_ns = stop.at.0 + SERVICE_PERIOD_NS;
                 }
-                self.pause(session);
+                self.pause(session, stop.at.0);
             }
             _ => {}
         }
@@ -450,11 +558,16 @@ impl Driver<Board> for Recorder {
                 host.write(address, Width::W32, u64::from(STACK_PATTERN))
                     .ok()?;
             }
-            if let Some(address) = self.snapshot {
-                session.watch(Watch::Writes {
-                    address: address + SEQUENCE,
-                    length: 4,
-                });
+            let counters = self.health.map(|health| Watch::Writes {
+                address: health + report::COUNTERS as u64,
+                length: 4 * FaultClass::COUNT as u64,
+            });
+            let sequence = self.snapshot.map(|address| Watch::Writes {
+                address: address + SEQUENCE,
+                length: 4,
+            });
+            for watch in sequence.into_iter().chain(counters) {
+                session.watch(watch);
             }
             return Some(VirtualNanos(self.end_ns));
         }

@@ -19,7 +19,7 @@ pub struct Schedule {
 }
 
 /// Every fault: its name, its parameter, and how a parameter is read.
-const FORMS: [Form; 26] = [
+const FORMS: [Form; 29] = [
     Form::new("address-nack", "[:write|read]", |text| match text {
         "" => Some(FaultKind::AddressNack(None)),
         "write" => Some(FaultKind::AddressNack(Some(Direction::Write))),
@@ -67,11 +67,14 @@ const FORMS: [Form; 26] = [
         ((-59.0..=132.0).contains(&celsius)).then_some(FaultKind::Temperature(celsius))
     }),
     Form::bare("core-stall", FaultKind::CoreStall),
+    Form::bare("attitude-late", FaultKind::AttitudeLate),
     Form::bare("uart-flood", FaultKind::UartFlood),
     Form::bare("uart-noise", FaultKind::UartNoise),
     Form::bare("probe-detach", FaultKind::ProbeDetach),
     Form::bare("crystal-dies", FaultKind::CrystalDies),
     Form::bare("watchdog-hang", FaultKind::WatchdogHang),
+    Form::bare("crash", FaultKind::Crash),
+    Form::bare("stack-overflow", FaultKind::StackOverflow),
 ];
 
 /// How a fault is written.
@@ -192,7 +195,7 @@ impl Schedule {
                 _ => whole(&mut random, FORMS.len()),
             };
             let fault = draw(FORMS[form].name, start_s, &mut random);
-            let is_last = fault.kind == FaultKind::WatchdogHang
+            let is_last = fault.kind.resets()
                 || fault.kind == FaultKind::CrystalDies && fault.duration_ns == 0;
             faults.push(fault);
             if is_last {
@@ -265,9 +268,9 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
             .unwrap_or(FaultKind::SensorSilent),
     };
     let (shortest_s, longest_s) = match kind {
-        FaultKind::SdaLow(Some(_)) | FaultKind::RegisterFlip(..) | FaultKind::WatchdogHang => {
-            (0.0, 0.0)
-        }
+        FaultKind::SdaLow(Some(_)) | FaultKind::RegisterFlip(..) => (0.0, 0.0),
+        FaultKind::WatchdogHang | FaultKind::Crash | FaultKind::StackOverflow => (0.0, 0.0),
+        FaultKind::AttitudeLate => (0.002, 0.015),
         FaultKind::CoreStall => (0.0015, 0.03),
         FaultKind::AddressNack(_) | FaultKind::DataNack(_) => (0.0015, 0.03),
         FaultKind::BusError | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),

@@ -1,5 +1,7 @@
 //! The figures of a run.
 
+use std::collections::BTreeMap;
+
 use aplomb::health::Flags;
 use serde::Serialize;
 
@@ -42,6 +44,8 @@ pub struct Summary {
     pub inclination_rms_deg: Option<f64>,
     /// The largest inclination error among them.
     pub inclination_max_deg: Option<f64>,
+    /// How many of the published attitudes, those without a sample included, had each flag, by the flag's name.
+    pub flags: BTreeMap<&'static str, usize>,
     /// Bytes of flash that the image fills.
     pub flash_bytes: u64,
     /// Bytes of RAM with an address at link time; the stack is apart.
@@ -103,6 +107,7 @@ impl Summary {
             timestamp_error_us_max: maximum(&time_errors_us),
             inclination_rms_deg: mean(&squares).map(f64::sqrt),
             inclination_max_deg: maximum(&inclinations_deg),
+            flags: flags(record),
             flash_bytes: firmware.flash_bytes,
             ram_bytes: firmware.ram_bytes,
             stack_bytes_used: record.stack_bytes_used,
@@ -128,6 +133,21 @@ pub fn inclination_deg(sample: &Sample) -> Option<f64> {
 fn scored_inclination_deg(sample: &Sample) -> Option<f64> {
     let counts = sample.edge?.truth.scored && !sample.snapshot.flags.contains(Flags::CALIBRATING);
     inclination_deg(sample).filter(|_| counts)
+}
+
+/// Counts the flags that occurred.
+fn flags(record: &Record) -> BTreeMap<&'static str, usize> {
+    let mut counts = BTreeMap::new();
+    let samples = record.samples.iter().map(|sample| sample.snapshot.flags);
+    let stale = record.stale.iter().map(|stale| stale.snapshot.flags);
+    for published in samples.chain(stale) {
+        for (flag, name) in Flags::NAMES {
+            if published.contains(flag) {
+                *counts.entry(name).or_default() += 1;
+            }
+        }
+    }
+    counts
 }
 
 /// Counts the edges without a sample, apart from those whose sample was still on its way at the end.

@@ -7,11 +7,11 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
-use rigless::soc::RegisterSpec;
 use rigless::soc::stm32f427::generated::gpioa::Register;
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin};
-use rigless::time::{EventId, VirtualNanos};
+use rigless::time::VirtualNanos;
 
+use crate::delegate::delegate;
 use crate::faults::{BusLine, Fault, FaultKind, nanoseconds, scheduled};
 
 /// SCL is PB8, SDA is PB9.
@@ -211,9 +211,7 @@ impl PortB {
 impl Device for PortB {
     type Register = Register;
 
-    fn layout(&self) -> &'static [RegisterSpec] {
-        Device::layout(&self.model)
-    }
+    delegate!(layout peek on_event on_request on_access on_refused on_clock reset reset_line);
 
     fn read(
         &mut self,
@@ -225,10 +223,6 @@ impl Device for PortB {
         Device::read(&mut self.model, register, registers, context)
     }
 
-    fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
-        Device::peek(&self.model, register, registers, now)
-    }
-
     fn write(
         &mut self,
         register: Register,
@@ -238,22 +232,5 @@ impl Device for PortB {
     ) {
         Device::write(&mut self.model, register, value, registers, context);
         self.follow(context.now(), registers, context);
-    }
-
-    fn on_event(
-        &mut self,
-        event: EventId,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_event(&mut self.model, event, registers, context);
-    }
-
-    fn reset(&mut self) {
-        Device::reset(&mut self.model);
-    }
-
-    fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::reset_line(&mut self.model, registers, context);
     }
 }

@@ -51,14 +51,14 @@ fn a_malformed_log_is_refused_with_file_line_and_reason_before_anything_runs() {
     assert!(!message.contains("flown"), "{message}");
 }
 
-#[test]
-fn a_recording_flies_until_it_ends() {
-    let folder = folder("recording");
+/// Flies a recording of rest with these columns, a row each 5 ms, to its end; gives what was printed and the summary.
+fn fly_recording(name: &str, columns: &str, row: &str, rows: u32) -> (String, String) {
+    let folder = folder(name);
     let log = folder.join("log.csv");
-    let rows: String = (0..200)
-        .map(|row| format!("{},0,0,9.80665,0,0,0,1,0,0,0\n", row * 5000))
+    let rows: String = (0..rows)
+        .map(|index| format!("{},{row}\n", index * 5000))
         .collect();
-    fs::write(&log, format!("t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz\n{rows}")).unwrap();
+    fs::write(&log, format!("{columns}\n{rows}")).unwrap();
     let flown = fly(&[
         "--log",
         log.to_str().unwrap(),
@@ -70,7 +70,20 @@ fn a_recording_flies_until_it_ends() {
         "{}",
         String::from_utf8_lossy(&flown.stderr)
     );
-    let summary = fs::read_to_string(folder.join("summary.json")).unwrap();
+    (
+        String::from_utf8_lossy(&flown.stdout).into_owned(),
+        fs::read_to_string(folder.join("summary.json")).unwrap(),
+    )
+}
+
+#[test]
+fn a_recording_flies_until_it_ends() {
+    let (shown, summary) = fly_recording(
+        "recording",
+        "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz",
+        "0,0,9.80665,0,0,0,1,0,0,0",
+        200,
+    );
     // Three seconds of rest, one of turning, and 199 intervals of 5 ms.
     assert!(summary.contains("\"virtual_seconds\": 4.995,"), "{summary}");
     assert!(summary.contains("\"missed\": 0,"), "{summary}");
@@ -78,7 +91,6 @@ fn a_recording_flies_until_it_ends() {
         !summary.contains("\"inclination_rms_deg\": null"),
         "{summary}"
     );
-    let shown = String::from_utf8_lossy(&flown.stdout).into_owned();
     assert!(
         shown.contains("gyroscope's offset measured, ready"),
         "the log is shown: {shown}"
@@ -88,24 +100,12 @@ fn a_recording_flies_until_it_ends() {
 
 #[test]
 fn without_truth_there_are_no_scores() {
-    let folder = folder("no truth");
-    let log = folder.join("log.csv");
-    let rows: String = (0..50)
-        .map(|row| format!("{},0,0,9.80665,0,0,0\n", row * 5000))
-        .collect();
-    fs::write(&log, format!("t_us,ax,ay,az,gx,gy,gz\n{rows}")).unwrap();
-    let flown = fly(&[
-        "--log",
-        log.to_str().unwrap(),
-        "--output",
-        folder.to_str().unwrap(),
-    ]);
-    assert!(
-        flown.status.success(),
-        "{}",
-        String::from_utf8_lossy(&flown.stderr)
+    let (_, summary) = fly_recording(
+        "no truth",
+        "t_us,ax,ay,az,gx,gy,gz",
+        "0,0,9.80665,0,0,0",
+        50,
     );
-    let summary = fs::read_to_string(folder.join("summary.json")).unwrap();
     assert!(
         summary.contains("\"inclination_rms_deg\": null,"),
         "{summary}"

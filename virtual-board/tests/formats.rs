@@ -56,7 +56,7 @@ fn fly(name: &str, commands: &str, seconds: &str) -> Flight {
         .lines()
         .skip(1)
         .map(|line| bursts::decode(line).unwrap())
-        .map(|burst| (burst.captured_at_us, burst))
+        .map(|(burst, _)| (burst.captured_at_us, burst))
         .collect();
     Flight {
         uart: fs::read(folder.join("uart.log")).unwrap(),

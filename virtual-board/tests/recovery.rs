@@ -1,21 +1,271 @@
-//! Each class of faults is counted as what it is, and the attitude is valid again in time: one schedule for each.
+//! Each class of faults is counted as what it is, shown, and recovered from, as the table of docs/faults.md says.
 //!
-//! The campaign (`cargo xtask faults`) draws such schedules by chance; here they are fixed, and each test fails when
-//! the firmware's detection of its class is taken out.
+//! The table is read from there, so that it and the tests say the same: a row with the name of a fault is flown. The
+//! campaign (`cargo xtask faults`) draws such flights by chance; here they are fixed, and the test of a class fails when
+//! the firmware's detection of it is taken out.
 
 mod common;
+
+use std::collections::BTreeSet;
 
 use aplomb::fault::FaultClass;
 use aplomb::health::Flags;
 use common::firmware;
+use virtual_board::campaign::{Case, judge};
+use virtual_board::faults::{FaultKind, ScheduledFault};
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::motion::rest::Rest;
 use virtual_board::schedule::Schedule;
 
-/// When the faults begin, s: the attitude is valid by then.
-const START_S: f64 = 2.0;
+/// The table.
+const DOCUMENT: &str = include_str!("../../docs/faults.md");
 
-/// A run at rest with these faults.
+/// When the faults begin, s: the attitude is valid by then.
+const START_S: f64 = 1.8;
+
+/// The motion and the sensor of the flights: a swing, so that what is wrong shows.
+const SEED: u64 = 5;
+
+/// A row of the table.
+#[derive(Clone, Debug, Default)]
+struct Row {
+    /// The faults, as a schedule has them.
+    faults: Vec<String>,
+    /// Whether nothing at all may be seen.
+    is_unseen: bool,
+    /// Flags that attitudes must have had.
+    flags: Vec<Flags>,
+    /// What the UART must have said.
+    messages: Vec<String>,
+    /// What must have been counted, the first of them in time.
+    counted: Vec<FaultClass>,
+    noticed_ms: Option<f64>,
+    back_ms: Option<f64>,
+}
+
+/// The pieces of a text between these marks.
+fn marked(text: &str, mark: char) -> impl Iterator<Item = String> {
+    text.split(mark).skip(1).step_by(2).map(String::from)
+}
+
+fn milliseconds(cell: &str) -> Option<f64> {
+    match cell {
+        "–" => None,
+        _ => Some(cell.strip_suffix(" ms").unwrap().parse().unwrap()),
+    }
+}
+
+/// The rows that a schedule can fly.
+fn rows() -> Vec<Row> {
+    let lines = DOCUMENT.lines();
+    let table = lines
+        .skip_while(|line| !line.starts_with("| fault |"))
+        .skip(2)
+        .take_while(|line| line.starts_with('|'));
+    let mut rows: Vec<Row> = Vec::new();
+    for line in table {
+        let line = line.trim_matches(['|', ' ']).replace("\\|", "+");
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        let [fault, seen, _, counted, noticed, back] = cells[..] else {
+            panic!("six cells: {line}");
+        };
+        let mut row = if seen.starts_with("the same") {
+            rows.last().unwrap().clone()
+        } else {
+            Row::default()
+        };
+        row.is_unseen = seen.starts_with("nothing");
+        row.faults = marked(fault, '`').collect();
+        let class = |name: String| {
+            let named = FaultClass::ALL
+                .into_iter()
+                .find(|class| class.name() == name);
+            named.unwrap_or_else(|| panic!("no class `{name}`"))
+        };
+        row.counted = marked(counted, '`').map(class).collect();
+        row.flags
+            .extend(marked(seen, '`').map(|name| Flags::parse(&name).unwrap()));
+        row.messages
+            .extend(marked(seen, '"').map(|text| text.replace('+', "|")));
+        row.noticed_ms = milliseconds(noticed);
+        row.back_ms = milliseconds(back);
+        rows.push(row);
+    }
+    rows.retain(|row| !row.faults.is_empty());
+    rows
+}
+
+/// How long a fault lasts in these tests, s.
+fn duration_s(class: &str) -> f64 {
+    match class {
+        "core-stall" => 0.03,
+        "attitude-late" => 0.01,
+        "zeros" | "ones" | "saturated" | "temperature" => 0.1,
+        "sensor-silent" | "int-missing" | "int-high" | "int-low" | "int-glitch" => 0.2,
+        "frozen" | "probe-detach" => 0.4,
+        "uart-flood" | "uart-noise" => 0.6,
+        "register-flip" | "crystal-dies" | "watchdog-hang" | "crash" | "stack-overflow" => 0.0,
+        _ => 0.05,
+    }
+}
+
+/// The first time from `from_ns` on at which a class has been counted once more, ns.
+fn counted_at_ns(outcome: &Outcome, class: FaultClass, from_ns: u64) -> Option<u64> {
+    let readings = outcome.record.health.windows(2);
+    let counter =
+        |reading: &virtual_board::recorder::HealthReading| reading.counters[class as usize];
+    readings
+        .filter(|pair| pair[1].at_ns >= from_ns && counter(&pair[1]) > counter(&pair[0]))
+        .map(|pair| pair[1].at_ns)
+        .next()
+}
+
+/// Everything published from `from_ns` to `to_ns`: when, and its flags.
+fn published(outcome: &Outcome, from_ns: u64, to_ns: u64) -> Vec<(u64, Flags)> {
+    let samples = outcome.samples().iter();
+    let samples = samples.map(|sample| (sample.published_ns, sample.snapshot.flags));
+    let stale = outcome.record.stale.iter();
+    let stale = stale.map(|stale| (stale.published_ns, stale.snapshot.flags));
+    let within = |(at_ns, _): &(u64, Flags)| (from_ns..to_ns).contains(at_ns);
+    samples.chain(stale).filter(within).collect()
+}
+
+/// Flies the faults of a class and holds the firmware to its rows.
+fn assert_class(class: &str) {
+    let mut flights = 0;
+    for row in rows() {
+        for fault in &row.faults {
+            if fault.split(':').next() == Some(class) {
+                assert_row(&row, class, fault);
+                flights += 1;
+            }
+        }
+    }
+    assert!(flights > 0, "docs/faults.md has no row with `{class}`");
+}
+
+fn assert_row(row: &Row, class: &str, fault: &str) {
+    let line = format!("{START_S} {} {fault}", duration_s(class));
+    let case = Case::new(SEED, Schedule::parse("test", &line).unwrap());
+    let outcome = case.fly(&firmware()).unwrap();
+    let report = judge(&case, &outcome.record, &outcome.uart_lines);
+    assert_eq!(report.failures, Vec::<String>::new(), "{fault}");
+
+    let scheduled: ScheduledFault = case.schedule.faults[0];
+    let (start_ns, end_ns) = (scheduled.start_ns, outcome.record.last.1);
+    let from_ns = if scheduled.kind == FaultKind::CoreStall {
+        scheduled.end_ns()
+    } else {
+        start_ns
+    };
+    let transcript: Vec<String> = outcome
+        .uart_lines
+        .iter()
+        .filter(|line| line.text.starts_with('#'))
+        .map(|line| format!("{:.3} {}", line.at_ns as f64 * 1e-9, line.text))
+        .collect();
+    let mut noticed_ms = None;
+    for &class in &row.counted {
+        let at_ns = counted_at_ns(&outcome, class, start_ns);
+        let counted: Vec<_> = FaultClass::ALL
+            .into_iter()
+            .map(|class| (class.name(), counted_at_ns(&outcome, class, start_ns)))
+            .filter(|(_, at_ns)| at_ns.is_some())
+            .collect();
+        assert!(
+            at_ns.is_some(),
+            "{fault} is not counted as {}, but as {counted:?}: {transcript:?}",
+            class.name()
+        );
+        let after_ms = at_ns.map(|at_ns| at_ns.saturating_sub(from_ns) as f64 * 1e-6);
+        noticed_ms = noticed_ms.or(after_ms);
+    }
+    assert_eq!(row.noticed_ms.is_some(), noticed_ms.is_some(), "{fault}");
+    assert!(
+        noticed_ms <= row.noticed_ms,
+        "{fault}: noticed after {noticed_ms:?} ms"
+    );
+
+    let published = published(&outcome, start_ns, end_ns);
+    for &flag in &row.flags {
+        let is_seen = published.iter().any(|&(_, flags)| flags.contains(flag));
+        assert!(is_seen, "{fault}: {flag} is not seen");
+    }
+    let odd = published.iter().find(|&&(_, flags)| flags != Flags::VALID);
+    assert!(!row.is_unseen || odd.is_none(), "{fault}: {odd:?}");
+    for message in &row.messages {
+        assert!(
+            outcome.uart_says(message),
+            "{fault}: not said `{message}`: {transcript:?}"
+        );
+    }
+
+    let back_ms = report.faults[0]
+        .recovery_ns
+        .map(|back_ns| back_ns as f64 * 1e-6);
+    let is_in_time = row
+        .back_ms
+        .is_none_or(|due_ms| back_ms.is_some_and(|back_ms| back_ms <= due_ms));
+    assert!(is_in_time, "{fault}: back after {back_ms:?} ms");
+    println!("{fault}: noticed after {noticed_ms:?} ms, back after {back_ms:?} ms");
+}
+
+/// A test for each class, and the list of them.
+macro_rules! classes {
+    ($($test:ident: $class:literal,)*) => {
+        $(
+            #[test]
+            fn $test() {
+                assert_class($class);
+            }
+        )*
+
+        #[test]
+        fn every_class_has_its_test_and_every_row_its_class() {
+            let tested = BTreeSet::from([$($class),*]);
+            assert_eq!(tested, Schedule::classes().collect());
+            let rows = rows();
+            let faults = rows.iter().flat_map(|row| &row.faults);
+            let documented: BTreeSet<&str> =
+                faults.filter_map(|fault| fault.split(':').next()).collect();
+            assert_eq!(tested, documented);
+        }
+    };
+}
+
+classes! {
+    address_nack: "address-nack",
+    data_nack: "data-nack",
+    burst_stall: "burst-stall",
+    sda_low: "sda-low",
+    scl_low: "scl-low",
+    bus_error: "bus-error",
+    arbitration_lost: "arbitration-lost",
+    dma_error: "dma-error",
+    int_missing: "int-missing",
+    int_high: "int-high",
+    int_low: "int-low",
+    int_glitch: "int-glitch",
+    sensor_silent: "sensor-silent",
+    sensor_brownout: "sensor-brownout",
+    register_flip: "register-flip",
+    frozen: "frozen",
+    zeros: "zeros",
+    ones: "ones",
+    saturated: "saturated",
+    temperature: "temperature",
+    core_stall: "core-stall",
+    attitude_late: "attitude-late",
+    uart_flood: "uart-flood",
+    uart_noise: "uart-noise",
+    probe_detach: "probe-detach",
+    crystal_dies: "crystal-dies",
+    watchdog_hang: "watchdog-hang",
+    crash: "crash",
+    stack_overflow: "stack-overflow",
+}
+
+/// A run at rest with these faults, for what the table does not say.
 fn fly(schedule: &str, seconds: f64) -> Outcome {
     let schedule = Schedule::parse("test", schedule).unwrap();
     Run::new(firmware())
@@ -28,80 +278,6 @@ fn fly(schedule: &str, seconds: f64) -> Outcome {
         .unwrap()
 }
 
-/// How often a class has been counted by the end.
-fn counted(outcome: &Outcome, class: FaultClass) -> u32 {
-    let last = outcome.record.health.last().expect("a reading");
-    last.counters[class as usize]
-}
-
-/// The counters that are not zero, for a failing test.
-fn counters(outcome: &Outcome) -> Vec<(&'static str, u32)> {
-    FaultClass::ALL
-        .into_iter()
-        .map(|class| (class.name(), counted(outcome, class)))
-        .filter(|&(_, count)| count > 0)
-        .collect()
-}
-
-/// Flies one fault for `duration_s` and holds the firmware to counting it as `class` and to a valid attitude, and
-/// nothing but valid ones, from `deadline_ms` after its end on.
-#[track_caller]
-fn assert_recovers(fault: &str, duration_s: f64, class: FaultClass, deadline_ms: f64) -> Outcome {
-    let outcome = fly(&format!("{START_S} {duration_s} {fault}"), 3.0);
-    assert!(
-        counted(&outcome, class) > 0,
-        "{fault} is not counted as {}: {:?}",
-        class.name(),
-        counters(&outcome)
-    );
-    let due_ns = ((START_S + duration_s) * 1e9 + deadline_ms * 1e6) as u64;
-    let late: Vec<_> = outcome
-        .samples()
-        .iter()
-        .filter(|sample| sample.published_ns > due_ns)
-        .collect();
-    let invalid = late
-        .iter()
-        .filter(|sample| !sample.snapshot.flags.contains(Flags::VALID))
-        .count();
-    let expected = (3.0e9 - due_ns as f64) / 1.02e6;
-    assert!(
-        invalid == 0 && late.len() as f64 > expected,
-        "{fault}: {invalid} of {} samples are not valid, expected {expected:.0}: {:?}",
-        late.len(),
-        counters(&outcome)
-    );
-    outcome
-}
-
-/// Deadlines after the end of a fault of the bus, and of what the sensor forgets, ms.
-const BUS_MS: f64 = 20.0;
-const RESET_MS: f64 = 250.0;
-
-#[test]
-fn the_bus() {
-    for (fault, class) in [
-        ("address-nack", FaultClass::AddressNotAcknowledged),
-        ("address-nack:read", FaultClass::AddressNotAcknowledged),
-        ("data-nack:0", FaultClass::DataNotAcknowledged),
-        ("burst-stall", FaultClass::BurstDeadline),
-        ("sda-low", FaultClass::DataLineLow),
-        ("scl-low", FaultClass::ClockLineLow),
-        ("bus-error", FaultClass::BusError),
-        ("arbitration-lost", FaultClass::ArbitrationLost),
-        ("dma-error", FaultClass::Dma),
-        ("sensor-silent", FaultClass::SensorSilent),
-    ] {
-        let outcome = assert_recovers(fault, 0.05, class, BUS_MS);
-        // It says so while it lasts: something is published every 10 ms, and none of it is taken for a sample.
-        let during = 2_005_000_000..2_050_000_000;
-        let said = outcome.record.stale.iter();
-        let said = said.filter(|stale| during.contains(&stale.published_ns));
-        let is_retried = matches!(class, FaultClass::Dma);
-        assert!(is_retried || said.count() >= 4, "{fault}");
-    }
-}
-
 #[test]
 fn sigma_grows_while_nothing_comes() {
     let outcome = fly("2.0 0.5 sensor-silent", 3.0);
@@ -111,7 +287,7 @@ fn sigma_grows_while_nothing_comes() {
         .iter()
         .filter_map(|stale| stale.tilt_sigma_rad)
         .collect();
-    assert!(sigmas.len() > 80);
+    assert!(sigmas.len() > 80, "every 5 ms: {}", sigmas.len());
     assert!(sigmas.windows(2).all(|pair| pair[0] <= pair[1]));
     // 30 °/s per axis for half a second.
     let last = sigmas.last().copied().unwrap_or(0.0).to_degrees();
@@ -119,14 +295,9 @@ fn sigma_grows_while_nothing_comes() {
 }
 
 #[test]
-fn the_interrupt_wire() {
-    for (fault, class) in [
-        ("int-missing", FaultClass::InterruptMissing),
-        ("int-low", FaultClass::InterruptMissing),
-        ("int-high", FaultClass::InterruptStuckHigh),
-    ] {
-        let outcome = assert_recovers(fault, 0.2, class, BUS_MS);
-        // Noticed within 3 ms, and the attitude goes on by timer.
+fn without_edges_the_attitude_goes_on_by_timer() {
+    for fault in ["int-missing", "int-low", "int-high"] {
+        let outcome = fly(&format!("2.0 0.2 {fault}"), 2.4);
         let polled: Vec<u64> = outcome
             .samples()
             .iter()
@@ -139,106 +310,100 @@ fn the_interrupt_wire() {
         let last = polled.last().copied().unwrap_or(0);
         assert!(last < 2_205_000_000, "{fault}: {last}");
     }
-    assert_recovers("int-glitch:3000", 0.2, FaultClass::InterruptGlitch, BUS_MS);
 }
 
 #[test]
-fn the_sensor_forgets() {
-    let outcome = assert_recovers("sensor-brownout", 0.05, FaultClass::SensorReset, RESET_MS);
-    let flagged = outcome
-        .samples()
-        .iter()
-        .any(|sample| sample.snapshot.flags.contains(Flags::SENSOR_RESET));
-    assert!(flagged);
-    for register in [
-        "0x19:0x07",
-        "0x1a:0x03",
-        "0x1b:0x00",
-        "0x1c:0x00",
-        "0x37:0x80",
-        "0x38:0x00",
-        "0x6b:0x00",
-        "0x6c:0x07",
-    ] {
-        let fault = format!("register-flip:{register}");
-        assert_recovers(&fault, 0.0, FaultClass::RegisterChanged, RESET_MS);
-    }
-}
-
-#[test]
-fn a_flood_of_interrupts_at_8_khz() {
-    // The widest low-pass filter: its output rate is 8 kHz, and so is INT's.
-    let outcome = assert_recovers(
-        "register-flip:0x1a:0x00",
-        0.0,
-        FaultClass::RegisterChanged,
-        RESET_MS,
-    );
-    assert!(counted(&outcome, FaultClass::InterruptGlitch) > 30);
-    assert_eq!(counted(&outcome, FaultClass::AttitudeLate), 0);
-}
-
-#[test]
-fn the_data() {
-    for (fault, class) in [
-        ("frozen", FaultClass::Frozen),
-        ("zeros", FaultClass::Rejected),
-        ("ones", FaultClass::Rejected),
-        ("saturated:gx", FaultClass::Saturated),
-        ("saturated:az", FaultClass::Saturated),
-        ("temperature:120", FaultClass::Temperature),
-        ("temperature:-50", FaultClass::Temperature),
-    ] {
-        assert_recovers(fault, 0.1, class, RESET_MS);
-    }
-}
-
-#[test]
-fn the_core_stalls() {
-    assert_recovers("core-stall", 0.03, FaultClass::SamplesMissed, BUS_MS);
-}
-
-#[test]
-fn the_crystal_dies() {
-    let outcome = assert_recovers("crystal-dies", 0.0, FaultClass::ClockFailed, RESET_MS);
+fn after_the_crystal_has_died_time_goes_on_at_its_old_pace() {
+    let outcome = fly("2.0 0 crystal-dies", 2.5);
     let last = outcome.samples().last().expect("samples").snapshot.flags;
-    let said = Flags::VALID | Flags::DEGRADED | Flags::INTERNAL_CLOCK;
-    assert_eq!(last, said);
-    // Time goes on at its old pace: a sample is a millisecond of the sensor's clock, which is right to 1 %.
+    assert_eq!(last, Flags::VALID | Flags::DEGRADED | Flags::INTERNAL_CLOCK);
+    // A sample is a millisecond of the sensor's clock, which is right to 1 %.
     let times: Vec<u64> = outcome
         .samples()
         .iter()
         .filter(|sample| sample.published_ns > 2_100_000_000)
         .map(|sample| sample.snapshot.t_us)
         .collect();
-    assert!(
-        times
-            .windows(2)
-            .all(|pair| (980..1020).contains(&(pair[1] - pair[0])))
-    );
+    assert!(times.len() > 350);
+    let is_even = |pair: &[u64]| (980..1020).contains(&(pair[1] - pair[0]));
+    assert!(times.windows(2).all(is_even));
 }
 
 #[test]
-fn the_watchdog_resets_what_hangs_and_the_attitude_goes_on() {
-    let schedule = format!("{START_S} 0 watchdog-hang");
-    let outcome = fly(&schedule, 3.0);
-    assert_eq!(outcome.record.resets_ns.len(), 1);
-    let reset_ns = outcome.record.resets_ns[0];
-    assert!(
-        (2_150_000_000..2_600_000_000).contains(&reset_ns),
-        "{reset_ns}"
-    );
-    assert_eq!(counted(&outcome, FaultClass::Watchdog), 1);
-    assert!(outcome.uart_says("reset by the watchdog"));
-    // A warm start: no rest, no reset of the sensor, and yaw as it was.
-    let first = outcome
-        .samples()
-        .iter()
-        .find(|sample| {
-            sample.published_ns > reset_ns && sample.snapshot.flags.contains(Flags::VALID)
-        })
-        .expect("an attitude");
-    let after_ms = (first.published_ns - reset_ns) as f64 * 1e-6;
-    assert!(after_ms < 60.0, "{after_ms} ms");
-    assert!(!first.snapshot.flags.contains(Flags::CALIBRATING));
+fn after_a_reset_the_attitude_goes_on_without_a_new_rest() {
+    for fault in ["watchdog-hang", "crash", "stack-overflow"] {
+        let outcome = fly(&format!("2.0 0 {fault}"), 2.8);
+        let [reset_ns] = outcome.record.resets_ns[..] else {
+            panic!("{fault}: {:?}", outcome.record.resets_ns);
+        };
+        let mut after = outcome.samples().iter();
+        let first = after
+            .find(|sample| {
+                sample.published_ns > reset_ns && sample.snapshot.flags.contains(Flags::VALID)
+            })
+            .expect("an attitude");
+        let after_ms = (first.published_ns - reset_ns) as f64 * 1e-6;
+        assert!(after_ms < 60.0, "{fault}: {after_ms} ms");
+        let is_calibrating = |flags: Flags| flags.contains(Flags::CALIBRATING);
+        assert!(
+            after.all(|sample| !is_calibrating(sample.snapshot.flags)),
+            "{fault}"
+        );
+        // The counters of the run before are still there.
+        let last = outcome.record.health.last().expect("a reading");
+        let class = FaultClass::ALL
+            .into_iter()
+            .find(|class| fault.starts_with(class.name()));
+        assert_eq!(
+            last.counters[class.expect("its class") as usize],
+            1,
+            "{fault}"
+        );
+    }
+}
+
+#[test]
+fn interrupts_at_8_khz_starve_nobody() {
+    // Glitches all the time; and the widest low-pass filter, whose output rate is 8 kHz, and so is INT's, until the
+    // firmware has put it right, which takes 35 ms without samples.
+    let flips = "2.0 0 register-flip:0x1a:0x00\n2.5 0 register-flip:0x1a:0x00";
+    let undisturbed = fly("", 3.1);
+    for (faults, least_odd_edges, least_samples, longest_ns) in [
+        ("2.0 1.0 int-glitch:8000", 7_900, 998, 2_100_000),
+        (flips, 50, 910, 45_000_000),
+    ] {
+        let outcome = fly(faults, 3.1);
+        let during = 2_000_000_000..3_000_000_000;
+        let health = |at_ns: u64| {
+            let readings = outcome.record.health.iter();
+            let last = readings.take_while(|reading| reading.at_ns <= at_ns).last();
+            last.expect("a reading").counters
+        };
+        let (before, after) = (health(during.start), health(during.end));
+        let counted = |class: FaultClass| after[class as usize] - before[class as usize];
+        let odd_edges = counted(FaultClass::InterruptGlitch);
+        assert!(odd_edges >= least_odd_edges, "{faults}: {odd_edges}");
+        assert_eq!(counted(FaultClass::AttitudeLate), 0, "{faults}");
+        assert_eq!(counted(FaultClass::TelemetryLate), 0, "{faults}");
+        assert!(outcome.record.resets_ns.is_empty(), "{faults}");
+        let lines = |outcome: &Outcome| {
+            let lines = outcome.uart_lines.iter();
+            let lines = lines.filter(|line| line.text.starts_with("roll:"));
+            lines.filter(|line| during.contains(&line.at_ns)).count()
+        };
+        assert_eq!(lines(&outcome), lines(&undisturbed), "{faults}");
+        let samples: Vec<u64> = outcome
+            .samples()
+            .iter()
+            .filter(|sample| during.contains(&sample.published_ns))
+            .map(|sample| sample.published_ns)
+            .collect();
+        assert!(
+            samples.len() >= least_samples,
+            "{faults}: {}",
+            samples.len()
+        );
+        let gap_ns = samples.windows(2).map(|pair| pair[1] - pair[0]).max();
+        assert!(gap_ns <= Some(longest_ns), "{faults}: {gap_ns:?}");
+    }
 }

@@ -12,7 +12,7 @@ use crate::panics;
 use crate::setup::Toolchain;
 
 /// The most that the firmware may take: its budget, well below the smallest board's chip.
-const FLASH_BUDGET: u64 = 112 * 1024;
+const FLASH_BUDGET: u64 = 96 * 1024;
 /// The same for its variables; the stack has a region of its own.
 const RAM_BUDGET: u64 = 16 * 1024;
 /// Flash sectors 1 and 2, which hold calibrations (see `memory.x`).

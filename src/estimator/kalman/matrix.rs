@@ -223,8 +223,7 @@ impl Covariance {
         let Some(row) = self.triangle.get(start..start + constant + 1) else {
             return;
         };
-        let (above, own_and_below) = self.cross.split_at_mut(constant.min(CONSTANTS));
-        let Some(own) = own_and_below.first_mut() else {
+        let Some((above, [own, ..])) = self.cross.split_at_mut_checked(constant) else {
             return;
         };
         let Some((variance, row)) = row.split_last() else {
@@ -242,7 +241,9 @@ impl Covariance {
             own[0] -= north + variance * own_b[0];
             own[1] -= east + variance * own_b[1];
         } else {
-            let (turning, forces) = above.split_at_mut(TURNING);
+            let Some((turning, forces)) = above.split_first_chunk_mut::<TURNING>() else {
+                return;
+            };
             for ((p, b), other) in row.iter().zip(&by.tilt_per).zip(turning) {
                 north += p * b[0];
                 east += p * b[1];

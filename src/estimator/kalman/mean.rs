@@ -190,17 +190,17 @@ impl Mean {
         let velocity = Vector3::new(north.dot(pushed), east.dot(pushed), down.dot(pushed));
         sums.vertical_m_s += velocity.z;
         let rows = [[north.x, east.x], [north.y, east.y], [north.z, east.z]];
+        let add = |sum: &mut [f32; 2], [n, e]: [f32; 2], by: f32| {
+            sum[0] += n * by;
+            sum[1] += e * by;
+        };
         let [b0, b1, b2, m @ ..] = &mut sums.tilt_per;
-        for (b, [n, e]) in [b0, b1, b2].into_iter().zip(rows) {
-            b[0] += n * t;
-            b[1] += e * t;
-        }
         let (chunks, _) = m.as_chunks_mut::<3>();
-        for (m, [n, e]) in chunks.iter_mut().zip(rows) {
-            for (m, angle) in m.iter_mut().zip([turned.x, turned.y, turned.z]) {
-                m[0] += n * angle;
-                m[1] += e * angle;
-            }
+        for ((b, [m0, m1, m2]), row) in [b0, b1, b2].into_iter().zip(chunks).zip(rows) {
+            add(b, row, t);
+            add(m0, row, turned.x);
+            add(m1, row, turned.y);
+            add(m2, row, turned.z);
         }
         let step = EarthStep {
             duration_s: t,

@@ -414,6 +414,13 @@ impl Kalman {
         Vector3::new(sigma(0), sigma(1), sigma(2))
     }
 
+    /// The largest of these, rad/s.
+    pub fn largest_bias_sigma_rad_s(&self) -> f32 {
+        let covariance = &self.step.covariance;
+        let [x, y, z] = [0, 1, 2].map(|axis| covariance.constant_variance(axis));
+        sigma(x.max(y).max(z))
+    }
+
     /// The accelerometer's bias, m/s² in body axes.
     pub fn force_bias_m_s2(&self) -> Vector3 {
         self.mean.force_bias_m_s2

@@ -711,9 +711,12 @@ fn version() -> AUTOPILOT_VERSION_DATA {
     }
 }
 
-/// The clock of most messages wraps after 49 days.
+/// The clock of most messages wraps after 49 days. Division by hand, 16 bits at a time: that of 64 bits is a kilobyte of flash.
 const fn milliseconds(t_us: u64) -> u32 {
-    (t_us / 1000) as u32
+    let [high, middle, low] = [t_us >> 32, (t_us >> 16) & 0xFFFF, t_us & 0xFFFF];
+    let middle = ((high as u32 % 1000) << 16) | middle as u32;
+    let low = ((middle % 1000) << 16) | low as u32;
+    ((middle / 1000) << 16) | (low / 1000)
 }
 
 fn number(text: &str) -> u8 {

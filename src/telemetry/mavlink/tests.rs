@@ -14,6 +14,17 @@ const STATION: MavHeader = MavHeader {
     sequence: 9,
 };
 
+#[test]
+fn milliseconds_are_those_of_a_division() {
+    let mut t_us = 1_u64;
+    while t_us < u64::MAX / 3000 {
+        for t_us in [t_us - 1, t_us, 1000 * t_us - 1, 1000 * t_us] {
+            assert_eq!(milliseconds(t_us), (t_us / 1000) as u32, "{t_us}");
+        }
+        t_us = t_us * 3 / 2 + 1;
+    }
+}
+
 /// A module with a session.
 struct Bench {
     session: Session,

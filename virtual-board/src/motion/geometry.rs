@@ -123,6 +123,16 @@ impl Quaternion {
             .multiply(about(0, roll))
     }
 
+    /// Roll, pitch and yaw in degrees, of a body → earth attitude.
+    #[must_use]
+    pub fn to_euler_degrees(self) -> [f64; 3] {
+        let Self { w, x, y, z } = self;
+        let roll = libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y));
+        let pitch = libm::asin((2.0 * (w * y - z * x)).clamp(-1.0, 1.0));
+        let yaw = libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z));
+        [roll, pitch, yaw].map(f64::to_degrees)
+    }
+
     /// From an orthonormal matrix with determinant +1 (Shepperd's method: divide by the largest part).
     #[must_use]
     pub fn from_matrix(m: [Vector; 3]) -> Self {
@@ -220,6 +230,16 @@ mod tests {
 
     fn close(left: Vector, right: Vector) -> bool {
         norm(subtract(left, right)) < 1e-12
+    }
+
+    #[test]
+    fn angles_survive_being_an_attitude() {
+        for (roll, pitch, yaw) in [(0.3, -0.7, 2.9), (-3.0, 1.2, -0.4), (0.0, 0.0, 0.0)] {
+            let degrees = Quaternion::from_euler(roll, pitch, yaw).to_euler_degrees();
+            for (found, expected) in degrees.into_iter().zip([roll, pitch, yaw]) {
+                assert!((found - f64::to_degrees(expected)).abs() < 1e-9);
+            }
+        }
     }
 
     #[test]

@@ -176,6 +176,8 @@ pub struct Lines {
     text: Box<dyn BufRead>,
     is_zipped: bool,
     line: Vec<u8>,
+    /// The line is the next one again.
+    is_unread: bool,
     /// The number of the line that was read last, counted from 1.
     number: u64,
 }
@@ -224,6 +226,7 @@ impl Lines {
             text,
             is_zipped,
             line: Vec::new(),
+            is_unread: false,
             number: 0,
         })
     }
@@ -233,13 +236,15 @@ impl Lines {
     /// # Errors
     /// The file cannot be read on, is damaged, or is not text.
     pub fn next_line(&mut self) -> Result<Option<&str>, LogError> {
-        self.line.clear();
-        self.number += 1;
-        match self.text.read_until(b'\n', &mut self.line) {
-            Ok(0) => return Ok(None),
-            Ok(_) => {}
-            Err(error) if self.is_zipped => return Err(self.refuse(LogFault::Gzip(error))),
-            Err(error) => return Err(self.refuse(LogFault::Read(error))),
+        if !std::mem::take(&mut self.is_unread) {
+            self.line.clear();
+            self.number += 1;
+            match self.text.read_until(b'\n', &mut self.line) {
+                Ok(0) => return Ok(None),
+                Ok(_) => {}
+                Err(error) if self.is_zipped => return Err(self.refuse(LogFault::Gzip(error))),
+                Err(error) => return Err(self.refuse(LogFault::Read(error))),
+            }
         }
         if self.line.ends_with(b"\n") {
             self.line.pop();
@@ -260,6 +265,11 @@ impl Lines {
                 reason: LogFault::NotText,
             }),
         }
+    }
+
+    /// The line that was read last is the next one again.
+    pub fn unread(&mut self) {
+        self.is_unread = true;
     }
 
     /// Where the line is that was read last: the file and the line's number.

@@ -31,6 +31,21 @@ const TRUTH_GAP_S: f64 = 0.1;
 /// turn about x.
 const UP_TO_DOWN: Quaternion = Quaternion::new(0.0, 1.0, 0.0, 0.0);
 
+/// The attitude (body → earth, north-east-down) of a log's truth (sensor → earth with z up).
+#[must_use]
+pub fn body_to_earth(truth: Quaternion, mount: Mount) -> Quaternion {
+    UP_TO_DOWN.multiply(truth).multiply(mount.body_to_sensor())
+}
+
+/// What a log has to say of this attitude (body → earth, north-east-down): the inverse of [`body_to_earth`].
+#[must_use]
+pub fn truth_of(body_to_earth: Quaternion, mount: Mount) -> Quaternion {
+    UP_TO_DOWN
+        .conjugate()
+        .multiply(body_to_earth)
+        .multiply(mount.body_to_sensor().conjugate())
+}
+
 /// A recording, ready to be played once.
 #[derive(Clone, Debug)]
 pub struct Recording {
@@ -113,16 +128,11 @@ impl Motion for Recording {
 
 impl Sample {
     fn new(row: &Row, start_us: i64, mount: Mount) -> Self {
-        let to_body = |attitude: Quaternion| {
-            UP_TO_DOWN
-                .multiply(attitude)
-                .multiply(mount.body_to_sensor())
-        };
         Self {
             time_s: REST_S + TURN_S + row.time_us.abs_diff(start_us) as f64 * 1e-6,
             specific_force_m_s2: mount.to_body(row.specific_force_m_s2),
             body_rates_rad_s: mount.to_body(row.rates_rad_s),
-            attitude: row.attitude.map(to_body),
+            attitude: row.attitude.map(|truth| body_to_earth(truth, mount)),
             moving: row.moving,
         }
     }
@@ -273,6 +283,16 @@ mod tests {
             let at_rest = Truth::at_rest(truth.attitude.unwrap()).specific_force_m_s2;
             let away = norm(subtract(at_rest, truth.specific_force_m_s2));
             assert!(away < 1e-9, "{name}: {away}");
+        }
+    }
+
+    #[test]
+    fn the_truth_of_an_attitude_is_that_attitude_again() {
+        let attitude = Quaternion::from_euler(0.7, -1.1, 2.4);
+        for name in Mount::names() {
+            let mount = Mount::parse(&name).unwrap();
+            let again = body_to_earth(truth_of(attitude, mount), mount);
+            assert!(difference(attitude, again) < 1e-9, "{name}");
         }
     }
 

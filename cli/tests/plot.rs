@@ -1,0 +1,226 @@
+//! `aplomb plot` and `aplomb simulate` from the outside.
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{aplomb, file, path};
+use virtual_board::motion::Mount;
+use virtual_board::motion::recording::Recording;
+
+/// Runs it with these arguments, and gives what it printed.
+fn run(arguments: &[&str]) -> String {
+    let result = aplomb(arguments);
+    let errors = String::from_utf8_lossy(&result.stderr);
+    assert!(result.status.success(), "{arguments:?}: {errors}");
+    String::from_utf8(result.stdout).unwrap()
+}
+
+fn refused(arguments: &[&str], reason: &str) {
+    let result = aplomb(arguments);
+    assert_eq!(result.status.code(), Some(1), "{arguments:?}");
+    let errors = String::from_utf8_lossy(&result.stderr);
+    assert!(errors.contains(reason), "{errors}");
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Writes a simulated motion.
+fn simulate(test: &str, name: &str, options: &[&str]) -> PathBuf {
+    let output = path(test, name);
+    let mut arguments = vec!["simulate", "--output", text(&output)];
+    arguments.extend(options);
+    run(&arguments);
+    output
+}
+
+/// What is written in an SVG, and how many points its curves have.
+fn words(svg: &Path) -> (Vec<String>, usize) {
+    let svg = std::fs::read_to_string(svg).unwrap();
+    assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n"));
+    let texts = svg.lines().filter(|line| line.starts_with("<text"));
+    let texts = texts.map(|line| {
+        let inner = &line[line.find('>').unwrap() + 1..];
+        inner.strip_suffix("</text>").unwrap().to_owned()
+    });
+    let curves = svg.lines().filter(|line| line.starts_with("<polyline"));
+    let points = curves.map(|line| line.matches(',').count()).sum();
+    (texts.collect(), points)
+}
+
+#[test]
+fn a_simulated_motion_is_one_by_its_seed() {
+    let read = |path: &Path| std::fs::read(path).unwrap();
+    let seconds = ["--seconds", "8"];
+    let seeded = |name: &str, seed: &str| {
+        let options = [&seconds[..], &["--seed", seed]].concat();
+        read(&simulate("seeds", name, &options))
+    };
+    let first = seeded("a.csv", "3");
+    assert!(first == seeded("b.csv", "3"));
+    assert!(first != seeded("c.csv", "4"));
+    for kind in ["swing", "rest", "poses"] {
+        let options = [&seconds[..], &["--seed", "3", "--kind", kind]].concat();
+        assert!(
+            read(&simulate("seeds", "kind.csv", &options)) != first,
+            "{kind}"
+        );
+    }
+    let rows = String::from_utf8(first).unwrap();
+    let mut lines = rows.lines();
+    assert_eq!(lines.next(), Some("t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov"));
+    assert_eq!(lines.clone().count(), 8_000);
+    let (first, last) = (lines.next().unwrap(), lines.next_back().unwrap());
+    assert!(first.starts_with("1000,") && last.starts_with("8000000,") && last.ends_with(",1"));
+}
+
+#[test]
+fn what_is_simulated_flies_and_is_replayed() {
+    for kind in ["flight", "swing", "rest", "poses"] {
+        let options = ["--kind", kind, "--seconds", "10"];
+        let log = simulate("round", &format!("{kind}.csv.gz"), &options);
+        assert!(std::fs::read(&log).unwrap().starts_with(&[0x1F, 0x8B]));
+        // What `fly --log` reads it with.
+        let recording = Recording::open(&log, Mount::Z_UP).unwrap();
+        assert!(recording.end_s() > 10.0, "{kind}");
+        let printed = run(&["replay", text(&log), "--sensor-delay-us", "1900", "--json"]);
+        let summary: serde_json::Value = serde_json::from_str(&printed).unwrap();
+        assert_eq!(summary["samples"], 10_000);
+        let rms = summary["inclination_rms_deg"].as_f64().unwrap();
+        assert!((0.01..3.0).contains(&rms), "{kind}: {rms}");
+    }
+}
+
+#[test]
+fn a_picture_of_a_flight_has_everything() {
+    let log = simulate("plot", "flight.csv", &["--seconds", "20"]);
+    let delay = ["--sensor-delay-us", "1900"];
+    let (svg, png) = (path("plot", "flight.svg"), path("plot", "flight.png"));
+    let plot = ["plot", text(&log), "--output"];
+    let printed = run(&[&plot[..], &[text(&svg)], &delay].concat());
+    assert!(printed.contains("20000 rows in 20.0 s"), "{printed}");
+    assert!(printed.contains("peak at"), "{printed}");
+    let (words, points) = words(&svg);
+    for word in [
+        "flight.csv",
+        "roll (degrees)",
+        "pitch (degrees)",
+        "yaw, relative (degrees)",
+        "body rates (degrees per second)",
+        "inclination error (degrees)",
+        "within 3 sigma",
+        "truth",
+        "valid",
+        "calibrating",
+        "frequency (Hz)",
+    ] {
+        assert!(words.iter().any(|other| other == word), "{word}: {words:?}");
+    }
+    // The peak that is marked is the one that is printed.
+    let peak = words.iter().find(|word| word.ends_with(" Hz")).unwrap();
+    assert!(printed.contains(&format!("peak at {peak}")), "{printed}");
+    assert!((5_000..60_000).contains(&points), "{points}");
+    run(&[&plot[..], &[text(&png)], &delay].concat());
+    assert!(std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
+}
+
+#[test]
+fn attitudes_are_drawn_with_a_truth_of_their_own_file() {
+    let log = simulate("truth", "flight.csv", &["--seconds", "12"]);
+    let attitudes = path("truth", "attitude.csv");
+    let delay = ["--sensor-delay-us", "1900"];
+    run(&[
+        &["replay", text(&log), "--output", text(&attitudes)],
+        &delay[..],
+    ]
+    .concat());
+    let svg = path("truth", "picture.svg");
+    let plot = ["plot", text(&attitudes), "--output", text(&svg)];
+    let without = run(&plot);
+    assert!(without.contains("no spectrum"), "{without}");
+    assert!(!words(&svg).0.contains(&"truth".to_owned()));
+    let with = run(&[&plot[..], &["--truth", text(&log)]].concat());
+    assert!(words(&svg).0.contains(&"truth".to_owned()));
+    // The same error as that of the log itself, in which its truth is.
+    let of_log = run(&[&["plot", text(&log), "--output", text(&svg)], &delay[..]].concat());
+    let error = |printed: &str| {
+        let (_, after) = printed.split_once("inclination error ").unwrap();
+        after
+            .split_once(';')
+            .map_or(after.trim(), |(error, _)| error)
+            .to_owned()
+    };
+    assert_eq!(error(&with), error(&of_log));
+    // The truth of another time is none.
+    let late = std::fs::read_to_string(&log)
+        .unwrap()
+        .lines()
+        .take(1)
+        .collect::<String>()
+        + "\n99000000,0,0,9.8,0,0,0,1,0,0,0,1\n";
+    let late = file("truth", "late.csv", late);
+    refused(
+        &[&plot[..], &["--truth", text(&late)]].concat(),
+        "none of its times",
+    );
+}
+
+#[test]
+fn bursts_and_flight_logs_are_drawn_too() {
+    let log = simulate("kinds", "flight.csv", &["--seconds", "5"]);
+    for name in ["flight.log", "flight-bursts.csv"] {
+        let converted = path("kinds", name);
+        run(&["convert", text(&log), text(&converted)]);
+        let svg = path("kinds", "picture.svg");
+        let printed = run(&["plot", text(&converted), "--output", text(&svg)]);
+        assert!(printed.contains("5000 rows in 5.0 s"), "{name}: {printed}");
+        assert!(
+            words(&svg).0.contains(&"frequency (Hz)".to_owned()),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn what_cannot_be_drawn_is_refused() {
+    let log = simulate("refused", "flight.csv", &["--seconds", "1"]);
+    let plot = ["plot", text(&log), "--output"];
+    refused(
+        &[&plot[..], &["picture.jpg"]].concat(),
+        "has to end with .png or .svg",
+    );
+    refused(
+        &[&plot[..], &["/no/such/folder/x.png"]].concat(),
+        "there is no folder",
+    );
+    let bad = file(
+        "refused",
+        "bad.csv",
+        "t_us,qw,qx,qy,qz\n1,1,0,0,0\n2,1,0,x,0\n",
+    );
+    refused(&["plot", text(&bad)], "bad.csv:3: \"x\" is not a number");
+    let empty = file("refused", "empty.csv", "");
+    refused(&["plot", text(&empty)], "empty");
+    let no_rows = file("refused", "none.csv", "t_us,qw,qx,qy,qz\n");
+    refused(&["plot", text(&no_rows)], "no row");
+    // An input is never replaced.
+    let named = path("refused", "log.svg");
+    std::fs::copy(&log, &named).unwrap();
+    refused(
+        &["plot", text(&named), "--output", text(&named)],
+        "replace the input",
+    );
+    refused(
+        &[
+            "plot",
+            text(&log),
+            "--truth",
+            text(&named),
+            "--output",
+            text(&named),
+        ],
+        "replace the input",
+    );
+}
