@@ -12,6 +12,38 @@
 //! in an emulator and on a computer: every operation is either plain `f32` arithmetic or comes from
 //! `libm`, and nothing depends on the platform's mathematics library.
 //!
+//! ```
+//! use aplomb::mpu6050::{AccelerometerCounts, Burst, Part, RawSample};
+//! use aplomb::pipeline::{Pipeline, Settings};
+//!
+//! let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+//! // What a sensor sends that lies face up and rolled by 30°: 2048 counts are one g.
+//! let sample = RawSample {
+//!     accelerometer: AccelerometerCounts([0, 1024, 1774]),
+//!     ..RawSample::default()
+//! };
+//! let snapshot = pipeline.update(&Burst {
+//!     bytes: sample.encode(), // 14 bytes: yours come from the bus
+//!     captured_at_us: 1_000,
+//!     missed_before: 0,
+//! });
+//! let roll_deg = snapshot.euler().roll_rad.to_degrees();
+//! assert!((roll_deg - 30.0).abs() < 0.1);
+//! ```
+//!
+//! Whole programs are in `examples/`: with RTIC and this crate's burst reader, with Embassy and asynchronous I2C, with any
+//! `embedded-hal` bus, and on a computer. [`mpu6050::Mpu6050`] finds, configures and reads the sensor over a blocking bus;
+//! [`mpu6050::Step`] is what any other bus has to write.
+//!
+//! | feature | adds | brings |
+//! |---|---|---|
+//! | none | all modules below but two: `no_std`, no allocation, for any chip | no HAL, no linker script |
+//! | `mavlink` | `telemetry::mavlink` | the `mavlink` crate |
+//! | `defmt` | `defmt::Format` on the public types | `defmt` |
+//! | `board-stm32f405` and others | `board` (target alone), and the firmware as a program | `stm32f4xx-hal`, RTIC, both of the above |
+//!
+//! Features that are not in the table serve this project's own programs.
+//!
 //! | module | what it knows |
 //! |---|---|
 //! | [`units`] | constants, and the extension of a 32-bit microsecond counter to 64 bits |
@@ -24,6 +56,8 @@
 //! | [`pipeline`] | the order of the steps |
 //! | [`state`] | a filter's memory as bytes, for logs that replay to the bit |
 //! | [`telemetry`] | one file per output format, encoder and decoder together |
+//! | [`console`] | commands over a serial line |
+//! | `board` | pins, clocks and DMA of an STM32F4, the burst reader |
 //!
 //! Body axes are forward-right-down, earth axes are north-east-down ("north" being the heading at
 //! start, since nothing here sees a compass). Angles are radians inside and degrees in text.
@@ -44,7 +78,6 @@ pub mod state;
 pub mod telemetry;
 pub mod units;
 
-/// The firmware's hardware: pins, clocks, DMA and the burst state machine.
 #[cfg(all(target_os = "none", feature = "rtic-app"))]
 #[allow(unsafe_code)]
 pub mod board;

@@ -5,6 +5,7 @@ mod build;
 mod cost;
 mod examples;
 mod faults;
+mod package;
 mod panics;
 mod setup;
 mod size;
@@ -27,6 +28,7 @@ usage: cargo xtask COMMAND
                       fly many times with faults by chance, and check what must hold (`--help` says more)
   test                run every check and test
   agree               board, replay and QEMU say the same of the same bursts; a part of `test`
+  package             pack the library, build the package, check what is in it; a part of `test`
   size [--board B]    flash, RAM and the largest symbols of the firmware
   cost [--bless]      what the filters cost on the Cortex-M4F, held to tests/golden/cost.txt; --bless writes it anew
   flash [--board B]   write the firmware to a board with probe-rs and show its log
@@ -53,6 +55,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
         "faults" => faults::run(rest),
         "test" => no_more(rest).and_then(|()| test::run()),
         "agree" => no_more(rest).and_then(|()| agree::build_and_run()),
+        "package" => no_more(rest).and_then(|()| package::check()),
         "size" => size::run(board_alone(rest)?),
         "cost" => match rest {
             [] => cost::run(),

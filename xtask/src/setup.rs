@@ -62,10 +62,12 @@ impl Toolchain {
             Self::Own => step::command(Path::new("cargo")),
             Self::Distribution { sysroot } => {
                 let mut command = distribution_cargo();
-                command.env(
-                    "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUSTFLAGS",
-                    format!("--sysroot={}", sysroot.display()),
-                );
+                for program in ["RUSTFLAGS", "RUSTDOCFLAGS"] {
+                    command.env(
+                        format!("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_{program}"),
+                        format!("--sysroot={}", sysroot.display()),
+                    );
+                }
                 command
             }
         };

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{agree, cost, examples, faults, panics, size, step};
+use crate::{agree, cost, examples, faults, package, panics, size, step};
 
 /// Runs all of it.
 pub fn run() -> Result<(), String> {
@@ -41,6 +41,7 @@ pub fn run() -> Result<(), String> {
         doc.env("RUSTDOCFLAGS", "-D warnings");
         step::run(doc.args(["--no-deps", "--lib", "-p", "aplomb", "-p", "virtual-board"]))
     })?;
+    step::timed("the package", package::check)?;
 
     let toolchain = Toolchain::for_target()?;
     step::timed("lints, target", || {
@@ -81,6 +82,13 @@ pub fn run() -> Result<(), String> {
             "-D",
             "warnings",
         ]))
+    })?;
+    step::timed("documentation, target", || {
+        // What docs.rs shows.
+        let mut doc = toolchain.cargo("rustdoc");
+        doc.args(["--release", "--lib", "--features"]);
+        doc.arg(build::Board::default().feature());
+        step::run(doc.args(["--", "-D", "warnings"]))
     })?;
     step::timed("nothing in the library panics", || {
         panics::prove_library(&toolchain)
