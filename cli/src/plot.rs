@@ -501,11 +501,17 @@ fn parse_attitude(line: &str, columns: &Columns) -> Result<Point, String> {
     })
 }
 
+/// A time in microseconds, and the true attitude, if it is known then.
+type TrueRow = (i64, Option<Truth>);
+
+/// The next row; `None` after the last.
+type NextRow = dyn FnMut() -> Result<Option<TrueRow>, Box<dyn Error>>;
+
 /// True attitudes over time, read along.
 struct TruthFile {
-    rows: Box<dyn FnMut() -> Result<Option<(i64, Option<Truth>)>, Box<dyn Error>>>,
-    before: Option<(i64, Option<Truth>)>,
-    after: Option<(i64, Option<Truth>)>,
+    rows: Box<NextRow>,
+    before: Option<TrueRow>,
+    after: Option<TrueRow>,
 }
 
 impl TruthFile {
@@ -540,9 +546,7 @@ impl TruthFile {
         Ok(file)
     }
 
-    fn new(
-        rows: impl FnMut() -> Result<Option<(i64, Option<Truth>)>, Box<dyn Error>> + 'static,
-    ) -> Self {
+    fn new(rows: impl FnMut() -> Result<Option<TrueRow>, Box<dyn Error>> + 'static) -> Self {
         Self {
             rows: Box::new(rows),
             before: None,
@@ -558,7 +562,7 @@ impl TruthFile {
             self.before = Some(after);
             self.after = (self.rows)()?;
         }
-        let distance = |row: &(i64, Option<Truth>)| row.0.abs_diff(t_us);
+        let distance = |row: &TrueRow| row.0.abs_diff(t_us);
         let nearest = self
             .after
             .into_iter()
