@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use aplomb::mpu6050::{AccelerometerRange, GyroscopeRange};
 
 use crate::filter::Choice;
+use crate::input::{parse_accelerometer_range, parse_gyroscope_range};
 use crate::output::OutputFile;
 use crate::recording::{Found, Handling, Recording, Reference, files, is_table};
-use crate::replay::{parse_accelerometer_range, parse_gyroscope_range};
 use crate::score::{Honesty, Score, mean, median};
 use crate::simulated::{self, EVALUATION_SEEDS};
 use crate::{accuracy, gains, leave_one_out, parallel, picture, throughput};

@@ -16,12 +16,12 @@ use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part,
 use aplomb::pipeline::Settings;
 use aplomb::telemetry::bursts;
 use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
-use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
+use virtual_board::motion::log::{Lines, Row, parse_row};
 
 use crate::counts::counts;
+use crate::input::{Counts, Form};
 use crate::output::OutputFile;
 use crate::progress;
-use crate::replay::{parse_accelerometer_range, parse_gyroscope_range};
 
 /// A rest is so long, s: the device takes a second, a recording made by hand seldom has it.
 const REST_S: f64 = 0.5;
@@ -51,15 +51,8 @@ pub struct Options {
     /// The recording
     #[arg(required_unless_present = "draw_poses")]
     input: Option<PathBuf>,
-    /// The log's values are register counts of a sensor with these ranges
-    #[arg(long, requires_all = ["accel_range", "gyro_range"])]
-    raw: bool,
-    /// Accelerometer range of counts in g: 2, 4, 8 or 16 (bursts: 16 unless told otherwise)
-    #[arg(long, value_name = "G", value_parser = parse_accelerometer_range)]
-    accel_range: Option<AccelerometerRange>,
-    /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000 (bursts: 2000 unless told otherwise)
-    #[arg(long, value_name = "DPS", value_parser = parse_gyroscope_range)]
-    gyro_range: Option<GyroscopeRange>,
+    #[command(flatten)]
+    counts: Counts,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -136,36 +129,21 @@ struct Sample {
 impl Recording {
     fn read(path: &Path, options: &Options) -> Result<Self, Box<dyn Error>> {
         let mut lines = progress::lines(path)?;
-        let Some(header) = lines.next_line()?.map(str::to_owned) else {
-            return Err(lines.refuse_file(LogFault::Empty).into());
-        };
-        let mut config = Config {
-            accelerometer_range: options.accel_range.unwrap_or_default(),
-            gyroscope_range: options.gyro_range.unwrap_or_default(),
-            ..Config::DEFAULT
-        };
-        let samples = if header == bursts::HEADER {
-            if options.raw {
-                return Err("--raw is for logs: bursts are raw in any case".into());
+        let form = Form::read(&mut lines)?;
+        options.counts.check(form)?;
+        let mut config = options.counts.config();
+        let samples = match form {
+            Form::Bursts => read_bursts(&mut lines)?,
+            Form::Log(columns) => {
+                let rows = read_rows(&mut lines, columns)?;
+                let is_raw = options.counts.raw;
+                if !is_raw {
+                    config = finest_config(&rows)
+                        .map_err(|reason| format!("{}: {reason}", path.display()))?;
+                }
+                to_samples(&rows, &config, is_raw)
+                    .map_err(|(line, reason)| format!("{}:{line}: {reason}", path.display()))?
             }
-            read_bursts(&mut lines)?
-        } else {
-            let Some(columns) = column_count(&header) else {
-                let fault = LogFault::Header(header);
-                return Err(
-                    format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into(),
-                );
-            };
-            if !options.raw && (options.accel_range.is_some() || options.gyro_range.is_some()) {
-                return Err("--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts".into());
-            }
-            let rows = read_rows(&mut lines, columns)?;
-            if !options.raw {
-                config = finest_config(&rows)
-                    .map_err(|reason| format!("{}: {reason}", path.display()))?;
-            }
-            to_samples(&rows, &config, options.raw)
-                .map_err(|(line, reason)| format!("{}:{line}: {reason}", path.display()))?
         };
         if samples.len() < LEAST_ROWS {
             return Err(format!(

@@ -11,9 +11,10 @@ use aplomb::mpu6050::{
 };
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
-use virtual_board::motion::log::{LogFault, column_count, parse_row};
+use virtual_board::motion::log::parse_row;
 
 use crate::flight_log::{self, Recorder};
+use crate::input::Form;
 use crate::output::OutputFile;
 use crate::{number, progress, replay};
 
@@ -134,19 +135,12 @@ fn read(path: &Path) -> Result<Found, Box<dyn Error>> {
         });
     }
     let mut lines = progress::lines(path)?;
-    let Some(header) = lines.next_line()?.map(str::to_owned) else {
-        return Err(lines.refuse_file(LogFault::Empty).into());
-    };
-    let columns = column_count(&header);
-    if header != bursts::HEADER && columns.is_none() {
-        let fault = LogFault::Header(header);
-        return Err(format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into());
-    }
+    let form = Form::read(&mut lines)?;
     let mut found = Vec::new();
     while let Some(line) = lines.next_line()? {
-        let burst = match columns {
-            None => bursts::decode(line).map_err(|error| error.to_string()),
-            Some(columns) => match parse_row(line, columns) {
+        let burst = match form {
+            Form::Bursts => bursts::decode(line).map_err(|error| error.to_string()),
+            Form::Log(columns) => match parse_row(line, columns) {
                 Err(fault) => return Err(lines.refuse(fault).into()),
                 Ok(row) => {
                     let burst = Burst {

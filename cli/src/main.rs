@@ -10,6 +10,7 @@ mod counts;
 mod filter;
 mod flight_log;
 mod gains;
+mod input;
 mod leave_one_out;
 mod number;
 mod output;

@@ -16,7 +16,7 @@ pub struct OutputFile {
 
 enum Sink {
     Plain(BufWriter<File>),
-    Zipped(GzEncoder<BufWriter<File>>),
+    Zipped(Box<GzEncoder<BufWriter<File>>>),
 }
 
 impl OutputFile {
@@ -45,7 +45,7 @@ impl OutputFile {
         let file = BufWriter::with_capacity(256 * 1024, file);
         let sink = match path.extension() {
             Some(extension) if extension == "gz" => {
-                Sink::Zipped(GzEncoder::new(file, Compression::default()))
+                Sink::Zipped(Box::new(GzEncoder::new(file, Compression::default())))
             }
             _ => Sink::Plain(file),
         };

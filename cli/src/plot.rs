@@ -501,11 +501,17 @@ fn parse_attitude(line: &str, columns: &Columns) -> Result<Point, String> {
     })
 }
 
+/// A time in microseconds, and the true attitude, if it is known then.
+type TrueRow = (i64, Option<Truth>);
+
+/// The next row; `None` after the last.
+type NextRow = dyn FnMut() -> Result<Option<TrueRow>, Box<dyn Error>>;
+
 /// True attitudes over time, read along.
 struct TruthFile {
-    rows: Box<dyn FnMut() -> Result<Option<(i64, Option<Truth>)>, Box<dyn Error>>>,
-    before: Option<(i64, Option<Truth>)>,
-    after: Option<(i64, Option<Truth>)>,
+    rows: Box<NextRow>,
+    before: Option<TrueRow>,
+    after: Option<TrueRow>,
 }
 
 impl TruthFile {
@@ -540,9 +546,7 @@ impl TruthFile {
         Ok(file)
     }
 
-    fn new(
-        rows: impl FnMut() -> Result<Option<(i64, Option<Truth>)>, Box<dyn Error>> + 'static,
-    ) -> Self {
+    fn new(rows: impl FnMut() -> Result<Option<TrueRow>, Box<dyn Error>> + 'static) -> Self {
         Self {
             rows: Box::new(rows),
             before: None,
@@ -558,7 +562,7 @@ impl TruthFile {
             self.before = Some(after);
             self.after = (self.rows)()?;
         }
-        let distance = |row: &(i64, Option<Truth>)| row.0.abs_diff(t_us);
+        let distance = |row: &TrueRow| row.0.abs_diff(t_us);
         let nearest = self
             .after
             .into_iter()
@@ -566,5 +570,92 @@ impl TruthFile {
             .min_by_key(distance);
         let near = nearest.filter(|row| distance(row) <= TRUTH_WITHIN_US);
         Ok(near.and_then(|(_, truth)| truth))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use aplomb::attitude::EulerAngles;
+
+    #[test]
+    fn the_truth_is_the_nearest_if_it_is_near() {
+        let attitude = |nth: i64| Truth::from_euler(nth as f64, 0.0, 0.0);
+        let mut times = [0, 10_000, 50_000].into_iter();
+        let mut file =
+            TruthFile::new(move || Ok(times.next().map(|t_us| (t_us, Some(attitude(t_us))))));
+        file.after = (file.rows)().unwrap();
+        for (t_us, expected) in [
+            (-4_000, Some(0)),
+            (0, Some(0)),
+            (1_000, Some(0)),
+            (9_000, Some(10_000)),
+            (10_000, Some(10_000)),
+            (14_000, Some(10_000)),
+            (16_000, None),
+            (46_000, Some(50_000)),
+            (54_000, Some(50_000)),
+            (60_000, None),
+        ] {
+            assert_eq!(file.at(t_us).unwrap(), expected.map(attitude), "{t_us}");
+        }
+    }
+
+    /// Rows of a body that turns about down, whose heading is told from another zero; with an offset that is not known at first.
+    struct Turning(i64);
+
+    impl Source for Turning {
+        fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+            let index = self.0;
+            self.0 += 1;
+            let is_ready = index >= 100;
+            let yaw_degrees = index as f32 * 0.1 + if is_ready { 0.0 } else { 30.0 };
+            let truth = Truth::from_euler(0.0, 0.0, (index as f64 * 0.1 + 70.0).to_radians());
+            Ok((index < 1_000).then(|| Point {
+                t_us: index * 1_000,
+                attitude: Quaternion::from_euler(EulerAngles {
+                    yaw_rad: radians(yaw_degrees),
+                    ..EulerAngles::default()
+                }),
+                body_rates_rad_s: Vector3::ZERO,
+                tilt_sigma_rad: Some(0.01),
+                flags: if is_ready {
+                    Flags::VALID
+                } else {
+                    Flags::CALIBRATING
+                },
+                specific_force_m_s2: None,
+                truth: Some(virtual_board::motion::recording::truth_of(
+                    truth,
+                    motion::Mount::Z_UP,
+                )),
+                counts: true,
+            }))
+        }
+    }
+
+    #[test]
+    fn headings_are_compared_from_when_the_offset_is_known() {
+        let shown = Shown::of(&mut Turning(0), Mount::Z_UP, None).unwrap();
+        assert_eq!(shown.compared, 1_000);
+        let (estimate, truth) = (&shown.angles[2], &shown.true_angles[2]);
+        let of_truth = truth.lines().concat();
+        assert_eq!(of_truth.len(), 900);
+        for (at_s, yaw) in of_truth {
+            assert!((yaw - at_s * 100.0).abs() < 1e-3, "{at_s} {yaw}");
+        }
+        let (low, high) = estimate.range().unwrap();
+        assert!(
+            (low - 10.0).abs() < 1e-3 && (high - 99.9).abs() < 1e-3,
+            "{low} {high}"
+        );
+        // Flags are where they were.
+        let spans = shown.spans(Flags::CALIBRATING);
+        assert_eq!(spans.len(), 1);
+        assert!(
+            spans[0].0 == 0.0 && (spans[0].1 - 0.1).abs() < 2e-3,
+            "{spans:?}"
+        );
+        assert!(shown.spans(Flags::GAP).is_empty());
     }
 }

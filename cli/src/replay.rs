@@ -14,17 +14,18 @@ use aplomb::estimator::kalman::Kalman;
 use aplomb::estimator::{FilterKind, REVISION, Sample};
 use aplomb::health::Flags;
 use aplomb::mpu6050::{
-    AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
+    AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange, Part,
 };
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
 use virtual_board::motion::geometry::Quaternion as Truth;
-use virtual_board::motion::log::{Lines, LogFault, Row, column_count, parse_row};
+use virtual_board::motion::log::{Lines, Row, parse_row};
 
 use crate::counts::counts;
 use crate::filter::{Choice, Filter, up_in_body};
 use crate::flight_log::{self, Flight};
+use crate::input::{Counts, Form};
 use crate::number;
 use crate::output::OutputFile;
 use crate::progress;
@@ -83,15 +84,8 @@ pub struct Reading {
     /// otherwise; bursts: the delay of the sensor's low-pass filter)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US))]
     sensor_delay_us: Option<u32>,
-    /// The log's values are register counts of a sensor with these ranges
-    #[arg(long, requires_all = ["accel_range", "gyro_range"])]
-    raw: bool,
-    /// Accelerometer range of counts in g: 2, 4, 8 or 16 (bursts: 16 unless told otherwise)
-    #[arg(long, value_name = "G", value_parser = parse_accelerometer_range)]
-    accel_range: Option<AccelerometerRange>,
-    /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000 (bursts: 2000 unless told otherwise)
-    #[arg(long, value_name = "DPS", value_parser = parse_gyroscope_range)]
-    gyro_range: Option<GyroscopeRange>,
+    #[command(flatten)]
+    counts: Counts,
 }
 
 /// Does it.
@@ -108,25 +102,12 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
 impl Reading {
     /// A log or bursts, whose header is the next of the lines.
     pub fn open(&self, mut lines: Lines) -> Result<Box<dyn Source>, Box<dyn Error>> {
-        let Some(header) = lines.next_line()? else {
-            return Err(lines.refuse_file(LogFault::Empty).into());
-        };
-        if header == bursts::HEADER {
-            if self.raw {
-                return Err("--raw is for logs: bursts are raw in any case".into());
-            }
-            return Ok(Box::new(Bursts::new(self, lines)));
-        }
-        let Some(columns) = column_count(header) else {
-            let fault = LogFault::Header(header.to_owned());
-            return Err(
-                format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into(),
-            );
-        };
-        if !self.raw && (self.accel_range.is_some() || self.gyro_range.is_some()) {
-            return Err("--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts".into());
-        }
-        Ok(Box::new(Log::new(self, lines, columns)?))
+        let form = Form::read(&mut lines)?;
+        self.counts.check(form)?;
+        Ok(match form {
+            Form::Bursts => Box::new(Bursts::new(self, lines)),
+            Form::Log(columns) => Box::new(Log::new(self, lines, columns)?),
+        })
     }
 
     /// The mount that is told of.
@@ -409,7 +390,7 @@ impl Log {
             lines,
             columns,
             mount: options.mount,
-            ranges: options.accel_range.zip(options.gyro_range),
+            ranges: options.counts.ranges(),
             ahead: VecDeque::new(),
             device: Device {
                 pipeline: Pipeline::new(&settings),
@@ -505,11 +486,7 @@ impl Bursts {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.mount = options.mount;
         settings.sensor_delay_us = options.sensor_delay_us;
-        settings.sensor = Config {
-            accelerometer_range: options.accel_range.unwrap_or_default(),
-            gyroscope_range: options.gyro_range.unwrap_or_default(),
-            ..Config::DEFAULT
-        };
+        settings.sensor = options.counts.config();
         // Behind another crate's filter, offsets at rest are removed as for the library's simple ones.
         settings.filter = FilterKind::AxisKalman;
         let peer = match options.filter {
@@ -652,26 +629,4 @@ pub fn parse_mount(name: &str) -> Result<Mount, String> {
         "name the sensor axes to which forward and down point, such as +x-z, or z-up or z-down"
             .into()
     })
-}
-
-/// The range of this name in g.
-pub fn parse_accelerometer_range(text: &str) -> Result<AccelerometerRange, &'static str> {
-    match text {
-        "2" => Ok(AccelerometerRange::G2),
-        "4" => Ok(AccelerometerRange::G4),
-        "8" => Ok(AccelerometerRange::G8),
-        "16" => Ok(AccelerometerRange::G16),
-        _ => Err("choose 2, 4, 8 or 16"),
-    }
-}
-
-/// The range of this name in degrees per second.
-pub fn parse_gyroscope_range(text: &str) -> Result<GyroscopeRange, &'static str> {
-    match text {
-        "250" => Ok(GyroscopeRange::Degrees250),
-        "500" => Ok(GyroscopeRange::Degrees500),
-        "1000" => Ok(GyroscopeRange::Degrees1000),
-        "2000" => Ok(GyroscopeRange::Degrees2000),
-        _ => Err("choose 250, 500, 1000 or 2000"),
-    }
 }

@@ -127,3 +127,30 @@ fn what_is_converted_is_told_as_json_too() {
     assert!(String::from_utf8_lossy(&same.stderr).contains("replace the input"));
     assert_eq!(std::fs::read_to_string(&output).unwrap().lines().count(), 3);
 }
+
+#[test]
+fn what_the_board_said_survives_a_flight_log() {
+    let digits = "0f3effc2e01c0a50ffe900130004";
+    let flags = [
+        "",
+        "MISSED",
+        "",
+        "BUS_FAULT|SENSOR_RESET",
+        "POLLED",
+        "INTERNAL_CLOCK",
+    ];
+    let mut text = String::from("t_us,bytes,flags\n");
+    for (index, flags) in flags.iter().enumerate() {
+        text += &format!("{},{digits},{flags}\n", 1_000 * (index + 1));
+    }
+    let input = file("program", "before-bursts.csv", &text);
+    let (log, output) = (
+        path("program", "flags.log"),
+        path("program", "after-bursts.csv"),
+    );
+    for (from, to) in [(&input, &log), (&log, &output)] {
+        let result = aplomb(&["convert".as_ref(), from.as_os_str(), to.as_os_str()]);
+        assert!(result.status.success());
+    }
+    assert_eq!(std::fs::read_to_string(output).unwrap(), text);
+}

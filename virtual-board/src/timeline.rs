@@ -56,12 +56,21 @@ impl<T: Merge> Timeline<T> {
         }
     }
 
-    /// The pieces that have something in them: from when, until when, and what.
+    /// The pieces that have something in them: from when, until when, and what. One that is followed by empty pieces lasts until
+    /// the next, unless that is a gap: so values may come irregularly.
     pub fn iter(&self) -> impl Iterator<Item = (f64, f64, &T)> {
-        self.pieces.iter().enumerate().filter_map(|(index, piece)| {
-            let at_s = |index: usize| self.start_s + index as f64 * self.piece_s;
-            Some((at_s(index), at_s(index + 1), piece.as_ref()?))
-        })
+        let at_s = |index: usize| self.start_s + index as f64 * self.piece_s;
+        self.pieces
+            .iter()
+            .enumerate()
+            .filter_map(move |(index, piece)| {
+                let piece = piece.as_ref()?;
+                let rest = self.pieces.get(index + 1..).unwrap_or_default();
+                let empty = rest.iter().take_while(|piece| piece.is_none()).count();
+                let is_gap = empty == rest.len() || empty as f64 * self.piece_s > GAP_S;
+                let end = index + 1 + if is_gap { 0 } else { empty };
+                Some((at_s(index), at_s(end), piece))
+            })
     }
 
     fn index(&self, time_s: f64) -> usize {
@@ -333,8 +342,25 @@ mod tests {
         let (_, end_s, _) = timeline.iter().last().unwrap();
         assert_eq!(start_s, 5.0);
         assert!((105.0..105.2).contains(&end_s), "{end_s}");
+        // What comes irregularly lasts until the next, but not over a gap.
+        let mut timeline = Timeline::default();
+        for time_s in [0.0, 0.0035, 0.01, 1.0] {
+            timeline.push(time_s, Count(1));
+        }
+        let spans: Vec<(f64, f64)> = timeline
+            .iter()
+            .map(|(start, end, _)| (start, end))
+            .collect();
+        let expected = [(0.0, 0.003), (0.003, 0.01), (0.01, 0.011), (1.0, 1.001)];
+        for (found, expected) in spans.iter().zip(expected) {
+            assert!(
+                (found.0 - expected.0).abs() + (found.1 - expected.1).abs() < 1e-9,
+                "{spans:?}"
+            );
+        }
+        assert_eq!(spans.len(), expected.len());
         // Time that goes back counts as the first.
-        timeline.push(1.0, Count(1));
-        assert_eq!(timeline.iter().next().unwrap().0, 5.0);
+        timeline.push(-1.0, Count(1));
+        assert_eq!(timeline.iter().next().unwrap().2.0, 2);
     }
 }
