@@ -681,6 +681,14 @@ mod tests {
         items.iter().filter_map(reading).collect()
     }
 
+    /// The last σ.
+    fn sigma_of(items: &[Item]) -> Option<f32> {
+        items.iter().rev().find_map(|item| match item {
+            Item::TiltSigma(sigma) => Some(*sigma),
+            _ => None,
+        })
+    }
+
     fn mavlink(session: &mut Session, says: Option<&str>) -> Vec<u8> {
         let mut buffer = [0; 2000];
         let mut output = Output::new(&mut buffer);
@@ -775,7 +783,7 @@ mod tests {
         let mut bytes = [0; 14];
         bytes[4..6].copy_from_slice(&2048_i16.to_be_bytes());
         let mut pipeline = Pipeline::new(&settings);
-        for index in 0..3000_u64 {
+        for index in 0..12_000_u64 {
             // The last bit trembles, as in any sensor that lives.
             bytes[9] = (index * 7 % 5) as u8;
             let burst = Burst {
@@ -784,7 +792,7 @@ mod tests {
                 missed_before: 0,
             };
             recorder.add(&burst).expect("a vector takes everything");
-            if index <= 2980 {
+            if index <= 11_980 {
                 update(
                     &mut pipeline,
                     &NumberedBurst {
@@ -802,20 +810,22 @@ mod tests {
         let counts = decoder.counts();
         assert_eq!(
             (counts.readings, counts.bursts, counts.lost, counts.damaged),
-            (150, 3000, 0, 0)
+            (600, 12_000, 0, 0)
         );
-        let sigma = items.iter().rev().find_map(|item| match item {
-            Item::TiltSigma(sigma) => Some(*sigma),
-            _ => None,
-        });
-        let expected = degrees(pipeline.tilt_variance_rad2(2_980_000).sqrt());
+        let sigma = sigma_of(&items);
+        let expected = degrees(pipeline.tilt_variance_rad2(11_980_000).sqrt());
         assert_eq!(sigma, Some(expected));
+        // Begun in the middle: the module's next state, ten seconds after its start, brings the same σ.
+        assert_eq!(
+            sigma_of(&decode(&mut Decoder::default(), &log[log.len() / 2..])),
+            sigma
+        );
         // A hole in it, from the middle of a frame to the middle of another.
         let mut decoder = Decoder::default();
         decode(&mut decoder, &log[..40_000]);
         decode(&mut decoder, &log[42_000..]);
         let counts = decoder.counts();
-        assert_eq!(counts.lost, 3000 - counts.bursts);
+        assert_eq!(counts.lost, 12_000 - counts.bursts);
         assert!(counts.lost > 40 && counts.damaged >= 1, "{counts:?}");
     }
 
