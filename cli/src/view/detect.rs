@@ -147,13 +147,28 @@ impl Decoder {
             let start = items.len();
             let found = self.take(*byte, items);
             if let Some(format) = found {
-                self.format = Some(format);
+                if self.format.replace(format) != Some(format) {
+                    self.leave_others(format);
+                }
                 if !format.has_lines() {
                     self.lines.restart();
                 }
             }
             let is_reading = |item: &&Item| matches!(item, Item::Reading(_));
             self.counts.readings += items[start..].iter().filter(is_reading).count() as u64;
+        }
+    }
+
+    /// What another format's numbers count from now on is not lost.
+    fn leave_others(&mut self, format: Format) {
+        if format != Format::Module(OutputFormat::Log) {
+            self.log = Log::default();
+        }
+        if format != Format::Module(OutputFormat::Mavlink) {
+            self.mavlink.sequence = None;
+        }
+        if format != Format::Module(OutputFormat::Teapot) {
+            self.packets.counter = None;
         }
     }
 
@@ -754,6 +769,35 @@ mod tests {
         bytes[12] ^= 1;
         decode(&mut decoder, &bytes);
         assert_eq!((decoder.counts().lost, decoder.counts().damaged), (1, 1));
+    }
+
+    #[test]
+    fn what_goes_by_in_another_format_is_not_lost() {
+        let mut decoder = Decoder::default();
+        let mut session = Session::new();
+        let burst = |number| {
+            let mut buffer = [0; log::FRAME_CAPACITY];
+            let burst = Burst {
+                bytes: [0; 14],
+                captured_at_us: 1000 * u64::from(number),
+                missed_before: 0,
+            };
+            let burst = NumberedBurst {
+                number,
+                flags: Flags::NONE,
+                burst,
+            };
+            log::encode(&Frame::Burst(burst), &mut buffer).to_vec()
+        };
+        for number in [0, 50, 100] {
+            decode(&mut decoder, &burst(number));
+            decode(&mut decoder, &frame(OutputFormat::Teapot, number as u8));
+            decode(&mut decoder, &mavlink(&mut session, None));
+            mavlink(&mut session, None);
+            decode(&mut decoder, &frame(OutputFormat::Text, 0));
+        }
+        let counts = decoder.counts();
+        assert_eq!((counts.bursts, counts.readings, counts.lost), (3, 9, 0));
     }
 
     #[test]
