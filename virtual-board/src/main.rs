@@ -45,7 +45,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     /// Fly a firmware image and write what came of it.
-    Fly(Fly),
+    Fly(Box<Fly>),
     /// Fly it many times with faults by chance, and check what must hold.
     Faults(Faults),
 }

@@ -147,13 +147,28 @@ impl Decoder {
             let start = items.len();
             let found = self.take(*byte, items);
             if let Some(format) = found {
-                self.format = Some(format);
+                if self.format.replace(format) != Some(format) {
+                    self.leave_others(format);
+                }
                 if !format.has_lines() {
                     self.lines.restart();
                 }
             }
             let is_reading = |item: &&Item| matches!(item, Item::Reading(_));
             self.counts.readings += items[start..].iter().filter(is_reading).count() as u64;
+        }
+    }
+
+    /// What another format's numbers count from now on is not lost.
+    fn leave_others(&mut self, format: Format) {
+        if format != Format::Module(OutputFormat::Log) {
+            self.log = Log::default();
+        }
+        if format != Format::Module(OutputFormat::Mavlink) {
+            self.mavlink.sequence = None;
+        }
+        if format != Format::Module(OutputFormat::Teapot) {
+            self.packets.counter = None;
         }
     }
 
@@ -681,6 +696,14 @@ mod tests {
         items.iter().filter_map(reading).collect()
     }
 
+    /// The last σ.
+    fn sigma_of(items: &[Item]) -> Option<f32> {
+        items.iter().rev().find_map(|item| match item {
+            Item::TiltSigma(sigma) => Some(*sigma),
+            _ => None,
+        })
+    }
+
     fn mavlink(session: &mut Session, says: Option<&str>) -> Vec<u8> {
         let mut buffer = [0; 2000];
         let mut output = Output::new(&mut buffer);
@@ -749,6 +772,35 @@ mod tests {
     }
 
     #[test]
+    fn what_goes_by_in_another_format_is_not_lost() {
+        let mut decoder = Decoder::default();
+        let mut session = Session::new();
+        let burst = |number| {
+            let mut buffer = [0; log::FRAME_CAPACITY];
+            let burst = Burst {
+                bytes: [0; 14],
+                captured_at_us: 1000 * u64::from(number),
+                missed_before: 0,
+            };
+            let burst = NumberedBurst {
+                number,
+                flags: Flags::NONE,
+                burst,
+            };
+            log::encode(&Frame::Burst(burst), &mut buffer).to_vec()
+        };
+        for number in [0, 50, 100] {
+            decode(&mut decoder, &burst(number));
+            decode(&mut decoder, &frame(OutputFormat::Teapot, number as u8));
+            decode(&mut decoder, &mavlink(&mut session, None));
+            mavlink(&mut session, None);
+            decode(&mut decoder, &frame(OutputFormat::Text, 0));
+        }
+        let counts = decoder.counts();
+        assert_eq!((counts.bursts, counts.readings, counts.lost), (3, 9, 0));
+    }
+
+    #[test]
     fn a_long_message_comes_in_pieces() {
         let mut decoder = Decoder::default();
         let text = "z".repeat(120);
@@ -775,7 +827,7 @@ mod tests {
         let mut bytes = [0; 14];
         bytes[4..6].copy_from_slice(&2048_i16.to_be_bytes());
         let mut pipeline = Pipeline::new(&settings);
-        for index in 0..3000_u64 {
+        for index in 0..12_000_u64 {
             // The last bit trembles, as in any sensor that lives.
             bytes[9] = (index * 7 % 5) as u8;
             let burst = Burst {
@@ -784,7 +836,7 @@ mod tests {
                 missed_before: 0,
             };
             recorder.add(&burst).expect("a vector takes everything");
-            if index <= 2980 {
+            if index <= 11_980 {
                 update(
                     &mut pipeline,
                     &NumberedBurst {
@@ -802,20 +854,22 @@ mod tests {
         let counts = decoder.counts();
         assert_eq!(
             (counts.readings, counts.bursts, counts.lost, counts.damaged),
-            (150, 3000, 0, 0)
+            (600, 12_000, 0, 0)
         );
-        let sigma = items.iter().rev().find_map(|item| match item {
-            Item::TiltSigma(sigma) => Some(*sigma),
-            _ => None,
-        });
-        let expected = degrees(pipeline.tilt_variance_rad2(2_980_000).sqrt());
+        let sigma = sigma_of(&items);
+        let expected = degrees(pipeline.tilt_variance_rad2(11_980_000).sqrt());
         assert_eq!(sigma, Some(expected));
+        // Begun in the middle: the module's next state, ten seconds after its start, brings the same σ.
+        assert_eq!(
+            sigma_of(&decode(&mut Decoder::default(), &log[log.len() / 2..])),
+            sigma
+        );
         // A hole in it, from the middle of a frame to the middle of another.
         let mut decoder = Decoder::default();
         decode(&mut decoder, &log[..40_000]);
         decode(&mut decoder, &log[42_000..]);
         let counts = decoder.counts();
-        assert_eq!(counts.lost, 3000 - counts.bursts);
+        assert_eq!(counts.lost, 12_000 - counts.bursts);
         assert!(counts.lost > 40 && counts.damaged >= 1, "{counts:?}");
     }
 

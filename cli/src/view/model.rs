@@ -69,6 +69,8 @@ pub struct Point {
 pub enum Trust {
     /// The module says so.
     Valid,
+    /// It does not say that much, but calls its sensors healthy.
+    Healthy,
     /// It does not; what there is to say, by name.
     NotValid(Vec<&'static str>),
     /// The format does not tell.
@@ -229,7 +231,8 @@ impl Model {
                 let unhealthy = names.iter().filter(|(is_healthy, _)| !is_healthy);
                 Trust::NotValid(unhealthy.map(|(_, name)| *name).collect())
             }
-            (None, _) => Trust::Untold,
+            (None, Some(_)) => Trust::Healthy,
+            (None, None) => Trust::Untold,
         }
     }
 
@@ -323,6 +326,13 @@ mod tests {
         assert_eq!(model.trust(), Trust::NotValid(vec!["DEGRADED", "STALE"]));
         model.take(2.5, reading(None));
         assert_eq!(model.trust(), Trust::Untold);
+        let healthy = Sensors {
+            gyroscope: true,
+            accelerometer: true,
+            attitude: true,
+        };
+        model.sensors = Some(healthy);
+        assert_eq!(model.trust(), Trust::Healthy);
         model.sensors = Some(Sensors {
             gyroscope: true,
             accelerometer: true,

@@ -205,6 +205,7 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
     }
     let (text, colour) = match model.trust() {
         Trust::Valid => ("VALID".to_owned(), GOOD),
+        Trust::Healthy => ("SENSORS HEALTHY".to_owned(), GOOD),
         Trust::NotValid(_) => ("NOT VALID".to_owned(), BAD),
         Trust::Untold => ("health is not in this format".to_owned(), NEUTRAL),
         Trust::NoData(None) => ("NO ATTITUDE YET".to_owned(), DOUBTFUL),
