@@ -135,7 +135,8 @@ fn what_cannot_be_done_is_refused_with_what_to_do() {
             &["record", "--port", "/dev/none", "--output", "x"],
             "there is no such port",
         ),
-        (&["view"], "needs a terminal"),
+        (&["view"], "which port?"),
+        (&["view", "--virtual"], "needs a terminal"),
         (
             &["view", name, "--picture", "x.png"],
             "there is no attitude in it",

@@ -111,6 +111,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let (Some(file), Some(picture)) = (&options.file, &options.picture) {
         return draw_picture(file, options.at, picture);
     }
+    if options.file.is_none() && options.port.is_none() && !options.virtual_board {
+        let hint = "Without a board: `cargo xtask view` shows the virtual one";
+        return Err(format!("{}\n{hint}", which_port()).into());
+    }
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
         return Err("`view` needs a terminal; `aplomb record` writes what comes to a file".into());
     }
@@ -175,20 +179,12 @@ impl App {
             live.wants_log = true;
             let name = "virtual board".to_owned();
             (name, Connection::Open(None), Input::Live(live))
-        } else if let Some(port) = &options.port {
-            let baud = options.baud.unwrap_or(BAUD);
-            let mut live = Live::new(Link::port(port, baud)?, Some(baud));
-            live.searches_baud = options.baud.is_none();
-            (
-                port.clone(),
-                Connection::Open(Some(baud)),
-                Input::Live(live),
-            )
         } else {
-            return Err(format!(
-                "{}\nWithout a board: `cargo xtask view` shows the virtual one",
-                which_port()
-            ));
+            let port = options.port.clone().unwrap_or_default();
+            let baud = options.baud.unwrap_or(BAUD);
+            let mut live = Live::new(Link::port(&port, baud)?, Some(baud));
+            live.searches_baud = options.baud.is_none();
+            (port, Connection::Open(Some(baud)), Input::Live(live))
         };
         Ok(Self {
             input,
