@@ -3,7 +3,7 @@
 //! | file | what it holds |
 //! |---|---|
 //! | `attitude.csv` | a row per published sample: what the firmware published |
-//! | `bursts.csv` | a row per published sample: the bytes that the bus delivered for it |
+//! | `bursts.csv` | a row per published sample: the bytes that the bus delivered for it, and what the board said of them |
 //! | `truth.csv` | a row per published sample: how the board really moved at its edge, as far as that is known |
 //! | `uart.log` | the UART's bytes |
 //! | `attitude.png` | estimate against truth, and the error |
