@@ -14,7 +14,7 @@ use common::{aplomb, file, path};
 use plug::Plug;
 
 const LINE: &[u8] =
-    b"roll:1.00\tpitch:-2.50\tyaw:9.00\troll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\n";
+    b"roll:1.00\tpitch:-2.50\tyaw:9.00\troll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:1\n";
 
 fn record(arguments: &[&str]) -> Child {
     Command::new(env!("CARGO_BIN_EXE_aplomb"))

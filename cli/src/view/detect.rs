@@ -230,7 +230,8 @@ impl Reading {
         }
     }
 
-    fn of_line(line: &Line) -> Self {
+    /// `told` are the flags that the module named last; whether an attitude is valid each line says.
+    fn of_line(line: &Line, told: Flags) -> Self {
         Self {
             roll_deg: line.roll_deg,
             pitch_deg: line.pitch_deg,
@@ -241,6 +242,7 @@ impl Reading {
                 line.yaw_rate_deg_s,
             ]
             .map(Some),
+            flags: Some(told.with(Flags::VALID, line.is_valid)),
             ..Self::default()
         }
     }
@@ -263,6 +265,8 @@ struct Lines {
     columns: Option<Columns>,
     /// The variables of `teleplot` so far.
     variables: Line,
+    /// The flags that the module named last, but for `VALID`.
+    told: Flags,
 }
 
 impl Lines {
@@ -304,11 +308,13 @@ impl Lines {
     fn line(&mut self, line: &str, items: &mut Vec<Item>) -> Content {
         let module = |format| Content::Attitude(Format::Module(format));
         if let Some(message) = line.strip_prefix("# ") {
+            let flags = message.strip_prefix("attitude: ").and_then(Flags::parse);
+            self.told = flags.map_or(self.told, |flags| flags.without(Flags::VALID));
             items.push(Item::Message(message.to_owned()));
             return Content::Other;
         }
         if let Ok(line) = text::decode(line) {
-            items.push(Item::Reading(Reading::of_line(&line)));
+            items.push(Item::Reading(Reading::of_line(&line, self.told)));
             return module(OutputFormat::Text);
         }
         if let Some(angles) = classic::decode(line) {
@@ -352,9 +358,10 @@ impl Lines {
             "yaw" => variables.yaw_deg = value,
             "roll_rate" => variables.roll_rate_deg_s = value,
             "pitch_rate" => variables.pitch_rate_deg_s = value,
+            "yaw_rate" => variables.yaw_rate_deg_s = value,
             _ => {
-                variables.yaw_rate_deg_s = value;
-                items.push(Item::Reading(Reading::of_line(variables)));
+                variables.is_valid = value == 1.0;
+                items.push(Item::Reading(Reading::of_line(variables, self.told)));
                 return Content::Attitude(Format::Module(OutputFormat::Teleplot));
             }
         }
@@ -743,6 +750,8 @@ mod tests {
             let yaw = reading.yaw_deg;
             assert_eq!(yaw.is_some(), format != OutputFormat::Classic);
             assert!(yaw.is_none_or(|yaw| (yaw - 40.0).abs() < 0.02));
+            let has_health = matches!(format, OutputFormat::Text | OutputFormat::Teleplot);
+            assert_eq!(reading.flags, has_health.then_some(Flags::VALID));
         }
         assert_eq!(decoder.counts().damaged, 0);
         let items = decode(&mut decoder, &mavlink(&mut Session::new(), None));
@@ -752,6 +761,22 @@ mod tests {
         );
         assert!((readings(&items)[0].roll_deg - 12.0).abs() < 1e-3);
         assert!(items.contains(&Item::Temperature(31.5)));
+    }
+
+    #[test]
+    fn text_says_whether_it_is_valid_and_a_message_why_it_is_not() {
+        let mut decoder = Decoder::default();
+        let said = "# attitude: VALID|DEGRADED|POLLED\nroll:1.00\tpitch:-2.50\tyaw:90.00\troll_rate:0.00\t\
+                    pitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
+        let items = decode(&mut decoder, said.as_bytes());
+        let [reading] = readings(&items)[..] else {
+            panic!("{items:?}");
+        };
+        assert_eq!(reading.flags, Some(Flags::DEGRADED | Flags::POLLED));
+        let items = decode(&mut decoder, b"# attitude: VALID\n");
+        assert_eq!(items, [Item::Message("attitude: VALID".into())]);
+        let items = decode(&mut decoder, &frame(OutputFormat::Text, 0));
+        assert_eq!(readings(&items)[0].flags, Some(Flags::VALID));
     }
 
     #[test]
@@ -835,7 +860,9 @@ mod tests {
                 captured_at_us: 1000 * index,
                 missed_before: 0,
             };
-            recorder.add(&burst).expect("a vector takes everything");
+            recorder
+                .add(&burst, Flags::NONE)
+                .expect("a vector takes everything");
             if index <= 11_980 {
                 update(
                     &mut pipeline,
