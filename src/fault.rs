@@ -51,7 +51,7 @@ pub enum FaultClass {
     Temperature = 18,
     /// A sample was lost because the attitude task was not done.
     AttitudeLate = 19,
-    /// A pause between samples of more than three periods.
+    /// Data-ready edges gave no sample.
     SamplesMissed = 20,
     /// A line was left out because the last was still going out.
     TelemetryLate = 21,

@@ -5,7 +5,8 @@
 //! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within the deadline after
 //!   each fault: 20 ms after the end of a fault of the bus, 250 ms after a reset or the sensor's first possible
 //!   acknowledge, and after a fault of what the sensor measures.
-//! - Something is published every 20 ms while the core runs: if nothing is known, that nothing is known.
+//! - Something is published every 20 ms while the core runs: if nothing is known, that nothing is known. A line of
+//!   telemetry comes every 100 ms.
 //! - Without a fault no data-ready edge is without its sample, and times are right to a microsecond.
 
 use std::collections::BTreeMap;
@@ -40,6 +41,9 @@ const RESET_DEADLINE_NS: u64 = 250_000_000;
 
 /// The longest pause between publications while the core runs, ns.
 const LONGEST_SILENCE_NS: u64 = 20_000_000;
+
+/// The longest pause between two lines of telemetry, of which there are 50 a second, ns.
+const LONGEST_UART_SILENCE_NS: u64 = 100_000_000;
 
 /// From an edge to the end of its burst, and some more, ns.
 const IN_FLIGHT_NS: u64 = 1_000_000;
@@ -504,16 +508,35 @@ impl Judge<'_> {
         }
     }
 
-    /// Something is published all the time.
+    /// Something is published all the time, and telemetry goes out.
     fn silence(&self, case: &Case, failures: &mut Vec<String>) {
-        let Some(first) = self.published.first() else {
-            return;
-        };
-        let mut last_ns = first.at_ns;
-        let ends = std::iter::once(self.end_ns());
-        let published = self.published.iter().map(|sample| sample.at_ns);
-        let mut longest: Option<(u64, u64)> = None;
-        for at_ns in published.chain(ends) {
+        let published: Vec<u64> = self.published.iter().map(|sample| sample.at_ns).collect();
+        // Before the first attitude there is nothing to tell.
+        let first_ns = published.first().copied().unwrap_or(u64::MAX);
+        let lines = self.uart_lines.iter().map(|line| line.at_ns);
+        let lines = lines.filter(|&at_ns| at_ns >= first_ns).collect();
+        for (times_ns, longest_ns, what) in [
+            (published, LONGEST_SILENCE_NS, "nothing was published"),
+            (lines, LONGEST_UART_SILENCE_NS, "no line came by UART"),
+        ] {
+            let gap = self.longest_gap(case, times_ns);
+            if let Some((gap_ns, at_ns)) = gap.filter(|&(gap_ns, _)| gap_ns > longest_ns) {
+                failures.push(format!(
+                    "{what} for {:.1} ms from {} s on",
+                    gap_ns as f64 * 1e-6,
+                    seconds(at_ns)
+                ));
+            }
+        }
+    }
+
+    /// The longest time between two of these, or to the end, while the core runs, and when it begins.
+    fn longest_gap(&self, case: &Case, mut times_ns: Vec<u64>) -> Option<(u64, u64)> {
+        if times_ns.is_empty() {
+            return None;
+        }
+        times_ns.push(self.end_ns());
+        let is_broken = |last_ns: u64, at_ns: u64| {
             let held = case
                 .schedule
                 .faults
@@ -522,24 +545,14 @@ impl Judge<'_> {
                     matches!(fault.kind, FaultKind::CoreStall | FaultKind::WatchdogHang)
                 })
                 .any(|fault| fault.start_ns < at_ns && fault.end_ns() > last_ns);
-            let was_reset = self
-                .record
-                .resets_ns
-                .iter()
-                .any(|&reset_ns| (last_ns..=at_ns).contains(&reset_ns));
-            let gap_ns = at_ns - last_ns;
-            if !held && !was_reset && longest.is_none_or(|(longest_ns, _)| gap_ns > longest_ns) {
-                longest = Some((gap_ns, last_ns));
-            }
-            last_ns = at_ns;
-        }
-        if let Some((gap_ns, at_ns)) = longest.filter(|&(gap_ns, _)| gap_ns > LONGEST_SILENCE_NS) {
-            failures.push(format!(
-                "nothing was published for {:.1} ms from {} s on",
-                gap_ns as f64 * 1e-6,
-                seconds(at_ns)
-            ));
-        }
+            let mut resets = self.record.resets_ns.iter();
+            held || resets.any(|reset_ns| (last_ns..=at_ns).contains(reset_ns))
+        };
+        times_ns
+            .windows(2)
+            .filter(|pair| !is_broken(pair[0], pair[1]))
+            .map(|pair| (pair[1] - pair[0], pair[0]))
+            .max_by_key(|&(gap_ns, _)| gap_ns)
     }
 }
 
@@ -853,6 +866,18 @@ mod tests {
         let (case, mut record) = sound();
         record.stale.clear();
         assert_fails(&case, &record, "nothing was published for 41.0 ms");
+
+        let (case, record) = sound();
+        let line = |at_ns| UartLine {
+            at_ns,
+            text: String::new(),
+        };
+        let lines = [line(400 * MILLISECOND), line(510 * MILLISECOND)];
+        let failures = judge(&case, &record, &lines).failures;
+        assert!(
+            failures[0].starts_with("no line came by UART for"),
+            "{failures:?}"
+        );
     }
 
     #[test]

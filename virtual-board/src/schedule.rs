@@ -271,6 +271,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         FaultKind::SdaLow(Some(_)) | FaultKind::RegisterFlip(..) => (0.0, 0.0),
         FaultKind::WatchdogHang | FaultKind::Crash | FaultKind::StackOverflow => (0.0, 0.0),
         FaultKind::AttitudeLate => (0.002, 0.015),
+        FaultKind::ProbeDetach => (0.3, 0.8),
         FaultKind::CoreStall => (0.0015, 0.03),
         FaultKind::AddressNack(_) | FaultKind::DataNack(_) => (0.0015, 0.03),
         FaultKind::BusError | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),
