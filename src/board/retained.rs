@@ -69,6 +69,9 @@ const LENGTH: usize = NUMBERS + 2;
 /// watchdog's limit, the time between two savings and the start itself.
 const LONGEST_AGE_S: f32 = 0.5;
 
+/// σ of the turn about one axis in that time, rad.
+const UNSEEN_RAD: f32 = UNSEEN_RATE_RAD_S * LONGEST_AGE_S;
+
 /// How much a bias is trusted after a reset, at least, in rad/s: 0.2 °/s.
 const BIAS_SIGMA_RAD_S: f32 = 3.5e-3;
 
@@ -246,7 +249,8 @@ impl Words {
         let float = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
         let known = Known {
             attitude: Quaternion::new(float(w), float(x), float(y), float(z)),
-            tilt_sigma_rad: float(tilt) + UNSEEN_RATE_RAD_S * LONGEST_AGE_S,
+            // About both axes together, and independent of the σ that was kept.
+            tilt_sigma_rad: libm::sqrtf(float(tilt) * float(tilt) + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
             bias_rad_s: Vector3::new(float(bx), float(by), float(bz)),
             bias_sigma_rad_s: float(bias).max(BIAS_SIGMA_RAD_S),
         };

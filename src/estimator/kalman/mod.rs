@@ -474,7 +474,8 @@ impl Kalman {
     pub fn resume(&mut self, known: &Known) {
         self.set_bias(known.bias_rad_s, known.bias_sigma_rad_s);
         self.mean.attitude = known.attitude;
-        self.expect(square(known.tilt_sigma_rad) / TOLD_VARIANCE);
+        // What is told is about both axes together.
+        self.expect(0.5 * square(known.tilt_sigma_rad) / TOLD_VARIANCE);
         self.is_prepared = true;
         self.is_resumed = true;
         self.is_bias_known = known.bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
