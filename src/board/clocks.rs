@@ -22,6 +22,8 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
     } else {
         ClockSource::InternalOscillator
     };
+    #[cfg(any(feature = "board-blackpill-f411", feature = "board-nucleo-f411"))]
+    raise_voltage();
     let config = match source {
         ClockSource::Crystal if BOARD.crystal_is_external_clock => {
             Config::hse(BOARD.crystal_hz.Hz()).bypass_hse_oscillator()
@@ -33,6 +35,29 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
         .sysclk(BOARD.core_hz.Hz())
         .pclk1(BOARD.peripheral_hz.Hz());
     (rcc.freeze(config), source)
+}
+
+/// Selects the regulator's scale 1, which comes with the PLL: an STM32F411 begins at scale 2, good for 84 MHz (RM0383, 5.4.1).
+/// The other chips begin with what their clock needs. While the PLL is off, so before `freeze`.
+#[cfg(any(feature = "board-blackpill-f411", feature = "board-nucleo-f411"))]
+fn raise_voltage() {
+    use stm32f4xx_hal::pac::PWR;
+    enable(|rcc| {
+        rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
+    });
+    // SAFETY: only init, before any interrupt, writes this register, and 0b11 is scale 1.
+    unsafe { (*PWR::ptr()).cr().modify(|_, w| w.vos().bits(0b11)) };
+}
+
+/// Whether the regulator gives what the core needs with the PLL on. The STM32F405 alone keeps its scale while the PLL is off.
+#[cfg(not(any(feature = "board-stm32f405", feature = "qemu")))]
+fn voltage_is_ready() -> bool {
+    // SAFETY: reading this register has no side effect.
+    unsafe { &*stm32f4xx_hal::pac::PWR::ptr() }
+        .csr()
+        .read()
+        .vosrdy()
+        .bit_is_set()
 }
 
 /// Has the hardware watch the crystal: if it stops, the core goes on from the internal oscillator, at
@@ -63,7 +88,8 @@ pub fn restore() {
     super::retained::count(crate::fault::FaultClass::ClockFailed);
     rcc.cr().modify(|_, w| w.pllon().clear_bit());
     // 16 MHz / 16, times N, / P; the division for USB does not matter, but must be 2 or more.
-    // SAFETY: N is 336 to 400, within the 192 to 432 that the manual allows (RM0090, 6.3.2).
+    // SAFETY: N is 336 to 400, within the 192 to 432 that the manual allows (RM0090, 6.3.2; the same in
+    // RM0368, RM0383 and RM0390).
     rcc.pllcfgr().write(|w| unsafe {
         w.pllsrc()
             .hsi()
@@ -78,6 +104,10 @@ pub fn restore() {
     });
     rcc.cr().modify(|_, w| w.pllon().set_bit());
     for _ in 0..PLL_READINGS {
+        #[cfg(not(any(feature = "board-stm32f405", feature = "qemu")))]
+        if !voltage_is_ready() {
+            continue;
+        }
         if rcc.cr().read().pllrdy().bit_is_set() {
             rcc.cfgr().modify(|_, w| w.sw().pll());
             return;

@@ -49,7 +49,7 @@ pub const BOARDS: [BoardModel; 5] = [
     BoardModel {
         name: "nucleo-f446",
         input: HighSpeedInput::ExternalClock(8_000_000),
-        core_hz: 180_000_000,
+        core_hz: 168_000_000,
     },
 ];
 

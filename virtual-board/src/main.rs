@@ -264,6 +264,12 @@ fn faults(options: &Faults) -> Result<(), String> {
                         bar.set_message(format!("{} failed,", results.1.len()));
                     }
                     bar.inc(1);
+                    let (flown, failed) = (bar.position(), results.1.len());
+                    let tenths = |flown: u64| 10 * flown / options.runs;
+                    // Nobody watches a bar in a log.
+                    if bar.is_hidden() && tenths(flown) > tenths(flown - 1) {
+                        eprintln!("{flown} of {} flights, {failed} failed", options.runs);
+                    }
                 }
             });
         }

@@ -1,5 +1,5 @@
-//! Nucleo-F446RE, clocked with 8 MHz by its debugger: 180 MHz with the regulator's over-drive, which the HAL switches on, APB1 45 MHz
-//! at most (STM32F446xC/E datasheet, "General operating conditions").
+//! Nucleo-F446RE, clocked with 8 MHz by its debugger: 168 MHz, APB1 42 MHz (STM32F446xC/E datasheet, "General operating conditions"). Its
+//! 180 MHz would need the regulator's over-drive, and an APB1 clock that does not divide to 400 kHz on the sensor's bus.
 
 use super::Board;
 
@@ -8,6 +8,6 @@ pub const BOARD: Board = Board {
     name: "nucleo-f446",
     crystal_hz: 8_000_000,
     crystal_is_external_clock: true,
-    core_hz: 180_000_000,
-    peripheral_hz: 45_000_000,
+    core_hz: 168_000_000,
+    peripheral_hz: 42_000_000,
 };
