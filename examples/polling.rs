@@ -53,6 +53,7 @@ fn main() -> ! {
     let mut delay = device.TIM2.delay_us(&mut rcc);
     let mut counter = device.TIM5.counter_us(&mut rcc);
     counter.start(u32::MAX.micros()).unwrap();
+    // It begins again at zero after 71 minutes, of which the filter makes a pause; `aplomb::units::CounterExtender` goes on.
     let now_us = || u64::from(counter.now().ticks());
     let Err(error) = show_attitude(i2c, &mut interrupt, &mut delay, now_us);
     panic!("{}", error);

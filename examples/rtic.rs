@@ -51,6 +51,7 @@ mod app {
         let bus = SensorBus::new(device.I2C1, device.GPIOB);
         let sensor = Sensor::new(bus, Config::DEFAULT, false);
         let reader = BurstReader::start();
+        // For a clone with another temperature scale: the part that `make_ready` found, in `Ready::part`.
         let pipeline = Pipeline::with_filter(&Settings::new(&Part::MPU_6050), Kalman::new());
         (Shared { reader, timebase }, Local { sensor, pipeline })
     }
@@ -113,6 +114,12 @@ mod app {
     #[task(binds = I2C1_ER, priority = 4, shared = [reader])]
     fn bus_error(context: bus_error::Context) {
         context.shared.reader.on_bus_error();
+    }
+
+    /// SPI1 is not used as a port: its interrupt is what [`Upkeep`] asks by for the sensor's settings to be read back.
+    #[task(binds = SPI1, priority = 4, shared = [reader])]
+    fn check_settings(context: check_settings::Context) {
+        context.shared.reader.on_check_request();
     }
 
     #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]

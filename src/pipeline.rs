@@ -267,7 +267,8 @@ impl<F: Filter> Pipeline<F> {
         snapshot
     }
 
-    /// The same as [`update_flagged`](Self::update_flagged) where the sensor's settings are read back. The snapshot goes to `publish` as soon as it is there, with the variance of its tilt (rad², both axes
+    /// The same as [`update_flagged`](Self::update_flagged) where the sensor's settings are read back. The
+    /// snapshot goes to `publish` as soon as it is there, with the variance of its tilt (rad², both axes
     /// together); what is done afterwards is for the next one.
     #[inline]
     pub fn update_with(

@@ -585,7 +585,8 @@ pub fn take_stale() -> Option<(u64, Flags)> {
 }
 
 /// Asks the reader to read some settings back now. Only the attitude task calls this, when it is done
-/// with a burst: then the bus is free.
+/// with a burst: then the bus is free. It pends SPI1, a peripheral that is not used: the application binds that interrupt, at the
+/// priority of the others that share the reader, to [`BurstReader::on_check_request`]. Without it no setting is ever read back.
 pub fn request_check() {
     cortex_m::peripheral::NVIC::pend(Interrupt::SPI1);
 }

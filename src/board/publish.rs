@@ -1,7 +1,7 @@
 //! The latest snapshot, for every reader: the telemetry task, a debugger, the virtual board.
 //!
 //! One writer, the attitude task. It counts `sequence` up last, so a reader of lower priority that
-//! finds the same count before and after its copy holds one whole snapshot. A debugger finds it
+//! finds the same count before and after its copy holds one whole snapshot. A debugger, which has to halt the core for that, finds it
 //! under the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0, the count at 40.
 
 use core::mem::offset_of;

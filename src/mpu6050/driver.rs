@@ -238,7 +238,7 @@ impl<I2C: I2c> Mpu6050<I2C> {
         Ok(sums.map(|sum| sum.map(|sum| sum as f32 / f32::from(SELF_TEST_SAMPLES))))
     }
 
-    /// Takes these steps, and reads each register back.
+    /// Takes these steps, and reads each register back that keeps what is written to it.
     #[inline(never)]
     fn take(
         &mut self,

@@ -1,7 +1,8 @@
 //! The configuration as a list of writes, for any kind of bus: the blocking driver takes these steps, and so may an
 //! asynchronous one.
 //!
-//! A bus that only writes sends each step's `value` and waits; after the device reset every other bit is zero. One that
+//! A bus that only writes sends each step's `value` and waits; after the device reset every other bit of an
+//! MPU-6050 is zero. One that
 //! wants to be sure then reads back what [`Check::all`](super::Check::all) says.
 
 use super::config::Config;

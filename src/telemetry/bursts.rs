@@ -123,7 +123,9 @@ mod tests {
         }
 
         #[test]
-        fn any_text_is_a_burst_or_an_error(text in "[0-9a-f,MISED|LAT+ é-]{0,60}") {
+        fn any_text_is_a_burst_or_an_error(
+            text in "[0-9a-f,MISED|LAT+ é-]{0,60}|[0-9]{1,21},[0-9a-fA-F]{28},((MISSED|LATE|POLLED|VALID|x)[|]?){0,3}",
+        ) {
             if let Ok((burst, flags)) = decode(&text) {
                 prop_assert_eq!(decode(&Line(&burst, flags).to_string()), Ok((burst, flags)));
             }

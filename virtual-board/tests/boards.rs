@@ -1,5 +1,6 @@
 //! The firmware of every board flies on the model of that board.
 
+use aplomb::health::Flags;
 use virtual_board::board::BOARDS;
 use virtual_board::faults::{Fault, FaultKind, ScheduledFault};
 use virtual_board::flight::{Outcome, Run};
@@ -83,5 +84,13 @@ fn every_board_s_clocks_are_as_before_when_its_crystal_has_died() {
             .map(|error_us| (error_us - first_us).abs())
             .fold(0.0, f64::max);
         assert!(drift_us <= 1.0, "{name}: {drift_us} us");
+        for sample in outcome.samples() {
+            let has_died = sample.snapshot.flags.contains(Flags::INTERNAL_CLOCK);
+            let is_certain = !(fault.start_ns..restored_ns).contains(&sample.published_ns);
+            assert!(
+                !is_certain || has_died == (sample.published_ns >= restored_ns),
+                "{name}: {sample:?}"
+            );
+        }
     });
 }

@@ -61,7 +61,7 @@ fn a_flight_keeps_its_promises() {
     assert!(summary.samples > 9500, "{summary:?}");
     assert_eq!(summary.missed, 0);
     assert!(summary.timestamp_error_us_max <= Some(1.0), "{summary:?}");
-    // 226 before there was a fault layer, and 40 for it (docs/faults.md).
+    // 226 in the firmware of before there was a fault layer, and 40 for it; what it is today docs/faults.md says.
     assert!(
         summary.io_instructions_per_sample_mean <= Some(266.0),
         "{summary:?}"

@@ -26,13 +26,15 @@ use {defmt_rtt as _, panic_probe as _};
 
 const ADDRESS: u8 = ADDRESSES[0];
 
-/// Configures the sensor, then reads a sample at every edge of INT and shows every hundredth attitude. Returns if the bus fails
-/// or the sensor does not keep its settings.
+/// Configures the sensor, then reads a sample at every edge of INT and shows every hundredth attitude. Returns if the bus fails,
+/// if it is no sensor of this family, or if it does not keep its settings.
 async fn show_attitude<I: Bus>(mut i2c: I, mut interrupt: impl Wait) -> Result<(), I::Error> {
     let (config, mut byte) = (Config::default(), [0]);
     i2c.write_read(ADDRESS, &[Register::WhoAmI.address()], &mut byte)
         .await?;
-    let part = Part::from_who_am_i(byte[0]).unwrap_or(&Part::MPU_6050);
+    let Some(part) = Part::from_who_am_i(byte[0]) else {
+        return Ok(());
+    };
     for step in Step::configuration(&config, part) {
         i2c.write(ADDRESS, &[step.register.address(), step.value])
             .await?;
