@@ -138,11 +138,11 @@ pub struct State {
     pub bias_sigma_rad_s: f32,
     /// σ of the tilt.
     pub tilt_sigma_rad: f32,
-    /// Bursts that failed.
+    /// Bursts that failed since the start.
     pub bursts_failed: u16,
-    /// Times that the receiver saw errors or lost bytes.
+    /// Times that the receiver saw errors or lost bytes, since power came: a reset does not forget them.
     pub reception_errors: u32,
-    /// Snapshots that could not be sent in time.
+    /// Snapshots that could not be sent in time, since power came.
     pub frames_dropped: u32,
 }
 
