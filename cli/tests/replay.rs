@@ -424,6 +424,10 @@ fn bursts_go_through_the_whole_pipeline_to_the_bit() {
     for name in ["flags", "roll_rate_dps", "tilt_sigma_deg"] {
         assert_eq!(column(&mahony, name), column(&simple, name));
     }
+    // And is extrapolated by the delay that is told.
+    let told = ["--filter", "mahony", "--sensor-delay-us", "20000"];
+    let (_, late) = replay("bursts", &bursts, &told);
+    assert_ne!(column(&mahony, "roll_deg"), column(&late, "roll_deg"));
 }
 
 #[test]
