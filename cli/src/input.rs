@@ -31,7 +31,7 @@ pub fn header(lines: &mut Lines) -> Result<String, Box<dyn Error>> {
         Err(error) => return Err(error.into()),
     }
     Err(format!(
-        "{}: it is no table. A flight log has to be a file, not standard input; `replay`, `plot` and `convert` take it",
+        "{}: it is no table. A flight log has to be a file, not standard input; `replay` and `plot` take it, and `convert` makes a table of it",
         lines.place()
     )
     .into())

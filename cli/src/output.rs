@@ -172,7 +172,7 @@ fn target(path: &Path) -> io::Result<Option<PathBuf>> {
         };
         if folder
             .canonicalize()
-            .is_ok_and(|folder| folder.starts_with("/proc"))
+            .is_ok_and(|folder| folder.starts_with("/proc") || folder.starts_with("/dev/fd"))
         {
             return Ok(None);
         }

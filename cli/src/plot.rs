@@ -359,7 +359,7 @@ impl Shown {
             let rms = (self.squares / self.scored as f64).sqrt();
             text += &format!("; inclination error {rms:.2} degrees rms");
         } else if !self.errors.is_empty() {
-            text += "; no row with truth counts yet, 5 s after the start";
+            text += "; no inclination error, since no row with truth counts (mov 1, after 5 s)";
         }
         let vibration = self
             .welch
