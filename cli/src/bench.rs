@@ -6,7 +6,7 @@
 //! checked where it rests, and what cannot be used is named with the reason.
 
 use std::error::Error;
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use aplomb::mpu6050::{AccelerometerRange, GyroscopeRange};
@@ -33,7 +33,8 @@ const KNOWN_RANGES: [(&str, AccelerometerRange, GyroscopeRange); 1] = [(
 /// Compare the accuracy and the speed of filters on recordings
 ///
 /// Every log below DIR counts, plain or gzipped; its folder is its set. One with truth is scored by it, one without is
-/// checked where it rests. Without recordings, simulated flights take their place.
+/// checked where it rests. What cannot be scored is named with
+/// the reason. If no DIR is named and there are no recordings, simulated flights take their place.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb bench
@@ -41,7 +42,7 @@ const KNOWN_RANGES: [(&str, AccelerometerRange, GyroscopeRange); 1] = [(
   aplomb bench recordings --json
 
 JSON: scores, one for each recording and filter (set, recording, reference, sensor_delay_us, filter, inclination_samples,
-inclination_rms_deg, inclination_p95_deg, inclination_max_deg, within_3_sigma (a share), median_error_per_sigma), and not_scored (file, reason).")]
+inclination_rms_deg, inclination_p95_deg, inclination_max_deg, within_3_sigma (a share), median_error_per_sigma), and not_scored (file, line if one is to blame, reason).")]
 pub struct Options {
     /// Folders of recordings [default: ../shared/data, if it is there]
     #[arg(value_name = "DIR")]
@@ -73,12 +74,15 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(path) = &options.picture {
         let drawn = picture::flight(&simulated::flight(picture::SEED)).png();
-        return Ok(write(path, &drawn)?);
+        return Ok(write(path, options, &drawn)?);
     }
     let (mut recordings, not_scored) = read(options)?;
+    if recordings.is_empty() && !options.folders.is_empty() {
+        return Err(nothing_to_score(options, &not_scored).into());
+    }
     if !options.json {
-        for NotScored { file, reason } in &not_scored {
-            crate::say(&format!("not scored: {file}: {reason}"));
+        for not_scored in &not_scored {
+            crate::say(&format!("not scored: {not_scored}"));
         }
     }
     if options.leave_one_out || options.scan_gains {
@@ -145,9 +149,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         crate::say(&throughput::measure(row.recording));
     }
     let in_folder = |name| options.output.join(name);
-    write(&in_folder("accuracy.csv"), csv(&names, &rows).as_bytes())?;
+    let table = csv(&names, &rows);
+    write(&in_folder("accuracy.csv"), options, table.as_bytes())?;
     let picture = accuracy::picture(&names, &sets);
-    write(&in_folder("accuracy.png"), &picture.png())?;
+    write(&in_folder("accuracy.png"), options, &picture.png())?;
     crate::say(&format!(
         "\nwritten: accuracy.csv and accuracy.png in {}",
         options.output.display()
@@ -177,7 +182,19 @@ pub struct Set {
 #[derive(serde::Serialize)]
 struct NotScored {
     file: String,
+    /// The line that is to blame, if one is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    line: Option<u64>,
     reason: String,
+}
+
+impl fmt::Display for NotScored {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.line {
+            Some(line) => write!(formatter, "{}:{line}: {}", self.file, self.reason),
+            None => write!(formatter, "{}: {}", self.file, self.reason),
+        }
+    }
 }
 
 fn read(options: &Options) -> Result<(Vec<Recording>, Vec<NotScored>), Box<dyn Error>> {
@@ -202,15 +219,38 @@ fn read(options: &Options) -> Result<(Vec<Recording>, Vec<NotScored>), Box<dyn E
     });
     let (mut recordings, mut not_scored) = (Vec::new(), Vec::new());
     for (path, result) in paths.iter().zip(results) {
-        match result? {
-            Found::Recording(recording) => recordings.push(recording),
-            Found::Unusable(reason) => not_scored.push(NotScored {
-                file: path.display().to_string(),
-                reason,
-            }),
-        }
+        let (line, reason) = match result {
+            Ok(Found::Recording(recording)) => {
+                recordings.push(recording);
+                continue;
+            }
+            Ok(Found::Unusable(reason)) => (None, reason),
+            Err(error) => (error.line, error.reason.to_string()),
+        };
+        not_scored.push(NotScored {
+            file: path.display().to_string(),
+            line,
+            reason,
+        });
     }
     Ok((recordings, not_scored))
+}
+
+/// Why nothing of what was named can be scored.
+fn nothing_to_score(options: &Options, not_scored: &[NotScored]) -> String {
+    let named = options
+        .folders
+        .iter()
+        .map(|path| path.display().to_string());
+    let named = named.collect::<Vec<_>>().join(" ");
+    if not_scored.is_empty() {
+        return format!("{named}: there is no recording in it");
+    }
+    let mut text = format!("{named}: nothing of it can be scored");
+    for not_scored in not_scored {
+        let _ = write!(text, "\n  {not_scored}");
+    }
+    text
 }
 
 impl Options {
@@ -410,12 +450,13 @@ fn json(names: &[&str], rows: &[Row], not_scored: &[NotScored]) -> serde_json::R
 }
 
 /// Writes a file into a folder, which is made if need be.
-fn write(path: &Path, contents: &[u8]) -> Result<(), String> {
+fn write(path: &Path, options: &Options, contents: &[u8]) -> Result<(), String> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder)
             .map_err(|error| format!("{}: cannot be made: {error}", folder.display()))?;
     }
-    OutputFile::write(path, &[], contents)
+    let inputs: Vec<&Path> = options.folders.iter().map(PathBuf::as_path).collect();
+    OutputFile::write(path, &inputs, contents)
 }
 
 #[cfg(test)]

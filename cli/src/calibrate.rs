@@ -64,7 +64,8 @@ pub struct Options {
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(path) = &options.draw_poses {
-        OutputFile::write(path, &[], &crate::poses::draw().png())?;
+        let inputs: Vec<&Path> = options.input.iter().map(PathBuf::as_path).collect();
+        OutputFile::write(path, &inputs, &crate::poses::draw().png())?;
     }
     let Some(input) = &options.input else {
         return Ok(());

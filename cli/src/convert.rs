@@ -11,7 +11,7 @@ use aplomb::mpu6050::{
 };
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
-use virtual_board::motion::log::parse_row;
+use virtual_board::motion::log::{LogFault, Row, parse_row};
 
 use crate::flight_log::{self, Recorder};
 use crate::input::Form;
@@ -22,24 +22,82 @@ use crate::{number, progress, replay};
 ///
 /// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI units, plain or gzipped.
 /// OUTPUT's name says what it becomes: *.log a flight log, *bursts.csv bursts, any other *.csv a log in SI units and the sensor's
-/// axes, as `replay` reads it. A log in SI units becomes counts at 16 g and 2000 degrees per second, rounded.
+/// axes, as `replay` reads it. A log in SI units becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out. Bursts and
+/// CSV logs have no place for a flight log's mount and calibration, and bursts none for its ranges: what to replay them with is said.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb convert flight.log flight-bursts.csv
   aplomb convert recording.csv.gz recording.log
 
-JSON: input, output, bursts, bursts_lost, damaged_pieces.")]
+JSON: input, output, bursts, bursts_lost, damaged_pieces, clipped_values (of a log in SI units, beyond the ranges).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
     /// The file to write
     output: PathBuf,
-    /// What a flight log that is made of bursts or of CSV says about the mount
-    #[arg(long, default_value = "z-up", allow_hyphen_values = true, value_parser = replay::parse_mount)]
-    mount: Mount,
+    /// What a flight log that is made of bursts or of CSV says about the mount [default: z-up]
+    #[arg(long, allow_hyphen_values = true, value_parser = replay::parse_mount)]
+    mount: Option<Mount>,
+    /// Which flight of a flight log in which the module started several times, counted from 1
+    #[arg(long, value_name = "N")]
+    flight: Option<usize>,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// What recordings are converted from and into.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    FlightLog,
+    Bursts,
+    Csv,
+}
+
+impl Kind {
+    /// What a file of this name is to be.
+    fn of_name(path: &Path) -> Option<Self> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if name.ends_with(".log") {
+            Some(Self::FlightLog)
+        } else if name.ends_with("bursts.csv") {
+            Some(Self::Bursts)
+        } else if name.ends_with(".csv") {
+            Some(Self::Csv)
+        } else {
+            None
+        }
+    }
+
+    /// What it is called.
+    fn name(self) -> &'static str {
+        match self {
+            Self::FlightLog => "a flight log",
+            Self::Bursts => "a table of bursts",
+            Self::Csv => "a log in SI units",
+        }
+    }
+
+    /// Refuses what would only lose: from a form into itself, and options that mean nothing.
+    fn check(self, options: &Options, into: Self) -> Result<(), String> {
+        let input = options.input.display();
+        if self == into {
+            return Err(format!("{input}: it is {} already: copy it", self.name()));
+        }
+        if options.mount.is_some() && into != Self::FlightLog {
+            return Err(format!(
+                "{input}: --mount would change nothing: {} does not say it",
+                into.name()
+            ));
+        }
+        if options.flight.is_some() && self != Self::FlightLog {
+            return Err(format!(
+                "{input}: --flight would change nothing: it is {}",
+                self.name()
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// A burst, and what the board said of it.
@@ -47,28 +105,24 @@ type FlaggedBurst = (Burst, Flags);
 
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
-    let found = read(&options.input)?;
+    let output = &options.output;
+    let into = Kind::of_name(output).ok_or_else(|| {
+        format!(
+            "{}: the name has to end with .log, bursts.csv or .csv, which says what to write",
+            output.display()
+        )
+    })?;
+    let found = read(options, into)?;
     let settings = Settings {
         sensor: found.config,
-        mount: options.mount,
+        mount: options.mount.unwrap_or(Mount::Z_UP),
         ..Settings::new(found.part)
     };
-    let output = &options.output;
-    let name = output.file_name().unwrap_or_default().to_string_lossy();
-    let write: fn(&mut OutputFile, &Settings, &[FlaggedBurst]) -> std::io::Result<()> =
-        if name.ends_with(".log") {
-            write_log
-        } else if name.ends_with("bursts.csv") {
-            write_bursts
-        } else if name.ends_with(".csv") {
-            write_csv
-        } else {
-            return Err(format!(
-                "{}: the name has to end with .log, bursts.csv or .csv, which says what to write",
-                output.display()
-            )
-            .into());
-        };
+    let write = match into {
+        Kind::FlightLog => write_log,
+        Kind::Bursts => write_bursts,
+        Kind::Csv => write_csv,
+    };
     let mut file = OutputFile::create(output, &[&options.input])?;
     write(&mut file, &settings, &found.bursts).map_err(|error| file.failed(&error))?;
     file.finish()?;
@@ -78,6 +132,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         bursts: found.bursts.len(),
         bursts_lost: found.bursts_lost,
         damaged_pieces: found.damaged_pieces,
+        clipped_values: found.clipped_values,
     };
     if options.json {
         crate::say(&serde_json::to_string(&summary)?);
@@ -89,7 +144,28 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             summary.input, found.bursts_lost, found.damaged_pieces
         ));
     }
+    if found.clipped_values > 0 {
+        crate::say(&format!(
+            "{}: {} values are beyond 16 g or 2000 degrees per second and were clipped",
+            summary.input, found.clipped_values
+        ));
+    }
     crate::say(&format!("{}: {} bursts", summary.output, summary.bursts));
+    if let Some(mount) = found.mount {
+        let mut replay_with = format!("--mount {}", mount.name());
+        if into == Kind::Bursts {
+            // AFS_SEL and FS_SEL double the ranges (register map §4.4, §4.5).
+            let sensor = &found.config;
+            replay_with += &format!(
+                " --accel-range {} --gyro-range {}",
+                2 << sensor.accelerometer_range.bits(),
+                250 << sensor.gyroscope_range.bits()
+            );
+        }
+        crate::say(&format!(
+            "replay it with {replay_with}; the flight's calibration is not in it"
+        ));
+    }
     Ok(())
 }
 
@@ -101,50 +177,64 @@ struct Summary {
     bursts: usize,
     bursts_lost: u64,
     damaged_pieces: u64,
+    clipped_values: usize,
 }
 
 /// What is in a recording.
 struct Found {
     config: Config,
+    /// How the sensor was mounted, if it says so.
+    mount: Option<Mount>,
     part: &'static Part,
     bursts: Vec<FlaggedBurst>,
     bursts_lost: u64,
     damaged_pieces: u64,
+    clipped_values: usize,
 }
 
-fn read(path: &Path) -> Result<Found, Box<dyn Error>> {
+fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
+    let path = &options.input;
     if flight_log::is_one(path) {
+        Kind::FlightLog.check(options, into)?;
         let log = flight_log::read(path)?;
-        let Some(first) = log
-            .flights
-            .iter()
-            .find_map(|flight| flight.configurations.first())
-        else {
-            return Err(format!("{}: there is no configuration in it", path.display()).into());
-        };
-        let bursts = log.flights.iter().flat_map(|flight| &flight.bursts);
-        let bursts = bursts
-            .map(|numbered| (numbered.burst, numbered.flags))
-            .collect();
+        let at = |reason: String| format!("{}: {reason}", path.display());
+        let flight = log.flight(options.flight).map_err(at)?;
+        let first = flight
+            .configurations
+            .first()
+            .ok_or_else(|| at("there is no configuration in it".to_owned()))?;
+        let bursts = flight.bursts.iter();
         return Ok(Found {
             config: first.settings.sensor,
+            mount: Some(first.settings.mount()),
             part: first.settings.part,
-            bursts,
-            bursts_lost: log.flights.iter().map(flight_log::Flight::lost).sum(),
+            bursts: bursts
+                .map(|numbered| (numbered.burst, numbered.flags))
+                .collect(),
+            bursts_lost: flight.lost(),
             damaged_pieces: log.counts.damaged,
+            clipped_values: 0,
         });
     }
     let mut lines = progress::lines(path)?;
     let form = Form::read(&mut lines)?;
+    let kind = match form {
+        Form::Bursts => Kind::Bursts,
+        Form::Log(_) => Kind::Csv,
+    };
+    kind.check(options, into)?;
     let mut found = Vec::new();
+    let mut clipped_values = 0;
     while let Some(line) = lines.next_line()? {
         let burst = match form {
             Form::Bursts => bursts::decode(line).map_err(|error| error.to_string()),
             Form::Log(columns) => match parse_row(line, columns) {
                 Err(fault) => return Err(lines.refuse(fault).into()),
                 Ok(row) => {
+                    let (raw, clipped) = counts_of(&row).map_err(|fault| lines.refuse(fault))?;
+                    clipped_values += clipped;
                     let burst = Burst {
-                        bytes: counts_of(row.specific_force_m_s2, row.rates_rad_s).encode(),
+                        bytes: raw.encode(),
                         captured_at_us: u64::try_from(row.time_us)
                             .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
                         missed_before: 0,
@@ -157,29 +247,46 @@ fn read(path: &Path) -> Result<Found, Box<dyn Error>> {
     }
     Ok(Found {
         config: Config::DEFAULT,
+        mount: None,
         part: &Part::MPU_6050,
         bursts: found,
         bursts_lost: 0,
         damaged_pieces: 0,
+        clipped_values,
     })
 }
 
-/// What the default full scales make of SI units.
-fn counts_of(force_m_s2: [f64; 3], rates_rad_s: [f64; 3]) -> RawSample {
+/// What the default full scales make of SI units, and how many values are beyond them.
+fn counts_of(row: &Row) -> Result<(RawSample, usize), LogFault> {
+    let names = ["ax", "ay", "az", "gx", "gy", "gz"];
+    let values = row.specific_force_m_s2.into_iter().chain(row.rates_rad_s);
+    for (column, value) in names.into_iter().zip(values) {
+        if !value.is_finite() {
+            return Err(LogFault::NotFinite { column, value });
+        }
+    }
     let config = Config::DEFAULT;
-    let count = |values: [f64; 3], unit: f32| {
-        // A cast saturates, as the sensor does.
-        values.map(|value| (value / f64::from(unit)).round() as i16)
+    let mut clipped = 0;
+    let mut count = |values: [f64; 3], unit: f32| {
+        values.map(|value| {
+            let count = (value / f64::from(unit)).round();
+            clipped += usize::from(count < i16::MIN.into() || count > i16::MAX.into());
+            // A cast saturates, as the sensor does.
+            count as i16
+        })
     };
-    RawSample {
-        accelerometer: AccelerometerCounts(count(
-            force_m_s2,
-            config.accelerometer_range.m_s2_per_count(),
-        )),
+    let accelerometer = count(
+        row.specific_force_m_s2,
+        config.accelerometer_range.m_s2_per_count(),
+    );
+    let gyroscope = count(row.rates_rad_s, config.gyroscope_range.rad_s_per_count());
+    let raw = RawSample {
+        accelerometer: AccelerometerCounts(accelerometer),
         // 25 °C (register map §4.18).
         temperature: TemperatureCounts(-3_920),
-        gyroscope: GyroscopeCounts(count(rates_rad_s, config.gyroscope_range.rad_s_per_count())),
-    }
+        gyroscope: GyroscopeCounts(gyroscope),
+    };
+    Ok((raw, clipped))
 }
 
 fn write_log(

@@ -34,6 +34,8 @@ pub struct FlightLog {
     pub counts: Counts,
     /// Messages of the module, in order.
     pub messages: Vec<String>,
+    /// The file could not be read to its end: what came before is all there is.
+    pub is_cut_off: bool,
 }
 
 /// What the module logged from one start to the next.
@@ -56,6 +58,23 @@ impl FlightLog {
             .iter()
             .filter(|flight| !flight.bursts.is_empty())
     }
+
+    /// The flight of this number, counted from 1; of a log with one flight, that one.
+    pub fn flight(&self, number: Option<usize>) -> Result<&Flight, String> {
+        let count = self.flown().count();
+        let index = match number {
+            None if count > 1 => {
+                return Err(format!(
+                    "the module started {count} times in it: choose a flight with --flight 1 to --flight {count}"
+                ));
+            }
+            None => Some(0),
+            Some(number) => number.checked_sub(1),
+        };
+        index
+            .and_then(|index| self.flown().nth(index))
+            .ok_or_else(|| format!("there is no such flight in it: it has 1 to {count}"))
+    }
 }
 
 impl Flight {
@@ -77,22 +96,29 @@ pub fn is_one(path: &Path) -> bool {
         return false;
     }
     let mut bytes = Vec::new();
-    let read = open(path).and_then(|file| {
-        file.take(SNIFFED_BYTES as u64)
-            .read_to_end(&mut bytes)
-            .map_err(|error| error.to_string())
-    });
-    read.is_ok() && bytes.contains(&0)
+    if let Ok(file) = open(path) {
+        // What came before an error tells as well.
+        let _ = file.take(SNIFFED_BYTES as u64).read_to_end(&mut bytes);
+    }
+    bytes.contains(&0)
 }
 
-/// Reads a log, plain or gzipped.
+/// Reads a log, plain or gzipped. One that cannot be read to its end is used as far as it can, with a warning.
 pub fn read(path: &Path) -> Result<FlightLog, String> {
     let at = |error: String| format!("{}: {error}", path.display());
     let mut bytes = Vec::new();
-    open(path)
-        .and_then(|mut file| file.read_to_end(&mut bytes).map_err(|e| e.to_string()))
-        .map_err(at)?;
-    let log = decode(&bytes);
+    let end = open(path)?.read_to_end(&mut bytes);
+    if let Err(error) = &end {
+        eprintln!(
+            "warning: {}: cut off or damaged after {} bytes ({error}): this is what came before",
+            path.display(),
+            bytes.len()
+        );
+    }
+    let log = FlightLog {
+        is_cut_off: end.is_err(),
+        ..decode(&bytes)
+    };
     if log.flights.iter().all(|flight| flight.bursts.is_empty()) {
         return Err(at(format!(
             "there is no burst in it: {} frames, {} pieces that are none. Was it recorded with `format log`, at the module's baud rate?",
@@ -102,6 +128,7 @@ pub fn read(path: &Path) -> Result<FlightLog, String> {
     Ok(log)
 }
 
+/// Opens a log, plain or gzipped.
 pub fn open(path: &Path) -> Result<Box<dyn Read>, String> {
     let text = |error: std::io::Error| format!("{}: {error}", path.display());
     let mut magic = [0; 2];

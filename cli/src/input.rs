@@ -4,9 +4,9 @@ use std::error::Error;
 
 use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange};
 use aplomb::telemetry::bursts;
-use virtual_board::motion::log::{Lines, LogFault, column_count};
+use virtual_board::motion::log::{Lines, LogError, LogFault, column_count};
 
-/// The form of a recording, by its header.
+/// The form of a text, by its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// A bursts.csv.
@@ -15,19 +15,39 @@ pub enum Form {
     Log(usize),
 }
 
+/// Reads the header of a text, which is the next line.
+pub fn header(lines: &mut Lines) -> Result<String, Box<dyn Error>> {
+    match lines.next_line() {
+        // What a module sends before its first frame are messages.
+        Ok(Some(header)) if !header.contains('\0') && !header.starts_with('#') => {
+            return Ok(header.to_owned());
+        }
+        Ok(None) => return Err(lines.refuse_file(LogFault::Empty).into()),
+        Ok(Some(_))
+        | Err(LogError {
+            reason: LogFault::NotText,
+            ..
+        }) => {}
+        Err(error) => return Err(error.into()),
+    }
+    Err(format!(
+        "{}: it is no table. A flight log has to be a file, not standard input; `replay` and `plot` take it, and `convert` makes a table of it",
+        lines.place()
+    )
+    .into())
+}
+
 impl Form {
     /// Reads the header, which is the next line.
     pub fn read(lines: &mut Lines) -> Result<Self, Box<dyn Error>> {
-        let Some(header) = lines.next_line()? else {
-            return Err(lines.refuse_file(LogFault::Empty).into());
-        };
+        let header = header(lines)?;
         if header == bursts::HEADER {
             return Ok(Self::Bursts);
         }
-        if let Some(columns) = column_count(header) {
+        if let Some(columns) = column_count(&header) {
             return Ok(Self::Log(columns));
         }
-        let fault = LogFault::Header(header.to_owned());
+        let fault = LogFault::Header(header);
         Err(format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into())
     }
 }
@@ -57,6 +77,15 @@ impl Counts {
             ),
             _ => Ok(()),
         }
+    }
+
+    /// The options, and whether they were given.
+    pub fn given(&self) -> [(&'static str, bool); 3] {
+        [
+            ("--raw", self.raw),
+            ("--accel-range", self.accel_range.is_some()),
+            ("--gyro-range", self.gyro_range.is_some()),
+        ]
     }
 
     /// The ranges, if both were told.

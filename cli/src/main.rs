@@ -30,8 +30,9 @@ mod spectrum;
 mod throughput;
 mod view;
 
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 use clap::Parser;
 
@@ -73,7 +74,10 @@ fn main() -> ExitCode {
             Ok(())
         }
     };
-    match result {
+    let lost = LOST.get().map_or(Ok(()), |error| {
+        Err(format!("standard output cannot be written: {error}"))
+    });
+    match result.and(lost.map_err(Into::into)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error}");
@@ -82,7 +86,15 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints a text. That nobody reads on, as behind `head`, is no error.
+/// Why something that was said is lost.
+static LOST: OnceLock<std::io::Error> = OnceLock::new();
+
+/// Prints a text. That nobody reads on, as behind `head`, is no error; a full disk is one in the end.
 fn say(text: &str) {
-    let _ = writeln!(std::io::stdout(), "{text}");
+    let mut output = std::io::stdout();
+    if let Err(error) = writeln!(output, "{text}").and_then(|()| output.flush())
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        LOST.get_or_init(|| error);
+    }
 }

@@ -1,17 +1,30 @@
-//! Files that are written: each appears under its name when it is complete. A device or a pipe is written as it goes.
+//! Files that are written: each appears under its name when it is complete. A device or a pipe is written as it goes, and
+//! where a link leads is written, so that the link stays.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{LazyLock, Mutex, MutexGuard};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
+/// More links in a row than any system follows (Linux: 40).
+const MOST_LINKS: usize = 64;
+/// What a program says that Ctrl-C ended, by the custom of shells: 128 and the signal's number.
+const ENDED_BY_CTRL_C: i32 = 130;
+
 /// A file that is being written; gzipped if its name ends with .gz.
 pub struct OutputFile {
     path: PathBuf,
-    unfinished: Option<PathBuf>,
+    unfinished: Option<Unfinished>,
     sink: Sink,
+}
+
+/// What is written until it is complete, and the name that it then gets.
+struct Unfinished {
+    path: PathBuf,
+    target: PathBuf,
 }
 
 enum Sink {
@@ -29,18 +42,12 @@ impl OutputFile {
             ));
         }
         let failed = |error: io::Error| cannot_write(path, &error);
-        let is_device = path
-            .metadata()
-            .is_ok_and(|data| !data.is_file() && !data.is_dir());
-        let (unfinished, file) = if is_device {
-            let file = File::options().write(true).open(path);
-            (None, file.map_err(failed)?)
-        } else {
-            let mut unfinished = path.as_os_str().to_owned();
-            unfinished.push(".unfinished");
-            let unfinished = PathBuf::from(unfinished);
-            let file = File::create(&unfinished).map_err(failed)?;
-            (Some(unfinished), file)
+        let (unfinished, file) = match target(path).map_err(failed)? {
+            None => (None, open(path).map_err(failed)?),
+            Some(target) => {
+                let (unfinished, file) = Unfinished::create(target).map_err(failed)?;
+                (Some(unfinished), file)
+            }
         };
         let file = BufWriter::with_capacity(256 * 1024, file);
         let sink = match path.extension() {
@@ -72,7 +79,7 @@ impl OutputFile {
         };
         written
             .and_then(|()| match &self.unfinished {
-                Some(unfinished) => std::fs::rename(unfinished, &self.path),
+                Some(unfinished) => std::fs::rename(&unfinished.path, &unfinished.target),
                 None => Ok(()),
             })
             .map_err(|error| self.failed(&error))
@@ -100,13 +107,92 @@ impl Write for OutputFile {
     }
 }
 
-impl Drop for OutputFile {
-    fn drop(&mut self) {
-        if let Some(unfinished) = &self.unfinished {
-            // After `finish` it is gone already.
-            let _ = std::fs::remove_file(unfinished);
+impl Unfinished {
+    /// Beside the target, under a name that no other file has.
+    fn create(target: PathBuf) -> io::Result<(Self, File)> {
+        let mut number = 1;
+        loop {
+            let mut path = target.as_os_str().to_owned();
+            path.push(".unfinished");
+            if number > 1 {
+                path.push(number.to_string());
+            }
+            let path = PathBuf::from(path);
+            let mut all = all_unfinished();
+            match File::create_new(&path) {
+                Ok(file) => {
+                    all.push(path.clone());
+                    return Ok((Self { path, target }, file));
+                }
+                // Another run's, or left by one that was killed.
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
+                Err(error) => return Err(error),
+            }
         }
     }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        all_unfinished().retain(|path| *path != self.path);
+        // After `finish` it is gone already.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+/// The unfinished files of this run. Ctrl-C removes them.
+fn all_unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
+    static ALL: LazyLock<Mutex<Vec<PathBuf>>> = LazyLock::new(|| {
+        // Whoever set another handler, or has signals ignored, keeps that.
+        let _ = ctrlc::try_set_handler(|| {
+            for path in all_unfinished().drain(..) {
+                let _ = std::fs::remove_file(path);
+            }
+            std::process::exit(ENDED_BY_CTRL_C);
+        });
+        Mutex::default()
+    });
+    ALL.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// The file that gets this name, be it there yet or not: where links lead. `None` for what is written as it goes: a
+/// device, a pipe, or what is open already, as /dev/stdout is.
+fn target(path: &Path) -> io::Result<Option<PathBuf>> {
+    match path.metadata() {
+        Ok(data) if data.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+        Ok(data) if !data.is_file() => return Ok(None),
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    let mut path = path.to_owned();
+    for _ in 0..MOST_LINKS {
+        let folder = match path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        if folder
+            .canonicalize()
+            .is_ok_and(|folder| folder.starts_with("/proc") || folder.starts_with("/dev/fd"))
+        {
+            return Ok(None);
+        }
+        match path.read_link() {
+            Ok(link) => path = folder.join(link),
+            Err(_) => return Ok(Some(path)),
+        }
+    }
+    Err(io::Error::other("too many links"))
+}
+
+/// Opens what is written as it goes. Standard output is the one that is open already, so that what follows does not
+/// overwrite it.
+fn open(path: &Path) -> io::Result<File> {
+    #[cfg(unix)]
+    if is_same_file(path, Path::new("/proc/self/fd/1")) {
+        use std::os::fd::AsFd as _;
+        return Ok(io::stdout().as_fd().try_clone_to_owned()?.into());
+    }
+    File::options().append(true).open(path)
 }
 
 fn is_same_file(one: &Path, other: &Path) -> bool {

@@ -1,6 +1,7 @@
 //! `aplomb plot`: a recording, or the attitudes that came of one, as a picture.
 //!
-//! Everything is read once and kept as what the picture can show of it, so that an hour takes no more memory than a minute.
+//! Every row is read once and kept as what the picture can show of it, so that an hour takes no more memory than a minute; but
+//! a flight log is read as a whole.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -19,9 +20,10 @@ use virtual_board::motion::{self, inclination_error_rad};
 use virtual_board::timeline::{Merge, Timeline, Trace};
 
 use crate::flight_log;
+use crate::input;
 use crate::output::OutputFile;
 use crate::progress;
-use crate::replay::{Point, Reading, Source};
+use crate::replay::{Kind, Point, Reading, Source};
 use crate::spectrum::{Spectrum, Vibration, Welch};
 
 const WIDTH: u32 = 1600;
@@ -40,7 +42,7 @@ const DECADES: f64 = 7.0;
 ///
 /// INPUT is an attitude.csv (of `replay`, or of `cargo xtask fly`), or whatever `replay` reads: a log, a bursts.csv or a flight
 /// log, which goes through the filter first. The picture shows roll, pitch, yaw and rates; where there is truth, the inclination error and
-/// the filter's 3 sigma; which flags were set when, and when the attitude was not valid; and of a recording the spectrum of the specific force, with
+/// the filter's 3 sigma (the figure is over rows with mov 1 after 5 s, as in `replay`); which flags were set when, and when the attitude was not valid; and of a recording the spectrum of the specific force, with
 /// the peak of the vibration.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
@@ -72,35 +74,36 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             .into());
         }
     };
-    let mut truth = match &options.truth {
-        Some(path) => Some(TruthFile::open(path, options.reading.mount())?),
-        None => None,
-    };
     let shown = if flight_log::is_one(input) {
         let log = flight_log::read(input)?;
         let flights = log.flown().count();
-        let longest = log.flown().max_by_key(|flight| flight.bursts.len());
-        let longest = longest.ok_or("there is no flight in it")?;
-        if flights > 1 {
+        let flight = if options.reading.flight.is_none() && flights > 1 {
             crate::say(&format!(
                 "{}: the module started {flights} times in it; this is its longest flight",
                 input.display()
             ));
-        }
-        let mut source = options.reading.open_flight(longest)?;
+            log.flown()
+                .max_by_key(|flight| flight.bursts.len())
+                .ok_or("there is no flight in it")?
+        } else {
+            log.flight(options.reading.flight)
+                .map_err(|reason| format!("{}: {reason}", input.display()))?
+        };
+        let mut source = options.reading.open_flight(flight)?;
         let mount = source.mount();
-        Shown::of(&mut source, mount, truth.as_mut())?
+        options.show(&mut source, mount)?
     } else {
         let mut lines = progress::lines(input)?;
         let mount = options.reading.mount();
-        let Some(header) = lines.next_line()? else {
-            return Err(lines.refuse_file(LogFault::Empty).into());
-        };
-        match Columns::of(header) {
-            Some(columns) => Shown::of(&mut Table { lines, columns }, mount, truth.as_mut())?,
+        match Columns::of(&input::header(&mut lines)?) {
+            Some(columns) => {
+                let has_truth = options.truth.is_some();
+                options.reading.check(Kind::Attitudes { has_truth })?;
+                options.show(&mut Table { lines, columns }, mount)?
+            }
             None => {
                 lines.unread();
-                Shown::of(&mut *options.reading.open(lines)?, mount, truth.as_mut())?
+                options.show(&mut *options.reading.open(lines)?, mount)?
             }
         }
     };
@@ -128,6 +131,17 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+impl Options {
+    /// Reads everything, with the truth as a sensor of this mount has it.
+    fn show(&self, source: &mut dyn Source, mount: Mount) -> Result<Shown, Box<dyn Error>> {
+        let mut truth = match &self.truth {
+            Some(path) => Some(TruthFile::open(path, mount)?),
+            None => None,
+        };
+        Shown::of(source, mount, truth.as_mut())
+    }
+}
+
 /// What the picture shows.
 struct Shown {
     rows: u64,
@@ -141,11 +155,13 @@ struct Shown {
     /// About forward, right and down, in degrees per second.
     rates: [Trace; 3],
     errors: Trace,
+    /// Over the rows that count.
     squares: f64,
-    compared: u64,
+    scored: u64,
     three_sigma: Trace,
     flags: Timeline<FlagPiece>,
-    valid: u64,
+    /// So many rows, if flags are known.
+    valid: Option<u64>,
     welch: Welch,
     has_force: bool,
 }
@@ -180,17 +196,21 @@ impl Shown {
             rates: Default::default(),
             errors: Trace::default(),
             squares: 0.0,
-            compared: 0,
+            scored: 0,
             three_sigma: Trace::default(),
             flags: Timeline::default(),
-            valid: 0,
+            valid: source.has_flags().then_some(0),
             welch: Welch::new(),
             has_force: false,
         };
         let mount = modelled(mount)?;
-        while let Some(point) = source.next()? {
+        while let Some(mut point) = source.next()? {
             let truth = match &mut truth {
-                Some(file) => file.at(point.t_us)?,
+                Some(file) => {
+                    let row = file.at(point.t_us)?;
+                    point.counts = row.is_some_and(|row| row.counts);
+                    row.and_then(|row| row.attitude)
+                }
                 None => point.truth.map(|truth| body_to_earth(truth, mount)),
             };
             shown.add(&point, truth);
@@ -222,7 +242,9 @@ impl Shown {
                 all: point.flags,
             },
         );
-        self.valid += u64::from(point.flags.contains(Flags::VALID));
+        if let Some(valid) = &mut self.valid {
+            *valid += u64::from(point.flags.contains(Flags::VALID));
+        }
         if let Some(force) = point.specific_force_m_s2 {
             self.has_force = true;
             let force = [force.x, force.y, force.z].map(f64::from);
@@ -231,8 +253,10 @@ impl Shown {
         let Some(truth) = truth else { return };
         let error = inclination_error_rad(attitude, truth).to_degrees();
         self.errors.push(time_s, error);
-        self.squares += error * error;
-        self.compared += 1;
+        if point.is_scored(self.start_us) {
+            self.squares += error * error;
+            self.scored += 1;
+        }
         if let Some(sigma_rad) = point.tilt_sigma_rad {
             self.three_sigma
                 .push(time_s, 3.0 * f64::from(degrees(sigma_rad)));
@@ -327,11 +351,15 @@ impl Shown {
     /// In one line.
     fn summary(&self) -> String {
         let mut text = format!("{} rows in {:.1} s", self.rows, self.seconds());
-        let share = 100.0 * self.valid as f64 / self.rows.max(1) as f64;
-        text += &format!("; valid {share:.1} % of the time");
-        if self.compared > 0 {
-            let rms = (self.squares / self.compared as f64).sqrt();
+        if let Some(valid) = self.valid {
+            let share = 100.0 * valid as f64 / self.rows.max(1) as f64;
+            text += &format!("; valid {share:.1} % of the time");
+        }
+        if self.scored > 0 {
+            let rms = (self.squares / self.scored as f64).sqrt();
             text += &format!("; inclination error {rms:.2} degrees rms");
+        } else if !self.errors.is_empty() {
+            text += "; no inclination error, since no row with truth counts (mov 1, after 5 s)";
         }
         let vibration = self
             .welch
@@ -412,6 +440,7 @@ struct Columns {
     rates: Option<[usize; 3]>,
     sigma: Option<usize>,
     flags: Option<usize>,
+    scored: Option<usize>,
 }
 
 impl Columns {
@@ -433,6 +462,7 @@ impl Columns {
             rates: all(["roll_rate_dps", "pitch_rate_dps", "yaw_rate_dps"]),
             sigma: place("tilt_sigma_deg"),
             flags: place("flags"),
+            scored: place("scored"),
         })
     }
 }
@@ -451,6 +481,10 @@ impl Source for Table {
         let parsed = parse_attitude(line, &self.columns);
         let point = parsed.map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
         Ok(Some(point))
+    }
+
+    fn has_flags(&self) -> bool {
+        self.columns.flags.is_some()
     }
 }
 
@@ -482,6 +516,14 @@ fn parse_attitude(line: &str, columns: &Columns) -> Result<Point, String> {
         }
         None => Flags::NONE,
     };
+    let counts = match columns.scored {
+        Some(index) => match cell(index)? {
+            "1" => true,
+            "0" => false,
+            other => return Err(format!("scored is \"{other}\", but must be 0 or 1")),
+        },
+        None => true,
+    };
     Ok(Point {
         t_us: time.parse().map_err(|_| {
             format!("t_us is \"{time}\", which is not a whole number of microseconds")
@@ -497,12 +539,20 @@ fn parse_attitude(line: &str, columns: &Columns) -> Result<Point, String> {
         flags,
         specific_force_m_s2: None,
         truth: None,
-        counts: false,
+        counts,
     })
 }
 
-/// A time in microseconds, and the true attitude, if it is known then.
-type TrueRow = (i64, Option<Truth>);
+/// What is true at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct TrueRow {
+    /// µs.
+    t_us: i64,
+    /// Body to earth, if it is known.
+    attitude: Option<Truth>,
+    /// Whether the row counts for scores.
+    counts: bool,
+}
 
 /// The next row; `None` after the last.
 type NextRow = dyn FnMut() -> Result<Option<TrueRow>, Box<dyn Error>>;
@@ -526,7 +576,11 @@ impl TruthFile {
                 Ok(point.map(|point| {
                     let Quaternion { w, x, y, z } = point.attitude;
                     let truth = Truth::new(w.into(), x.into(), y.into(), z.into());
-                    (point.t_us, Some(truth))
+                    TrueRow {
+                        t_us: point.t_us,
+                        attitude: Some(truth),
+                        counts: point.counts,
+                    }
                 }))
             })
         } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 7) {
@@ -535,8 +589,11 @@ impl TruthFile {
                     return Ok(None);
                 };
                 let row = parse_row(line, columns).map_err(|fault| lines.refuse(fault))?;
-                let truth = row.attitude.map(|truth| body_to_earth(truth, mount));
-                Ok(Some((row.time_us, truth)))
+                Ok(Some(TrueRow {
+                    t_us: row.time_us,
+                    attitude: row.attitude.map(|truth| body_to_earth(truth, mount)),
+                    counts: row.moving,
+                }))
             })
         } else {
             let refused = lines.refuse(LogFault::Header(header));
@@ -554,22 +611,21 @@ impl TruthFile {
         }
     }
 
-    /// The truth nearest to this time, if it is near. Times do not go back.
-    fn at(&mut self, t_us: i64) -> Result<Option<Truth>, Box<dyn Error>> {
+    /// The row nearest to this time, if it is near. Times do not go back.
+    fn at(&mut self, t_us: i64) -> Result<Option<TrueRow>, Box<dyn Error>> {
         while let Some(after) = self.after
-            && after.0 < t_us
+            && after.t_us < t_us
         {
             self.before = Some(after);
             self.after = (self.rows)()?;
         }
-        let distance = |row: &TrueRow| row.0.abs_diff(t_us);
+        let distance = |row: &TrueRow| row.t_us.abs_diff(t_us);
         let nearest = self
             .after
             .into_iter()
             .chain(self.before)
             .min_by_key(distance);
-        let near = nearest.filter(|row| distance(row) <= TRUTH_WITHIN_US);
-        Ok(near.and_then(|(_, truth)| truth))
+        Ok(nearest.filter(|row| distance(row) <= TRUTH_WITHIN_US))
     }
 }
 
@@ -582,8 +638,12 @@ mod tests {
     fn the_truth_is_the_nearest_if_it_is_near() {
         let attitude = |nth: i64| Truth::from_euler(nth as f64, 0.0, 0.0);
         let mut times = [0, 10_000, 50_000].into_iter();
-        let mut file =
-            TruthFile::new(move || Ok(times.next().map(|t_us| (t_us, Some(attitude(t_us))))));
+        let row = move |t_us| TrueRow {
+            t_us,
+            attitude: Some(attitude(t_us)),
+            counts: true,
+        };
+        let mut file = TruthFile::new(move || Ok(times.next().map(row)));
         file.after = (file.rows)().unwrap();
         for (t_us, expected) in [
             (-4_000, Some(0)),
@@ -597,7 +657,7 @@ mod tests {
             (54_000, Some(50_000)),
             (60_000, None),
         ] {
-            assert_eq!(file.at(t_us).unwrap(), expected.map(attitude), "{t_us}");
+            assert_eq!(file.at(t_us).unwrap(), expected.map(row), "{t_us}");
         }
     }
 
@@ -637,7 +697,8 @@ mod tests {
     #[test]
     fn headings_are_compared_from_when_the_offset_is_known() {
         let shown = Shown::of(&mut Turning(0), Mount::Z_UP, None).unwrap();
-        assert_eq!(shown.compared, 1_000);
+        // Nothing counts in the first five seconds.
+        assert_eq!((shown.errors.is_empty(), shown.scored), (false, 0));
         let (estimate, truth) = (&shown.angles[2], &shown.true_angles[2]);
         let of_truth = truth.lines().concat();
         assert_eq!(of_truth.len(), 900);

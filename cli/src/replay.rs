@@ -1,7 +1,8 @@
 //! `aplomb replay`: a recording through the library, one attitude for each row.
 //!
 //! Rows of a log go through the pipeline as they are, in SI units; bursts from their bytes on, as they do on a board, and
-//! give the same attitudes to the last bit. So both say what a board would say of them, `VALID` included.
+//! give the same attitudes to the last bit. So both have the flags that samples tell,
+//! `VALID` among them; what the bus, the registers and the chip's own clock did is in bursts alone, as far as the board noted it.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::error::Error;
@@ -47,7 +48,8 @@ const ROWS_AHEAD: usize = 101;
 ///
 /// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]; microseconds, m/s², rad/s; truth sensor to earth with z
 /// up), a bursts.csv (t_us,bytes,flags) or a flight log (what the module sends with `format log`), plain or gzipped; - is standard
-/// input, for all but flight logs. A flight log brings its own settings, and its attitudes are compared with those of the flight. With truth in it, the inclination error is printed, over the
+/// input, for all but flight logs. A flight log brings its own settings, and its attitudes are compared with those of the flight: of the options for reading it takes
+/// --filter and --flight alone. With truth in it, the inclination error is printed, over the
 /// rows with mov 1 after 5 s.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
@@ -57,7 +59,7 @@ const ROWS_AHEAD: usize = 101;
 
 JSON: input, filter, mount, samples, seconds, flags (how many samples have each); with truth inclination_samples, inclination_rms_deg,
 inclination_p95_deg, inclination_max_deg, within_3_sigma (a share), median_error_per_sigma; of a flight log also log with bursts_lost,
-damaged_pieces, damaged_bytes, exact, compared, different, revision_flown.")]
+damaged_pieces, damaged_bytes, cut_off (a gzip file that ends too early), exact, compared, different, revision_flown.")]
 pub struct Options {
     #[command(flatten)]
     reading: Reading,
@@ -74,18 +76,61 @@ pub struct Options {
 pub struct Reading {
     /// The recording
     pub input: PathBuf,
-    /// Which filter: kalman, axis-kalman, classic, mahony
-    #[arg(long, value_name = "NAME", value_parser = Choice::parse, default_value = FilterKind::default().name())]
-    filter: Choice,
-    /// Where the body's forward and down axes point in sensor axes, for example +x-z
-    #[arg(long, default_value = "z-up", allow_hyphen_values = true, value_parser = parse_mount)]
-    mount: Mount,
+    /// Which filter: kalman, axis-kalman, classic, mahony [default: kalman, or the one that flew]
+    #[arg(long, value_name = "NAME", value_parser = Choice::parse)]
+    filter: Option<Choice>,
+    /// Where the body's forward and down axes point in sensor axes, for example +x-z [default: z-up]
+    #[arg(long, allow_hyphen_values = true, value_parser = parse_mount)]
+    mount: Option<Mount>,
     /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0 unless told
     /// otherwise; bursts: the delay of the sensor's low-pass filter)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US))]
     sensor_delay_us: Option<u32>,
+    /// Which flight of a flight log in which the module started several times, counted from 1
+    #[arg(long, value_name = "N")]
+    pub flight: Option<usize>,
     #[command(flatten)]
     counts: Counts,
+}
+
+/// What is read, as far as options go.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A log or bursts.
+    Recording,
+    FlightLog,
+    /// Attitudes, with which a truth in the sensor's axes is compared, or nothing is.
+    Attitudes {
+        has_truth: bool,
+    },
+}
+
+impl Kind {
+    /// The options that mean something for it.
+    fn takes(self) -> &'static [&'static str] {
+        match self {
+            Self::Recording => &[
+                "--filter",
+                "--mount",
+                "--sensor-delay-us",
+                "--raw",
+                "--accel-range",
+                "--gyro-range",
+            ],
+            Self::FlightLog => &["--filter", "--flight"],
+            Self::Attitudes { has_truth: true } => &["--mount"],
+            Self::Attitudes { has_truth: false } => &[],
+        }
+    }
+
+    /// Why it takes no others.
+    fn reason(self) -> &'static str {
+        match self {
+            Self::Recording => "it holds one flight",
+            Self::FlightLog => "a flight log brings its mount, its ranges and its delay",
+            Self::Attitudes { .. } => "these are attitudes, which a filter has made already",
+        }
+    }
 }
 
 /// Does it.
@@ -95,13 +140,37 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         return run_flight_log(options);
     }
     let lines = progress::lines(&reading.input)?;
-    let summary = replay(options, reading.mount, &mut *reading.open(lines)?)?;
+    let mut source = reading.open(lines)?;
+    let summary = replay(options, reading.mount(), reading.filter(), &mut *source)?;
     summary.say(options.json)
 }
 
 impl Reading {
+    /// Refuses options that mean nothing for what is read.
+    pub fn check(&self, kind: Kind) -> Result<(), String> {
+        let own = [
+            ("--filter", self.filter.is_some()),
+            ("--mount", self.mount.is_some()),
+            ("--sensor-delay-us", self.sensor_delay_us.is_some()),
+            ("--flight", self.flight.is_some()),
+        ];
+        let given = own.into_iter().chain(self.counts.given());
+        let unused = given.filter(|(name, is_given)| *is_given && !kind.takes().contains(name));
+        let unused: Vec<&str> = unused.map(|(name, _)| name).collect();
+        if unused.is_empty() {
+            return Ok(());
+        }
+        Err(format!(
+            "{}: {} would change nothing: {}",
+            self.input.display(),
+            unused.join(" "),
+            kind.reason()
+        ))
+    }
+
     /// A log or bursts, whose header is the next of the lines.
     pub fn open(&self, mut lines: Lines) -> Result<Box<dyn Source>, Box<dyn Error>> {
+        self.check(Kind::Recording)?;
         let form = Form::read(&mut lines)?;
         self.counts.check(form)?;
         Ok(match form {
@@ -110,21 +179,31 @@ impl Reading {
         })
     }
 
-    /// The mount that is told of.
+    /// The mount that is told of, or the usual one.
     pub fn mount(&self) -> Mount {
-        self.mount
+        self.mount.unwrap_or(Mount::Z_UP)
+    }
+
+    fn filter(&self) -> Choice {
+        self.filter
+            .unwrap_or(Choice::Library(FilterKind::default()))
     }
 
     /// A flight of a flight log.
     pub fn open_flight<'a>(&self, flight: &'a Flight) -> Result<Logged<'a>, String> {
+        self.check(Kind::FlightLog)?;
         let place = self.input.display();
-        let Choice::Library(kind) = self.filter else {
-            return Err("a flight log is replayed with a filter of the library".into());
+        let kind = match self.filter {
+            Some(Choice::Library(kind)) => Some(kind),
+            None => None,
+            Some(_) => {
+                return Err(format!(
+                    "{place}: a flight log is replayed with a filter of the library"
+                ));
+            }
         };
         let replay = flight_log::Replay::new(flight, |settings| {
-            if kind != FilterKind::default() {
-                settings.filter = kind;
-            }
+            settings.filter = kind.unwrap_or(settings.filter);
         });
         replay
             .map(|replay| Logged { replay })
@@ -153,6 +232,7 @@ struct LogSummary {
     bursts_lost: u64,
     damaged_pieces: u64,
     damaged_bytes: u64,
+    cut_off: bool,
     exact: u64,
     compared: u64,
     different: u64,
@@ -209,21 +289,23 @@ fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
             crate::say(&format!("# {message}"));
         }
     }
-    for (index, flight) in log.flown().enumerate() {
-        if index > 0 && (options.output.is_some() || options.json) {
-            return Err(format!(
-                "{place}: the module started again in it: --output and --json take one flight"
-            )
-            .into());
-        }
+    let takes_one = reading.flight.is_some() || options.output.is_some() || options.json;
+    let flights: Vec<&Flight> = if takes_one {
+        let flight = log.flight(reading.flight);
+        vec![flight.map_err(|reason| format!("{place}: {reason}"))?]
+    } else {
+        log.flown().collect()
+    };
+    for flight in flights {
         let mut source = reading.open_flight(flight)?;
-        let mount = source.mount();
-        let mut summary = replay(options, mount, &mut source)?;
+        let (mount, filter) = (source.mount(), source.filter());
+        let mut summary = replay(options, mount, filter, &mut source)?;
         let agreement = source.replay.agreement();
         summary.log = Some(LogSummary {
             bursts_lost: flight.lost(),
             damaged_pieces: log.counts.damaged,
             damaged_bytes: log.counts.damaged_bytes,
+            cut_off: log.is_cut_off,
             exact: agreement.exact,
             compared: agreement.compared,
             different: agreement.different,
@@ -260,15 +342,28 @@ pub struct Point {
     pub counts: bool,
 }
 
+impl Point {
+    /// Whether its error counts, in a recording that begins then.
+    pub fn is_scored(&self, first_us: i64) -> bool {
+        self.counts && self.t_us.saturating_sub(first_us) >= START_US
+    }
+}
+
 /// A sequence of rows.
 pub trait Source {
     /// The next row; `None` after the last.
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>>;
+
+    /// Whether flags are known.
+    fn has_flags(&self) -> bool {
+        true
+    }
 }
 
 fn replay(
     options: &Options,
     mount: Mount,
+    filter: Choice,
     source: &mut dyn Source,
 ) -> Result<Summary, Box<dyn Error>> {
     let input = &options.reading.input;
@@ -284,9 +379,7 @@ fn replay(
         last_us = point.t_us;
         samples += 1;
         let up = mount.to_sensor(up_in_body(point.attitude));
-        if let Some(truth) = point.truth.filter(|_| point.counts)
-            && point.t_us.saturating_sub(first_us) >= START_US
-        {
+        if let Some(truth) = point.truth.filter(|_| point.is_scored(first_us)) {
             errors.add(
                 [up.x, up.y, up.z].map(f64::from),
                 up_in_sensor(truth),
@@ -309,7 +402,7 @@ fn replay(
     let named = flagged.into_iter().zip(Flags::NAMES);
     Ok(Summary {
         input: input.display().to_string(),
-        filter: options.reading.filter.name(),
+        filter: filter.name(),
         mount: mount.name(),
         samples,
         seconds: last_us.saturating_sub(first_us) as f64 * 1e-6,
@@ -380,8 +473,8 @@ impl Log {
         // There are no counts to average.
         settings.averaging_samples = 0;
         settings.filter = FilterKind::AxisKalman;
-        let mut peer = Some(Filter::new(options.filter, USUAL_STEP_S, delay_us));
-        if let Choice::Library(kind) = options.filter {
+        let mut peer = Some(Filter::new(options.filter(), USUAL_STEP_S, delay_us));
+        if let Choice::Library(kind) = options.filter() {
             settings.filter = kind;
             // The others are extrapolated here.
             peer = peer.filter(|_| kind != FilterKind::Kalman);
@@ -389,7 +482,7 @@ impl Log {
         let mut log = Self {
             lines,
             columns,
-            mount: options.mount,
+            mount: options.mount(),
             ranges: options.counts.ranges(),
             ahead: VecDeque::new(),
             device: Device {
@@ -484,12 +577,13 @@ struct Bursts {
 impl Bursts {
     fn new(options: &Reading, lines: Lines) -> Self {
         let mut settings = Settings::new(&Part::MPU_6050);
-        settings.mount = options.mount;
+        settings.mount = options.mount();
         settings.sensor_delay_us = options.sensor_delay_us;
         settings.sensor = options.counts.config();
         // Behind another crate's filter, offsets at rest are removed as for the library's simple ones.
         settings.filter = FilterKind::AxisKalman;
-        let peer = match options.filter {
+        let delay_us = settings.sensor.low_pass.gyroscope_delay_us().into();
+        let peer = match options.filter() {
             Choice::Library(kind) => {
                 settings.filter = kind;
                 None
@@ -497,7 +591,7 @@ impl Bursts {
             other => Some(Filter::new(
                 other,
                 USUAL_STEP_S,
-                settings.sensor.low_pass.gyroscope_delay_us().into(),
+                options.sensor_delay_us.unwrap_or(delay_us),
             )),
         };
         let pipeline = Pipeline::new(&settings);
@@ -532,6 +626,11 @@ impl Logged<'_> {
     /// How the sensor was mounted.
     pub fn mount(&self) -> Mount {
         self.replay.pipeline().settings().mount()
+    }
+
+    /// The filter that runs.
+    fn filter(&self) -> Choice {
+        Choice::Library(self.replay.pipeline().settings().filter)
     }
 }
 

@@ -167,15 +167,62 @@ fn a_malformed_recording_is_named() {
 }
 
 #[test]
-fn without_recordings_flights_are_simulated_and_it_says_so() {
-    let empty = path("bench-empty", "");
-    let output = path("bench-simulated", "");
+fn what_cannot_be_scored_ends_nothing_but_is_no_flight_either() {
+    file("bench-some/set", "good.csv", log(0.0, 0.0));
+    let bad = file("bench-some/set", "bad.csv", log(0.0, 0.0) + "1,2\n");
+    let json =
+        |path: &std::path::Path| aplomb(&["bench".as_ref(), path.as_os_str(), "--json".as_ref()]);
+    let result = json(&path("bench-some", ""));
+    let errors = String::from_utf8_lossy(&result.stderr);
+    assert!(result.status.success(), "{errors}");
+    let found: serde_json::Value = serde_json::from_slice(&result.stdout).unwrap();
+    assert_eq!(found["scores"][0]["recording"], "good.csv");
+    let [not_scored] = &found["not_scored"].as_array().unwrap()[..] else {
+        panic!("{found}")
+    };
+    assert_eq!(not_scored["file"], bad.to_str().unwrap());
+    assert_eq!(not_scored["line"], 2_002);
+    // Whoever names something does not ask for simulated flights.
+    let other = file("bench-none", "other.csv", "a,b\n1,2\n");
+    for (named, reason) in [
+        (other.as_path(), "it is no log"),
+        (&bad, "2 columns"),
+        (&path("bench-nothing", ""), "no recording in it"),
+    ] {
+        let result = json(named);
+        assert_eq!(result.status.code(), Some(1), "{}", named.display());
+        assert!(result.stdout.is_empty());
+        let message = String::from_utf8(result.stderr).unwrap();
+        assert!(
+            message.contains(named.to_str().unwrap()) && message.contains(reason),
+            "{message}"
+        );
+    }
+}
+
+#[test]
+fn what_is_scored_is_not_replaced() {
+    let text = log(0.0, 0.0);
+    let input = file("bench-over", "accuracy.csv", &text);
     let result = aplomb(&[
         "bench".as_ref(),
-        empty.as_os_str(),
+        input.as_os_str(),
         "--output".as_ref(),
-        output.as_os_str(),
+        input.parent().unwrap().as_os_str(),
     ]);
+    assert_eq!(result.status.code(), Some(1));
+    assert_eq!(std::fs::read_to_string(input).unwrap(), text);
+}
+
+#[test]
+fn without_recordings_flights_are_simulated_and_it_says_so() {
+    let output = path("bench-simulated", "");
+    // Where there is no folder of recordings beside it.
+    let result = std::process::Command::new(env!("CARGO_BIN_EXE_aplomb"))
+        .args(["bench", "--output", "."])
+        .current_dir(&output)
+        .output()
+        .unwrap();
     let printed = String::from_utf8(result.stdout).unwrap();
     assert!(result.status.success());
     assert!(printed.contains("simulated flights"), "{printed}");

@@ -144,3 +144,13 @@ fn the_poses_are_drawn() {
     assert!(bytes.starts_with(b"\x89PNG"));
     assert!(!aplomb(&["calibrate"]).status.success());
 }
+
+#[test]
+fn the_picture_of_the_poses_does_not_replace_the_recording() {
+    let text = recording(&Pose::GUIDE, 0.0);
+    let name = path("poses-over", "input.csv");
+    let draw = ["--draw-poses", name.to_str().unwrap()];
+    let refused = calibrate("poses-over", &text, &[&RAW[..], &draw].concat()).unwrap_err();
+    assert!(refused.contains("replace the input"), "{refused}");
+    assert_eq!(std::fs::read_to_string(&name).unwrap(), text);
+}

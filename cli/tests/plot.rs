@@ -167,6 +167,71 @@ fn attitudes_are_drawn_with_a_truth_of_their_own_file() {
     );
 }
 
+/// The root mean square that it printed, in degrees.
+fn plotted_rms(printed: &str) -> f64 {
+    let (_, after) = printed.split_once("inclination error ").expect(printed);
+    after.split_once(' ').unwrap().0.parse().unwrap()
+}
+
+#[test]
+fn the_error_is_that_of_replay() {
+    let delay = ["--sensor-delay-us", "1900"];
+    // With rows that do not count, and with an error at the start.
+    let log = simulate("same", "flight.csv", &["--seconds", "12"]);
+    let attitudes = path("same", "attitude.csv");
+    let replay = ["replay", text(&log), "--json", "--output", text(&attitudes)];
+    let replayed = run(&[&replay[..], &delay].concat());
+    let summary: serde_json::Value = serde_json::from_str(&replayed).unwrap();
+    let rms = summary["inclination_rms_deg"].as_f64().unwrap();
+    let svg = path("same", "picture.svg");
+    let output = ["--output", text(&svg)];
+    let of_log = run(&[&["plot", text(&log)][..], &output, &delay].concat());
+    assert!(
+        (plotted_rms(&of_log) - rms).abs() < 0.0051,
+        "{of_log} {rms}"
+    );
+    // The truth of a flight says which rows are scored.
+    let mut truth = String::from("t_us,qw,qx,qy,qz,scored\n");
+    for line in std::fs::read_to_string(&attitudes).unwrap().lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let t_us: u32 = cells[0].parse().unwrap();
+        // Half a turn off, where it does not count.
+        let (attitude, scored) = match t_us % 4_000 {
+            0 => ("0,1,0,0".to_owned(), 0),
+            _ => (cells[1..5].join(","), 1),
+        };
+        truth += &format!("{t_us},{attitude},{scored}\n");
+    }
+    let truth = file("same", "truth.csv", truth);
+    let plot = ["plot", text(&attitudes), "--truth", text(&truth)];
+    let printed = run(&[&plot[..], &output].concat());
+    assert!(plotted_rms(&printed) < 0.005, "{printed}");
+    // A table without flags is not called invalid.
+    let printed = run(&[&["plot", text(&truth)][..], &output].concat());
+    assert!(!printed.contains("valid"), "{printed}");
+}
+
+#[test]
+fn the_truth_of_a_flight_log_is_seen_through_its_own_mount() {
+    // Recorded face up, and its flight log says so or the opposite.
+    let log = simulate("mounted", "flight.csv", &["--seconds", "8"]);
+    let svg = path("mounted", "picture.svg");
+    for mount in ["z-up", "z-down", "+y-z"] {
+        let flight = path("mounted", "flight.log");
+        run(&["convert", text(&log), text(&flight), "--mount", mount]);
+        let plot = [
+            "plot",
+            text(&flight),
+            "--truth",
+            text(&log),
+            "--output",
+            text(&svg),
+        ];
+        let printed = run(&plot);
+        assert!(plotted_rms(&printed) < 3.0, "{mount}: {printed}");
+    }
+}
+
 #[test]
 fn bursts_and_flight_logs_are_drawn_too() {
     let log = simulate("kinds", "flight.csv", &["--seconds", "5"]);

@@ -7,6 +7,41 @@ use std::process::{Command, Stdio};
 
 use common::{aplomb, file, path};
 
+/// What a command that has to fail says.
+fn refusal(arguments: &[&str]) -> String {
+    let result = aplomb(arguments);
+    assert_eq!(result.status.code(), Some(1), "{arguments:?}");
+    String::from_utf8(result.stderr).unwrap()
+}
+
+fn run(arguments: &[&str]) -> String {
+    let result = aplomb(arguments);
+    let errors = String::from_utf8_lossy(&result.stderr);
+    assert!(result.status.success(), "{arguments:?}: {errors}");
+    String::from_utf8(result.stdout).unwrap()
+}
+
+/// The text of a path in a folder of the test's own.
+fn named(test: &str, name: &str) -> String {
+    path(test, name).to_str().unwrap().to_owned()
+}
+
+/// A flight log of so many seconds.
+fn flight_log(test: &str, name: &str, seconds: &str) -> String {
+    let (csv, log) = (named(test, "flight.csv"), named(test, name));
+    run(&["simulate", "--seconds", seconds, "--output", &csv]);
+    run(&["convert", &csv, &log, "--mount", "z-down"]);
+    log
+}
+
+/// Two flights of different lengths in one log.
+fn two_flights(test: &str) -> String {
+    let [first, second] = [("one.log", "1"), ("two.log", "2")]
+        .map(|(name, seconds)| std::fs::read(flight_log(test, name, seconds)).unwrap());
+    let both = file(test, "both.log", [first, second].concat());
+    both.to_str().unwrap().to_owned()
+}
+
 /// The names of the commands, as the help has them.
 fn commands() -> Vec<String> {
     let help = String::from_utf8(aplomb(&["--help"]).stdout).unwrap();
@@ -121,11 +156,13 @@ fn what_is_converted_is_told_as_json_too() {
     assert_eq!(summary["damaged_pieces"], 0);
     assert_eq!(summary["output"], output.to_str().unwrap());
     assert_eq!(std::fs::read_to_string(&output).unwrap().lines().count(), 3);
-    // An input is not replaced.
-    let same = aplomb(&["convert".as_ref(), output.as_os_str(), output.as_os_str()]);
+    // An input is not replaced, here bursts that are called a log.
+    let named = path("program", "named.csv");
+    std::fs::copy(&output, &named).unwrap();
+    let same = aplomb(&["convert".as_ref(), named.as_os_str(), named.as_os_str()]);
     assert_eq!(same.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&same.stderr).contains("replace the input"));
-    assert_eq!(std::fs::read_to_string(&output).unwrap().lines().count(), 3);
+    assert_eq!(std::fs::read_to_string(&named).unwrap().lines().count(), 3);
 }
 
 #[test]
@@ -153,4 +190,265 @@ fn what_the_board_said_survives_a_flight_log() {
         assert!(result.status.success());
     }
     assert_eq!(std::fs::read_to_string(output).unwrap(), text);
+}
+
+#[test]
+fn a_form_is_not_converted_into_itself() {
+    let log = flight_log("same", "flight.log", "1");
+    let (csv, bursts) = (named("same", "flight.csv"), named("same", "a-bursts.csv"));
+    run(&["convert", &csv, &bursts]);
+    for (input, output, form) in [
+        (&log, "other.log", "a flight log"),
+        (&bursts, "b-bursts.csv", "a table of bursts"),
+        (&csv, "other.csv", "a log in SI units"),
+    ] {
+        let output = path("same", output);
+        let _ = std::fs::remove_file(&output);
+        let message = refusal(&["convert", input, output.to_str().unwrap()]);
+        let reason = format!("it is {form} already: copy it");
+        assert!(message.contains(&reason), "{message}");
+        assert!(!output.exists());
+    }
+}
+
+#[test]
+fn what_a_flight_log_says_and_a_table_does_not_is_told() {
+    let log = flight_log("settings", "flight.log", "1");
+    let [bursts, csv] = ["a-bursts.csv", "a.csv"].map(|name| named("settings", name));
+    let printed = run(&["convert", &log, &bursts]);
+    let options = [
+        "--mount",
+        "+x+z",
+        "--accel-range",
+        "16",
+        "--gyro-range",
+        "2000",
+    ];
+    let told = format!("replay it with {};", options.join(" "));
+    assert!(printed.contains(&told), "{printed}");
+    let (of_log, of_bursts) = (named("settings", "1.csv"), named("settings", "2.csv"));
+    run(&["replay", &log, "--output", &of_log]);
+    let replay = ["replay", &bursts, "--output", &of_bursts];
+    run(&[&replay[..], &options].concat());
+    let read = |name| std::fs::read_to_string(name).unwrap();
+    assert_eq!(read(&of_log), read(&of_bursts));
+    let printed = run(&["convert", &log, &csv]);
+    assert!(
+        printed.contains("replay it with --mount +x+z;"),
+        "{printed}"
+    );
+    for (option, reason) in [
+        (["--mount", "z-up"], "--mount would change nothing"),
+        (["--flight", "2"], "1 to 1"),
+        (["--flight", "0"], "1 to 1"),
+    ] {
+        let message = refusal(&[&["convert", &log, &csv][..], &option].concat());
+        assert!(message.contains(reason), "{message}");
+    }
+    let message = refusal(&["convert", &bursts, &csv, "--flight", "1"]);
+    assert!(
+        message.contains("--flight would change nothing"),
+        "{message}"
+    );
+}
+
+#[test]
+fn of_several_flights_one_is_chosen() {
+    let both = two_flights("flights");
+    let output = path("flights", "output.csv");
+    let _ = std::fs::remove_file(&output);
+    let name = output.to_str().unwrap();
+    for arguments in [
+        &["convert", &both, name][..],
+        &["replay", &both, "--output", name],
+        &["replay", &both, "--json"],
+    ] {
+        let result = aplomb(arguments);
+        assert_eq!(result.status.code(), Some(1), "{arguments:?}");
+        assert!(result.stdout.is_empty(), "{arguments:?}");
+        let message = String::from_utf8(result.stderr).unwrap();
+        assert!(
+            message
+                .contains("started 2 times in it: choose a flight with --flight 1 to --flight 2"),
+            "{message}"
+        );
+        assert!(!output.exists(), "{arguments:?}");
+    }
+    // Without an output all of them are told of.
+    let printed = run(&["replay", &both]);
+    assert!(
+        printed.contains("1000 rows") && printed.contains("2000 rows"),
+        "{printed}"
+    );
+    for (flight, rows) in [("1", 1_000), ("2", 2_000)] {
+        run(&["convert", &both, name, "--flight", flight]);
+        let text = std::fs::read_to_string(&output).unwrap();
+        assert_eq!(text.lines().count(), 1 + rows);
+        let json = run(&["replay", &both, "--json", "--flight", flight]);
+        let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+        assert_eq!(summary["samples"], rows);
+        let picture = named("flights", "picture.svg");
+        let printed = run(&["plot", &both, "--flight", flight, "--output", &picture]);
+        assert!(printed.contains(&format!("{rows} rows")), "{printed}");
+    }
+}
+
+#[test]
+fn a_flight_log_takes_no_options_that_it_answers_itself() {
+    let log = flight_log("answered", "flight.log", "1");
+    let picture = named("answered", "picture.svg");
+    for options in [
+        &["--mount", "z-up"][..],
+        &["--sensor-delay-us", "1900"],
+        &["--raw", "--accel-range", "8", "--gyro-range", "250"],
+        &["--accel-range", "8"],
+    ] {
+        for command in [
+            &["replay", log.as_str()][..],
+            &["plot", &log, "--output", &picture],
+        ] {
+            let message = refusal(&[command, options].concat());
+            let reason = format!("{} ", options[0]);
+            assert!(
+                message.contains(&reason) && message.contains("would change nothing"),
+                "{message}"
+            );
+        }
+    }
+    let message = refusal(&["replay", &log, "--filter", "mahony"]);
+    assert!(message.contains("a filter of the library"), "{message}");
+    // Of the filters it takes those of the library, and says which.
+    for (options, filter) in [(&[][..], "kalman"), (&["--filter", "classic"], "classic")] {
+        let json = run(&[&["replay", &log, "--json"], options].concat());
+        let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+        assert_eq!(summary["filter"], filter);
+        assert_eq!(summary["mount"], "+x+z");
+        let exact = if filter == "kalman" { 1_000 } else { 0 };
+        assert_eq!(summary["log"]["exact"], exact);
+    }
+    // Nor do attitudes.
+    let attitudes = named("answered", "attitude.csv");
+    run(&["replay", &log, "--output", &attitudes]);
+    let plot = ["plot", &attitudes, "--output", &picture];
+    for option in [["--mount", "z-up"], ["--filter", "classic"]] {
+        let message = refusal(&[&plot[..], &option].concat());
+        assert!(message.contains("would change nothing"), "{message}");
+    }
+    let truth = named("answered", "flight.csv");
+    run(&[&plot[..], &["--truth", &truth, "--mount", "z-up"]].concat());
+    let message = refusal(&["replay", &truth, "--flight", "1"]);
+    assert!(
+        message.contains("--flight would change nothing"),
+        "{message}"
+    );
+}
+
+#[test]
+fn of_a_flight_log_that_is_cut_off_what_came_is_used() {
+    let log = flight_log("cut-log", "flight.log", "2");
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(&std::fs::read(log).unwrap()).unwrap();
+    let zipped = encoder.finish().unwrap();
+    // Short enough that the first read already meets the end.
+    for length in [zipped.len() - 1, zipped.len() / 2, zipped.len() / 8] {
+        let cut = file("cut-log", "cut.log.gz", &zipped[..length]);
+        let result = aplomb(&["replay".as_ref(), cut.as_os_str(), "--json".as_ref()]);
+        let errors = String::from_utf8_lossy(&result.stderr);
+        assert!(result.status.success(), "{length}: {errors}");
+        assert!(
+            errors.starts_with("warning: ") && errors.contains("cut off"),
+            "{errors}"
+        );
+        let summary: serde_json::Value = serde_json::from_slice(&result.stdout).unwrap();
+        assert_eq!(summary["log"]["cut_off"], true);
+        let samples = summary["samples"].as_u64().unwrap();
+        let share = samples as f64 / 2_000.0 - length as f64 / zipped.len() as f64;
+        assert!(share.abs() < 0.15, "{length}: {samples}");
+    }
+    let whole = file("cut-log", "whole.log.gz", &zipped);
+    let json = run(&["replay", whole.to_str().unwrap(), "--json"]);
+    assert!(json.contains("\"cut_off\":false"), "{json}");
+}
+
+#[test]
+fn values_that_are_no_counts_are_refused_or_told() {
+    let row = |index: u32, az: &str, gz: &str| format!("{},0,0,{az},0,0,{gz}\n", index * 1_000);
+    let header = "t_us,ax,ay,az,gx,gy,gz\n".to_owned();
+    let output = named("clipped", "a-bursts.csv");
+    for value in ["nan", "inf"] {
+        let text = header.clone() + &row(0, "9.8", "0") + &row(1, "9.8", value);
+        let input = file("clipped", "bad.csv", text);
+        let message = refusal(&["convert", input.to_str().unwrap(), &output]);
+        assert!(message.contains("bad.csv:3: gz is "), "{message}");
+    }
+    // 16 g are 156.9 m/s².
+    let text = header + &row(0, "156", "34") + &row(1, "157", "-35") + &row(2, "-157", "0");
+    let input = file("clipped", "input.csv", text);
+    let convert = ["convert", input.to_str().unwrap(), &output];
+    let printed = run(&convert);
+    assert!(printed.contains("3 values are beyond 16 g"), "{printed}");
+    let json = run(&[&convert[..], &["--json"]].concat());
+    let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(summary["clipped_values"], 3);
+}
+
+#[test]
+fn a_flight_log_on_standard_input_is_told_what_to_do() {
+    let log = flight_log("stdin", "flight.log", "1");
+    for command in [&["replay", "-"][..], &["plot", "-"], &["calibrate", "-"]] {
+        let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+            .args(command)
+            .stdin(std::fs::File::open(&log).unwrap())
+            .output()
+            .unwrap();
+        assert_eq!(result.status.code(), Some(1));
+        let message = String::from_utf8(result.stderr).unwrap();
+        assert!(
+            message.contains("A flight log has to be a file"),
+            "{command:?}: {message}"
+        );
+    }
+}
+
+/// Into a file that may not grow, as on a full disk.
+#[cfg(unix)]
+#[test]
+fn what_cannot_be_said_is_a_failure_but_a_closed_pipe_is_none() {
+    let input = file(
+        "lost",
+        "log.csv",
+        "t_us,ax,ay,az,gx,gy,gz\n0,0,0,9.8,0,0,0\n",
+    );
+    let result = Command::new("sh")
+        .args([
+            "-c",
+            "trap '' XFSZ; ulimit -f 0; exec \"$1\" replay --json \"$2\"",
+        ])
+        .args(["sh", env!("CARGO_BIN_EXE_aplomb")])
+        .arg(&input)
+        .stdout(std::fs::File::create(path("lost", "output.json")).unwrap())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+        .wait_with_output()
+        .unwrap();
+    let message = String::from_utf8(result.stderr).unwrap();
+    assert_eq!(result.status.code(), Some(1), "{message}");
+    assert!(
+        message.contains("standard output cannot be written"),
+        "{message}"
+    );
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+        .args(["replay", "--json"])
+        .arg(&input)
+        .stdout(writer)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+        .wait_with_output()
+        .unwrap();
+    assert!(result.status.success());
+    assert!(result.stderr.is_empty());
 }

@@ -424,6 +424,10 @@ fn bursts_go_through_the_whole_pipeline_to_the_bit() {
     for name in ["flags", "roll_rate_dps", "tilt_sigma_deg"] {
         assert_eq!(column(&mahony, name), column(&simple, name));
     }
+    // And is extrapolated by the delay that is told.
+    let told = ["--filter", "mahony", "--sensor-delay-us", "20000"];
+    let (_, late) = replay("bursts", &bursts, &told);
+    assert_ne!(column(&mahony, "roll_deg"), column(&late, "roll_deg"));
 }
 
 #[test]
@@ -536,6 +540,109 @@ fn a_pipe_is_written_to_and_stays_one() {
     assert!(result.status.success());
     assert!(pipe.metadata().unwrap().file_type().is_fifo());
     assert_eq!(reader.join().unwrap(), expected);
+}
+
+#[cfg(unix)]
+#[test]
+fn where_a_link_leads_is_written_and_the_link_stays() {
+    use std::os::unix::fs::symlink;
+
+    let input = file("link", "input.csv", log(3, 0.0));
+    let (_, expected) = replay("link", &input, &[]);
+    // To a file, to one that is not there yet, to a link, and to nothing that could be written.
+    let target = file("link", "target.csv", "old");
+    let missing = path("link", "missing.csv");
+    let _ = std::fs::remove_file(&missing);
+    for (name, leads_to, is_there) in [
+        ("one.csv", "target.csv", &target),
+        ("two.csv", "one.csv", &target),
+        ("new.csv", "missing.csv", &missing),
+    ] {
+        let link = path("link", name);
+        let _ = std::fs::remove_file(&link);
+        symlink(leads_to, &link).unwrap();
+        let arguments = ["replay", input.to_str().unwrap(), "--output"];
+        let result = aplomb(&[&arguments[..], &[link.to_str().unwrap()]].concat());
+        assert!(result.status.success(), "{name}");
+        assert_eq!(link.read_link().unwrap(), Path::new(leads_to));
+        assert_eq!(std::fs::read_to_string(is_there).unwrap(), expected);
+        std::fs::write(&target, "old").unwrap();
+    }
+    let round = path("link", "round.csv");
+    let _ = std::fs::remove_file(&round);
+    symlink("round.csv", &round).unwrap();
+    let arguments = ["replay", input.to_str().unwrap(), "--output"];
+    let result = aplomb(&[&arguments[..], &[round.to_str().unwrap()]].concat());
+    assert_eq!(result.status.code(), Some(1));
+    assert!(round.is_symlink());
+}
+
+/// As a shell redirects it: what goes to standard output stays there, whatever file that is. By a link of its own, as
+/// /dev/stdout is one, since a test must not touch that.
+#[cfg(target_os = "linux")]
+#[test]
+fn standard_output_can_be_named() {
+    let input = file("stdout", "input.csv", log(3, 0.0));
+    let (summary, expected) = replay("stdout", &input, &[]);
+    let redirected = path("stdout", "redirected.txt");
+    let link = path("stdout", "link");
+    let _ = std::fs::remove_file(&link);
+    std::os::unix::fs::symlink("/proc/self/fd/1", &link).unwrap();
+    let status = std::process::Command::new(env!("CARGO_BIN_EXE_aplomb"))
+        .arg("replay")
+        .arg(&input)
+        .arg("--output")
+        .arg(&link)
+        .stdout(std::fs::File::create(&redirected).unwrap())
+        .status();
+    assert!(status.unwrap().success());
+    let found = std::fs::read_to_string(redirected).unwrap();
+    assert_eq!(found, expected + &summary);
+    assert!(link.is_symlink());
+}
+
+#[test]
+fn another_file_is_not_overwritten_on_the_way() {
+    let input = file("unfinished", "input.csv", log(3, 0.0));
+    let other = file("unfinished", "output.csv.unfinished", "somebody's");
+    replay("unfinished", &input, &[]);
+    assert_eq!(std::fs::read_to_string(other).unwrap(), "somebody's");
+    assert!(!path("unfinished", "output.csv.unfinished2").exists());
+}
+
+/// Ctrl-C while the input, a pipe, is still open.
+#[cfg(unix)]
+#[test]
+fn what_is_interrupted_leaves_no_file() {
+    let (output, unfinished) = (
+        path("interrupted", "output.csv"),
+        path("interrupted", "output.csv.unfinished"),
+    );
+    for file in [&output, &unfinished] {
+        let _ = std::fs::remove_file(file);
+    }
+    let mut running = std::process::Command::new(env!("CARGO_BIN_EXE_aplomb"))
+        .args(["replay", "-", "--output"])
+        .arg(&output)
+        .stdin(std::process::Stdio::piped())
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut pipe = running.stdin.take().unwrap();
+    // More than is read ahead and than a pipe holds.
+    pipe.write_all(log(10_000, 0.0).as_bytes()).unwrap();
+    let patience = std::time::Instant::now();
+    while !unfinished.exists() && patience.elapsed().as_secs() < 30 {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    assert!(unfinished.exists());
+    let id = running.id().to_string();
+    let told = std::process::Command::new("kill")
+        .args(["-s", "INT", &id])
+        .status();
+    assert!(told.unwrap().success());
+    assert_eq!(running.wait().unwrap().code(), Some(130));
+    assert!(!unfinished.exists() && !output.exists());
 }
 
 #[test]
