@@ -177,6 +177,21 @@ fn any_size_and_any_number_can_be_drawn() {
 }
 
 #[test]
+fn of_a_long_name_the_end_is_shown_whatever_its_letters() {
+    let mut model = swinging(Flags::VALID);
+    for letters in 1..40 {
+        model.name = format!("/{}/flug.log", "ü€".repeat(letters));
+        let header = text(&drawn(&model, 80, 24));
+        assert!(
+            header
+                .lines()
+                .next()
+                .is_some_and(|line| line.contains("ü€/flug.log "))
+        );
+    }
+}
+
+#[test]
 fn every_baud_rate_is_tried_once_in_a_round() {
     let mut tried = vec![115_200];
     while tried.len() < 8 {
