@@ -118,6 +118,11 @@ fn parse_speed(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("it has to be a number from {least} to {most}"))
 }
 
+/// A speed after a key: never beyond what can be chosen.
+fn changed_speed(speed: f64, factor: f64) -> f64 {
+    (speed * factor).clamp(*SPEEDS.start(), *SPEEDS.end())
+}
+
 fn parse_time(text: &str) -> Result<f64, &'static str> {
     let time = text.parse().ok();
     time.filter(|time: &f64| time.is_finite() && *time >= 0.0)
@@ -358,7 +363,7 @@ impl App {
             Action::Type(typed) => model.typed = typed,
             Action::Faster(factor) => {
                 if let Connection::Playing { speed, .. } = &mut model.connection {
-                    *speed = (*speed * factor).clamp(*SPEEDS.start(), *SPEEDS.end());
+                    *speed = changed_speed(*speed, factor);
                 }
             }
             Action::Say(line) => {

@@ -209,7 +209,7 @@ mod tests {
     #[test]
     fn lines_without_time_come_fifty_a_second() {
         let line = "Roll:1.00(0.00),\tPitch:2.00(0.00)\n";
-        let mut player = player("classic", &line.repeat(100)).expect("it can be played");
+        let mut player = player("classic", line.repeat(100)).expect("it can be played");
         assert_eq!(player.advance(1.0).len(), 51);
         assert!(!player.is_over());
         assert_eq!(player.advance(1.0).len(), 49);
