@@ -201,7 +201,8 @@ fn is_same_file(one: &Path, other: &Path) -> bool {
     paths.is_some_and(|(one, other)| one == other)
 }
 
-fn cannot_write(path: &Path, error: &io::Error) -> String {
+/// Why a file cannot be written, and what to do.
+pub fn cannot_write(path: &Path, error: &io::Error) -> String {
     let mut message = format!("{}: cannot be written: {error}", path.display());
     let folder = path
         .parent()

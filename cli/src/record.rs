@@ -4,25 +4,37 @@ use std::error::Error;
 use std::fs::{File, OpenOptions};
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::view::{BAUD, Decoder, Item, LOG_BAUD, Link, Report, which_port};
+use crate::output::cannot_write;
+use crate::view::{BAUD, Decoder, Item, LOG_BAUD, Link, Report, end_request, which_port};
 
 /// How long the module may take to answer a command.
 const ANSWER: Duration = Duration::from_secs(2);
 
+/// A module that still sends its flight log is heard within this time: it sends 1000 bursts a second.
+const LISTEN: Duration = Duration::from_secs(1);
+
+/// If bytes come for so long of which nothing can be read, the module has started again at its own rate.
+const LOG_PATIENCE: Duration = Duration::from_secs(3);
+
+/// Fewer bytes than these may be noise.
+const UNREAD: usize = 100;
+
+/// What is still on its way when the recording ends is waited for so long.
+const DRAIN: Duration = Duration::from_secs(2);
+
 /// Record what the module sends, byte for byte.
 ///
 /// Every byte is in the file as soon as it has come, so that Ctrl-C loses nothing. A port that is unplugged is waited for,
-/// and what comes then is appended. The bytes can be played by `aplomb view`; a flight log also by `aplomb replay`.
+/// and what comes then is appended; with `--log` the log is asked for again if need be. The bytes can be played by `aplomb view`; a flight log also by `aplomb replay`.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb record --port /dev/ttyUSB0 --output flight.log --log
   aplomb record --port /dev/ttyUSB0 --output text.uart --seconds 60
 
-Exit code: 0 if attitudes or bursts were recorded, 1 if not.")]
+Exit code: 0 if attitudes or bursts were recorded, 1 if not, or if the log did not go on after the port had been gone.")]
 pub struct Options {
     /// The module's serial port; without one the ports of this computer are listed
     #[arg(long)]
@@ -34,7 +46,7 @@ pub struct Options {
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
     /// End after so many seconds. Default: with Ctrl-C
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = parse_seconds)]
     seconds: Option<f64>,
     /// Have the module send its flight log at 921,600 baud, and what it sent before when the recording ends
     #[arg(long)]
@@ -44,55 +56,64 @@ pub struct Options {
     force: bool,
 }
 
+fn parse_seconds(text: &str) -> Result<f64, &'static str> {
+    let seconds = text.parse().ok();
+    seconds
+        .filter(|seconds: &f64| seconds.is_finite() && *seconds > 0.0)
+        .ok_or("it has to be a number above 0")
+}
+
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let Some(port) = &options.port else {
         return Err(which_port().into());
     };
-    if options
-        .seconds
-        .is_some_and(|seconds| seconds.is_nan() || seconds <= 0.0)
-    {
-        return Err("--seconds has to be above 0".into());
-    }
     // Whoever has two files of one name does not want to learn it after the flight.
-    if options.output.exists() && !options.force {
+    let was_there = options.output.exists();
+    if was_there && !options.force {
         return Err(exists(&options.output).into());
     }
-    let ends = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&ends);
-    ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))?;
+    let ends = end_request()?;
     let link = Link::port(port, options.baud)?;
-    let before = if options.log {
-        Some(start_log(&link, options.baud)?)
-    } else {
-        None
-    };
     let mut recorder = Recorder {
-        file: create(&options.output, options.force)?,
-        path: &options.output,
+        options,
+        // Before the module is told anything: what fails changes nothing.
+        file: open(&options.output, options.force)?,
+        link,
         decoder: Decoder::default(),
         bytes: 0,
         gaps: 0,
         is_away: false,
         started: Instant::now(),
+        log: None,
     };
-    let result = recorder.run(&link, options.seconds, &ends);
-    if let Some(format) = before {
-        link.say(&format!("format {format}"));
-        link.switch_baud(options.baud);
-        // The module keeps a rate at which it has understood something.
-        link.say("status");
+    if options.log {
+        recorder.ask_for_log();
     }
-    drop(link);
+    let result = recorder.run(&ends);
+    let summary = recorder.summary();
+    let is_back = recorder.leave();
+    let (counts, bytes) = (recorder.decoder.counts(), recorder.bytes);
+    drop(recorder);
+    if bytes == 0 && !was_there {
+        // An empty file is of no use, and in the way of the next attempt.
+        std::fs::remove_file(&options.output).ok();
+    }
+    if let Err(error) = is_back {
+        eprintln!("warning: {error}");
+    }
+    if bytes > 0 {
+        eprintln!("{summary}");
+    }
     result?;
-    eprintln!("{}", recorder.summary());
-    let counts = recorder.decoder.counts();
+    let baud = options.baud;
+    if bytes == 0 {
+        return Err(format!("nothing has come at {baud} baud").into());
+    }
     if counts.readings + counts.bursts == 0 {
+        let output = options.output.display();
         return Err(format!(
-            "nothing of it could be read at {} baud: was that the rate? The bytes are in {}",
-            options.baud,
-            options.output.display()
+            "nothing of it could be read at {baud} baud: was that the rate? The bytes are in {output}"
         )
         .into());
     }
@@ -106,113 +127,86 @@ fn exists(path: &Path) -> String {
     )
 }
 
-fn create(path: &Path, may_replace: bool) -> Result<File, String> {
+/// Opens the file to write. What is in it stays until something else comes.
+fn open(path: &Path, may_replace: bool) -> Result<File, String> {
     let mut options = OpenOptions::new();
     options.write(true);
     if may_replace {
-        options.create(true).truncate(true);
+        options.create(true);
     } else {
         options.create_new(true);
     }
     options.open(path).map_err(|error| match error.kind() {
         io::ErrorKind::AlreadyExists => exists(path),
-        _ => format!("{}: cannot be written: {error}", path.display()),
+        _ => cannot_write(path, &error),
     })
 }
 
-/// Has the module send its flight log, and says which format it sent before.
-fn start_log(link: &Link, baud: u32) -> Result<String, String> {
-    let mut decoder = Decoder::default();
-    link.say("show");
-    let shown = answer(link, &mut decoder, "show:").ok_or_else(|| {
-        format!("the module does not answer at {baud} baud: is it aplomb, and is that its rate?")
-    })?;
-    let format = shown
-        .split(' ')
-        .find_map(|field| field.strip_prefix("format="))
-        .unwrap_or("text")
-        .to_owned();
-    if baud != LOG_BAUD {
-        link.switch_baud(LOG_BAUD);
-    }
-    link.say("format log");
-    match answer(link, &mut decoder, "log") {
-        Some(_) => Ok(format),
-        None => {
-            // The module goes back by itself, since it has understood nothing at the new rate.
-            Err(format!(
-                "the module did not confirm `format log` at {LOG_BAUD} baud: does the adapter carry that?"
-            ))
-        }
-    }
+/// How far the module is with its flight log.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    /// It has been asked what it sends.
+    Asked,
+    /// Its rate is being changed.
+    Switching,
+    /// It has been told to send the log.
+    Told,
+    /// The log comes.
+    Runs,
+    /// The port was gone, or the module has started again: perhaps the log still comes.
+    Listening,
 }
 
-/// The answer that begins so.
-fn answer(link: &Link, decoder: &mut Decoder, start: &str) -> Option<String> {
-    let asked = Instant::now();
-    while asked.elapsed() < ANSWER {
-        let Some(Report::Bytes(bytes)) = link.next(Duration::from_millis(50)) else {
-            continue;
-        };
-        let mut items = Vec::new();
-        decoder.push(&bytes, &mut items);
-        for item in items {
-            if let Item::Message(text) = item
-                && let Some(answer) = text.strip_prefix("ok ")
-                && answer.starts_with(start)
-            {
-                return Some(answer.to_owned());
-            }
-        }
-    }
-    None
+/// A flight log that was asked for.
+struct Log {
+    stage: Stage,
+    since: Instant,
+    /// What is said before the recording begins, or between its parts.
+    talk: Decoder,
+    /// What has come while listening.
+    held: Vec<u8>,
+    /// What the module sent before.
+    format: Option<String>,
+    /// Whether the module has been told to send something else, or at another rate.
+    is_changed: bool,
+    has_run: bool,
+    /// Why the log does not go on.
+    trouble: Option<String>,
+    /// When something came last that could be read, and how many bytes that could not have come since.
+    heard: Instant,
+    unread: usize,
 }
 
 /// What is written, and what it is.
 struct Recorder<'a> {
+    options: &'a Options,
     file: File,
-    path: &'a Path,
+    link: Link,
     decoder: Decoder,
     bytes: u64,
     gaps: u32,
     is_away: bool,
     started: Instant,
+    log: Option<Log>,
 }
 
 impl Recorder<'_> {
-    fn run(&mut self, link: &Link, seconds: Option<f64>, ends: &AtomicBool) -> Result<(), String> {
+    fn run(&mut self, ends: &AtomicBool) -> Result<(), String> {
         let is_terminal = io::stderr().is_terminal();
         let period = Duration::from_millis(if is_terminal { 200 } else { 10_000 });
         let mut told = Instant::now();
-        let failed = |error: io::Error| format!("cannot be written any more: {error}");
-        loop {
-            let elapsed_s = self.started.elapsed().as_secs_f64();
-            if ends.load(Ordering::Relaxed) || seconds.is_some_and(|seconds| elapsed_s >= seconds) {
-                break;
+        let is_over = |started: Instant| {
+            let seconds = self.options.seconds;
+            ends.load(Ordering::Relaxed)
+                || seconds.is_some_and(|seconds| started.elapsed().as_secs_f64() >= seconds)
+        };
+        while !is_over(self.started) {
+            if let Some(report) = self.link.next(Duration::from_millis(50)) {
+                self.hear(report)?;
             }
-            match link.next(Duration::from_millis(50)) {
-                Some(Report::Bytes(bytes)) => {
-                    // Without a buffer of our own: what is written survives this program.
-                    self.file
-                        .write_all(&bytes)
-                        .map_err(|error| format!("{}: {}", self.path.display(), failed(error)))?;
-                    self.bytes += bytes.len() as u64;
-                    self.decoder.push(&bytes, &mut Vec::new());
-                }
-                Some(Report::Away(reason)) => {
-                    self.decoder.interrupt();
-                    self.gaps += 1;
-                    self.is_away = true;
-                    eprintln!("\nthe port is gone ({reason}): waiting for it");
-                }
-                Some(Report::Back) => {
-                    self.is_away = false;
-                    eprintln!("the port is back");
-                }
-                Some(Report::Ended(reason)) => return Err(reason),
-                None => {}
-            }
-            if told.elapsed() >= period && !self.is_away {
+            self.pass_time()?;
+            let is_running = self.log.as_ref().is_none_or(|log| log.stage == Stage::Runs);
+            if told.elapsed() >= period && !self.is_away && is_running {
                 told = Instant::now();
                 if is_terminal {
                     eprint!("\r\x1b[K{}", self.summary());
@@ -225,9 +219,262 @@ impl Recorder<'_> {
         if is_terminal {
             eprint!("\r\x1b[K");
         }
-        self.file
-            .sync_all()
-            .map_err(|error| format!("{}: {}", self.path.display(), failed(error)))
+        // What has come until now is a part of it.
+        let ended = Instant::now();
+        while ended.elapsed() < DRAIN
+            && let Some(report) = self.link.next(Duration::ZERO)
+        {
+            self.hear(report)?;
+        }
+        let data = self.file.metadata();
+        if data.is_ok_and(|data| data.is_file()) {
+            self.file
+                .sync_all()
+                .map_err(|error| cannot_write(&self.options.output, &error))?;
+        }
+        match &self.log {
+            Some(log) if !log.has_run => Err("it was ended before the log had begun".into()),
+            Some(log) if log.stage != Stage::Runs => {
+                let reason = log.trouble.as_deref().unwrap_or("there was no time for it");
+                Err(format!("the log did not go on in the end: {reason}"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn hear(&mut self, report: Report) -> Result<(), String> {
+        match report {
+            Report::Bytes(bytes) => return self.take(bytes),
+            Report::Away(reason) => {
+                self.decoder.interrupt();
+                self.gaps += 1;
+                self.is_away = true;
+                eprintln!("\nthe port is gone ({reason}): waiting for it");
+                if self.log.as_ref().is_some_and(|log| !log.has_run) {
+                    return Err("the port was gone before the log had begun".into());
+                }
+                self.listen();
+            }
+            Report::Back => {
+                self.is_away = false;
+                eprintln!("the port is back");
+                self.listen();
+            }
+            Report::Ended(reason) => return Err(reason),
+            Report::Switched(Ok(_)) => self.tell_log(),
+            Report::Switched(Err(reason)) => return self.fail(reason),
+        }
+        Ok(())
+    }
+
+    /// Takes in what has come: into the file, unless it is talk.
+    fn take(&mut self, bytes: Vec<u8>) -> Result<(), String> {
+        let Some(log) = &mut self.log else {
+            return self.keep(&bytes);
+        };
+        match log.stage {
+            Stage::Runs => return self.keep(&bytes),
+            Stage::Listening => {
+                log.talk.push(&bytes, &mut Vec::new());
+                log.held.extend(bytes);
+                if log.talk.counts().bursts > 0 {
+                    let held = std::mem::take(&mut log.held);
+                    self.begin();
+                    return self.keep(&held);
+                }
+                return Ok(());
+            }
+            _ => {}
+        }
+        // One at a time: what follows the last answer belongs to the log.
+        for (index, byte) in bytes.iter().enumerate() {
+            let Some(log) = &mut self.log else {
+                return Ok(());
+            };
+            let mut items = Vec::new();
+            log.talk.push(&[*byte], &mut items);
+            for item in items {
+                if let Item::Message(text) = item
+                    && self.answer(&text)?
+                {
+                    return self.keep(bytes.get(index + 1..).unwrap_or_default());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Goes on as the module answers; whether the log has begun.
+    fn answer(&mut self, text: &str) -> Result<bool, String> {
+        let Some(log) = &mut self.log else {
+            return Ok(false);
+        };
+        match (log.stage, text.strip_prefix("ok ")) {
+            (Stage::Asked, Some(answer)) if answer.starts_with("show:") => {
+                let mut fields = answer.split(' ');
+                let format = fields.find_map(|field| field.strip_prefix("format="));
+                log.format
+                    .get_or_insert_with(|| format.unwrap_or("text").to_owned());
+                log.is_changed = true;
+                if self.options.baud == LOG_BAUD {
+                    self.tell_log();
+                } else {
+                    self.enter(Stage::Switching);
+                    self.link.switch_baud(LOG_BAUD);
+                }
+            }
+            (Stage::Told, Some(answer)) if answer.starts_with("log") => {
+                self.begin();
+                return Ok(true);
+            }
+            (Stage::Told, None) if text.starts_with("error") => self.fail(text.to_owned())?,
+            _ => {}
+        }
+        Ok(false)
+    }
+
+    fn enter(&mut self, stage: Stage) {
+        if let Some(log) = &mut self.log {
+            log.stage = stage;
+            log.since = Instant::now();
+        }
+    }
+
+    /// Asks the module what it sends, at its own rate.
+    fn ask_for_log(&mut self) {
+        let now = Instant::now();
+        let log = self.log.get_or_insert_with(|| Log {
+            stage: Stage::Asked,
+            since: now,
+            talk: Decoder::default(),
+            held: Vec::new(),
+            format: None,
+            is_changed: false,
+            has_run: false,
+            trouble: None,
+            heard: now,
+            unread: 0,
+        });
+        log.talk = Decoder::default();
+        self.enter(Stage::Asked);
+        self.link.set_baud(self.options.baud);
+        self.link.say("show");
+    }
+
+    fn tell_log(&mut self) {
+        self.enter(Stage::Told);
+        self.link.say("format log");
+    }
+
+    /// The log comes, or comes again.
+    fn begin(&mut self) {
+        self.enter(Stage::Runs);
+        if let Some(log) = &mut self.log {
+            (log.heard, log.unread) = (Instant::now(), 0);
+            log.trouble = None;
+            if std::mem::replace(&mut log.has_run, true) {
+                eprintln!("the log goes on");
+            } else {
+                self.started = Instant::now();
+            }
+        }
+    }
+
+    /// Listens whether the log comes: without a loss of power the module still sends it.
+    fn listen(&mut self) {
+        if let Some(log) = &mut self.log {
+            log.talk = Decoder::default();
+            log.held.clear();
+            self.enter(Stage::Listening);
+            self.link.set_baud(LOG_BAUD);
+        }
+    }
+
+    /// The log cannot be had: a reason to give up at first, and to try again later.
+    fn fail(&mut self, reason: String) -> Result<(), String> {
+        match &mut self.log {
+            Some(log) if log.has_run => {
+                if log.trouble.replace(reason.clone()).is_none() {
+                    eprintln!("the log does not go on yet ({reason}): trying again");
+                }
+                self.listen();
+                Ok(())
+            }
+            Some(_) => Err(reason),
+            None => Ok(()),
+        }
+    }
+
+    /// Goes on if what was waited for has not come.
+    fn pass_time(&mut self) -> Result<(), String> {
+        let baud = self.options.baud;
+        let Some(log) = self.log.as_ref().filter(|_| !self.is_away) else {
+            return Ok(());
+        };
+        let elapsed = log.since.elapsed();
+        match log.stage {
+            Stage::Asked if elapsed >= ANSWER => self.fail(format!(
+                "the module does not answer at {baud} baud: is it aplomb, and is that its rate?"
+            )),
+            // The module goes back by itself, if it has understood nothing at the new rate.
+            Stage::Told if elapsed >= ANSWER => self.fail(format!(
+                "the module did not confirm `format log` at {LOG_BAUD} baud: does the adapter carry that?"
+            )),
+            Stage::Listening if elapsed >= LISTEN => {
+                self.ask_for_log();
+                Ok(())
+            }
+            Stage::Runs if log.heard.elapsed() >= LOG_PATIENCE && log.unread >= UNREAD => {
+                eprintln!("what comes cannot be read any more: asking for the log again");
+                self.decoder.interrupt();
+                self.listen();
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Brings the module back to what it sent before.
+    fn leave(&self) -> Result<(), String> {
+        match &self.log {
+            Some(Log {
+                is_changed: true,
+                format: Some(format),
+                ..
+            }) => self.link.bring_back(format, self.options.baud),
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes it. Without a buffer of our own: what is written survives this program.
+    fn keep(&mut self, bytes: &[u8]) -> Result<(), String> {
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        let is_first = self.bytes == 0;
+        let is_file = |data: std::fs::Metadata| data.is_file();
+        if is_first && self.file.metadata().is_ok_and(is_file) {
+            self.file
+                .set_len(0)
+                .map_err(|error| cannot_write(&self.options.output, &error))?;
+        }
+        self.file.write_all(bytes).map_err(|error| {
+            format!(
+                "{}: cannot be written any more: {error}",
+                self.options.output.display()
+            )
+        })?;
+        self.bytes += bytes.len() as u64;
+        let before = self.decoder.counts().bursts;
+        let mut items = Vec::new();
+        self.decoder.push(bytes, &mut items);
+        if let Some(log) = &mut self.log {
+            log.unread += bytes.len();
+            if !items.is_empty() || self.decoder.counts().bursts != before {
+                (log.heard, log.unread) = (Instant::now(), 0);
+            }
+        }
+        Ok(())
     }
 
     /// What has come.

@@ -6,10 +6,14 @@ mod common;
 #[path = "common/plug.rs"]
 mod plug;
 
+use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use aplomb::health::Flags;
+use aplomb::mpu6050::Burst;
+use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use common::{aplomb, file, path};
 use plug::Plug;
 
@@ -63,10 +67,7 @@ fn every_byte_is_kept_while_the_port_goes_and_comes_and_ctrl_c_loses_none() {
     plug.plug_in();
     plug.send(&expected[half..]);
     wait_for_length(&output, expected.len());
-    let interrupt = Command::new("kill")
-        .args(["-INT", &child.id().to_string()])
-        .status();
-    assert!(interrupt.is_ok_and(|status| status.success()));
+    signal(&child, "-INT");
     let result = child.wait_with_output().expect("it ends");
     let errors = errors(&result);
     assert!(result.status.success(), "{errors}");
@@ -92,13 +93,173 @@ fn a_log_is_switched_on_and_everything_back_at_the_end() {
     plug.send(b"# ok log, 50 a second\n");
     sleep(Duration::from_millis(300));
     plug.send(LINE);
-    for command in ["format classic", "baud 115200", "status"] {
+    assert_eq!(plug.baud(), 921_600);
+    for command in ["format classic", "baud 115200"] {
         assert_eq!(plug.hear().as_deref(), Some(command));
     }
+    plug.send(b"# ok baud 115200 from now on; say something at 115200\n");
+    assert_eq!(plug.hear().as_deref(), Some("status"));
     let result = child.wait_with_output().expect("it ends");
     assert!(result.status.success(), "{}", errors(&result));
     // What was said before the recording is not in it.
     assert_eq!(std::fs::read(&output).expect("it is there"), LINE);
+}
+
+/// A burst of the flight log with this number.
+fn burst(number: u32) -> Vec<u8> {
+    let burst = NumberedBurst {
+        number,
+        flags: Flags::NONE,
+        burst: Burst {
+            bytes: [0; 14],
+            captured_at_us: 1000 * u64::from(number),
+            missed_before: 0,
+        },
+    };
+    log::encode(&Frame::Burst(burst), &mut [0; log::FRAME_CAPACITY]).to_vec()
+}
+
+/// Starts to record a log of 115,200 baud, and answers up to the recording's beginning.
+fn record_log(plug: &mut Plug, output: &Path) -> Child {
+    let name = output.to_str().expect("a name");
+    let child = record(&["--port", plug.name(), "--output", name, "--log", "--force"]);
+    answer_until_log(plug);
+    child
+}
+
+fn answer_until_log(plug: &mut Plug) {
+    for (command, answer) in [
+        (
+            "show",
+            "# ok show: mount=default format=text rate=50 baud=115200\n",
+        ),
+        (
+            "baud 921600",
+            "# ok baud 921600 from now on; say something at 921600\n",
+        ),
+        ("format log", "# ok log, 50 a second\n"),
+    ] {
+        assert_eq!(plug.hear().as_deref(), Some(command));
+        plug.send(answer.as_bytes());
+    }
+}
+
+/// Ends it as Ctrl-C does, and answers up to its end.
+fn end_log(plug: &mut Plug, child: Child) -> Output {
+    signal(&child, "-INT");
+    assert_eq!(plug.hear().as_deref(), Some("format text"));
+    assert_eq!(plug.hear().as_deref(), Some("baud 115200"));
+    plug.send(b"# ok baud 115200 from now on; say something at 115200\n");
+    assert_eq!(plug.hear().as_deref(), Some("status"));
+    child.wait_with_output().expect("it ends")
+}
+
+fn signal(child: &Child, name: &str) {
+    let told = Command::new("kill")
+        .args([name, &child.id().to_string()])
+        .status();
+    assert!(told.is_ok_and(|status| status.success()));
+}
+
+#[test]
+fn a_log_goes_on_after_a_replug_with_and_without_a_loss_of_power() {
+    let mut plug = Plug::new("record-log-replug");
+    let output = path("record", "replugged.log");
+    std::fs::remove_file(&output).ok();
+    let child = record_log(&mut plug, &output);
+    let mut expected = burst(1);
+    plug.send(&burst(1));
+    wait_for_length(&output, expected.len());
+    // The adapter alone was unplugged: the module still sends its log.
+    plug.unplug();
+    plug.plug_in();
+    sleep(Duration::from_millis(600));
+    let bursts = (500..520).flat_map(burst).collect::<Vec<u8>>();
+    plug.send(&bursts);
+    expected.extend(bursts);
+    wait_for_length(&output, expected.len());
+    assert_eq!(plug.baud(), 921_600);
+    // The module has lost its power.
+    plug.unplug();
+    plug.plug_in();
+    sleep(Duration::from_millis(600));
+    plug.send(LINE);
+    answer_until_log(&mut plug);
+    plug.send(&burst(1));
+    expected.extend(burst(1));
+    wait_for_length(&output, expected.len());
+    // It has started again by itself: what comes cannot be read at the log's rate.
+    let noise = [0x55; 150];
+    for _ in 0..8 {
+        plug.send(&noise);
+        expected.extend(noise);
+        sleep(Duration::from_millis(500));
+    }
+    answer_until_log(&mut plug);
+    let result = end_log(&mut plug, child);
+    let errors = errors(&result);
+    assert!(result.status.success(), "{errors}");
+    assert!(
+        std::fs::read(&output)
+            .expect("it is there")
+            .starts_with(&expected[..expected.len() - 600])
+    );
+    assert_eq!(errors.matches("the log goes on").count(), 3, "{errors}");
+}
+
+#[test]
+fn a_log_that_does_not_go_on_is_an_error_and_tried_for_until_the_end() {
+    let mut plug = Plug::new("record-log-lost");
+    let output = path("record", "lost.log");
+    let child = record_log(&mut plug, &output);
+    plug.send(&burst(1));
+    wait_for_length(&output, burst(1).len());
+    plug.unplug();
+    plug.plug_in();
+    for _ in 0..2 {
+        assert_eq!(plug.hear().as_deref(), Some("show"));
+    }
+    let result = end_log(&mut plug, child);
+    assert_eq!(result.status.code(), Some(1));
+    let errors = errors(&result);
+    assert!(
+        errors.contains(
+            "the log did not go on in the end: the module does not answer at 115200 baud"
+        ),
+        "{errors}"
+    );
+}
+
+#[test]
+fn a_log_that_cannot_be_had_leaves_the_module_and_an_older_file_as_they_were() {
+    let mut plug = Plug::new("record-log-refused");
+    let old = file("record", "old.log", "precious");
+    let [port, name] = [plug.name(), old.to_str().expect("a name")].map(str::to_owned);
+    // There is no such folder: the module is not even asked.
+    let result = record(&["--port", &port, "--output", "none/x", "--log"]).wait_with_output();
+    let result = result.expect("it ends");
+    assert_eq!(result.status.code(), Some(1));
+    assert!(
+        errors(&result).contains("there is no folder none"),
+        "{}",
+        errors(&result)
+    );
+    // The module is armed.
+    let child = record(&["--port", &port, "--output", &name, "--log", "--force"]);
+    assert_eq!(plug.hear().as_deref(), Some("show"));
+    plug.send(b"# ok show: mount=default format=text rate=50 baud=115200\n");
+    let refusal = "error refused while armed: \"disarm\" first";
+    assert_eq!(plug.hear().as_deref(), Some("baud 921600"));
+    plug.send(format!("# {refusal}\n").as_bytes());
+    for command in ["format text", "baud 115200"] {
+        assert_eq!(plug.hear().as_deref(), Some(command));
+        assert_eq!(plug.baud(), 115_200);
+    }
+    plug.send(b"# ok baud 115200: as before\n");
+    let result = child.wait_with_output().expect("it ends");
+    assert_eq!(result.status.code(), Some(1));
+    assert!(errors(&result).contains(refusal), "{}", errors(&result));
+    assert_eq!(std::fs::read(&old).expect("it is there"), b"precious");
 }
 
 #[test]
@@ -141,12 +302,44 @@ fn what_cannot_be_done_is_refused_with_what_to_do() {
             &["view", name, "--picture", "x.png"],
             "there is no attitude in it",
         ),
+        (&["view", name], "--picture FILE.png"),
+        (&["view", "src", "--picture", "x.png"], "src is a folder"),
+        (&["view", name, "--picture", name], "has to end with .png"),
     ] {
         let result = aplomb(arguments);
         assert_eq!(result.status.code(), Some(1), "{arguments:?}");
         assert!(errors(&result).contains(reason), "{}", errors(&result));
     }
+    for arguments in [
+        &["record", "--output", "x", "--seconds", "0"][..],
+        &["record", "--output", "x", "--seconds", "nan"],
+        &["record", "--output", "x", "--seconds", "-1"],
+        &["view", name, "--picture", "x.png", "--at", "nan"],
+        &["view", name, "--picture", "x.png", "--at", "-5"],
+    ] {
+        let result = aplomb(arguments);
+        assert_eq!(result.status.code(), Some(2), "{arguments:?}");
+        assert!(
+            errors(&result).contains("it has to be a number"),
+            "{}",
+            errors(&result)
+        );
+    }
     assert_eq!(std::fs::read(&there).expect("it is there"), b"precious");
+}
+
+#[test]
+fn a_recording_is_never_replaced_by_its_picture() {
+    let recording = file("record", "flight.png", LINE);
+    let name = recording.to_str().expect("a name");
+    let result = aplomb(&["view", name, "--picture", name]);
+    assert_eq!(result.status.code(), Some(1));
+    assert!(
+        errors(&result).contains("would replace the input"),
+        "{}",
+        errors(&result)
+    );
+    assert_eq!(std::fs::read(&recording).expect("it is there"), LINE);
 }
 
 #[test]

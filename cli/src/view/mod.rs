@@ -16,12 +16,16 @@ use std::borrow::Cow;
 use std::error::Error;
 use std::fs::File;
 use std::io::{self, IsTerminal, Write};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use aplomb::calibration::OutputFormat;
-use aplomb::console::command::BAUD_RATES;
+use aplomb::console::command::{self, BAUD_RATES};
 use ratatui::DefaultTerminal;
 use ratatui::buffer::Buffer;
 use ratatui::crossterm::event::{self, Event, KeyEventKind};
@@ -32,6 +36,8 @@ use keys::Action;
 use model::{Connection, Model, Speaker};
 use player::Player;
 pub use source::{BAUD, Link, Report, which_port};
+
+use crate::output::OutputFile;
 
 /// Drawn so often at most: 30 times a second.
 const FRAME: Duration = Duration::from_millis(33);
@@ -50,6 +56,9 @@ const BAUD_BYTES: usize = 100;
 
 /// What the flight log takes.
 pub const LOG_BAUD: u32 = 921_600;
+
+/// A recording can be played so many times as fast.
+const SPEEDS: RangeInclusive<f64> = 0.01..=1000.0;
 
 /// The picture's size in letters.
 const PICTURE: Rect = Rect::new(0, 0, 110, 32);
@@ -94,16 +103,38 @@ pub struct Options {
         long,
         value_name = "SECONDS",
         default_value_t = 10.0,
-        requires = "picture"
+        requires = "picture",
+        allow_negative_numbers = true,
+        value_parser = parse_time
     )]
     at: f64,
 }
 
 fn parse_speed(text: &str) -> Result<f64, String> {
     let speed = text.parse().ok();
+    let (least, most) = (SPEEDS.start(), SPEEDS.end());
     speed
-        .filter(|speed| (0.01..=1000.0).contains(speed))
-        .ok_or_else(|| "it has to be a number from 0.01 to 1000".into())
+        .filter(|speed| SPEEDS.contains(speed))
+        .ok_or_else(|| format!("it has to be a number from {least} to {most}"))
+}
+
+/// A speed after a key: never beyond what can be chosen.
+fn changed_speed(speed: f64, factor: f64) -> f64 {
+    (speed * factor).clamp(*SPEEDS.start(), *SPEEDS.end())
+}
+
+fn parse_time(text: &str) -> Result<f64, &'static str> {
+    let time = text.parse().ok();
+    time.filter(|time: &f64| time.is_finite() && *time >= 0.0)
+        .ok_or("it has to be a number of seconds, 0 or more")
+}
+
+/// Set when the program is asked to end: by Ctrl-C, by `kill`, or since its terminal is gone. To be called once.
+pub fn end_request() -> Result<Arc<AtomicBool>, ctrlc::Error> {
+    let is_asked = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&is_asked);
+    ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))?;
+    Ok(is_asked)
 }
 
 /// Does it.
@@ -116,14 +147,34 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         return Err(format!("{}\n{hint}", which_port()).into());
     }
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
-        return Err("`view` needs a terminal; `aplomb record` writes what comes to a file".into());
+        let instead = match &options.file {
+            Some(_) => "`--picture FILE.png` draws its screen of a recording",
+            None => "`aplomb record` writes what comes to a file",
+        };
+        return Err(format!("`view` needs a terminal; {instead}").into());
     }
+    let ends = end_request()?;
     let mut app = App::new(options)?;
+    // This also restores the terminal before a panic is told.
     let mut terminal = ratatui::try_init()?;
-    let result = app.run(&mut terminal);
+    let result = app.run(&mut terminal, &ends);
     ratatui::restore();
-    app.leave();
-    Ok(result?)
+    result
+}
+
+/// What comes from the keyboard, by a thread: its library does not return from a terminal that is gone.
+fn keyboard() -> Receiver<io::Result<Event>> {
+    let (sender, events) = channel();
+    std::thread::spawn(move || {
+        loop {
+            let event = event::read();
+            let is_last = event.is_err();
+            if sender.send(event).is_err() || is_last {
+                return;
+            }
+        }
+    });
+    events
 }
 
 /// The program while it runs.
@@ -147,7 +198,12 @@ struct Live {
     decoder: Decoder,
     /// The line's rate, if there is a line.
     baud: Option<u32>,
+    /// The rate that the module had before a key changed it, and is brought back to.
     first_baud: Option<u32>,
+    /// The rate that a key has changed it to: after a return of the port it may be either.
+    switched_baud: Option<u32>,
+    /// What a change of the rate is for, while it is not answered.
+    switching: Option<Switching>,
     /// Whether other rates may be tried.
     searches_baud: bool,
     /// When bytes began to come that could not be read, and how many did.
@@ -157,6 +213,14 @@ struct Live {
     /// Whether the flight log is to be asked for as soon as the module speaks.
     wants_log: bool,
     asked: Instant,
+}
+
+/// What the module is to change its rate for.
+enum Switching {
+    /// The flight log.
+    Log,
+    /// A person said so.
+    Person,
 }
 
 impl App {
@@ -195,35 +259,52 @@ impl App {
         })
     }
 
-    fn run(&mut self, terminal: &mut DefaultTerminal) -> io::Result<()> {
+    fn run(
+        &mut self,
+        terminal: &mut DefaultTerminal,
+        ends: &AtomicBool,
+    ) -> Result<(), Box<dyn Error>> {
+        let keyboard = keyboard();
+        let mut woken = Instant::now();
         let mut drawn: Option<Instant> = None;
-        loop {
-            let due = drawn.map_or(Duration::ZERO, |drawn| {
-                FRAME.saturating_sub(drawn.elapsed())
-            });
+        while !ends.load(Ordering::Relaxed) {
             let mut has_changed = false;
-            let mut wait = due;
-            while event::poll(wait)? {
-                match event::read()? {
-                    Event::Key(key) if key.kind != KeyEventKind::Release => {
-                        match keys::action(key, &self.model) {
-                            Some(Action::Quit) => return Ok(()),
-                            Some(action) => self.act(action),
-                            None => {}
-                        }
-                    }
-                    _ => {}
+            let mut wait = FRAME.saturating_sub(woken.elapsed());
+            loop {
+                match keyboard.recv_timeout(wait) {
+                    Ok(event) => match self.hear(&event?) {
+                        Some(Action::Quit) => return Ok(()),
+                        Some(action) => self.act(action),
+                        None => {}
+                    },
+                    Err(RecvTimeoutError::Timeout) => break,
+                    Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 }
                 has_changed = true;
                 wait = Duration::ZERO;
             }
+            woken = Instant::now();
             has_changed |= self.follow();
+            if let Connection::Ended(reason) = &self.model.connection
+                && self.model.counts.readings == 0
+            {
+                return Err(format!("no attitude has come: {reason}").into());
+            }
             let is_due = drawn.is_none_or(|drawn| drawn.elapsed() >= SLOWEST_FRAME);
             if has_changed || is_due {
                 let shown = self.shown();
                 terminal.draw(|frame| screen::draw(&shown, frame.area(), frame.buffer_mut()))?;
+                drawn = Some(Instant::now());
             }
-            drawn = Some(Instant::now());
+        }
+        Ok(())
+    }
+
+    /// What a key asks for.
+    fn hear(&self, event: &Event) -> Option<Action> {
+        match event {
+            Event::Key(key) if key.kind != KeyEventKind::Release => keys::action(*key, &self.model),
+            _ => None,
         }
     }
 
@@ -256,10 +337,14 @@ impl App {
                 }
                 let items = player.advance(elapsed_s * *speed);
                 *is_over = player.is_over();
+                let error = player.take_error();
                 for (at_s, item) in items {
                     self.model.take(at_s, item);
                 }
                 let (position_s, counts) = (player.position_s(), player.counts());
+                if let Some(error) = error {
+                    self.model.say(position_s, Speaker::Program, error);
+                }
                 self.model.tick(position_s, player.format(), counts);
                 true
             }
@@ -278,7 +363,7 @@ impl App {
             Action::Type(typed) => model.typed = typed,
             Action::Faster(factor) => {
                 if let Connection::Playing { speed, .. } = &mut model.connection {
-                    *speed = (*speed * factor).clamp(0.125, 64.0);
+                    *speed = changed_speed(*speed, factor);
                 }
             }
             Action::Say(line) => {
@@ -319,20 +404,20 @@ impl App {
             }
         }
     }
+}
 
-    /// Brings the module back to how it was, as far as the line is concerned.
-    fn leave(self) {
+impl Drop for App {
+    /// Brings the module back to how it was, as far as the line is concerned: however the program ends.
+    fn drop(&mut self) {
         if let Some((name, bytes)) = &self.model.recording {
             eprintln!("recorded {bytes} bytes to {name}");
         }
-        if let Input::Live(live) = self.input
-            && live.baud != live.first_baud
+        if let Input::Live(live) = &self.input
+            && (live.baud != live.first_baud || live.switching.is_some())
             && let (Some(baud), Some(format)) = (live.first_baud, live.first_format)
+            && let Err(error) = live.link.bring_back(format.name(), baud)
         {
-            live.link.say(&format!("format {}", format.name()));
-            live.link.switch_baud(baud);
-            // The module keeps a rate at which it has understood something.
-            live.link.say("status");
+            eprintln!("error: {error}");
         }
     }
 }
@@ -344,6 +429,8 @@ impl Live {
             decoder: Decoder::default(),
             baud,
             first_baud: baud,
+            switched_baud: None,
+            switching: None,
             searches_baud: false,
             unread: None,
             first_format: None,
@@ -360,6 +447,11 @@ impl Live {
                 Report::Bytes(bytes) => self.take(&bytes, now_s, model, recording),
                 Report::Away(reason) => {
                     self.decoder.interrupt();
+                    self.switching = None;
+                    // The module keeps the rate that it has stored, and starts with that after a loss of power.
+                    if let Some(baud) = self.first_baud {
+                        self.link.set_baud(baud);
+                    }
                     let text = format!("{} is gone ({reason}): waiting for it", model.name);
                     model.say(now_s, Speaker::Program, text);
                     model.connection = Connection::Away(reason);
@@ -375,6 +467,7 @@ impl Live {
                     model.say(now_s, Speaker::Program, reason.clone());
                     model.connection = Connection::Ended(reason);
                 }
+                Report::Switched(result) => self.switched(result, model),
             }
         }
         let is_open = model.takes_commands();
@@ -428,20 +521,66 @@ impl Live {
             return;
         }
         self.unread = None;
-        if !self.searches_baud {
-            let text = format!("what comes cannot be read at {baud} baud: is --baud right?");
-            return model.say(now_s, Speaker::Program, text);
-        }
-        let next = next_baud(baud);
+        let next = match self.switched_baud {
+            Some(switched) if switched != baud => switched,
+            Some(_) => {
+                self.switched_baud = None;
+                self.first_baud.unwrap_or(BAUD)
+            }
+            None if self.searches_baud => {
+                let next = next_baud(baud);
+                self.first_baud = Some(next);
+                next
+            }
+            None => {
+                let text = format!("what comes cannot be read at {baud} baud: is --baud right?");
+                return model.say(now_s, Speaker::Program, text);
+            }
+        };
         self.baud = Some(next);
-        self.first_baud = Some(next);
         model.connection = Connection::Open(Some(next));
         let text = format!("what comes cannot be read at {baud} baud: trying {next}");
         model.say(now_s, Speaker::Program, text);
         self.link.set_baud(next);
     }
 
-    fn say(&self, line: &str, model: &mut Model) {
+    /// The module has changed its rate, or not.
+    fn switched(&mut self, result: Result<u32, String>, model: &mut Model) {
+        let Some(purpose) = self.switching.take() else {
+            return;
+        };
+        match result {
+            Err(reason) => {
+                let stays = match self.baud {
+                    Some(baud) => format!("it stays at {baud} baud"),
+                    None => "it stays as it is".into(),
+                };
+                model.say(model.now_s, Speaker::Program, format!("{stays}: {reason}"));
+            }
+            Ok(baud) => {
+                if self.baud.is_some() {
+                    self.baud = Some(baud);
+                    model.connection = Connection::Open(self.baud);
+                }
+                match purpose {
+                    Switching::Log => {
+                        self.switched_baud = self.baud;
+                        self.say(&format!("format {}", OutputFormat::Log.name()), model);
+                    }
+                    Switching::Person => {
+                        // It is to stay like this.
+                        self.first_baud = self.baud;
+                        self.switched_baud = None;
+                        // The module keeps a rate at which it has understood something.
+                        model.quiet_answers = 1;
+                        self.link.say("status");
+                    }
+                }
+            }
+        }
+    }
+
+    fn say(&mut self, line: &str, model: &mut Model) {
         if !model.takes_commands() {
             let text = format!("not said, since nobody is there: {line}");
             return model.say(model.now_s, Speaker::Program, text);
@@ -451,20 +590,24 @@ impl Live {
         if line == "status" {
             model.quiet_answers = 0;
         }
-        self.link.say(line);
+        match command::parse(line) {
+            Ok(command::Command::Baud(baud)) => {
+                self.switching = Some(Switching::Person);
+                self.link.switch_baud(baud);
+            }
+            _ => self.link.say(line),
+        }
     }
 
     fn set_format(&mut self, format: OutputFormat, model: &mut Model) {
         let is_fast = self.baud == Some(LOG_BAUD);
         if format == OutputFormat::Log && !is_fast && model.takes_commands() {
             model.say(model.now_s, Speaker::Person, format!("baud {LOG_BAUD}"));
+            self.switching = Some(Switching::Log);
             self.link.switch_baud(LOG_BAUD);
-            if self.baud.is_some() {
-                self.baud = Some(LOG_BAUD);
-                model.connection = Connection::Open(self.baud);
-            }
+        } else {
+            self.say(&format!("format {}", format.name()), model);
         }
-        self.say(&format!("format {}", format.name()), model);
     }
 }
 
@@ -513,6 +656,12 @@ fn virtual_board(elf: Option<&Path>) -> Result<Command, String> {
 }
 
 fn draw_picture(file: &Path, at_s: f64, picture: &Path) -> Result<(), Box<dyn Error>> {
+    if picture.extension().is_none_or(|ending| ending != "png") {
+        let picture = picture.display();
+        return Err(
+            format!("{picture}: the name has to end with .png, which is what is drawn").into(),
+        );
+    }
     let mut player = Player::open(file)?;
     let name = file.file_name().unwrap_or_default().display().to_string();
     let connection = Connection::Playing {
@@ -527,11 +676,14 @@ fn draw_picture(file: &Path, at_s: f64, picture: &Path) -> Result<(), Box<dyn Er
             model.take(at_s, item);
         }
         model.tick(player.position_s(), player.format(), player.counts());
+        if let Some(error) = player.take_error() {
+            eprintln!("{error}");
+            model.say(player.position_s(), Speaker::Program, error);
+        }
     }
     let mut buffer = Buffer::empty(PICTURE);
     screen::draw(&model, PICTURE, &mut buffer);
-    std::fs::write(picture, picture::picture(&buffer).png())
-        .map_err(|error| format!("{}: cannot be written: {error}", picture.display()))?;
+    OutputFile::write(picture, &[file], &picture::picture(&buffer).png())?;
     crate::say(&format!(
         "{}: the screen at {:.1} s",
         picture.display(),

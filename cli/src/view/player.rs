@@ -1,7 +1,7 @@
 //! A recording as a source: what was decoded, handed out at the pace at which it was recorded.
 
 use std::collections::VecDeque;
-use std::io::{BufReader, Read};
+use std::io::{BufReader, ErrorKind, Read};
 use std::path::Path;
 
 use super::detect::{Counts, Decoder, Format, Item};
@@ -15,6 +15,7 @@ const LONGEST_STEP_US: u64 = 5_000_000;
 
 /// Plays a file.
 pub struct Player {
+    name: String,
     file: BufReader<Box<dyn Read>>,
     decoder: Decoder,
     /// What is decoded and not due yet, with its time in seconds from the beginning.
@@ -24,12 +25,19 @@ pub struct Player {
     count: u64,
     position_s: f64,
     is_read: bool,
+    /// Why it cannot be read to its end, until that is told.
+    error: Option<String>,
 }
 
 impl Player {
     /// Opens a recording, plain or gzipped, that has an attitude in it.
     pub fn open(path: &Path) -> Result<Self, String> {
+        let name = path.display().to_string();
+        if path.is_dir() {
+            return Err(format!("{name} is a folder: name a recording in it"));
+        }
         let mut player = Self {
+            name,
             file: BufReader::new(flight_log::open(path)?),
             decoder: Decoder::default(),
             waiting: VecDeque::new(),
@@ -37,11 +45,15 @@ impl Player {
             count: 0,
             position_s: 0.0,
             is_read: false,
+            error: None,
         };
         while player.decoder.format().is_none() && !player.is_read {
             player.read();
         }
         if player.decoder.format().is_none() {
+            if let Some(error) = player.error {
+                return Err(error);
+            }
             return Err(format!(
                 "{}: there is no attitude in it. It has to be a flight log, what the module sent in any format, or a CSV with \
                  t_us, roll_deg, pitch_deg and yaw_deg; `aplomb replay` makes such a CSV of sensor data",
@@ -79,6 +91,15 @@ impl Player {
         self.is_read && self.waiting.is_empty()
     }
 
+    /// Why it could not be read to its end; told once, when all that could be read has been given out.
+    pub fn take_error(&mut self) -> Option<String> {
+        if self.is_over() {
+            self.error.take()
+        } else {
+            None
+        }
+    }
+
     /// What was decoded, a little ahead of what is given out.
     pub fn counts(&self) -> Counts {
         self.decoder.counts()
@@ -92,7 +113,14 @@ impl Player {
     fn read(&mut self) {
         // Little at a time: what is decoded is counted before it is due.
         let mut buffer = [0; 512];
-        let length = self.file.read(&mut buffer).unwrap_or_default();
+        let length = match self.file.read(&mut buffer) {
+            Ok(length) => length,
+            Err(error) if error.kind() == ErrorKind::Interrupted => return,
+            Err(error) => {
+                self.error = Some(format!("{} cannot be read to its end: {error}", self.name));
+                0
+            }
+        };
         let mut items = Vec::new();
         if length == 0 {
             self.is_read = true;
@@ -149,7 +177,7 @@ impl Clock {
 mod tests {
     use super::*;
 
-    fn player(name: &str, text: &str) -> Result<Player, String> {
+    fn player(name: &str, text: impl AsRef<[u8]>) -> Result<Player, String> {
         let path = std::env::temp_dir().join(format!("aplomb-{name}-{}", std::process::id()));
         std::fs::write(&path, text).expect("a file");
         let player = Player::open(&path);
@@ -181,11 +209,29 @@ mod tests {
     #[test]
     fn lines_without_time_come_fifty_a_second() {
         let line = "Roll:1.00(0.00),\tPitch:2.00(0.00)\n";
-        let mut player = player("classic", &line.repeat(100)).expect("it can be played");
+        let mut player = player("classic", line.repeat(100)).expect("it can be played");
         assert_eq!(player.advance(1.0).len(), 51);
         assert!(!player.is_over());
         assert_eq!(player.advance(1.0).len(), 49);
         assert!(player.is_over());
+    }
+
+    #[test]
+    fn a_file_that_is_cut_off_says_so_when_it_is_played_out() {
+        use std::io::Write as _;
+        let line = "Roll:1.00(0.00),\tPitch:2.00(0.00)\n";
+        let mut zipped = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::none());
+        zipped
+            .write_all(line.repeat(1000).as_bytes())
+            .expect("a vector takes everything");
+        let zipped = zipped.finish().expect("a vector takes everything");
+        let mut player = player("cut", &zipped[..zipped.len() / 2]).expect("it can be played");
+        assert_eq!(player.advance(1.0).len(), 51);
+        assert_eq!(player.take_error(), None);
+        player.advance(100.0);
+        let error = player.take_error();
+        assert!(error.is_some_and(|error| error.contains("cannot be read to its end")));
+        assert_eq!(player.take_error(), None);
     }
 
     #[test]

@@ -114,7 +114,7 @@ fn draw_header(model: &Model, area: Rect, buffer: &mut Buffer) {
     let name_room = usize::from(area.width) - 56;
     let name: String = match model.name.char_indices().nth_back(name_room) {
         // Of a long path the end counts.
-        Some((start, _)) => format!("…{}", &model.name[start + 1..]),
+        Some((start, letter)) => format!("…{}", &model.name[start + letter.len_utf8()..]),
         None => model.name.clone(),
     };
     x = put(buffer, area, x, 0, &name, bar);

@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 
 use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 
+use super::detect::{Decoder, Item};
+
 /// The module's baud rate unless it has been told otherwise.
 pub const BAUD: u32 = 115_200;
 
@@ -24,8 +26,12 @@ const GATHER: Duration = Duration::from_millis(5);
 /// From one attempt to open the port again to the next.
 const RETRY: Duration = Duration::from_millis(250);
 
-/// The module answers a command to change its baud rate within this time, and changes it then.
-const BAUD_ANSWER: Duration = Duration::from_millis(300);
+/// The module answers a command to change its baud rate within this time, and changes it then: of a slow line, 9600 baud, two
+/// lines and the answer take 300 ms.
+const BAUD_ANSWER: Duration = Duration::from_secs(1);
+
+/// Why a rate is not changed to if the module says nothing.
+const UNANSWERED: &str = "the module does not answer";
 
 /// What the thread tells.
 #[derive(Debug, PartialEq, Eq)]
@@ -38,6 +44,8 @@ pub enum Report {
     Away(String),
     /// It has ended for good, for this reason.
     Ended(String),
+    /// The module has changed to this rate, and the port with it; or neither has, for this reason.
+    Switched(Result<u32, String>),
 }
 
 /// What the thread is told.
@@ -102,14 +110,48 @@ impl Link {
         self.order(Order::Say(line.to_owned()));
     }
 
-    /// Listens at another rate.
+    /// Listens at another rate, from now on and when the port comes back.
     pub fn set_baud(&self, baud: u32) {
         self.order(Order::SetBaud(baud));
     }
 
-    /// Has the module change its rate, and goes along.
+    /// Has the module change its rate, and goes along if it says that it does: a [`Report::Switched`] tells.
     pub fn switch_baud(&self, baud: u32) {
         self.order(Order::SwitchBaud(baud));
+    }
+
+    /// Brings the module back to a format and a rate; what comes meanwhile is dropped.
+    pub fn bring_back(&self, format: &str, baud: u32) -> Result<(), String> {
+        let mut result = Err(UNANSWERED.to_owned());
+        for _attempt in 0..2 {
+            self.say(&format!("format {format}"));
+            self.switch_baud(baud);
+            result = self.switched();
+            if result.is_ok() {
+                // The module keeps a rate at which it has understood something.
+                self.say("status");
+                break;
+            }
+        }
+        result.map_err(|reason| {
+            format!(
+                "the module could not be brought back to `format {format}` at {baud} baud: {reason}"
+            )
+        })
+    }
+
+    /// What came of a change of the rate.
+    fn switched(&self) -> Result<(), String> {
+        let asked = Instant::now();
+        // Other orders may come before.
+        while asked.elapsed() < 3 * BAUD_ANSWER {
+            match self.next(READ_TIMEOUT) {
+                Some(Report::Switched(result)) => return result.map(|_| ()),
+                Some(Report::Away(reason) | Report::Ended(reason)) => return Err(reason),
+                Some(_) | None => {}
+            }
+        }
+        Err(UNANSWERED.to_owned())
     }
 
     fn order(&self, order: Order) {
@@ -200,8 +242,6 @@ impl Port {
         reports: &Sender<Report>,
         orders: &Receiver<Order>,
     ) {
-        // The module keeps the rate that it has stored, and starts with that after a loss of power.
-        let first_baud = self.baud;
         loop {
             let End::Away(reason) = self.follow(port, reports, orders) else {
                 return;
@@ -209,11 +249,14 @@ impl Port {
             if reports.send(Report::Away(reason)).is_err() {
                 return;
             }
-            self.baud = first_baud;
             port = loop {
                 match orders.recv_timeout(RETRY) {
                     Ok(Order::SetBaud(baud)) => self.baud = baud,
-                    Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                    Ok(Order::SwitchBaud(_)) => {
+                        let gone = Err("the port is gone".to_owned());
+                        reports.send(Report::Switched(gone)).ok();
+                    }
+                    Ok(Order::Say(_)) | Err(RecvTimeoutError::Timeout) => {}
                     Err(RecvTimeoutError::Disconnected) => return,
                 }
                 if let Ok(port) = open(&self.path, self.baud) {
@@ -258,6 +301,7 @@ impl Port {
                 port.write_all(format!("{line}\n").as_bytes())?;
                 port.flush()
             }
+            Order::SetBaud(baud) if baud == self.baud => Ok(()),
             Order::SetBaud(baud) => {
                 self.baud = baud;
                 port.set_baud_rate(baud)?;
@@ -266,36 +310,72 @@ impl Port {
             Order::SwitchBaud(baud) => {
                 port.write_all(format!("baud {baud}\n").as_bytes())?;
                 port.flush()?;
-                let start = Instant::now();
-                while start.elapsed() < BAUD_ANSWER {
-                    forward(port, reports)?;
+                let answer = wait_for_baud(baud, port, reports)?;
+                if answer.is_ok() {
+                    self.baud = baud;
+                    port.set_baud_rate(baud)?;
                 }
-                self.baud = baud;
-                Ok(port.set_baud_rate(baud)?)
+                // Whoever no longer listens has no need to know.
+                reports.send(Report::Switched(answer)).ok();
+                Ok(())
             }
         }
     }
 }
 
+/// Waits for the module's answer to `baud`.
+fn wait_for_baud(
+    baud: u32,
+    port: &mut dyn SerialPort,
+    reports: &Sender<Report>,
+) -> io::Result<Result<u32, String>> {
+    let expected = format!("ok baud {baud}");
+    let mut decoder = Decoder::default();
+    let mut refusal = None;
+    let asked = Instant::now();
+    while asked.elapsed() < BAUD_ANSWER {
+        let bytes = read(port)?;
+        let mut items = Vec::new();
+        decoder.push(&bytes, &mut items);
+        if !bytes.is_empty() {
+            reports.send(Report::Bytes(bytes)).ok();
+        }
+        for item in items {
+            match item {
+                Item::Message(text) if text.starts_with(&expected) => return Ok(Ok(baud)),
+                // It may still be the answer to something else.
+                Item::Message(text) if text.starts_with("error") => refusal = Some(text),
+                _ => {}
+            }
+        }
+    }
+    Ok(Err(refusal.unwrap_or_else(|| UNANSWERED.to_owned())))
+}
+
 /// Hands on what has come; false if nobody wants it.
 fn forward(port: &mut dyn SerialPort, reports: &Sender<Report>) -> io::Result<bool> {
+    let bytes = read(port)?;
+    if bytes.is_empty() {
+        return Ok(true);
+    }
+    let is_wanted = reports.send(Report::Bytes(bytes)).is_ok();
+    std::thread::sleep(GATHER);
+    Ok(is_wanted)
+}
+
+/// What has come, perhaps nothing.
+fn read(port: &mut dyn SerialPort) -> io::Result<Vec<u8>> {
     let mut buffer = [0; 4096];
     match port.read(&mut buffer) {
         Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
-        Ok(length) => {
-            let is_wanted = reports
-                .send(Report::Bytes(buffer[..length].to_vec()))
-                .is_ok();
-            std::thread::sleep(GATHER);
-            Ok(is_wanted)
-        }
+        Ok(length) => Ok(buffer[..length].to_vec()),
         Err(error)
             if matches!(
                 error.kind(),
                 io::ErrorKind::TimedOut | io::ErrorKind::Interrupted
             ) =>
         {
-            Ok(true)
+            Ok(Vec::new())
         }
         Err(error) => Err(error),
     }
@@ -330,7 +410,10 @@ fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<O
         let line = match orders.recv_timeout(RETRY) {
             Ok(Order::Say(line)) => line,
             // There is no line to have a rate, but the firmware believes in one.
-            Ok(Order::SwitchBaud(baud)) => format!("baud {baud}"),
+            Ok(Order::SwitchBaud(baud)) => {
+                reports.send(Report::Switched(Ok(baud))).ok();
+                format!("baud {baud}")
+            }
             Ok(Order::SetBaud(_)) | Err(RecvTimeoutError::Timeout) => {
                 if reader.is_finished() {
                     break;
@@ -399,6 +482,26 @@ mod tests {
         wait_for_bytes(&link, b"three");
         link.say("status");
         assert_eq!(plug.hear().as_deref(), Some("status"));
+    }
+
+    #[test]
+    fn the_port_changes_its_rate_only_if_the_module_does() {
+        let mut plug = Plug::new("switch");
+        let link = Link::port(plug.name(), BAUD).expect("it opens");
+        let is_answer = |report: &Report| matches!(report, Report::Switched(_));
+        let refusal = "error refused while armed: \"disarm\" first";
+        for (answer, expected) in [
+            (format!("# {refusal}\n"), Err(refusal.to_owned())),
+            (String::new(), Err(UNANSWERED.to_owned())),
+            ("# ok baud 921600 from now on; say\n".into(), Ok(921_600)),
+        ] {
+            assert_eq!(plug.baud(), BAUD);
+            link.switch_baud(921_600);
+            assert_eq!(plug.hear().as_deref(), Some("baud 921600"));
+            plug.send(answer.as_bytes());
+            assert_eq!(wait_for(&link, is_answer), Report::Switched(expected));
+        }
+        assert_eq!(plug.baud(), 921_600);
     }
 
     #[test]

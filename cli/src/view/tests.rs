@@ -12,7 +12,7 @@ use ratatui::style::Color;
 
 use super::detect::{Counts, Format, Item, Reading};
 use super::model::{Connection, Model, Speaker};
-use super::{horizon, next_baud, screen};
+use super::{changed_speed, horizon, next_baud, parse_speed, screen};
 
 fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it takes everything");
@@ -173,6 +173,32 @@ fn any_size_and_any_number_can_be_drawn() {
         ] {
             drawn(&model, width, height);
         }
+    }
+}
+
+#[test]
+fn of_a_long_name_the_end_is_shown_whatever_its_letters() {
+    let mut model = swinging(Flags::VALID);
+    for letters in 1..40 {
+        model.name = format!("/{}/flug.log", "ü€".repeat(letters));
+        let header = text(&drawn(&model, 80, 24));
+        assert!(
+            header
+                .lines()
+                .next()
+                .is_some_and(|line| line.contains("ü€/flug.log "))
+        );
+    }
+}
+
+#[test]
+fn a_key_never_turns_a_speed_the_other_way() {
+    for text in ["0.01", "0.1", "1", "64", "1000"] {
+        let speed = parse_speed(text).expect("it can be chosen");
+        assert!(
+            changed_speed(speed, 2.0) >= speed && changed_speed(speed, 0.5) <= speed,
+            "{text}"
+        );
     }
 }
 

@@ -79,6 +79,13 @@ impl Plug {
         }
     }
 
+    /// The rate of the port's side.
+    pub fn baud(&self) -> u32 {
+        let module = self.module.as_ref().expect("it is plugged in");
+        let settings = rustix::termios::tcgetattr(module).expect("a terminal");
+        settings.output_speed()
+    }
+
     /// Waits until it can be read or written, with somebody at the other end.
     fn wait_for(&self, event: PollFlags) -> io::Result<()> {
         let module = self.module.as_ref().ok_or(ErrorKind::NotConnected)?;
