@@ -338,6 +338,10 @@ fn the_files_have_the_agreed_form() {
         .iter()
         .filter_map(|line| line.trim().strip_prefix('"')?.split('"').next())
         .collect();
+    // Among them is how often each flag was set, for those that ever were.
+    let is_flag = |name: &&str| Flags::parse(name).is_some();
+    let (flags, names): (Vec<&str>, Vec<&str>) = names.into_iter().partition(is_flag);
+    assert_eq!(flags, ["CALIBRATING", "DEGRADED", "VALID"]);
     assert_eq!(
         names,
         [
@@ -354,6 +358,7 @@ fn the_files_have_the_agreed_form() {
             "timestamp_error_us_max",
             "inclination_rms_deg",
             "inclination_max_deg",
+            "flags",
             "flash_bytes",
             "ram_bytes",
             "stack_bytes_used",
