@@ -288,6 +288,7 @@ impl App {
             if let Connection::Ended(reason) = &self.model.connection
                 && self.model.counts.readings == 0
             {
+                let reason = reason.trim_start_matches("error: ");
                 return Err(format!("no attitude has come: {reason}").into());
             }
             let is_due = drawn.is_none_or(|drawn| drawn.elapsed() >= SLOWEST_FRAME);
