@@ -22,8 +22,8 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
     } else {
         ClockSource::InternalOscillator
     };
-    #[cfg(any(feature = "board-blackpill-f411", feature = "board-nucleo-f411"))]
-    raise_voltage();
+    #[cfg(not(any(feature = "board-stm32f405", feature = "qemu")))]
+    prepare_voltage();
     let config = match source {
         ClockSource::Crystal if BOARD.crystal_is_external_clock => {
             Config::hse(BOARD.crystal_hz.Hz()).bypass_hse_oscillator()
@@ -37,16 +37,21 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
     (rcc.freeze(config), source)
 }
 
-/// Selects the regulator's scale 1, which comes with the PLL: an STM32F411 begins at scale 2, good for 84 MHz (RM0383, 5.4.1).
-/// The other chips begin with what their clock needs. While the PLL is off, so before `freeze`.
-#[cfg(any(feature = "board-blackpill-f411", feature = "board-nucleo-f411"))]
-fn raise_voltage() {
-    use stm32f4xx_hal::pac::PWR;
+/// Switches the power controller's clock on, without which [`voltage_is_ready`] never is, and selects the regulator's scale 1 on an
+/// STM32F411, which begins at scale 2, good for 84 MHz (RM0383, 5.4.1); the other chips begin with what their clock
+/// needs. The scale comes with the PLL, and can be selected before it is on: so before `freeze`.
+#[cfg(not(any(feature = "board-stm32f405", feature = "qemu")))]
+fn prepare_voltage() {
     enable(|rcc| {
         rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
     });
+    #[cfg(any(feature = "board-blackpill-f411", feature = "board-nucleo-f411"))]
     // SAFETY: only init, before any interrupt, writes this register, and 0b11 is scale 1.
-    unsafe { (*PWR::ptr()).cr().modify(|_, w| w.vos().bits(0b11)) };
+    unsafe {
+        (*stm32f4xx_hal::pac::PWR::ptr())
+            .cr()
+            .modify(|_, w| w.vos().bits(0b11));
+    }
 }
 
 /// Whether the regulator gives what the core needs with the PLL on. The STM32F405 alone keeps its scale while the PLL is off.
