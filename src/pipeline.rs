@@ -495,7 +495,10 @@ impl<F: Filter> Pipeline<F> {
         let is_frozen = self.freeze_watch.update(&burst.bytes);
         self.pause_us = self.pause_us.min(self.longest_step_us);
         if is_frozen {
-            self.doubt_frozen(burst.captured_at_us as u32);
+            // Blank samples are a pause already, and it counts when it ends.
+            if !health::is_blank(&burst.bytes) {
+                self.doubt_frozen(burst.captured_at_us as u32);
+            }
         } else {
             self.thawed_at_us = burst.captured_at_us as u32;
             self.frozen_us = 0;
@@ -1610,6 +1613,23 @@ mod tests {
         let second = pipeline.update(&noisy(6_000, LEVEL));
         assert!(second.flags.contains(Flags::VALID), "{}", second.flags);
         assert!(pipeline.rate_offset_rad_s() == known.bias_rad_s);
+    }
+
+    #[test]
+    fn a_pause_of_blank_data_counts_once() {
+        let (mut pipeline, t_us) = settled();
+        for step in 1..=400 {
+            let burst = Burst {
+                bytes: [0xFF; 14],
+                captured_at_us: t_us + step * 1000,
+                missed_before: 0,
+            };
+            assert!(!pipeline.update(&burst).flags.contains(Flags::VALID));
+        }
+        // 0.4 s at 30 °/s about two axes are 17°; frozen data on top would make 24°, and more with each look at them.
+        let first = pipeline.update(&noisy(t_us + 401_000, LEVEL));
+        let sigma = libm::sqrtf(pipeline.tilt_variance_rad2(first.t_us));
+        assert!(sigma < radians(18.0), "{sigma}");
     }
 
     #[test]

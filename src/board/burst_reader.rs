@@ -186,7 +186,10 @@ impl BurstReader {
         self.shortest_period_us = setup().shortest_period_us;
         self.patience_us = SILENCE_DEADLINE_US;
         self.standing = self.standing.without(Flags::POLLED);
-        self.flags = self.flags.without(Flags::POLLED);
+        // A burst under way was started by the timer all the same.
+        if self.step == BurstStep::Idle {
+            self.flags = self.flags.without(Flags::POLLED);
+        }
     }
 
     /// Asks for the bus to read a burst.

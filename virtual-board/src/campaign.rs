@@ -587,7 +587,8 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
             faults: vec![*fault],
         };
         match episodes.last_mut() {
-            Some(last) if last.due_ns >= episode.start_ns => {
+            // What begins before the attitude can have been valid steadily is a part of the same.
+            Some(last) if last.due_ns + STEADY_NS >= episode.start_ns => {
                 last.end_ns = last.end_ns.max(episode.end_ns);
                 last.due_ns = last.due_ns.max(episode.due_ns);
                 last.faults.push(*fault);
@@ -929,6 +930,13 @@ mod tests {
             "250 ms after the second"
         );
         assert_eq!(report.faults.len(), 2);
+    }
+
+    #[test]
+    fn a_fault_that_leaves_no_trace_waits_for_one_that_does_shortly_after() {
+        let case = case("1.8 0.2 uart-flood\n1.803 0.02 frozen");
+        let record = record(&case, 1803 * MILLISECOND..1900 * MILLISECOND);
+        assert_eq!(judge(&case, &record, &[]).failures, Vec::<String>::new());
     }
 
     #[test]
