@@ -28,7 +28,7 @@ use kalman::Kalman;
 
 /// Counts the changes after which a filter gives other attitudes, if only in one bit. A log says which one flew.
 /// `tests/revision.rs` notices a change that did not raise it.
-pub const REVISION: u16 = 1;
+pub const REVISION: u16 = 2;
 
 /// A longer pause between samples is a gap: what happened in it is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;

@@ -48,7 +48,11 @@
 //! - While tilt and bias are both uncertain, what the linear model leaves out counts as noise
 //!   ([`Tuning::coupling`]).
 //! - At rest the gyroscope reads its bias and the velocity is zero (`rest`); both are believed
-//!   only if they are likely under P, and neither when armed.
+//!   only if they are likely under P, and neither when armed. The first rest decides: where it contradicts
+//!   what the filter has made of the bias before, what came of that is wrong too, and the filter begins again from
+//!   that rest (`begin_at_rest`).
+//! - Only a rest, of this run or an earlier one, makes the bias count as known ([`Kalman::is_bias_known`]): a bias about
+//!   the vertical that is far outside the prior can fool the filter in motion, and its σ too.
 //! - Rest and steady motion are the same to the sensor. Where the readings are those of rest and the
 //!   velocity is not, it is forgotten, so that whoever accelerated for long and now coasts finds down again.
 //! - Known and not solved: a bias of 20 °/s about the vertical that starts in motion takes longer than
@@ -117,6 +121,13 @@ const REST_ACCELERATION: f32 = 0.03;
 const TOLD_SIGMA: f32 = 0.92;
 const TOLD_VARIANCE: f32 = TOLD_SIGMA * TOLD_SIGMA;
 
+/// Rest is believed if no bias is off by more σ than this.
+const LIKELY: f32 = 4.0;
+/// By more than this, what came before the first rest is not worth keeping.
+const UNSURPRISING: f32 = 2.0;
+/// σ of the tilt that the mean force at rest shows, per axis, rad: the accelerometer's bias.
+const RESTING_TILT_RAD: f32 = REST_ACCELERATION;
+
 /// At rest a velocity of more σ than this is one that lasts, and no error of the tilt.
 const COASTING: f32 = 3.0;
 
@@ -140,6 +151,7 @@ pub struct Kalman {
     /// A covariance step is due or under way.
     has_work: bool,
     is_bias_known: bool,
+    bias_source: BiasSource,
     mean: Mean,
     step: Step,
     interval: Interval,
@@ -152,6 +164,30 @@ pub struct Kalman {
     mean_force_m_s2: Vector3,
     /// Which bias was last measured at rest.
     next_axis: u8,
+}
+
+/// Where what is known of the bias comes from, besides motion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+enum BiasSource {
+    /// What the part may have.
+    Datasheet,
+    /// A stored value, or an earlier run.
+    Earlier,
+    /// A rest of this run.
+    Rest,
+}
+
+impl BiasSource {
+    fn exchange(&mut self, state: &mut impl Exchange) {
+        let mut index = *self as usize;
+        state.index(&mut index, 3);
+        *self = match index {
+            0 => Self::Datasheet,
+            1 => Self::Earlier,
+            _ => Self::Rest,
+        };
+    }
 }
 
 /// What an earlier run knew.
@@ -264,6 +300,7 @@ impl Kalman {
             is_resumed: false,
             has_work: false,
             is_bias_known: false,
+            bias_source: BiasSource::Datasheet,
             mean: Mean::new(),
             step: Step::new(),
             interval: Interval::EMPTY,
@@ -292,6 +329,11 @@ impl Kalman {
         self.mean.derive_offset();
         self.prior_bias_rad_s = bias_rad_s;
         self.bias_prior = [square(sigma_rad_s); 3];
+        self.bias_source = if sigma_rad_s < KNOWN_BIAS_RAD_S {
+            BiasSource::Earlier
+        } else {
+            BiasSource::Datasheet
+        };
         self.is_prepared = false;
     }
 
@@ -355,6 +397,7 @@ impl Kalman {
         state.truth(&mut self.is_resumed);
         state.truth(&mut self.has_work);
         state.truth(&mut self.is_bias_known);
+        self.bias_source.exchange(state);
         self.mean.exchange(state);
         self.step.exchange(state);
         self.interval.exchange(state);
@@ -496,7 +539,8 @@ impl Kalman {
         self.rest.is_still()
     }
 
-    /// Whether the gyroscope's bias is known: its σ is below 0.5 °/s on every axis.
+    /// Whether the gyroscope's bias is known: it has been measured at rest, in this run or the one that a stored value
+    /// came from, and its σ is below 0.5 °/s on every axis.
     pub fn is_bias_known(&self) -> bool {
         self.is_bias_known
     }
@@ -610,6 +654,15 @@ impl Kalman {
             .min(square(tuning.velocity_limit));
         match self.rest.readings(tuning) {
             Some((rate_rad_s, force_m_s2)) if !self.is_armed => {
+                let difference = rate_rad_s - self.mean.bias_rad_s;
+                let rate_variance = square(tuning.rest_rate) / duration_s;
+                if self.bias_source != BiasSource::Rest && !self.is_likely(difference, UNSURPRISING)
+                {
+                    self.begin_at_rest(rate_rad_s, force_m_s2, rate_variance);
+                    return;
+                }
+                self.bias_source = BiasSource::Rest;
+                self.measure_bias(difference, rate_variance);
                 let force = self.mean.attitude.rotate(force_m_s2);
                 let tilt = self.step.covariance.moving_variance(0)
                     + self.step.covariance.moving_variance(1);
@@ -619,7 +672,6 @@ impl Kalman {
                     variance = variance.min(square(tuning.rest_velocity));
                     self.forget_coasting(variance / duration_s);
                 }
-                self.measure_bias(rate_rad_s, square(tuning.rest_rate) / duration_s);
             }
             _ => self.doubt_the_prior(),
         }
@@ -648,23 +700,11 @@ impl Kalman {
     }
 
     /// At rest the gyroscope reads its bias, if that is likely.
-    fn measure_bias(&mut self, reading_rad_s: Vector3, variance: f32) {
-        let difference = reading_rad_s - self.mean.bias_rad_s;
-        let innovations = [difference.x, difference.y, difference.z];
-        let is_likely = innovations.iter().enumerate().all(|(axis, innovation)| {
-            let prior = self.bias_prior.get(axis).copied().unwrap_or(0.0);
-            let own = self.step.covariance.constant_variance(axis);
-            // As long as the prior is all there is, any bias that the part may have is likely.
-            let own = if own > 0.25 * prior {
-                square(LARGEST_BIAS_RAD_S)
-            } else {
-                own
-            };
-            square(*innovation) < 16.0 * (own + square(self.tuning.rest_rate))
-        });
-        if !is_likely {
+    fn measure_bias(&mut self, difference: Vector3, variance: f32) {
+        if !self.is_likely(difference, LIKELY) {
             return;
         }
+        let innovations = [difference.x, difference.y, difference.z];
         // What is well known is watched one axis at a time, which costs less.
         self.next_axis = if self.next_axis < 2 {
             self.next_axis + 1
@@ -682,6 +722,35 @@ impl Kalman {
                 });
             }
         }
+    }
+
+    /// Whether a bias may be off by this, rad/s, which is so many σ.
+    fn is_likely(&self, difference: Vector3, sigmas: f32) -> bool {
+        let rest = square(self.tuning.rest_rate);
+        let differences = [difference.x, difference.y, difference.z];
+        differences
+            .into_iter()
+            .enumerate()
+            .all(|(axis, difference)| {
+                let own = self.step.covariance.constant_variance(axis);
+                square(difference) < square(sigmas) * (own + rest)
+            })
+    }
+
+    /// Begins anew at rest, where the mean readings show bias and tilt; keeps yaw.
+    #[inline(never)]
+    fn begin_at_rest(&mut self, rate_rad_s: Vector3, force_m_s2: Vector3, variance: f32) {
+        let attitude = self.mean.attitude.with_down(-force_m_s2);
+        let rest = self.rest;
+        self.restart();
+        self.set_bias(rate_rad_s, sigma(variance));
+        self.bias_source = BiasSource::Rest;
+        self.expect(square(RESTING_TILT_RAD));
+        self.mean.attitude = attitude;
+        self.mean.begin(rate_rad_s, force_m_s2);
+        self.rest = rest;
+        self.has_tilt = true;
+        self.is_bias_known = true;
     }
 
     /// Widens the prior of a bias that lies where the prior said it would not.
@@ -779,8 +848,10 @@ impl Kalman {
             self.begin_again();
             return;
         }
-        self.is_bias_known = (0..3)
-            .all(|axis| self.step.covariance.constant_variance(axis) < square(KNOWN_BIAS_RAD_S));
+        self.is_bias_known = self.bias_source != BiasSource::Datasheet
+            && (0..3).all(|axis| {
+                self.step.covariance.constant_variance(axis) < square(KNOWN_BIAS_RAD_S)
+            });
     }
 }
 

@@ -12,6 +12,10 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 /// Readings are compared with their average over this time, s.
 const AVERAGING_TIME_S: f32 = 0.5;
 
+/// At first there is nothing to compare with: so long, s, it is a plain average of what there was, and what the
+/// sensor's own filter makes of its start, the first sample or two, does not count as motion.
+const FIRST_AVERAGE_S: f32 = 0.07;
+
 /// So long without motion is a moment, s.
 const STILL_S: f32 = 0.3;
 
@@ -24,6 +28,7 @@ const GRAVITY_TOLERANCE: f32 = 0.12;
 pub(super) struct Rest {
     average_rate_rad_s: Vector3,
     average_force_m_s2: Vector3,
+    /// How long nothing has moved; during the first average, how long it has lasted, negative.
     quiet_s: f32,
 }
 
@@ -47,7 +52,7 @@ impl Rest {
         *self = Self {
             average_rate_rad_s: rate_rad_s,
             average_force_m_s2: force_m_s2,
-            quiet_s: 0.0,
+            quiet_s: -f32::MIN_POSITIVE,
         };
     }
 
@@ -66,9 +71,23 @@ impl Rest {
     ) {
         let rate = rate_rad_s - self.average_rate_rad_s;
         let force = force_m_s2 - self.average_force_m_s2;
-        let share = (duration_s / AVERAGING_TIME_S).min(1.0);
+        let is_first = self.quiet_s < 0.0;
+        let averaged_s = if is_first {
+            duration_s - self.quiet_s
+        } else {
+            AVERAGING_TIME_S
+        };
+        let share = (duration_s / averaged_s).min(1.0);
         self.average_rate_rad_s = self.average_rate_rad_s + rate.scale(share);
         self.average_force_m_s2 = self.average_force_m_s2 + force.scale(share);
+        if is_first {
+            self.quiet_s = if averaged_s < FIRST_AVERAGE_S {
+                -averaged_s
+            } else {
+                averaged_s
+            };
+            return;
+        }
         let is_quiet = rate.dot(rate) < tuning.rest_rate_rad_s * tuning.rest_rate_rad_s
             && force.dot(force) < tuning.rest_force_m_s2 * tuning.rest_force_m_s2;
         self.quiet_s = if is_quiet {
