@@ -3,8 +3,8 @@
 //! decode → calibrate and align (one affine map for each sensor, from counts to the body's axes) → estimate → health.
 //!
 //! There is a snapshot for every burst, from the first one on; it carries [`Flags::CALIBRATING`] until
-//! the gyroscope's offset is known. [`FilterKind::Kalman`] finds it by itself, at rest and in motion,
-//! while it runs. The other filters wait for the start-up average: with the sample after it they start
+//! the gyroscope's offset is known. [`FilterKind::Kalman`] looks for it by itself, at rest and in motion,
+//! while it runs, and is sure of it after a second of rest. The other filters wait for the start-up average: with the sample after it they start
 //! again, offsets removed, and yaw starts again at zero.
 //!
 //! After a snapshot is published, [`Pipeline::collect`] does what has time: it collects rest for a calibration and

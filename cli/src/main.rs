@@ -27,6 +27,8 @@ mod rest;
 mod score;
 mod simulated;
 mod spectrum;
+#[cfg(test)]
+mod starts;
 mod throughput;
 mod view;
 

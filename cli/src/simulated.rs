@@ -144,6 +144,11 @@ fn samples(kind: Kind, seed: u64, seconds: u64) -> impl Iterator<Item = Simulate
 
 /// The flight of this seed.
 pub fn flight(seed: u64) -> Recording {
+    flight_for(seed, SECONDS)
+}
+
+/// The same for so many seconds.
+pub fn flight_for(seed: u64, seconds: u64) -> Recording {
     let mut recording = Recording {
         set: "simulated".to_owned(),
         name: format!("flight {seed}"),
@@ -152,7 +157,7 @@ pub fn flight(seed: u64) -> Recording {
         samples: Vec::new(),
         true_up: Vec::new(),
     };
-    for Simulated { t_us, raw, truth } in samples(Kind::Flight, seed, SECONDS) {
+    for Simulated { t_us, raw, truth } in samples(Kind::Flight, seed, seconds) {
         recording.samples.push(Sample {
             t_us,
             specific_force_m_s2: Mount::Z_UP

@@ -56,7 +56,7 @@
 //! - Rest and steady motion are the same to the sensor. Where the readings are those of rest and the
 //!   velocity is not, it is forgotten, so that whoever accelerated for long and now coasts finds down again.
 //! - Known and not solved: a bias of 20 °/s about the vertical that starts in motion takes longer than
-//!   half a minute to find, since yaw is not observed.
+//!   half a minute to find, if it is found, since yaw is not observed. It counts as unknown until the first rest.
 //! - A specific force of about one g that stays in the wrong direction for a second and a half,
 //!   over 45° from up, cannot come from a vehicle that holds its height: sideways acceleration of
 //!   one g would make it 1.4 g. So the attitude is wrong, and starts again from that direction.
