@@ -125,8 +125,8 @@ const TOLD_VARIANCE: f32 = TOLD_SIGMA * TOLD_SIGMA;
 const LIKELY: f32 = 4.0;
 /// By more than this, what came before the first rest is not worth keeping.
 const UNSURPRISING: f32 = 2.0;
-/// σ of the tilt that the mean force at rest shows, per axis, rad: the accelerometer's bias.
-const RESTING_TILT_RAD: f32 = REST_ACCELERATION;
+/// σ of the tilt that the mean force at rest shows, both axes together, rad: the accelerometer's bias.
+const RESTING_TILT_RAD: f32 = 1.4 * REST_ACCELERATION;
 
 /// At rest a velocity of more σ than this is one that lasts, and no error of the tilt.
 const COASTING: f32 = 3.0;
@@ -737,20 +737,18 @@ impl Kalman {
             })
     }
 
-    /// Begins anew at rest, where the mean readings show bias and tilt; keeps yaw.
+    /// Begins anew with the next sample, from bias and tilt as the mean readings at rest show them; keeps yaw.
     #[inline(never)]
     fn begin_at_rest(&mut self, rate_rad_s: Vector3, force_m_s2: Vector3, variance: f32) {
-        let attitude = self.mean.attitude.with_down(-force_m_s2);
-        let rest = self.rest;
+        let known = Known {
+            attitude: self.mean.attitude.with_down(-force_m_s2),
+            tilt_sigma_rad: RESTING_TILT_RAD,
+            bias_rad_s: rate_rad_s,
+            bias_sigma_rad_s: sigma(variance),
+        };
         self.restart();
-        self.set_bias(rate_rad_s, sigma(variance));
+        self.resume(&known);
         self.bias_source = BiasSource::Rest;
-        self.expect(square(RESTING_TILT_RAD));
-        self.mean.attitude = attitude;
-        self.mean.begin(rate_rad_s, force_m_s2);
-        self.rest = rest;
-        self.has_tilt = true;
-        self.is_bias_known = true;
     }
 
     /// Widens the prior of a bias that lies where the prior said it would not.
