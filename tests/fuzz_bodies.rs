@@ -9,9 +9,14 @@ mod flight_log;
 #[cfg(feature = "mavlink")]
 #[path = "../fuzz/bodies/mavlink.rs"]
 mod mavlink;
-
+#[path = "../fuzz/bodies/sensor.rs"]
+mod sensor;
+#[path = "../fuzz/bodies/state.rs"]
+mod state;
 #[path = "../fuzz/bodies/stored_record.rs"]
 mod stored_record;
+#[path = "../fuzz/bodies/text_formats.rs"]
+mod text_formats;
 
 /// Bytes, pieces of commands and line ends.
 fn nearly_commands() -> impl Strategy<Value = Vec<u8>> {
@@ -184,7 +189,120 @@ fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
+/// An attitude's 32 bytes, then lines and packets as the module and `bursts.csv` have them, some with a byte changed.
+fn nearly_text() -> impl Strategy<Value = Vec<u8>> {
+    let number = "-?[0-9]{1,5}\\.[0-9]{2}|nan|-?180\\.00|-0\\.00|[0-9.e+-]{0,9}";
+    let fields = |labels: [&'static str; 6], before: &'static str, after: &'static str| {
+        prop::collection::vec(number, 6).prop_map(move |numbers| {
+            let fields = labels.iter().zip(numbers);
+            let fields = fields.map(|(label, number)| format!("{before}{label}:{number}{after}"));
+            fields.collect::<String>() + before + "valid:1\n"
+        })
+    };
+    let labels = [
+        "roll",
+        "pitch",
+        "yaw",
+        "roll_rate",
+        "pitch_rate",
+        "yaw_rate",
+    ];
+    let classic = prop::collection::vec(number, 4)
+        .prop_map(|n| format!("Roll:{}({}),\tPitch:{}({})\r\n", n[0], n[1], n[2], n[3]));
+    let burst = "[0-9]{1,21},[0-9a-fA-F]{28},((MISSED|LATE|POLLED|VALID|x)[|]?){0,3}\n";
+    let line = prop_oneof![
+        fields(labels, "", "\t"),
+        fields(labels, ">", "\n"),
+        classic,
+        burst
+    ];
+    let packet = (any::<[u8; 8]>(), any::<u8>())
+        .prop_map(|(numbers, counter)| [&b"$\x02"[..], &numbers, &[0, counter], b"\r\n"].concat());
+    let piece = prop_oneof![4 => line.prop_map(String::into_bytes), 1 => packet];
+    let change = prop::option::weighted(0.3, (any::<prop::sample::Index>(), any::<u8>()));
+    let piece = (piece, change).prop_map(|(mut piece, change)| {
+        if let Some((place, byte)) = change {
+            let place = place.index(piece.len());
+            piece[place] = byte;
+        }
+        piece
+    });
+    let number = prop_oneof![any::<f32>(), -4.0_f32..4.0, -1.0e6_f32..1.0e6];
+    let attitude = prop::collection::vec(number, 8)
+        .prop_map(|numbers| numbers.into_iter().flat_map(f32::to_le_bytes).collect());
+    (attitude, prop::collection::vec(piece, 0..10))
+        .prop_map(|(attitude, pieces): (Vec<u8>, _)| [attitude, pieces.concat()].concat())
+}
+
+/// Settings, an identity that is known more often than not, and few faults, so that the driver gets far.
+fn nearly_a_sensor() -> impl Strategy<Value = Vec<u8>> {
+    let identity = prop_oneof![
+        4 => prop::sample::select(aplomb::mpu6050::PARTS.map(|part| part.who_am_i).to_vec()),
+        1 => any::<u8>(),
+    ];
+    let fate = prop_oneof![60 => Just(0_u8), 1 => 1..=3_u8, 1 => any::<u8>()];
+    let fates = prop_oneof![
+        Just(Vec::new()),
+        prop::collection::vec(fate, 0..500),
+        // Nobody is there, for so long.
+        (0..500_usize).prop_map(|count| vec![1; count]),
+    ];
+    (any::<u8>(), identity, fates).prop_map(|(settings, identity, fates)| {
+        [settings, identity].into_iter().chain(fates).collect()
+    })
+}
+
+/// A filter, what is changed in its state or what an earlier run knew, and bursts of which many are like a sensor's.
+fn nearly_a_state() -> impl Strategy<Value = Vec<u8>> {
+    let changes = prop::collection::vec(any::<[u8; 3]>(), 0..30)
+        .prop_map(|changes| [vec![changes.len() as u8], changes.concat()].concat());
+    let known = (-1.0_f32..1.0, 0.0_f32..4.0, -0.5_f32..0.5, 0.0_f32..70.0).prop_map(
+        |(w, tilt, bias, sigma)| {
+            // A rotation about the first axis.
+            let attitude = [w, (1.0 - w * w).sqrt(), 0.0, 0.0];
+            let known = [&attitude[..], &[tilt, bias, -bias, 3.0 * bias, sigma]].concat();
+            let bytes = known.into_iter().flat_map(f32::to_le_bytes);
+            [0].into_iter().chain(bytes).collect::<Vec<u8>>()
+        },
+    );
+    let level = any::<[u8; 2]>().prop_map(|[noise, pause]| {
+        let [high, low] = 2048_i16.to_be_bytes();
+        let mut step = [0; 16];
+        (step[4], step[5], step[13], step[14]) = (high, low, noise, pause % 16);
+        step
+    });
+    let bursts = prop::collection::vec(prop_oneof![level, any::<[u8; 16]>()], 0..60);
+    (any::<u8>(), changes, known, bursts).prop_map(|(kind, changes, known, bursts)| {
+        let before = if kind & 8 == 0 { changes } else { known };
+        [vec![kind], before, bursts.concat()].concat()
+    })
+}
+
 proptest! {
+    #[test]
+    fn text_formats_hold(bytes in prop_oneof![
+        10 => nearly_text(),
+        1 => prop::collection::vec(any::<u8>(), 0..300),
+    ]) {
+        text_formats::run(&bytes);
+    }
+
+    #[test]
+    fn sensors_hold(bytes in prop_oneof![
+        10 => nearly_a_sensor(),
+        1 => prop::collection::vec(any::<u8>(), 0..300),
+    ]) {
+        sensor::run(&bytes);
+    }
+
+    #[test]
+    fn states_hold(bytes in prop_oneof![
+        10 => nearly_a_state(),
+        1 => prop::collection::vec(any::<u8>(), 0..300),
+    ]) {
+        state::run(&bytes);
+    }
+
     #[test]
     fn stored_records_hold(bytes in prop_oneof![
         10 => nearly_records(),
