@@ -235,7 +235,8 @@ mod app {
         let mut post = |message| messages.lock(|messages| messages.post(message));
         let mut last_complaint = None;
         let mut is_told = true;
-        let mut told_at = timebase::now();
+        // The first one is told however early it comes.
+        let mut told_at = timebase::now().wrapping_sub(QUIET_US);
         loop {
             watchdog::samples_go_on();
             match sensor.make_ready() {
