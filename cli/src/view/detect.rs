@@ -438,7 +438,8 @@ impl Mavlink {
     const OVERHEAD: usize = 12;
     const SIGNED: u8 = 1;
 
-    /// Whether a frame is complete.
+    /// Whether a frame ends with this byte. One that is found late, behind what looked like the start of another, does not:
+    /// the byte may be one of another format.
     fn push(&mut self, byte: u8, counts: &mut Counts, items: &mut Vec<Item>) -> bool {
         if self.bytes.is_empty() && byte != Self::START {
             return false;
@@ -455,7 +456,7 @@ impl Mavlink {
             frame[..whole].copy_from_slice(&self.bytes[..whole]);
             let raw = MAVLinkV2MessageRaw::from_bytes_unparsed(frame);
             let used = if raw.has_valid_crc::<MavMessage>() {
-                is_frame = true;
+                is_frame = self.bytes.len() == whole;
                 self.frame(&raw, counts, items);
                 whole
             } else {
@@ -656,6 +657,7 @@ mod tests {
     use aplomb::telemetry::message::Severity;
     use aplomb::telemetry::{FRAME_CAPACITY, Output, encode};
     use aplomb::units::radians;
+    use proptest::prelude::*;
 
     use super::*;
     use crate::flight_log::Recorder;
@@ -690,6 +692,93 @@ mod tests {
             _ => None,
         };
         items.iter().filter_map(reading).collect()
+    }
+
+    /// Frames of every format, lines, and noise; some with a byte changed.
+    fn nearly_a_stream() -> impl Strategy<Value = Vec<u8>> {
+        let formats = [
+            OutputFormat::Text,
+            OutputFormat::Teapot,
+            OutputFormat::Classic,
+            OutputFormat::Teleplot,
+        ];
+        let of_format = (prop::sample::select(formats.to_vec()), any::<u8>())
+            .prop_map(|(format, counter)| frame(format, counter));
+        let said = prop::option::of("[ -~é°]{0,120}");
+        let of_session = said.prop_map(|said| mavlink(&mut Session::new(), said.as_deref()));
+        let of_log =
+            (any::<u32>(), any::<[u8; 14]>(), any::<u32>()).prop_map(|(number, bytes, flags)| {
+                let captured_at_us = u64::from(number) * 1_000;
+                let burst = Burst {
+                    bytes,
+                    captured_at_us,
+                    missed_before: 0,
+                };
+                let flags = Flags::from_bits(flags);
+                let configuration = log::Configuration {
+                    revision: aplomb::estimator::REVISION,
+                    from_number: number,
+                    settings: Settings::new(&Part::MPU_6050),
+                };
+                let frames = [
+                    Frame::Burst(NumberedBurst {
+                        number,
+                        flags,
+                        burst,
+                    }),
+                    Frame::Configuration(configuration),
+                    Frame::Attitude(snapshot()),
+                    Frame::Text(log::Text::new("said")),
+                ];
+                let mut place = [0; log::FRAME_CAPACITY];
+                log::encode(&frames[number as usize % 4], &mut place).to_vec()
+            });
+        let line = "# (attitude: |ok status: flags=)?[A-Z|]{0,20}( x=1)?\n|t_us,(qw,qx,qy,qz|roll_deg,pitch_deg,yaw_deg)(,flags)?\n|\
+                    -?[0-9]{1,4}(,(1|0|nan)){3,4}(,VALID)?\n|>[a-z_]{3,5}:[0-9.]{1,5}\n|.{0,9}";
+        let piece = prop_oneof![
+            4 => of_format,
+            2 => of_session,
+            4 => of_log,
+            4 => line.prop_map(String::into_bytes),
+            1 => prop::collection::vec(any::<u8>(), 0..40),
+        ];
+        let change = prop::option::weighted(0.2, (any::<prop::sample::Index>(), any::<u8>()));
+        let piece = (piece, change).prop_map(|(mut piece, change)| {
+            if let Some((place, byte)) = change
+                && !piece.is_empty()
+            {
+                let place = place.index(piece.len());
+                piece[place] = byte;
+            }
+            piece
+        });
+        prop::collection::vec(piece, 0..20).prop_map(|pieces| pieces.concat())
+    }
+
+    proptest! {
+        #[test]
+        fn any_stream_is_decoded_alike_in_any_pieces_and_a_whole_line_is_found_after_it(
+            stream in nearly_a_stream(),
+            size in 1_usize..50,
+        ) {
+            let mut whole = Decoder::default();
+            let mut items = decode(&mut whole, &stream);
+            let mut pieces = Decoder::default();
+            let in_pieces: Vec<Item> = stream
+                .chunks(size)
+                .flat_map(|piece| decode(&mut pieces, piece))
+                .collect();
+            // Numbers that are none are not equal to themselves, but look alike.
+            prop_assert_eq!(format!("{items:?}"), format!("{in_pieces:?}"));
+            prop_assert_eq!(whole.counts(), pieces.counts());
+            prop_assert_eq!(whole.format(), pieces.format());
+            items.retain(|item| matches!(item, Item::Reading(_)));
+            prop_assert_eq!(items.len() as u64, whole.counts().readings);
+            let next = [b"\n", &frame(OutputFormat::Text, 0)[..]].concat();
+            let found = readings(&decode(&mut whole, &next));
+            prop_assert!(found.last().is_some_and(|found| (found.roll_deg - 12.0).abs() < 0.02));
+            prop_assert_eq!(whole.format(), Some(Format::Module(OutputFormat::Text)));
+        }
     }
 
     /// The last σ.
@@ -775,6 +864,19 @@ mod tests {
         assert_eq!(items, [Item::Message("attitude: VALID".into())]);
         let items = decode(&mut decoder, &frame(OutputFormat::Text, 0));
         assert_eq!(readings(&items)[0].flags, Some(Flags::VALID));
+    }
+
+    #[test]
+    fn a_frame_that_is_found_late_takes_no_line_with_it() {
+        let mut decoder = Decoder::default();
+        let heartbeat = &mavlink(&mut Session::new(), None)[..21];
+        let line = frame(OutputFormat::Text, 0);
+        // What begins like a frame is none only when its last byte is there, which is the line's.
+        let length = (3 + heartbeat.len() + 1 + line.len() - Mavlink::OVERHEAD) as u8;
+        let start = [Mavlink::START, length, 0];
+        let items = decode(&mut decoder, &[&start, heartbeat, b"\n", &line].concat());
+        assert_eq!(readings(&items).len(), 1);
+        assert_eq!(decoder.format(), Some(Format::Module(OutputFormat::Text)));
     }
 
     #[test]
