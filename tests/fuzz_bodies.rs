@@ -97,25 +97,35 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
         }
         piece
     });
-    prop::collection::vec(damaged, 0..40).prop_map(|pieces| pieces.concat())
+    let stream = prop::collection::vec(damaged, 0..40).prop_map(|pieces| pieces.concat());
+    // Bodies of frames: a kind, and bytes of about the right length, of which the first are ordinary.
+    let body = (
+        1_u8..=5,
+        prop::sample::select(vec![29_usize, 40, 104, 20, 60]),
+        any::<u8>(),
+    )
+        .prop_flat_map(|(kind, length, text)| {
+            let byte =
+                prop_oneof![4 => 0_u8..6, 1 => any::<u8>(), 1 => Just(0x68), 1 => 97_u8..123];
+            prop::collection::vec(byte, length).prop_map(move |mut rest| {
+                if kind == 5 {
+                    rest[0] = (length - 1) as u8 - (text & 1);
+                }
+                [vec![length as u8 + 1, kind], rest].concat()
+            })
+        });
+    let bodies = prop::collection::vec(body, 0..10).prop_map(|bodies| bodies.concat());
+    prop_oneof![
+        stream.prop_map(|stream| [vec![0], stream].concat()),
+        bodies.prop_map(|bodies| [vec![1], bodies].concat()),
+    ]
 }
 
 /// Frames as ground stations send them, with right and wrong checksums, and noise.
 #[cfg(feature = "mavlink")]
 fn nearly_frames() -> impl Strategy<Value = Vec<u8>> {
-    // Number and the byte that goes into the checksum, of what is understood and of one that is not.
-    let known = [
-        (0, 50),
-        (20, 214),
-        (21, 159),
-        (23, 168),
-        (43, 132),
-        (75, 158),
-        (76, 152),
-        (4, 237),
-    ];
     let frame = (
-        prop::sample::select(known.to_vec()),
+        prop::sample::select(mavlink::MESSAGES.to_vec()),
         prop::collection::vec(prop_oneof![Just(0_u8), Just(1), any::<u8>()], 0..40),
         prop::bool::weighted(0.8),
     )
@@ -131,7 +141,16 @@ fn nearly_frames() -> impl Strategy<Value = Vec<u8>> {
         1 => Just(b"format text\n".to_vec()),
         1 => prop::collection::vec(any::<u8>(), 0..30),
     ];
-    prop::collection::vec(piece, 0..40).prop_map(|pieces| pieces.concat())
+    let stream = prop::collection::vec(piece, 0..40).prop_map(|pieces| pieces.concat());
+    let payloads = prop::collection::vec((any::<u8>(), any::<[u8; 12]>()), 0..20).prop_map(|all| {
+        all.into_iter()
+            .flat_map(|(message, payload)| [message, 12].into_iter().chain(payload))
+            .collect()
+    });
+    prop_oneof![
+        4 => stream.prop_map(|stream| [vec![0], stream].concat()),
+        1 => payloads.prop_map(|payloads: Vec<u8>| [vec![1], payloads].concat()),
+    ]
 }
 
 /// A field that may be absent, of so many numbers, most of them ordinary.

@@ -112,7 +112,7 @@ fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 36]) {
         return;
     }
     pipeline.resume(&Known {
-        attitude,
+        attitude: attitude.normalize(),
         tilt_sigma_rad: tilt,
         bias_rad_s: Vector3::new(p, q, r),
         bias_sigma_rad_s: bias,
