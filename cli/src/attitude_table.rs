@@ -128,7 +128,7 @@ impl Columns {
                 let [x, y, z] = numbers([x, y, z])?;
                 let quaternion = Quaternion::new(number(w)?, x, y, z);
                 let length = quaternion.dot(quaternion).sqrt();
-                if !((length - 1.0).abs() <= LENGTH_TOLERANCE) {
+                if (length - 1.0).abs() > LENGTH_TOLERANCE {
                     return Err(format!(
                         "qw,qx,qy,qz has the length {length:.4}, but a rotation's is 1"
                     ));
