@@ -2,6 +2,8 @@
 
 use proptest::prelude::*;
 
+#[path = "../fuzz/bodies/checksums.rs"]
+mod checksums;
 #[path = "../fuzz/bodies/commands.rs"]
 mod commands;
 #[path = "../fuzz/bodies/flight_log.rs"]

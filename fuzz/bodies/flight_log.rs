@@ -5,9 +5,6 @@
 
 use aplomb::telemetry::log::{Decoder, FRAME_CAPACITY, Frame, Text, encode};
 
-#[path = "checksums.rs"]
-mod checksums;
-
 /// Runs the bytes through a decoder.
 ///
 /// # Panics
@@ -27,7 +24,7 @@ fn framed(mut bodies: &[u8]) -> Vec<u8> {
     while let [length, rest @ ..] = bodies {
         let (body, others) = rest.split_at(rest.len().min((*length).into()));
         bodies = others;
-        let whole = [body, &checksums::crc_32(body).to_le_bytes()].concat();
+        let whole = [body, &crate::checksums::crc_32(body).to_le_bytes()].concat();
         stream.push(0);
         // Each run without a zero is at most 254 bytes long, and begins with its length and one; a longer one has no zero behind it.
         for run in whole.split(|byte| *byte == 0) {

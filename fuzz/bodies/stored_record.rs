@@ -9,9 +9,6 @@ use embedded_storage::nor_flash::{
     ErrorType, MultiwriteNorFlash, NorFlash, NorFlashErrorKind, ReadNorFlash,
 };
 
-#[path = "checksums.rs"]
-mod checksums;
-
 /// The longest record, which is all of a slot that is ever read.
 const SLOT: usize = storage::LONGEST_RECORD;
 
@@ -54,7 +51,7 @@ pub fn image(version: u16, body: &[u8]) -> Vec<u8> {
     covered.extend(body);
     [
         &header,
-        &checksums::crc_32(&covered).to_le_bytes()[..],
+        &crate::checksums::crc_32(&covered).to_le_bytes()[..],
         body,
     ]
     .concat()

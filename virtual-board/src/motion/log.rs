@@ -528,7 +528,7 @@ mod tests {
             let line_count = text.split(|byte| *byte == b'\n').count() as u64;
             match parse(&text) {
                 Ok(log) => {
-                    prop_assert!(log.rows().len() as u64 <= line_count - 1);
+                    prop_assert!((log.rows().len() as u64) < line_count);
                     prop_assert!(log.rows().is_sorted_by(|one, other| one.time_us < other.time_us));
                     for row in log.rows() {
                         let values = row.specific_force_m_s2.iter().chain(&row.rates_rad_s);
