@@ -95,7 +95,7 @@ impl Flags {
     /// What needs a second look at whether an attitude is valid or degraded.
     pub(crate) const ODD: Self = Self(Self::SPOILS.0 | Self::DEGRADES.0);
 
-    /// Every flag with its name.
+    /// Every flag with its name, in the order of the bits.
     pub const NAMES: [(Self, &'static str); 19] = [
         (Self::CALIBRATING, "CALIBRATING"),
         (Self::MOVED, "MOVED"),
@@ -197,16 +197,37 @@ impl BitOrAssign for Flags {
     }
 }
 
-/// The names by the numbers of their bits, which take less flash so than in a table.
-const NAMES_BY_BIT: &str = "CALIBRATING|MOVED|MISSED|GAP|TIME|GYROSCOPE_SATURATED|ACCELEROMETER_SATURATED|\
-                            FREE_FALL|FROZEN|REJECTED|VALID|DEGRADED|STALE|BUS_FAULT|SENSOR_RESET|LATE|TEMPERATURE|\
-                            POLLED|INTERNAL_CLOCK";
+/// The names by the numbers of their bits, each followed by `|`, which take less flash so than in a table.
+static NAMES_BY_BIT: [u8; NAMES_LENGTH] = {
+    let mut text = [b'|'; NAMES_LENGTH];
+    let (mut at, mut bit) = (0, 0);
+    while bit < Flags::NAMES.len() {
+        let (flag, name) = Flags::NAMES[bit];
+        assert!(flag.0 == 1 << bit, "the names are in the order of the bits");
+        let (_, rest) = text.split_at_mut(at);
+        rest.split_at_mut(name.len())
+            .0
+            .copy_from_slice(name.as_bytes());
+        at += name.len() + 1;
+        bit += 1;
+    }
+    text
+};
+
+const NAMES_LENGTH: usize = {
+    let (mut length, mut bit) = (0, 0);
+    while bit < Flags::NAMES.len() {
+        length += Flags::NAMES[bit].1.len() + 1;
+        bit += 1;
+    }
+    length
+};
 
 impl fmt::Display for Flags {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut left = self.0;
         let (mut is_first, mut is_between) = (true, false);
-        for letter in NAMES_BY_BIT.bytes() {
+        for &letter in &NAMES_BY_BIT {
             if letter == b'|' {
                 left >>= 1;
                 is_between = !is_first;

@@ -2,6 +2,8 @@
 
 use proptest::prelude::*;
 
+#[path = "../fuzz/bodies/checksums.rs"]
+mod checksums;
 #[path = "../fuzz/bodies/commands.rs"]
 mod commands;
 #[path = "../fuzz/bodies/flight_log.rs"]
@@ -9,9 +11,14 @@ mod flight_log;
 #[cfg(feature = "mavlink")]
 #[path = "../fuzz/bodies/mavlink.rs"]
 mod mavlink;
-
+#[path = "../fuzz/bodies/sensor.rs"]
+mod sensor;
+#[path = "../fuzz/bodies/state.rs"]
+mod state;
 #[path = "../fuzz/bodies/stored_record.rs"]
 mod stored_record;
+#[path = "../fuzz/bodies/text_formats.rs"]
+mod text_formats;
 
 /// Bytes, pieces of commands and line ends.
 fn nearly_commands() -> impl Strategy<Value = Vec<u8>> {
@@ -92,25 +99,35 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
         }
         piece
     });
-    prop::collection::vec(damaged, 0..40).prop_map(|pieces| pieces.concat())
+    let stream = prop::collection::vec(damaged, 0..40).prop_map(|pieces| pieces.concat());
+    // Bodies of frames: a kind, and bytes of about the right length, of which the first are ordinary.
+    let body = (
+        1_u8..=5,
+        prop::sample::select(vec![29_usize, 40, 104, 20, 60]),
+        any::<u8>(),
+    )
+        .prop_flat_map(|(kind, length, text)| {
+            let byte =
+                prop_oneof![4 => 0_u8..6, 1 => any::<u8>(), 1 => Just(0x68), 1 => 97_u8..123];
+            prop::collection::vec(byte, length).prop_map(move |mut rest| {
+                if kind == 5 {
+                    rest[0] = (length - 1) as u8 - (text & 1);
+                }
+                [vec![length as u8 + 1, kind], rest].concat()
+            })
+        });
+    let bodies = prop::collection::vec(body, 0..10).prop_map(|bodies| bodies.concat());
+    prop_oneof![
+        stream.prop_map(|stream| [vec![0], stream].concat()),
+        bodies.prop_map(|bodies| [vec![1], bodies].concat()),
+    ]
 }
 
 /// Frames as ground stations send them, with right and wrong checksums, and noise.
 #[cfg(feature = "mavlink")]
 fn nearly_frames() -> impl Strategy<Value = Vec<u8>> {
-    // Number and the byte that goes into the checksum, of what is understood and of one that is not.
-    let known = [
-        (0, 50),
-        (20, 214),
-        (21, 159),
-        (23, 168),
-        (43, 132),
-        (75, 158),
-        (76, 152),
-        (4, 237),
-    ];
     let frame = (
-        prop::sample::select(known.to_vec()),
+        prop::sample::select(mavlink::MESSAGES.to_vec()),
         prop::collection::vec(prop_oneof![Just(0_u8), Just(1), any::<u8>()], 0..40),
         prop::bool::weighted(0.8),
     )
@@ -126,7 +143,16 @@ fn nearly_frames() -> impl Strategy<Value = Vec<u8>> {
         1 => Just(b"format text\n".to_vec()),
         1 => prop::collection::vec(any::<u8>(), 0..30),
     ];
-    prop::collection::vec(piece, 0..40).prop_map(|pieces| pieces.concat())
+    let stream = prop::collection::vec(piece, 0..40).prop_map(|pieces| pieces.concat());
+    let payloads = prop::collection::vec((any::<u8>(), any::<[u8; 12]>()), 0..20).prop_map(|all| {
+        all.into_iter()
+            .flat_map(|(message, payload)| [message, 12].into_iter().chain(payload))
+            .collect()
+    });
+    prop_oneof![
+        4 => stream.prop_map(|stream| [vec![0], stream].concat()),
+        1 => payloads.prop_map(|payloads: Vec<u8>| [vec![1], payloads].concat()),
+    ]
 }
 
 /// A field that may be absent, of so many numbers, most of them ordinary.
@@ -184,7 +210,120 @@ fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
+/// An attitude's 32 bytes, then lines and packets as the module and `bursts.csv` have them, some with a byte changed.
+fn nearly_text() -> impl Strategy<Value = Vec<u8>> {
+    let number = "-?[0-9]{1,5}\\.[0-9]{2}|nan|-?180\\.00|-0\\.00|[0-9.e+-]{0,9}";
+    let fields = |labels: [&'static str; 6], before: &'static str, after: &'static str| {
+        prop::collection::vec(number, 6).prop_map(move |numbers| {
+            let fields = labels.iter().zip(numbers);
+            let fields = fields.map(|(label, number)| format!("{before}{label}:{number}{after}"));
+            fields.collect::<String>() + before + "valid:1\n"
+        })
+    };
+    let labels = [
+        "roll",
+        "pitch",
+        "yaw",
+        "roll_rate",
+        "pitch_rate",
+        "yaw_rate",
+    ];
+    let classic = prop::collection::vec(number, 4)
+        .prop_map(|n| format!("Roll:{}({}),\tPitch:{}({})\r\n", n[0], n[1], n[2], n[3]));
+    let burst = "[0-9]{1,21},[0-9a-fA-F]{28},((MISSED|LATE|POLLED|VALID|x)[|]?){0,3}\n";
+    let line = prop_oneof![
+        fields(labels, "", "\t"),
+        fields(labels, ">", "\n"),
+        classic,
+        burst
+    ];
+    let packet = (any::<[u8; 8]>(), any::<u8>())
+        .prop_map(|(numbers, counter)| [&b"$\x02"[..], &numbers, &[0, counter], b"\r\n"].concat());
+    let piece = prop_oneof![4 => line.prop_map(String::into_bytes), 1 => packet];
+    let change = prop::option::weighted(0.3, (any::<prop::sample::Index>(), any::<u8>()));
+    let piece = (piece, change).prop_map(|(mut piece, change)| {
+        if let Some((place, byte)) = change {
+            let place = place.index(piece.len());
+            piece[place] = byte;
+        }
+        piece
+    });
+    let number = prop_oneof![any::<f32>(), -4.0_f32..4.0, -1.0e6_f32..1.0e6];
+    let attitude = prop::collection::vec(number, 8)
+        .prop_map(|numbers| numbers.into_iter().flat_map(f32::to_le_bytes).collect());
+    (attitude, prop::collection::vec(piece, 0..10))
+        .prop_map(|(attitude, pieces): (Vec<u8>, _)| [attitude, pieces.concat()].concat())
+}
+
+/// Settings, an identity that is known more often than not, and few faults, so that the driver gets far.
+fn nearly_a_sensor() -> impl Strategy<Value = Vec<u8>> {
+    let identity = prop_oneof![
+        4 => prop::sample::select(aplomb::mpu6050::PARTS.map(|part| part.who_am_i).to_vec()),
+        1 => any::<u8>(),
+    ];
+    let fate = prop_oneof![60 => Just(0_u8), 1 => 1..=3_u8, 1 => any::<u8>()];
+    let fates = prop_oneof![
+        Just(Vec::new()),
+        prop::collection::vec(fate, 0..500),
+        // Nobody is there, for so long.
+        (0..500_usize).prop_map(|count| vec![1; count]),
+    ];
+    (any::<u8>(), identity, fates).prop_map(|(settings, identity, fates)| {
+        [settings, identity].into_iter().chain(fates).collect()
+    })
+}
+
+/// A filter, what is changed in its state or what an earlier run knew, and bursts of which many are like a sensor's.
+fn nearly_a_state() -> impl Strategy<Value = Vec<u8>> {
+    let changes = prop::collection::vec(any::<[u8; 3]>(), 0..30)
+        .prop_map(|changes| [vec![changes.len() as u8], changes.concat()].concat());
+    let known = (-1.0_f32..1.0, 0.0_f32..4.0, -0.5_f32..0.5, 0.0_f32..70.0).prop_map(
+        |(w, tilt, bias, sigma)| {
+            // A rotation about the first axis.
+            let attitude = [w, (1.0 - w * w).sqrt(), 0.0, 0.0];
+            let known = [&attitude[..], &[tilt, bias, -bias, 3.0 * bias, sigma]].concat();
+            let bytes = known.into_iter().flat_map(f32::to_le_bytes);
+            [0].into_iter().chain(bytes).collect::<Vec<u8>>()
+        },
+    );
+    let level = any::<[u8; 2]>().prop_map(|[noise, pause]| {
+        let [high, low] = 2048_i16.to_be_bytes();
+        let mut step = [0; 16];
+        (step[4], step[5], step[13], step[14]) = (high, low, noise, pause % 16);
+        step
+    });
+    let bursts = prop::collection::vec(prop_oneof![level, any::<[u8; 16]>()], 0..60);
+    (any::<u8>(), changes, known, bursts).prop_map(|(kind, changes, known, bursts)| {
+        let before = if kind & 8 == 0 { changes } else { known };
+        [vec![kind], before, bursts.concat()].concat()
+    })
+}
+
 proptest! {
+    #[test]
+    fn text_formats_hold(bytes in prop_oneof![
+        10 => nearly_text(),
+        1 => prop::collection::vec(any::<u8>(), 0..300),
+    ]) {
+        text_formats::run(&bytes);
+    }
+
+    #[test]
+    fn sensors_hold(bytes in prop_oneof![
+        10 => nearly_a_sensor(),
+        1 => prop::collection::vec(any::<u8>(), 0..300),
+    ]) {
+        sensor::run(&bytes);
+    }
+
+    #[test]
+    fn states_hold(bytes in prop_oneof![
+        10 => nearly_a_state(),
+        1 => prop::collection::vec(any::<u8>(), 0..300),
+    ]) {
+        state::run(&bytes);
+    }
+
     #[test]
     fn stored_records_hold(bytes in prop_oneof![
         10 => nearly_records(),

@@ -414,11 +414,15 @@ impl<W: Write> Recorder<W> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::LazyLock;
+
     use crate::simulated;
     use aplomb::estimator::FilterKind;
     use aplomb::mpu6050::{
         AccelerometerCounts, GyroscopeCounts, Part, RawSample, TemperatureCounts,
     };
+    use aplomb::telemetry::log::encode;
+    use proptest::prelude::*;
 
     fn settings() -> Settings {
         Settings::new(&Part::MPU_6050)
@@ -604,6 +608,85 @@ mod tests {
         assert_eq!(log.flights.len(), 2);
         for flight in &log.flights {
             assert!(replayed(flight).0 == flown);
+        }
+    }
+
+    /// A second's log, damaged, with whole frames of any numbers between.
+    fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
+        static LOG: LazyLock<Vec<u8>> = LazyLock::new(|| fly(&bursts(2), 0).0);
+        let change = (any::<prop::sample::Index>(), any::<u8>());
+        let burst = (any::<u32>(), any::<u64>(), any::<[u8; 14]>()).prop_map(
+            |(number, captured_at_us, bytes)| {
+                let burst = Burst {
+                    bytes,
+                    captured_at_us,
+                    missed_before: 0,
+                };
+                let flags = Flags::from_bits(number);
+                Frame::Burst(NumberedBurst {
+                    number,
+                    flags,
+                    burst,
+                })
+            },
+        );
+        let configuration = any::<u32>().prop_map(|from_number| {
+            let mut settings = Settings::new(&Part::MPU_6050);
+            settings.averaging_samples = from_number as u16;
+            Frame::Configuration(Configuration {
+                revision: REVISION,
+                from_number,
+                settings,
+            })
+        });
+        let frame = prop_oneof![3 => burst, 1 => configuration];
+        let insertion = (any::<prop::sample::Index>(), frame);
+        (
+            prop::collection::vec(change, 0..40),
+            prop::collection::vec(insertion, 0..10),
+            any::<prop::sample::Index>(),
+        )
+            .prop_map(|(changes, insertions, end)| {
+                let mut bytes = LOG.clone();
+                for (place, byte) in changes {
+                    let place = place.index(bytes.len());
+                    bytes[place] = byte;
+                }
+                for (place, frame) in insertions {
+                    let place = place.index(bytes.len());
+                    let frame = encode(&frame, &mut [0; FRAME_CAPACITY]).to_vec();
+                    bytes.splice(place..place, frame);
+                }
+                bytes.truncate(end.index(bytes.len()));
+                bytes
+            })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(100))]
+
+        #[test]
+        fn any_log_is_read_and_replayed_to_its_end(bytes in nearly_a_log()) {
+            let log = decode(&bytes);
+            let mut whole = 0;
+            for flight in log.flown() {
+                let numbers = flight.bursts.iter().map(|burst| burst.number);
+                prop_assert!(numbers.is_sorted_by(|one, other| one < other));
+                prop_assert!(flight.lost() <= u64::from(u32::MAX));
+                whole += flight.bursts.len() as u64;
+                let Ok(mut replay) = Replay::new(flight, |_| {}) else {
+                    prop_assert!(flight.configurations.is_empty());
+                    continue;
+                };
+                while let Some(snapshot) = replay.next() {
+                    let q = snapshot.attitude;
+                    prop_assert!((q.dot(q) - 1.0).abs() < 1e-3, "{q:?}");
+                }
+                let agreement = replay.agreement();
+                prop_assert_eq!(agreement.bursts, flight.bursts.len() as u64);
+                prop_assert!(agreement.compared <= agreement.exact && agreement.exact <= agreement.bursts);
+            }
+            prop_assert!(whole <= log.counts.frames);
         }
     }
 

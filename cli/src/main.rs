@@ -2,6 +2,7 @@
 //! measures its filters, and finds calibrations.
 
 mod accuracy;
+mod attitude_table;
 mod bench;
 mod calibrate;
 mod completions;

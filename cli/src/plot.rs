@@ -19,6 +19,7 @@ use virtual_board::motion::recording::body_to_earth;
 use virtual_board::motion::{self, inclination_error_rad};
 use virtual_board::timeline::{Merge, Timeline, Trace};
 
+use crate::attitude_table::Columns;
 use crate::flight_log;
 use crate::input;
 use crate::output::OutputFile;
@@ -433,40 +434,6 @@ fn modelled(mount: Mount) -> Result<motion::Mount, String> {
     motion::Mount::parse(name).ok_or_else(|| format!("{name} is no mount of a recording"))
 }
 
-/// Where the columns of a table of attitudes are.
-struct Columns {
-    time: usize,
-    quaternion: [usize; 4],
-    rates: Option<[usize; 3]>,
-    sigma: Option<usize>,
-    flags: Option<usize>,
-    scored: Option<usize>,
-}
-
-impl Columns {
-    /// The columns by their names, if it has a time and an attitude and is no log.
-    fn of(header: &str) -> Option<Self> {
-        let names: Vec<&str> = header.split(',').collect();
-        let place = |name: &str| names.iter().position(|other| *other == name);
-        let all = |columns: [&str; 3]| {
-            let [a, b, c] = columns.map(place);
-            Some([a?, b?, c?])
-        };
-        if place("ax").is_some() {
-            return None;
-        }
-        let [x, y, z] = all(["qx", "qy", "qz"])?;
-        Some(Self {
-            time: place("t_us")?,
-            quaternion: [place("qw")?, x, y, z],
-            rates: all(["roll_rate_dps", "pitch_rate_dps", "yaw_rate_dps"]),
-            sigma: place("tilt_sigma_deg"),
-            flags: place("flags"),
-            scored: place("scored"),
-        })
-    }
-}
-
 /// The rows of an attitude.csv, or of a truth.csv.
 struct Table {
     lines: Lines,
@@ -478,69 +445,24 @@ impl Source for Table {
         let Some(line) = self.lines.next_line()? else {
             return Ok(None);
         };
-        let parsed = parse_attitude(line, &self.columns);
-        let point = parsed.map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
-        Ok(Some(point))
+        let parsed = self.columns.row(line);
+        let row = parsed.map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        let [p, q, r] = row.rates_deg_s.unwrap_or_default().map(radians);
+        Ok(Some(Point {
+            t_us: row.t_us,
+            attitude: row.attitude.quaternion(),
+            body_rates_rad_s: Vector3::new(p, q, r),
+            tilt_sigma_rad: row.tilt_sigma_deg.map(radians),
+            flags: row.flags.unwrap_or(Flags::NONE),
+            specific_force_m_s2: None,
+            truth: None,
+            counts: row.counts,
+        }))
     }
 
     fn has_flags(&self) -> bool {
-        self.columns.flags.is_some()
+        self.columns.has_flags()
     }
-}
-
-fn parse_attitude(line: &str, columns: &Columns) -> Result<Point, String> {
-    let cells: Vec<&str> = line.split(',').collect();
-    let cell = |index: usize| {
-        let cell = cells.get(index).copied();
-        cell.ok_or_else(|| format!("the row has {} columns only", cells.len()))
-    };
-    let number = |index: usize| {
-        let cell = cell(index)?;
-        let number = cell.parse::<f32>();
-        number.map_err(|_| format!("\"{cell}\" is not a number"))
-    };
-    let time = cell(columns.time)?;
-    let [w, x, y, z] = columns.quaternion;
-    let body_rates_rad_s = match columns.rates {
-        Some([p, q, r]) => Vector3::new(number(p)?, number(q)?, number(r)?).scale(radians(1.0)),
-        None => Vector3::ZERO,
-    };
-    let tilt_sigma_rad = match columns.sigma {
-        Some(index) if !cell(index)?.is_empty() => Some(radians(number(index)?)),
-        _ => None,
-    };
-    let flags = match columns.flags {
-        Some(index) => {
-            let cell = cell(index)?;
-            Flags::parse(cell).ok_or_else(|| format!("\"{cell}\" are no flags"))?
-        }
-        None => Flags::NONE,
-    };
-    let counts = match columns.scored {
-        Some(index) => match cell(index)? {
-            "1" => true,
-            "0" => false,
-            other => return Err(format!("scored is \"{other}\", but must be 0 or 1")),
-        },
-        None => true,
-    };
-    Ok(Point {
-        t_us: time.parse().map_err(|_| {
-            format!("t_us is \"{time}\", which is not a whole number of microseconds")
-        })?,
-        attitude: Quaternion {
-            w: number(w)?,
-            x: number(x)?,
-            y: number(y)?,
-            z: number(z)?,
-        },
-        body_rates_rad_s,
-        tilt_sigma_rad,
-        flags,
-        specific_force_m_s2: None,
-        truth: None,
-        counts,
-    })
 }
 
 /// What is true at a time.
@@ -597,7 +519,10 @@ impl TruthFile {
             })
         } else {
             let refused = lines.refuse(LogFault::Header(header));
-            return Err(format!("{refused}; or t_us,qw,qx,qy,qz,… for truth").into());
+            return Err(format!(
+                "{refused}; or t_us,qw,qx,qy,qz,… or t_us,roll_deg,pitch_deg,yaw_deg,… for truth"
+            )
+            .into());
         };
         file.after = (file.rows)()?;
         Ok(file)

@@ -1,4 +1,7 @@
 //! Any bytes as a flight log: what the decoder accepts is a frame that encodes to itself, and it finds its feet again.
+//!
+//! The first byte chooses: the rest as it is, or as bodies of frames, each after a byte that says how long it is, so that the
+//! check of the CRC does not keep everything from the decoder. Frames are put together here, apart from the library.
 
 use aplomb::telemetry::log::{Decoder, FRAME_CAPACITY, Frame, Text, encode};
 
@@ -8,6 +11,41 @@ use aplomb::telemetry::log::{Decoder, FRAME_CAPACITY, Frame, Text, encode};
 ///
 /// When something is not as it should be.
 pub fn run(bytes: &[u8]) {
+    match bytes {
+        [choice, bodies @ ..] if choice & 1 == 1 => read(&framed(bodies)),
+        [_, stream @ ..] => read(stream),
+        [] => {}
+    }
+}
+
+/// The bodies with their CRCs, stuffed by COBS, between zeros.
+fn framed(mut bodies: &[u8]) -> Vec<u8> {
+    let mut stream = Vec::new();
+    while let [length, rest @ ..] = bodies {
+        let (body, others) = rest.split_at(rest.len().min((*length).into()));
+        bodies = others;
+        let whole = [body, &crate::checksums::crc_32(body).to_le_bytes()].concat();
+        stream.push(0);
+        // Each run without a zero is at most 254 bytes long, and begins with its length and one; a longer one has no zero behind it.
+        for run in whole.split(|byte| *byte == 0) {
+            let mut parts = run.chunks(254).peekable();
+            if parts.peek().is_none() {
+                stream.push(1);
+            }
+            while let Some(part) = parts.next() {
+                stream.push(part.len() as u8 + 1);
+                stream.extend(part);
+                if part.len() == 254 && parts.peek().is_none() {
+                    stream.push(1);
+                }
+            }
+        }
+        stream.push(0);
+    }
+    stream
+}
+
+fn read(bytes: &[u8]) {
     let mut decoder = Decoder::new();
     let mut found = 0;
     for byte in bytes {

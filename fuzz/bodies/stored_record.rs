@@ -1,7 +1,7 @@
 //! Any bytes in the calibration slots: what loads as a record is one that was saved whole.
 //!
 //! Of the input, the first byte chooses how the rest is laid into a slot: as it is, or as the body of a record with a
-//! right header, so that the check of the CRC does not keep everything from the decoder. Header and CRC are put together
+//! right header, so that the check of the CRC does not keep everything from the decoder. The header is put together
 //! here, apart from the library.
 
 use aplomb::calibration::storage;
@@ -49,16 +49,12 @@ pub fn image(version: u16, body: &[u8]) -> Vec<u8> {
     covered.extend(1_u32.to_le_bytes());
     let header = [&b"APLB"[..], &covered].concat();
     covered.extend(body);
-    [&header, &crc_32(&covered).to_le_bytes()[..], body].concat()
-}
-
-/// CRC-32 bit by bit: reflected, polynomial 0x04C11DB7.
-fn crc_32(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(u32::MAX, |crc, &byte| {
-        (0..8).fold(crc ^ u32::from(byte), |crc, _| {
-            (crc >> 1) ^ (0xEDB8_8320 & 0_u32.wrapping_sub(crc & 1))
-        })
-    })
+    [
+        &header,
+        &crate::checksums::crc_32(&covered).to_le_bytes()[..],
+        body,
+    ]
+    .concat()
 }
 
 /// Flash that does as it is told.

@@ -2,6 +2,8 @@
 
 #![no_main]
 
+#[path = "../bodies/checksums.rs"]
+mod checksums;
 #[path = "../bodies/flight_log.rs"]
 mod flight_log;
 

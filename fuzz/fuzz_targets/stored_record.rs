@@ -2,6 +2,8 @@
 
 #![no_main]
 
+#[path = "../bodies/checksums.rs"]
+mod checksums;
 #[path = "../bodies/stored_record.rs"]
 mod stored_record;
 

@@ -73,9 +73,13 @@ mod app {
     /// Room that a tick's answer, with its mark and line end, needs beside a frame.
     const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
     const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
-    /// Room for a message in any format: a MAVLink frame for each 50 letters is the longest.
-    const MESSAGE_ROOM: usize = message::LINE_CAPACITY.div_ceil(50) * 66;
-    const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM);
+    /// Room for so many letters in any format: a MAVLink frame for each 50 of them is the longest.
+    const fn room(letters: usize) -> usize {
+        letters.div_ceil(50) * 66
+    }
+    /// Room for a message.
+    const MESSAGE_ROOM: usize = room(message::LINE_CAPACITY);
+    const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM && room(ANSWER_CAPACITY) <= uart::CAPACITY);
     /// Bursts on their way to the flight log: three ticks' worth.
     const LOG_BURSTS: usize = 32;
     /// The pipeline is copied for the log at most so long after a sample, in µs, so that no attitude waits for the copy.
@@ -235,7 +239,8 @@ mod app {
         let mut post = |message| messages.lock(|messages| messages.post(message));
         let mut last_complaint = None;
         let mut is_told = true;
-        let mut told_at = timebase::now();
+        // The first one is told however early it comes.
+        let mut told_at = timebase::now().wrapping_sub(QUIET_US);
         loop {
             watchdog::samples_go_on();
             match sensor.make_ready() {
@@ -724,6 +729,7 @@ mod app {
 
         fn state(&mut self) -> State {
             let mut state = self.state;
+            state.flags = next_snapshot(&mut 0).map_or(Flags::NONE, |snapshot| snapshot.flags);
             state.sensor = self.desk.lock(|desk| desk.sensor);
             let copied = self.pipeline.lock(|pipeline| {
                 let pipeline = pipeline.as_ref()?;

@@ -13,7 +13,7 @@ use super::clocks;
 use super::timebase;
 
 /// The longest text that goes out at once.
-pub const CAPACITY: usize = 640;
+pub const CAPACITY: usize = 864;
 
 /// What fits into the ring of received bytes: at 921,600 baud it takes 22 ms to come round, which is longer than
 /// the period at which it is read.

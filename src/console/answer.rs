@@ -7,7 +7,7 @@ use core::fmt::{self, Write};
 use crate::attitude::Vector3;
 
 /// Room for the longest answer, its line end not counted, in bytes.
-pub const ANSWER_CAPACITY: usize = 416;
+pub const ANSWER_CAPACITY: usize = 608;
 
 /// The first word of an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -42,6 +42,7 @@ use procedure::{Procedure, Step};
 
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, Mount, Preferences, Record, RestProgress, RestScale};
+use crate::health::Flags;
 use crate::mpu6050::Part;
 use crate::telemetry;
 use crate::units::degrees;
@@ -128,6 +129,8 @@ impl Outcome {
 /// How the module is.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
+    /// What there is to say about the latest attitude; nothing if there has been none.
+    pub flags: Flags,
     /// The sensor, once it is configured, and its address.
     pub sensor: Option<(&'static Part, u8)>,
     /// The die temperature, °C.
@@ -692,9 +695,10 @@ impl Console {
         let mount = self.mount();
         let is_default = self.working.calibration.mount.is_none();
         reply.ok(format_args!(
-            "status: sensor={} mount={mount}{} calibrated={} bias_dps={} bias_sigma_dps={} tilt_sigma_deg={} \
+            "status: flags={} sensor={} mount={mount}{} calibrated={} bias_dps={} bias_sigma_dps={} tilt_sigma_deg={} \
              temperature_c={} armed={} unsaved={} bursts_failed={} uart_errors={} lines_dropped={} \
              frames_dropped={}{}",
+            state.flags,
             Sensor(state.sensor),
             if is_default { "(default)" } else { "" },
             Calibrated(&self.working.calibration),

@@ -47,6 +47,7 @@ impl Module for Bench {
 
     fn state(&mut self) -> State {
         State {
+            flags: Flags::VALID | Flags::MISSED,
             sensor: (!self.has_no_sensor).then_some((&Part::MPU_6050, 0x68)),
             temperature_celsius: 31.25,
             bias_rad_s: Vector3::new(radians(0.5), radians(-1.0), 0.0),
@@ -226,7 +227,7 @@ fn every_command_is_answered_with_one_line() {
         ),
         (
             "status",
-            "ok status: sensor=MPU-6050@0x68 mount=+x-z(default) calibrated=none bias_dps=0.500,-1.000,0.000 \
+            "ok status: flags=MISSED|VALID sensor=MPU-6050@0x68 mount=+x-z(default) calibrated=none bias_dps=0.500,-1.000,0.000 \
              bias_sigma_dps=0.050 tilt_sigma_deg=0.40 temperature_c=31.3 armed=no unsaved=no bursts_failed=0 \
              uart_errors=0 lines_dropped=0 frames_dropped=0",
         ),
@@ -705,6 +706,7 @@ fn the_longest_answers_fit() {
     desk.ask("calibrate temperature");
     let long = Vector3::new(-39.99, -39.99, -39.99);
     let state = State {
+        flags: Flags::from_bits(u32::MAX),
         sensor: Some((&Part::MPU_6050, 0x69)),
         temperature_celsius: -39.99,
         bias_rad_s: long,

@@ -334,7 +334,43 @@ fn kind(text: &str) -> Result<FaultKind, String> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    proptest! {
+        #[test]
+        fn any_text_is_a_schedule_that_reads_back_or_a_line_that_is_wrong(
+            lines in prop::collection::vec(
+                (
+                    "[0-9]{1,5}(\\.[0-9]{1,9})?|-1|nan|é",
+                    prop::sample::select(Schedule::classes().collect::<Vec<_>>()),
+                    "|:[0-9a-z]{1,4}(:0x[0-9a-f]{1,3})?|:-?[0-9.]{1,6}|:a[xyz]| #.{0,4}",
+                )
+                    .prop_map(|(time, class, parameter)| format!("{time} {time} {class}{parameter}")),
+                0..4,
+            ),
+        ) {
+            match Schedule::parse("f.txt", &lines.join("\n")) {
+                Ok(schedule) => {
+                    prop_assert_eq!(schedule.faults.len(), lines.len());
+                    let again = Schedule::parse("f.txt", &schedule.to_string());
+                    prop_assert_eq!(again, Ok(schedule));
+                }
+                Err(error) => {
+                    let ScheduleError::Line { line, .. } = &error else {
+                        return Err(TestCaseError::fail(error.to_string()));
+                    };
+                    // Those before it are right, and it alone is not.
+                    let before = &lines[..line - 1];
+                    prop_assert!(Schedule::parse("f.txt", &before.join("\n")).is_ok());
+                    prop_assert!(Schedule::parse("f.txt", &lines[line - 1]).is_err());
+                    let place = format!("f.txt, line {line}: ");
+                    prop_assert!(error.to_string().starts_with(&place), "{}", error);
+                }
+            }
+        }
+    }
 
     fn refusal(text: &str) -> String {
         Schedule::parse("f.txt", text).unwrap_err().to_string()

@@ -62,7 +62,29 @@ impl Script {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    proptest! {
+        #[test]
+        fn any_text_is_a_script_that_reads_back_or_a_line_that_is_wrong(
+            lines in prop::collection::vec("([0-9]{1,5}(\\.[0-9]{1,3})?|-1|x)?[ \t]{0,2}[ -~é]{0,8}|#.{0,5}", 0..5),
+        ) {
+            match Script::parse(&lines.join("\n")) {
+                Ok(script) => {
+                    let written = script.lines().iter().map(|(at_s, said)| format!("{at_s} {said}\n"));
+                    prop_assert_eq!(Script::parse(&written.collect::<String>()), Ok(script));
+                }
+                Err(reason) => {
+                    let number = reason.strip_prefix("line ").and_then(|rest| rest.split(':').next());
+                    let number: usize = number.and_then(|number| number.parse().ok()).expect("a line");
+                    prop_assert!(Script::parse(&lines[..number - 1].join("\n")).is_ok());
+                    prop_assert!(Script::parse(&lines[number - 1]).is_err(), "{}", reason);
+                }
+            }
+        }
+    }
 
     #[test]
     fn times_and_commands_are_read_and_remarks_left_out() {

@@ -366,6 +366,18 @@ fn after_a_reset_the_attitude_goes_on_without_a_new_rest() {
 }
 
 #[test]
+fn a_fault_right_after_a_warm_start_is_told() {
+    let outcome = fly("2.0 0 crash\n2.1 0.02 sda-low", 2.5);
+    let told = outcome.uart_lines.iter().filter(|line| {
+        line.at_ns > 2_100_000_000
+            && line
+                .text
+                .contains("setting the bus and the sensor up again")
+    });
+    assert_eq!(told.count(), 1);
+}
+
+#[test]
 fn interrupts_at_8_khz_starve_nobody() {
     // Glitches all the time; and the widest low-pass filter, whose output rate is 8 kHz, and so is INT's, until the
     // firmware has put it right, which takes 35 ms without samples.

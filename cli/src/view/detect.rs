@@ -18,9 +18,10 @@ use aplomb::units::degrees;
 use mavlink::dialects::common::{MavMessage, MavSysStatusSensor};
 use mavlink::{MAVLinkV2MessageRaw, MavlinkVersion, Message};
 
+use crate::attitude_table::{Columns, Row};
 use crate::flight_log::Collector;
 
-/// A line that is longer is none of the module's; a status has up to 420 letters.
+/// A line that is longer is none of the module's; a status has up to 610 letters.
 const LONGEST_LINE: usize = 1024;
 
 /// Room for the longest frame of MAVLink 2, as the `mavlink` crate has it.
@@ -230,6 +231,18 @@ impl Reading {
         }
     }
 
+    fn of_row(row: &Row) -> Self {
+        let [roll_deg, pitch_deg, yaw_deg] = row.attitude.angles_deg();
+        Self {
+            t_us: u64::try_from(row.t_us).ok(),
+            roll_deg,
+            pitch_deg,
+            yaw_deg: Some(yaw_deg),
+            rates_deg_s: row.rates_deg_s.map_or([None; 3], |rates| rates.map(Some)),
+            flags: row.flags,
+        }
+    }
+
     /// `told` are the flags that the module named last; whether an attitude is valid each line says.
     fn of_line(line: &Line, told: Flags) -> Self {
         Self {
@@ -242,7 +255,7 @@ impl Reading {
                 line.yaw_rate_deg_s,
             ]
             .map(Some),
-            flags: Some(told.with(Flags::VALID, line.is_valid)),
+            flags: Some(told.without(Flags::VALID).with(Flags::VALID, line.is_valid)),
             ..Self::default()
         }
     }
@@ -256,6 +269,16 @@ enum Content {
     Unknown,
 }
 
+/// The flags that a message names, if it names any, as far as they last: those that have changed, or those of a status.
+fn flags_of(message: &str) -> Option<Flags> {
+    let names = message.strip_prefix("attitude: ").or_else(|| {
+        let status = message.strip_prefix("ok status: flags=")?;
+        status.split(' ').next()
+    })?;
+    let flags = Flags::parse(names)?;
+    Some(flags & (Flags::LASTING | Flags::CALIBRATING))
+}
+
 /// The formats that are lines of text.
 #[derive(Default)]
 struct Lines {
@@ -265,7 +288,7 @@ struct Lines {
     columns: Option<Columns>,
     /// The variables of `teleplot` so far.
     variables: Line,
-    /// The flags that the module named last, but for `VALID`.
+    /// The flags that the module named last.
     told: Flags,
 }
 
@@ -308,13 +331,12 @@ impl Lines {
     fn line(&mut self, line: &str, items: &mut Vec<Item>) -> Content {
         let module = |format| Content::Attitude(Format::Module(format));
         if let Some(message) = line.strip_prefix("# ") {
-            let flags = message.strip_prefix("attitude: ").and_then(Flags::parse);
-            self.told = flags.map_or(self.told, |flags| flags.without(Flags::VALID));
+            self.told = flags_of(message).unwrap_or(self.told);
             items.push(Item::Message(message.to_owned()));
             return Content::Other;
         }
         if let Ok(line) = text::decode(line) {
-            items.push(Item::Reading(Reading::of_line(&line, self.told)));
+            self.attitude(&line, items);
             return module(OutputFormat::Text);
         }
         if let Some(angles) = classic::decode(line) {
@@ -333,13 +355,15 @@ impl Lines {
         if let Some((label, value)) = teleplot::decode(line) {
             return self.variable(label, value, items);
         }
-        if let Some(columns) = Columns::of_header(line) {
+        if let Some(columns) = Columns::of(line) {
             self.columns = Some(columns);
             return Content::Other;
         }
         if let Some(columns) = &self.columns
-            && columns.row(line, items).is_some()
+            && let Ok(row) = columns.row(line)
         {
+            items.push(Item::Reading(Reading::of_row(&row)));
+            items.extend(row.tilt_sigma_deg.map(Item::TiltSigma));
             return Content::Attitude(Format::Table);
         }
         if line.is_empty() {
@@ -347,6 +371,14 @@ impl Lines {
         } else {
             Content::Unknown
         }
+    }
+
+    fn attitude(&mut self, line: &Line, items: &mut Vec<Item>) {
+        if line.is_valid && self.told.intersects(Flags::SPOILS) {
+            // What was named is over.
+            self.told = Flags::NONE;
+        }
+        items.push(Item::Reading(Reading::of_line(line, self.told)));
     }
 
     /// The last one of each attitude completes it.
@@ -361,55 +393,12 @@ impl Lines {
             "yaw_rate" => variables.yaw_rate_deg_s = value,
             _ => {
                 variables.is_valid = value == 1.0;
-                items.push(Item::Reading(Reading::of_line(variables, self.told)));
+                let line = *variables;
+                self.attitude(&line, items);
                 return Content::Attitude(Format::Module(OutputFormat::Teleplot));
             }
         }
         Content::Other
-    }
-}
-
-/// Where the columns of an attitude CSV are.
-struct Columns {
-    time: usize,
-    angles: [usize; 3],
-    rates: [Option<usize>; 3],
-    sigma: Option<usize>,
-    flags: Option<usize>,
-}
-
-impl Columns {
-    fn of_header(line: &str) -> Option<Self> {
-        let names: Vec<&str> = line.split(',').collect();
-        let place = |name: &str| names.iter().position(|column| *column == name);
-        Some(Self {
-            time: place("t_us")?,
-            angles: [place("roll_deg")?, place("pitch_deg")?, place("yaw_deg")?],
-            rates: ["roll_rate_dps", "pitch_rate_dps", "yaw_rate_dps"].map(place),
-            sigma: place("tilt_sigma_deg"),
-            flags: place("flags"),
-        })
-    }
-
-    fn row(&self, line: &str, items: &mut Vec<Item>) -> Option<()> {
-        let fields: Vec<&str> = line.split(',').collect();
-        let number = |place: usize| fields.get(place)?.parse::<f32>().ok();
-        let [roll, pitch, yaw] = self.angles;
-        let reading = Reading {
-            t_us: Some(fields.get(self.time)?.parse().ok()?),
-            roll_deg: number(roll)?,
-            pitch_deg: number(pitch)?,
-            yaw_deg: Some(number(yaw)?),
-            rates_deg_s: self.rates.map(|place| number(place?)),
-            flags: match self.flags {
-                Some(place) => Some(Flags::parse(fields.get(place)?)?),
-                None => None,
-            },
-        };
-        items.push(Item::Reading(reading));
-        let sigma = self.sigma.and_then(number);
-        items.extend(sigma.map(Item::TiltSigma));
-        Some(())
     }
 }
 
@@ -449,7 +438,8 @@ impl Mavlink {
     const OVERHEAD: usize = 12;
     const SIGNED: u8 = 1;
 
-    /// Whether a frame is complete.
+    /// Whether a frame ends with this byte. One that is found late, behind what looked like the start of another, does not:
+    /// the byte may be one of another format.
     fn push(&mut self, byte: u8, counts: &mut Counts, items: &mut Vec<Item>) -> bool {
         if self.bytes.is_empty() && byte != Self::START {
             return false;
@@ -466,7 +456,7 @@ impl Mavlink {
             frame[..whole].copy_from_slice(&self.bytes[..whole]);
             let raw = MAVLinkV2MessageRaw::from_bytes_unparsed(frame);
             let used = if raw.has_valid_crc::<MavMessage>() {
-                is_frame = true;
+                is_frame = self.bytes.len() == whole;
                 self.frame(&raw, counts, items);
                 whole
             } else {
@@ -667,6 +657,7 @@ mod tests {
     use aplomb::telemetry::message::Severity;
     use aplomb::telemetry::{FRAME_CAPACITY, Output, encode};
     use aplomb::units::radians;
+    use proptest::prelude::*;
 
     use super::*;
     use crate::flight_log::Recorder;
@@ -701,6 +692,93 @@ mod tests {
             _ => None,
         };
         items.iter().filter_map(reading).collect()
+    }
+
+    /// Frames of every format, lines, and noise; some with a byte changed.
+    fn nearly_a_stream() -> impl Strategy<Value = Vec<u8>> {
+        let formats = [
+            OutputFormat::Text,
+            OutputFormat::Teapot,
+            OutputFormat::Classic,
+            OutputFormat::Teleplot,
+        ];
+        let of_format = (prop::sample::select(formats.to_vec()), any::<u8>())
+            .prop_map(|(format, counter)| frame(format, counter));
+        let said = prop::option::of("[ -~é°]{0,120}");
+        let of_session = said.prop_map(|said| mavlink(&mut Session::new(), said.as_deref()));
+        let of_log =
+            (any::<u32>(), any::<[u8; 14]>(), any::<u32>()).prop_map(|(number, bytes, flags)| {
+                let captured_at_us = u64::from(number) * 1_000;
+                let burst = Burst {
+                    bytes,
+                    captured_at_us,
+                    missed_before: 0,
+                };
+                let flags = Flags::from_bits(flags);
+                let configuration = log::Configuration {
+                    revision: aplomb::estimator::REVISION,
+                    from_number: number,
+                    settings: Settings::new(&Part::MPU_6050),
+                };
+                let frames = [
+                    Frame::Burst(NumberedBurst {
+                        number,
+                        flags,
+                        burst,
+                    }),
+                    Frame::Configuration(configuration),
+                    Frame::Attitude(snapshot()),
+                    Frame::Text(log::Text::new("said")),
+                ];
+                let mut place = [0; log::FRAME_CAPACITY];
+                log::encode(&frames[number as usize % 4], &mut place).to_vec()
+            });
+        let line = "# (attitude: |ok status: flags=)?[A-Z|]{0,20}( x=1)?\n|t_us,(qw,qx,qy,qz|roll_deg,pitch_deg,yaw_deg)(,flags)?\n|\
+                    -?[0-9]{1,4}(,(1|0|nan)){3,4}(,VALID)?\n|>[a-z_]{3,5}:[0-9.]{1,5}\n|.{0,9}";
+        let piece = prop_oneof![
+            4 => of_format,
+            2 => of_session,
+            4 => of_log,
+            4 => line.prop_map(String::into_bytes),
+            1 => prop::collection::vec(any::<u8>(), 0..40),
+        ];
+        let change = prop::option::weighted(0.2, (any::<prop::sample::Index>(), any::<u8>()));
+        let piece = (piece, change).prop_map(|(mut piece, change)| {
+            if let Some((place, byte)) = change
+                && !piece.is_empty()
+            {
+                let place = place.index(piece.len());
+                piece[place] = byte;
+            }
+            piece
+        });
+        prop::collection::vec(piece, 0..20).prop_map(|pieces| pieces.concat())
+    }
+
+    proptest! {
+        #[test]
+        fn any_stream_is_decoded_alike_in_any_pieces_and_a_whole_line_is_found_after_it(
+            stream in nearly_a_stream(),
+            size in 1_usize..50,
+        ) {
+            let mut whole = Decoder::default();
+            let mut items = decode(&mut whole, &stream);
+            let mut pieces = Decoder::default();
+            let in_pieces: Vec<Item> = stream
+                .chunks(size)
+                .flat_map(|piece| decode(&mut pieces, piece))
+                .collect();
+            // Numbers that are none are not equal to themselves, but look alike.
+            prop_assert_eq!(format!("{items:?}"), format!("{in_pieces:?}"));
+            prop_assert_eq!(whole.counts(), pieces.counts());
+            prop_assert_eq!(whole.format(), pieces.format());
+            items.retain(|item| matches!(item, Item::Reading(_)));
+            prop_assert_eq!(items.len() as u64, whole.counts().readings);
+            let next = [b"\n", &frame(OutputFormat::Text, 0)[..]].concat();
+            let found = readings(&decode(&mut whole, &next));
+            prop_assert!(found.last().is_some_and(|found| (found.roll_deg - 12.0).abs() < 0.02));
+            prop_assert_eq!(whole.format(), Some(Format::Module(OutputFormat::Text)));
+        }
     }
 
     /// The last σ.
@@ -773,10 +851,32 @@ mod tests {
             panic!("{items:?}");
         };
         assert_eq!(reading.flags, Some(Flags::DEGRADED | Flags::POLLED));
+        // A status names them before anything changes, what has just happened too.
+        let said = "# ok status: flags=CALIBRATING|MISSED|DEGRADED sensor=none\nroll:1.00\tpitch:-2.50\tyaw:90.00\t\
+                    roll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
+        let items = decode(&mut decoder, said.as_bytes());
+        let flags = Flags::CALIBRATING | Flags::DEGRADED;
+        assert_eq!(readings(&items)[0].flags, Some(flags));
+        // It is over when an attitude is valid.
+        let items = decode(&mut decoder, &frame(OutputFormat::Text, 0));
+        assert_eq!(readings(&items)[0].flags, Some(Flags::VALID));
         let items = decode(&mut decoder, b"# attitude: VALID\n");
         assert_eq!(items, [Item::Message("attitude: VALID".into())]);
         let items = decode(&mut decoder, &frame(OutputFormat::Text, 0));
         assert_eq!(readings(&items)[0].flags, Some(Flags::VALID));
+    }
+
+    #[test]
+    fn a_frame_that_is_found_late_takes_no_line_with_it() {
+        let mut decoder = Decoder::default();
+        let heartbeat = &mavlink(&mut Session::new(), None)[..21];
+        let line = frame(OutputFormat::Text, 0);
+        // What begins like a frame is none only when its last byte is there, which is the line's.
+        let length = (3 + heartbeat.len() + 1 + line.len() - Mavlink::OVERHEAD) as u8;
+        let start = [Mavlink::START, length, 0];
+        let items = decode(&mut decoder, &[&start, heartbeat, b"\n", &line].concat());
+        assert_eq!(readings(&items).len(), 1);
+        assert_eq!(decoder.format(), Some(Format::Module(OutputFormat::Text)));
     }
 
     #[test]

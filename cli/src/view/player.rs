@@ -56,7 +56,7 @@ impl Player {
             }
             return Err(format!(
                 "{}: there is no attitude in it. It has to be a flight log, what the module sent in any format, or a CSV with \
-                 t_us, roll_deg, pitch_deg and yaw_deg; `aplomb replay` makes such a CSV of sensor data",
+                 t_us and roll_deg, pitch_deg, yaw_deg or qw, qx, qy, qz; `aplomb replay` makes such a CSV of sensor data",
                 path.display()
             ));
         }

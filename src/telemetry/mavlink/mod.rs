@@ -31,6 +31,20 @@
 //! included: this module, the crate and `console::ground_station`, by the symbols of the default image (2026-11-21). What
 //! the crate's types cannot hold is in `wire`: a command that its dialect does not know, and the fields that version 2 appended.
 
+// The crate's panics cannot be told from our own in the firmware (`xtask/src/panics.rs`), so none of ours is let in.
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::expect_used,
+        clippy::indexing_slicing,
+        clippy::panic,
+        clippy::todo,
+        clippy::unimplemented,
+        clippy::unreachable,
+        clippy::unwrap_used
+    )
+)]
+
 pub mod parameter;
 mod receiver;
 #[cfg(test)]

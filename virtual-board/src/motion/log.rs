@@ -454,6 +454,7 @@ fn plausible(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
     use std::io::Write;
 
     const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
@@ -494,6 +495,54 @@ mod tests {
         assert!(with_truth.rows()[1].moving);
         let full = parse(format!("{HEADER}\n{GOOD}\n1,0,0,9.81,0,0,0,,,,,0\n")).unwrap();
         assert!(full.rows()[0].moving && !full.rows()[1].moving);
+    }
+
+    proptest! {
+        #[test]
+        fn any_rows_are_a_log_or_a_line_that_is_wrong(
+            cells in prop::collection::vec(
+                prop_oneof![
+                    20 => "[0-9]\\.[0-9],-?[0-9]{1,2},9\\.8,0,1e-3,[0-9](,1,0,0,0|,,,,),[01]",
+                    1 => "1,2,3,[0-9a]{1,9},5,6(,1,0,0,0){0,1}(,[01]){0,1}",
+                    1 => ".{0,20}",
+                ],
+                0..6,
+            ),
+            steps in prop::collection::vec(prop_oneof![10 => 1..9_u32, 1 => Just(0)], 6),
+            end in any::<[u8; 3]>(),
+            has_end in prop::bool::weighted(0.1),
+        ) {
+            let mut time_us = 0;
+            let rows: Vec<String> = cells
+                .iter()
+                .zip(steps)
+                .map(|(cells, step)| {
+                    time_us += step;
+                    format!("{time_us},{cells}")
+                })
+                .collect();
+            let mut text = format!("{HEADER}\n{}", rows.join("\n")).into_bytes();
+            if has_end {
+                text.extend(end);
+            }
+            let line_count = text.split(|byte| *byte == b'\n').count() as u64;
+            match parse(&text) {
+                Ok(log) => {
+                    prop_assert!((log.rows().len() as u64) < line_count);
+                    prop_assert!(log.rows().is_sorted_by(|one, other| one.time_us < other.time_us));
+                    for row in log.rows() {
+                        let values = row.specific_force_m_s2.iter().chain(&row.rates_rad_s);
+                        prop_assert!(values.copied().all(f64::is_finite));
+                    }
+                }
+                Err((line, reason)) => {
+                    prop_assert!(!reason.to_string().is_empty());
+                    let is_whole = matches!(reason, LogFault::TooShort);
+                    prop_assert_eq!(line.is_none(), is_whole);
+                    prop_assert!(line.is_none_or(|line| (2..=line_count).contains(&line)));
+                }
+            }
+        }
     }
 
     #[test]

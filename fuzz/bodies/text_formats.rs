@@ -1,0 +1,167 @@
+//! Any bytes as what the module sends in text, as a teapot packet, and as a line of `bursts.csv`: what a decoder accepts
+//! is written again as the same numbers, and what an encoder writes is accepted.
+
+use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::health::Flags;
+use aplomb::mpu6050::Burst;
+use aplomb::pipeline::Snapshot;
+use aplomb::telemetry::{bursts, classic, teapot, teleplot, text};
+
+/// Reads the bytes line by line in every format, and writes an attitude that is made of the first of them.
+///
+/// # Panics
+///
+/// When something is not as it should be.
+pub fn run(bytes: &[u8]) {
+    for line in bytes.split(|byte| *byte == b'\n') {
+        if let Ok(line) = std::str::from_utf8(line) {
+            read(line);
+        }
+    }
+    for packet in bytes.windows(teapot::PACKET_LENGTH) {
+        let packet = packet.try_into().expect("a window has its length");
+        if let Some((attitude, counter)) = teapot::decode(packet) {
+            assert_eq!(teapot::encode(attitude, counter), *packet);
+        }
+    }
+    if let Some(bytes) = bytes.first_chunk() {
+        write(bytes);
+    }
+}
+
+fn read(line: &str) {
+    match bursts::decode(line) {
+        Ok((burst, flags)) => {
+            let again = bursts::Line(&burst, flags).to_string();
+            assert!(again.len() <= bursts::LINE_LENGTH);
+            assert_eq!(bursts::decode(&again), Ok((burst, flags)));
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+    match text::decode(line) {
+        Ok(numbers) => {
+            let mut place = [0; text::LINE_LENGTH];
+            let again = text_of(text::encode_line(&numbers, &mut place));
+            assert_eq!(numbers_of(text::decode(again)), numbers_of(Ok(numbers)));
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+    if let Some(angles) = classic::decode(line) {
+        let mut place = [0; classic::LINE_LENGTH];
+        let again = classic::decode(text_of(classic::encode(&angles, &mut place)));
+        assert_eq!(format!("{again:?}"), format!("{:?}", Some(plain(angles))));
+    }
+    if let Some((label, value)) = teleplot::decode(line) {
+        assert!(line.starts_with(&format!(">{label}:")));
+        assert!(value.is_nan() || value.abs() < 100_000.0);
+    }
+}
+
+/// An attitude of any numbers, in every format: each reads back, and they agree.
+fn write(bytes: &[u8; 32]) {
+    let words = bytes
+        .as_chunks()
+        .0
+        .iter()
+        .map(|word| u32::from_le_bytes(*word));
+    let words: Vec<u32> = words.collect();
+    let number = |place: usize| f32::from_bits(words[place]);
+    let snapshot = Snapshot {
+        t_us: 0,
+        attitude: Quaternion::new(number(0), number(1), number(2), number(3)),
+        body_rates_rad_s: Vector3::new(number(4), number(5), number(6)),
+        flags: Flags::from_bits(words[7]),
+    };
+    let mut place = [0; text::LINE_LENGTH];
+    let written = text_of(text::encode(&snapshot, &mut place));
+    assert!(written.ends_with('\n'));
+    let numbers = text::decode(written).expect("what is written is read");
+    let said = text::Line::from(&snapshot);
+    assert_eq!(numbers.is_valid, said.is_valid);
+    for (read, said) in [
+        (numbers.roll_deg, said.roll_deg),
+        (numbers.pitch_deg, said.pitch_deg),
+        (numbers.yaw_deg, said.yaw_deg),
+        (numbers.roll_rate_deg_s, said.roll_rate_deg_s),
+        (numbers.pitch_rate_deg_s, said.pitch_rate_deg_s),
+        (numbers.yaw_rate_deg_s, said.yaw_rate_deg_s),
+    ] {
+        check(read, said);
+    }
+
+    let mut place = [0; teleplot::LINES_LENGTH];
+    let lines = text_of(teleplot::encode(&snapshot, &mut place)).lines();
+    let values: Vec<String> = lines
+        .map(|line| teleplot::decode(line).expect("what is written is read").1)
+        .map(|value| (value + 0.0).to_string())
+        .collect();
+    assert_eq!(values, numbers_of(Ok(numbers)));
+
+    let mut place = [0; classic::LINE_LENGTH];
+    let said = classic::angles_of(&snapshot);
+    let read = classic::decode(text_of(classic::encode(&said, &mut place)));
+    let read = read.expect("what is written is read");
+    check(read.roll_deg, said.roll_deg);
+    check(read.roll_rate_deg_s, said.roll_rate_deg_s);
+    check(read.pitch_deg, said.pitch_deg);
+    check(read.pitch_rate_deg_s, said.pitch_rate_deg_s);
+
+    assert!(teapot::decode(&teapot::encode(snapshot.attitude, bytes[31])).is_some());
+
+    let flags = Flags::from_bits(words[7] & ((1 << Flags::NAMES.len()) - 1));
+    assert_eq!(Flags::parse(&flags.to_string()), Some(flags));
+
+    let burst = Burst {
+        bytes: std::array::from_fn(|place| bytes[place]),
+        captured_at_us: u64::from(words[4]) << 32 | u64::from(words[5]),
+        missed_before: bytes[31] & 1,
+    };
+    let flags = flags & Flags::OF_BOARD;
+    let line = bursts::Line(&burst, flags).to_string();
+    assert_eq!(bursts::decode(&line), Ok((burst, flags)));
+}
+
+/// A number as it was read, and as it was: two decimals, at most 99999.99 either way, and for angles 180° instead of −180°.
+fn check(read: f32, said: f32) {
+    if said.is_nan() {
+        return assert!(read.is_nan(), "{read}");
+    }
+    let written = said.clamp(-99_999.99, 99_999.99);
+    // Half a hundredth, and what a number of this size is rounded by.
+    let tolerance = 0.005_001 + written.abs() * f32::EPSILON;
+    let is_half_turn = read == 180.0 && written < -179.99;
+    assert!(
+        (read - written).abs() <= tolerance || is_half_turn,
+        "{said} {read}"
+    );
+}
+
+fn text_of(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).expect("ASCII")
+}
+
+/// The numbers of a line in their order, so that those that are none are alike; −180° is 180°, and −0 is 0.
+fn numbers_of(line: Result<text::Line, text::DecodeError>) -> [String; 7] {
+    let line = line.expect("what is written is read");
+    let angle = |degrees: f32| if degrees == -180.0 { 180.0 } else { degrees };
+    [
+        angle(line.roll_deg),
+        line.pitch_deg,
+        angle(line.yaw_deg),
+        line.roll_rate_deg_s,
+        line.pitch_rate_deg_s,
+        line.yaw_rate_deg_s,
+        f32::from(u8::from(line.is_valid)),
+    ]
+    .map(|number| (number + 0.0).to_string())
+}
+
+/// With 0 for −0.
+fn plain(angles: aplomb::estimator::ClassicAngles) -> aplomb::estimator::ClassicAngles {
+    aplomb::estimator::ClassicAngles {
+        roll_deg: angles.roll_deg + 0.0,
+        roll_rate_deg_s: angles.roll_rate_deg_s + 0.0,
+        pitch_deg: angles.pitch_deg + 0.0,
+        pitch_rate_deg_s: angles.pitch_rate_deg_s + 0.0,
+    }
+}
