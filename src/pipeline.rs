@@ -18,7 +18,9 @@ use crate::calibration::{
     AccelerometerCorrection, AtRest, Calibration, Mount, RestProgress, RestScale, RestWatch,
 };
 use crate::estimator::kalman::{Kalman, Known};
-use crate::estimator::{AnyFilter, ClassicAngles, Estimate, Estimator, Filter, FilterKind, Sample};
+use crate::estimator::{
+    AnyFilter, ClassicAngles, Estimator, Everyday, Filter, FilterKind, Remarks, Sample,
+};
 use crate::health::{
     self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, UNSEEN_RATE_RAD_S,
 };
@@ -144,6 +146,32 @@ impl Snapshot {
     }
 }
 
+/// What a sample leaves to do when its snapshot is out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Aftermath(u32);
+
+impl Aftermath {
+    /// Beside the flags, which do not use this bit, so that one comparison tells that there is nothing to do.
+    const STOCKTAKING: u32 = 1 << 31;
+
+    /// The snapshot's flags.
+    pub const fn flags(self) -> Flags {
+        Flags::from_bits(self.0 & !Self::STOCKTAKING)
+    }
+
+    /// Whether the sample was one of those, some milliseconds apart, after which things are looked at that take time: others may do so,
+    /// too.
+    pub const fn has_taken_stock(self) -> bool {
+        self.0 & Self::STOCKTAKING != 0
+    }
+
+    /// Whether the sample leaves these flags, and no more.
+    #[inline(always)]
+    pub const fn is_just(self, flags: Flags) -> bool {
+        self.0 == flags.bits()
+    }
+}
+
 /// The whole trip of a sample, with the state it needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pipeline<F = AnyFilter> {
@@ -178,6 +206,10 @@ pub struct Pipeline<F = AnyFilter> {
     temperature_limits: (i16, i16),
     /// The rate has jumped as if by a changed full scale, and nobody has read that back yet.
     is_suspect: bool,
+    /// A sample within these, about which nothing else is to be said, is not looked at any closer.
+    everyday: Everyday,
+    /// What `everyday` has for the largest force while nothing stands that every sample has to say.
+    most_force_squared: f32,
     /// What the samples before have left to say of the next one, [`Flags::VALID`] included.
     standing: Flags,
     tilt_variance_rad2: f32,
@@ -221,6 +253,8 @@ impl<F: Filter> Pipeline<F> {
             last_t_us: 0,
             temperature_limits: (0, 0),
             is_suspect: false,
+            everyday: NOTHING_IS_EVERYDAY,
+            most_force_squared: NOT_EVERYDAY,
             standing: Flags::NONE,
             tilt_variance_rad2: f32::INFINITY,
             samples_to_stocktaking: 0,
@@ -262,7 +296,9 @@ impl<F: Filter> Pipeline<F> {
             captured_at_us: sample.t_us,
             missed_before: 0,
         };
-        let snapshot = self.judge_sample(&burst, &raw, Flags::NONE, |_, _| {});
+        let is_saturated = sample.is_rate_saturated || sample.is_force_saturated;
+        let (snapshot, _) =
+            self.judge_sample(&burst, &raw, is_saturated, Flags::NONE, |_| {}, |_, _| {});
         self.confirm_scales();
         snapshot
     }
@@ -277,15 +313,41 @@ impl<F: Filter> Pipeline<F> {
         board_flags: Flags,
         publish: impl FnOnce(&Snapshot, f32),
     ) -> Snapshot {
+        self.take_burst(burst, board_flags, |_| {}, publish).0
+    }
+
+    /// The same where each instruction counts: the variance goes to `show`, and only before a snapshot for which it has
+    /// changed in the meantime; after a stocktaking, [`shown_variance_rad2`](Self::shown_variance_rad2) has it for the next one.
+    #[inline(always)]
+    pub fn update_and_publish(
+        &mut self,
+        burst: &Burst,
+        board_flags: Flags,
+        show: impl FnOnce(f32),
+        publish: impl FnOnce(&Snapshot),
+    ) -> Aftermath {
+        self.take_burst(burst, board_flags, show, |snapshot, _| publish(snapshot))
+            .1
+    }
+
+    #[inline(always)]
+    fn take_burst(
+        &mut self,
+        burst: &Burst,
+        board_flags: Flags,
+        show: impl FnOnce(f32),
+        publish: impl FnOnce(&Snapshot, f32),
+    ) -> (Snapshot, Aftermath) {
         let raw = RawSample::decode(&burst.bytes);
         self.sample = Sample {
             t_us: burst.captured_at_us,
             specific_force_m_s2: self.accelerometer_map.apply(raw.accelerometer.0),
             angular_rate_rad_s: self.gyroscope_map.apply(raw.gyroscope.0),
-            is_rate_saturated: raw.gyroscope.is_saturated(),
-            is_force_saturated: raw.accelerometer.is_saturated(),
+            // Which is looked at where the size is not an everyday one.
+            is_rate_saturated: false,
+            is_force_saturated: false,
         };
-        self.judge_sample(burst, &raw, board_flags, publish)
+        self.judge_sample(burst, &raw, false, board_flags, show, publish)
     }
 
     /// The way of the sample that is in `self.sample`, and came with these bytes.
@@ -294,29 +356,25 @@ impl<F: Filter> Pipeline<F> {
         &mut self,
         burst: &Burst,
         raw: &RawSample,
+        is_saturated: bool,
         board_flags: Flags,
+        show: impl FnOnce(f32),
         publish: impl FnOnce(&Snapshot, f32),
-    ) -> Snapshot {
+    ) -> (Snapshot, Aftermath) {
         let t_us = burst.captured_at_us as u32;
         let is_pause = t_us.wrapping_sub(self.last_t_us) > self.pause_us;
         self.last_t_us = t_us;
-        if is_pause
-            || health::is_blank(&burst.bytes)
+        let mut remarks = Remarks::default();
+        let is_unusual = is_pause
             || !board_flags.is_empty()
-            || self.sample.is_rate_saturated
-        {
-            self.doubt(burst, board_flags);
+            || is_saturated
+            || !self.estimator.is_everyday(&self.sample, &self.everyday);
+        if is_unusual {
+            remarks = self.look_closer(burst, raw, board_flags, is_pause);
         }
-        let estimate = self.estimator.update(&self.sample);
-        let startup_flags = self.average_at_rest(raw);
-        let remarks = estimate.remarks;
-        let mut flags = (startup_flags | self.standing | board_flags)
-            .with(Flags::MISSED, burst.missed_before > 0)
-            .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
-            .with(
-                Flags::ACCELEROMETER_SATURATED,
-                self.sample.is_force_saturated,
-            );
+        let estimate = self.estimator.take(&self.sample, remarks);
+        let mut flags =
+            (self.average_at_rest(raw) | self.standing).with(Flags::MISSED, burst.missed_before > 0);
         if estimate.is_calibrating {
             let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
             flags = (flags | Flags::CALIBRATING | Flags::DEGRADED)
@@ -324,9 +382,9 @@ impl<F: Filter> Pipeline<F> {
                 .with(Flags::MOVED, self.was_still && !is_still);
             self.was_still = is_still;
         }
-        let is_odd = flags.intersects(Flags::ODD.without(Flags::CALIBRATING)) | estimate.has_jumped;
-        if is_odd | remarks.any() | self.is_suspect {
-            flags = self.judge(flags, &estimate);
+        if is_unusual | estimate.remarks.any() {
+            flags = self.judge(flags | board_flags, estimate.remarks);
+            show(self.tilt_variance_rad2);
         }
         let snapshot = Snapshot {
             t_us: burst.captured_at_us,
@@ -335,11 +393,14 @@ impl<F: Filter> Pipeline<F> {
             flags,
         };
         publish(&snapshot, self.tilt_variance_rad2);
-        match self.samples_to_stocktaking.checked_sub(1) {
-            Some(left) => self.samples_to_stocktaking = left,
-            None => self.take_stock(burst, raw),
+        let mut aftermath = Aftermath(flags.bits());
+        let (left, is_due) = self.samples_to_stocktaking.overflowing_sub(1);
+        self.samples_to_stocktaking = left;
+        if is_due {
+            self.take_stock(burst, raw);
+            aftermath.0 |= Aftermath::STOCKTAKING;
         }
-        snapshot
+        (snapshot, aftermath)
     }
 
     /// The snapshot to publish at `t_us` when no sample has come: the last attitude, with
@@ -399,24 +460,39 @@ impl<F: Filter> Pipeline<F> {
         self.is_suspect = false;
     }
 
-    /// Whether the last sample was one of those, some milliseconds apart, after which things are looked
-    /// at that take time: others may do so, too.
-    #[inline]
-    pub const fn has_taken_stock(&self) -> bool {
-        self.samples_to_stocktaking == SAMPLES_BETWEEN_STOCKTAKINGS - 1
+    /// The variance of the tilt, both axes together, that goes with the next snapshot, rad².
+    pub const fn shown_variance_rad2(&self) -> f32 {
+        self.tilt_variance_rad2
     }
 
-    /// What pauses, samples that are no measurements, and what the board says do to what is known.
+    /// Examines a sample that is not like every other, and gives what there is to remark about it.
     #[cold]
     #[inline(never)]
-    fn doubt(&mut self, burst: &Burst, board_flags: Flags) {
-        let last_t_us = self.estimator.last_t_us().unwrap_or(0);
+    fn look_closer(
+        &mut self,
+        burst: &Burst,
+        raw: &RawSample,
+        board_flags: Flags,
+        is_pause: bool,
+    ) -> Remarks {
+        self.sample.is_rate_saturated |= raw.gyroscope.is_saturated();
+        self.sample.is_force_saturated |= raw.accelerometer.is_saturated();
         if health::is_blank(&burst.bytes) {
             // Not a number, so that the estimator rejects it; and what is rejected does not end a pause.
             self.sample.specific_force_m_s2.x = f32::NAN;
-            self.last_t_us = last_t_us as u32;
-            return;
+            self.last_t_us = self.estimator.last_t_us().unwrap_or(0) as u32;
+        } else if is_pause || !board_flags.is_empty() || self.sample.is_rate_saturated {
+            self.doubt(burst, board_flags);
         }
+        let (remarks, has_jumped) = self.estimator.examine(&self.sample);
+        self.is_suspect |= has_jumped;
+        self.choose_everyday();
+        remarks
+    }
+
+    /// What pauses, saturated samples and what the board says do to what is known.
+    fn doubt(&mut self, burst: &Burst, board_flags: Flags) {
+        let last_t_us = self.estimator.last_t_us().unwrap_or(0);
         let step_us = burst.captured_at_us.saturating_sub(last_t_us);
         let longest_step_us = u64::from(self.longest_step_us);
         self.pause_us = self.longest_step_us;
@@ -470,14 +546,21 @@ impl<F: Filter> Pipeline<F> {
     /// Decides what to say of a sample with something to remark, and whether its attitude is valid.
     #[cold]
     #[inline(never)]
-    fn judge(&mut self, flags: Flags, estimate: &Estimate) -> Flags {
-        let remarks = estimate.remarks;
+    fn judge(&mut self, flags: Flags, remarks: Remarks) -> Flags {
         let flags = flags
+            .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
+            .with(
+                Flags::ACCELEROMETER_SATURATED,
+                self.sample.is_force_saturated,
+            )
             .with(Flags::GAP, remarks.gap)
             .with(Flags::TIME, remarks.time_went_back)
             .with(Flags::REJECTED, remarks.rejected)
             .with(Flags::FREE_FALL, remarks.no_gravity);
-        self.is_suspect |= estimate.has_jumped;
+        let is_odd = flags.intersects(Flags::ODD.without(Flags::CALIBRATING));
+        if !(is_odd | remarks.any() | self.is_suspect) {
+            return flags;
+        }
         let flags = flags.with(Flags::DEGRADED, flags.intersects(Flags::DEGRADES));
         if !self.is_suspect && !flags.intersects(Flags::SPOILS) {
             flags
@@ -507,7 +590,18 @@ impl<F: Filter> Pipeline<F> {
         self.standing = Flags::NONE
             .with(Flags::TEMPERATURE, is_extreme)
             .with(Flags::FROZEN, is_frozen);
+        self.choose_everyday();
         self.take_stock_of_variance();
+    }
+
+    /// Has each sample looked at more closely while there is something to say of each.
+    fn choose_everyday(&mut self) {
+        let is_watched = self.is_suspect || self.standing.intersects(Flags::ODD);
+        self.everyday.most_force_squared = if is_watched {
+            NOT_EVERYDAY
+        } else {
+            self.most_force_squared
+        };
     }
 
     fn take_stock_of_variance(&mut self) {
@@ -606,6 +700,7 @@ impl<F: Filter> Pipeline<F> {
             state.refuse();
         }
         self.is_averaging = is_averaging;
+        self.choose_everyday();
     }
 
     /// What is known about the sensor.
@@ -732,7 +827,15 @@ impl<F: Filter> Pipeline<F> {
 
     /// What the settings say of samples that are normal.
     fn derive_limits(&mut self) {
-        let period_us = 1.0e6 / self.settings.sensor.sample_rate_hz();
+        let sensor = self.settings.sensor;
+        let of_full_scale = |per_count: f32| {
+            let most = EVERYDAY_SHARE * f32::from(i16::MAX) * per_count;
+            most * most
+        };
+        self.most_force_squared = of_full_scale(sensor.accelerometer_range.m_s2_per_count());
+        self.everyday.most_rate_squared = of_full_scale(sensor.gyroscope_range.rad_s_per_count());
+        self.choose_everyday();
+        let period_us = 1.0e6 / sensor.sample_rate_hz();
         self.longest_step_us = (PERIODS_UNSEEN * period_us) as u32;
         let temperature = self.settings.part.temperature;
         self.temperature_limits =
@@ -894,6 +997,24 @@ const PERIODS_UNSEEN: f32 = 3.5;
 /// So many samples apart is looked at what changes slowly or takes time to tell: 11 ms, so that nothing
 /// that repeats itself every few samples looks frozen.
 const SAMPLES_BETWEEN_STOCKTAKINGS: u32 = 11;
+
+/// An everyday sample reads less than this share of full scale, so that none of its axes is at full scale: a correction keeps 0.7 of
+/// a force or more (its matrix differs from one by 0.1 per part at most, `calibration::accelerometer`) and takes 0.2 g per axis off;
+/// what is taken off the rate is below 100 °/s (±20 °/s and another ±20 over temperature, product specification §6.1).
+const EVERYDAY_SHARE: f32 = 0.6;
+
+/// And more than this force, m/s²: a blank one reads nothing but the correction, 0.45 g at most.
+const LEAST_EVERYDAY_FORCE_M_S2: f32 = 0.5 * STANDARD_GRAVITY_M_S2;
+
+/// No force is so small.
+const NOT_EVERYDAY: f32 = -1.0;
+
+/// Before the settings are looked at.
+const NOTHING_IS_EVERYDAY: Everyday = Everyday {
+    least_force_squared: LEAST_EVERYDAY_FORCE_M_S2 * LEAST_EVERYDAY_FORCE_M_S2,
+    most_force_squared: NOT_EVERYDAY,
+    most_rate_squared: NOT_EVERYDAY,
+};
 
 /// σ per axis of the tilt that a changed full scale can have done before it was noticed.
 const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);

@@ -31,11 +31,9 @@ static APLOMB_SNAPSHOT: Published = Published {
     sequence: AtomicU32::new(0),
 };
 
-/// Publishes a snapshot and, before it, the variance of its tilt (rad²) where `retained` shows it. Only the
-/// attitude task calls this.
+/// Publishes a snapshot; the variance of its tilt is shown before it, by `retained`. Only the attitude task calls this.
 #[inline(always)]
-pub fn publish(snapshot: &Snapshot, tilt_variance_rad2: f32) {
-    super::retained::show_variance(tilt_variance_rad2);
+pub fn publish(snapshot: &Snapshot) {
     let (q, rates) = (&snapshot.attitude, &snapshot.body_rates_rad_s);
     let [low, high, qw, qx, qy, qz, p_rate, q_rate, r_rate, flags] = &APLOMB_SNAPSHOT.snapshot;
     let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);

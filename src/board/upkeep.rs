@@ -4,7 +4,7 @@ use super::{burst_reader, retained, watchdog};
 use crate::estimator::kalman::Kalman;
 use crate::fault::FaultClass;
 use crate::health::Flags;
-use crate::pipeline::{Pipeline, Snapshot};
+use crate::pipeline::{Aftermath, Pipeline, Snapshot};
 
 /// So many stocktakings apart is what the filter knows kept for a start after a reset: 0.2 s.
 const STOCKTAKINGS_TO_A_KEEPING: u32 = 18;
@@ -26,7 +26,12 @@ pub struct Upkeep {
     stocktakings: u32,
     is_watching: bool,
     last_flags: Flags,
+    /// After a sample with just these there is nothing to do.
+    steady_flags: Flags,
 }
+
+/// Flags that no sample has.
+const NEVER: Flags = Flags::from_bits(1 << 30);
 
 impl Upkeep {
     /// Before the first sample.
@@ -35,6 +40,7 @@ impl Upkeep {
             stocktakings: 0,
             is_watching: false,
             last_flags: Flags::NONE,
+            steady_flags: NEVER,
         }
     }
 
@@ -43,14 +49,31 @@ impl Upkeep {
     pub fn after_sample(
         &mut self,
         pipeline: &mut Pipeline<Kalman>,
-        flags: Flags,
+        aftermath: Aftermath,
     ) -> Option<(Flags, Flags)> {
-        if pipeline.has_taken_stock() {
+        if aftermath.is_just(self.steady_flags) {
+            return None;
+        }
+        self.look(pipeline, aftermath)
+    }
+
+    #[inline(never)]
+    fn look(
+        &mut self,
+        pipeline: &mut Pipeline<Kalman>,
+        aftermath: Aftermath,
+    ) -> Option<(Flags, Flags)> {
+        if aftermath.has_taken_stock() {
             self.every_so_often(pipeline);
         }
-        if pipeline.is_suspect() | flags.contains(Flags::POLLED) {
+        let flags = aftermath.flags();
+        let is_odd = pipeline.is_suspect() | flags.contains(Flags::POLLED);
+        if is_odd {
             self.check_now(pipeline);
         }
+        // What is suspect is not valid.
+        let is_steady = flags.contains(Flags::VALID) & !is_odd;
+        self.steady_flags = if is_steady { flags } else { NEVER };
         self.note(flags)
     }
 
@@ -58,6 +81,7 @@ impl Upkeep {
     fn every_so_often(&mut self, pipeline: &Pipeline<Kalman>) {
         watchdog::samples_go_on();
         watchdog::attitude_goes_on();
+        retained::show_variance(pipeline.shown_variance_rad2());
         self.is_watching = pipeline.is_suspect();
         self.stocktakings += 1;
         // Every 22 ms: so every 44 ms at the full scales, and every 88 ms at the others.
@@ -89,6 +113,7 @@ impl Upkeep {
     /// After a snapshot without a sample.
     pub fn after_silence(&mut self, snapshot: &Snapshot) -> Option<(Flags, Flags)> {
         watchdog::attitude_goes_on();
+        self.steady_flags = NEVER;
         self.note(snapshot.flags)
     }
 

@@ -108,6 +108,27 @@ pub struct Sample {
     pub is_force_saturated: bool,
 }
 
+impl Sample {
+    /// The squares of specific force and angular rate, (m/s²)² and (rad/s)².
+    #[inline(always)]
+    fn squares(&self) -> (f32, f32) {
+        let (force, rate) = (self.specific_force_m_s2, self.angular_rate_rad_s);
+        (force.dot(force), rate.dot(rate))
+    }
+}
+
+/// Between these, in squares so that no root is taken, the size of a sample is nothing to remark.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Everyday {
+    /// The least specific force, (m/s²)²: [`LEAST_SPECIFIC_FORCE_M_S2`] squared or more.
+    pub least_force_squared: f32,
+    /// The largest, (m/s²)². Negative: no sample is an everyday one.
+    pub most_force_squared: f32,
+    /// The largest angular rate, (rad/s)².
+    pub most_rate_squared: f32,
+}
+
 /// What a sample led to.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -272,33 +293,72 @@ impl<F: Filter> Estimator<F> {
 
     /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
-        let mut remarks = Remarks::default();
-        let force = sample.specific_force_m_s2;
-        let rate = sample.angular_rate_rad_s;
-        let force_squared = force.dot(force);
-        let rate_squared = rate.dot(rate);
-        let has_jumped = rate_squared > 4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S;
+        let (remarks, has_jumped) = self.examine(sample);
+        Estimate {
+            has_jumped,
+            ..self.take(sample, remarks)
+        }
+    }
+
+    /// Whether a sample is neither remarkable by its size nor a jump: [`take`](Self::take) then needs no
+    /// [`examine`](Self::examine), and these are all comparisons that it costs.
+    #[inline(always)]
+    pub fn is_everyday(&mut self, sample: &Sample, everyday: &Everyday) -> bool {
+        let (force_squared, rate_squared) = sample.squares();
+        // A NaN fails every comparison.
+        let is_everyday = force_squared >= everyday.least_force_squared
+            && force_squared <= everyday.most_force_squared
+            && (rate_squared <= RATE_JUMP_RAD_S * RATE_JUMP_RAD_S
+                || (rate_squared <= self.rate_jump_squared()
+                    && rate_squared <= everyday.most_rate_squared));
+        if is_everyday {
+            self.rate_squared = rate_squared;
+        }
+        is_everyday
+    }
+
+    /// What there is to remark about a sample by its size, and whether its rate has jumped. Once a sample, before it is taken.
+    #[inline(never)]
+    pub fn examine(&mut self, sample: &Sample) -> (Remarks, bool) {
+        let (force_squared, rate_squared) = sample.squares();
+        let has_jumped = rate_squared > self.rate_jump_squared();
         // A NaN fails every comparison.
         let is_measurement = force_squared
             <= LARGEST_SPECIFIC_FORCE_M_S2 * LARGEST_SPECIFIC_FORCE_M_S2
             && rate_squared <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
         if is_measurement {
             self.rate_squared = rate_squared;
-            remarks.no_gravity =
-                force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
+        }
+        let remarks = Remarks {
+            rejected: !is_measurement,
+            no_gravity: is_measurement
+                && force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2,
+            ..Remarks::default()
+        };
+        (remarks, has_jumped)
+    }
+
+    /// A larger rate than this, squared, is a jump.
+    #[inline(always)]
+    fn rate_jump_squared(&self) -> f32 {
+        4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S
+    }
+
+    /// Takes one sample, about which this is to be remarked, and gives the attitude at its time.
+    #[inline(always)]
+    pub fn take(&mut self, sample: &Sample, mut remarks: Remarks) -> Estimate {
+        if !remarks.rejected {
             self.step(sample, &mut remarks);
             self.body_rates_rad_s = match self.filter.kalman() {
                 Some(filter) => filter.body_rates_rad_s(),
                 None => sample.angular_rate_rad_s,
             };
-        } else {
-            remarks.rejected = true;
         }
         Estimate {
             attitude: self.attitude(),
             body_rates_rad_s: self.body_rates_rad_s,
             remarks,
-            has_jumped,
+            has_jumped: false,
             is_calibrating: self
                 .filter
                 .kalman()
