@@ -19,7 +19,7 @@ use crate::calibration::{
 };
 use crate::estimator::kalman::{Kalman, Known};
 use crate::estimator::{
-    AnyFilter, ClassicAngles, Estimator, Everyday, Filter, FilterKind, Remarks, Sample,
+    AnyFilter, ClassicAngles, Estimator, Everyday, Filter, FilterKind, Look, Sample,
 };
 use crate::health::{
     self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, UNSEEN_RATE_RAD_S,
@@ -364,15 +364,16 @@ impl<F: Filter> Pipeline<F> {
         let t_us = burst.captured_at_us as u32;
         let is_pause = t_us.wrapping_sub(self.last_t_us) > self.pause_us;
         self.last_t_us = t_us;
-        let mut remarks = Remarks::default();
-        let is_unusual = is_pause
-            || !board_flags.is_empty()
-            || is_saturated
-            || !self.estimator.is_everyday(&self.sample, &self.everyday);
-        if is_unusual {
-            remarks = self.look_closer(burst, raw, board_flags, is_pause);
-        }
-        let estimate = self.estimator.take(&self.sample, remarks);
+        let is_everyday = !is_pause
+            && board_flags.is_empty()
+            && !is_saturated
+            && self.estimator.is_everyday(&self.sample, &self.everyday);
+        let look = if is_everyday {
+            Look::EVERYDAY
+        } else {
+            self.look_closer(burst, raw, board_flags, is_pause)
+        };
+        let estimate = self.estimator.take(&self.sample, look);
         let mut flags =
             (self.average_at_rest(raw) | self.standing).with(Flags::MISSED, burst.missed_before > 0);
         if estimate.is_calibrating {
@@ -382,8 +383,8 @@ impl<F: Filter> Pipeline<F> {
                 .with(Flags::MOVED, self.was_still && !is_still);
             self.was_still = is_still;
         }
-        if is_unusual | estimate.remarks.any() {
-            flags = self.judge(flags | board_flags, estimate.remarks);
+        if estimate.look != Look::EVERYDAY {
+            flags = self.judge(flags | board_flags, estimate.look);
             show(self.tilt_variance_rad2);
         }
         let snapshot = Snapshot {
@@ -474,7 +475,7 @@ impl<F: Filter> Pipeline<F> {
         raw: &RawSample,
         board_flags: Flags,
         is_pause: bool,
-    ) -> Remarks {
+    ) -> Look {
         self.sample.is_rate_saturated |= raw.gyroscope.is_saturated();
         self.sample.is_force_saturated |= raw.accelerometer.is_saturated();
         if health::is_blank(&burst.bytes) {
@@ -484,10 +485,10 @@ impl<F: Filter> Pipeline<F> {
         } else if is_pause || !board_flags.is_empty() || self.sample.is_rate_saturated {
             self.doubt(burst, board_flags);
         }
-        let (remarks, has_jumped) = self.estimator.examine(&self.sample);
+        let (look, has_jumped) = self.estimator.examine(&self.sample);
         self.is_suspect |= has_jumped;
         self.choose_everyday();
-        remarks
+        look
     }
 
     /// What pauses, saturated samples and what the board says do to what is known.
@@ -546,7 +547,8 @@ impl<F: Filter> Pipeline<F> {
     /// Decides what to say of a sample with something to remark, and whether its attitude is valid.
     #[cold]
     #[inline(never)]
-    fn judge(&mut self, flags: Flags, remarks: Remarks) -> Flags {
+    fn judge(&mut self, flags: Flags, look: Look) -> Flags {
+        let remarks = look.remarks();
         let flags = flags
             .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
             .with(

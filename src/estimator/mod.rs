@@ -120,13 +120,13 @@ impl Sample {
 /// Between these, in squares so that no root is taken, the size of a sample is nothing to remark.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Everyday {
+pub(crate) struct Everyday {
     /// The least specific force, (m/s²)²: [`LEAST_SPECIFIC_FORCE_M_S2`] squared or more.
-    pub least_force_squared: f32,
+    pub(crate) least_force_squared: f32,
     /// The largest, (m/s²)². Negative: no sample is an everyday one.
-    pub most_force_squared: f32,
+    pub(crate) most_force_squared: f32,
     /// The largest angular rate, (rad/s)².
-    pub most_rate_squared: f32,
+    pub(crate) most_rate_squared: f32,
 }
 
 /// What a sample led to.
@@ -166,6 +166,48 @@ impl Remarks {
     pub const fn any(self) -> bool {
         self.time_went_back | self.gap | self.rejected | self.no_gravity
     }
+}
+
+/// [`Remarks`] in the bits of one word, so that a single comparison tells that there are none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Look(u32);
+
+impl Look {
+    /// The sample is an everyday one.
+    pub(crate) const EVERYDAY: Self = Self(0);
+    /// It has been examined.
+    const UNUSUAL: Self = Self(1 << 0);
+    const REJECTED: Self = Self(1 << 1);
+    const NO_GRAVITY: Self = Self(1 << 2);
+    const TIME_WENT_BACK: Self = Self(1 << 3);
+    const GAP: Self = Self(1 << 4);
+
+    #[inline(always)]
+    const fn has(self, one: Self) -> bool {
+        self.0 & one.0 != 0
+    }
+
+    #[inline(always)]
+    const fn add(&mut self, one: Self) {
+        self.0 |= one.0;
+    }
+
+    pub(crate) const fn remarks(self) -> Remarks {
+        Remarks {
+            time_went_back: self.has(Self::TIME_WENT_BACK),
+            gap: self.has(Self::GAP),
+            rejected: self.has(Self::REJECTED),
+            no_gravity: self.has(Self::NO_GRAVITY),
+        }
+    }
+}
+
+/// An [`Estimate`] on its way.
+pub(crate) struct Taken {
+    pub(crate) attitude: Quaternion,
+    pub(crate) body_rates_rad_s: Vector3,
+    pub(crate) look: Look,
+    pub(crate) is_calibrating: bool,
 }
 
 /// A filter with its sense of time. Total: whatever comes in, the attitude stays a finite rotation,
@@ -293,17 +335,21 @@ impl<F: Filter> Estimator<F> {
 
     /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
-        let (remarks, has_jumped) = self.examine(sample);
+        let (look, has_jumped) = self.examine(sample);
+        let taken = self.take(sample, look);
         Estimate {
+            attitude: taken.attitude,
+            body_rates_rad_s: taken.body_rates_rad_s,
+            remarks: taken.look.remarks(),
             has_jumped,
-            ..self.take(sample, remarks)
+            is_calibrating: taken.is_calibrating,
         }
     }
 
     /// Whether a sample is neither remarkable by its size nor a jump: [`take`](Self::take) then needs no
     /// [`examine`](Self::examine), and these are all comparisons that it costs.
     #[inline(always)]
-    pub fn is_everyday(&mut self, sample: &Sample, everyday: &Everyday) -> bool {
+    pub(crate) fn is_everyday(&mut self, sample: &Sample, everyday: &Everyday) -> bool {
         let (force_squared, rate_squared) = sample.squares();
         // A NaN fails every comparison.
         let is_everyday = force_squared >= everyday.least_force_squared
@@ -319,23 +365,23 @@ impl<F: Filter> Estimator<F> {
 
     /// What there is to remark about a sample by its size, and whether its rate has jumped. Once a sample, before it is taken.
     #[inline(never)]
-    pub fn examine(&mut self, sample: &Sample) -> (Remarks, bool) {
+    pub(crate) fn examine(&mut self, sample: &Sample) -> (Look, bool) {
         let (force_squared, rate_squared) = sample.squares();
         let has_jumped = rate_squared > self.rate_jump_squared();
         // A NaN fails every comparison.
         let is_measurement = force_squared
             <= LARGEST_SPECIFIC_FORCE_M_S2 * LARGEST_SPECIFIC_FORCE_M_S2
             && rate_squared <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
-        if is_measurement {
+        let mut look = Look::UNUSUAL;
+        if !is_measurement {
+            look.add(Look::REJECTED);
+        } else {
             self.rate_squared = rate_squared;
+            if force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2 {
+                look.add(Look::NO_GRAVITY);
+            }
         }
-        let remarks = Remarks {
-            rejected: !is_measurement,
-            no_gravity: is_measurement
-                && force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2,
-            ..Remarks::default()
-        };
-        (remarks, has_jumped)
+        (look, has_jumped)
     }
 
     /// A larger rate than this, squared, is a jump.
@@ -344,21 +390,20 @@ impl<F: Filter> Estimator<F> {
         4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S
     }
 
-    /// Takes one sample, about which this is to be remarked, and gives the attitude at its time.
+    /// Takes one sample, of which [`examine`](Self::examine) has said this, and gives the attitude at its time.
     #[inline(always)]
-    pub fn take(&mut self, sample: &Sample, mut remarks: Remarks) -> Estimate {
-        if !remarks.rejected {
-            self.step(sample, &mut remarks);
+    pub(crate) fn take(&mut self, sample: &Sample, mut look: Look) -> Taken {
+        if !look.has(Look::REJECTED) {
+            self.step(sample, &mut look);
             self.body_rates_rad_s = match self.filter.kalman() {
                 Some(filter) => filter.body_rates_rad_s(),
                 None => sample.angular_rate_rad_s,
             };
         }
-        Estimate {
+        Taken {
             attitude: self.attitude(),
             body_rates_rad_s: self.body_rates_rad_s,
-            remarks,
-            has_jumped: false,
+            look,
             is_calibrating: self
                 .filter
                 .kalman()
@@ -376,24 +421,29 @@ impl<F: Filter> Estimator<F> {
         self.filter.classic_angles()
     }
 
-    fn step(&mut self, sample: &Sample, remarks: &mut Remarks) {
+    #[inline(always)]
+    fn step(&mut self, sample: &Sample, look: &mut Look) {
         let last_t_us = self.last_t_us.replace(sample.t_us);
         let step_us = match last_t_us {
             // The first sample only sets the tilt.
             None => 0,
             Some(last) if sample.t_us <= last => {
-                remarks.time_went_back = true;
+                look.add(Look::TIME_WENT_BACK);
                 return;
             }
             Some(last) => sample.t_us - last,
         };
-        remarks.gap = step_us > LONGEST_STEP_US;
-        if step_us == 0 || remarks.gap {
-            self.filter.start(sample, !remarks.no_gravity);
+        let shows_gravity = !look.has(Look::NO_GRAVITY);
+        let is_gap = step_us > LONGEST_STEP_US;
+        if step_us == 0 || is_gap {
+            if is_gap {
+                look.add(Look::GAP);
+            }
+            self.filter.start(sample, shows_gravity);
             return;
         }
         let dt_s = step_us as u32 as f32 * SECONDS_PER_MICROSECOND;
-        self.filter.update(sample, dt_s, !remarks.no_gravity);
+        self.filter.update(sample, dt_s, shows_gravity);
     }
 }
 
