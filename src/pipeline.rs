@@ -374,8 +374,8 @@ impl<F: Filter> Pipeline<F> {
             self.look_closer(burst, raw, board_flags, is_pause)
         };
         let estimate = self.estimator.take(&self.sample, look);
-        let mut flags =
-            (self.average_at_rest(raw) | self.standing).with(Flags::MISSED, burst.missed_before > 0);
+        let mut flags = (self.average_at_rest(raw) | self.standing)
+            .with(Flags::MISSED, burst.missed_before > 0);
         if estimate.is_calibrating {
             let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
             flags = (flags | Flags::CALIBRATING | Flags::DEGRADED)
@@ -597,6 +597,7 @@ impl<F: Filter> Pipeline<F> {
     }
 
     /// Has each sample looked at more closely while there is something to say of each.
+    #[inline(always)]
     fn choose_everyday(&mut self) {
         let is_watched = self.is_suspect || self.standing.intersects(Flags::ODD);
         self.everyday.most_force_squared = if is_watched {
@@ -606,6 +607,7 @@ impl<F: Filter> Pipeline<F> {
         };
     }
 
+    #[inline(always)]
     fn take_stock_of_variance(&mut self) {
         let variance = self.known_tilt_variance();
         self.tilt_variance_rad2 = variance;
@@ -619,7 +621,7 @@ impl<F: Filter> Pipeline<F> {
             .with(Flags::DEGRADED, is_large);
     }
 
-    #[inline]
+    #[inline(always)]
     fn known_tilt_variance(&self) -> f32 {
         match self.estimator.kalman() {
             Some(filter) if filter.has_tilt() => filter.tilt_variance_rad2(),

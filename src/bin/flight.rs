@@ -56,10 +56,11 @@ mod app {
     use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
 
-    /// The crystal has stopped. The burst reader sees it at the next edge and brings the clock back.
+    /// The crystal has stopped. The burst reader, which this calls by its alarm, brings the clock back.
     #[cortex_m_rt::exception]
     unsafe fn NonMaskableInt() {
         clocks::acknowledge_failure();
+        timebase::raise_burst_alarm();
     }
 
     /// So long may a task of the idle task take: to erase a sector of 16 KiB, which stalls the core for half a second

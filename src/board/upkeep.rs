@@ -1,15 +1,15 @@
 //! What the attitude task does when the attitude is out: nobody waits for it.
 
-use super::{burst_reader, retained, watchdog};
+use super::{burst_reader, clocks, retained, timebase, watchdog};
 use crate::estimator::kalman::Kalman;
 use crate::fault::FaultClass;
 use crate::health::Flags;
 use crate::pipeline::{Aftermath, Pipeline, Snapshot};
 
-/// So many stocktakings apart is what the filter knows kept for a start after a reset: 0.2 s.
+/// So many stocktakings apart is what the filter knows kept for a start after a reset: 0.2 s. An even number, so that no sample
+/// has this and settings to read back.
 const STOCKTAKINGS_TO_A_KEEPING: u32 = 18;
-/// The one of them after which it is: an odd one, so that no sample has this and settings to read back.
-const KEEPING: u32 = 9;
+const _: () = assert!(STOCKTAKINGS_TO_A_KEEPING.is_multiple_of(2));
 
 /// The flags whose coming is counted, with their classes.
 const COUNTED: [(Flags, FaultClass); 6] = [
@@ -23,6 +23,7 @@ const COUNTED: [(Flags, FaultClass); 6] = [
 
 /// The state of it.
 pub struct Upkeep {
+    /// So many stocktakings are left to a keeping.
     stocktakings: u32,
     is_watching: bool,
     last_flags: Flags,
@@ -37,7 +38,7 @@ impl Upkeep {
     /// Before the first sample.
     pub const fn new() -> Self {
         Self {
-            stocktakings: 0,
+            stocktakings: STOCKTAKINGS_TO_A_KEEPING / 2,
             is_watching: false,
             last_flags: Flags::NONE,
             steady_flags: NEVER,
@@ -67,46 +68,64 @@ impl Upkeep {
             self.every_so_often(pipeline);
         }
         let flags = aftermath.flags();
+        if flags == self.steady_flags {
+            return None;
+        }
+        self.look_closer(pipeline, flags)
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn look_closer(
+        &mut self,
+        pipeline: &mut Pipeline<Kalman>,
+        flags: Flags,
+    ) -> Option<(Flags, Flags)> {
         let is_odd = pipeline.is_suspect() | flags.contains(Flags::POLLED);
         if is_odd {
             self.check_now(pipeline);
         }
+        self.is_watching = is_odd;
         // What is suspect is not valid.
         let is_steady = flags.contains(Flags::VALID) & !is_odd;
         self.steady_flags = if is_steady { flags } else { NEVER };
         self.note(flags)
     }
 
-    #[inline(never)]
+    #[inline(always)]
     fn every_so_often(&mut self, pipeline: &Pipeline<Kalman>) {
         watchdog::samples_go_on();
         watchdog::attitude_goes_on();
         retained::show_variance(pipeline.shown_variance_rad2());
-        self.is_watching = pipeline.is_suspect();
-        self.stocktakings += 1;
+        // Should the NMI that says so not have come.
+        if clocks::have_fallen_back() {
+            timebase::raise_burst_alarm();
+        }
         // Every 22 ms: so every 44 ms at the full scales, and every 88 ms at the others.
-        if self.stocktakings.is_multiple_of(2) {
+        if self.stocktakings & 1 != 0 {
             burst_reader::request_check();
         }
-        if self.stocktakings == KEEPING
-            && let Some(known) = pipeline.known()
-        {
-            retained::keep(&known);
+        let (left, is_due) = self.stocktakings.overflowing_sub(1);
+        self.stocktakings = left;
+        if is_due {
+            self.stocktakings = STOCKTAKINGS_TO_A_KEEPING - 1;
+            Self::keep(pipeline);
         }
-        if self.stocktakings == STOCKTAKINGS_TO_A_KEEPING {
-            self.stocktakings = 0;
+    }
+
+    #[inline(never)]
+    fn keep(pipeline: &Pipeline<Kalman>) {
+        if let Some(known) = pipeline.known() {
+            retained::keep(&known);
         }
     }
 
     /// Where something is odd, settings are read back after every sample.
-    #[cold]
-    #[inline(never)]
     fn check_now(&mut self, pipeline: &mut Pipeline<Kalman>) {
         // What was read back before the rate jumped says nothing.
         if burst_reader::take_verified() && self.is_watching {
             pipeline.confirm_scales();
         }
-        self.is_watching = true;
         burst_reader::request_check();
     }
 
