@@ -201,15 +201,11 @@ pub struct Pipeline<F = AnyFilter> {
     /// frozen when that was last taken into σ, µs.
     thawed_at_us: u32,
     frozen_us: u32,
-    /// The low half of the last sample's time, µs.
-    last_t_us: u32,
     temperature_limits: (i16, i16),
     /// The rate has jumped as if by a changed full scale, and nobody has read that back yet.
     is_suspect: bool,
     /// A sample within these, about which nothing else is to be said, is not looked at any closer.
     everyday: Everyday,
-    /// What `everyday` has for the largest force while nothing stands that every sample has to say.
-    most_force_squared: f32,
     /// What the samples before have left to say of the next one, [`Flags::VALID`] included.
     standing: Flags,
     tilt_variance_rad2: f32,
@@ -250,11 +246,9 @@ impl<F: Filter> Pipeline<F> {
             saturated_us: 0,
             thawed_at_us: 0,
             frozen_us: 0,
-            last_t_us: 0,
             temperature_limits: (0, 0),
             is_suspect: false,
-            everyday: NOTHING_IS_EVERYDAY,
-            most_force_squared: NOT_EVERYDAY,
+            everyday: Everyday::NEVER,
             standing: Flags::NONE,
             tilt_variance_rad2: f32::INFINITY,
             samples_to_stocktaking: 0,
@@ -361,19 +355,17 @@ impl<F: Filter> Pipeline<F> {
         show: impl FnOnce(f32),
         publish: impl FnOnce(&Snapshot, f32),
     ) -> (Snapshot, Aftermath) {
-        let t_us = burst.captured_at_us as u32;
-        let is_pause = t_us.wrapping_sub(self.last_t_us) > self.pause_us;
-        self.last_t_us = t_us;
-        let is_everyday = !is_pause
-            && board_flags.is_empty()
-            && !is_saturated
-            && self.estimator.is_everyday(&self.sample, &self.everyday);
-        let look = if is_everyday {
-            Look::EVERYDAY
-        } else {
-            self.look_closer(burst, raw, board_flags, is_pause)
-        };
-        let estimate = self.estimator.take(&self.sample, look);
+        let mut look = Look::EVERYDAY;
+        let mut step_us = 0;
+        if board_flags.is_empty() && !is_saturated {
+            step_us = self
+                .estimator
+                .everyday_step_us(&self.sample, &self.everyday);
+        }
+        if step_us == 0 {
+            (step_us, look) = self.look_closer(burst, raw, board_flags);
+        }
+        let estimate = self.estimator.take(&self.sample, step_us, look);
         let mut flags = (self.average_at_rest(raw) | self.standing)
             .with(Flags::MISSED, burst.missed_before > 0);
         if estimate.is_calibrating {
@@ -469,26 +461,22 @@ impl<F: Filter> Pipeline<F> {
     /// Examines a sample that is not like every other, and gives what there is to remark about it.
     #[cold]
     #[inline(never)]
-    fn look_closer(
-        &mut self,
-        burst: &Burst,
-        raw: &RawSample,
-        board_flags: Flags,
-        is_pause: bool,
-    ) -> Look {
+    fn look_closer(&mut self, burst: &Burst, raw: &RawSample, board_flags: Flags) -> (u32, Look) {
         self.sample.is_rate_saturated |= raw.gyroscope.is_saturated();
         self.sample.is_force_saturated |= raw.accelerometer.is_saturated();
+        let step_us = |last_t_us: u64| self.sample.t_us.wrapping_sub(last_t_us) as u32;
+        let last_t_us = self.estimator.last_t_us();
+        let is_pause = last_t_us.is_some_and(|last_t_us| step_us(last_t_us) > self.pause_us);
         if health::is_blank(&burst.bytes) {
             // Not a number, so that the estimator rejects it; and what is rejected does not end a pause.
             self.sample.specific_force_m_s2.x = f32::NAN;
-            self.last_t_us = self.estimator.last_t_us().unwrap_or(0) as u32;
         } else if is_pause || !board_flags.is_empty() || self.sample.is_rate_saturated {
             self.doubt(burst, board_flags);
         }
-        let (look, has_jumped) = self.estimator.examine(&self.sample);
+        let (step_us, look, has_jumped) = self.estimator.examine(&self.sample);
         self.is_suspect |= has_jumped;
         self.choose_everyday();
-        look
+        (step_us, look)
     }
 
     /// What pauses, saturated samples and what the board says do to what is known.
@@ -600,11 +588,7 @@ impl<F: Filter> Pipeline<F> {
     #[inline(always)]
     fn choose_everyday(&mut self) {
         let is_watched = self.is_suspect || self.standing.intersects(Flags::ODD);
-        self.everyday.most_force_squared = if is_watched {
-            NOT_EVERYDAY
-        } else {
-            self.most_force_squared
-        };
+        self.everyday.most_step_us = if is_watched { 0 } else { self.pause_us };
     }
 
     #[inline(always)]
@@ -691,7 +675,8 @@ impl<F: Filter> Pipeline<F> {
         state.byte(&mut self.until_temperature);
         state.word(&mut self.pause_us);
         state.word(&mut self.saturated_us);
-        state.word(&mut self.last_t_us);
+        // Of the last sample's time, which the estimator has, too.
+        state.word(&mut { self.estimator.last_t_us().unwrap_or(0) as u32 });
         state.word(&mut self.thawed_at_us);
         state.word(&mut self.frozen_us);
         state.truth(&mut self.is_suspect);
@@ -832,13 +817,11 @@ impl<F: Filter> Pipeline<F> {
     /// What the settings say of samples that are normal.
     fn derive_limits(&mut self) {
         let sensor = self.settings.sensor;
-        let of_full_scale = |per_count: f32| {
-            let most = EVERYDAY_SHARE * f32::from(i16::MAX) * per_count;
-            most * most
-        };
-        self.most_force_squared = of_full_scale(sensor.accelerometer_range.m_s2_per_count());
-        self.everyday.most_rate_squared = of_full_scale(sensor.gyroscope_range.rad_s_per_count());
-        self.choose_everyday();
+        let most_counts = EVERYDAY_SHARE * f32::from(i16::MAX);
+        self.everyday = Everyday::up_to(
+            most_counts * sensor.accelerometer_range.m_s2_per_count(),
+            most_counts * sensor.gyroscope_range.rad_s_per_count(),
+        );
         let period_us = 1.0e6 / sensor.sample_rate_hz();
         self.longest_step_us = (PERIODS_UNSEEN * period_us) as u32;
         let temperature = self.settings.part.temperature;
@@ -1006,19 +989,6 @@ const SAMPLES_BETWEEN_STOCKTAKINGS: u32 = 11;
 /// a force or more (its matrix differs from one by 0.1 per part at most, `calibration::accelerometer`) and takes 0.2 g per axis off;
 /// what is taken off the rate is below 100 °/s (±20 °/s and another ±20 over temperature, product specification §6.1).
 const EVERYDAY_SHARE: f32 = 0.6;
-
-/// And more than this force, m/s²: a blank one reads nothing but the correction, 0.45 g at most.
-const LEAST_EVERYDAY_FORCE_M_S2: f32 = 0.5 * STANDARD_GRAVITY_M_S2;
-
-/// No force is so small.
-const NOT_EVERYDAY: f32 = -1.0;
-
-/// Before the settings are looked at.
-const NOTHING_IS_EVERYDAY: Everyday = Everyday {
-    least_force_squared: LEAST_EVERYDAY_FORCE_M_S2 * LEAST_EVERYDAY_FORCE_M_S2,
-    most_force_squared: NOT_EVERYDAY,
-    most_rate_squared: NOT_EVERYDAY,
-};
 
 /// σ per axis of the tilt that a changed full scale can have done before it was noticed.
 const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);

@@ -117,16 +117,41 @@ impl Sample {
     }
 }
 
-/// Between these, in squares so that no root is taken, the size of a sample is nothing to remark.
+/// An everyday sample has a larger force than this, (m/s²)²: half of gravity. More than [`LEAST_SPECIFIC_FORCE_M_S2`], and more than is
+/// left where the accelerometer reads zero, which is its correction: 0.45 g at most.
+const LEAST_EVERYDAY_FORCE_SQUARED: f32 = 0.25 * STANDARD_GRAVITY_M_S2 * STANDARD_GRAVITY_M_S2;
+
+/// Within these a sample is nothing to remark. Squares, so that no root is taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(crate) struct Everyday {
-    /// The least specific force, (m/s²)²: [`LEAST_SPECIFIC_FORCE_M_S2`] squared or more.
-    pub(crate) least_force_squared: f32,
-    /// The largest, (m/s²)². Negative: no sample is an everyday one.
-    pub(crate) most_force_squared: f32,
+    /// The longest step from the sample before, µs. Zero: no sample is an everyday one.
+    pub(crate) most_step_us: u32,
+    /// How many numbers there are from [`LEAST_EVERYDAY_FORCE_SQUARED`] to the largest specific force, (m/s²)².
+    force_range_bits: u32,
     /// The largest angular rate, (rad/s)².
-    pub(crate) most_rate_squared: f32,
+    most_rate_squared: f32,
+}
+
+impl Everyday {
+    /// Nothing is.
+    pub(crate) const NEVER: Self = Self {
+        most_step_us: 0,
+        force_range_bits: 0,
+        most_rate_squared: 0.0,
+    };
+
+    /// Up to this force, m/s², and this rate, rad/s; but never yet.
+    pub(crate) fn up_to(force_m_s2: f32, rate_rad_s: f32) -> Self {
+        let most_force_squared = force_m_s2 * force_m_s2;
+        Self {
+            most_step_us: 0,
+            force_range_bits: most_force_squared
+                .to_bits()
+                .saturating_sub(LEAST_EVERYDAY_FORCE_SQUARED.to_bits()),
+            most_rate_squared: rate_rad_s * rate_rad_s,
+        }
+    }
 }
 
 /// What a sample led to.
@@ -335,8 +360,8 @@ impl<F: Filter> Estimator<F> {
 
     /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
-        let (look, has_jumped) = self.examine(sample);
-        let taken = self.take(sample, look);
+        let (step_us, look, has_jumped) = self.examine(sample);
+        let taken = self.take(sample, step_us, look);
         Estimate {
             attitude: taken.attitude,
             body_rates_rad_s: taken.body_rates_rad_s,
@@ -346,26 +371,36 @@ impl<F: Filter> Estimator<F> {
         }
     }
 
-    /// Whether a sample is neither remarkable by its size nor a jump: [`take`](Self::take) then needs no
-    /// [`examine`](Self::examine), and these are all comparisons that it costs.
+    /// The step to a sample that is remarkable neither by that nor by its size, in µs: [`take`](Self::take) then needs no
+    /// [`examine`](Self::examine). Else zero.
     #[inline(always)]
-    pub(crate) fn is_everyday(&mut self, sample: &Sample, everyday: &Everyday) -> bool {
+    pub(crate) fn everyday_step_us(&mut self, sample: &Sample, everyday: &Everyday) -> u32 {
+        let Some(last_t_us) = self.last_t_us else {
+            return 0;
+        };
+        let step_us = (sample.t_us as u32).wrapping_sub(last_t_us as u32);
         let (force_squared, rate_squared) = sample.squares();
-        // A NaN fails every comparison.
-        let is_everyday = force_squared >= everyday.least_force_squared
-            && force_squared <= everyday.most_force_squared
-            && (rate_squared <= RATE_JUMP_RAD_S * RATE_JUMP_RAD_S
+        // No number is negative here, so their bits compare as they do; and those of a NaN are more than any.
+        let force_bits = force_squared.to_bits();
+        let is_everyday = sample.t_us >> 32 == last_t_us >> 32
+            && step_us.wrapping_sub(1) < everyday.most_step_us
+            && force_bits.wrapping_sub(LEAST_EVERYDAY_FORCE_SQUARED.to_bits())
+                < everyday.force_range_bits
+            && (rate_squared.to_bits() <= (RATE_JUMP_RAD_S * RATE_JUMP_RAD_S).to_bits()
                 || (rate_squared <= self.rate_jump_squared()
                     && rate_squared <= everyday.most_rate_squared));
-        if is_everyday {
-            self.rate_squared = rate_squared;
+        if !is_everyday {
+            return 0;
         }
-        is_everyday
+        self.rate_squared = rate_squared;
+        self.last_t_us = Some(sample.t_us);
+        step_us
     }
 
-    /// What there is to remark about a sample by its size, and whether its rate has jumped. Once a sample, before it is taken.
+    /// What there is to remark about any sample, once before it is taken: the step that [`take`](Self::take) is to make, in µs (none if
+    /// zero), the remarks, and whether its rate has jumped.
     #[inline(never)]
-    pub(crate) fn examine(&mut self, sample: &Sample) -> (Look, bool) {
+    pub(crate) fn examine(&mut self, sample: &Sample) -> (u32, Look, bool) {
         let (force_squared, rate_squared) = sample.squares();
         let has_jumped = rate_squared > self.rate_jump_squared();
         // A NaN fails every comparison.
@@ -375,13 +410,30 @@ impl<F: Filter> Estimator<F> {
         let mut look = Look::UNUSUAL;
         if !is_measurement {
             look.add(Look::REJECTED);
-        } else {
-            self.rate_squared = rate_squared;
-            if force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2 {
-                look.add(Look::NO_GRAVITY);
-            }
+            return (0, look, has_jumped);
         }
-        (look, has_jumped)
+        self.rate_squared = rate_squared;
+        let shows_gravity = force_squared >= LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
+        if !shows_gravity {
+            look.add(Look::NO_GRAVITY);
+        }
+        let step_us = match self.last_t_us.replace(sample.t_us) {
+            // The first sample only sets the tilt.
+            None => 0,
+            Some(last) if sample.t_us <= last => {
+                look.add(Look::TIME_WENT_BACK);
+                return (0, look, has_jumped);
+            }
+            Some(last) => sample.t_us - last,
+        };
+        if step_us > LONGEST_STEP_US {
+            look.add(Look::GAP);
+        }
+        if step_us == 0 || step_us > LONGEST_STEP_US {
+            self.filter.start(sample, shows_gravity);
+            return (0, look, has_jumped);
+        }
+        (step_us as u32, look, has_jumped)
     }
 
     /// A larger rate than this, squared, is a jump.
@@ -390,15 +442,19 @@ impl<F: Filter> Estimator<F> {
         4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S
     }
 
-    /// Takes one sample, of which [`examine`](Self::examine) has said this, and gives the attitude at its time.
+    /// Takes one sample this long after the one before, of which [`examine`](Self::examine) has said this, and gives the attitude at
+    /// its time.
     #[inline(always)]
-    pub(crate) fn take(&mut self, sample: &Sample, mut look: Look) -> Taken {
-        if !look.has(Look::REJECTED) {
-            self.step(sample, &mut look);
-            self.body_rates_rad_s = match self.filter.kalman() {
-                Some(filter) => filter.body_rates_rad_s(),
-                None => sample.angular_rate_rad_s,
-            };
+    pub(crate) fn take(&mut self, sample: &Sample, step_us: u32, look: Look) -> Taken {
+        if step_us != 0 {
+            let dt_s = step_us as f32 * SECONDS_PER_MICROSECOND;
+            self.filter
+                .update(sample, dt_s, !look.has(Look::NO_GRAVITY));
+        }
+        match self.filter.kalman() {
+            Some(filter) => self.body_rates_rad_s = filter.body_rates_rad_s(),
+            None if look.has(Look::REJECTED) => {}
+            None => self.body_rates_rad_s = sample.angular_rate_rad_s,
         }
         Taken {
             attitude: self.attitude(),
@@ -419,31 +475,6 @@ impl<F: Filter> Estimator<F> {
     /// The numbers of the classic tutorial; `None` with any other filter.
     pub fn classic_angles(&self) -> Option<ClassicAngles> {
         self.filter.classic_angles()
-    }
-
-    #[inline(always)]
-    fn step(&mut self, sample: &Sample, look: &mut Look) {
-        let last_t_us = self.last_t_us.replace(sample.t_us);
-        let step_us = match last_t_us {
-            // The first sample only sets the tilt.
-            None => 0,
-            Some(last) if sample.t_us <= last => {
-                look.add(Look::TIME_WENT_BACK);
-                return;
-            }
-            Some(last) => sample.t_us - last,
-        };
-        let shows_gravity = !look.has(Look::NO_GRAVITY);
-        let is_gap = step_us > LONGEST_STEP_US;
-        if step_us == 0 || is_gap {
-            if is_gap {
-                look.add(Look::GAP);
-            }
-            self.filter.start(sample, shows_gravity);
-            return;
-        }
-        let dt_s = step_us as u32 as f32 * SECONDS_PER_MICROSECOND;
-        self.filter.update(sample, dt_s, shows_gravity);
     }
 }
 
