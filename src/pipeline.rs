@@ -19,7 +19,8 @@ use crate::calibration::{
 };
 use crate::estimator::kalman::{Kalman, Known};
 use crate::estimator::{
-    AnyFilter, ClassicAngles, Estimator, Everyday, Filter, FilterKind, Look, Sample,
+    AnyFilter, ClassicAngles, EVERYDAY_STEP_US, Estimator, Everyday, Filter, FilterKind, Look,
+    Sample,
 };
 use crate::health::{
     self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, UNSEEN_RATE_RAD_S,
@@ -588,7 +589,11 @@ impl<F: Filter> Pipeline<F> {
     #[inline(always)]
     fn choose_everyday(&mut self) {
         let is_watched = self.is_suspect || self.standing.intersects(Flags::ODD);
-        self.everyday.most_step_us = if is_watched { 0 } else { self.pause_us };
+        self.everyday.most_step_us = if is_watched {
+            0
+        } else {
+            self.pause_us.min(EVERYDAY_STEP_US)
+        };
     }
 
     #[inline(always)]
@@ -827,6 +832,7 @@ impl<F: Filter> Pipeline<F> {
         let temperature = self.settings.part.temperature;
         self.temperature_limits =
             health::temperature_limits(temperature.celsius_per_count, temperature.celsius_at_zero);
+        self.choose_everyday();
     }
 
     /// Tells maps and filter what is known, at this temperature in °C, before their first sample.

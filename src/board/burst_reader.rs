@@ -49,13 +49,16 @@ pub const FAILURES_IN_A_ROW: u8 = 3;
 const MISSED_SHIFT: u32 = 24;
 const MISSED_MASK: u32 = 0xFF << MISSED_SHIFT;
 const IS_CHECK: u32 = 1 << 8;
-const _: () =
-    assert!(Flags::OF_BOARD.bits() & (MISSED_MASK | IS_CHECK | IS_READY | SLOT_MASK) == 0);
+const HAS_REMARKS: u32 = 1 << 9;
+const _: () = assert!(
+    Flags::OF_BOARD.bits() & (MISSED_MASK | IS_CHECK | HAS_REMARKS | IS_READY | SLOT_MASK) == 0
+);
 
 /// The reader. All of its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
-    /// What [`Handover::ready`] is when the slot that is being filled is.
+    /// What [`Handover::ready`] is when the slot that is being filled is: with the remarks on the burst before, where
+    /// [`HAS_REMARKS`] is among those on the next.
     filling: u32,
     /// Where the steps under way read from.
     pointer: Register,
@@ -167,7 +170,8 @@ impl BurstReader {
     /// The first edge, or none of it, after the idle task has made the sensor ready.
     fn take_up(&mut self) {
         self.return_to_edges();
-        self.remarks = self.standing.bits() | LINK.notes.load(Ordering::Relaxed);
+        let kept = self.remarks & (MISSED_MASK | HAS_REMARKS);
+        self.remarks = kept | self.standing.bits() | LINK.notes.load(Ordering::Relaxed);
         LINK.notes.store(0, Ordering::Relaxed);
     }
 
@@ -282,12 +286,8 @@ impl BurstReader {
             return false;
         }
         timebase::set_burst_alarm((self.captured_at_us as u32).wrapping_add(SILENCE_DEADLINE_US));
-        let mut remarks = 0;
-        if self.remarks != 0 {
-            match self.take_remarks(timebase) {
-                Some(taken) => remarks = taken,
-                None => return false,
-            }
+        if self.remarks != 0 && !self.take_remarks(timebase) {
+            return false;
         }
         i2c1()
             .cr1()
@@ -298,39 +298,42 @@ impl BurstReader {
             // SAFETY: nothing is ready, so the attitude task reads neither slot until the line below.
             let burst = unsafe { &mut *HANDOVER.slot(self.filling).get() };
             burst.captured_at_us = self.captured_at_us;
-            burst.missed_before = (remarks >> MISSED_SHIFT) as u8;
+            burst.missed_before = (self.filling >> MISSED_SHIFT) as u8;
             compiler_fence(Ordering::Release);
-            HANDOVER
-                .ready
-                .store(self.filling | remarks, Ordering::Relaxed);
+            HANDOVER.ready.store(self.filling, Ordering::Relaxed);
             self.filling ^= SLOT_MASK;
         } else {
-            self.note_late(remarks);
+            self.note_late();
         }
         self.arm_dma();
         handed_over
     }
 
-    /// A transfer is complete about which there is something to say: that, of a burst.
+    /// A transfer is complete about which there is something to say. False if it was not a burst.
     #[cold]
     #[inline(never)]
-    fn take_remarks(&mut self, timebase: &Timebase) -> Option<u32> {
+    fn take_remarks(&mut self, timebase: &Timebase) -> bool {
         if self.is_check() {
             self.end_check(timebase);
-            return None;
+            return false;
         }
         self.failures_in_a_row = 0;
         if self.mode == Mode::Polling {
             let next = (self.captured_at_us as u32).wrapping_add(setup().period_us);
             timebase::set_burst_alarm(next);
         }
-        Some(core::mem::replace(&mut self.remarks, self.standing.bits()))
+        let remarks = self.remarks & (Flags::OF_BOARD.bits() | MISSED_MASK);
+        self.filling = self.filling & (IS_READY | SLOT_MASK) | remarks;
+        let is_to_clear = if remarks == 0 { 0 } else { HAS_REMARKS };
+        self.remarks = self.standing.bits() | is_to_clear;
+        true
     }
 
     #[cold]
     #[inline(never)]
-    fn note_late(&mut self, remarks: u32) {
-        self.remarks = remarks | Flags::LATE.bits();
+    fn note_late(&mut self) {
+        let remarks = self.filling & (Flags::OF_BOARD.bits() | MISSED_MASK);
+        self.remarks |= remarks | Flags::LATE.bits();
         self.miss();
         retained::count(FaultClass::AttitudeLate);
     }

@@ -33,6 +33,9 @@ pub const REVISION: u16 = 1;
 /// A longer pause between samples is a gap: what happened in it is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
 
+/// Up to here a step hides nothing that a filter has to allow for.
+pub const EVERYDAY_STEP_US: u32 = 15_000;
+
 /// Below a quarter of gravity the accelerometer's own offset (80 mg, product specification §6.2) may
 /// turn its direction by 20° and more, so it says nothing about down.
 pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
@@ -433,7 +436,13 @@ impl<F: Filter> Estimator<F> {
             self.filter.start(sample, shows_gravity);
             return (0, look, has_jumped);
         }
-        (step_us as u32, look, has_jumped)
+        let step_us = step_us as u32;
+        self.filter.allow_for(
+            sample,
+            step_us as f32 * SECONDS_PER_MICROSECOND,
+            shows_gravity,
+        );
+        (step_us, look, has_jumped)
     }
 
     /// A larger rate than this, squared, is a jump.
