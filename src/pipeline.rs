@@ -243,7 +243,7 @@ impl<F: Filter> Pipeline<F> {
                 .then(|| RestWatch::new(&settings.rest_scale(), settings.averaging_samples)),
             is_averaging: averages,
             longest_step_us: 0,
-            pause_us: u32::MAX,
+            pause_us: 0,
             saturated_us: 0,
             thawed_at_us: 0,
             frozen_us: 0,
@@ -255,6 +255,8 @@ impl<F: Filter> Pipeline<F> {
             samples_to_stocktaking: 0,
         };
         pipeline.derive_limits();
+        pipeline.pause_us = pipeline.longest_step_us;
+        pipeline.choose_everyday();
         pipeline.begin(settings.calibration.usual_celsius());
         pipeline
     }
@@ -291,7 +293,7 @@ impl<F: Filter> Pipeline<F> {
             captured_at_us: sample.t_us,
             missed_before: 0,
         };
-        let is_saturated = sample.is_rate_saturated || sample.is_force_saturated;
+        let is_saturated = [sample.is_rate_saturated, sample.is_force_saturated];
         let (snapshot, _) =
             self.judge_sample(&burst, &raw, is_saturated, Flags::NONE, |_| {}, |_, _| {});
         self.confirm_scales();
@@ -338,11 +340,10 @@ impl<F: Filter> Pipeline<F> {
             t_us: burst.captured_at_us,
             specific_force_m_s2: self.accelerometer_map.apply(raw.accelerometer.0),
             angular_rate_rad_s: self.gyroscope_map.apply(raw.gyroscope.0),
-            // Which is looked at where the size is not an everyday one.
-            is_rate_saturated: false,
-            is_force_saturated: false,
+            // Which is looked at where the size is not an everyday one, and once more after that.
+            ..self.sample
         };
-        self.judge_sample(burst, &raw, false, board_flags, show, publish)
+        self.judge_sample(burst, &raw, [false; 2], board_flags, show, publish)
     }
 
     /// The way of the sample that is in `self.sample`, and came with these bytes.
@@ -351,20 +352,20 @@ impl<F: Filter> Pipeline<F> {
         &mut self,
         burst: &Burst,
         raw: &RawSample,
-        is_saturated: bool,
+        is_saturated: [bool; 2],
         board_flags: Flags,
         show: impl FnOnce(f32),
         publish: impl FnOnce(&Snapshot, f32),
     ) -> (Snapshot, Aftermath) {
         let mut look = Look::EVERYDAY;
         let mut step_us = 0;
-        if board_flags.is_empty() && !is_saturated {
+        if board_flags.is_empty() && is_saturated == [false; 2] {
             step_us = self
                 .estimator
                 .everyday_step_us(&self.sample, &self.everyday);
         }
         if step_us == 0 {
-            (step_us, look) = self.look_closer(burst, raw, board_flags);
+            (step_us, look) = self.look_closer(burst, raw, is_saturated, board_flags);
         }
         let estimate = self.estimator.take(&self.sample, step_us, look);
         let mut flags = (self.average_at_rest(raw) | self.standing)
@@ -433,10 +434,15 @@ impl<F: Filter> Pipeline<F> {
 
     /// What a later run has to know to go on from here; `None` if there is nothing worth it.
     pub fn known(&self) -> Option<Known> {
+        self.known_with(self.estimator.attitude())
+    }
+
+    /// The same with the last snapshot's attitude, which takes time to find.
+    pub fn known_with(&self, attitude: Quaternion) -> Option<Known> {
         let filter = self.estimator.kalman()?;
         let is_worth_it = filter.is_bias_known() && self.standing.contains(Flags::VALID);
         is_worth_it.then(|| Known {
-            attitude: filter.attitude(),
+            attitude,
             tilt_sigma_rad: filter.tilt_sigma_rad(),
             bias_rad_s: self.rate_offset_rad_s(),
             bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
@@ -462,9 +468,15 @@ impl<F: Filter> Pipeline<F> {
     /// Examines a sample that is not like every other, and gives what there is to remark about it.
     #[cold]
     #[inline(never)]
-    fn look_closer(&mut self, burst: &Burst, raw: &RawSample, board_flags: Flags) -> (u32, Look) {
-        self.sample.is_rate_saturated |= raw.gyroscope.is_saturated();
-        self.sample.is_force_saturated |= raw.accelerometer.is_saturated();
+    fn look_closer(
+        &mut self,
+        burst: &Burst,
+        raw: &RawSample,
+        [is_rate_saturated, is_force_saturated]: [bool; 2],
+        board_flags: Flags,
+    ) -> (u32, Look) {
+        self.sample.is_rate_saturated = is_rate_saturated | raw.gyroscope.is_saturated();
+        self.sample.is_force_saturated = is_force_saturated | raw.accelerometer.is_saturated();
         let step_us = |last_t_us: u64| self.sample.t_us.wrapping_sub(last_t_us) as u32;
         let last_t_us = self.estimator.last_t_us();
         let is_pause = last_t_us.is_some_and(|last_t_us| step_us(last_t_us) > self.pause_us);
@@ -567,7 +579,6 @@ impl<F: Filter> Pipeline<F> {
         self.samples_to_stocktaking = SAMPLES_BETWEEN_STOCKTAKINGS - 1;
         let (coldest, hottest) = self.temperature_limits;
         let is_frozen = self.freeze_watch.update(&burst.bytes);
-        self.pause_us = self.pause_us.min(self.longest_step_us);
         if is_frozen {
             // Blank samples are a pause already, and it counts when it ends.
             if !health::is_blank(&burst.bytes) {
@@ -588,7 +599,10 @@ impl<F: Filter> Pipeline<F> {
     /// Has each sample looked at more closely while there is something to say of each.
     #[inline(always)]
     fn choose_everyday(&mut self) {
-        let is_watched = self.is_suspect || self.standing.intersects(Flags::ODD);
+        let is_watched = self.is_suspect
+            | self.sample.is_rate_saturated
+            | self.sample.is_force_saturated
+            | self.standing.intersects(Flags::ODD);
         self.everyday.most_step_us = if is_watched {
             0
         } else {
@@ -679,6 +693,7 @@ impl<F: Filter> Pipeline<F> {
         state.number(&mut self.temperature_celsius);
         state.byte(&mut self.until_temperature);
         state.word(&mut self.pause_us);
+        self.pause_us = self.pause_us.min(self.longest_step_us);
         state.word(&mut self.saturated_us);
         // Of the last sample's time, which the estimator has, too.
         state.word(&mut { self.estimator.last_t_us().unwrap_or(0) as u32 });

@@ -53,6 +53,13 @@ pub fn publish(snapshot: &Snapshot) {
         .store(sequence.wrapping_add(1), Ordering::Release);
 }
 
+/// The attitude of the latest snapshot. Only the attitude task calls this.
+pub fn attitude() -> Quaternion {
+    let [_, _, w, x, y, z, ..] = &APLOMB_SNAPSHOT.snapshot;
+    let number = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
+    Quaternion::new(number(w), number(x), number(y), number(z))
+}
+
 /// The latest snapshot and its number, or nothing before the first. For tasks of lower priority than the writer.
 pub fn latest() -> Option<(Snapshot, u32)> {
     loop {

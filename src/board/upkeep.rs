@@ -1,6 +1,6 @@
 //! What the attitude task does when the attitude is out: nobody waits for it.
 
-use super::{burst_reader, clocks, retained, timebase, watchdog};
+use super::{burst_reader, clocks, publish, retained, timebase, watchdog};
 use crate::estimator::kalman::Kalman;
 use crate::fault::FaultClass;
 use crate::health::Flags;
@@ -68,7 +68,7 @@ impl Upkeep {
             self.every_so_often(pipeline);
         }
         let flags = aftermath.flags();
-        if flags == self.steady_flags {
+        if flags == self.steady_flags && !pipeline.is_suspect() {
             return None;
         }
         self.look_closer(pipeline, flags)
@@ -86,9 +86,8 @@ impl Upkeep {
             self.check_now(pipeline);
         }
         self.is_watching = is_odd;
-        // What is suspect is not valid.
-        let is_steady = flags.contains(Flags::VALID) & !is_odd;
-        self.steady_flags = if is_steady { flags } else { NEVER };
+        // What is suspect is not valid, so that other flags than those of a valid attitude tell it at once, and else a stocktaking.
+        self.steady_flags = if is_odd { NEVER } else { flags };
         self.note(flags)
     }
 
@@ -115,7 +114,7 @@ impl Upkeep {
 
     #[inline(never)]
     fn keep(pipeline: &Pipeline<Kalman>) {
-        if let Some(known) = pipeline.known() {
+        if let Some(known) = pipeline.known_with(publish::attitude()) {
             retained::keep(&known);
         }
     }
