@@ -1492,6 +1492,101 @@ mod tests {
     }
 
     #[test]
+    fn full_scale_is_flagged_and_blank_data_rejected_at_every_range_and_with_every_correction() {
+        use crate::mpu6050::{AccelerometerRange, GyroscopeRange};
+        let accelerometer = [
+            AccelerometerRange::G2,
+            AccelerometerRange::G4,
+            AccelerometerRange::G8,
+            AccelerometerRange::G16,
+        ];
+        let gyroscope = [
+            GyroscopeRange::Degrees250,
+            GyroscopeRange::Degrees500,
+            GyroscopeRange::Degrees1000,
+            GyroscopeRange::Degrees2000,
+        ];
+        let offset = 0.2 * STANDARD_GRAVITY_M_S2;
+        // The largest corrections that a fit may have, by which readings grow and shrink most.
+        let corrections = [
+            (1.0, 0.0, 0.0),
+            (0.9, -0.1, 1.0),
+            (0.9, 0.1, -1.0),
+            (1.1, 0.1, -1.0),
+        ];
+        for (range, (diagonal, cross, sign)) in
+            (0..4).flat_map(|range| corrections.map(|correction| (range, correction)))
+        {
+            let mut settings = without_averaging();
+            settings.sensor.accelerometer_range = accelerometer[range];
+            settings.sensor.gyroscope_range = gyroscope[range];
+            settings.calibration.accelerometer = Some(AccelerometerCorrection {
+                offset_m_s2: Vector3::new(sign * offset, sign * offset, sign * offset),
+                matrix: [diagonal, diagonal, diagonal, cross, cross, cross],
+            });
+            settings.calibration.gyroscope = Some(crate::calibration::GyroscopeOffset {
+                offset_rad_s: Vector3::new(radians(40.0), radians(40.0), radians(-40.0)),
+                temperature_celsius: 25.0,
+            });
+            let g = settings.sensor.accelerometer_range.counts_per_g() as i16;
+            let mut pipeline = Pipeline::new(&settings);
+            let mut t_us = 0;
+            let mut flags = |accelerometer: [i16; 3], temperature, gyroscope: [i16; 3]| {
+                t_us += 1_000;
+                let sample = RawSample {
+                    accelerometer: AccelerometerCounts(accelerometer),
+                    temperature: TemperatureCounts(temperature),
+                    gyroscope: GyroscopeCounts(gyroscope),
+                };
+                let burst = Burst {
+                    bytes: sample.encode(),
+                    captured_at_us: t_us,
+                    missed_before: 0,
+                };
+                pipeline.update(&burst).flags
+            };
+            let seldom =
+                Flags::GYROSCOPE_SATURATED | Flags::ACCELEROMETER_SATURATED | Flags::REJECTED;
+            for full in [i16::MIN, -i16::MAX, i16::MAX] {
+                for axis in 0..3 {
+                    for others in [0, g / 3] {
+                        let mut rate = [others; 3];
+                        rate[axis] = full;
+                        let found = flags([0, 0, g], -3920, rate) & seldom;
+                        assert_eq!(found, Flags::GYROSCOPE_SATURATED, "{range} {rate:?}");
+                        assert_eq!(flags([0, 0, g], -3920, [0; 3]) & seldom, Flags::NONE);
+                        let mut force = [others; 3];
+                        force[axis] = full;
+                        let found = flags(force, -3920, [0; 3]) & seldom;
+                        assert_eq!(found, Flags::ACCELEROMETER_SATURATED, "{range} {force:?}");
+                        assert_eq!(flags([0, 0, g], -3920, [0; 3]) & seldom, Flags::NONE);
+                    }
+                }
+            }
+            for blank in [0, -1] {
+                let found = flags([blank; 3], blank, [blank; 3]) & seldom;
+                assert_eq!(found, Flags::REJECTED, "{range} {blank}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_step_that_is_a_millisecond_after_the_counter_s_wrap_is_a_gap() {
+        let mut pipeline = Pipeline::new(&without_averaging());
+        let mut flags = |t_us| {
+            pipeline
+                .update(&burst(Mount::Z_UP, t_us, LEVEL, Vector3::ZERO))
+                .flags
+        };
+        for index in 1..100 {
+            assert_eq!(flags(index * 1_000) & Flags::GAP, Flags::NONE);
+        }
+        // 32 bits of the step are those of one millisecond.
+        assert_eq!(flags(100_000 + (1 << 32)) & Flags::GAP, Flags::GAP);
+        assert_eq!(flags(101_000) & Flags::TIME, Flags::TIME);
+    }
+
+    #[test]
     fn faults_are_flagged_on_their_sample_and_nowhere_else() {
         let mut pipeline = Pipeline::new(&without_averaging());
         let mut t_us = 0;

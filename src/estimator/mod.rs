@@ -402,7 +402,7 @@ impl<F: Filter> Estimator<F> {
 
     /// What there is to remark about any sample, once before it is taken: the step that [`take`](Self::take) is to make, in µs (none if
     /// zero), the remarks, and whether its rate has jumped.
-    #[inline(never)]
+    #[inline]
     pub(crate) fn examine(&mut self, sample: &Sample) -> (u32, Look, bool) {
         let (force_squared, rate_squared) = sample.squares();
         let has_jumped = rate_squared > self.rate_jump_squared();
