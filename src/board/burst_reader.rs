@@ -143,7 +143,7 @@ impl BurstReader {
         match self.mode {
             Mode::Starting => {
                 // The bus first: what is to be known of the sensor is not needed for that.
-                self.begin(count, timebase);
+                self.begin_rarely(count, timebase);
                 self.take_up();
                 return;
             }
@@ -161,7 +161,7 @@ impl BurstReader {
             }
         }
         if is_idle {
-            self.begin(count, timebase);
+            self.begin_rarely(count, timebase);
         } else {
             self.edge_waits = self.is_check();
         }
@@ -209,6 +209,12 @@ impl BurstReader {
         self.captured_at_us = timebase.extend_capture(count);
         timebase::set_burst_alarm(count.wrapping_add(BURST_DEADLINE_US));
         self.ask_for_bus();
+    }
+
+    /// The same, in one place for all but the usual way.
+    #[inline(never)]
+    fn begin_rarely(&mut self, count: u32, timebase: &Timebase) {
+        self.begin(count, timebase);
     }
 
     #[inline(always)]
@@ -354,7 +360,7 @@ impl BurstReader {
         self.arm_dma();
         let edge_waits = core::mem::take(&mut self.edge_waits);
         if edge_waits && is_intact {
-            self.begin(timebase.captured(), timebase);
+            self.begin_rarely(timebase.captured(), timebase);
             return;
         }
         i2c1()
@@ -451,7 +457,7 @@ impl BurstReader {
         if self.mode == Mode::Edges {
             self.poll_instead_of_edges();
         }
-        self.begin(timebase::now(), timebase);
+        self.begin_rarely(timebase::now(), timebase);
         false
     }
 
