@@ -10,6 +10,8 @@
 //! [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an unknown state, the reader stops
 //! and the idle task recovers the bus; meanwhile the alarm has the attitude task say that no sample comes.
 //!
+//! What there is to say of a burst is one word, zero in the usual case, which one comparison tells.
+//!
 //! An edge that does not come within [`SILENCE_DEADLINE_US`] is done without: bursts are then started
 //! by the alarm, one a sample period, until edges come again. An edge that comes too soon after the last
 //! one is a glitch, or a sensor that has forgotten its sample rate; it starts nothing.
