@@ -77,17 +77,22 @@ mod app {
             pipeline, upkeep, ..
         } = context.local;
         let sampled = burst_reader::with_burst(|burst, flags| {
-            let snapshot = pipeline.update_with(burst, flags, publish::publish);
+            let aftermath = pipeline.update_and_publish(
+                burst,
+                flags,
+                retained::show_variance,
+                publish::publish,
+            );
             // The attitude is out; what follows has time.
             pipeline.collect(burst);
-            upkeep.after_sample(pipeline, snapshot.flags);
+            upkeep.after_sample(pipeline, aftermath);
         });
         if sampled.is_none()
             && let Some((t_us, flags)) = burst_reader::take_stale()
         {
             // No sample comes, which the attitude then says.
-            let variance = pipeline.tilt_variance_rad2(t_us);
-            publish::publish(&pipeline.stale(t_us, flags), variance);
+            retained::show_variance(pipeline.tilt_variance_rad2(t_us));
+            publish::publish(&pipeline.stale(t_us, flags));
         }
     }
 

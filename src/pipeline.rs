@@ -18,7 +18,10 @@ use crate::calibration::{
     AccelerometerCorrection, AtRest, Calibration, Mount, RestProgress, RestScale, RestWatch,
 };
 use crate::estimator::kalman::{Kalman, Known};
-use crate::estimator::{AnyFilter, ClassicAngles, Estimate, Estimator, Filter, FilterKind, Sample};
+use crate::estimator::{
+    AnyFilter, ClassicAngles, EVERYDAY_STEP_US, Estimator, Everyday, Filter, FilterKind, Look,
+    Sample,
+};
 use crate::health::{
     self, DEGRADED_TILT_RAD, Flags, FreezeWatch, LOST_TILT_RAD, UNSEEN_RATE_RAD_S,
 };
@@ -144,6 +147,32 @@ impl Snapshot {
     }
 }
 
+/// What a sample leaves to do when its snapshot is out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Aftermath(u32);
+
+impl Aftermath {
+    /// Beside the flags, which do not use this bit, so that one comparison tells that there is nothing to do.
+    const STOCKTAKING: u32 = 1 << 31;
+
+    /// The snapshot's flags.
+    pub const fn flags(self) -> Flags {
+        Flags::from_bits(self.0 & !Self::STOCKTAKING)
+    }
+
+    /// Whether the sample was one of those, some milliseconds apart, after which things are looked at that take time: others may do so,
+    /// too.
+    pub const fn has_taken_stock(self) -> bool {
+        self.0 & Self::STOCKTAKING != 0
+    }
+
+    /// Whether the sample leaves these flags, and no more.
+    #[inline(always)]
+    pub const fn is_just(self, flags: Flags) -> bool {
+        self.0 == flags.bits()
+    }
+}
+
 /// The whole trip of a sample, with the state it needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pipeline<F = AnyFilter> {
@@ -173,11 +202,11 @@ pub struct Pipeline<F = AnyFilter> {
     /// frozen when that was last taken into σ, µs.
     thawed_at_us: u32,
     frozen_us: u32,
-    /// The low half of the last sample's time, µs.
-    last_t_us: u32,
     temperature_limits: (i16, i16),
     /// The rate has jumped as if by a changed full scale, and nobody has read that back yet.
     is_suspect: bool,
+    /// A sample within these, about which nothing else is to be said, is not looked at any closer.
+    everyday: Everyday,
     /// What the samples before have left to say of the next one, [`Flags::VALID`] included.
     standing: Flags,
     tilt_variance_rad2: f32,
@@ -214,18 +243,20 @@ impl<F: Filter> Pipeline<F> {
                 .then(|| RestWatch::new(&settings.rest_scale(), settings.averaging_samples)),
             is_averaging: averages,
             longest_step_us: 0,
-            pause_us: u32::MAX,
+            pause_us: 0,
             saturated_us: 0,
             thawed_at_us: 0,
             frozen_us: 0,
-            last_t_us: 0,
             temperature_limits: (0, 0),
             is_suspect: false,
+            everyday: Everyday::NEVER,
             standing: Flags::NONE,
             tilt_variance_rad2: f32::INFINITY,
             samples_to_stocktaking: 0,
         };
         pipeline.derive_limits();
+        pipeline.pause_us = pipeline.longest_step_us;
+        pipeline.choose_everyday();
         pipeline.begin(settings.calibration.usual_celsius());
         pipeline
     }
@@ -262,7 +293,9 @@ impl<F: Filter> Pipeline<F> {
             captured_at_us: sample.t_us,
             missed_before: 0,
         };
-        let snapshot = self.judge_sample(&burst, &raw, Flags::NONE, |_, _| {});
+        let is_saturated = [sample.is_rate_saturated, sample.is_force_saturated];
+        let (snapshot, _) =
+            self.judge_sample(&burst, &raw, is_saturated, Flags::NONE, |_| {}, |_, _| {});
         self.confirm_scales();
         snapshot
     }
@@ -277,15 +310,40 @@ impl<F: Filter> Pipeline<F> {
         board_flags: Flags,
         publish: impl FnOnce(&Snapshot, f32),
     ) -> Snapshot {
+        self.take_burst(burst, board_flags, |_| {}, publish).0
+    }
+
+    /// The same where each instruction counts: the variance goes to `show`, and only before a snapshot for which it has
+    /// changed in the meantime; after a stocktaking, [`shown_variance_rad2`](Self::shown_variance_rad2) has it for the next one.
+    #[inline(always)]
+    pub fn update_and_publish(
+        &mut self,
+        burst: &Burst,
+        board_flags: Flags,
+        show: impl FnOnce(f32),
+        publish: impl FnOnce(&Snapshot),
+    ) -> Aftermath {
+        self.take_burst(burst, board_flags, show, |snapshot, _| publish(snapshot))
+            .1
+    }
+
+    #[inline(always)]
+    fn take_burst(
+        &mut self,
+        burst: &Burst,
+        board_flags: Flags,
+        show: impl FnOnce(f32),
+        publish: impl FnOnce(&Snapshot, f32),
+    ) -> (Snapshot, Aftermath) {
         let raw = RawSample::decode(&burst.bytes);
         self.sample = Sample {
             t_us: burst.captured_at_us,
             specific_force_m_s2: self.accelerometer_map.apply(raw.accelerometer.0),
             angular_rate_rad_s: self.gyroscope_map.apply(raw.gyroscope.0),
-            is_rate_saturated: raw.gyroscope.is_saturated(),
-            is_force_saturated: raw.accelerometer.is_saturated(),
+            // Which is looked at where the size is not an everyday one, and once more after that.
+            ..self.sample
         };
-        self.judge_sample(burst, &raw, board_flags, publish)
+        self.judge_sample(burst, &raw, [false; 2], board_flags, show, publish)
     }
 
     /// The way of the sample that is in `self.sample`, and came with these bytes.
@@ -294,29 +352,24 @@ impl<F: Filter> Pipeline<F> {
         &mut self,
         burst: &Burst,
         raw: &RawSample,
+        is_saturated: [bool; 2],
         board_flags: Flags,
+        show: impl FnOnce(f32),
         publish: impl FnOnce(&Snapshot, f32),
-    ) -> Snapshot {
-        let t_us = burst.captured_at_us as u32;
-        let is_pause = t_us.wrapping_sub(self.last_t_us) > self.pause_us;
-        self.last_t_us = t_us;
-        if is_pause
-            || health::is_blank(&burst.bytes)
-            || !board_flags.is_empty()
-            || self.sample.is_rate_saturated
-        {
-            self.doubt(burst, board_flags);
+    ) -> (Snapshot, Aftermath) {
+        let mut look = Look::EVERYDAY;
+        let mut step_us = 0;
+        if board_flags.is_empty() && is_saturated == [false; 2] {
+            step_us = self
+                .estimator
+                .everyday_step_us(&self.sample, &self.everyday);
         }
-        let estimate = self.estimator.update(&self.sample);
-        let startup_flags = self.average_at_rest(raw);
-        let remarks = estimate.remarks;
-        let mut flags = (startup_flags | self.standing | board_flags)
-            .with(Flags::MISSED, burst.missed_before > 0)
-            .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
-            .with(
-                Flags::ACCELEROMETER_SATURATED,
-                self.sample.is_force_saturated,
-            );
+        if step_us == 0 {
+            (step_us, look) = self.look_closer(burst, raw, is_saturated, board_flags);
+        }
+        let estimate = self.estimator.take(&self.sample, step_us, look);
+        let mut flags = (self.average_at_rest(raw) | self.standing)
+            .with(Flags::MISSED, burst.missed_before > 0);
         if estimate.is_calibrating {
             let is_still = self.estimator.kalman().is_some_and(Kalman::is_still);
             flags = (flags | Flags::CALIBRATING | Flags::DEGRADED)
@@ -324,9 +377,9 @@ impl<F: Filter> Pipeline<F> {
                 .with(Flags::MOVED, self.was_still && !is_still);
             self.was_still = is_still;
         }
-        let is_odd = flags.intersects(Flags::ODD.without(Flags::CALIBRATING)) | estimate.has_jumped;
-        if is_odd | remarks.any() | self.is_suspect {
-            flags = self.judge(flags, &estimate);
+        if estimate.look != Look::EVERYDAY {
+            flags = self.judge(flags | board_flags, estimate.look);
+            show(self.tilt_variance_rad2);
         }
         let snapshot = Snapshot {
             t_us: burst.captured_at_us,
@@ -335,11 +388,14 @@ impl<F: Filter> Pipeline<F> {
             flags,
         };
         publish(&snapshot, self.tilt_variance_rad2);
-        match self.samples_to_stocktaking.checked_sub(1) {
-            Some(left) => self.samples_to_stocktaking = left,
-            None => self.take_stock(burst, raw),
+        let mut aftermath = Aftermath(flags.bits());
+        let (left, is_due) = self.samples_to_stocktaking.overflowing_sub(1);
+        self.samples_to_stocktaking = left;
+        if is_due {
+            self.take_stock(burst, raw);
+            aftermath.0 |= Aftermath::STOCKTAKING;
         }
-        snapshot
+        (snapshot, aftermath)
     }
 
     /// The snapshot to publish at `t_us` when no sample has come: the last attitude, with
@@ -378,10 +434,15 @@ impl<F: Filter> Pipeline<F> {
 
     /// What a later run has to know to go on from here; `None` if there is nothing worth it.
     pub fn known(&self) -> Option<Known> {
+        self.known_with(self.estimator.attitude())
+    }
+
+    /// The same with the last snapshot's attitude, which takes time to find.
+    pub fn known_with(&self, attitude: Quaternion) -> Option<Known> {
         let filter = self.estimator.kalman()?;
         let is_worth_it = filter.is_bias_known() && self.standing.contains(Flags::VALID);
         is_worth_it.then(|| Known {
-            attitude: filter.attitude(),
+            attitude,
             tilt_sigma_rad: filter.tilt_sigma_rad(),
             bias_rad_s: self.rate_offset_rad_s(),
             bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
@@ -399,24 +460,41 @@ impl<F: Filter> Pipeline<F> {
         self.is_suspect = false;
     }
 
-    /// Whether the last sample was one of those, some milliseconds apart, after which things are looked
-    /// at that take time: others may do so, too.
-    #[inline]
-    pub const fn has_taken_stock(&self) -> bool {
-        self.samples_to_stocktaking == SAMPLES_BETWEEN_STOCKTAKINGS - 1
+    /// The variance of the tilt, both axes together, that goes with the next snapshot, rad².
+    pub const fn shown_variance_rad2(&self) -> f32 {
+        self.tilt_variance_rad2
     }
 
-    /// What pauses, samples that are no measurements, and what the board says do to what is known.
+    /// Examines a sample that is not like every other, and gives what there is to remark about it.
     #[cold]
     #[inline(never)]
-    fn doubt(&mut self, burst: &Burst, board_flags: Flags) {
-        let last_t_us = self.estimator.last_t_us().unwrap_or(0);
+    fn look_closer(
+        &mut self,
+        burst: &Burst,
+        raw: &RawSample,
+        [is_rate_saturated, is_force_saturated]: [bool; 2],
+        board_flags: Flags,
+    ) -> (u32, Look) {
+        self.sample.is_rate_saturated = is_rate_saturated | raw.gyroscope.is_saturated();
+        self.sample.is_force_saturated = is_force_saturated | raw.accelerometer.is_saturated();
+        let step_us = |last_t_us: u64| self.sample.t_us.wrapping_sub(last_t_us) as u32;
+        let last_t_us = self.estimator.last_t_us();
+        let is_pause = last_t_us.is_some_and(|last_t_us| step_us(last_t_us) > self.pause_us);
         if health::is_blank(&burst.bytes) {
             // Not a number, so that the estimator rejects it; and what is rejected does not end a pause.
             self.sample.specific_force_m_s2.x = f32::NAN;
-            self.last_t_us = last_t_us as u32;
-            return;
+        } else if is_pause || !board_flags.is_empty() || self.sample.is_rate_saturated {
+            self.doubt(burst, board_flags);
         }
+        let (step_us, look, has_jumped) = self.estimator.examine(&self.sample);
+        self.is_suspect |= has_jumped;
+        self.choose_everyday();
+        (step_us, look)
+    }
+
+    /// What pauses, saturated samples and what the board says do to what is known.
+    fn doubt(&mut self, burst: &Burst, board_flags: Flags) {
+        let last_t_us = self.estimator.last_t_us().unwrap_or(0);
         let step_us = burst.captured_at_us.saturating_sub(last_t_us);
         let longest_step_us = u64::from(self.longest_step_us);
         self.pause_us = self.longest_step_us;
@@ -470,14 +548,22 @@ impl<F: Filter> Pipeline<F> {
     /// Decides what to say of a sample with something to remark, and whether its attitude is valid.
     #[cold]
     #[inline(never)]
-    fn judge(&mut self, flags: Flags, estimate: &Estimate) -> Flags {
-        let remarks = estimate.remarks;
+    fn judge(&mut self, flags: Flags, look: Look) -> Flags {
+        let remarks = look.remarks();
         let flags = flags
+            .with(Flags::GYROSCOPE_SATURATED, self.sample.is_rate_saturated)
+            .with(
+                Flags::ACCELEROMETER_SATURATED,
+                self.sample.is_force_saturated,
+            )
             .with(Flags::GAP, remarks.gap)
             .with(Flags::TIME, remarks.time_went_back)
             .with(Flags::REJECTED, remarks.rejected)
             .with(Flags::FREE_FALL, remarks.no_gravity);
-        self.is_suspect |= estimate.has_jumped;
+        let is_odd = flags.intersects(Flags::ODD.without(Flags::CALIBRATING));
+        if !(is_odd | remarks.any() | self.is_suspect) {
+            return flags;
+        }
         let flags = flags.with(Flags::DEGRADED, flags.intersects(Flags::DEGRADES));
         if !self.is_suspect && !flags.intersects(Flags::SPOILS) {
             flags
@@ -493,7 +579,6 @@ impl<F: Filter> Pipeline<F> {
         self.samples_to_stocktaking = SAMPLES_BETWEEN_STOCKTAKINGS - 1;
         let (coldest, hottest) = self.temperature_limits;
         let is_frozen = self.freeze_watch.update(&burst.bytes);
-        self.pause_us = self.pause_us.min(self.longest_step_us);
         if is_frozen {
             // Blank samples are a pause already, and it counts when it ends.
             if !health::is_blank(&burst.bytes) {
@@ -507,9 +592,25 @@ impl<F: Filter> Pipeline<F> {
         self.standing = Flags::NONE
             .with(Flags::TEMPERATURE, is_extreme)
             .with(Flags::FROZEN, is_frozen);
+        self.choose_everyday();
         self.take_stock_of_variance();
     }
 
+    /// Has each sample looked at more closely while there is something to say of each.
+    #[inline(always)]
+    fn choose_everyday(&mut self) {
+        let is_watched = self.is_suspect
+            | self.sample.is_rate_saturated
+            | self.sample.is_force_saturated
+            | self.standing.intersects(Flags::ODD);
+        self.everyday.most_step_us = if is_watched {
+            0
+        } else {
+            self.pause_us.min(EVERYDAY_STEP_US)
+        };
+    }
+
+    #[inline(always)]
     fn take_stock_of_variance(&mut self) {
         let variance = self.known_tilt_variance();
         self.tilt_variance_rad2 = variance;
@@ -523,7 +624,7 @@ impl<F: Filter> Pipeline<F> {
             .with(Flags::DEGRADED, is_large);
     }
 
-    #[inline]
+    #[inline(always)]
     fn known_tilt_variance(&self) -> f32 {
         match self.estimator.kalman() {
             Some(filter) if filter.has_tilt() => filter.tilt_variance_rad2(),
@@ -592,8 +693,10 @@ impl<F: Filter> Pipeline<F> {
         state.number(&mut self.temperature_celsius);
         state.byte(&mut self.until_temperature);
         state.word(&mut self.pause_us);
+        self.pause_us = self.pause_us.min(self.longest_step_us);
         state.word(&mut self.saturated_us);
-        state.word(&mut self.last_t_us);
+        // Of the last sample's time, which the estimator has, too.
+        state.word(&mut { self.estimator.last_t_us().unwrap_or(0) as u32 });
         state.word(&mut self.thawed_at_us);
         state.word(&mut self.frozen_us);
         state.truth(&mut self.is_suspect);
@@ -606,6 +709,7 @@ impl<F: Filter> Pipeline<F> {
             state.refuse();
         }
         self.is_averaging = is_averaging;
+        self.choose_everyday();
     }
 
     /// What is known about the sensor.
@@ -732,11 +836,18 @@ impl<F: Filter> Pipeline<F> {
 
     /// What the settings say of samples that are normal.
     fn derive_limits(&mut self) {
-        let period_us = 1.0e6 / self.settings.sensor.sample_rate_hz();
+        let sensor = self.settings.sensor;
+        let most_counts = EVERYDAY_SHARE * f32::from(i16::MAX);
+        self.everyday = Everyday::up_to(
+            most_counts * sensor.accelerometer_range.m_s2_per_count(),
+            most_counts * sensor.gyroscope_range.rad_s_per_count(),
+        );
+        let period_us = 1.0e6 / sensor.sample_rate_hz();
         self.longest_step_us = (PERIODS_UNSEEN * period_us) as u32;
         let temperature = self.settings.part.temperature;
         self.temperature_limits =
             health::temperature_limits(temperature.celsius_per_count, temperature.celsius_at_zero);
+        self.choose_everyday();
     }
 
     /// Tells maps and filter what is known, at this temperature in °C, before their first sample.
@@ -894,6 +1005,11 @@ const PERIODS_UNSEEN: f32 = 3.5;
 /// So many samples apart is looked at what changes slowly or takes time to tell: 11 ms, so that nothing
 /// that repeats itself every few samples looks frozen.
 const SAMPLES_BETWEEN_STOCKTAKINGS: u32 = 11;
+
+/// An everyday sample reads less than this share of full scale, so that none of its axes is at full scale: a correction keeps 0.7 of
+/// a force or more (its matrix differs from one by 0.1 per part at most, `calibration::accelerometer`) and takes 0.2 g per axis off;
+/// what is taken off the rate is below 100 °/s (±20 °/s and another ±20 over temperature, product specification §6.1).
+const EVERYDAY_SHARE: f32 = 0.6;
 
 /// σ per axis of the tilt that a changed full scale can have done before it was noticed.
 const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);
@@ -1373,6 +1489,101 @@ mod tests {
         assert!((angles.roll_deg - 30.0).abs() < 0.01, "{angles:?}");
         assert!(angles.pitch_deg.abs() < 0.03, "{angles:?}");
         assert!((snapshot.euler().roll_rad.to_degrees() - 30.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn full_scale_is_flagged_and_blank_data_rejected_at_every_range_and_with_every_correction() {
+        use crate::mpu6050::{AccelerometerRange, GyroscopeRange};
+        let accelerometer = [
+            AccelerometerRange::G2,
+            AccelerometerRange::G4,
+            AccelerometerRange::G8,
+            AccelerometerRange::G16,
+        ];
+        let gyroscope = [
+            GyroscopeRange::Degrees250,
+            GyroscopeRange::Degrees500,
+            GyroscopeRange::Degrees1000,
+            GyroscopeRange::Degrees2000,
+        ];
+        let offset = 0.2 * STANDARD_GRAVITY_M_S2;
+        // The largest corrections that a fit may have, by which readings grow and shrink most.
+        let corrections = [
+            (1.0, 0.0, 0.0),
+            (0.9, -0.1, 1.0),
+            (0.9, 0.1, -1.0),
+            (1.1, 0.1, -1.0),
+        ];
+        for (range, (diagonal, cross, sign)) in
+            (0..4).flat_map(|range| corrections.map(|correction| (range, correction)))
+        {
+            let mut settings = without_averaging();
+            settings.sensor.accelerometer_range = accelerometer[range];
+            settings.sensor.gyroscope_range = gyroscope[range];
+            settings.calibration.accelerometer = Some(AccelerometerCorrection {
+                offset_m_s2: Vector3::new(sign * offset, sign * offset, sign * offset),
+                matrix: [diagonal, diagonal, diagonal, cross, cross, cross],
+            });
+            settings.calibration.gyroscope = Some(crate::calibration::GyroscopeOffset {
+                offset_rad_s: Vector3::new(radians(40.0), radians(40.0), radians(-40.0)),
+                temperature_celsius: 25.0,
+            });
+            let g = settings.sensor.accelerometer_range.counts_per_g() as i16;
+            let mut pipeline = Pipeline::new(&settings);
+            let mut t_us = 0;
+            let mut flags = |accelerometer: [i16; 3], temperature, gyroscope: [i16; 3]| {
+                t_us += 1_000;
+                let sample = RawSample {
+                    accelerometer: AccelerometerCounts(accelerometer),
+                    temperature: TemperatureCounts(temperature),
+                    gyroscope: GyroscopeCounts(gyroscope),
+                };
+                let burst = Burst {
+                    bytes: sample.encode(),
+                    captured_at_us: t_us,
+                    missed_before: 0,
+                };
+                pipeline.update(&burst).flags
+            };
+            let seldom =
+                Flags::GYROSCOPE_SATURATED | Flags::ACCELEROMETER_SATURATED | Flags::REJECTED;
+            for full in [i16::MIN, -i16::MAX, i16::MAX] {
+                for axis in 0..3 {
+                    for others in [0, g / 3] {
+                        let mut rate = [others; 3];
+                        rate[axis] = full;
+                        let found = flags([0, 0, g], -3920, rate) & seldom;
+                        assert_eq!(found, Flags::GYROSCOPE_SATURATED, "{range} {rate:?}");
+                        assert_eq!(flags([0, 0, g], -3920, [0; 3]) & seldom, Flags::NONE);
+                        let mut force = [others; 3];
+                        force[axis] = full;
+                        let found = flags(force, -3920, [0; 3]) & seldom;
+                        assert_eq!(found, Flags::ACCELEROMETER_SATURATED, "{range} {force:?}");
+                        assert_eq!(flags([0, 0, g], -3920, [0; 3]) & seldom, Flags::NONE);
+                    }
+                }
+            }
+            for blank in [0, -1] {
+                let found = flags([blank; 3], blank, [blank; 3]) & seldom;
+                assert_eq!(found, Flags::REJECTED, "{range} {blank}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_step_that_is_a_millisecond_after_the_counter_s_wrap_is_a_gap() {
+        let mut pipeline = Pipeline::new(&without_averaging());
+        let mut flags = |t_us| {
+            pipeline
+                .update(&burst(Mount::Z_UP, t_us, LEVEL, Vector3::ZERO))
+                .flags
+        };
+        for index in 1..10 {
+            assert_eq!(flags(index * 1_000) & Flags::GAP, Flags::NONE);
+        }
+        // 32 bits of the step are those of one millisecond.
+        assert_eq!(flags(10_000 + (1 << 32)) & Flags::GAP, Flags::GAP);
+        assert_eq!(flags(11_000) & Flags::TIME, Flags::TIME);
     }
 
     #[test]

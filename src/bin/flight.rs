@@ -56,10 +56,11 @@ mod app {
     use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
 
-    /// The crystal has stopped. The burst reader sees it at the next edge and brings the clock back.
+    /// The crystal has stopped. The burst reader, which this calls by its alarm, brings the clock back.
     #[cortex_m_rt::exception]
     unsafe fn NonMaskableInt() {
         clocks::acknowledge_failure();
+        timebase::raise_burst_alarm();
     }
 
     /// So long may a task of the idle task take: to erase a sector of 16 KiB, which stalls the core for half a second
@@ -403,7 +404,12 @@ mod app {
                 return None;
             };
             let sampled = burst_reader::with_burst(|burst, flags| {
-                let snapshot = pipeline.update_with(burst, flags, publish::publish);
+                let aftermath = pipeline.update_and_publish(
+                    burst,
+                    flags,
+                    retained::show_variance,
+                    publish::publish,
+                );
                 // The attitude is out; what follows has time until the next burst.
                 let number = BURSTS_TAKEN.load(Ordering::Relaxed);
                 BURSTS_TAKEN.store(number.wrapping_add(1), Ordering::Relaxed);
@@ -418,14 +424,15 @@ mod app {
                         .ok();
                 }
                 rest = pipeline.collect(burst);
-                upkeep.after_sample(pipeline, snapshot.flags)
+                upkeep.after_sample(pipeline, aftermath)
             });
             if let Some(change) = sampled {
                 return change;
             }
             let (t_us, flags) = burst_reader::take_stale()?;
             let snapshot = pipeline.stale(t_us, flags);
-            publish::publish(&snapshot, pipeline.tilt_variance_rad2(t_us));
+            retained::show_variance(pipeline.tilt_variance_rad2(t_us));
+            publish::publish(&snapshot);
             upkeep.after_silence(&snapshot)
         });
         if let Some(seen @ (RestProgress::Moved(_) | RestProgress::Done(_))) = rest {

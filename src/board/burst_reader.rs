@@ -10,6 +10,8 @@
 //! [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an unknown state, the reader stops
 //! and the idle task recovers the bus; meanwhile the alarm has the attitude task say that no sample comes.
 //!
+//! What there is to say of a burst is one word, zero in the usual case, which one comparison tells.
+//!
 //! An edge that does not come within [`SILENCE_DEADLINE_US`] is done without: bursts are then started
 //! by the alarm, one a sample period, until edges come again. An edge that comes too soon after the last
 //! one is a glitch, or a sensor that has forgotten its sample rate; it starts nothing.
@@ -45,30 +47,34 @@ pub const SILENCE_DEADLINE_US: u32 = 3_000;
 const STALE_PERIOD_US: u32 = 5_000;
 /// Failed bursts in a row after which the bus is recovered and the sensor looked at.
 pub const FAILURES_IN_A_ROW: u8 = 3;
-/// The order of the checks: the full scales come every other time, since they scale the attitude.
-const CHECK_ORDER: [u8; 4] = [0, 1, 0, 2];
+/// Where the remarks on a burst count the edges without one. With the other bits of a word it shares no flag that a board has.
+const MISSED_SHIFT: u32 = 24;
+const MISSED_MASK: u32 = 0xFF << MISSED_SHIFT;
+const IS_CHECK: u32 = 1 << 8;
+const HAS_REMARKS: u32 = 1 << 9;
+const _: () = assert!(
+    Flags::OF_BOARD.bits() & (MISSED_MASK | IS_CHECK | HAS_REMARKS | IS_READY | SLOT_MASK) == 0
+);
 
 /// The reader. All of its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
-    filling: u8,
+    /// What [`Handover::ready`] is when the slot that is being filled is: with the remarks on the burst before, where
+    /// [`HAS_REMARKS`] is among those on the next.
+    filling: u32,
     /// Where the steps under way read from.
     pointer: Register,
-    missed: u8,
     /// When the edge of this burst, or of the last one, came; its low half is the timer's count.
     captured_at_us: u64,
     /// An edge that comes sooner after the last one than this is an odd one, in microseconds.
     shortest_period_us: u32,
-    /// When the alarm goes off if no edge comes, in microseconds after the last.
-    patience_us: u32,
-    /// What there is to say of the next burst.
-    flags: Flags,
+    /// What there is to say of the next burst, none unless something is wrong: flags, how many edges have given
+    /// none ([`MISSED_MASK`]), or that the steps under way read settings back ([`IS_CHECK`]).
+    remarks: u32,
     /// What there is to say of every burst from now on.
     standing: Flags,
     mode: Mode,
     failures_in_a_row: u8,
-    /// The steps under way read settings back.
-    is_check: bool,
     /// An edge has come during a check.
     edge_waits: bool,
     next_check: u8,
@@ -101,17 +107,14 @@ impl BurstReader {
             .write(|w| unsafe { w.pa().bits(i2c1().dr().as_ptr() as u32) });
         let reader = Self {
             step: BurstStep::Idle,
-            filling: 0,
+            filling: IS_READY,
             pointer: Register::AccelerometerXHigh,
-            missed: 0,
             captured_at_us: 0,
             shortest_period_us: EVERY_EDGE_IS_ODD,
-            patience_us: SILENCE_DEADLINE_US,
-            flags: Flags::NONE,
+            remarks: 0,
             standing: Flags::NONE,
             mode: Mode::Starting,
             failures_in_a_row: 0,
-            is_check: false,
             edge_waits: false,
             next_check: 0,
         };
@@ -126,10 +129,7 @@ impl BurstReader {
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
         let count = timebase.captured();
         let since = count.wrapping_sub(self.captured_at_us as u32);
-        if self.step != BurstStep::Idle
-            || since < self.shortest_period_us
-            || clocks::have_fallen_back()
-        {
+        if self.step != BurstStep::Idle || since < self.shortest_period_us {
             self.on_odd_edge(timebase);
             return;
         }
@@ -140,17 +140,12 @@ impl BurstReader {
     #[cold]
     #[inline(never)]
     fn on_odd_edge(&mut self, timebase: &Timebase) {
-        if clocks::have_fallen_back() {
-            clocks::restore();
-            self.standing |= Flags::INTERNAL_CLOCK;
-            self.flags |= Flags::INTERNAL_CLOCK;
-        }
         let count = timebase.captured();
         let is_idle = self.step == BurstStep::Idle;
         match self.mode {
             Mode::Starting => {
                 // The bus first: what is to be known of the sensor is not needed for that.
-                self.begin(count, timebase);
+                self.begin_rarely(count, timebase);
                 self.take_up();
                 return;
             }
@@ -162,34 +157,52 @@ impl BurstReader {
                     retained::count(FaultClass::InterruptGlitch);
                     return;
                 }
-                if !is_idle && !self.is_check {
-                    self.missed = self.missed.saturating_add(1);
+                if !is_idle && !self.is_check() {
+                    self.miss();
                 }
             }
         }
         if is_idle {
-            self.begin(count, timebase);
+            self.begin_rarely(count, timebase);
         } else {
-            self.edge_waits = self.is_check;
+            self.edge_waits = self.is_check();
         }
     }
 
     /// The first edge, or none of it, after the idle task has made the sensor ready.
     fn take_up(&mut self) {
         self.return_to_edges();
-        self.flags = self.standing | Flags::from_bits(LINK.notes.load(Ordering::Relaxed));
+        let kept = self.remarks & (MISSED_MASK | HAS_REMARKS);
+        self.remarks = kept | self.standing.bits() | LINK.notes.load(Ordering::Relaxed);
         LINK.notes.store(0, Ordering::Relaxed);
     }
 
     fn return_to_edges(&mut self) {
         self.mode = Mode::Edges;
         self.shortest_period_us = setup().shortest_period_us;
-        self.patience_us = SILENCE_DEADLINE_US;
         self.standing = self.standing.without(Flags::POLLED);
         // A burst under way was started by the timer all the same.
         if self.step == BurstStep::Idle {
-            self.flags = self.flags.without(Flags::POLLED);
+            self.remarks &= !Flags::POLLED.bits();
         }
+    }
+
+    /// The steps under way read settings back.
+    fn is_check(&self) -> bool {
+        self.remarks & IS_CHECK != 0
+    }
+
+    /// An edge gives no burst.
+    fn miss(&mut self) {
+        if self.remarks & MISSED_MASK != MISSED_MASK {
+            self.remarks += 1 << MISSED_SHIFT;
+        }
+    }
+
+    /// There is this to say from now on.
+    fn stand(&mut self, flag: Flags) {
+        self.standing |= flag;
+        self.remarks |= flag.bits();
     }
 
     /// Asks for the bus to read a burst.
@@ -198,6 +211,12 @@ impl BurstReader {
         self.captured_at_us = timebase.extend_capture(count);
         timebase::set_burst_alarm(count.wrapping_add(BURST_DEADLINE_US));
         self.ask_for_bus();
+    }
+
+    /// The same, in one place for all but the usual way.
+    #[inline(never)]
+    fn begin_rarely(&mut self, count: u32, timebase: &Timebase) {
+        self.begin(count, timebase);
     }
 
     #[inline(always)]
@@ -274,29 +293,23 @@ impl BurstReader {
             self.fail(BurstFault::Dma);
             return false;
         }
-        if self.is_check {
-            self.end_check(timebase);
+        timebase::set_burst_alarm((self.captured_at_us as u32).wrapping_add(SILENCE_DEADLINE_US));
+        if self.remarks != 0 && !self.take_remarks(timebase) {
             return false;
         }
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
-        timebase::set_burst_alarm((self.captured_at_us as u32).wrapping_add(self.patience_us));
         self.step = BurstStep::Idle;
-        self.failures_in_a_row = 0;
-        let handed_over = !HANDOVER.held.load(Ordering::Relaxed);
+        let handed_over = HANDOVER.ready.load(Ordering::Relaxed) == NOTHING_READY;
         if handed_over {
-            // SAFETY: `held` is false, so the attitude task reads neither slot until the line below.
+            // SAFETY: nothing is ready, so the attitude task reads neither slot until the line below.
             let burst = unsafe { &mut *HANDOVER.slot(self.filling).get() };
             burst.captured_at_us = self.captured_at_us;
-            burst.missed_before = self.missed;
-            self.missed = 0;
-            HANDOVER.flags.store(self.flags.bits(), Ordering::Relaxed);
-            self.flags = self.standing;
+            burst.missed_before = (self.filling >> MISSED_SHIFT) as u8;
             compiler_fence(Ordering::Release);
             HANDOVER.ready.store(self.filling, Ordering::Relaxed);
-            HANDOVER.held.store(true, Ordering::Relaxed);
-            self.filling ^= 1;
+            self.filling ^= SLOT_MASK;
         } else {
             self.note_late();
         }
@@ -304,32 +317,52 @@ impl BurstReader {
         handed_over
     }
 
+    /// A transfer is complete about which there is something to say. False if it was not a burst.
+    #[cold]
+    #[inline(never)]
+    fn take_remarks(&mut self, timebase: &Timebase) -> bool {
+        if self.is_check() {
+            self.end_check(timebase);
+            return false;
+        }
+        self.failures_in_a_row = 0;
+        if self.mode == Mode::Polling {
+            let next = (self.captured_at_us as u32).wrapping_add(setup().period_us);
+            timebase::set_burst_alarm(next);
+        }
+        let remarks = self.remarks & (Flags::OF_BOARD.bits() | MISSED_MASK);
+        self.filling = self.filling & (IS_READY | SLOT_MASK) | remarks;
+        let is_to_clear = if remarks == 0 { 0 } else { HAS_REMARKS };
+        self.remarks = self.standing.bits() | is_to_clear;
+        true
+    }
+
     #[cold]
     #[inline(never)]
     fn note_late(&mut self) {
-        self.missed = self.missed.saturating_add(1);
-        self.flags |= Flags::LATE;
+        let remarks = self.filling & (Flags::OF_BOARD.bits() | MISSED_MASK);
+        self.remarks |= remarks | Flags::LATE.bits();
+        self.miss();
         retained::count(FaultClass::AttitudeLate);
     }
 
     /// The settings are read back: compares them, and gives the bus to an edge that has come meanwhile.
-    #[inline(never)]
+    #[inline(always)]
     fn end_check(&mut self, timebase: &Timebase) {
         // SAFETY: the transfer into these bytes is complete.
-        let bytes = unsafe { *CHECKED.bytes.get() };
-        let is_intact = self.check().of(&bytes) == Condition::Intact;
-        if is_intact && self.check_number() == 0 {
+        let bytes = unsafe { &*CHECKED.bytes.get() };
+        let is_intact = self.check().of(bytes) == Condition::Intact;
+        if is_intact && self.next_check & 1 == SCALES_ARE_EVEN {
             LINK.are_scales_verified.store(true, Ordering::Relaxed);
         }
-        self.next_check = (self.next_check + 1) % CHECK_ORDER.len() as u8;
-        self.is_check = false;
+        self.next_check = self.next_check.wrapping_add(1);
+        self.remarks &= !IS_CHECK;
         self.pointer = Register::AccelerometerXHigh;
-        self.failures_in_a_row = 0;
         self.step = BurstStep::Idle;
         self.arm_dma();
         let edge_waits = core::mem::take(&mut self.edge_waits);
         if edge_waits && is_intact {
-            self.begin(timebase.captured(), timebase);
+            self.begin_rarely(timebase.captured(), timebase);
             return;
         }
         i2c1()
@@ -351,33 +384,22 @@ impl BurstReader {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
             && i2c1().cr1().read().stop().bit_is_clear();
-        if !is_free || !is_enabled() {
+        if !is_free || !LINK.enabled.load(Ordering::Relaxed) {
             return;
         }
-        self.is_check = true;
-        self.pointer = self.check().first;
+        let check = self.check();
+        self.remarks |= IS_CHECK;
+        self.pointer = check.first;
         timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
-        self.arm_dma_for_check();
+        // Nobody reads the bytes of a check before it ends.
+        arm_dma(CHECKED.bytes.get() as u32, check.length as u16);
         self.ask_for_bus();
     }
 
-    fn check_number(&self) -> u8 {
-        let [a, b, c, d] = CHECK_ORDER;
-        match self.next_check {
-            0 => a,
-            1 => b,
-            2 => c,
-            _ => d,
-        }
-    }
-
+    #[inline(always)]
     fn check(&self) -> &'static Check {
-        let [scales, interrupt, power] = &setup().checks;
-        match self.check_number() {
-            0 => scales,
-            1 => interrupt,
-            _ => power,
-        }
+        // A remainder that no place is beyond.
+        &setup().checks[usize::from(self.next_check) % CHECKS]
     }
 
     /// I2C1 error: the sensor did not acknowledge, or the bus misbehaved.
@@ -402,14 +424,19 @@ impl BurstReader {
     /// The alarm: a burst took too long, no edge came, or it is time to say that no
     /// sample comes. True if the attitude task has to say so.
     pub fn on_alarm(&mut self, timebase: &Timebase) -> bool {
+        let has_restored = clocks::have_fallen_back();
+        if has_restored {
+            clocks::restore();
+            self.stand(Flags::INTERNAL_CLOCK);
+        }
         if !is_enabled() {
             timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
             let t_us = timebase.extend_capture(timebase::now());
             LINK.stale_low.store(t_us as u32, Ordering::Relaxed);
             LINK.stale_high
                 .store((t_us >> 32) as u32, Ordering::Relaxed);
-            LINK.stale_flags
-                .store((self.flags | self.standing).bits(), Ordering::Relaxed);
+            let flags = self.remarks & Flags::OF_BOARD.bits() | self.standing.bits();
+            LINK.stale_flags.store(flags, Ordering::Relaxed);
             LINK.is_stale.store(true, Ordering::Release);
             return true;
         }
@@ -417,10 +444,8 @@ impl BurstReader {
             self.disable();
             return false;
         }
-        if clocks::have_fallen_back() {
-            clocks::restore();
-            self.standing |= Flags::INTERNAL_CLOCK;
-            self.flags |= Flags::INTERNAL_CLOCK;
+        if has_restored && !timebase::burst_alarm_is_due() {
+            return false;
         }
         if self.step != BurstStep::Idle {
             self.fail(BurstFault::Deadline);
@@ -434,16 +459,14 @@ impl BurstReader {
         if self.mode == Mode::Edges {
             self.poll_instead_of_edges();
         }
-        self.begin(timebase::now(), timebase);
+        self.begin_rarely(timebase::now(), timebase);
         false
     }
 
     fn poll_instead_of_edges(&mut self) {
         self.mode = Mode::Polling;
         self.shortest_period_us = EVERY_EDGE_IS_ODD;
-        self.patience_us = setup().period_us;
-        self.standing |= Flags::POLLED;
-        self.flags |= Flags::POLLED;
+        self.stand(Flags::POLLED);
         retained::count(if pins::interrupt_is_high() {
             FaultClass::InterruptStuckHigh
         } else {
@@ -464,15 +487,15 @@ impl BurstReader {
         };
         LINK.record(failure);
         retained::count(failure.class());
-        self.flags |= Flags::BUS_FAULT;
+        self.remarks |= Flags::BUS_FAULT.bits();
         i2c1().cr2().write(|w| with_clock(w));
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().stop().bit(self.step != BurstStep::Idle));
-        if !self.is_check {
-            self.missed = self.missed.saturating_add(1);
+        if !self.is_check() {
+            self.miss();
         }
-        self.is_check = false;
+        self.remarks &= !IS_CHECK;
         self.pointer = Register::AccelerometerXHigh;
         self.edge_waits = false;
         self.failures_in_a_row = self.failures_in_a_row.saturating_add(1);
@@ -503,11 +526,6 @@ impl BurstReader {
             HANDOVER.slot(self.filling).get() as u32 + core::mem::offset_of!(Burst, bytes) as u32;
         // The slot lives for ever, and the attitude task reads the other one.
         arm_dma(address, BURST_LENGTH as u16);
-    }
-
-    fn arm_dma_for_check(&self) {
-        // Nobody reads the bytes of a check before it ends.
-        arm_dma(CHECKED.bytes.get() as u32, self.check().length as u16);
     }
 }
 
@@ -558,16 +576,16 @@ const STOP_READINGS: u32 = 1_000;
 /// afterwards. Only the attitude task calls this.
 #[inline(always)]
 pub fn with_burst<R>(work: impl FnOnce(&Burst, Flags) -> R) -> Option<R> {
-    if !HANDOVER.held.load(Ordering::Relaxed) {
+    let ready = HANDOVER.ready.load(Ordering::Relaxed);
+    if ready == NOTHING_READY {
         return None;
     }
     compiler_fence(Ordering::Acquire);
-    let ready = HANDOVER.ready.load(Ordering::Relaxed);
-    let flags = Flags::from_bits(HANDOVER.flags.load(Ordering::Relaxed));
-    // SAFETY: while `held` is true the reader neither writes this slot nor points DMA at it.
+    let flags = Flags::from_bits(ready) & Flags::OF_BOARD;
+    // SAFETY: while something is ready the reader neither writes this slot nor points DMA at it.
     let result = work(unsafe { &*HANDOVER.slot(ready).get() }, flags);
     compiler_fence(Ordering::Release);
-    HANDOVER.held.store(false, Ordering::Relaxed);
+    HANDOVER.ready.store(NOTHING_READY, Ordering::Relaxed);
     Some(result)
 }
 
@@ -612,7 +630,7 @@ pub fn enable(ready: &Ready, config: &Config) {
     // SAFETY: the reader is disabled, and looks at its set-up only when it runs.
     unsafe {
         *SETUP.0.get() = Setup {
-            checks: Check::all(config, ready.part),
+            checks: in_turn(config, ready.part),
             period_us,
             shortest_period_us: period_us - period_us / 16,
         };
@@ -652,9 +670,19 @@ pub fn failures() -> (u16, Option<BurstFailure>) {
 /// When the alarm starts the bursts: so long after a check the next one is due, in microseconds.
 const POLL_AFTER_CHECK_US: u32 = 300;
 
+/// The checks in their turn: the full scales come every other time, since they scale the attitude.
+const fn in_turn(config: &Config, part: &Part) -> [Check; CHECKS] {
+    let [scales, interrupt, power] = Check::all(config, part);
+    [scales, interrupt, scales, power]
+}
+
+const CHECKS: usize = 4;
+/// The full scales' turns are the even ones.
+const SCALES_ARE_EVEN: u8 = 0;
+
 /// What the reader has to know of the sensor.
 struct Setup {
-    checks: [Check; 3],
+    checks: [Check; CHECKS],
     /// The sample period.
     period_us: u32,
     /// An edge that comes sooner after the last is none of the sensor's: its clock is right to 1 %
@@ -668,7 +696,7 @@ struct SetupCell(UnsafeCell<Setup>);
 unsafe impl Sync for SetupCell {}
 
 static SETUP: SetupCell = SetupCell(UnsafeCell::new(Setup {
-    checks: Check::all(&Config::DEFAULT, &Part::MPU_6050),
+    checks: in_turn(&Config::DEFAULT, &Part::MPU_6050),
     period_us: 1_000,
     shortest_period_us: 938,
 }));
@@ -743,22 +771,23 @@ static LINK: Link = Link {
 /// Two slots: DMA fills one while the attitude task reads the other.
 struct Handover {
     slots: [UnsafeCell<Burst>; 2],
-    /// The slot of the last complete burst.
-    ready: AtomicU8,
-    /// Whether the attitude task still needs that slot.
-    held: AtomicBool,
-    /// What there is to say of the burst.
-    flags: AtomicU32,
+    /// The burst that the attitude task still needs: [`IS_READY`], its slot by [`SLOT_MASK`], and the remarks on it.
+    ready: AtomicU32,
 }
 
+const NOTHING_READY: u32 = 0;
+const IS_READY: u32 = 1 << 1;
+const SLOT_MASK: u32 = 1;
+
 impl Handover {
-    /// The slot of this number, which is 0 or 1.
-    fn slot(&self, number: u8) -> &UnsafeCell<Burst> {
-        &self.slots[usize::from(number & 1)]
+    /// The slot that this state of `ready` is about.
+    #[inline(always)]
+    fn slot(&self, ready: u32) -> &UnsafeCell<Burst> {
+        &self.slots[(ready & SLOT_MASK) as usize]
     }
 }
 
-// SAFETY: the reader writes a slot, or lets DMA write it, only while `held` keeps the attitude task away from it.
+// SAFETY: the reader writes a slot, or lets DMA write it, only while `ready` keeps the attitude task away from it.
 unsafe impl Sync for Handover {}
 
 const NO_BURST: Burst = Burst {
@@ -769,9 +798,7 @@ const NO_BURST: Burst = Burst {
 
 static HANDOVER: Handover = Handover {
     slots: [const { UnsafeCell::new(NO_BURST) }; 2],
-    ready: AtomicU8::new(0),
-    held: AtomicBool::new(false),
-    flags: AtomicU32::new(0),
+    ready: AtomicU32::new(NOTHING_READY),
 };
 
 fn clear_dma_flags() {

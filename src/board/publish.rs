@@ -31,11 +31,9 @@ static APLOMB_SNAPSHOT: Published = Published {
     sequence: AtomicU32::new(0),
 };
 
-/// Publishes a snapshot and, before it, the variance of its tilt (rad²) where `retained` shows it. Only the
-/// attitude task calls this.
+/// Publishes a snapshot; the variance of its tilt is shown before it, by `retained`. Only the attitude task calls this.
 #[inline(always)]
-pub fn publish(snapshot: &Snapshot, tilt_variance_rad2: f32) {
-    super::retained::show_variance(tilt_variance_rad2);
+pub fn publish(snapshot: &Snapshot) {
     let (q, rates) = (&snapshot.attitude, &snapshot.body_rates_rad_s);
     let [low, high, qw, qx, qy, qz, p_rate, q_rate, r_rate, flags] = &APLOMB_SNAPSHOT.snapshot;
     let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);
@@ -53,6 +51,13 @@ pub fn publish(snapshot: &Snapshot, tilt_variance_rad2: f32) {
     APLOMB_SNAPSHOT
         .sequence
         .store(sequence.wrapping_add(1), Ordering::Release);
+}
+
+/// The attitude of the latest snapshot. Only the attitude task calls this.
+pub fn attitude() -> Quaternion {
+    let [_, _, w, x, y, z, ..] = &APLOMB_SNAPSHOT.snapshot;
+    let number = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
+    Quaternion::new(number(w), number(x), number(y), number(z))
 }
 
 /// The latest snapshot and its number, or nothing before the first. For tasks of lower priority than the writer.

@@ -187,14 +187,15 @@ pub fn show_variance(tilt_variance: f32) {
 #[inline(never)]
 pub fn keep(known: &Known) {
     let newest = NEWEST.load(Ordering::Relaxed);
-    let [first, second] = &KNOWN;
-    let (next, last) = if newest == 0 {
-        (second, first)
-    } else {
-        (first, second)
-    };
-    next.write(last.number().wrapping_add(1), known);
-    NEWEST.store(newest ^ 1, Ordering::Relaxed);
+    let next = newest ^ 1;
+    let number = copy(newest).number().wrapping_add(1);
+    copy(next).write(number, known);
+    NEWEST.store(next, Ordering::Relaxed);
+}
+
+/// The copy of this number, 0 or 1.
+fn copy(number: u8) -> &'static Words {
+    &KNOWN[usize::from(number & 1)]
 }
 
 impl Words {

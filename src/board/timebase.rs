@@ -133,6 +133,13 @@ pub fn set_burst_alarm(count: u32) {
         .write(|w| w.ccr().set(count));
 }
 
+/// Whether the burst reader's alarm was set to now or earlier, and not [raised](raise_burst_alarm).
+pub fn burst_alarm_is_due() -> bool {
+    // SAFETY: reading these has no side effect.
+    let timer = unsafe { &*TIM5::ptr() };
+    has_passed(timer.ccr1().read().ccr().bits(), now())
+}
+
 /// Sets the burst reader's alarm off at once.
 pub fn raise_burst_alarm() {
     // SAFETY: a store to this register does what its ones say and nothing else (RM0090, 18.4.6).

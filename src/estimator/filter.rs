@@ -23,6 +23,10 @@ pub trait Filter {
     /// One step of `dt_s` seconds.
     fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool);
 
+    /// Whether a step of this length, or saturation, hides something from [`update`](Self::update), and how much. Comes before
+    /// it, for every sample but those that are neither saturated nor more than [`EVERYDAY_STEP_US`](super::EVERYDAY_STEP_US) after the last.
+    fn allow_for(&mut self, _sample: &Sample, _dt_s: f32, _shows_gravity: bool) {}
+
     /// Body to earth, at the last sample's time.
     fn attitude(&self) -> Quaternion;
 
@@ -58,6 +62,10 @@ impl Filter for Kalman {
     #[inline]
     fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
         self.update(sample, dt_s, shows_gravity);
+    }
+
+    fn allow_for(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
+        self.allow_for(sample, dt_s, shows_gravity);
     }
 
     #[inline]
@@ -188,6 +196,12 @@ impl Filter for AnyFilter {
             Self::Kalman(filter) => Filter::update(filter, sample, dt_s, shows_gravity),
             Self::AxisKalman(filter) => Filter::update(filter, sample, dt_s, shows_gravity),
             Self::Classic(filter) => Filter::update(filter, sample, dt_s, shows_gravity),
+        }
+    }
+
+    fn allow_for(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
+        if let Some(filter) = self.kalman_mut() {
+            filter.allow_for(sample, dt_s, shows_gravity);
         }
     }
 

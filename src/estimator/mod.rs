@@ -33,6 +33,9 @@ pub const REVISION: u16 = 2;
 /// A longer pause between samples is a gap: what happened in it is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
 
+/// Up to here a step hides nothing that a filter has to allow for.
+pub const EVERYDAY_STEP_US: u32 = 15_000;
+
 /// Below a quarter of gravity the accelerometer's own offset (80 mg, product specification §6.2) may
 /// turn its direction by 20° and more, so it says nothing about down.
 pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
@@ -108,6 +111,52 @@ pub struct Sample {
     pub is_force_saturated: bool,
 }
 
+impl Sample {
+    /// The squares of specific force and angular rate, (m/s²)² and (rad/s)².
+    #[inline(always)]
+    fn squares(&self) -> (f32, f32) {
+        let (force, rate) = (self.specific_force_m_s2, self.angular_rate_rad_s);
+        (force.dot(force), rate.dot(rate))
+    }
+}
+
+/// An everyday sample has a larger force than this, (m/s²)²: half of gravity. More than [`LEAST_SPECIFIC_FORCE_M_S2`], and more than is
+/// left where the accelerometer reads zero, which is its correction: 0.45 g at most.
+const LEAST_EVERYDAY_FORCE_SQUARED: f32 = 0.25 * STANDARD_GRAVITY_M_S2 * STANDARD_GRAVITY_M_S2;
+
+/// Within these a sample is nothing to remark. Squares, so that no root is taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(crate) struct Everyday {
+    /// The longest step from the sample before, µs. Zero: no sample is an everyday one.
+    pub(crate) most_step_us: u32,
+    /// How many numbers there are from [`LEAST_EVERYDAY_FORCE_SQUARED`] to the largest specific force, (m/s²)².
+    force_range_bits: u32,
+    /// The largest angular rate, (rad/s)².
+    most_rate_squared: f32,
+}
+
+impl Everyday {
+    /// Nothing is.
+    pub(crate) const NEVER: Self = Self {
+        most_step_us: 0,
+        force_range_bits: 0,
+        most_rate_squared: 0.0,
+    };
+
+    /// Up to this force, m/s², and this rate, rad/s; but never yet.
+    pub(crate) fn up_to(force_m_s2: f32, rate_rad_s: f32) -> Self {
+        let most_force_squared = force_m_s2 * force_m_s2;
+        Self {
+            most_step_us: 0,
+            force_range_bits: most_force_squared
+                .to_bits()
+                .saturating_sub(LEAST_EVERYDAY_FORCE_SQUARED.to_bits()),
+            most_rate_squared: rate_rad_s * rate_rad_s,
+        }
+    }
+}
+
 /// What a sample led to.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -145,6 +194,48 @@ impl Remarks {
     pub const fn any(self) -> bool {
         self.time_went_back | self.gap | self.rejected | self.no_gravity
     }
+}
+
+/// [`Remarks`] in the bits of one word, so that a single comparison tells that there are none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Look(u32);
+
+impl Look {
+    /// The sample is an everyday one.
+    pub(crate) const EVERYDAY: Self = Self(0);
+    /// It has been examined.
+    const UNUSUAL: Self = Self(1 << 0);
+    const REJECTED: Self = Self(1 << 1);
+    const NO_GRAVITY: Self = Self(1 << 2);
+    const TIME_WENT_BACK: Self = Self(1 << 3);
+    const GAP: Self = Self(1 << 4);
+
+    #[inline(always)]
+    const fn has(self, one: Self) -> bool {
+        self.0 & one.0 != 0
+    }
+
+    #[inline(always)]
+    const fn add(&mut self, one: Self) {
+        self.0 |= one.0;
+    }
+
+    pub(crate) const fn remarks(self) -> Remarks {
+        Remarks {
+            time_went_back: self.has(Self::TIME_WENT_BACK),
+            gap: self.has(Self::GAP),
+            rejected: self.has(Self::REJECTED),
+            no_gravity: self.has(Self::NO_GRAVITY),
+        }
+    }
+}
+
+/// An [`Estimate`] on its way.
+pub(crate) struct Taken {
+    pub(crate) attitude: Quaternion,
+    pub(crate) body_rates_rad_s: Vector3,
+    pub(crate) look: Look,
+    pub(crate) is_calibrating: bool,
 }
 
 /// A filter with its sense of time. Total: whatever comes in, the attitude stays a finite rotation,
@@ -272,33 +363,112 @@ impl<F: Filter> Estimator<F> {
 
     /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
-        let mut remarks = Remarks::default();
-        let force = sample.specific_force_m_s2;
-        let rate = sample.angular_rate_rad_s;
-        let force_squared = force.dot(force);
-        let rate_squared = rate.dot(rate);
-        let has_jumped = rate_squared > 4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S;
+        let (step_us, look, has_jumped) = self.examine(sample);
+        let taken = self.take(sample, step_us, look);
+        Estimate {
+            attitude: taken.attitude,
+            body_rates_rad_s: taken.body_rates_rad_s,
+            remarks: taken.look.remarks(),
+            has_jumped,
+            is_calibrating: taken.is_calibrating,
+        }
+    }
+
+    /// The step to a sample that is remarkable neither by that nor by its size, in µs: [`take`](Self::take) then needs no
+    /// [`examine`](Self::examine). Else zero.
+    #[inline(always)]
+    pub(crate) fn everyday_step_us(&mut self, sample: &Sample, everyday: &Everyday) -> u32 {
+        let Some(last_t_us) = self.last_t_us else {
+            return 0;
+        };
+        let step_us = (sample.t_us as u32).wrapping_sub(last_t_us as u32);
+        let (force_squared, rate_squared) = sample.squares();
+        // No number is negative here, so their bits compare as they do; and those of a NaN are more than any.
+        let force_bits = force_squared.to_bits();
+        let is_everyday = sample.t_us >> 32 == last_t_us >> 32
+            && step_us.wrapping_sub(1) < everyday.most_step_us
+            && force_bits.wrapping_sub(LEAST_EVERYDAY_FORCE_SQUARED.to_bits())
+                < everyday.force_range_bits
+            && (rate_squared.to_bits() <= (RATE_JUMP_RAD_S * RATE_JUMP_RAD_S).to_bits()
+                || (rate_squared <= self.rate_jump_squared()
+                    && rate_squared <= everyday.most_rate_squared));
+        if !is_everyday {
+            return 0;
+        }
+        self.rate_squared = rate_squared;
+        self.last_t_us = Some(sample.t_us);
+        step_us
+    }
+
+    /// What there is to remark about any sample, once before it is taken: the step that [`take`](Self::take) is to make, in µs (none if
+    /// zero), the remarks, and whether its rate has jumped.
+    #[inline]
+    pub(crate) fn examine(&mut self, sample: &Sample) -> (u32, Look, bool) {
+        let (force_squared, rate_squared) = sample.squares();
+        let has_jumped = rate_squared > self.rate_jump_squared();
         // A NaN fails every comparison.
         let is_measurement = force_squared
             <= LARGEST_SPECIFIC_FORCE_M_S2 * LARGEST_SPECIFIC_FORCE_M_S2
             && rate_squared <= LARGEST_RATE_RAD_S * LARGEST_RATE_RAD_S;
-        if is_measurement {
-            self.rate_squared = rate_squared;
-            remarks.no_gravity =
-                force_squared < LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
-            self.step(sample, &mut remarks);
-            self.body_rates_rad_s = match self.filter.kalman() {
-                Some(filter) => filter.body_rates_rad_s(),
-                None => sample.angular_rate_rad_s,
-            };
-        } else {
-            remarks.rejected = true;
+        let mut look = Look::UNUSUAL;
+        if !is_measurement {
+            look.add(Look::REJECTED);
+            return (0, look, has_jumped);
         }
-        Estimate {
+        self.rate_squared = rate_squared;
+        let shows_gravity = force_squared >= LEAST_SPECIFIC_FORCE_M_S2 * LEAST_SPECIFIC_FORCE_M_S2;
+        if !shows_gravity {
+            look.add(Look::NO_GRAVITY);
+        }
+        let step_us = match self.last_t_us.replace(sample.t_us) {
+            // The first sample only sets the tilt.
+            None => 0,
+            Some(last) if sample.t_us <= last => {
+                look.add(Look::TIME_WENT_BACK);
+                return (0, look, has_jumped);
+            }
+            Some(last) => sample.t_us - last,
+        };
+        if step_us > LONGEST_STEP_US {
+            look.add(Look::GAP);
+        }
+        if step_us == 0 || step_us > LONGEST_STEP_US {
+            self.filter.start(sample, shows_gravity);
+            return (0, look, has_jumped);
+        }
+        let step_us = step_us as u32;
+        self.filter.allow_for(
+            sample,
+            step_us as f32 * SECONDS_PER_MICROSECOND,
+            shows_gravity,
+        );
+        (step_us, look, has_jumped)
+    }
+
+    /// A larger rate than this, squared, is a jump.
+    #[inline(always)]
+    fn rate_jump_squared(&self) -> f32 {
+        4.0 * self.rate_squared + RATE_JUMP_RAD_S * RATE_JUMP_RAD_S
+    }
+
+    /// Takes one sample this long after the one before, of which [`examine`](Self::examine) has said this, and gives the attitude at
+    /// its time.
+    #[inline(always)]
+    pub(crate) fn take(&mut self, sample: &Sample, step_us: u32, look: Look) -> Taken {
+        if step_us != 0 {
+            let dt_s = step_us as f32 * SECONDS_PER_MICROSECOND;
+            self.filter
+                .update(sample, dt_s, !look.has(Look::NO_GRAVITY));
+        }
+        match self.filter.kalman() {
+            Some(filter) => self.body_rates_rad_s = filter.body_rates_rad_s(),
+            None if look.has(Look::REJECTED) => {}
+            None => self.body_rates_rad_s = sample.angular_rate_rad_s,
+        }
+        Taken {
             attitude: self.attitude(),
             body_rates_rad_s: self.body_rates_rad_s,
-            remarks,
-            has_jumped,
+            look,
             is_calibrating: self
                 .filter
                 .kalman()
@@ -314,26 +484,6 @@ impl<F: Filter> Estimator<F> {
     /// The numbers of the classic tutorial; `None` with any other filter.
     pub fn classic_angles(&self) -> Option<ClassicAngles> {
         self.filter.classic_angles()
-    }
-
-    fn step(&mut self, sample: &Sample, remarks: &mut Remarks) {
-        let last_t_us = self.last_t_us.replace(sample.t_us);
-        let step_us = match last_t_us {
-            // The first sample only sets the tilt.
-            None => 0,
-            Some(last) if sample.t_us <= last => {
-                remarks.time_went_back = true;
-                return;
-            }
-            Some(last) => sample.t_us - last,
-        };
-        remarks.gap = step_us > LONGEST_STEP_US;
-        if step_us == 0 || remarks.gap {
-            self.filter.start(sample, !remarks.no_gravity);
-            return;
-        }
-        let dt_s = step_us as u32 as f32 * SECONDS_PER_MICROSECOND;
-        self.filter.update(sample, dt_s, !remarks.no_gravity);
     }
 }
 

@@ -32,8 +32,11 @@ pub struct Check {
     pub first: Register,
     /// How many are read: two or more, which is what a transfer by DMA needs (RM0090, 27.3.7).
     pub length: usize,
-    masks: [u8; Self::LONGEST],
-    expected: [u8; Self::LONGEST],
+    /// What counts of the first four bytes, as a little-endian word, and what it should be; then the same of the fifth.
+    masks: u32,
+    expected: u32,
+    last_mask: u8,
+    last_expected: u8,
 }
 
 impl Check {
@@ -49,49 +52,51 @@ impl Check {
         } else {
             0
         };
+        let scale_mask = FULL_SCALE_MASK | SELF_TEST_MASK;
         [
             Self {
                 first: Register::SampleRateDivider,
                 length: 5,
-                masks: [
-                    0xFF,
-                    LOW_PASS_MASK,
-                    FULL_SCALE_MASK | SELF_TEST_MASK,
-                    FULL_SCALE_MASK | SELF_TEST_MASK,
-                    own_low_pass,
-                ],
-                expected: [
+                masks: u32::from_le_bytes([0xFF, LOW_PASS_MASK, scale_mask, scale_mask]),
+                expected: u32::from_le_bytes([
                     config.sample_rate_divider,
                     low_pass,
                     config.gyroscope_range.bits() << FULL_SCALE_SHIFT,
                     config.accelerometer_range.bits() << FULL_SCALE_SHIFT,
-                    low_pass & own_low_pass,
-                ],
+                ]),
+                last_mask: own_low_pass,
+                last_expected: low_pass & own_low_pass,
             },
-            Self {
-                first: Register::InterruptPinConfiguration,
-                length: 2,
-                masks: [0xFF, 0xFF, 0, 0, 0],
-                expected: [INTERRUPT_ACTIVE_HIGH_PULSE, INTERRUPT_DATA_READY, 0, 0, 0],
-            },
-            Self {
-                first: Register::PowerManagement1,
-                length: 2,
-                masks: [0xFF, 0xFF, 0, 0, 0],
-                expected: [POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, 0, 0, 0],
-            },
+            Self::of_two(
+                Register::InterruptPinConfiguration,
+                [INTERRUPT_ACTIVE_HIGH_PULSE, INTERRUPT_DATA_READY],
+            ),
+            Self::of_two(
+                Register::PowerManagement1,
+                [POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON],
+            ),
         ]
     }
 
+    /// Two registers, of which every bit counts.
+    const fn of_two(first: Register, [one, other]: [u8; 2]) -> Self {
+        Self {
+            first,
+            length: 2,
+            masks: u32::from_le_bytes([0xFF, 0xFF, 0, 0]),
+            expected: u32::from_le_bytes([one, other, 0, 0]),
+            last_mask: 0,
+            last_expected: 0,
+        }
+    }
+
     /// Judges the bytes that were read; those beyond [`length`](Self::length) do not count.
-    #[inline]
+    #[inline(always)]
     pub const fn of(&self, bytes: &[u8; Self::LONGEST]) -> Condition {
         let &[a, b, c, d, e] = bytes;
-        let [ma, mb, mc, md, me] = self.masks;
-        let [ea, eb, ec, ed, ee] = self.expected;
-        let differences =
-            (a & ma) ^ ea | (b & mb) ^ eb | (c & mc) ^ ec | (d & md) ^ ed | (e & me) ^ ee;
-        if differences == 0 {
+        let first = u32::from_le_bytes([a, b, c, d]) & self.masks;
+        let last = e & self.last_mask;
+        if first == self.expected && last == self.last_expected {
             Condition::Intact
         } else if matches!(self.first, Register::PowerManagement1) && a & POWER_SLEEP != 0 {
             Condition::Reset

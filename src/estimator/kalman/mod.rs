@@ -109,7 +109,7 @@ const SATURATED_TILT: f32 = 0.3;
 /// The same for how hard it is pushed: velocity variance per second, (m/s)²/s.
 const SATURATED_VELOCITY: f32 = 100.0;
 /// Between samples farther apart than this the rate is not known to change linearly, s.
-const LONG_STEP_S: f32 = 0.015;
+const LONG_STEP_S: f32 = super::EVERYDAY_STEP_US as f32 * 1.0e-6;
 
 /// At rest no more than this of one g is horizontal beyond what σ of tilt explains: the accelerometer's bias.
 const REST_ACCELERATION: f32 = 0.03;
@@ -418,9 +418,6 @@ impl Kalman {
             self.start(sample, true);
             return;
         }
-        if dt_s > LONG_STEP_S || sample.is_rate_saturated || sample.is_force_saturated {
-            self.note_what_is_missed(sample, dt_s);
-        }
         let elapsed_s = self
             .mean
             .add(sample.angular_rate_rad_s, sample.specific_force_m_s2, dt_s);
@@ -546,9 +543,11 @@ impl Kalman {
     }
 
     /// What saturation and long steps hide.
-    #[cold]
-    #[inline(never)]
-    fn note_what_is_missed(&mut self, sample: &Sample, dt_s: f32) {
+    pub(super) fn allow_for(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
+        if !self.has_tilt && shows_gravity {
+            // The sample starts the filter.
+            return;
+        }
         if dt_s > LONG_STEP_S {
             let change = self.mean.corrected(sample.angular_rate_rad_s) - self.mean.rate_rad_s;
             self.interval.tilt_variance += change.dot(change) * square(0.25 * dt_s);
