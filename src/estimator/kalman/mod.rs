@@ -782,15 +782,19 @@ impl Kalman {
         let inverse = 1.0 / interval.duration_s;
         let [north, east] = interval.velocity_m_s;
         let force = Vector3::new(north, east, interval.transition.vertical_m_s).scale(inverse);
+        const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
+        const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
+        let is_gravity = |squared: f32| (LEAST * LEAST..GREATEST * GREATEST).contains(&squared);
+        // A knock or a reading at full scale is short, but so large that it would decide the mean.
+        if !is_gravity(force.dot(force)) {
+            return false;
+        }
         let share = (interval.duration_s / RECOVERY_TIME_S).min(1.0);
         self.mean_force_m_s2 = self.mean_force_m_s2 + (force - self.mean_force_m_s2).scale(share);
         let mean = self.mean_force_m_s2;
         let squared = mean.dot(mean);
-        const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
-        const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
-        let is_gravity = (LEAST * LEAST..GREATEST * GREATEST).contains(&squared);
         let is_down = mean.z < 0.0 && 2.0 * square(mean.z) > squared;
-        if !is_gravity || is_down {
+        if !is_gravity(squared) || is_down {
             return false;
         }
         self.mean.attitude = shortest_to_up(mean)

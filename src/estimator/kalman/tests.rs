@@ -429,6 +429,35 @@ fn a_start_upside_down_by_mistake_is_found() {
     }
 }
 
+/// A flight of the campaign: 97 ms at full scale made a mean of one g, sideways, and the attitude began again from that, 63° off.
+#[test]
+fn full_scale_for_a_moment_is_not_taken_for_gravity() {
+    for milliseconds in (60..160).step_by(10) {
+        for (x, y) in [(0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0)] {
+            let mut world = World::at_rest(from_degrees(30.0 * y, -30.0 * x, 0.0));
+            let mut estimator = estimator();
+            world.run(&mut estimator, 3_000);
+            world.rate_rad_s = Vector3::new(0.1, -0.1, 0.05);
+            for _ in 0..milliseconds {
+                let mut sample = world.sample(1000);
+                let full_scale = Vector3::new(x, y, 0.0).scale(16.0 * STANDARD_GRAVITY_M_S2);
+                let across = Vector3::new(1.0 - x.abs(), 1.0 - y.abs(), 1.0);
+                let Vector3 { x, y, z } = sample.specific_force_m_s2;
+                sample.specific_force_m_s2 =
+                    Vector3::new(x * across.x, y * across.y, z) + full_scale;
+                sample.is_force_saturated = true;
+                estimator.update(&sample);
+            }
+            let mut worst: f32 = 0.0;
+            for _ in 0..40 {
+                let estimate = world.run(&mut estimator, 50);
+                worst = worst.max(world.tilt_error_degrees(estimate.attitude));
+            }
+            assert!(worst < 20.0, "{milliseconds} ms: {worst}");
+        }
+    }
+}
+
 #[test]
 fn a_long_acceleration_tilts_little_and_not_for_long() {
     let mut world = World::at_rest(Quaternion::IDENTITY);
