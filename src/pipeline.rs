@@ -593,11 +593,14 @@ impl<F: Filter> Pipeline<F> {
             .with(Flags::TEMPERATURE, is_extreme)
             .with(Flags::FROZEN, is_frozen);
         self.choose_everyday();
+        if let Some(filter) = self.estimator.kalman_mut() {
+            filter.take_stock();
+        }
         self.take_stock_of_variance();
     }
 
     /// Has each sample looked at more closely while there is something to say of each.
-    #[inline(always)]
+    #[inline(never)]
     fn choose_everyday(&mut self) {
         let is_watched = self.is_suspect
             | self.sample.is_rate_saturated
@@ -610,7 +613,6 @@ impl<F: Filter> Pipeline<F> {
         };
     }
 
-    #[inline(always)]
     fn take_stock_of_variance(&mut self) {
         let variance = self.known_tilt_variance();
         self.tilt_variance_rad2 = variance;
@@ -624,7 +626,7 @@ impl<F: Filter> Pipeline<F> {
             .with(Flags::DEGRADED, is_large);
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn known_tilt_variance(&self) -> f32 {
         match self.estimator.kalman() {
             Some(filter) if filter.has_tilt() => filter.tilt_variance_rad2(),

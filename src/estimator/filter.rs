@@ -59,7 +59,6 @@ impl Filter for Kalman {
         self.start(sample, shows_gravity);
     }
 
-    #[inline]
     fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
         self.update(sample, dt_s, shows_gravity);
     }
@@ -68,7 +67,6 @@ impl Filter for Kalman {
         self.allow_for(sample, dt_s, shows_gravity);
     }
 
-    #[inline]
     fn attitude(&self) -> Quaternion {
         self.attitude()
     }

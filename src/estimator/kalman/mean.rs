@@ -104,6 +104,12 @@ impl Mean {
         self.offset_rad_s = Vector3::new(x.dot(b), y.dot(b), z.dot(b));
     }
 
+    /// Forgets what has been learned of the sensor but the gyroscope's bias.
+    pub(super) fn forget_sensor(&mut self) {
+        self.force_bias_m_s2 = Vector3::ZERO;
+        self.matrix = UNITY;
+    }
+
     /// The first sample of all, or after a gap.
     pub(super) fn begin(&mut self, rate: Vector3, force: Vector3) {
         self.rate_rad_s = self.corrected(rate);

@@ -127,6 +127,8 @@ const LIKELY: f32 = 4.0;
 const UNSURPRISING: f32 = 2.0;
 /// σ of the tilt that the mean force at rest shows, both axes together, rad: the accelerometer's bias.
 const RESTING_TILT_RAD: f32 = 1.4 * REST_ACCELERATION;
+/// σ of the bias that the mean rate at rest shows, per axis, rad/s: what the average of half a second has not forgotten yet.
+const RESTING_BIAS_RAD_S: f32 = radians(0.1);
 
 /// At rest a velocity of more σ than this is one that lasts, and no error of the tilt.
 const COASTING: f32 = 3.0;
@@ -151,7 +153,7 @@ pub struct Kalman {
     /// A covariance step is due or under way.
     has_work: bool,
     is_bias_known: bool,
-    bias_source: BiasSource,
+    first_rest: FirstRest,
     mean: Mean,
     step: Step,
     interval: Interval,
@@ -166,28 +168,16 @@ pub struct Kalman {
     next_axis: u8,
 }
 
-/// Where what is known of the bias comes from, besides motion.
+/// The first rest of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-enum BiasSource {
-    /// What the part may have.
-    Datasheet,
-    /// A stored value, or an earlier run.
-    Earlier,
-    /// A rest of this run.
-    Rest,
-}
-
-impl BiasSource {
-    fn exchange(&mut self, state: &mut impl Exchange) {
-        let mut index = *self as usize;
-        state.index(&mut index, 3);
-        *self = match index {
-            0 => Self::Datasheet,
-            1 => Self::Earlier,
-            _ => Self::Rest,
-        };
-    }
+enum FirstRest {
+    /// It has not been.
+    Awaited,
+    /// It is, and contradicts what was known or found: the filter has to begin again.
+    Contradicts,
+    /// It has been, and so the bias has been measured.
+    Taken,
 }
 
 /// What an earlier run knew.
@@ -300,7 +290,7 @@ impl Kalman {
             is_resumed: false,
             has_work: false,
             is_bias_known: false,
-            bias_source: BiasSource::Datasheet,
+            first_rest: FirstRest::Awaited,
             mean: Mean::new(),
             step: Step::new(),
             interval: Interval::EMPTY,
@@ -329,11 +319,7 @@ impl Kalman {
         self.mean.derive_offset();
         self.prior_bias_rad_s = bias_rad_s;
         self.bias_prior = [square(sigma_rad_s); 3];
-        self.bias_source = if sigma_rad_s < KNOWN_BIAS_RAD_S {
-            BiasSource::Earlier
-        } else {
-            BiasSource::Datasheet
-        };
+        self.first_rest = FirstRest::Awaited;
         self.is_prepared = false;
     }
 
@@ -397,7 +383,13 @@ impl Kalman {
         state.truth(&mut self.is_resumed);
         state.truth(&mut self.has_work);
         state.truth(&mut self.is_bias_known);
-        self.bias_source.exchange(state);
+        let mut first_rest = self.first_rest as usize;
+        state.index(&mut first_rest, 3);
+        self.first_rest = match first_rest {
+            0 => FirstRest::Awaited,
+            1 => FirstRest::Contradicts,
+            _ => FirstRest::Taken,
+        };
         self.mean.exchange(state);
         self.step.exchange(state);
         self.interval.exchange(state);
@@ -600,6 +592,8 @@ impl Kalman {
 
     /// Closes the interval and begins its covariance step.
     fn begin(&mut self) {
+        // Where nobody takes stock.
+        self.take_stock();
         let tuning = self.tuning;
         let duration_s = self.interval.duration_s;
         for (velocity, change) in self
@@ -654,14 +648,15 @@ impl Kalman {
         match self.rest.readings(tuning) {
             Some((rate_rad_s, force_m_s2)) if !self.is_armed => {
                 let difference = rate_rad_s - self.mean.bias_rad_s;
-                let rate_variance = square(tuning.rest_rate) / duration_s;
-                if self.bias_source != BiasSource::Rest && !self.is_likely(difference, UNSURPRISING)
-                {
-                    self.begin_at_rest(rate_rad_s, force_m_s2, rate_variance);
-                    return;
+                let is_first = self.first_rest != FirstRest::Taken;
+                if is_first && !self.is_likely(difference, UNSURPRISING) {
+                    self.first_rest = FirstRest::Contradicts;
+                } else {
+                    self.first_rest = FirstRest::Taken;
+                    if self.is_likely(difference, LIKELY) {
+                        self.measure_bias(difference, square(tuning.rest_rate) / duration_s);
+                    }
                 }
-                self.bias_source = BiasSource::Rest;
-                self.measure_bias(difference, rate_variance);
                 let force = self.mean.attitude.rotate(force_m_s2);
                 let tilt = self.step.covariance.moving_variance(0)
                     + self.step.covariance.moving_variance(1);
@@ -698,11 +693,8 @@ impl Kalman {
         }
     }
 
-    /// At rest the gyroscope reads its bias, if that is likely.
+    /// At rest the gyroscope reads its bias.
     fn measure_bias(&mut self, difference: Vector3, variance: f32) {
-        if !self.is_likely(difference, LIKELY) {
-            return;
-        }
         let innovations = [difference.x, difference.y, difference.z];
         // What is well known is watched one axis at a time, which costs less.
         self.next_axis = if self.next_axis < 2 {
@@ -723,31 +715,40 @@ impl Kalman {
         }
     }
 
-    /// Whether a bias may be off by this, rad/s, which is so many σ.
+    /// Whether biases may be off by this, rad/s, which is so many σ.
     fn is_likely(&self, difference: Vector3, sigmas: f32) -> bool {
         let rest = square(self.tuning.rest_rate);
         let differences = [difference.x, difference.y, difference.z];
-        differences
-            .into_iter()
-            .enumerate()
-            .all(|(axis, difference)| {
-                let own = self.step.covariance.constant_variance(axis);
-                square(difference) < square(sigmas) * (own + rest)
-            })
+        (0..3).zip(differences).all(|(axis, difference)| {
+            let own = self.step.covariance.constant_variance(axis);
+            square(difference) < square(sigmas) * (own + rest)
+        })
+    }
+
+    /// Does what has time: call it once the attitude is out, every dozen samples or so.
+    pub(crate) fn take_stock(&mut self) {
+        if self.first_rest == FirstRest::Contradicts {
+            self.begin_at_rest();
+        }
     }
 
     /// Begins anew with the next sample, from bias and tilt as the mean readings at rest show them; keeps yaw.
+    #[cold]
     #[inline(never)]
-    fn begin_at_rest(&mut self, rate_rad_s: Vector3, force_m_s2: Vector3, variance: f32) {
-        let known = Known {
+    fn begin_at_rest(&mut self) {
+        self.first_rest = FirstRest::Awaited;
+        let Some((rate_rad_s, force_m_s2)) = self.rest.readings(self.tuning) else {
+            return;
+        };
+        self.mean.forget_sensor();
+        self.has_tilt = false;
+        self.resume(&Known {
             attitude: self.mean.attitude.with_down(-force_m_s2),
             tilt_sigma_rad: RESTING_TILT_RAD,
             bias_rad_s: rate_rad_s,
-            bias_sigma_rad_s: sigma(variance),
-        };
-        self.restart();
-        self.resume(&known);
-        self.bias_source = BiasSource::Rest;
+            bias_sigma_rad_s: RESTING_BIAS_RAD_S,
+        });
+        self.first_rest = FirstRest::Taken;
     }
 
     /// Widens the prior of a bias that lies where the prior said it would not.
@@ -849,7 +850,10 @@ impl Kalman {
             self.begin_again();
             return;
         }
-        self.is_bias_known = self.bias_source != BiasSource::Datasheet
+        // What is told of a bias beforehand is told of all axes.
+        let is_told =
+            self.first_rest == FirstRest::Taken || self.bias_prior[0] < square(KNOWN_BIAS_RAD_S);
+        self.is_bias_known = is_told
             && (0..3).all(|axis| {
                 self.step.covariance.constant_variance(axis) < square(KNOWN_BIAS_RAD_S)
             });

@@ -338,6 +338,9 @@ impl World {
         let mut estimate = Estimate::default();
         for _ in 0..milliseconds {
             estimate = estimator.update(&self.sample(1000));
+            if let Some(filter) = estimator.kalman_mut() {
+                filter.take_stock();
+            }
         }
         estimate
     }
