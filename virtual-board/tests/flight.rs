@@ -62,13 +62,13 @@ fn a_flight_keeps_its_promises() {
     assert_eq!(summary.missed, 0);
     assert!(summary.timestamp_error_us_max <= Some(1.0), "{summary:?}");
     // What the fault layer costs; what each part of it takes today docs/faults.md says. Without it, but with the checks that were there
-    // before it, these are 226 and 977.
+    // before it, these are 217 and 1,030 in a minute's flight.
     assert!(
         summary.io_instructions_per_sample_mean <= Some(240.0),
         "{summary:?}"
     );
     assert!(
-        summary.instructions_per_sample_mean <= Some(930.0),
+        summary.instructions_per_sample_mean <= Some(985.0),
         "{summary:?}"
     );
     assert!(
