@@ -4,14 +4,12 @@ use std::path::Path;
 use std::{env, fs};
 
 /// The boards and the file under `boards/` that holds their memory sizes.
-const BOARDS: [(&str, &str); 7] = [
+const BOARDS: [(&str, &str); 5] = [
     ("CARGO_FEATURE_BOARD_STM32F405", "stm32f405.x"),
     ("CARGO_FEATURE_BOARD_BLACKPILL_F401", "stm32f401.x"),
     ("CARGO_FEATURE_BOARD_BLACKPILL_F411", "stm32f411.x"),
     ("CARGO_FEATURE_BOARD_NUCLEO_F411", "stm32f411.x"),
     ("CARGO_FEATURE_BOARD_NUCLEO_F446", "stm32f446.x"),
-    ("CARGO_FEATURE_QEMU", "stm32f405.x"),
-    ("CARGO_FEATURE_PROOF", "stm32f405.x"),
 ];
 
 fn main() {
@@ -26,10 +24,7 @@ fn main() {
     let file = match chosen[..] {
         [] => return, // The library alone: whoever uses it brings their own linker scripts.
         [file] => file,
-        _ => panic!(
-            "choose one of the features board-… and qemu, not {}",
-            chosen.len()
-        ),
+        _ => panic!("choose one of the features board-…, not {}", chosen.len()),
     };
     let output = env::var("OUT_DIR").expect("cargo sets OUT_DIR for build scripts");
     fs::copy(
@@ -38,7 +33,6 @@ fn main() {
     )
     .unwrap_or_else(|error| panic!("cannot copy boards/{file}: {error}"));
     println!("cargo:rustc-link-search={output}");
-    // Only the firmware and the examples log through defmt; the other binaries have no such section.
     println!("cargo:rustc-link-arg-bin=flight=-Tdefmt.x");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
         println!("cargo:rustc-link-arg-examples=-Tdefmt.x");

@@ -10,7 +10,6 @@
 use std::error::Error;
 
 use aplomb::attitude::Vector3;
-use aplomb::estimator::kalman::Kalman;
 use aplomb::estimator::{Estimator, Sample};
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -18,14 +17,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(path) => read(&std::fs::read_to_string(path)?)?,
         None => made_up(),
     };
-    let mut estimator = Estimator::with_filter(Kalman::new());
+    let mut estimator = Estimator::new();
     for (number, sample) in samples.iter().enumerate() {
         let estimate = estimator.update(sample);
         if number % 100 == 0 {
-            let angles = estimate.attitude.to_euler();
-            let [roll, pitch] = [angles.roll_rad, angles.pitch_rad].map(f32::to_degrees);
+            let angles = estimate.euler();
+            let [roll, pitch, sigma] =
+                [angles.roll_rad, angles.pitch_rad, estimate.tilt_sigma_rad()].map(f32::to_degrees);
             println!(
-                "{:5.1} s  roll {roll:6.2}  pitch {pitch:6.2}",
+                "{:5.1} s  roll {roll:6.2}  pitch {pitch:6.2}  sigma {sigma:5.2}",
                 sample.t_us as f64 * 1e-6
             );
         }
@@ -49,7 +49,7 @@ fn read(csv: &str) -> Result<Vec<Sample>, Box<dyn Error>> {
         let &[ax, ay, az, gx, gy, gz, ..] = values?.as_slice() else {
             return Err(format!("six values should follow the time in `{line}`").into());
         };
-        Ok(sample(
+        Ok(Sample::new(
             t_us.trim().parse()?,
             Vector3::new(ax, ay, az),
             Vector3::new(gx, gy, gz),
@@ -67,20 +67,11 @@ fn made_up() -> Vec<Sample> {
         let rate = (roll(t_s + 5e-4) - roll(t_s - 5e-4)) * 1e3;
         // At rest the specific force is one g upwards.
         let force = Vector3::new(0.0, -9.81 * sine, -9.81 * cosine);
-        sample(
+        Sample::new(
             u64::from(millisecond) * 1000,
             force,
             Vector3::new(rate, 0.0, 0.0),
         )
     };
     (0..10_000).map(at).collect()
-}
-
-fn sample(t_us: u64, specific_force_m_s2: Vector3, angular_rate_rad_s: Vector3) -> Sample {
-    Sample {
-        t_us,
-        specific_force_m_s2,
-        angular_rate_rad_s,
-        ..Sample::default()
-    }
 }

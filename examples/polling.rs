@@ -13,11 +13,15 @@
 
 use core::convert::Infallible;
 
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{Config, Error, Mpu6050};
 use aplomb::pipeline::{Pipeline, Settings};
 use embedded_hal::{delay::DelayNs, digital::InputPin, i2c::I2c};
 use stm32f4xx_hal::{i2c::I2c as Bus, pac, prelude::*, rcc};
 use {defmt_rtt as _, panic_probe as _};
+
+/// Failed reads in a row after which the sensor is given up.
+const MOST_FAILURES: u8 = 100;
 
 /// Reads a sample whenever the sensor's INT pin says that there is one, and shows every hundredth attitude.
 fn show_attitude<I2C: I2c>(
@@ -30,14 +34,25 @@ fn show_attitude<I2C: I2c>(
     let mut sensor = Mpu6050::probe(i2c, delay).map_err(|failure| failure.error)?;
     sensor.configure(&config, delay)?;
     let mut pipeline = Pipeline::new(&Settings::new(sensor.part()));
+    let mut failures = 0_u8;
     for number in 1_u32.. {
-        // The pulse lasts for 50 µs, so this loop has to look more often than that; a pin interrupt would be better.
+        // The pulse lasts for 50 µs, so this loop has to poll more often than that. A pin interrupt would be better.
         while let Ok(false) = interrupt.is_high() {}
-        let burst = sensor.read_burst(now_us())?;
-        let angles = pipeline.update(&burst).euler();
+        let mut burst = match sensor.read_burst(now_us()) {
+            Ok(burst) => burst,
+            // One lost sample does no harm. Many in a row mean that the sensor is gone.
+            Err(error) if failures == MOST_FAILURES => return Err(error),
+            Err(_) => {
+                failures += 1;
+                continue;
+            }
+        };
+        burst.missed_before = core::mem::take(&mut failures);
+        let snapshot = pipeline.update(&burst, BoardFlags::empty());
         if number.is_multiple_of(100) {
+            let angles = snapshot.euler();
             let (roll, pitch) = (angles.roll_rad.to_degrees(), angles.pitch_rad.to_degrees());
-            defmt::info!("roll {} pitch {}", roll, pitch);
+            defmt::info!("roll {} pitch {} {}", roll, pitch, snapshot.flags);
         }
     }
     unreachable!("the numbers end after seven weeks")

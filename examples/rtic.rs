@@ -15,13 +15,12 @@ use {defmt_rtt as _, panic_probe as _};
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [SPI2])]
 mod app {
+    use aplomb::board::attitude_task::AttitudeTask;
     use aplomb::board::burst_reader::{self, BurstReader};
     use aplomb::board::sensor::{RETRY_MS, Sensor};
     use aplomb::board::sensor_bus::SensorBus;
     use aplomb::board::timebase::{self, Delay, Timebase};
-    use aplomb::board::upkeep::Upkeep;
     use aplomb::board::{clocks, pins, publish, retained};
-    use aplomb::estimator::kalman::Kalman;
     use aplomb::mpu6050::{Config, Part};
     use aplomb::pipeline::{Pipeline, Settings};
     use embedded_hal::delay::DelayNs;
@@ -38,7 +37,7 @@ mod app {
     #[local]
     struct Local {
         sensor: Sensor,
-        pipeline: Pipeline<Kalman>,
+        pipeline: Pipeline,
     }
 
     #[init]
@@ -52,7 +51,10 @@ mod app {
         let sensor = Sensor::new(bus, Config::DEFAULT, false);
         let reader = BurstReader::start();
         // For a clone with another temperature scale: the part that `make_ready` found, in `Ready::part`.
-        let pipeline = Pipeline::with_filter(&Settings::new(&Part::MPU_6050), Kalman::new());
+        let pipeline = Pipeline::new(&Settings {
+            verifies_scales: true,
+            ..Settings::new(&Part::MPU_6050)
+        });
         (Shared { reader, timebase }, Local { sensor, pipeline })
     }
 
@@ -70,30 +72,13 @@ mod app {
         }
     }
 
-    /// Yours: runs for every sample, 0.4 ms after its edge, and has 0.6 ms.
-    #[task(binds = SPI3, priority = 3, local = [pipeline, upkeep: Upkeep = Upkeep::new()])]
+    /// Yours: runs for every sample, 0.4 ms after its edge, and has 0.6 ms. `run` publishes the attitude.
+    #[task(binds = SPI3, priority = 3, local = [pipeline, task: AttitudeTask = AttitudeTask::new()])]
     fn attitude(context: attitude::Context) {
-        let attitude::LocalResources {
-            pipeline, upkeep, ..
-        } = context.local;
-        let sampled = burst_reader::with_burst(|burst, flags| {
-            let aftermath = pipeline.update_and_publish(
-                burst,
-                flags,
-                retained::show_variance,
-                publish::publish,
-            );
-            // The attitude is out; what follows has time.
-            pipeline.collect(burst);
-            upkeep.after_sample(pipeline, aftermath);
+        let attitude::LocalResources { pipeline, task, .. } = context.local;
+        task.run(pipeline, |_| {
+            // The attitude is out; here is time for the burst, as for a log.
         });
-        if sampled.is_none()
-            && let Some((t_us, flags)) = burst_reader::take_stale()
-        {
-            // No sample comes, which the attitude then says.
-            retained::show_variance(pipeline.tilt_variance_rad2(t_us));
-            publish::publish(&pipeline.stale(t_us, flags));
-        }
     }
 
     /// Yours: what is less urgent takes the latest attitude whenever it likes.
@@ -121,7 +106,7 @@ mod app {
         context.shared.reader.on_bus_error();
     }
 
-    /// SPI1 is not used as a port: its interrupt is what [`Upkeep`] asks by for the sensor's settings to be read back.
+    /// SPI1 is not used as a port: its interrupt is how [`AttitudeTask`] asks for the sensor's settings to be read back.
     #[task(binds = SPI1, priority = 4, shared = [reader])]
     fn check_settings(context: check_settings::Context) {
         context.shared.reader.on_check_request();

@@ -1,52 +1,63 @@
 //! Rotations: vectors, quaternions, Euler angles, and the two frames they connect.
 //!
-//! Body axes are forward, right, down (FRD); earth axes are north, east, down (NED), where north is
-//! the heading at start. A [`Quaternion`] turns body coordinates into earth coordinates (Hamilton's
-//! convention, scalar first). [`EulerAngles`] are yaw, pitch, roll, turned in that order (Z-Y-X):
-//! roll is positive right wing down, pitch nose up, yaw clockwise seen from above.
+//! Body axes are forward, right, down (FRD). Earth axes are north, east, down (NED), where north is
+//! the heading at start. A [`Quaternion`] rotates body coordinates to earth coordinates (Hamilton's
+//! convention, scalar first). [`EulerAngles`] are yaw, pitch, roll, applied in that order (Z-Y-X):
+//! roll is positive right wing down, pitch nose up, yaw clockwise from above.
 //!
-//! Everything here is total: any bit pattern in gives finite numbers out. Sine and cosine are
-//! written out because the ones in `libm` compute in `f64`, which this core emulates.
+//! Every function gives finite results for any input bits. Sine and cosine are written out because
+//! those of `libm` compute in `f64`, which the Cortex-M4F emulates.
+//!
+//! ```
+//! use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
+//!
+//! let attitude = Quaternion::from_euler(EulerAngles { roll_rad: 0.5, ..EulerAngles::default() });
+//! assert!((attitude.to_euler().roll_rad - 0.5).abs() < 1e-6);
+//! // Right wing down: gravity has a part to the right.
+//! assert!(attitude.down_in_body().y > 0.4);
+//! let back = attitude.conjugate().rotate(attitude.rotate(Vector3::new(1.0, 2.0, 3.0)));
+//! assert!((back - Vector3::new(1.0, 2.0, 3.0)).norm() < 1e-5);
+//! ```
 
 use core::f32::consts::{FRAC_2_PI, PI, TAU};
 use core::ops::{Add, Mul, Neg, Sub};
 
-/// A vector in whatever frame and unit its name says.
+/// Vector. The name of a variable gives its frame and unit.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Vector3 {
-    /// Along the first axis (forward, or north).
+    /// Component along the first axis (forward, or north).
     pub x: f32,
-    /// Along the second axis (right, or east).
+    /// Component along the second axis (right, or east).
     pub y: f32,
-    /// Along the third axis (down).
+    /// Component along the third axis (down).
     pub z: f32,
 }
 
 impl Vector3 {
-    /// The zero vector.
+    /// Zero vector.
     pub const ZERO: Self = Self::new(0.0, 0.0, 0.0);
 
-    /// A vector from its components.
+    /// Creates a vector from its components.
     #[inline]
     pub const fn new(x: f32, y: f32, z: f32) -> Self {
         Self { x, y, z }
     }
 
-    /// The vector times a number.
+    /// Multiplies the vector by a number.
     #[inline]
     pub fn scale(self, factor: f32) -> Self {
         Self::new(self.x * factor, self.y * factor, self.z * factor)
     }
 
-    /// The scalar product.
+    /// Returns the scalar product.
     #[inline]
     pub fn dot(self, other: Self) -> f32 {
         self.x * other.x + self.y * other.y + self.z * other.z
     }
 
-    /// The vector product.
+    /// Returns the vector product.
     #[inline]
     pub fn cross(self, other: Self) -> Self {
         Self::new(
@@ -56,13 +67,13 @@ impl Vector3 {
         )
     }
 
-    /// The Euclidean length.
+    /// Returns the Euclidean length.
     #[inline]
     pub fn norm(self) -> f32 {
         libm::sqrtf(self.dot(self))
     }
 
-    /// Whether every component is a finite number no larger than `limit`.
+    /// Returns whether every component is finite, with a magnitude of at most `limit`.
     #[inline]
     pub fn is_within(self, limit: f32) -> bool {
         // A NaN fails every comparison, so it fails this one.
@@ -106,37 +117,37 @@ impl Mul<f32> for Vector3 {
     }
 }
 
-/// Yaw, pitch and roll, turned in that order (Z-Y-X), in radians.
+/// Yaw, pitch and roll, applied in that order (Z-Y-X), in radians.
 ///
-/// Pitch lies in [−π/2, π/2], roll and yaw in (−π, π]. At pitch ±π/2 only the sum or difference of
-/// roll and yaw is defined; there roll is zero and yaw carries all of it.
+/// Pitch lies in [−π/2, π/2], roll and yaw in (−π, π]. At pitch ±π/2 only the sum or
+/// difference of roll and yaw is defined; roll is zero there, and yaw is the sum or difference.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EulerAngles {
-    /// About the forward axis, positive right wing down.
+    /// Roll about the forward axis, positive right wing down.
     pub roll_rad: f32,
-    /// About the right axis, positive nose up.
+    /// Pitch about the right axis, positive nose up.
     pub pitch_rad: f32,
-    /// About the down axis, positive clockwise from above, relative to the heading at start.
+    /// Yaw about the down axis, positive clockwise from above, relative to the heading at start.
     pub yaw_rad: f32,
 }
 
-/// A rotation from body to earth coordinates.
+/// Rotation from body to earth coordinates.
 ///
 /// `q` and `−q` are the same rotation. Filters keep the sign continuous from sample to sample, so
-/// it may become negative.
+/// `w` may become negative.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Quaternion {
-    /// The scalar part.
+    /// Scalar part.
     pub w: f32,
-    /// The first component of the vector part.
+    /// First component of the vector part.
     pub x: f32,
-    /// The second component of the vector part.
+    /// Second component of the vector part.
     pub y: f32,
-    /// The third component of the vector part.
+    /// Third component of the vector part.
     pub z: f32,
 }
 
@@ -150,13 +161,14 @@ impl Quaternion {
     /// No rotation: body axes along earth axes.
     pub const IDENTITY: Self = Self::new(1.0, 0.0, 0.0, 0.0);
 
-    /// A quaternion from its components, as they are.
+    /// Creates a quaternion from its components, without normalizing it.
     #[inline]
     pub const fn new(w: f32, x: f32, y: f32, z: f32) -> Self {
         Self { w, x, y, z }
     }
 
-    /// The rotation about `rotation_rad` by its length.
+    /// Returns the rotation about the direction of `rotation_rad` by its length; the identity if
+    /// the length is not finite.
     #[inline]
     pub fn from_rotation_vector(rotation_rad: Vector3) -> Self {
         let half = rotation_rad.scale(0.5);
@@ -177,7 +189,7 @@ impl Quaternion {
         Self::new(cosine, half.x * s, half.y * s, half.z * s)
     }
 
-    /// The rotation whose yaw, pitch and roll are `angles`.
+    /// Returns the rotation with these angles.
     pub fn from_euler(angles: EulerAngles) -> Self {
         let (sr, cr) = sine_cosine(0.5 * angles.roll_rad);
         let (sp, cp) = sine_cosine(0.5 * angles.pitch_rad);
@@ -190,7 +202,7 @@ impl Quaternion {
         )
     }
 
-    /// The angles of this rotation; all zero if it is not a rotation (NaN, infinite or zero).
+    /// Returns the angles of the rotation; all zero if it is none (NaN, infinite or zero).
     ///
     /// With the half angles r, p, y of roll, pitch and yaw,
     ///
@@ -199,8 +211,8 @@ impl Quaternion {
     /// w − y = (cos p − sin p)·cos(r + y)      w + y = (cos p + sin p)·cos(r − y)
     /// ```
     ///
-    /// so that near a pole, where one factor vanishes, the other pair still holds all there is: the
-    /// angles turn back into the same rotation at any pitch.
+    /// Near a pole one factor vanishes, and the other pair still determines the rotation. So the
+    /// angles convert back to the rotation at any pitch.
     pub fn to_euler(self) -> EulerAngles {
         /// Below this factor (0.1 millidegree from a pole) its angle is only rounding noise.
         const POLE: f32 = 1.0e-6;
@@ -229,7 +241,7 @@ impl Quaternion {
         }
     }
 
-    /// This rotation after `other`: body coordinates go through `other` first.
+    /// Returns the product: this rotation after `other`.
     #[inline]
     pub fn multiply(self, other: Self) -> Self {
         Self::new(
@@ -240,20 +252,20 @@ impl Quaternion {
         )
     }
 
-    /// The inverse rotation, earth to body.
+    /// Returns the inverse rotation, earth to body.
     #[inline]
     pub fn conjugate(self) -> Self {
         Self::new(self.w, -self.x, -self.y, -self.z)
     }
 
-    /// Turns a vector in body coordinates into earth coordinates.
+    /// Rotates a vector from body to earth coordinates.
     pub fn rotate(self, body: Vector3) -> Vector3 {
         let axis = Vector3::new(self.x, self.y, self.z);
         let twice = axis.cross(body).scale(2.0);
         body + twice.scale(self.w) + axis.cross(twice)
     }
 
-    /// The earth's down direction in body coordinates: which way is gravity.
+    /// Returns the earth's down direction in body coordinates: the direction of gravity.
     #[inline]
     pub fn down_in_body(self) -> Vector3 {
         Vector3::new(
@@ -263,28 +275,30 @@ impl Quaternion {
         )
     }
 
-    /// The rotation with this yaw, and roll and pitch such that `down` (body axes, any length but
-    /// zero) points down. Next to the poles, where roll is not defined, it keeps its roll.
+    /// Returns the rotation with this yaw, and with roll and pitch such that `down` points down.
+    ///
+    /// `down` is in body axes, of any length but zero. Next to the poles, where roll is not
+    /// defined, the rotation keeps its roll.
     pub fn with_down(self, down: Vector3) -> Self {
-        /// Within 0.6° of a pole the direction says nothing about roll.
-        const LEAST_PITCH_COSINE_SQUARED: f32 = 1.0e-4;
+        /// Within 0.6° of a pole the direction does not show roll.
+        const MIN_PITCH_COSINE_SQUARED: f32 = 1.0e-4;
 
         let mut angles = self.to_euler();
         let across_squared = down.y * down.y + down.z * down.z;
-        if across_squared > LEAST_PITCH_COSINE_SQUARED * down.dot(down) {
+        if across_squared > MIN_PITCH_COSINE_SQUARED * down.dot(down) {
             angles.roll_rad = libm::atan2f(down.y, down.z);
         }
         angles.pitch_rad = libm::atan2f(-down.x, libm::sqrtf(across_squared));
         Self::from_euler(angles).with_sign_of(self)
     }
 
-    /// The four-dimensional scalar product; near ±1 for nearly equal rotations.
+    /// Returns the four-dimensional scalar product, near ±1 for nearly equal rotations.
     #[inline]
     pub fn dot(self, other: Self) -> f32 {
         self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z
     }
 
-    /// The same rotation, with the sign nearest to `reference`.
+    /// Returns the rotation with the sign that is nearer to `reference`.
     #[inline]
     pub fn with_sign_of(self, reference: Self) -> Self {
         if self.dot(reference) < 0.0 {
@@ -294,13 +308,13 @@ impl Quaternion {
         }
     }
 
-    /// The same rotation at unit length; the identity if there is none (NaN, infinite or zero).
+    /// Returns the rotation at unit length; the identity if it is none (NaN, infinite or zero).
     #[inline]
     pub fn normalize(self) -> Self {
         let squared = self.dot(self);
         let error = squared - 1.0;
         if error.abs() < 1.0e-3 {
-            // One Newton step of 1/√(1 + e) about e = 0; what it leaves is below e² = 1e-6.
+            // One Newton step of 1/√(1 + e) about e = 0; its error is below e² = 1e-6.
             return self.scale(1.0 - 0.5 * error);
         }
         if (1.0e-30..1.0e30).contains(&squared) {
@@ -309,7 +323,7 @@ impl Quaternion {
         self.normalize_extreme()
     }
 
-    /// [`normalize`](Self::normalize) where the square of the length leaves the range of `f32`.
+    /// Normalizes where the square of the length leaves the range of `f32`.
     #[cold]
     fn normalize_extreme(self) -> Self {
         let largest = self
@@ -344,9 +358,9 @@ impl Quaternion {
     }
 }
 
-/// The same angle in (−π, π], in radians; zero if `angle_rad` is not finite.
+/// Wraps an angle to (−π, π], in radians; returns zero if it is not finite.
 ///
-/// The interval is that of `f32`: π is its nearest `f32`, which is included, and its negative is not.
+/// The bounds are the `f32` nearest to π, which is included, and its negative, which is not.
 pub fn wrap_pi(angle_rad: f32) -> f32 {
     if angle_rad > -PI && angle_rad <= PI {
         return angle_rad;
@@ -364,8 +378,10 @@ pub fn wrap_pi(angle_rad: f32) -> f32 {
     }
 }
 
-/// What is left of a finite angle when whole turns are taken off it, with its sign, to the last bit: what `fmodf` gives, without
-/// the 64-bit division of `libm`'s, which is a kilobyte of flash. Every difference in it is exact.
+/// Returns the remainder of a finite angle after whole turns, with its sign, exact to the last bit.
+///
+/// The result is that of `fmodf`, without the 64-bit division of `libm`'s, which takes a kilobyte
+/// of flash. Every difference in it is exact.
 #[inline(never)]
 fn remainder_of_turn(angle_rad: f32) -> f32 {
     let mut rest = angle_rad.abs();
@@ -382,9 +398,9 @@ fn remainder_of_turn(angle_rad: f32) -> f32 {
     rest.copysign(angle_rad)
 }
 
-/// Sine and cosine of an angle in radians; those of zero if it is not finite.
+/// Returns sine and cosine of an angle in radians; those of zero if it is not finite.
 ///
-/// The error is below 2e-7 for angles up to 10 000 rad; beyond that it grows to that of reducing
+/// The error is below 2e-7 for angles up to 10 000 rad. Beyond, it grows to the error of reducing
 /// the angle by a rounded turn.
 pub fn sine_cosine(angle_rad: f32) -> (f32, f32) {
     /// π/2 in three parts; the first two have so few bits that their multiples are exact.
@@ -593,7 +609,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rotation_becomes_none() {
+    fn quaternions_that_are_no_rotation_become_the_identity() {
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             for position in 0..4 {
                 let mut parts = [0.5; 4];

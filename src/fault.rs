@@ -1,61 +1,72 @@
-//! What can go wrong between the sensor's pins and the pipeline, as plain values that the board
-//! produces and the telemetry puts into words.
+//! Faults between the sensor's pins and the pipeline: values that the board produces and the
+//! telemetry prints.
 //!
-//! A failed burst is never published: the next good one says how many were lost before it.
+//! A failed burst is never published. The next good one holds the number of samples lost before it.
+//!
+//! ```
+//! use aplomb::fault::{BurstFailure, BurstFault, BurstStep, FaultClass};
+//!
+//! let failure = BurstFailure { fault: BurstFault::Deadline, step: BurstStep::Data };
+//! assert_eq!(failure.class(), FaultClass::BurstDeadline);
+//! assert_eq!(failure.class().to_string(), "burst-deadline");
+//! assert_eq!(failure.to_string(), "the bus did not answer in time in the data");
+//! ```
 
 use core::fmt;
 
-/// A class of faults: what is counted, and what a report names. The numbers are stable: a debugger and
-/// the virtual board read the counters by them.
+/// Class of faults, with a counter of its own. Its text is its [`name`](Self::name).
+///
+/// The numbers are stable: a debugger and the virtual board read the counters by them.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
+#[non_exhaustive]
 pub enum FaultClass {
     /// The sensor did not acknowledge its address.
     AddressNotAcknowledged = 0,
     /// The sensor did not acknowledge another byte.
     DataNotAcknowledged = 1,
-    /// A burst did not end in time: the clock is stretched or held.
+    /// A burst did not end in time: SCL is stretched or held.
     BurstDeadline = 2,
-    /// SDA was held low when the bus was to be freed.
+    /// SDA was held low during a bus recovery.
     DataLineLow = 3,
-    /// SCL was held low when the bus was to be freed.
+    /// SCL was held low during a bus recovery.
     ClockLineLow = 4,
-    /// A START or STOP came at the wrong place.
+    /// A START or STOP was misplaced.
     BusError = 5,
-    /// SDA was low where this side let it go.
+    /// SDA was low while this side released it.
     ArbitrationLost = 6,
-    /// A byte was lost inside the port.
+    /// A byte was lost inside the I2C port.
     Overrun = 7,
     /// The DMA controller reported an error.
     Dma = 8,
-    /// No data-ready edge came for three periods; the pin was low.
+    /// No data-ready edge came for three periods, and the pin was low.
     InterruptMissing = 9,
-    /// The same, and the pin was high.
+    /// No data-ready edge came for three periods, and the pin was high.
     InterruptStuckHigh = 10,
     /// A data-ready edge came too soon after the one before.
     InterruptGlitch = 11,
-    /// The sensor did not answer when it was looked for.
+    /// The sensor did not answer a probe.
     SensorSilent = 12,
-    /// The sensor had gone back to its reset state.
+    /// The sensor was in its reset state.
     SensorReset = 13,
-    /// A register of the sensor did not hold what was written to it.
+    /// A register of the sensor had lost its value.
     RegisterChanged = 14,
-    /// The data did not change any more.
+    /// The data stopped changing.
     Frozen = 15,
-    /// A sample was no measurement: all zeros or all ones, or absurd.
+    /// A sample was no measurement: all zeros, all ones, or implausible.
     Rejected = 16,
     /// An axis began to read full scale.
     Saturated = 17,
-    /// The die was outside the temperatures that the part is made for.
+    /// The die was outside the part's temperature range.
     Temperature = 18,
-    /// A sample was lost because the attitude task was not done.
+    /// A sample was lost because the attitude task had not ended.
     AttitudeLate = 19,
-    /// Data-ready edges gave no sample.
+    /// Samples were lost.
     SamplesMissed = 20,
-    /// A line was left out because the last was still going out.
+    /// A frame was dropped because the last one was still being sent.
     TelemetryLate = 21,
-    /// What came in by UART was garbled or too much.
+    /// Bytes from the UART were garbled or lost.
     UartInput = 22,
     /// The crystal stopped; the internal oscillator took over.
     ClockFailed = 23,
@@ -63,15 +74,21 @@ pub enum FaultClass {
     Watchdog = 24,
     /// A hard fault or a panic; the processor was reset.
     Crash = 25,
-    /// The same, with the stack used up.
+    /// A hard fault with the stack exhausted; the processor was reset.
     StackOverflow = 26,
 }
 
+impl fmt::Display for FaultClass {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.pad(self.name())
+    }
+}
+
 impl FaultClass {
-    /// How many classes there are.
+    /// Number of classes.
     pub const COUNT: usize = Self::ALL.len();
 
-    /// Every class, by its number.
+    /// Every class, in the order of the numbers.
     pub const ALL: [Self; 27] = [
         Self::AddressNotAcknowledged,
         Self::DataNotAcknowledged,
@@ -102,7 +119,7 @@ impl FaultClass {
         Self::StackOverflow,
     ];
 
-    /// The class of this number.
+    /// Returns the class with this number.
     pub const fn from_number(number: u32) -> Option<Self> {
         let mut index = 0;
         while index < Self::ALL.len() {
@@ -115,7 +132,7 @@ impl FaultClass {
         None
     }
 
-    /// Its name in reports.
+    /// Returns the name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::AddressNotAcknowledged => "address-nack",
@@ -149,54 +166,67 @@ impl FaultClass {
     }
 }
 
-/// What the firmware counts and remembers, as it lies in RAM under the symbol `APLOMB_HEALTH`.
+/// Layout of the health report that the firmware keeps in RAM under the symbol `APLOMB_HEALTH`.
 ///
-/// All words are 32 bits and little-endian. It outlives every reset but that of the supply: the counters
-/// go on.
+/// All words are 32 bits and little-endian; offsets are in bytes. The report survives every reset
+/// but power-up: the counters continue.
+///
+/// ```
+/// use aplomb::fault::{FaultClass, report};
+///
+/// // Counter of watchdog resets.
+/// let offset = report::COUNTERS + 4 * FaultClass::Watchdog as usize;
+/// assert_eq!(offset, 24 + 4 * 24);
+/// ```
 pub mod report {
     use super::FaultClass;
 
-    /// Offset of the version of this layout.
+    /// Offset of the layout's version.
     pub const VERSION_OFFSET: usize = 0;
-    /// The version.
-    pub const VERSION: u32 = 1;
-    /// Offset of the variance of the published tilt, both axes together, an `f32` in rad²; its root is σ.
-    pub const TILT_VARIANCE: usize = 4;
+    /// Version of the layout.
+    pub const VERSION: u32 = 2;
     /// Offset of the cause of the last reset: a [`ResetCause`](super::ResetCause) as a number.
-    pub const RESET_CAUSE: usize = 8;
-    /// Offset of the last fault: the number of its class, or [`NO_FAULT`].
-    pub const LAST_FAULT: usize = 12;
-    /// Offset of how often the firmware has started since power came.
-    pub const STARTS: usize = 16;
-    /// Offset of the place of the last crash: the program counter of a hard fault, zero without one.
-    pub const CRASH_ADDRESS: usize = 20;
-    /// Offset of the counters, a word for each class, by its number.
-    pub const COUNTERS: usize = 24;
-    /// The length of it all.
+    pub const RESET_CAUSE: usize = 4;
+    /// Offset of the last fault: number of its class, or [`NO_FAULT`].
+    pub const LAST_FAULT: usize = 8;
+    /// Offset of the number of starts since power-up.
+    pub const STARTS: usize = 12;
+    /// Offset of the last crash's program counter, 0 without one.
+    pub const CRASH_ADDRESS: usize = 16;
+    /// Offset of the counters, one word per class in the order of the numbers.
+    pub const COUNTERS: usize = 20;
+    /// Length of the report, bytes.
     pub const LENGTH: usize = COUNTERS + 4 * FaultClass::COUNT;
-    /// No fault has been seen.
+    /// Value of the last fault while there was none.
     pub const NO_FAULT: u32 = u32::MAX;
 }
 
-/// What reset the processor.
+/// Cause of a processor reset. Its text is its [`name`](Self::name).
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
+#[non_exhaustive]
 pub enum ResetCause {
-    /// The supply came, or sank too low.
+    /// Power-up or brown-out.
     Power = 0,
     /// The reset pin, pulled by a person or a debugger.
     Pin = 1,
-    /// The firmware itself, after a crash or because it was asked to.
+    /// The firmware itself, after a crash or on request.
     Software = 2,
     /// The independent watchdog: samples, attitude or telemetry had stopped.
     Watchdog = 3,
-    /// Something else.
+    /// Another cause.
     Other = 4,
 }
 
+impl fmt::Display for ResetCause {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.pad(self.name())
+    }
+}
+
 impl ResetCause {
-    /// What it was, in words.
+    /// Returns the cause, as a part of a sentence.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Power => "power came",
@@ -207,56 +237,57 @@ impl ResetCause {
         }
     }
 
-    /// Whether RAM and what it says of the motion have outlived it.
+    /// Returns whether RAM, with the estimate of the motion, has survived the reset.
     pub const fn is_warm(self) -> bool {
         matches!(self, Self::Software | Self::Watchdog)
     }
 }
 
-/// What the core's clock runs from.
+/// Source of the core's clock.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ClockSource {
     /// The board's crystal, or the clock that another chip drives into its pin.
     Crystal,
-    /// The chip's own oscillator, since no crystal answered: times are right to 1 % only
+    /// The chip's own oscillator, because no crystal answered. Times are right to 1 % only
     /// (STM32F405 datasheet, table "HSI oscillator characteristics").
     InternalOscillator,
 }
 
-/// The steps of a burst, in their order. The numbers are stable: they travel in one word with the fault.
+/// Step of a burst, in order. The numbers are stable: one word holds step and fault.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum BurstStep {
     /// No burst runs; the reader waits for an edge.
     Idle = 0,
-    /// START is asked for.
+    /// START is requested.
     Start = 1,
-    /// The address is on its way, for writing.
+    /// The address is being sent, for writing.
     AddressWrite = 2,
-    /// The register pointer is on its way.
+    /// The register pointer is being sent.
     Pointer = 3,
-    /// The repeated START is asked for.
+    /// The repeated START is requested.
     RepeatedStart = 4,
-    /// The address is on its way, for reading.
+    /// The address is being sent, for reading.
     AddressRead = 5,
-    /// DMA takes the 14 data bytes.
+    /// DMA receives the 14 data bytes.
     Data = 6,
 }
 
-/// Why a burst failed. The numbers are stable: they travel in one word with the step.
+/// Reason why a burst failed. The numbers are stable: one word holds step and fault.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
+#[non_exhaustive]
 pub enum BurstFault {
     /// The sensor did not acknowledge a byte.
     NotAcknowledged = 1,
-    /// A START or STOP came at the wrong place on the bus.
+    /// A START or STOP was misplaced on the bus.
     BusError = 2,
-    /// SDA was low where this side let it go.
+    /// SDA was low while this side released it.
     ArbitrationLost = 3,
-    /// A byte was lost inside the port.
+    /// A byte was lost inside the I2C port.
     Overrun = 4,
     /// The DMA controller reported an error.
     Dma = 5,
@@ -266,18 +297,18 @@ pub enum BurstFault {
     NoDataReady = 7,
 }
 
-/// A fault and the step it happened in.
+/// Fault of a burst, and the step of the burst.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BurstFailure {
-    /// Why.
+    /// Fault.
     pub fault: BurstFault,
-    /// Where.
+    /// Step.
     pub step: BurstStep,
 }
 
 impl BurstFailure {
-    /// The class that it is counted in.
+    /// Returns the class that counts the failure.
     pub const fn class(&self) -> FaultClass {
         match (self.fault, self.step) {
             (BurstFault::NotAcknowledged, BurstStep::AddressWrite | BurstStep::AddressRead) => {
@@ -293,7 +324,7 @@ impl BurstFailure {
         }
     }
 
-    /// The failure with these numbers, or nothing if either number stands for nothing.
+    /// Returns the failure with these numbers; `None` if one of them is unknown.
     pub const fn from_codes(fault: u8, step: u8) -> Option<Self> {
         let fault = match fault {
             1 => BurstFault::NotAcknowledged,
@@ -318,6 +349,8 @@ impl BurstFailure {
         Some(Self { fault, step })
     }
 }
+
+impl core::error::Error for BurstFailure {}
 
 impl fmt::Display for BurstFailure {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -363,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn every_failure_survives_its_codes() {
+    fn every_failure_is_read_back_from_its_codes() {
         let mut known = 0;
         for fault in 0..=u8::MAX {
             for step in 0..=u8::MAX {

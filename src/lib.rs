@@ -12,24 +12,7 @@
 //! in an emulator and on a computer: every operation is either plain `f32` arithmetic or comes from
 //! `libm`, and nothing depends on the platform's mathematics library.
 //!
-//! ```
-//! use aplomb::mpu6050::{AccelerometerCounts, Burst, Part, RawSample};
-//! use aplomb::pipeline::{Pipeline, Settings};
-//!
-//! let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
-//! // What a sensor sends that lies face up and rolled by 30°: 2048 counts are one g.
-//! let sample = RawSample {
-//!     accelerometer: AccelerometerCounts([0, 1024, 1774]),
-//!     ..RawSample::default()
-//! };
-//! let snapshot = pipeline.update(&Burst {
-//!     bytes: sample.encode(), // 14 bytes: yours come from the bus
-//!     captured_at_us: 1_000,
-//!     missed_before: 0,
-//! });
-//! let roll_deg = snapshot.euler().roll_rad.to_degrees();
-//! assert!((roll_deg - 30.0).abs() < 0.1);
-//! ```
+//! The module [`pipeline`] begins with an example; [`estimator`] has one for samples in SI units, without an MPU-6050.
 //!
 //! Whole programs are in `examples/`: with RTIC and this crate's burst reader, with Embassy and asynchronous I2C, with any
 //! `embedded-hal` bus, and on a computer. [`mpu6050::Mpu6050`] finds, configures and reads the sensor over a blocking bus;
@@ -42,19 +25,18 @@
 //! | `defmt` | `defmt::Format` on the public types | `defmt` |
 //! | `board-stm32f405` and others | `board` (target alone), and the firmware as a program | `stm32f4xx-hal`, RTIC, both of the above |
 //!
-//! Features that are not in the table serve this project's own programs.
-//!
 //! | module | what it knows |
 //! |---|---|
 //! | [`units`] | constants, and the extension of a 32-bit microsecond counter to 64 bits |
 //! | [`attitude`] | vectors, quaternions, Euler angles, the two frames |
 //! | [`mpu6050`] | registers, settings, the 14-byte burst, the configuring driver |
 //! | [`calibration`] | rest, and what is made of it: offsets, poses, level, mount, temperature |
+//! | [`settings`] | all that is kept in flash: the calibration and the outputs' preferences |
 //! | [`estimator`] | one file per filter |
 //! | [`fault`] | what can go wrong between the sensor's pins and the pipeline |
 //! | [`health`] | the flags that travel with every attitude |
 //! | [`pipeline`] | the order of the steps |
-//! | [`state`] | a filter's memory as bytes, for logs that replay to the bit |
+//! | [`serialize`] | visits every field of a state: flight logs that replay to the bit |
 //! | [`telemetry`] | one file per output format, encoder and decoder together |
 //! | [`console`] | commands over a serial line |
 //! | `board` | pins, clocks and DMA of an STM32F4, the burst reader |
@@ -64,7 +46,11 @@
 
 #![cfg_attr(not(test), no_std)]
 #![deny(missing_docs)]
-#![deny(unsafe_code)]
+#![warn(missing_debug_implementations)]
+#![cfg_attr(
+    not(test),
+    warn(clippy::expect_used, clippy::panic, clippy::unwrap_used)
+)]
 
 pub mod attitude;
 pub mod calibration;
@@ -74,12 +60,17 @@ pub mod fault;
 pub mod health;
 pub mod mpu6050;
 pub mod pipeline;
-pub mod state;
+pub mod serialize;
+pub mod settings;
 pub mod telemetry;
 pub mod units;
 
-#[cfg(all(target_os = "none", feature = "rtic-app"))]
-#[allow(unsafe_code)]
+#[cfg(all(target_os = "none", feature = "firmware"))]
+#[allow(
+    unsafe_code,
+    missing_debug_implementations,
+    reason = "registers are raw memory, and their owners have nothing to print"
+)]
 pub mod board;
 
 /// Compiles the README's example with the tests.

@@ -1,4 +1,5 @@
-//! The fuzz targets' bodies, each with a bounded number of random inputs: noise, and text that is nearly right.
+//! The fuzz targets' bodies, each with a bounded number of random inputs: noise, and text that is
+//! nearly right.
 
 use proptest::prelude::*;
 
@@ -75,7 +76,7 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
     let burst = (any::<u32>(), any::<[u8; 14]>()).prop_map(move |(number, data)| {
         bytes(Frame::Burst(NumberedBurst {
             number,
-            flags: aplomb::health::Flags::NONE,
+            flags: aplomb::health::BoardFlags::empty(),
             burst: Burst {
                 bytes: data,
                 captured_at_us: number.into(),
@@ -100,7 +101,8 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
         piece
     });
     let stream = prop::collection::vec(damaged, 0..40).prop_map(|pieces| pieces.concat());
-    // Bodies of frames: a kind, and bytes of about the right length, of which the first are ordinary.
+    // Bodies of frames: a kind, and bytes of about the right length, of which the first are
+    // ordinary.
     let body = (
         1_u8..=5,
         prop::sample::select(vec![29_usize, 40, 104, 20, 60]),
@@ -155,7 +157,7 @@ fn nearly_frames() -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
-/// A field that may be absent, of so many numbers, most of them ordinary.
+/// An optional field of this many numbers, most of them ordinary.
 fn nearly_optional(numbers: usize) -> impl Strategy<Value = Vec<u8>> {
     let number = prop_oneof![
         30 => -1.0e3_f32..1.0e3,
@@ -210,7 +212,8 @@ fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
-/// An attitude's 32 bytes, then lines and packets as the module and `bursts.csv` have them, some with a byte changed.
+/// An attitude's 32 bytes, then lines and packets as the module and `bursts.csv` have them, some
+/// with a byte changed.
 fn nearly_text() -> impl Strategy<Value = Vec<u8>> {
     let number = "-?[0-9]{1,5}\\.[0-9]{2}|nan|-?180\\.00|-0\\.00|[0-9.e+-]{0,9}";
     let fields = |labels: [&'static str; 6], before: &'static str, after: &'static str| {
@@ -255,7 +258,8 @@ fn nearly_text() -> impl Strategy<Value = Vec<u8>> {
         .prop_map(|(attitude, pieces): (Vec<u8>, _)| [attitude, pieces.concat()].concat())
 }
 
-/// Settings, an identity that is known more often than not, and few faults, so that the driver gets far.
+/// Settings, an identity that is known more often than not, and few faults, so that the driver gets
+/// far.
 fn nearly_a_sensor() -> impl Strategy<Value = Vec<u8>> {
     let identity = prop_oneof![
         4 => prop::sample::select(aplomb::mpu6050::PARTS.map(|part| part.who_am_i).to_vec()),
@@ -265,7 +269,7 @@ fn nearly_a_sensor() -> impl Strategy<Value = Vec<u8>> {
     let fates = prop_oneof![
         Just(Vec::new()),
         prop::collection::vec(fate, 0..500),
-        // Nobody is there, for so long.
+        // No sensor answers, for this many transfers.
         (0..500_usize).prop_map(|count| vec![1; count]),
     ];
     (any::<u8>(), identity, fates).prop_map(|(settings, identity, fates)| {
@@ -273,7 +277,8 @@ fn nearly_a_sensor() -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
-/// A filter, what is changed in its state or what an earlier run knew, and bursts of which many are like a sensor's.
+/// A filter, changes of its state or the knowledge of an earlier run, and bursts, many like a
+/// sensor's.
 fn nearly_a_state() -> impl Strategy<Value = Vec<u8>> {
     let changes = prop::collection::vec(any::<[u8; 3]>(), 0..30)
         .prop_map(|changes| [vec![changes.len() as u8], changes.concat()].concat());
@@ -333,12 +338,18 @@ proptest! {
     }
 
     #[test]
-    fn commands_hold(bytes in prop_oneof![nearly_commands(), prop::collection::vec(any::<u8>(), 0..2000)]) {
+    fn commands_hold(bytes in prop_oneof![
+        nearly_commands(),
+        prop::collection::vec(any::<u8>(), 0..2000),
+    ]) {
         commands::run(&bytes);
     }
 
     #[test]
-    fn flight_logs_hold(bytes in prop_oneof![nearly_a_log(), prop::collection::vec(any::<u8>(), 0..2000)]) {
+    fn flight_logs_hold(bytes in prop_oneof![
+        nearly_a_log(),
+        prop::collection::vec(any::<u8>(), 0..2000),
+    ]) {
         flight_log::run(&bytes);
     }
 }
@@ -346,7 +357,10 @@ proptest! {
 #[cfg(feature = "mavlink")]
 proptest! {
     #[test]
-    fn ground_stations_hold(bytes in prop_oneof![nearly_frames(), prop::collection::vec(any::<u8>(), 0..2000)]) {
+    fn ground_stations_hold(bytes in prop_oneof![
+        nearly_frames(),
+        prop::collection::vec(any::<u8>(), 0..2000),
+    ]) {
         mavlink::run(&bytes);
     }
 }

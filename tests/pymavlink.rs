@@ -1,18 +1,18 @@
-//! The module's MAVLink, read and answered by pymavlink: somebody else's code, from the same definitions.
+//! MAVLink with pymavlink at the other end: an independent implementation of the same definitions.
 //!
-//! pymavlink is installed into a folder of its own under `target`. Without Python, or where it cannot be installed, the test says
-//! so and proves nothing.
+//! The test installs pymavlink into a folder of its own under `target`. Without Python, or where
+//! the installation fails, it reports that and proves nothing.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use aplomb::calibration::Record;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
+use aplomb::settings::Record;
 use aplomb::telemetry::Output;
 use aplomb::telemetry::mavlink::parameter::PARAMETERS;
 use aplomb::telemetry::mavlink::{Action, Calibrate, Outcome, Session, Vehicle};
@@ -236,10 +236,11 @@ impl Module {
                 Action::SetRate(rate_hz) => self.record.preferences.rate_hz = rate_hz,
                 _ => {
                     self.session.answer(ticket, Outcome::InProgress);
-                    assert!(
-                        self.session
-                            .say(Severity::Information, "calibrated", &mut output)
-                    );
+                    assert!(self.session.send_text(
+                        Severity::Information,
+                        "calibrated",
+                        &mut output
+                    ));
                 }
             }
             self.session.answer(ticket, Outcome::Accepted);

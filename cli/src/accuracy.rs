@@ -1,6 +1,6 @@
 //! The picture of `aplomb bench`: one dot for each recording, one line for each filter, one block for each set.
 
-use virtual_board::picture::{Align, Color, Font, Picture};
+use aplomb_plot::picture::{Align, Color, Font, Picture};
 
 use crate::bench::Set;
 use crate::recording::Reference;

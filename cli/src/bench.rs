@@ -114,7 +114,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         let scores = filters.iter().map(|filter| recording.score(*filter));
         scores.collect::<Option<Vec<Score>>>()
     });
-    let rows: Vec<Row> = recordings
+    let rows: Vec<Row<'_>> = recordings
         .iter()
         .zip(scores)
         .filter_map(|(recording, scores)| {
@@ -286,7 +286,7 @@ fn parse_ranges(text: &str) -> Result<(String, (AccelerometerRange, GyroscopeRan
     parse().ok_or_else(|| "say for instance mpu6050-raw=8,250".into())
 }
 
-fn summarise(rows: &[Row], filters: usize) -> Vec<Set> {
+fn summarise(rows: &[Row<'_>], filters: usize) -> Vec<Set> {
     let mut sets: Vec<Set> = Vec::new();
     for row in rows {
         let recording = row.recording;
@@ -348,7 +348,7 @@ fn table(names: &[&str], reference: Reference, sets: &[&Set]) -> String {
 }
 
 /// The first filter's scores, one line a recording, and how honest its σ is.
-fn one_by_one(names: &[&str], rows: &[Row]) -> String {
+fn one_by_one(names: &[&str], rows: &[Row<'_>]) -> String {
     let titles: Vec<String> = rows
         .iter()
         .map(|row| format!("{}/{}", row.recording.set, row.recording.name))
@@ -379,7 +379,7 @@ fn one_by_one(names: &[&str], rows: &[Row]) -> String {
     text
 }
 
-fn csv(names: &[&str], rows: &[Row]) -> String {
+fn csv(names: &[&str], rows: &[Row<'_>]) -> String {
     let mut text = String::from(
         "set,recording,reference,sensor_delay_us,filter,rows,rms_deg,p95_deg,maximum_deg,within_3_sigma,median_error_per_sigma\n",
     );
@@ -416,7 +416,7 @@ fn csv(names: &[&str], rows: &[Row]) -> String {
     text
 }
 
-fn json(names: &[&str], rows: &[Row], not_scored: &[NotScored]) -> serde_json::Result<String> {
+fn json(names: &[&str], rows: &[Row<'_>], not_scored: &[NotScored]) -> serde_json::Result<String> {
     #[derive(serde::Serialize)]
     struct Scores<'a> {
         scores: Vec<Scored<'a>>,

@@ -11,12 +11,15 @@ use std::path::{Path, PathBuf};
 
 use aplomb::attitude::Vector3;
 use aplomb::calibration::accelerometer::{self, AccelerometerFit, FitError, PoseCollector};
-use aplomb::calibration::{AtRest, RestProgress, RestWatch};
+use aplomb::calibration::{
+    ImuReading, NoiseModel, SensorSetup, StationaryDetector, StationaryMean, StationaryProgress,
+    SymmetricMatrix,
+};
 use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part, RawSample};
 use aplomb::pipeline::Settings;
 use aplomb::telemetry::bursts;
 use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
-use virtual_board::motion::log::{Lines, Row, parse_row};
+use aplomb_recordings::log::{Lines, Row, parse_row};
 
 use crate::counts::counts;
 use crate::input::{Counts, Form};
@@ -78,12 +81,12 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         recording.samples.len(),
         recording.duration_s(),
     );
-    let found = match accelerometer::fit(rested.collector.poses()) {
+    let found = match accelerometer::fit(rested.collector.readings()) {
         Ok(fit) => {
             rested.describe(&mut report);
             Found {
                 rule: "rest",
-                poses: rested.collector.poses().to_vec(),
+                poses: rested.collector.readings().to_vec(),
                 fit,
             }
         }
@@ -175,22 +178,18 @@ impl Recording {
     fn rests(&self) -> Rested {
         let rate_hz = self.samples.len() as f64 / self.duration_s().max(1e-6);
         let sensor = &self.settings.sensor;
-        let scale = aplomb::calibration::RestScale::new(
-            [
-                sensor.gyroscope_range.counts_per_degree_s(),
-                sensor.accelerometer_range.counts_per_g(),
-            ],
-            // Nobody says which filter was set; the widest is the one with the most noise.
-            [
-                LowPass::Hertz256.gyroscope_bandwidth_hz().into(),
-                LowPass::Hertz256.accelerometer_bandwidth_hz().into(),
-            ],
-            rate_hz as f32,
-        );
+        let noise = NoiseModel::new(&SensorSetup {
+            gyroscope_counts_per_degree_s: sensor.gyroscope_range.counts_per_degree_s(),
+            accelerometer_counts_per_g: sensor.accelerometer_range.counts_per_g(),
+            // The log does not name its filter; the widest one has the most noise.
+            gyroscope_bandwidth_hz: LowPass::Hertz256.gyroscope_bandwidth_hz().into(),
+            accelerometer_bandwidth_hz: LowPass::Hertz256.accelerometer_bandwidth_hz().into(),
+            sample_rate_hz: rate_hz as f32,
+        });
         let rows = self.rows_in(REST_S) as u16;
-        let mut watch = RestWatch::new(&scale, rows);
+        let mut detector = StationaryDetector::new(&noise, rows);
         let mut rested = Rested {
-            collector: PoseCollector::new(&scale),
+            collector: PoseCollector::new(&noise),
             rests: 0,
             repeated: 0,
             refused: Vec::new(),
@@ -198,13 +197,15 @@ impl Recording {
             taken: Vec::new(),
         };
         for sample in &self.samples {
-            let celsius = sample.raw.temperature.to_celsius(self.settings.part);
-            let progress =
-                watch.update(sample.raw.gyroscope.0, sample.raw.accelerometer.0, celsius);
-            match progress {
-                RestProgress::Collecting => {}
-                RestProgress::Moved(reason) => count(&mut rested.moved, &reason.to_string()),
-                RestProgress::Done(at_rest) => rested.take(sample.t_us, &at_rest),
+            let reading = ImuReading {
+                gyroscope: sample.raw.gyroscope.0,
+                accelerometer: sample.raw.accelerometer.0,
+                temperature_celsius: sample.raw.temperature.to_celsius(self.settings.part),
+            };
+            match detector.update(&reading) {
+                StationaryProgress::Collecting => {}
+                StationaryProgress::Moved(reason) => count(&mut rested.moved, &reason.to_string()),
+                StationaryProgress::Done(mean) => rested.take(sample.t_us, &mean),
             }
         }
         rested
@@ -284,11 +285,9 @@ fn finest_config(rows: &[Row]) -> Result<Config, String> {
         .ok_or_else(|| {
             format!("{degrees_s:.0} °/s is more than any range of the sensor: if the log holds counts, add --raw")
         })?;
-    Ok(Config {
-        accelerometer_range,
-        gyroscope_range,
-        ..Config::DEFAULT
-    })
+    Ok(Config::DEFAULT
+        .with_accelerometer_range(accelerometer_range)
+        .with_gyroscope_range(gyroscope_range))
 }
 
 /// Rows in counts; what does not fit, with its line.
@@ -354,9 +353,9 @@ struct Rested {
 }
 
 impl Rested {
-    fn take(&mut self, t_us: i64, at_rest: &AtRest) {
+    fn take(&mut self, t_us: i64, mean: &StationaryMean) {
         self.rests += 1;
-        match self.collector.add(at_rest) {
+        match self.collector.add(mean) {
             Ok(accepted) => {
                 let pose = accepted
                     .pose
@@ -367,7 +366,7 @@ impl Rested {
                     t_us as f64 * 1e-6
                 ));
             }
-            Err(accelerometer::PoseRefused::Repeated { .. }) => self.repeated += 1,
+            Err(accelerometer::PoseError::Repeated { .. }) => self.repeated += 1,
             Err(reason) => count(&mut self.refused, &reason.to_string()),
         }
     }
@@ -468,7 +467,14 @@ impl Found {
     fn describe(&self, report: &mut String) {
         let correction = &self.fit.correction;
         let offset = correction.offset_m_s2.scale(1000.0 / STANDARD_GRAVITY_M_S2);
-        let [xx, yy, zz, xy, xz, yz] = correction.matrix;
+        let SymmetricMatrix {
+            xx,
+            yy,
+            zz,
+            xy,
+            xz,
+            yz,
+        } = correction.matrix;
         *report += &format!("{}\n", self.fit);
         *report += &format!(
             "offset {:+.1} {:+.1} {:+.1} mg, scale {xx:.4} {yy:.4} {zz:.4}, cross-axis xy {xy:+.4} xz {xz:+.4} yz {yz:+.4}\n",
@@ -497,12 +503,12 @@ impl Found {
     fn json(&self) -> serde_json::Result<String> {
         let fit = &self.fit;
         let offset = fit.correction.offset_m_s2;
-        let [xx, yy, zz, xy, xz, yz] = fit.correction.matrix;
+        let m = fit.correction.matrix;
         serde_json::to_string(&Summary {
             rule: self.rule,
             poses: fit.poses,
             offset_m_s2: [offset.x, offset.y, offset.z],
-            matrix: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]],
+            matrix: [[m.xx, m.xy, m.xz], [m.xy, m.yy, m.yz], [m.xz, m.yz, m.zz]],
             cross_axis_fitted: fit.has_cross_axis,
             residual_before_g: fit.residual_before_g,
             residual_after_g: fit.residual_after_g,

@@ -11,7 +11,7 @@ use aplomb::mpu6050::{
 };
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
-use virtual_board::motion::log::{LogFault, Row, parse_row};
+use aplomb_recordings::log::{LogFault, Row, parse_row};
 
 use crate::flight_log::{self, Recorder};
 use crate::input::Form;

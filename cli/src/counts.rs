@@ -1,6 +1,6 @@
 //! Logs whose values are the counts of a sensor's registers instead of SI units.
 
-use virtual_board::motion::log::Row;
+use aplomb_recordings::log::Row;
 
 /// The values of a row whose cells are register counts: accelerometer, then gyroscope.
 ///
@@ -26,7 +26,7 @@ pub fn counts(row: &Row) -> Result<[[i16; 3]; 2], String> {
 
 #[cfg(test)]
 mod tests {
-    use virtual_board::motion::log::parse_row;
+    use aplomb_recordings::log::parse_row;
 
     use super::*;
 

@@ -91,7 +91,10 @@ pub struct Filter {
     delay_s: f32,
 }
 
-#[allow(clippy::large_enum_variant)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "there are as many as filters, and each is used for a whole recording"
+)]
 enum Seat {
     Library(Estimator),
     Peer(Peer),

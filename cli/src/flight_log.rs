@@ -12,7 +12,7 @@ use aplomb::estimator::{AnyFilter, REVISION};
 use aplomb::health::Flags;
 use aplomb::mpu6050::Burst;
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-use aplomb::state::Reader;
+use aplomb::serialize::StateReader;
 use aplomb::telemetry::Output;
 use aplomb::telemetry::log::{
     Configuration, Counts, Decoder, FRAME_CAPACITY, Frame, NumberedBurst, Sender, StatePiece,
@@ -199,7 +199,7 @@ impl Collector {
             return None;
         }
         self.bytes.extend_from_slice(piece.bytes());
-        let is_whole = self.bytes.len() == usize::from(piece.whole);
+        let is_whole = self.bytes.len() == usize::from(piece.state_length);
         is_whole.then(|| (self.number, std::mem::take(&mut self.bytes)))
     }
 }
@@ -207,16 +207,16 @@ impl Collector {
 impl Flight {
     fn add(&mut self, frame: Frame, collector: &mut Collector) {
         match frame {
-            Frame::Configuration(configuration) => {
-                if self.configurations.last() != Some(&configuration) {
-                    self.configurations.push(configuration);
-                }
+            Frame::Configuration(configuration)
+                if self.configurations.last() != Some(&configuration) =>
+            {
+                self.configurations.push(configuration);
             }
             Frame::Attitude(snapshot) => {
                 self.attitudes.insert(snapshot.t_us, snapshot);
             }
             Frame::StatePiece(piece) => self.states.extend(collector.add(&piece)),
-            Frame::Burst(_) | Frame::Text(_) => {}
+            _ => {}
         }
     }
 }
@@ -295,8 +295,8 @@ impl<'a> Replay<'a> {
             && let Some(state) = self.flight.states.get(&number)
         {
             let mut pipeline = self.pipeline;
-            let mut reader = Reader::new(state);
-            pipeline.exchange(&mut reader);
+            let mut reader = StateReader::new(state);
+            pipeline.visit_state(&mut reader);
             if reader.is_complete() {
                 self.pipeline = pipeline;
                 self.is_exact = true;

@@ -4,7 +4,7 @@ use std::error::Error;
 
 use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange};
 use aplomb::telemetry::bursts;
-use virtual_board::motion::log::{Lines, LogError, LogFault, column_count};
+use aplomb_recordings::log::{Lines, LogError, LogFault, column_count};
 
 /// The form of a text, by its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,11 +95,9 @@ impl Counts {
 
     /// The sensor's settings, with the usual ranges if none were told.
     pub fn config(&self) -> Config {
-        Config {
-            accelerometer_range: self.accel_range.unwrap_or_default(),
-            gyroscope_range: self.gyro_range.unwrap_or_default(),
-            ..Config::DEFAULT
-        }
+        Config::DEFAULT
+            .with_accelerometer_range(self.accel_range.unwrap_or_default())
+            .with_gyroscope_range(self.gyro_range.unwrap_or_default())
     }
 }
 

@@ -12,7 +12,7 @@
 use std::fmt::Write as _;
 
 use aplomb::estimator::kalman::Tuning;
-use virtual_board::random::Random;
+use aplomb_models::random::Random;
 
 use crate::filter::Filter;
 use crate::parallel;

@@ -152,7 +152,8 @@ fn all_unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
         });
         Mutex::default()
     });
-    ALL.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    ALL.lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
 /// The file that gets this name, be it there yet or not: where links lead. `None` for what is written as it goes: a

@@ -1,10 +1,10 @@
 //! The README's picture: the default filter, VQF and the classic one through a simulated flight.
 
 use aplomb::estimator::FilterKind;
-use virtual_board::chart::{Chart, Curve, Panel, TRUTH};
-use virtual_board::motion::geometry::angle_between;
-use virtual_board::picture::{Color, Picture};
-use virtual_board::timeline::Trace;
+use aplomb_models::motion::geometry::angle_between;
+use aplomb_plot::chart::{Chart, Curve, Panel, TRUTH};
+use aplomb_plot::picture::{Color, Picture};
+use aplomb_plot::timeline::Trace;
 
 use crate::filter::{Choice, Filter, up_in_body};
 use crate::recording::Recording;

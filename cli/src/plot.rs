@@ -10,14 +10,14 @@ use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::health::Flags;
 use aplomb::units::{degrees, radians};
-use virtual_board::chart::{
+use aplomb_models::motion::geometry::Quaternion as Truth;
+use aplomb_models::motion::{self, inclination_error_rad};
+use aplomb_plot::chart::{
     Axis, Chart, Curve, FIRST, NARROWEST_DEG, Panel, SECOND, THIRD, TRUTH, error_panel, flag_lanes,
 };
-use virtual_board::motion::geometry::Quaternion as Truth;
-use virtual_board::motion::log::{Lines, LogFault, column_count, parse_row};
-use virtual_board::motion::recording::body_to_earth;
-use virtual_board::motion::{self, inclination_error_rad};
-use virtual_board::timeline::{Merge, Timeline, Trace};
+use aplomb_plot::timeline::{Merge, Timeline, Trace};
+use aplomb_recordings::log::{Lines, LogFault, column_count, parse_row};
+use aplomb_recordings::motion::body_to_earth;
 
 use crate::attitude_table::Columns;
 use crate::flight_log;
@@ -289,7 +289,8 @@ impl Shown {
         }
         let spectrum = self.welch.spectrum();
         let others: Vec<_> = spectrum.as_ref().map(spectrum_panel).into_iter().collect();
-        let lanes = flag_lanes(|flag| self.spans(flag));
+        let flags = Flags::NAMES.map(|(flag, name)| (name, self.spans(flag)));
+        let lanes = flag_lanes(flags, "VALID");
         let height = PANEL_HEIGHT * (panels.len() + others.len()) as u32
             + LANE_HEIGHT * lanes.len() as u32
             + MARGINS;
@@ -610,7 +611,7 @@ mod tests {
                     Flags::CALIBRATING
                 },
                 specific_force_m_s2: None,
-                truth: Some(virtual_board::motion::recording::truth_of(
+                truth: Some(aplomb_recordings::motion::truth_of(
                     truth,
                     motion::Mount::Z_UP,
                 )),

@@ -2,7 +2,7 @@
 //!
 //! A parallel projection, seen from the front, the right and above. The board's axes are those printed on it.
 
-use virtual_board::picture::{Align, At, Color, Font, Picture};
+use aplomb_plot::picture::{Align, At, Color, Font, Picture};
 
 const CELL: f32 = 250.0;
 const MARGIN: f32 = 20.0;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use virtual_board::motion::log::{Lines, LogError};
+use aplomb_recordings::log::{Lines, LogError};
 
 /// Files from this size on take seconds.
 const LONG_BYTES: u64 = 16 * 1024 * 1024;

@@ -7,8 +7,8 @@ use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
 use aplomb::units::STANDARD_GRAVITY_M_S2;
-use virtual_board::motion::geometry::angle_between;
-use virtual_board::motion::log::{Lines, LogError, LogFault, Row, column_count, parse_row};
+use aplomb_models::motion::geometry::angle_between;
+use aplomb_recordings::log::{Lines, LogError, LogFault, Row, column_count, parse_row};
 
 use crate::counts::counts;
 use crate::filter::{Choice, Filter, up_in_body};
@@ -55,7 +55,7 @@ impl Reference {
 }
 
 /// What has to be known of a set, as its files do not say it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Handling {
     /// By how much samples are late.
     pub delay_us: u32,

@@ -20,8 +20,8 @@ use aplomb::mpu6050::{
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
-use virtual_board::motion::geometry::Quaternion as Truth;
-use virtual_board::motion::log::{Lines, Row, parse_row};
+use aplomb_models::motion::geometry::Quaternion as Truth;
+use aplomb_recordings::log::{Lines, Row, parse_row};
 
 use crate::counts::counts;
 use crate::filter::{Choice, Filter, up_in_body};

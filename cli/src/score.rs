@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use virtual_board::motion::geometry::{Quaternion, angle_between};
+use aplomb_models::motion::geometry::{Quaternion, angle_between};
 
 /// Rows before this much of the recording do not count, in µs: a filter may take time to start.
 pub const START_US: i64 = 5_000_000;

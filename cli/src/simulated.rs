@@ -10,18 +10,18 @@ use std::path::PathBuf;
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::mpu6050::{Config, LowPass, RawSample};
-use virtual_board::motion::geometry::{Quaternion, scale};
-use virtual_board::motion::poses::Poses;
-use virtual_board::motion::quadrotor::Quadrotor;
-use virtual_board::motion::recording::truth_of;
-use virtual_board::motion::rest::Rest;
-use virtual_board::motion::swing::Swing;
-use virtual_board::motion::{self, Motion, Truth};
-use virtual_board::random::Random;
-use virtual_board::sensor::SensorErrors;
-use virtual_board::sensor::clock::TICKS_PER_SECOND;
-use virtual_board::sensor::identity::Identity;
-use virtual_board::sensor::signal_path::{Settings, SignalPath};
+use aplomb_models::motion::geometry::{Quaternion, scale};
+use aplomb_models::motion::poses::Poses;
+use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::swing::Swing;
+use aplomb_models::motion::{self, Motion, Truth};
+use aplomb_models::random::Random;
+use aplomb_models::sensor::SensorErrors;
+use aplomb_models::sensor::clock::TICKS_PER_SECOND;
+use aplomb_models::sensor::identity::Identity;
+use aplomb_models::sensor::signal_path::{Settings, SignalPath};
+use aplomb_recordings::motion::truth_of;
 
 use crate::output::OutputFile;
 use crate::recording::{Recording, Reference};
@@ -254,7 +254,7 @@ fn errors(seed: u64) -> SensorErrors {
 }
 
 fn up_in_body(body_to_earth: Quaternion) -> [f64; 3] {
-    virtual_board::motion::truth::up_in_body(body_to_earth)
+    motion::truth::up_in_body(body_to_earth)
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use aplomb::estimator::Sample;
 use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
-use virtual_board::motion::geometry::angle_between;
+use aplomb_models::motion::geometry::angle_between;
 
 use crate::filter::up_in_body;
 use crate::parallel;

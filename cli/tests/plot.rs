@@ -4,9 +4,9 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
+use aplomb_models::motion::Mount;
+use aplomb_recordings::motion::Recording;
 use common::{aplomb, file, path};
-use virtual_board::motion::Mount;
-use virtual_board::motion::recording::Recording;
 
 /// Runs it with these arguments, and gives what it printed.
 fn run(arguments: &[&str]) -> String {

@@ -34,7 +34,7 @@ fn errors(output: &Output) -> String {
 }
 
 /// Waits until a file has this length.
-fn wait_for_length(path: &std::path::Path, length: usize) {
+fn wait_for_length(path: &Path, length: usize) {
     let start = Instant::now();
     while start.elapsed() < Duration::from_secs(10) {
         if std::fs::metadata(path).is_ok_and(|data| data.len() == length as u64) {

@@ -16,10 +16,10 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::calibration::Record;
 use aplomb::estimator::Sample;
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
+use aplomb::settings::Record;
 use aplomb::telemetry::Output;
 use aplomb::telemetry::mavlink::{Session, Vehicle};
 use aplomb::telemetry::message::Severity;
@@ -245,7 +245,7 @@ fn messages(text: Option<&str>) -> Vec<u8> {
     let mut session = Session::new();
     session.fill(2_000_000, &vehicle, &mut output);
     if let Some(text) = text {
-        assert!(session.say(Severity::Information, text, &mut output));
+        assert!(session.send_text(Severity::Information, text, &mut output));
     }
     let length = output.length();
     buffer[..length].to_vec()

@@ -1,4 +1,4 @@
-//! The checksums that keep random bytes from the decoders behind them, put together apart from the library.
+//! Checksums, independent of the library, so that random bytes pass the check before a decoder.
 
 /// CRC-32 bit by bit: reflected, polynomial 0x04C11DB7.
 pub fn crc_32(bytes: &[u8]) -> u32 {

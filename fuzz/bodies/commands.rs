@@ -1,10 +1,10 @@
-//! Any bytes at the UART: the console answers within its bounds, and keeps a record that can be worked with.
+//! Random bytes at the UART: the console answers within its bounds, and keeps a usable record.
 
 use std::collections::VecDeque;
 
-use aplomb::calibration::{Calibration, Mount, RestProgress};
+use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::console::answer::ANSWER_CAPACITY;
-use aplomb::console::command::{self, BAUD_RATES, RATES_HZ};
+use aplomb::console::command::{BAUD_RATES, Command, RATES_HZ};
 use aplomb::console::{Console, Module, Outcome, State, Task};
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::Settings;
@@ -14,12 +14,12 @@ use aplomb::telemetry;
 ///
 /// # Panics
 ///
-/// When something is not as it should be.
+/// Panics if an invariant is violated.
 pub fn run(bytes: &[u8]) {
     let settings = Settings::new(&Part::MPU_6050);
     let mut console = Console::new(
         None,
-        settings.rest_scale(),
+        settings.noise_model(),
         settings.sensor.sample_rate_hz(),
         Mount::Z_UP,
     );
@@ -41,18 +41,18 @@ pub fn run(bytes: &[u8]) {
             let preferences = console.working().preferences;
             assert!(RATES_HZ.contains(&preferences.rate_hz));
             assert!(BAUD_RATES.contains(&preferences.baud));
-            let most = telemetry::largest_rate_hz(preferences.format, preferences.baud);
-            assert!(u32::from(preferences.rate_hz) <= most);
+            let max_hz = telemetry::largest_rate_hz(preferences.format, preferences.baud);
+            assert!(u32::from(preferences.rate_hz) <= max_hz);
         }
     }
     if let Ok(line) = std::str::from_utf8(bytes)
-        && let Err(error) = command::parse(line)
+        && let Err(error) = line.parse::<Command>()
     {
         assert!(!error.to_string().is_empty());
     }
 }
 
-/// A module that has nothing but a wire.
+/// Fake module with a UART only.
 #[derive(Default)]
 struct Wire {
     received: VecDeque<u8>,
@@ -80,17 +80,17 @@ impl Module for Wire {
         assert!(!self.is_armed);
     }
 
-    fn start_rest(&mut self, samples: u16) {
+    fn start_detector(&mut self, samples: u16) {
         assert!(!self.is_armed && samples > 0);
     }
 
-    fn stop_rest(&mut self) {}
+    fn stop_detector(&mut self) {}
 
-    fn take_rest(&mut self) -> Option<RestProgress> {
+    fn take_detector_progress(&mut self) -> Option<StationaryProgress> {
         None
     }
 
-    fn rest_percent(&mut self) -> u8 {
+    fn detector_percent(&mut self) -> u8 {
         0
     }
 

@@ -1,7 +1,9 @@
-//! Any bytes as a flight log: what the decoder accepts is a frame that encodes to itself, and it finds its feet again.
+//! Random bytes as a flight log: an accepted frame is read back from its own encoding, and the
+//! decoder recovers after any input.
 //!
-//! The first byte chooses: the rest as it is, or as bodies of frames, each after a byte that says how long it is, so that the
-//! check of the CRC does not keep everything from the decoder. Frames are put together here, apart from the library.
+//! The first byte selects the form of the rest: as it is, or as bodies of frames, each after a byte
+//! with its length. The harness adds the CRC to bodies, so that they reach the decoder. It builds
+//! frames independently of the library.
 
 use aplomb::telemetry::log::{Decoder, FRAME_CAPACITY, Frame, Text, encode};
 
@@ -9,7 +11,7 @@ use aplomb::telemetry::log::{Decoder, FRAME_CAPACITY, Frame, Text, encode};
 ///
 /// # Panics
 ///
-/// When something is not as it should be.
+/// Panics if an invariant is violated.
 pub fn run(bytes: &[u8]) {
     match bytes {
         [choice, bodies @ ..] if choice & 1 == 1 => read(&framed(bodies)),
@@ -18,7 +20,7 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
-/// The bodies with their CRCs, stuffed by COBS, between zeros.
+/// Builds frames: bodies with their CRCs, stuffed by COBS, between zeros.
 fn framed(mut bodies: &[u8]) -> Vec<u8> {
     let mut stream = Vec::new();
     while let [length, rest @ ..] = bodies {
@@ -26,7 +28,8 @@ fn framed(mut bodies: &[u8]) -> Vec<u8> {
         bodies = others;
         let whole = [body, &crate::checksums::crc_32(body).to_le_bytes()].concat();
         stream.push(0);
-        // Each run without a zero is at most 254 bytes long, and begins with its length and one; a longer one has no zero behind it.
+        // A run without a zero is at most 254 bytes long and begins with its length plus one. A
+        // longer run is split, without a zero after the parts.
         for run in whole.split(|byte| *byte == 0) {
             let mut parts = run.chunks(254).peekable();
             if parts.peek().is_none() {
@@ -59,7 +62,7 @@ fn read(bytes: &[u8]) {
             let bytes = encode(&frame, &mut place).iter();
             bytes.filter_map(|byte| second.push(*byte)).collect()
         };
-        // Bit patterns that are no number are not equal to themselves, but look alike.
+        // A NaN is not equal to itself, but its text is.
         assert_eq!(format!("{again:?}"), format!("{:?}", [frame]));
     }
     let counts = decoder.counts();

@@ -1,15 +1,15 @@
-//! Any bytes from a ground station: what is answered is made of whole frames with numbers in a row.
+//! Random bytes from a ground station: answers are whole frames with consecutive numbers.
 //!
-//! The first byte chooses: the rest as it is, or as payloads of frames, each after two bytes that say which message it is and
-//! how long it is, so that the checksum does not keep everything from the decoder. Frames are put together here, apart
-//! from the library.
+//! The first byte selects the form of the rest: as it is, or as payloads of frames, each after two
+//! bytes with its message and length. The harness adds the checksum to payloads, so that they reach
+//! the decoder. It builds frames independently of the library.
 
-use aplomb::calibration::Record;
 use aplomb::estimator::Sample;
+use aplomb::settings::Record;
 use aplomb::telemetry::Output;
 use aplomb::telemetry::mavlink::{Outcome, Session, Vehicle};
 
-/// Number and the byte that goes into the checksum, of what is understood and of one that is not.
+/// Number and extra checksum byte of each known message, and of an unknown one.
 pub const MESSAGES: [(u8, u8); 8] = [
     (0, 50),
     (20, 214),
@@ -25,7 +25,7 @@ pub const MESSAGES: [(u8, u8); 8] = [
 ///
 /// # Panics
 ///
-/// When something is not as it should be.
+/// Panics if an invariant is violated.
 pub fn run(bytes: &[u8]) {
     match bytes {
         [choice, payloads @ ..] if choice & 1 == 1 => hear(&framed(payloads)),
@@ -34,7 +34,7 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
-/// The payloads in frames of MAVLink 2 with right checksums.
+/// Builds MAVLink 2 frames with right checksums.
 fn framed(mut payloads: &[u8]) -> Vec<u8> {
     let mut stream = Vec::new();
     while let [choice, length, rest @ ..] = payloads {
@@ -94,7 +94,7 @@ fn hear(bytes: &[u8]) {
         assert!(sent.is_empty());
     }
     assert!(text <= bytes.len());
-    // Nothing is kept back for ever.
+    // Every byte is released in the end.
     session.poll(now_us + 1_000_000, &mut |_| text += 1);
     let before = text;
     session.receive(b'x', now_us + 1_000_001, &mut |_| text += 1);

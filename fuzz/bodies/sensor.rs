@@ -1,5 +1,5 @@
-//! Any answers of whatever sits on the bus: the driver comes to an end within its time, says what went wrong, and a
-//! sensor that it takes for configured has its settings.
+//! Random answers on the bus: the driver ends within its time and reports errors, and a sensor that
+//! it reports as configured has its settings.
 
 use aplomb::mpu6050::registers::Register;
 use aplomb::mpu6050::{
@@ -10,24 +10,23 @@ use embedded_hal::i2c::{
     ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation, SevenBitAddress,
 };
 
-/// Finding takes 0.1 s, configuring 0.23 s, then the self-test 0.9 s and configuring again 0.04 s.
+/// A probe takes 0.1 s, the configuration 0.23 s, the self-test 0.9 s, the reconfiguration 0.04 s.
 const LONGEST_NS: u64 = 1_500_000_000;
 
-/// Finds, configures and tests what answers so. The first byte chooses the settings and the second the identity, the
-/// others are the transfers' fates: zero is a sensor that keeps what is written to it, and so is the end.
+/// Probes, configures and tests a sensor. The first byte selects the configuration, the second the
+/// identity. The others are the fates of the transfers: zero is a sensor that keeps written values,
+/// and so is the end.
 ///
 /// # Panics
 ///
-/// When something is not as it should be.
+/// Panics if an invariant is violated.
 pub fn run(bytes: &[u8]) {
     let [settings, identity, fates @ ..] = bytes else {
         return;
     };
-    let config = Config {
-        accelerometer_range: AccelerometerRange::ALL[usize::from(settings & 3)],
-        gyroscope_range: GyroscopeRange::ALL[usize::from(settings >> 2 & 3)],
-        ..Config::DEFAULT
-    };
+    let config = Config::DEFAULT
+        .with_accelerometer_range(AccelerometerRange::ALL[usize::from(settings & 3)])
+        .with_gyroscope_range(GyroscopeRange::ALL[usize::from(settings >> 2 & 3)]);
     let mut bus = Bus {
         registers: [0; 128],
         fates: fates.iter(),
@@ -65,8 +64,8 @@ fn use_it(mut sensor: Mpu6050<&mut Bus<'_>>, config: &Config, delay: &mut Delay)
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }
-    let configured = sensor.configure_again(config, delay);
-    let inspected = sensor.inspect(config);
+    let configured = sensor.reconfigure(config, delay);
+    let inspected = sensor.verify_config(config);
     let burst = sensor.read_burst(7);
     assert!(burst.is_err() || burst.is_ok_and(|burst| burst.captured_at_us == 7));
     if !sensor.release().has_lied {
@@ -75,11 +74,11 @@ fn use_it(mut sensor: Mpu6050<&mut Bus<'_>>, config: &Config, delay: &mut Delay)
     }
 }
 
-/// Registers, and what happens to the transfers.
+/// Registers, and the fates of the transfers.
 struct Bus<'a> {
     registers: [u8; 128],
     fates: std::slice::Iter<'a, u8>,
-    /// Something else than a sensor would has happened.
+    /// True once a transfer has behaved differently from a sensor's.
     has_lied: bool,
 }
 
@@ -142,7 +141,7 @@ impl Bus<'_> {
     }
 }
 
-/// Time that is waited for, without waiting.
+/// Sum of the waits, without waiting.
 #[derive(Default)]
 struct Delay {
     ns: u64,

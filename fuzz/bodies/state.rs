@@ -1,31 +1,30 @@
-//! Any bytes as what a filter remembers, from a flight log or from before a reset: the samples after it give attitudes.
+//! Random bytes as a filter's state, from a flight log or from before a reset: later samples still
+//! give attitudes.
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::estimator::FilterKind;
-use aplomb::estimator::kalman::Known;
-use aplomb::health::Flags;
+use aplomb::estimator::kalman::WarmStart;
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{Burst, Part};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-use aplomb::state::{Reader, Window};
+use aplomb::serialize::{StateReader, StateWriter};
 
-/// A burst's bytes, how many milliseconds it comes after the one before, and the board's flags.
+/// Bytes of a burst, its distance from the last one in ms, and the board's flags.
 const STEP: usize = 14 + 2;
 
-/// No bias and no σ is larger, rad/s and rad: twice what the sensor can measure.
+/// Limit of bias and σ, rad/s and rad: twice the sensor's range.
 const USUAL: f32 = 70.0;
 
-/// Changes so many bytes of a state, each by its place and its bits, and lets the rest be bursts.
+/// Changes bytes of a state, each by its offset and bits, and uses the rest as bursts.
 ///
 /// # Panics
 ///
-/// When something is not as it should be.
+/// Panics if an invariant is violated.
 pub fn run(bytes: &[u8]) {
     let [kind, changes, rest @ ..] = bytes else {
         return;
     };
     let settings = Settings {
-        filter: FilterKind::ALL[usize::from(kind & 3) % FilterKind::ALL.len()],
-        averaging_samples: 0,
+        verifies_scales: kind & 1 != 0,
         ..Settings::new(&Part::MPU_6050)
     };
     let mut pipeline = Pipeline::new(&settings);
@@ -36,7 +35,7 @@ pub fn run(bytes: &[u8]) {
         t_us += 1_000;
         let mut bytes = [0x11; 14];
         bytes[13] = t_us as u8;
-        pipeline.update(&burst(bytes, t_us));
+        pipeline.update(&burst(bytes, t_us), BoardFlags::empty());
     }
     let rest = if is_restored {
         let (changed, rest) = rest.split_at(rest.len().min(3 * usize::from(*changes)));
@@ -52,20 +51,20 @@ pub fn run(bytes: &[u8]) {
     for step in rest.as_chunks::<STEP>().0 {
         let [bytes @ .., pause, flags] = *step;
         t_us += 1_000 * (1 + u64::from(pause).pow(2));
-        let flags = Flags::from_bits(u32::from(flags) << 13);
+        let bits = u32::from(flags) << 13 | u32::from(flags) << 24;
+        let flags = BoardFlags::from_bits_truncate(bits);
         let burst = burst(bytes, t_us);
-        let snapshot = pipeline.update_flagged(&burst, flags);
-        pipeline.collect(&burst);
+        let snapshot = pipeline.update(&burst, flags);
         let stale = pipeline.stale(t_us + 5_000, flags);
-        // Of a state that no filter was ever in, nothing is asked but that it does no harm.
+        // A state that no filter can reach only has to do no harm.
         if !is_restored {
-            check(&snapshot, &pipeline);
-            check(&stale, &pipeline);
+            check(&snapshot);
+            check(&stale);
         }
     }
 }
 
-/// The pipeline's state with changes in it; what is refused changes nothing.
+/// Applies changes to the pipeline's state; a refused state changes nothing.
 fn restored(pipeline: &mut Pipeline, changes: &[u8]) {
     let mut state = written(pipeline);
     for [high, low, bits] in changes.as_chunks().0 {
@@ -84,26 +83,26 @@ fn restored(pipeline: &mut Pipeline, changes: &[u8]) {
 }
 
 fn read(mut pipeline: Pipeline, state: &[u8]) -> Option<Pipeline> {
-    let mut reader = Reader::new(state);
-    pipeline.exchange(&mut reader);
+    let mut reader = StateReader::new(state);
+    pipeline.visit_state(&mut reader);
     reader.is_complete().then_some(pipeline)
 }
 
 fn written(pipeline: &mut Pipeline) -> Vec<u8> {
     let mut bytes = vec![0; 4096];
-    let mut window = Window::new(&mut bytes, 0);
-    pipeline.exchange(&mut window);
+    let mut window = StateWriter::new(&mut bytes, 0);
+    pipeline.visit_state(&mut window);
     let length = window.length().expect("it goes into bytes");
     bytes.truncate(length);
     bytes
 }
 
-/// What an earlier run knew, as it lay in RAM.
+/// Knowledge of an earlier run, as kept in RAM.
 fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 36]) {
     let [w, x, y, z, tilt, p, q, r, bias] =
         std::array::from_fn(|place| f32::from_le_bytes(bytes.as_chunks().0[place]));
     let attitude = Quaternion::new(w, x, y, z);
-    // What the firmware keeps is what a filter had, and it looks whether what it finds is a rotation.
+    // The firmware keeps the state of a filter, and checks that the attitude is a rotation.
     let is_usual = [tilt, p, q, r, bias]
         .iter()
         .all(|number| number.abs() <= USUAL);
@@ -111,7 +110,7 @@ fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 36]) {
     if !is_usual || !is_rotation {
         return;
     }
-    pipeline.resume(&Known {
+    pipeline.resume(&WarmStart {
         attitude: attitude.normalize(),
         tilt_sigma_rad: tilt,
         bias_rad_s: Vector3::new(p, q, r),
@@ -127,7 +126,7 @@ fn burst(bytes: [u8; 14], captured_at_us: u64) -> Burst {
     }
 }
 
-fn check(snapshot: &Snapshot, pipeline: &Pipeline) {
+fn check(snapshot: &Snapshot) {
     let attitude = snapshot.attitude;
     let length = attitude.dot(attitude);
     assert!((length - 1.0).abs() < 1e-3, "{attitude:?}");
@@ -136,6 +135,6 @@ fn check(snapshot: &Snapshot, pipeline: &Pipeline) {
         rates.x.is_finite() && rates.y.is_finite() && rates.z.is_finite(),
         "{rates:?}"
     );
-    let variance = pipeline.tilt_variance_rad2(snapshot.t_us);
+    let variance = snapshot.tilt_variance_rad2;
     assert!(variance >= 0.0, "{variance}");
 }

@@ -1,22 +1,22 @@
-//! Any bytes in the calibration slots: what loads as a record is one that was saved whole.
+//! Random bytes in the calibration slots: a record that loads is one that was saved whole.
 //!
-//! Of the input, the first byte chooses how the rest is laid into a slot: as it is, or as the body of a record with a
-//! right header, so that the check of the CRC does not keep everything from the decoder. The header is put together
-//! here, apart from the library.
+//! The first byte selects the form of the rest: as it is, or as the body of a record. The harness
+//! adds a right header to a body, so that it reaches the decoder. It builds the header
+//! independently of the library.
 
-use aplomb::calibration::storage;
+use aplomb::settings::storage;
 use embedded_storage::nor_flash::{
     ErrorType, MultiwriteNorFlash, NorFlash, NorFlashErrorKind, ReadNorFlash,
 };
 
-/// The longest record, which is all of a slot that is ever read.
+/// Length of the longest record: the library reads no more of a slot.
 const SLOT: usize = storage::LONGEST_RECORD;
 
-/// Lays the bytes into the first slot and loads.
+/// Writes the bytes to the first slot and loads.
 ///
 /// # Panics
 ///
-/// When something is not as it should be.
+/// Panics if an invariant is violated.
 pub fn run(bytes: &[u8]) {
     let [layout, rest @ ..] = bytes else { return };
     let rest = &rest[..rest.len().min(SLOT - 16)];
@@ -33,7 +33,7 @@ pub fn run(bytes: &[u8]) {
         assert_eq!(loaded.problem.is_none(), is_blank);
         return;
     };
-    // There is one form for one record: saving this one again on blank flash gives the same bytes.
+    // Each record has exactly one encoding: saved to blank flash it gives the same bytes.
     let mut again = Memory([0xFF; 2 * SLOT]);
     storage::save(&mut again, &record).expect("what was read can be saved");
     let length = 16 + usize::from(u16::from_le_bytes([slot[6], slot[7]]));
@@ -57,7 +57,7 @@ pub fn image(version: u16, body: &[u8]) -> Vec<u8> {
     .concat()
 }
 
-/// Flash that does as it is told.
+/// Flash without faults.
 struct Memory([u8; 2 * SLOT]);
 
 impl ErrorType for Memory {

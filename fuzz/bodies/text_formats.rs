@@ -1,5 +1,5 @@
-//! Any bytes as what the module sends in text, as a teapot packet, and as a line of `bursts.csv`: what a decoder accepts
-//! is written again as the same numbers, and what an encoder writes is accepted.
+//! Random bytes as the module's text formats, as a teapot packet, and as a line of `bursts.csv`: an
+//! accepted input encodes to the same numbers, and every encoder's output is accepted.
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::health::Flags;
@@ -7,11 +7,12 @@ use aplomb::mpu6050::Burst;
 use aplomb::pipeline::Snapshot;
 use aplomb::telemetry::{bursts, classic, teapot, teleplot, text};
 
-/// Reads the bytes line by line in every format, and writes an attitude that is made of the first of them.
+/// Decodes the bytes line by line in every format, and encodes an attitude made of the first of
+/// them.
 ///
 /// # Panics
 ///
-/// When something is not as it should be.
+/// Panics if an invariant is violated.
 pub fn run(bytes: &[u8]) {
     for line in bytes.split(|byte| *byte == b'\n') {
         if let Ok(line) = std::str::from_utf8(line) {
@@ -57,7 +58,7 @@ fn read(line: &str) {
     }
 }
 
-/// An attitude of any numbers, in every format: each reads back, and they agree.
+/// Encodes an attitude of any numbers in every format: each is read back, and they agree.
 fn write(bytes: &[u8; 32]) {
     let words = bytes
         .as_chunks()
@@ -121,13 +122,14 @@ fn write(bytes: &[u8; 32]) {
     assert_eq!(bursts::decode(&line), Ok((burst, flags)));
 }
 
-/// A number as it was read, and as it was: two decimals, at most 99999.99 either way, and for angles 180° instead of −180°.
+/// Compares a decoded number with the original: two decimals, at most 99999.99 either way, and
+/// 180° instead of −180°.
 fn check(read: f32, said: f32) {
     if said.is_nan() {
         return assert!(read.is_nan(), "{read}");
     }
     let written = said.clamp(-99_999.99, 99_999.99);
-    // Half a hundredth, and what a number of this size is rounded by.
+    // Half a hundredth, and the rounding of a number of this size.
     let tolerance = 0.005_001 + written.abs() * f32::EPSILON;
     let is_half_turn = read == 180.0 && written < -179.99;
     assert!(
@@ -140,7 +142,7 @@ fn text_of(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("ASCII")
 }
 
-/// The numbers of a line in their order, so that those that are none are alike; −180° is 180°, and −0 is 0.
+/// Returns the numbers of a line, comparable: NaNs are equal, −180° is 180°, and −0 is 0.
 fn numbers_of(line: Result<text::Line, text::DecodeError>) -> [String; 7] {
     let line = line.expect("what is written is read");
     let angle = |degrees: f32| if degrees == -180.0 { 180.0 } else { degrees };
@@ -156,7 +158,7 @@ fn numbers_of(line: Result<text::Line, text::DecodeError>) -> [String; 7] {
     .map(|number| (number + 0.0).to_string())
 }
 
-/// With 0 for −0.
+/// Replaces −0 by 0.
 fn plain(angles: aplomb::estimator::ClassicAngles) -> aplomb::estimator::ClassicAngles {
     aplomb::estimator::ClassicAngles {
         roll_deg: angles.roll_deg + 0.0,

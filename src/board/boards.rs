@@ -14,7 +14,7 @@ mod blackpill_f411;
 mod nucleo_f411;
 #[cfg(feature = "board-nucleo-f446")]
 mod nucleo_f446;
-#[cfg(any(feature = "board-stm32f405", feature = "qemu"))]
+#[cfg(feature = "board-stm32f405")]
 mod stm32f405;
 
 #[cfg(feature = "board-blackpill-f401")]
@@ -25,7 +25,7 @@ pub use blackpill_f411::BOARD;
 pub use nucleo_f411::BOARD;
 #[cfg(feature = "board-nucleo-f446")]
 pub use nucleo_f446::BOARD;
-#[cfg(any(feature = "board-stm32f405", feature = "qemu"))]
+#[cfg(feature = "board-stm32f405")]
 pub use stm32f405::BOARD;
 
 /// One board.

@@ -22,7 +22,7 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
     } else {
         ClockSource::InternalOscillator
     };
-    #[cfg(not(any(feature = "board-stm32f405", feature = "qemu")))]
+    #[cfg(not(feature = "board-stm32f405"))]
     prepare_voltage();
     let config = match source {
         ClockSource::Crystal if BOARD.crystal_is_external_clock => {
@@ -40,7 +40,7 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
 /// Switches the power controller's clock on, without which [`voltage_is_ready`] never is, and selects the regulator's scale 1 on an
 /// STM32F411, which begins at scale 2, good for 84 MHz (RM0383, 5.4.1); the other chips begin with what their clock
 /// needs. The scale comes with the PLL, and can be selected before it is on: so before `freeze`.
-#[cfg(not(any(feature = "board-stm32f405", feature = "qemu")))]
+#[cfg(not(feature = "board-stm32f405"))]
 fn prepare_voltage() {
     enable(|rcc| {
         rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
@@ -55,7 +55,7 @@ fn prepare_voltage() {
 }
 
 /// Whether the regulator gives what the core needs with the PLL on. The STM32F405 alone keeps its scale while the PLL is off.
-#[cfg(not(any(feature = "board-stm32f405", feature = "qemu")))]
+#[cfg(not(feature = "board-stm32f405"))]
 fn voltage_is_ready() -> bool {
     // SAFETY: reading this register has no side effect.
     unsafe { &*stm32f4xx_hal::pac::PWR::ptr() }
@@ -109,7 +109,7 @@ pub fn restore() {
     });
     rcc.cr().modify(|_, w| w.pllon().set_bit());
     for _ in 0..PLL_READINGS {
-        #[cfg(not(any(feature = "board-stm32f405", feature = "qemu")))]
+        #[cfg(not(feature = "board-stm32f405"))]
         if !voltage_is_ready() {
             continue;
         }

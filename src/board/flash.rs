@@ -1,4 +1,4 @@
-//! The two calibration slots in on-chip flash, sectors 1 and 2, as NOR flash that `calibration::storage` writes.
+//! The two calibration slots in on-chip flash, sectors 1 and 2, as NOR flash that `settings::storage` writes.
 //!
 //! Registers and procedures are RM0090 (STM32F405), RM0368 (F401), RM0383 (F411) and RM0390 (F446), chapter 3 each, which agree.
 //! While a sector is erased or a word programmed, every fetch from flash waits, so the whole firmware stands

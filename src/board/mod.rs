@@ -12,17 +12,13 @@
 //! | telemetry (software task) | 1 | text and log, 50 times a second | none: it drops lines rather than wait |
 //! | idle | 0 | configures the sensor, and again after a fault | none |
 
+pub mod attitude_task;
 pub mod boards;
 pub mod burst_reader;
 pub mod clocks;
-#[cfg(feature = "firmware")]
 pub mod crash;
-#[cfg(feature = "firmware")]
 pub mod flash;
-#[cfg(feature = "qemu")]
-pub mod host_files;
-#[cfg(feature = "cost")]
-pub mod instruction_counter;
+pub mod handover;
 pub mod pins;
 pub mod publish;
 pub mod retained;
@@ -30,5 +26,4 @@ pub mod sensor;
 pub mod sensor_bus;
 pub mod timebase;
 pub mod uart;
-pub mod upkeep;
 pub mod watchdog;

@@ -1,8 +1,8 @@
-//! The latest snapshot, for every reader: the telemetry task, a debugger, the virtual board.
+//! The latest snapshot, for every reader: telemetry, a debugger, the virtual board.
 //!
-//! One writer, the attitude task. It counts `sequence` up last, so a reader of lower priority that
-//! finds the same count before and after its copy holds one whole snapshot. A debugger, which has to halt the core for that, finds it
-//! under the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0, the count at 40.
+//! The attitude task is the only writer. It increments `sequence` last, so a reader of lower priority that
+//! finds the same count before and after its copy holds one whole snapshot. A debugger, which halts the core, finds it
+//! under the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0, the count at 44.
 
 use core::mem::offset_of;
 use core::sync::atomic::{AtomicU32, Ordering, fence};
@@ -11,31 +11,34 @@ use crate::attitude::{Quaternion, Vector3};
 use crate::health::Flags;
 use crate::pipeline::Snapshot;
 
-/// The place that the snapshots are published in.
+/// Words of a snapshot.
+const WORDS: usize = 11;
+
 #[repr(C)]
-pub struct Published {
+struct Published {
     /// The snapshot, word by word.
-    snapshot: [AtomicU32; size_of::<Snapshot>() / 4],
+    words: [AtomicU32; WORDS],
     sequence: AtomicU32,
 }
 
-const _: () = assert!(offset_of!(Published, sequence) == 40);
+const _: () = assert!(offset_of!(Published, sequence) == 44);
 // The order of the words below.
 const _: () = assert!(offset_of!(Snapshot, attitude) == 8 && offset_of!(Quaternion, z) == 12);
 const _: () = assert!(offset_of!(Snapshot, body_rates_rad_s) == 24 && offset_of!(Vector3, z) == 8);
+const _: () = assert!(offset_of!(Snapshot, tilt_variance_rad2) == 4 * (WORDS - 1));
 
 /// Zero until the first publication.
 #[unsafe(no_mangle)]
 static APLOMB_SNAPSHOT: Published = Published {
-    snapshot: [const { AtomicU32::new(0) }; size_of::<Snapshot>() / 4],
+    words: [const { AtomicU32::new(0) }; WORDS],
     sequence: AtomicU32::new(0),
 };
 
-/// Publishes a snapshot; the variance of its tilt is shown before it, by `retained`. Only the attitude task calls this.
+/// Publishes a snapshot. Only the attitude task calls this.
 #[inline(always)]
 pub fn publish(snapshot: &Snapshot) {
     let (q, rates) = (&snapshot.attitude, &snapshot.body_rates_rad_s);
-    let [low, high, qw, qx, qy, qz, p_rate, q_rate, r_rate, flags] = &APLOMB_SNAPSHOT.snapshot;
+    let [low, high, qw, qx, qy, qz, p, q_rate, r, flags, variance] = &APLOMB_SNAPSHOT.words;
     let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);
     store(low, snapshot.t_us as u32);
     store(high, (snapshot.t_us >> 32) as u32);
@@ -43,24 +46,18 @@ pub fn publish(snapshot: &Snapshot) {
     store(qx, q.x.to_bits());
     store(qy, q.y.to_bits());
     store(qz, q.z.to_bits());
-    store(p_rate, rates.x.to_bits());
+    store(p, rates.x.to_bits());
     store(q_rate, rates.y.to_bits());
-    store(r_rate, rates.z.to_bits());
+    store(r, rates.z.to_bits());
     store(flags, snapshot.flags.bits());
+    store(variance, snapshot.tilt_variance_rad2.to_bits());
     let sequence = APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed);
     APLOMB_SNAPSHOT
         .sequence
         .store(sequence.wrapping_add(1), Ordering::Release);
 }
 
-/// The attitude of the latest snapshot. Only the attitude task calls this.
-pub fn attitude() -> Quaternion {
-    let [_, _, w, x, y, z, ..] = &APLOMB_SNAPSHOT.snapshot;
-    let number = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
-    Quaternion::new(number(w), number(x), number(y), number(z))
-}
-
-/// The latest snapshot and its number, or nothing before the first. For tasks of lower priority than the writer.
+/// The latest snapshot and its number; `None` before the first. For tasks of lower priority than the writer.
 pub fn latest() -> Option<(Snapshot, u32)> {
     loop {
         let before = APLOMB_SNAPSHOT.sequence.load(Ordering::Acquire);
@@ -68,10 +65,10 @@ pub fn latest() -> Option<(Snapshot, u32)> {
             return None;
         }
         let words = APLOMB_SNAPSHOT
-            .snapshot
+            .words
             .each_ref()
             .map(|word| word.load(Ordering::Relaxed));
-        // The copy comes before the count is looked at again.
+        // The copy is complete before the count is read again.
         fence(Ordering::Acquire);
         if APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed) == before {
             return Some((snapshot_of(words), before));
@@ -79,13 +76,14 @@ pub fn latest() -> Option<(Snapshot, u32)> {
     }
 }
 
-fn snapshot_of(words: [u32; size_of::<Snapshot>() / 4]) -> Snapshot {
-    let [low, high, numbers @ .., flags] = words;
+fn snapshot_of(words: [u32; WORDS]) -> Snapshot {
+    let [low, high, numbers @ .., flags, variance] = words;
     let [w, x, y, z, p, q, r] = numbers.map(f32::from_bits);
     Snapshot {
         t_us: u64::from(high) << 32 | u64::from(low),
         attitude: Quaternion::new(w, x, y, z),
         body_rates_rad_s: Vector3::new(p, q, r),
-        flags: Flags::from_bits(flags),
+        flags: Flags::from_bits_truncate(flags),
+        tilt_variance_rad2: f32::from_bits(variance),
     }
 }

@@ -1,4 +1,4 @@
-//! What outlives a reset: the counters of faults, the cause of the last reset, and what the filter knew.
+//! What outlives a reset: the fault counters, the cause of the last reset, and the state for a warm start.
 //!
 //! It lies in RAM that start-up does not clear (`.uninit`). A check word says whether it is from an
 //! earlier run or what RAM holds by chance after power came. A debugger finds the first part under the
@@ -9,15 +9,13 @@ use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 use stm32f4xx_hal::pac::{RCC, rcc};
 
 use crate::attitude::{Quaternion, Vector3};
-use crate::estimator::kalman::Known;
+use crate::estimator::kalman::{PAUSE_RATE_RAD_S, WarmStart};
 use crate::fault::{FaultClass, ResetCause, report};
-use crate::health::UNSEEN_RATE_RAD_S;
 
 /// The counters and what goes with them, as `fault::report` says.
 #[repr(C)]
 struct Report {
     version: AtomicU32,
-    tilt_variance: AtomicU32,
     reset_cause: AtomicU32,
     last_fault: AtomicU32,
     starts: AtomicU32,
@@ -26,7 +24,6 @@ struct Report {
     check: AtomicU32,
 }
 
-const _: () = assert!(core::mem::offset_of!(Report, tilt_variance) == report::TILT_VARIANCE);
 const _: () = assert!(core::mem::offset_of!(Report, reset_cause) == report::RESET_CAUSE);
 const _: () = assert!(core::mem::offset_of!(Report, last_fault) == report::LAST_FAULT);
 const _: () = assert!(core::mem::offset_of!(Report, starts) == report::STARTS);
@@ -39,7 +36,6 @@ const _: () = assert!(core::mem::offset_of!(Report, check) == report::LENGTH);
 #[unsafe(link_section = ".uninit.APLOMB_HEALTH")]
 static APLOMB_HEALTH: Report = Report {
     version: AtomicU32::new(0),
-    tilt_variance: AtomicU32::new(0),
     reset_cause: AtomicU32::new(0),
     last_fault: AtomicU32::new(0),
     starts: AtomicU32::new(0),
@@ -51,10 +47,10 @@ static APLOMB_HEALTH: Report = Report {
 /// Changes with the layout, so that another version's report is not taken for this one's.
 const CHECK: u32 = 0x4150_4C4D ^ (report::LENGTH as u32) << 8;
 
-/// What the filter knew, in two copies that are written in turn: a reset in the middle of one leaves
+/// State for a warm start, in two copies that are written in turn: a reset while one is written leaves
 /// the other.
-#[unsafe(link_section = ".uninit.APLOMB_KNOWN")]
-static KNOWN: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LENGTH]) }; 2];
+#[unsafe(link_section = ".uninit.APLOMB_WARM_STARTS")]
+static WARM_STARTS: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LENGTH]) }; 2];
 
 /// Which copy was written last.
 static NEWEST: AtomicU8 = AtomicU8::new(0);
@@ -70,7 +66,7 @@ const LENGTH: usize = NUMBERS + 2;
 const USUAL_AGE_S: f32 = 0.5;
 
 /// σ of the turn about one axis in that time, rad.
-const UNSEEN_RAD: f32 = UNSEEN_RATE_RAD_S * USUAL_AGE_S;
+const UNSEEN_RAD: f32 = PAUSE_RATE_RAD_S * USUAL_AGE_S;
 
 /// How much a bias is trusted after a reset, at least, in rad/s: 0.2 °/s.
 const BIAS_SIGMA_RAD_S: f32 = 3.5e-3;
@@ -86,8 +82,8 @@ pub struct Start {
     pub starts: u32,
     /// Where it crashed, if it did.
     pub crash_address: u32,
-    /// What the filter knew, if RAM has outlived the reset and it was a reset in flight.
-    pub known: Option<Known>,
+    /// State to continue from, if RAM has outlived the reset and the reset came in flight.
+    pub warm_start: Option<WarmStart>,
 }
 
 /// Reads the cause of the reset and what is left of the run before. Once, in init, before any interrupt.
@@ -116,15 +112,12 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
         for counter in &report.counters {
             counter.store(0, Ordering::Relaxed);
         }
-        for copy in &KNOWN {
-            copy.spoil();
+        for copy in &WARM_STARTS {
+            copy.invalidate();
         }
         report.check.store(CHECK, Ordering::Relaxed);
     }
     report.version.store(report::VERSION, Ordering::Relaxed);
-    report
-        .tilt_variance
-        .store(f32::INFINITY.to_bits(), Ordering::Relaxed);
     report.reset_cause.store(cause as u32, Ordering::Relaxed);
     let starts = report.starts.load(Ordering::Relaxed).wrapping_add(1);
     report.starts.store(starts, Ordering::Relaxed);
@@ -132,19 +125,20 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     if cause == ResetCause::Watchdog {
         count(FaultClass::Watchdog);
     }
-    let known = (is_kept && cause.is_warm())
-        .then(|| KNOWN.iter().filter_map(Words::read).max_by_key(|(n, _)| *n))
-        .flatten()
-        .map(|(_, known)| known);
-    for copy in &KNOWN {
-        copy.spoil();
+    let copies = WARM_STARTS.iter().filter_map(Words::read);
+    let warm_start = copies
+        .max_by_key(|(number, _)| *number)
+        .filter(|_| is_kept && cause.is_warm())
+        .map(|(_, start)| start);
+    for copy in &WARM_STARTS {
+        copy.invalidate();
     }
     Start {
         cause,
         last_fault,
         starts,
         crash_address: report.crash_address.swap(0, Ordering::Relaxed),
-        known,
+        warm_start,
     }
 }
 
@@ -175,31 +169,23 @@ pub fn note_crash(class: FaultClass, address: u32) {
         .store(address, Ordering::Relaxed);
 }
 
-/// Shows the variance of the tilt of the snapshot that is published next, rad².
-#[inline(always)]
-pub fn show_variance(tilt_variance: f32) {
-    APLOMB_HEALTH
-        .tilt_variance
-        .store(tilt_variance.to_bits(), Ordering::Relaxed);
-}
-
-/// Keeps what the filter knows for a start after a reset. Only the attitude task calls this.
+/// Keeps the state for a start after a reset. Only the attitude task calls this.
 #[inline(never)]
-pub fn keep(known: &Known) {
+pub fn keep(start: &WarmStart) {
     let newest = NEWEST.load(Ordering::Relaxed);
     let next = newest ^ 1;
     let number = copy(newest).number().wrapping_add(1);
-    copy(next).write(number, known);
+    copy(next).write(number, start);
     NEWEST.store(next, Ordering::Relaxed);
 }
 
 /// The copy of this number, 0 or 1.
 fn copy(number: u8) -> &'static Words {
-    &KNOWN[usize::from(number & 1)]
+    &WARM_STARTS[usize::from(number & 1)]
 }
 
 impl Words {
-    fn spoil(&self) {
+    fn invalidate(&self) {
         let [.., sum] = &self.0;
         sum.store(!self.sum(), Ordering::Relaxed);
     }
@@ -216,13 +202,13 @@ impl Words {
         })
     }
 
-    fn write(&self, number: u32, known: &Known) {
-        let Known {
+    fn write(&self, number: u32, start: &WarmStart) {
+        let WarmStart {
             attitude: q,
             tilt_sigma_rad,
             bias_rad_s: b,
             bias_sigma_rad_s,
-        } = known;
+        } = start;
         // Until its sum is there, too, a copy that is half written fails its check.
         let [pw, px, py, pz, pbx, pby, pbz, tilt, bias, place, _] = &self.0;
         let store = |place: &AtomicU32, value: f32| place.store(value.to_bits(), Ordering::Relaxed);
@@ -241,23 +227,23 @@ impl Words {
     }
 
     /// The number and the contents, with the σ that they have by now.
-    fn read(&self) -> Option<(u32, Known)> {
+    fn read(&self) -> Option<(u32, WarmStart)> {
         let [.., sum] = &self.0;
         if sum.load(Ordering::Acquire) != self.sum() {
             return None;
         }
         let [w, x, y, z, bx, by, bz, tilt, bias, number, _] = &self.0;
         let float = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
-        let known = Known {
+        let start = WarmStart {
             attitude: Quaternion::new(float(w), float(x), float(y), float(z)),
             // About both axes together, and independent of the σ that was kept.
             tilt_sigma_rad: libm::sqrtf(float(tilt) * float(tilt) + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
             bias_rad_s: Vector3::new(float(bx), float(by), float(bz)),
             bias_sigma_rad_s: float(bias).max(BIAS_SIGMA_RAD_S),
         };
-        let q = known.attitude;
+        let q = start.attitude;
         let is_rotation = (q.dot(q) - 1.0).abs() < 0.01;
-        is_rotation.then(|| (number.load(Ordering::Relaxed), known))
+        is_rotation.then(|| (number.load(Ordering::Relaxed), start))
     }
 }
 

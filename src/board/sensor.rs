@@ -32,7 +32,7 @@ pub struct Ready {
 }
 
 /// Why there is no sensor.
-#[derive(Clone, Copy, PartialEq, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum NotReady {
     /// A line of its bus is low.
     BusHeldLow(BusHeldLow),
@@ -107,7 +107,7 @@ impl Sensor {
     pub fn test(&mut self) -> Result<SelfTest, NotReady> {
         self.is_known = false;
         self.bus.recover().map_err(NotReady::BusHeldLow)?;
-        Mpu6050::look(&mut self.bus)
+        Mpu6050::probe_once(&mut self.bus)
             .map_err(|failure| NotReady::Sensor(failure.error))?
             .self_test(&mut Delay)
             .map_err(NotReady::Sensor)
@@ -120,10 +120,12 @@ impl Sensor {
 
     fn attempt(&mut self) -> Result<Ready, NotReady> {
         self.bus.recover().map_err(NotReady::BusHeldLow)?;
-        let mut sensor =
-            Mpu6050::look(&mut self.bus).map_err(|failure| NotReady::Sensor(failure.error))?;
+        let mut sensor = Mpu6050::probe_once(&mut self.bus)
+            .map_err(|failure| NotReady::Sensor(failure.error))?;
         if self.is_known {
-            let condition = sensor.inspect(&self.config).map_err(NotReady::Sensor)?;
+            let condition = sensor
+                .verify_config(&self.config)
+                .map_err(NotReady::Sensor)?;
             let was_reset = condition != Condition::Intact;
             match condition {
                 Condition::Intact => {}
@@ -133,7 +135,7 @@ impl Sensor {
             if was_reset {
                 burst_reader::note_sensor_reset();
                 sensor
-                    .configure_again(&self.config, &mut Delay)
+                    .reconfigure(&self.config, &mut Delay)
                     .map_err(NotReady::Sensor)?;
             }
         } else {

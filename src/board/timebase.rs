@@ -4,7 +4,8 @@
 //! - Channel 1's compare is the burst reader's alarm: a burst that does not end, or an edge that does not come.
 //! - Channel 3's compare paces the telemetry.
 //! - Channel 4's compare wakes the idle task from a delay.
-//! - The update interrupt extends the count to 64 bits.
+//!
+//! Each interrupt extends the count to 64 bits, at least 50 times a second.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -54,24 +55,17 @@ impl Timebase {
         timer.ccr1().write(|w| w.ccr().set(u32::MAX));
         timer.egr().write(|w| w.ug().set_bit());
         timer.sr().reset();
-        timer.dier().write(|w| {
-            w.uie()
-                .set_bit()
-                .cc1ie()
-                .set_bit()
-                .cc3ie()
-                .set_bit()
-                .cc4ie()
-                .set_bit()
-        });
+        timer
+            .dier()
+            .write(|w| w.cc1ie().set_bit().cc3ie().set_bit().cc4ie().set_bit());
         timer.cr1().write(|w| w.cen().set_bit());
         // From wherever the count begins, so that tests may begin it just before it wraps.
-        let first = (timer.cnt().read().cnt().bits())
-            .wrapping_add(TELEMETRY_PERIOD_US.load(Ordering::Relaxed));
+        let count = timer.cnt().read().cnt().bits();
+        let first = count.wrapping_add(TELEMETRY_PERIOD_US.load(Ordering::Relaxed));
         timer.ccr3().write(|w| w.ccr().set(first));
         Self {
             timer,
-            extender: CounterExtender::new(),
+            extender: CounterExtender::new(count),
         }
     }
 
@@ -80,13 +74,10 @@ impl Timebase {
         self.timer.ccr2().read().ccr().bits()
     }
 
-    /// A captured count as microseconds since boot.
+    /// A recent count as microseconds since boot.
     #[inline(always)]
-    pub fn extend_capture(&self, captured: u32) -> u64 {
-        let now = self.timer.cnt().read().cnt().bits();
-        let overflow_pending = self.timer.sr().read().uif().bit_is_set();
-        self.extender
-            .extend_capture(captured, now, overflow_pending)
+    pub fn extend(&mut self, count: u32) -> u64 {
+        self.extender.extend(count)
     }
 
     /// Serves the interrupt.
@@ -94,12 +85,10 @@ impl Timebase {
         let status = self.timer.sr().read();
         // SAFETY: the flags are cleared by writing zero, and ones leave them alone (RM0090, 18.4.5).
         self.timer.sr().write(|w| unsafe { w.bits(!status.bits()) });
-        if status.uif().bit_is_set() {
-            self.extender.overflow();
-        }
+        let now = self.timer.cnt().read().cnt().bits();
+        self.extender.extend(now);
         let mut is_burst_alarm = status.cc1if().bit_is_set();
         if status.cc3if().bit_is_set() {
-            let now = self.timer.cnt().read().cnt().bits();
             let due = self.timer.ccr3().read().ccr().bits();
             let period_us = TELEMETRY_PERIOD_US.load(Ordering::Relaxed);
             let next = due.wrapping_add(period_us);

@@ -1,18 +1,34 @@
-//! How the chip sits in the vehicle: one of the 24 ways to lay three axes along three others.
+//! Mounts: how the chip sits in the vehicle, one of the 24 ways to lay three axes along three
+//! others.
 //!
-//! A mount names where the body's forward and down axes point in sensor axes, in that order:
-//! `+x-z` says that forward is the sensor's +X and down is its −Z, which is a chip lying face up.
-//! The right axis follows, so a mount is always a proper rotation.
+//! The name of a mount gives the sensor axes along which the body's forward and down axes point, in
+//! that order: `+x-z` has forward along the sensor's +X and down along its −Z, a chip that lies
+//! face up. The right axis follows, so that a mount is always a proper rotation.
 
+use core::fmt;
+use core::str::FromStr;
+
+use super::axis::{Axis, SignedAxis};
 use crate::attitude::Vector3;
-use crate::state::Exchange;
+use crate::serialize::StateVisitor;
 
-/// A mounting, sensor axes to body axes. The default is [`Z_UP`](Self::Z_UP).
+/// Rotation from sensor axes to body axes, one of 24. The default is [`Z_UP`](Self::Z_UP).
+///
+/// ```
+/// use aplomb::attitude::Vector3;
+/// use aplomb::calibration::Mount;
+///
+/// let mount: Mount = "+y-z".parse()?;
+/// // Forward is the sensor's Y, down its −Z, so right is the sensor's X.
+/// let body = mount.to_body(Vector3::new(1.0, 2.0, 3.0));
+/// assert_eq!(body, Vector3::new(2.0, 1.0, -3.0));
+/// # Ok::<(), aplomb::calibration::ParseMountError>(())
+/// ```
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mount {
-    forward: Direction,
-    right: Direction,
-    down: Direction,
+    forward: SignedAxis,
+    right: SignedAxis,
+    down: SignedAxis,
 }
 
 /// The 24 names, in the order of [`Mount::ALL`].
@@ -23,41 +39,36 @@ const NAMES: [&str; 24] = [
 
 impl Mount {
     /// Chip face up, X forward (`+x-z`): body = (x, −y, −z).
-    pub const Z_UP: Self = Self::from_axes(
-        Direction::new(Axis::X, false),
-        Direction::new(Axis::Z, true),
-    );
+    pub const Z_UP: Self = Self::from_axes(Axis::X.positive(), Axis::Z.negative());
 
     /// Chip face down, X forward (`+x+z`): body = sensor. The classic mounting.
-    pub const Z_DOWN: Self = Self::from_axes(
-        Direction::new(Axis::X, false),
-        Direction::new(Axis::Z, false),
-    );
+    pub const Z_DOWN: Self = Self::from_axes(Axis::X.positive(), Axis::Z.positive());
 
-    /// Every mount.
+    /// Every mount. A stored state holds the index in this array.
     pub const ALL: [Self; 24] = {
         let mut all = [Self::Z_UP; 24];
         let mut index = 0;
         while index < all.len() {
             all[index] = match Self::parse(NAMES[index]) {
                 Some(mount) => mount,
-                None => panic!("a name in the table is not one"),
+                None => panic!("every name in the table is a mount"),
             };
             index += 1;
         }
         all
     };
 
-    /// The mount of this name, for instance `+x-z`, or an alias: `z-up`, `z-down`.
+    /// Parses a name such as `+x-z`, or an alias: `z-up`, `z-down`.
     ///
-    /// Works in constants, so a firmware's mount can come from its environment at compile time.
+    /// Works in constants, so that a firmware's mount can come from its environment at compile
+    /// time. At run time `str::parse` gives an error with the reason.
     pub const fn parse(name: &str) -> Option<Self> {
         match name.as_bytes() {
             b"z-up" => Some(Self::Z_UP),
             b"z-down" => Some(Self::Z_DOWN),
             &[forward_sign, forward_axis, down_sign, down_axis] => {
-                let forward = Direction::parse(forward_sign, forward_axis);
-                let down = Direction::parse(down_sign, down_axis);
+                let forward = SignedAxis::parse(forward_sign, forward_axis);
+                let down = SignedAxis::parse(down_sign, down_axis);
                 match (forward, down) {
                     (Some(forward), Some(down)) if forward.axis as u8 != down.axis as u8 => {
                         Some(Self::from_axes(forward, down))
@@ -69,7 +80,7 @@ impl Mount {
         }
     }
 
-    /// The name, without aliases.
+    /// Returns the name, never an alias.
     pub fn name(self) -> &'static str {
         NAMES
             .into_iter()
@@ -78,38 +89,38 @@ impl Mount {
             .unwrap_or("+x-z")
     }
 
-    /// Is shown to `state`, or set by it.
-    pub fn exchange(&mut self, state: &mut impl Exchange) {
+    /// Visits every field.
+    pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         let mount = *self;
         let mut index = Self::ALL
             .iter()
             .position(|known| *known == mount)
             .unwrap_or(0);
-        state.index(&mut index, Self::ALL.len());
+        visitor.index(&mut index, Self::ALL.len());
         if let Some(mount) = Self::ALL.get(index) {
             *self = *mount;
         }
     }
 
-    /// Turns a vector in sensor axes into body axes.
+    /// Rotates a vector from sensor axes to body axes.
     #[inline]
     pub fn to_body(self, sensor: Vector3) -> Vector3 {
         Vector3::new(
-            self.forward.of(sensor),
-            self.right.of(sensor),
-            self.down.of(sensor),
+            self.forward.component(sensor),
+            self.right.component(sensor),
+            self.down.component(sensor),
         )
     }
 
-    /// Turns a vector in body axes into sensor axes.
+    /// Rotates a vector from body axes to sensor axes.
     pub fn to_sensor(self, body: Vector3) -> Vector3 {
         self.forward.unit().scale(body.x)
             + self.right.unit().scale(body.y)
             + self.down.unit().scale(body.z)
     }
 
-    /// Completes the two axes of a name; they are never parallel.
-    const fn from_axes(forward: Direction, down: Direction) -> Self {
+    /// Completes two perpendicular axes to a mount.
+    const fn from_axes(forward: SignedAxis, down: SignedAxis) -> Self {
         // right = down × forward. Cyclic neighbours (x y, y z, z x) multiply to plus the third.
         let (axis, is_cyclic) = match (down.axis, forward.axis) {
             (Axis::Y, Axis::Z) => (Axis::X, true),
@@ -122,7 +133,7 @@ impl Mount {
         let is_negative = (down.is_negative != forward.is_negative) == is_cyclic;
         Self {
             forward,
-            right: Direction::new(axis, is_negative),
+            right: SignedAxis::new(axis, is_negative),
             down,
         }
     }
@@ -134,14 +145,23 @@ impl Default for Mount {
     }
 }
 
-impl core::fmt::Debug for Mount {
-    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+impl FromStr for Mount {
+    type Err = ParseMountError;
+
+    /// Parses a name such as `+x-z`, or an alias: `z-up`, `z-down`.
+    fn from_str(name: &str) -> Result<Self, ParseMountError> {
+        Self::parse(name).ok_or(ParseMountError(()))
+    }
+}
+
+impl fmt::Debug for Mount {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "Mount({})", self.name())
     }
 }
 
-impl core::fmt::Display for Mount {
-    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+impl fmt::Display for Mount {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.pad(self.name())
     }
 }
@@ -153,89 +173,21 @@ impl defmt::Format for Mount {
     }
 }
 
-/// A signed sensor axis.
-#[derive(Clone, Copy, PartialEq, Eq)]
-struct Direction {
-    axis: Axis,
-    is_negative: bool,
-}
-
-/// An axis of the sensor.
+/// Text that names no [`Mount`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Axis {
-    /// Printed as an arrow on many boards.
-    X,
-    /// Across it.
-    Y,
-    /// Out of the chip's face.
-    Z,
-}
+pub struct ParseMountError(());
 
-impl Axis {
-    /// All of them, in order.
-    pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
-
-    /// Its letter.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::X => "x",
-            Self::Y => "y",
-            Self::Z => "z",
-        }
+impl fmt::Display for ParseMountError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(
+            "a mount is the sensor's axes that point forward and down, such as +x-z, or z-up or \
+             z-down",
+        )
     }
 }
 
-impl core::fmt::Display for Axis {
-    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        formatter.pad(self.name())
-    }
-}
-
-impl Direction {
-    const fn new(axis: Axis, is_negative: bool) -> Self {
-        Self { axis, is_negative }
-    }
-
-    const fn parse(sign: u8, axis: u8) -> Option<Self> {
-        let is_negative = match sign {
-            b'+' => false,
-            b'-' => true,
-            _ => return None,
-        };
-        let axis = match axis {
-            b'x' => Axis::X,
-            b'y' => Axis::Y,
-            b'z' => Axis::Z,
-            _ => return None,
-        };
-        Some(Self::new(axis, is_negative))
-    }
-
-    /// The component of a sensor vector along this direction.
-    #[inline]
-    fn of(self, sensor: Vector3) -> f32 {
-        let component = match self.axis {
-            Axis::X => sensor.x,
-            Axis::Y => sensor.y,
-            Axis::Z => sensor.z,
-        };
-        if self.is_negative {
-            -component
-        } else {
-            component
-        }
-    }
-
-    fn unit(self) -> Vector3 {
-        let length = if self.is_negative { -1.0 } else { 1.0 };
-        match self.axis {
-            Axis::X => Vector3::new(length, 0.0, 0.0),
-            Axis::Y => Vector3::new(0.0, length, 0.0),
-            Axis::Z => Vector3::new(0.0, 0.0, length),
-        }
-    }
-}
+impl core::error::Error for ParseMountError {}
 
 #[cfg(test)]
 mod tests {
@@ -252,7 +204,7 @@ mod tests {
         assert_eq!(Mount::Z_DOWN.to_body(v), v);
         assert_eq!(Mount::default(), Mount::Z_UP);
         assert_eq!(Mount::parse("z-up"), Some(Mount::Z_UP));
-        assert_eq!(Mount::parse("z-down"), Some(Mount::Z_DOWN));
+        assert_eq!("z-down".parse(), Ok(Mount::Z_DOWN));
         assert_eq!(Mount::parse("+x-z"), Some(Mount::Z_UP));
         assert_eq!(Mount::parse("+x+z"), Some(Mount::Z_DOWN));
         // Parsing happens in constants.
@@ -287,7 +239,7 @@ mod tests {
     fn there_are_24_distinct_proper_rotations() {
         for (index, mount) in Mount::ALL.into_iter().enumerate() {
             assert_eq!(Mount::ALL.iter().position(|m| *m == mount), Some(index));
-            assert_eq!(Mount::parse(mount.name()), Some(mount));
+            assert_eq!(mount.to_string().parse(), Ok(mount));
             let [x, y, z] = [X, Y, Z].map(|axis| mount.to_body(axis));
             assert_eq!(x.cross(y).dot(z), 1.0, "{mount}");
             for axis in [X, Y, Z] {
@@ -303,6 +255,8 @@ mod tests {
             "+x*z", "z-UP", "+x-y+z",
         ] {
             assert_eq!(Mount::parse(name), None, "{name}");
+            let error = name.parse::<Mount>().expect_err(name);
+            assert!(error.to_string().contains("such as +x-z"), "{error}");
         }
     }
 }

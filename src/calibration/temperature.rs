@@ -1,75 +1,72 @@
-//! The gyroscope's offset over temperature: a parabola, learned from points at rest.
+//! Temperature fit: the gyroscope's offset over the die temperature, a parabola through points at
+//! rest.
 //!
-//! Each point (die temperature, offset) is a measurement of offset + slope·t + curvature·t²; a learner keeps the normal
-//! equations of the least squares, which do not grow with the points. What a chip may have by the datasheet goes in as a prior, so
-//! that few points make a flat line and not a wild one. The model is given out only where it says something: its own
-//! σ, at the ends of the range that it will be used in, has to be small.
+//! Each point (die temperature, offset) measures offset + slope·t + curvature·t². A learner
+//! keeps the normal equations of the least squares, which do not grow with the points. The
+//! datasheet's limits are the prior, so that few points give a flat line and not a wild one. The
+//! learner gives a model only where its own σ is small at both ends of the range it will be used
+//! in.
+//!
+//! ```
+//! use aplomb::attitude::Vector3;
+//! use aplomb::calibration::temperature::TemperatureLearner;
+//!
+//! let mut learner = TemperatureLearner::new();
+//! for step in 0..40_u8 {
+//!     // A warm-up from 20 °C; the X axis drifts by 0.001 rad/s per °C.
+//!     let celsius = 20.0 + 0.5 * f32::from(step);
+//!     let offset_rad_s = Vector3::new(0.001 * (celsius - 20.0), 0.0, 0.0);
+//!     learner.add(celsius, offset_rad_s, 0.0001);
+//! }
+//! let model = learner.fit()?;
+//! let (offset, weight) = model.offset_at(30.0);
+//! assert!((offset.x - 0.01).abs() < 0.0002 && weight == 1.0);
+//! # Ok::<(), aplomb::calibration::temperature::InsufficientData>(())
+//! ```
 
 use core::fmt;
+use core::ops::RangeInclusive;
 
-use super::TemperatureModel;
+use super::matrix::SymmetricMatrix;
+use super::model::{TRUSTED_BEYOND_CELSIUS, TemperatureModel};
 use crate::attitude::Vector3;
 use crate::units::radians;
 
-/// Outside of what was seen, the model holds so far, °C.
-pub const TRUSTED_BEYOND_CELSIUS: f32 = 5.0;
-/// From there on it is worth less and less, down to nothing at this distance from what was seen, °C.
-const FADED_BEYOND_CELSIUS: f32 = 15.0;
-
-/// Points closer than this in temperature are one, °C, so that an hour at one temperature does not outweigh a warm-up.
+/// Distance in temperature below which measurements are one point, °C, so that an hour at one
+/// temperature does not outweigh a warm-up.
 const POINT_CELSIUS: f32 = 0.5;
-/// σ of an offset beyond its noise, rad/s: it is not the same from day to day, nor in every pose
+/// σ of an offset beyond its noise, rad/s: it changes from day to day and with the pose
 /// (0.1 °/s per g, product specification §6.1).
 const POINT_SIGMA_RAD_S: f32 = radians(0.03);
-/// What a chip may have before anything was seen, σ: ±20 °/s over −40 to 85 °C (ibidem) is 0.16 °/s per °C at most.
+/// Prior σ of the slope, rad/s per °C: ±20 °/s over −40 to 85 °C (ibidem) is 0.16 °/s per
+/// °C at most.
 const SLOPE_SIGMA: f32 = radians(0.1);
-/// And so much of that may be curvature, rad/s per °C².
+/// Prior σ of the curvature, rad/s per °C².
 const CURVATURE_SIGMA: f32 = radians(0.002);
-/// A model that is less sure than this at the ends of its range is none, rad/s.
+/// Largest σ of a useful model at the ends of its range, rad/s.
 const USEFUL_SIGMA_RAD_S: f32 = radians(0.15);
+/// Unit of temperature in the equations, °C, which keeps their numbers near one.
+const UNIT_CELSIUS: f32 = 10.0;
 
-impl TemperatureModel {
-    /// The offset at this die temperature, rad/s in sensor axes, and how much that is worth: 1 within the range that was
-    /// seen and 5 °C beyond, falling to 0 at 15 °C beyond. Past the 5 °C the offset stays what it is there.
-    pub fn offset_at(&self, celsius: f32) -> (Vector3, f32) {
-        let beyond = (celsius - self.warmest_celsius)
-            .max(self.coldest_celsius - celsius)
-            .max(0.0);
-        let faded =
-            (beyond - TRUSTED_BEYOND_CELSIUS) / (FADED_BEYOND_CELSIUS - TRUSTED_BEYOND_CELSIUS);
-        if !(celsius.is_finite() && faded.is_finite()) {
-            return (self.offset_rad_s, 0.0);
-        }
-        let held = celsius
-            .max(self.coldest_celsius - TRUSTED_BEYOND_CELSIUS)
-            .min(self.warmest_celsius + TRUSTED_BEYOND_CELSIUS);
-        let t = held - self.reference_celsius;
-        let offset = self.offset_rad_s
-            + self.slope_rad_s_per_celsius.scale(t)
-            + self.curvature_rad_s_per_celsius2.scale(t * t);
-        (offset, (1.0 - faded).clamp(0.0, 1.0))
-    }
-}
-
-/// Learns a [`TemperatureModel`].
+/// Accumulates measurements at rest and fits a [`TemperatureModel`] to them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TemperatureLearner {
+    /// Temperature of the first point, °C.
     reference_celsius: Option<f32>,
-    /// Σw, Σwt, Σwt², Σwt³, Σwt⁴ with t in units of [`UNIT_CELSIUS`] from the reference.
+    /// Σw, Σwt, Σwt², Σwt³, Σwt⁴ with t in units of `UNIT_CELSIUS` from the reference.
     moments: [f32; 5],
     /// Σw·offset, Σwt·offset, Σwt²·offset.
     sums: [Vector3; 3],
     coldest_celsius: f32,
     warmest_celsius: f32,
+    /// Point that still takes measurements.
     open: Point,
+    /// Closed points.
     points: u16,
 }
 
-/// The unit of temperature in the equations, which keeps their numbers near one, °C.
-const UNIT_CELSIUS: f32 = 10.0;
-
-/// Readings at about one temperature, with their weights.
+/// Weighted mean of measurements at about one temperature.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Point {
@@ -85,7 +82,7 @@ impl Default for TemperatureLearner {
 }
 
 impl TemperatureLearner {
-    /// A learner that has seen nothing.
+    /// Creates a learner without measurements.
     pub const fn new() -> Self {
         Self {
             reference_celsius: None,
@@ -102,7 +99,7 @@ impl TemperatureLearner {
         }
     }
 
-    /// A learner that goes on where a stored model stands: with three points of its curve.
+    /// Creates a learner that continues from a stored model: with three points of its curve.
     pub fn from_model(model: &TemperatureModel) -> Self {
         let mut learner = Self::new();
         let middle = 0.5 * (model.coldest_celsius + model.warmest_celsius);
@@ -112,8 +109,8 @@ impl TemperatureLearner {
         learner
     }
 
-    /// Takes an offset that was measured at rest (rad/s in sensor axes) with its σ and the die temperature.
-    /// What is not finite is ignored.
+    /// Adds an offset that was measured at rest, with its σ (rad/s in sensor axes) and the die
+    /// temperature (°C). Ignores values that are not finite.
     pub fn add(&mut self, temperature_celsius: f32, offset_rad_s: Vector3, sigma_rad_s: f32) {
         let is_number = temperature_celsius.abs() <= 200.0
             && offset_rad_s.is_within(radians(2000.0))
@@ -123,7 +120,7 @@ impl TemperatureLearner {
         }
         if self.open.weight > 0.0 && (temperature_celsius - self.open.celsius).abs() > POINT_CELSIUS
         {
-            self.close();
+            self.close_point();
         }
         self.coldest_celsius = self.coldest_celsius.min(temperature_celsius);
         self.warmest_celsius = self.warmest_celsius.max(temperature_celsius);
@@ -134,32 +131,33 @@ impl TemperatureLearner {
         let share = weight / total;
         open.celsius += share * (temperature_celsius - open.celsius);
         open.offset_rad_s = open.offset_rad_s + (offset_rad_s - open.offset_rad_s).scale(share);
-        // However long it lasts, it is one point: what makes a point uncertain does not average out.
+        // The uncertainty of a point does not average out, however long it lasts.
         open.weight = total.min(1.0);
     }
 
-    /// The model of what was seen so far.
+    /// Fits a model to the measurements.
     ///
     /// # Errors
     ///
-    /// [`TooLittleSeen`] while it could not be relied on at the ends of its range.
-    pub fn fit(&self) -> Result<TemperatureModel, TooLittleSeen> {
+    /// Returns [`InsufficientData`] if the model's σ at an end of its range is above 0.15 °/s.
+    pub fn fit(&self) -> Result<TemperatureModel, InsufficientData> {
         let mut all = *self;
-        all.close();
+        all.close_point();
         all.solve()
     }
 
-    /// The points so far: temperatures half a degree apart.
+    /// Returns the number of points: temperatures half a degree apart.
     pub const fn points(&self) -> u16 {
         self.points + (self.open.weight > 0.0) as u16
     }
 
-    /// The range of temperatures seen so far, °C: coldest and warmest.
-    pub fn range_celsius(&self) -> Option<(f32, f32)> {
-        (self.points() > 0).then_some((self.coldest_celsius, self.warmest_celsius))
+    /// Returns the range of measured temperatures, °C.
+    pub fn range_celsius(&self) -> Option<RangeInclusive<f32>> {
+        (self.points() > 0).then_some(self.coldest_celsius..=self.warmest_celsius)
     }
 
-    fn close(&mut self) {
+    /// Adds the open point to the equations.
+    fn close_point(&mut self) {
         let Point {
             weight,
             celsius,
@@ -183,20 +181,21 @@ impl TemperatureLearner {
         self.points = self.points.saturating_add(1);
     }
 
-    fn solve(&self) -> Result<TemperatureModel, TooLittleSeen> {
-        let too_little = TooLittleSeen {
+    /// Solves the normal equations with their prior.
+    fn solve(&self) -> Result<TemperatureModel, InsufficientData> {
+        let insufficient = InsufficientData {
             points: self.points,
             range_celsius: (self.warmest_celsius - self.coldest_celsius).max(0.0),
         };
         let Some(reference_celsius) = self.reference_celsius else {
-            return Err(too_little);
+            return Err(insufficient);
         };
         let inverse_variance = |sigma: f32| {
             let ratio = POINT_SIGMA_RAD_S / sigma;
             ratio * ratio
         };
         let [m0, m1, m2, m3, m4] = self.moments;
-        let matrix = Symmetric {
+        let matrix = SymmetricMatrix {
             xx: m0,
             xy: m1,
             xz: m2,
@@ -204,7 +203,7 @@ impl TemperatureLearner {
             yz: m3,
             zz: m4 + inverse_variance(CURVATURE_SIGMA * UNIT_CELSIUS * UNIT_CELSIUS),
         };
-        let inverse = matrix.inverse().ok_or(too_little)?;
+        let inverse = matrix.inverse().ok_or(insufficient)?;
         let sigma_at = |celsius: f32| {
             let t = (celsius - reference_celsius) / UNIT_CELSIUS;
             let x = Vector3::new(1.0, t, t * t);
@@ -214,7 +213,7 @@ impl TemperatureLearner {
             .max(sigma_at(self.warmest_celsius + TRUSTED_BEYOND_CELSIUS));
         let is_useful = worst <= USEFUL_SIGMA_RAD_S;
         if !is_useful {
-            return Err(too_little);
+            return Err(insufficient);
         }
         let [s0, s1, s2] = self.sums;
         let x = inverse.times(Vector3::new(s0.x, s1.x, s2.x));
@@ -232,17 +231,17 @@ impl TemperatureLearner {
     }
 }
 
-/// What was seen does not make a model yet.
+/// The measurements do not determine a model yet.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct TooLittleSeen {
-    /// Temperatures, half a degree apart, that were seen.
+pub struct InsufficientData {
+    /// Number of points: temperatures half a degree apart.
     pub points: u16,
-    /// From the coldest to the warmest, °C.
+    /// Width of the measured range, °C.
     pub range_celsius: f32,
 }
 
-impl fmt::Display for TooLittleSeen {
+impl fmt::Display for InsufficientData {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             formatter,
@@ -253,50 +252,7 @@ impl fmt::Display for TooLittleSeen {
     }
 }
 
-impl core::error::Error for TooLittleSeen {}
-
-/// A symmetric 3×3 matrix.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Symmetric {
-    xx: f32,
-    xy: f32,
-    xz: f32,
-    yy: f32,
-    yz: f32,
-    zz: f32,
-}
-
-impl Symmetric {
-    fn times(&self, v: Vector3) -> Vector3 {
-        Vector3::new(
-            self.xx * v.x + self.xy * v.y + self.xz * v.z,
-            self.xy * v.x + self.yy * v.y + self.yz * v.z,
-            self.xz * v.x + self.yz * v.y + self.zz * v.z,
-        )
-    }
-
-    /// The inverse by cofactors; `None` where it is as good as singular.
-    fn inverse(&self) -> Option<Self> {
-        let xx = self.yy * self.zz - self.yz * self.yz;
-        let xy = self.xz * self.yz - self.xy * self.zz;
-        let xz = self.xy * self.yz - self.xz * self.yy;
-        let determinant = self.xx * xx + self.xy * xy + self.xz * xz;
-        let scale = self.xx * self.yy * self.zz;
-        // A NaN fails every comparison.
-        let is_regular = determinant > 1.0e-6 * scale && scale > 0.0;
-        is_regular.then(|| {
-            let factor = 1.0 / determinant;
-            Self {
-                xx: xx * factor,
-                xy: xy * factor,
-                xz: xz * factor,
-                yy: (self.xx * self.zz - self.xz * self.xz) * factor,
-                yz: (self.xy * self.xz - self.xx * self.yz) * factor,
-                zz: (self.xx * self.yy - self.xy * self.xy) * factor,
-            }
-        })
-    }
-}
+impl core::error::Error for InsufficientData {}
 
 #[cfg(test)]
 mod tests {
@@ -356,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn too_little_seen_makes_no_model() {
+    fn few_points_make_no_model() {
         assert!(TemperatureLearner::new().fit().is_err());
         assert_eq!(TemperatureLearner::new().range_celsius(), None);
         let error = learned(25.0, 25.4).fit().unwrap_err();
@@ -388,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_measurement_is_ignored() {
+    fn values_that_are_not_finite_are_ignored() {
         let mut learner = learned(15.0, 40.0);
         let before = learner;
         for (celsius, rate, sigma) in [
@@ -403,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stored_model_is_where_a_new_learner_goes_on() {
+    fn a_learner_continues_from_a_stored_model() {
         let model = learned(15.0, 40.0).fit().expect("enough");
         let again = TemperatureLearner::from_model(&model)
             .fit()

@@ -1,32 +1,39 @@
-//! What the console says: one line each, with a first word for programs and the rest for people.
+//! Answers of the console: lines with a first word for programs, and the rest for people.
 //!
-//! Lines are written where they are sent from, so that none is ever copied.
+//! The console writes a line to where it is sent from, so that none is ever copied.
+//!
+//! ```
+//! use aplomb::console::answer::Kind;
+//!
+//! let answer = "ok rate 100";
+//! assert!(answer.starts_with(Kind::Ok.name()));
+//! ```
 
 use core::fmt::{self, Write};
 
 use crate::attitude::Vector3;
 
-/// Room for the longest answer, its line end not counted, in bytes.
+/// Length of the longest answer without its line end, in bytes.
 pub const ANSWER_CAPACITY: usize = 608;
 
-/// The first word of an answer.
+/// Kind of an answer: its first word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Kind {
-    /// `ok`: the command was understood and is done, or has begun.
+    /// `ok`: the command is done or has begun.
     Ok,
-    /// `error`: the command was not understood or refused; nothing has changed.
+    /// `error`: the command is unknown or was refused; nothing has changed.
     Error,
-    /// `progress`: how something that takes its time goes on.
+    /// `progress`: a procedure has advanced.
     Progress,
-    /// `done`: it has ended as it should.
+    /// `done`: a task or procedure has succeeded.
     Done,
-    /// `failed`: it has ended otherwise; nothing has changed.
+    /// `failed`: a task or procedure has failed; nothing has changed.
     Failed,
 }
 
 impl Kind {
-    /// The word.
+    /// Returns the word.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -38,28 +45,31 @@ impl Kind {
     }
 }
 
-/// Where answers are written, one line at a time.
+/// Writer of one answer.
 pub(super) struct Reply<'a>(pub(super) &'a mut dyn Write);
 
 impl Reply<'_> {
-    /// Writes an answer of this kind, and gives the kind back.
+    /// Writes an answer of this kind, and returns the kind.
     #[inline(never)]
-    pub(super) fn say(&mut self, kind: Kind, arguments: fmt::Arguments<'_>) -> Kind {
-        // Tests hold the longest answers to their room; what does not fit is left out.
+    pub(super) fn write(&mut self, kind: Kind, arguments: fmt::Arguments<'_>) -> Kind {
+        // Tests hold the longest answers to their capacity; a longer one would be cut.
         write!(self.0, "{} {arguments}", kind.name()).ok();
         kind
     }
 
+    /// Writes an answer of kind [`Kind::Ok`].
     pub(super) fn ok(&mut self, arguments: fmt::Arguments<'_>) -> Kind {
-        self.say(Kind::Ok, arguments)
+        self.write(Kind::Ok, arguments)
     }
 
+    /// Writes an answer of kind [`Kind::Error`].
     pub(super) fn error(&mut self, arguments: fmt::Arguments<'_>) -> Kind {
-        self.say(Kind::Error, arguments)
+        self.write(Kind::Error, arguments)
     }
 }
 
-/// A number with so many decimals, without the formatting of floating-point numbers, which would be half of the image.
+/// Number with this many decimals (6 at most). Avoids the floating-point formatting of `core`,
+/// which would take half of the firmware.
 #[derive(Clone, Copy)]
 pub(super) struct Decimal(pub(super) f32, pub(super) u32);
 
@@ -87,7 +97,7 @@ impl fmt::Display for Decimal {
     }
 }
 
-/// Three numbers, separated by commas, with so many decimals.
+/// Three numbers, separated by commas, with this many decimals.
 #[derive(Clone, Copy)]
 pub(super) struct Triple(pub(super) Vector3, pub(super) u32);
 

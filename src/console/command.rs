@@ -1,83 +1,143 @@
-//! What can be asked for, as text: one table of words, read by the parser, by `help` and by the suggestions.
+//! Commands as text: one table of forms, for the parser, for `help` and for suggestions.
 //!
-//! Words are exact and in small letters, so that noise is no command; what is nearly right is answered with the
-//! right form instead. A number has digits and nothing else.
+//! Words are exact and lower case, so that noise is no command. The parser answers a nearly right
+//! line with the right form. A number has digits and nothing else.
+//!
+//! ```
+//! use aplomb::console::command::{Calibrate, Command};
+//!
+//! let command: Command = "calibrate gyro".parse()?;
+//! assert_eq!(command, Command::Calibrate(Calibrate::Gyroscope));
+//! assert_eq!(command.to_string(), "calibrate gyro");
+//!
+//! let error = "baud 115000".parse::<Command>().unwrap_err();
+//! assert_eq!(error.to_string(), "\"115000\" is no baud rate, did you mean \"baud 115200\"?");
+//! # Ok::<(), aplomb::console::command::ParseError>(())
+//! ```
 
 use core::fmt;
+use core::str::FromStr;
 
 use super::line::LINE_CAPACITY;
 use super::nearest::nearest;
-use crate::calibration::{Mount, OutputFormat};
+use crate::calibration::Mount;
+use crate::settings::OutputFormat;
 
-/// What somebody asks for.
+/// Command. Its text is the line that asks for it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Command {
-    /// Every command on one line.
+    /// Prints every command on one line.
     Help,
-    /// How the module is.
+    /// Prints the module's state.
     Status,
-    /// The working record: what `save` would store.
+    /// Prints the working record: the one that `save` would store.
     Show,
     /// Stores the working record.
     Save,
-    /// Makes the working record empty.
+    /// Clears the working record.
     Forget,
-    /// Tests the sensor against its factory's figures.
+    /// Tests the sensor against its factory trim.
     SelfTest,
-    /// Nothing is done any more that is only safe on the ground.
+    /// Arms: from now on nothing is done that is only safe on the ground.
     Arm,
-    /// The opposite.
+    /// Disarms.
     Disarm,
-    /// Measures something, or ends that.
+    /// Starts or ends a calibration.
     Calibrate(Calibrate),
-    /// Says how the sensor is mounted, or has it found out.
+    /// Sets or finds the mount.
     Mount(MountChoice),
-    /// Telemetry lines per second, in [`RATES_HZ`].
+    /// Sets the telemetry rate, frames per second in [`RATES_HZ`].
     Rate(u16),
-    /// Bits per second on the UART, one of [`BAUD_RATES`].
+    /// Sets the UART's baud rate, one of [`BAUD_RATES`].
     Baud(u32),
-    /// What the telemetry looks like.
+    /// Sets the telemetry format.
     Format(OutputFormat),
 }
 
-/// What `calibrate` measures.
+/// Argument of `calibrate`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Calibrate {
-    /// The gyroscope's offset, at rest.
+    /// Measures the gyroscope's offset, at rest.
     Gyroscope,
-    /// The accelerometer's offset and scales, in several poses.
+    /// Measures the accelerometer's offset and scales, in several poses.
     Accelerometer,
-    /// The level, at rest on something level.
+    /// Measures the level trim, at rest on a level surface.
     Level,
-    /// How the gyroscope's offset goes with temperature, at rest while it changes.
+    /// Measures the gyroscope's offset over temperature, at rest while the temperature changes.
     Temperature,
-    /// What was collected so far is enough.
+    /// Ends the running calibration with the data so far.
     Done,
-    /// Nothing is wanted of it any more.
+    /// Aborts the running calibration.
     Stop,
 }
 
-/// What `mount` takes.
+impl Calibrate {
+    const ALL: [Self; 6] = [
+        Self::Gyroscope,
+        Self::Accelerometer,
+        Self::Level,
+        Self::Temperature,
+        Self::Done,
+        Self::Stop,
+    ];
+
+    /// Returns the word after `calibrate`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Gyroscope => "gyro",
+            Self::Accelerometer => "accel",
+            Self::Level => "level",
+            Self::Temperature => "temperature",
+            Self::Done => "done",
+            Self::Stop => "stop",
+        }
+    }
+}
+
+/// Argument of `mount`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum MountChoice {
-    /// This one.
+    /// Sets this mount.
     Named(Mount),
-    /// Whichever two poses show.
+    /// Finds the mount from two poses.
     Find,
 }
 
-/// The rates that `rate` takes, in lines per second: up to one per sample.
+impl fmt::Display for Command {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Help => formatter.write_str("help"),
+            Self::Status => formatter.write_str("status"),
+            Self::Show => formatter.write_str("show"),
+            Self::Save => formatter.write_str("save"),
+            Self::Forget => formatter.write_str("forget"),
+            Self::SelfTest => formatter.write_str("self-test"),
+            Self::Arm => formatter.write_str("arm"),
+            Self::Disarm => formatter.write_str("disarm"),
+            Self::Calibrate(argument) => write!(formatter, "calibrate {}", argument.name()),
+            Self::Mount(MountChoice::Find) => formatter.write_str("mount find"),
+            Self::Mount(MountChoice::Named(mount)) => write!(formatter, "mount {mount}"),
+            Self::Rate(rate_hz) => write!(formatter, "rate {rate_hz}"),
+            Self::Baud(baud) => write!(formatter, "baud {baud}"),
+            Self::Format(format) => write!(formatter, "format {format}"),
+        }
+    }
+}
+
+/// Rates that `rate` takes, frames per second: up to one per sample.
 pub const RATES_HZ: core::ops::RangeInclusive<u16> = 1..=1000;
 
-/// The rates that `baud` takes. Each is within 1 % on every board.
+/// Rates that `baud` takes. Each is within 1 % on every board.
 pub const BAUD_RATES: [u32; 8] = [
     9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600,
 ];
 
-/// A command's name and what goes with it.
+/// Name of a command, and the form of its argument.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Form {
     name: &'static str,
@@ -93,9 +153,18 @@ enum Argument {
     Baud,
 }
 
-const CALIBRATIONS: [&str; 6] = ["gyro", "accel", "level", "temperature", "done", "stop"];
+const CALIBRATIONS: [&str; 6] = {
+    let mut names = [""; 6];
+    let mut index = 0;
+    while index < names.len() {
+        names[index] = Calibrate::ALL[index].name();
+        index += 1;
+    }
+    names
+};
 
-/// Every command, in the order in which `help` names them and suggestions prefer them.
+/// Forms of every command, in the order of `help`. Of two equally near ones, suggestions prefer the
+/// first.
 static FORMS: [Form; 13] = [
     Form::alone("help"),
     Form::alone("status"),
@@ -121,7 +190,7 @@ impl Form {
         Self::new(name, Argument::Nothing)
     }
 
-    /// Every command's form.
+    /// Returns the forms of every command.
     pub fn all() -> &'static [Self] {
         &FORMS
     }
@@ -143,41 +212,57 @@ impl fmt::Display for Form {
     }
 }
 
-/// Why a line is not a command.
+/// Forms of every command, separated by commas.
+pub(super) struct CommandForms;
+
+impl fmt::Display for CommandForms {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        Form::all()
+            .iter()
+            .enumerate()
+            .try_for_each(|(index, form)| {
+                let separator = if index == 0 { "" } else { ", " };
+                write!(formatter, "{separator}{form}")
+            })
+    }
+}
+
+/// Reason why a line is not a command.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ParseError {
     /// No command has this name.
     UnknownCommand {
-        /// The word.
+        /// First word of the line.
         word: Word,
-        /// The command that may have been meant.
+        /// Suggested command.
         nearest: Option<&'static str>,
     },
-    /// The command does not take this word.
+    /// The command does not take this argument.
     UnknownArgument {
-        /// The command.
+        /// Form of the command.
         form: &'static Form,
-        /// The word.
+        /// Argument.
         word: Word,
-        /// The one that may have been meant.
+        /// Suggested argument.
         nearest: Option<&'static str>,
     },
-    /// The command needs a word more.
+    /// The command needs an argument.
     MissingArgument(&'static Form),
-    /// The command does not take this word any more.
+    /// The line has a word too many.
     ExtraWord {
-        /// The command.
+        /// Form of the command.
         form: &'static Form,
-        /// The word.
+        /// First extra word.
         word: Word,
     },
-    /// `rate` takes a number in [`RATES_HZ`].
+    /// The argument of `rate` is not a number in [`RATES_HZ`].
     NotARate(Word),
-    /// `baud` takes one of [`BAUD_RATES`].
+    /// The argument of `baud` is not one of [`BAUD_RATES`].
     NotABaudRate {
-        /// The word.
+        /// Argument.
         word: Word,
-        /// The rate that may have been meant.
+        /// Suggested baud rate.
         nearest: Option<u32>,
     },
 }
@@ -203,7 +288,8 @@ impl fmt::Display for ParseError {
                         write!(formatter, ", did you mean \"{} {nearest}\"?", form.name)
                     }
                     None if form.argument == Argument::Mount => formatter.write_str(
-                        "; it takes \"find\", or the sensor's axes that point forward and down, such as \"mount +x-z\"",
+                        "; it takes \"find\", or the sensor's axes that point forward and down, \
+                         such as \"mount +x-z\"",
                     ),
                     None => write!(formatter, "; its form is \"{form}\""),
                 }
@@ -237,7 +323,7 @@ impl fmt::Display for ParseError {
 
 impl core::error::Error for ParseError {}
 
-/// A word of a line, cut after [`Word::LENGTH`] bytes.
+/// Word of a line, cut after [`Word::LENGTH`] bytes.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Word {
     text: heapless::String<{ Word::LENGTH }>,
@@ -245,7 +331,7 @@ pub struct Word {
 }
 
 impl Word {
-    /// The longest word kept whole.
+    /// Length of the longest word that is kept whole, in bytes.
     pub const LENGTH: usize = 20;
 
     fn new(text: &str) -> Self {
@@ -273,90 +359,88 @@ impl fmt::Debug for Word {
 
 const _: () = assert!(Word::LENGTH < LINE_CAPACITY);
 
-/// Reads a line, without its end.
-///
-/// # Errors
-///
-/// What is wrong with it, with the nearest right form.
-pub fn parse(line: &str) -> Result<Command, ParseError> {
-    let mut words = line.split_ascii_whitespace();
-    let name = words.next().unwrap_or_default();
-    let Some(form) = FORMS.iter().find(|form| form.name == name) else {
-        return Err(ParseError::UnknownCommand {
-            word: Word::new(name),
-            nearest: nearest(name, FORMS.iter().map(|form| form.name)),
-        });
-    };
-    let argument = words.next();
-    let extra = match form.argument {
-        Argument::Nothing => argument,
-        _ => words.next(),
-    };
-    if let Some(extra) = extra {
-        return Err(ParseError::ExtraWord {
-            form,
-            word: Word::new(extra),
-        });
+impl FromStr for Command {
+    type Err = ParseError;
+
+    /// Parses a line, without its end. Words are separated by blanks.
+    fn from_str(line: &str) -> Result<Self, ParseError> {
+        let mut words = line.split_ascii_whitespace();
+        let name = words.next().unwrap_or_default();
+        let Some(form) = FORMS.iter().find(|form| form.name == name) else {
+            return Err(ParseError::UnknownCommand {
+                word: Word::new(name),
+                nearest: nearest(name, FORMS.iter().map(|form| form.name)),
+            });
+        };
+        let takes_argument = form.argument != Argument::Nothing;
+        let argument = if takes_argument { words.next() } else { None };
+        if let Some(extra) = words.next() {
+            return Err(ParseError::ExtraWord {
+                form,
+                word: Word::new(extra),
+            });
+        }
+        if takes_argument && argument.is_none() {
+            return Err(ParseError::MissingArgument(form));
+        }
+        let argument = argument.unwrap_or_default();
+        Ok(match form.name {
+            "help" => Self::Help,
+            "status" => Self::Status,
+            "show" => Self::Show,
+            "save" => Self::Save,
+            "forget" => Self::Forget,
+            "self-test" => Self::SelfTest,
+            "arm" => Self::Arm,
+            "disarm" => Self::Disarm,
+            _ => return parse_argument(form, argument),
+        })
     }
-    if form.argument != Argument::Nothing && argument.is_none() {
-        return Err(ParseError::MissingArgument(form));
-    }
-    let argument = argument.unwrap_or_default();
+}
+
+/// Parses the argument of a command that takes one.
+fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseError> {
     let unknown = |known: &[&'static str]| ParseError::UnknownArgument {
         form,
         word: Word::new(argument),
         nearest: nearest(argument, known.iter().copied()),
     };
-    Ok(match form.name {
-        "help" => Command::Help,
-        "status" => Command::Status,
-        "show" => Command::Show,
-        "save" => Command::Save,
-        "forget" => Command::Forget,
-        "self-test" => Command::SelfTest,
-        "arm" => Command::Arm,
-        "disarm" => Command::Disarm,
-        "calibrate" => Command::Calibrate(match argument {
-            "gyro" => Calibrate::Gyroscope,
-            "accel" => Calibrate::Accelerometer,
-            "level" => Calibrate::Level,
-            "temperature" => Calibrate::Temperature,
-            "done" => Calibrate::Done,
-            "stop" => Calibrate::Stop,
-            _ => return Err(unknown(&CALIBRATIONS)),
-        }),
-        "mount" if argument == "find" => Command::Mount(MountChoice::Find),
+    match form.name {
+        "calibrate" => Calibrate::ALL
+            .into_iter()
+            .find(|known| known.name() == argument)
+            .map(Command::Calibrate)
+            .ok_or_else(|| unknown(&CALIBRATIONS)),
+        "mount" if argument == "find" => Ok(Command::Mount(MountChoice::Find)),
         "mount" => match Mount::parse(argument) {
-            Some(mount) => Command::Mount(MountChoice::Named(mount)),
-            None => return Err(unknown(&["find", "z-up", "z-down"])),
+            Some(mount) => Ok(Command::Mount(MountChoice::Named(mount))),
+            None => Err(unknown(&["find", "z-up", "z-down"])),
         },
         "rate" => match number(argument).and_then(|rate| u16::try_from(rate).ok()) {
-            Some(rate) if RATES_HZ.contains(&rate) => Command::Rate(rate),
-            _ => return Err(ParseError::NotARate(Word::new(argument))),
+            Some(rate) if RATES_HZ.contains(&rate) => Ok(Command::Rate(rate)),
+            _ => Err(ParseError::NotARate(Word::new(argument))),
         },
-        "format" => match OutputFormat::parse(argument) {
-            Some(format) => Command::Format(format),
-            None => return Err(unknown(&OutputFormat::NAMES)),
-        },
+        "format" => argument
+            .parse()
+            .map(Command::Format)
+            .map_err(|_| unknown(&OutputFormat::NAMES)),
         _ => match number(argument) {
-            Some(rate) if BAUD_RATES.contains(&rate) => Command::Baud(rate),
-            rate => {
-                return Err(ParseError::NotABaudRate {
-                    word: Word::new(argument),
-                    nearest: rate.and_then(nearest_baud_rate),
-                });
-            }
+            Some(rate) if BAUD_RATES.contains(&rate) => Ok(Command::Baud(rate)),
+            rate => Err(ParseError::NotABaudRate {
+                word: Word::new(argument),
+                nearest: rate.and_then(nearest_baud_rate),
+            }),
         },
-    })
+    }
 }
 
-/// Digits, and nothing else.
+/// Parses digits, and nothing else.
 fn number(text: &str) -> Option<u32> {
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
     if is_number { text.parse().ok() } else { None }
 }
 
-/// The rate within a tenth of this one.
+/// Returns the baud rate within a tenth of this one.
 fn nearest_baud_rate(rate: u32) -> Option<u32> {
     BAUD_RATES
         .into_iter()
@@ -368,6 +452,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    fn parse(line: &str) -> Result<Command, ParseError> {
+        line.parse()
+    }
 
     #[test]
     fn every_command_is_understood() {
@@ -410,6 +498,7 @@ mod tests {
         ];
         for (text, command) in commands {
             assert_eq!(parse(text), Ok(command), "{text}");
+            assert_eq!(parse(&command.to_string()), Ok(command), "{text}");
         }
         for form in Form::all() {
             let text = form.name;
@@ -431,7 +520,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_input_is_told_what_is_wrong_and_the_nearest_right_form() {
+    fn an_error_has_the_reason_and_the_nearest_right_form() {
         let forms = "calibrate gyro|accel|level|temperature|done|stop";
         for (text, answer) in [
             (
@@ -465,7 +554,8 @@ mod tests {
             ),
             (
                 "mount +x+x",
-                "mount does not take \"+x+x\"; it takes \"find\", or the sensor's axes that point forward and down, \
+                "mount does not take \"+x+x\"; it takes \"find\", or the sensor's axes that point \
+                 forward and down, \
                  such as \"mount +x-z\"",
             ),
             ("save now", "\"now\" is too much, the form is \"save\""),
@@ -487,7 +577,8 @@ mod tests {
             ),
             (
                 "baud 1",
-                "\"1\" is no baud rate; there are 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600",
+                "\"1\" is no baud rate; there are 9600, 19200, 38400, 57600, 115200, 230400, \
+                 460800, 921600",
             ),
             (
                 "format test",
@@ -513,18 +604,19 @@ mod tests {
         #[test]
         fn any_line_has_an_answer(line in prop_oneof![nearly(), "[ -~]{0,64}", "\\PC{0,64}"]) {
             if let Err(error) = parse(&line) {
-                let told = error.to_string();
-                prop_assert!(!told.is_empty() && told.len() <= 180, "{}", told);
-                // Whatever is suggested is itself a command, or needs a word more.
-                if let Some((_, suggestion)) = told.split_once("did you mean \"") {
+                let answer = error.to_string();
+                prop_assert!(!answer.is_empty() && answer.len() <= 180, "{}", answer);
+                // Every suggestion is a command, or needs an argument.
+                if let Some((_, suggestion)) = answer.split_once("did you mean \"") {
                     let suggestion = suggestion.trim_end_matches("\"?");
                     let result = parse(suggestion);
-                    prop_assert!(matches!(result, Ok(_) | Err(ParseError::MissingArgument(_))), "{}", suggestion);
+                    let is_form = matches!(result, Ok(_) | Err(ParseError::MissingArgument(_)));
+                    prop_assert!(is_form, "{}", suggestion);
                 }
             }
         }
 
-        /// A word less, more or otherwise, and it is no command any more: nothing is guessed.
+        /// The parser guesses nothing: a changed letter is no command.
         #[test]
         fn a_changed_letter_is_no_command(at in 0_usize..4, letter in b'a'..=b'z') {
             let mut word = *b"save";

@@ -1,6 +1,18 @@
-//! A MAVLink ground station at the other end of the line: what it asks for becomes commands, and their answers go back to it.
+//! MAVLink ground station: its requests become commands, and their answers go back to it.
 //!
-//! A command that takes its time is answered twice, as the protocol wants it: when it has begun, and when it has ended.
+//! A command that takes time is answered twice, as the protocol requires: when it has begun, and
+//! when it has ended.
+//!
+//! ```
+//! use aplomb::console::ground_station::GroundStation;
+//!
+//! let mut station = GroundStation::new();
+//! let mut received = b"status\n".iter().copied();
+//! // Bytes that are no MAVLink frame are text for the console.
+//! let text: Vec<_> = std::iter::from_fn(|| station.receive(0, || received.next())).collect();
+//! assert_eq!(text, b"status\n");
+//! assert_eq!(station.take_command(), None);
+//! ```
 
 use heapless::Deque;
 
@@ -8,37 +20,39 @@ use super::answer::Kind;
 use super::command::{BAUD_RATES, Calibrate, Command, MountChoice, RATES_HZ};
 use crate::telemetry::mavlink::{self, Action, Outcome, Session, Ticket};
 
-/// Bytes that were no frame after all come at once, at most so many.
+/// Largest number of bytes that turn out to be text at once: one frame that was none.
 const TEXT_CAPACITY: usize = 288;
 
-/// The station.
+/// Ground station at the other end of the line.
 #[derive(Debug, Clone, Default)]
 pub struct GroundStation {
-    /// The connection.
+    /// MAVLink session.
     pub session: Session,
+    /// Received text for the console.
     text: Deque<u8, TEXT_CAPACITY>,
-    /// What has begun and wants another answer.
-    waiting: Option<Ticket>,
+    /// Request that has begun, and needs a second answer.
+    pending: Option<Ticket>,
 }
 
 impl GroundStation {
-    /// A station that has not said anything.
+    /// Creates a station that has sent nothing.
     pub const fn new() -> Self {
         Self {
             session: Session::new(),
             text: Deque::new(),
-            waiting: None,
+            pending: None,
         }
     }
 
-    /// The next byte of text among what `source` has received.
+    /// Returns the next byte of text among the bytes of `source`. `now_us` is the time since boot,
+    /// µs.
     pub fn receive(&mut self, now_us: u64, mut source: impl FnMut() -> Option<u8>) -> Option<u8> {
         let Self { session, text, .. } = self;
         loop {
             if let Some(byte) = text.pop_front() {
                 return Some(byte);
             }
-            // There is room for all that a session can let go of at once.
+            // The queue holds all text that a session can release at once.
             let mut keep = |byte| {
                 text.push_back(byte).ok();
             };
@@ -52,7 +66,7 @@ impl GroundStation {
         }
     }
 
-    /// The next command that it asks for; what makes no command is answered here.
+    /// Returns the next requested command, and denies requests that are no command.
     #[inline(never)]
     pub fn take_command(&mut self) -> Option<(Ticket, Command)> {
         while let Some((ticket, action)) = self.session.take_action() {
@@ -64,7 +78,7 @@ impl GroundStation {
         None
     }
 
-    /// What came of that command at once.
+    /// Sends the first answer to a command.
     #[inline(never)]
     pub fn answer(&mut self, ticket: Ticket, command: Command, kind: Kind) {
         let takes_time = matches!(
@@ -76,13 +90,13 @@ impl GroundStation {
         );
         let outcome = match kind {
             Kind::Ok if command == Command::Calibrate(Calibrate::Stop) => {
-                if let Some(ended) = self.waiting.take() {
+                if let Some(ended) = self.pending.take() {
                     self.session.answer(ended, Outcome::Cancelled);
                 }
                 Outcome::Accepted
             }
             Kind::Ok if takes_time => {
-                self.waiting = Some(ticket);
+                self.pending = Some(ticket);
                 Outcome::InProgress
             }
             Kind::Ok | Kind::Progress | Kind::Done => Outcome::Accepted,
@@ -92,20 +106,21 @@ impl GroundStation {
         self.session.answer(ticket, outcome);
     }
 
-    /// The console has said something by itself.
+    /// Sends the second answer to a command if this answer of the console ends it.
     #[inline(never)]
-    pub fn hear(&mut self, kind: Kind) {
+    pub fn on_answer(&mut self, kind: Kind) {
         let outcome = match kind {
             Kind::Done => Outcome::Accepted,
             Kind::Failed => Outcome::Failed,
             Kind::Ok | Kind::Error | Kind::Progress => return,
         };
-        if let Some(ticket) = self.waiting.take() {
+        if let Some(ticket) = self.pending.take() {
             self.session.answer(ticket, outcome);
         }
     }
 }
 
+/// Returns the command for a request; `None` if a value is out of range.
 fn command(action: Action) -> Option<Command> {
     Some(match action {
         Action::Calibrate(mavlink::Calibrate::Gyroscope) => {
@@ -134,8 +149,8 @@ mod tests {
     use ::mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkVersion};
 
     use super::*;
-    use crate::calibration::Record;
     use crate::estimator::Sample;
+    use crate::settings::Record;
     use crate::telemetry::Output;
     use crate::telemetry::mavlink::Vehicle;
 
@@ -153,7 +168,7 @@ mod tests {
         raw.raw_bytes().to_vec()
     }
 
-    /// The results that go back.
+    /// Results that the session sends.
     fn results(station: &mut GroundStation) -> Vec<MavResult> {
         let mut buffer = [0; 1024];
         let mut output = Output::new(&mut buffer);
@@ -200,16 +215,16 @@ mod tests {
             assert_eq!(command, Command::Calibrate(Calibrate::Gyroscope));
             station.answer(ticket, command, Kind::Ok);
             assert_eq!(results(&mut station), [MavResult::MAV_RESULT_IN_PROGRESS]);
-            station.hear(Kind::Progress);
+            station.on_answer(Kind::Progress);
             assert_eq!(results(&mut station), []);
-            station.hear(end);
-            station.hear(end);
+            station.on_answer(end);
+            station.on_answer(end);
             assert_eq!(results(&mut station), [result]);
         }
     }
 
     #[test]
-    fn what_the_console_refuses_is_temporarily_rejected_and_the_rest_is_done_at_once() {
+    fn a_refused_command_is_temporarily_rejected_and_an_instant_one_accepted() {
         let mut station = GroundStation::new();
         let bytes = command_long(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0);
         for (kind, result) in [

@@ -1,65 +1,93 @@
-//! Bytes in, lines out: whatever the wire brings, at most [`LINE_CAPACITY`] bytes are kept.
+//! Line assembler: turns received bytes into lines of at most [`LINE_CAPACITY`] bytes.
 //!
-//! A line ends with CR, LF or both, and holds printable ASCII; a tab counts as a blank, and backspace takes the last
-//! character back. A line that is too long, or with any other byte in it, is dropped whole: half a command is none.
+//! A line ends with CR, LF or both, and holds printable ASCII. A tab counts as a blank, and
+//! backspace removes the last character. A line that is too long, or has any other byte in it, is
+//! dropped whole: half a command is none.
+//!
+//! ```
+//! use aplomb::console::line::LineAssembler;
+//!
+//! let mut assembler = LineAssembler::new();
+//! let lines: Vec<_> = b"rate 5\x080\r\n"
+//!     .iter()
+//!     .filter_map(|byte| assembler.push(*byte).map(|line| line.map(str::to_owned)))
+//!     .collect();
+//! assert_eq!(lines, [Ok("rate 0".to_owned())]);
+//! ```
 
-/// The longest line, its end not counted.
+use core::fmt;
+
+/// Length of the longest line without its end, in bytes.
 pub const LINE_CAPACITY: usize = 64;
 
-/// Why a line was dropped.
+/// Reason why a line was dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Spoiled {
-    /// It is longer than [`LINE_CAPACITY`].
+#[non_exhaustive]
+pub enum LineError {
+    /// The line is longer than [`LINE_CAPACITY`].
     TooLong,
-    /// It has bytes that nobody types: the baud rates differ, or the line is noisy.
+    /// The line has bytes that are not printable: the baud rates differ, or the line is noisy.
     Unreadable,
 }
 
-/// A line in the making.
+impl fmt::Display for LineError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLong => write!(formatter, "the line is longer than {LINE_CAPACITY} bytes"),
+            Self::Unreadable => formatter
+                .write_str("the line has bytes that are not printable: is the baud rate right?"),
+        }
+    }
+}
+
+impl core::error::Error for LineError {}
+
+/// Assembler of one line at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LineAssembler {
     bytes: [u8; LINE_CAPACITY],
     length: usize,
-    spoiled: Option<Spoiled>,
-    /// The byte before ended a line, so that the next one begins anew.
+    error: Option<LineError>,
+    /// True if the last byte ended a line.
     is_complete: bool,
 }
 
 impl LineAssembler {
-    /// An empty line.
+    /// Creates an assembler with an empty line.
     pub const fn new() -> Self {
         Self {
             bytes: [0; LINE_CAPACITY],
             length: 0,
-            spoiled: None,
+            error: None,
             is_complete: false,
         }
     }
 
-    /// Takes a byte. If it ends a line with something in it, gives that line, or why it was dropped.
-    pub fn push(&mut self, byte: u8) -> Option<Result<&str, Spoiled>> {
+    /// Adds a byte. A byte that ends a line returns it, or the reason why it was dropped; an empty
+    /// line returns nothing.
+    pub fn push(&mut self, byte: u8) -> Option<Result<&str, LineError>> {
         if core::mem::take(&mut self.is_complete) {
             self.length = 0;
-            self.spoiled = None;
+            self.error = None;
         }
         match byte {
             b'\r' | b'\n' => return self.complete(),
-            // What terminals send for backspace.
+            // Terminals send either for backspace.
             0x08 | 0x7F => self.length = self.length.saturating_sub(1),
             b' '..=b'~' => self.append(byte),
             b'\t' => self.append(b' '),
-            _ => self.spoil(),
+            _ => self.discard_line(),
         }
         None
     }
 
-    /// The receiver has seen an error: what it holds of this line is not what was sent.
-    pub fn spoil(&mut self) {
+    /// Drops the line under way, because the receiver has reported an error.
+    pub fn discard_line(&mut self) {
         if core::mem::take(&mut self.is_complete) {
             self.length = 0;
         }
-        self.spoiled = Some(Spoiled::Unreadable);
+        self.error = Some(LineError::Unreadable);
     }
 
     fn append(&mut self, byte: u8) {
@@ -69,17 +97,17 @@ impl LineAssembler {
                 self.length += 1;
             }
             None => {
-                self.spoiled.get_or_insert(Spoiled::TooLong);
+                self.error.get_or_insert(LineError::TooLong);
             }
         }
     }
 
-    fn complete(&mut self) -> Option<Result<&str, Spoiled>> {
+    fn complete(&mut self) -> Option<Result<&str, LineError>> {
         self.is_complete = true;
-        if let Some(spoiled) = self.spoiled {
-            return Some(Err(spoiled));
+        if let Some(error) = self.error {
+            return Some(Err(error));
         }
-        // What was appended is ASCII.
+        // Only ASCII is appended.
         let text = core::str::from_utf8(self.bytes.get(..self.length)?).ok()?;
         let text = text.trim_ascii();
         (!text.is_empty()).then_some(Ok(text))
@@ -98,8 +126,8 @@ mod tests {
 
     use super::*;
 
-    /// The lines in a text, dropped ones as their reason.
-    fn lines(bytes: &[u8]) -> Vec<Result<String, Spoiled>> {
+    /// Lines of a text; the reason for each dropped one.
+    fn lines(bytes: &[u8]) -> Vec<Result<String, LineError>> {
         let mut assembler = LineAssembler::new();
         let mut lines = Vec::new();
         for &byte in bytes {
@@ -108,7 +136,7 @@ mod tests {
         lines
     }
 
-    fn line(text: &str) -> Result<String, Spoiled> {
+    fn line(text: &str) -> Result<String, LineError> {
         Ok(text.to_owned())
     }
 
@@ -123,14 +151,14 @@ mod tests {
     }
 
     #[test]
-    fn backspace_takes_a_character_back() {
+    fn backspace_removes_a_character() {
         assert_eq!(lines(b"x\x08\x08\x7fsage\x08\x08ve\n"), [line("save")]);
     }
 
     #[test]
-    fn what_nobody_types_spoils_its_line_and_no_other() {
+    fn an_unprintable_byte_drops_its_line_and_no_other() {
         let text = b"sa\x00ve\nsave\n\xFFsave\nsave\x1b\nhelp\n";
-        let unreadable = Err(Spoiled::Unreadable);
+        let unreadable = Err(LineError::Unreadable);
         assert_eq!(
             lines(text),
             [
@@ -144,29 +172,29 @@ mod tests {
     }
 
     #[test]
-    fn a_line_of_64_characters_fits_and_one_more_is_dropped() {
+    fn a_line_of_64_characters_fits_and_a_longer_one_is_dropped() {
         let longest = "x".repeat(LINE_CAPACITY);
         assert_eq!(
             lines(format!("{longest}\n{longest}y\nshow\n").as_bytes()),
-            [line(&longest), Err(Spoiled::TooLong), line("show")]
+            [line(&longest), Err(LineError::TooLong), line("show")]
         );
-        // What is taken back does not mend a line that has lost its end.
+        // Backspace does not restore a line that has lost its end.
         assert_eq!(
             lines(format!("{longest}yz\x08\x08\n").as_bytes()),
-            [Err(Spoiled::TooLong)]
+            [Err(LineError::TooLong)]
         );
     }
 
     #[test]
-    fn an_error_of_the_receiver_spoils_the_line_it_falls_into() {
+    fn an_error_of_the_receiver_drops_the_line_it_falls_into() {
         let mut assembler = LineAssembler::new();
         assert!(b"sav".iter().all(|&byte| assembler.push(byte).is_none()));
-        assembler.spoil();
+        assembler.discard_line();
         assert_eq!(assembler.push(b'e'), None);
-        assert_eq!(assembler.push(b'\n'), Some(Err(Spoiled::Unreadable)));
+        assert_eq!(assembler.push(b'\n'), Some(Err(LineError::Unreadable)));
         // Between two lines, the next one.
-        assembler.spoil();
-        assert_eq!(assembler.push(b'\n'), Some(Err(Spoiled::Unreadable)));
+        assembler.discard_line();
+        assert_eq!(assembler.push(b'\n'), Some(Err(LineError::Unreadable)));
         assert_eq!(assembler.push(b'x'), None);
         assert_eq!(assembler.push(b'\n'), Some(Ok("x")));
     }
@@ -174,29 +202,38 @@ mod tests {
     proptest! {
         /// The oracle splits the whole text at once.
         #[test]
-        fn lines_are_those_between_the_line_ends(bytes in proptest::collection::vec(
-            prop_oneof![4 => b' '..=b'~', 2 => Just(b'\n'), 1 => Just(b'\r'), 1 => 0x80..=0xFF_u8], 0..300))
-        {
+        fn lines_are_those_between_the_line_ends(
+            bytes in proptest::collection::vec(
+                prop_oneof![
+                    4 => b' '..=b'~',
+                    2 => Just(b'\n'),
+                    1 => Just(b'\r'),
+                    1 => 0x80..=0xFF_u8,
+                ],
+                0..300,
+            ),
+        ) {
+            let oracle = |line: &[u8]| match core::str::from_utf8(line) {
+                Ok(text) if text.len() > LINE_CAPACITY => Some(Err(LineError::TooLong)),
+                Ok(text) if text.trim().is_empty() => None,
+                Ok(text) => Some(Ok(text.trim().to_owned())),
+                Err(_) => Some(Err(LineError::Unreadable)),
+            };
             let expected: Vec<_> = bytes
                 .split_inclusive(|byte| matches!(byte, b'\r' | b'\n'))
                 .filter_map(|line| line.split_last())
                 .filter(|(end, _)| matches!(end, b'\r' | b'\n'))
-                .filter_map(|(_, line)| match core::str::from_utf8(line) {
-                    Ok(text) if text.len() > LINE_CAPACITY => Some(Err(Spoiled::TooLong)),
-                    Ok(text) => Some(text.trim()).filter(|text| !text.is_empty()).map(|text| Ok(text.to_owned())),
-                    Err(_) => Some(Err(Spoiled::Unreadable)),
-                })
+                .filter_map(|(_, line)| oracle(line))
                 .collect();
-            let is_same = |got: &Result<String, Spoiled>, expected: &Result<String, Spoiled>| match (got, expected) {
-                (Ok(got), Ok(expected)) => got == expected,
-                (got, expected) => got.is_err() && expected.is_err(),
+            let is_same = |(got, expected): (&Result<String, _>, &Result<String, _>)| {
+                got.as_ref().ok() == expected.as_ref().ok()
             };
             let got = lines(&bytes);
-            // Bytes above 0x7F that happen to be UTF-8 are unreadable all the same.
+            // Bytes above 0x7F that happen to be UTF-8 are unreadable too.
             prop_assume!(bytes.split(|byte| matches!(byte, b'\r' | b'\n'))
                 .all(|line| line.is_ascii() || core::str::from_utf8(line).is_err()));
             prop_assert_eq!(got.len(), expected.len());
-            prop_assert!(got.iter().zip(&expected).all(|(got, expected)| is_same(got, expected)));
+            prop_assert!(got.iter().zip(&expected).all(is_same));
         }
     }
 }

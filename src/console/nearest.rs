@@ -1,7 +1,9 @@
-//! Which known word somebody may have meant.
+//! Suggestion of a known word for a misspelt one.
 
-/// The known word nearest to `word`, if one is near: one that it abbreviates or lengthens, or one that differs from it in one place, which
-/// is no longer than a third of the word. Capitals make no difference. Among equals the first.
+/// Returns the known word nearest to `word`, if one is near; of equals the first.
+///
+/// A word is near if one of the two abbreviates the other, or if they differ in one place of at
+/// most a third of the longer word. Case does not count.
 pub(super) fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let mut best = None;
     for candidate in known {
@@ -14,8 +16,8 @@ pub(super) fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) 
     best.map(|(candidate, _)| candidate)
 }
 
-/// The length of the place in which two words differ: what is left of the longer one without their common beginning and end. Zero
-/// if one is the beginning of the other and has at least two letters.
+/// Returns the length of the place in which two words differ: the longer one without their common
+/// beginning and end. Returns 0 if one has at least two letters and begins the other.
 fn difference(a: &[u8], b: &[u8]) -> usize {
     let shorter = a.len().min(b.len());
     let same = |(a, b): &(&u8, &u8)| a.eq_ignore_ascii_case(b);
@@ -68,7 +70,12 @@ mod tests {
     proptest! {
         /// One letter more, less or otherwise, in any word, and it is found again.
         #[test]
-        fn one_slip_is_forgiven(which in 0..WORDS.len(), at in 0_usize..12, letter in b'a'..=b'z', kind in 0..3) {
+        fn one_slip_is_forgiven(
+            which in 0..WORDS.len(),
+            at in 0_usize..12,
+            letter in b'a'..=b'z',
+            kind in 0..3,
+        ) {
             let word = WORDS[which];
             let mut typed = word.as_bytes().to_vec();
             let at = at % word.len();

@@ -1,27 +1,32 @@
-//! The measurements that a person starts and that go on by themselves: each takes rests, one after the other, until it has
-//! what it wants.
+//! Calibration procedures: each takes stationary means, one after the other, until it has enough.
 
 use core::fmt;
 
 use super::answer::{Decimal, Kind, Reply, Triple};
-use crate::calibration::accelerometer::{Pose, PoseCollector, PoseRefused};
-use crate::calibration::level::{self, MountFinder, MountStep};
+use crate::attitude::Vector3;
+use crate::calibration::accelerometer::{AcceptedPose, Pose, PoseCollector, PoseError};
+use crate::calibration::level;
+use crate::calibration::mount_finder::{MountFinder, MountStep};
 use crate::calibration::temperature::TemperatureLearner;
-use crate::calibration::{AtRest, Calibration, MotionReason, Mount, RestProgress, RestScale};
+use crate::calibration::{
+    Calibration, MotionReason, Mount, NoiseModel, StationaryMean, StationaryProgress,
+};
 use crate::units::degrees;
 
-/// An accelerometer that lies still in its last pose so many rests longer is done.
-const STILL_RESTS: u8 = 5;
+/// Number of repeated poses in a row that end an accelerometer calibration with all six sides.
+const REPEATS_TO_FINISH: u8 = 5;
 
-/// A measurement that goes on.
+/// Running procedure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Procedure {
-    what: Measurement,
-    /// It moved since the last rest, and why that was none.
-    moved: Option<MotionReason>,
+    measurement: Measurement,
+    /// Motion that was not reported yet.
+    motion: Option<MotionReason>,
+    /// True if the sensor moved since the last mean.
     has_moved: bool,
 }
 
+/// Measurement of a procedure, with the data so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(
     clippy::large_enum_variant,
@@ -29,20 +34,25 @@ pub(super) struct Procedure {
 )]
 enum Measurement {
     Gyroscope,
-    Accelerometer { poses: PoseCollector, still: u8 },
+    Accelerometer {
+        poses: PoseCollector,
+        /// Refused poses in a row.
+        repeats: u8,
+    },
     Level,
     Temperature(TemperatureLearner),
     Mount(MountFinder),
 }
 
-/// What became of a rest.
+/// Effect of a detector event on a procedure.
 pub(super) enum Step {
-    /// Nothing to say.
-    Wait,
-    /// Something was said.
-    Said(Kind),
-    /// Something was said, and it has ended: well if the calibration was changed.
-    End(Kind),
+    /// Nothing to report.
+    Continue,
+    /// An answer was written; the procedure continues.
+    Answered(Kind),
+    /// An answer was written, and the procedure has ended. [`Kind::Done`] if it has changed the
+    /// calibration.
+    Ended(Kind),
 }
 
 impl Procedure {
@@ -50,10 +60,10 @@ impl Procedure {
         Self::new(Measurement::Gyroscope)
     }
 
-    pub(super) fn accelerometer(scale: &RestScale) -> Self {
+    pub(super) fn accelerometer(noise: &NoiseModel) -> Self {
         Self::new(Measurement::Accelerometer {
-            poses: PoseCollector::new(scale),
-            still: 0,
+            poses: PoseCollector::new(noise),
+            repeats: 0,
         })
     }
 
@@ -69,17 +79,17 @@ impl Procedure {
         Self::new(Measurement::Mount(MountFinder::new()))
     }
 
-    const fn new(what: Measurement) -> Self {
+    const fn new(measurement: Measurement) -> Self {
         Self {
-            what,
-            moved: None,
+            measurement,
+            motion: None,
             has_moved: false,
         }
     }
 
-    /// The command that started it.
+    /// Returns the command that starts the procedure.
     pub(super) const fn name(&self) -> &'static str {
-        match self.what {
+        match self.measurement {
             Measurement::Gyroscope => "calibrate gyro",
             Measurement::Accelerometer { .. } => "calibrate accel",
             Measurement::Level => "calibrate level",
@@ -88,245 +98,258 @@ impl Procedure {
         }
     }
 
-    /// How long a rest it takes, s. The gyroscope's noise of 0.005 °/s/√Hz averages to 0.002 °/s in four.
-    pub(super) const fn rest_s(&self) -> f32 {
-        match self.what {
+    /// Returns the duration of a stationary mean, s. The gyroscope's noise of 0.005 °/s/√Hz
+    /// averages to 0.002 °/s in four seconds.
+    pub(super) const fn duration_s(&self) -> f32 {
+        match self.measurement {
             Measurement::Gyroscope => 4.0,
             Measurement::Level | Measurement::Temperature(_) => 2.0,
             Measurement::Accelerometer { .. } | Measurement::Mount(_) => 1.0,
         }
     }
 
-    /// What to do first.
+    /// Writes the first instruction.
     pub(super) fn instruction(&self, reply: &mut Reply<'_>) -> Kind {
-        match &self.what {
-            Measurement::Gyroscope => self.say(reply, Kind::Ok, "keep it still for 4 s, in any pose"),
-            Measurement::Accelerometer { poses, .. } => self.tell(reply,
-                Kind::Ok,
-                format_args!(
-                    "lay it still for 2 s in each pose, the arrows of the sensor's axes as told; first: {}",
-                    poses.next_pose()
-                ),
-            ),
-            Measurement::Level => {
-                self.say(reply, Kind::Ok, "keep it still for 2 s with the vehicle level")
+        let text = match &self.measurement {
+            Measurement::Gyroscope => "keep it still for 4 s, in any pose",
+            Measurement::Accelerometer { poses, .. } => {
+                return self.write(
+                    reply,
+                    Kind::Ok,
+                    format_args!(
+                        "lay it still for 2 s in each pose, \
+                         the arrows of the sensor's axes as told; first: {}",
+                        poses.next_pose()
+                    ),
+                );
             }
-            Measurement::Temperature(_) => self.say(reply,
-                Kind::Ok,
-                "let it lie still while it warms up or cools down; \"calibrate done\" ends it",
-            ),
-            Measurement::Mount(_) => self.say(reply,
-                Kind::Ok,
-                "keep it still for 2 s with the vehicle level, then with its nose down",
-            ),
-        }
+            Measurement::Level => "keep it still for 2 s with the vehicle level",
+            Measurement::Temperature(_) => {
+                "let it lie still while it warms up or cools down; \"calibrate done\" ends it"
+            }
+            Measurement::Mount(_) => {
+                "keep it still for 2 s with the vehicle level, then with its nose down"
+            }
+        };
+        self.write(reply, Kind::Ok, format_args!("{text}"))
     }
 
-    /// How long it may be silent while there is something to say, µs.
-    pub(super) const fn silence_us(&self) -> u32 {
-        match self.what {
+    /// Returns the shortest time between two progress reports, µs.
+    pub(super) const fn report_period_us(&self) -> u32 {
+        match self.measurement {
             Measurement::Gyroscope | Measurement::Level => 1_000_000,
             Measurement::Accelerometer { .. } | Measurement::Mount(_) => 5_000_000,
             Measurement::Temperature(_) => 10_000_000,
         }
     }
 
-    /// What there is to say after that silence.
-    pub(super) fn report(&mut self, rest_percent: u8, reply: &mut Reply<'_>) -> Option<Kind> {
-        if let Some(reason) = self.moved.take() {
-            return Some(self.tell(
-                reply,
-                Kind::Progress,
-                format_args!("waits for rest, {reason}"),
-            ));
+    /// Writes a progress report, if there is progress or motion to report. `percent` is the share
+    /// of the mean that is collected.
+    pub(super) fn report(&mut self, percent: u8, reply: &mut Reply<'_>) -> Option<Kind> {
+        if let Some(reason) = self.motion.take() {
+            return Some(self.progress(reply, format_args!("waits for rest, {reason}")));
         }
-        match &self.what {
+        match &self.measurement {
             Measurement::Gyroscope | Measurement::Level => {
-                Some(self.tell(reply, Kind::Progress, format_args!("{rest_percent} %")))
+                Some(self.progress(reply, format_args!("{percent} %")))
             }
             Measurement::Temperature(learner) => {
-                Some(self.tell(reply, Kind::Progress, format_args!("{}", Seen(learner))))
+                Some(self.progress(reply, format_args!("{}", TemperatureProgress(learner))))
             }
             Measurement::Accelerometer { .. } | Measurement::Mount(_) => None,
         }
     }
 
-    /// For `status`: the range of a temperature calibration.
+    /// Returns the detail for `status`: the measured range of a temperature calibration.
     pub(super) fn detail(&self) -> Option<impl fmt::Display + '_> {
-        match &self.what {
-            Measurement::Temperature(learner) => Some(Seen(learner)),
+        match &self.measurement {
+            Measurement::Temperature(learner) => Some(TemperatureProgress(learner)),
             _ => None,
         }
     }
 
-    /// Takes what the watch over rest says; changes the calibration when it ends well.
-    pub(super) fn rest(
+    /// Handles a detector event. A procedure that succeeds changes the calibration.
+    pub(super) fn on_progress(
         &mut self,
-        progress: &RestProgress,
+        progress: &StationaryProgress,
         calibration: &mut Calibration,
         mount: Mount,
-        scale: &RestScale,
+        noise: &NoiseModel,
         reply: &mut Reply<'_>,
     ) -> Step {
-        let at_rest = match *progress {
-            RestProgress::Collecting => return Step::Wait,
-            RestProgress::Moved(reason) => {
-                self.moved = Some(reason);
+        let mean = match progress {
+            StationaryProgress::Collecting => return Step::Continue,
+            StationaryProgress::Moved(reason) => {
+                self.motion = Some(*reason);
                 self.has_moved = true;
-                return Step::Wait;
+                return Step::Continue;
             }
-            RestProgress::Done(at_rest) => at_rest,
+            StationaryProgress::Done(mean) => mean,
         };
-        self.moved = None;
+        self.motion = None;
         let has_moved = core::mem::take(&mut self.has_moved);
-        match &mut self.what {
-            Measurement::Gyroscope => {
-                let offset = at_rest.gyroscope_offset(scale);
-                calibration.gyroscope = Some(offset);
-                let answer = self.tell(
-                    reply,
-                    Kind::Done,
-                    format_args!(
-                        "offset {} deg/s at {} C; \"save\" keeps it",
-                        Triple(offset.offset_rad_s.scale(degrees(1.0)), 3),
-                        Decimal(offset.temperature_celsius, 1)
-                    ),
-                );
-                Step::End(answer)
-            }
-            Measurement::Accelerometer { poses, still } => {
-                let added = poses.add(&at_rest);
-                match added {
-                    Ok(_) => *still = 0,
-                    Err(_) => *still = still.saturating_add(1),
-                }
-                let (next, still) = (poses.next_pose(), *still);
-                let has_sides = !matches!(next, Pose::Side(..));
-                match added {
-                    Ok(accepted) => {
-                        let taken = Taken {
-                            number: accepted.count,
-                            pose: accepted.pose,
-                        };
-                        Step::Said(if has_sides {
-                            self.tell(reply,
-                                Kind::Progress,
-                                format_args!("{taken}, all six sides are there; keep it still for 5 s more, or go on with: {next}"),
-                            )
-                        } else {
-                            self.tell(reply, Kind::Progress, format_args!("{taken}, next: {next}"))
-                        })
-                    }
-                    Err(PoseRefused::Repeated { .. }) if has_sides && still >= STILL_RESTS => {
-                        Step::End(self.finish(calibration, reply).unwrap_or(Kind::Failed))
-                    }
-                    Err(refused) if has_moved => Step::Said(self.tell(
-                        reply,
-                        Kind::Progress,
-                        format_args!("{refused}; next: {next}"),
-                    )),
-                    Err(_) => Step::Wait,
-                }
+        match &mut self.measurement {
+            Measurement::Gyroscope => self.gyroscope_mean(mean, calibration, noise, reply),
+            Measurement::Accelerometer { .. } => {
+                self.accelerometer_mean(mean, has_moved, calibration, reply)
             }
             Measurement::Level => {
-                let force = corrected(calibration, &at_rest, scale);
-                match level::level(mount.to_body(force)) {
-                    Ok(trim) => {
-                        calibration.level = Some(trim);
-                        let angles = trim.to_euler();
-                        let answer = self.tell(
-                            reply,
-                            Kind::Done,
-                            format_args!(
-                                "trim {} deg of roll, {} deg of pitch; \"save\" keeps it",
-                                Decimal(degrees(angles.roll_rad), 2),
-                                Decimal(degrees(angles.pitch_rad), 2)
-                            ),
-                        );
-                        Step::End(answer)
-                    }
-                    Err(error) => {
-                        Step::End(self.tell(reply, Kind::Failed, format_args!("{error}")))
-                    }
-                }
+                let force = corrected_force_m_s2(calibration, mean, noise);
+                self.level_mean(mount.to_body(force), calibration, reply)
             }
             Measurement::Temperature(learner) => {
-                let sigma = at_rest.gyroscope_offset_sigma_rad_s(scale);
-                let offset = at_rest.gyroscope_offset(scale);
+                let sigma = mean.gyroscope_offset_sigma_rad_s(noise);
+                let offset = mean.gyroscope_offset(noise);
                 learner.add(offset.temperature_celsius, offset.offset_rad_s, sigma);
-                Step::Wait
+                Step::Continue
             }
             Measurement::Mount(finder) => {
-                match finder.add(corrected(calibration, &at_rest, scale)) {
-                    Ok(MountStep::NoseDown) => Step::Said(self.say(
+                let found = finder.add(corrected_force_m_s2(calibration, mean, noise));
+                match found {
+                    Ok(MountStep::NoseDown) => Step::Answered(self.progress(
                         reply,
-                        Kind::Progress,
-                        "level is known; now the nose down, as far as it goes",
+                        format_args!("level is known; now the nose down, as far as it goes"),
                     )),
                     Ok(MountStep::Found(found)) => {
                         set_mount(calibration, found, mount);
-                        let answer = self.tell(
-                            reply,
-                            Kind::Done,
-                            format_args!("mount {found}; \"save\" keeps it"),
-                        );
-                        Step::End(answer)
+                        Step::Ended(
+                            self.done(reply, format_args!("mount {found}; \"save\" keeps it")),
+                        )
                     }
                     Err(error) if has_moved => {
-                        Step::Said(self.tell(reply, Kind::Progress, format_args!("{error}")))
+                        Step::Answered(self.progress(reply, format_args!("{error}")))
                     }
-                    Err(_) => Step::Wait,
+                    Err(_) => Step::Continue,
                 }
             }
         }
     }
 
-    /// Ends it with what there is, if that is enough; else says what is missing, and it goes on.
+    fn gyroscope_mean(
+        &self,
+        mean: &StationaryMean,
+        calibration: &mut Calibration,
+        noise: &NoiseModel,
+        reply: &mut Reply<'_>,
+    ) -> Step {
+        let offset = mean.gyroscope_offset(noise);
+        calibration.gyroscope = Some(offset);
+        Step::Ended(self.done(
+            reply,
+            format_args!(
+                "offset {} deg/s at {} C; \"save\" keeps it",
+                Triple(offset.offset_rad_s.scale(degrees(1.0)), 3),
+                Decimal(offset.temperature_celsius, 1)
+            ),
+        ))
+    }
+
+    fn accelerometer_mean(
+        &mut self,
+        mean: &StationaryMean,
+        has_moved: bool,
+        calibration: &mut Calibration,
+        reply: &mut Reply<'_>,
+    ) -> Step {
+        let Measurement::Accelerometer { poses, repeats } = &mut self.measurement else {
+            return Step::Continue;
+        };
+        let added = poses.add(mean);
+        *repeats = match added {
+            Ok(_) => 0,
+            Err(_) => repeats.saturating_add(1),
+        };
+        let (next, repeats) = (poses.next_pose(), *repeats);
+        let has_sides = !matches!(next, Pose::Side(_));
+        match added {
+            Ok(accepted) if has_sides => Step::Answered(self.progress(
+                reply,
+                format_args!(
+                    "{}, all six sides are there; keep it still for 5 s more, or go on with: \
+                     {next}",
+                    AcceptedPoseText(accepted)
+                ),
+            )),
+            Ok(accepted) => Step::Answered(self.progress(
+                reply,
+                format_args!("{}, next: {next}", AcceptedPoseText(accepted)),
+            )),
+            Err(PoseError::Repeated { .. }) if has_sides && repeats >= REPEATS_TO_FINISH => {
+                Step::Ended(self.finish(calibration, reply).unwrap_or(Kind::Failed))
+            }
+            Err(error) if has_moved => {
+                Step::Answered(self.progress(reply, format_args!("{error}; next: {next}")))
+            }
+            Err(_) => Step::Continue,
+        }
+    }
+
+    fn level_mean(
+        &self,
+        mounted_force_m_s2: Vector3,
+        calibration: &mut Calibration,
+        reply: &mut Reply<'_>,
+    ) -> Step {
+        match level::trim(mounted_force_m_s2) {
+            Ok(trim) => {
+                calibration.level = Some(trim);
+                let angles = trim.to_euler();
+                Step::Ended(self.done(
+                    reply,
+                    format_args!(
+                        "trim {} deg of roll, {} deg of pitch; \"save\" keeps it",
+                        Decimal(degrees(angles.roll_rad), 2),
+                        Decimal(degrees(angles.pitch_rad), 2)
+                    ),
+                ))
+            }
+            Err(error) => Step::Ended(self.write(reply, Kind::Failed, format_args!("{error}"))),
+        }
+    }
+
+    /// Ends the procedure with the data so far and returns [`Kind::Done`]. Writes an error and
+    /// returns `None` if they are not enough; the procedure then continues.
     pub(super) fn finish(
         &self,
         calibration: &mut Calibration,
         reply: &mut Reply<'_>,
     ) -> Option<Kind> {
-        match &self.what {
+        match &self.measurement {
             Measurement::Accelerometer { poses, .. } => match poses.fit() {
                 Ok(fit) => {
                     calibration.accelerometer = Some(fit.correction);
-                    return Some(self.tell(
-                        reply,
-                        Kind::Done,
-                        format_args!("{fit}; \"save\" keeps it"),
-                    ));
+                    return Some(self.done(reply, format_args!("{fit}; \"save\" keeps it")));
                 }
-                Err(error) => self.tell(reply, Kind::Error, format_args!("{error}")),
+                Err(error) => self.write(reply, Kind::Error, format_args!("{error}")),
             },
             Measurement::Temperature(learner) => match learner.fit() {
                 Ok(model) => {
                     calibration.temperature = Some(model);
-                    let seen = Seen(learner);
-                    return Some(self.tell(
-                        reply,
-                        Kind::Done,
-                        format_args!("{seen}; \"save\" keeps it"),
-                    ));
+                    let range = TemperatureProgress(learner);
+                    return Some(self.done(reply, format_args!("{range}; \"save\" keeps it")));
                 }
-                Err(error) => self.tell(reply, Kind::Error, format_args!("{error}")),
+                Err(error) => self.write(reply, Kind::Error, format_args!("{error}")),
             },
-            _ => self.say(reply, Kind::Error, "it ends by itself"),
+            _ => self.write(reply, Kind::Error, format_args!("it ends by itself")),
         };
         None
     }
 
-    fn say(&self, reply: &mut Reply<'_>, kind: Kind, text: &str) -> Kind {
-        self.tell(reply, kind, format_args!("{text}"))
+    fn progress(&self, reply: &mut Reply<'_>, arguments: fmt::Arguments<'_>) -> Kind {
+        self.write(reply, Kind::Progress, arguments)
+    }
+
+    fn done(&self, reply: &mut Reply<'_>, arguments: fmt::Arguments<'_>) -> Kind {
+        self.write(reply, Kind::Done, arguments)
     }
 
     #[inline(never)]
-    fn tell(&self, reply: &mut Reply<'_>, kind: Kind, arguments: fmt::Arguments<'_>) -> Kind {
-        reply.say(kind, format_args!("{}: {arguments}", self.name()))
+    fn write(&self, reply: &mut Reply<'_>, kind: Kind, arguments: fmt::Arguments<'_>) -> Kind {
+        reply.write(kind, format_args!("{}: {arguments}", self.name()))
     }
 }
 
-/// Sets a mount; a trim that was found with another one goes with that.
+/// Sets the mount, and clears a level trim that belongs to another mount.
 pub(super) fn set_mount(calibration: &mut Calibration, mount: Mount, before: Mount) {
     calibration.mount = Some(mount);
     if mount != before {
@@ -334,48 +357,47 @@ pub(super) fn set_mount(calibration: &mut Calibration, mount: Mount, before: Mou
     }
 }
 
-/// The mean specific force, m/s² in sensor axes.
-fn corrected(
+/// Returns the mean specific force, corrected as far as the calibration knows, m/s² in sensor
+/// axes.
+fn corrected_force_m_s2(
     calibration: &Calibration,
-    at_rest: &AtRest,
-    scale: &RestScale,
-) -> crate::attitude::Vector3 {
-    let reading = at_rest.specific_force_m_s2(scale);
+    mean: &StationaryMean,
+    noise: &NoiseModel,
+) -> Vector3 {
+    let reading = mean.specific_force_m_s2(noise);
     calibration
         .accelerometer
         .map_or(reading, |correction| correction.apply(reading))
 }
 
-/// A pose that was taken.
-struct Taken {
-    number: u8,
-    pose: Option<Pose>,
-}
+/// Accepted pose as text.
+struct AcceptedPoseText(AcceptedPose);
 
-impl fmt::Display for Taken {
+impl fmt::Display for AcceptedPoseText {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "pose {}", self.number)?;
-        match self.pose {
+        let AcceptedPose { count, pose } = self.0;
+        write!(formatter, "pose {count}")?;
+        match pose {
             Some(pose) => write!(formatter, " is {pose}"),
             None => formatter.write_str(" is tilted"),
         }
     }
 }
 
-/// What a temperature calibration has seen.
-struct Seen<'a>(&'a TemperatureLearner);
+/// Data of a temperature calibration as text.
+struct TemperatureProgress<'a>(&'a TemperatureLearner);
 
-impl fmt::Display for Seen<'_> {
+impl fmt::Display for TemperatureProgress<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Some((coldest, warmest)) = self.0.range_celsius() else {
+        let Some(range_celsius) = self.0.range_celsius() else {
             return formatter.write_str("nothing seen yet");
         };
         write!(
             formatter,
             "{} temperatures from {} to {} C",
             self.0.points(),
-            Decimal(coldest, 1),
-            Decimal(warmest, 1)
+            Decimal(*range_celsius.start(), 1),
+            Decimal(*range_celsius.end(), 1)
         )
     }
 }

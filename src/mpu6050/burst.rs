@@ -1,41 +1,41 @@
-//! The 14 bytes of one sample, and what they mean.
+//! Burst: the 14 bytes of one sample, and their counts.
 //!
-//! [`Burst`] is what a bus delivers, [`RawSample`] its counts in sensor axes; the counts are
-//! newtypes that know how to become SI. Nothing here can fail: every 14 bytes are a sample.
+//! A bus delivers a [`Burst`]. [`RawSample`] holds its counts in sensor axes, in newtypes that
+//! convert to SI units. Nothing here can fail: every 14 bytes are a sample.
 
 use super::config::{AccelerometerRange, GyroscopeRange};
 use super::part::Part;
 use crate::attitude::Vector3;
 
-/// Data registers read per sample: 0x3B to 0x48 (register map §4.17 to §4.19).
+/// Number of data registers per sample: 0x3B to 0x48 (register map §4.17 to §4.19).
 pub const BURST_LENGTH: usize = 14;
 
-/// One sample as the bus delivered it, with the time of its data-ready edge.
+/// Bytes of one sample, with the time of its data-ready edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Burst {
     /// Registers 0x3B to 0x48 in order.
     pub bytes: [u8; BURST_LENGTH],
-    /// When the data-ready edge came, in microseconds since start.
+    /// Time of the data-ready edge, µs since start.
     pub captured_at_us: u64,
-    /// Data-ready edges since the last published burst that gave none; 255 means that or more.
+    /// Samples lost between the last published burst and this one; 255 means that or more.
     pub missed_before: u8,
 }
 
-/// A sample in counts, in sensor axes.
+/// Sample in counts, in sensor axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RawSample {
-    /// The accelerometer.
+    /// Accelerometer counts.
     pub accelerometer: AccelerometerCounts,
-    /// The die temperature.
+    /// Counts of the die temperature.
     pub temperature: TemperatureCounts,
-    /// The gyroscope.
+    /// Gyroscope counts.
     pub gyroscope: GyroscopeCounts,
 }
 
 impl RawSample {
-    /// Takes the bytes apart: big-endian accelerometer x y z, temperature, gyroscope x y z.
+    /// Decodes a burst: accelerometer x y z, temperature, gyroscope x y z, all big-endian.
     #[inline]
     pub const fn decode(bytes: &[u8; BURST_LENGTH]) -> Self {
         let &[
@@ -69,7 +69,7 @@ impl RawSample {
         }
     }
 
-    /// The bytes that decode to this sample.
+    /// Encodes the sample to the bytes of a burst.
     pub const fn encode(&self) -> [u8; BURST_LENGTH] {
         let [ax, ay, az] = self.accelerometer.0;
         let [gx, gy, gz] = self.gyroscope.0;
@@ -92,13 +92,13 @@ impl RawSample {
 pub struct AccelerometerCounts(pub [i16; 3]);
 
 impl AccelerometerCounts {
-    /// Specific force in m/s², in sensor axes.
+    /// Converts to the specific force, m/s² in sensor axes.
     #[inline]
     pub fn to_m_s2(self, range: AccelerometerRange) -> Vector3 {
         scale(self.0, range.m_s2_per_count())
     }
 
-    /// Whether an axis reads full scale, so that the truth may lie beyond it.
+    /// Returns whether an axis reads full scale; the true value may be larger.
     #[inline]
     pub fn is_saturated(self) -> bool {
         is_saturated(self.0)
@@ -111,13 +111,13 @@ impl AccelerometerCounts {
 pub struct GyroscopeCounts(pub [i16; 3]);
 
 impl GyroscopeCounts {
-    /// Angular rate in rad/s, in sensor axes.
+    /// Converts to the angular rate, rad/s in sensor axes.
     #[inline]
     pub fn to_rad_s(self, range: GyroscopeRange) -> Vector3 {
         scale(self.0, range.rad_s_per_count())
     }
 
-    /// Whether an axis reads full scale, so that the truth may lie beyond it.
+    /// Returns whether an axis reads full scale; the true value may be larger.
     #[inline]
     pub fn is_saturated(self) -> bool {
         is_saturated(self.0)
@@ -130,7 +130,7 @@ impl GyroscopeCounts {
 pub struct TemperatureCounts(pub i16);
 
 impl TemperatureCounts {
-    /// Die temperature in °C, by the formula of this part.
+    /// Converts to the die temperature, °C, by the formula of a part.
     #[inline]
     pub fn to_celsius(self, part: &Part) -> f32 {
         let temperature = part.temperature;
@@ -144,10 +144,9 @@ fn scale([x, y, z]: [i16; 3], per_count: f32) -> Vector3 {
 }
 
 #[inline]
-fn is_saturated(counts: [i16; 3]) -> bool {
-    counts
-        .iter()
-        .any(|count| count.unsigned_abs() >= i16::MAX.unsigned_abs())
+fn is_saturated([x, y, z]: [i16; 3]) -> bool {
+    let is_full = |count: i16| count.unsigned_abs() >= i16::MAX.unsigned_abs();
+    is_full(x) | is_full(y) | is_full(z)
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
-//! Which registers are read back while the sensor runs, and what they should hold.
+//! Checks: registers that are read back while the sensor runs, and their expected values.
 //!
-//! A sensor whose supply sags, or a cheap clone, forgets its settings without a word; a changed full
-//! scale then scales the attitude. Three short reads cover every setting, and each takes the bus for
-//! less time than a burst leaves.
+//! A sensor whose supply sags, or a cheap clone, can lose its settings silently. A changed full
+//! scale then scales the attitude. Three short reads cover every setting, and each fits between two
+//! bursts.
 
 use super::config::Config;
 use super::part::Part;
@@ -12,39 +12,51 @@ use super::registers::{
     POWER_SLEEP, Register, SELF_TEST_MASK,
 };
 
-/// What a sensor's registers say of its settings.
+/// Condition of the sensor's settings, by its registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Condition {
-    /// They are as they were set.
+    /// The settings are as configured.
     Intact,
     /// The sensor has reset itself and sleeps.
     Reset,
-    /// Some setting is another one.
+    /// A setting differs from the configuration.
     Changed,
 }
 
-/// Neighbouring registers that are read back together.
+/// Check of neighbouring registers that are read together.
+///
+/// ```
+/// use aplomb::mpu6050::{Check, Condition, Config, Part};
+///
+/// let [ranges, ..] = Check::all(&Config::DEFAULT, &Part::MPU_6050);
+/// // SMPLRT_DIV, CONFIG, GYRO_CONFIG and ACCEL_CONFIG as configured; then another full scale.
+/// assert_eq!(ranges.evaluate(&[0x00, 0x01, 0x18, 0x18, 0x00]), Condition::Intact);
+/// assert_eq!(ranges.evaluate(&[0x00, 0x01, 0x00, 0x18, 0x00]), Condition::Changed);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Check {
-    /// The first register.
+    /// First register.
     pub first: Register,
-    /// How many are read: two or more, which is what a transfer by DMA needs (RM0090, 27.3.7).
+    /// Number of registers: two or more, as a transfer by DMA needs (RM0090, 27.3.7).
     pub length: usize,
-    /// What counts of the first four bytes, as a little-endian word, and what it should be; then the same of the fifth.
+    /// Bits that count in the first four bytes, as a little-endian word.
     masks: u32,
+    /// Expected values of those bits.
     expected: u32,
+    /// Bits that count in the fifth byte.
     last_mask: u8,
+    /// Expected values of those bits.
     last_expected: u8,
 }
 
 impl Check {
-    /// No check reads more bytes.
+    /// Number of bytes of the longest check.
     pub const LONGEST: usize = 5;
 
-    /// The checks for these settings of this part: rates and full scales first, then the interrupt pin,
-    /// then power and clock.
+    /// Returns the checks for a configuration of a part: rates and full scales, interrupt pin,
+    /// power and clock.
     pub const fn all(config: &Config, part: &Part) -> [Self; 3] {
         let low_pass = config.low_pass.bits();
         let own_low_pass = if part.has_accelerometer_low_pass {
@@ -67,19 +79,19 @@ impl Check {
                 last_mask: own_low_pass,
                 last_expected: low_pass & own_low_pass,
             },
-            Self::of_two(
+            Self::pair(
                 Register::InterruptPinConfiguration,
                 [INTERRUPT_ACTIVE_HIGH_PULSE, INTERRUPT_DATA_READY],
             ),
-            Self::of_two(
+            Self::pair(
                 Register::PowerManagement1,
                 [POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON],
             ),
         ]
     }
 
-    /// Two registers, of which every bit counts.
-    const fn of_two(first: Register, [one, other]: [u8; 2]) -> Self {
+    /// Checks every bit of two registers.
+    const fn pair(first: Register, [one, other]: [u8; 2]) -> Self {
         Self {
             first,
             length: 2,
@@ -90,9 +102,9 @@ impl Check {
         }
     }
 
-    /// Judges the bytes that were read; those beyond [`length`](Self::length) do not count.
+    /// Evaluates the bytes that were read; those beyond [`length`](Self::length) do not count.
     #[inline(always)]
-    pub const fn of(&self, bytes: &[u8; Self::LONGEST]) -> Condition {
+    pub const fn evaluate(&self, bytes: &[u8; Self::LONGEST]) -> Condition {
         let &[a, b, c, d, e] = bytes;
         let first = u32::from_le_bytes([a, b, c, d]) & self.masks;
         let last = e & self.last_mask;
@@ -111,11 +123,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_changed_setting_is_noticed_and_reserved_bits_are_not() {
+    fn changed_settings_are_found_and_reserved_bits_ignored() {
         let [scales, interrupt, power] = Check::all(&Config::DEFAULT, &Part::MPU_6050);
         // SMPLRT_DIV 0, CONFIG 1, GYRO_CONFIG and ACCEL_CONFIG at full scale 3.
         let good = [0x00, 0x01, 0x18, 0x18, 0x00];
-        assert_eq!(scales.of(&good), Condition::Intact);
+        assert_eq!(scales.evaluate(&good), Condition::Intact);
         let meaningful: [u8; 5] = [0xFF, 0x07, 0xF8, 0xF8, 0x00];
         for place in 0..5 {
             for bit in 0..8 {
@@ -126,23 +138,32 @@ mod tests {
                 } else {
                     Condition::Changed
                 };
-                assert_eq!(scales.of(&bytes), expected, "{place} {bit}");
+                assert_eq!(scales.evaluate(&bytes), expected, "{place} {bit}");
             }
         }
-        assert_eq!(interrupt.of(&[0x00, 0x01, 9, 9, 9]), Condition::Intact);
-        assert_eq!(interrupt.of(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
-        assert_eq!(interrupt.of(&[0x80, 0x01, 0, 0, 0]), Condition::Changed);
-        assert_eq!(power.of(&[0x01, 0x00, 0, 0, 0]), Condition::Intact);
-        assert_eq!(power.of(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
-        assert_eq!(power.of(&[0x01, 0x08, 0, 0, 0]), Condition::Changed);
-        assert_eq!(power.of(&[0x40, 0x00, 0, 0, 0]), Condition::Reset);
+        assert_eq!(
+            interrupt.evaluate(&[0x00, 0x01, 9, 9, 9]),
+            Condition::Intact
+        );
+        assert_eq!(
+            interrupt.evaluate(&[0x00, 0x00, 0, 0, 0]),
+            Condition::Changed
+        );
+        assert_eq!(
+            interrupt.evaluate(&[0x80, 0x01, 0, 0, 0]),
+            Condition::Changed
+        );
+        assert_eq!(power.evaluate(&[0x01, 0x00, 0, 0, 0]), Condition::Intact);
+        assert_eq!(power.evaluate(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
+        assert_eq!(power.evaluate(&[0x01, 0x08, 0, 0, 0]), Condition::Changed);
+        assert_eq!(power.evaluate(&[0x40, 0x00, 0, 0, 0]), Condition::Reset);
     }
 
     #[test]
     fn a_part_with_a_second_low_pass_has_it_checked() {
         for part in &super::super::part::PARTS {
             let [scales, ..] = Check::all(&Config::DEFAULT, part);
-            let other = scales.of(&[0x00, 0x01, 0x18, 0x18, 0x00]);
+            let other = scales.evaluate(&[0x00, 0x01, 0x18, 0x18, 0x00]);
             let is_checked = other == Condition::Changed;
             assert_eq!(is_checked, part.has_accelerometer_low_pass, "{}", part.name);
         }

@@ -1,9 +1,21 @@
-//! Settings of the sensor: full scales, low-pass filter, sample rate.
+//! Configuration of the sensor: full scales, low-pass filter, sample rate.
 
-use crate::state::Exchange;
+use core::fmt;
+use core::str::FromStr;
+
+use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// The accelerometer's full scale.
+/// Full scale of the accelerometer. Its text is the number of g, such as `16`.
+///
+/// ```
+/// use aplomb::mpu6050::AccelerometerRange;
+///
+/// let range: AccelerometerRange = "8".parse()?;
+/// assert_eq!(range.counts_per_g(), 4096.0);
+/// assert_eq!(range.to_string(), "8");
+/// # Ok::<(), aplomb::mpu6050::ParseRangeError>(())
+/// ```
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -14,7 +26,7 @@ pub enum AccelerometerRange {
     G4 = 1,
     /// ±8 g, 4096 counts per g.
     G8 = 2,
-    /// ±16 g, 2048 counts per g: what a vibrating airframe needs.
+    /// ±16 g, 2048 counts per g, for a vibrating airframe.
     #[default]
     G16 = 3,
 }
@@ -23,12 +35,22 @@ impl AccelerometerRange {
     /// Every range, smallest first.
     pub const ALL: [Self; 4] = [Self::G2, Self::G4, Self::G8, Self::G16];
 
-    /// AFS_SEL (register map §4.5).
+    /// Returns AFS_SEL (register map §4.5).
     pub const fn bits(self) -> u8 {
         self as u8
     }
 
-    /// Sensitivity in counts per g (product specification §6.2).
+    /// Returns the full scale, g.
+    pub const fn full_scale_g(self) -> u16 {
+        match self {
+            Self::G2 => 2,
+            Self::G4 => 4,
+            Self::G8 => 8,
+            Self::G16 => 16,
+        }
+    }
+
+    /// Returns the sensitivity, counts per g (product specification §6.2).
     pub const fn counts_per_g(self) -> f32 {
         match self {
             Self::G2 => 16384.0,
@@ -38,13 +60,43 @@ impl AccelerometerRange {
         }
     }
 
-    /// m/s² per count.
+    /// Returns the scale, m/s² per count.
     pub const fn m_s2_per_count(self) -> f32 {
         STANDARD_GRAVITY_M_S2 / self.counts_per_g()
     }
 }
 
-/// The gyroscope's full scale.
+impl fmt::Display for AccelerometerRange {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.full_scale_g().fmt(formatter)
+    }
+}
+
+impl FromStr for AccelerometerRange {
+    type Err = ParseRangeError;
+
+    /// Parses the number of g: `2`, `4`, `8` or `16`.
+    fn from_str(text: &str) -> Result<Self, ParseRangeError> {
+        match text {
+            "2" => Ok(Self::G2),
+            "4" => Ok(Self::G4),
+            "8" => Ok(Self::G8),
+            "16" => Ok(Self::G16),
+            _ => Err(ParseRangeError(Kind::Accelerometer)),
+        }
+    }
+}
+
+/// Full scale of the gyroscope. Its text is the number of °/s, such as `2000`.
+///
+/// ```
+/// use aplomb::mpu6050::GyroscopeRange;
+///
+/// let range: GyroscopeRange = "250".parse()?;
+/// assert_eq!(range.counts_per_degree_s(), 131.0);
+/// assert_eq!(range.to_string(), "250");
+/// # Ok::<(), aplomb::mpu6050::ParseRangeError>(())
+/// ```
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -69,12 +121,22 @@ impl GyroscopeRange {
         Self::Degrees2000,
     ];
 
-    /// FS_SEL (register map §4.4).
+    /// Returns FS_SEL (register map §4.4).
     pub const fn bits(self) -> u8 {
         self as u8
     }
 
-    /// Sensitivity in counts per °/s (product specification §6.1).
+    /// Returns the full scale, °/s.
+    pub const fn full_scale_degrees_s(self) -> u16 {
+        match self {
+            Self::Degrees250 => 250,
+            Self::Degrees500 => 500,
+            Self::Degrees1000 => 1000,
+            Self::Degrees2000 => 2000,
+        }
+    }
+
+    /// Returns the sensitivity, counts per °/s (product specification §6.1).
     pub const fn counts_per_degree_s(self) -> f32 {
         match self {
             Self::Degrees250 => 131.0,
@@ -84,16 +146,60 @@ impl GyroscopeRange {
         }
     }
 
-    /// rad/s per count.
+    /// Returns the scale, rad/s per count.
     pub const fn rad_s_per_count(self) -> f32 {
         radians(1.0) / self.counts_per_degree_s()
     }
 }
 
-/// The digital low-pass filter, named by the gyroscope's bandwidth in hertz.
+impl fmt::Display for GyroscopeRange {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.full_scale_degrees_s().fmt(formatter)
+    }
+}
+
+impl FromStr for GyroscopeRange {
+    type Err = ParseRangeError;
+
+    /// Parses the number of °/s: `250`, `500`, `1000` or `2000`.
+    fn from_str(text: &str) -> Result<Self, ParseRangeError> {
+        match text {
+            "250" => Ok(Self::Degrees250),
+            "500" => Ok(Self::Degrees500),
+            "1000" => Ok(Self::Degrees1000),
+            "2000" => Ok(Self::Degrees2000),
+            _ => Err(ParseRangeError(Kind::Gyroscope)),
+        }
+    }
+}
+
+/// Text that names no full scale.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ParseRangeError(Kind);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+enum Kind {
+    Accelerometer,
+    Gyroscope,
+}
+
+impl fmt::Display for ParseRangeError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self.0 {
+            Kind::Accelerometer => "the accelerometer's ranges are 2, 4, 8 and 16 g",
+            Kind::Gyroscope => "the gyroscope's ranges are 250, 500, 1000 and 2000 °/s",
+        })
+    }
+}
+
+impl core::error::Error for ParseRangeError {}
+
+/// Digital low-pass filter, named by the gyroscope's bandwidth in hertz.
 ///
-/// Bandwidths and delays are the MPU-6050's (register map §4.3). The MPU-6500 family takes the same
-/// settings with bandwidths within 6 Hz and delays that are longer, up to twice as long at the
+/// Bandwidths and delays are the MPU-6050's (register map §4.3). The MPU-6500 family takes the
+/// same settings with bandwidths within 6 Hz. Its delays are longer, up to twice as long at the
 /// narrow end.
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -128,12 +234,12 @@ impl LowPass {
         Self::Hertz5,
     ];
 
-    /// DLPF_CFG (register map §4.3).
+    /// Returns DLPF_CFG (register map §4.3).
     pub const fn bits(self) -> u8 {
         self as u8
     }
 
-    /// The rate at which the filter puts out samples, before the divider, in hertz.
+    /// Returns the filter's output rate before the divider, Hz.
     pub const fn output_rate_hz(self) -> u16 {
         match self {
             Self::Hertz256 => 8000,
@@ -141,7 +247,7 @@ impl LowPass {
         }
     }
 
-    /// The gyroscope's bandwidth in hertz.
+    /// Returns the gyroscope's bandwidth, Hz.
     pub const fn gyroscope_bandwidth_hz(self) -> u16 {
         match self {
             Self::Hertz256 => 256,
@@ -154,7 +260,7 @@ impl LowPass {
         }
     }
 
-    /// The accelerometer's bandwidth in hertz.
+    /// Returns the accelerometer's bandwidth, Hz.
     pub const fn accelerometer_bandwidth_hz(self) -> u16 {
         match self {
             Self::Hertz256 => 260,
@@ -167,7 +273,7 @@ impl LowPass {
         }
     }
 
-    /// By how much the gyroscope lags the motion, in microseconds.
+    /// Returns the gyroscope's delay, µs.
     pub const fn gyroscope_delay_us(self) -> u16 {
         match self {
             Self::Hertz256 => 980,
@@ -180,7 +286,7 @@ impl LowPass {
         }
     }
 
-    /// By how much the accelerometer lags the motion, in microseconds.
+    /// Returns the accelerometer's delay, µs.
     pub const fn accelerometer_delay_us(self) -> u16 {
         match self {
             Self::Hertz256 => 0,
@@ -194,22 +300,34 @@ impl LowPass {
     }
 }
 
-/// What the sensor is told. The default is 1 kHz, ±16 g, ±2000 °/s, 188 Hz.
+/// Configuration of the sensor. The default is 1 kHz, ±16 g, ±2000 °/s, 188 Hz.
+///
+/// ```
+/// use aplomb::mpu6050::{AccelerometerRange, Config, LowPass};
+///
+/// const CONFIG: Config = Config::DEFAULT
+///     .with_accelerometer_range(AccelerometerRange::G8)
+///     .with_low_pass(LowPass::Hertz98)
+///     .with_sample_rate_divider(4);
+/// assert_eq!(CONFIG.sample_rate_hz(), 200.0);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct Config {
-    /// The accelerometer's full scale.
+    /// Full scale of the accelerometer. Default: ±16 g.
     pub accelerometer_range: AccelerometerRange,
-    /// The gyroscope's full scale.
+    /// Full scale of the gyroscope. Default: ±2000 °/s.
     pub gyroscope_range: GyroscopeRange,
-    /// The low-pass filter in front of both.
+    /// Low-pass filter of both. Default: 188 Hz.
     pub low_pass: LowPass,
-    /// SMPLRT_DIV: samples come at the filter's output rate over this plus one.
+    /// SMPLRT_DIV: the sample rate is the filter's output rate divided by this plus one. Default:
+    /// 0.
     pub sample_rate_divider: u8,
 }
 
 impl Config {
-    /// The default settings, for constants.
+    /// Default configuration, for constants.
     pub const DEFAULT: Self = Self {
         accelerometer_range: AccelerometerRange::G16,
         gyroscope_range: GyroscopeRange::Degrees2000,
@@ -217,11 +335,39 @@ impl Config {
         sample_rate_divider: 0,
     };
 
-    /// Is shown to `state`, or set by it.
-    pub fn exchange(&mut self, state: &mut impl Exchange) {
-        fn choose<T: Copy>(value: &mut T, bits: u8, all: &[T], state: &mut impl Exchange) {
+    /// Replaces the accelerometer's full scale.
+    #[must_use]
+    pub const fn with_accelerometer_range(mut self, range: AccelerometerRange) -> Self {
+        self.accelerometer_range = range;
+        self
+    }
+
+    /// Replaces the gyroscope's full scale.
+    #[must_use]
+    pub const fn with_gyroscope_range(mut self, range: GyroscopeRange) -> Self {
+        self.gyroscope_range = range;
+        self
+    }
+
+    /// Replaces the low-pass filter.
+    #[must_use]
+    pub const fn with_low_pass(mut self, low_pass: LowPass) -> Self {
+        self.low_pass = low_pass;
+        self
+    }
+
+    /// Replaces SMPLRT_DIV.
+    #[must_use]
+    pub const fn with_sample_rate_divider(mut self, divider: u8) -> Self {
+        self.sample_rate_divider = divider;
+        self
+    }
+
+    /// Visits every field.
+    pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        fn choose<T: Copy>(value: &mut T, bits: u8, all: &[T], visitor: &mut impl StateVisitor) {
             let mut index = bits.into();
-            state.index(&mut index, all.len());
+            visitor.index(&mut index, all.len());
             if let Some(chosen) = all.get(index) {
                 *value = *chosen;
             }
@@ -231,17 +377,22 @@ impl Config {
             &mut self.accelerometer_range,
             bits,
             &AccelerometerRange::ALL,
-            state,
+            visitor,
         );
         let bits = self.gyroscope_range.bits();
-        choose(&mut self.gyroscope_range, bits, &GyroscopeRange::ALL, state);
+        choose(
+            &mut self.gyroscope_range,
+            bits,
+            &GyroscopeRange::ALL,
+            visitor,
+        );
         let bits = self.low_pass.bits();
-        choose(&mut self.low_pass, bits, &LowPass::ALL, state);
-        state.byte(&mut self.sample_rate_divider);
+        choose(&mut self.low_pass, bits, &LowPass::ALL, visitor);
+        visitor.u8(&mut self.sample_rate_divider);
     }
 
-    /// The nominal sample rate in hertz; the sensor's own clock is within 1 % of it
-    /// (product specification §6.6). Above 1 kHz the accelerometer repeats its samples.
+    /// Returns the nominal sample rate, Hz. The sensor's clock is within 1 % of it (product
+    /// specification §6.6). Above 1 kHz the accelerometer repeats its samples.
     pub fn sample_rate_hz(&self) -> f32 {
         f32::from(self.low_pass.output_rate_hz()) / (f32::from(self.sample_rate_divider) + 1.0)
     }
@@ -267,6 +418,22 @@ mod tests {
             assert_eq!(usize::from(range.bits()), index);
             let full_scale = range.counts_per_degree_s() * (250 << index) as f32;
             assert!((32700.0..=32800.0).contains(&full_scale), "{full_scale}");
+        }
+    }
+
+    #[test]
+    fn a_range_is_read_back_from_its_text() {
+        for range in AccelerometerRange::ALL {
+            assert_eq!(range.to_string().parse(), Ok(range));
+        }
+        for range in GyroscopeRange::ALL {
+            assert_eq!(range.to_string().parse(), Ok(range));
+        }
+        for text in ["", "3", "16 g", "-2", "+2", "2.0", "02000"] {
+            let error = text.parse::<AccelerometerRange>().expect_err(text);
+            assert!(error.to_string().contains("2, 4, 8 and 16 g"), "{error}");
+            let error = text.parse::<GyroscopeRange>().expect_err(text);
+            assert!(error.to_string().contains("1000 and 2000 °/s"), "{error}");
         }
     }
 

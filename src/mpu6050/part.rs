@@ -1,10 +1,10 @@
-//! The table of parts: who answers to which identity, and in what they differ.
+//! Parts: the supported chips, their identities, and their differences.
 //!
 //! All of them share the MPU-6050's data registers, full scales and sensitivities. They differ in
-//! the temperature formula, in whether the accelerometer has a low-pass filter of its own, and in
-//! the value of PWR_MGMT_1 after a reset.
+//! the temperature formula, the accelerometer's own low-pass filter, and the value of PWR_MGMT_1
+//! after a reset.
 
-/// A linear temperature scale: °C = counts · `celsius_per_count` + `celsius_at_zero`.
+/// Linear temperature scale: °C = counts · `celsius_per_count` + `celsius_at_zero`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Temperature {
@@ -14,26 +14,34 @@ pub struct Temperature {
     pub celsius_at_zero: f32,
 }
 
-/// One part: its identity, and what the driver does differently for it.
+/// Supported chip: its identity, and its differences from the others.
+///
+/// ```
+/// use aplomb::mpu6050::Part;
+///
+/// let part = Part::from_who_am_i(0x70).unwrap();
+/// assert_eq!(part.name, "MPU-6500");
+/// assert!(part.has_accelerometer_low_pass);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Part {
-    /// What to call it.
+    /// Name.
     pub name: &'static str,
-    /// The value of its WHO_AM_I register.
+    /// Value of its WHO_AM_I register.
     pub who_am_i: u8,
-    /// Its temperature sensor's scale.
+    /// Scale of its temperature sensor.
     pub temperature: Temperature,
-    /// Whether ACCEL_CONFIG_2 (0x1D) sets the accelerometer's low-pass filter.
+    /// True if ACCEL_CONFIG_2 (0x1D) sets the accelerometer's low-pass filter.
     pub has_accelerometer_low_pass: bool,
-    /// Whether SELF_TEST_X to _A (0x0D to 0x10) hold the factory trim of the MPU-6050's self-test.
+    /// True if SELF_TEST_X to _A (0x0D to 0x10) hold the factory trim of the MPU-6050's self-test.
     pub has_self_test_trim: bool,
-    /// The values PWR_MGMT_1 may have after a reset.
+    /// Values that PWR_MGMT_1 may have after a reset.
     pub power_after_reset: &'static [u8],
 }
 
 impl Part {
-    /// The MPU-6050 itself.
+    /// MPU-6050.
     pub const MPU_6050: Self = Self {
         name: "MPU-6050",
         who_am_i: 0x68,
@@ -43,7 +51,7 @@ impl Part {
         power_after_reset: &[ASLEEP],
     };
 
-    /// The part with this identity.
+    /// Returns the part with this identity.
     pub fn from_who_am_i(who_am_i: u8) -> Option<&'static Self> {
         PARTS.iter().find(|part| part.who_am_i == who_am_i)
     }
@@ -56,13 +64,14 @@ const AWAKE: u8 = 0x01;
 /// PWR_MGMT_1 after reset: asleep with the best clock selected (later parts of the family).
 const ASLEEP_BEST_CLOCK: u8 = 0x41;
 
-/// Register map §4.18.
+/// Temperature scale of the MPU-6050 (register map §4.18).
 const MPU_6050_TEMPERATURE: Temperature = Temperature {
     celsius_per_count: 1.0 / 340.0,
     celsius_at_zero: 36.53,
 };
 
-/// MPU-6500 and MPU-9250 register maps, TEMP_OUT, with RoomTemp_Offset zero.
+/// Temperature scale of the MPU-6500 and MPU-9250 (register maps, TEMP_OUT, with RoomTemp_Offset
+/// zero).
 const MPU_6500_TEMPERATURE: Temperature = Temperature {
     celsius_per_count: 1.0 / 333.87,
     celsius_at_zero: 21.0,
@@ -87,7 +96,7 @@ pub static PARTS: [Part; 6] = [
         has_self_test_trim: false,
         power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
     },
-    // Seen on modules sold as MPU-6050 (GY-87 and others), which behave as one.
+    // Found on modules sold as MPU-6050 (GY-87 and others); behaves as one.
     Part {
         name: "MPU-6050 clone 0x72",
         who_am_i: 0x72,

@@ -1,12 +1,25 @@
-//! The register map, as far as this project uses it: addresses, fields and reset values.
+//! Register map, as far as this project uses it: addresses, fields and reset values.
 //!
 //! Section numbers are those of the register map (RM-MPU-6000A revision 4.2); `ACCEL_CONFIG_2`
 //! exists only in the MPU-6500 family (RM-MPU-6500A revision 2.1 §4.8).
+//!
+//! ```
+//! use aplomb::mpu6050::registers::Register;
+//!
+//! assert_eq!(Register::PowerManagement1.address(), 0x6B);
+//! assert_eq!(Register::PowerManagement1.to_string(), "PWR_MGMT_1");
+//! ```
 
-/// A register address.
+use core::fmt;
+
+/// Both bus addresses: with the AD0 pin low, and high (product specification §9.2).
+pub const ADDRESSES: [u8; 2] = [0x68, 0x69];
+
+/// Register. Its text is the datasheet's name.
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Register {
     /// SELF_TEST_X, §4.1: the first of four registers with the factory trim of the self-test.
     SelfTestX = 0x0D,
@@ -37,12 +50,12 @@ pub enum Register {
 }
 
 impl Register {
-    /// The address on the bus.
+    /// Returns the register's address.
     pub const fn address(self) -> u8 {
         self as u8
     }
 
-    /// The datasheet's name.
+    /// Returns the datasheet's name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::SelfTestX => "SELF_TEST_X",
@@ -62,6 +75,12 @@ impl Register {
     }
 }
 
+impl fmt::Display for Register {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.pad(self.name())
+    }
+}
+
 /// CONFIG bits 2:0, DLPF_CFG (§4.3).
 pub const LOW_PASS_MASK: u8 = 0b0000_0111;
 /// ACCEL_CONFIG_2 bits 3:0, ACCEL_FCHOICE_B (zero: filter on) and A_DLPF_CFG (MPU-6500 §4.8).
@@ -70,7 +89,7 @@ pub const ACCELEROMETER_LOW_PASS_MASK: u8 = 0b0000_1111;
 pub const FULL_SCALE_MASK: u8 = 0b0001_1000;
 /// GYRO_CONFIG and ACCEL_CONFIG bits 7:5, the self-test of each axis (§4.4, §4.5).
 pub const SELF_TEST_MASK: u8 = 0b1110_0000;
-/// Where [`FULL_SCALE_MASK`] begins.
+/// Lowest bit of [`FULL_SCALE_MASK`].
 pub const FULL_SCALE_SHIFT: u32 = 3;
 /// INT_PIN_CFG: active high, push-pull, 50 µs pulse, no bypass (§4.15: every bit zero).
 pub const INTERRUPT_ACTIVE_HIGH_PULSE: u8 = 0x00;

@@ -1,44 +1,57 @@
-//! The self-test of the datasheet: what each axis answers to its built-in deflection, against what it answered at the factory.
+//! Self-test: the response of each axis to its built-in deflection, compared with the factory's.
 //!
-//! Gyroscope at ±250 °/s, accelerometer at ±8 g; response STR = reading with self-test on − off; factory trim FT from the
-//! trim codes; an axis passes with |(STR − FT)/FT| ≤ 14 % (register map §4.1, product specification §6.1 and §6.2).
-//! Widely copied code compares the trim codes with FT and never measures a response; this does.
+//! The test runs with the gyroscope at ±250 °/s and the accelerometer at ±8 g. The response STR
+//! is the reading with self-test on minus the reading with it off. The factory trim FT follows from
+//! the trim codes. An axis passes with |(STR − FT)/FT| ≤ 14 % (register map §4.1, product
+//! specification §6.1 and §6.2). Widely copied code compares the trim codes with FT and never
+//! measures a response; this does.
 //!
-//! The MPU-6500 family keeps other codes in other registers, and many clones keep none: both are said, not failed.
+//! The MPU-6500 family keeps other codes in other registers, and many clones keep none. The result
+//! reports that and does not fail.
 
 use core::fmt;
 
-/// An axis passes with a response within this part of its factory trim (register map §4.1).
+/// Largest deviation of a response from its factory trim, as a share of the trim (register map
+/// §4.1).
 pub const TOLERANCE: f32 = 0.14;
 
-/// What the test found.
+/// Result of a self-test.
+///
+/// ```
+/// use aplomb::mpu6050::{AxisTest, SelfTest};
+///
+/// let axis = AxisTest { response_counts: 2200.0, trim_counts: Some(2000.0) };
+/// let test = SelfTest { gyroscope: [axis; 3], accelerometer: [axis; 3] };
+/// assert_eq!(test.has_passed(), Some(true));
+/// assert!(test.to_string().starts_with("passed; gyroscope x +10 %"));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SelfTest {
-    /// About x, y, z.
+    /// Gyroscope about x, y, z.
     pub gyroscope: [AxisTest; 3],
-    /// Along x, y, z.
+    /// Accelerometer along x, y, z.
     pub accelerometer: [AxisTest; 3],
 }
 
-/// One axis.
+/// Result of one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AxisTest {
-    /// STR, in counts at the range of the test.
+    /// Response STR, counts at the range of the test.
     pub response_counts: f32,
-    /// FT, in the same; `None` if the chip keeps no trim code.
+    /// Factory trim FT, counts at the range of the test; `None` if the chip keeps no trim code.
     pub trim_counts: Option<f32>,
 }
 
 impl AxisTest {
-    /// (STR − FT)/FT; `None` without a trim code.
+    /// Returns (STR − FT)/FT; `None` without a trim code.
     pub fn deviation(&self) -> Option<f32> {
         self.trim_counts
             .map(|trim| (self.response_counts - trim) / trim)
     }
 
-    /// Whether it is within ±14 %; `None` without a trim code.
+    /// Returns whether the deviation is within ±14 %; `None` without a trim code.
     pub fn has_passed(&self) -> Option<bool> {
         self.deviation()
             .map(|deviation| deviation.abs() <= TOLERANCE)
@@ -46,7 +59,8 @@ impl AxisTest {
 }
 
 impl SelfTest {
-    /// The trim codes of SELF_TEST_X, _Y, _Z and _A (register map §4.1), as counts that the responses have to match.
+    /// Converts the trim codes of SELF_TEST_X, _Y, _Z and _A (register map §4.1) to factory trims
+    /// in counts: gyroscope, accelerometer.
     pub(super) fn trims(registers: [u8; 4]) -> [[Option<f32>; 3]; 2] {
         let [x, y, z, a] = registers;
         let gyroscope = [x, y, z].map(|register| register & 0x1F);
@@ -62,7 +76,7 @@ impl SelfTest {
         ]
     }
 
-    /// Whether every axis passes; `None` if the chip keeps no trim codes, so that there is nothing to compare with.
+    /// Returns whether every axis passes; `None` if the chip keeps no trim codes.
     pub fn has_passed(&self) -> Option<bool> {
         let axes = || self.gyroscope.iter().chain(&self.accelerometer);
         let has_trim = axes().any(|axis| axis.trim_counts.is_some());
@@ -75,7 +89,8 @@ impl fmt::Display for SelfTest {
         let verdict = match self.has_passed() {
             None => {
                 return formatter.write_str(
-                    "this chip keeps no factory trim (a clone or a successor): nothing to compare with",
+                    "this chip keeps no factory trim (a clone or a successor): \
+                     nothing to compare with",
                 );
             }
             Some(true) => "passed",
@@ -103,19 +118,20 @@ impl fmt::Display for SelfTest {
     }
 }
 
-/// FT = 25·131·1.046^(code − 1) counts at ±250 °/s (register map §4.1); Y is negative.
+/// Returns FT = 25·131·1.046^(code − 1) counts at ±250 °/s (register map §4.1); Y is
+/// negative.
 fn gyroscope_trim_counts(code: u8) -> Option<f32> {
     power(25.0 * 131.0, 1.046, code)
 }
 
-/// FT = 4096·0.34·(0.92/0.34)^((code − 1)/30) counts at ±8 g (register map §4.1).
+/// Returns FT = 4096·0.34·(0.92/0.34)^((code − 1)/30) counts at ±8 g (register map §4.1).
 fn accelerometer_trim_counts(code: u8) -> Option<f32> {
     /// (0.92/0.34)^(1/30).
     const STEP: f32 = 1.033_737_4;
     power(4096.0 * 0.34, STEP, code)
 }
 
-/// first·step^(code − 1); a code of zero is none.
+/// Returns first·step^(code − 1); `None` for a code of zero.
 fn power(first: f32, step: f32, code: u8) -> Option<f32> {
     (code > 0).then(|| (1..code).fold(first, |product, _| product * step))
 }
@@ -126,7 +142,8 @@ mod tests {
 
     #[test]
     fn trims_are_those_of_the_register_map() {
-        // Codes 11, 14, 12 and 15, 17, 13: 01111 10001 01101 split into three upper and two lower bits.
+        // Codes 11, 14, 12 and 15, 17, 13: 01111 10001 01101 split into three upper and two lower
+        // bits.
         let registers = [0b011_01011, 0b100_01110, 0b011_01100, 0b11_01_01];
         let [gyroscope, accelerometer] = SelfTest::trims(registers);
         for (found, (code, sign)) in gyroscope
@@ -146,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn the_verdict_names_axes_and_says_when_there_is_none() {
+    fn the_verdict_names_axes_and_reports_missing_trims() {
         let axis = |response_counts, trim| AxisTest {
             response_counts,
             trim_counts: Some(trim),

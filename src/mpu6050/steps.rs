@@ -1,9 +1,8 @@
-//! The configuration as a list of writes, for any kind of bus: the blocking driver takes these steps, and so may an
-//! asynchronous one.
+//! Steps: the configuration as a list of writes, for any kind of bus, blocking or asynchronous.
 //!
-//! A bus that only writes sends each step's `value` and waits; after the device reset every other bit of an
-//! MPU-6050 is zero. One that
-//! wants to be sure then reads back what [`Check::all`](super::Check::all) says.
+//! A bus that only writes sends each step's `value` and waits; after the device reset every other
+//! bit of an MPU-6050 is zero. To be sure, read back the registers of
+//! [`Check::all`](super::Check::all) afterwards.
 
 use super::config::Config;
 use super::part::Part;
@@ -13,53 +12,63 @@ use super::registers::{
     POWER_DEVICE_RESET, POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK, SIGNAL_PATH_RESET_ALL,
 };
 
-/// Wait after a device reset and after a signal path reset (register map §4.28).
+/// Wait after a device reset and after a signal path reset, ms (register map §4.28).
 const RESET_MS: u32 = 100;
-/// The gyroscope's zero-rate output settles in this time (product specification §6.1).
+/// Settling time of the gyroscope's zero-rate output, ms (product specification §6.1).
 const ZERO_RATE_SETTLING_MS: u32 = 30;
 
-/// One write, and the wait after it.
+/// One register write, and the wait after it.
+///
+/// ```
+/// use aplomb::mpu6050::{Config, Part, Step};
+///
+/// let steps = Step::configuration(&Config::DEFAULT, &Part::MPU_6050);
+/// let wait_ms: u32 = steps.map(|step| step.wait_ms).sum();
+/// assert_eq!(wait_ms, 230);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Step {
-    /// Where to write.
+    /// Register to write.
     pub register: Register,
-    /// What to write, within `mask`.
+    /// Value to write, within `mask`.
     pub value: u8,
-    /// The bits that are meant; the others are kept, or zero after a device reset.
+    /// Bits to change; the others keep their value, or are zero after a device reset.
     pub mask: u8,
-    /// How long to wait before the next step, in ms.
+    /// Wait before the next step, ms.
     pub wait_ms: u32,
 }
 
 impl Step {
-    /// Everything that [`Mpu6050::configure`](super::Mpu6050::configure) does, in the datasheet's order, for a sensor in any
-    /// state; data-ready pulses begin with the last step, after 230 ms.
+    /// Returns the steps of [`Mpu6050::configure`](super::Mpu6050::configure), in the datasheet's
+    /// order, for a sensor in any state. Data-ready pulses begin with the last step, after 230 ms.
     pub const fn configuration(config: &Config, part: &Part) -> Steps {
         Steps::new(RESET_AND_WAKE | RANGES | INTERRUPT, config, part)
     }
 
-    /// The same for a sensor that has just reset itself, or that lost one setting: 30 ms.
-    pub(super) const fn configuration_again(config: &Config, part: &Part) -> Steps {
+    /// Returns the steps for a sensor that has just reset itself, or that lost one setting: 30 ms.
+    pub(super) const fn reconfiguration(config: &Config, part: &Part) -> Steps {
         Steps::new(WAKE | RANGES | INTERRUPT, config, part)
     }
 
-    /// Makes ready for a self-test, with no interrupt.
+    /// Returns the steps before a self-test; the interrupt stays off.
     pub(super) const fn before_self_test(config: &Config, part: &Part) -> Steps {
         Steps::new(RESET_AND_WAKE | RANGES, config, part)
     }
 
-    /// Switches the self-test of every axis on.
+    /// Returns the steps that switch the self-test of every axis on.
     pub(super) const fn self_test(config: &Config, part: &Part) -> Steps {
         Steps::new(SELF_TEST, config, part)
     }
 
-    /// Whether it is the device reset, after which the register holds one of the part's own values.
+    /// Returns whether the step is the device reset, after which the register holds one of the
+    /// part's values.
     pub(super) fn is_device_reset(self) -> bool {
         self.register == Register::PowerManagement1 && self.value == POWER_DEVICE_RESET
     }
 
-    /// Whether the register then reads back what was written. (SIGNAL_PATH_RESET reads back as zero, §4.26.)
+    /// Returns whether the register reads back as written. (SIGNAL_PATH_RESET reads back as zero,
+    /// §4.26.)
     pub(super) fn reads_back(self) -> bool {
         self.register != Register::SignalPathReset
     }
@@ -92,7 +101,7 @@ impl Step {
     }
 }
 
-/// Every step that there is. What depends on the settings is zero here.
+/// Every step. Values that depend on the settings are zero here.
 const ALL: [Step; 15] = [
     Step::whole(Register::PowerManagement1, POWER_DEVICE_RESET, RESET_MS),
     Step::whole(Register::PowerManagement1, POWER_AWAKE_INTERNAL_CLOCK, 0),
@@ -132,18 +141,19 @@ const ALL: [Step; 15] = [
     Step::testing(Register::AccelerometerConfiguration),
 ];
 
-/// Sets of them, by their places.
+/// Steps that reset and wake the sensor, as a set of indices in [`ALL`].
 const RESET_AND_WAKE: u16 = 0b1111;
 const WAKE: u16 = 0b11 << 4;
 const RANGES: u16 = 0b1_1111 << 6;
 const INTERRUPT: u16 = 0b11 << 11;
 const SELF_TEST: u16 = 0b11 << 13;
-/// In [`RANGES`], and only for parts that have this register.
+/// Part of [`RANGES`] for parts that have the register.
 const OWN_LOW_PASS: u16 = 1 << 10;
 
-/// The steps that are still to be taken, in order.
+/// Iterator over the steps of a configuration.
 #[derive(Debug, Clone)]
 pub struct Steps {
+    /// Set of the remaining steps.
     left: u16,
     config: Config,
 }
@@ -192,7 +202,7 @@ mod tests {
     use super::super::{AccelerometerRange, GyroscopeRange, LowPass};
     use super::*;
 
-    /// Register, value and wait by the numbers of the datasheet.
+    /// Register, value and wait in ms of each step.
     fn list(config: &Config, part: &Part) -> Vec<(u8, u8, u32)> {
         Step::configuration(config, part)
             .inspect(|step| assert_eq!(step.value & !step.mask, 0, "{step:?}"))

@@ -1,4 +1,4 @@
-//! `bursts.csv`: what the bus delivered, one burst a line, to replay to the bit.
+//! `bursts.csv`: recorded bursts, one a line, which replay to the bit.
 //!
 //! ```text
 //! t_us,bytes,flags
@@ -7,28 +7,41 @@
 //! 1262345,0f3cffc3e01a0a50ffe800130005,MISSED|BUS_FAULT|SENSOR_RESET
 //! ```
 //!
-//! The time is that of the capture in microseconds since boot, the bytes are 28 hexadecimal digits, and the flags,
-//! joined by `|`, are what goes into the pipeline with them: `MISSED` says that data-ready edges before this burst gave
-//! none, the others are those of [`Flags::OF_BOARD`]. (Files of earlier versions have `MISSED` alone.)
+//! The time is that of the capture, in µs since boot. The bytes are 28 hexadecimal digits. The
+//! flags, joined by `|`, go into the pipeline with the burst: `MISSED` means that samples before
+//! this one were lost, the others are those of [`BoardFlags`]. Files of earlier versions have
+//! `MISSED` alone.
+//!
+//! ```
+//! use aplomb::telemetry::bursts;
+//!
+//! let line = "1250345,0f3effc2e01c0a50ffe900130004,MISSED";
+//! let (burst, flags) = bursts::decode(line)?;
+//! assert_eq!((burst.captured_at_us, burst.missed_before), (1_250_345, 1));
+//! assert_eq!(bursts::Line(&burst, flags).to_string(), line);
+//! # Ok::<(), bursts::DecodeError>(())
+//! ```
 
 use core::fmt;
 
-use crate::health::Flags;
+use crate::health::BoardFlags;
 use crate::mpu6050::{BURST_LENGTH, Burst};
 
-/// The first line of the file.
+/// First line of the file.
 pub const HEADER: &str = "t_us,bytes,flags";
 
-/// The longest line, without its end: 20 digits, 28 digits, every flag and two commas.
+/// Length of the longest line without its end, in bytes: 20 digits, 28 digits, every flag and two
+/// commas.
 pub const LINE_LENGTH: usize = 20 + 1 + 2 * BURST_LENGTH + 1 + FLAGS_LENGTH;
 
-/// The flags that a line can have.
-const KNOWN: Flags = Flags::OF_BOARD.with(Flags::MISSED, true);
+/// Flags that a line can have.
+const ALL_FLAGS: &str = "MISSED|BUS_FAULT|SENSOR_RESET|LATE|POLLED|INTERNAL_CLOCK|SCALES_VERIFIED";
+const FLAGS_LENGTH: usize = ALL_FLAGS.len();
+const MISSED: &str = "MISSED";
 
-const FLAGS_LENGTH: usize = "MISSED|BUS_FAULT|SENSOR_RESET|LATE|POLLED|INTERNAL_CLOCK".len();
-
-/// Displays a burst, and what the board said of it, as its line, without its end.
-pub struct Line<'a>(pub &'a Burst, pub Flags);
+/// Displays a burst and the board's flags as a line, without its end.
+#[derive(Debug)]
+pub struct Line<'a>(pub &'a Burst, pub BoardFlags);
 
 impl fmt::Display for Line<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -37,21 +50,26 @@ impl fmt::Display for Line<'_> {
         for byte in burst.bytes {
             write!(formatter, "{byte:02x}")?;
         }
-        let flags = (flags & Flags::OF_BOARD).with(Flags::MISSED, burst.missed_before > 0);
-        write!(formatter, ",{flags}")
+        formatter.write_str(",")?;
+        if burst.missed_before > 0 {
+            let separator = if flags.is_empty() { "" } else { "|" };
+            write!(formatter, "{MISSED}{separator}")?;
+        }
+        write!(formatter, "{flags}")
     }
 }
 
-/// Why a line is not a burst.
+/// Reason why a line is not a burst.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[non_exhaustive]
 pub enum DecodeError {
-    /// There are not three fields.
+    /// The line does not have three fields.
     Fields,
     /// The first field is not a whole number of microseconds.
     Time,
     /// The second field is not 28 hexadecimal digits.
     Bytes,
-    /// The third field has a name in it that is none of a burst's flags.
+    /// The third field holds a name that is no flag of a burst.
     Flags,
 }
 
@@ -61,15 +79,20 @@ impl fmt::Display for DecodeError {
             Self::Fields => formatter.write_str("expected three fields: t_us,bytes,flags"),
             Self::Time => formatter.write_str("t_us is not a whole number of microseconds"),
             Self::Bytes => formatter.write_str("bytes are not 28 hexadecimal digits"),
-            Self::Flags => write!(formatter, "flags are not names of {KNOWN}, joined by |"),
+            Self::Flags => write!(formatter, "flags are not names of {ALL_FLAGS}, joined by |"),
         }
     }
 }
 
 impl core::error::Error for DecodeError {}
 
-/// Reads a line, without its end: the burst, and what the board said of it. `missed_before` becomes 1 where `MISSED` is set.
-pub fn decode(line: &str) -> Result<(Burst, Flags), DecodeError> {
+/// Decodes a line, without its end: the burst and the board's flags. `MISSED` becomes a
+/// `missed_before` of 1.
+///
+/// # Errors
+///
+/// Returns a [`DecodeError`] with the first field that is not valid.
+pub fn decode(line: &str) -> Result<(Burst, BoardFlags), DecodeError> {
     let mut fields = line.split(',');
     let (Some(time), Some(digits), Some(flags), None) =
         (fields.next(), fields.next(), fields.next(), fields.next())
@@ -90,15 +113,20 @@ pub fn decode(line: &str) -> Result<(Burst, Flags), DecodeError> {
             })
             .ok_or(DecodeError::Bytes)?;
     }
-    let flags = Flags::parse(flags)
-        .filter(|flags| KNOWN.contains(*flags))
-        .ok_or(DecodeError::Flags)?;
-    let burst = Burst {
+    let mut burst = Burst {
         bytes,
         captured_at_us,
-        missed_before: u8::from(flags.contains(Flags::MISSED)),
+        missed_before: 0,
     };
-    Ok((burst, flags & Flags::OF_BOARD))
+    let mut board = BoardFlags::empty();
+    for name in flags.split('|').filter(|_| !flags.is_empty()) {
+        if name == MISSED {
+            burst.missed_before = 1;
+        } else {
+            board |= BoardFlags::from_name(name).ok_or(DecodeError::Flags)?;
+        }
+    }
+    Ok((burst, board))
 }
 
 #[cfg(test)]
@@ -116,15 +144,16 @@ mod tests {
             bits: u32,
         ) {
             let burst = Burst { bytes, captured_at_us, missed_before };
-            let flags = Flags::from_bits(bits);
+            let flags = BoardFlags::from_bits_truncate(bits);
             let line = Line(&burst, flags).to_string();
             prop_assert!(line.len() <= LINE_LENGTH);
-            prop_assert_eq!(decode(&line), Ok((burst, flags & Flags::OF_BOARD)));
+            prop_assert_eq!(decode(&line), Ok((burst, flags)));
         }
 
         #[test]
         fn any_text_is_a_burst_or_an_error(
-            text in "[0-9a-f,MISED|LAT+ é-]{0,60}|[0-9]{1,21},[0-9a-fA-F]{28},((MISSED|LATE|POLLED|VALID|x)[|]?){0,3}",
+            text in "[0-9a-f,MISED|LAT+ é-]{0,60}|\
+                     [0-9]{1,21},[0-9a-fA-F]{28},((MISSED|LATE|POLLED|VALID|x)[|]?){0,3}",
         ) {
             if let Ok((burst, flags)) = decode(&text) {
                 prop_assert_eq!(decode(&Line(&burst, flags).to_string()), Ok((burst, flags)));
@@ -140,7 +169,7 @@ mod tests {
         assert_eq!(decode(&format!("7,{digits}00,")), Err(DecodeError::Bytes));
         let sign = digits.replacen("00", "+1", 1);
         assert_eq!(decode(&format!("7,{sign},")), Err(DecodeError::Bytes));
-        // What the pipeline finds out by itself is no flag of a burst.
+        // Flags that the pipeline sets by itself are no flags of a burst.
         for flags in ["x", "VALID", "MISSED|GAP", "|", "MISSED|"] {
             let line = format!("7,{digits},{flags}");
             assert_eq!(decode(&line), Err(DecodeError::Flags), "{flags}");
@@ -155,7 +184,7 @@ mod tests {
             captured_at_us: u64::MAX,
             missed_before: 1,
         };
-        let line = Line(&burst, Flags::from_bits(u32::MAX)).to_string();
+        let line = Line(&burst, BoardFlags::all()).to_string();
         assert_eq!(line.len(), LINE_LENGTH);
     }
 
@@ -166,7 +195,7 @@ mod tests {
             let (burst, of_board) = decode(&line(flags)).expect("a burst");
             assert_eq!(
                 (burst.missed_before, of_board),
-                (missed_before, Flags::NONE)
+                (missed_before, BoardFlags::empty())
             );
         }
     }

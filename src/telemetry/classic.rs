@@ -1,23 +1,33 @@
-//! The classic tutorial's line: `Roll:<angle>(<rate>),⇥Pitch:<angle>(<rate>)`.
+//! Classic tutorial's line: `Roll:<angle>(<rate>),⇥Pitch:<angle>(<rate>)`.
 //!
-//! Degrees and °/s with two decimals; the rates are those at which the angles change, not the body's own.
-//! Roll is right wing down positive and pitch nose up positive, as in the tutorial for a chip that lies face down.
+//! Angles are degrees, rates °/s, both with two decimals. The rates are the derivatives of the
+//! angles, not the body's own. Roll is positive right wing down and pitch positive nose up, as in
+//! the tutorial for a chip that lies face down.
+//!
+//! ```
+//! use aplomb::telemetry::classic;
+//!
+//! let angles = classic::decode("Roll:12.34(-5.60),\tPitch:-0.50(0.00)\n").unwrap();
+//! assert_eq!((angles.roll_deg, angles.roll_rate_deg_s), (12.34, -5.6));
+//! ```
 
 use super::decimal::{self, LONGEST_NUMBER, Writer};
 use crate::attitude::sine_cosine;
-use crate::estimator::ClassicAngles;
+use crate::estimator::classic::ClassicAngles;
 use crate::pipeline::Snapshot;
 use crate::units::degrees;
 
-/// The cosine of pitch is taken for no less than this, where roll's rate has no limit: 0.06° from the vertical.
-const LEAST_PITCH_COSINE: f32 = 1.0e-3;
+/// Lower limit of the cosine of pitch, 0.06° from the vertical, where the rate of roll has no
+/// limit.
+const MIN_PITCH_COSINE: f32 = 1.0e-3;
 
-/// The longest line, its newline included.
+/// Length of the longest line with its newline, in bytes.
 pub const LINE_LENGTH: usize = "Roll:(),\tPitch:()\n".len() + 4 * LONGEST_NUMBER;
 
-/// Roll and pitch of a snapshot, and the rates at which they change.
+/// Returns roll and pitch of a snapshot with their derivatives.
 ///
-/// φ' = p + (q sin φ + r cos φ) tan θ and θ' = q cos φ − r sin φ, with roll φ, pitch θ and the body's rates p, q, r.
+/// φ' = p + (q sin φ + r cos φ) tan θ and θ' = q cos φ − r sin φ, with roll φ, pitch θ
+/// and the body's rates p, q, r.
 #[inline(never)]
 pub fn angles_of(snapshot: &Snapshot) -> ClassicAngles {
     let angles = snapshot.euler();
@@ -25,7 +35,7 @@ pub fn angles_of(snapshot: &Snapshot) -> ClassicAngles {
     let (roll_sine, roll_cosine) = sine_cosine(angles.roll_rad);
     let (pitch_sine, pitch_cosine) = sine_cosine(angles.pitch_rad);
     let yaw_share =
-        (rates.y * roll_sine + rates.z * roll_cosine) / pitch_cosine.max(LEAST_PITCH_COSINE);
+        (rates.y * roll_sine + rates.z * roll_cosine) / pitch_cosine.max(MIN_PITCH_COSINE);
     ClassicAngles {
         roll_deg: degrees(angles.roll_rad),
         roll_rate_deg_s: degrees(rates.x + yaw_share * pitch_sine),
@@ -34,7 +44,7 @@ pub fn angles_of(snapshot: &Snapshot) -> ClassicAngles {
     }
 }
 
-/// Writes a line, newline included, and returns it.
+/// Encodes a line with its newline, and returns it.
 #[inline(never)]
 pub fn encode<'a>(angles: &ClassicAngles, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
     let mut writer = Writer::new(line);
@@ -50,7 +60,7 @@ pub fn encode<'a>(angles: &ClassicAngles, line: &'a mut [u8; LINE_LENGTH]) -> &'
     writer.finish()
 }
 
-/// Reads a line, with or without its line end; `None` if it is not one.
+/// Decodes a line, with or without its end; `None` if it is not one.
 pub fn decode(line: &str) -> Option<ClassicAngles> {
     let line = line.strip_suffix('\n').unwrap_or(line);
     let line = line.strip_suffix('\r').unwrap_or(line);

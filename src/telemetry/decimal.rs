@@ -1,8 +1,8 @@
-//! Numbers with two decimals, both ways, without the formatting machinery of `core`.
+//! Numbers with two decimals, encoded and decoded without the formatting machinery of `core`.
 
-/// Text of a fixed largest size, written from the front.
+/// Writer of text into a buffer of fixed size.
 ///
-/// The owner makes it large enough; a byte too many would be dropped, never written elsewhere.
+/// The owner makes the buffer large enough; a byte without room is dropped.
 pub(super) struct Writer<'a> {
     bytes: &'a mut [u8],
     length: usize,
@@ -13,6 +13,7 @@ impl<'a> Writer<'a> {
         Self { bytes, length: 0 }
     }
 
+    /// Writes text.
     #[inline(never)]
     pub(super) fn text(&mut self, text: &str) {
         for byte in text.bytes() {
@@ -20,7 +21,8 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// Two decimals, rounded half away from zero, at most [`LARGEST`] either way; `nan` for none.
+    /// Writes a number with two decimals, rounded half away from zero, limited to ±[`LARGEST`]; a
+    /// NaN as `nan`.
     #[inline(never)]
     pub(super) fn number(&mut self, value: f32) {
         if value.is_nan() {
@@ -29,8 +31,7 @@ impl<'a> Writer<'a> {
         self.hundredths(to_hundredths(value));
     }
 
-    /// Like [`number`](Self::number), for an angle in (−180, 180] degrees: what rounds to −180.00 is
-    /// written 180.00.
+    /// Writes an angle in (−180, 180] degrees: −180.00 after rounding becomes 180.00.
     pub(super) fn angle(&mut self, degrees: f32) {
         if !degrees.is_nan() && to_hundredths(degrees) == -HALF_TURN {
             return self.hundredths(HALF_TURN);
@@ -38,6 +39,7 @@ impl<'a> Writer<'a> {
         self.number(degrees);
     }
 
+    /// Returns the text.
     pub(super) fn finish(self) -> &'a [u8] {
         let Self { bytes, length } = self;
         bytes.get(..length).unwrap_or(&[])
@@ -72,16 +74,16 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// The largest number written, either way; larger ones are written as this.
+/// Largest magnitude; larger numbers are written as this.
 const LARGEST: f32 = 99_999.99;
 
 /// 180.00 in hundredths.
 const HALF_TURN: i32 = 18_000;
 
-/// The longest number: `-99999.99`.
+/// Length of the longest number, `-99999.99`.
 pub(super) const LONGEST_NUMBER: usize = 9;
 
-/// The whole part apart from the rest, so that a large number keeps its hundredths.
+/// Converts to hundredths: the whole part apart from the rest, so that a large number keeps them.
 fn to_hundredths(value: f32) -> i32 {
     let magnitude = value.abs().min(LARGEST);
     let whole = magnitude as i32;
@@ -90,7 +92,7 @@ fn to_hundredths(value: f32) -> i32 {
     if value < 0.0 { -hundredths } else { hundredths }
 }
 
-/// Reads what [`Writer::number`] writes, and nothing else: no exponent, no infinity, no blanks.
+/// Parses the output of [`Writer::number`], and nothing else: no exponent, no infinity, no blanks.
 pub(super) fn parse(text: &str) -> Option<f32> {
     if text == "nan" {
         return Some(f32::NAN);
@@ -98,11 +100,11 @@ pub(super) fn parse(text: &str) -> Option<f32> {
     let magnitude = text.strip_prefix('-').unwrap_or(text);
     let (whole, decimals) = magnitude.split_once('.')?;
     let is_number = |digits: &str| digits.bytes().all(|byte| byte.is_ascii_digit());
-    let is_written_so = (1..=5).contains(&whole.len())
+    let is_canonical = (1..=5).contains(&whole.len())
         && decimals.len() == 2
         && is_number(whole)
         && is_number(decimals);
-    if is_written_so {
+    if is_canonical {
         text.parse().ok()
     } else {
         None
@@ -161,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_written_is_read() {
+    fn only_canonical_numbers_are_parsed() {
         assert_eq!(parse("-12.50"), Some(-12.5));
         assert_eq!(parse("99999.99"), Some(99_999.99));
         assert!(parse("nan").is_some_and(f32::is_nan));
@@ -191,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_dropped() {
+    fn bytes_without_room_are_dropped() {
         let mut bytes = [0; 3];
         let mut writer = Writer::new(&mut bytes);
         writer.number(-12.5);

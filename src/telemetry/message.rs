@@ -1,95 +1,103 @@
-//! What the firmware has to say besides attitudes: one line of text each, the same on every output.
+//! Messages of the firmware to people: one line of text each, the same on every output.
 //!
-//! On the UART a message starts with `# `, so that a plotter of the labelled values skips it. Each
-//! says what happened and, where a person has to act, what to do.
+//! A message reports an event and, where a person has to act, the remedy. On the UART it starts
+//! with `# `, so that a plotter of the labelled values skips it.
+//!
+//! ```
+//! use aplomb::telemetry::message::{Message, Severity};
+//!
+//! let message = Message::BusHeldLow { clock: false };
+//! assert_eq!(message.severity(), Severity::Error);
+//! assert!(message.to_string().starts_with("SDA (PB9) stays low: check the wiring"));
+//! ```
 
 use core::fmt;
 
 use embedded_hal::i2c;
-use heapless::Deque;
 
-use crate::calibration::storage::LoadProblem;
 use crate::fault::{BurstFailure, ClockSource, FaultClass, ResetCause};
 use crate::health::Flags;
 use crate::mpu6050;
+use crate::settings::storage::LoadProblem;
 
-/// Room for the longest message on a line of its own, in bytes.
+/// Length of the longest message with `# ` and its newline, in bytes.
 pub const LINE_CAPACITY: usize = 200;
 
-/// A message.
+/// Message. Its text is for people.
 #[derive(Clone, Copy, PartialEq, Debug)]
+#[non_exhaustive]
 pub enum Message {
     /// The firmware has started.
     Started {
-        /// The board that it was built for.
+        /// Board that the firmware was built for.
         board: &'static str,
-        /// The core clock, in megahertz.
+        /// Core clock, MHz.
         core_mhz: u16,
-        /// What the clock runs from.
+        /// Source of the clock.
         clock: ClockSource,
     },
-    /// A stored record was found and is in use.
+    /// A stored record is in use.
     RecordLoaded,
-    /// Something is wrong with what is stored.
+    /// A stored record could not be read.
     RecordProblem(LoadProblem),
-    /// It was a reset that started it, with power on.
+    /// A reset has restarted the firmware, with power on.
     Restarted {
-        /// What reset the processor.
+        /// Cause of the reset.
         cause: ResetCause,
-        /// The last fault before that.
+        /// Last fault before the reset.
         last_fault: Option<FaultClass>,
-        /// Where the firmware crashed; zero if it did not.
+        /// Program counter of a crash; 0 without one.
         crash_address: u32,
     },
     /// The sensor is configured and its bursts begin.
     SensorConfigured {
-        /// The part's name.
+        /// Name of the part.
         part: &'static str,
-        /// Its address on the bus, 7 bits.
+        /// Bus address, 7 bits.
         address: u8,
     },
     /// A line of the sensor's bus is low and clocking did not free it.
     BusHeldLow {
-        /// Whether SCL is low; else SDA is.
+        /// True if SCL is low; otherwise SDA is.
         clock: bool,
     },
     /// The sensor could not be configured.
     SensorFailed(mpu6050::Error<i2c::ErrorKind>),
     /// Bursts have failed.
     BurstsFailed {
-        /// How and where the last one did.
+        /// Fault and step of the last failure.
         failure: BurstFailure,
-        /// How many since the last such message.
+        /// Number of failures since the last such message.
         count: u16,
     },
-    /// The sensor is set up again after bursts failed.
+    /// The firmware reconfigures the sensor after bursts failed.
     Recovering,
-    /// The board was moved before the gyroscope's offset was measured: that begins again.
+    /// The board moved before the gyroscope's offset was measured. The measurement starts over.
     MovedAtStart,
-    /// The gyroscope's offset is measured: rates are free of it from here on.
+    /// The gyroscope's offset is measured, and removed from the rates from now on.
     OffsetMeasured,
-    /// The flags of the attitude have changed for longer than a moment.
+    /// The attitude's flags have changed for longer than a moment.
     Attitude(Flags),
-    /// Messages were lost, since too many came at once.
+    /// Messages were lost because too many came at once.
     MessagesLost {
-        /// How many.
+        /// Number of lost messages.
         count: u16,
     },
 }
 
-/// How bad it is.
+/// Severity of a message.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub enum Severity {
-    /// All is well.
+    /// No fault.
     Information,
-    /// The attitude suffers, or would, if this lasted.
+    /// The attitude is degraded, or would be if the cause lasted.
     Warning,
     /// There is no attitude.
     Error,
 }
 
 impl Message {
-    /// How bad it is.
+    /// Returns the severity.
     pub const fn severity(&self) -> Severity {
         match self {
             Self::Started {
@@ -126,7 +134,8 @@ impl fmt::Display for Message {
                 formatter.write_str(match clock {
                     ClockSource::Crystal => "from the crystal",
                     ClockSource::InternalOscillator => {
-                        "from the internal oscillator: no crystal answered, times are right to 1 % only"
+                        "from the internal oscillator: no crystal answered, \
+                         times are right to 1 % only"
                     }
                 })
             }
@@ -172,109 +181,14 @@ impl fmt::Display for Message {
     }
 }
 
-/// Messages on their way to the task that sends them.
-pub struct Mailbox {
-    messages: Deque<Message, 16>,
-    lost: u16,
-}
-
-impl Mailbox {
-    /// An empty mailbox.
-    pub const fn new() -> Self {
-        Self {
-            messages: Deque::new(),
-            lost: 0,
-        }
-    }
-
-    /// Adds a message. If there is no room it is counted, and the count comes out as a message.
-    pub fn post(&mut self, message: Message) {
-        if self.messages.push_back(message).is_err() {
-            self.lost = self.lost.saturating_add(1);
-        }
-    }
-
-    /// Takes the oldest message.
-    pub fn take(&mut self) -> Option<Message> {
-        self.messages.pop_front().or_else(|| {
-            let count = core::mem::take(&mut self.lost);
-            (count > 0).then_some(Message::MessagesLost { count })
-        })
-    }
-}
-
-impl Default for Mailbox {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-/// Text in a buffer of fixed size. What does not fit is cut off at a character's end.
-pub struct TextBuffer<'a> {
-    buffer: &'a mut [u8],
-    length: usize,
-}
-
-impl<'a> TextBuffer<'a> {
-    /// An empty text in `buffer`.
-    pub fn new(buffer: &'a mut [u8]) -> Self {
-        Self { buffer, length: 0 }
-    }
-
-    /// The number of bytes written.
-    pub fn length(&self) -> usize {
-        self.length
-    }
-
-    /// The number of bytes that still fit.
-    pub fn room(&self) -> usize {
-        self.buffer.len() - self.length
-    }
-}
-
-impl TextBuffer<'_> {
-    /// Appends bytes that are no text, all or none.
-    pub fn write_bytes(&mut self, bytes: &[u8]) {
-        let end = self.length + bytes.len();
-        if let Some(place) = self.buffer.get_mut(self.length..end) {
-            place.copy_from_slice(bytes);
-            self.length = end;
-        }
-    }
-}
-
-impl fmt::Write for TextBuffer<'_> {
-    fn write_str(&mut self, text: &str) -> fmt::Result {
-        let mut fitting = text.len().min(self.room());
-        while !text.is_char_boundary(fitting) {
-            fitting -= 1;
-        }
-        let end = self.length + fitting;
-        if let (Some(place), Some(bytes)) = (
-            self.buffer.get_mut(self.length..end),
-            text.as_bytes().get(..fitting),
-        ) {
-            place.copy_from_slice(bytes);
-            self.length = end;
-        }
-        if fitting == text.len() {
-            Ok(())
-        } else {
-            Err(fmt::Error)
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use core::fmt::Write;
-
     use super::*;
     use crate::fault::{BurstFault, BurstStep};
     use crate::mpu6050::registers::Register;
 
     #[test]
-    fn messages_say_what_happened_where_and_what_to_do() {
+    fn messages_report_the_event_its_place_and_the_remedy() {
         let failure = BurstFailure {
             fault: BurstFault::NotAcknowledged,
             step: BurstStep::Pointer,
@@ -369,32 +283,5 @@ mod tests {
             let line = format!("# {message}\n");
             assert!(line.len() <= LINE_CAPACITY, "{} bytes: {line}", line.len());
         }
-    }
-
-    #[test]
-    fn a_mailbox_keeps_order_and_counts_what_it_had_no_room_for() {
-        let mut mailbox = Mailbox::new();
-        assert_eq!(mailbox.take(), None);
-        for count in 0..20 {
-            mailbox.post(Message::MessagesLost { count });
-        }
-        for count in 0..16 {
-            assert_eq!(mailbox.take(), Some(Message::MessagesLost { count }));
-        }
-        assert_eq!(mailbox.take(), Some(Message::MessagesLost { count: 4 }));
-        assert_eq!(mailbox.take(), None);
-    }
-
-    #[test]
-    fn a_text_buffer_cuts_at_a_character() {
-        let mut buffer = [0; 4];
-        let mut text = TextBuffer::new(&mut buffer);
-        assert!(text.write_str("ab").is_ok());
-        assert!(text.write_str("c°").is_err());
-        text.write_bytes(b"de");
-        assert_eq!((text.length(), text.room()), (3, 1));
-        text.write_bytes(b"f");
-        assert_eq!((text.length(), text.room()), (4, 0));
-        assert_eq!(&buffer, b"abcf");
     }
 }

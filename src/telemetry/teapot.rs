@@ -1,28 +1,37 @@
-//! The 14-byte packet of the well-known "teapot" demo, which draws an attitude on a screen.
+//! Packet of the well-known "teapot" demo, 14 bytes, which draws an attitude on a screen.
 //!
-//! | byte | |
+//! | byte | content |
 //! |---|---|
 //! | 0, 1 | `$`, 0x02 |
 //! | 2 to 9 | quaternion w, x, y, z, two bytes each, high byte first, in units of 1/16384 |
 //! | 10 | 0 |
-//! | 11 | a counter, one more for each packet |
+//! | 11 | counter of packets, modulo 256 |
 //! | 12, 13 | carriage return, line feed |
 //!
-//! The layout is that of the MPU-6050 demo of I2Cdevlib, whose Processing sketch takes what reads as 2 or more for
-//! negative: two's complement. The quaternion is the module's, body forward-right-down to earth north-east-down.
+//! The layout is that of the MPU-6050 demo of I2Cdevlib. Its Processing sketch takes a number of 2
+//! or more for negative: two's complement. The quaternion is the module's, body forward-right-down
+//! to earth north-east-down.
+//!
+//! ```
+//! use aplomb::attitude::Quaternion;
+//! use aplomb::telemetry::teapot;
+//!
+//! let packet = teapot::encode(Quaternion::IDENTITY, 7);
+//! assert_eq!(teapot::decode(&packet), Some((Quaternion::IDENTITY, 7)));
+//! ```
 
 use crate::attitude::Quaternion;
 
-/// Bytes of a packet.
+/// Length of a packet, in bytes.
 pub const PACKET_LENGTH: usize = 14;
 
-/// Counts of one, as in the sensor's own motion processor.
+/// Counts per one, as in the sensor's own motion processor.
 const COUNTS: f32 = 16_384.0;
 
 const START: [u8; 2] = [b'$', 0x02];
 const END: [u8; 2] = *b"\r\n";
 
-/// Writes a packet. The counter is the owner's: one more for each packet that is sent.
+/// Encodes a packet. `counter` is the number of packets sent so far, modulo 256.
 pub fn encode(attitude: Quaternion, counter: u8) -> [u8; PACKET_LENGTH] {
     let [wh, wl] = counts(attitude.w);
     let [xh, xl] = counts(attitude.x);
@@ -35,7 +44,7 @@ pub fn encode(attitude: Quaternion, counter: u8) -> [u8; PACKET_LENGTH] {
     ]
 }
 
-/// Reads a packet: the quaternion, as far as its resolution goes, and the counter. `None` if it is not one.
+/// Decodes a packet: the quaternion, to 1/16384, and the counter; `None` if it is not one.
 pub fn decode(packet: &[u8; PACKET_LENGTH]) -> Option<(Quaternion, u8)> {
     let &[
         start,
@@ -68,7 +77,7 @@ pub fn decode(packet: &[u8; PACKET_LENGTH]) -> Option<(Quaternion, u8)> {
     ))
 }
 
-/// Rounded to the nearest; a cast saturates, and turns what is not a number into zero.
+/// Rounds to counts. The cast saturates, and turns a NaN into zero.
 fn counts(value: f32) -> [u8; 2] {
     let half = if value < 0.0 { -0.5 } else { 0.5 };
     ((value * COUNTS + half) as i16).to_be_bytes()
@@ -94,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn it_reads_back_within_half_a_count_and_nothing_else_does() {
+    fn a_packet_is_read_back_within_half_a_count_and_a_broken_one_refused() {
         let attitude = quaternion([0.123_456, -0.654_321, 0.7, -0.259]);
         let packet = encode(attitude, 7);
         let (read, counter) = decode(&packet).expect("a packet");
@@ -115,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rotation_saturates() {
+    fn numbers_beyond_the_range_saturate() {
         let packet = encode(
             quaternion([f32::INFINITY, f32::NEG_INFINITY, f32::NAN, 2.5]),
             0,

@@ -1,19 +1,26 @@
-//! Lines for Teleplot: one variable each.
+//! Teleplot: one line for each variable.
 //!
 //! ```text
 //! >roll:1.00
 //! >pitch:-2.50
 //! ```
 //!
-//! Teleplot wants a line for each variable, begun with `>` on a serial port, and reads a second colon as a time. An
-//! Arduino plotter wants all variables of a moment in one line, so no single form serves both: [`text`] is
-//! for the latter. Labels and units are the same.
+//! Teleplot wants a line for each variable, begun with `>` on a serial port, and takes a second
+//! colon for a time. An Arduino plotter wants all variables of a moment in one line, as [`text`]
+//! has them. Labels and units are the same.
+//!
+//! ```
+//! use aplomb::telemetry::teleplot;
+//!
+//! assert_eq!(teleplot::decode(">pitch:-2.50\n"), Some(("pitch", -2.5)));
+//! assert_eq!(teleplot::decode("pitch:-2.50\n"), None);
+//! ```
 
 use super::decimal::{LONGEST_NUMBER, Writer};
 use super::text;
 use crate::pipeline::Snapshot;
 
-/// The longest set of lines, newlines included.
+/// Length of the longest set of lines with their newlines, in bytes.
 pub const LINES_LENGTH: usize = {
     // Each field has `>`, a label, a colon, a number and a newline.
     let mut length = 1 + text::VALID.len();
@@ -25,7 +32,7 @@ pub const LINES_LENGTH: usize = {
     length
 };
 
-/// Writes the lines of a snapshot and returns them.
+/// Encodes the lines of a snapshot, and returns them.
 #[inline(never)]
 pub fn encode<'a>(snapshot: &Snapshot, lines: &'a mut [u8; LINES_LENGTH]) -> &'a [u8] {
     let mut writer = Writer::new(lines);
@@ -33,7 +40,8 @@ pub fn encode<'a>(snapshot: &Snapshot, lines: &'a mut [u8; LINES_LENGTH]) -> &'a
     writer.finish()
 }
 
-/// Reads one line, with or without its line end: label and value.
+/// Decodes one line, with or without its end: label and value in degrees or °/s; `None` if it is
+/// not one.
 pub fn decode(line: &str) -> Option<(&str, f32)> {
     let line = line.strip_suffix('\n').unwrap_or(line);
     let line = line.strip_suffix('\r').unwrap_or(line);
@@ -70,7 +78,8 @@ mod tests {
         let lines = core::str::from_utf8(encode(&snapshot, &mut lines)).expect("ASCII");
         assert_eq!(
             lines,
-            ">roll:1.00\n>pitch:-2.50\n>yaw:90.00\n>roll_rate:0.00\n>pitch_rate:0.12\n>yaw_rate:-3.00\n>valid:1\n"
+            ">roll:1.00\n>pitch:-2.50\n>yaw:90.00\n\
+             >roll_rate:0.00\n>pitch_rate:0.12\n>yaw_rate:-3.00\n>valid:1\n"
         );
         let read: Vec<_> = lines.lines().map(decode).collect();
         assert_eq!(read[1], Some(("pitch", -2.5)));

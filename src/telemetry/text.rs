@@ -1,12 +1,23 @@
-//! Labelled text for people and Arduino-style plotters ([`teleplot`](super::teleplot) has its own): one line per sample,
+//! Labelled text for people and Arduino-style plotters, one line per attitude,
 //!
 //! ```text
 //! roll:1.00⇥pitch:-2.50⇥yaw:90.00⇥roll_rate:0.00⇥pitch_rate:0.12⇥yaw_rate:-3.00⇥valid:1
 //! ```
 //!
 //! with tabs between the fields. Angles are degrees, rates are the body's own p, q, r in °/s; yaw
-//! is relative to the heading at start. Two decimals; encoding takes no floating-point formatting.
-//! `valid` is 1 with [`Flags::VALID`], else 0; a message names the other flags when they change.
+//! is relative to the heading at start. Numbers have two decimals. `valid` is 1 with
+//! [`Flags::VALID`], else 0; a message names the other flags when they change. Teleplot has a
+//! format of its own, [`teleplot`](super::teleplot).
+//!
+//! ```
+//! use aplomb::telemetry::text::{self, Line};
+//!
+//! let line = Line { roll_deg: 1.0, pitch_deg: -2.5, is_valid: true, ..Line::default() };
+//! let mut buffer = [0; text::LINE_LENGTH];
+//! let encoded = std::str::from_utf8(text::encode_line(&line, &mut buffer))?;
+//! assert_eq!(text::decode(encoded), Ok(line));
+//! # Ok::<(), std::str::Utf8Error>(())
+//! ```
 
 use core::fmt;
 
@@ -24,12 +35,12 @@ pub(super) const LABELS: [&str; 6] = [
     "yaw_rate",
 ];
 
-/// The field after those: whether the attitude is valid.
+/// Label of the last field: whether the attitude is valid.
 pub(super) const VALID_LABEL: &str = "valid";
 const INVALID: &str = "valid:0\n";
 pub(super) const VALID: &str = "valid:1\n";
 
-/// The longest line, its newline included.
+/// Length of the longest line with its newline, in bytes.
 pub const LINE_LENGTH: usize = {
     // Each field has a label, a colon, a number, and a tab.
     let mut length = VALID.len();
@@ -41,28 +52,28 @@ pub const LINE_LENGTH: usize = {
     length
 };
 
-/// What a line says.
+/// Content of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Line {
-    /// Roll in degrees, (−180, 180].
+    /// Roll, degrees in (−180, 180].
     pub roll_deg: f32,
-    /// Pitch in degrees, [−90, 90].
+    /// Pitch, degrees in [−90, 90].
     pub pitch_deg: f32,
-    /// Yaw in degrees, (−180, 180], relative to the heading at start.
+    /// Yaw relative to the heading at start, degrees in (−180, 180].
     pub yaw_deg: f32,
-    /// Rate about the forward axis in °/s.
+    /// Rate about the forward axis, °/s.
     pub roll_rate_deg_s: f32,
-    /// Rate about the right axis in °/s.
+    /// Rate about the right axis, °/s.
     pub pitch_rate_deg_s: f32,
-    /// Rate about the down axis in °/s.
+    /// Rate about the down axis, °/s.
     pub yaw_rate_deg_s: f32,
-    /// Whether the attitude is valid, by the rule of [`Flags::VALID`].
+    /// True if the attitude has [`Flags::VALID`].
     pub is_valid: bool,
 }
 
 impl Line {
-    /// The numbers in the order of the labels.
+    /// Returns the numbers in the order of the labels.
     pub(super) const fn values(&self) -> [f32; 6] {
         [
             self.roll_deg,
@@ -75,7 +86,7 @@ impl Line {
     }
 }
 
-/// Writes the fields with `before` before each and `after` after each, the last one's newline apart.
+/// Writes the fields with `before` before each, and `after` after each but the last.
 #[inline(never)]
 pub(super) fn put(writer: &mut Writer<'_>, numbers: &Line, before: &str, after: &str) {
     for (label, value) in LABELS.into_iter().zip(numbers.values()) {
@@ -109,14 +120,14 @@ impl From<&Snapshot> for Line {
     }
 }
 
-/// Writes the line of a snapshot, newline included, and returns it.
+/// Encodes the line of a snapshot with its newline, and returns it.
 ///
-/// Numbers beyond ±99999.99 are written as that, and what is not a number as `nan`.
+/// Numbers are limited to ±99999.99; a NaN is written as `nan`.
 pub fn encode<'a>(snapshot: &Snapshot, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
     encode_line(&Line::from(snapshot), line)
 }
 
-/// Writes a line from its numbers.
+/// Encodes a line with its newline, and returns it; see [`encode`].
 #[inline(never)]
 pub fn encode_line<'a>(numbers: &Line, line: &'a mut [u8; LINE_LENGTH]) -> &'a [u8] {
     let mut writer = Writer::new(line);
@@ -124,17 +135,18 @@ pub fn encode_line<'a>(numbers: &Line, line: &'a mut [u8; LINE_LENGTH]) -> &'a [
     writer.finish()
 }
 
-/// Why a line is not one of ours.
+/// Reason why a line is not valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum DecodeError {
-    /// The field with this label is not where it should be.
+    /// The field with this label is missing or out of order.
     MissingField(&'static str),
     /// The value of the field with this label is not a number with two decimals.
     NotANumber(&'static str),
     /// `valid` is neither 0 nor 1.
     NotAValidity,
-    /// Something follows the last field.
+    /// Text follows the last field.
     TrailingText,
 }
 
@@ -153,11 +165,11 @@ impl fmt::Display for DecodeError {
 
 impl core::error::Error for DecodeError {}
 
-/// Reads a line, with or without its line end.
+/// Decodes a line, with or without its end.
 ///
 /// # Errors
 ///
-/// [`DecodeError`] says which field is not as [`encode`] writes it.
+/// Returns a [`DecodeError`] with the first field that differs from the output of [`encode`].
 pub fn decode(line: &str) -> Result<Line, DecodeError> {
     let line = line.strip_suffix('\n').unwrap_or(line);
     let line = line.strip_suffix('\r').unwrap_or(line);
@@ -196,7 +208,8 @@ mod tests {
     use crate::attitude::{EulerAngles, Quaternion, Vector3};
     use crate::units::radians;
 
-    const EXAMPLE: &str = "roll:1.00\tpitch:-2.50\tyaw:90.00\troll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:1\n";
+    const EXAMPLE: &str = "roll:1.00\tpitch:-2.50\tyaw:90.00\t\
+                           roll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:1\n";
 
     fn written(snapshot: &Snapshot) -> String {
         let mut line = [0; LINE_LENGTH];

@@ -19,14 +19,14 @@ use aplomb::pipeline::Snapshot;
 
 use crate::faults::{FaultKind, ScheduledFault};
 use crate::flight::{Outcome, Run, UartLine};
-use crate::motion::quadrotor::{Quadrotor, REST_S};
-use crate::motion::rest::Rest;
-use crate::motion::swing::{Later, Swing};
-use crate::motion::{Motion, Quaternion, inclination_error_rad};
 use crate::profile::CRASHES;
-use crate::random::Random;
 use crate::recorder::Record;
 use crate::schedule::Schedule;
+use aplomb_models::motion::quadrotor::{Quadrotor, REST_S};
+use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::swing::{Later, Swing};
+use aplomb_models::motion::{Motion, Quaternion, inclination_error_rad};
+use aplomb_models::random::Random;
 
 /// The rule's angle, degrees, and its factor of σ.
 const ALLOWED_DEG: f64 = 5.0;
@@ -236,7 +236,6 @@ pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
 struct Publication {
     at_ns: u64,
     snapshot: Snapshot,
-    tilt_sigma_rad: Option<f64>,
     /// The true attitude at its sample, if that is known from the sample.
     truth: Option<Quaternion>,
 }
@@ -246,13 +245,11 @@ fn publications(record: &Record) -> Vec<Publication> {
     let samples = record.samples.iter().map(|sample| Publication {
         at_ns: sample.published_ns,
         snapshot: sample.snapshot,
-        tilt_sigma_rad: sample.tilt_sigma_rad,
         truth: sample.edge.and_then(|edge| edge.truth.attitude),
     });
     let stale = record.stale.iter().map(|stale| Publication {
         at_ns: stale.published_ns,
         snapshot: stale.snapshot,
-        tilt_sigma_rad: stale.tilt_sigma_rad,
         truth: None,
     });
     let mut all: Vec<Publication> = samples.chain(stale).collect();
@@ -318,7 +315,7 @@ impl Judge<'_> {
                 continue;
             };
             let error_deg = tilt_error_deg(sample, truth);
-            let sigma_deg = sample.tilt_sigma_rad.unwrap_or(0.0).to_degrees();
+            let sigma_deg = f64::from(sample.snapshot.tilt_sigma_rad()).to_degrees();
             let allowed_deg = ALLOWED_DEG.max(ALLOWED_SIGMAS * sigma_deg);
             // A comparison that is false for what is not a number.
             let is_allowed = error_deg <= allowed_deg;
@@ -689,7 +686,7 @@ mod tests {
 
     use super::*;
     use crate::recorder::{Sample, StaleSnapshot};
-    use crate::sensor::{Burst, DataReady};
+    use aplomb_models::sensor::{Burst, DataReady};
 
     const MILLISECOND: u64 = 1_000_000;
 
@@ -735,6 +732,7 @@ mod tests {
                 } else {
                     Flags::CALIBRATING
                 },
+                tilt_variance_rad2: 1.0e-4,
                 ..Snapshot::default()
             };
             let published_ns = time_ns + 390_000;
@@ -743,14 +741,12 @@ mod tests {
                 record.stale.push(StaleSnapshot {
                     snapshot,
                     published_ns,
-                    tilt_sigma_rad: Some(0.01),
                 });
                 continue;
             }
             record.samples.push(Sample {
                 snapshot,
                 published_ns,
-                tilt_sigma_rad: Some(0.01),
                 burst: Burst {
                     edge: Some(edge.index),
                     bytes: [0; 14],
@@ -822,7 +818,8 @@ mod tests {
             let [w, x, y, z] = [wrong.w, wrong.x, wrong.y, wrong.z].map(|part| part as f32);
             sample.snapshot.attitude = Attitude { w, x, y, z };
             sample.snapshot.flags = flags;
-            sample.tilt_sigma_rad = Some(sigma_deg.to_radians());
+            let sigma_rad = (sigma_deg as f32).to_radians();
+            sample.snapshot.tilt_variance_rad2 = sigma_rad * sigma_rad;
             record
         };
         assert_fails(

@@ -9,9 +9,9 @@ use rigless::snapshot::Store;
 use crate::faults::{
     BusByte, BusLine, Direction, Fault, FaultKind, ScheduledFault, nanoseconds, scheduled, within,
 };
-use crate::sensor::registers::address;
-use crate::sensor::{Burst, DataReady, OutputFault, Sensor};
 use crate::wires::SharedWires;
+use aplomb_models::sensor::registers::address;
+use aplomb_models::sensor::{Burst, DataReady, OutputFault, Sensor};
 
 /// How long a glitch on the INT wire lasts, ns.
 const GLITCH_NS: u64 = 1_000;

@@ -20,7 +20,7 @@ use rigless::soc::stm32f427::peripherals::flash::Flash;
 use rigless::time::{EventId, VirtualNanos};
 
 use crate::delegate::delegate;
-use crate::random::Random;
+use aplomb_models::random::Random;
 
 /// Where the slots are.
 pub const SLOTS: Range<u64> = 0x0800_4000..0x0800_C000;

@@ -26,15 +26,15 @@ use crate::fitted::FittedSensor;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
 use crate::mcu::{Microcontroller, SaidByte, Terminal};
-use crate::motion::quadrotor::Quadrotor;
-use crate::motion::{Motion, Mount};
 use crate::probe::{LogLine, Probe};
 use crate::profile::Profile;
 use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
 use crate::schedule::Schedule;
 use crate::script::Script;
-use crate::sensor::{Sensor, SensorConfig, SensorErrors};
 use crate::summary::Summary;
+use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::{Motion, Mount};
+use aplomb_models::sensor::{Sensor, SensorConfig, SensorErrors};
 
 /// A run that is yet to be made.
 pub struct Run {

@@ -11,14 +11,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
+use aplomb_models::motion::Mount;
+use aplomb_recordings::motion::Recording;
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use virtual_board::board::{BOARDS, BoardModel};
 use virtual_board::campaign::{self, Case, Report, Table};
 use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
-use virtual_board::motion::Mount;
-use virtual_board::motion::recording::Recording;
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
 use virtual_board::probe::LogLine;

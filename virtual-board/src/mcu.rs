@@ -502,8 +502,8 @@ mod tests {
     use super::*;
     use crate::faults::Fault;
     use crate::flash::FlashRecord;
-    use crate::motion::rest::Rest;
-    use crate::sensor::{Sensor, SensorConfig};
+    use aplomb_models::motion::rest::Rest;
+    use aplomb_models::sensor::{Sensor, SensorConfig};
 
     /// Offsets of registers (RM0090).
     const RCC_AHB1ENR: u64 = 0x30;

@@ -16,7 +16,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use aplomb::health::Flags;
+use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::Burst;
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
@@ -120,7 +120,8 @@ pub fn write_bursts(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
             captured_at_us: sample.snapshot.t_us,
             missed_before: u8::from(flags.contains(Flags::MISSED)),
         };
-        writeln!(to, "{}", bursts::Line(&burst, flags))?;
+        let board = BoardFlags::from_bits_truncate(flags.bits());
+        writeln!(to, "{}", bursts::Line(&burst, board))?;
     }
     Ok(())
 }

@@ -3,15 +3,15 @@
 
 use aplomb::health::Flags;
 
-use crate::chart::{
+use crate::flight::Outcome;
+use crate::recorder::Sample;
+use crate::summary::inclination_deg;
+use aplomb_plot::chart::{
     Chart, FAULT_SHADE, FIRST, Lane, NARROWEST_DEG, Panel, SECOND, SHADE, Shade, THIRD, TRUTH,
     error_panel, flag_lanes,
 };
-use crate::flight::Outcome;
-use crate::picture::Color;
-use crate::recorder::Sample;
-use crate::summary::inclination_deg;
-use crate::timeline::Trace;
+use aplomb_plot::picture::Color;
+use aplomb_plot::timeline::Trace;
 
 /// The picture, in pixels.
 const SIZE: (u32, u32) = (1600, 1280);
@@ -86,7 +86,10 @@ fn what_went_wrong(outcome: &Outcome) -> (Vec<Shade>, Vec<Lane>) {
         )
         .collect();
     flags.sort_by_key(|&(at_ns, _)| at_ns);
-    let lanes = flag_lanes(|flag| spans(&flags, flag, end_ns));
+    let named = Flags::all()
+        .iter_names()
+        .map(|(name, flag)| (name, spans(&flags, flag, end_ns)));
+    let lanes = flag_lanes(named, "VALID");
     (faults.collect(), lanes)
 }
 

@@ -24,10 +24,10 @@ use crate::image::Firmware;
 use crate::mcu::HeardByte;
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Counts, EXCEPTIONS, Profile, Upset, exception_of};
-use crate::sensor::{Burst, DataReady};
+use aplomb_models::sensor::{Burst, DataReady};
 
 /// Offset of the count in the published structure; the snapshot is at 0.
-const SEQUENCE: u64 = 40;
+const SEQUENCE: u64 = 44;
 
 /// How often the probe empties the log, in virtual time.
 const SERVICE_PERIOD_NS: u64 = 1_000_000;
@@ -35,7 +35,7 @@ const SERVICE_PERIOD_NS: u64 = 1_000_000;
 /// What unused stack is filled with.
 const STACK_PATTERN: u32 = 0xA5A5_A5A5;
 
-/// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight.rs`; RM0090, table 62).
+/// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight/main.rs`; RM0090, table 62).
 const ATTITUDE_INTERRUPT: u16 = 51;
 
 /// An NMI that has not cleared its cause after this time never will, ns: the handler is a store.
@@ -52,8 +52,6 @@ pub struct Sample {
     pub snapshot: Snapshot,
     /// When, ns since power-up.
     pub published_ns: u64,
-    /// σ of the tilt that the firmware gave with it, in rad, if it gives one.
-    pub tilt_sigma_rad: Option<f64>,
     /// The burst that the bus had delivered last.
     pub burst: Burst,
     /// The edge that announced the burst's data, with the true motion at that instant.
@@ -151,8 +149,6 @@ pub struct StaleSnapshot {
     pub snapshot: Snapshot,
     /// When, ns since power-up.
     pub published_ns: u64,
-    /// σ of the tilt that the firmware gave with it, in rad, if it gives one.
-    pub tilt_sigma_rad: Option<f64>,
 }
 
 /// What the firmware says of its own health at a time.
@@ -305,12 +301,10 @@ impl Recorder {
         let (true, Some(snapshot)) = (is_published, read_snapshot(host, address)) else {
             return;
         };
-        let tilt_sigma_rad = self.read_tilt_sigma(host);
         if snapshot.flags.contains(Flags::STALE) {
             self.record.stale.push(StaleSnapshot {
                 snapshot,
                 published_ns: hit.at.0,
-                tilt_sigma_rad,
             });
             return;
         }
@@ -332,7 +326,6 @@ impl Recorder {
         self.record.samples.push(Sample {
             snapshot,
             published_ns: hit.at.0,
-            tilt_sigma_rad,
             burst,
             edge,
             true_t_us: edge.and_then(|edge| self.timer.microseconds(edge.time_ns)),
@@ -365,12 +358,6 @@ impl Recorder {
             None => self.unpublished.drain(..).next_back(),
         };
         burst.or(self.last_burst)
-    }
-
-    fn read_tilt_sigma(&self, host: &mut dyn Host) -> Option<f64> {
-        let address = self.health? + report::TILT_VARIANCE as u64;
-        let bits = u32::try_from(Memory::read(host, address, Width::W32).ok()?).ok()?;
-        Some(f64::from(f32::from_bits(bits)).sqrt())
     }
 
     /// Notes what the firmware has counted, if that has changed.
@@ -659,11 +646,12 @@ fn read_snapshot(memory: &mut dyn Host, address: u64) -> Option<Snapshot> {
         z: float(20)?,
     };
     let body_rates_rad_s = Vector3::new(float(24)?, float(28)?, float(32)?);
-    let flags = Flags::from_bits(word(36)?);
+    let tilt_variance_rad2 = float(40)?;
     Some(Snapshot {
         t_us,
         attitude,
         body_rates_rad_s,
-        flags,
+        flags: Flags::from_bits_truncate(word(36)?),
+        tilt_variance_rad2,
     })
 }

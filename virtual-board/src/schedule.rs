@@ -9,7 +9,7 @@ use std::path::Path;
 use thiserror::Error;
 
 use crate::faults::{Axis, Direction, FaultKind, ScheduledFault, nanoseconds};
-use crate::random::Random;
+use aplomb_models::random::Random;
 
 /// Faults with their times.
 #[derive(Clone, Debug, Default, PartialEq)]

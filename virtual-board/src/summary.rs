@@ -6,8 +6,8 @@ use aplomb::health::Flags;
 use serde::Serialize;
 
 use crate::image::Firmware;
-use crate::motion::{Quaternion, inclination_error_rad};
 use crate::recorder::{Record, Sample};
+use aplomb_models::motion::{Quaternion, inclination_error_rad};
 
 /// Edges this close to the end may have their sample published after it, ns.
 const IN_FLIGHT_NS: u64 = 2_000_000;
@@ -141,10 +141,8 @@ fn flags(record: &Record) -> BTreeMap<&'static str, usize> {
     let samples = record.samples.iter().map(|sample| sample.snapshot.flags);
     let stale = record.stale.iter().map(|stale| stale.snapshot.flags);
     for published in samples.chain(stale) {
-        for (flag, name) in Flags::NAMES {
-            if published.contains(flag) {
-                *counts.entry(name).or_default() += 1;
-            }
+        for (name, _) in published.iter_names() {
+            *counts.entry(name).or_default() += 1;
         }
     }
     counts

@@ -7,15 +7,15 @@ use std::fs;
 use std::path::Path;
 
 use aplomb::health::Flags;
+use aplomb_models::motion::poses::Poses;
+use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::{Quaternion, inclination_error_rad};
+use aplomb_models::random::Random;
+use aplomb_models::sensor::SensorErrors;
 use common::firmware;
 use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
-use virtual_board::motion::poses::Poses;
-use virtual_board::motion::rest::Rest;
-use virtual_board::motion::{Quaternion, inclination_error_rad};
-use virtual_board::random::Random;
 use virtual_board::script::Script;
-use virtual_board::sensor::SensorErrors;
 
 /// Makes a run that must be possible.
 fn fly(run: Run) -> Outcome {

@@ -1,10 +1,10 @@
 //! The examples for the target do on a board what they say: each shows the attitude of a sensor that lies tilted.
 
 use aplomb::health::Flags;
+use aplomb_models::motion::Quaternion;
+use aplomb_models::motion::rest::Rest;
 use virtual_board::faults::{Fault, FaultKind, ScheduledFault};
 use virtual_board::flight::Run;
-use virtual_board::motion::Quaternion;
-use virtual_board::motion::rest::Rest;
 
 /// The image that `cargo xtask test` has built of an example.
 fn image(name: &str) -> std::ffi::OsString {

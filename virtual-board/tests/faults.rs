@@ -3,10 +3,10 @@
 mod common;
 
 use aplomb::health::Flags;
+use aplomb_models::motion::rest::Rest;
 use common::firmware;
 use virtual_board::faults::{BusByte, BusLine, Fault};
 use virtual_board::flight::{Outcome, Run};
-use virtual_board::motion::rest::Rest;
 
 /// Makes a run that must be possible.
 fn fly(run: Run) -> Outcome {

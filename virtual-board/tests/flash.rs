@@ -2,7 +2,7 @@
 
 mod common;
 
-use aplomb::calibration::{OutputFormat, storage};
+use aplomb::settings::{OutputFormat, storage};
 use common::firmware;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use virtual_board::flash::{FlashRecord, SLOT_BYTES, Step};

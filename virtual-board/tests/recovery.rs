@@ -10,11 +10,11 @@ use std::collections::BTreeSet;
 
 use aplomb::fault::FaultClass;
 use aplomb::health::Flags;
+use aplomb_models::motion::rest::Rest;
 use common::firmware;
 use virtual_board::campaign::{Case, judge};
 use virtual_board::faults::{FaultKind, ScheduledFault};
 use virtual_board::flight::{Outcome, Run};
-use virtual_board::motion::rest::Rest;
 use virtual_board::schedule::Schedule;
 
 /// The table.
@@ -84,7 +84,7 @@ fn rows() -> Vec<Row> {
         };
         row.counted = marked(counted, '`').map(class).collect();
         row.flags
-            .extend(marked(seen, '`').map(|name| Flags::parse(&name).unwrap()));
+            .extend(marked(seen, '`').map(|name| name.parse::<Flags>().unwrap()));
         row.messages
             .extend(marked(seen, '"').map(|text| text.replace('+', "|")));
         row.noticed_ms = milliseconds(noticed);
@@ -284,11 +284,11 @@ fn fly(schedule: &str, seconds: f64) -> Outcome {
 #[test]
 fn sigma_grows_while_nothing_comes() {
     let outcome = fly("2.0 0.5 sensor-silent", 3.0);
-    let sigmas: Vec<f64> = outcome
+    let sigmas: Vec<f32> = outcome
         .record
         .stale
         .iter()
-        .filter_map(|stale| stale.tilt_sigma_rad)
+        .map(|stale| stale.snapshot.tilt_sigma_rad())
         .collect();
     assert!(sigmas.len() > 80, "every 5 ms: {}", sigmas.len());
     assert!(sigmas.windows(2).all(|pair| pair[0] <= pair[1]));

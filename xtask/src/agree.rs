@@ -1,13 +1,14 @@
-//! One flight, three places: the virtual board, `aplomb replay` and QEMU say the same of the same bursts, to the last bit.
+//! Holds the virtual board, `aplomb replay` and QEMU to the same attitudes from the same bursts, to the
+//! last bit.
 //!
-//! A simulated flight always, and a whole recorded trial where recordings are at hand. What QEMU says is held to the library by
-//! `tests/qemu.rs`.
+//! Flies a simulated flight, and a whole recorded trial where recordings are at hand.
+//! `rigs/tests/qemu.rs` compares QEMU with the library.
 
 use std::path::{Path, PathBuf};
 
 use crate::build::{self, Board, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{step, test};
+use crate::{rigs, step, test};
 
 /// Seconds of the simulated flight, from power-up to the middle of its manoeuvres.
 const SIMULATED_SECONDS: &str = "30";
@@ -35,9 +36,9 @@ pub fn run(toolchain: &Toolchain, virtual_board: &Path, elf: &Path) -> Result<()
         .map_err(|error| format!("the target folder's name is no part of a list: {error}"))?;
     step::timed("QEMU tests", || {
         setup::qemu()?;
-        let elf = build::qemu_application(toolchain)?;
+        let elf = rigs::qemu(toolchain)?;
         let mut test = test::host_cargo("test");
-        test.args(["-p", "aplomb", "--test", "qemu", "--", "--nocapture"]);
+        test.args(["-p", "aplomb-rigs", "--test", "qemu", "--", "--nocapture"]);
         test.env("APLOMB_QEMU_ELF", elf);
         step::run(test.env("APLOMB_BURSTS", bursts))
     })

@@ -1,4 +1,4 @@
-//! Builds the firmware for a board, the QEMU application, and the virtual board.
+//! Builds the firmware for a board, the virtual board, and the program `aplomb`.
 
 use std::path::PathBuf;
 
@@ -115,31 +115,6 @@ impl Firmware {
     }
 }
 
-/// Builds the application for QEMU.
-pub fn qemu_application(toolchain: &Toolchain) -> Result<PathBuf, String> {
-    step::run(
-        toolchain
-            .cargo("build")
-            .args(["--release", "--bin", "qemu", "--features", "qemu"]),
-    )?;
-    keep("release", "qemu", "qemu")
-}
-
-/// Builds the application that counts instructions, with one filter.
-pub fn cost_application(toolchain: &Toolchain, filter: &str) -> Result<PathBuf, String> {
-    let mut cargo = toolchain.cargo("build");
-    cargo.args([
-        "--quiet",
-        "--release",
-        "--bin",
-        "cost",
-        "--features",
-        "cost",
-    ]);
-    step::run(cargo.env("APLOMB_COST_FILTER", filter))?;
-    keep("release", "cost", "cost")
-}
-
 /// Builds the virtual board's program.
 pub fn virtual_board() -> Result<PathBuf, String> {
     step::timed("building the virtual board", || {
@@ -172,7 +147,7 @@ pub fn program() -> Result<PathBuf, String> {
 }
 
 /// Copies a program for the target to `target/firmware/<name>.elf`.
-fn keep(profile: &str, program: &str, name: &str) -> Result<PathBuf, String> {
+pub fn keep(profile: &str, program: &str, name: &str) -> Result<PathBuf, String> {
     let folder = target_folder().join("firmware");
     let built = target_folder().join(TARGET).join(profile).join(program);
     let kept = folder.join(format!("{name}.elf"));

@@ -1,14 +1,15 @@
-//! What the filters cost on the Cortex-M4F, held to a table that is committed.
+//! Measures the cost of the filters on the Cortex-M4F, and holds it to a table that is committed.
 //!
-//! `src/bin/cost.rs` counts instructions in QEMU; the code of a filter is what its image is larger by than an image without
-//! any. There is no cycle model: flash wait states and the pipeline are not in these figures.
+//! `rigs/src/bin/cost.rs` counts instructions in QEMU. The code of a filter is the difference between
+//! its image and one without a filter. QEMU has no cycle model: these figures are without flash wait
+//! states and the core's pipeline.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::setup::{self, Toolchain};
-use crate::{build, size, step};
+use crate::{rigs, size, step};
 
 /// Ours may change by this much before someone has to look.
 const TOLERANCE: f64 = 0.02;
@@ -26,7 +27,7 @@ const FILTERS: [&str; 8] = [
     "madgwick",
     "mahony",
 ];
-/// What the application calls an image without any.
+/// Name of an image without a filter.
 const NONE: &str = "none";
 
 const EXPLANATION: &str = "\
@@ -77,10 +78,10 @@ fn measure() -> Result<Vec<Row>, String> {
     setup::qemu()?;
     let toolchain = Toolchain::for_target()?;
     step::timed("measuring the filters in QEMU", || {
-        let without = size::measure(&build::cost_application(&toolchain, NONE)?)?.flash;
+        let without = size::measure(&rigs::cost(&toolchain, NONE)?)?.flash;
         let mut rows = Vec::new();
         for name in FILTERS {
-            let elf = build::cost_application(&toolchain, name)?;
+            let elf = rigs::cost(&toolchain, name)?;
             let mut row = parse_line(count(&elf)?.trim())?;
             row.flash = size::measure(&elf)?.flash.saturating_sub(without);
             rows.push(row);
@@ -89,7 +90,7 @@ fn measure() -> Result<Vec<Row>, String> {
     })
 }
 
-/// What the application prints.
+/// Runs the application and returns its output.
 fn count(elf: &Path) -> Result<String, String> {
     let result = Command::new("qemu-system-arm")
         .args([

@@ -1,12 +1,14 @@
 //! What the README's commands call. Each sets up what it needs first; see [`setup`].
 
 mod agree;
+mod api;
 mod build;
 mod cost;
 mod examples;
 mod faults;
 mod package;
 mod panics;
+mod rigs;
 mod setup;
 mod size;
 mod step;
@@ -29,14 +31,18 @@ usage: cargo xtask COMMAND
   test                run every check and test
   agree               board, replay and QEMU say the same of the same bursts; a part of `test`
   package             pack the library, build the package, check what is in it; a part of `test`
-  size [--board B]    flash, RAM and the largest symbols of the firmware
+  size [--board B]    flash, RAM and largest symbols of the firmware, and flash of the Kalman filter alone
   cost [--bless]      what the filters cost on the Cortex-M4F, held to tests/golden/cost.txt; --bless writes it anew
+  api [--bless]       the public API, held to tests/golden/public-api.txt; --bless writes it anew
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
 boards: stm32f405 (default), blackpill-f401, blackpill-f411, nucleo-f411, nucleo-f446";
 
 fn main() -> ExitCode {
+    if let Some(code) = api::run_as_rustdoc() {
+        return code;
+    }
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
@@ -57,11 +63,14 @@ fn run(arguments: &[String]) -> Result<(), String> {
         "agree" => no_more(rest).and_then(|()| agree::build_and_run()),
         "package" => no_more(rest).and_then(|()| package::check()),
         "size" => size::run(board_alone(rest)?),
-        "cost" => match rest {
-            [] => cost::run(),
-            [option] if option == "--bless" => cost::bless(),
-            _ => no_more(&rest[1..]).and_then(|()| no_more(rest)),
-        },
+        "cost" => {
+            if bless_alone(rest)? {
+                cost::bless()
+            } else {
+                cost::run()
+            }
+        }
+        "api" => api::check(&setup::Toolchain::for_target()?, bless_alone(rest)?),
         "flash" => flash(board_alone(rest)?),
         "setup" => no_more(rest).and_then(|()| {
             setup::Toolchain::for_target()?;
@@ -160,6 +169,13 @@ fn board_alone(arguments: &[String]) -> Result<Board, String> {
     let used = if arguments[0].contains('=') { 1 } else { 2 };
     no_more(&arguments[used.min(arguments.len())..])?;
     Board::from_name(name)
+}
+
+/// For commands that take `--bless` and nothing else: whether it is there.
+fn bless_alone(arguments: &[String]) -> Result<bool, String> {
+    let bless = arguments.first().is_some_and(|first| first == "--bless");
+    no_more(&arguments[usize::from(bless)..])?;
+    Ok(bless)
 }
 
 fn no_more(arguments: &[String]) -> Result<(), String> {

@@ -1,20 +1,18 @@
-//! That nothing panics: the library links with a panic handler that does not link, and in the firmware
-//! only those functions call a panic of which it is known why it does not come to that.
+//! Lists who can panic in a firmware image: only functions whose reason is known may.
+//!
+//! For the library alone `rigs/src/bin/no_panic.rs` is stricter: it does not link with any panic.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
 
-use crate::setup::Toolchain;
-use crate::step;
-
 /// A part of the firmware that may call panics, and why it never comes to that.
 struct Expected {
-    /// What its functions' names begin with, without a leading `<`: a module, so that it does not matter what a compiler
-    /// inlines into what.
+    /// Start of its functions' names, without a leading `<`: a module, whatever the compiler inlines
+    /// into what.
     path: &'static str,
-    /// Which panics; another one is new.
+    /// Known panics; another one is new.
     panics: &'static [&'static str],
     reason: &'static str,
 }
@@ -67,7 +65,7 @@ const RESUMED: &str = "core::panicking::panic_const::panic_const_async_fn_resume
 const SLICE: &str = "core::slice::index::slice_index_fail";
 const OPTION: &str = "core::option::";
 
-/// What panics begin with.
+/// Starts of the names of panics.
 const PANICS: [&str; 4] = [
     "core::panicking::",
     "core::slice::index::slice_index_fail",
@@ -75,25 +73,9 @@ const PANICS: [&str; 4] = [
     "core::result::unwrap_failed",
 ];
 
-/// What stands between a panic and the function to name: parts of `core` that are not inlined, and what the compiler has
-/// taken out of several functions to have it once.
+/// Functions between a panic and the one to name: parts of `core` that are not inlined, and code that
+/// the compiler has taken out of several functions.
 const IN_BETWEEN: [&str; 3] = ["core::", "<core::", "OUTLINED_FUNCTION_"];
-
-/// Builds the proof for the library.
-pub fn prove_library(toolchain: &Toolchain) -> Result<(), String> {
-    step::run(toolchain.cargo("build").args([
-        "--release",
-        "--bin",
-        "no_panic",
-        "--features",
-        "proof",
-    ]))
-    .map_err(|error| {
-        format!(
-            "{error}: if the linker misses `a_panic_is_reachable`, something in the library can panic"
-        )
-    })
-}
 
 /// Checks who calls a panic in a firmware image, and prints the list.
 pub fn check(elf: &Path) -> Result<(), String> {

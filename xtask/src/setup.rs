@@ -56,6 +56,15 @@ impl Toolchain {
         Ok(Self::Distribution { sysroot })
     }
 
+    /// The compiler's name and version.
+    pub fn compiler(&self) -> String {
+        let rustc = match self {
+            Self::Own => "rustc",
+            Self::Distribution { .. } => "/usr/bin/rustc",
+        };
+        step::output(step::command(rustc.as_ref()).arg("--version")).unwrap_or_default()
+    }
+
     /// A cargo command for the target: subcommand and `--target` are set.
     pub fn cargo(&self, subcommand: &str) -> Command {
         let mut command = match self {

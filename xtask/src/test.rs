@@ -5,11 +5,12 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{agree, cost, examples, faults, package, panics, size, step};
+use crate::{agree, api, cost, examples, faults, package, panics, rigs, size, step};
 
 /// Runs all of it.
 pub fn run() -> Result<(), String> {
     let start = Instant::now();
+    eprintln!("   for this computer: {}", Toolchain::Own.compiler());
     step::timed("formatting", || {
         component("rustfmt", "fmt")?;
         cargo(&["fmt", "--all", "--", "--check"])?;
@@ -42,27 +43,19 @@ pub fn run() -> Result<(), String> {
         step::run(doc.args(["--no-deps", "--lib", "-p", "aplomb", "-p", "virtual-board"]))
     })?;
     step::timed("the package", package::check)?;
+    step::timed("licences and sources of dependencies", check_dependencies)?;
 
     let toolchain = Toolchain::for_target()?;
+    eprintln!("   for the target: {}", toolchain.compiler());
     step::timed("lints, target", || {
-        for features in BOARDS
-            .map(|board| board.feature())
-            .iter()
-            .map(String::as_str)
-            .chain(["qemu", "cost", "proof"])
-        {
-            let bin = match features {
-                "qemu" | "cost" => features,
-                "proof" => "no_panic",
-                _ => "flight",
-            };
+        for board in BOARDS {
             step::run(toolchain.cargo("clippy").args([
                 "--release",
                 "--lib",
                 "--bin",
-                bin,
+                "flight",
                 "--features",
-                features,
+                &board.feature(),
                 "--",
                 "-D",
                 "warnings",
@@ -72,6 +65,7 @@ pub fn run() -> Result<(), String> {
         clippy.args(["--release", "--example", "rtic", "--example", "polling"]);
         clippy.args(["--features", &build::Board::default().feature()]);
         step::run(clippy.args(["--", "-D", "warnings"]))?;
+        rigs::lint(&toolchain)?;
         // The library alone, as someone else's firmware uses it.
         step::run(toolchain.cargo("clippy").args([
             "--release",
@@ -90,8 +84,14 @@ pub fn run() -> Result<(), String> {
         doc.arg(build::Board::default().feature());
         step::run(doc.args(["--", "-D", "warnings"]))
     })?;
+    step::timed("the public API", || api::check(&toolchain, false))?;
     step::timed("nothing in the library panics", || {
-        panics::prove_library(&toolchain)
+        rigs::prove_no_panic(&toolchain)
+    })?;
+    step::timed("the size of the Kalman filter alone", || {
+        let added = size::check_kalman(&toolchain)?;
+        eprintln!("   {added} bytes of flash");
+        Ok(())
     })?;
     let mut images = Vec::new();
     for board in BOARDS {
@@ -124,6 +124,24 @@ pub fn run() -> Result<(), String> {
     agree::run(&toolchain, &virtual_board, &images[0].1)?;
     cost::run()?;
     eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+/// Runs cargo-deny where it is installed: to build it takes five minutes of CPU.
+fn check_dependencies() -> Result<(), String> {
+    if step::is_installed("cargo-deny") {
+        return cargo(&[
+            "deny",
+            "--workspace",
+            "check",
+            "licenses",
+            "bans",
+            "sources",
+        ]);
+    }
+    eprintln!(
+        "   skipped: cargo-deny is not installed; `cargo install cargo-deny --locked` installs it"
+    );
     Ok(())
 }
 

@@ -6,11 +6,11 @@
 use std::collections::VecDeque;
 
 use aplomb::attitude::Quaternion;
-use aplomb::calibration::OutputFormat;
 use aplomb::health::Flags;
 use aplomb::mpu6050::{Part, RawSample};
 use aplomb::pipeline::{Pipeline, Snapshot};
-use aplomb::state::Reader;
+use aplomb::serialize::StateReader;
+use aplomb::settings::OutputFormat;
 use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use aplomb::telemetry::text::Line;
 use aplomb::telemetry::{classic, teapot, teleplot, text};
@@ -601,6 +601,7 @@ impl Log {
                     items.push(Item::Message(std::mem::take(&mut self.text)));
                 }
             }
+            _ => {}
         }
     }
 
@@ -630,8 +631,8 @@ impl Log {
         let Some(mut pipeline) = self.pipeline else {
             return;
         };
-        let mut reader = Reader::new(state);
-        pipeline.exchange(&mut reader);
+        let mut reader = StateReader::new(state);
+        pipeline.visit_state(&mut reader);
         if reader.is_complete() {
             for burst in self.recent.iter().filter(|burst| burst.number >= number) {
                 update(&mut pipeline, burst);
@@ -796,13 +797,13 @@ mod tests {
             snapshot: Some(&snapshot()),
             sample: &Sample::default(),
             temperature_celsius: 31.5,
-            record: &aplomb::calibration::Record::default(),
+            record: &aplomb::settings::Record::default(),
             is_armed: false,
             bursts_failed: 0,
         };
         session.fill(2_000_000, &vehicle, &mut output);
         if let Some(text) = says {
-            assert!(session.say(Severity::Information, text, &mut output));
+            assert!(session.send_text(Severity::Information, text, &mut output));
         }
         let length = output.length();
         buffer[..length].to_vec()

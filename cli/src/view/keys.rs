@@ -1,6 +1,6 @@
 //! What the keys do.
 
-use aplomb::calibration::OutputFormat;
+use aplomb::settings::OutputFormat;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 use super::model::Model;

@@ -24,8 +24,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
-use aplomb::calibration::OutputFormat;
 use aplomb::console::command::{self, BAUD_RATES};
+use aplomb::settings::OutputFormat;
 use ratatui::DefaultTerminal;
 use ratatui::buffer::Buffer;
 use ratatui::crossterm::event::{self, Event, KeyEventKind};
@@ -591,7 +591,7 @@ impl Live {
         if line == "status" {
             model.quiet_answers = 0;
         }
-        match command::parse(line) {
+        match line.parse() {
             Ok(command::Command::Baud(baud)) => {
                 self.switching = Some(Switching::Person);
                 self.link.switch_baud(baud);

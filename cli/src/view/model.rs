@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
-use aplomb::calibration::OutputFormat;
 use aplomb::health::Flags;
+use aplomb::settings::OutputFormat;
 
 use super::detect::{Counts, Format, Item, Reading, Sensors};
 

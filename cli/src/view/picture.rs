@@ -1,8 +1,8 @@
 //! A screen as a picture, for the README: each cell with its letter, block or Braille pattern.
 
+use aplomb_plot::picture::{Align, At, Color, Font, Picture};
 use ratatui::buffer::{Buffer, Cell};
 use ratatui::style::{Color as CellColor, Modifier};
-use virtual_board::picture::{Align, At, Color, Font, Picture};
 
 /// A cell's size, pixels: that of the font.
 const CELL: (f32, f32) = (10.0, 20.0);

@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use aplomb::calibration::OutputFormat;
 use aplomb::health::Flags;
+use aplomb::settings::OutputFormat;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;

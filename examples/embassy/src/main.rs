@@ -12,6 +12,7 @@
 #![no_std]
 #![no_main]
 
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::registers::Register;
 use aplomb::mpu6050::{ADDRESSES, BURST_LENGTH, Burst, Check, Condition, Config, Part, Step};
 use aplomb::pipeline::{Pipeline, Settings};
@@ -48,7 +49,7 @@ async fn show_attitude<I: Bus>(mut i2c: I, mut interrupt: impl Wait) -> Result<(
             &mut bytes[..check.length],
         )
         .await?;
-        if check.of(&bytes) != Condition::Intact {
+        if check.evaluate(&bytes) != Condition::Intact {
             return Ok(());
         }
     }
@@ -68,7 +69,7 @@ async fn show_attitude<I: Bus>(mut i2c: I, mut interrupt: impl Wait) -> Result<(
             captured_at_us,
             missed_before: 0,
         };
-        let angles = pipeline.update(&burst).euler();
+        let angles = pipeline.update(&burst, BoardFlags::empty()).euler();
         if number.is_multiple_of(100) {
             let (roll, pitch) = (angles.roll_rad.to_degrees(), angles.pitch_rad.to_degrees());
             defmt::info!("roll {} pitch {}", roll, pitch);

@@ -1,316 +1,365 @@
-//! The covariance step, in slices: so little at a time that no sample waits for it.
+//! The covariance as three blocks, and the operations that the filter needs.
 //!
-//! A step covers an interval in which the mean has been integrated and its [`Transition`] summed up.
-//! It predicts the covariance over that interval, P ← F·P·Fᵀ + Q, and then takes scalar
-//! measurements z = x_i + noise one after the other (Bierman, *Factorization Methods for Discrete
-//! Sequential Estimation*, 1977, ch. II):
+//! Four states are *dynamic*: tilt (2) and horizontal velocity (2). The other fifteen are *parameters* of the sensor: gyroscope
+//! bias (3), gyroscope matrix (9), accelerometer bias (3). Time changes only the rows and columns of the
+//! dynamic states, so the blocks are stored apart:
 //!
 //! ```text
-//! h = P·e_i    s = h_i + r    δ ← δ + h·(z − x_i − δ_i)/s    P ← P − h·hᵀ/s
+//!      dynamic  parameters
+//! P = [   M        Xᵀ    ]   M: 4 × 4, full      X: 15 × 4
+//!     [   X        C     ]   C: 15 × 15, lower triangle by rows
 //! ```
 //!
-//! δ, the correction, is about the interval's end, which is some samples ago when the last slice is
-//! done; whoever applies it carries it forward.
+//! C cannot become asymmetric, because only half of it is stored. M is mirrored from its lower half.
+//! Operations on X and C work on one row each, so that a caller can spread them over several samples.
 
-use super::matrix::{CONSTANTS, Column, Covariance, MOVING, Transition};
-use crate::state::Exchange;
+use super::propagation::{DYNAMIC, Effect, GYROSCOPE_PARAMETERS, PARAMETERS, Transition};
+use crate::serialize::StateVisitor;
 
-/// No step has more measurements: two of the velocity, three of the gyroscope's bias.
-const MOST_MEASUREMENTS: usize = 5;
+const TRIANGLE: usize = PARAMETERS * (PARAMETERS + 1) / 2;
 
-const LAST_ROW: usize = CONSTANTS - 1;
-
-/// What comes next.
+/// The covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-enum Phase {
-    /// Nothing.
-    Idle,
-    /// F·P·Fᵀ: X by A.
-    Carry,
-    /// C into X, from this row of C on.
-    Mix(usize),
-    /// X into M.
-    Close,
-    /// Time for measurements.
-    Predicted,
-    /// This measurement: its column, its gain, its correction.
-    Measure(usize),
-    /// P by this measurement, from this row on.
-    Reduce(usize, usize),
-    /// Is the result sound?
-    Check,
-    /// Everything is done.
-    Done,
+pub(super) struct Covariance {
+    dynamic: [[f32; DYNAMIC]; DYNAMIC],
+    cross: [[f32; DYNAMIC]; PARAMETERS],
+    triangle: [f32; TRIANGLE],
 }
 
-/// What a slice did.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Progress {
-    /// Nothing: no step is under way.
-    Idle,
-    /// A part of the work.
-    Working,
-    /// The covariance is predicted to the interval's end: the measurements may come.
-    Predicted,
-    /// The correction is complete, and the step with it.
-    Corrected,
-    /// The same, but the numbers make no sense.
-    Unsound,
-}
-
-/// A measured state and what was measured.
+/// A column of the covariance, or a correction of the error state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct Measurement {
-    /// Which state.
-    pub(super) state: State,
-    /// Measured minus predicted, before any correction of this step.
-    pub(super) innovation: f32,
-    /// The measurement's variance.
-    pub(super) variance: f32,
+pub(super) struct Column {
+    pub(super) dynamic: [f32; DYNAMIC],
+    pub(super) parameters: [f32; PARAMETERS],
 }
 
-/// A state that can be measured.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) enum State {
-    /// Moving state of this index.
-    Moving(usize),
-    /// Constant of this index.
-    Constant(usize),
-}
+impl Column {
+    /// The zero column.
+    pub(super) const ZERO: Self = Self {
+        dynamic: [0.0; DYNAMIC],
+        parameters: [0.0; PARAMETERS],
+    };
 
-/// The covariance, and the step that is under way.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct Step {
-    pub(super) covariance: Covariance,
-    /// δ.
-    pub(super) correction: Column,
-    phase: Phase,
-    transition: Transition,
-    duration_s: f32,
-    measurements: [Option<Measurement>; MOST_MEASUREMENTS],
-    /// h of the measurement under way.
-    column: Column,
-    /// 1/s of the same.
-    inverse: f32,
-}
-
-impl Measurement {
-    fn exchange(&mut self, state: &mut impl Exchange) {
-        let (mut is_constant, mut index) = match self.state {
-            State::Moving(index) => (false, index),
-            State::Constant(index) => (true, index),
-        };
-        state.truth(&mut is_constant);
-        state.index(&mut index, if is_constant { CONSTANTS } else { MOVING });
-        self.state = if is_constant {
-            State::Constant(index)
-        } else {
-            State::Moving(index)
-        };
-        state.number(&mut self.innovation);
-        state.number(&mut self.variance);
+    /// Whether every entry is a finite number of plausible size.
+    pub(super) fn is_sound(&self) -> bool {
+        // A NaN makes the sum a NaN, which fails the comparison.
+        let entries = self.dynamic.iter().chain(&self.parameters);
+        entries.map(|entry| entry.abs()).sum::<f32>() < 1.0e4
     }
-}
 
-impl Phase {
-    fn exchange(&mut self, state: &mut impl Exchange) {
-        let (mut kind, mut first, mut second) = match *self {
-            Self::Idle => (0, 0, 0),
-            Self::Carry => (1, 0, 0),
-            Self::Mix(row) => (2, row, 0),
-            Self::Close => (3, 0, 0),
-            Self::Predicted => (4, 0, 0),
-            Self::Measure(index) => (5, index, 0),
-            Self::Reduce(index, row) => (6, index, row),
-            Self::Check => (7, 0, 0),
-            Self::Done => (8, 0, 0),
-        };
-        state.index(&mut kind, 9);
-        // Both are compared with what they count before they are used.
-        state.index(&mut first, CONSTANTS + 1);
-        state.index(&mut second, CONSTANTS + 1);
-        *self = match kind {
-            1 => Self::Carry,
-            2 => Self::Mix(first),
-            3 => Self::Close,
-            4 => Self::Predicted,
-            5 => Self::Measure(first),
-            6 => Self::Reduce(first, second),
-            7 => Self::Check,
-            8 => Self::Done,
-            _ => Self::Idle,
-        };
-    }
-}
-
-impl Step {
-    pub(super) fn exchange(&mut self, state: &mut impl Exchange) {
-        self.covariance.exchange(state);
-        self.correction.exchange(state);
-        self.phase.exchange(state);
-        self.transition.exchange(state);
-        state.number(&mut self.duration_s);
-        for measurement in &mut self.measurements {
-            state.optional(
-                measurement,
-                Measurement {
-                    state: State::Moving(0),
-                    innovation: 0.0,
-                    variance: 0.0,
-                },
-                |state, measurement| measurement.exchange(state),
-            );
+    /// Adds a multiple of another column.
+    pub(super) fn add(&mut self, other: &Self, factor: f32) {
+        for (entry, other) in self.dynamic.iter_mut().zip(&other.dynamic) {
+            *entry += factor * other;
         }
-        self.column.exchange(state);
-        state.number(&mut self.inverse);
-    }
-
-    pub(super) const fn new() -> Self {
-        Self {
-            covariance: Covariance::ZERO,
-            correction: Column::ZERO,
-            phase: Phase::Idle,
-            transition: Transition::NONE,
-            duration_s: 0.0,
-            measurements: [None; MOST_MEASUREMENTS],
-            column: Column::ZERO,
-            inverse: 0.0,
+        for (entry, other) in self.parameters.iter_mut().zip(&other.parameters) {
+            *entry += factor * other;
         }
     }
 
-    /// How long the interval is, s.
-    pub(super) fn duration_s(&self) -> f32 {
-        self.duration_s
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.f32s(&mut self.dynamic);
+        visitor.f32s(&mut self.parameters);
     }
+}
 
-    /// Drops what is left of a step.
-    pub(super) fn abandon(&mut self) {
-        self.phase = Phase::Idle;
-    }
+impl Covariance {
+    /// The zero matrix.
+    pub(super) const ZERO: Self = Self {
+        dynamic: [[0.0; DYNAMIC]; DYNAMIC],
+        cross: [[0.0; DYNAMIC]; PARAMETERS],
+        triangle: [0.0; TRIANGLE],
+    };
 
-    /// Begins a step over an interval that added these variances to tilt and velocity.
-    pub(super) fn begin(&mut self, transition: &Transition, noise: [f32; 2], duration_s: f32) {
-        let [tilt, velocity] = noise;
-        self.duration_s = duration_s;
-        self.transition = *transition;
-        self.correction = Column::ZERO;
-        self.measurements = [None; MOST_MEASUREMENTS];
-        self.covariance.carry_moving(transition);
-        for (state, variance) in [tilt, tilt, velocity, velocity].into_iter().enumerate() {
-            self.covariance.add_to_moving(state, variance);
-        }
-        self.phase = Phase::Carry;
-    }
-
-    /// Adds a measurement at the end of the interval; one too many is ignored.
-    #[inline(never)]
-    pub(super) fn measure(&mut self, measurement: Measurement) {
-        if let Some(free) = self.measurements.iter_mut().find(|place| place.is_none()) {
-            *free = Some(measurement);
+    /// Sets the parameters' variances, and all correlations between them to zero.
+    pub(super) fn reset_parameters(&mut self, variances: &[f32; PARAMETERS]) {
+        self.triangle.fill(0.0);
+        let mut end = 0;
+        for (parameter, variance) in variances.iter().enumerate() {
+            end += parameter;
+            if let Some(own) = self.triangle.get_mut(end) {
+                *own = *variance;
+            }
+            end += 1;
         }
     }
 
-    /// Does one slice.
-    pub(super) fn slice(&mut self) -> Progress {
-        match self.phase {
-            Phase::Idle => return Progress::Idle,
-            Phase::Carry => {
-                for row in 0..CONSTANTS {
-                    self.covariance.carry_cross(row, &self.transition);
+    /// Variance of a dynamic state.
+    #[inline]
+    pub(super) fn dynamic_variance(&self, state: usize) -> f32 {
+        match self.dynamic.get(state).and_then(|row| row.get(state)) {
+            Some(variance) => *variance,
+            None => 0.0,
+        }
+    }
+
+    /// Variance of a parameter.
+    #[inline]
+    pub(super) fn parameter_variance(&self, parameter: usize) -> f32 {
+        match self.row(parameter).last() {
+            Some(variance) => *variance,
+            None => 0.0,
+        }
+    }
+
+    /// Sets the variance of a parameter. Its correlations must be zero.
+    pub(super) fn set_parameter_variance(&mut self, parameter: usize, variance: f32) {
+        if let Some(own) = self.row_mut(parameter).last_mut() {
+            *own = variance;
+        }
+    }
+
+    /// Adds to the variance of a dynamic state.
+    pub(super) fn add_to_dynamic(&mut self, state: usize, variance: f32) {
+        if let Some(own) = self
+            .dynamic
+            .get_mut(state)
+            .and_then(|row| row.get_mut(state))
+        {
+            *own += variance;
+        }
+    }
+
+    /// Adds to the variance of a parameter.
+    pub(super) fn add_to_parameter(&mut self, parameter: usize, variance: f32) {
+        if let Some(own) = self.row_mut(parameter).last_mut() {
+            *own += variance;
+        }
+    }
+
+    /// Sets the variance of a dynamic state, and its correlations to zero.
+    pub(super) fn reset_dynamic(&mut self, state: usize, variance: f32) {
+        for (index, row) in self.dynamic.iter_mut().enumerate() {
+            if index == state {
+                *row = [0.0; DYNAMIC];
+            }
+            if let Some(entry) = row.get_mut(state) {
+                *entry = if index == state { variance } else { 0.0 };
+            }
+        }
+        for row in &mut self.cross {
+            if let Some(entry) = row.get_mut(state) {
+                *entry = 0.0;
+            }
+        }
+    }
+
+    /// Sets the variances of tilt (per axis, rad²) and velocity (per axis, (m/s)²), and all their correlations to zero.
+    pub(super) fn reset_motion(&mut self, tilt: f32, velocity: f32) {
+        self.cross.as_flattened_mut().fill(0.0);
+        self.dynamic = [
+            [tilt, 0.0, 0.0, 0.0],
+            [0.0, tilt, 0.0, 0.0],
+            [0.0, 0.0, velocity, 0.0],
+            [0.0, 0.0, 0.0, velocity],
+        ];
+    }
+
+    /// Propagates M: M ← A·M·Aᵀ.
+    pub(super) fn propagate_dynamic(&mut self, transition: &Transition) {
+        let f = transition.down_m_s;
+        let [north, east, north_m_s, east_m_s] = &mut self.dynamic;
+        for column in 0..DYNAMIC {
+            north_m_s[column] += f * east[column];
+            east_m_s[column] -= f * north[column];
+        }
+        for row in &mut self.dynamic {
+            row[2] += f * row[1];
+            row[3] -= f * row[0];
+        }
+    }
+
+    /// Propagates a row of X: X ← X·Aᵀ; then M ← M − B·X for that row.
+    pub(super) fn propagate_cross(&mut self, parameter: usize, transition: &Transition) {
+        let f = transition.down_m_s;
+        let Some(row) = self.cross.get_mut(parameter) else {
+            return;
+        };
+        row[2] += f * row[1];
+        row[3] -= f * row[0];
+        // Only the lower half of M; `complete_dynamic` computes the rest.
+        let [first, second, third, fourth] = &mut self.dynamic;
+        match transition.effect(parameter) {
+            Effect::Tilt(b) => {
+                first[0] -= b[0] * row[0];
+                second[0] -= b[1] * row[0];
+                second[1] -= b[1] * row[1];
+            }
+            Effect::Velocity(b) => {
+                for column in 0..3 {
+                    third[column] -= b[0] * row[column];
                 }
-                self.phase = Phase::Mix(0);
-            }
-            Phase::Mix(row) => {
-                // A short row of the triangle with a long one, so that all slices are alike.
-                self.covariance.mix(row, &self.transition);
-                self.phase = if row < LAST_ROW / 2 {
-                    self.covariance.mix(LAST_ROW - row, &self.transition);
-                    Phase::Mix(row + 1)
-                } else {
-                    Phase::Close
-                };
-            }
-            Phase::Close => {
-                self.covariance.close(&self.transition);
-                self.phase = Phase::Predicted;
-            }
-            Phase::Predicted => {
-                self.phase = Phase::Measure(0);
-                return Progress::Predicted;
-            }
-            Phase::Measure(index) => {
-                self.phase = self.take(index);
-            }
-            Phase::Reduce(index, row) => {
-                self.reduce_pair(row);
-                self.reduce_pair(row + 1);
-                self.phase = if row + 2 <= LAST_ROW / 2 {
-                    Phase::Reduce(index, row + 2)
-                } else {
-                    Phase::Measure(index + 1)
-                };
-            }
-            Phase::Check => {
-                if !(self.covariance.is_sound() && self.correction.is_sound()) {
-                    self.phase = Phase::Idle;
-                    return Progress::Unsound;
+                for column in 0..4 {
+                    fourth[column] -= b[1] * row[column];
                 }
-                self.phase = Phase::Done;
             }
-            Phase::Done => {
-                self.phase = Phase::Idle;
-                return Progress::Corrected;
-            }
-        }
-        Progress::Working
-    }
-
-    /// Reduces a short row with a long one; the one in the middle alone.
-    fn reduce_pair(&mut self, row: usize) {
-        self.covariance.reduce(row, &self.column, self.inverse);
-        if row < LAST_ROW - row {
-            let other = LAST_ROW - row;
-            self.covariance.reduce(other, &self.column, self.inverse);
         }
     }
 
-    fn take(&mut self, index: usize) -> Phase {
-        let Some(Some(measurement)) = self.measurements.get(index) else {
-            return Phase::Check;
+    /// Propagates C into X for a row of C: X ← X − C·Bᵀ. Each entry of the row stands for two of C.
+    pub(super) fn propagate_parameters(&mut self, parameter: usize, transition: &Transition) {
+        let start = parameter * (parameter + 1) / 2;
+        let Some(row) = self.triangle.get(start..start + parameter + 1) else {
+            return;
         };
-        let (column, own, corrected) = match measurement.state {
-            State::Moving(state) => {
-                let column = self.covariance.moving_column(state);
-                let own = column.moving.get(state).copied();
-                (column, own, self.correction.moving.get(state).copied())
+        let Some((above, [own, ..])) = self.cross.split_at_mut_checked(parameter) else {
+            return;
+        };
+        let Some((variance, row)) = row.split_last() else {
+            return;
+        };
+        // The gyroscope's parameters before this one add to its covariance with the tilt.
+        let [mut north, mut east] = [0.0; 2];
+        match transition.effect(parameter) {
+            Effect::Tilt(own_b) => {
+                for ((p, b), other) in row.iter().zip(&transition.tilt).zip(above) {
+                    north += p * b[0];
+                    east += p * b[1];
+                    other[0] -= p * own_b[0];
+                    other[1] -= p * own_b[1];
+                }
+                own[0] -= north + variance * own_b[0];
+                own[1] -= east + variance * own_b[1];
             }
-            State::Constant(constant) => {
-                let column = self.covariance.constant_column(constant);
-                let own = column.constants.get(constant).copied();
-                (
-                    column,
-                    own,
-                    self.correction.constants.get(constant).copied(),
-                )
+            Effect::Velocity(own_b) => {
+                let Some((gyroscope, accelerometer)) =
+                    above.split_first_chunk_mut::<GYROSCOPE_PARAMETERS>()
+                else {
+                    return;
+                };
+                for ((p, b), other) in row.iter().zip(&transition.tilt).zip(gyroscope) {
+                    north += p * b[0];
+                    east += p * b[1];
+                    other[2] -= p * own_b[0];
+                    other[3] -= p * own_b[1];
+                }
+                own[0] -= north;
+                own[1] -= east;
+                let [mut north_m_s, mut east_m_s] = [variance * own_b[0], variance * own_b[1]];
+                let biases = row.iter().skip(GYROSCOPE_PARAMETERS);
+                for ((p, b), other) in biases.zip(&transition.tilt).zip(accelerometer) {
+                    north_m_s += p * b[0];
+                    east_m_s += p * b[1];
+                    other[2] -= p * own_b[0];
+                    other[3] -= p * own_b[1];
+                }
+                own[2] -= north_m_s;
+                own[3] -= east_m_s;
             }
-        };
-        let (Some(own), Some(corrected)) = (own, corrected) else {
-            return Phase::Check;
-        };
-        self.inverse = 1.0 / (own + measurement.variance);
-        let gain = (measurement.innovation - corrected) * self.inverse;
-        for (correction, entry) in self.correction.moving.iter_mut().zip(&column.moving) {
-            *correction += gain * entry;
         }
-        for (correction, entry) in self.correction.constants.iter_mut().zip(&column.constants) {
-            *correction += gain * entry;
+    }
+
+    /// Completes the propagation of M from the propagated X: M ← M − X·Bᵀ. M is then symmetric.
+    pub(super) fn complete_dynamic(&mut self, transition: &Transition) {
+        // Only the lower half: what `propagate_cross` has left out.
+        let [first, second, third, fourth] = &mut self.dynamic;
+        let (gyroscope, accelerometer) = self.cross.split_at(GYROSCOPE_PARAMETERS);
+        for (x, b) in gyroscope.iter().zip(&transition.tilt) {
+            first[0] -= x[0] * b[0];
+            second[0] -= x[1] * b[0];
+            second[1] -= x[1] * b[1];
+            third[0] -= x[2] * b[0];
+            third[1] -= x[2] * b[1];
+            fourth[0] -= x[3] * b[0];
+            fourth[1] -= x[3] * b[1];
         }
-        self.covariance.reduce_moving(&column, self.inverse);
-        self.column = column;
-        Phase::Reduce(index, 0)
+        for (x, b) in accelerometer.iter().zip(&transition.tilt) {
+            third[2] -= x[2] * b[0];
+            fourth[2] -= x[3] * b[0];
+            fourth[3] -= x[3] * b[1];
+        }
+        for row in 1..DYNAMIC {
+            for column in 0..row {
+                self.dynamic[column][row] = self.dynamic[row][column];
+            }
+        }
+    }
+
+    /// Whether every variance is positive and of plausible size.
+    pub(super) fn is_sound(&self) -> bool {
+        const LARGEST: f32 = 1.0e6;
+        let is_sound = |variance: f32| variance > 0.0 && variance < LARGEST;
+        (0..DYNAMIC).all(|state| is_sound(self.dynamic_variance(state)))
+            && (0..PARAMETERS).all(|parameter| is_sound(self.parameter_variance(parameter)))
+    }
+
+    /// The column of a dynamic state.
+    pub(super) fn dynamic_column(&self, state: usize) -> Column {
+        let mut column = Column::ZERO;
+        for (entry, row) in column.dynamic.iter_mut().zip(&self.dynamic) {
+            *entry = row.get(state).copied().unwrap_or(0.0);
+        }
+        for (entry, row) in column.parameters.iter_mut().zip(&self.cross) {
+            *entry = row.get(state).copied().unwrap_or(0.0);
+        }
+        column
+    }
+
+    /// The column of a parameter.
+    pub(super) fn parameter_column(&self, parameter: usize) -> Column {
+        let mut column = Column::ZERO;
+        if let Some(row) = self.cross.get(parameter) {
+            column.dynamic = *row;
+        }
+        let mut index = parameter * (parameter + 1) / 2;
+        for (other, entry) in column.parameters.iter_mut().enumerate() {
+            *entry = self.triangle.get(index).copied().unwrap_or(0.0);
+            index += if other < parameter { 1 } else { other + 1 };
+        }
+        column
+    }
+
+    /// Applies a measurement to M: P ← P − h·hᵀ/s, with the column h and `inverse` = 1/s.
+    pub(super) fn correct_dynamic(&mut self, h: &Column, inverse: f32) {
+        for row in 0..DYNAMIC {
+            let gain = h.dynamic[row] * inverse;
+            for column in 0..=row {
+                let corrected = self.dynamic[row][column] - gain * h.dynamic[column];
+                self.dynamic[row][column] = corrected;
+                self.dynamic[column][row] = corrected;
+            }
+        }
+    }
+
+    /// Applies a measurement to a row of X and C: P ← P − h·hᵀ/s.
+    pub(super) fn correct_parameter(&mut self, parameter: usize, h: &Column, inverse: f32) {
+        let Some(own) = h.parameters.get(parameter) else {
+            return;
+        };
+        let gain = own * inverse;
+        if let Some(row) = self.cross.get_mut(parameter) {
+            for (entry, other) in row.iter_mut().zip(&h.dynamic) {
+                *entry -= gain * other;
+            }
+        }
+        for (entry, other) in self.row_mut(parameter).iter_mut().zip(&h.parameters) {
+            *entry -= gain * other;
+        }
+    }
+
+    #[inline]
+    fn row(&self, parameter: usize) -> &[f32] {
+        let start = parameter * (parameter + 1) / 2;
+        self.triangle
+            .get(start..start + parameter + 1)
+            .unwrap_or(&[])
+    }
+
+    #[inline]
+    fn row_mut(&mut self, parameter: usize) -> &mut [f32] {
+        let start = parameter * (parameter + 1) / 2;
+        self.triangle
+            .get_mut(start..start + parameter + 1)
+            .unwrap_or(&mut [])
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.f32s(self.dynamic.as_flattened_mut());
+        visitor.f32s(self.cross.as_flattened_mut());
+        visitor.f32s(&mut self.triangle);
     }
 }

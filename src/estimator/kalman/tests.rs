@@ -1,13 +1,15 @@
 //! The filter against simulated sensors, and its covariance step against plain matrices in `f64`.
 
-use super::covariance::{Measurement, Progress, State, Step};
-use super::matrix::{CONSTANTS, MOVING, TURNING, Transition};
+use super::covariance::Covariance;
+use super::propagation::{DYNAMIC, PARAMETERS, Transition};
+use super::slices::{Measurement, State};
+use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::*;
 use crate::estimator::tests::{angle_between, from_degrees, sample};
-use crate::estimator::{Estimate, Estimator, FilterKind};
+use crate::estimator::{Estimate, Estimator};
 use crate::units::degrees;
 
-const STATES: usize = MOVING + CONSTANTS;
+const STATES: usize = DYNAMIC + PARAMETERS;
 type Matrix = [[f64; STATES]; STATES];
 
 /// A small generator (a linear congruence with the multiplier of Numerical Recipes).
@@ -40,10 +42,10 @@ fn dense(covariance: &Covariance) -> Matrix {
     let mut matrix = [[0.0; STATES]; STATES];
     for state in 0..STATES {
         let column = match state {
-            0..MOVING => covariance.moving_column(state),
-            _ => covariance.constant_column(state - MOVING),
+            0..DYNAMIC => covariance.dynamic_column(state),
+            _ => covariance.parameter_column(state - DYNAMIC),
         };
-        let entries = column.moving.iter().chain(&column.constants);
+        let entries = column.dynamic.iter().chain(&column.parameters);
         for (row, entry) in matrix.iter_mut().zip(entries) {
             row[state] = f64::from(*entry);
         }
@@ -57,14 +59,14 @@ fn dense_transition(transition: &Transition) -> Matrix {
     for (state, row) in f.iter_mut().enumerate() {
         row[state] = 1.0;
     }
-    f[2][1] = f64::from(transition.vertical_m_s);
-    f[3][0] = -f64::from(transition.vertical_m_s);
-    for (constant, b) in transition.tilt_per.iter().enumerate() {
-        f[0][MOVING + constant] = -f64::from(b[0]);
-        f[1][MOVING + constant] = -f64::from(b[1]);
+    f[2][1] = f64::from(transition.down_m_s);
+    f[3][0] = -f64::from(transition.down_m_s);
+    for (constant, b) in transition.tilt.iter().enumerate() {
+        f[0][DYNAMIC + constant] = -f64::from(b[0]);
+        f[1][DYNAMIC + constant] = -f64::from(b[1]);
         if constant < 3 {
-            f[2][MOVING + TURNING + constant] = -f64::from(b[0]);
-            f[3][MOVING + TURNING + constant] = -f64::from(b[1]);
+            f[2][DYNAMIC + GYROSCOPE_PARAMETERS + constant] = -f64::from(b[0]);
+            f[3][DYNAMIC + GYROSCOPE_PARAMETERS + constant] = -f64::from(b[1]);
         }
     }
     f
@@ -123,36 +125,37 @@ fn distance(a: &Matrix, b: &Matrix) -> f64 {
 }
 
 fn random_transition(random: &mut Random) -> Transition {
-    let mut transition = Transition::NONE;
-    for (constant, b) in transition.tilt_per.iter_mut().enumerate() {
+    let mut transition = Transition::IDENTITY;
+    for (constant, b) in transition.tilt.iter_mut().enumerate() {
         let scale = if constant < 3 { 0.2 } else { 0.4 };
         *b = [scale * random.next(), scale * random.next()];
     }
-    transition.vertical_m_s = -2.0 + random.next();
+    transition.down_m_s = -2.0 + random.next();
     transition
 }
 
 #[test]
 fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
     let mut random = Random(1);
-    let mut step = Step::new();
-    set_start_covariance(&mut step.covariance, &Tuning::DEFAULT, &[0.01, 0.02, 0.03]);
+    let mut step = CovarianceStep::new();
+    let variances = parameter_variances(&Tuning::DEFAULT, &[0.01, 0.02, 0.03]);
+    step.covariance.reset_parameters(&variances);
     for (state, variance) in [0.04, 0.04, 0.01, 0.01].into_iter().enumerate() {
-        step.covariance.reset_moving(state, variance);
+        step.covariance.reset_dynamic(state, variance);
     }
     let mut p = dense(&step.covariance);
     for round in 0..200 {
         let transition = random_transition(&mut random);
         let noise = [1.0e-5, 1.0e-3];
         let mut measurements = Vec::new();
-        for state in [State::Moving(2), State::Moving(3)] {
+        for state in [State::Dynamic(2), State::Dynamic(3)] {
             measurements.push((state, random.next(), 0.5));
         }
         if round % 3 == 0 {
-            measurements.push((State::Constant(round % 5), 0.1 * random.next(), 0.01));
+            measurements.push((State::Parameter(round % 5), 0.1 * random.next(), 0.01));
         }
 
-        step.begin(&transition, noise, 0.2);
+        step.begin(&transition, noise[0], noise[1], 0.2);
         let corrected = loop {
             match step.slice() {
                 Progress::Working => {}
@@ -173,14 +176,14 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
         // P ← F·P·Fᵀ + Q, K = P·Hᵀ/s, x ← x + K·(z − H·x), P ← (I − K·H)·P.
         let f = dense_transition(&transition);
         p = product(&product(&f, &p), &transposed(&f));
-        for state in 0..MOVING {
+        for state in 0..DYNAMIC {
             p[state][state] += f64::from(noise[state / 2]);
         }
         let mut x = [0.0; STATES];
         for (state, innovation, variance) in &measurements {
             let measured = match state {
-                State::Moving(state) => *state,
-                State::Constant(constant) => MOVING + constant,
+                State::Dynamic(state) => *state,
+                State::Parameter(constant) => DYNAMIC + constant,
             };
             let s = p[measured][measured] + f64::from(*variance);
             let gain: Vec<f64> = (0..STATES).map(|row| p[row][measured] / s).collect();
@@ -199,7 +202,7 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
         assert!(is_positive(&ours), "round {round}");
         let off = distance(&ours, &p);
         assert!(off < 2.0e-3, "round {round}: {off}");
-        let correction = corrected.moving.iter().chain(&corrected.constants);
+        let correction = corrected.dynamic.iter().chain(&corrected.parameters);
         for (state, (ours, exact)) in correction.zip(x).enumerate() {
             let sigma = p[state][state].sqrt();
             let off = (f64::from(*ours) - exact).abs() / sigma;
@@ -213,29 +216,29 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
 fn the_transition_is_the_derivative_of_the_mean() {
     // About 25 steps of 8 ms with motion about all axes, with one state a little off.
     let propagate = |state: usize, error: f32| {
-        let mut mean = Mean::new();
+        let mut mean = NominalState::new();
         mean.attitude = from_degrees(20.0, -35.0, 50.0);
-        let mut moving = [0.0; MOVING];
-        let mut constants = [0.0; CONSTANTS];
+        let mut moving = [0.0; DYNAMIC];
+        let mut constants = [0.0; PARAMETERS];
         match state {
-            0..MOVING => moving[state] = error,
-            _ => constants[state - MOVING] = error,
+            0..DYNAMIC => moving[state] = error,
+            _ => constants[state - DYNAMIC] = error,
         }
         mean.correct(&moving, &constants);
-        let mut transition = Transition::NONE;
+        let mut transition = Transition::IDENTITY;
         let mut velocity = mean.velocity_m_s;
         for index in 0..200 {
             let t = 1.0e-3 * index as f32;
             let rate = Vector3::new(1.0 + t, -2.0 + 3.0 * t, 1.5);
             let force = Vector3::new(1.0, -2.0 * t, -9.0);
             if index == 0 {
-                mean.begin(rate, force);
+                mean.start(rate, force);
             }
-            mean.add(rate, force, 1.0e-3);
+            mean.integrate(rate, force, 1.0e-3);
             if index % 8 == 7 {
-                let step = mean.step(&mut transition);
-                velocity[0] += step.velocity_m_s.x;
-                velocity[1] += step.velocity_m_s.y;
+                let step = mean.step_in_earth_axes(&mut transition);
+                velocity[0] += step.gained_m_s.x;
+                velocity[1] += step.gained_m_s.y;
             }
         }
         (mean.attitude, velocity, transition)
@@ -251,13 +254,13 @@ fn the_transition_is_the_derivative_of_the_mean() {
             changed_velocity[0] - velocity[0],
             changed_velocity[1] - velocity[1],
         ];
-        let mut moving = [0.0; MOVING];
-        let mut constants = [0.0; CONSTANTS];
+        let mut moving = [0.0; DYNAMIC];
+        let mut constants = [0.0; PARAMETERS];
         match state {
-            0..MOVING => moving[state] = error,
-            _ => constants[state - MOVING] = error,
+            0..DYNAMIC => moving[state] = error,
+            _ => constants[state - DYNAMIC] = error,
         }
-        transition.carry(&mut moving, &constants);
+        transition.apply(&mut moving, &constants);
         // Corrections of the mean take the error away; here it was put in with the same sign.
         for (index, (found, expected)) in found.into_iter().zip(moving).enumerate() {
             // Velocity feels a bias twice integrated within the interval, and the vertical axis of
@@ -338,9 +341,6 @@ impl World {
         let mut estimate = Estimate::default();
         for _ in 0..milliseconds {
             estimate = estimator.update(&self.sample(1000));
-            if let Some(filter) = estimator.kalman_mut() {
-                filter.take_stock();
-            }
         }
         estimate
     }
@@ -372,11 +372,11 @@ impl Hand {
 }
 
 fn estimator() -> Estimator {
-    Estimator::new(FilterKind::Kalman)
+    Estimator::new()
 }
 
 fn filter(estimator: &Estimator) -> &Kalman {
-    estimator.kalman().expect("the Kalman filter")
+    estimator.filter()
 }
 
 #[test]
@@ -391,7 +391,7 @@ fn the_first_sample_sets_the_tilt_in_any_attitude() {
             let estimate = world.run(&mut estimator, 3000);
             let error = world.tilt_error_degrees(estimate.attitude);
             assert!(error < 0.2, "{roll} {pitch}: {error}");
-            assert!(!estimate.is_calibrating);
+            assert!(estimate.is_bias_known);
         }
     }
 }
@@ -407,11 +407,11 @@ fn a_large_offset_at_rest_is_gone_after_three_seconds() {
         let mut world = World::at_rest(from_degrees(20.0, 10.0, 0.0));
         world.bias_rad_s = axis.scale(radians(20.0));
         let mut estimator = estimator();
-        assert!(world.run(&mut estimator, 500).is_calibrating);
+        assert!(!world.run(&mut estimator, 500).is_bias_known);
         let estimate = world.run(&mut estimator, 2500);
         let error = world.tilt_error_degrees(estimate.attitude);
         assert!(error < 0.5, "{axis:?}: {error}");
-        assert!(!estimate.is_calibrating);
+        assert!(estimate.is_bias_known);
         let left = filter(&estimator).bias_rad_s() - world.bias_rad_s;
         assert!(degrees(left.norm()) < 0.3, "{left:?}");
     }
@@ -514,12 +514,14 @@ fn a_stored_offset_shortens_the_start() {
         world.bias_rad_s = Vector3::new(0.2, -0.1, 0.15);
         let mut estimator = estimator();
         if stored {
-            estimator = estimator.with_bias(world.bias_rad_s, radians(0.2));
+            estimator
+                .filter_mut()
+                .set_bias(world.bias_rad_s, radians(0.2));
         }
         let estimate = world.run(&mut estimator, 700);
         (
             world.tilt_error_degrees(estimate.attitude),
-            estimate.is_calibrating,
+            !estimate.is_bias_known,
         )
     };
     let (without, calibrating) = start(false);
@@ -533,7 +535,8 @@ fn a_stored_offset_that_no_longer_holds_ends_with_the_first_rest() {
     for off in [0.3, 1.0, 5.0] {
         let mut world = World::at_rest(from_degrees(10.0, -20.0, 0.0));
         world.bias_rad_s = Vector3::new(radians(off), 0.0, radians(-off));
-        let mut estimator = estimator().with_bias(Vector3::ZERO, radians(0.1));
+        let mut estimator = estimator();
+        estimator.filter_mut().set_bias(Vector3::ZERO, radians(0.1));
         let estimate = world.run(&mut estimator, 1500);
         let left = filter(&estimator).bias_rad_s() - world.bias_rad_s;
         assert!(degrees(left.norm()) < 0.1, "{off}: {left:?}");
@@ -553,10 +556,10 @@ fn samples_that_have_not_settled_do_not_delay_the_start() {
         let mut sample = world.sample(1000);
         let off = Vector3::new(0.3, 0.6, -0.3).scale(share);
         sample.specific_force_m_s2 = sample.specific_force_m_s2 + off;
-        assert!(estimator.update(&sample).is_calibrating);
+        assert!(!estimator.update(&sample).is_bias_known);
     }
     let estimate = world.run(&mut estimator, 950);
-    assert!(!estimate.is_calibrating);
+    assert!(estimate.is_bias_known);
     let error = world.tilt_error_degrees(estimate.attitude);
     assert!(error < 1.0, "{error}");
 }
@@ -573,13 +576,13 @@ fn only_a_rest_makes_an_offset_known() {
         let mut hand = Hand::default();
         for _ in 0..60_000 {
             hand.moves(&mut world, &mut random);
-            assert!(world.run(&mut estimator, 1).is_calibrating, "seed {seed}");
+            assert!(!world.run(&mut estimator, 1).is_bias_known, "seed {seed}");
         }
         world.rate_rad_s = Vector3::ZERO;
         world.acceleration_m_s2 = Vector3::ZERO;
         // 1.6 s until the average has forgotten 46 °/s, 0.8 s of quiet, and a step of the covariance is due every 0.22 s.
         let estimate = world.run(&mut estimator, 3_000);
-        assert!(!estimate.is_calibrating, "seed {seed}");
+        assert!(estimate.is_bias_known, "seed {seed}");
         let error = world.tilt_error_degrees(estimate.attitude);
         assert!(error < 2.0, "seed {seed}: {error}");
         let left = filter(&estimator).bias_rad_s() - world.bias_rad_s;
@@ -593,7 +596,7 @@ fn an_armed_filter_does_not_take_a_steady_turn_for_rest() {
     let left = |armed: bool| {
         let mut world = World::at_rest(Quaternion::IDENTITY);
         let mut estimator = estimator();
-        estimator.set_armed(armed);
+        estimator.filter_mut().set_armed(armed);
         // 3 °/s about the vertical: for six sensors it is rest.
         world.rate_rad_s = Vector3::new(0.0, 0.0, radians(3.0));
         world.run(&mut estimator, 5_000);
@@ -609,7 +612,8 @@ fn the_attitude_is_that_of_the_sample_s_time() {
     let delay_us = 4000;
     let mut world = World::at_rest(Quaternion::IDENTITY);
     world.rate_noise = 0.0;
-    let mut estimator = estimator().with_sensor_delay_us(delay_us);
+    let mut estimator = estimator();
+    estimator.filter_mut().set_delay(delay_us as f32 * 1.0e-6);
     world.run(&mut estimator, 2_000);
     world.rate_rad_s = rate;
     let mut waiting = std::collections::VecDeque::new();
@@ -761,8 +765,8 @@ fn nonsense_leaves_a_sound_filter_that_recovers() {
             let q = estimate.attitude;
             assert!((q.dot(q) - 1.0).abs() < 1.0e-3, "{estimate:?}");
             let filter = filter(&estimator);
-            assert!(filter.tilt_sigma_rad().is_finite());
-            assert!(filter.bias_rad_s().is_within(LARGEST_BIAS_RAD_S));
+            assert!(filter.tilt_sigma_rad() >= 0.0);
+            assert!(filter.bias_rad_s().is_within(LARGEST_GYROSCOPE_BIAS_RAD_S));
             assert!(filter.linear_acceleration_m_s2().is_within(1.0e5));
         }
         if round % 20 == 0 {
@@ -774,8 +778,8 @@ fn nonsense_leaves_a_sound_filter_that_recovers() {
             assert!(
                 error < 2.0,
                 "round {round}: {error} {:?} {:?} {:?} {:?}",
-                filter.mean,
-                filter.usual,
+                filter.nominal,
+                filter.recent,
                 filter.tilt_sigma_rad(),
                 filter.bias_sigma_rad_s()
             );
@@ -802,7 +806,7 @@ fn linear_acceleration_is_what_gravity_leaves() {
 /// Neither gyroscope nor accelerometer changes in such a turn, as at rest; but no offset is so large.
 #[test]
 fn a_steady_turn_faster_than_any_offset_is_no_rest() {
-    let mut estimator = Estimator::new(FilterKind::Kalman);
+    let mut estimator = Estimator::new();
     let rate = Vector3::new(0.0, 0.0, radians(100.0));
     let mut estimate = Estimate::default();
     for millisecond in 0..5_000 {

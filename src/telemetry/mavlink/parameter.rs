@@ -1,30 +1,43 @@
-//! What of the module shows as a parameter: the outputs' settings and the mount, to be set; the calibration, to be seen.
+//! MAVLink parameters: preferences and mount, which can be set, and the calibration, which cannot.
 //!
-//! All are floats, so that no ground station has to guess how an integer is packed into one.
+//! All values are floats, so that no ground station has to guess how an integer is packed into one.
+//!
+//! ```
+//! use aplomb::settings::Record;
+//! use aplomb::telemetry::mavlink::Action;
+//! use aplomb::telemetry::mavlink::parameter::Parameter;
+//!
+//! assert_eq!(Parameter::find(b"OUT_RATE_HZ"), Some(0));
+//! assert_eq!(Parameter::Rate.value(&Record::default()), 50.0);
+//! assert_eq!(Parameter::Rate.action(100.0), Some(Action::SetRate(100)));
+//! assert_eq!(Parameter::Level.action(1.0), None);
+//! ```
 
-use super::Action;
-use crate::calibration::{Calibration, Mount, OutputFormat, Record};
+use super::action::Action;
+use crate::calibration::{Axis, Calibration, Mount};
+use crate::settings::{OutputFormat, Record};
 
-/// A parameter.
+/// Parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Parameter {
     /// Attitudes per second.
     Rate,
     /// Bits per second on the UART.
     Baud,
-    /// The format, as its place in [`OutputFormat::ALL`].
+    /// Telemetry format, as the index in [`OutputFormat::ALL`].
     Format,
-    /// The mount, as its place in [`Mount::ALL`]; −1 if none is stored.
+    /// Mount, as the index in [`Mount::ALL`]; −1 if none is stored.
     Mount,
-    /// The gyroscope's stored offset about this sensor axis, rad/s.
-    GyroscopeOffset(usize),
-    /// The accelerometer's offset along this sensor axis, m/s².
-    AccelerometerOffset(usize),
-    /// The accelerometer's scale along this sensor axis.
-    AccelerometerScale(usize),
-    /// 1 if the gyroscope's offset follows a temperature model.
+    /// Stored gyroscope offset about this axis, rad/s.
+    GyroscopeOffset(Axis),
+    /// Accelerometer offset along this axis, m/s².
+    AccelerometerOffset(Axis),
+    /// Accelerometer scale along this axis: the diagonal of the correction's matrix.
+    AccelerometerScale(Axis),
+    /// 1 if the gyroscope's offset follows a temperature model, else 0.
     Temperature,
-    /// 1 if the module is levelled.
+    /// 1 if there is a level trim, else 0.
     Level,
 }
 
@@ -34,21 +47,21 @@ pub const PARAMETERS: [(Parameter, &str); 15] = [
     (Parameter::Baud, "OUT_BAUD"),
     (Parameter::Format, "OUT_FORMAT"),
     (Parameter::Mount, "MOUNT"),
-    (Parameter::GyroscopeOffset(0), "GYR_OFF_X_RAD_S"),
-    (Parameter::GyroscopeOffset(1), "GYR_OFF_Y_RAD_S"),
-    (Parameter::GyroscopeOffset(2), "GYR_OFF_Z_RAD_S"),
-    (Parameter::AccelerometerOffset(0), "ACC_OFF_X_M_S2"),
-    (Parameter::AccelerometerOffset(1), "ACC_OFF_Y_M_S2"),
-    (Parameter::AccelerometerOffset(2), "ACC_OFF_Z_M_S2"),
-    (Parameter::AccelerometerScale(0), "ACC_SCALE_X"),
-    (Parameter::AccelerometerScale(1), "ACC_SCALE_Y"),
-    (Parameter::AccelerometerScale(2), "ACC_SCALE_Z"),
+    (Parameter::GyroscopeOffset(Axis::X), "GYR_OFF_X_RAD_S"),
+    (Parameter::GyroscopeOffset(Axis::Y), "GYR_OFF_Y_RAD_S"),
+    (Parameter::GyroscopeOffset(Axis::Z), "GYR_OFF_Z_RAD_S"),
+    (Parameter::AccelerometerOffset(Axis::X), "ACC_OFF_X_M_S2"),
+    (Parameter::AccelerometerOffset(Axis::Y), "ACC_OFF_Y_M_S2"),
+    (Parameter::AccelerometerOffset(Axis::Z), "ACC_OFF_Z_M_S2"),
+    (Parameter::AccelerometerScale(Axis::X), "ACC_SCALE_X"),
+    (Parameter::AccelerometerScale(Axis::Y), "ACC_SCALE_Y"),
+    (Parameter::AccelerometerScale(Axis::Z), "ACC_SCALE_Z"),
     (Parameter::Temperature, "CAL_TEMPERATURE"),
     (Parameter::Level, "CAL_LEVEL"),
 ];
 
 impl Parameter {
-    /// The index of the parameter with this name.
+    /// Returns the index of the parameter with this name.
     #[inline(never)]
     pub fn find(name: &[u8]) -> Option<u16> {
         PARAMETERS
@@ -57,7 +70,7 @@ impl Parameter {
             .map(|index| index as u16)
     }
 
-    /// What a record says of it.
+    /// Returns the value that a record gives the parameter.
     #[inline(never)]
     pub fn value(self, record: &Record) -> f32 {
         let Calibration {
@@ -67,34 +80,32 @@ impl Parameter {
             accelerometer,
             level,
         } = &record.calibration;
-        let of = |vector: crate::attitude::Vector3, axis: usize| match axis {
-            0 => vector.x,
-            1 => vector.y,
-            _ => vector.z,
-        };
         match self {
             Self::Rate => record.preferences.rate_hz.into(),
             Self::Baud => record.preferences.baud as f32,
-            Self::Format => place(&OutputFormat::ALL, &record.preferences.format),
-            Self::Mount => mount.map_or(-1.0, |mount| place(&Mount::ALL, &mount)),
+            Self::Format => index_of(&OutputFormat::ALL, &record.preferences.format),
+            Self::Mount => mount.map_or(-1.0, |mount| index_of(&Mount::ALL, &mount)),
             Self::GyroscopeOffset(axis) => {
-                gyroscope.map_or(0.0, |known| of(known.offset_rad_s, axis))
+                gyroscope.map_or(0.0, |stored| axis.component(stored.offset_rad_s))
             }
             Self::AccelerometerOffset(axis) => {
-                accelerometer.map_or(0.0, |known| of(known.offset_m_s2, axis))
+                accelerometer.map_or(0.0, |stored| axis.component(stored.offset_m_s2))
             }
-            Self::AccelerometerScale(axis) => {
-                accelerometer.map_or(1.0, |known| known.matrix.get(axis).copied().unwrap_or(1.0))
-            }
+            Self::AccelerometerScale(axis) => accelerometer.map_or(1.0, |stored| match axis {
+                Axis::X => stored.matrix.xx,
+                Axis::Y => stored.matrix.yy,
+                Axis::Z => stored.matrix.zz,
+            }),
             Self::Temperature => f32::from(u8::from(temperature.is_some())),
             Self::Level => f32::from(u8::from(level.is_some())),
         }
     }
 
-    /// What setting it asks for; `None` if it cannot be set, or not to this.
+    /// Returns the action that sets the parameter to this value; `None` if it cannot be set, or not
+    /// to this value.
     #[inline(never)]
     pub fn action(self, value: f32) -> Option<Action> {
-        // A cast saturates; what comes back as the same float was a whole number.
+        // A cast saturates; only a whole number comes back as the same float.
         let whole = value as u32;
         if whole as f32 != value {
             return None;
@@ -115,7 +126,8 @@ impl Parameter {
     }
 }
 
-fn place<T: PartialEq>(all: &[T], value: &T) -> f32 {
+/// Returns the index of a value as a float, −1 if it is not there.
+fn index_of<T: PartialEq>(all: &[T], value: &T) -> f32 {
     all.iter()
         .position(|known| known == value)
         .map_or(-1.0, |index| index as f32)

@@ -1,29 +1,30 @@
-//! Finds MAVLink 2 frames in what arrives, and leaves the rest to whoever reads lines of text.
+//! Receiver: finds MAVLink 2 frames in received bytes, and passes on the rest as text.
 //!
-//! A frame begins with 0xFD, which no printable text contains, and says how long it is. A candidate whose checksum is wrong
-//! was none: its first byte goes to the text, and what follows is looked at again. So does one that stays incomplete for
-//! [`PATIENCE_US`], so that a typed line reaches the console whatever noise came before it. The checksum of a message that is not
-//! known here cannot be checked; such a frame is dropped as a whole.
+//! A frame begins with 0xFD, which no printable text contains, and holds its length. A candidate
+//! with a wrong checksum is no frame: its first byte goes to the text, and the search starts again
+//! with the second. A candidate that stays incomplete for [`FRAME_TIMEOUT_US`] is treated alike, so
+//! that a typed line reaches the console after any noise. The checksum of an unknown message cannot
+//! be checked; such a frame is dropped whole.
 
 use ::mavlink::{MessageData, calculate_crc, dialects::common};
 
 use super::wire::Command;
 
-/// A frame's bytes come without longer pauses than this, µs.
-pub const PATIENCE_US: u64 = 100_000;
+/// Longest pause between two bytes of a frame, µs.
+pub const FRAME_TIMEOUT_US: u64 = 100_000;
 
 /// STX, then length, flags (2), sequence, system, component, message (3).
 const HEADER_LENGTH: usize = 10;
 const CHECKSUM_LENGTH: usize = 2;
 const SIGNATURE_LENGTH: usize = 13;
-/// The longest frame of MAVLink 2.
+/// Length of the longest frame of MAVLink 2.
 const CAPACITY: usize = HEADER_LENGTH + 255 + CHECKSUM_LENGTH + SIGNATURE_LENGTH;
 
 const START: u8 = 0xFD;
 /// Incompatibility flag: a signature follows.
 const SIGNED: u8 = 0x01;
 
-/// What was received.
+/// Received frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Received {
     pub(super) system: u8,
@@ -33,17 +34,17 @@ pub(super) struct Received {
     length: usize,
 }
 
-/// The longest of the messages that are read: COMMAND_INT.
+/// Length of the longest payload that is read: COMMAND_INT's.
 const LONGEST_PAYLOAD: usize = 36;
 
 impl Received {
-    /// The payload, without the zeros that a sender leaves out.
+    /// Returns the payload, without the zeros that a sender leaves out.
     pub(super) fn payload(&self) -> &[u8] {
         self.payload.get(..self.length).unwrap_or_default()
     }
 }
 
-/// Bytes that may be a frame.
+/// Buffer of bytes that may be a frame.
 #[derive(Debug, Clone)]
 pub(super) struct Receiver {
     bytes: [u8; CAPACITY],
@@ -51,11 +52,11 @@ pub(super) struct Receiver {
     last_us: u64,
 }
 
-/// What a candidate turned out to be.
+/// Classification of a candidate.
 enum Verdict {
     Incomplete,
     NoFrame,
-    /// A frame of this length, if it is one to look at with what it says.
+    /// A frame of this length, with its content if the message is known.
     Frame(usize, Option<Received>),
 }
 
@@ -68,7 +69,7 @@ impl Receiver {
         }
     }
 
-    /// Takes a byte.
+    /// Adds a byte, and passes on the text and frames that it completes.
     pub(super) fn push(
         &mut self,
         byte: u8,
@@ -82,45 +83,47 @@ impl Receiver {
             *place = byte;
             self.length += 1;
         }
-        self.sort(text, frame);
+        self.process(text, frame);
     }
 
-    /// Gives up a candidate that has waited for too long.
+    /// Passes on a candidate as text after the timeout.
     pub(super) fn poll(
         &mut self,
         now_us: u64,
         text: &mut impl FnMut(u8),
         frame: &mut impl FnMut(&Received),
     ) {
-        while self.length > 0 && now_us.saturating_sub(self.last_us) > PATIENCE_US {
-            self.drop_front(1, text);
-            self.sort(text, frame);
+        while self.length > 0 && now_us.saturating_sub(self.last_us) > FRAME_TIMEOUT_US {
+            self.remove_front(1, text);
+            self.process(text, frame);
         }
     }
 
+    /// Passes on text and frames until the candidate is incomplete.
     #[inline(never)]
-    fn sort(&mut self, text: &mut impl FnMut(u8), frame: &mut impl FnMut(&Received)) {
+    fn process(&mut self, text: &mut impl FnMut(u8), frame: &mut impl FnMut(&Received)) {
         while self.length > 0 {
-            match self.judge() {
+            match self.classify() {
                 Verdict::Incomplete => return,
-                Verdict::NoFrame => self.drop_front(1, text),
+                Verdict::NoFrame => self.remove_front(1, text),
                 Verdict::Frame(length, received) => {
                     if let Some(received) = received {
                         frame(&received);
                     }
-                    self.drop_front(length, &mut |_| {});
+                    self.remove_front(length, &mut |_| {});
                 }
             }
         }
     }
 
+    /// Removes bytes from the front and passes them on as text.
     #[inline(never)]
-    fn drop_front(&mut self, count: usize, text: &mut impl FnMut(u8)) {
+    fn remove_front(&mut self, count: usize, text: &mut impl FnMut(u8)) {
         let count = count.min(self.length);
         for byte in self.bytes.iter().take(count) {
             text(*byte);
         }
-        // Cells let one loop read ahead of where it writes.
+        // Cells let one loop read ahead of its writes.
         let bytes = core::cell::Cell::from_mut(self.bytes.as_mut_slice()).as_slice_of_cells();
         let kept = bytes.iter().skip(count);
         for (place, byte) in bytes.iter().zip(kept) {
@@ -129,8 +132,9 @@ impl Receiver {
         self.length -= count;
     }
 
+    /// Classifies the bytes in the buffer.
     #[inline(never)]
-    fn judge(&self) -> Verdict {
+    fn classify(&self) -> Verdict {
         let bytes = self.bytes.get(..self.length).unwrap_or_default();
         if bytes.first() != Some(&START) {
             return Verdict::NoFrame;
@@ -194,7 +198,8 @@ impl Receiver {
     }
 }
 
-/// The byte by which a checksum tells the versions of a message apart, of those that are read.
+/// Returns the extra byte of a message's checksum, which tells its versions apart; `None` for a
+/// message that is not read.
 const fn extra_of(message: u32) -> Option<u8> {
     use common::{
         COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MISSION_REQUEST_LIST_DATA,

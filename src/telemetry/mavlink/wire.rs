@@ -1,8 +1,8 @@
-//! Where the types of the `mavlink` crate are too narrow.
+//! Wire types beyond those of the `mavlink` crate.
 //!
-//! Its commands are those of a dialect and no other, and every command wants an answer. And its option for the
-//! fields that version 2 appended to messages of version 1 pulls its code generator, which needs the standard library, into
-//! the firmware (0.21.0): [`Extended`] appends them.
+//! The crate's commands are those of its dialect, but every command needs an answer: [`Command`]
+//! holds any. The crate's option for the fields that version 2 appended pulls its code generator,
+//! which needs the standard library, into the firmware (0.21.0): [`Extended`] appends them.
 
 use ::mavlink::dialects::common::{
     COMMAND_ACK_DATA, COMMAND_INT_DATA, COMMAND_LONG_DATA, MavMessage,
@@ -11,7 +11,12 @@ use ::mavlink::{
     MavlinkVersion, MessageData, bytes::Bytes, bytes_mut::BytesMut, error::ParserError,
 };
 
-/// COMMAND_LONG or COMMAND_INT, whichever: they differ in the form of two parameters.
+/// System of the module's address: the first, since ground stations look for it.
+pub const SYSTEM: u8 = 1;
+/// Component of the module's address: MAV_COMP_ID_AUTOPILOT1.
+pub const COMPONENT: u8 = 1;
+
+/// COMMAND_LONG or COMMAND_INT, which differ in the type of two parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Command {
     /// Parameters 1 to 7.
@@ -25,7 +30,7 @@ impl Command {
     pub(super) const LONG: u32 = COMMAND_LONG_DATA::ID;
     pub(super) const INT: u32 = COMMAND_INT_DATA::ID;
 
-    /// Reads a payload; zeros at its end may be missing.
+    /// Decodes a payload; zeros at its end may be missing.
     pub(super) fn read(message: u32, payload: &[u8]) -> Option<Self> {
         let mut whole = [0; 36];
         for (place, byte) in whole.iter_mut().zip(payload) {
@@ -50,7 +55,7 @@ impl Command {
     }
 }
 
-/// A message with the fields behind those of version 1, as bytes.
+/// Message with the fields that version 2 appended, as bytes.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Extended<M, const N: usize> {
     pub(super) message: M,
@@ -62,7 +67,7 @@ impl<M: MessageData, const N: usize> MessageData for Extended<M, N> {
 
     const ID: u32 = M::ID;
     const NAME: &'static str = M::NAME;
-    // The extension does not count.
+    // The extension is not part of it.
     const EXTRA_CRC: u8 = M::EXTRA_CRC;
     const ENCODED_LEN: usize = M::ENCODED_LEN + N;
 
@@ -90,7 +95,7 @@ impl<M: MessageData, const N: usize> MessageData for Extended<M, N> {
     }
 }
 
-/// COMMAND_ACK of any command.
+/// COMMAND_ACK for any command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct CommandAck {
     pub(super) command: u16,
@@ -115,7 +120,7 @@ impl MessageData for CommandAck {
         }
         bytes.put_u16_le(self.command);
         bytes.put_u8(self.result);
-        // Progress in percent, where there is any, and a second result.
+        // Progress in percent and a second result: none.
         bytes.put_u8(0);
         bytes.put_i32_le(0);
         bytes.put_u8(self.target_system);

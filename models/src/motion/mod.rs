@@ -1,0 +1,31 @@
+//! Motion sources: where the sensor really is and what it really feels, at any time from power-up on.
+//!
+//! - [`quadrotor`]: a simulated flight with physics, by seed;
+//! - [`poses`]: a body that is laid down in one pose after the other, as a calibration asks for it;
+//! - [`rest`]: a body that stands still, or is nudged once: for tests with closed-form answers;
+//! - [`swing`]: a body that swings to and fro, and motions that begin later: for short flights.
+//!
+//! Everything here is in double precision and shares no code with the library that is being judged.
+
+pub mod airframe;
+pub mod autopilot;
+pub mod geometry;
+pub mod mount;
+pub mod poses;
+pub mod quadrotor;
+pub mod rest;
+pub mod route;
+pub mod swing;
+pub mod truth;
+pub mod turn;
+pub mod wind;
+
+pub use geometry::{Quaternion, Vector};
+pub use mount::Mount;
+pub use truth::{Truth, inclination_error_rad};
+
+/// A body's motion through time.
+pub trait Motion: Send {
+    /// The truth at `time_s` seconds after power-up. Calls come with non-decreasing times.
+    fn at(&mut self, time_s: f64) -> Truth;
+}

@@ -1,0 +1,528 @@
+//! The chip: registers, clock, signal path, interrupt and bus put together.
+//!
+//! Time is the caller's, in nanoseconds since power-up, and must not decrease. Nothing happens between calls:
+//! every call first brings the chip up to its time, and [`Sensor::next_event_ns`] says when to call again at
+//! the latest.
+
+use super::bus::{Burst, Bus, DataRegisters};
+use super::clock::{ClockErrors, SampleClock, TICKS_PER_SECOND};
+use super::errors::SensorErrors;
+use super::identity::Identity;
+use super::interrupt::{Interrupt, PinLevel};
+use super::registers::{DATA_LENGTH, RegisterFile, address, writable_bits};
+use super::signal_path::{Settings, SignalPath};
+use crate::motion::{Motion, Mount, Truth};
+use crate::random::Random;
+
+/// PWR_MGMT_1 (register map r4.2, section 4.28).
+const DEVICE_RESET: u8 = 1 << 7;
+const SLEEP: u8 = 1 << 6;
+const CYCLE: u8 = 1 << 5;
+const TEMPERATURE_DISABLE: u8 = 1 << 3;
+const CLOCK_SELECT: u8 = 0x07;
+
+/// USER_CTRL: reset of the signal paths and of the data registers (section 4.27).
+const SIGNAL_CONDITION_RESET: u8 = 1 << 0;
+
+/// SIGNAL_PATH_RESET (section 4.26).
+const GYROSCOPE_RESET: u8 = 1 << 2;
+const ACCELEROMETER_RESET: u8 = 1 << 1;
+
+/// INT_ENABLE and INT_STATUS: data ready.
+const DATA_READY: u8 = 1 << 0;
+
+/// Wake-up frequencies by LP_WAKE_CTRL, Hz (section 4.29).
+const WAKE_UP_HZ: [f64; 4] = [1.25, 5.0, 20.0, 40.0];
+
+/// Which chip it is and how it is mounted.
+#[derive(Clone, Debug)]
+pub struct SensorConfig {
+    /// Seeds the noise.
+    pub seed: u64,
+    /// 7-bit bus address: 0x68, or 0x69 with AD0 high.
+    pub address: u8,
+    /// What WHO_AM_I answers, and with it the part's other traits; see [`Identity`].
+    pub who_am_i: u8,
+    /// How the chip sits on the body.
+    pub mount: Mount,
+    /// What the chip gets wrong.
+    pub errors: SensorErrors,
+    /// How far its clocks are from nominal.
+    pub clock: ClockErrors,
+    /// From power-up, or DEVICE_RESET, until the registers can be used; the chip does not acknowledge before.
+    pub start_up_ns: u64,
+    /// Whether the low-pass filter filters. A recording has been through its own sensor's filter already.
+    pub filtered: bool,
+    /// Whether it has a self-test with factory trim; many clones do not.
+    pub has_self_test: bool,
+}
+
+impl SensorConfig {
+    /// A chip off the reel for a simulated motion: an MPU-6050 at 0x68, face up.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
+        Self {
+            seed,
+            address: 0x68,
+            who_am_i: 0x68,
+            mount: Mount::default(),
+            errors: SensorErrors::typical(seed),
+            clock: ClockErrors::draw(seed),
+            // Drivers are told to wait 100 ms after a reset; how much of it a chip needs is its own affair.
+            start_up_ns: Random::new(seed, "sensor start-up").uniform(20e6, 90e6) as u64,
+            filtered: true,
+            has_self_test: true,
+        }
+    }
+
+    /// A chip that adds only its clock and its registers' resolution and range, for motion that a sensor has
+    /// recorded.
+    #[must_use]
+    pub fn for_recording(seed: u64) -> Self {
+        Self {
+            errors: SensorErrors::none(),
+            filtered: false,
+            ..Self::new(seed)
+        }
+    }
+}
+
+/// The INT pin went from inactive to active because a sample was ready.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DataReady {
+    /// Counts from zero at power-up.
+    pub index: u64,
+    /// The instant of the edge, ns since power-up.
+    pub time_ns: u64,
+    /// The true motion at that instant.
+    pub truth: Truth,
+}
+
+/// What is wrong with the data registers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OutputFault {
+    /// They keep their values.
+    Frozen,
+    /// They all read this.
+    All(u8),
+    /// This axis reads positive full scale: 0 to 2 are the accelerometer's, 3 to 5 the gyroscope's.
+    FullScale(usize),
+    /// The temperature reads this, in °C.
+    Temperature(f64),
+}
+
+/// A modelled chip.
+pub struct Sensor {
+    config: SensorConfig,
+    identity: Identity,
+    motion: Box<dyn Motion>,
+    now_ns: u64,
+    /// The registers cannot be used before this time.
+    ready_at_ns: Option<u64>,
+    registers: RegisterFile,
+    /// `None` while nothing samples.
+    clock: Option<SampleClock>,
+    woken_at_ns: u64,
+    path: SignalPath,
+    interrupt: Interrupt,
+    bus: Bus,
+    /// The chip's own data registers, renewed by every sample.
+    internal: DataRegisters,
+    /// What the bus reads: the same, but held still during a transaction (sections 4.17 to 4.19).
+    visible: DataRegisters,
+    edges: Vec<DataReady>,
+    edge_count: u64,
+    bursts: Vec<Burst>,
+    output_faults: Vec<OutputFault>,
+}
+
+impl Sensor {
+    /// A chip that is powered up at time zero and feels `motion`.
+    #[must_use]
+    pub fn new(config: SensorConfig, motion: Box<dyn Motion>) -> Self {
+        let identity = Identity::of(config.who_am_i);
+        let reset = RegisterFile::at_reset(identity.who_am_i, identity.power_management_1, [0; 4]);
+        let settings = settings_of(&reset, &identity);
+        let mut path =
+            SignalPath::new(config.seed, config.mount, config.errors, identity, settings);
+        if !config.has_self_test {
+            path = path.without_self_test();
+        }
+        let mut sensor = Self {
+            identity,
+            motion,
+            now_ns: 0,
+            ready_at_ns: None,
+            registers: reset,
+            clock: None,
+            woken_at_ns: 0,
+            path,
+            interrupt: Interrupt::default(),
+            bus: Bus::default(),
+            internal: DataRegisters::default(),
+            visible: DataRegisters::default(),
+            edges: Vec::new(),
+            edge_count: 0,
+            bursts: Vec::new(),
+            output_faults: Vec::new(),
+            config,
+        };
+        sensor.power_up(0);
+        sensor
+    }
+
+    /// The supply comes (back) at `now_ns`: everything as after DEVICE_RESET.
+    pub fn power_up(&mut self, now_ns: u64) {
+        self.advance_to(now_ns);
+        self.registers = RegisterFile::at_reset(
+            self.identity.who_am_i,
+            self.identity.power_management_1,
+            self.path.self_test_trims(),
+        );
+        self.ready_at_ns = Some(self.now_ns + self.config.start_up_ns);
+        self.clock = None;
+        self.interrupt = Interrupt::default();
+        self.bus = Bus::default();
+        self.internal = DataRegisters::default();
+        self.visible = DataRegisters::default();
+        self.path
+            .configure(settings_of(&self.registers, &self.identity));
+        self.path.reset();
+    }
+
+    /// A start or repeated start condition with a 7-bit address and a direction. Returns the acknowledge.
+    pub fn start(&mut self, now_ns: u64, address: u8, read: bool) -> bool {
+        self.advance_to(now_ns);
+        if address != self.config.address || self.ready_at_ns.is_some() {
+            self.release_bus();
+            return false;
+        }
+        self.bus.start(read);
+        true
+    }
+
+    /// A byte from the controller: the register pointer first, then values. Returns the acknowledge.
+    pub fn write(&mut self, now_ns: u64, byte: u8) -> bool {
+        self.advance_to(now_ns);
+        if self.ready_at_ns.is_some() {
+            return false;
+        }
+        if self.bus.pointer_expected {
+            self.bus.pointer_expected = false;
+            self.bus.pointer = byte;
+        } else {
+            let register = self.bus.pointer;
+            self.bus.advance_pointer();
+            self.write_register(register, byte);
+        }
+        true
+    }
+
+    /// A byte to the controller. The bus reads all ones from a chip that is not there.
+    pub fn read(&mut self, now_ns: u64) -> u8 {
+        self.advance_to(now_ns);
+        if self.ready_at_ns.is_some() || !self.bus.busy {
+            return 0xFF;
+        }
+        let register = self.bus.pointer;
+        self.bus.advance_pointer();
+        let value = self.read_register(register);
+        self.interrupt
+            .register_read(register == address::INT_STATUS);
+        if let Some(bytes) = self.bus.delivered(register, value) {
+            self.bursts.push(Burst {
+                edge: self.visible.edge,
+                bytes,
+                completed_ns: self.now_ns,
+            });
+        }
+        value
+    }
+
+    /// A stop condition.
+    pub fn stop(&mut self, now_ns: u64) {
+        self.advance_to(now_ns);
+        self.release_bus();
+    }
+
+    /// The time of the next event that is visible outside: end of a reset, sample, end of an interrupt pulse.
+    #[must_use]
+    pub fn next_event_ns(&self) -> Option<u64> {
+        let sample = self.clock.map(|clock| {
+            clock
+                .instant_ns((clock.ticks() / self.ticks_per_sample() + 1) * self.ticks_per_sample())
+        });
+        let pulse_end = self.interrupt.pulse_end_ns(self.now_ns);
+        [self.ready_at_ns, sample, pulse_end]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+
+    /// The time that the chip has been brought up to, ns since power-up.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+
+    /// Until when the registers cannot be used; `None` if they can.
+    #[must_use]
+    pub fn ready_at_ns(&self) -> Option<u64> {
+        self.ready_at_ns
+    }
+
+    /// The value of a register, as a look inside the chip shows it.
+    #[must_use]
+    pub fn register(&self, register: u8) -> u8 {
+        self.read_register(register)
+    }
+
+    /// A register changes by itself: of its bits those that hold something (a reset is not among them).
+    pub fn corrupt_register(&mut self, now_ns: u64, register: u8, value: u8) {
+        self.advance_to(now_ns);
+        let is_trigger = register == address::PWR_MGMT_1;
+        self.write_register(
+            register,
+            if is_trigger {
+                value & !DEVICE_RESET
+            } else {
+                value
+            },
+        );
+    }
+
+    /// What is wrong with the data registers, from the next sample on.
+    pub fn set_output_faults(&mut self, faults: Vec<OutputFault>) {
+        self.output_faults = faults;
+    }
+
+    /// Brings the chip up to `now_ns`.
+    pub fn advance_to(&mut self, now_ns: u64) {
+        if let Some(ready_at_ns) = self
+            .ready_at_ns
+            .filter(|&ready_at_ns| ready_at_ns <= now_ns)
+        {
+            self.now_ns = self.now_ns.max(ready_at_ns);
+            self.ready_at_ns = None;
+            self.restart_clock(true);
+        }
+        while let Some(instant_ns) = self
+            .clock
+            .as_mut()
+            .and_then(|clock| clock.take_tick(now_ns))
+        {
+            self.now_ns = instant_ns;
+            self.tick();
+        }
+        self.now_ns = self.now_ns.max(now_ns);
+    }
+
+    /// What the INT pin does to its wire.
+    #[must_use]
+    pub fn interrupt_pin(&self) -> PinLevel {
+        self.interrupt.pin(self.now_ns)
+    }
+
+    /// The level of the INT wire, which has no pull-up: released counts as low.
+    #[must_use]
+    pub fn interrupt_level(&self) -> bool {
+        self.interrupt_pin() == PinLevel::High
+    }
+
+    /// Takes out the data-ready edges since the last call.
+    pub fn take_edges(&mut self) -> Vec<DataReady> {
+        std::mem::take(&mut self.edges)
+    }
+
+    /// Takes out the bursts that the bus has delivered since the last call.
+    pub fn take_bursts(&mut self) -> Vec<Burst> {
+        std::mem::take(&mut self.bursts)
+    }
+
+    /// One tick of the internal grid, at `self.now_ns`.
+    fn tick(&mut self) {
+        let Some(clock) = self.clock else { return };
+        let is_sample = clock.ticks().is_multiple_of(self.ticks_per_sample());
+        if self.is_cycling() || !self.config.filtered {
+            if !is_sample {
+                return;
+            }
+            let truth = self.motion.at(self.now_ns as f64 * 1e-9);
+            self.path.convert_unfiltered(&truth, self.awake_s());
+            self.publish(truth);
+        } else {
+            let truth = self.motion.at(self.now_ns as f64 * 1e-9);
+            // The accelerometer's output rate is 1 kHz (section 4.2).
+            self.path
+                .convert(&truth, self.awake_s(), clock.ticks().is_multiple_of(8));
+            if is_sample {
+                self.publish(truth);
+            }
+        }
+    }
+
+    /// Puts a sample into the data registers and raises the interrupt.
+    fn publish(&mut self, truth: Truth) {
+        let before = self.internal.bytes;
+        let counts = self.path.counts();
+        let standby = self.registers.get(address::PWR_MGMT_2);
+        // STBY_XA is bit 5, STBY_ZG bit 0. What does not measure keeps its last value.
+        for axis in 0..3 {
+            if standby & (0x20 >> axis) == 0 {
+                self.internal.put(2 * axis, counts.accelerometer[axis]);
+            }
+            if standby & (0x04 >> axis) == 0 {
+                self.internal.put(8 + 2 * axis, counts.gyroscope[axis]);
+            }
+        }
+        if self.registers.get(address::PWR_MGMT_1) & TEMPERATURE_DISABLE == 0 {
+            self.internal.put(6, counts.temperature);
+        }
+        self.spoil_output(before);
+        self.internal.edge = None;
+        if self.registers.get(address::INT_ENABLE) & DATA_READY != 0
+            && self.interrupt.raise(self.now_ns)
+        {
+            self.internal.edge = Some(self.edge_count);
+            self.edges.push(DataReady {
+                index: self.edge_count,
+                time_ns: self.now_ns,
+                truth,
+            });
+            self.edge_count += 1;
+        }
+        if !self.bus.busy {
+            self.visible = self.internal;
+        }
+    }
+
+    /// What the output faults make of the data registers, which held `before` until now.
+    fn spoil_output(&mut self, before: [u8; DATA_LENGTH]) {
+        for fault in &self.output_faults {
+            match *fault {
+                OutputFault::Frozen => self.internal.bytes = before,
+                OutputFault::All(byte) => self.internal.bytes = [byte; DATA_LENGTH],
+                // The temperature lies between the two sensors.
+                OutputFault::FullScale(axis) => {
+                    let place = if axis < 3 { axis } else { axis + 1 };
+                    self.internal.put(2 * place, i16::MAX);
+                }
+                OutputFault::Temperature(celsius) => {
+                    let warmer = celsius - self.identity.temperature_zero_c;
+                    let counts = (warmer * self.identity.temperature_lsb_per_c).round();
+                    self.internal.put(6, counts as i16);
+                }
+            }
+        }
+    }
+
+    fn read_register(&self, register: u8) -> u8 {
+        match register {
+            address::ACCEL_XOUT_H..=address::GYRO_ZOUT_L => {
+                self.visible.bytes[usize::from(register - address::ACCEL_XOUT_H)]
+            }
+            address::INT_STATUS => u8::from(self.interrupt.status()) * DATA_READY,
+            _ => self.registers.get(register),
+        }
+    }
+
+    fn write_register(&mut self, register: u8, value: u8) {
+        let writable = writable_bits(register) | self.identity.additional_writable_bits(register);
+        let before = self.registers.get(register);
+        self.registers.write(register, value, writable);
+        let changed = before ^ self.registers.get(register);
+        match register {
+            address::PWR_MGMT_1 if value & DEVICE_RESET != 0 => self.power_up(self.now_ns),
+            address::PWR_MGMT_1 if changed & (SLEEP | CYCLE | CLOCK_SELECT) != 0 => {
+                self.restart_clock(changed & SLEEP != 0);
+            }
+            address::PWR_MGMT_2 if changed & 0xC0 != 0 && self.is_cycling() => {
+                self.restart_clock(false);
+            }
+            address::INT_PIN_CFG => self.interrupt.configuration = self.registers.get(register),
+            address::SIGNAL_PATH_RESET => {
+                if value & GYROSCOPE_RESET != 0 {
+                    self.path.reset_gyroscope();
+                }
+                if value & ACCELEROMETER_RESET != 0 {
+                    self.path.reset_accelerometer();
+                }
+            }
+            address::USER_CTRL if value & SIGNAL_CONDITION_RESET != 0 => {
+                self.path.reset();
+                self.internal = DataRegisters::default();
+            }
+            _ => {}
+        }
+        self.path
+            .configure(settings_of(&self.registers, &self.identity));
+    }
+
+    fn release_bus(&mut self) {
+        self.bus.release();
+        self.visible = self.internal;
+    }
+
+    /// Starts the sampling grid anew at this instant, or stops it, as the power registers say.
+    fn restart_clock(&mut self, woken: bool) {
+        let power = self.registers.get(address::PWR_MGMT_1);
+        let error = self.config.clock.of_source(power & CLOCK_SELECT);
+        self.clock = error.filter(|_| power & SLEEP == 0).map(|error| {
+            let tick_s = if power & CYCLE != 0 {
+                let wake_up = self.registers.get(address::PWR_MGMT_2) >> 6;
+                1.0 / WAKE_UP_HZ[usize::from(wake_up)]
+            } else {
+                1.0 / TICKS_PER_SECOND
+            };
+            SampleClock::new(self.now_ns, tick_s, error)
+        });
+        if woken {
+            self.woken_at_ns = self.now_ns;
+            self.path.reset();
+        }
+    }
+
+    fn is_cycling(&self) -> bool {
+        self.registers.get(address::PWR_MGMT_1) & CYCLE != 0
+    }
+
+    fn awake_s(&self) -> f64 {
+        (self.now_ns - self.woken_at_ns) as f64 * 1e-9
+    }
+
+    /// Sample rate = gyroscope output rate / (1 + SMPLRT_DIV), the former 8 kHz without filter, else 1 kHz
+    /// (section 4.2).
+    fn ticks_per_sample(&self) -> u64 {
+        if self.is_cycling() {
+            return 1;
+        }
+        let base = match self.registers.get(address::CONFIG) & 7 {
+            0 | 7 => 1,
+            _ => 8,
+        };
+        base * (1 + u64::from(self.registers.get(address::SMPLRT_DIV)))
+    }
+}
+
+impl DataRegisters {
+    /// Puts a big-endian value at `offset` from ACCEL_XOUT_H.
+    fn put(&mut self, offset: usize, value: i16) {
+        self.bytes[offset..offset + 2].copy_from_slice(&value.to_be_bytes());
+    }
+}
+
+/// What the registers say about the signal path.
+fn settings_of(registers: &RegisterFile, identity: &Identity) -> Settings {
+    let gyroscope = registers.get(address::GYRO_CONFIG);
+    let accelerometer = registers.get(address::ACCEL_CONFIG);
+    // Self-test of X is bit 7, of Z bit 5; the full scale is in bits 4:3.
+    let self_test = |register: u8| [0, 1, 2].map(|axis| register & (0x80 >> axis) != 0);
+    Settings {
+        gyroscope_range: gyroscope >> 3 & 3,
+        accelerometer_range: accelerometer >> 3 & 3,
+        gyroscope_filter: registers.get(address::CONFIG) & 7,
+        accelerometer_filter: registers.get(identity.accelerometer_filter_register) & 7,
+        gyroscope_self_test: self_test(gyroscope),
+        accelerometer_self_test: self_test(accelerometer),
+    }
+}

@@ -1,0 +1,229 @@
+//! The pipeline under real interrupts in QEMU: `-M netduinoplus2`, an STM32F405 without I2C or DMA.
+//!
+//! Bursts come from a `bursts.csv` on the host in place of the bus, and every snapshot goes back as
+//! the bits of its numbers, so that a test can hold them to the library on the host. The priorities
+//! are those of `flight`; TIM2 stands for the sensor's INT pin.
+//!
+//! ```text
+//! qemu-system-arm -M netduinoplus2 -kernel qemu.elf -serial file:TEXT \
+//!     -semihosting-config enable=on,target=native,arg=qemu,arg=BURSTS,arg=SNAPSHOTS
+//! ```
+//!
+//! Exit status 0: every burst gave a snapshot. 1: not, and the reason stands on standard error.
+
+#![no_std]
+#![no_main]
+
+use core::panic::PanicInfo;
+
+use aplomb_rigs::host_files;
+use cortex_m_semihosting::heprintln;
+
+#[panic_handler]
+fn panic(information: &PanicInfo<'_>) -> ! {
+    heprintln!("{}", information);
+    host_files::exit(false)
+}
+
+#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [SPI2])]
+mod app {
+    use core::fmt::Write;
+
+    use aplomb::health::BoardFlags;
+    use aplomb::mpu6050::{Burst, Part};
+    use aplomb::pipeline::{Pipeline, Settings, Snapshot};
+    use aplomb::telemetry::{bursts, text};
+    use aplomb_rigs::host_files::{self, HostFile};
+    use cortex_m_semihosting::heprintln;
+    use heapless::spsc::{Consumer, Producer, Queue};
+    use stm32f4xx_hal::pac::{Interrupt, TIM2, USART1};
+    use stm32f4xx_hal::prelude::*;
+    use stm32f4xx_hal::rcc;
+
+    /// One line of text for so many samples, as 50 Hz is to 1 kHz.
+    const SAMPLES_PER_LINE: u32 = 20;
+    /// The sample rate, in virtual time.
+    const SAMPLE_HZ: u32 = 1_000;
+    const BAUD: u32 = 921_600;
+
+    /// A burst, and what the board said of it.
+    type FlaggedBurst = (Burst, BoardFlags);
+
+    #[shared]
+    struct Shared {}
+
+    #[local]
+    struct Local {
+        timer: stm32f4xx_hal::timer::CounterHz<TIM2>,
+        port: stm32f4xx_hal::serial::Tx<USART1>,
+        pipeline: Pipeline,
+        bursts_in: Producer<'static, FlaggedBurst>,
+        bursts_out: Consumer<'static, FlaggedBurst>,
+        ready_in: Producer<'static, FlaggedBurst>,
+        ready_out: Consumer<'static, FlaggedBurst>,
+        snapshots_in: Producer<'static, Snapshot>,
+        snapshots_out: Consumer<'static, Snapshot>,
+        lines_in: Producer<'static, Snapshot>,
+        lines_out: Consumer<'static, Snapshot>,
+    }
+
+    #[init(local = [
+        bursts: Queue<FlaggedBurst, 16> = Queue::new(),
+        ready: Queue<FlaggedBurst, 2> = Queue::new(),
+        snapshots: Queue<Snapshot, 16> = Queue::new(),
+        lines: Queue<Snapshot, 2> = Queue::new(),
+    ])]
+    fn init(context: init::Context) -> (Shared, Local) {
+        let device = context.device;
+        // QEMU has no clock tree: the internal oscillator is all that answers.
+        let mut rcc = device.RCC.freeze(rcc::Config::hsi());
+        let pins = device.GPIOA.split(&mut rcc);
+        let port = device
+            .USART1
+            .tx(pins.pa9, BAUD.bps(), &mut rcc)
+            .unwrap_or_else(|_| host_files::exit(false));
+        let mut timer = device.TIM2.counter_hz(&mut rcc);
+        if timer.start(SAMPLE_HZ.Hz()).is_err() {
+            host_files::exit(false);
+        }
+        timer.listen(stm32f4xx_hal::timer::Event::Update);
+        let (bursts_in, bursts_out) = context.local.bursts.split();
+        let (ready_in, ready_out) = context.local.ready.split();
+        let (snapshots_in, snapshots_out) = context.local.snapshots.split();
+        let (lines_in, lines_out) = context.local.lines.split();
+        (
+            Shared {},
+            Local {
+                timer,
+                port,
+                pipeline: Pipeline::new(&Settings::new(&Part::MPU_6050)),
+                bursts_in,
+                bursts_out,
+                ready_in,
+                ready_out,
+                snapshots_in,
+                snapshots_out,
+                lines_in,
+                lines_out,
+            },
+        )
+    }
+
+    /// Feeds bursts from the host and writes snapshots to it, until the file ends.
+    #[idle(local = [bursts_in, snapshots_out])]
+    fn idle(context: idle::Context) -> ! {
+        let succeeded = match host_files::arguments() {
+            Some([_, input, output]) => replay(
+                &input,
+                &output,
+                context.local.bursts_in,
+                context.local.snapshots_out,
+            ),
+            None => {
+                heprintln!(
+                    "give three arguments: a name, the bursts.csv to read and the file to write"
+                );
+                false
+            }
+        };
+        host_files::exit(succeeded)
+    }
+
+    fn replay(
+        input: &str,
+        output: &str,
+        bursts_in: &mut Producer<'static, FlaggedBurst>,
+        snapshots_out: &mut Consumer<'static, Snapshot>,
+    ) -> bool {
+        let (Some(mut input), Some(mut output)) = (HostFile::open(input), HostFile::create(output))
+        else {
+            heprintln!("cannot open {} or {}", input, output);
+            return false;
+        };
+        let (mut fed, mut returned, mut line_number, mut ended) = (0_u32, 0_u32, 0_u32, false);
+        while !ended || returned < fed {
+            if !ended && bursts_in.ready() {
+                let mut line = [0; bursts::LINE_LENGTH];
+                match input.read_line(&mut line) {
+                    None => ended = true,
+                    // The header.
+                    Some(_) if line_number == 0 => line_number = 1,
+                    Some(line) => {
+                        line_number += 1;
+                        match bursts::decode(line) {
+                            Ok(burst) => fed += u32::from(bursts_in.enqueue(burst).is_ok()),
+                            Err(error) => {
+                                heprintln!("line {}: {}", line_number, error);
+                                return false;
+                            }
+                        }
+                    }
+                }
+            }
+            while let Some(snapshot) = snapshots_out.dequeue() {
+                returned += 1;
+                if write_bits(&mut output, &snapshot).is_err() {
+                    heprintln!("cannot write the snapshots");
+                    return false;
+                }
+            }
+        }
+        fed > 0
+    }
+
+    /// Writes `t_us,qw,qx,qy,qz,p,q,r,flags`: the time in decimal, the bits of the rest in hexadecimal.
+    fn write_bits(output: &mut HostFile, snapshot: &Snapshot) -> core::fmt::Result {
+        let attitude = snapshot.attitude;
+        let rates = snapshot.body_rates_rad_s;
+        write!(output, "{}", snapshot.t_us)?;
+        for number in [
+            attitude.w, attitude.x, attitude.y, attitude.z, rates.x, rates.y, rates.z,
+        ] {
+            write!(output, ",{:08x}", number.to_bits())?;
+        }
+        writeln!(output, ",{:08x}", snapshot.flags.bits())
+    }
+
+    /// Stands for the sensor: one sample per period.
+    #[task(binds = TIM2, priority = 4, local = [timer, bursts_out, ready_in])]
+    fn data_ready(context: data_ready::Context) {
+        context
+            .local
+            .timer
+            .clear_flags(stm32f4xx_hal::timer::Flag::Update);
+        if context.local.ready_in.ready()
+            && let Some(burst) = context.local.bursts_out.dequeue()
+        {
+            context.local.ready_in.enqueue(burst).ok();
+            rtic::pend(Interrupt::SPI3);
+        }
+    }
+
+    #[task(binds = SPI3, priority = 3, local = [pipeline, ready_out, snapshots_in, lines_in, samples: u32 = 0])]
+    fn attitude(context: attitude::Context) {
+        while let Some((burst, flags)) = context.local.ready_out.dequeue() {
+            let snapshot = context.local.pipeline.update(&burst, flags);
+            // A full queue loses a snapshot, and `replay` then never counts to its end: the test sees it.
+            context.local.snapshots_in.enqueue(snapshot).ok();
+            *context.local.samples += 1;
+            if context.local.samples.is_multiple_of(SAMPLES_PER_LINE) {
+                context.local.lines_in.enqueue(snapshot).ok();
+                telemetry::spawn().ok();
+            }
+        }
+    }
+
+    #[task(priority = 1, local = [port, lines_out])]
+    async fn telemetry(context: telemetry::Context) {
+        while let Some(snapshot) = context.local.lines_out.dequeue() {
+            let mut line = [0; text::LINE_LENGTH];
+            let line = text::encode(&snapshot, &mut line);
+            // The text is ASCII, and the port takes it a byte at a time.
+            context
+                .local
+                .port
+                .write_str(core::str::from_utf8(line).unwrap_or_default())
+                .ok();
+        }
+    }
+}

@@ -1,0 +1,295 @@
+//! The firmware: which interrupt does what, at which priority. The work is done in `aplomb::board`, in the library, and in
+//! the files beside this one.
+//!
+//! | task | priority | started by | must end before |
+//! |---|---|---|---|
+//! | `data_ready`, `bus_event`, `bus_error`, `transfer_complete` | 4 | INT pin, I2C1, DMA1 stream 0 | the next bus event, 22 µs |
+//! | `check_settings` | 4 | `attitude`, every 22 ms | the next bus event, 22 µs |
+//! | `time` | 4 | TIM5: counter wrap, alarms, telemetry ticks | the next bus event, 22 µs |
+//! | `attitude` | 3 | `transfer_complete` | the end of the next burst, 1 ms |
+//! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: it drops a line rather than wait |
+//! | `idle`, the supervisor | 0 | – | nothing |
+//!
+//! Commands run in `telemetry`. A command that changes the pipeline delays `attitude` for the length of one lock.
+
+#![no_std]
+#![no_main]
+
+mod module_port;
+mod requests;
+mod supervisor;
+mod telemetry;
+
+use defmt_rtt as _;
+
+/// Ends in the hard fault that `aplomb::board::crash` records. The panic's text is left out, because it would take 4 KiB of
+/// flash: a debugger that stops at the fault shows file and line.
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+    cortex_m::asm::udf()
+}
+
+#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [SPI2])]
+mod app {
+    use core::sync::atomic::AtomicU8;
+
+    use aplomb::board::attitude_task::{AttitudeTask, FlagChange};
+    use aplomb::board::boards::BOARD;
+    use aplomb::board::burst_reader::BurstReader;
+    use aplomb::board::flash::CalibrationFlash;
+    use aplomb::board::sensor::Sensor;
+    use aplomb::board::sensor_bus::SensorBus;
+    use aplomb::board::timebase::{self, Timebase};
+    use aplomb::board::uart::{self, ReceiveRing};
+    use aplomb::board::{clocks, pins, retained, watchdog};
+    use aplomb::calibration::Mount;
+    use aplomb::console::Console;
+    use aplomb::estimator::kalman::WarmStart;
+    use aplomb::fault::{ClockSource, ResetCause};
+    use aplomb::health::Flags;
+    use aplomb::mpu6050::{Config, Part};
+    use aplomb::pipeline::Settings;
+    use aplomb::settings::storage;
+    use aplomb::telemetry::Mailbox;
+    use aplomb::telemetry::log::NumberedBurst;
+    use aplomb::telemetry::message::Message;
+    use heapless::spsc::{Producer, Queue};
+    use stm32f4xx_hal::pac::Interrupt;
+
+    use crate::requests::{self, Estimation, Requests, StationaryMeasurement};
+    use crate::supervisor;
+    use crate::telemetry::Telemetry;
+
+    /// The crystal has stopped. The burst reader, which this starts through its alarm, restores the clock.
+    #[allow(
+        unsafe_code,
+        reason = "cortex-m-rt asks for it: an NMI interrupts critical sections, and this one only sets bits"
+    )]
+    #[cortex_m_rt::exception]
+    unsafe fn NonMaskableInt() {
+        clocks::acknowledge_failure();
+        timebase::raise_burst_alarm();
+    }
+
+    /// Bursts queued for the flight log: three telemetry ticks' worth.
+    const LOG_BURSTS: usize = 32;
+    /// The mount unless a stored one says otherwise; set at build time.
+    const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {
+        None => Mount::Z_UP,
+        Some(name) => match Mount::parse(name) {
+            Some(mount) => mount,
+            None => panic!("APLOMB_MOUNT takes forward then down, such as +x-z, or z-up or z-down"),
+        },
+    };
+    /// The pipeline's settings before the sensor is known.
+    const SETTINGS: Settings = {
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.mount = MOUNT;
+        settings.verifies_scales = true;
+        settings
+    };
+
+    #[shared]
+    struct Shared {
+        #[lock_free]
+        reader: BurstReader,
+        #[lock_free]
+        timebase: Timebase,
+        estimation: Estimation,
+        messages: Mailbox,
+        requests: Requests,
+    }
+
+    #[local]
+    struct Local {
+        sensor: Sensor,
+        warm_start: Option<WarmStart>,
+        flash: CalibrationFlash,
+        to_log: Producer<'static, NumberedBurst>,
+        output: Telemetry,
+    }
+
+    #[init(local = [
+        uart_buffer: [u8; uart::CAPACITY] = [0; uart::CAPACITY],
+        log_queue: Queue<NumberedBurst, LOG_BURSTS> = Queue::new(),
+    ])]
+    fn init(context: init::Context) -> (Shared, Local) {
+        static RING: ReceiveRing = [const { AtomicU8::new(0) }; uart::RECEIVE_CAPACITY];
+        let device = context.device;
+        let start = retained::start(&device.RCC);
+        watchdog::start(&device.IWDG, &device.DBGMCU);
+        let (_, clock) = clocks::start(device.RCC);
+        if clock == ClockSource::Crystal {
+            clocks::watch_crystal();
+        }
+        pins::start(device.GPIOA, device.SYSCFG, device.EXTI);
+        let timebase = Timebase::start(device.TIM5);
+        let bus = SensorBus::new(device.I2C1, device.GPIOB);
+        let mut messages = Mailbox::new();
+        messages.post(Message::Started {
+            board: BOARD.name,
+            core_mhz: (BOARD.core_hz / 1_000_000) as u16,
+            clock,
+        });
+        if start.cause != ResetCause::Power || start.starts > 1 {
+            messages.post(Message::Restarted {
+                cause: start.cause,
+                last_fault: start.last_fault,
+                crash_address: start.crash_address,
+            });
+        }
+        // A sensor that the run before has configured is only checked.
+        let sensor = Sensor::new(bus, Config::DEFAULT, start.warm_start.is_some());
+        let mut flash = CalibrationFlash::new(device.FLASH);
+        let storage::Loaded { record, problem } = storage::load(&mut flash);
+        if let Some(problem) = problem {
+            messages.post(Message::RecordProblem(problem));
+        }
+        if record.is_some() {
+            messages.post(Message::RecordLoaded);
+        }
+        let console = Console::new(
+            record,
+            SETTINGS.noise_model(),
+            SETTINGS.sensor.sample_rate_hz(),
+            MOUNT,
+        );
+        let baud = console.working().preferences.baud;
+        let (transmitter, receiver) =
+            uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
+        let (to_log, logged) = context.local.log_queue.split();
+        let requests = Requests {
+            sensor: None,
+            calibration: console.working().calibration,
+            is_armed: false,
+            task: None,
+            outcome: None,
+        };
+        (
+            Shared {
+                reader: BurstReader::start(),
+                timebase,
+                estimation: Estimation {
+                    pipeline: None,
+                    measurement: StationaryMeasurement::new(),
+                },
+                messages,
+                requests,
+            },
+            Local {
+                sensor,
+                warm_start: start.warm_start,
+                flash,
+                to_log,
+                output: Telemetry::new(transmitter, receiver, console, logged),
+            },
+        )
+    }
+
+    #[idle(local = [sensor, warm_start, flash], shared = [estimation, messages, requests])]
+    fn idle(context: idle::Context) -> ! {
+        let idle::LocalResources {
+            sensor,
+            warm_start,
+            flash,
+            ..
+        } = context.local;
+        let shared = context.shared;
+        supervisor::run(
+            sensor,
+            warm_start,
+            flash,
+            &SETTINGS,
+            shared.estimation,
+            shared.messages,
+            shared.requests,
+        )
+    }
+
+    #[task(binds = EXTI1, priority = 4, shared = [reader, timebase])]
+    fn data_ready(context: data_ready::Context) {
+        context.shared.reader.on_data_ready(context.shared.timebase);
+    }
+
+    #[task(binds = I2C1_EV, priority = 4, shared = [reader])]
+    fn bus_event(context: bus_event::Context) {
+        context.shared.reader.on_bus_event();
+    }
+
+    #[task(binds = I2C1_ER, priority = 4, shared = [reader])]
+    fn bus_error(context: bus_error::Context) {
+        context.shared.reader.on_bus_error();
+    }
+
+    #[task(binds = SPI1, priority = 4, shared = [reader])]
+    fn check_settings(context: check_settings::Context) {
+        context.shared.reader.on_check_request();
+    }
+
+    #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]
+    fn transfer_complete(context: transfer_complete::Context) {
+        if context
+            .shared
+            .reader
+            .on_transfer_complete(context.shared.timebase)
+        {
+            rtic::pend(Interrupt::SPI3);
+        }
+    }
+
+    #[task(binds = TIM5, priority = 4, shared = [reader, timebase])]
+    fn time(context: time::Context) {
+        let alarms = context.shared.timebase.on_interrupt();
+        if alarms.burst && context.shared.reader.on_alarm(context.shared.timebase) {
+            rtic::pend(Interrupt::SPI3);
+        }
+        if alarms.telemetry {
+            // A line that is still being written makes this one come later: none waits for it.
+            telemetry::spawn().ok();
+        }
+    }
+
+    #[task(
+        binds = SPI3,
+        priority = 3,
+        shared = [estimation, messages],
+        local = [to_log, task: AttitudeTask = AttitudeTask::new()],
+    )]
+    fn attitude(mut context: attitude::Context) {
+        let attitude::LocalResources { to_log, task, .. } = context.local;
+        let change = context.shared.estimation.lock(|estimation| {
+            let Some(pipeline) = &mut estimation.pipeline else {
+                watchdog::attitude_goes_on();
+                return None;
+            };
+            let part = pipeline.settings().part;
+            task.run(pipeline, |received| {
+                estimation.measurement.update(&received.burst, part);
+                requests::log_burst(received, to_log);
+            })
+        });
+        if let Some(message) = change.and_then(message_of) {
+            let messages = &mut context.shared.messages;
+            messages.lock(|messages| messages.post(message));
+        }
+    }
+
+    /// The message for a change of the flags.
+    fn message_of(FlagChange { before, now }: FlagChange) -> Option<Message> {
+        let was_calibrating = before.contains(Flags::CALIBRATING);
+        if now.contains(Flags::MOVED) {
+            Some(Message::MovedAtStart)
+        } else if was_calibrating && !now.intersects(Flags::CALIBRATING | Flags::STALE) {
+            Some(Message::OffsetMeasured)
+        } else {
+            None
+        }
+    }
+
+    #[task(priority = 1, shared = [estimation, messages, requests], local = [output])]
+    async fn telemetry(context: telemetry::Context) {
+        let shared = context.shared;
+        let output = context.local.output;
+        output.tick(shared.estimation, shared.messages, shared.requests);
+    }
+}

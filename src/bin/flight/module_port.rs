@@ -1,0 +1,136 @@
+//! The console's port to the module: implements what commands need with the firmware's shared resources.
+
+use core::sync::atomic::Ordering;
+
+use aplomb::board::publish;
+use aplomb::board::uart::{Receiver, Transmitter};
+use aplomb::calibration::{Calibration, StationaryProgress};
+use aplomb::console::ground_station::GroundStation;
+use aplomb::console::{Module, Outcome, State, Task};
+use aplomb::health::Flags;
+use rtic::Mutex;
+
+use crate::requests::{self, BURST_COUNT, Estimation, Requests};
+
+/// The port. It exists for one telemetry tick.
+pub struct ModulePort<'a, E, R> {
+    /// Received bytes.
+    pub receiver: &'a mut Receiver,
+    /// Sends, and sets the baud rate.
+    pub transmitter: &'a mut Transmitter,
+    /// The pipeline and the stationary detector.
+    pub estimation: E,
+    /// Requests to the supervisor.
+    pub requests: R,
+    /// Whether bytes were garbled or lost since the last tick.
+    pub has_reception_error: bool,
+    /// The ground station's session.
+    pub station: &'a mut GroundStation,
+    /// Whether the received bytes may contain MAVLink frames.
+    pub is_mavlink: bool,
+    /// Time since boot, µs.
+    pub now_us: u64,
+    /// Number of the first burst after a change of settings: the flight log restarts there.
+    pub changed_at: Option<u32>,
+    /// The counters. [`Module::state`] fills in the rest.
+    pub state: State,
+}
+
+impl<E, R> Module for ModulePort<'_, E, R>
+where
+    E: Mutex<T = Estimation>,
+    R: Mutex<T = Requests>,
+{
+    fn receive(&mut self) -> Option<u8> {
+        let Self {
+            station, receiver, ..
+        } = self;
+        if self.is_mavlink {
+            station.receive(self.now_us, || receiver.receive())
+        } else {
+            receiver.receive()
+        }
+    }
+
+    fn take_reception_error(&mut self) -> bool {
+        core::mem::take(&mut self.has_reception_error)
+    }
+
+    fn state(&mut self) -> State {
+        let mut state = self.state;
+        state.flags = publish::latest().map_or(Flags::empty(), |(snapshot, _)| snapshot.flags);
+        state.sensor = self.requests.lock(|requests| requests.sensor);
+        let copied = self.estimation.lock(|estimation| {
+            let pipeline = estimation.pipeline.as_ref()?;
+            let filter = pipeline.kalman();
+            Some((
+                pipeline.temperature_celsius(),
+                pipeline.gyroscope_offset_body_rad_s(),
+                filter.largest_bias_sigma_rad_s(),
+                filter.tilt_sigma_rad(),
+            ))
+        });
+        if let Some((temperature_celsius, bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad)) = copied {
+            state.temperature_celsius = temperature_celsius;
+            state.bias_rad_s = bias_rad_s;
+            state.bias_sigma_rad_s = bias_sigma_rad_s;
+            state.tilt_sigma_rad = tilt_sigma_rad;
+        }
+        state
+    }
+
+    fn set_calibration(&mut self, calibration: &Calibration) {
+        self.requests
+            .lock(|requests| requests.calibration = *calibration);
+        self.changed_at = self.estimation.lock(|estimation| {
+            estimation.pipeline.as_mut()?.set_calibration(calibration);
+            Some(BURST_COUNT.load(Ordering::Relaxed))
+        });
+    }
+
+    fn start_detector(&mut self, samples: u16) {
+        self.estimation.lock(|estimation| {
+            if let Some(pipeline) = &estimation.pipeline {
+                estimation
+                    .measurement
+                    .start(pipeline.stationary_detector(samples));
+            }
+        });
+    }
+
+    fn stop_detector(&mut self) {
+        self.estimation
+            .lock(|estimation| estimation.measurement.stop());
+    }
+
+    fn take_detector_progress(&mut self) -> Option<StationaryProgress> {
+        self.estimation
+            .lock(|estimation| estimation.measurement.take_result())
+    }
+
+    fn detector_percent(&mut self) -> u8 {
+        self.estimation
+            .lock(|estimation| estimation.measurement.progress_percent())
+    }
+
+    fn set_armed(&mut self, is_armed: bool) {
+        self.requests.lock(|requests| requests.is_armed = is_armed);
+        self.changed_at = self.estimation.lock(|estimation| {
+            estimation.pipeline.as_mut()?.set_armed(is_armed);
+            Some(BURST_COUNT.load(Ordering::Relaxed))
+        });
+    }
+
+    fn set_baud(&mut self, baud: u32) -> bool {
+        self.transmitter.set_baud(baud)
+    }
+
+    fn begin(&mut self, task: Task) {
+        self.requests.lock(|requests| requests.task = Some(task));
+        requests::announce_task();
+    }
+
+    fn take_outcome(&mut self) -> Option<Outcome> {
+        self.requests.lock(|requests| requests.outcome.take())
+    }
+}

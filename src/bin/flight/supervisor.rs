@@ -1,0 +1,163 @@
+//! The supervisor, which is the idle task: keeps the sensor configured and does what needs the sensor to stop.
+//!
+//! It configures the sensor at start and after every fault, starts the pipeline, and runs the console's tasks
+//! (save, self-test) while the burst reader is paused.
+
+use aplomb::board::burst_reader;
+use aplomb::board::flash::CalibrationFlash;
+use aplomb::board::sensor::{self, NotReady, Sensor};
+use aplomb::board::timebase::{self, Delay};
+use aplomb::board::watchdog;
+use aplomb::calibration::Calibration;
+use aplomb::console::{Outcome, Task};
+use aplomb::estimator::kalman::WarmStart;
+use aplomb::mpu6050::{self, Config, Part};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::settings::storage;
+use aplomb::telemetry::Mailbox;
+use aplomb::telemetry::message::Message;
+use embedded_hal::delay::DelayNs;
+use rtic::Mutex;
+
+use crate::requests::{self, Estimation, Requests};
+
+/// Longest duration of a task, in ms: erasing a 16 KiB sector stalls the core for up to half a second
+/// (STM32F405 datasheet, table "Flash memory programming"), and the sensor's self-test takes a second.
+const TASK_LIMIT_MS: u32 = 2_000;
+/// Shortest pause in the samples around a task, in µs: longer than the filter bridges, so that the attitude is flagged
+/// [`GAP`](aplomb::health::Flags::GAP) and starts again from gravity.
+const PAUSE_US: u32 = 600_000;
+/// Shortest time between two messages about a recovery, in µs: leaves room for other messages.
+const RECOVERY_MESSAGE_PERIOD_US: u32 = 200_000;
+
+/// Runs for ever. `warm_start` is the state that the run before a reset has kept.
+pub fn run(
+    sensor: &mut Sensor,
+    warm_start: &mut Option<WarmStart>,
+    flash: &mut CalibrationFlash,
+    settings: &Settings,
+    mut estimation: impl Mutex<T = Estimation>,
+    mut messages: impl Mutex<T = Mailbox>,
+    mut requests: impl Mutex<T = Requests>,
+) -> ! {
+    let mut post = |message| messages.lock(|messages| messages.post(message));
+    let mut last_complaint = None;
+    let mut is_reported = true;
+    // The first recovery is reported however early it comes.
+    let mut reported_at = timebase::now().wrapping_sub(RECOVERY_MESSAGE_PERIOD_US);
+    loop {
+        watchdog::samples_go_on();
+        match sensor.make_ready() {
+            Ok(ready) => {
+                is_reported |= last_complaint.take().is_some();
+                let (calibration, is_armed) = requests.lock(|requests| {
+                    requests.sensor = Some((ready.part, ready.address));
+                    (requests.calibration, requests.is_armed)
+                });
+                // After a fault the filter continues with its state.
+                estimation.lock(|Estimation { pipeline, .. }| {
+                    if pipeline.is_none() {
+                        let warm_start = warm_start.take();
+                        start_pipeline(
+                            pipeline,
+                            settings,
+                            ready.part,
+                            calibration,
+                            is_armed,
+                            warm_start,
+                        );
+                    }
+                });
+                burst_reader::enable(&ready, &Config::DEFAULT);
+                if is_reported {
+                    post(Message::SensorConfigured {
+                        part: ready.part.name,
+                        address: ready.address,
+                    });
+                }
+                timebase::sleep_until(|| {
+                    !burst_reader::is_enabled() || requests::is_task_pending()
+                });
+                if burst_reader::is_enabled() {
+                    burst_reader::pause();
+                    is_reported = true;
+                } else {
+                    // Under a persistent fault the recovery repeats hundreds of times a second.
+                    is_reported = timebase::elapsed(reported_at, RECOVERY_MESSAGE_PERIOD_US);
+                    if is_reported {
+                        reported_at = timebase::now();
+                        post(Message::Recovering);
+                    }
+                }
+            }
+            Err(reason) => {
+                // The sensor may have been powered up together with the processor.
+                let is_starting = reason == NotReady::Sensor(mpu6050::Error::NotFound)
+                    && sensor.may_be_starting();
+                // One message for each reason, however many attempts.
+                if !is_starting && last_complaint.replace(reason) != Some(reason) {
+                    post(complaint(reason));
+                }
+                Delay.delay_ms(sensor::RETRY_MS);
+            }
+        }
+        if requests::take_pending_task()
+            && let Some(task) = requests.lock(|requests| requests.task.take())
+        {
+            let since = timebase::now();
+            watchdog::allow_ms(TASK_LIMIT_MS);
+            let outcome = perform(&task, sensor, flash);
+            watchdog::allow_ms(watchdog::LIMIT_MS);
+            requests.lock(|requests| requests.outcome = Some(outcome));
+            timebase::sleep_until(|| {
+                watchdog::samples_go_on();
+                timebase::elapsed(since, PAUSE_US)
+            });
+        }
+    }
+}
+
+/// A function of its own, because the supervisor's stack frame lives for ever.
+#[inline(never)]
+fn start_pipeline(
+    place: &mut Option<Pipeline>,
+    settings: &Settings,
+    part: &'static Part,
+    calibration: Calibration,
+    is_armed: bool,
+    warm_start: Option<WarmStart>,
+) {
+    let settings = Settings {
+        part,
+        calibration,
+        ..*settings
+    };
+    let pipeline = place.insert(Pipeline::new(&settings));
+    pipeline.set_armed(is_armed);
+    if let Some(start) = &warm_start {
+        pipeline.resume(start);
+    }
+}
+
+/// The message for the reason why no samples come.
+fn complaint(reason: NotReady) -> Message {
+    match reason {
+        NotReady::BusHeldLow(held) => Message::BusHeldLow { clock: held.clock },
+        NotReady::Sensor(error) => Message::SensorFailed(error),
+    }
+}
+
+/// Runs a task while the burst reader is paused.
+#[inline(never)]
+fn perform(task: &Task, sensor: &mut Sensor, flash: &mut CalibrationFlash) -> Outcome {
+    match task {
+        Task::Save(record) => match storage::save(flash, record) {
+            Ok(()) => Outcome::new(true, "stored"),
+            Err(error) => Outcome::new(false, error),
+        },
+        Task::SelfTest => match sensor.test() {
+            Ok(result) => Outcome::new(result.has_passed() != Some(false), result),
+            Err(reason) => Outcome::new(false, complaint(reason)),
+        },
+    }
+}

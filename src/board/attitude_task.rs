@@ -1,0 +1,135 @@
+//! The attitude task: one burst becomes one published snapshot, and housekeeping follows.
+//!
+//! Deadline: the end of the next burst, 1 ms. The snapshot is out within a few microseconds; nothing waits for the
+//! housekeeping.
+
+use super::handover::{self, ReceivedBurst};
+use super::{burst_reader, clocks, publish, retained, timebase, watchdog};
+use crate::fault::FaultClass;
+use crate::health::Flags;
+use crate::pipeline::{Pipeline, Snapshot};
+
+/// Samples between two rounds of housekeeping: 22 ms. The settings of the sensor are all read back within 88 ms.
+const HOUSEKEEPING_SAMPLES: u8 = 22;
+/// Rounds between two copies of the warm-start state: 0.2 s.
+const WARM_START_ROUNDS: u8 = 9;
+
+/// Flags that are counted when they appear, with their classes.
+const COUNTED: [(Flags, FaultClass); 6] = [
+    (Flags::FROZEN, FaultClass::Frozen),
+    (Flags::REJECTED, FaultClass::Rejected),
+    (Flags::GYROSCOPE_SATURATED, FaultClass::Saturated),
+    (Flags::ACCELEROMETER_SATURATED, FaultClass::Saturated),
+    (Flags::TEMPERATURE, FaultClass::Temperature),
+    (Flags::MISSED, FaultClass::SamplesMissed),
+];
+
+/// A change of the flags.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct FlagChange {
+    /// The flags before.
+    pub before: Flags,
+    /// The flags now.
+    pub now: Flags,
+}
+
+/// The task's state.
+pub struct AttitudeTask {
+    samples_to_housekeeping: u8,
+    rounds_to_warm_start: u8,
+    flags: Flags,
+}
+
+impl AttitudeTask {
+    /// The state before the first sample.
+    pub const fn new() -> Self {
+        Self {
+            samples_to_housekeeping: HOUSEKEEPING_SAMPLES,
+            rounds_to_warm_start: WARM_START_ROUNDS,
+            flags: Flags::empty(),
+        }
+    }
+
+    /// Publishes the snapshot of the burst that the reader has handed over, or a stale one if no sample comes.
+    ///
+    /// `after_publication` gets the burst once its snapshot is out. Returns the flags if they have changed.
+    #[inline]
+    pub fn run(
+        &mut self,
+        pipeline: &mut Pipeline,
+        after_publication: impl FnOnce(&ReceivedBurst),
+    ) -> Option<FlagChange> {
+        let updated = handover::take(|received| {
+            let snapshot = pipeline.update(&received.burst, received.flags);
+            publish::publish(&snapshot);
+            after_publication(received);
+            snapshot
+        });
+        if let Some(snapshot) = updated {
+            self.keep_house(pipeline, &snapshot);
+            return self.take_flags(snapshot.flags);
+        }
+        let (t_us, board) = burst_reader::take_stale()?;
+        let snapshot = pipeline.stale(t_us, board);
+        publish::publish(&snapshot);
+        watchdog::attitude_goes_on();
+        self.take_flags(snapshot.flags)
+    }
+
+    /// Requests checks of the sensor's settings, and does the periodic work.
+    #[inline(always)]
+    fn keep_house(&mut self, pipeline: &Pipeline, snapshot: &Snapshot) {
+        if pipeline.awaits_scale_check() || snapshot.flags.contains(Flags::POLLED) {
+            burst_reader::request_check();
+        }
+        self.samples_to_housekeeping -= 1;
+        if self.samples_to_housekeeping == 0 {
+            self.samples_to_housekeeping = HOUSEKEEPING_SAMPLES;
+            self.run_round(pipeline, snapshot);
+        }
+    }
+
+    #[inline(never)]
+    fn run_round(&mut self, pipeline: &Pipeline, snapshot: &Snapshot) {
+        watchdog::samples_go_on();
+        watchdog::attitude_goes_on();
+        burst_reader::request_check();
+        // In case the NMI of a dead crystal has not come.
+        if clocks::have_fallen_back() {
+            timebase::raise_burst_alarm();
+        }
+        self.rounds_to_warm_start -= 1;
+        if self.rounds_to_warm_start == 0 {
+            self.rounds_to_warm_start = WARM_START_ROUNDS;
+            if let Some(start) = pipeline.warm_start(snapshot) {
+                retained::keep(&start);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn take_flags(&mut self, flags: Flags) -> Option<FlagChange> {
+        if flags == self.flags {
+            return None;
+        }
+        Some(self.change_flags(flags))
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn change_flags(&mut self, now: Flags) -> FlagChange {
+        let before = core::mem::replace(&mut self.flags, now);
+        for (flag, class) in COUNTED {
+            if now.contains(flag) && !before.contains(flag) {
+                retained::count(class);
+            }
+        }
+        FlagChange { before, now }
+    }
+}
+
+impl Default for AttitudeTask {
+    fn default() -> Self {
+        Self::new()
+    }
+}

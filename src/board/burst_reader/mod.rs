@@ -1,0 +1,496 @@
+//! Reads the sensor's 14 data registers after each data-ready edge: one interrupt per bus event, and no waiting.
+//!
+//! ```text
+//! edge ─ START ─ SB: address+W ─ ADDR: pointer ─ BTF: START again ─ SB: address+R ─ ADDR: DMA on ─ transfer complete: STOP
+//! ```
+//!
+//! The order of register accesses is the reference manual's (RM0090, 27.3.3 master transmitter and
+//! receiver, 27.3.7 DMA). A burst takes 384 µs at 400 kHz.
+//!
+//! - **Deadlines.** The alarm bounds each burst: one that has not ended [`BURST_DEADLINE_US`] after its edge is aborted.
+//!   After [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an unknown state, the reader disables itself. The
+//!   supervisor then recovers the bus, and meanwhile the alarm requests stale snapshots.
+//! - **Missing edges.** If no edge comes within [`SILENCE_DEADLINE_US`], the alarm starts the bursts, one per sample period,
+//!   until edges come again. An edge that comes too soon after the last one starts nothing: it is a glitch, or the sensor has
+//!   lost its sample rate.
+//! - **Settings.** Between bursts the attitude task may request a check: the same steps read a few of the sensor's
+//!   settings back. A wrong one disables the reader, and the supervisor configures the sensor again.
+//! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude task busy are
+//!   counted. The next good burst carries the count as `missed_before`.
+
+mod dma;
+mod link;
+
+pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_check, take_stale};
+
+use core::cell::UnsafeCell;
+use core::sync::atomic::Ordering;
+
+use stm32f4xx_hal::pac::{I2C1, i2c1};
+
+use super::handover::{self, Slot};
+use super::sensor_bus::with_clock;
+use super::timebase::{self, Timebase};
+use super::{clocks, pins, retained};
+use crate::fault::{BurstFailure, BurstFault, BurstStep, FaultClass};
+use crate::health::BoardFlags;
+use crate::mpu6050::registers::Register;
+use crate::mpu6050::{BURST_LENGTH, Check, Condition};
+use link::{CHECKS, LINK, exti, setup};
+
+/// Longest time from an edge to the end of its burst, in µs: twice what the bus needs.
+pub const BURST_DEADLINE_US: u32 = 800;
+/// Longest time without an edge, in µs: three periods at the default 1 kHz.
+pub const SILENCE_DEADLINE_US: u32 = 3_000;
+/// Failed bursts in a row after which the bus is recovered and the sensor checked.
+pub const FAILURES_IN_A_ROW: u8 = 3;
+/// Period of stale snapshots while the reader is disabled, in µs.
+const STALE_PERIOD_US: u32 = 5_000;
+/// Time from a check to the next burst while the alarm starts the bursts, in µs.
+const POLL_AFTER_CHECK_US: u32 = 300;
+/// A period that no edge keeps: every edge is examined.
+const NO_PERIOD_US: u32 = u32::MAX;
+
+/// The reader. All of its methods run at one priority, so none interrupts another.
+pub struct BurstReader {
+    step: BurstStep,
+    /// Whether the steps under way read settings back, instead of a burst.
+    is_check: bool,
+    /// First register of the steps under way.
+    pointer: Register,
+    /// Slot that DMA fills.
+    slot: Slot,
+    /// Time of the last edge. The low half is the timer's count.
+    captured_at_us: u64,
+    /// Shortest time to the next edge. A sooner one is examined.
+    shortest_period_us: u32,
+    /// Time from an edge to the alarm after its burst.
+    silence_us: u32,
+    /// Address of the sensor, as the first byte on the bus: shifted, for writing.
+    address_byte: u8,
+    /// Conditions to report with the next burst.
+    flags: BoardFlags,
+    /// Conditions to report with every burst.
+    latched_flags: BoardFlags,
+    /// Samples lost before the next burst.
+    missed: u8,
+    mode: Mode,
+    failures_in_a_row: u8,
+    /// Whether an edge has come during a check.
+    is_edge_waiting: bool,
+    next_check: u8,
+}
+
+/// Meaning of the next edge.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Mode {
+    /// The first edge since the reader was enabled.
+    Starting,
+    /// The start of the next burst.
+    Edges,
+    /// The return of the edges, after the alarm has started the bursts.
+    Polling,
+}
+
+/// Bytes that a check reads.
+struct CheckedBytes(UnsafeCell<[u8; Check::LONGEST]>);
+
+// SAFETY: DMA writes it during a check, and the reader reads it when that has ended.
+unsafe impl Sync for CheckedBytes {}
+
+static CHECKED: CheckedBytes = CheckedBytes(UnsafeCell::new([0; Check::LONGEST]));
+
+impl BurstReader {
+    /// A disabled reader with its DMA stream set up. [`enable`] starts it.
+    pub fn start() -> Self {
+        dma::start();
+        let reader = Self {
+            step: BurstStep::Idle,
+            is_check: false,
+            pointer: Register::AccelerometerXHigh,
+            slot: Slot::First,
+            captured_at_us: 0,
+            shortest_period_us: NO_PERIOD_US,
+            silence_us: SILENCE_DEADLINE_US,
+            address_byte: 0,
+            flags: BoardFlags::empty(),
+            latched_flags: BoardFlags::empty(),
+            missed: 0,
+            mode: Mode::Starting,
+            failures_in_a_row: 0,
+            is_edge_waiting: false,
+            next_check: 0,
+        };
+        reader.arm_dma();
+        timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
+        reader
+    }
+
+    /// EXTI1: starts the burst of this edge.
+    #[inline(always)]
+    pub fn on_data_ready(&mut self, timebase: &mut Timebase) {
+        exti().pr().write(|w| w.pr1().clear_bit_by_one());
+        let count = timebase.captured();
+        let since_last = count.wrapping_sub(self.captured_at_us as u32);
+        if self.step != BurstStep::Idle || since_last < self.shortest_period_us {
+            self.on_unexpected_edge(count, since_last, timebase);
+            return;
+        }
+        self.start_burst(count, timebase);
+    }
+
+    /// Handles an edge that comes too soon, during the steps of a burst or a check, or first.
+    #[cold]
+    #[inline(never)]
+    fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {
+        match self.mode {
+            Mode::Starting => {
+                self.begin_edges();
+                self.start_burst(count, timebase);
+                return;
+            }
+            // A burst under way reads this edge's sample.
+            Mode::Polling => self.return_to_edges(),
+            Mode::Edges if since_last < self.shortest_period_us => {
+                retained::count(FaultClass::InterruptGlitch);
+                return;
+            }
+            Mode::Edges => {
+                if self.step != BurstStep::Idle && !self.is_check {
+                    self.count_missed();
+                }
+            }
+        }
+        if self.step == BurstStep::Idle {
+            self.start_burst(count, timebase);
+        } else {
+            self.is_edge_waiting = self.is_check;
+        }
+    }
+
+    /// Starts a burst for the edge with this count.
+    #[inline(always)]
+    fn start_burst(&mut self, count: u32, timebase: &mut Timebase) {
+        self.captured_at_us = timebase.extend(count);
+        timebase::set_burst_alarm(count.wrapping_add(BURST_DEADLINE_US));
+        self.send_start();
+    }
+
+    #[inline(always)]
+    fn send_start(&mut self) {
+        i2c1()
+            .cr2()
+            .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
+        i2c1()
+            .cr1()
+            .write(|w| w.pe().set_bit().ack().set_bit().start().set_bit());
+        self.step = BurstStep::Start;
+    }
+
+    /// I2C1 event: one step of the burst.
+    #[inline(always)]
+    pub fn on_bus_event(&mut self) {
+        let i2c = i2c1();
+        let status = i2c.sr1().read();
+        match self.step {
+            BurstStep::Start if status.sb().bit() => {
+                i2c.dr().write(|w| w.dr().set(self.address_byte));
+                self.step = BurstStep::AddressWrite;
+            }
+            BurstStep::AddressWrite if status.addr().bit() => {
+                i2c.sr2().read();
+                i2c.dr().write(|w| w.dr().set(self.pointer as u8));
+                self.step = BurstStep::Pointer;
+            }
+            BurstStep::Pointer if status.btf().bit() => {
+                // This read clears BTF, which would otherwise interrupt again until the start is on the bus.
+                i2c.dr().read();
+                i2c.cr1()
+                    .write(|w| w.pe().set_bit().ack().set_bit().start().set_bit());
+                self.step = BurstStep::RepeatedStart;
+            }
+            BurstStep::RepeatedStart if status.sb().bit() => {
+                i2c.dr().write(|w| w.dr().set(self.address_byte | 1));
+                self.step = BurstStep::AddressRead;
+            }
+            BurstStep::AddressRead if status.addr().bit() => {
+                // From here DMA takes the bytes. LAST answers the last one with NACK.
+                i2c.cr2().write(|w| {
+                    with_clock(w)
+                        .iterren()
+                        .set_bit()
+                        .dmaen()
+                        .set_bit()
+                        .last()
+                        .set_bit()
+                });
+                i2c.sr2().read();
+                self.step = BurstStep::Data;
+            }
+            // No step is under way that the event could belong to: disables the events.
+            BurstStep::Idle => {
+                i2c.cr2().write(|w| with_clock(w));
+            }
+            _ => {}
+        }
+    }
+
+    /// DMA1 stream 0: the bytes are in memory. Returns whether a burst is ready for the attitude task.
+    #[inline(always)]
+    pub fn on_transfer_complete(&mut self, timebase: &mut Timebase) -> bool {
+        let is_complete = dma::take_complete();
+        // Aborting a stream sets its flag too. Such an interrupt finds another step here.
+        if self.step != BurstStep::Data {
+            return false;
+        }
+        if !is_complete {
+            self.fail(BurstFault::Dma);
+            return false;
+        }
+        if self.is_check {
+            self.end_check(timebase);
+            return false;
+        }
+        send_stop();
+        self.step = BurstStep::Idle;
+        self.failures_in_a_row = 0;
+        let next_alarm = (self.captured_at_us as u32).wrapping_add(self.silence_us);
+        timebase::set_burst_alarm(next_alarm);
+        let is_free = handover::is_free();
+        if is_free {
+            handover::offer(self.slot, self.captured_at_us, self.missed, self.flags);
+            self.slot = self.slot.other();
+            self.missed = 0;
+            self.flags = self.latched_flags;
+        } else {
+            self.report_late();
+        }
+        self.arm_dma();
+        is_free
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn report_late(&mut self) {
+        self.flags |= BoardFlags::LATE;
+        self.count_missed();
+        retained::count(FaultClass::AttitudeLate);
+    }
+
+    /// Compares the settings that were read back, and gives the bus to an edge that has come meanwhile.
+    #[inline(never)]
+    fn end_check(&mut self, timebase: &mut Timebase) {
+        // SAFETY: the transfer into these bytes is complete.
+        let bytes = unsafe { &*CHECKED.0.get() };
+        let is_intact = self.check().evaluate(bytes) == Condition::Intact;
+        let is_of_scales = self.next_check.is_multiple_of(2);
+        if is_intact && is_of_scales {
+            self.flags |= BoardFlags::SCALES_VERIFIED;
+        }
+        self.next_check = self.next_check.wrapping_add(1);
+        self.return_to_bursts();
+        let is_edge_waiting = core::mem::take(&mut self.is_edge_waiting);
+        if is_edge_waiting && is_intact {
+            self.start_burst(timebase.captured(), timebase);
+            return;
+        }
+        send_stop();
+        let next_us = match self.mode {
+            Mode::Polling => POLL_AFTER_CHECK_US,
+            Mode::Starting | Mode::Edges => SILENCE_DEADLINE_US - BURST_DEADLINE_US,
+        };
+        timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
+        if !is_intact {
+            // The supervisor checks again and counts.
+            self.disable();
+        }
+    }
+
+    /// SPI1, which [`request_check`] pends: reads some settings back if the bus is free.
+    pub fn on_check_request(&mut self) {
+        let is_free = self.step == BurstStep::Idle
+            && i2c1().sr2().read().busy().bit_is_clear()
+            && i2c1().cr1().read().stop().bit_is_clear();
+        if !is_free || !is_enabled() {
+            return;
+        }
+        let check = self.check();
+        self.is_check = true;
+        self.pointer = check.first;
+        timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
+        dma::stop();
+        dma::arm(CHECKED.0.get() as u32, check.length as u16);
+        self.send_start();
+    }
+
+    #[inline(always)]
+    fn check(&self) -> &'static Check {
+        &setup().checks[usize::from(self.next_check) % CHECKS]
+    }
+
+    /// Makes the next steps read a burst.
+    fn return_to_bursts(&mut self) {
+        self.is_check = false;
+        self.pointer = Register::AccelerometerXHigh;
+        self.step = BurstStep::Idle;
+        dma::stop();
+        self.arm_dma();
+    }
+
+    /// I2C1 error: the sensor did not acknowledge, or the bus misbehaved.
+    pub fn on_bus_error(&mut self) {
+        let status = i2c1().sr1().read();
+        // Writing zero clears the error flags. The other flags ignore writes.
+        i2c1().sr1().reset();
+        let fault = if status.af().bit() {
+            BurstFault::NotAcknowledged
+        } else if status.arlo().bit() {
+            BurstFault::ArbitrationLost
+        } else if status.berr().bit() {
+            BurstFault::BusError
+        } else {
+            BurstFault::Overrun
+        };
+        if self.step != BurstStep::Idle {
+            self.fail(fault);
+        }
+    }
+
+    /// The alarm: a burst took too long, no edge came, or a stale snapshot is due. Returns whether the attitude task has to
+    /// publish one.
+    pub fn on_alarm(&mut self, timebase: &mut Timebase) -> bool {
+        let has_lost_crystal = clocks::have_fallen_back();
+        if has_lost_crystal {
+            clocks::restore();
+            self.latch(BoardFlags::INTERNAL_CLOCK);
+        }
+        if !is_enabled() {
+            timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
+            let t_us = timebase.extend(timebase::now());
+            LINK.request_stale(t_us, self.flags | self.latched_flags);
+            return true;
+        }
+        if LINK.is_pause_wanted.swap(false, Ordering::Relaxed) && self.step == BurstStep::Idle {
+            self.disable();
+            return false;
+        }
+        if has_lost_crystal && !timebase::burst_alarm_is_due() {
+            return false;
+        }
+        if self.step != BurstStep::Idle {
+            self.fail(BurstFault::Deadline);
+            return false;
+        }
+        match self.mode {
+            Mode::Starting => {
+                self.begin_edges();
+                timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
+                return false;
+            }
+            Mode::Edges => self.poll_instead_of_edges(),
+            Mode::Polling => {}
+        }
+        self.start_burst(timebase::now(), timebase);
+        false
+    }
+
+    /// Takes over the supervisor's set-up and flags: the reader has just been enabled.
+    fn begin_edges(&mut self) {
+        self.return_to_edges();
+        self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
+        self.flags.remove(BoardFlags::SCALES_VERIFIED);
+        self.flags |= self.latched_flags | LINK.take_notes();
+    }
+
+    fn return_to_edges(&mut self) {
+        self.mode = Mode::Edges;
+        self.shortest_period_us = setup().shortest_period_us;
+        self.silence_us = SILENCE_DEADLINE_US;
+        self.latched_flags.remove(BoardFlags::POLLED);
+        // A burst under way was still started by the timer.
+        if self.step == BurstStep::Idle {
+            self.flags.remove(BoardFlags::POLLED);
+        }
+    }
+
+    fn poll_instead_of_edges(&mut self) {
+        self.mode = Mode::Polling;
+        self.shortest_period_us = NO_PERIOD_US;
+        self.silence_us = setup().period_us;
+        self.latch(BoardFlags::POLLED);
+        retained::count(if pins::interrupt_is_high() {
+            FaultClass::InterruptStuckHigh
+        } else {
+            FaultClass::InterruptMissing
+        });
+        LINK.record(BurstFailure {
+            fault: BurstFault::NoDataReady,
+            step: BurstStep::Idle,
+        });
+    }
+
+    /// Reports this condition with every burst from now on.
+    fn latch(&mut self, flag: BoardFlags) {
+        self.latched_flags |= flag;
+        self.flags |= flag;
+    }
+
+    fn count_missed(&mut self) {
+        self.missed = self.missed.saturating_add(1);
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn fail(&mut self, fault: BurstFault) {
+        let failure = BurstFailure {
+            fault,
+            step: self.step,
+        };
+        LINK.record(failure);
+        retained::count(failure.class());
+        self.flags |= BoardFlags::BUS_FAULT;
+        i2c1().cr2().write(|w| with_clock(w));
+        i2c1()
+            .cr1()
+            .write(|w| w.pe().set_bit().stop().bit(self.step != BurstStep::Idle));
+        if !self.is_check {
+            self.count_missed();
+        }
+        self.return_to_bursts();
+        self.is_edge_waiting = false;
+        self.failures_in_a_row = self.failures_in_a_row.saturating_add(1);
+        timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
+        let is_bus_known = fault == BurstFault::NotAcknowledged;
+        if !is_bus_known || self.failures_in_a_row >= FAILURES_IN_A_ROW {
+            self.failures_in_a_row = 0;
+            self.disable();
+        }
+    }
+
+    /// Leaves the bus to the supervisor. The alarm then publishes a stale snapshot immediately.
+    fn disable(&mut self) {
+        self.mode = Mode::Starting;
+        self.shortest_period_us = NO_PERIOD_US;
+        exti().imr().reset();
+        LINK.is_enabled.store(false, Ordering::Release);
+        timebase::raise_burst_alarm();
+    }
+
+    /// Arms the stopped DMA for the next burst. The attitude task reads the other slot.
+    #[inline(always)]
+    fn arm_dma(&self) {
+        dma::arm(self.slot.bytes_address(), BURST_LENGTH as u16);
+    }
+}
+
+#[inline(always)]
+fn send_stop() {
+    i2c1()
+        .cr1()
+        .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
+}
+
+fn i2c1() -> &'static i2c1::RegisterBlock {
+    // SAFETY: while the reader is enabled it alone uses the bus; see `sensor_bus` for the rest of the time.
+    unsafe { &*I2C1::ptr() }
+}

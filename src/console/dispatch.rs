@@ -1,0 +1,430 @@
+//! Dispatch: receives lines, and runs the command of each.
+
+#[cfg(test)]
+mod tests;
+
+use core::fmt;
+
+use super::answer::{Kind, Reply};
+use super::baud::{BaudChange, BaudPoll};
+use super::command::{Calibrate, Command, CommandForms, MountChoice, ParseError};
+use super::line::LineAssembler;
+use super::line_errors::LineErrors;
+use super::module::{Module, Outcome, Task};
+use super::preferences::usable;
+use super::procedure::{self, Procedure};
+use super::procedure_runner::ProcedureRunner;
+use super::status::{RecordText, Status};
+use crate::calibration::{Mount, NoiseModel};
+use crate::settings::{Preferences, Record};
+use crate::telemetry;
+
+/// Console: parses lines, runs their commands, and writes the answers.
+#[derive(Debug)]
+pub struct Console {
+    line: LineAssembler,
+    errors: LineErrors,
+    /// Record in use.
+    working: Record,
+    /// Record in flash.
+    stored: Record,
+    /// Mount without a stored one.
+    default_mount: Mount,
+    is_armed: bool,
+    procedures: ProcedureRunner,
+    /// Task under way; other input waits for its end.
+    task: Option<Task>,
+    baud: BaudChange,
+}
+
+impl Console {
+    /// Creates a console with the record from flash, and replaces impossible preferences by their
+    /// defaults.
+    ///
+    /// `noise` and `sample_rate_hz` describe the configured sensor. `default_mount` is in use while
+    /// the record has no mount.
+    pub fn new(
+        stored: Option<Record>,
+        noise: NoiseModel,
+        sample_rate_hz: f32,
+        default_mount: Mount,
+    ) -> Self {
+        let stored = stored.unwrap_or_default();
+        Self {
+            line: LineAssembler::new(),
+            errors: LineErrors::new(),
+            working: Record {
+                preferences: usable(stored.preferences),
+                ..stored
+            },
+            stored,
+            default_mount,
+            is_armed: false,
+            procedures: ProcedureRunner::new(noise, sample_rate_hz),
+            task: None,
+            baud: BaudChange::Steady,
+        }
+    }
+
+    /// Returns the record in use.
+    pub const fn working(&self) -> &Record {
+        &self.working
+    }
+
+    /// Returns the record in flash.
+    pub const fn stored(&self) -> &Record {
+        &self.stored
+    }
+
+    /// Returns whether the record in use differs from the one in flash.
+    pub fn has_unsaved(&self) -> bool {
+        self.working != self.stored
+    }
+
+    /// Returns whether the module is armed.
+    pub const fn is_armed(&self) -> bool {
+        self.is_armed
+    }
+
+    /// Returns the mount in use.
+    pub fn mount(&self) -> Mount {
+        self.working.calibration.mount.unwrap_or(self.default_mount)
+    }
+
+    /// Runs what is due and writes at most one line to `output`, without its end. Returns the kind
+    /// of that line.
+    ///
+    /// Call it at least ten times a second, when there is room for a line of
+    /// [`ANSWER_CAPACITY`](super::answer::ANSWER_CAPACITY) bytes. Received bytes wait until their
+    /// answer can be sent. `now_us` is a clock in µs that may wrap.
+    pub fn poll(
+        &mut self,
+        now_us: u32,
+        module: &mut dyn Module,
+        output: &mut dyn fmt::Write,
+    ) -> Option<Kind> {
+        let reply = &mut Reply(output);
+        if module.take_reception_error() {
+            self.line.discard_line();
+        }
+        if let Some(task) = self.task {
+            let outcome = module.take_outcome()?;
+            self.task = None;
+            return Some(self.finish_task(task, &outcome, reply));
+        }
+        let baud = self.working.preferences.baud;
+        match self.baud.poll(baud, now_us, &mut self.line, module, reply) {
+            BaudPoll::Idle => {}
+            BaudPoll::Busy => return None,
+            BaudPoll::Answered(kind) => return Some(kind),
+        }
+        let mount = self.mount();
+        self.procedures
+            .poll(now_us, &mut self.working.calibration, mount, module, reply)
+            .or_else(|| self.errors.report_dropped(now_us, reply))
+            .or_else(|| self.read(now_us, module, reply))
+    }
+
+    /// Runs a command and writes its answer to `output`. `now_us` is a clock in µs that may wrap.
+    pub fn execute(
+        &mut self,
+        command: Command,
+        now_us: u32,
+        module: &mut dyn Module,
+        output: &mut dyn fmt::Write,
+    ) -> Kind {
+        self.dispatch(command, now_us, module, &mut Reply(output))
+    }
+
+    /// Runs a command unless it is refused.
+    fn dispatch(
+        &mut self,
+        command: Command,
+        now_us: u32,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        if let Some(baud) = self.baud.confirm() {
+            self.working.preferences.baud = baud;
+        }
+        if let Some(refusal) = self.refusal(command, reply) {
+            return refusal;
+        }
+        match command {
+            Command::Help => reply.ok(format_args!("help: {CommandForms}")),
+            Command::Status => self.status(module, reply),
+            Command::Show => reply.ok(format_args!("show: {}", RecordText(&self.working))),
+            Command::Save => self.save(module, reply),
+            Command::Forget => self.forget(module, reply),
+            Command::SelfTest => {
+                self.task = Some(Task::SelfTest);
+                module.begin(Task::SelfTest);
+                reply.ok(format_args!("self-test: the sensor stops for a second"))
+            }
+            Command::Arm => self.arm(module, reply),
+            Command::Disarm => {
+                self.is_armed = false;
+                module.set_armed(false);
+                reply.ok(format_args!("disarm"))
+            }
+            Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),
+            Command::Calibrate(Calibrate::Done) => {
+                self.procedures
+                    .finish(&mut self.working.calibration, module, reply)
+            }
+            Command::Calibrate(Calibrate::Gyroscope) => {
+                self.start(Procedure::gyroscope(), now_us, module, reply)
+            }
+            Command::Calibrate(Calibrate::Accelerometer) => {
+                let procedure = Procedure::accelerometer(self.procedures.noise());
+                self.start(procedure, now_us, module, reply)
+            }
+            Command::Calibrate(Calibrate::Level) => {
+                self.start(Procedure::level(), now_us, module, reply)
+            }
+            Command::Calibrate(Calibrate::Temperature) => {
+                self.start(Procedure::temperature(), now_us, module, reply)
+            }
+            Command::Mount(MountChoice::Find) => {
+                self.start(Procedure::mount(), now_us, module, reply)
+            }
+            Command::Mount(MountChoice::Named(mount)) => self.set_mount(mount, module, reply),
+            Command::Rate(rate_hz) => {
+                let preferences = Preferences {
+                    rate_hz,
+                    ..self.working.preferences
+                };
+                self.set_preferences(preferences, reply)
+            }
+            Command::Format(format) => {
+                let preferences = Preferences {
+                    format,
+                    ..self.working.preferences
+                };
+                self.set_preferences(preferences, reply)
+            }
+            Command::Baud(baud) => self.request_baud(baud, reply),
+        }
+    }
+
+    fn start(
+        &mut self,
+        procedure: Procedure,
+        now_us: u32,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        self.procedures.start(procedure, now_us, module, reply)
+    }
+
+    /// Sets the mount. A level trim that belongs to another mount is lost.
+    fn set_mount(&mut self, mount: Mount, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        let before = self.mount();
+        let had_level = self.working.calibration.level.is_some();
+        procedure::set_mount(&mut self.working.calibration, mount, before);
+        module.set_calibration(&self.working.calibration);
+        let has_lost = had_level && self.working.calibration.level.is_none();
+        let lost = if has_lost {
+            ", its level is to be calibrated again"
+        } else {
+            ""
+        };
+        reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
+    }
+
+    /// Refuses a command that must not run while armed, or while a procedure is running.
+    fn refusal(&self, command: Command, reply: &mut Reply<'_>) -> Option<Kind> {
+        use Command::{Arm, Disarm, Format, Help, Rate, Show, Status};
+        if self.is_armed && !matches!(command, Help | Status | Show | Arm | Disarm) {
+            return Some(reply.error(format_args!("refused while armed: \"disarm\" first")));
+        }
+        let is_compatible = matches!(
+            command,
+            Help | Status
+                | Show
+                | Arm
+                | Disarm
+                | Rate(_)
+                | Format(_)
+                | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
+        );
+        match self.procedures.current() {
+            Some(procedure) if !is_compatible => Some(reply.error(format_args!(
+                "refused while \"{}\" goes on: \"calibrate stop\" ends it",
+                procedure.name()
+            ))),
+            _ => None,
+        }
+    }
+
+    /// Starts to store the working record, if it has changed.
+    fn save(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        if !self.has_unsaved() {
+            return reply.ok(format_args!(
+                "save: nothing has changed, nothing is written"
+            ));
+        }
+        let task = Task::Save(self.working);
+        self.task = Some(task);
+        module.begin(task);
+        reply.ok(format_args!("save: the sensor stops for a second"))
+    }
+
+    /// Reports the result of a task.
+    fn finish_task(&mut self, task: Task, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
+        let name = match task {
+            Task::Save(record) => {
+                if outcome.is_ok {
+                    self.stored = record;
+                }
+                "save"
+            }
+            Task::SelfTest => "self-test",
+        };
+        let kind = if outcome.is_ok {
+            Kind::Done
+        } else {
+            Kind::Failed
+        };
+        reply.write(kind, format_args!("{name}: {}", outcome.text))
+    }
+
+    /// Clears the working record. The baud rate stays, so that the next command is understood.
+    fn forget(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        let defaults = Preferences::default();
+        self.working = Record {
+            preferences: usable(Preferences {
+                baud: self.working.preferences.baud,
+                ..defaults
+            }),
+            ..Record::default()
+        };
+        module.set_calibration(&self.working.calibration);
+        reply.ok(format_args!(
+            "forget: nothing is calibrated, mount {}; \
+             \"save\" makes it permanent, a restart undoes it",
+            self.default_mount
+        ))
+    }
+
+    /// Arms, and aborts a running procedure.
+    fn arm(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        self.is_armed = true;
+        let aborted = self.procedures.abort(module);
+        module.set_armed(true);
+        match aborted {
+            Some(procedure) => reply.ok(format_args!("arm: \"{}\" is given up", procedure.name())),
+            None => reply.ok(format_args!("arm")),
+        }
+    }
+
+    /// Aborts the running procedure.
+    fn stop(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        match self.procedures.abort(module) {
+            Some(procedure) => reply.ok(format_args!(
+                "calibrate stop: \"{}\" is given up",
+                procedure.name()
+            )),
+            None => reply.ok(format_args!("calibrate stop: nothing went on")),
+        }
+    }
+
+    /// Sets format and rate, if the UART can carry them.
+    fn set_preferences(&mut self, preferences: Preferences, reply: &mut Reply<'_>) -> Kind {
+        let Preferences {
+            format,
+            rate_hz,
+            baud,
+        } = preferences;
+        let max_hz = telemetry::largest_rate_hz(format, baud);
+        if max_hz == 0 {
+            return reply.error(format_args!(
+                "{} takes more than {baud} baud: a higher baud rate first",
+                format.name()
+            ));
+        }
+        if u32::from(rate_hz) > max_hz {
+            return reply.error(format_args!(
+                "{rate_hz} lines of {} a second are too many for {baud} baud: \
+                 \"rate {max_hz}\" fits, or a higher baud rate",
+                format.name()
+            ));
+        }
+        self.working.preferences = preferences;
+        reply.ok(format_args!(
+            "{}, {rate_hz} a second; \"save\" keeps it",
+            format.name()
+        ))
+    }
+
+    /// Requests a change of the baud rate, if the new rate carries the format in use.
+    fn request_baud(&mut self, baud: u32, reply: &mut Reply<'_>) -> Kind {
+        let Preferences {
+            format,
+            rate_hz,
+            baud: before,
+        } = self.working.preferences;
+        let max_hz = telemetry::largest_rate_hz(format, baud);
+        if max_hz == 0 {
+            return reply.error(format_args!(
+                "{baud} baud are too few for {}: another format first",
+                format.name()
+            ));
+        }
+        if u32::from(rate_hz) > max_hz {
+            return reply.error(format_args!(
+                "{baud} baud are too few for {rate_hz} lines of {} a second: \"rate {max_hz}\" \
+                 first",
+                format.name()
+            ));
+        }
+        if baud == before {
+            return reply.ok(format_args!("baud {baud}: as before"));
+        }
+        self.baud = BaudChange::Requested(baud);
+        reply.ok(format_args!(
+            "baud {baud} from now on; say something at {baud} within 10 s, or it is {before} again"
+        ))
+    }
+
+    /// Reads bytes until one ends a line that gets an answer.
+    fn read(
+        &mut self,
+        now_us: u32,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Option<Kind> {
+        while let Some(byte) = module.receive() {
+            let command: Result<Command, ParseError> = match self.line.push(byte) {
+                None => continue,
+                Some(Ok(line)) => line.parse(),
+                Some(Err(_)) => {
+                    self.errors.drop_line();
+                    continue;
+                }
+            };
+            match command {
+                Ok(command) => return Some(self.dispatch(command, now_us, module, reply)),
+                Err(error) if self.errors.may_answer(now_us) => {
+                    return Some(reply.error(format_args!("{error}")));
+                }
+                Err(_) => self.errors.drop_line(),
+            }
+        }
+        None
+    }
+
+    /// Answers `status`.
+    fn status(&self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        let status = Status {
+            state: &module.state(),
+            calibration: &self.working.calibration,
+            mount: self.mount(),
+            is_armed: self.is_armed,
+            has_unsaved: self.has_unsaved(),
+            lines_dropped: self.errors.dropped,
+            procedure: self.procedures.current(),
+        };
+        reply.ok(format_args!("status: {status}"))
+    }
+}

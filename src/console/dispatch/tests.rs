@@ -1,0 +1,846 @@
+//! The console with a fake module that records every request.
+
+use std::collections::VecDeque;
+
+use proptest::prelude::*;
+
+use super::super::answer::ANSWER_CAPACITY;
+use super::super::module::State;
+use super::*;
+use crate::attitude::{Quaternion, Vector3};
+use crate::calibration::accelerometer::Pose;
+use crate::calibration::{
+    AccelerometerCorrection, Axis, Calibration, GyroscopeOffset, MotionReason, StationaryMean,
+    StationaryProgress, SymmetricMatrix, TemperatureModel,
+};
+use crate::health::Flags;
+use crate::mpu6050::Part;
+use crate::pipeline::Settings;
+use crate::settings::OutputFormat;
+use crate::units::radians;
+
+/// Request to the module.
+#[derive(Debug, Clone, PartialEq)]
+enum Call {
+    Calibration(Calibration),
+    StartDetector(u16),
+    StopDetector,
+    Armed(bool),
+    Baud(u32),
+    Begin(Task),
+}
+
+#[derive(Default)]
+struct FakeModule {
+    received: VecDeque<u8>,
+    has_error: bool,
+    progress: VecDeque<StationaryProgress>,
+    outcome: Option<Outcome>,
+    is_sending: bool,
+    has_no_sensor: bool,
+    state: Option<State>,
+    calls: Vec<Call>,
+}
+
+impl Module for FakeModule {
+    fn receive(&mut self) -> Option<u8> {
+        self.received.pop_front()
+    }
+
+    fn take_reception_error(&mut self) -> bool {
+        core::mem::take(&mut self.has_error)
+    }
+
+    fn state(&mut self) -> State {
+        if let Some(state) = self.state {
+            return state;
+        }
+        State {
+            flags: Flags::VALID | Flags::MISSED,
+            sensor: (!self.has_no_sensor).then_some((&Part::MPU_6050, 0x68)),
+            temperature_celsius: 31.25,
+            bias_rad_s: Vector3::new(radians(0.5), radians(-1.0), 0.0),
+            bias_sigma_rad_s: radians(0.05),
+            tilt_sigma_rad: radians(0.4),
+            ..State::default()
+        }
+    }
+
+    fn set_calibration(&mut self, calibration: &Calibration) {
+        self.calls.push(Call::Calibration(*calibration));
+    }
+
+    fn start_detector(&mut self, samples: u16) {
+        self.calls.push(Call::StartDetector(samples));
+    }
+
+    fn stop_detector(&mut self) {
+        self.calls.push(Call::StopDetector);
+    }
+
+    fn take_detector_progress(&mut self) -> Option<StationaryProgress> {
+        self.progress.pop_front()
+    }
+
+    fn detector_percent(&mut self) -> u8 {
+        40
+    }
+
+    fn set_armed(&mut self, is_armed: bool) {
+        self.calls.push(Call::Armed(is_armed));
+    }
+
+    fn set_baud(&mut self, baud: u32) -> bool {
+        if !self.is_sending {
+            self.calls.push(Call::Baud(baud));
+        }
+        !self.is_sending
+    }
+
+    fn begin(&mut self, task: Task) {
+        self.calls.push(Call::Begin(task));
+    }
+
+    fn take_outcome(&mut self) -> Option<Outcome> {
+        self.outcome.take()
+    }
+}
+
+struct Harness {
+    console: Console,
+    module: FakeModule,
+    now_us: u32,
+}
+
+fn noise_model() -> NoiseModel {
+    Settings::new(&Part::MPU_6050).noise_model()
+}
+
+impl Harness {
+    fn new() -> Self {
+        Self::with(None)
+    }
+
+    fn with(stored: Option<Record>) -> Self {
+        Self {
+            console: Console::new(stored, noise_model(), 1000.0, Mount::Z_UP),
+            module: FakeModule::default(),
+            // The clock wraps soon.
+            now_us: u32::MAX - 3_000_000,
+        }
+    }
+
+    /// One poll, 20 ms after the one before.
+    fn poll(&mut self) -> Option<String> {
+        self.now_us = self.now_us.wrapping_add(20_000);
+        let mut answer = String::new();
+        let kind = self
+            .console
+            .poll(self.now_us, &mut self.module, &mut answer);
+        assert_eq!(kind.is_some(), !answer.is_empty(), "{answer}");
+        assert!(
+            kind.is_none_or(|kind| answer.starts_with(kind.name())),
+            "{answer}"
+        );
+        kind.map(|_| answer)
+    }
+
+    /// All answers within this many seconds.
+    fn wait(&mut self, seconds: f32) -> Vec<String> {
+        let polls = (seconds * 50.0) as u32;
+        (0..polls).filter_map(|_| self.poll()).collect()
+    }
+
+    fn receive(&mut self, bytes: impl AsRef<[u8]>) {
+        self.module.received.extend(bytes.as_ref());
+    }
+
+    /// The answer to a line, at the next poll.
+    fn ask(&mut self, line: &str) -> String {
+        self.receive(format!("{line}\n"));
+        self.poll()
+            .unwrap_or_else(|| panic!("`{line}` has no answer"))
+    }
+
+    fn calls(&mut self) -> Vec<Call> {
+        core::mem::take(&mut self.module.calls)
+    }
+
+    fn detector(&mut self, progress: impl IntoIterator<Item = StationaryProgress>) {
+        self.module.progress.extend(progress);
+    }
+
+    fn working(&self) -> &Record {
+        self.console.working()
+    }
+}
+
+fn at_rest(gyroscope_degrees_s: [f32; 3], accelerometer_g: Vector3) -> StationaryProgress {
+    let noise = noise_model();
+    let [x, y, z] = gyroscope_degrees_s.map(|rate| rate * noise.counts_per_degree_s);
+    StationaryProgress::Done(StationaryMean {
+        gyroscope_counts: Vector3::new(x, y, z),
+        accelerometer_counts: accelerometer_g.scale(noise.counts_per_g),
+        gyroscope_sigma_counts: Vector3::new(1.0, 1.0, 1.0),
+        temperature_celsius: 31.0,
+        samples: 1000,
+        ..StationaryMean::default()
+    })
+}
+
+const UP: Vector3 = Vector3::new(0.0, 0.0, 1.0);
+const MOVED: StationaryProgress = StationaryProgress::Moved(MotionReason::Rotation(Axis::X));
+
+/// A record with every calibration and the longest numbers.
+fn full() -> Record {
+    let long = Vector3::new(-12.3456, -12.3456, -12.3456);
+    Record {
+        calibration: Calibration {
+            mount: Mount::parse("-x-y"),
+            gyroscope: Some(GyroscopeOffset {
+                offset_rad_s: Vector3::new(radians(-39.9999), radians(-39.9999), radians(-39.9999)),
+                temperature_celsius: -40.0,
+            }),
+            temperature: Some(TemperatureModel {
+                reference_celsius: 0.0,
+                offset_rad_s: long,
+                slope_rad_s_per_celsius: long,
+                curvature_rad_s_per_celsius2: long,
+                coldest_celsius: -39.9,
+                warmest_celsius: 104.9,
+            }),
+            accelerometer: Some(AccelerometerCorrection {
+                offset_m_s2: Vector3::new(-1.9613, -1.9613, -1.9613),
+                matrix: SymmetricMatrix {
+                    xy: -0.1,
+                    xz: -0.1,
+                    yz: -0.1,
+                    ..SymmetricMatrix::IDENTITY
+                },
+            }),
+            level: Some(Quaternion::from_rotation_vector(Vector3::new(
+                radians(-14.9),
+                0.0,
+                0.0,
+            ))),
+        },
+        preferences: Preferences {
+            format: OutputFormat::Classic,
+            rate_hz: 1000,
+            baud: 921_600,
+        },
+    }
+}
+
+#[test]
+fn every_command_is_answered_with_one_line() {
+    let mut harness = Harness::new();
+    for (line, answer) in [
+        (
+            "help",
+            "ok help: help, status, show, calibrate gyro|accel|level|temperature|done|stop, \
+             mount find|<forward><down>, self-test, rate <hz>, format \
+             text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, forget, arm, disarm",
+        ),
+        (
+            "status",
+            "ok status: flags=MISSED|VALID sensor=MPU-6050@0x68 mount=+x-z(default) \
+             calibrated=none bias_dps=0.500,-1.000,0.000 \
+             bias_sigma_dps=0.050 tilt_sigma_deg=0.40 temperature_c=31.3 armed=no unsaved=no \
+             bursts_failed=0 \
+             uart_errors=0 lines_dropped=0 frames_dropped=0",
+        ),
+        (
+            "show",
+            "ok show: mount=default gyro=none temperature=none accel_offset=none level=none \
+             format=text rate=50 \
+             baud=115200",
+        ),
+        ("mount z-down", "ok mount +x+z; \"save\" keeps it"),
+        ("rate 100", "ok text, 100 a second; \"save\" keeps it"),
+        (
+            "format classic",
+            "ok classic, 100 a second; \"save\" keeps it",
+        ),
+        (
+            "rate 1000",
+            "error 1000 lines of classic a second are too many for 115200 baud: \"rate 213\" \
+             fits, or a higher baud rate",
+        ),
+        (
+            "baud 9600",
+            "error 9600 baud are too few for 100 lines of classic a second: \"rate 17\" first",
+        ),
+        ("baud 115200", "ok baud 115200: as before"),
+        ("calibrate done", "error calibrate done: nothing goes on"),
+        ("calibrate stop", "ok calibrate stop: nothing went on"),
+        (
+            "show",
+            "ok show: mount=+x+z gyro=none temperature=none accel_offset=none level=none \
+             format=classic rate=100 \
+             baud=115200",
+        ),
+        (
+            "forget",
+            "ok forget: nothing is calibrated, mount +x-z; \"save\" makes it permanent, a restart \
+             undoes it",
+        ),
+        ("arm", "ok arm"),
+        ("disarm", "ok disarm"),
+        (
+            "stats",
+            "error there is no command \"stats\", did you mean \"status\"?",
+        ),
+    ] {
+        assert_eq!(harness.ask(line), answer, "{line}");
+        assert_eq!(harness.poll(), None, "{line} has one answer");
+    }
+}
+
+#[test]
+fn save_writes_what_has_changed_and_nothing_else() {
+    let mut harness = Harness::new();
+    let nothing = "ok save: nothing has changed, nothing is written";
+    assert_eq!(harness.ask("save"), nothing);
+    harness.ask("mount z-down");
+    harness.ask("mount z-up");
+    harness.ask("forget");
+    assert_eq!(harness.ask("save"), nothing, "back to what it was");
+    harness.ask("rate 20");
+    harness.calls();
+    assert_eq!(
+        harness.ask("save"),
+        "ok save: the sensor stops for a second"
+    );
+    let expected = Record {
+        preferences: Preferences {
+            rate_hz: 20,
+            ..Preferences::default()
+        },
+        ..Record::default()
+    };
+    assert_eq!(harness.calls(), [Call::Begin(Task::Save(expected))]);
+    // Other input waits meanwhile.
+    harness.receive("status\n");
+    assert_eq!(harness.wait(0.5), [""; 0]);
+    harness.module.outcome = Some(Outcome::new(false, "the flash refuses"));
+    assert_eq!(
+        harness.poll().as_deref(),
+        Some("failed save: the flash refuses")
+    );
+    let status = harness.poll().expect("the line that waited");
+    assert!(status.contains("unsaved=yes"), "{status}");
+    harness.ask("save");
+    harness.module.outcome = Some(Outcome::new(true, "stored"));
+    assert_eq!(harness.poll().as_deref(), Some("done save: stored"));
+    assert_eq!(harness.console.stored(), &expected);
+    assert_eq!(harness.ask("save"), nothing);
+}
+
+#[test]
+fn the_stored_record_is_in_use_and_forget_keeps_the_baud_rate() {
+    let mut harness = Harness::with(Some(full()));
+    assert_eq!(harness.console.mount().name(), "-x-y");
+    assert!(!harness.console.has_unsaved());
+    harness.ask("forget");
+    let baud = Preferences {
+        baud: 921_600,
+        ..Preferences::default()
+    };
+    assert_eq!(
+        harness.working(),
+        &Record {
+            preferences: baud,
+            ..Record::default()
+        }
+    );
+    assert!(harness.console.has_unsaved());
+    // Impossible preferences in flash are replaced.
+    let nonsense = Preferences {
+        rate_hz: 0,
+        baud: 0,
+        format: OutputFormat::Text,
+    };
+    let harness = Harness::with(Some(Record {
+        preferences: nonsense,
+        ..full()
+    }));
+    assert_eq!(
+        harness.working().preferences,
+        Preferences {
+            rate_hz: 1,
+            baud: 115_200,
+            format: OutputFormat::Text
+        }
+    );
+}
+
+#[test]
+fn commands_change_nothing_while_armed() {
+    let mut harness = Harness::with(Some(full()));
+    harness.ask("rate 500");
+    harness.ask("calibrate accel");
+    harness.calls();
+    assert_eq!(
+        harness.ask("arm"),
+        "ok arm: \"calibrate accel\" is given up"
+    );
+    assert_eq!(harness.calls(), [Call::StopDetector, Call::Armed(true)]);
+    let working = *harness.working();
+    for line in [
+        "save",
+        "forget",
+        "self-test",
+        "rate 10",
+        "baud 9600",
+        "format text",
+        "mount find",
+        "mount z-up",
+        "calibrate gyro",
+        "calibrate accel",
+        "calibrate level",
+        "calibrate temperature",
+        "calibrate done",
+        "calibrate stop",
+    ] {
+        assert_eq!(
+            harness.ask(line),
+            "error refused while armed: \"disarm\" first",
+            "{line}"
+        );
+    }
+    for line in ["help", "status", "show", "arm"] {
+        assert!(harness.ask(line).starts_with("ok "), "{line}");
+    }
+    assert_eq!(harness.calls(), [Call::Armed(true)]);
+    assert_eq!(harness.working(), &working);
+    harness.ask("disarm");
+    assert!(harness.ask("rate 10").starts_with("ok "));
+}
+
+#[test]
+fn one_procedure_runs_at_a_time() {
+    let mut harness = Harness::new();
+    harness.ask("calibrate temperature");
+    for line in [
+        "calibrate gyro",
+        "mount find",
+        "mount z-up",
+        "save",
+        "forget",
+        "self-test",
+        "baud 9600",
+    ] {
+        let expected =
+            "error refused while \"calibrate temperature\" goes on: \"calibrate stop\" ends it";
+        assert_eq!(harness.ask(line), expected, "{line}");
+    }
+    assert!(harness.ask("rate 10").starts_with("ok "));
+    assert_eq!(
+        harness.ask("calibrate stop"),
+        "ok calibrate stop: \"calibrate temperature\" is given up"
+    );
+    harness.module.has_no_sensor = true;
+    assert_eq!(
+        harness.ask("calibrate gyro"),
+        "error calibrate gyro: there is no sensor yet"
+    );
+}
+
+#[test]
+fn motion_restarts_the_gyroscope_and_is_reported_once_a_second() {
+    let mut harness = Harness::new();
+    assert_eq!(
+        harness.ask("calibrate gyro"),
+        "ok calibrate gyro: keep it still for 4 s, in any pose"
+    );
+    assert_eq!(harness.calls(), [Call::StartDetector(4000)]);
+    assert_eq!(harness.wait(2.1), ["progress calibrate gyro: 40 %"; 2]);
+    // Shaken for two seconds.
+    for _ in 0..20 {
+        harness.detector([MOVED]);
+        for _ in 0..5 {
+            let answer = harness.poll();
+            let expected = "progress calibrate gyro: waits for rest, it turned about x";
+            assert!(answer.is_none_or(|answer| answer == expected));
+        }
+    }
+    harness.detector([at_rest([2.5, -0.25, 0.125], UP)]);
+    assert_eq!(
+        harness.wait(1.0),
+        ["done calibrate gyro: offset 2.500,-0.250,0.125 deg/s at 31.0 C; \"save\" keeps it"]
+    );
+    let offset = harness
+        .working()
+        .calibration
+        .gyroscope
+        .expect("it is measured");
+    assert!((offset.offset_rad_s.x - radians(2.5)).abs() < 1e-6);
+    let calls = harness.calls();
+    assert_eq!(
+        calls,
+        [
+            Call::StopDetector,
+            Call::Calibration(harness.working().calibration)
+        ]
+    );
+    assert!(harness.console.has_unsaved());
+}
+
+#[test]
+fn six_poses_calibrate_the_accelerometer() {
+    let mut harness = Harness::new();
+    let offset = Vector3::new(0.03, -0.04, 0.07);
+    let lay = |pose: Pose| at_rest([0.0; 3], pose.up() + offset);
+    assert_eq!(
+        harness.ask("calibrate accel"),
+        "ok calibrate accel: lay it still for 2 s in each pose, the arrows of the sensor's axes \
+         as told; first: z up"
+    );
+    let mut answer = Vec::new();
+    for (index, pose) in Pose::GUIDE.into_iter().take(6).enumerate() {
+        harness.detector([MOVED, MOVED, lay(pose)]);
+        answer.extend(harness.wait(0.1));
+        if index == 1 {
+            // Left in place: no answer. Put back into a known pose: an answer.
+            harness.detector([lay(pose), lay(pose), MOVED, lay(Pose::GUIDE[0])]);
+            answer.extend(harness.wait(0.1));
+            assert_eq!(
+                harness.ask("calibrate done"),
+                "error calibrate accel: 2 of at least 6 poses"
+            );
+        }
+    }
+    assert_eq!(
+        answer,
+        [
+            "progress calibrate accel: pose 1 is z up, next: z down",
+            "progress calibrate accel: pose 2 is z down, next: x up",
+            "progress calibrate accel: this is pose 1 again: turn it to another side; next: x up",
+            "progress calibrate accel: pose 3 is x up, next: x down",
+            "progress calibrate accel: pose 4 is x down, next: y up",
+            "progress calibrate accel: pose 5 is y up, next: y down",
+            "progress calibrate accel: pose 6 is y down, all six sides are there; keep it still \
+             for 5 s more, \
+             or go on with: x up and y up, halfway between",
+        ]
+    );
+    harness.detector(vec![lay(Pose::GUIDE[5]); 4]);
+    assert_eq!(harness.wait(0.2), [""; 0]);
+    harness.detector([lay(Pose::GUIDE[5])]);
+    let done = harness.wait(0.2);
+    assert_eq!(done.len(), 1, "{done:?}");
+    assert!(
+        done[0].starts_with("done calibrate accel: 6 poses, offset and scale: residual ")
+            && done[0].ends_with(" mg before, 0.00 mg after; \"save\" keeps it"),
+        "{done:?}"
+    );
+    let correction = harness
+        .working()
+        .calibration
+        .accelerometer
+        .expect("it is fitted");
+    assert!((correction.offset_m_s2 - offset.scale(9.80665)).norm() < 0.01);
+    // The detector restarts after each mean.
+    let starts = harness
+        .calls()
+        .iter()
+        .filter(|call| **call == Call::StartDetector(1000))
+        .count();
+    assert_eq!(starts, 1 + 6 + 3 + 4);
+}
+
+#[test]
+fn level_is_measured_with_the_calibration_in_use() {
+    let mut harness = Harness::new();
+    assert_eq!(
+        harness.ask("calibrate level"),
+        "ok calibrate level: keep it still for 2 s with the vehicle level"
+    );
+    // The sensor sits 2 degrees right wing down: up is to its left, which is its +Y when it lies
+    // face up.
+    let tilted = Vector3::new(0.0, radians(2.0).sin(), radians(2.0).cos());
+    harness.detector([at_rest([0.0; 3], tilted)]);
+    assert_eq!(
+        harness.wait(0.1),
+        ["done calibrate level: trim 2.00 deg of roll, 0.00 deg of pitch; \"save\" keeps it"]
+    );
+    assert!(harness.working().calibration.level.is_some());
+    assert_eq!(
+        harness.ask("mount +y-z"),
+        "ok mount +y-z, its level is to be calibrated again; \"save\" keeps it"
+    );
+    assert_eq!(harness.working().calibration.level, None);
+    harness.ask("calibrate level");
+    harness.detector([at_rest([0.0; 3], Vector3::new(1.0, 0.0, 0.0))]);
+    assert_eq!(
+        harness.wait(0.1),
+        ["failed calibrate level: it is 90 degrees from level, more than 15: is the mount right?"]
+    );
+    assert_eq!(harness.working().calibration.level, None);
+}
+
+#[test]
+fn two_poses_find_the_mount() {
+    let mut harness = Harness::new();
+    assert_eq!(
+        harness.ask("mount find"),
+        "ok mount find: keep it still for 2 s with the vehicle level, then with its nose down"
+    );
+    let mount = Mount::parse("-y+z").expect("a name");
+    let up_when = |body: Vector3| at_rest([0.0; 3], mount.to_sensor(body));
+    let level = up_when(Vector3::new(0.0, 0.0, -1.0));
+    let nose_down = up_when(Vector3::new(-1.0, 0.0, 0.0));
+    harness.detector([level, level, MOVED, level, nose_down]);
+    assert_eq!(
+        harness.wait(0.2),
+        [
+            "progress mount find: level is known; now the nose down, as far as it goes",
+            "progress mount find: the nose is 0 degrees from the level pose: point it straight \
+             down",
+            "done mount find: mount -y+z; \"save\" keeps it",
+        ]
+    );
+    assert_eq!(harness.working().calibration.mount, Some(mount));
+}
+
+#[test]
+fn temperature_is_learned_until_the_data_are_enough() {
+    let mut harness = Harness::new();
+    harness.ask("calibrate temperature");
+    harness.detector([at_rest([1.0, 0.0, 0.0], UP)]);
+    assert_eq!(
+        harness.wait(10.2),
+        ["progress calibrate temperature: 1 temperatures from 31.0 to 31.0 C"]
+    );
+    let answer = harness.ask("calibrate done");
+    assert!(
+        answer.starts_with("error calibrate temperature: only 1 temperatures"),
+        "{answer}"
+    );
+    let status = harness.ask("status");
+    assert!(
+        status.ends_with("doing=\"calibrate temperature, 1 temperatures from 31.0 to 31.0 C\""),
+        "{status}"
+    );
+    for step in 0..40_u8 {
+        let StationaryProgress::Done(mut rest) =
+            at_rest([1.0 + 0.02 * f32::from(step), 0.0, 0.0], UP)
+        else {
+            unreachable!();
+        };
+        rest.temperature_celsius = 31.0 + 0.5 * f32::from(step);
+        harness.detector([StationaryProgress::Done(rest)]);
+        harness.poll();
+    }
+    let done = harness.ask("calibrate done");
+    assert_eq!(
+        done,
+        "done calibrate temperature: 20 temperatures from 31.0 to 50.5 C; \"save\" keeps it"
+    );
+    let model = harness
+        .working()
+        .calibration
+        .temperature
+        .expect("it is learned");
+    let (offset, weight) = model.offset_at(41.0);
+    assert!((offset.x - radians(1.4)).abs() < radians(0.02) && weight == 1.0);
+}
+
+#[test]
+fn a_baud_rate_without_a_command_is_reverted() {
+    let mut harness = Harness::new();
+    let answer = harness.ask("baud 921600");
+    assert_eq!(
+        answer,
+        "ok baud 921600 from now on; say something at 921600 within 10 s, or it is 115200 again"
+    );
+    harness.module.is_sending = true;
+    harness.poll();
+    assert_eq!(harness.calls(), [], "the answer goes out first");
+    harness.module.is_sending = false;
+    harness.poll();
+    assert_eq!(harness.calls(), [Call::Baud(921_600)]);
+    // A line that is no command does not count.
+    harness.receive("\x00\x7e\x13\nhelo\n");
+    assert_eq!(harness.wait(9.0).len(), 2);
+    assert_eq!(
+        harness.wait(1.2),
+        ["failed baud: nothing was understood at 921600, it is 115200 again"]
+    );
+    assert_eq!(harness.calls(), [Call::Baud(115_200)]);
+    assert!(!harness.console.has_unsaved());
+
+    harness.ask("baud 921600");
+    harness.poll();
+    assert!(harness.ask("status").contains("unsaved=yes"), "it stays");
+    assert_eq!(harness.wait(20.0), [""; 0]);
+    assert_eq!(harness.calls(), [Call::Baud(921_600)]);
+    assert_eq!(harness.working().preferences.baud, 921_600);
+}
+
+#[test]
+fn noise_is_answered_once_a_second() {
+    let mut harness = Harness::new();
+    // Two seconds of lines that cannot be read, then two of wrong words.
+    let mut answers = Vec::new();
+    for _ in 0..100 {
+        harness.receive([0xFF, b'\n', 0x00, b'\n', b'x', 0x80, b'\n']);
+        answers.extend(harness.poll());
+    }
+    assert!((1..=3).contains(&answers.len()), "{answers:?}");
+    assert!(
+        answers[0].ends_with(
+            "dropped: too long, unreadable or too many wrong ones; is the baud rate right?"
+        ),
+        "{answers:?}"
+    );
+    answers.clear();
+    for _ in 0..100 {
+        harness.receive("asdf\n");
+        answers.extend(harness.poll());
+    }
+    let wrong = answers
+        .iter()
+        .filter(|answer| answer.contains("asdf"))
+        .count();
+    assert!(
+        (6..=9).contains(&wrong) && answers.len() <= 12,
+        "{answers:?}"
+    );
+    // A right command is answered at once.
+    assert!(harness.ask("status").contains(" lines_dropped="));
+}
+
+#[test]
+fn an_error_of_the_receiver_drops_the_line() {
+    let mut harness = Harness::new();
+    harness.ask("rate 20");
+    harness.calls();
+    harness.receive("sa");
+    harness.poll();
+    harness.module.has_error = true;
+    harness.receive("ve\n");
+    let answer = harness.wait(2.0);
+    assert!(
+        answer.len() == 1 && answer[0].starts_with("error 1 line dropped"),
+        "{answer:?}"
+    );
+    assert_eq!(harness.calls(), []);
+}
+
+#[test]
+fn the_longest_answers_fit() {
+    let mut harness = Harness::with(Some(full()));
+    let show = harness.ask("show");
+    assert!(
+        show.ends_with(" format=classic rate=1000 baud=921600"),
+        "{show}"
+    );
+    harness.ask("calibrate temperature");
+    let long = Vector3::new(-39.99, -39.99, -39.99);
+    let state = State {
+        flags: Flags::all(),
+        sensor: Some((&Part::MPU_6050, 0x69)),
+        temperature_celsius: -39.99,
+        bias_rad_s: long,
+        bias_sigma_rad_s: -39.99,
+        tilt_sigma_rad: -39.99,
+        bursts_failed: u16::MAX,
+        reception_errors: u32::MAX,
+        frames_dropped: u32::MAX,
+    };
+    harness.module.state = Some(state);
+    harness.console.errors.dropped = u32::MAX;
+    let status = harness.ask("status");
+    assert!(
+        status.ends_with("doing=\"calibrate temperature, nothing seen yet\""),
+        "{status}"
+    );
+    for line in [&show, &status] {
+        assert!(line.len() + 60 <= ANSWER_CAPACITY, "{}", line.len());
+    }
+}
+
+/// Returns whether a command changes something while disarmed and without a procedure.
+fn changes(command: Command) -> bool {
+    use Command::{Arm, Calibrate as Measure, Disarm, Help, Save, Show, Status};
+    !matches!(
+        command,
+        Help | Status | Show | Save | Arm | Disarm | Measure(Calibrate::Done | Calibrate::Stop)
+    )
+}
+
+/// Pieces of commands, line ends and noise.
+fn nearly_commands() -> impl Strategy<Value = Vec<u8>> {
+    let piece = prop_oneof![
+        4 => prop::sample::select(vec![
+            "save", "sav", "forget", "rate ", "50", "mount ", "+x-z", "baud ", "9600",
+            "calibrate ", "gyro", "format ", "text", "arm", "self-test", " ", "\x08",
+        ]).prop_map(|text| text.as_bytes().to_vec()),
+        3 => Just(b"\n".to_vec()),
+        1 => Just(b"\r\n".to_vec()),
+        1 => any::<u8>().prop_map(|byte| vec![byte]),
+    ];
+    prop::collection::vec(piece, 0..60).prop_map(|pieces| pieces.concat())
+}
+
+proptest! {
+    /// Random bytes never change anything, stored or in use.
+    #[test]
+    fn random_bytes_change_nothing(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+        let mut harness = Harness::with(Some(full()));
+        harness.receive(&bytes);
+        for _ in 0..40 {
+            harness.poll();
+        }
+        prop_assert_eq!(harness.working(), &full());
+        prop_assert_eq!(harness.calls(), []);
+    }
+
+    /// Only whole lines store something: one that changes something, then `save`. The oracle splits
+    /// the text at its line ends and searches for those two.
+    #[test]
+    fn nothing_is_stored_but_by_a_change_and_save(bytes in nearly_commands()) {
+        let mut harness = Harness::with(Some(full()));
+        harness.receive(&bytes);
+        for _ in 0..80 {
+            harness.poll();
+        }
+        let saves = |call: &Call| matches!(call, Call::Begin(Task::Save(_)));
+        let is_stored = harness.calls().iter().any(saves);
+        let understood = |line: &[u8]| {
+            // Backspace makes lines that a split does not find.
+            let text = core::str::from_utf8(line).ok()?;
+            if text.contains('\x08') { Some(None) } else { Some(text.parse::<Command>().ok()) }
+        };
+        let mut has_changed = false;
+        let mut may_store = false;
+        for line in bytes.split(|byte| matches!(byte, b'\r' | b'\n')) {
+            match understood(line) {
+                Some(None) => has_changed = true,
+                Some(Some(Command::Save)) => may_store |= has_changed,
+                Some(Some(command)) => has_changed |= changes(command),
+                None => {}
+            }
+            let has_backspace = line.contains(&0x08);
+            may_store |= has_backspace && has_changed;
+        }
+        prop_assert!(may_store || !is_stored);
+    }
+
+    /// Answers stay within their budget for any input.
+    #[test]
+    fn wrong_lines_are_not_answered_one_by_one(
+        bytes in prop::collection::vec(prop_oneof![Just(b'\n'), any::<u8>()], 0..3000),
+    ) {
+        let mut harness = Harness::new();
+        let mut answers = 0;
+        for chunk in bytes.chunks(100) {
+            harness.receive(chunk);
+            answers += harness.wait(0.02).len();
+        }
+        // 0.6 s: four at once, one more after half a second, one for those that were dropped.
+        prop_assert!(answers <= 7, "{}", answers);
+    }
+}

@@ -1,0 +1,104 @@
+//! Port of the console to the rest of the module.
+
+use core::fmt::{self, Write};
+
+use crate::attitude::Vector3;
+use crate::calibration::{Calibration, StationaryProgress};
+use crate::health::Flags;
+use crate::mpu6050::Part;
+use crate::settings::Record;
+
+/// Services that the console needs from the module it commands.
+pub trait Module {
+    /// Returns the next received byte.
+    fn receive(&mut self) -> Option<u8>;
+
+    /// Returns whether received bytes were garbled or lost since the last call.
+    fn take_reception_error(&mut self) -> bool;
+
+    /// Returns the module's state.
+    fn state(&mut self) -> State;
+
+    /// Uses this calibration from the next sample on.
+    fn set_calibration(&mut self, calibration: &Calibration);
+
+    /// Starts the stationary detector, for an average of this many samples.
+    fn start_detector(&mut self, samples: u16);
+
+    /// Stops the stationary detector.
+    fn stop_detector(&mut self);
+
+    /// Returns the detector's latest event since the last call: motion, or a completed average.
+    fn take_detector_progress(&mut self) -> Option<StationaryProgress>;
+
+    /// Returns the share of the average that is collected, 0 to 100.
+    fn detector_percent(&mut self) -> u8;
+
+    /// Arms or disarms. While armed, the module does nothing that is only safe on the ground.
+    fn set_armed(&mut self, is_armed: bool);
+
+    /// Sends and receives at this baud rate. Returns false, and changes nothing, while bytes are
+    /// still being sent.
+    fn set_baud(&mut self, baud: u32) -> bool;
+
+    /// Starts a task. The console starts one at a time, and polls
+    /// [`take_outcome`](Self::take_outcome) for its end.
+    fn begin(&mut self, task: Task);
+
+    /// Returns the result of the task once it has ended.
+    fn take_outcome(&mut self) -> Option<Outcome>;
+}
+
+/// Task for which the sensor stops for a moment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Task {
+    /// Stores this record in flash.
+    Save(Record),
+    /// Runs the sensor's self-test.
+    SelfTest,
+}
+
+/// Result of a [`Task`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Outcome {
+    /// True if the task succeeded.
+    pub is_ok: bool,
+    /// Result or reason, for people.
+    pub text: heapless::String<{ Outcome::CAPACITY }>,
+}
+
+impl Outcome {
+    /// Largest length of the text, in bytes.
+    pub const CAPACITY: usize = 200;
+
+    /// Creates an outcome. Text beyond [`CAPACITY`](Self::CAPACITY) is left out.
+    pub fn new(is_ok: bool, reason: impl fmt::Display) -> Self {
+        let mut text = heapless::String::new();
+        write!(text, "{reason}").ok();
+        Self { is_ok, text }
+    }
+}
+
+/// State of the module, as the command `status` prints it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct State {
+    /// Flags of the latest attitude; none if there was no attitude yet.
+    pub flags: Flags,
+    /// Sensor and its bus address, once it is configured.
+    pub sensor: Option<(&'static Part, u8)>,
+    /// Die temperature, °C.
+    pub temperature_celsius: f32,
+    /// Gyroscope offset that the filter estimates, rad/s in body axes.
+    pub bias_rad_s: Vector3,
+    /// σ of that offset, of the worst axis, rad/s.
+    pub bias_sigma_rad_s: f32,
+    /// σ of the tilt, rad.
+    pub tilt_sigma_rad: f32,
+    /// Bursts that failed since start.
+    pub bursts_failed: u16,
+    /// Times that the receiver reported errors or lost bytes, since power-up: a reset keeps the
+    /// count.
+    pub reception_errors: u32,
+    /// Snapshots that could not be sent in time, since power-up.
+    pub frames_dropped: u32,
+}

@@ -1,0 +1,180 @@
+//! Texts of the answers to `status` and `show`.
+
+use core::fmt;
+
+use super::answer::{Decimal, Triple};
+use super::module::State;
+use super::procedure::Procedure;
+use crate::attitude::Vector3;
+use crate::calibration::{Calibration, Mount};
+use crate::mpu6050::Part;
+use crate::settings::{Preferences, Record};
+use crate::units::degrees;
+
+/// Answer to `status`.
+pub(super) struct Status<'a> {
+    pub(super) state: &'a State,
+    /// Calibration in use.
+    pub(super) calibration: &'a Calibration,
+    /// Mount in use.
+    pub(super) mount: Mount,
+    pub(super) is_armed: bool,
+    pub(super) has_unsaved: bool,
+    /// Lines dropped since start.
+    pub(super) lines_dropped: u32,
+    /// Running procedure.
+    pub(super) procedure: Option<&'a Procedure>,
+}
+
+impl fmt::Display for Status<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let yes_no = |is: bool| if is { "yes" } else { "no" };
+        let state = self.state;
+        let is_default = self.calibration.mount.is_none();
+        write!(
+            formatter,
+            "flags={} sensor={} mount={}{} calibrated={} bias_dps={} bias_sigma_dps={} \
+             tilt_sigma_deg={} temperature_c={} armed={} unsaved={} bursts_failed={} \
+             uart_errors={} lines_dropped={} frames_dropped={}{}",
+            state.flags,
+            SensorName(state.sensor),
+            self.mount,
+            if is_default { "(default)" } else { "" },
+            CalibratedParts(self.calibration),
+            Triple(state.bias_rad_s.scale(degrees(1.0)), 3),
+            Decimal(degrees(state.bias_sigma_rad_s), 3),
+            Decimal(degrees(state.tilt_sigma_rad), 2),
+            Decimal(state.temperature_celsius, 1),
+            yes_no(self.is_armed),
+            yes_no(self.has_unsaved),
+            state.bursts_failed,
+            state.reception_errors,
+            self.lines_dropped,
+            state.frames_dropped,
+            RunningProcedure(self.procedure),
+        )
+    }
+}
+
+/// Name and address of the sensor.
+struct SensorName(Option<(&'static Part, u8)>);
+
+impl fmt::Display for SensorName {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some((part, address)) => write!(formatter, "{}@0x{address:02x}", part.name),
+            None => formatter.write_str("none"),
+        }
+    }
+}
+
+/// Names of the calibrated parts.
+struct CalibratedParts<'a>(&'a Calibration);
+
+impl fmt::Display for CalibratedParts<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = [
+            (self.0.gyroscope.is_some(), "gyro"),
+            (self.0.accelerometer.is_some(), "accel"),
+            (self.0.level.is_some(), "level"),
+            (self.0.temperature.is_some(), "temperature"),
+        ];
+        let mut separator = "";
+        for (_, name) in names.into_iter().filter(|(is_there, _)| *is_there) {
+            write!(formatter, "{separator}{name}")?;
+            separator = ",";
+        }
+        formatter.write_str(if separator.is_empty() { "none" } else { "" })
+    }
+}
+
+/// Running procedure, if there is one.
+struct RunningProcedure<'a>(Option<&'a Procedure>);
+
+impl fmt::Display for RunningProcedure<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(procedure) = self.0 else {
+            return Ok(());
+        };
+        write!(formatter, " doing=\"{}", procedure.name())?;
+        if let Some(detail) = procedure.detail() {
+            write!(formatter, ", {detail}")?;
+        }
+        formatter.write_str("\"")
+    }
+}
+
+/// Record as text: the answer to `show`.
+pub(super) struct RecordText<'a>(pub(super) &'a Record);
+
+impl fmt::Display for RecordText<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Record {
+            calibration,
+            preferences,
+        } = self.0;
+        formatter.write_str("mount=")?;
+        match calibration.mount {
+            Some(mount) => write!(formatter, "{mount}")?,
+            None => formatter.write_str("default")?,
+        }
+        formatter.write_str(" gyro=")?;
+        match calibration.gyroscope {
+            Some(gyroscope) => write!(
+                formatter,
+                "{}@{}C",
+                Triple(gyroscope.offset_rad_s.scale(degrees(1.0)), 3),
+                Decimal(gyroscope.temperature_celsius, 1)
+            )?,
+            None => formatter.write_str("none")?,
+        }
+        formatter.write_str(" temperature=")?;
+        match calibration.temperature {
+            Some(model) => write!(
+                formatter,
+                "{}..{}C",
+                Decimal(model.coldest_celsius, 1),
+                Decimal(model.warmest_celsius, 1)
+            )?,
+            None => formatter.write_str("none")?,
+        }
+        formatter.write_str(" accel_offset=")?;
+        match calibration.accelerometer {
+            Some(correction) => {
+                let matrix = &correction.matrix;
+                write!(
+                    formatter,
+                    "{} accel_matrix={},{}",
+                    Triple(correction.offset_m_s2, 3),
+                    Triple(Vector3::new(matrix.xx, matrix.yy, matrix.zz), 4),
+                    Triple(Vector3::new(matrix.xy, matrix.xz, matrix.yz), 4)
+                )?;
+            }
+            None => formatter.write_str("none")?,
+        }
+        formatter.write_str(" level=")?;
+        match calibration.level {
+            Some(trim) => {
+                let angles = trim.to_euler();
+                let angle = |radians| Decimal(degrees(radians), 2);
+                write!(
+                    formatter,
+                    "{},{}",
+                    angle(angles.roll_rad),
+                    angle(angles.pitch_rad)
+                )?;
+            }
+            None => formatter.write_str("none")?,
+        }
+        let Preferences {
+            format,
+            rate_hz,
+            baud,
+        } = preferences;
+        write!(
+            formatter,
+            " format={} rate={rate_hz} baud={baud}",
+            format.name()
+        )
+    }
+}

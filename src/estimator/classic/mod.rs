@@ -1,0 +1,25 @@
+//! The tutorial's filters, to compare with.
+//!
+//! Neither knows its σ, and neither finds the gyroscope's offset well enough in motion: they want it averaged at rest and
+//! removed beforehand, which [`ClassicPipeline`](crate::pipeline::classic::ClassicPipeline) does.
+//!
+//! - [`Tutorial`]: the tutorial's formulas, one by one;
+//! - [`AxisKalman`]: the same two Kalman filters with exact kinematics.
+//!
+//! ```
+//! use aplomb::attitude::Vector3;
+//! use aplomb::estimator::classic::Tutorial;
+//! use aplomb::estimator::{Estimator, Sample};
+//!
+//! let mut estimator = Estimator::with_filter(Tutorial::new());
+//! let level = Vector3::new(0.0, 0.0, -9.81);
+//! estimator.update(&Sample::new(0, level, Vector3::ZERO));
+//! assert!(estimator.filter().angles().roll_deg.abs() < 0.1);
+//! ```
+
+mod angle_bias;
+mod axis_kalman;
+mod tutorial;
+
+pub use axis_kalman::AxisKalman;
+pub use tutorial::{ClassicAngles, Tutorial, pitch_deg, roll_deg};

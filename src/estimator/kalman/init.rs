@@ -1,0 +1,88 @@
+//! How the filter starts: from a first sample, from a stored bias, or from an earlier run.
+
+use super::prior::{BiasPrior, WarmStart};
+use super::propagation::Interval;
+use super::tuning::square;
+use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, Tilt};
+use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::sample::Sample;
+use crate::units::STANDARD_GRAVITY_M_S2;
+
+impl Kalman {
+    /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Call it before the first sample.
+    pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
+        self.nominal.set_gyroscope_bias(bias_rad_s);
+        self.prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
+        self.has_rested = false;
+        for axis in 0..3 {
+            let covariance = &mut self.step.covariance;
+            covariance.set_parameter_variance(axis, square(sigma_rad_s));
+        }
+    }
+
+    /// Continues from an earlier run, instead of taking the tilt from the first sample. Call it before the first sample.
+    pub fn resume(&mut self, start: &WarmStart) {
+        self.set_bias(start.bias_rad_s, start.bias_sigma_rad_s);
+        self.nominal.attitude = start.attitude;
+        self.reset_motion(0.5 * square(start.tilt_sigma_rad) / REPORTED_VARIANCE_SCALE);
+        self.tilt = Tilt::Resumed;
+        self.is_bias_known = start.bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
+    }
+
+    /// Shifts the bias estimate after the upstream compensation changed, rad/s. The attitude is unaffected.
+    pub(crate) fn shift_bias(&mut self, change_rad_s: Vector3) {
+        let bias_rad_s = self.nominal.gyroscope_bias_rad_s + change_rad_s;
+        self.nominal.set_gyroscope_bias(bias_rad_s);
+        self.prior.mean_rad_s = self.prior.mean_rad_s + change_rad_s;
+        self.stationary.shift_rate(change_rad_s);
+    }
+
+    /// Resets everything but the settings and the quaternion's sign. Yaw starts at zero again.
+    pub(super) fn reset(&mut self) {
+        let attitude = Quaternion::IDENTITY.with_sign_of(self.nominal.attitude);
+        *self = Self {
+            delay_s: self.delay_s,
+            longest_step_s: self.longest_step_s,
+            is_armed: self.is_armed,
+            ..Self::with_tuning(self.tuning)
+        };
+        self.nominal.attitude = attitude;
+    }
+
+    /// Starts from the first sample, or the first after a gap: takes roll and pitch from the specific force if it
+    /// shows gravity. Keeps yaw and the sensor's parameters.
+    pub(super) fn start_from(&mut self, sample: &Sample, shows_gravity: bool) {
+        let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
+        let readings = self.stationary.readings(self.tuning);
+        match (self.tilt, readings) {
+            (Tilt::Resumed, _) => self.tilt = Tilt::Known,
+            (Tilt::Restarting, Some(readings)) => self.restart_at_rest(&readings),
+            _ => {
+                // Before the first tilt the covariance is still at its prior.
+                if self.tilt == Tilt::Known {
+                    self.reset_motion(square(self.tuning.start_tilt_rad));
+                } else {
+                    self.interval = Interval::EMPTY;
+                }
+                if shows_gravity {
+                    self.nominal.attitude = self.nominal.attitude.with_down(-force);
+                    self.tilt = Tilt::Known;
+                }
+            }
+        }
+        self.stationary.start(rate, force);
+        self.nominal.start(rate, force);
+    }
+
+    /// Resets tilt (variance per axis, rad²) and velocity, and abandons the covariance step under way.
+    pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
+        let velocity_variance = square(self.tuning.start_velocity_m_s);
+        let covariance = &mut self.step.covariance;
+        covariance.reset_motion(tilt_variance, velocity_variance);
+        self.step.abandon();
+        self.has_work = false;
+        self.interval = Interval::EMPTY;
+        self.nominal.velocity_m_s = [0.0; 2];
+        self.mean_force_m_s2 = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+    }
+}

@@ -1,0 +1,199 @@
+//! The measurements of a covariance step: "velocity is zero", and at rest zero rate; the bias prior's width.
+
+use super::prior::BiasPrior;
+use super::propagation::{GYROSCOPE_PARAMETERS, Interval};
+use super::slices::{Measurement, State};
+use super::stationary::StationaryReadings;
+use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
+use super::{Kalman, Tilt};
+use crate::attitude::Vector3;
+use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+
+/// Gate of the zero-rate update, in σ of each axis.
+const ZERO_RATE_GATE_SIGMA: f32 = 4.0;
+/// Gate of the first zero-rate update, in σ. Beyond it the state before the first rest is not worth keeping.
+const FIRST_REST_GATE_SIGMA: f32 = 2.0;
+/// Gate of the velocity at rest, in σ. A larger one is steady motion, and no error of the tilt.
+const COASTING_GATE_SIGMA: f32 = 3.0;
+
+/// σ of the bias below which one axis a step is measured at rest, rad/s.
+const WELL_KNOWN_BIAS_RAD_S: f32 = radians(0.1);
+
+/// Largest horizontal force at rest beyond what the tilt's σ explains, as a share of one g: the accelerometer's bias.
+pub(super) const STATIONARY_FORCE_SHARE: f32 = 0.03;
+
+impl Kalman {
+    /// Adds this step's measurements. The covariance is propagated to the interval's end.
+    pub(super) fn measure(&mut self) {
+        let duration_s = self.step.duration_s();
+        self.recent
+            .update(self.nominal.velocity_m_s, duration_s, self.tuning);
+        let stationary = self.stationary.readings(self.tuning);
+        match stationary.filter(|_| !self.is_armed) {
+            Some(readings) => self.measure_at_rest(&readings, duration_s),
+            None => {
+                self.widen_prior();
+                self.measure_velocity(self.velocity_noise() / duration_s);
+            }
+        }
+    }
+
+    /// Variance of "velocity is zero" in motion, (m/s)²·s.
+    fn velocity_noise(&self) -> f32 {
+        let tuning = self.tuning;
+        (square(tuning.velocity_noise)
+            + square(tuning.velocity_noise_per_velocity) * self.recent.squared)
+            .min(square(tuning.velocity_noise_limit))
+    }
+
+    fn measure_velocity(&mut self, variance: f32) {
+        let [north, east] = self.nominal.velocity_m_s;
+        for (state, velocity) in [(2, north), (3, east)] {
+            self.step.measure(Measurement {
+                state: State::Dynamic(state),
+                innovation: -velocity,
+                variance,
+            });
+        }
+    }
+
+    /// Zero-rate and zero-velocity updates, each only if it passes its gate. A first rest that
+    /// contradicts the state reached in motion makes the next sample restart the filter.
+    fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) {
+        let tuning = self.tuning;
+        let difference = readings.rate_rad_s - self.nominal.gyroscope_bias_rad_s;
+        if !self.has_rested && !self.passes_gate(difference, FIRST_REST_GATE_SIGMA) {
+            self.tilt = Tilt::Restarting;
+            self.is_bias_known = false;
+            return;
+        }
+        self.has_rested = true;
+        if self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
+            let variance = square(tuning.stationary_rate_noise) / duration_s;
+            self.measure_bias(difference, variance);
+        }
+        let mut velocity_noise = self.velocity_noise();
+        let force = self.nominal.attitude.rotate(readings.force_m_s2);
+        let covariance = &self.step.covariance;
+        let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);
+        let sine_squared =
+            (square(force.x) + square(force.y)) * square(1.0 / STANDARD_GRAVITY_M_S2);
+        if sine_squared < 16.0 * tilt + square(STATIONARY_FORCE_SHARE) {
+            velocity_noise = velocity_noise.min(square(tuning.stationary_velocity_noise));
+            self.reset_coasting(velocity_noise / duration_s);
+        }
+        self.measure_velocity(velocity_noise / duration_s);
+    }
+
+    /// Resets a velocity that the tilt's error cannot explain: the vehicle moves steadily, which reads like rest.
+    fn reset_coasting(&mut self, variance: f32) {
+        let [north, east] = self.nominal.velocity_m_s;
+        let covariance = &mut self.step.covariance;
+        let explained =
+            covariance.dynamic_variance(2) + covariance.dynamic_variance(3) + 2.0 * variance;
+        if square(north) + square(east) > square(COASTING_GATE_SIGMA) * explained {
+            covariance.reset_dynamic(2, variance);
+            covariance.reset_dynamic(3, variance);
+            self.nominal.velocity_m_s = [0.0; 2];
+        }
+    }
+
+    /// Zero-rate update: at rest the gyroscope reads its bias.
+    fn measure_bias(&mut self, difference: Vector3, variance: f32) {
+        // Well-known axes are measured in turn, which is cheaper.
+        self.next_axis = if self.next_axis < 2 {
+            self.next_axis + 1
+        } else {
+            0
+        };
+        let innovations = [difference.x, difference.y, difference.z];
+        for (axis, innovation) in innovations.into_iter().enumerate() {
+            let own = self.step.covariance.parameter_variance(axis);
+            if own > square(WELL_KNOWN_BIAS_RAD_S) || axis == usize::from(self.next_axis) {
+                self.step.measure(Measurement {
+                    state: State::Parameter(axis),
+                    innovation,
+                    variance,
+                });
+            }
+        }
+    }
+
+    /// Whether biases may be off by this, rad/s, within so many σ on each axis.
+    fn passes_gate(&self, difference: Vector3, sigmas: f32) -> bool {
+        let noise = square(self.tuning.stationary_rate_noise);
+        let differences = [difference.x, difference.y, difference.z];
+        (0..3).zip(differences).all(|(axis, difference)| {
+            let own = self.step.covariance.parameter_variance(axis);
+            square(difference) < square(sigmas) * (own + noise)
+        })
+    }
+
+    /// Doubles the prior variance of a bias that has turned out to lie outside its prior.
+    ///
+    /// The prior is a measurement of the bias with variance p. Replacing p by 2p removes a
+    /// measurement of variance 2p, which is the same as adding one of variance −2p. Repeated, this maximises the
+    /// likelihood over the prior's width.
+    fn widen_prior(&mut self) {
+        let BiasPrior {
+            mean_rad_s,
+            variance: priors,
+        } = &mut self.prior;
+        let bias = self.nominal.gyroscope_bias_rad_s - *mean_rad_s;
+        let deviations = [bias.x, bias.y, bias.z];
+        for (axis, (bias, prior)) in deviations.into_iter().zip(priors).enumerate() {
+            let own = self.step.covariance.parameter_variance(axis);
+            let learned = (*prior - own).max(0.02 * *prior);
+            if square(bias) > square(self.tuning.prior_gate_sigma) * learned
+                && *prior < square(LARGEST_GYROSCOPE_BIAS_RAD_S)
+                && own < *prior * 1.5
+            {
+                self.step.measure(Measurement {
+                    state: State::Parameter(axis),
+                    innovation: -bias,
+                    variance: -2.0 * *prior,
+                });
+                *prior *= 2.0;
+            }
+        }
+    }
+
+    /// Closes the interval: adds its velocity, and starts its covariance step with the noise that no state explains.
+    pub(super) fn begin_covariance_step(&mut self) {
+        let tuning = self.tuning;
+        let duration_s = self.interval.duration_s;
+        let velocity = self.nominal.velocity_m_s.iter_mut();
+        for (velocity, change) in velocity.zip(self.interval.velocity_m_s) {
+            *velocity += change;
+        }
+        if self.recover_from_wrong_gravity() {
+            return;
+        }
+        let covariance = &mut self.step.covariance;
+        let mut bias = 0.0;
+        for axis in 0..3 {
+            bias += covariance.parameter_variance(axis);
+            let walk = square(tuning.gyroscope_bias_walk) * duration_s;
+            covariance.add_to_parameter(axis, walk);
+            let walk = square(tuning.accelerometer_bias_walk) * duration_s;
+            covariance.add_to_parameter(GYROSCOPE_PARAMETERS + axis, walk);
+        }
+        let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);
+        let density = square(tuning.rate_noise) + square(tuning.coupling) * bias * tilt;
+        let tilt_noise = density * duration_s
+            + square(tuning.rate_noise_per_rate) * self.interval.squared_rate
+            + self.interval.unseen_tilt_rad2;
+        // A sensor that is still does not shake, however much it has moved before.
+        let shaking = if self.stationary.is_still() {
+            0.0
+        } else {
+            square(tuning.force_noise_per_velocity) * self.recent.squared
+        };
+        let density = square(tuning.force_noise) + shaking;
+        let velocity_noise = density * duration_s + self.interval.unseen_velocity_m2_s2;
+        let transition = &self.interval.transition;
+        self.step
+            .begin(transition, tilt_noise, velocity_noise, duration_s);
+        self.interval = Interval::EMPTY;
+    }
+}

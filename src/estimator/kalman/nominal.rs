@@ -1,0 +1,242 @@
+//! The nominal state: attitude, velocity, the sensor's parameters, and the increments since the last earth step.
+//!
+//! Each sample adds its increments in body axes, which is cheap. Every few samples an *earth step* turns the sums
+//! to earth axes, where gravity and velocity are.
+
+use super::propagation::{DYNAMIC, PARAMETERS, Transition};
+use super::tuning::{
+    LARGEST_ACCELEROMETER_BIAS_M_S2, LARGEST_GYROSCOPE_BIAS_RAD_S, LARGEST_MATRIX_ERROR,
+};
+use crate::attitude::{Quaternion, Vector3};
+use crate::serialize::StateVisitor;
+
+const IDENTITY: [Vector3; 3] = [
+    Vector3::new(1.0, 0.0, 0.0),
+    Vector3::new(0.0, 1.0, 0.0),
+    Vector3::new(0.0, 0.0, 1.0),
+];
+
+/// The nominal state.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct NominalState {
+    /// Body to earth at the last earth step, at the time of the motion (before the sensor's delay).
+    pub(super) attitude: Quaternion,
+    /// Horizontal velocity at the last covariance step, north and east.
+    pub(super) velocity_m_s: [f32; 2],
+    /// Bias b of the gyroscope, body axes.
+    pub(super) gyroscope_bias_rad_s: Vector3,
+    /// Bias a of the accelerometer, body axes.
+    pub(super) accelerometer_bias_m_s2: Vector3,
+    /// Rows of C, which turns readings without bias into rates.
+    gyroscope_matrix: [Vector3; 3],
+    /// C·b, so that a rate costs one product and one difference.
+    rate_offset_rad_s: Vector3,
+    /// The last sample's rate ω = C·(g − b).
+    pub(super) rate_rad_s: Vector3,
+    /// The last sample's specific force, bias included.
+    pub(super) force_m_s2: Vector3,
+    /// Rotation since the last earth step, body axes.
+    rotation_rad: Vector3,
+    /// Velocity gained since the last earth step, body axes, bias included.
+    gained_m_s: Vector3,
+    /// Time since the last earth step.
+    elapsed_s: f32,
+}
+
+/// Increments of one earth step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct EarthStep {
+    /// Length of the step.
+    pub(super) duration_s: f32,
+    /// Rotation during the step, body axes.
+    pub(super) rotation_rad: Vector3,
+    /// Velocity gained during the step, without gravity's share removed: north, east, down.
+    pub(super) gained_m_s: Vector3,
+}
+
+impl NominalState {
+    /// The identity attitude, at rest, of a perfect sensor.
+    pub(super) const fn new() -> Self {
+        Self {
+            attitude: Quaternion::IDENTITY,
+            velocity_m_s: [0.0; 2],
+            gyroscope_bias_rad_s: Vector3::ZERO,
+            accelerometer_bias_m_s2: Vector3::ZERO,
+            gyroscope_matrix: IDENTITY,
+            rate_offset_rad_s: Vector3::ZERO,
+            rate_rad_s: Vector3::ZERO,
+            force_m_s2: Vector3::ZERO,
+            rotation_rad: Vector3::ZERO,
+            gained_m_s: Vector3::ZERO,
+            elapsed_s: 0.0,
+        }
+    }
+
+    /// Rate of a gyroscope reading: C·(g − b).
+    #[inline]
+    pub(super) fn rate_of(&self, reading: Vector3) -> Vector3 {
+        multiply(&self.gyroscope_matrix, reading) - self.rate_offset_rad_s
+    }
+
+    /// Sets the gyroscope's bias.
+    pub(super) fn set_gyroscope_bias(&mut self, bias_rad_s: Vector3) {
+        self.gyroscope_bias_rad_s = bias_rad_s;
+        self.rate_offset_rad_s = multiply(&self.gyroscope_matrix, bias_rad_s);
+    }
+
+    /// Resets the parameters to those of a perfect sensor, but for the gyroscope's bias.
+    pub(super) fn reset_parameters(&mut self) {
+        self.accelerometer_bias_m_s2 = Vector3::ZERO;
+        self.gyroscope_matrix = IDENTITY;
+        self.set_gyroscope_bias(self.gyroscope_bias_rad_s);
+    }
+
+    /// Starts the integration at a sample: the first one, or the first after a gap.
+    pub(super) fn start(&mut self, rate_reading: Vector3, force_m_s2: Vector3) {
+        self.rate_rad_s = self.rate_of(rate_reading);
+        self.force_m_s2 = force_m_s2;
+        self.rotation_rad = Vector3::ZERO;
+        self.gained_m_s = Vector3::ZERO;
+        self.elapsed_s = 0.0;
+    }
+
+    /// Integrates from the sample before to this one by the trapezoid rule. Returns the time since the last earth step, s.
+    #[inline]
+    pub(super) fn integrate(
+        &mut self,
+        rate_reading: Vector3,
+        force_m_s2: Vector3,
+        dt_s: f32,
+    ) -> f32 {
+        let rate_rad_s = self.rate_of(rate_reading);
+        let half_s = 0.5 * dt_s;
+        self.rotation_rad = self.rotation_rad + (self.rate_rad_s + rate_rad_s).scale(half_s);
+        self.gained_m_s = self.gained_m_s + (self.force_m_s2 + force_m_s2).scale(half_s);
+        self.rate_rad_s = rate_rad_s;
+        self.force_m_s2 = force_m_s2;
+        self.elapsed_s += dt_s;
+        self.elapsed_s
+    }
+
+    /// Attitude this long after the last sample's motion, at its rate.
+    #[inline]
+    pub(super) fn extrapolate(&self, delay_s: f32) -> Quaternion {
+        let rotation_rad = self.rotation_rad + self.rate_rad_s.scale(delay_s);
+        self.attitude
+            .multiply(Quaternion::from_rotation_vector(rotation_rad))
+    }
+
+    /// Turns the increments to earth axes, advances the attitude, and adds to the interval's transition.
+    pub(super) fn step_in_earth_axes(&mut self, transition: &mut Transition) -> EarthStep {
+        let t = self.elapsed_s;
+        let rotation_rad = self.rotation_rad;
+        let after = self
+            .attitude
+            .multiply(Quaternion::from_rotation_vector(rotation_rad))
+            .normalize();
+        let [north, east, down] = rows_half_way(self.attitude, after);
+        let gained = self.gained_m_s - self.accelerometer_bias_m_s2.scale(t);
+        let gained_m_s = Vector3::new(north.dot(gained), east.dot(gained), down.dot(gained));
+        transition.down_m_s += gained_m_s.z;
+        let columns = [[north.x, east.x], [north.y, east.y], [north.z, east.z]];
+        let add = |sum: &mut [f32; 2], [n, e]: [f32; 2], factor: f32| {
+            sum[0] += n * factor;
+            sum[1] += e * factor;
+        };
+        // ∫R dt for the bias, ∫R·ω dt for the matrix: its rows act on the axes of the body.
+        let [b0, b1, b2, matrix @ ..] = &mut transition.tilt;
+        let (matrix_rows, _) = matrix.as_chunks_mut::<3>();
+        for ((b, [m0, m1, m2]), column) in [b0, b1, b2].into_iter().zip(matrix_rows).zip(columns) {
+            add(b, column, t);
+            add(m0, column, rotation_rad.x);
+            add(m1, column, rotation_rad.y);
+            add(m2, column, rotation_rad.z);
+        }
+        self.attitude = after;
+        self.rotation_rad = Vector3::ZERO;
+        self.gained_m_s = Vector3::ZERO;
+        self.elapsed_s = 0.0;
+        EarthStep {
+            duration_s: t,
+            rotation_rad,
+            gained_m_s,
+        }
+    }
+
+    /// Moves the error state into the nominal state.
+    pub(super) fn correct(&mut self, dynamic: &[f32; DYNAMIC], parameters: &[f32; PARAMETERS]) {
+        let [north, east, north_m_s, east_m_s] = *dynamic;
+        let tilt = Quaternion::from_rotation_vector(Vector3::new(north, east, 0.0));
+        self.attitude = tilt.multiply(self.attitude).normalize();
+        let [velocity_north, velocity_east] = &mut self.velocity_m_s;
+        *velocity_north += north_m_s;
+        *velocity_east += east_m_s;
+        let [bx, by, bz, matrix @ .., ax, ay, az] = parameters;
+        self.accelerometer_bias_m_s2 = self.accelerometer_bias_m_s2 + Vector3::new(*ax, *ay, *az);
+        let (errors, _) = matrix.as_chunks::<3>();
+        for (row, [x, y, z]) in self.gyroscope_matrix.iter_mut().zip(errors) {
+            *row = *row - Vector3::new(*x, *y, *z);
+        }
+        let bias_rad_s = self.gyroscope_bias_rad_s + Vector3::new(*bx, *by, *bz);
+        self.set_gyroscope_bias(clamp(bias_rad_s, LARGEST_GYROSCOPE_BIAS_RAD_S));
+    }
+
+    /// Whether accelerometer bias and gyroscope matrix are within what a part may have.
+    pub(super) fn is_plausible(&self) -> bool {
+        let [x, y, z] = self.gyroscope_matrix;
+        let [ix, iy, iz] = IDENTITY;
+        let (x, y, z) = (x - ix, y - iy, z - iz);
+        self.accelerometer_bias_m_s2
+            .is_within(LARGEST_ACCELEROMETER_BIAS_M_S2)
+            && x.dot(x) + y.dot(y) + z.dot(z) < LARGEST_MATRIX_ERROR * LARGEST_MATRIX_ERROR
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.quaternion(&mut self.attitude);
+        visitor.f32s(&mut self.velocity_m_s);
+        visitor.vector(&mut self.gyroscope_bias_rad_s);
+        visitor.vector(&mut self.accelerometer_bias_m_s2);
+        for row in &mut self.gyroscope_matrix {
+            visitor.vector(row);
+        }
+        visitor.vector(&mut self.rate_offset_rad_s);
+        visitor.vector(&mut self.rate_rad_s);
+        visitor.vector(&mut self.force_m_s2);
+        visitor.vector(&mut self.rotation_rad);
+        visitor.vector(&mut self.gained_m_s);
+        visitor.f32(&mut self.elapsed_s);
+    }
+}
+
+/// Rows of the rotation matrix half-way between two attitudes: north, east, down.
+fn rows_half_way(before: Quaternion, after: Quaternion) -> [Vector3; 3] {
+    // The chord's middle, whose length is removed by s.
+    let (w, x, y, z) = (
+        before.w + after.w,
+        before.x + after.x,
+        before.y + after.y,
+        before.z + after.z,
+    );
+    let s = 2.0 / (w * w + x * x + y * y + z * z).max(0.5);
+    let (sx, sy, sz) = (s * x, s * y, s * z);
+    [
+        Vector3::new(1.0 - (y * sy + z * sz), x * sy - w * sz, x * sz + w * sy),
+        Vector3::new(x * sy + w * sz, 1.0 - (x * sx + z * sz), y * sz - w * sx),
+        Vector3::new(x * sz - w * sy, y * sz + w * sx, 1.0 - (x * sx + y * sy)),
+    ]
+}
+
+#[inline]
+fn multiply([x, y, z]: &[Vector3; 3], vector: Vector3) -> Vector3 {
+    Vector3::new(x.dot(vector), y.dot(vector), z.dot(vector))
+}
+
+fn clamp(vector: Vector3, limit: f32) -> Vector3 {
+    Vector3::new(
+        vector.x.clamp(-limit, limit),
+        vector.y.clamp(-limit, limit),
+        vector.z.clamp(-limit, limit),
+    )
+}

@@ -1,0 +1,118 @@
+//! What an interval does to the error state: its transition, and the noise that it adds.
+//!
+//! An interval lasts from one covariance step to the next. The nominal state is integrated through it, and these sums
+//! are taken along the way, so that the covariance can be propagated over the whole interval at once.
+
+use crate::serialize::StateVisitor;
+
+/// Dynamic states, which change by themselves: tilt about north and east, velocity to north and east.
+pub(super) const DYNAMIC: usize = 4;
+/// Parameter states of the sensor: gyroscope bias (3), gyroscope matrix by rows (9), accelerometer bias (3).
+pub(super) const PARAMETERS: usize = 15;
+/// The gyroscope's parameters, which come first. The accelerometer's bias is the rest.
+pub(super) const GYROSCOPE_PARAMETERS: usize = 12;
+
+/// The error's transition over an interval: `dynamic ← A·dynamic − B·parameters`.
+///
+/// A is the identity but for the velocity error that a tilt error gathers under the specific force.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct Transition {
+    /// The tilt rows of B: what each gyroscope parameter adds to the tilt error, north and east.
+    ///
+    /// The first three entries are ∫R dt, the upper two rows of the rotation matrix. They are the velocity rows of B
+    /// for the accelerometer's bias as well.
+    pub(super) tilt: [[f32; 2]; GYROSCOPE_PARAMETERS],
+    /// The off-diagonal entry of A: ∫f_down dt, m/s. About −g times the interval.
+    pub(super) down_m_s: f32,
+}
+
+impl Transition {
+    /// The transition of an empty interval.
+    pub(super) const IDENTITY: Self = Self {
+        tilt: [[0.0; 2]; GYROSCOPE_PARAMETERS],
+        down_m_s: 0.0,
+    };
+
+    /// The entries of B for a parameter, north and east.
+    pub(super) fn effect(&self, parameter: usize) -> Effect {
+        if let Some(entries) = self.tilt.get(parameter) {
+            return Effect::Tilt(*entries);
+        }
+        let axis = parameter.wrapping_sub(GYROSCOPE_PARAMETERS);
+        Effect::Velocity(self.tilt.get(axis).copied().unwrap_or([0.0; 2]))
+    }
+
+    /// Propagates an error: `dynamic ← A·dynamic − B·parameters`.
+    pub(super) fn apply(&self, dynamic: &mut [f32; DYNAMIC], parameters: &[f32; PARAMETERS]) {
+        let [mut north, mut east] = [0.0; 2];
+        for (b, parameter) in self.tilt.iter().zip(parameters) {
+            north += b[0] * parameter;
+            east += b[1] * parameter;
+        }
+        let [mut north_m_s, mut east_m_s] = [0.0; 2];
+        for (b, parameter) in self.tilt.iter().zip(&parameters[GYROSCOPE_PARAMETERS..]) {
+            north_m_s += b[0] * parameter;
+            east_m_s += b[1] * parameter;
+        }
+        dynamic[2] += self.down_m_s * dynamic[1] - north_m_s;
+        dynamic[3] -= self.down_m_s * dynamic[0] + east_m_s;
+        dynamic[0] -= north;
+        dynamic[1] -= east;
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.f32s(self.tilt.as_flattened_mut());
+        visitor.f32(&mut self.down_m_s);
+    }
+}
+
+/// What a parameter's error adds to, per unit, with entries for north and east.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Effect {
+    /// The tilt: parameters of the gyroscope.
+    Tilt([f32; 2]),
+    /// The velocity: the accelerometer's bias.
+    Velocity([f32; 2]),
+}
+
+/// Sums since the last covariance step began.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct Interval {
+    /// The error's transition.
+    pub(super) transition: Transition,
+    /// Change of the horizontal velocity, north and east.
+    pub(super) velocity_m_s: [f32; 2],
+    /// Length of the interval.
+    pub(super) duration_s: f32,
+    /// ∫|ω|² dt, rad²/s.
+    pub(super) squared_rate: f32,
+    /// Tilt variance of unobserved motion, per axis, rad².
+    pub(super) unseen_tilt_rad2: f32,
+    /// Velocity variance of unobserved motion, per axis, (m/s)².
+    pub(super) unseen_velocity_m2_s2: f32,
+}
+
+impl Interval {
+    /// An interval of no length.
+    pub(super) const EMPTY: Self = Self {
+        transition: Transition::IDENTITY,
+        velocity_m_s: [0.0; 2],
+        duration_s: 0.0,
+        squared_rate: 0.0,
+        unseen_tilt_rad2: 0.0,
+        unseen_velocity_m2_s2: 0.0,
+    };
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        self.transition.visit_state(visitor);
+        visitor.f32s(&mut self.velocity_m_s);
+        visitor.f32(&mut self.duration_s);
+        visitor.f32(&mut self.squared_rate);
+        visitor.f32(&mut self.unseen_tilt_rad2);
+        visitor.f32(&mut self.unseen_velocity_m2_s2);
+    }
+}

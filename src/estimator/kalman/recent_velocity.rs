@@ -1,0 +1,44 @@
+//! How much the vehicle has been moving of late.
+
+use super::tuning::{Tuning, square};
+use crate::serialize::StateVisitor;
+
+/// Average speed of the vehicle: how much it has been moving of late.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct RecentVelocity {
+    smooth_m_s: [f32; 2],
+    /// Mean square of the smoothed velocity, (m/s)².
+    pub(super) squared: f32,
+    age_s: f32,
+}
+
+impl RecentVelocity {
+    /// A vehicle that has not moved.
+    pub(super) const NONE: Self = Self {
+        smooth_m_s: [0.0; 2],
+        squared: 0.0,
+        age_s: 0.5,
+    };
+
+    /// Adds the velocity of an interval.
+    pub(super) fn update(&mut self, velocity_m_s: [f32; 2], duration_s: f32, tuning: &Tuning) {
+        let share = duration_s / (tuning.velocity_smoothing_s + duration_s);
+        for (smooth, velocity) in self.smooth_m_s.iter_mut().zip(velocity_m_s) {
+            *smooth += share * (velocity - *smooth);
+        }
+        // A plain average at first, and an exponential one later.
+        self.age_s = (self.age_s + duration_s).min(tuning.velocity_average_s);
+        let [north, east] = self.smooth_m_s;
+        // A larger value would change nothing now, and the average would take long to return from a knock.
+        let limit = square(2.0 * tuning.velocity_noise_limit);
+        let squared = (square(north) + square(east)).min(limit);
+        self.squared += duration_s / (self.age_s + duration_s) * (squared - self.squared);
+    }
+
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.f32s(&mut self.smooth_m_s);
+        visitor.f32(&mut self.squared);
+        visitor.f32(&mut self.age_s);
+    }
+}

@@ -1,0 +1,92 @@
+//! Restarts: at a rest that contradicts the state, from a tilt that the linear model cannot correct, from unusable numbers.
+
+use super::measurements::STATIONARY_FORCE_SHARE;
+use super::prior::{WarmStart, parameter_variances};
+use super::stationary::StationaryReadings;
+use super::tuning::square;
+use super::{Kalman, Tilt};
+use crate::attitude::{Quaternion, Vector3};
+use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+
+/// Time constant of the mean specific force that has to agree with gravity, s.
+const RECOVERY_TIME_S: f32 = 1.5;
+/// σ of the tilt after a recovery, rad.
+const RECOVERED_TILT_RAD: f32 = 0.3;
+
+/// σ of the tilt that the mean force at rest shows, both axes together, rad: the accelerometer's bias.
+const STATIONARY_TILT_RAD: f32 = 1.4 * STATIONARY_FORCE_SHARE;
+/// σ of the bias that the mean rate at rest shows, per axis, rad/s: motion that the average still contains.
+const STATIONARY_BIAS_RAD_S: f32 = radians(0.1);
+
+impl Kalman {
+    /// Restarts from the mean readings at rest: takes bias and tilt from them, and resets the other parameters.
+    pub(super) fn restart_at_rest(&mut self, readings: &StationaryReadings) {
+        let force = self.nominal.attitude.rotate(readings.force_m_s2);
+        self.level(force);
+        self.nominal.reset_parameters();
+        let variances = parameter_variances(self.tuning, &[0.0; 3]);
+        self.step.covariance.reset_parameters(&variances);
+        self.resume(&WarmStart {
+            attitude: self.nominal.attitude,
+            tilt_sigma_rad: STATIONARY_TILT_RAD,
+            bias_rad_s: readings.rate_rad_s,
+            bias_sigma_rad_s: STATIONARY_BIAS_RAD_S,
+        });
+        self.tilt = Tilt::Known;
+        self.has_rested = true;
+    }
+
+    /// Restarts the tilt when the mean specific force contradicts it: about one g for a second and a half, over 45° from up.
+    ///
+    /// No vehicle that holds its height does that: a sideways acceleration of one g would make it 1.4 g. Returns
+    /// whether the tilt was restarted.
+    pub(super) fn recover_from_wrong_gravity(&mut self) -> bool {
+        let interval = &self.interval;
+        let [north, east] = interval.velocity_m_s;
+        let gained = Vector3::new(north, east, interval.transition.down_m_s);
+        let force = gained.scale(1.0 / interval.duration_s);
+        const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
+        const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
+        let is_gravity = |squared: f32| (LEAST * LEAST..GREATEST * GREATEST).contains(&squared);
+        // A knock or a full-scale reading is short, but would dominate the mean.
+        if !is_gravity(force.dot(force)) {
+            return false;
+        }
+        let share = (interval.duration_s / RECOVERY_TIME_S).min(1.0);
+        self.mean_force_m_s2 = self.mean_force_m_s2 + (force - self.mean_force_m_s2).scale(share);
+        let mean = self.mean_force_m_s2;
+        let squared = mean.dot(mean);
+        let is_upwards = mean.z < 0.0 && 2.0 * square(mean.z) > squared;
+        if !is_gravity(squared) || is_upwards {
+            return false;
+        }
+        self.level(mean);
+        self.reset_motion(square(RECOVERED_TILT_RAD));
+        true
+    }
+
+    /// Turns the attitude by the shortest rotation that makes this force, which is given in earth axes, point up.
+    fn level(&mut self, force: Vector3) {
+        let rotation = shortest_to_up(force);
+        self.nominal.attitude = rotation.multiply(self.nominal.attitude).normalize();
+    }
+
+    /// Restarts, but keeps the attitude. Only readings that no sensor delivers lead here.
+    pub(super) fn restart_from_unusable_numbers(&mut self) {
+        let attitude = self.nominal.attitude;
+        self.reset();
+        self.nominal.attitude = attitude;
+        self.tilt = Tilt::Unknown;
+    }
+}
+
+/// Shortest rotation that turns this direction, which is not zero, up: to (0, 0, −1).
+fn shortest_to_up(direction: Vector3) -> Quaternion {
+    let norm = direction.norm();
+    // w = 1 + cos, and the axis is direction × up. Both vanish where it points straight down.
+    let w = norm - direction.z;
+    if w < 1.0e-3 * norm {
+        return Quaternion::new(0.0, 1.0, 0.0, 0.0);
+    }
+    Quaternion::new(w, -direction.y, direction.x, 0.0).normalize()
+}

@@ -1,0 +1,316 @@
+//! The covariance step in slices, so that no sample takes the time of a whole step.
+//!
+//! A step covers an interval through which the nominal state has been integrated and whose [`Transition`] is known.
+//! It propagates the covariance over the interval, P ← F·P·Fᵀ + Q, and then applies scalar
+//! measurements z = x_i + noise one after the other (Bierman, *Factorization Methods for Discrete
+//! Sequential Estimation*, 1977, ch. II):
+//!
+//! ```text
+//! h = P·e_i    s = h_i + r    δ ← δ + h·(z − x_i − δ_i)/s    P ← P − h·hᵀ/s
+//! ```
+//!
+//! The correction δ belongs to the interval's end, which is some samples ago when the last slice is
+//! done. The caller propagates it to the present.
+
+use super::covariance::{Column, Covariance};
+use super::propagation::{DYNAMIC, PARAMETERS, Transition};
+use crate::serialize::StateVisitor;
+
+/// Most measurements of a step: two of the velocity, three of the gyroscope's bias.
+const MOST_MEASUREMENTS: usize = 5;
+
+const LAST_ROW: usize = PARAMETERS - 1;
+
+/// The next slice.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+enum Phase {
+    /// No step is under way.
+    Idle,
+    /// F·P·Fᵀ: the block X by A.
+    PropagateCross,
+    /// F·P·Fᵀ: the block C into X, from this row of C on.
+    PropagateParameters(usize),
+    /// F·P·Fᵀ: the block X into M.
+    CompleteDynamic,
+    /// The measurements are due.
+    Measure,
+    /// This measurement's column, gain and correction.
+    Correct(usize),
+    /// P by this measurement, from this row on.
+    CorrectRows(usize, usize),
+    /// The check of the result.
+    Check,
+    /// The correction is due.
+    Done,
+}
+
+/// Result of a slice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Progress {
+    /// No step is under way.
+    Idle,
+    /// A part of the step is done.
+    Working,
+    /// The covariance is propagated to the interval's end: add the measurements now.
+    Predicted,
+    /// The step and its correction are complete.
+    Corrected,
+    /// The step is complete, and its numbers are unusable.
+    Unsound,
+}
+
+/// A scalar measurement of one state.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct Measurement {
+    /// The measured state.
+    pub(super) state: State,
+    /// Measured minus predicted value, before any correction of this step.
+    pub(super) innovation: f32,
+    /// The measurement's variance.
+    pub(super) variance: f32,
+}
+
+/// A state of the filter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) enum State {
+    /// A dynamic state, by index.
+    Dynamic(usize),
+    /// A parameter, by index.
+    Parameter(usize),
+}
+
+/// The covariance, and the step under way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct CovarianceStep {
+    pub(super) covariance: Covariance,
+    /// The correction δ of the error state.
+    pub(super) correction: Column,
+    phase: Phase,
+    transition: Transition,
+    duration_s: f32,
+    measurements: [Option<Measurement>; MOST_MEASUREMENTS],
+    /// h of the measurement being applied.
+    column: Column,
+    /// 1/s of the measurement being applied.
+    inverse: f32,
+}
+
+impl CovarianceStep {
+    /// A zero covariance without a step.
+    pub(super) const fn new() -> Self {
+        Self {
+            covariance: Covariance::ZERO,
+            correction: Column::ZERO,
+            phase: Phase::Idle,
+            transition: Transition::IDENTITY,
+            duration_s: 0.0,
+            measurements: [None; MOST_MEASUREMENTS],
+            column: Column::ZERO,
+            inverse: 0.0,
+        }
+    }
+
+    /// Length of the interval, s.
+    pub(super) fn duration_s(&self) -> f32 {
+        self.duration_s
+    }
+
+    /// Drops the rest of a step.
+    pub(super) fn abandon(&mut self) {
+        self.phase = Phase::Idle;
+    }
+
+    /// Begins a step over an interval that adds these variances to each axis of tilt (rad²) and velocity ((m/s)²).
+    pub(super) fn begin(
+        &mut self,
+        transition: &Transition,
+        tilt_noise: f32,
+        velocity_noise: f32,
+        duration_s: f32,
+    ) {
+        self.duration_s = duration_s;
+        self.transition = *transition;
+        self.correction = Column::ZERO;
+        self.measurements = [None; MOST_MEASUREMENTS];
+        self.covariance.propagate_dynamic(transition);
+        let noise = [tilt_noise, tilt_noise, velocity_noise, velocity_noise];
+        for (state, variance) in noise.into_iter().enumerate() {
+            self.covariance.add_to_dynamic(state, variance);
+        }
+        self.phase = Phase::PropagateCross;
+    }
+
+    /// Adds a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`].
+    pub(super) fn measure(&mut self, measurement: Measurement) {
+        if let Some(free) = self.measurements.iter_mut().find(|place| place.is_none()) {
+            *free = Some(measurement);
+        }
+    }
+
+    /// Runs one slice.
+    pub(super) fn slice(&mut self) -> Progress {
+        match self.phase {
+            Phase::Idle => return Progress::Idle,
+            Phase::PropagateCross => {
+                for row in 0..PARAMETERS {
+                    self.covariance.propagate_cross(row, &self.transition);
+                }
+                self.phase = Phase::PropagateParameters(0);
+            }
+            Phase::PropagateParameters(row) => {
+                // A short row of the triangle goes with a long one, so that all slices take the same time.
+                self.covariance.propagate_parameters(row, &self.transition);
+                self.phase = if row < LAST_ROW / 2 {
+                    self.covariance
+                        .propagate_parameters(LAST_ROW - row, &self.transition);
+                    Phase::PropagateParameters(row + 1)
+                } else {
+                    Phase::CompleteDynamic
+                };
+            }
+            Phase::CompleteDynamic => {
+                self.covariance.complete_dynamic(&self.transition);
+                self.phase = Phase::Measure;
+            }
+            Phase::Measure => {
+                self.phase = Phase::Correct(0);
+                return Progress::Predicted;
+            }
+            Phase::Correct(index) => self.phase = self.correct(index),
+            Phase::CorrectRows(index, row) => {
+                self.correct_row_pair(row);
+                self.correct_row_pair(row + 1);
+                self.phase = if row + 2 <= LAST_ROW / 2 {
+                    Phase::CorrectRows(index, row + 2)
+                } else {
+                    Phase::Correct(index + 1)
+                };
+            }
+            Phase::Check => {
+                if !(self.covariance.is_sound() && self.correction.is_sound()) {
+                    self.phase = Phase::Idle;
+                    return Progress::Unsound;
+                }
+                self.phase = Phase::Done;
+            }
+            Phase::Done => {
+                self.phase = Phase::Idle;
+                return Progress::Corrected;
+            }
+        }
+        Progress::Working
+    }
+
+    /// Corrects a short row and a long one; the middle row alone.
+    fn correct_row_pair(&mut self, row: usize) {
+        self.covariance
+            .correct_parameter(row, &self.column, self.inverse);
+        if row < LAST_ROW - row {
+            self.covariance
+                .correct_parameter(LAST_ROW - row, &self.column, self.inverse);
+        }
+    }
+
+    /// Applies the measurement of this index to δ and M. Returns the next phase.
+    fn correct(&mut self, index: usize) -> Phase {
+        let Some(Some(measurement)) = self.measurements.get(index) else {
+            return Phase::Check;
+        };
+        let (column, own, corrected) = match measurement.state {
+            State::Dynamic(state) => {
+                let column = self.covariance.dynamic_column(state);
+                let own = column.dynamic.get(state).copied();
+                (column, own, self.correction.dynamic.get(state).copied())
+            }
+            State::Parameter(parameter) => {
+                let column = self.covariance.parameter_column(parameter);
+                let own = column.parameters.get(parameter).copied();
+                let corrected = self.correction.parameters.get(parameter).copied();
+                (column, own, corrected)
+            }
+        };
+        let (Some(own), Some(corrected)) = (own, corrected) else {
+            return Phase::Check;
+        };
+        self.inverse = 1.0 / (own + measurement.variance);
+        let gain = (measurement.innovation - corrected) * self.inverse;
+        self.correction.add(&column, gain);
+        self.covariance.correct_dynamic(&column, self.inverse);
+        self.column = column;
+        Phase::CorrectRows(index, 0)
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        self.covariance.visit_state(visitor);
+        self.correction.visit_state(visitor);
+        self.phase.visit_state(visitor);
+        self.transition.visit_state(visitor);
+        visitor.f32(&mut self.duration_s);
+        for measurement in &mut self.measurements {
+            let blank = Measurement {
+                state: State::Dynamic(0),
+                innovation: 0.0,
+                variance: 0.0,
+            };
+            visitor.optional(measurement, blank, |visitor, measurement| {
+                measurement.visit_state(visitor);
+            });
+        }
+        self.column.visit_state(visitor);
+        visitor.f32(&mut self.inverse);
+    }
+}
+
+impl Measurement {
+    fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        let (mut is_parameter, mut index) = match self.state {
+            State::Dynamic(index) => (false, index),
+            State::Parameter(index) => (true, index),
+        };
+        visitor.bool(&mut is_parameter);
+        visitor.index(&mut index, if is_parameter { PARAMETERS } else { DYNAMIC });
+        self.state = if is_parameter {
+            State::Parameter(index)
+        } else {
+            State::Dynamic(index)
+        };
+        visitor.f32(&mut self.innovation);
+        visitor.f32(&mut self.variance);
+    }
+}
+
+impl Phase {
+    fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        let (mut kind, mut first, mut second) = match *self {
+            Self::Idle => (0, 0, 0),
+            Self::PropagateCross => (1, 0, 0),
+            Self::PropagateParameters(row) => (2, row, 0),
+            Self::CompleteDynamic => (3, 0, 0),
+            Self::Measure => (4, 0, 0),
+            Self::Correct(index) => (5, index, 0),
+            Self::CorrectRows(index, row) => (6, index, row),
+            Self::Check => (7, 0, 0),
+            Self::Done => (8, 0, 0),
+        };
+        visitor.index(&mut kind, 9);
+        // A row or index out of range does no harm: both are checked where they are used.
+        visitor.index(&mut first, PARAMETERS + 1);
+        visitor.index(&mut second, PARAMETERS + 1);
+        *self = match kind {
+            1 => Self::PropagateCross,
+            2 => Self::PropagateParameters(first),
+            3 => Self::CompleteDynamic,
+            4 => Self::Measure,
+            5 => Self::Correct(first),
+            6 => Self::CorrectRows(first, second),
+            7 => Self::Check,
+            8 => Self::Done,
+            _ => Self::Idle,
+        };
+    }
+}

@@ -1,0 +1,129 @@
+//! The filter's stationary detector: readings that have not changed for a while, at about one g.
+//!
+//! Steady motion looks the same to the sensor. The filter therefore uses the detector's readings only as far as its
+//! covariance allows.
+
+use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, Tuning};
+use crate::attitude::Vector3;
+use crate::serialize::StateVisitor;
+use crate::units::STANDARD_GRAVITY_M_S2;
+
+/// Time constant of the average that readings are compared with, s.
+const AVERAGING_TIME_S: f32 = 0.5;
+
+/// Length of the plain average at the start, s. Before it is complete nothing counts as motion, so that the
+/// settling of the sensor's low-pass filter in the first samples does not either.
+const FIRST_AVERAGE_S: f32 = 0.07;
+
+/// Time without motion after which the sensor is [still](StationaryDetector::is_still), s.
+const STILL_S: f32 = 0.3;
+
+/// Largest error of the measured gravity, as a share of one g: 80 mg of offset and 3 % of scale (product specification §6.2).
+const GRAVITY_TOLERANCE: f32 = 0.12;
+
+/// Mean readings of a stationary sensor, in body axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct StationaryReadings {
+    /// The gyroscope's reading, which is its bias.
+    pub(super) rate_rad_s: Vector3,
+    /// The accelerometer's reading: gravity upwards, plus its bias.
+    pub(super) force_m_s2: Vector3,
+}
+
+/// The detector.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct StationaryDetector {
+    average_rate_rad_s: Vector3,
+    average_force_m_s2: Vector3,
+    /// Time without motion. Negative during the first average: minus its length so far.
+    quiet_s: f32,
+}
+
+impl StationaryDetector {
+    /// A detector without readings.
+    pub(super) const fn new() -> Self {
+        Self {
+            average_rate_rad_s: Vector3::ZERO,
+            average_force_m_s2: Vector3::ZERO,
+            quiet_s: 0.0,
+        }
+    }
+
+    /// Starts from one sample's readings.
+    pub(super) fn start(&mut self, rate_rad_s: Vector3, force_m_s2: Vector3) {
+        *self = Self {
+            average_rate_rad_s: rate_rad_s,
+            average_force_m_s2: force_m_s2,
+            quiet_s: -f32::MIN_POSITIVE,
+        };
+    }
+
+    /// Shifts the average rate, because the readings change by this without any motion.
+    pub(super) fn shift_rate(&mut self, change_rad_s: Vector3) {
+        self.average_rate_rad_s = self.average_rate_rad_s + change_rad_s;
+    }
+
+    /// Adds a sample's readings, `duration_s` after the last ones.
+    pub(super) fn update(
+        &mut self,
+        rate_rad_s: Vector3,
+        force_m_s2: Vector3,
+        duration_s: f32,
+        tuning: &Tuning,
+    ) {
+        let rate = rate_rad_s - self.average_rate_rad_s;
+        let force = force_m_s2 - self.average_force_m_s2;
+        let is_first_average = self.quiet_s < 0.0;
+        let averaged_s = if is_first_average {
+            duration_s - self.quiet_s
+        } else {
+            AVERAGING_TIME_S
+        };
+        let share = (duration_s / averaged_s).min(1.0);
+        self.average_rate_rad_s = self.average_rate_rad_s + rate.scale(share);
+        self.average_force_m_s2 = self.average_force_m_s2 + force.scale(share);
+        if is_first_average {
+            let is_complete = averaged_s >= FIRST_AVERAGE_S;
+            self.quiet_s = if is_complete { averaged_s } else { -averaged_s };
+            return;
+        }
+        let is_quiet = rate.dot(rate) < tuning.stationary_rate_rad_s * tuning.stationary_rate_rad_s
+            && force.dot(force) < tuning.stationary_force_m_s2 * tuning.stationary_force_m_s2;
+        self.quiet_s = if is_quiet {
+            self.quiet_s + duration_s
+        } else {
+            0.0
+        };
+    }
+
+    /// Whether the readings have not changed for a third of a second.
+    pub(super) fn is_still(&self) -> bool {
+        self.quiet_s > STILL_S
+    }
+
+    /// The mean readings, if the sensor is stationary.
+    pub(super) fn readings(&self, tuning: &Tuning) -> Option<StationaryReadings> {
+        const LEAST: f32 = (1.0 - GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
+        const GREATEST: f32 = (1.0 + GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
+        let force_m_s2 = self.average_force_m_s2;
+        let squared = force_m_s2.dot(force_m_s2);
+        let is_gravity = squared > LEAST * LEAST && squared < GREATEST * GREATEST;
+        // A faster steady reading is a turn: no bias is so large.
+        let is_bias = self
+            .average_rate_rad_s
+            .is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);
+        let is_stationary = self.quiet_s > tuning.stationary_after_s && is_gravity && is_bias;
+        is_stationary.then_some(StationaryReadings {
+            rate_rad_s: self.average_rate_rad_s,
+            force_m_s2,
+        })
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.vector(&mut self.average_rate_rad_s);
+        visitor.vector(&mut self.average_force_m_s2);
+        visitor.f32(&mut self.quiet_s);
+    }
+}

@@ -1,0 +1,74 @@
+//! Motion that no sample shows: how much the variances grow in pauses and during full-scale readings.
+
+use super::Kalman;
+use super::tuning::square;
+use crate::estimator::sample::Sample;
+use crate::units::radians;
+
+/// σ per axis of the rate during a pause, in rad/s: six σ, the limit of a valid attitude, are 180 °/s.
+pub const PAUSE_RATE_RAD_S: f32 = radians(30.0);
+/// Sample periods without a sample after which a pause hides motion.
+const PAUSE_PERIODS: f32 = 3.5;
+/// Duration after which a longer pause makes no difference, s: the tilt is unknown.
+const LONGEST_PAUSE_S: f32 = 60.0;
+
+/// Longest step in which the rate changes linearly, s.
+pub(super) const LONG_STEP_S: f32 = 15.0e-3;
+
+/// σ per axis of the rate while the gyroscope reads full scale, in rad/s: six σ exceed the whole scale.
+const HIDDEN_RATE_RAD_S: f32 = radians(400.0);
+/// Duration of full-scale readings of the gyroscope after which the tilt is lost, s: 20° by then.
+const LONG_SATURATION_S: f32 = 10.0e-3;
+/// Tilt variance per second of full-scale gyroscope readings, rad²/s.
+const SATURATED_TILT: f32 = 0.3;
+/// Velocity variance per second of full-scale accelerometer readings, (m/s)²/s.
+const SATURATED_VELOCITY: f32 = 100.0;
+
+impl Kalman {
+    /// Sets the sample period, s. A step of more than 3.5 periods is a pause, in which the body may turn unseen.
+    /// Default: no step is a pause.
+    pub const fn set_sample_period(&mut self, period_s: f32) {
+        self.longest_step_s = PAUSE_PERIODS * period_s;
+    }
+
+    /// Tilt variance per axis that a pause of this length adds, rad².
+    pub fn pause_variance_rad2(&self, pause_s: f32) -> f32 {
+        if pause_s > self.longest_step_s {
+            turn_variance(PAUSE_RATE_RAD_S, pause_s.min(LONGEST_PAUSE_S))
+        } else {
+            0.0
+        }
+    }
+
+    /// Inflates the variances for what a step of `dt_s` seconds to this sample hides. Returns whether the tilt is lost.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) -> bool {
+        self.inflate_tilt(self.pause_variance_rad2(dt_s));
+        let saturated_s = self.saturated_s;
+        if sample.is_rate_saturated {
+            self.saturated_s = saturated_s + dt_s;
+            let hidden = |duration_s| turn_variance(HIDDEN_RATE_RAD_S, duration_s);
+            self.inflate_tilt(hidden(self.saturated_s) - hidden(saturated_s));
+            self.interval.unseen_tilt_rad2 += SATURATED_TILT * dt_s;
+        } else {
+            self.saturated_s = 0.0;
+            if saturated_s >= LONG_SATURATION_S {
+                return true;
+            }
+        }
+        if sample.is_force_saturated {
+            self.interval.unseen_velocity_m2_s2 += SATURATED_VELOCITY * dt_s;
+        }
+        if dt_s > LONG_STEP_S {
+            let change = self.nominal.rate_of(sample.angular_rate_rad_s) - self.nominal.rate_rad_s;
+            self.interval.unseen_tilt_rad2 += change.dot(change) * square(0.25 * dt_s);
+        }
+        false
+    }
+}
+
+/// Variance of a turn at a rate with this σ, rad².
+fn turn_variance(rate_rad_s: f32, duration_s: f32) -> f32 {
+    square(rate_rad_s * duration_s)
+}

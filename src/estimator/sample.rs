@@ -1,0 +1,90 @@
+//! What a filter takes and gives: [`Sample`], [`Estimate`], [`Issues`].
+
+use crate::attitude::{EulerAngles, Quaternion, Vector3};
+
+/// A calibrated sample in body axes: forward, right, down.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Sample {
+    /// Time of the sample, in µs since start.
+    pub t_us: u64,
+    /// Specific force in m/s²: (0, 0, −9.81) at rest and level.
+    pub specific_force_m_s2: Vector3,
+    /// Angular rate in rad/s.
+    pub angular_rate_rad_s: Vector3,
+    /// Whether an axis of the gyroscope reads full scale.
+    pub is_rate_saturated: bool,
+    /// Whether an axis of the accelerometer reads full scale.
+    pub is_force_saturated: bool,
+}
+
+impl Sample {
+    /// A sample without an axis at full scale.
+    pub const fn new(t_us: u64, specific_force_m_s2: Vector3, angular_rate_rad_s: Vector3) -> Self {
+        Self {
+            t_us,
+            specific_force_m_s2,
+            angular_rate_rad_s,
+            is_rate_saturated: false,
+            is_force_saturated: false,
+        }
+    }
+}
+
+bitflags::bitflags! {
+    /// What was wrong with a sample, and what the estimator did about it.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub struct Issues: u8 {
+        /// Time stood still or ran backwards. The attitude is held, and time continues from here.
+        const TIME_WENT_BACK = 1 << 0;
+        /// The step was longer than [`LONGEST_STEP_US`](super::LONGEST_STEP_US). Roll and pitch start again from the
+        /// accelerometer, and yaw is kept.
+        const GAP = 1 << 1;
+        /// A value was not finite or implausibly large. The sample is ignored.
+        const REJECTED = 1 << 2;
+        /// The specific force was under [`LEAST_SPECIFIC_FORCE_M_S2`](super::LEAST_SPECIFIC_FORCE_M_S2). Only the
+        /// gyroscope was used.
+        const NO_GRAVITY = 1 << 3;
+        /// The rate is more than twice the one before plus 50 °/s, as if the gyroscope's full scale had changed.
+        const RATE_JUMP = 1 << 4;
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Issues {
+    fn format(&self, formatter: defmt::Formatter<'_>) {
+        for (index, (name, _)) in self.iter_names().enumerate() {
+            let separator = if index > 0 { "|" } else { "" };
+            defmt::write!(formatter, "{=str}{=str}", separator, name);
+        }
+    }
+}
+
+/// Result of a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub struct Estimate {
+    /// Body to earth.
+    pub attitude: Quaternion,
+    /// Body rates p, q, r in rad/s.
+    pub body_rates_rad_s: Vector3,
+    /// Variance of the direction of down, both axes together, rad². Infinite if the filter does not know it.
+    pub tilt_variance_rad2: f32,
+    /// Whether the gyroscope's bias is known. Always, for filters that do not estimate it.
+    pub is_bias_known: bool,
+    /// What was wrong with the sample.
+    pub issues: Issues,
+}
+
+impl Estimate {
+    /// Roll, pitch and yaw. Yaw is relative to the heading at start.
+    pub fn euler(&self) -> EulerAngles {
+        self.attitude.to_euler()
+    }
+
+    /// σ of the direction of down, both axes together, in rad.
+    pub fn tilt_sigma_rad(&self) -> f32 {
+        libm::sqrtf(self.tilt_variance_rad2)
+    }
+}

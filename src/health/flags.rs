@@ -1,0 +1,193 @@
+//! The flags that travel with every attitude.
+
+use core::error::Error;
+use core::fmt;
+use core::str::FromStr;
+
+bitflags::bitflags! {
+    /// State of an attitude. [`Flags::VALID`] alone means that all is well.
+    ///
+    /// As text, the names are joined by `|`; no flag is the empty text.
+    ///
+    /// ```
+    /// use aplomb::health::Flags;
+    ///
+    /// let flags: Flags = "VALID|MISSED".parse()?;
+    /// assert_eq!(flags, Flags::MISSED | Flags::VALID);
+    /// assert_eq!(flags.to_string(), "MISSED|VALID");
+    /// # Ok::<(), aplomb::health::UnknownFlag>(())
+    /// ```
+    #[repr(transparent)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+    pub struct Flags: u32 {
+        /// The gyroscope's offset is not known yet.
+        const CALIBRATING = 1 << 0;
+        /// The sensor moved before its offset was known.
+        const MOVED = 1 << 1;
+        /// Samples before this one were lost.
+        const MISSED = 1 << 2;
+        /// No sample came for more than half a second: roll and pitch started again from gravity.
+        const GAP = 1 << 3;
+        /// The sample's time is not after the one before. The attitude is held.
+        const TIME = 1 << 4;
+        /// A gyroscope axis reads full scale.
+        const GYROSCOPE_SATURATED = 1 << 5;
+        /// An accelerometer axis reads full scale.
+        const ACCELEROMETER_SATURATED = 1 << 6;
+        /// The specific force is too small to show where down is. Only the gyroscope was used.
+        const FREE_FALL = 1 << 7;
+        /// The sensor repeats itself to the last bit: it sleeps, or the bus returns a stuck level.
+        const FROZEN = 1 << 8;
+        /// The sample was not a measurement and was ignored.
+        const REJECTED = 1 << 9;
+        /// The tilt is wrong by no more than the larger of 5° and six σ. Only filters that know their σ set it.
+        const VALID = 1 << 10;
+        /// The attitude is less certain than usual: σ is above 5°, or one of [`Flags::DEGRADING`] is set.
+        const DEGRADED = 1 << 11;
+        /// No sample came: the attitude is the last one, and its σ grows.
+        const STALE = 1 << 12;
+        /// Bursts have failed since the sample before.
+        const BUS_FAULT = 1 << 13;
+        /// The sensor had lost its settings, and has been or is being configured again.
+        const SENSOR_RESET = 1 << 14;
+        /// A sample was lost because the attitude task had not finished the one before.
+        const LATE = 1 << 15;
+        /// The die is outside −40 °C to 85 °C, where the datasheet promises nothing.
+        const TEMPERATURE = 1 << 16;
+        /// No data-ready edges come. Samples are read by timer, and their time is uncertain by one period.
+        const POLLED = 1 << 17;
+        /// The crystal has failed. Times are those of the chip's own oscillator, right to 1 %.
+        const INTERNAL_CLOCK = 1 << 18;
+    }
+}
+
+impl Flags {
+    /// Flags of an attitude that cannot be valid.
+    pub const INVALIDATING: Self = Self::CALIBRATING
+        .union(Self::GYROSCOPE_SATURATED)
+        .union(Self::TIME)
+        .union(Self::FROZEN)
+        .union(Self::REJECTED)
+        .union(Self::STALE)
+        .union(Self::TEMPERATURE);
+
+    /// Flags of an attitude that is degraded.
+    pub const DEGRADING: Self = Self::INVALIDATING
+        .union(Self::POLLED)
+        .union(Self::INTERNAL_CLOCK);
+
+    /// Flags that last as long as their cause, and so describe an attitude. The others report single events.
+    pub const LASTING: Self = Self::DEGRADING
+        .difference(Self::CALIBRATING)
+        .union(Self::ACCELEROMETER_SATURATED)
+        .union(Self::VALID)
+        .union(Self::DEGRADED);
+}
+
+bitflags::bitflags! {
+    /// Conditions that the board reports with a burst. All but the last have the bits and names of their [`Flags`].
+    #[repr(transparent)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+    pub struct BoardFlags: u32 {
+        /// [`Flags::BUS_FAULT`].
+        const BUS_FAULT = Flags::BUS_FAULT.bits();
+        /// [`Flags::SENSOR_RESET`].
+        const SENSOR_RESET = Flags::SENSOR_RESET.bits();
+        /// [`Flags::LATE`].
+        const LATE = Flags::LATE.bits();
+        /// [`Flags::POLLED`].
+        const POLLED = Flags::POLLED.bits();
+        /// [`Flags::INTERNAL_CLOCK`].
+        const INTERNAL_CLOCK = Flags::INTERNAL_CLOCK.bits();
+        /// The sensor's full scales have been read back since the burst before, and are right.
+        const SCALES_VERIFIED = 1 << 31;
+    }
+}
+
+impl From<BoardFlags> for Flags {
+    fn from(board: BoardFlags) -> Self {
+        Self::from_bits_truncate(board.bits())
+    }
+}
+
+/// Error of a text that names an unknown flag.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct UnknownFlag;
+
+impl fmt::Display for UnknownFlag {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("unknown flag: expected names such as VALID, joined by |")
+    }
+}
+
+impl Error for UnknownFlag {}
+
+macro_rules! text_form {
+    ($flags:ty) => {
+        impl fmt::Display for $flags {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                for (index, (name, _)) in self.iter_names().enumerate() {
+                    formatter.write_str(if index > 0 { "|" } else { "" })?;
+                    formatter.write_str(name)?;
+                }
+                Ok(())
+            }
+        }
+
+        impl FromStr for $flags {
+            type Err = UnknownFlag;
+
+            fn from_str(text: &str) -> Result<Self, UnknownFlag> {
+                if text.is_empty() {
+                    return Ok(Self::empty());
+                }
+                let flags = text.split('|').map(Self::from_name);
+                flags.collect::<Option<Self>>().ok_or(UnknownFlag)
+            }
+        }
+
+        #[cfg(feature = "defmt")]
+        impl defmt::Format for $flags {
+            fn format(&self, formatter: defmt::Formatter<'_>) {
+                for (index, (name, _)) in self.iter_names().enumerate() {
+                    let separator = if index > 0 { "|" } else { "" };
+                    defmt::write!(formatter, "{=str}{=str}", separator, name);
+                }
+            }
+        }
+    };
+}
+
+text_form!(Flags);
+text_form!(BoardFlags);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_joined_and_read_back() {
+        assert_eq!(Flags::empty().to_string(), "");
+        let flags = Flags::MOVED | Flags::CALIBRATING;
+        assert_eq!(flags.to_string(), "CALIBRATING|MOVED");
+        for first in Flags::all().iter() {
+            for second in Flags::all().iter() {
+                let flags = first | second;
+                assert_eq!(flags.to_string().parse(), Ok(flags));
+            }
+        }
+        assert_eq!("MOVED|".parse::<Flags>(), Err(UnknownFlag));
+        assert_eq!("moved".parse::<Flags>(), Err(UnknownFlag));
+    }
+
+    #[test]
+    fn flags_of_the_board_are_flags_of_the_attitude() {
+        for (name, flag) in BoardFlags::all().iter_names() {
+            let expected = Flags::from_name(name).unwrap_or_default();
+            assert_eq!(Flags::from(flag), expected, "{name}");
+        }
+        let verified = Flags::from(BoardFlags::SCALES_VERIFIED);
+        assert!(verified.is_empty());
+        assert_eq!("LATE".parse(), Ok(BoardFlags::LATE));
+    }
+}

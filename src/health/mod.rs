@@ -1,0 +1,23 @@
+//! How far an attitude can be trusted: the flags that travel with it, and the monitor that sets them.
+//!
+//! [`Flags::VALID`] is a promise: the tilt is wrong by no more than the larger of 5° and
+//! six of its own σ. Therefore σ grows while samples are missing, and an attitude loses `VALID`
+//! whenever a wrong sample could pass for a right one: the sample is no measurement, the data
+//! repeat themselves, the temperature is outside the part's range, the rates could come from a changed
+//! full scale that has not been read back, or the gyroscope's offset is not known yet.
+//!
+//! ```
+//! use aplomb::health::{Flags, Monitor};
+//!
+//! // Bandwidth in Hz, then the temperature scale of an MPU-6050.
+//! let mut monitor = Monitor::new(188, 1.0 / 340.0, 36.53);
+//! assert_eq!(monitor.inspect(&[0xFF; 14], -1), Flags::REJECTED);
+//! ```
+
+mod flags;
+mod monitor;
+mod report;
+
+pub use flags::{BoardFlags, Flags, UnknownFlag};
+pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
+pub use report::FlagReport;

@@ -1,0 +1,249 @@
+//! Checks the bytes of each sample, and decides whether its attitude is valid.
+
+use super::flags::Flags;
+use crate::serialize::StateVisitor;
+use crate::units::radians;
+
+/// σ of the tilt above which an attitude is degraded, in rad.
+pub const DEGRADED_TILT_RAD: f32 = radians(5.0);
+
+/// σ of the tilt above which an attitude is not valid, in rad: six σ are half a turn.
+pub const LOST_TILT_RAD: f32 = radians(30.0);
+
+/// Range of die temperatures that the part is made for (product specification §6.2).
+const COLDEST_CELSIUS: f32 = -40.0;
+const HOTTEST_CELSIUS: f32 = 85.0;
+
+/// Identical samples in a row that mean [`Flags::FROZEN`], for a low-pass filter of 98 Hz and more.
+///
+/// With that bandwidth, noise alone (product specification §6.1 and §6.2) makes a repetition of all six axes after 11
+/// samples less likely than one in 10,000, and there are two such pairs here.
+const FROZEN_SAMPLES: u8 = 22;
+/// The same number for narrower low-pass filters, where neighbouring samples are alike.
+const FROZEN_SAMPLES_NARROW: u8 = 99;
+
+/// Watches over the samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Monitor {
+    last: Fingerprint,
+    repetitions: u8,
+    frozen_samples: u8,
+    coldest_counts: i16,
+    hottest_counts: i16,
+    was_still: bool,
+    awaits_scale_check: bool,
+}
+
+impl Monitor {
+    /// A monitor for a sensor with this gyroscope bandwidth and temperature scale.
+    pub fn new(bandwidth_hz: u16, celsius_per_count: f32, celsius_at_zero: f32) -> Self {
+        let counts = |celsius: f32| ((celsius - celsius_at_zero) / celsius_per_count) as i16;
+        Self {
+            last: Fingerprint::default(),
+            repetitions: 0,
+            frozen_samples: if bandwidth_hz >= 98 {
+                FROZEN_SAMPLES
+            } else {
+                FROZEN_SAMPLES_NARROW
+            },
+            coldest_counts: counts(COLDEST_CELSIUS),
+            hottest_counts: counts(HOTTEST_CELSIUS),
+            was_still: false,
+            awaits_scale_check: false,
+        }
+    }
+
+    /// Number of identical samples in a row after which they are flagged as frozen.
+    pub const fn frozen_samples(&self) -> u8 {
+        self.frozen_samples
+    }
+
+    /// Checks a sample's 14 bytes and its temperature: [`Flags::REJECTED`], [`Flags::FROZEN`], [`Flags::TEMPERATURE`].
+    #[inline]
+    pub fn inspect(&mut self, bytes: &[u8; 14], temperature_counts: i16) -> Flags {
+        let mut flags = Flags::empty();
+        let fingerprint = Fingerprint::of(bytes);
+        if fingerprint == self.last {
+            self.repetitions = self.repetitions.saturating_add(1);
+        } else {
+            self.last = fingerprint;
+            self.repetitions = 0;
+        }
+        flags.set(Flags::REJECTED, fingerprint.is_blank());
+        flags.set(Flags::FROZEN, self.repetitions >= self.frozen_samples);
+        let range = self.coldest_counts..=self.hottest_counts;
+        flags.set(Flags::TEMPERATURE, !range.contains(&temperature_counts));
+        flags
+    }
+
+    /// Adds [`Flags::MOVED`] when the sensor begins to move before its offset is known.
+    #[inline]
+    pub fn calibrating(&mut self, is_still: bool) -> Flags {
+        let mut flags = Flags::CALIBRATING;
+        flags.set(Flags::MOVED, self.was_still && !is_still);
+        self.was_still = is_still;
+        flags
+    }
+
+    /// Requires the sensor's full scales to be read back: the rate has jumped as if they had changed. Until
+    /// [`confirm_scales`](Self::confirm_scales), no attitude is valid.
+    pub const fn require_scale_check(&mut self) {
+        self.awaits_scale_check = true;
+    }
+
+    /// Whether the full scales have to be read back.
+    pub const fn awaits_scale_check(&self) -> bool {
+        self.awaits_scale_check
+    }
+
+    /// Confirms that the full scales have been read back, and are right.
+    pub const fn confirm_scales(&mut self) {
+        self.awaits_scale_check = false;
+    }
+
+    /// Forgets the motion of the calibration phase, which starts again.
+    pub const fn restart(&mut self) {
+        self.was_still = false;
+    }
+
+    /// Adds [`Flags::VALID`] and [`Flags::DEGRADED`] to the flags of an attitude with this tilt variance, in rad².
+    #[inline]
+    pub fn judge(&self, mut flags: Flags, tilt_variance_rad2: f32) -> Flags {
+        let is_uncertain = tilt_variance_rad2 > DEGRADED_TILT_RAD * DEGRADED_TILT_RAD;
+        if is_uncertain || flags.intersects(Flags::DEGRADING) {
+            flags |= Flags::DEGRADED;
+        }
+        let is_known = tilt_variance_rad2 < LOST_TILT_RAD * LOST_TILT_RAD;
+        if is_known && !self.awaits_scale_check && !flags.intersects(Flags::INVALIDATING) {
+            flags |= Flags::VALID;
+        }
+        flags
+    }
+
+    /// Visits every field.
+    pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.u64(&mut self.last.first);
+        visitor.u64(&mut self.last.last);
+        visitor.u8(&mut self.repetitions);
+        visitor.u8(&mut self.frozen_samples);
+        visitor.i16(&mut self.coldest_counts);
+        visitor.i16(&mut self.hottest_counts);
+        visitor.bool(&mut self.was_still);
+        visitor.bool(&mut self.awaits_scale_check);
+    }
+}
+
+/// A sample's 14 bytes as two numbers, which overlap by two bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Fingerprint {
+    /// Accelerometer and temperature.
+    first: u64,
+    /// Temperature and gyroscope.
+    last: u64,
+}
+
+impl Fingerprint {
+    #[inline]
+    fn of(bytes: &[u8; 14]) -> Self {
+        let [first @ .., _, _, _, _, _, _] = bytes;
+        let [_, _, _, _, _, _, last @ ..] = bytes;
+        Self {
+            first: u64::from_le_bytes(*first),
+            last: u64::from_le_bytes(*last),
+        }
+    }
+
+    /// Whether accelerometer and temperature are all zeros or all ones, which noise never leaves: the bus or the
+    /// sensor is dead.
+    #[inline]
+    fn is_blank(self) -> bool {
+        self.first == 0 || self.first == u64::MAX
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The MPU-6050's scale: 340 counts per °C, 36.53 °C at zero.
+    fn monitor(bandwidth_hz: u16) -> Monitor {
+        Monitor::new(bandwidth_hz, 1.0 / 340.0, 36.53)
+    }
+
+    #[test]
+    fn data_freeze_after_repetitions_and_thaw_at_once() {
+        for (bandwidth_hz, limit) in [(188, 22), (98, 22), (42, 99)] {
+            let mut monitor = monitor(bandwidth_hz);
+            let mut bytes = [7; 14];
+            for _ in 0..300 {
+                bytes[13] ^= 1;
+                assert!(monitor.inspect(&bytes, 0).is_empty());
+            }
+            for repetition in 1..=1000 {
+                let is_frozen = monitor.inspect(&bytes, 0).contains(Flags::FROZEN);
+                assert_eq!(is_frozen, repetition >= limit, "{repetition}");
+            }
+            bytes[0] ^= 1;
+            assert!(monitor.inspect(&bytes, 0).is_empty());
+        }
+    }
+
+    #[test]
+    fn blank_is_all_zeros_or_all_ones_and_no_measurement() {
+        let is_rejected = |bytes| monitor(98).inspect(&bytes, 0).contains(Flags::REJECTED);
+        assert!(is_rejected([0; 14]) && is_rejected([0xFF; 14]));
+        // A burst of a sensor in free fall, at rest about every axis, at 36.53 °C: one count of noise.
+        for place in 0..8 {
+            let mut bytes = [0; 14];
+            bytes[place] = 1;
+            assert!(!is_rejected(bytes), "{place}");
+        }
+        assert!(!is_rejected([0x55; 14]));
+    }
+
+    #[test]
+    fn temperatures_are_limited_as_the_datasheet_says() {
+        let is_extreme = |counts| {
+            let flags = monitor(98).inspect(&[7; 14], counts);
+            flags.contains(Flags::TEMPERATURE)
+        };
+        assert!(is_extreme(-26_021) && !is_extreme(-26_020));
+        assert!(!is_extreme(16_479) && is_extreme(16_480));
+    }
+
+    #[test]
+    fn sigma_decides_on_valid_and_degraded() {
+        let monitor = monitor(98);
+        let judged = |flags, sigma_deg| {
+            let sigma = radians(sigma_deg);
+            monitor.judge(flags, sigma * sigma)
+        };
+        assert_eq!(judged(Flags::empty(), 1.0), Flags::VALID);
+        assert_eq!(judged(Flags::empty(), 6.0), Flags::VALID | Flags::DEGRADED);
+        assert_eq!(judged(Flags::empty(), 31.0), Flags::DEGRADED);
+        assert_eq!(judged(Flags::empty(), f32::INFINITY), Flags::DEGRADED);
+        let polled = Flags::POLLED | Flags::DEGRADED | Flags::VALID;
+        assert_eq!(judged(Flags::POLLED, 1.0), polled);
+        assert_eq!(judged(Flags::TIME, 1.0), Flags::TIME | Flags::DEGRADED);
+        assert_eq!(judged(Flags::empty(), f32::NAN), Flags::empty());
+    }
+
+    #[test]
+    fn a_jump_of_the_rate_is_not_valid_until_the_scales_are_confirmed() {
+        let mut monitor = monitor(98);
+        monitor.require_scale_check();
+        assert_eq!(monitor.judge(Flags::empty(), 0.0), Flags::empty());
+        monitor.confirm_scales();
+        assert_eq!(monitor.judge(Flags::empty(), 0.0), Flags::VALID);
+    }
+
+    #[test]
+    fn motion_is_flagged_when_it_begins() {
+        let mut monitor = monitor(98);
+        let moved = [false, true, false, false, true, false]
+            .map(|is_still| monitor.calibrating(is_still).contains(Flags::MOVED));
+        assert_eq!(moved, [false, false, true, false, false, true]);
+    }
+}

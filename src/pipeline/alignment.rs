@@ -1,0 +1,109 @@
+//! From counts in sensor axes to SI units in body axes: scale, correction, mount and level in one affine map per sensor.
+
+use super::Settings;
+use crate::attitude::Vector3;
+use crate::calibration::AccelerometerCorrection;
+use crate::estimator::Sample;
+use crate::mpu6050::RawSample;
+
+/// The maps of both sensors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Alignment {
+    accelerometer: Affine,
+    gyroscope: Affine,
+}
+
+impl Alignment {
+    /// The maps for these settings, which remove this gyroscope offset (rad/s in sensor axes).
+    pub(super) fn new(settings: &Settings, gyroscope_offset_rad_s: Vector3) -> Self {
+        let sensor = &settings.sensor;
+        let mount = settings.mount();
+        let level = settings.calibration.level;
+        let to_body = |sensor: Vector3| {
+            let mounted = mount.to_body(sensor);
+            level.map_or(mounted, |level| level.rotate(mounted))
+        };
+        let correction = settings
+            .calibration
+            .accelerometer
+            .unwrap_or(AccelerometerCorrection::NONE);
+        let mut accelerometer = Affine::new(
+            |sensor| to_body(correction.matrix.times(sensor)),
+            sensor.accelerometer_range.m_s2_per_count(),
+        );
+        accelerometer.remove(correction.offset_m_s2);
+        let mut gyroscope = Affine::new(to_body, sensor.gyroscope_range.rad_s_per_count());
+        gyroscope.remove(gyroscope_offset_rad_s);
+        Self {
+            accelerometer,
+            gyroscope,
+        }
+    }
+
+    /// Sets the gyroscope offset to remove, rad/s in sensor axes.
+    pub(super) fn set_gyroscope_offset(&mut self, offset_rad_s: Vector3) {
+        self.gyroscope.remove(offset_rad_s);
+    }
+
+    /// The gyroscope offset that is removed, rad/s in body axes.
+    pub(super) fn gyroscope_offset_rad_s(&self) -> Vector3 {
+        -self.gyroscope.offset
+    }
+
+    /// Sets the accelerometer's offset so that these counts become this force, m/s² in body axes.
+    pub(super) fn set_accelerometer_zero(&mut self, counts: Vector3, force_m_s2: Vector3) {
+        self.accelerometer.offset = force_m_s2 - self.accelerometer.turn(counts);
+    }
+
+    /// The sample of these counts.
+    #[inline]
+    pub(super) fn apply(&self, raw: &RawSample, t_us: u64) -> Sample {
+        Sample {
+            t_us,
+            specific_force_m_s2: self.accelerometer.apply(raw.accelerometer.0),
+            angular_rate_rad_s: self.gyroscope.apply(raw.gyroscope.0),
+            is_rate_saturated: raw.gyroscope.is_saturated(),
+            is_force_saturated: raw.accelerometer.is_saturated(),
+        }
+    }
+}
+
+/// An affine map: units = Σ column · count + offset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Affine {
+    /// One count along each sensor axis, in units along the body's axes.
+    columns: [Vector3; 3],
+    offset: Vector3,
+    counts_per_unit: f32,
+}
+
+impl Affine {
+    /// The map of a linear function from units in sensor axes, with this unit per count.
+    fn new(linear: impl Fn(Vector3) -> Vector3, per_count: f32) -> Self {
+        Self {
+            columns: [
+                linear(Vector3::new(1.0, 0.0, 0.0)).scale(per_count),
+                linear(Vector3::new(0.0, 1.0, 0.0)).scale(per_count),
+                linear(Vector3::new(0.0, 0.0, 1.0)).scale(per_count),
+            ],
+            offset: Vector3::ZERO,
+            counts_per_unit: 1.0 / per_count,
+        }
+    }
+
+    /// Sets the reading that becomes zero, in units along the sensor's axes.
+    fn remove(&mut self, reading: Vector3) {
+        self.offset = -self.turn(reading.scale(self.counts_per_unit));
+    }
+
+    #[inline]
+    fn apply(&self, [x, y, z]: [i16; 3]) -> Vector3 {
+        self.turn(Vector3::new(f32::from(x), f32::from(y), f32::from(z))) + self.offset
+    }
+
+    #[inline]
+    fn turn(&self, counts: Vector3) -> Vector3 {
+        let [x, y, z] = self.columns;
+        x.scale(counts.x) + y.scale(counts.y) + z.scale(counts.z)
+    }
+}

@@ -1,0 +1,366 @@
+//! One burst in, one snapshot out: the only place that knows the order of the steps.
+//!
+//! ```text
+//! Burst ─► decode ─► correct and align ─► estimate ─► health ─► Snapshot
+//! ```
+//!
+//! Every burst gives a snapshot, from the first one on. It carries [`Flags::CALIBRATING`] until
+//! the gyroscope's offset is known: after a second of rest, or at once with a stored offset.
+//! [`Pipeline::update`] does all the work there is, the periodic part included, so a caller cannot forget any.
+//!
+//! Deadline: a fraction of the sample period, 1 ms. No loop's length depends on data, and nothing waits.
+//!
+//! ```
+//! use aplomb::health::BoardFlags;
+//! use aplomb::mpu6050::{AccelerometerCounts, Burst, Part, RawSample};
+//! use aplomb::pipeline::{Pipeline, Settings};
+//!
+//! let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+//! // A sensor that lies face up, rolled by 30°: 2048 counts are one g.
+//! let sample = RawSample {
+//!     accelerometer: AccelerometerCounts([0, 1024, 1774]),
+//!     ..RawSample::default()
+//! };
+//! let burst = Burst {
+//!     bytes: sample.encode(), // 14 bytes: yours come from the bus
+//!     captured_at_us: 1_000,
+//!     missed_before: 0,
+//! };
+//! let snapshot = pipeline.update(&burst, BoardFlags::empty());
+//! let roll_deg = snapshot.euler().roll_rad.to_degrees();
+//! assert!((roll_deg - 30.0).abs() < 0.1);
+//! ```
+
+mod alignment;
+pub mod classic;
+mod offset;
+mod settings;
+mod snapshot;
+mod unseen;
+
+#[cfg(test)]
+mod tests;
+
+pub use settings::Settings;
+pub use snapshot::Snapshot;
+
+use crate::attitude::Vector3;
+use crate::calibration::{Calibration, StationaryDetector, StationaryMean};
+use crate::estimator::kalman::{Kalman, WarmStart};
+use crate::estimator::{Estimator, Filter, Issues, Sample};
+use crate::health::{BoardFlags, Flags, Monitor};
+use crate::mpu6050::{Burst, RawSample, TemperatureCounts};
+use crate::serialize::StateVisitor;
+use crate::units::SECONDS_PER_MICROSECOND;
+use alignment::Alignment;
+use offset::StoredOffset;
+use unseen::UnseenMotion;
+
+/// Samples between two updates of the temperature compensation.
+const TEMPERATURE_SAMPLES: u8 = 64;
+
+/// All steps from a burst to a snapshot, with their state.
+///
+/// The fields keep this order in memory, because a core reaches the first kilobyte with shorter code.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pipeline {
+    alignment: Alignment,
+    /// The gyroscope offset that the alignment removes, rad/s in sensor axes: stored, or by temperature.
+    gyroscope_offset_rad_s: Vector3,
+    temperature_celsius: f32,
+    /// Samples until the temperature compensation is updated; zero before the first sample.
+    samples_to_temperature: u8,
+    monitor: Monitor,
+    unseen: UnseenMotion,
+    sample: Sample,
+    estimator: Estimator,
+    settings: Settings,
+}
+
+impl Pipeline {
+    /// A pipeline that waits for its first burst.
+    pub fn new(settings: &Settings) -> Self {
+        let sensor = &settings.sensor;
+        let temperature = settings.part.temperature;
+        let monitor = Monitor::new(
+            sensor.low_pass.gyroscope_bandwidth_hz(),
+            temperature.celsius_per_count,
+            temperature.celsius_at_zero,
+        );
+        let mut pipeline = Self {
+            settings: *settings,
+            alignment: Alignment::new(settings, Vector3::ZERO),
+            gyroscope_offset_rad_s: Vector3::ZERO,
+            temperature_celsius: settings.calibration.usual_celsius(),
+            samples_to_temperature: 0,
+            monitor,
+            unseen: UnseenMotion::new(sensor.sample_rate_hz(), monitor.frozen_samples()),
+            estimator: Estimator::new(),
+            sample: Sample::default(),
+        };
+        let filter = pipeline.estimator.filter_mut();
+        filter.set_delay(settings.delay_s());
+        filter.set_sample_period(1.0 / sensor.sample_rate_hz());
+        pipeline.apply_stored_offset();
+        pipeline
+    }
+
+    /// Takes one burst with the conditions that the board reports, and returns the attitude at its time.
+    #[inline]
+    pub fn update(&mut self, burst: &Burst, board: BoardFlags) -> Snapshot {
+        let raw = RawSample::decode(&burst.bytes);
+        let mut flags = self.monitor.inspect(&burst.bytes, raw.temperature.0);
+        flags |= Flags::from(board);
+        flags.set(Flags::MISSED, burst.missed_before > 0);
+        if flags.contains(Flags::REJECTED) {
+            return self.hold(burst.captured_at_us, flags);
+        }
+        self.follow_temperature(raw.temperature);
+        if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
+            self.monitor.confirm_scales();
+        }
+        let sample = self.alignment.apply(&raw, burst.captured_at_us);
+        self.process(&sample, flags)
+    }
+
+    /// Takes one calibrated sample in body axes, as from a recording in SI units, and returns the attitude at its time.
+    ///
+    /// Checks that need the sensor's bytes are left out: blank and frozen data, and the temperature.
+    pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
+        self.monitor.confirm_scales();
+        self.process(sample, Flags::empty())
+    }
+
+    /// Estimates the attitude, and completes the flags.
+    #[inline]
+    fn process(&mut self, sample: &Sample, mut flags: Flags) -> Snapshot {
+        self.sample = *sample;
+        flags.set(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated);
+        flags.set(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated);
+        self.unseen.inflate(&mut self.estimator, sample, flags);
+        let estimate = self.estimator.update(sample);
+        if !estimate.issues.is_empty() {
+            flags |= flags_of(estimate.issues);
+            if estimate.issues.contains(Issues::RATE_JUMP) {
+                self.monitor.require_scale_check();
+            }
+        }
+        if !estimate.is_bias_known {
+            let is_still = self.estimator.filter().is_still();
+            flags |= self.monitor.calibrating(is_still);
+        }
+        Snapshot {
+            t_us: sample.t_us,
+            attitude: estimate.attitude,
+            body_rates_rad_s: estimate.body_rates_rad_s,
+            flags: self.monitor.judge(flags, estimate.tilt_variance_rad2),
+            tilt_variance_rad2: estimate.tilt_variance_rad2,
+        }
+    }
+
+    /// The snapshot at `t_us` while no samples come: the last attitude, flagged [`Flags::STALE`], with a growing σ.
+    pub fn stale(&self, t_us: u64, board: BoardFlags) -> Snapshot {
+        self.hold(t_us, Flags::from(board) | Flags::STALE)
+    }
+
+    /// The snapshot of a moment without a sample: the last attitude, with a σ that grows with its age.
+    #[cold]
+    #[inline(never)]
+    fn hold(&self, t_us: u64, flags: Flags) -> Snapshot {
+        let estimate = self.estimator.estimate();
+        let age_us = t_us.saturating_sub(self.estimator.last_t_us().unwrap_or(0));
+        let age_us = u32::try_from(age_us).unwrap_or(u32::MAX);
+        let age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
+        let tilt_variance_rad2 =
+            estimate.tilt_variance_rad2 + 2.0 * self.kalman().pause_variance_rad2(age_s);
+        Snapshot {
+            t_us,
+            attitude: estimate.attitude,
+            body_rates_rad_s: estimate.body_rates_rad_s,
+            flags: self.monitor.judge(flags, tilt_variance_rad2),
+            tilt_variance_rad2,
+        }
+    }
+
+    /// Whether the rate has jumped as if the gyroscope's full scale had changed. The caller should then read the full
+    /// scales back, and report [`BoardFlags::SCALES_VERIFIED`]. Until then no attitude is valid.
+    ///
+    /// Never, unless [`Settings::verifies_scales`] is set.
+    pub const fn awaits_scale_check(&self) -> bool {
+        self.settings.verifies_scales && self.monitor.awaits_scale_check()
+    }
+
+    /// Continues from an earlier run. Call it before the first burst.
+    pub fn resume(&mut self, start: &WarmStart) {
+        let start = WarmStart {
+            bias_rad_s: start.bias_rad_s - self.alignment.gyroscope_offset_rad_s(),
+            ..*start
+        };
+        self.kalman_mut().resume(&start);
+        // The bias already belongs to the present temperature.
+        self.samples_to_temperature = TEMPERATURE_SAMPLES;
+    }
+
+    /// The state from which a later run can continue; `None` while the attitude of this snapshot is not worth it.
+    pub fn warm_start(&self, latest: &Snapshot) -> Option<WarmStart> {
+        let filter = self.estimator.filter();
+        let is_worth_it = filter.is_bias_known() && latest.flags.contains(Flags::VALID);
+        is_worth_it.then(|| WarmStart {
+            attitude: latest.attitude,
+            tilt_sigma_rad: latest.tilt_sigma_rad(),
+            bias_rad_s: self.gyroscope_offset_body_rad_s(),
+            bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
+        })
+    }
+
+    /// What is known about the sensor.
+    pub const fn calibration(&self) -> &Calibration {
+        &self.settings.calibration
+    }
+
+    /// Replaces what is known about the sensor, from the next sample on.
+    ///
+    /// The attitude continues, unless the mount or the level changes: then the body has other axes, and the filter
+    /// restarts.
+    pub fn set_calibration(&mut self, calibration: &Calibration) {
+        let before = self.settings;
+        let removed_before = self.alignment.gyroscope_offset_rad_s();
+        self.settings.calibration = *calibration;
+        let has_other_axes = before.mount() != self.settings.mount()
+            || before.calibration.level != calibration.level;
+        if has_other_axes {
+            self.estimator.restart();
+            self.monitor.restart();
+            self.alignment = Alignment::new(&self.settings, self.gyroscope_offset_rad_s);
+            self.apply_stored_offset();
+        } else {
+            let stored = StoredOffset::at(calibration, self.temperature_celsius);
+            self.gyroscope_offset_rad_s = stored.offset_rad_s;
+            self.alignment = Alignment::new(&self.settings, stored.offset_rad_s);
+            // The filter's estimate is of the offset that the alignment leaves.
+            let change = removed_before - self.alignment.gyroscope_offset_rad_s();
+            self.kalman_mut().shift_bias(change);
+        }
+    }
+
+    /// Arms (`true`) the filter: it then skips the updates that are only safe on the ground. Default: `false`.
+    pub const fn set_armed(&mut self, is_armed: bool) {
+        self.kalman_mut().set_armed(is_armed);
+    }
+
+    /// A stationary detector for this sensor that wants `samples` at rest, or fewer if they agree with the stored offset.
+    pub fn stationary_detector(&self, samples: u16) -> StationaryDetector {
+        let stored = StoredOffset::at(&self.settings.calibration, self.temperature_celsius);
+        StationaryDetector::new(&self.settings.noise_model(), samples)
+            .with_expected_offset(stored.offset_rad_s, stored.sigma_rad_s)
+    }
+
+    /// Mean specific force at rest, m/s² in mounted axes: corrected and mounted, but not levelled. It is the input of
+    /// [`level`](crate::calibration::level::trim).
+    pub fn mounted_force_m_s2(&self, at_rest: &StationaryMean) -> Vector3 {
+        let reading = at_rest.specific_force_m_s2(&self.settings.noise_model());
+        let correction = self.settings.calibration.accelerometer;
+        let sensor = correction.map_or(reading, |correction| correction.apply(reading));
+        self.settings.mount().to_body(sensor)
+    }
+
+    /// The settings.
+    pub const fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The filter, with biases and their σ.
+    pub const fn kalman(&self) -> &Kalman {
+        self.estimator.filter()
+    }
+
+    const fn kalman_mut(&mut self) -> &mut Kalman {
+        self.estimator.filter_mut()
+    }
+
+    /// The last sample, calibrated, in body axes.
+    pub const fn sample(&self) -> &Sample {
+        &self.sample
+    }
+
+    /// Die temperature of the last sample, °C.
+    pub const fn temperature_celsius(&self) -> f32 {
+        self.temperature_celsius
+    }
+
+    /// The gyroscope's whole offset, rad/s in body axes: stored, and estimated beyond that.
+    pub fn gyroscope_offset_body_rad_s(&self) -> Vector3 {
+        self.alignment.gyroscope_offset_rad_s() + self.kalman().bias_rad_s()
+    }
+
+    /// Visits the settings and every field that later attitudes depend on.
+    pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        self.settings.visit_state(visitor);
+        visitor.vector(&mut self.gyroscope_offset_rad_s);
+        visitor.f32(&mut self.temperature_celsius);
+        visitor.u8(&mut self.samples_to_temperature);
+        self.monitor.visit_state(visitor);
+        self.unseen.visit_state(visitor);
+        self.estimator.visit_state(visitor);
+        self.alignment = Alignment::new(&self.settings, self.gyroscope_offset_rad_s);
+    }
+
+    /// Applies the stored offset and its σ, before the filter's first sample.
+    fn apply_stored_offset(&mut self) {
+        let stored = StoredOffset::at(&self.settings.calibration, self.temperature_celsius);
+        self.set_gyroscope_offset(stored.offset_rad_s);
+        if stored.is_known() {
+            let sigma_rad_s = stored.sigma_rad_s;
+            self.kalman_mut().set_bias(Vector3::ZERO, sigma_rad_s);
+        }
+    }
+
+    /// Follows the temperature: applies the stored offset at the first sample, and moves it along the temperature model.
+    /// Outside the model's range the offset stays.
+    #[inline]
+    fn follow_temperature(&mut self, counts: TemperatureCounts) {
+        self.temperature_celsius = counts.to_celsius(self.settings.part);
+        match self.samples_to_temperature {
+            0 => {
+                self.samples_to_temperature = TEMPERATURE_SAMPLES;
+                if self.settings.calibration.has_gyroscope_offset() {
+                    self.apply_stored_offset();
+                }
+            }
+            1 => {
+                self.samples_to_temperature = TEMPERATURE_SAMPLES;
+                self.compensate_temperature();
+            }
+            _ => self.samples_to_temperature -= 1,
+        }
+    }
+
+    #[inline(never)]
+    fn compensate_temperature(&mut self) {
+        let celsius = self.temperature_celsius;
+        let calibration = &self.settings.calibration;
+        let is_in_range = calibration
+            .temperature
+            .is_some_and(|model| model.offset_at(celsius).1 > 0.0);
+        if is_in_range {
+            let stored = StoredOffset::at(calibration, celsius);
+            self.set_gyroscope_offset(stored.offset_rad_s);
+        }
+    }
+
+    fn set_gyroscope_offset(&mut self, offset_rad_s: Vector3) {
+        self.gyroscope_offset_rad_s = offset_rad_s;
+        self.alignment.set_gyroscope_offset(offset_rad_s);
+    }
+}
+
+/// The flags of a sample's issues.
+fn flags_of(issues: Issues) -> Flags {
+    let mut flags = Flags::empty();
+    flags.set(Flags::TIME, issues.contains(Issues::TIME_WENT_BACK));
+    flags.set(Flags::GAP, issues.contains(Issues::GAP));
+    flags.set(Flags::REJECTED, issues.contains(Issues::REJECTED));
+    flags.set(Flags::FREE_FALL, issues.contains(Issues::NO_GRAVITY));
+    flags
+}

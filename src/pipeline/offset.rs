@@ -1,0 +1,59 @@
+//! The stored gyroscope offset at a temperature, and its σ.
+
+use crate::attitude::Vector3;
+use crate::calibration::Calibration;
+use crate::units::radians;
+
+/// σ of a stored offset at the temperature where it was measured, rad/s: it differs from one
+/// power-up to the next, and with the pose (0.1 °/s per g, product specification §6.1).
+const STORED_SIGMA_RAD_S: f32 = radians(0.1);
+/// σ that each °C of difference adds, rad/s: ±20 °/s over −40 to 85 °C (product specification §6.1) is 0.16 at most.
+const STORED_SIGMA_PER_CELSIUS: f32 = radians(0.1);
+/// σ of an unknown offset. From here on the filter's own prior is better.
+const UNKNOWN_SIGMA_RAD_S: f32 = radians(3.0);
+/// σ of the temperature model within its range, rad/s.
+const MODEL_SIGMA_RAD_S: f32 = radians(0.15);
+
+/// A gyroscope offset in sensor axes, with its σ per axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct StoredOffset {
+    pub(super) offset_rad_s: Vector3,
+    pub(super) sigma_rad_s: f32,
+}
+
+impl StoredOffset {
+    /// The offset of a calibration at this die temperature, in °C.
+    pub(super) fn at(calibration: &Calibration, celsius: f32) -> Self {
+        let stored = Self::measured(calibration, celsius);
+        let Some(model) = calibration.temperature else {
+            return stored;
+        };
+        let (offset, weight) = model.offset_at(celsius);
+        let rest = 1.0 - weight;
+        Self {
+            offset_rad_s: offset.scale(weight) + stored.offset_rad_s.scale(rest),
+            sigma_rad_s: MODEL_SIGMA_RAD_S * weight + stored.sigma_rad_s * rest,
+        }
+    }
+
+    /// The offset without the temperature model.
+    fn measured(calibration: &Calibration, celsius: f32) -> Self {
+        let Some(measured) = calibration.gyroscope else {
+            return Self {
+                offset_rad_s: Vector3::ZERO,
+                sigma_rad_s: UNKNOWN_SIGMA_RAD_S,
+            };
+        };
+        let drift = STORED_SIGMA_PER_CELSIUS * (celsius - measured.temperature_celsius);
+        let variance = STORED_SIGMA_RAD_S * STORED_SIGMA_RAD_S + drift * drift;
+        Self {
+            offset_rad_s: measured.offset_rad_s,
+            sigma_rad_s: libm::sqrtf(variance).min(UNKNOWN_SIGMA_RAD_S),
+        }
+    }
+
+    /// Whether it is better than the filter's own prior.
+    pub(super) fn is_known(&self) -> bool {
+        self.sigma_rad_s < UNKNOWN_SIGMA_RAD_S
+    }
+}

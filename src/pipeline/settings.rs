@@ -1,0 +1,82 @@
+//! What a pipeline has to know beforehand.
+
+use crate::calibration::{Calibration, Mount, NoiseModel, SensorSetup};
+use crate::mpu6050::{Config, Part};
+use crate::serialize::StateVisitor;
+
+/// The pipeline's settings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Settings {
+    /// Configuration of the sensor. Its full scales give the bytes their meaning.
+    pub sensor: Config,
+    /// The part, which decides on the temperature scale.
+    pub part: &'static Part,
+    /// Mount of the sensor, unless `calibration` has one. Default: chip face up, X forward.
+    pub mount: Mount,
+    /// What is known about the sensor. Default: nothing.
+    pub calibration: Calibration,
+    /// Delay of the sensor in µs: a sample's content is older than its time by this. Default: `None`, the
+    /// gyroscope's delay in the low-pass filter of `sensor`, because the time is that of the data-ready edge.
+    pub sensor_delay_us: Option<u32>,
+    /// Whether the caller reads the sensor's full scales back when [`Pipeline::awaits_scale_check`](super::Pipeline::awaits_scale_check) asks for it, and
+    /// reports [`BoardFlags::SCALES_VERIFIED`](crate::health::BoardFlags::SCALES_VERIFIED). Default: `false`.
+    pub verifies_scales: bool,
+}
+
+impl Settings {
+    /// The defaults for this part.
+    pub const fn new(part: &'static Part) -> Self {
+        Self {
+            sensor: Config::DEFAULT,
+            part,
+            mount: Mount::Z_UP,
+            calibration: Calibration::NONE,
+            sensor_delay_us: None,
+            verifies_scales: false,
+        }
+    }
+
+    /// The mount in use: the calibration's, or else the one of the settings.
+    pub fn mount(&self) -> Mount {
+        self.calibration.mount.unwrap_or(self.mount)
+    }
+
+    /// The sensor's scales, and its noise behind the low-pass filter.
+    pub fn noise_model(&self) -> NoiseModel {
+        let sensor = &self.sensor;
+        NoiseModel::new(&SensorSetup {
+            gyroscope_counts_per_degree_s: sensor.gyroscope_range.counts_per_degree_s(),
+            accelerometer_counts_per_g: sensor.accelerometer_range.counts_per_g(),
+            gyroscope_bandwidth_hz: sensor.low_pass.gyroscope_bandwidth_hz().into(),
+            accelerometer_bandwidth_hz: sensor.low_pass.accelerometer_bandwidth_hz().into(),
+            sample_rate_hz: sensor.sample_rate_hz(),
+        })
+    }
+
+    /// Delay of the sensor in use, in seconds.
+    pub(super) fn delay_s(&self) -> f32 {
+        let gyroscope_us = self.sensor.low_pass.gyroscope_delay_us().into();
+        let delay_us: u32 = self.sensor_delay_us.unwrap_or(gyroscope_us);
+        delay_us as f32 * crate::units::SECONDS_PER_MICROSECOND
+    }
+
+    /// Visits every field.
+    pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        self.sensor.visit_state(visitor);
+        let mut who_am_i = self.part.who_am_i;
+        visitor.u8(&mut who_am_i);
+        match Part::from_who_am_i(who_am_i) {
+            Some(part) => self.part = part,
+            None => visitor.reject(),
+        }
+        self.mount.visit_state(visitor);
+        self.calibration.visit_state(visitor);
+        visitor.bool(&mut self.verifies_scales);
+        // Logs of revision 2 and before have the samples of a start-up average here.
+        visitor.u16(&mut 0);
+        visitor.optional(&mut self.sensor_delay_us, 0, |visitor, delay_us| {
+            visitor.u32(delay_us);
+        });
+    }
+}

@@ -1,0 +1,722 @@
+//! The whole pipeline on simulated bursts.
+
+use super::*;
+use crate::attitude::{EulerAngles, Quaternion};
+use crate::calibration::{
+    AccelerometerCorrection, GyroscopeOffset, ImuReading, Mount, StationaryProgress,
+    SymmetricMatrix, TemperatureModel,
+};
+use crate::mpu6050::{AccelerometerCounts, Config, GyroscopeCounts, Part};
+use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+
+/// A burst of body-axis values (m/s², °/s) as a sensor in this mount delivers it at ±16 g and
+/// ±2000 °/s.
+pub(super) fn burst(
+    mount: Mount,
+    t_us: u64,
+    force_m_s2: Vector3,
+    rate_degrees_s: Vector3,
+) -> Burst {
+    let counts = |body: Vector3, counts_per_unit: f32| {
+        let sensor = mount.to_sensor(body).scale(counts_per_unit);
+        [sensor.x, sensor.y, sensor.z].map(|value| value.round() as i16)
+    };
+    let sample = RawSample {
+        accelerometer: AccelerometerCounts(counts(force_m_s2, 2048.0 / STANDARD_GRAVITY_M_S2)),
+        temperature: TemperatureCounts(-3920),
+        gyroscope: GyroscopeCounts(counts(rate_degrees_s, 16.4)),
+    };
+    Burst {
+        bytes: sample.encode(),
+        captured_at_us: t_us,
+        missed_before: 0,
+    }
+}
+
+pub(super) fn force(roll_degrees: f32, pitch_degrees: f32) -> Vector3 {
+    let attitude = Quaternion::from_euler(EulerAngles {
+        roll_rad: radians(roll_degrees),
+        pitch_rad: radians(pitch_degrees),
+        yaw_rad: 0.0,
+    });
+    -attitude.down_in_body().scale(STANDARD_GRAVITY_M_S2)
+}
+
+pub(super) const LEVEL: Vector3 = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+
+fn update(pipeline: &mut Pipeline, burst: &Burst) -> Snapshot {
+    pipeline.update(burst, BoardFlags::empty())
+}
+
+pub(super) fn settings() -> Settings {
+    Settings::new(&Part::MPU_6050)
+}
+
+#[test]
+fn the_defaults_are_the_documented_ones() {
+    let settings = settings();
+    assert_eq!(settings.sensor, Config::default());
+    assert_eq!(settings.mount, Mount::default());
+    assert!(!settings.verifies_scales);
+}
+
+#[test]
+fn the_default_filter_finds_the_offset_without_an_average() {
+    let mut pipeline = Pipeline::new(&settings());
+    let offset = Vector3::new(5.0, -3.0, 10.0);
+    let mut last = Snapshot::default();
+    let mut known = None;
+    for index in 0..4000_u64 {
+        // One count of noise, as the last digit of a sensor has it.
+        let noise = Vector3::new(0.06, -0.06, 0.06).scale((index % 2) as f32);
+        let burst = burst(Mount::Z_UP, index * 1000, LEVEL, offset + noise);
+        last = update(&mut pipeline, &burst);
+        if !last.flags.contains(Flags::CALIBRATING) {
+            known.get_or_insert(index);
+        }
+    }
+    let known = known.expect("an offset");
+    assert!((800..2500).contains(&known), "{known} ms");
+    assert_eq!(last.flags, Flags::VALID);
+    assert!(last.body_rates_rad_s.norm().to_degrees() < 0.2);
+    let found = pipeline
+        .gyroscope_offset_body_rad_s()
+        .scale(1_f32.to_degrees());
+    assert!((found - offset).norm() < 0.2, "{found:?}");
+    let angles = last.euler();
+    assert!(angles.roll_rad.abs() < 0.01 && angles.pitch_rad.abs() < 0.01);
+
+    let mut known = settings();
+    known.calibration.gyroscope = Some(GyroscopeOffset {
+        offset_rad_s: Mount::Z_UP.to_sensor(pipeline.gyroscope_offset_body_rad_s()),
+        temperature_celsius: 25.0,
+    });
+    let mut pipeline = Pipeline::new(&known);
+    let snapshot = update(&mut pipeline, &burst(Mount::Z_UP, 0, LEVEL, offset));
+    assert!(snapshot.body_rates_rad_s.norm().to_degrees() < 0.2);
+}
+
+#[test]
+fn the_delay_of_the_low_pass_filter_is_made_up_for() {
+    let yaw_after = |low_pass, sensor_delay_us| {
+        let mut settings = Settings {
+            sensor_delay_us,
+            ..settings()
+        };
+        settings.sensor.low_pass = low_pass;
+        let mut pipeline = Pipeline::new(&settings);
+        let mut last = Snapshot::default();
+        for index in 0..10_u64 {
+            let turn = Vector3::new(0.0, 0.0, 1000.0);
+            last = update(
+                &mut pipeline,
+                &burst(Mount::Z_UP, index * 1000, LEVEL, turn),
+            );
+        }
+        last.euler().yaw_rad.to_degrees()
+    };
+    // 9 ms at 1000 °/s, and 4.8 ms more; or what the settings say.
+    let delayed = yaw_after(crate::mpu6050::LowPass::Hertz42, None);
+    assert!((delayed - 13.8).abs() < 0.05, "{delayed}");
+    let told = yaw_after(crate::mpu6050::LowPass::Hertz42, Some(1_000));
+    assert!((told - 10.0).abs() < 0.05, "{told}");
+}
+
+#[test]
+fn every_mount_tells_the_same_story() {
+    let mut stories = Mount::ALL.map(|mount| {
+        let mut pipeline = Pipeline::new(&Settings {
+            mount,
+            ..settings()
+        });
+        let mut story = Vec::new();
+        for index in 0..200_u64 {
+            let rate = Vector3::new(30.0, -20.0, 50.0);
+            let force = force(0.03 * index as f32, -0.02 * index as f32);
+            story.push(update(
+                &mut pipeline,
+                &burst(mount, index * 1000, force, rate),
+            ));
+        }
+        story
+    });
+    let [first, others @ ..] = &mut stories;
+    assert!(
+        first
+            .iter()
+            .any(|snapshot| snapshot.euler().roll_rad > 0.05)
+    );
+    for other in others {
+        assert_eq!(first, other);
+    }
+}
+
+/// Everything that a calibration can hold, with errors that it describes exactly.
+fn calibration() -> Calibration {
+    Calibration {
+        mount: Some(Mount::Z_DOWN),
+        gyroscope: Some(GyroscopeOffset {
+            offset_rad_s: Vector3::new(0.1, -0.2, 0.05),
+            temperature_celsius: 25.0,
+        }),
+        temperature: None,
+        accelerometer: Some(AccelerometerCorrection {
+            offset_m_s2: Vector3::new(0.3, -0.4, 0.5),
+            matrix: SymmetricMatrix {
+                xx: 1.02,
+                yy: 0.98,
+                zz: 1.01,
+                xy: 0.01,
+                xz: -0.005,
+                yz: 0.008,
+            },
+        }),
+        level: Some(Quaternion::from_euler(EulerAngles {
+            roll_rad: radians(2.0),
+            pitch_rad: radians(-3.0),
+            yaw_rad: 0.0,
+        })),
+    }
+}
+
+#[test]
+fn a_calibration_is_applied_step_by_step_in_one_map() {
+    let calibration = calibration();
+    let mut pipeline = Pipeline::new(&Settings {
+        calibration,
+        ..settings()
+    });
+    let raw = RawSample {
+        accelerometer: AccelerometerCounts([300, -1200, 1500]),
+        temperature: TemperatureCounts(-3920),
+        gyroscope: GyroscopeCounts([500, -700, 900]),
+    };
+    update(
+        &mut pipeline,
+        &Burst {
+            bytes: raw.encode(),
+            captured_at_us: 0,
+            missed_before: 0,
+        },
+    );
+    // The same, one step after the other.
+    let config = settings().sensor;
+    let reading = raw.accelerometer.to_m_s2(config.accelerometer_range);
+    let corrected = calibration.accelerometer.expect("set above").apply(reading);
+    let level = calibration.level.expect("set above");
+    let force = level.rotate(Mount::Z_DOWN.to_body(corrected));
+    let rate = raw.gyroscope.to_rad_s(config.gyroscope_range) - Vector3::new(0.1, -0.2, 0.05);
+    let rate = level.rotate(Mount::Z_DOWN.to_body(rate));
+    let sample = pipeline.sample();
+    assert!(
+        (sample.specific_force_m_s2 - force).norm() < 1e-5,
+        "{sample:?} {force:?}"
+    );
+    assert!(
+        (sample.angular_rate_rad_s - rate).norm() < 1e-6,
+        "{sample:?} {rate:?}"
+    );
+    let offset = pipeline.gyroscope_offset_body_rad_s();
+    let expected = level.rotate(Mount::Z_DOWN.to_body(Vector3::new(0.1, -0.2, 0.05)));
+    assert!((offset - expected).norm() < 1e-6);
+}
+
+#[test]
+fn a_new_mount_starts_the_filter_again_and_other_changes_do_not() {
+    let mut pipeline = Pipeline::new(&settings());
+    let tilted = force(10.0, 0.0);
+    let turn = Vector3::new(0.0, 0.0, 30.0);
+    for index in 0..1000_u64 {
+        update(
+            &mut pipeline,
+            &burst(Mount::Z_UP, index * 1000, tilted, turn),
+        );
+    }
+    let yaw = pipeline.estimator.estimate().attitude.to_euler().yaw_rad;
+    assert!(yaw.to_degrees() > 20.0, "{yaw}");
+    let mut known = Calibration {
+        gyroscope: calibration().gyroscope,
+        ..Calibration::NONE
+    };
+    let before = pipeline.gyroscope_offset_body_rad_s();
+    pipeline.set_calibration(&known);
+    assert!((pipeline.gyroscope_offset_body_rad_s() - before).norm() < 1e-6);
+    let after = update(&mut pipeline, &burst(Mount::Z_UP, 1_000_000, tilted, turn));
+    assert!((after.euler().yaw_rad - yaw).abs() < radians(0.1));
+    known.mount = Some(Mount::Z_DOWN);
+    pipeline.set_calibration(&known);
+    let after = update(
+        &mut pipeline,
+        &burst(Mount::Z_DOWN, 1_001_000, tilted, turn),
+    );
+    assert!(after.euler().yaw_rad.abs() < radians(0.1), "{after:?}");
+    assert!((after.euler().roll_rad.to_degrees() - 10.0).abs() < 0.5);
+}
+
+#[test]
+fn the_temperature_model_moves_the_offset_and_stays_where_it_ends() {
+    let mut calibration = Calibration::NONE;
+    calibration.temperature = Some(TemperatureModel {
+        reference_celsius: 25.0,
+        offset_rad_s: Vector3::new(radians(1.0), 0.0, 0.0),
+        slope_rad_s_per_celsius: Vector3::new(radians(0.1), 0.0, 0.0),
+        curvature_rad_s_per_celsius2: Vector3::ZERO,
+        coldest_celsius: 20.0,
+        warmest_celsius: 40.0,
+    });
+    let mut pipeline = Pipeline::new(&Settings {
+        calibration,
+        ..settings()
+    });
+    let mut offset_at = |celsius: f32, from: u64| {
+        let mut sample = RawSample::decode(&burst(Mount::Z_UP, 0, LEVEL, Vector3::ZERO).bytes);
+        sample.temperature = TemperatureCounts(((celsius - 36.53) * 340.0) as i16);
+        for index in 0..100_u64 {
+            let burst = Burst {
+                bytes: sample.encode(),
+                captured_at_us: (from + index) * 1000,
+                missed_before: 0,
+            };
+            update(&mut pipeline, &burst);
+        }
+        pipeline.alignment.gyroscope_offset_rad_s().x.to_degrees()
+    };
+    for (celsius, expected, from) in [
+        (25.0, 1.0, 0),
+        (40.0, 2.5, 100),
+        (45.0, 3.0, 200),
+        // Beyond the range and its margin the last value holds.
+        (70.0, 3.0, 300),
+        (20.0, 0.5, 400),
+    ] {
+        let offset = offset_at(celsius, from);
+        assert!((offset - expected).abs() < 0.01, "{celsius}: {offset}");
+    }
+}
+
+#[test]
+fn a_stationary_mean_is_collected_beside_the_pipeline() {
+    let mut pipeline = Pipeline::new(&settings());
+    let mut detector = pipeline.stationary_detector(500);
+    let mut done = None;
+    for index in 0..500_u64 {
+        let rate = Vector3::new(1.0, 2.0, 3.0);
+        let burst = burst(Mount::Z_UP, index * 1000, LEVEL, rate);
+        update(&mut pipeline, &burst);
+        let raw = RawSample::decode(&burst.bytes);
+        let reading = ImuReading {
+            gyroscope: raw.gyroscope.0,
+            accelerometer: raw.accelerometer.0,
+            temperature_celsius: pipeline.temperature_celsius(),
+        };
+        match detector.update(&reading) {
+            StationaryProgress::Done(at_rest) => done = Some((index, at_rest)),
+            progress => assert_eq!(progress, StationaryProgress::Collecting, "{index}"),
+        }
+    }
+    let (index, at_rest) = done.expect("it is stationary");
+    assert_eq!(index, 499);
+    let offset = at_rest.gyroscope_offset(&pipeline.settings().noise_model());
+    let expected = Vector3::new(radians(1.0), radians(-2.0), radians(-3.0));
+    assert!(
+        (offset.offset_rad_s - expected).is_within(radians(0.04)),
+        "{offset:?}"
+    );
+    let force = pipeline.mounted_force_m_s2(&at_rest);
+    assert!((force - LEVEL).norm() < 0.01, "{force:?}");
+}
+
+#[test]
+fn signs_reach_the_snapshot() {
+    let mut pipeline = Pipeline::new(&settings());
+    let rates = Vector3::new(1.0, -2.0, 3.0);
+    let snapshot = update(
+        &mut pipeline,
+        &burst(Mount::Z_UP, 0, force(30.0, 10.0), rates),
+    );
+    let angles = snapshot.euler();
+    assert!((angles.roll_rad.to_degrees() - 30.0).abs() < 0.05);
+    assert!((angles.pitch_rad.to_degrees() - 10.0).abs() < 0.05);
+    let rates = snapshot.body_rates_rad_s;
+    assert!((rates.x.to_degrees() - 1.0).abs() < 0.05);
+    assert!((rates.y.to_degrees() + 2.0).abs() < 0.05);
+    assert!((rates.z.to_degrees() - 3.0).abs() < 0.05);
+}
+
+#[test]
+fn full_scale_is_flagged_and_blank_data_rejected_at_every_range_and_with_every_correction() {
+    use crate::mpu6050::{AccelerometerRange, GyroscopeRange};
+    let accelerometer = [
+        AccelerometerRange::G2,
+        AccelerometerRange::G4,
+        AccelerometerRange::G8,
+        AccelerometerRange::G16,
+    ];
+    let gyroscope = [
+        GyroscopeRange::Degrees250,
+        GyroscopeRange::Degrees500,
+        GyroscopeRange::Degrees1000,
+        GyroscopeRange::Degrees2000,
+    ];
+    let offset = 0.2 * STANDARD_GRAVITY_M_S2;
+    // The largest corrections that a fit may have, by which readings grow and shrink most.
+    let corrections = [
+        (1.0, 0.0, 0.0),
+        (0.9, -0.1, 1.0),
+        (0.9, 0.1, -1.0),
+        (1.1, 0.1, -1.0),
+    ];
+    for (range, (diagonal, cross, sign)) in
+        (0..4).flat_map(|range| corrections.map(|correction| (range, correction)))
+    {
+        let mut settings = settings();
+        settings.sensor.accelerometer_range = accelerometer[range];
+        settings.sensor.gyroscope_range = gyroscope[range];
+        settings.calibration.accelerometer = Some(AccelerometerCorrection {
+            offset_m_s2: Vector3::new(sign * offset, sign * offset, sign * offset),
+            matrix: SymmetricMatrix {
+                xx: diagonal,
+                yy: diagonal,
+                zz: diagonal,
+                xy: cross,
+                xz: cross,
+                yz: cross,
+            },
+        });
+        settings.calibration.gyroscope = Some(GyroscopeOffset {
+            offset_rad_s: Vector3::new(radians(40.0), radians(40.0), radians(-40.0)),
+            temperature_celsius: 25.0,
+        });
+        let g = settings.sensor.accelerometer_range.counts_per_g() as i16;
+        let mut pipeline = Pipeline::new(&settings);
+        let mut t_us = 0;
+        let mut flags = |accelerometer: [i16; 3], temperature, gyroscope: [i16; 3]| {
+            t_us += 1_000;
+            let sample = RawSample {
+                accelerometer: AccelerometerCounts(accelerometer),
+                temperature: TemperatureCounts(temperature),
+                gyroscope: GyroscopeCounts(gyroscope),
+            };
+            let burst = Burst {
+                bytes: sample.encode(),
+                captured_at_us: t_us,
+                missed_before: 0,
+            };
+            update(&mut pipeline, &burst).flags
+        };
+        let seldom = Flags::GYROSCOPE_SATURATED | Flags::ACCELEROMETER_SATURATED | Flags::REJECTED;
+        for full in [i16::MIN, -i16::MAX, i16::MAX] {
+            for axis in 0..3 {
+                for others in [0, g / 3] {
+                    let mut rate = [others; 3];
+                    rate[axis] = full;
+                    let found = flags([0, 0, g], -3920, rate) & seldom;
+                    assert_eq!(found, Flags::GYROSCOPE_SATURATED, "{range} {rate:?}");
+                    assert_eq!(flags([0, 0, g], -3920, [0; 3]) & seldom, Flags::empty());
+                    let mut force = [others; 3];
+                    force[axis] = full;
+                    let found = flags(force, -3920, [0; 3]) & seldom;
+                    assert_eq!(found, Flags::ACCELEROMETER_SATURATED, "{range} {force:?}");
+                    assert_eq!(flags([0, 0, g], -3920, [0; 3]) & seldom, Flags::empty());
+                }
+            }
+        }
+        for blank in [0, -1] {
+            let found = flags([blank; 3], blank, [blank; 3]) & seldom;
+            assert_eq!(found, Flags::REJECTED, "{range} {blank}");
+        }
+    }
+}
+
+#[test]
+fn a_step_that_is_a_millisecond_after_the_counter_s_wrap_is_a_gap() {
+    let mut pipeline = Pipeline::new(&settings());
+    let mut flags = |t_us| {
+        update(
+            &mut pipeline,
+            &burst(Mount::Z_UP, t_us, LEVEL, Vector3::ZERO),
+        )
+        .flags
+    };
+    for index in 1..10 {
+        assert_eq!(flags(index * 1_000) & Flags::GAP, Flags::empty());
+    }
+    // 32 bits of the step are those of one millisecond.
+    assert_eq!(flags(10_000 + (1 << 32)) & Flags::GAP, Flags::GAP);
+    assert_eq!(flags(11_000) & Flags::TIME, Flags::TIME);
+}
+
+#[test]
+fn faults_are_flagged_on_their_sample_and_nowhere_else() {
+    let mut pipeline = Pipeline::new(&settings());
+    let mut t_us = 0;
+    let mut update = |force, rate, step_us: i64, missed| {
+        t_us += step_us;
+        let mut burst = burst(Mount::Z_UP, t_us as u64, force, rate);
+        burst.missed_before = missed;
+        // Neither σ nor the offset matters here.
+        let flags = update(&mut pipeline, &burst).flags;
+        flags - (Flags::CALIBRATING | Flags::MOVED | Flags::DEGRADED | Flags::VALID)
+    };
+    let still = Vector3::ZERO;
+    let fast = Vector3::new(0.0, 0.0, 3000.0);
+    let hard = Vector3::new(0.0, 0.0, 300.0);
+    assert_eq!(update(LEVEL, still, 1000, 0), Flags::empty());
+    assert_eq!(update(LEVEL, still, 1000, 3), Flags::MISSED);
+    assert_eq!(update(LEVEL, fast, 1000, 0), Flags::GYROSCOPE_SATURATED);
+    assert_eq!(update(LEVEL, still, 1000, 0), Flags::empty());
+    assert_eq!(update(hard, still, 1000, 0), Flags::ACCELEROMETER_SATURATED);
+    assert_eq!(update(still, still, 1000, 0), Flags::FREE_FALL);
+    assert_eq!(update(LEVEL, still, 500_000, 0), Flags::empty());
+    assert_eq!(update(LEVEL, still, 500_001, 0), Flags::GAP);
+    assert_eq!(update(LEVEL, still, -5, 0), Flags::TIME);
+    assert_eq!(update(LEVEL, still, 0, 255), Flags::TIME | Flags::MISSED);
+    assert_eq!(update(LEVEL, still, 1000, 0), Flags::empty());
+}
+
+/// A pipeline that has been at rest for three seconds, with a count of noise, and the time.
+fn settled() -> (Pipeline, u64) {
+    let mut pipeline = Pipeline::new(&settings());
+    for index in 0..3000 {
+        let burst = noisy(index * 1000, LEVEL);
+        let flags = update(&mut pipeline, &burst).flags;
+        assert!(!flags.contains(Flags::VALID | Flags::CALIBRATING));
+    }
+    let flags = update(&mut pipeline, &noisy(3_000_000, LEVEL)).flags;
+    assert_eq!(flags, Flags::VALID);
+    (pipeline, 3_000_000)
+}
+
+/// At rest about every axis, never the same twice running.
+fn noisy(t_us: u64, force_m_s2: Vector3) -> Burst {
+    let noise = 0.06 * (t_us / 1000 % 2) as f32;
+    burst(Mount::Z_UP, t_us, force_m_s2, Vector3::new(noise, 0.0, 0.0))
+}
+
+#[test]
+fn what_is_no_measurement_is_not_valid_and_changes_nothing() {
+    for byte in [0x00, 0xFF] {
+        let (mut pipeline, t_us) = settled();
+        let attitude = pipeline.estimator.estimate().attitude;
+        for step in 1..=300 {
+            let snapshot = update(
+                &mut pipeline,
+                &Burst {
+                    bytes: [byte; 14],
+                    captured_at_us: t_us + step * 1000,
+                    missed_before: 0,
+                },
+            );
+            assert!(snapshot.flags.contains(Flags::REJECTED | Flags::DEGRADED));
+            assert!(!snapshot.flags.contains(Flags::VALID));
+            assert_eq!(snapshot.attitude, attitude);
+        }
+        // The first good sample may still carry that the data had been frozen.
+        for step in 301..312 {
+            update(&mut pipeline, &noisy(t_us + step * 1000, LEVEL));
+        }
+        let after = update(&mut pipeline, &noisy(t_us + 312_000, LEVEL));
+        assert!(after.flags.contains(Flags::VALID), "{}", after.flags);
+    }
+}
+
+#[test]
+fn sigma_grows_while_samples_are_missing_and_is_kept_by_the_next_one() {
+    let (mut pipeline, t_us) = settled();
+    let after = |pipeline: &Pipeline, age_us| {
+        let stale = pipeline.stale(t_us + age_us, BoardFlags::BUS_FAULT);
+        let flags = Flags::STALE | Flags::DEGRADED | Flags::BUS_FAULT;
+        assert_eq!((stale.t_us, stale.flags), (t_us + age_us, flags));
+        stale.tilt_variance_rad2
+    };
+    let before = after(&pipeline, 0);
+    assert_eq!(after(&pipeline, 3_000), before);
+    let mut last = before;
+    for age_ms in [5, 20, 100, 300] {
+        let variance = after(&pipeline, age_ms * 1000);
+        assert!(variance > last, "{age_ms} ms");
+        last = variance;
+    }
+    // 30 °/s per axis for 0.3 s.
+    let sigma_deg = libm::sqrtf(last - before).to_degrees();
+    assert!((sigma_deg - 12.73).abs() < 0.01, "{sigma_deg}");
+    let next = update(&mut pipeline, &noisy(t_us + 300_000, LEVEL));
+    assert_eq!(next.flags, Flags::VALID | Flags::DEGRADED);
+    let kept = next.tilt_variance_rad2;
+    assert!((kept / last - 1.0).abs() < 1e-3, "{kept} {last}");
+    let flags = update(&mut pipeline, &noisy(t_us + 301_000, LEVEL)).flags;
+    assert_eq!(flags, Flags::VALID | Flags::DEGRADED);
+}
+
+#[test]
+fn a_gyroscope_stuck_at_full_scale_is_not_believed() {
+    for milliseconds in [1, 5, 9, 11, 50, 400] {
+        let (mut pipeline, t_us) = settled();
+        for step in 1..=milliseconds {
+            let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
+            raw.gyroscope = GyroscopeCounts([i16::MAX, 0, 0]);
+            let snapshot = update(
+                &mut pipeline,
+                &Burst {
+                    bytes: raw.encode(),
+                    captured_at_us: t_us + step * 1000,
+                    missed_before: 0,
+                },
+            );
+            assert!(!snapshot.flags.contains(Flags::VALID));
+        }
+        for step in milliseconds + 1..milliseconds + 300 {
+            let snapshot = update(&mut pipeline, &noisy(t_us + step * 1000, LEVEL));
+            let error = libm::acosf(snapshot.attitude.down_in_body().z.min(1.0));
+            let sigma = snapshot.tilt_sigma_rad();
+            let allowed = (6.0 * sigma).max(radians(5.0));
+            let is_valid = snapshot.flags.contains(Flags::VALID);
+            assert!(error < allowed || !is_valid, "{step}: {error} {sigma}");
+            assert!(is_valid || step < milliseconds + 10, "{step}");
+        }
+    }
+}
+
+#[test]
+fn while_data_are_frozen_sigma_grows() {
+    let (mut pipeline, t_us) = settled();
+    let frozen = burst(Mount::Z_UP, 0, LEVEL, Vector3::new(100.0, 0.0, 0.0));
+    for step in 1..=300 {
+        let burst = Burst {
+            captured_at_us: t_us + step * 1000,
+            ..frozen
+        };
+        let flags = update(&mut pipeline, &burst).flags;
+        let is_frozen = flags.contains(Flags::FROZEN);
+        assert_eq!(is_frozen, step > 22, "{step}");
+        assert!(!flags.contains(Flags::VALID | Flags::FROZEN));
+    }
+    // The filter has turned on at 100 °/s.
+    for step in 301..=320 {
+        let snapshot = update(&mut pipeline, &noisy(t_us + step * 1000, LEVEL));
+        let turned = libm::acosf(snapshot.attitude.down_in_body().z.min(1.0));
+        let sigma = snapshot.tilt_sigma_rad();
+        assert!(turned > radians(20.0) && turned < 6.0 * sigma, "{sigma}");
+        assert!(snapshot.flags.contains(Flags::VALID));
+    }
+}
+
+#[test]
+fn a_temperature_that_the_part_is_not_made_for_is_not_valid() {
+    for (counts, is_good) in [(-26_000, true), (-26_100, false), (16_500, false)] {
+        let (mut pipeline, t_us) = settled();
+        let mut flags = Flags::empty();
+        for step in 1..=13 {
+            let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
+            raw.temperature = TemperatureCounts(counts);
+            flags = update(
+                &mut pipeline,
+                &Burst {
+                    bytes: raw.encode(),
+                    captured_at_us: t_us + step * 1000,
+                    missed_before: 0,
+                },
+            )
+            .flags;
+        }
+        assert_eq!(flags.contains(Flags::VALID), is_good, "{counts}");
+        assert_eq!(flags.contains(Flags::TEMPERATURE), !is_good, "{counts}");
+    }
+}
+
+#[test]
+fn rates_that_a_changed_full_scale_would_show_are_valid_once_it_is_read_back() {
+    for (before, after, is_jump) in [
+        (10.0, 80.0, true),    // ±2000 °/s become ±250 °/s.
+        (-10.0, -40.0, false), // ±2000 °/s become ±500 °/s: 30 °/s too much for 40 ms are 1.2°.
+        (-20.0, -80.0, true),
+        (200.0, 220.0, false),
+        (0.0, 49.0, false),
+    ] {
+        let (mut pipeline, mut t_us) = settled();
+        pipeline.settings.verifies_scales = true;
+        let mut turn = |pipeline: &mut Pipeline, rate, board| {
+            t_us += 1000;
+            let rates = Vector3::new(0.0, 0.0, rate + 0.1 * (t_us / 1000 % 2) as f32);
+            let burst = burst(Mount::Z_UP, t_us, LEVEL, rates);
+            pipeline.update(&burst, board).flags.contains(Flags::VALID)
+        };
+        for part in 1..=20 {
+            let rate = before * 0.05 * part as f32;
+            assert!(turn(&mut pipeline, rate, BoardFlags::empty()));
+        }
+        // What was read back before the jump confirms nothing.
+        let board = BoardFlags::SCALES_VERIFIED;
+        assert_eq!(turn(&mut pipeline, after, board), !is_jump);
+        for _ in 0..3 {
+            let is_valid = turn(&mut pipeline, after, BoardFlags::empty());
+            assert_eq!(is_valid, !is_jump, "{before} {after}");
+            assert_eq!(pipeline.awaits_scale_check(), is_jump);
+        }
+        assert!(turn(&mut pipeline, after, board), "{before} {after}");
+        assert!(!pipeline.awaits_scale_check());
+    }
+}
+
+#[test]
+fn lost_settings_cost_certainty_and_not_the_attitude() {
+    let (mut pipeline, t_us) = settled();
+    let burst = noisy(t_us + 50_000, LEVEL);
+    let snapshot = pipeline.update(&burst, BoardFlags::SENSOR_RESET);
+    let flags = Flags::VALID | Flags::DEGRADED | Flags::SENSOR_RESET;
+    assert_eq!(snapshot.flags, flags);
+    let sigma = snapshot.tilt_sigma_rad().to_degrees();
+    assert!((7.0..8.0).contains(&sigma), "{sigma}");
+}
+
+#[test]
+fn what_an_earlier_run_knew_is_gone_on_from() {
+    let (mut pipeline, t_us) = settled();
+    let latest = update(&mut pipeline, &noisy(t_us + 1_000, LEVEL));
+    let mut known = pipeline.warm_start(&latest).expect("it is settled");
+    known.attitude = Quaternion::from_euler(EulerAngles {
+        roll_rad: 0.1,
+        pitch_rad: -0.2,
+        yaw_rad: 0.3,
+    });
+    known.tilt_sigma_rad = 0.1;
+    let mut pipeline = Pipeline::new(&settings());
+    pipeline.resume(&known);
+    let first = update(&mut pipeline, &noisy(5_000, LEVEL));
+    assert_eq!(first.flags & Flags::CALIBRATING, Flags::empty());
+    let angles = first.euler();
+    assert!((angles.roll_rad - 0.1).abs() < 0.01 && (angles.yaw_rad - 0.3).abs() < 0.01);
+    let second = update(&mut pipeline, &noisy(6_000, LEVEL));
+    assert!(second.flags.contains(Flags::VALID), "{}", second.flags);
+    assert!(pipeline.gyroscope_offset_body_rad_s() == known.bias_rad_s);
+}
+
+#[test]
+fn a_pause_of_blank_data_counts_once() {
+    let (mut pipeline, t_us) = settled();
+    for step in 1..=400 {
+        let burst = Burst {
+            bytes: [0xFF; 14],
+            captured_at_us: t_us + step * 1000,
+            missed_before: 0,
+        };
+        assert!(!update(&mut pipeline, &burst).flags.contains(Flags::VALID));
+    }
+    // 0.4 s at 30 °/s about two axes are 17°; frozen data on top would make 24°, and more with each look at them.
+    let first = update(&mut pipeline, &noisy(t_us + 401_000, LEVEL));
+    let sigma = first.tilt_sigma_rad();
+    assert!(sigma < radians(18.0), "{sigma}");
+}
+
+#[test]
+fn a_sensor_that_repeats_itself_is_frozen() {
+    let mut pipeline = Pipeline::new(&settings());
+    for index in 0..200_u64 {
+        let flags = update(
+            &mut pipeline,
+            &burst(Mount::Z_UP, index * 1000, LEVEL, Vector3::ZERO),
+        )
+        .flags;
+        assert_eq!(flags.contains(Flags::FROZEN), index >= 22, "{index}");
+    }
+}

@@ -1,0 +1,644 @@
+//! Power cuts at every step of every save, on a model of NOR flash; the format, byte by byte.
+
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
+};
+
+use super::super::encoding::TooLong;
+use super::super::preferences::{OutputFormat, Preferences};
+use super::*;
+use crate::attitude::{Quaternion, Vector3};
+use crate::calibration::{
+    AccelerometerCorrection, Calibration, GyroscopeOffset, Mount, SymmetricMatrix, TemperatureModel,
+};
+
+const SLOT: usize = 512;
+
+/// Model of NOR flash. Programming clears bits, erasing sets them. Power can fail at each programmed
+/// word and each erase. The cut leaves the bits of that step old, new or neither, and weak: they may
+/// read differently next time.
+#[derive(Clone)]
+struct Nor {
+    bytes: [u8; 2 * SLOT],
+    weak: [u8; 2 * SLOT],
+    /// Steps until the power fails; `None` for never.
+    steps_left: Option<usize>,
+    has_power: bool,
+    steps: usize,
+    erases: usize,
+    random: u64,
+}
+
+impl Nor {
+    fn blank() -> Self {
+        Self {
+            bytes: [ERASED; 2 * SLOT],
+            weak: [0; 2 * SLOT],
+            steps_left: None,
+            has_power: true,
+            steps: 0,
+            erases: 0,
+            random: 1,
+        }
+    }
+
+    fn cut_at(mut self, step: usize, seed: u64) -> Self {
+        self.steps_left = Some(step);
+        self.random = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        self
+    }
+
+    fn power_up(&mut self) {
+        self.steps_left = None;
+        self.has_power = true;
+        self.steps = 0;
+        self.erases = 0;
+    }
+
+    /// Xorshift (Marsaglia 2003).
+    fn random(&mut self) -> u64 {
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        self.random
+    }
+
+    /// Random bits, each set with a chance of 0, 1/8, ... 8/8.
+    fn random_bits(&mut self, eighths: u64) -> u8 {
+        (0..8).fold(0, |bits, bit| {
+            bits | u8::from((self.random() >> 20) % 8 < eighths) << bit
+        })
+    }
+
+    /// Returns whether the power fails at this step.
+    fn step_is_cut(&mut self) -> Result<bool, NorFlashErrorKind> {
+        if !self.has_power {
+            return Err(NorFlashErrorKind::Other);
+        }
+        self.steps += 1;
+        let is_cut = self.steps_left == Some(0);
+        self.steps_left = self.steps_left.map(|left| left.saturating_sub(1));
+        self.has_power = !is_cut;
+        Ok(is_cut)
+    }
+
+    /// Leaves each changing bit of `range` old with a chance, and weak with another; of an erase,
+    /// which first programs all bits, some are neither old nor new.
+    fn half_change(&mut self, range: core::ops::Range<usize>, new: &[u8], erases: bool) {
+        let (changes, weak, zeros) = (self.random() % 9, self.random() % 9, self.random() % 9);
+        for (index, &new) in range.zip(new) {
+            let old = self.bytes[index];
+            let changed = self.random_bits(changes);
+            let mut bits = (old & !changed) | (new & changed);
+            let mut touched = old ^ new;
+            if erases {
+                bits &= !(self.random_bits(zeros) & self.random_bits(4));
+                touched = 0xFF;
+            }
+            self.bytes[index] = bits;
+            self.weak[index] |= touched & self.random_bits(weak);
+        }
+    }
+
+    fn set(&mut self, slot: usize, image: &[u8]) {
+        self.bytes[slot * SLOT..][..image.len()].copy_from_slice(image);
+    }
+}
+
+impl ErrorType for Nor {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Nor {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        check_read(self, offset, bytes.len())?;
+        for (index, byte) in (offset as usize..).zip(bytes) {
+            *byte = self.bytes[index];
+            if self.weak[index] != 0 {
+                *byte ^= self.random_bits(4) & self.weak[index];
+            }
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.bytes.len()
+    }
+}
+
+impl NorFlash for Nor {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SLOT;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        check_erase(self, from, to)?;
+        for start in (from as usize..to as usize).step_by(SLOT) {
+            let range = start..start + SLOT;
+            if self.step_is_cut()? {
+                self.half_change(range, &[ERASED; SLOT], true);
+                return Err(NorFlashErrorKind::Other);
+            }
+            self.erases += 1;
+            self.bytes[range.clone()].fill(ERASED);
+            self.weak[range].fill(0);
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        check_write(self, offset, bytes.len())?;
+        for (start, word) in (offset as usize..).step_by(4).zip(bytes.chunks(4)) {
+            let is_cut = self.step_is_cut()?;
+            if is_cut {
+                let new: Vec<u8> = (start..)
+                    .zip(word)
+                    .map(|(at, byte)| self.bytes[at] & byte)
+                    .collect();
+                self.half_change(start..start + 4, &new, false);
+                return Err(NorFlashErrorKind::Other);
+            }
+            for (index, byte) in (start..).zip(word) {
+                self.bytes[index] &= byte;
+                // A programmed bit is a firm zero; the others keep their state.
+                self.weak[index] &= byte;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl MultiwriteNorFlash for Nor {}
+
+/// A record that differs in every field from the one of another number.
+fn record(number: u16) -> Record {
+    let x = f32::from(number);
+    let vector = |y: f32| Vector3::new(x + y, -x, y);
+    Record {
+        calibration: Calibration {
+            mount: Some(Mount::ALL[usize::from(number) % Mount::ALL.len()]),
+            gyroscope: Some(GyroscopeOffset {
+                offset_rad_s: vector(0.25),
+                temperature_celsius: 30.0 + x,
+            }),
+            temperature: Some(TemperatureModel {
+                reference_celsius: 25.0 - x,
+                offset_rad_s: vector(0.5),
+                slope_rad_s_per_celsius: vector(0.75),
+                curvature_rad_s_per_celsius2: vector(0.125),
+                coldest_celsius: x - 40.0,
+                warmest_celsius: x + 40.0,
+            }),
+            accelerometer: Some(AccelerometerCorrection {
+                offset_m_s2: vector(1.5),
+                matrix: SymmetricMatrix {
+                    xx: 1.0 + x,
+                    yy: 1.5,
+                    zz: 2.0,
+                    xy: -x,
+                    xz: 0.5,
+                    yz: 0.25,
+                },
+            }),
+            level: Some(Quaternion::new(1.0, x, -x, 0.5)),
+        },
+        preferences: Preferences {
+            format: OutputFormat::Classic,
+            rate_hz: 50 + number,
+            baud: 921_600 - u32::from(number),
+        },
+    }
+}
+
+/// CRC-32 bit by bit (reflected, polynomial 0x04C11DB7), independent of the crate that the code
+/// uses.
+fn crc_32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(u32::MAX, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| {
+            (crc >> 1) ^ (0xEDB8_8320 & 0u32.wrapping_sub(crc & 1))
+        })
+    })
+}
+
+/// Bytes of a slot, encoded by hand.
+fn image(version: u16, sequence: u32, body: &[u8]) -> Vec<u8> {
+    let mut covered = version.to_le_bytes().to_vec();
+    covered.extend((body.len() as u16).to_le_bytes());
+    covered.extend(sequence.to_le_bytes());
+    let header = covered.clone();
+    covered.extend(body);
+    [&b"APLB"[..], &header, &crc_32(&covered).to_le_bytes(), body].concat()
+}
+
+fn body_of(record: &Record) -> Vec<u8> {
+    let mut body = Writer::new();
+    record.encode(&mut body).expect("a record fits");
+    body.to_vec()
+}
+
+/// Content of a slot before a save: a name, the bytes, and the record with its sequence number if
+/// this firmware reads it.
+type Content = (&'static str, Vec<u8>, Option<(u32, Record)>);
+
+fn prior_contents() -> Vec<Content> {
+    let valid = |sequence, number| {
+        let record = record(number);
+        (
+            image(1, sequence, &body_of(&record)),
+            Some((sequence, record)),
+        )
+    };
+    let (older, older_record) = valid(7, 1);
+    let (newer, newer_record) = valid(8, 2);
+    let mut torn = older.clone();
+    torn.truncate(100);
+    let mut flipped = newer.clone();
+    flipped[30] ^= 4;
+    vec![
+        ("blank", vec![], None),
+        ("zeros", vec![0; SLOT], None),
+        (
+            "noise",
+            (0..SLOT).map(|n| (n * 167 + n / 7) as u8).collect(),
+            None,
+        ),
+        ("torn", torn, None),
+        ("one bit flipped", flipped, None),
+        ("older", older, older_record),
+        ("newer", newer, newer_record),
+        ("later format, newest", image(2, 9, &[5; 200]), None),
+        ("later format, oldest", image(3, 3, &[5; 20]), None),
+        ("no sequence", image(1, 0, &body_of(&record(3))), None),
+        (
+            "last sequence",
+            image(1, u32::MAX, &body_of(&record(3))),
+            None,
+        ),
+        ("whole but empty", image(1, 9, &[]), None),
+    ]
+}
+
+/// Runs `work` with a power cut at each of its steps and several seeds; `check` tests the result.
+fn cut_everywhere(
+    flash: &Nor,
+    seeds: u64,
+    work: impl Fn(&mut Nor) -> bool,
+    check: impl Fn(&mut Nor, usize),
+) {
+    let mut whole = flash.clone();
+    whole.power_up();
+    assert!(work(&mut whole), "it works with power");
+    assert!(whole.steps > 0);
+    for step in 0..whole.steps {
+        for seed in 0..seeds {
+            let mut flash = flash.clone().cut_at(step, seed * 1000 + step as u64);
+            assert!(!work(&mut flash), "step {step} is not the last");
+            flash.power_up();
+            check(&mut flash, step);
+        }
+    }
+}
+
+#[test]
+fn a_power_cut_at_any_step_leaves_the_old_record_or_the_new_one() {
+    let new = record(100);
+    for (name_a, a, in_a) in prior_contents() {
+        for (name_b, b, in_b) in prior_contents() {
+            let mut flash = Nor::blank();
+            flash.set(0, &a);
+            flash.set(1, &b);
+            let old = match (in_a, in_b) {
+                (Some((first, _)), Some((second, record))) if second > first => Some(record),
+                (Some((_, record)), _) | (None, Some((_, record))) => Some(record),
+                (None, None) => None,
+            };
+            assert_eq!(load(&mut flash).record, old, "{name_a}, {name_b}");
+            cut_everywhere(
+                &flash,
+                4,
+                |flash| save(flash, &new).is_ok(),
+                |flash, step| {
+                    for _boot in 0..2 {
+                        let found = load(flash).record;
+                        assert!(
+                            found == old || found == Some(new),
+                            "{name_a}, {name_b}, cut at {step}: {found:?}"
+                        );
+                    }
+                    assert_eq!(save(flash, &record(101)), Ok(()));
+                    let loaded = load(flash);
+                    assert_eq!(loaded.record, Some(record(101)));
+                },
+            );
+        }
+    }
+}
+
+#[test]
+fn a_weak_record_is_made_firm_before_the_other_is_erased() {
+    for seed in 0..20 {
+        let mut flash = Nor::blank();
+        flash.set(0, &image(1, 7, &body_of(&record(1))));
+        flash.set(1, &image(1, 8, &body_of(&record(2))));
+        // A barely programmed bit of the newer record: it reads right half of the time.
+        assert_eq!(flash.bytes[SLOT + 12] & 1, 0);
+        flash.weak[SLOT + 12] = 1;
+        let steps = 2 * 37 + 1;
+        for step in 0..steps {
+            let mut flash = flash.clone().cut_at(step, seed);
+            let _ = save(&mut flash, &record(3));
+            flash.power_up();
+            for _boot in 0..4 {
+                assert!(
+                    load(&mut flash).record.is_some(),
+                    "seed {seed}, cut at {step}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn cuts_upon_cuts_never_lose_the_record() {
+    for seed in 0..400 {
+        let mut flash = Nor::blank().cut_at(usize::MAX, seed);
+        let mut possible: Vec<Option<Record>> = vec![None];
+        for number in 0..12 {
+            // A save has up to some 80 steps; a later cut lets it end.
+            let step = (flash.random() % 110) as usize;
+            let seed = flash.random();
+            flash = flash.cut_at(step, seed);
+            let forgets = seed.is_multiple_of(8);
+            let new = (!forgets).then(|| record(number));
+            let is_done = match new {
+                Some(new) => save(&mut flash, &new).is_ok(),
+                None => forget(&mut flash).is_ok(),
+            };
+            flash.power_up();
+            if is_done {
+                possible.clear();
+            }
+            possible.push(new);
+            for _boot in 0..3 {
+                let found = load(&mut flash).record;
+                assert!(
+                    possible.contains(&found),
+                    "seed {seed}, save {number}: {found:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_power_cut_while_forgetting_never_brings_an_older_record_back() {
+    for swap in [false, true] {
+        let mut flash = Nor::blank();
+        flash.set(swap.into(), &image(1, 7, &body_of(&record(1))));
+        flash.set((!swap).into(), &image(1, 8, &body_of(&record(2))));
+        cut_everywhere(
+            &flash,
+            100,
+            |flash| forget(flash).is_ok(),
+            |flash, step| {
+                let found = load(flash).record;
+                assert!(found.is_none() || found == Some(record(2)), "cut at {step}");
+                assert_eq!(forget(flash), Ok(()));
+                assert_eq!(
+                    load(flash),
+                    Loaded {
+                        record: None,
+                        problem: None
+                    }
+                );
+            },
+        );
+    }
+}
+
+#[test]
+fn saves_alternate_and_the_same_record_erases_nothing() {
+    let mut flash = Nor::blank();
+    for number in 0..5 {
+        flash.power_up();
+        assert_eq!(save(&mut flash, &record(number)), Ok(()));
+        assert_eq!(flash.erases, 1);
+        let slot = usize::from(number % 2);
+        let sequence = u32::from(number) + 1;
+        let written = image(1, sequence, &body_of(&record(number)));
+        assert_eq!(flash.bytes[slot * SLOT..][..written.len()], written);
+        flash.power_up();
+        assert_eq!(save(&mut flash, &record(number)), Ok(()));
+        assert_eq!(flash.erases, 0);
+        assert_eq!(load(&mut flash).record, Some(record(number)));
+    }
+}
+
+/// Record of a later firmware: one number more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Later {
+    record: Record,
+    more: u32,
+}
+
+impl Stored for Later {
+    const VERSION: u16 = 2;
+
+    fn encode(&self, body: &mut Writer) -> Result<(), TooLong> {
+        self.record.encode(body)?;
+        body.extend_from_slice(&self.more.to_le_bytes())
+            .map_err(|_| TooLong)
+    }
+
+    fn decode(version: u16, body: &[u8]) -> Option<Self> {
+        match version {
+            1 => Record::decode(1, body).map(|record| Self { record, more: 0 }),
+            2 => {
+                let (body, more) = body.split_last_chunk::<4>()?;
+                Some(Self {
+                    record: Record::decode(1, body)?,
+                    more: u32::from_le_bytes(*more),
+                })
+            }
+            _ => None,
+        }
+    }
+}
+
+#[test]
+fn a_later_firmware_reads_what_this_one_wrote() {
+    let mut flash = Nor::blank();
+    save(&mut flash, &record(1)).expect("it works with power");
+    let read = Later {
+        record: record(1),
+        more: 0,
+    };
+    let expected = Loaded {
+        record: Some(read),
+        problem: None,
+    };
+    assert_eq!(load_as(&mut flash), expected);
+    let changed = Later { more: 5, ..read };
+    cut_everywhere(
+        &flash,
+        20,
+        |flash| save_as(flash, &changed).is_ok(),
+        |flash, step| {
+            let found = load_as::<_, Later>(flash).record;
+            assert!(
+                found == Some(read) || found == Some(changed),
+                "cut at {step}"
+            );
+        },
+    );
+}
+
+#[test]
+fn a_later_format_is_reported_and_left_alone() {
+    let mut flash = Nor::blank();
+    save(&mut flash, &record(1)).expect("it works with power");
+    let later = Later {
+        record: record(2),
+        more: 5,
+    };
+    save_as(&mut flash, &later).expect("it works with power");
+    let problem = Some(LoadProblem::NewerFormat { version: 2 });
+    let both = Loaded {
+        record: Some(record(1)),
+        problem,
+    };
+    assert_eq!(load(&mut flash), both);
+    assert_eq!(
+        problem.map(|problem| problem.to_string()).as_deref(),
+        Some(
+            "the newest stored record has format 2, this firmware reads up to 1: update it or \
+             save anew"
+        )
+    );
+
+    // Without an older record, a save uses the other slot.
+    let mut flash = Nor::blank();
+    save_as(&mut flash, &later).expect("it works with power");
+    let alone = Loaded {
+        record: None,
+        problem,
+    };
+    assert_eq!(load(&mut flash), alone);
+    save(&mut flash, &record(3)).expect("it works with power");
+    let saved = Loaded {
+        record: Some(record(3)),
+        problem: None,
+    };
+    assert_eq!(load(&mut flash), saved);
+    let kept = image(
+        2,
+        1,
+        &[&body_of(&record(2))[..], &5u32.to_le_bytes()].concat(),
+    );
+    assert_eq!(flash.bytes[..kept.len()], kept);
+}
+
+#[test]
+fn the_format_does_not_change_unnoticed() {
+    let mut small = Record::default();
+    small.calibration.mount = Mount::parse("+x+z");
+    small.calibration.gyroscope = Some(GyroscopeOffset {
+        offset_rad_s: Vector3::new(1.0, -2.0, 0.5),
+        temperature_celsius: 25.0,
+    });
+    let body = [
+        1, b'+', b'x', b'+', b'z', // mount
+        1, 0, 0, 0x80, 0x3F, 0, 0, 0, 0xC0, 0, 0, 0, 0x3F, 0, 0, 0xC8, 0x41, // gyroscope
+        0, 0, 0, // temperature, accelerometer, level
+        0, 50, 0, 0x00, 0xC2, 0x01, 0x00, // text, 50 Hz, 115,200 baud
+    ];
+    let mut flash = Nor::blank();
+    save(&mut flash, &small).expect("it works with power");
+    let expected = image(1, 1, &body);
+    assert_eq!(flash.bytes[..expected.len()], expected);
+    // The result of Python's zlib.crc32.
+    assert_eq!(expected[12..16], [170, 144, 25, 73]);
+}
+
+#[test]
+fn a_full_record_leaves_room_for_more() {
+    assert_eq!(HEADER_LENGTH + body_of(&record(1)).len(), 148);
+}
+
+#[test]
+fn every_flip_of_one_or_two_bits_is_refused() {
+    let whole = image(1, 1, &body_of(&record(1)));
+    let bits = whole.len() * 8;
+    for first in 0..bits {
+        // All pairs in one word, and one far away.
+        for second in (first..(first + 32).min(bits)).chain([(first + 397) % bits]) {
+            let mut flipped = whole.clone();
+            flipped[first / 8] ^= 1 << (first % 8);
+            if second != first {
+                flipped[second / 8] ^= 1 << (second % 8);
+            }
+            let mut slot = [ERASED; LONGEST_RECORD];
+            slot[..flipped.len()].copy_from_slice(&flipped);
+            let is_refused = matches!(decode::<Record>(&slot), Slot::Damaged);
+            assert!(is_refused, "bits {first} and {second}");
+        }
+    }
+}
+
+#[test]
+fn a_record_that_could_not_be_read_back_is_not_saved() {
+    let mut flash = Nor::blank();
+    save(&mut flash, &record(1)).expect("it works with power");
+    let before = flash.clone();
+    let mut not_finite = record(2);
+    not_finite.calibration.level = Some(Quaternion::new(1.0, f32::NAN, 0.0, 0.0));
+    let mut no_rate = record(2);
+    no_rate.preferences.rate_hz = 0;
+    let mut no_baud = record(2);
+    no_baud.preferences.baud = 0;
+    for bad in [not_finite, no_rate, no_baud] {
+        assert_eq!(save(&mut flash, &bad), Err(SaveError::Unstorable));
+        assert_eq!(flash.bytes, before.bytes);
+    }
+}
+
+#[test]
+fn worn_flash_is_reported() {
+    /// Flash with a bit that cannot be programmed any more.
+    struct Worn(Nor);
+    impl ErrorType for Worn {
+        type Error = NorFlashErrorKind;
+    }
+    impl ReadNorFlash for Worn {
+        const READ_SIZE: usize = 1;
+        fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+            self.0.read(offset, bytes)
+        }
+        fn capacity(&self) -> usize {
+            self.0.capacity()
+        }
+    }
+    impl NorFlash for Worn {
+        const WRITE_SIZE: usize = 4;
+        const ERASE_SIZE: usize = SLOT;
+        fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+            self.0.erase(from, to)
+        }
+        fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+            self.0.write(offset, bytes)?;
+            self.0.bytes[SLOT + 40] |= 0xFF;
+            Ok(())
+        }
+    }
+    impl MultiwriteNorFlash for Worn {}
+
+    let mut flash = Worn(Nor::blank());
+    assert_eq!(save(&mut flash, &record(1)), Ok(()));
+    assert_eq!(save(&mut flash, &record(2)), Err(SaveError::NotKept));
+    let expected = Loaded {
+        record: Some(record(1)),
+        problem: Some(LoadProblem::Damaged),
+    };
+    assert_eq!(load(&mut flash), expected);
+}

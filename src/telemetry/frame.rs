@@ -1,0 +1,144 @@
+//! Frames: one snapshot in each format, and how many of them the UART carries.
+
+use super::{classic, log, teapot, teleplot, text};
+use crate::pipeline::Snapshot;
+use crate::settings::OutputFormat;
+
+/// Length of the longest frame of a snapshot in any format, in bytes.
+pub const FRAME_CAPACITY: usize = {
+    let mut longest = 0;
+    let mut index = 0;
+    while index < OutputFormat::ALL.len() {
+        let length = frame_length(OutputFormat::ALL[index]);
+        if length > longest {
+            longest = length;
+        }
+        index += 1;
+    }
+    longest
+};
+
+/// Returns the length of the longest frame of a snapshot in a format, in bytes. For MAVLink this is
+/// the sum of the three messages that a snapshot takes.
+pub const fn frame_length(format: OutputFormat) -> usize {
+    match format {
+        OutputFormat::Text => text::LINE_LENGTH,
+        OutputFormat::Classic => classic::LINE_LENGTH,
+        OutputFormat::Teleplot => teleplot::LINES_LENGTH,
+        OutputFormat::Teapot => teapot::PACKET_LENGTH,
+        OutputFormat::Mavlink => MAVLINK_LENGTH,
+        OutputFormat::Log => log::BYTES_PER_ATTITUDE,
+    }
+}
+
+/// Length of ATTITUDE, ATTITUDE_QUATERNION and HIGHRES_IMU, in bytes.
+const MAVLINK_LENGTH: usize = (12 + 28) + (12 + 32) + (12 + 63);
+
+/// Returns the bytes per second that a format sends beside snapshots.
+const fn other_bytes_per_second(format: OutputFormat) -> u32 {
+    match format {
+        // HEARTBEAT, SYS_STATUS and answers.
+        OutputFormat::Mavlink => 300,
+        // 1000 bursts and 1 % for a fast clock, configurations, pieces of the state.
+        OutputFormat::Log => 1010 * log::BYTES_PER_BURST as u32 + 700,
+        _ => 0,
+    }
+}
+
+/// Encodes a snapshot in a format, and returns the frame.
+///
+/// `counter` is the number of frames sent so far, modulo 256; only the teapot packet holds it. The
+/// frame is empty for MAVLink and the flight log, which are more than a frame per snapshot: see
+/// `mavlink::Session` and [`log::Sender`].
+#[inline(never)]
+pub fn encode<'a>(
+    format: OutputFormat,
+    snapshot: &Snapshot,
+    counter: u8,
+    frame: &'a mut [u8; FRAME_CAPACITY],
+) -> &'a [u8] {
+    match format {
+        OutputFormat::Text => frame
+            .first_chunk_mut()
+            .map(|line| text::encode(snapshot, line)),
+        OutputFormat::Classic => frame
+            .first_chunk_mut()
+            .map(|line| classic::encode(&classic::angles_of(snapshot), line)),
+        OutputFormat::Teleplot => frame
+            .first_chunk_mut()
+            .map(|lines| teleplot::encode(snapshot, lines)),
+        OutputFormat::Teapot => {
+            frame
+                .first_chunk_mut::<{ teapot::PACKET_LENGTH }>()
+                .map(|packet| {
+                    *packet = teapot::encode(snapshot.attitude, counter);
+                    packet.as_slice()
+                })
+        }
+        OutputFormat::Mavlink | OutputFormat::Log => None,
+    }
+    .unwrap_or_default()
+}
+
+/// Returns the most frames per second that the UART carries at a baud rate, with 8 data bits, one
+/// start bit and one stop bit. Returns 0 if the format does not fit at all.
+pub const fn largest_rate_hz(format: OutputFormat, baud: u32) -> u32 {
+    const BITS_PER_BYTE: u32 = 10;
+    (baud / BITS_PER_BYTE).saturating_sub(other_bytes_per_second(format))
+        / frame_length(format) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_format_is_encoded() {
+        let snapshot = Snapshot::default();
+        let mut frame = [0; FRAME_CAPACITY];
+        let text = encode(OutputFormat::Text, &snapshot, 0, &mut frame).to_vec();
+        assert!(text.starts_with(b"roll:0.00\t") && text.ends_with(b"\n"));
+        let classic = encode(OutputFormat::Classic, &snapshot, 0, &mut frame);
+        assert_eq!(classic, b"Roll:0.00(0.00),\tPitch:0.00(0.00)\n");
+        let teleplot = encode(OutputFormat::Teleplot, &snapshot, 0, &mut frame);
+        assert!(teleplot.starts_with(b">roll:0.00\n"));
+        let teapot = encode(OutputFormat::Teapot, &snapshot, 7, &mut frame);
+        assert_eq!((teapot.len(), teapot[2], teapot[11]), (14, 0x40, 7));
+    }
+
+    #[test]
+    fn the_default_rate_fits_the_default_baud_rate() {
+        assert_eq!(largest_rate_hz(OutputFormat::Text, 115_200), 101);
+        assert_eq!(largest_rate_hz(OutputFormat::Text, 9_600), 8);
+        assert_eq!(largest_rate_hz(OutputFormat::Text, 921_600), 815);
+        assert!(largest_rate_hz(OutputFormat::Classic, 921_600) > 1000);
+        assert_eq!(largest_rate_hz(OutputFormat::Mavlink, 115_200), 70);
+        assert_eq!(largest_rate_hz(OutputFormat::Log, 115_200), 0);
+        assert!(largest_rate_hz(OutputFormat::Log, 921_600) > 1000);
+    }
+
+    /// The table in README.md.
+    #[test]
+    fn the_documented_rates_are_these() {
+        let rows = OutputFormat::ALL.map(|format| {
+            let rate = |baud| largest_rate_hz(format, baud).min(1000);
+            (
+                format.name(),
+                frame_length(format),
+                rate(115_200),
+                rate(921_600),
+            )
+        });
+        assert_eq!(
+            rows,
+            [
+                ("text", 113, 101, 815),
+                ("classic", 54, 213, 1000),
+                ("teleplot", 120, 96, 768),
+                ("teapot", 14, 822, 1000),
+                ("mavlink", 159, 70, 577),
+                ("log", 48, 0, 1000),
+            ]
+        );
+    }
+}

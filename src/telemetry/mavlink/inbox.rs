@@ -1,0 +1,224 @@
+//! Inbox: decodes requests, answers the simple ones, and queues the others as actions.
+
+use ::mavlink::dialects::common::{
+    AUTOPILOT_VERSION_DATA, MISSION_REQUEST_LIST_DATA, PARAM_REQUEST_LIST_DATA,
+    PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
+};
+use ::mavlink::{MavlinkVersion, MessageData};
+use heapless::Deque;
+
+use super::action::{Action, Calibrate, Outcome, Ticket};
+use super::parameter::{PARAMETERS, Parameter};
+use super::receiver::Received;
+use super::wire::{COMPONENT, Command, CommandAck, Extended, SYSTEM};
+
+/// Requests without an answer, and answers to send.
+#[derive(Debug, Clone)]
+pub(super) struct Inbox {
+    pub(super) replies: Deque<Reply, 8>,
+    pub(super) actions: Deque<(Ticket, Action), 4>,
+    pub(super) lists_parameters: bool,
+    pub(super) dropped: u16,
+}
+
+/// Answer that goes out as soon as there is room.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Reply {
+    Acknowledge(CommandAck),
+    Parameter(u16),
+    NoMission {
+        system: u8,
+        component: u8,
+        /// MAV_MISSION_TYPE.
+        kind: u8,
+    },
+    Version,
+}
+
+impl Inbox {
+    /// Handles a frame.
+    #[inline(never)]
+    pub(super) fn take(&mut self, frame: &Received) {
+        let payload = frame.payload();
+        let version = MavlinkVersion::V2;
+        let is_ours = |system: u8, component: u8| {
+            [0, SYSTEM].contains(&system) && [0, COMPONENT].contains(&component)
+        };
+        match frame.message {
+            Command::LONG | Command::INT => {
+                if let Some(command) = Command::read(frame.message, payload)
+                    && is_ours(command.target_system, command.target_component)
+                {
+                    self.command(frame, &command);
+                }
+            }
+            PARAM_REQUEST_LIST_DATA::ID => {
+                if let Ok(request) = PARAM_REQUEST_LIST_DATA::deser(version, payload)
+                    && is_ours(request.target_system, request.target_component)
+                {
+                    self.lists_parameters = true;
+                }
+            }
+            PARAM_REQUEST_READ_DATA::ID => {
+                if let Ok(request) = PARAM_REQUEST_READ_DATA::deser(version, payload)
+                    && is_ours(request.target_system, request.target_component)
+                {
+                    // A negative index means that the name counts.
+                    let index = u16::try_from(request.param_index)
+                        .ok()
+                        .or_else(|| Parameter::find(name(&request.param_id)));
+                    if let Some(index) = index {
+                        self.queue(Reply::Parameter(index));
+                    }
+                }
+            }
+            PARAM_SET_DATA::ID => {
+                if let Ok(request) = PARAM_SET_DATA::deser(version, payload)
+                    && is_ours(request.target_system, request.target_component)
+                    && let Some(index) = Parameter::find(name(&request.param_id))
+                {
+                    self.set_parameter(frame, index, request.param_value);
+                }
+            }
+            MISSION_REQUEST_LIST_DATA::ID => {
+                type Request = Extended<MISSION_REQUEST_LIST_DATA, 1>;
+                if let Ok(request) = Request::deser(version, payload)
+                    && is_ours(
+                        request.message.target_system,
+                        request.message.target_component,
+                    )
+                {
+                    let [kind] = request.extension;
+                    self.queue(Reply::NoMission {
+                        system: frame.system,
+                        component: frame.component,
+                        kind,
+                    });
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Queues the change of a parameter. The answer is its value, changed or not.
+    fn set_parameter(&mut self, frame: &Received, index: u16, value: f32) {
+        let action = PARAMETERS
+            .get(usize::from(index))
+            .and_then(|(parameter, _)| parameter.action(value));
+        if let Some(action) = action {
+            let ticket = Ticket {
+                command: None,
+                system: frame.system,
+                component: frame.component,
+            };
+            if self.actions.push_back((ticket, action)).is_err() {
+                self.dropped = self.dropped.saturating_add(1);
+            }
+        }
+        self.queue(Reply::Parameter(index));
+    }
+
+    /// Queues the action of a command, or answers it.
+    #[inline(never)]
+    fn command(&mut self, frame: &Received, command: &Command) {
+        let ticket = Ticket {
+            command: Some(command.command),
+            system: frame.system,
+            component: frame.component,
+        };
+        let [first, second, _, _, fifth, ..] = command.parameters;
+        let others_are_zero = |but: usize| {
+            command
+                .parameters
+                .iter()
+                .enumerate()
+                .all(|(index, value)| index == but || *value == 0.0 || value.is_nan())
+        };
+        let action = match command.command {
+            PREFLIGHT_CALIBRATION => {
+                if first == 1.0 && others_are_zero(0) {
+                    Ok(Action::Calibrate(Calibrate::Gyroscope))
+                } else if fifth == 1.0 && others_are_zero(4) {
+                    Ok(Action::Calibrate(Calibrate::Accelerometer))
+                } else if fifth == 2.0 && others_are_zero(4) {
+                    Ok(Action::Calibrate(Calibrate::Level))
+                } else if first == 0.0 && others_are_zero(0) {
+                    Ok(Action::Calibrate(Calibrate::Cancel))
+                } else {
+                    // There is no compass, barometer or radio.
+                    Err(Outcome::Unsupported)
+                }
+            }
+            // Parameter 1 is 1: write.
+            PREFLIGHT_STORAGE if first == 1.0 => Ok(Action::Save),
+            PREFLIGHT_STORAGE => Err(Outcome::Unsupported),
+            ARM_DISARM if first == 1.0 || first == 0.0 => Ok(Action::SetArmed(first == 1.0)),
+            ARM_DISARM => Err(Outcome::Denied),
+            REQUEST_MESSAGE if first == AUTOPILOT_VERSION_DATA::ID as f32 => {
+                Err(self.answer_version())
+            }
+            REQUEST_MESSAGE
+                if first == PARAM_VALUE_DATA::ID as f32 && second == second as u16 as f32 =>
+            {
+                self.queue(Reply::Parameter(second as u16));
+                Err(Outcome::Accepted)
+            }
+            REQUEST_CAPABILITIES if first == 1.0 => Err(self.answer_version()),
+            _ => Err(Outcome::Unsupported),
+        };
+        let outcome = match action {
+            Ok(action) => match self.actions.push_back((ticket, action)) {
+                // The owner of the session answers.
+                Ok(()) => return,
+                Err(_) => Outcome::NotNow,
+            },
+            Err(outcome) => outcome,
+        };
+        self.answer(ticket, outcome);
+    }
+
+    /// Queues the version.
+    fn answer_version(&mut self) -> Outcome {
+        self.queue(Reply::Version);
+        Outcome::Accepted
+    }
+
+    /// Queues COMMAND_ACK, unless the request was no command.
+    #[inline(never)]
+    pub(super) fn answer(&mut self, ticket: Ticket, outcome: Outcome) {
+        let Some(command) = ticket.command else {
+            return;
+        };
+        self.queue(Reply::Acknowledge(CommandAck {
+            command,
+            result: outcome.code(),
+            target_system: ticket.system,
+            target_component: ticket.component,
+        }));
+    }
+
+    /// Queues an answer, or counts it as dropped.
+    #[inline(never)]
+    fn queue(&mut self, reply: Reply) {
+        if self.replies.push_back(reply).is_err() {
+            self.dropped = self.dropped.saturating_add(1);
+        }
+    }
+}
+
+/// MAV_CMD_PREFLIGHT_CALIBRATION.
+const PREFLIGHT_CALIBRATION: u16 = 241;
+/// MAV_CMD_PREFLIGHT_STORAGE.
+const PREFLIGHT_STORAGE: u16 = 245;
+/// MAV_CMD_COMPONENT_ARM_DISARM.
+const ARM_DISARM: u16 = 400;
+/// MAV_CMD_REQUEST_MESSAGE.
+const REQUEST_MESSAGE: u16 = 512;
+/// MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES.
+const REQUEST_CAPABILITIES: u16 = 520;
+
+/// Returns a name without its padding of zeros.
+fn name(padded: &[u8; 16]) -> &[u8] {
+    let length = padded.iter().take_while(|byte| **byte != 0).count();
+    padded.get(..length).unwrap_or_default()
+}

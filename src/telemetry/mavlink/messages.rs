@@ -1,0 +1,179 @@
+//! Messages that the module sends.
+
+use ::mavlink::dialects::common::{
+    ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, AUTOPILOT_VERSION_DATA, HEARTBEAT_DATA,
+    HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavAutopilot, MavModeFlag, MavProtocolCapability,
+    MavState, MavSysStatusSensor, MavType,
+};
+
+use crate::estimator::Sample;
+use crate::health::Flags;
+use crate::pipeline::Snapshot;
+use crate::settings::Record;
+
+/// Data for the messages.
+#[derive(Debug, Clone, Copy)]
+pub struct Vehicle<'a> {
+    /// Latest attitude, if there is a new one.
+    pub snapshot: Option<&'a Snapshot>,
+    /// Sample of that attitude, in body axes.
+    pub sample: &'a Sample,
+    /// Die temperature, °C.
+    pub temperature_celsius: f32,
+    /// Record in use.
+    pub record: &'a Record,
+    /// True if the module is armed.
+    pub is_armed: bool,
+    /// Bursts that failed since start.
+    pub bursts_failed: u16,
+}
+
+/// Builds HEARTBEAT.
+#[inline(never)]
+pub(super) fn heartbeat(vehicle: &Vehicle<'_>) -> HEARTBEAT_DATA {
+    let flags = vehicle.snapshot.map(|snapshot| snapshot.flags);
+    HEARTBEAT_DATA {
+        custom_mode: 0,
+        mavtype: MavType::MAV_TYPE_GENERIC,
+        // Ground stations ignore what claims to be no autopilot.
+        autopilot: MavAutopilot::MAV_AUTOPILOT_GENERIC,
+        base_mode: if vehicle.is_armed {
+            MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED
+        } else {
+            MavModeFlag::empty()
+        },
+        system_status: match flags {
+            None => MavState::MAV_STATE_CRITICAL,
+            Some(flags) if flags.contains(Flags::CALIBRATING) => MavState::MAV_STATE_CALIBRATING,
+            Some(_) if vehicle.is_armed => MavState::MAV_STATE_ACTIVE,
+            Some(_) => MavState::MAV_STATE_STANDBY,
+        },
+        // Version of the protocol's definitions, the same for MAVLink 2.
+        mavlink_version: 3,
+    }
+}
+
+/// Returns the healthy sensors.
+#[inline(never)]
+pub(super) fn health(snapshot: Option<&Snapshot>) -> MavSysStatusSensor {
+    let Some(Snapshot { flags, .. }) = snapshot else {
+        return MavSysStatusSensor::empty();
+    };
+    let unless = |faults: &[Flags], sensor: MavSysStatusSensor| {
+        if faults.iter().any(|flag| flags.contains(*flag)) {
+            MavSysStatusSensor::empty()
+        } else {
+            sensor
+        }
+    };
+    unless(
+        &[Flags::FROZEN, Flags::REJECTED, Flags::GYROSCOPE_SATURATED],
+        MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO,
+    ) | unless(
+        &[
+            Flags::FROZEN,
+            Flags::REJECTED,
+            Flags::ACCELEROMETER_SATURATED,
+        ],
+        MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL,
+    ) | unless(
+        &[
+            Flags::CALIBRATING,
+            Flags::FROZEN,
+            Flags::REJECTED,
+            Flags::GAP,
+            Flags::TIME,
+        ],
+        MavSysStatusSensor::MAV_SYS_STATUS_AHRS,
+    )
+}
+
+/// Builds ATTITUDE.
+#[inline(never)]
+pub(super) fn attitude(snapshot: &Snapshot) -> ATTITUDE_DATA {
+    let angles = snapshot.euler();
+    let rates = snapshot.body_rates_rad_s;
+    ATTITUDE_DATA {
+        time_boot_ms: milliseconds(snapshot.t_us),
+        roll: angles.roll_rad,
+        pitch: angles.pitch_rad,
+        yaw: angles.yaw_rad,
+        rollspeed: rates.x,
+        pitchspeed: rates.y,
+        yawspeed: rates.z,
+    }
+}
+
+/// Builds ATTITUDE_QUATERNION.
+#[inline(never)]
+pub(super) fn quaternion(snapshot: &Snapshot) -> ATTITUDE_QUATERNION_DATA {
+    let attitude = snapshot.attitude;
+    let rates = snapshot.body_rates_rad_s;
+    ATTITUDE_QUATERNION_DATA {
+        time_boot_ms: milliseconds(snapshot.t_us),
+        q1: attitude.w,
+        q2: attitude.x,
+        q3: attitude.y,
+        q4: attitude.z,
+        rollspeed: rates.x,
+        pitchspeed: rates.y,
+        yawspeed: rates.z,
+    }
+}
+
+/// Builds HIGHRES_IMU.
+#[inline(never)]
+pub(super) fn imu(snapshot: &Snapshot, vehicle: &Vehicle<'_>) -> HIGHRES_IMU_DATA {
+    let force = vehicle.sample.specific_force_m_s2;
+    let rates = snapshot.body_rates_rad_s;
+    HIGHRES_IMU_DATA {
+        time_usec: snapshot.t_us,
+        xacc: force.x,
+        yacc: force.y,
+        zacc: force.z,
+        xgyro: rates.x,
+        ygyro: rates.y,
+        zgyro: rates.z,
+        temperature: vehicle.temperature_celsius,
+        fields_updated: HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC
+            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YACC
+            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZACC
+            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XGYRO
+            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YGYRO
+            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO
+            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_TEMPERATURE,
+        ..HIGHRES_IMU_DATA::DEFAULT
+    }
+}
+
+/// Builds AUTOPILOT_VERSION.
+pub(super) fn version() -> AUTOPILOT_VERSION_DATA {
+    AUTOPILOT_VERSION_DATA {
+        capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT,
+        // One byte each, and 255 for a release.
+        flight_sw_version: u32::from_be_bytes([
+            number(env!("CARGO_PKG_VERSION_MAJOR")),
+            number(env!("CARGO_PKG_VERSION_MINOR")),
+            number(env!("CARGO_PKG_VERSION_PATCH")),
+            255,
+        ]),
+        ..AUTOPILOT_VERSION_DATA::DEFAULT
+    }
+}
+
+/// Converts µs to ms in 32 bits, which wrap after 49 days.
+///
+/// Divides by hand, 16 bits at a time: a division of 64 bits takes a kilobyte of flash.
+pub(super) const fn milliseconds(t_us: u64) -> u32 {
+    let [high, middle, low] = [t_us >> 32, (t_us >> 16) & 0xFFFF, t_us & 0xFFFF];
+    let middle = ((high as u32 % 1000) << 16) | middle as u32;
+    let low = ((middle % 1000) << 16) | low as u32;
+    ((middle / 1000) << 16) | (low / 1000)
+}
+
+/// Parses a part of the version.
+fn number(text: &str) -> u8 {
+    text.parse().unwrap_or(u8::MAX)
+}

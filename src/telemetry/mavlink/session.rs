@@ -1,0 +1,264 @@
+//! Session: passes received frames to the inbox, and sends what is due.
+
+#[cfg(test)]
+mod tests;
+
+use ::mavlink::dialects::common::{
+    MISSION_COUNT_DATA, MavParamType, MavSeverity, MavSysStatusSensor, PARAM_VALUE_DATA,
+    STATUSTEXT_DATA, SYS_STATUS_DATA,
+};
+use ::mavlink::types::CharArray;
+use ::mavlink::{MAVLinkV2MessageRaw, MavHeader, MessageData};
+use heapless::Deque;
+
+use super::super::message::Severity;
+use super::super::output::Output;
+use super::action::{Action, Outcome, Ticket};
+use super::inbox::{Inbox, Reply};
+use super::messages::{Vehicle, attitude, health, heartbeat, imu, quaternion, version};
+use super::parameter::PARAMETERS;
+use super::receiver::Receiver;
+use super::wire::{COMPONENT, Extended, SYSTEM};
+
+/// Letters in one STATUSTEXT.
+const TEXT_LENGTH: usize = 50;
+/// Time between two heartbeats, and between two SYS_STATUS, µs.
+const HEARTBEAT_PERIOD_US: u64 = 1_000_000;
+/// Length of a frame's header and checksum, in bytes.
+const OVERHEAD: usize = 12;
+
+/// MAVLink session of the module.
+#[derive(Debug, Clone)]
+pub struct Session {
+    receiver: Receiver,
+    inbox: Inbox,
+    sequence: u8,
+    dropped: u16,
+    next_heartbeat_us: u64,
+    next_status_us: u64,
+    /// Next parameter of a requested list.
+    listed: u16,
+    text_id: u16,
+}
+
+impl Default for Session {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Session {
+    /// Creates a session that has sent and received nothing.
+    pub const fn new() -> Self {
+        Self {
+            receiver: Receiver::new(),
+            inbox: Inbox {
+                replies: Deque::new(),
+                actions: Deque::new(),
+                lists_parameters: false,
+                dropped: 0,
+            },
+            sequence: 0,
+            dropped: 0,
+            next_heartbeat_us: 0,
+            next_status_us: 0,
+            listed: PARAMETERS.len() as u16,
+            text_id: 0,
+        }
+    }
+
+    /// Handles a received byte. Bytes that belong to no frame go to `text`. `now_us` is the time
+    /// since boot, µs.
+    pub fn receive(&mut self, byte: u8, now_us: u64, text: &mut impl FnMut(u8)) {
+        let inbox = &mut self.inbox;
+        self.receiver
+            .push(byte, now_us, text, &mut |frame| inbox.take(frame));
+    }
+
+    /// Passes an incomplete frame to `text` after a timeout of 0.1 s. Call it at least as often.
+    pub fn poll(&mut self, now_us: u64, text: &mut impl FnMut(u8)) {
+        let inbox = &mut self.inbox;
+        self.receiver
+            .poll(now_us, text, &mut |frame| inbox.take(frame));
+    }
+
+    /// Returns the oldest queued action. Its ticket is for [`answer`](Self::answer).
+    pub fn take_action(&mut self) -> Option<(Ticket, Action)> {
+        self.inbox.actions.pop_front()
+    }
+
+    /// Reports the result of an action. A parameter that was set is sent in any case, with its
+    /// present value.
+    pub fn answer(&mut self, ticket: Ticket, outcome: Outcome) {
+        self.inbox.answer(ticket, outcome);
+    }
+
+    /// Returns the number of messages that were dropped for want of room.
+    pub fn dropped(&self) -> u16 {
+        self.dropped.saturating_add(self.inbox.dropped)
+    }
+
+    /// Writes the messages that are due, the most urgent first, as far as there is room. `now_us`
+    /// is the time since boot, µs.
+    #[inline(never)]
+    pub fn fill(&mut self, now_us: u64, vehicle: &Vehicle<'_>, output: &mut Output<'_>) {
+        if now_us >= self.next_heartbeat_us {
+            self.next_heartbeat_us = now_us + HEARTBEAT_PERIOD_US;
+            self.send_or_drop(&heartbeat(vehicle), output);
+        }
+        while let Some(reply) = self.inbox.replies.front().copied() {
+            if !self.reply(reply, vehicle, output) {
+                break;
+            }
+            self.inbox.replies.pop_front();
+        }
+        if now_us >= self.next_status_us {
+            self.next_status_us = now_us + HEARTBEAT_PERIOD_US;
+            let status = self.status(vehicle);
+            self.send_or_drop(&status, output);
+        }
+        if let Some(snapshot) = vehicle.snapshot {
+            self.send_or_drop(&attitude(snapshot), output);
+            self.send_or_drop(&quaternion(snapshot), output);
+            self.send_or_drop(&imu(snapshot, vehicle), output);
+        }
+        // A parameter list is long and not urgent: one parameter a call, if there is room.
+        if core::mem::take(&mut self.inbox.lists_parameters) {
+            self.listed = 0;
+        }
+        if usize::from(self.listed) < PARAMETERS.len()
+            && self.reply(Reply::Parameter(self.listed), vehicle, output)
+        {
+            self.listed += 1;
+        }
+    }
+
+    /// Writes a message of the module as STATUSTEXT. Returns false, and writes nothing, if there is
+    /// no room for all of it.
+    #[inline(never)]
+    pub fn send_text(&mut self, severity: Severity, text: &str, output: &mut Output<'_>) -> bool {
+        let chunks = text.len().div_ceil(TEXT_LENGTH).max(1);
+        if !output.has_room(chunks * (OVERHEAD + STATUSTEXT_DATA::ENCODED_LEN + 3)) {
+            return false;
+        }
+        let id = if chunks > 1 {
+            self.text_id = self.text_id.wrapping_add(1).max(1);
+            self.text_id
+        } else {
+            0
+        };
+        let [id_low, id_high] = id.to_le_bytes();
+        let mut rest = text.as_bytes();
+        for chunk in 0..chunks {
+            let (these, others) = rest.split_at_checked(TEXT_LENGTH).unwrap_or((rest, &[]));
+            rest = others;
+            let mut letters = [0; TEXT_LENGTH];
+            for (place, letter) in letters.iter_mut().zip(these) {
+                *place = *letter;
+            }
+            self.send_or_drop(
+                &Extended {
+                    message: STATUSTEXT_DATA {
+                        severity: match severity {
+                            Severity::Information => MavSeverity::MAV_SEVERITY_INFO,
+                            Severity::Warning => MavSeverity::MAV_SEVERITY_WARNING,
+                            Severity::Error => MavSeverity::MAV_SEVERITY_ERROR,
+                        },
+                        text: CharArray::new(letters),
+                    },
+                    // Number of the message, and of its piece.
+                    extension: [id_low, id_high, chunk as u8],
+                },
+                output,
+            );
+        }
+        true
+    }
+
+    /// Writes an answer; false if there is no room.
+    #[inline(never)]
+    fn reply(&mut self, reply: Reply, vehicle: &Vehicle<'_>, output: &mut Output<'_>) -> bool {
+        match reply {
+            Reply::Acknowledge(acknowledgement) => self.send(&acknowledgement, output),
+            Reply::Parameter(index) => {
+                let Some((parameter, name)) = PARAMETERS.get(usize::from(index)) else {
+                    return true;
+                };
+                let value = PARAM_VALUE_DATA {
+                    param_value: parameter.value(vehicle.record),
+                    param_count: PARAMETERS.len() as u16,
+                    param_index: index,
+                    param_id: CharArray::new(padded(name)),
+                    param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+                };
+                self.send(&value, output)
+            }
+            Reply::NoMission {
+                system,
+                component,
+                kind,
+            } => self.send(
+                &Extended {
+                    message: MISSION_COUNT_DATA {
+                        count: 0,
+                        target_system: system,
+                        target_component: component,
+                    },
+                    extension: [kind],
+                },
+                output,
+            ),
+            Reply::Version => self.send(&version(), output),
+        }
+    }
+
+    /// Builds SYS_STATUS.
+    #[inline(never)]
+    fn status(&self, vehicle: &Vehicle<'_>) -> SYS_STATUS_DATA {
+        let all = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
+            | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL
+            | MavSysStatusSensor::MAV_SYS_STATUS_AHRS;
+        SYS_STATUS_DATA {
+            onboard_control_sensors_present: all,
+            onboard_control_sensors_enabled: all,
+            onboard_control_sensors_health: health(vehicle.snapshot),
+            // Unknown.
+            voltage_battery: u16::MAX,
+            current_battery: -1,
+            battery_remaining: -1,
+            errors_comm: self.dropped(),
+            errors_count1: vehicle.bursts_failed,
+            ..SYS_STATUS_DATA::DEFAULT
+        }
+    }
+
+    /// Writes a message, or counts it as dropped.
+    fn send_or_drop<M: MessageData>(&mut self, message: &M, output: &mut Output<'_>) {
+        if !self.send(message, output) {
+            self.dropped = self.dropped.saturating_add(1);
+        }
+    }
+
+    /// Writes a message if it fits; only then it takes a sequence number.
+    fn send<M: MessageData>(&mut self, message: &M, output: &mut Output<'_>) -> bool {
+        let mut frame = MAVLinkV2MessageRaw::new();
+        let header = MavHeader {
+            system_id: SYSTEM.into(),
+            component_id: COMPONENT,
+            sequence: self.sequence,
+        };
+        frame.serialize_message_data(header, message);
+        let is_sent = output.put(frame.raw_bytes());
+        self.sequence = self.sequence.wrapping_add(is_sent.into());
+        is_sent
+    }
+}
+
+/// Pads a name with zeros.
+fn padded(name: &str) -> [u8; 16] {
+    let mut padded = [0; 16];
+    for (place, byte) in padded.iter_mut().zip(name.bytes()) {
+        *place = byte;
+    }
+    padded
+}

@@ -1,0 +1,612 @@
+//! The session from the other end of the line: a ground station made of the crate's own dialect.
+
+use ::mavlink::dialects::common::{
+    self, HEARTBEAT_DATA, MISSION_REQUEST_LIST_DATA, MavAutopilot, MavCmd, MavMessage, MavModeFlag,
+    MavResult, MavState, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
+};
+use ::mavlink::{MavlinkVersion, Message};
+use proptest::prelude::*;
+
+use super::super::action::Calibrate;
+use super::super::messages::milliseconds;
+use super::super::wire::CommandAck;
+use super::*;
+use crate::attitude::{EulerAngles, Quaternion, Vector3};
+use crate::estimator::Sample;
+use crate::health::Flags;
+use crate::pipeline::Snapshot;
+use crate::settings::Record;
+use crate::units::radians;
+
+const STATION: MavHeader = MavHeader {
+    system_id: 255,
+    component_id: 190,
+    sequence: 9,
+};
+
+#[test]
+fn milliseconds_are_those_of_a_division() {
+    let mut t_us = 1_u64;
+    while t_us < u64::MAX / 3000 {
+        for t_us in [t_us - 1, t_us, 1000 * t_us - 1, 1000 * t_us] {
+            assert_eq!(milliseconds(t_us), (t_us / 1000) as u32, "{t_us}");
+        }
+        t_us = t_us * 3 / 2 + 1;
+    }
+}
+
+/// A module with a session.
+struct Bench {
+    session: Session,
+    record: Record,
+    snapshot: Snapshot,
+    sample: Sample,
+    text: Vec<u8>,
+    now_us: u64,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let mut bench = Self {
+            session: Session::new(),
+            record: Record::default(),
+            snapshot: Snapshot {
+                t_us: 5_000_000,
+                attitude: Quaternion::from_euler(EulerAngles {
+                    roll_rad: radians(10.0),
+                    pitch_rad: radians(-20.0),
+                    yaw_rad: radians(30.0),
+                }),
+                body_rates_rad_s: Vector3::new(0.1, -0.2, 0.3),
+                flags: Flags::NONE,
+            },
+            sample: Sample {
+                specific_force_m_s2: Vector3::new(0.0, 0.5, -9.8),
+                ..Sample::default()
+            },
+            text: Vec::new(),
+            now_us: 5_000_000,
+        };
+        // Discards the first heartbeat and status.
+        bench.receive_all(2048);
+        bench
+    }
+
+    fn send_bytes(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            let text = &mut self.text;
+            self.session
+                .receive(*byte, self.now_us, &mut |byte| text.push(byte));
+        }
+    }
+
+    fn send(&mut self, message: &MavMessage) {
+        self.send_bytes(frame(message).raw_bytes());
+    }
+
+    /// Output of the session without attitudes, in a buffer of this size.
+    fn receive_all(&mut self, size: usize) -> Vec<(u8, MavMessage)> {
+        let mut buffer = vec![0; size];
+        let mut output = Output::new(&mut buffer);
+        let vehicle = Vehicle {
+            snapshot: None,
+            sample: &self.sample,
+            temperature_celsius: 25.5,
+            record: &self.record,
+            is_armed: false,
+            bursts_failed: 3,
+        };
+        self.session.fill(self.now_us, &vehicle, &mut output);
+        let length = output.length();
+        messages(&buffer[..length])
+    }
+
+    fn answers(&mut self, message: &MavMessage) -> Vec<MavMessage> {
+        self.send(message);
+        self.receive_all(2048)
+            .into_iter()
+            .map(|(_, message)| message)
+            .collect()
+    }
+}
+
+fn frame(message: &MavMessage) -> MAVLinkV2MessageRaw {
+    let mut raw = MAVLinkV2MessageRaw::new();
+    raw.serialize_message(STATION, message);
+    raw
+}
+
+/// Frames of a stream without other bytes, with their sequence numbers. The crate's own table checks
+/// the checksums.
+fn messages(mut bytes: &[u8]) -> Vec<(u8, MavMessage)> {
+    let mut found = Vec::new();
+    while !bytes.is_empty() {
+        let mut whole = [0; 283];
+        let length = 12 + usize::from(bytes[1]);
+        whole[..length].copy_from_slice(&bytes[..length]);
+        bytes = &bytes[length..];
+        let raw = MAVLinkV2MessageRaw::from_bytes_unparsed(whole);
+        assert!(raw.has_valid_crc::<MavMessage>());
+        assert_eq!((raw.system_id(), raw.component_id()), (1, 1));
+        let message = MavMessage::parse(MavlinkVersion::V2, raw.message_id(), raw.payload());
+        found.push((raw.sequence(), message.expect("a message of the dialect")));
+    }
+    found
+}
+
+fn command(command: MavCmd, parameters: [f32; 7]) -> MavMessage {
+    let [param1, param2, param3, param4, param5, param6, param7] = parameters;
+    MavMessage::COMMAND_LONG(common::COMMAND_LONG_DATA {
+        param1,
+        param2,
+        param3,
+        param4,
+        param5,
+        param6,
+        param7,
+        command,
+        target_system: 1,
+        target_component: 1,
+        confirmation: 0,
+    })
+}
+
+fn acknowledgement(command: MavCmd, result: MavResult) -> MavMessage {
+    MavMessage::COMMAND_ACK(common::COMMAND_ACK_DATA { command, result })
+}
+
+fn set(name: &str, value: f32) -> MavMessage {
+    MavMessage::PARAM_SET(PARAM_SET_DATA {
+        param_value: value,
+        target_system: 1,
+        target_component: 1,
+        param_id: name.into(),
+        param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+    })
+}
+
+#[test]
+fn heartbeats_come_once_a_second_beside_attitudes() {
+    let mut bench = Bench::new();
+    let mut heartbeats = 0;
+    let mut statuses = 0;
+    let mut last = None;
+    for step in 0..100_u64 {
+        let mut buffer = [0; 512];
+        let mut output = Output::new(&mut buffer);
+        bench.snapshot.t_us = 6_000_000 + step * 20_000;
+        let vehicle = Vehicle {
+            snapshot: Some(&bench.snapshot),
+            sample: &bench.sample,
+            temperature_celsius: 25.5,
+            record: &bench.record,
+            is_armed: true,
+            bursts_failed: 3,
+        };
+        bench
+            .session
+            .fill(bench.snapshot.t_us, &vehicle, &mut output);
+        let length = output.length();
+        let mut kinds = [false; 3];
+        for (sequence, message) in messages(&buffer[..length]) {
+            if let Some(last) = last.replace(sequence) {
+                assert_eq!(sequence, u8::wrapping_add(last, 1));
+            }
+            match message {
+                MavMessage::HEARTBEAT(beat) => {
+                    heartbeats += 1;
+                    assert_eq!(beat.autopilot, MavAutopilot::MAV_AUTOPILOT_GENERIC);
+                    assert_eq!(beat.base_mode, MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED);
+                    assert_eq!(beat.system_status, MavState::MAV_STATE_ACTIVE);
+                }
+                MavMessage::SYS_STATUS(status) => {
+                    statuses += 1;
+                    assert_eq!(status.onboard_control_sensors_health.bits(), 0x0020_0003);
+                    assert_eq!(status.errors_count1, 3);
+                }
+                MavMessage::ATTITUDE(attitude) => {
+                    kinds[0] = true;
+                    assert_eq!(u64::from(attitude.time_boot_ms), bench.snapshot.t_us / 1000);
+                    assert!((attitude.roll.to_degrees() - 10.0).abs() < 1e-4);
+                    assert!((attitude.pitch.to_degrees() + 20.0).abs() < 1e-4);
+                    assert!((attitude.yaw.to_degrees() - 30.0).abs() < 1e-4);
+                    assert_eq!(attitude.pitchspeed, -0.2);
+                }
+                MavMessage::ATTITUDE_QUATERNION(attitude) => {
+                    kinds[1] = true;
+                    assert_eq!(attitude.q1, bench.snapshot.attitude.w);
+                    assert_eq!(attitude.q4, bench.snapshot.attitude.z);
+                }
+                MavMessage::HIGHRES_IMU(imu) => {
+                    kinds[2] = true;
+                    assert_eq!((imu.time_usec, imu.zacc), (bench.snapshot.t_us, -9.8));
+                    assert_eq!((imu.temperature, imu.ygyro), (25.5, -0.2));
+                    assert_eq!(imu.fields_updated.bits(), 0x103F);
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        assert_eq!(kinds, [true; 3]);
+    }
+    assert_eq!((heartbeats, statuses), (2, 2));
+}
+
+#[test]
+fn faults_clear_the_health_bits() {
+    let health_of = |flags| {
+        health(Some(&Snapshot {
+            flags,
+            ..Snapshot::default()
+        }))
+        .bits()
+    };
+    assert_eq!(health_of(Flags::NONE), 0x0020_0003);
+    assert_eq!(health_of(Flags::FROZEN), 0);
+    assert_eq!(health_of(Flags::ACCELEROMETER_SATURATED), 0x0020_0001);
+    assert_eq!(health_of(Flags::CALIBRATING), 3);
+    assert_eq!(health(None).bits(), 0);
+}
+
+#[test]
+fn parameters_are_listed_read_and_set() {
+    let mut bench = Bench::new();
+    bench.send(&MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
+        target_system: 1,
+        target_component: 0,
+    }));
+    let mut listed = Vec::new();
+    for _ in 0..40 {
+        for (_, message) in bench.receive_all(60) {
+            let MavMessage::PARAM_VALUE(value) = message else {
+                panic!("{message:?}")
+            };
+            assert_eq!(usize::from(value.param_count), PARAMETERS.len());
+            assert_eq!(usize::from(value.param_index), listed.len());
+            listed.push((
+                value.param_id.to_str().unwrap().to_owned(),
+                value.param_value,
+            ));
+        }
+    }
+    assert_eq!(listed.len(), PARAMETERS.len());
+    assert_eq!(listed[0], ("OUT_RATE_HZ".to_owned(), 50.0));
+    assert_eq!(listed[1], ("OUT_BAUD".to_owned(), 115_200.0));
+    assert_eq!(listed[3], ("MOUNT".to_owned(), -1.0));
+
+    bench.send(&set("OUT_RATE_HZ", 20.0));
+    let (ticket, action) = bench.session.take_action().expect("it is to be set");
+    assert_eq!(action, Action::SetRate(20));
+    bench.record.preferences.rate_hz = 20;
+    bench.session.answer(ticket, Outcome::Accepted);
+    let answers = bench.receive_all(2048);
+    assert!(
+        matches!(&answers[..], [(_, MavMessage::PARAM_VALUE(value))] if value.param_value == 20.0)
+    );
+
+    // A parameter that cannot be set is sent unchanged.
+    for (name, value) in [
+        ("OUT_RATE_HZ", 0.5),
+        ("MOUNT", 24.0),
+        ("ACC_SCALE_X", 2.0),
+        ("OUT_BAUD", f32::NAN),
+    ] {
+        let answers = bench.answers(&set(name, value));
+        assert_eq!(bench.session.take_action(), None, "{name}");
+        assert!(
+            matches!(&answers[..], [MavMessage::PARAM_VALUE(_)]),
+            "{name}"
+        );
+    }
+    let by_name = bench.answers(&MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
+        param_index: -1,
+        target_system: 1,
+        target_component: 1,
+        param_id: "MOUNT".into(),
+    }));
+    assert!(matches!(&by_name[..], [MavMessage::PARAM_VALUE(value)] if value.param_index == 3));
+}
+
+#[test]
+fn every_command_is_answered_known_or_not() {
+    let mut bench = Bench::new();
+    for known in 0..=u16::MAX {
+        // The crate cannot build a command that it does not know, so the test writes its bytes.
+        if known % 97 != 0 && ![241, 245, 400, 512, 520].contains(&known) {
+            continue;
+        }
+        let mut raw = frame(&command(MavCmd::MAV_CMD_DO_SET_MODE, [9.0; 7]));
+        let mut bytes = raw.raw_bytes().to_vec();
+        let payload = 10 + 28;
+        bytes[payload..payload + 2].copy_from_slice(&known.to_le_bytes());
+        let end = bytes.len() - 2;
+        let checksum = ::mavlink::calculate_crc(&bytes[1..end], 152);
+        bytes[end..].copy_from_slice(&checksum.to_le_bytes());
+        raw.as_mut_slice()[..bytes.len()].copy_from_slice(&bytes);
+        bench.send_bytes(&bytes);
+        let mut buffer = [0; 512];
+        let mut output = Output::new(&mut buffer);
+        let vehicle = Vehicle {
+            snapshot: None,
+            sample: &bench.sample,
+            temperature_celsius: 0.0,
+            record: &bench.record,
+            is_armed: false,
+            bursts_failed: 0,
+        };
+        bench.session.fill(bench.now_us, &vehicle, &mut output);
+        let length = output.length();
+        assert_eq!(length, 12 + 10, "{known}");
+        let answer = CommandAck::deser(MavlinkVersion::V2, &buffer[10..20]).unwrap();
+        assert_eq!(answer.command, known);
+        assert!(
+            answer.result == 3 || (known == 400 && answer.result == 2),
+            "{known}"
+        );
+    }
+}
+
+#[test]
+fn calibration_is_requested_either_way_and_answered_by_the_owner() {
+    let mut bench = Bench::new();
+    let calibration = MavCmd::MAV_CMD_PREFLIGHT_CALIBRATION;
+    let mut parameters = [0.0; 7];
+    for (index, value, expected) in [
+        (0, 1.0, Calibrate::Gyroscope),
+        (4, 1.0, Calibrate::Accelerometer),
+        (4, 2.0, Calibrate::Level),
+        (0, 0.0, Calibrate::Cancel),
+    ] {
+        parameters = [0.0; 7];
+        parameters[index] = value;
+        assert_eq!(bench.answers(&command(calibration, parameters)), []);
+        let (ticket, action) = bench.session.take_action().expect("an action");
+        assert_eq!(action, Action::Calibrate(expected));
+        bench.session.answer(ticket, Outcome::InProgress);
+        bench.session.answer(ticket, Outcome::Accepted);
+        let answers: Vec<_> = bench
+            .receive_all(2048)
+            .into_iter()
+            .map(|(_, m)| m)
+            .collect();
+        assert_eq!(
+            answers,
+            [
+                acknowledgement(calibration, MavResult::MAV_RESULT_IN_PROGRESS),
+                acknowledgement(calibration, MavResult::MAV_RESULT_ACCEPTED),
+            ]
+        );
+    }
+    // A compass: there is none.
+    parameters[1] = 1.0;
+    assert_eq!(
+        bench.answers(&command(calibration, parameters)),
+        [acknowledgement(
+            calibration,
+            MavResult::MAV_RESULT_UNSUPPORTED
+        )]
+    );
+    bench.send(&MavMessage::COMMAND_INT(common::COMMAND_INT_DATA {
+        x: 2,
+        command: calibration,
+        target_system: 1,
+        target_component: 1,
+        ..common::COMMAND_INT_DATA::default()
+    }));
+    let (_, action) = bench.session.take_action().expect("an action");
+    assert_eq!(action, Action::Calibrate(Calibrate::Level));
+}
+
+#[test]
+fn actions_beyond_the_queue_are_refused_and_not_lost() {
+    let mut bench = Bench::new();
+    let save = MavCmd::MAV_CMD_PREFLIGHT_STORAGE;
+    for _ in 0..5 {
+        bench.send(&command(save, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
+    }
+    let answers: Vec<_> = bench
+        .receive_all(2048)
+        .into_iter()
+        .map(|(_, m)| m)
+        .collect();
+    assert_eq!(
+        answers,
+        [acknowledgement(
+            save,
+            MavResult::MAV_RESULT_TEMPORARILY_REJECTED
+        )]
+    );
+    for _ in 0..4 {
+        assert!(matches!(
+            bench.session.take_action(),
+            Some((_, Action::Save))
+        ));
+    }
+    assert_eq!(bench.session.take_action(), None);
+}
+
+#[test]
+fn a_ground_station_finds_the_version_and_no_mission() {
+    let mut bench = Bench::new();
+    let request = MavCmd::MAV_CMD_REQUEST_MESSAGE;
+    let answers = bench.answers(&command(request, [148.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
+    let [MavMessage::AUTOPILOT_VERSION(version), ack] = &answers[..] else {
+        panic!("{answers:?}")
+    };
+    assert_eq!(
+        *ack,
+        acknowledgement(request, MavResult::MAV_RESULT_ACCEPTED)
+    );
+    assert_eq!(version.capabilities.bits(), 8192 + 131_072 + 8);
+    let text = env!("CARGO_PKG_VERSION");
+    let [major, minor, patch, _] = version.flight_sw_version.to_be_bytes();
+    assert_eq!(format!("{major}.{minor}.{patch}"), text);
+    for kind in [0, 2] {
+        let mut frame = MAVLinkV2MessageRaw::new();
+        frame.serialize_message_data(
+            STATION,
+            &Extended {
+                message: MISSION_REQUEST_LIST_DATA {
+                    target_system: 1,
+                    target_component: 1,
+                },
+                extension: [kind],
+            },
+        );
+        bench.send_bytes(frame.raw_bytes());
+        let mut buffer = [0; 100];
+        let mut output = Output::new(&mut buffer);
+        let reply = bench.session.inbox.replies.pop_front().expect("a reply");
+        let vehicle = Vehicle {
+            snapshot: None,
+            sample: &bench.sample,
+            temperature_celsius: 0.0,
+            record: &bench.record,
+            is_armed: false,
+            bursts_failed: 0,
+        };
+        assert!(bench.session.reply(reply, &vehicle, &mut output));
+        let payload = [0, 0, 255, 190, kind];
+        let length = if kind == 0 { 4 } else { 5 };
+        assert_eq!(output.length(), 12 + length);
+        assert_eq!(buffer[10..10 + length], payload[..length]);
+    }
+}
+
+#[test]
+fn requests_to_others_are_not_answered() {
+    let mut bench = Bench::new();
+    for (system, component) in [(2, 1), (1, 100)] {
+        let mut message = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
+        *message.target_system_id_mut().unwrap() = system;
+        *message.target_component_id_mut().unwrap() = component;
+        assert_eq!(bench.answers(&message), []);
+    }
+}
+
+#[test]
+fn lines_of_text_pass_between_frames_and_after_noise() {
+    let mut bench = Bench::new();
+    let beat = frame(&MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+    bench.send_bytes(b"rate 20\n");
+    bench.send_bytes(beat.raw_bytes());
+    bench.send_bytes(b"format text\r\n");
+    assert_eq!(bench.text, b"rate 20\nformat text\r\n");
+    bench.text.clear();
+    // Text after a start byte is no frame: its flags are wrong.
+    bench.send_bytes(b"\xFDformat text\n");
+    assert_eq!(bench.text, b"\xFDformat text\n");
+    bench.text.clear();
+    // A frame that never ends, before a typed line.
+    bench.send_bytes(b"\xFD\x20\x00\x00format text\n");
+    assert_eq!(bench.text, b"");
+    bench.now_us += FRAME_TIMEOUT_US_AND_MORE;
+    let text = &mut bench.text;
+    bench
+        .session
+        .poll(bench.now_us, &mut |byte| text.push(byte));
+    assert_eq!(bench.text, b"\xFD\x20\x00\x00format text\n");
+    bench.text.clear();
+    // A frame inside an incomplete heartbeat is found.
+    let request = frame(&command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]));
+    bench.send_bytes(b"\xFD\x01\x00\x00\x00\xFF\xBE\x00\x00\x00");
+    bench.send_bytes(request.raw_bytes());
+    bench.send_bytes(b"status\n");
+    assert!(bench.text.ends_with(b"status\n"));
+    assert_eq!(bench.receive_all(2048).len(), 1);
+}
+
+const FRAME_TIMEOUT_US_AND_MORE: u64 = super::super::receiver::FRAME_TIMEOUT_US + 1;
+
+#[test]
+fn long_messages_go_in_chunks_or_not_at_all() {
+    let mut bench = Bench::new();
+    let text = "a".repeat(49) + &"b".repeat(52);
+    let mut buffer = [0; 512];
+    let mut output = Output::new(&mut buffer);
+    assert!(bench.session.send_text(Severity::Error, &text, &mut output));
+    assert!(
+        bench
+            .session
+            .send_text(Severity::Information, "short", &mut output)
+    );
+    let length = output.length();
+    let sent = messages(&buffer[..length]);
+    let mut whole = String::new();
+    for (index, (_, message)) in sent.iter().enumerate() {
+        let MavMessage::STATUSTEXT(part) = message else {
+            panic!("{message:?}")
+        };
+        if index < 3 {
+            assert_eq!(part.severity, MavSeverity::MAV_SEVERITY_ERROR);
+            whole += part.text.to_str().unwrap();
+        } else {
+            assert_eq!(part.text.to_str(), Ok("short"));
+        }
+    }
+    assert_eq!(whole, text);
+    // Number and piece follow the letters; zeros at the end are left out.
+    assert_eq!(buffer[1], 52);
+    assert_eq!(buffer[10 + 51..10 + 52], [1]);
+    let second = 12 + 52;
+    assert_eq!(buffer[second + 10 + 51..second + 10 + 54], [1, 0, 1]);
+    let mut small = [0; 100];
+    let mut output = Output::new(&mut small);
+    assert!(!bench.session.send_text(Severity::Error, &text, &mut output));
+    assert_eq!(output.length(), 0);
+}
+
+#[test]
+fn a_dropped_message_is_counted_and_takes_no_number() {
+    let mut bench = Bench::new();
+    let mut sequences = Vec::new();
+    for step in 0..50_u64 {
+        let mut buffer = [0; 100];
+        let mut output = Output::new(&mut buffer);
+        let vehicle = Vehicle {
+            snapshot: Some(&bench.snapshot),
+            sample: &bench.sample,
+            temperature_celsius: 0.0,
+            record: &bench.record,
+            is_armed: false,
+            bursts_failed: 0,
+        };
+        let now_us = bench.now_us + step * 20_000;
+        bench.session.fill(now_us, &vehicle, &mut output);
+        let length = output.length();
+        sequences.extend(
+            messages(&buffer[..length])
+                .iter()
+                .map(|(number, _)| *number),
+        );
+    }
+    // Of three messages a time, the largest has no room.
+    assert_eq!(bench.session.dropped(), 50);
+    assert!(
+        sequences
+            .windows(2)
+            .all(|pair| pair[1] == pair[0].wrapping_add(1))
+    );
+}
+
+proptest! {
+    #[test]
+    fn any_bytes_leave_the_session_able_to_answer(noise: Vec<u8>) {
+        let mut bench = Bench::new();
+        bench.send_bytes(&noise);
+        bench.now_us += FRAME_TIMEOUT_US_AND_MORE;
+        let request = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
+        let unsupported = MavResult::MAV_RESULT_UNSUPPORTED;
+            let expected = acknowledgement(MavCmd::MAV_CMD_DO_SET_MODE, unsupported);
+        let answers = bench.answers(&request);
+        prop_assert!(answers.contains(&expected), "{:?}", answers);
+    }
+
+    #[test]
+    fn bytes_that_are_no_frame_all_become_text(
+        noise in proptest::collection::vec(0..0xFD_u8, 0..300),
+    ) {
+        let mut bench = Bench::new();
+        bench.send_bytes(&noise);
+        prop_assert_eq!(&bench.text, &noise);
+    }
+}
