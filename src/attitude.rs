@@ -47,6 +47,7 @@ impl Vector3 {
 
     /// Multiplies the vector by a number.
     #[inline]
+    #[must_use]
     pub fn scale(self, factor: f32) -> Self {
         Self::new(self.x * factor, self.y * factor, self.z * factor)
     }
@@ -59,6 +60,7 @@ impl Vector3 {
 
     /// Returns the vector product.
     #[inline]
+    #[must_use]
     pub fn cross(self, other: Self) -> Self {
         Self::new(
             self.y * other.z - self.z * other.y,
@@ -243,6 +245,7 @@ impl Quaternion {
 
     /// Returns the product: this rotation after `other`.
     #[inline]
+    #[must_use]
     pub fn multiply(self, other: Self) -> Self {
         Self::new(
             self.w * other.w - self.x * other.x - self.y * other.y - self.z * other.z,
@@ -254,6 +257,7 @@ impl Quaternion {
 
     /// Returns the inverse rotation, earth to body.
     #[inline]
+    #[must_use]
     pub fn conjugate(self) -> Self {
         Self::new(self.w, -self.x, -self.y, -self.z)
     }
@@ -279,6 +283,7 @@ impl Quaternion {
     ///
     /// `down` is in body axes, of any length but zero. Next to the poles, where roll is not
     /// defined, the rotation keeps its roll.
+    #[must_use]
     pub fn with_down(self, down: Vector3) -> Self {
         /// Within 0.6° of a pole the direction does not show roll.
         const MIN_PITCH_COSINE_SQUARED: f32 = 1.0e-4;
@@ -300,6 +305,7 @@ impl Quaternion {
 
     /// Returns the rotation with the sign that is nearer to `reference`.
     #[inline]
+    #[must_use]
     pub fn with_sign_of(self, reference: Self) -> Self {
         if self.dot(reference) < 0.0 {
             Self::new(-self.w, -self.x, -self.y, -self.z)
@@ -310,6 +316,7 @@ impl Quaternion {
 
     /// Returns the rotation at unit length; the identity if it is none (NaN, infinite or zero).
     #[inline]
+    #[must_use]
     pub fn normalize(self) -> Self {
         let squared = self.dot(self);
         let error = squared - 1.0;

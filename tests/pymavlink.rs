@@ -8,6 +8,7 @@ use std::io::{Read, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
@@ -222,11 +223,12 @@ impl Module {
                     wave(2_100, 400),
                 ]),
             };
-            snapshot = self.pipeline.update(&Burst {
+            let burst = Burst {
                 bytes: raw.encode(),
                 captured_at_us: t_us,
                 missed_before: 0,
-            });
+            };
+            snapshot = self.pipeline.update(&burst, BoardFlags::empty());
         }
         self.now_us = snapshot.t_us;
         let mut buffer = [0; 640];

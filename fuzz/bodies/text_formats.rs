@@ -2,7 +2,8 @@
 //! accepted input encodes to the same numbers, and every encoder's output is accepted.
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::health::Flags;
+use aplomb::estimator::classic::ClassicAngles;
+use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::Burst;
 use aplomb::pipeline::Snapshot;
 use aplomb::telemetry::{bursts, classic, teapot, teleplot, text};
@@ -71,23 +72,24 @@ fn write(bytes: &[u8; 32]) {
         t_us: 0,
         attitude: Quaternion::new(number(0), number(1), number(2), number(3)),
         body_rates_rad_s: Vector3::new(number(4), number(5), number(6)),
-        flags: Flags::from_bits(words[7]),
+        flags: Flags::from_bits_retain(words[7]),
+        tilt_variance_rad2: number(7),
     };
     let mut place = [0; text::LINE_LENGTH];
     let written = text_of(text::encode(&snapshot, &mut place));
     assert!(written.ends_with('\n'));
     let numbers = text::decode(written).expect("what is written is read");
-    let said = text::Line::from(&snapshot);
-    assert_eq!(numbers.is_valid, said.is_valid);
-    for (read, said) in [
-        (numbers.roll_deg, said.roll_deg),
-        (numbers.pitch_deg, said.pitch_deg),
-        (numbers.yaw_deg, said.yaw_deg),
-        (numbers.roll_rate_deg_s, said.roll_rate_deg_s),
-        (numbers.pitch_rate_deg_s, said.pitch_rate_deg_s),
-        (numbers.yaw_rate_deg_s, said.yaw_rate_deg_s),
+    let expected = text::Line::from(&snapshot);
+    assert_eq!(numbers.is_valid, expected.is_valid);
+    for (read, expected) in [
+        (numbers.roll_deg, expected.roll_deg),
+        (numbers.pitch_deg, expected.pitch_deg),
+        (numbers.yaw_deg, expected.yaw_deg),
+        (numbers.roll_rate_deg_s, expected.roll_rate_deg_s),
+        (numbers.pitch_rate_deg_s, expected.pitch_rate_deg_s),
+        (numbers.yaw_rate_deg_s, expected.yaw_rate_deg_s),
     ] {
-        check(read, said);
+        check(read, expected);
     }
 
     let mut place = [0; teleplot::LINES_LENGTH];
@@ -99,42 +101,42 @@ fn write(bytes: &[u8; 32]) {
     assert_eq!(values, numbers_of(Ok(numbers)));
 
     let mut place = [0; classic::LINE_LENGTH];
-    let said = classic::angles_of(&snapshot);
-    let read = classic::decode(text_of(classic::encode(&said, &mut place)));
+    let expected = classic::angles_of(&snapshot);
+    let read = classic::decode(text_of(classic::encode(&expected, &mut place)));
     let read = read.expect("what is written is read");
-    check(read.roll_deg, said.roll_deg);
-    check(read.roll_rate_deg_s, said.roll_rate_deg_s);
-    check(read.pitch_deg, said.pitch_deg);
-    check(read.pitch_rate_deg_s, said.pitch_rate_deg_s);
+    check(read.roll_deg, expected.roll_deg);
+    check(read.roll_rate_deg_s, expected.roll_rate_deg_s);
+    check(read.pitch_deg, expected.pitch_deg);
+    check(read.pitch_rate_deg_s, expected.pitch_rate_deg_s);
 
     assert!(teapot::decode(&teapot::encode(snapshot.attitude, bytes[31])).is_some());
 
-    let flags = Flags::from_bits(words[7] & ((1 << Flags::NAMES.len()) - 1));
-    assert_eq!(Flags::parse(&flags.to_string()), Some(flags));
+    let flags = Flags::from_bits_truncate(words[7]);
+    assert_eq!(flags.to_string().parse(), Ok(flags));
 
     let burst = Burst {
         bytes: std::array::from_fn(|place| bytes[place]),
         captured_at_us: u64::from(words[4]) << 32 | u64::from(words[5]),
         missed_before: bytes[31] & 1,
     };
-    let flags = flags & Flags::OF_BOARD;
+    let flags = BoardFlags::from_bits_truncate(words[7]);
     let line = bursts::Line(&burst, flags).to_string();
     assert_eq!(bursts::decode(&line), Ok((burst, flags)));
 }
 
 /// Compares a decoded number with the original: two decimals, at most 99999.99 either way, and
 /// 180° instead of −180°.
-fn check(read: f32, said: f32) {
-    if said.is_nan() {
+fn check(read: f32, expected: f32) {
+    if expected.is_nan() {
         return assert!(read.is_nan(), "{read}");
     }
-    let written = said.clamp(-99_999.99, 99_999.99);
+    let written = expected.clamp(-99_999.99, 99_999.99);
     // Half a hundredth, and the rounding of a number of this size.
     let tolerance = 0.005_001 + written.abs() * f32::EPSILON;
     let is_half_turn = read == 180.0 && written < -179.99;
     assert!(
         (read - written).abs() <= tolerance || is_half_turn,
-        "{said} {read}"
+        "{expected} {read}"
     );
 }
 
@@ -159,8 +161,8 @@ fn numbers_of(line: Result<text::Line, text::DecodeError>) -> [String; 7] {
 }
 
 /// Replaces −0 by 0.
-fn plain(angles: aplomb::estimator::ClassicAngles) -> aplomb::estimator::ClassicAngles {
-    aplomb::estimator::ClassicAngles {
+fn plain(angles: ClassicAngles) -> ClassicAngles {
+    ClassicAngles {
         roll_deg: angles.roll_deg + 0.0,
         roll_rate_deg_s: angles.roll_rate_deg_s + 0.0,
         pitch_deg: angles.pitch_deg + 0.0,

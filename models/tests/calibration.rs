@@ -2,25 +2,27 @@
 //! offsets, scales, cross-axis terms, curved temperature drift and noise.
 //!
 //! Prints the figures that the README quotes:
-//! `cargo test --profile host -p virtual-board --no-default-features --test calibration -- --nocapture`.
+//! `cargo test --profile host -p aplomb-models --test calibration -- --nocapture`.
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::accelerometer::{Pose, PoseCollector, PoseError};
 use aplomb::calibration::level;
 use aplomb::calibration::temperature::TemperatureLearner;
-use aplomb::calibration::{MotionReason, StationaryMean, StationaryProgress};
-use aplomb::estimator::kalman::Kalman;
+use aplomb::calibration::{
+    ImuReading, MotionReason, StationaryDetector, StationaryMean, StationaryProgress,
+};
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
-use aplomb::pipeline::{Pipeline, Settings};
-use virtual_board::motion::geometry::{angle_between, dot, norm, scale};
-use virtual_board::motion::truth::STANDARD_GRAVITY_M_S2;
-use virtual_board::motion::{Mount, Truth, Vector};
-use virtual_board::random::Random;
-use virtual_board::sensor::SensorErrors;
-use virtual_board::sensor::identity::Identity;
-use virtual_board::sensor::signal_path::{self, SignalPath};
+use aplomb::pipeline::{Pipeline, Settings, Snapshot};
+use aplomb_models::motion::geometry::{angle_between, dot, norm, scale};
+use aplomb_models::motion::truth::STANDARD_GRAVITY_M_S2;
+use aplomb_models::motion::{Mount, Truth, Vector};
+use aplomb_models::random::Random;
+use aplomb_models::sensor::SensorErrors;
+use aplomb_models::sensor::identity::Identity;
+use aplomb_models::sensor::signal_path::{self, SignalPath};
 
 const CHIPS: u64 = 200;
 /// The air on the bench, °C.
@@ -38,7 +40,7 @@ const FACE_UP: Vector = [0.0, 0.0, 1.0];
 struct Chip {
     errors: SensorErrors,
     path: SignalPath,
-    pipeline: Pipeline<Kalman>,
+    pipeline: Pipeline,
     random: Random,
     now_us: u64,
 }
@@ -58,7 +60,7 @@ impl Chip {
         Self {
             errors,
             path: SignalPath::new(seed, Mount::default(), errors, identity, settings),
-            pipeline: Pipeline::with_filter(&Settings::new(&Part::MPU_6050), Kalman::new()),
+            pipeline: Pipeline::new(&Settings::new(&Part::MPU_6050)),
             random: Random::new(seed, "poses"),
             now_us: 0,
         }
@@ -101,20 +103,33 @@ impl Chip {
         for _ in 0..30 {
             let (force, rate) = motion(0.0);
             let burst = self.sample(force, rate, ROOM_C, WARM_S);
-            self.pipeline.update(&burst);
+            self.update(&burst);
         }
-        self.pipeline.start_rest(samples);
+        let mut detector = self.pipeline.stationary_detector(samples);
         for index in 0..=samples {
             let (force, rate) = motion(f64::from(index) * 1e-3);
             let burst = self.sample(force, rate, ROOM_C, WARM_S);
-            self.pipeline.update(&burst);
-            match self.pipeline.collect(&burst) {
-                Some(StationaryProgress::Collecting) => {}
-                Some(progress) => return progress,
-                None => panic!("no rest is being collected"),
+            match self.detect(&mut detector, &burst) {
+                StationaryProgress::Collecting => {}
+                progress => return progress,
             }
         }
         panic!("neither rest nor motion");
+    }
+
+    fn update(&mut self, burst: &Burst) -> Snapshot {
+        self.pipeline.update(burst, BoardFlags::empty())
+    }
+
+    /// Updates the pipeline and the detector with one burst.
+    fn detect(&mut self, detector: &mut StationaryDetector, burst: &Burst) -> StationaryProgress {
+        self.update(burst);
+        let raw = RawSample::decode(&burst.bytes);
+        detector.update(&ImuReading {
+            gyroscope: raw.gyroscope.0,
+            accelerometer: raw.accelerometer.0,
+            temperature_celsius: self.pipeline.temperature_celsius(),
+        })
     }
 
     fn rest(&mut self, up: Vector, samples: u16) -> StationaryMean {
@@ -231,7 +246,6 @@ struct Errors {
 }
 
 impl Errors {
-    #[allow(clippy::too_many_lines)]
     fn of(seed: u64) -> Self {
         let mut chip = Chip::new(seed);
         let mut errors = Self::default();
@@ -307,16 +321,15 @@ impl Errors {
             for _ in 0..30 {
                 chip.sample(force, [0.0; 3], air_c, awake_s);
             }
-            chip.pipeline.start_rest(300);
+            let mut detector = chip.pipeline.stationary_detector(300);
             let at_rest = loop {
                 let burst = chip.sample(force, [0.0; 3], air_c, awake_s);
-                chip.pipeline.update(&burst);
-                match chip.pipeline.collect(&burst) {
-                    Some(StationaryProgress::Done(at_rest)) => break at_rest,
-                    Some(StationaryProgress::Moved(reason)) => {
+                match chip.detect(&mut detector, &burst) {
+                    StationaryProgress::Done(at_rest) => break at_rest,
+                    StationaryProgress::Moved(reason) => {
                         panic!("chip {seed}, {air_c} °C: {reason}")
                     }
-                    _ => {}
+                    StationaryProgress::Collecting => {}
                 }
             };
             learner.add(
@@ -451,16 +464,16 @@ fn the_attitude_goes_on_through_a_calibration_and_a_stored_one_starts_it_better(
     let mut before = Quaternion::IDENTITY;
     for _ in 0..1000 {
         let burst = chip.sample(force, [0.0; 3], ROOM_C, WARM_S);
-        before = chip.pipeline.update(&burst).attitude;
+        before = chip.update(&burst).attitude;
     }
     let scale_of = chip.pipeline.settings().noise_model();
     let mut calibration = *chip.pipeline.calibration();
     calibration.gyroscope = Some(at_rest.gyroscope_offset(&scale_of));
-    let bias_before = chip.pipeline.rate_offset_rad_s();
+    let bias_before = chip.pipeline.gyroscope_offset_body_rad_s();
     chip.pipeline.set_calibration(&calibration);
-    assert!((chip.pipeline.rate_offset_rad_s() - bias_before).norm() < 1e-6);
+    assert!((chip.pipeline.gyroscope_offset_body_rad_s() - bias_before).norm() < 1e-6);
     let burst = chip.sample(force, [0.0; 3], ROOM_C, WARM_S);
-    let after = chip.pipeline.update(&burst);
+    let after = chip.update(&burst);
     assert!(
         after.attitude.dot(before).abs() > 0.999_99,
         "{after:?} {before:?}"
@@ -470,11 +483,13 @@ fn the_attitude_goes_on_through_a_calibration_and_a_stored_one_starts_it_better(
     let mut settings = *chip.pipeline.settings();
     settings.calibration = calibration;
     for (settings, limit) in [(settings, 0.3), (Settings::new(&Part::MPU_6050), 50.0)] {
-        let mut pipeline = Pipeline::with_filter(&settings, Kalman::new());
+        let mut pipeline = Pipeline::new(&settings);
         let mut worst = 0.0_f32;
         for _ in 0..500 {
             let burst = chip.sample(force, [0.0; 3], ROOM_C, WARM_S);
-            let rates = pipeline.update(&burst).body_rates_rad_s;
+            let rates = pipeline
+                .update(&burst, BoardFlags::empty())
+                .body_rates_rad_s;
             worst = worst.max(rates.norm().to_degrees());
         }
         assert!(worst < limit + 0.3, "{worst}");

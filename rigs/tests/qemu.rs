@@ -133,7 +133,7 @@ fn bursts_of_every_kind() -> Vec<(Burst, BoardFlags)> {
                 missed_before: u8::from(index % 500 == 499),
             };
             let flags = match index {
-                1_800 => BoardFlags::OF_BOARD,
+                1_800 => BoardFlags::all().difference(BoardFlags::SCALES_VERIFIED),
                 2_800 => BoardFlags::SENSOR_RESET,
                 3_500..3_600 => BoardFlags::POLLED,
                 _ => BoardFlags::empty(),

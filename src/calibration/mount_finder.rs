@@ -36,7 +36,7 @@ pub struct MountFinder {
 }
 
 /// Result of a pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum MountStep {
     /// The finder wants the second pose: nose down by 90°, or as far as it goes.

@@ -96,7 +96,7 @@ impl Gate {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.optional(&mut self.last_t_us, 0, |visitor, t_us| visitor.u64(t_us));
+        visitor.optional(&mut self.last_t_us, 0, StateVisitor::u64);
         visitor.f32(&mut self.rate_squared);
     }
 }

@@ -38,6 +38,7 @@ fn is_rotation(attitude: Quaternion) -> bool {
 
 /// Any of the filters, so that one loop tests them all.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "a test has room for it")]
 enum Any {
     Kalman(Kalman),
     AxisKalman(AxisKalman),

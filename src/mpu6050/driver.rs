@@ -314,7 +314,6 @@ impl<I2C: I2c> Mpu6050<I2C> {
 }
 
 /// Probes both addresses once; `None` if no chip acknowledged.
-#[allow(clippy::type_complexity)]
 fn probe_addresses<I2C: I2c>(
     i2c: &mut I2C,
 ) -> Result<Option<(u8, &'static Part)>, Error<I2C::Error>> {

@@ -64,7 +64,7 @@ use super::record::Record;
 pub const LONGEST_RECORD: usize = HEADER_LENGTH + BODY_CAPACITY;
 
 /// Content of the flash at start.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Loaded<T = Record> {
     /// Active record, if there is one.
     pub record: Option<T>,
@@ -266,7 +266,7 @@ fn active_slot<T>(slots: &[Slot<T>; 2]) -> Option<usize> {
         [
             Slot::Valid { sequence: a, .. },
             Slot::Valid { sequence: b, .. },
-        ] => Some((b > a) as usize),
+        ] => Some(usize::from(b > a)),
         [Slot::Valid { .. }, _] => Some(0),
         [_, Slot::Valid { .. }] => Some(1),
         _ => None,

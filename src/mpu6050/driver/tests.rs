@@ -100,9 +100,9 @@ impl Sensor {
             match operation {
                 BusOperation::Write([register, values @ ..]) => {
                     pointer = *register;
-                    for value in values.iter() {
-                        self.log.push(Write(pointer, *value));
-                        self.write(pointer, *value);
+                    for value in values.iter().copied() {
+                        self.log.push(Write(pointer, value));
+                        self.write(pointer, value);
                         pointer += 1;
                     }
                 }

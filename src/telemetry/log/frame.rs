@@ -37,7 +37,6 @@ pub(super) static CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_
 
 /// Frame of a flight log.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[allow(clippy::large_enum_variant)]
 #[non_exhaustive]
 pub enum Frame {
     /// Settings.
@@ -75,7 +74,7 @@ pub struct NumberedBurst {
 }
 
 /// Piece of the filter's state.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StatePiece {
     /// Number of the next burst.
     pub number: u32,

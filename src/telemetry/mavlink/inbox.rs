@@ -158,7 +158,7 @@ impl Inbox {
                 Err(self.answer_version())
             }
             REQUEST_MESSAGE
-                if first == PARAM_VALUE_DATA::ID as f32 && second == second as u16 as f32 =>
+                if first == PARAM_VALUE_DATA::ID as f32 && second == f32::from(second as u16) =>
             {
                 self.queue(Reply::Parameter(second as u16));
                 Err(Outcome::Accepted)

@@ -58,7 +58,8 @@ impl Bench {
                     yaw_rad: radians(30.0),
                 }),
                 body_rates_rad_s: Vector3::new(0.1, -0.2, 0.3),
-                flags: Flags::NONE,
+                flags: Flags::empty(),
+                tilt_variance_rad2: 0.0,
             },
             sample: Sample {
                 specific_force_m_s2: Vector3::new(0.0, 0.5, -9.8),
@@ -240,7 +241,7 @@ fn faults_clear_the_health_bits() {
         }))
         .bits()
     };
-    assert_eq!(health_of(Flags::NONE), 0x0020_0003);
+    assert_eq!(health_of(Flags::empty()), 0x0020_0003);
     assert_eq!(health_of(Flags::FROZEN), 0);
     assert_eq!(health_of(Flags::ACCELEROMETER_SATURATED), 0x0020_0001);
     assert_eq!(health_of(Flags::CALIBRATING), 3);
