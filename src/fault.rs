@@ -176,7 +176,7 @@ impl FaultClass {
 ///
 /// // Counter of watchdog resets.
 /// let offset = report::COUNTERS + 4 * FaultClass::Watchdog as usize;
-/// assert_eq!(offset, 24 + 4 * 24);
+/// assert_eq!(offset, 20 + 4 * 24);
 /// ```
 pub mod report {
     use super::FaultClass;

@@ -11,7 +11,7 @@ use super::command::{Calibrate, Command, CommandForms, MountChoice, ParseError};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
 use super::module::{Module, Outcome, Task};
-use super::preferences::usable;
+use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
@@ -54,7 +54,7 @@ impl Console {
             line: LineAssembler::new(),
             errors: LineErrors::new(),
             working: Record {
-                preferences: usable(stored.preferences),
+                preferences: usable_preferences(stored.preferences),
                 ..stored
             },
             stored,
@@ -293,7 +293,7 @@ impl Console {
     fn forget(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         let defaults = Preferences::default();
         self.working = Record {
-            preferences: usable(Preferences {
+            preferences: usable_preferences(Preferences {
                 baud: self.working.preferences.baud,
                 ..defaults
             }),

@@ -55,6 +55,8 @@ mod procedure;
 mod procedure_runner;
 mod status;
 
+pub use command::Command;
 pub use dispatch::Console;
 pub use line_errors::MAX_ERROR_ANSWERS;
 pub use module::{Module, Outcome, State, Task};
+pub use preferences::usable_preferences;

@@ -6,7 +6,16 @@ use crate::telemetry;
 
 /// Returns preferences that the UART can carry: the given ones, with defaults for impossible
 /// values.
-pub(super) fn usable(preferences: Preferences) -> Preferences {
+///
+/// ```
+/// use aplomb::console::usable_preferences;
+/// use aplomb::settings::Preferences;
+///
+/// let mut preferences = Preferences::default();
+/// preferences.baud = 1;
+/// assert_eq!(usable_preferences(preferences).baud, 115_200);
+/// ```
+pub fn usable_preferences(preferences: Preferences) -> Preferences {
     let defaults = Preferences::default();
     let baud = if BAUD_RATES.contains(&preferences.baud) {
         preferences.baud

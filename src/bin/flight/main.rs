@@ -15,6 +15,9 @@
 #![no_std]
 #![no_main]
 
+#[cfg_attr(not(feature = "full"), path = "commands_absent.rs")]
+mod commands;
+#[cfg(feature = "full")]
 mod module_port;
 mod requests;
 mod supervisor;
@@ -43,7 +46,6 @@ mod app {
     use aplomb::board::uart::{self, ReceiveRing};
     use aplomb::board::{clocks, pins, retained, watchdog};
     use aplomb::calibration::Mount;
-    use aplomb::console::Console;
     use aplomb::estimator::kalman::WarmStart;
     use aplomb::fault::{ClockSource, ResetCause};
     use aplomb::health::Flags;
@@ -56,6 +58,7 @@ mod app {
     use heapless::spsc::{Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
+    use crate::commands::Commands;
     use crate::requests::{self, Estimation, Requests, StationaryMeasurement};
     use crate::supervisor;
     use crate::telemetry::Telemetry;
@@ -148,19 +151,20 @@ mod app {
         if record.is_some() {
             messages.post(Message::RecordLoaded);
         }
-        let console = Console::new(
+        let mut commands = Commands::new(
             record,
             SETTINGS.noise_model(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
         );
-        let baud = console.working().preferences.baud;
+        let baud = commands.preferences().baud;
         let (transmitter, receiver) =
             uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
+        commands.listen(receiver);
         let (to_log, logged) = context.local.log_queue.split();
         let requests = Requests {
             sensor: None,
-            calibration: console.working().calibration,
+            calibration: commands.record().calibration,
             is_armed: false,
             task: None,
             outcome: None,
@@ -181,7 +185,7 @@ mod app {
                 warm_start: start.warm_start,
                 flash,
                 to_log,
-                output: Telemetry::new(transmitter, receiver, console, logged),
+                output: Telemetry::new(transmitter, commands, logged),
             },
         )
     }

@@ -2,11 +2,12 @@
 
 use core::sync::atomic::Ordering;
 
-use aplomb::board::publish;
 use aplomb::board::uart::{Receiver, Transmitter};
+use aplomb::board::{publish, retained};
 use aplomb::calibration::{Calibration, StationaryProgress};
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Module, Outcome, State, Task};
+use aplomb::fault::FaultClass;
 use aplomb::health::Flags;
 use rtic::Mutex;
 
@@ -32,8 +33,8 @@ pub struct ModulePort<'a, E, R> {
     pub now_us: u64,
     /// Number of the first burst after a change of settings: the flight log restarts there.
     pub changed_at: Option<u32>,
-    /// The counters. [`Module::state`] fills in the rest.
-    pub state: State,
+    /// Bursts that failed since boot.
+    pub bursts_failed: u16,
 }
 
 impl<E, R> Module for ModulePort<'_, E, R>
@@ -57,7 +58,12 @@ where
     }
 
     fn state(&mut self) -> State {
-        let mut state = self.state;
+        let mut state = State {
+            bursts_failed: self.bursts_failed,
+            reception_errors: retained::counted(FaultClass::UartInput),
+            frames_dropped: retained::counted(FaultClass::TelemetryLate),
+            ..State::default()
+        };
         state.flags = publish::latest().map_or(Flags::empty(), |(snapshot, _)| snapshot.flags);
         state.sensor = self.requests.lock(|requests| requests.sensor);
         let copied = self.estimation.lock(|estimation| {

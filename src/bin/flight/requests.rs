@@ -28,6 +28,7 @@ pub struct Requests {
 static IS_TASK_PENDING: AtomicBool = AtomicBool::new(false);
 
 /// Announces that a task has been requested.
+#[cfg(feature = "full")]
 pub fn announce_task() {
     IS_TASK_PENDING.store(true, Ordering::Release);
 }

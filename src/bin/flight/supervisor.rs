@@ -101,7 +101,8 @@ pub fn run(
                 Delay.delay_ms(sensor::RETRY_MS);
             }
         }
-        if requests::take_pending_task()
+        if cfg!(feature = "full")
+            && requests::take_pending_task()
             && let Some(task) = requests.lock(|requests| requests.task.take())
         {
             let since = timebase::now();

@@ -6,26 +6,24 @@
 use core::fmt::Write;
 use core::sync::atomic::Ordering;
 
-use aplomb::board::uart::{self, Receiver, Reception, Transmitter};
+use aplomb::board::uart::{self, Transmitter};
 use aplomb::board::{burst_reader, publish, retained, timebase, watchdog};
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
-use aplomb::console::ground_station::GroundStation;
-use aplomb::console::{Console, State};
-use aplomb::estimator::Sample;
 use aplomb::fault::FaultClass;
 use aplomb::health::FlagReport;
 use aplomb::pipeline::Snapshot;
 use aplomb::settings::OutputFormat;
 use aplomb::telemetry::log::{self, NumberedBurst, Sender};
-use aplomb::telemetry::mavlink::Vehicle;
 use aplomb::telemetry::message::{self, Message, Severity};
 use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Mailbox, Output, Pace};
 use heapless::spsc::Consumer;
 use rtic::Mutex;
 
-use crate::module_port::ModulePort;
+use crate::commands::Commands;
 use crate::requests::{BURST_COUNT, Estimation, IS_LOGGING, Requests};
 
+/// True if this build sends the flight log.
+const HAS_LOG: bool = cfg!(feature = "full");
 /// Room for a tick's answer, with its mark and line end, beside a frame.
 const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
 const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
@@ -42,10 +40,8 @@ const COPY_WINDOW_US: u32 = 900;
 /// The telemetry task's state.
 pub struct Telemetry {
     transmitter: Transmitter,
-    receiver: Receiver,
-    console: Console,
+    commands: Commands,
     logged: Consumer<'static, NumberedBurst>,
-    station: GroundStation,
     sender: Sender,
     now_us: u64,
     frames_sent: u8,
@@ -59,16 +55,13 @@ impl Telemetry {
     /// Telemetry over this UART. `logged` brings the bursts for the flight log.
     pub fn new(
         transmitter: Transmitter,
-        receiver: Receiver,
-        console: Console,
+        commands: Commands,
         logged: Consumer<'static, NumberedBurst>,
     ) -> Self {
         Self {
             transmitter,
-            receiver,
-            console,
+            commands,
             logged,
-            station: GroundStation::new(),
             sender: Sender::new(0),
             now_us: 0,
             frames_sent: 0,
@@ -89,13 +82,10 @@ impl Telemetry {
         watchdog::telemetry_goes_on();
         let mut post = |message| messages.lock(|messages| messages.post(message));
         let failures = self.report_failures(&mut post);
-        let has_reception_error = self.receiver.look(self.transmitter.baud()) != Reception::Sound;
-        if has_reception_error {
-            retained::count(FaultClass::UartInput);
-        }
+        self.commands.check_reception(self.transmitter.baud());
         // Ticks come much more often than the count wraps.
         self.now_us += u64::from(timebase::now().wrapping_sub(self.now_us as u32));
-        let preferences = self.console.working().preferences;
+        let preferences = self.commands.preferences();
         let format = preferences.format;
         let snapshot = self.due_snapshot(Pace::new(format, preferences.rate_hz));
         if let Some(snapshot) = &snapshot
@@ -109,27 +99,15 @@ impl Telemetry {
             }
             return;
         }
-        self.follow_log_format(format == OutputFormat::Log);
-        let mut port = ModulePort {
-            receiver: &mut self.receiver,
-            transmitter: &mut self.transmitter,
-            estimation: &mut estimation,
+        self.follow_log_format(HAS_LOG && format == OutputFormat::Log);
+        let answer = self.commands.poll(
+            self.now_us,
+            failures,
+            &mut self.transmitter,
+            &mut estimation,
             requests,
-            has_reception_error,
-            station: &mut self.station,
-            is_mavlink: format == OutputFormat::Mavlink,
-            now_us: self.now_us,
-            changed_at: None,
-            state: State {
-                bursts_failed: failures,
-                reception_errors: retained::counted(FaultClass::UartInput),
-                frames_dropped: retained::counted(FaultClass::TelemetryLate),
-                ..State::default()
-            },
-        };
-        let mut answer = heapless::String::<ANSWER_CAPACITY>::new();
-        let kind = poll_console(&mut self.console, &mut port, &mut answer);
-        if let Some(number) = port.changed_at {
+        );
+        if let Some(number) = answer.changed_at {
             self.sender.restart(number);
         }
         let Some(buffer) = self.transmitter.idle_buffer() else {
@@ -137,8 +115,14 @@ impl Telemetry {
         };
         let output = &mut Output::new(buffer);
         // The answer to a command that changes the format still comes in the old one.
-        if let Some(kind) = kind {
-            put_text(format, severity(kind), &answer, &mut self.station, output);
+        if let Some(kind) = answer.kind {
+            put_text(
+                format,
+                severity(kind),
+                &answer.text,
+                &mut self.commands,
+                output,
+            );
         }
         while output.has_room(MESSAGE_ROOM + FRAME_CAPACITY)
             && let Some(message) = messages.lock(Mailbox::take)
@@ -146,20 +130,21 @@ impl Telemetry {
             let mut line = heapless::String::<{ message::LINE_CAPACITY }>::new();
             // A test holds the longest message to its line.
             write!(line, "{message}").ok();
-            put_text(format, message.severity(), &line, &mut self.station, output);
+            put_text(
+                format,
+                message.severity(),
+                &line,
+                &mut self.commands,
+                output,
+            );
         }
         let (now_us, snapshot) = (self.now_us, snapshot.as_ref());
         match format {
-            OutputFormat::Mavlink => put_mavlink(
-                &mut self.station,
-                &self.console,
-                &mut estimation,
-                snapshot,
-                now_us,
-                failures,
-                output,
-            ),
-            OutputFormat::Log => put_log(
+            OutputFormat::Mavlink => {
+                self.commands
+                    .put_messages(&mut estimation, snapshot, now_us, failures, output);
+            }
+            OutputFormat::Log if HAS_LOG => put_log(
                 &mut self.sender,
                 &mut self.logged,
                 &mut estimation,
@@ -211,40 +196,20 @@ impl Telemetry {
     }
 }
 
-/// Lets the console read one line, or the ground station ask for one command. Returns the kind of the answer.
-fn poll_console<E, R>(
-    console: &mut Console,
-    port: &mut ModulePort<'_, E, R>,
-    answer: &mut heapless::String<ANSWER_CAPACITY>,
-) -> Option<Kind>
-where
-    E: Mutex<T = Estimation>,
-    R: Mutex<T = Requests>,
-{
-    if let Some(kind) = console.poll(timebase::now(), port, answer) {
-        port.station.on_answer(kind);
-        return Some(kind);
-    }
-    let (ticket, command) = port.station.take_command()?;
-    let kind = console.execute(command, timebase::now(), port, answer);
-    port.station.answer(ticket, command, kind);
-    Some(kind)
-}
-
 /// Writes a line of the module in this format, and to the log over RTT.
 #[inline(never)]
 fn put_text(
     format: OutputFormat,
     severity: Severity,
     line: &str,
-    station: &mut GroundStation,
+    commands: &mut Commands,
     output: &mut Output<'_>,
 ) {
     match format {
         OutputFormat::Mavlink => {
-            station.session.send_text(severity, line, output);
+            commands.put_text(severity, line, output);
         }
-        OutputFormat::Log => {
+        OutputFormat::Log if HAS_LOG => {
             log::put_text(line, output);
         }
         _ => {
@@ -260,33 +225,6 @@ fn put_text(
         Severity::Warning => defmt::warn!("{=str}", line),
         Severity::Error => defmt::error!("{=str}", line),
     }
-}
-
-/// Writes the MAVLink messages that are due.
-fn put_mavlink(
-    station: &mut GroundStation,
-    console: &Console,
-    estimation: &mut impl Mutex<T = Estimation>,
-    snapshot: Option<&Snapshot>,
-    now_us: u64,
-    bursts_failed: u16,
-    output: &mut Output<'_>,
-) {
-    let (sample, temperature_celsius) = estimation.lock(|estimation| {
-        let pipeline = estimation.pipeline.as_ref();
-        pipeline.map_or((Sample::default(), 0.0), |pipeline| {
-            (*pipeline.sample(), pipeline.temperature_celsius())
-        })
-    });
-    let vehicle = Vehicle {
-        snapshot,
-        sample: &sample,
-        temperature_celsius,
-        record: console.working(),
-        is_armed: console.is_armed(),
-        bursts_failed,
-    };
-    station.session.fill(now_us, &vehicle, output);
 }
 
 /// Writes the flight log's frames, and copies the pipeline for it when a state is due.

@@ -1,0 +1,157 @@
+//! Commands: the console's lines and the ground station's requests.
+//!
+//! `commands_absent.rs` takes the place of this file in a build without the feature `full`.
+
+use aplomb::board::retained;
+use aplomb::board::timebase;
+use aplomb::board::uart::{Receiver, Reception, Transmitter};
+use aplomb::calibration::{Mount, NoiseModel};
+use aplomb::console::Console;
+use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
+use aplomb::console::ground_station::GroundStation;
+use aplomb::estimator::Sample;
+use aplomb::fault::FaultClass;
+use aplomb::pipeline::Snapshot;
+use aplomb::settings::{OutputFormat, Preferences, Record};
+use aplomb::telemetry::Output;
+use aplomb::telemetry::mavlink::Vehicle;
+use aplomb::telemetry::message::Severity;
+use rtic::Mutex;
+
+use crate::module_port::ModulePort;
+use crate::requests::{Estimation, Requests};
+
+/// The console, the ground station, and the bytes that they receive.
+pub struct Commands {
+    console: Console,
+    station: GroundStation,
+    receiver: Option<Receiver>,
+    has_reception_error: bool,
+}
+
+/// Answer to a command.
+pub struct Answer {
+    /// The line, without its end.
+    pub text: heapless::String<ANSWER_CAPACITY>,
+    /// Its kind; `None` if there is no answer.
+    pub kind: Option<Kind>,
+    /// Number of the first burst after a change of settings: the flight log restarts there.
+    pub changed_at: Option<u32>,
+}
+
+impl Commands {
+    /// Creates a console with the record from flash. It describes a sensor with this noise and rate.
+    pub fn new(
+        stored: Option<Record>,
+        noise: NoiseModel,
+        sample_rate_hz: f32,
+        default_mount: Mount,
+    ) -> Self {
+        Self {
+            console: Console::new(stored, noise, sample_rate_hz, default_mount),
+            station: GroundStation::new(),
+            receiver: None,
+            has_reception_error: false,
+        }
+    }
+
+    /// Reads commands from this receiver from now on.
+    pub fn listen(&mut self, receiver: Receiver) {
+        self.receiver = Some(receiver);
+    }
+
+    /// Returns the record in use.
+    pub const fn record(&self) -> &Record {
+        self.console.working()
+    }
+
+    /// Returns the preferences in use.
+    pub const fn preferences(&self) -> Preferences {
+        self.console.working().preferences
+    }
+
+    /// Checks the receiver for bytes that were garbled or lost.
+    pub fn check_reception(&mut self, baud: u32) {
+        let Some(receiver) = &mut self.receiver else {
+            return;
+        };
+        self.has_reception_error = receiver.look(baud) != Reception::Sound;
+        if self.has_reception_error {
+            retained::count(FaultClass::UartInput);
+        }
+    }
+
+    /// Executes one line of the console, or one request of the ground station.
+    pub fn poll(
+        &mut self,
+        now_us: u64,
+        bursts_failed: u16,
+        transmitter: &mut Transmitter,
+        estimation: impl Mutex<T = Estimation>,
+        requests: impl Mutex<T = Requests>,
+    ) -> Answer {
+        let mut answer = Answer {
+            text: heapless::String::new(),
+            kind: None,
+            changed_at: None,
+        };
+        let Some(receiver) = &mut self.receiver else {
+            return answer;
+        };
+        let console = &mut self.console;
+        let mut port = ModulePort {
+            receiver,
+            transmitter,
+            estimation,
+            requests,
+            has_reception_error: self.has_reception_error,
+            is_mavlink: console.working().preferences.format == OutputFormat::Mavlink,
+            station: &mut self.station,
+            now_us,
+            changed_at: None,
+            bursts_failed,
+        };
+        let mut kind = console.poll(timebase::now(), &mut port, &mut answer.text);
+        if let Some(kind) = kind {
+            port.station.on_answer(kind);
+        } else if let Some((ticket, command)) = port.station.take_command() {
+            let answered = console.execute(command, timebase::now(), &mut port, &mut answer.text);
+            port.station.answer(ticket, command, answered);
+            kind = Some(answered);
+        }
+        answer.kind = kind;
+        answer.changed_at = port.changed_at;
+        answer
+    }
+
+    /// Writes a line of text as MAVLink.
+    pub fn put_text(&mut self, severity: Severity, line: &str, output: &mut Output<'_>) {
+        self.station.session.send_text(severity, line, output);
+    }
+
+    /// Writes the MAVLink messages that are due.
+    pub fn put_messages(
+        &mut self,
+        mut estimation: impl Mutex<T = Estimation>,
+        snapshot: Option<&Snapshot>,
+        now_us: u64,
+        bursts_failed: u16,
+        output: &mut Output<'_>,
+    ) {
+        let (sample, temperature_celsius) = estimation.lock(|estimation| {
+            let pipeline = estimation.pipeline.as_ref();
+            pipeline.map_or((Sample::default(), 0.0), |pipeline| {
+                (*pipeline.sample(), pipeline.temperature_celsius())
+            })
+        });
+        let vehicle = Vehicle {
+            snapshot,
+            sample: &sample,
+            temperature_celsius,
+            record: self.console.working(),
+            is_armed: self.console.is_armed(),
+            bursts_failed,
+        };
+        self.station.session.fill(now_us, &vehicle, output);
+    }
+}
