@@ -63,9 +63,14 @@ impl Board {
     pub fn feature(self) -> String {
         format!("board-{}", self.name)
     }
+
+    /// The cargo features of the full firmware.
+    pub fn features(self) -> String {
+        format!("full,board-{}", self.name)
+    }
 }
 
-/// Whether this names a mount, before minutes of building: two signed axes at right angles, or an alias.
+/// Returns whether this names a mount, before minutes of building: two signed axes at right angles, or an alias.
 pub fn is_mount(name: &str) -> bool {
     let is_axis = |sign, axis| b"+-".contains(&sign) && b"xyz".contains(&axis);
     match *name.as_bytes() {
@@ -82,13 +87,37 @@ pub struct Firmware {
     pub board: Board,
     /// The mount that is compiled in, or the default.
     pub mount: Option<String>,
+    /// True for the build without commands, MAVLink and flight log.
+    pub is_minimal: bool,
 }
 
 impl Firmware {
+    /// The full firmware for a board, with the default mount.
+    pub fn full(board: Board) -> Self {
+        Self {
+            board,
+            mount: None,
+            is_minimal: false,
+        }
+    }
+
+    /// The minimal firmware for a board, with the default mount.
+    pub fn minimal(board: Board) -> Self {
+        Self {
+            is_minimal: true,
+            ..Self::full(board)
+        }
+    }
+
     /// Builds it and returns the ELF file, which a build for another board or mount does not replace.
     pub fn build(&self, toolchain: &Toolchain) -> Result<PathBuf, String> {
+        let (kind, features) = if self.is_minimal {
+            ("minimal firmware", self.board.feature())
+        } else {
+            ("firmware", self.board.features())
+        };
         step::timed(
-            &format!("building the firmware for {}", self.board.name),
+            &format!("building the {kind} for {}", self.board.name),
             || {
                 let mut cargo = toolchain.cargo("build");
                 cargo.args([
@@ -97,7 +126,7 @@ impl Firmware {
                     "--bin",
                     "flight",
                     "--features",
-                    &self.board.feature(),
+                    &features,
                 ]);
                 match &self.mount {
                     Some(mount) => cargo.env("APLOMB_MOUNT", mount),
@@ -105,10 +134,11 @@ impl Firmware {
                 };
                 step::run(&mut cargo)?;
                 let mount = self.mount.as_deref().unwrap_or("default");
+                let size = if self.is_minimal { "-minimal" } else { "" };
                 keep(
                     "firmware",
                     "flight",
-                    &format!("flight-{}-{mount}", self.board.name),
+                    &format!("flight-{}{size}-{mount}", self.board.name),
                 )
             },
         )
@@ -122,28 +152,26 @@ pub fn virtual_board() -> Result<PathBuf, String> {
             // The emulator asks for a newer compiler than it needs.
             step::command("cargo".as_ref()).args([
                 "build",
-                "--profile",
-                "host",
+                "--release",
                 "-p",
                 "virtual-board",
                 "--ignore-rust-version",
             ]),
         )
     })?;
-    Ok(target_folder().join("host/virtual-board"))
+    Ok(target_folder().join("release/virtual-board"))
 }
 
 /// Builds the program `aplomb`.
 pub fn program() -> Result<PathBuf, String> {
     step::run(step::command("cargo".as_ref()).args([
         "build",
-        "--profile",
-        "host",
+        "--release",
         "-p",
         "aplomb-cli",
         "--ignore-rust-version",
     ]))?;
-    Ok(target_folder().join("host/aplomb"))
+    Ok(target_folder().join("release/aplomb"))
 }
 
 /// Copies a program for the target to `target/firmware/<name>.elf`.

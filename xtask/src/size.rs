@@ -13,6 +13,8 @@ use crate::{panics, rigs};
 
 /// Budget of the firmware's flash, well below the smallest board's chip.
 const FLASH_BUDGET: u64 = 128 * 1024;
+/// Budget of the minimal build's flash.
+const MINIMAL_FLASH_BUDGET: u64 = 64 * 1024;
 /// Budget of its variables; the stack has a region of its own.
 const RAM_BUDGET: u64 = 16 * 1024;
 /// The most flash that the default filter alone may add to an empty image.
@@ -34,11 +36,16 @@ pub struct Sizes {
 /// Builds the firmware and prints its sizes.
 pub fn run(board: Board) -> Result<(), String> {
     let toolchain = Toolchain::for_target()?;
-    let elf = Firmware { board, mount: None }.build(&toolchain)?;
+    let elf = Firmware::full(board).build(&toolchain)?;
     let sizes = check(&elf)?;
+    let minimal = check_minimal(&Firmware::minimal(board).build(&toolchain)?)?;
     panics::check(&elf)?;
     println!("\n{} ({})", board.name, board.chip);
     println!("flash {:>7} bytes of {FLASH_BUDGET}", sizes.flash);
+    println!(
+        "flash {:>7} bytes of {MINIMAL_FLASH_BUDGET}, minimal build",
+        minimal.flash
+    );
     println!("ram   {:>7} bytes of {RAM_BUDGET}, stack apart", sizes.ram);
     println!(
         "Kalman{:>7} bytes of {KALMAN_BUDGET}, what the filter alone adds to an empty image",
@@ -53,9 +60,18 @@ pub fn run(board: Board) -> Result<(), String> {
 
 /// Reads the sizes of an image. An error if it exceeds a budget or touches a calibration slot.
 pub fn check(elf: &Path) -> Result<Sizes, String> {
+    check_within(elf, FLASH_BUDGET)
+}
+
+/// Checks an image of the minimal build, as [`check`] does.
+pub fn check_minimal(elf: &Path) -> Result<Sizes, String> {
+    check_within(elf, MINIMAL_FLASH_BUDGET)
+}
+
+fn check_within(elf: &Path, flash_budget: u64) -> Result<Sizes, String> {
     let sizes = measure(elf)?;
     for (name, size, budget) in [
-        ("flash", sizes.flash, FLASH_BUDGET),
+        ("flash", sizes.flash, flash_budget),
         ("RAM", sizes.ram, RAM_BUDGET),
     ] {
         if size == 0 || size > budget {
