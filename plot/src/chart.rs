@@ -1,4 +1,5 @@
-//! Charts of curves over time, one above the other, with what lasted for a while beneath them: flags, faults.
+//! Charts of curves over time, one above the other, with what lasted for a while beneath them:
+//! flags, faults.
 //!
 //! Beneath those there may be panels with an axis of their own, such as a spectrum's.
 
@@ -428,7 +429,8 @@ pub fn error_panel(errors: &Trace, three_sigma: Option<&Trace>) -> Panel {
     panel
 }
 
-/// Returns a lane for each flag that is ever set; `good` is the one that means well and comes first.
+/// Returns a lane for each flag that is ever set; `good` is the one that means well and comes
+/// first.
 #[must_use]
 pub fn flag_lanes<'a>(
     flags: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>,

@@ -1,7 +1,7 @@
 //! Pictures of areas, lines and letters, drawn as PNG or as SVG.
 //!
-//! A picture is a list of shapes, in the order in which they cover each other. Coordinates are pixels from the upper
-//! left corner. As PNG its letters are of fixed size and need no font file.
+//! A picture is a list of shapes, in the order in which they cover each other. Coordinates are
+//! pixels from the upper left corner. As PNG its letters are of fixed size and need no font file.
 
 use std::fmt::Write as _;
 

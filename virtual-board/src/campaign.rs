@@ -1,13 +1,15 @@
 //! Flights by chance with faults by chance, and what must hold in every one of them.
 //!
-//! - No hang, no crash, and no reset but those that a `watchdog-hang`, a `crash` or a `stack-overflow` asks for.
+//! - No hang, no crash, and no reset but those that a `watchdog-hang`, a `crash` or a
+//!   `stack-overflow` asks for.
 //! - A tilt that is wrong by more than the larger of 5° and six σ is never published as valid.
-//! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within the deadline after
-//!   each fault: 20 ms after the end of a fault of the bus, 250 ms after a reset or the sensor's first possible
-//!   acknowledge, and after a fault of what the sensor measures.
-//! - Something is published every 20 ms while the core runs: if nothing is known, that nothing is known. A line of
-//!   telemetry comes every 100 ms.
-//! - Without a fault no data-ready edge is without its sample, and times are right to a microsecond.
+//! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within
+//!   the deadline after each fault: 20 ms after the end of a fault of the bus, 250 ms after a reset
+//!   or the sensor's first possible acknowledge, and after a fault of what the sensor measures.
+//! - Something is published every 20 ms while the core runs: if nothing is known, that nothing is
+//!   known. A line of telemetry comes every 100 ms.
+//! - Without a fault no data-ready edge is without its sample, and times are right to a
+//!   microsecond.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -57,7 +59,8 @@ const COVERED_NS: u64 = 2_000_000;
 /// The motion begins after this much rest, s: the gyroscope's offset has been measured by then.
 const MOTION_REST_S: f64 = 1.45;
 
-/// What a run goes on for after its last deadline, ns, and after the start of a hang, within which the watchdog must bite.
+/// What a run goes on for after its last deadline, ns, and after the start of a hang, within which
+/// the watchdog must bite.
 const TAIL_NS: u64 = 300_000_000;
 const WATCHDOG_NS: u64 = 3_000_000_000;
 
@@ -369,7 +372,8 @@ impl Judge<'_> {
         }
     }
 
-    /// Whether the firmware has counted, flagged or said anything from the beginning of an episode to its deadline.
+    /// Whether the firmware has counted, flagged or said anything from the beginning of an episode
+    /// to its deadline.
     fn is_detected(&self, episode: &Episode) -> bool {
         let last_ns = episode.faults.iter().map(ScheduledFault::end_ns);
         let last_ns = last_ns.filter(|&end_ns| end_ns != u64::MAX).max();
@@ -527,7 +531,8 @@ impl Judge<'_> {
         }
     }
 
-    /// The longest time between two of these, or to the end, while the core runs, and when it begins.
+    /// The longest time between two of these, or to the end, while the core runs, and when it
+    /// begins.
     fn longest_gap(&self, case: &Case, mut times_ns: Vec<u64>) -> Option<(u64, u64)> {
         if times_ns.is_empty() {
             return None;
@@ -694,8 +699,8 @@ mod tests {
         Case::new(3, Schedule::parse("test", text).unwrap())
     }
 
-    /// What a firmware without a fault of its own leaves: a right attitude every millisecond from 0.3 s on, valid from
-    /// 1.2 s on, but for some time without.
+    /// What a firmware without a fault of its own leaves: a right attitude every millisecond from
+    /// 0.3 s on, valid from 1.2 s on, but for some time without.
     fn record(case: &Case, without_ns: std::ops::Range<u64>) -> Record {
         let end_ns = VirtualNanos((case.seconds * 1e9) as u64).0;
         let mut motion = case.motion();

@@ -1,8 +1,9 @@
 //! What a decorator of an emulated device passes on as it is.
 //!
-//! Five devices here are rigless's own with something around it. Each writes the calls that it changes, and names
-//! the others in [`delegate!`](crate::delegate::delegate), which hands them to its field `model`. A call that a
-//! decorator leaves out would go to the trait's empty default, and the model would never hear of it.
+//! Five devices here are rigless's own with something around it. Each writes the calls that it
+//! changes, and names the others in [`delegate!`](crate::delegate::delegate), which hands them to
+//! its field `model`. A call that a decorator leaves out would go to the trait's empty default, and
+//! the model would never hear of it.
 
 macro_rules! delegate {
     ($($method:ident)+) => { $($crate::delegate::delegate!(@ $method);)+ };

@@ -1,4 +1,5 @@
-//! The sensor as it is fitted to the board: on the I2C bus, its INT pin on a wire, and the faults in between.
+//! The sensor as it is fitted to the board: on the I2C bus, its INT pin on a wire, and the faults
+//! in between.
 
 use std::fmt;
 
@@ -103,7 +104,8 @@ impl FittedSensor {
         self.is_pulled_up = is_pulled_up;
     }
 
-    /// Brings the sensor up to `now_ns` and says when the INT wire has changed since the last call, and to what, in order.
+    /// Brings the sensor up to `now_ns` and says when the INT wire has changed since the last call,
+    /// and to what, in order.
     pub fn advance_to(&mut self, now_ns: u64) -> Vec<(u64, bool)> {
         let mut changes = Vec::new();
         while let Some(&at_ns) = self
@@ -131,7 +133,8 @@ impl FittedSensor {
             .min()
     }
 
-    /// When the sensor has the registers of a reset and acknowledges nothing, as after power-up: until then, ns.
+    /// When the sensor has the registers of a reset and acknowledges nothing, as after power-up:
+    /// until then, ns.
     #[must_use]
     pub fn ready_at_ns(&self) -> Option<u64> {
         self.sensor.ready_at_ns()
@@ -154,8 +157,8 @@ impl FittedSensor {
         self.sensor.stop(now_ns);
     }
 
-    /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte, and holds SDA until it
-    /// has had the rest of its clocks (UM10204, 3.1.16).
+    /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte, and
+    /// holds SDA until it has had the rest of its clocks (UM10204, 3.1.16).
     pub fn controller_restarts(&mut self, now_ns: u64) {
         if self.is_addressed && self.is_sending {
             let clocks = 1 + now_ns / 2_500 % 8;
@@ -211,7 +214,8 @@ impl FittedSensor {
         self.sensor.set_output_faults(outputs);
     }
 
-    /// Steps the sensor through its events up to `now_ns`, so that no pulse is lost between two calls.
+    /// Steps the sensor through its events up to `now_ns`, so that no pulse is lost between two
+    /// calls.
     fn follow(&mut self, now_ns: u64, changes: &mut Vec<(u64, bool)>) {
         loop {
             let glitch_ns = self.next_glitch_ns(self.sensor.now_ns());

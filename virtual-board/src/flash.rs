@@ -1,14 +1,16 @@
-//! The calibration slots of the on-chip flash, which rigless keeps as the image left them: programming clears bits,
-//! erasing sets them, both take the datasheet's time, and the power can go in the middle of either.
+//! The calibration slots of the on-chip flash, which rigless keeps as the image left them:
+//! programming clears bits, erasing sets them, both take the datasheet's time, and the power can go
+//! in the middle of either.
 //!
-//! The cells are those of sectors 1 and 2 alone; the rest of the flash holds the image and cannot be written here. The
-//! core's accesses to the two sectors come here ([`Cells::read`], [`Cells::store`]) instead of to rigless's memory; the
-//! registers are rigless's, which models the keys, the lock and the erase's flags, and [`FlashInterface`] adds what
-//! programming does (RM0090, sections 3.6 and 3.9, as the STM32F405 has it).
+//! The cells are those of sectors 1 and 2 alone; the rest of the flash holds the image and cannot
+//! be written here. The core's accesses to the two sectors come here ([`Cells::read`],
+//! [`Cells::store`]) instead of to rigless's memory; the registers are rigless's, which models the
+//! keys, the lock and the erase's flags, and [`FlashInterface`] adds what programming does (RM0090,
+//! sections 3.6 and 3.9, as the STM32F405 has it).
 //!
-//! While an operation runs, the core of a real chip waits at its next fetch from flash. Here the recorder holds the core
-//! until then ([`Cells::busy_until_ns`]); what it does between the operation's start and its next access to the
-//! interface is not held up.
+//! While an operation runs, the core of a real chip waits at its next fetch from flash. Here the
+//! recorder holds the core until then ([`Cells::busy_until_ns`]); what it does between the
+//! operation's start and its next access to the interface is not held up.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -29,8 +31,8 @@ pub const SLOT_BYTES: usize = 0x4000;
 /// The number of the first slot's sector.
 const FIRST_SECTOR: u64 = 1;
 
-/// The datasheet's longest erase of a 16 KiB sector, 32 bits at a time, and its longest programming of a word (STM32F405
-/// datasheet, table "Flash memory programming").
+/// The datasheet's longest erase of a 16 KiB sector, 32 bits at a time, and its longest programming
+/// of a word (STM32F405 datasheet, table "Flash memory programming").
 const ERASE_NS: u64 = 500_000_000;
 const PROGRAM_NS: u64 = 100_000;
 
@@ -83,8 +85,9 @@ impl FlashRecord {
         }
     }
 
-    /// What a power cut within step number `step` would have left: the steps before it whole, those after it not begun,
-    /// and of its own bits some old, some new, and of an erase, which first programs every cell, some neither.
+    /// What a power cut within step number `step` would have left: the steps before it whole, those
+    /// after it not begun, and of its own bits some old, some new, and of an erase, which first
+    /// programs every cell, some neither.
     #[must_use]
     pub fn cut_in(&self, step: usize, seed: u64) -> Vec<u8> {
         let mut bytes = self.before.clone();
@@ -186,7 +189,8 @@ impl Cells {
             .fold(0, |value, &byte| value << 8 | u64::from(byte))
     }
 
-    /// The core stores: it programs, or raises the flag that says why not (RM0090, section 3.6.4 and 3.9.5).
+    /// The core stores: it programs, or raises the flag that says why not (RM0090, section 3.6.4
+    /// and 3.9.5).
     pub fn store(&mut self, now: VirtualNanos, address: u64, width: Width, value: u64) {
         let is_ready = cr::PG.is_set(self.control)
             && !cr::LOCK.is_set(self.control)

@@ -56,7 +56,8 @@ pub struct Run {
 }
 
 impl Run {
-    /// A run of an image: 30 s of the simulated flight of seed 1 on the first board, with a probe, without faults.
+    /// A run of an image: 30 s of the simulated flight of seed 1 on the first board, with a probe,
+    /// without faults.
     #[must_use]
     pub fn new(firmware: impl Into<PathBuf>) -> Self {
         Self {
@@ -133,7 +134,8 @@ impl Run {
         self
     }
 
-    /// Says a line to the UART, `at_s` seconds after power-up or as soon as the lines before it are through.
+    /// Says a line to the UART, `at_s` seconds after power-up or as soon as the lines before it are
+    /// through.
     #[must_use]
     pub fn command(self, at_s: f64, line: &str) -> Self {
         self.says(at_s, format!("{line}\n").as_bytes())
@@ -146,7 +148,8 @@ impl Run {
         lines.fold(self, |run, (at_s, line)| run.command(*at_s, line))
     }
 
-    /// Says bytes to the UART, `at_s` seconds after power-up or as soon as those before them are through.
+    /// Says bytes to the UART, `at_s` seconds after power-up or as soon as those before them are
+    /// through.
     #[must_use]
     pub fn says(mut self, at_s: f64, bytes: &[u8]) -> Self {
         let at_ns = nanoseconds(at_s);
@@ -326,7 +329,8 @@ pub struct Outcome {
     pub faults: Vec<ScheduledFault>,
     /// The calibration slots, and what was done to them.
     pub flash: FlashRecord,
-    /// What the firmware did that this board cannot do, and what the emulator could not account for. Empty if all is well.
+    /// What the firmware did that this board cannot do, and what the emulator could not account
+    /// for. Empty if all is well.
     pub remarks: Vec<String>,
 }
 

@@ -11,8 +11,8 @@
 //! | A STOP asked for by who is not controller changes nothing | 27.6.1 |
 //! | BERR and ARLO raise the error interrupt under ITERREN, and a written zero or PE = 0 clears them | 27.4, 27.6.6 |
 //!
-//! Both errors are seen at the end of the byte, up to 22 µs later than on silicon, and what happens between two bits
-//! is not modelled.
+//! Both errors are seen at the end of the byte, up to 22 µs later than on silicon, and what happens
+//! between two bits is not modelled.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
 use rigless::soc::stm32f427::generated::dma2;
@@ -25,7 +25,8 @@ use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
 use crate::wires::SharedWires;
 
-/// The channel and the streams of DMA1 that serve I2C1's receiver (RM0090, table 42), by their control and count registers.
+/// The channel and the streams of DMA1 that serve I2C1's receiver (RM0090, table 42), by their
+/// control and count registers.
 const RECEIVE_CHANNEL: u64 = 1;
 const RECEIVE_STREAMS: [(dma2::Register, dma2::Register); 2] = [
     (dma2::Register::S0cr, dma2::Register::S0ndtr),
@@ -61,7 +62,8 @@ pub struct WiredI2c {
     wires: SharedWires,
     /// The scheduled faults of the controller's own: bus errors and lost arbitration.
     faults: Vec<ScheduledFault>,
-    /// A byte's end that waits for the clock: the event that ends the wait, and the one that ends the byte.
+    /// A byte's end that waits for the clock: the event that ends the wait, and the one that ends
+    /// the byte.
     delayed: Option<(EventId, EventId)>,
     /// START and STOP that wait for the lines.
     waiting: u64,

@@ -20,7 +20,8 @@ pub struct Firmware {
     pub path: PathBuf,
     /// The ELF file.
     pub bytes: Vec<u8>,
-    /// The address of `APLOMB_SNAPSHOT`, if the image publishes its attitudes there. Of another only the log shows.
+    /// The address of `APLOMB_SNAPSHOT`, if the image publishes its attitudes there. Of another
+    /// only the log shows.
     pub snapshot: Option<u64>,
     /// The address of `APLOMB_HEALTH`, if the image has it.
     pub health: Option<u64>,
@@ -32,7 +33,8 @@ pub struct Firmware {
     pub stack: Range<u64>,
     /// Bytes that the image occupies in flash: its loaded segments.
     pub flash_bytes: u64,
-    /// Bytes of RAM that have an address at link time: initialised, zeroed and uninitialised data, not the stack.
+    /// Bytes of RAM that have an address at link time: initialised, zeroed and uninitialised data,
+    /// not the stack.
     pub ram_bytes: u64,
 }
 

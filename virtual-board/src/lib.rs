@@ -1,4 +1,5 @@
-//! An emulated STM32F4 board with a modelled MPU-6050, on which aplomb's firmware image flies unchanged.
+//! An emulated STM32F4 board with a modelled MPU-6050, on which aplomb's firmware image flies
+//! unchanged.
 //!
 //! | module | what it is |
 //! |---|---|

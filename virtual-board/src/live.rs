@@ -1,4 +1,5 @@
-//! `fly --live`: the board in real time, its UART on standard output and standard input, as if it hung on a port.
+//! `fly --live`: the board in real time, its UART on standard output and standard input, as if it
+//! hung on a port.
 
 use std::io::{self, BufRead, Write};
 use std::process;
@@ -9,13 +10,15 @@ use std::time::{Duration, Instant};
 use virtual_board::mcu::HeardByte;
 use virtual_board::recorder::Observer;
 
-/// Virtual time may be ahead of real time by this much: shorter sleeps cost more than they are worth.
+/// Virtual time may be ahead of real time by this much: shorter sleeps cost more than they are
+/// worth.
 const AHEAD: Duration = Duration::from_millis(5);
 
 /// Whoever falls behind by more, on a busy computer, does not hurry to make up for it.
 const BEHIND: Duration = Duration::from_millis(200);
 
-/// Keeps the run to real time and carries the UART's bytes. Ends the program when nobody listens or speaks any more.
+/// Keeps the run to real time and carries the UART's bytes. Ends the program when nobody listens or
+/// speaks any more.
 pub struct Live {
     /// When virtual time began, as far as real time goes.
     started: Instant,

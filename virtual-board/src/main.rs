@@ -1,4 +1,5 @@
-//! `virtual-board fly`: flies a firmware image on the virtual board and leaves what came of it in a folder.
+//! `virtual-board fly`: flies a firmware image on the virtual board and leaves what came of it in a
+//! folder.
 
 mod live;
 
@@ -74,10 +75,12 @@ struct Fly {
     /// The firmware image; `cargo xtask fly` builds it and gives it.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
-    /// Replay a recording instead of the simulated flight: CSV, plain or gzip, `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
+    /// Replay a recording instead of the simulated flight: CSV, plain or gzip,
+    /// `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
-    /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up, z-down.
+    /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up,
+    /// z-down.
     #[arg(long, value_name = "MOUNT", default_value = "z-up", allow_hyphen_values = true, value_parser = mount)]
     mount: Mount,
     /// Virtual seconds from power-up. Default: 30, or the whole recording.
@@ -86,7 +89,8 @@ struct Fly {
     /// Seeds the flight and the sensor's errors.
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
-    /// Let things go wrong: a file with a line `start_s duration_s fault` for each fault, or seed:N for faults by chance.
+    /// Let things go wrong: a file with a line `start_s duration_s fault` for each fault, or seed:N
+    /// for faults by chance.
     #[arg(long, value_name = "FILE|seed:N")]
     faults: Option<String>,
     #[arg(long, value_name = "NAME", help = format!("The board: {}", board_names()), default_value = BOARDS[0].name, value_parser = board)]
@@ -94,14 +98,15 @@ struct Fly {
     /// Say commands to the UART: a file with lines such as `2.5 status`, seconds and command.
     #[arg(long, value_name = "FILE")]
     commands: Option<PathBuf>,
-    /// Keep the calibration slots in this file: read at the start if it is there, written at the end.
+    /// Keep the calibration slots in this file: read at the start if it is there, written at the
+    /// end.
     #[arg(long, value_name = "FILE")]
     flash: Option<PathBuf>,
     /// Where the files go.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
-    /// Fly in real time, for a day unless told otherwise: the UART's bytes go to standard output, and lines from standard input to
-    /// the UART, until that ends. No files are written.
+    /// Fly in real time, for a day unless told otherwise: the UART's bytes go to standard output,
+    /// and lines from standard input to the UART, until that ends. No files are written.
     #[arg(long, conflicts_with_all = ["output", "flash"])]
     live: bool,
 }

@@ -1,5 +1,5 @@
-//! The microcontroller with its pins wired up: rigless's STM32F427, which runs the image of an STM32F401, F405,
-//! F411 or F446 unchanged, and what that part's model lacks.
+//! The microcontroller with its pins wired up: rigless's STM32F427, which runs the image of an
+//! STM32F401, F405, F411 or F446 unchanged, and what that part's model lacks.
 //!
 //! | wire | from | to |
 //! |---|---|---|
@@ -62,7 +62,8 @@ pub struct Microcontroller {
     syscfg: Syscfg,
     flash: FlashInterface,
     slots: Slots,
-    /// The instant at which the sensor's wire has to be looked at, and for which an event is scheduled.
+    /// The instant at which the sensor's wire has to be looked at, and for which an event is
+    /// scheduled.
     awaited_ns: Option<u64>,
     /// The faults of a schedule.
     faults: Vec<ScheduledFault>,
@@ -76,7 +77,8 @@ pub struct Microcontroller {
     reset_ns: u64,
 }
 
-/// How many of a million bytes come with noise, and with a framing error, while the UART's line garbles.
+/// How many of a million bytes come with noise, and with a framing error, while the UART's line
+/// garbles.
 const NOISE_PER_MILLION: u32 = 200_000;
 
 /// Where on the bus the decorated instances are.
@@ -193,7 +195,8 @@ impl Microcontroller {
             .expect("the terminal is at the end of this line")
     }
 
-    /// Garbles what the firmware receives: so many bytes in a million arrive with noise, and so many with a framing error.
+    /// Garbles what the firmware receives: so many bytes in a million arrive with noise, and so
+    /// many with a framing error.
     pub fn garble_reception(
         &mut self,
         seed: u64,
@@ -212,8 +215,8 @@ impl Microcontroller {
         };
     }
 
-    /// Whether the clock security system has seen the crystal fail, and nobody has cleared that: the core executes the
-    /// NMI for as long (RM0090, 7.2.7).
+    /// Whether the clock security system has seen the crystal fail, and nobody has cleared that:
+    /// the core executes the NMI for as long (RM0090, 7.2.7).
     #[must_use]
     pub fn has_clock_failure(&self) -> bool {
         let registers = self.part.bus().slots()[self.slots.rcc].registers();
@@ -282,7 +285,8 @@ impl Microcontroller {
         }
     }
 
-    /// Brings the sensor to `now`, carries what its INT pin did to where the wire goes, and asks to be called again in time.
+    /// Brings the sensor to `now`, carries what its INT pin did to where the wire goes, and asks to
+    /// be called again in time.
     fn follow_sensor(&mut self, now: VirtualNanos) {
         let registers = self.part.bus().slots()[self.slots.port_a].registers();
         let pulls = registers.get(gpioa::Register::Pupdr) >> (2 * INTERRUPT_PIN) & 3;
@@ -302,8 +306,8 @@ impl Microcontroller {
         }
     }
 
-    /// The INT wire has changed its level. The core hears of it `at` once, which is up to an access later; the timer
-    /// captures the instant itself, whatever the core does.
+    /// The INT wire has changed its level. The core hears of it `at` once, which is up to an access
+    /// later; the timer captures the instant itself, whatever the core does.
     fn interrupt_wire(&mut self, at: VirtualNanos, changed: VirtualNanos, high: bool) {
         self.drive_pin(at, INTERRUPT_PIN, high);
         let slots = self.slots;
@@ -388,7 +392,8 @@ impl Mcu for Microcontroller {
     }
 }
 
-/// The far end of the UART: it notes what it hears, and says what it was told to say, or anything while a fault floods the line.
+/// The far end of the UART: it notes what it hears, and says what it was told to say, or anything
+/// while a fault floods the line.
 #[derive(Debug, Default)]
 pub struct Terminal {
     heard: Vec<HeardByte>,
@@ -815,8 +820,8 @@ mod tests {
         assert!(!starts(HighSpeedInput::Nothing, true));
     }
 
-    /// Reads WHO_AM_I and what follows by DMA, `count` bytes, and says whether the controller has stopped asking the
-    /// sensor for more without a STOP.
+    /// Reads WHO_AM_I and what follows by DMA, `count` bytes, and says whether the controller has
+    /// stopped asking the sensor for more without a STOP.
     fn ends_after(count: u64, cr2: u64) -> bool {
         const BUFFER: u64 = 0x2000_0000;
         const SR1: u64 = 0x14;

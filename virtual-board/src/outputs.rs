@@ -9,8 +9,8 @@
 //! | `attitude.png` | estimate against truth, and the error |
 //! | `summary.json` | the figures |
 //!
-//! The rows of the three tables belong together by their times, which are the firmware's. Numbers are in their shortest
-//! form that reads back as the same number. Flags are names joined by `|`.
+//! The rows of the three tables belong together by their times, which are the firmware's. Numbers
+//! are in their shortest form that reads back as the same number. Flags are names joined by `|`.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};

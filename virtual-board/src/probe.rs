@@ -1,4 +1,5 @@
-//! A debug probe that reads the firmware's log: it drains the RTT buffer from memory and decodes defmt.
+//! A debug probe that reads the firmware's log: it drains the RTT buffer from memory and decodes
+//! defmt.
 
 use defmt_decoder::{DecodeError, Table};
 use rigless::emulator::Memory;
@@ -36,7 +37,8 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// A probe for an image with its control block at `control_block`. `None` if the image has no defmt data.
+    /// A probe for an image with its control block at `control_block`. `None` if the image has no
+    /// defmt data.
     #[must_use]
     pub fn attach(elf: &[u8], control_block: u64) -> Option<Self> {
         Some(Self {

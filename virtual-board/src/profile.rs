@@ -1,11 +1,13 @@
 //! Which exception executed how many instructions, exactly.
 //!
-//! The emulated core is wrapped. A breakpoint on every handler of the vector table shows each entry. A return shows in
-//! one of two ways: if the core has only just slept when it is interrupted, at a breakpoint where the idle loop goes on;
-//! else the handler is executed one instruction at a time. (Breakpoints in busy code would slow the emulator down for good.)
-//! At each of these points IPSR says which exception is running, and the instructions since the last look belong to the
-//! one before. Tail-chained entries keep the interrupted context's frame, so the stack pointer tells them from nested
-//! ones. None of this takes an instruction or virtual time, and the run never hears of it.
+//! The emulated core is wrapped. A breakpoint on every handler of the vector table shows each
+//! entry. A return shows in one of two ways: if the core has only just slept when it is
+//! interrupted, at a breakpoint where the idle loop goes on; else the handler is executed one
+//! instruction at a time. (Breakpoints in busy code would slow the emulator down for good.) At each
+//! of these points IPSR says which exception is running, and the instructions since the last look
+//! belong to the one before. Tail-chained entries keep the interrupted context's frame, so the
+//! stack pointer tells them from nested ones. None of this takes an instruction or virtual time,
+//! and the run never hears of it.
 //!
 //! Handlers are expected on the main stack, as RTIC and cortex-m-rt have them.
 
@@ -21,7 +23,8 @@ use rigless::time::VirtualNanos;
 
 use crate::flash::{SLOTS, SharedCells};
 
-/// One more than the highest exception number of the part: 16 of the core, 91 of the STM32F427, and some to spare.
+/// One more than the highest exception number of the part: 16 of the core, 91 of the STM32F427, and
+/// some to spare.
 pub const EXCEPTIONS: usize = 128;
 
 /// Thread mode, where no exception runs.
@@ -171,8 +174,8 @@ struct Activation {
     is_stepped: bool,
 }
 
-/// Instructions that an idle loop may execute between the end of its sleep and the interrupt that ended it: one that
-/// sleeps with interrupts masked has to unmask them first.
+/// Instructions that an idle loop may execute between the end of its sleep and the interrupt that
+/// ended it: one that sleeps with interrupts masked has to unmask them first.
 const WAKE_UP_INSTRUCTIONS: u64 = 32;
 
 /// GDB's numbers for the registers (the target description of an M-profile core).
@@ -188,7 +191,8 @@ const EXCEPTION_NUMBER: u64 = 0x1FF;
 /// EPSR.T in the status register (section B1.4.2).
 const THUMB: u64 = 1 << 24;
 
-/// ICSR with its bit NMIPENDSET, and the first of the registers that enable and disable interrupts (PM0214, 4.3 and 4.4.3).
+/// ICSR with its bit NMIPENDSET, and the first of the registers that enable and disable interrupts
+/// (PM0214, 4.3 and 4.4.3).
 const ICSR: u64 = 0xE000_ED04;
 const NMIPENDSET: u64 = 1 << 31;
 const NVIC_ISER: u64 = 0xE000_E100;
@@ -348,7 +352,8 @@ impl ProfiledProcessor {
         });
     }
 
-    /// Drops the activations that have ended, if `exception` runs now. Says whether that explains it.
+    /// Drops the activations that have ended, if `exception` runs now. Says whether that explains
+    /// it.
     fn leave_to(&mut self, exception: usize) -> bool {
         while self
             .activations
@@ -423,12 +428,13 @@ impl Processor for ProfiledProcessor {
         let end = start + length;
         let below = start..end.min(SLOTS.start.max(start));
         let above = start.max(SLOTS.end.min(end))..end;
-        // The slots stay out, so that accesses to them come to the bus, and there to the flash model.
+        // The slots stay out, so that accesses to them come to the bus, and there to the flash
+        // model.
         for part in [below, above] {
             if !part.is_empty() {
                 let offset = usize::try_from(part.start - start).unwrap_or(0);
-                // SAFETY: the caller's promise for the whole range, passed on for a part of it. The inner processor
-                // lives as long as this one.
+                // SAFETY: the caller's promise for the whole range, passed on for a part of it. The
+                // inner processor lives as long as this one.
                 unsafe {
                     let first = host.add(offset);
                     self.inner
@@ -573,7 +579,8 @@ impl Processor for ProfiledProcessor {
     }
 }
 
-/// The bus of a stretch of execution, which notes how far the stretch may go: an access can extend it.
+/// The bus of a stretch of execution, which notes how far the stretch may go: an access can extend
+/// it.
 struct Stretch<'a> {
     bus: &'a mut dyn CoreBus,
     cells: SharedCells,

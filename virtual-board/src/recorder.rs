@@ -1,7 +1,9 @@
-//! What is noted while the firmware runs: every published snapshot with its cause and its cost, the log, the UART.
+//! What is noted while the firmware runs: every published snapshot with its cause and its cost, the
+//! log, the UART.
 //!
-//! The emulator calls [`Recorder`] after every access to a peripheral and whenever it stops, with the firmware between
-//! two instructions. Nothing noted here changes the run, except that the probe, if there is one, empties the log buffer.
+//! The emulator calls [`Recorder`] after every access to a peripheral and whenever it stops, with
+//! the firmware between two instructions. Nothing noted here changes the run, except that the
+//! probe, if there is one, empties the log buffer.
 
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
@@ -35,14 +37,15 @@ const SERVICE_PERIOD_NS: u64 = 1_000_000;
 /// What unused stack is filled with.
 const STACK_PATTERN: u32 = 0xA5A5_A5A5;
 
-/// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight/main.rs`; RM0090, table 62).
+/// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight/main.rs`;
+/// RM0090, table 62).
 const ATTITUDE_INTERRUPT: u16 = 51;
 
 /// An NMI that has not cleared its cause after this time never will, ns: the handler is a store.
 const NMI_LIMIT_NS: u64 = 20_000;
 
-/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1 events and errors, TIM5;
-/// and SPI1's, by which settings are read back.
+/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1
+/// events and errors, TIM5; and SPI1's, by which settings are read back.
 const INPUT_INTERRUPTS: [usize; 6] = [11, 7, 31, 32, 50, 35];
 
 /// A published sample.
@@ -58,8 +61,8 @@ pub struct Sample {
     pub edge: Option<DataReady>,
     /// The true time of the edge by the firmware's clock, in microseconds with their fraction.
     pub true_t_us: Option<f64>,
-    /// Instructions from the edge on, of all interrupts and of the attitude task. `None` if something else happened
-    /// before the next edge than one publication.
+    /// Instructions from the edge on, of all interrupts and of the attitude task. `None` if
+    /// something else happened before the next edge than one publication.
     pub instructions: Option<u64>,
     /// The same without the attitude task.
     pub input_instructions: Option<u64>,
@@ -82,7 +85,8 @@ pub trait Observer: Send {
     /// Time has passed.
     fn progress(&mut self, _progress: Progress) {}
 
-    /// What came out of the UART since the last call; what is given back is said to it. Every millisecond of virtual time.
+    /// What came out of the UART since the last call; what is given back is said to it. Every
+    /// millisecond of virtual time.
     fn uart(&mut self, _now_ns: u64, _heard: &[HeardByte]) -> Vec<u8> {
         Vec::new()
     }
@@ -121,7 +125,8 @@ pub struct Record {
     pub stack_bytes_used: u64,
     /// What the firmware has counted, whenever that changed.
     pub health: Vec<HealthReading>,
-    /// Until when the sensor could not acknowledge after its supply had come back, ns; one for each time.
+    /// Until when the sensor could not acknowledge after its supply had come back, ns; one for each
+    /// time.
     pub sensor_ready_ns: Vec<u64>,
     /// When the processor was reset, ns.
     pub resets_ns: Vec<u64>,
@@ -334,8 +339,9 @@ impl Recorder {
         });
     }
 
-    /// The burst that a snapshot is of: the last one. If the attitude task was late, several have come since the snapshot
-    /// before: then it is the one whose edge came as long after that one's as the firmware says.
+    /// The burst that a snapshot is of: the last one. If the attitude task was late, several have
+    /// come since the snapshot before: then it is the one whose edge came as long after that one's
+    /// as the firmware says.
     fn take_burst(&mut self, snapshot: &Snapshot) -> Option<Burst> {
         let edge_ns = |burst: &Burst| {
             let index = burst.edge?;
@@ -384,7 +390,8 @@ impl Recorder {
         Some(())
     }
 
-    /// What the faults of the debug probe and of the core do now, and whether the processor has been reset.
+    /// What the faults of the debug probe and of the core do now, and whether the processor has
+    /// been reset.
     fn follow_faults(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         let resets = session.resets();
         if resets.len() > self.record.resets_ns.len() {
@@ -444,8 +451,8 @@ impl Recorder {
         }
     }
 
-    /// A clock that has failed asks for the NMI until that is acknowledged: an NMI that does not is all that the core
-    /// executes. Says whether it is so.
+    /// A clock that has failed asks for the NMI until that is acknowledged: an NMI that does not is
+    /// all that the core executes. Says whether it is so.
     fn hangs_in_nmi(&mut self, has_failed: bool, now_ns: u64) -> bool {
         if !has_failed {
             self.nmi_since_ns = None;

@@ -1,6 +1,7 @@
 //! Schedules of faults: read from a file, or drawn from a seed.
 //!
-//! A line is `start_s duration_s fault`, for instance `2.5 0.02 sda-low`; what follows a `#` is a comment.
+//! A line is `start_s duration_s fault`, for instance `2.5 0.02 sda-low`; what follows a `#` is a
+//! comment.
 
 use std::fmt;
 use std::fs;
@@ -181,8 +182,9 @@ impl Schedule {
         Ok(Self { faults })
     }
 
-    /// One to three faults for a flight, drawn from a seed; consecutive seeds begin with consecutive classes. Most come
-    /// one after another, with time to recover; now and then one comes on top of another.
+    /// One to three faults for a flight, drawn from a seed; consecutive seeds begin with
+    /// consecutive classes. Most come one after another, with time to recover; now and then one
+    /// comes on top of another.
     #[must_use]
     pub fn by_seed(seed: u64) -> Self {
         let mut random = Random::new(seed, "faults");
@@ -211,7 +213,8 @@ impl Schedule {
         Self { faults }
     }
 
-    /// One fault of a class, its parameter and its times drawn from a seed. `None` if there is no such class.
+    /// One fault of a class, its parameter and its times drawn from a seed. `None` if there is no
+    /// such class.
     #[must_use]
     pub fn of_class(class: &str, seed: u64) -> Option<Self> {
         let form = FORMS.iter().find(|form| form.name == class)?;

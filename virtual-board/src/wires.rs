@@ -1,8 +1,9 @@
 //! The two lines of the sensor's bus, as open-drain wires: low if anybody pulls them low.
 //!
-//! rigless carries the bytes apart from the lines. Here is what the lines do besides: short circuits, a sensor that
-//! holds SDA because it has lost count within a byte, one that stretches the clock, and what the port's pins do when
-//! the firmware drives them by hand. The I2C controller ([`crate::i2c`]) and the port ([`PortB`]) both look here.
+//! rigless carries the bytes apart from the lines. Here is what the lines do besides: short
+//! circuits, a sensor that holds SDA because it has lost count within a byte, one that stretches
+//! the clock, and what the port's pins do when the firmware drives them by hand. The I2C controller
+//! ([`crate::i2c`]) and the port ([`PortB`]) both look here.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -120,7 +121,8 @@ impl Wires {
         }
     }
 
-    /// The sensor has lost count within a byte whose rest is all zeros: it holds SDA for so many clocks.
+    /// The sensor has lost count within a byte whose rest is all zeros: it holds SDA for so many
+    /// clocks.
     pub fn lose_count(&mut self, clocks: u8) {
         self.clocks_owed = clocks;
     }
@@ -142,7 +144,8 @@ impl Wires {
         std::mem::take(&mut self.has_stopped)
     }
 
-    /// The pins, or what holds the lines, may have changed: follows the edges as the sensor sees them.
+    /// The pins, or what holds the lines, may have changed: follows the edges as the sensor sees
+    /// them.
     fn follow(&mut self, now_ns: u64) {
         loop {
             let before = self.levels;

@@ -53,7 +53,8 @@ fn a_malformed_log_is_refused_with_file_line_and_reason_before_anything_runs() {
     assert!(!message.contains("flown"), "{message}");
 }
 
-/// Flies a recording of rest with these columns, a row each 5 ms, to its end; gives what was printed and the summary.
+/// Flies a recording of rest with these columns, a row each 5 ms, to its end; gives what was
+/// printed and the summary.
 fn fly_recording(name: &str, columns: &str, row: &str, rows: u32) -> (String, String) {
     let folder = folder(name);
     let log = folder.join("log.csv");

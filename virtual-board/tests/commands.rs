@@ -1,4 +1,5 @@
-//! Commands on the UART of the real image: every one once, a flood of bytes, and a whole calibration.
+//! Commands on the UART of the real image: every one once, a flood of bytes, and a whole
+//! calibration.
 
 mod common;
 
@@ -109,7 +110,8 @@ fn every_command_is_answered_as_before() {
         while let Some((command_s, command)) = said.next_if(|(command_s, _)| *command_s <= at_s) {
             writeln!(text, "{command_s:5.1} > {command}").unwrap();
         }
-        // To a tenth of a second: which tick of the telemetry answers goes with every instruction at start.
+        // To a tenth of a second: which tick of the telemetry answers goes with every instruction
+        // at start.
         writeln!(text, "{at_s:5.1}   {answer}").unwrap();
     }
     assert_golden("commands.txt", &text);
@@ -263,7 +265,8 @@ fn a_noisy_line_is_counted_and_its_commands_dropped() {
     assert!(!last.contains("uart_errors=0"), "{last}");
 }
 
-/// The directions in which the sensor's axes are laid up, one after the other: face up, face down, X up, X down, Y up, Y down.
+/// The directions in which the sensor's axes are laid up, one after the other: face up, face down,
+/// X up, X down, Y up, Y down.
 fn six_poses() -> [Quaternion; 6] {
     let pose =
         |roll: f64, pitch: f64| Quaternion::from_euler(roll.to_radians(), pitch.to_radians(), 0.0);
@@ -294,7 +297,8 @@ fn inclination_deg(outcome: &Outcome, from_s: f64, to_s: f64) -> f64 {
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
-/// A chip with offsets and scales at the datasheet's limits, and hardly any cross-axis sensitivity, which six poses do not show.
+/// A chip with offsets and scales at the datasheet's limits, and hardly any cross-axis sensitivity,
+/// which six poses do not show.
 fn poor_chip() -> SensorErrors {
     let milli_g = 9.80665e-3;
     let mut errors = SensorErrors::typical(6);

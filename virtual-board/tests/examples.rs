@@ -1,4 +1,5 @@
-//! The examples for the target do on a board what they say: each shows the attitude of a sensor that lies tilted.
+//! The examples for the target do on a board what they say: each shows the attitude of a sensor
+//! that lies tilted.
 
 use aplomb::health::Flags;
 use aplomb_models::motion::Quaternion;

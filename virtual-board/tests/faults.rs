@@ -1,4 +1,5 @@
-//! Every fault that can be told from outside is told on both outputs, UART and log, and is recovered from.
+//! Every fault that can be told from outside is told on both outputs, UART and log, and is
+//! recovered from.
 
 mod common;
 

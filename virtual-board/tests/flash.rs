@@ -1,4 +1,5 @@
-//! The stored record in the flash of the real image: it lasts, and no power cut during a save loses it.
+//! The stored record in the flash of the real image: it lasts, and no power cut during a save loses
+//! it.
 
 mod common;
 

@@ -1,4 +1,5 @@
-//! What a flight must show: nothing missed, right times, the library's very bits, and the same files every time.
+//! What a flight must show: nothing missed, right times, the library's very bits, and the same
+//! files every time.
 
 mod common;
 

@@ -1,5 +1,5 @@
-//! Holds the virtual board, `aplomb replay` and QEMU to the same attitudes from the same bursts, to the
-//! last bit.
+//! Holds the virtual board, `aplomb replay` and QEMU to the same attitudes from the same bursts, to
+//! the last bit.
 //!
 //! Flies a simulated flight, and a whole recorded trial where recordings are at hand.
 //! `rigs/tests/qemu.rs` compares QEMU with the library.
@@ -89,8 +89,8 @@ fn read(path: &Path) -> Result<String, String> {
     std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))
 }
 
-/// Holds every column of `flown` to that of the same name in `replayed`: numbers by their bits, the rest as text.
-/// Returns how many rows there are.
+/// Holds every column of `flown` to that of the same name in `replayed`: numbers by their bits, the
+/// rest as text. Returns how many rows there are.
 fn compare(flown: &str, replayed: &str) -> Result<usize, String> {
     let (mut flown, mut replayed) = (flown.lines(), replayed.lines());
     let columns: Vec<&str> = flown.next().unwrap_or_default().split(',').collect();

@@ -65,7 +65,8 @@ impl Board {
     }
 }
 
-/// Whether this names a mount, before minutes of building: two signed axes at right angles, or an alias.
+/// Whether this names a mount, before minutes of building: two signed axes at right angles, or an
+/// alias.
 pub fn is_mount(name: &str) -> bool {
     let is_axis = |sign, axis| b"+-".contains(&sign) && b"xyz".contains(&axis);
     match *name.as_bytes() {
@@ -85,7 +86,8 @@ pub struct Firmware {
 }
 
 impl Firmware {
-    /// Builds it and returns the ELF file, which a build for another board or mount does not replace.
+    /// Builds it and returns the ELF file, which a build for another board or mount does not
+    /// replace.
     pub fn build(&self, toolchain: &Toolchain) -> Result<PathBuf, String> {
         step::timed(
             &format!("building the firmware for {}", self.board.name),
@@ -188,7 +190,8 @@ mod tests {
         assert!(!is_mount("up") && !is_mount("x+z+") && !is_mount(""));
     }
 
-    /// The places that a new board has to be added to, beside those where the build fails without it.
+    /// The places that a new board has to be added to, beside those where the build fails without
+    /// it.
     #[test]
     fn boards_are_named_wherever_boards_are_listed() {
         let read = |file: &str| std::fs::read_to_string(crate::root().join(file)).expect(file);

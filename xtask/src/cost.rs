@@ -1,8 +1,8 @@
 //! Measures the cost of the filters on the Cortex-M4F, and holds it to a table that is committed.
 //!
-//! `rigs/src/bin/cost.rs` counts instructions in QEMU. The code of a filter is the difference between
-//! its image and one without a filter. QEMU has no cycle model: these figures are without flash wait
-//! states and the core's pipeline.
+//! `rigs/src/bin/cost.rs` counts instructions in QEMU. The code of a filter is the difference
+//! between its image and one without a filter. QEMU has no cycle model: these figures are without
+//! flash wait states and the core's pipeline.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! The examples: those for the target are built, and the virtual board's tests fly them; the one for the computer runs.
+//! The examples: those for the target are built, and the virtual board's tests fly them; the one
+//! for the computer runs.
 
 use std::path::PathBuf;
 
@@ -12,8 +13,8 @@ const EMBASSY: &str = "examples/embassy";
 /// What the example for the computer says of the largest roll that it has made up, 29.8 degrees.
 const HOST_SAYS: &str = "  6.0 s  roll  29.7";
 
-/// Builds RTIC's, the polling one and Embassy's. Returns those that are flown, and their ELF files: polling a bus and a pin
-/// keeps the emulator busy for fifty times as long as it flies.
+/// Builds RTIC's, the polling one and Embassy's. Returns those that are flown, and their ELF files:
+/// polling a bus and a pin keeps the emulator busy for fifty times as long as it flies.
 pub fn build(toolchain: &Toolchain) -> Result<[(&'static str, PathBuf); 2], String> {
     let feature = Board::default().feature();
     let mut cargo = toolchain.cargo("build");

@@ -6,7 +6,8 @@ use crate::build::{self, Board, Firmware};
 use crate::setup::Toolchain;
 use crate::step;
 
-/// Flights of the short campaign that `cargo xtask test` flies: four that begin with each class of faults.
+/// Flights of the short campaign that `cargo xtask test` flies: four that begin with each class of
+/// faults.
 const SHORT_RUNS: &str = "116";
 
 /// Builds what is needed and hands the arguments on.

@@ -1,4 +1,5 @@
-//! What others get: the packaged crate is whole and holds no more than it needs, and the library alone brings no firmware.
+//! What others get: the packaged crate is whole and holds no more than it needs, and the library
+//! alone brings no firmware.
 
 use std::path::Path;
 use std::process::Command;
@@ -21,8 +22,8 @@ const FILES: [&str; 10] = [
 ];
 const FOLDERS: [(&str, &str); 3] = [("src/", ".rs"), ("examples/", ".rs"), ("boards/", ".x")];
 
-/// Every crate that the library alone builds with: the traits it implements, its mathematics, and what these need (the macro crates
-/// are those with which `cobs` derives its error).
+/// Every crate that the library alone builds with: the traits it implements, its mathematics, and
+/// what these need (the macro crates are those with which `cobs` derives its error).
 const CRATES_OF_THE_LIBRARY: [&str; 17] = [
     "aplomb",
     "byteorder",

@@ -9,8 +9,8 @@ use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
 
 /// A part of the firmware that may call panics, and why it never comes to that.
 struct Expected {
-    /// Start of its functions' names, without a leading `<`: a module, whatever the compiler inlines
-    /// into what.
+    /// Start of its functions' names, without a leading `<`: a module, whatever the compiler
+    /// inlines into what.
     path: &'static str,
     /// Known panics; another one is new.
     panics: &'static [&'static str],
@@ -73,8 +73,8 @@ const PANICS: [&str; 4] = [
     "core::result::unwrap_failed",
 ];
 
-/// Functions between a panic and the one to name: parts of `core` that are not inlined, and code that
-/// the compiler has taken out of several functions.
+/// Functions between a panic and the one to name: parts of `core` that are not inlined, and code
+/// that the compiler has taken out of several functions.
 const IN_BETWEEN: [&str; 3] = ["core::", "<core::", "OUTLINED_FUNCTION_"];
 
 /// Checks who calls a panic in a firmware image, and prints the list.
@@ -122,7 +122,8 @@ fn reason<'a>(caller: &str, panics: &'a BTreeSet<String>) -> Result<&'static str
     }
 }
 
-/// The functions of an image that branch to a panic, but for the panics themselves, with those that they branch to.
+/// The functions of an image that branch to a panic, but for the panics themselves, with those that
+/// they branch to.
 fn callers(elf: &[u8]) -> Result<BTreeMap<String, BTreeSet<String>>, String> {
     let file = object::File::parse(elf).map_err(|error| error.to_string())?;
     let mut functions = Vec::new();

@@ -188,7 +188,8 @@ fn version_line(label: &str) -> Result<String, String> {
         .ok_or_else(|| format!("/usr/bin/rustc -vV has no line `{label}`"))
 }
 
-/// Builds the target's `core` from the distribution's sources, once for each version of its compiler.
+/// Builds the target's `core` from the distribution's sources, once for each version of its
+/// compiler.
 fn build_sysroot() -> Result<PathBuf, String> {
     let sysroot = crate::build::target_folder()
         .join("sysroot")
@@ -219,7 +220,8 @@ fn build_sysroot() -> Result<PathBuf, String> {
                 ])
                 .arg("--target-dir")
                 .arg(&output)
-                // Building the standard library is an unstable feature; the bitcode is for link-time optimisation.
+                // Building the standard library is an unstable feature; the bitcode is for
+                // link-time optimisation.
                 .env("RUSTC_BOOTSTRAP", "1")
                 .env("RUSTFLAGS", "-Cembed-bitcode=yes"),
         )?;

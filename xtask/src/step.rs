@@ -4,7 +4,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-/// A command that runs in the workspace's folder, free of what the outer cargo left in the environment.
+/// A command that runs in the workspace's folder, free of what the outer cargo left in the
+/// environment.
 pub fn command(program: &Path) -> Command {
     let mut command = Command::new(program);
     command.current_dir(crate::root());

@@ -1,9 +1,9 @@
 //! The simulated flight: rest on the ground, take-off, way-points, with exact truth at any instant.
 //!
-//! The physics of [`super::airframe`] run on a fixed grid of 4 kHz; the autopilot acts on every fourth step.
-//! Between the grid points the state is the cubic Hermite interpolation of states and their rates, and the
-//! specific force is evaluated from the equations of motion in that very state, so attitude, rates and
-//! specific force belong together at every instant.
+//! The physics of [`super::airframe`] run on a fixed grid of 4 kHz; the autopilot acts on every
+//! fourth step. Between the grid points the state is the cubic Hermite interpolation of states and
+//! their rates, and the specific force is evaluated from the equations of motion in that very
+//! state, so attitude, rates and specific force belong together at every instant.
 
 use super::Motion;
 use super::airframe::{Airframe, ROTORS, State, runge_kutta_step};
@@ -40,7 +40,8 @@ pub struct Flight {
 }
 
 impl Flight {
-    /// A hover over level ground in still air with perfect rotors: what closed forms can say something about.
+    /// A hover over level ground in still air with perfect rotors: what closed forms can say
+    /// something about.
     #[must_use]
     pub fn ideal_hover() -> Self {
         Self {
@@ -52,7 +53,8 @@ impl Flight {
         }
     }
 
-    /// A flight like any other day's: a little slope, some wind, rotors that are not quite balanced.
+    /// A flight like any other day's: a little slope, some wind, rotors that are not quite
+    /// balanced.
     #[must_use]
     pub fn by_seed(seed: u64) -> Self {
         let mut random = Random::new(seed, "flight");
@@ -64,8 +66,8 @@ impl Flight {
             0.0,
         ];
         let mut airframe = Airframe::balanced();
-        // At the hover speed one rotor shakes the body by 0.1 to 1 m/s² once per turn, and by up to 0.8 m/s²
-        // twice per turn.
+        // At the hover speed one rotor shakes the body by 0.1 to 1 m/s² once per turn, and by up to
+        // 0.8 m/s² twice per turn.
         let per_m_s2 =
             airframe.mass_kg / (airframe.hover_speed_rad_s() * airframe.hover_speed_rad_s());
         airframe.unbalance_kg_m = [0; ROTORS].map(|_| random.uniform(0.1, 1.0) * per_m_s2);

@@ -1,4 +1,5 @@
-//! The INT pin: register map r4.2, sections 4.14 (INT_PIN_CFG), 4.15 (INT_ENABLE) and 4.16 (INT_STATUS).
+//! The INT pin: register map r4.2, sections 4.14 (INT_PIN_CFG), 4.15 (INT_ENABLE) and 4.16
+//! (INT_STATUS).
 
 /// INT_PIN_CFG: the pin is active low.
 const ACTIVE_LOW: u8 = 1 << 7;

@@ -1,8 +1,8 @@
 //! The chip: registers, clock, signal path, interrupt and bus put together.
 //!
-//! Time is the caller's, in nanoseconds since power-up, and must not decrease. Nothing happens between calls:
-//! every call first brings the chip up to its time, and [`Sensor::next_event_ns`] says when to call again at
-//! the latest.
+//! Time is the caller's, in nanoseconds since power-up, and must not decrease. Nothing happens
+//! between calls: every call first brings the chip up to its time, and [`Sensor::next_event_ns`]
+//! says when to call again at the latest.
 
 use super::bus::{Burst, Bus, DataRegisters};
 use super::clock::{ClockErrors, SampleClock, TICKS_PER_SECOND};
@@ -49,9 +49,11 @@ pub struct SensorConfig {
     pub errors: SensorErrors,
     /// How far its clocks are from nominal.
     pub clock: ClockErrors,
-    /// From power-up, or DEVICE_RESET, until the registers can be used; the chip does not acknowledge before.
+    /// From power-up, or DEVICE_RESET, until the registers can be used; the chip does not
+    /// acknowledge before.
     pub start_up_ns: u64,
-    /// Whether the low-pass filter filters. A recording has been through its own sensor's filter already.
+    /// Whether the low-pass filter filters. A recording has been through its own sensor's filter
+    /// already.
     pub filtered: bool,
     /// Whether it has a self-test with factory trim; many clones do not.
     pub has_self_test: bool,
@@ -68,15 +70,16 @@ impl SensorConfig {
             mount: Mount::default(),
             errors: SensorErrors::typical(seed),
             clock: ClockErrors::draw(seed),
-            // Drivers are told to wait 100 ms after a reset; how much of it a chip needs is its own affair.
+            // Drivers are told to wait 100 ms after a reset; how much of it a chip needs is its own
+            // affair.
             start_up_ns: Random::new(seed, "sensor start-up").uniform(20e6, 90e6) as u64,
             filtered: true,
             has_self_test: true,
         }
     }
 
-    /// A chip that adds only its clock and its registers' resolution and range, for motion that a sensor has
-    /// recorded.
+    /// A chip that adds only its clock and its registers' resolution and range, for motion that a
+    /// sensor has recorded.
     #[must_use]
     pub fn for_recording(seed: u64) -> Self {
         Self {
@@ -190,7 +193,8 @@ impl Sensor {
         self.path.reset();
     }
 
-    /// A start or repeated start condition with a 7-bit address and a direction. Returns the acknowledge.
+    /// A start or repeated start condition with a 7-bit address and a direction. Returns the
+    /// acknowledge.
     pub fn start(&mut self, now_ns: u64, address: u8, read: bool) -> bool {
         self.advance_to(now_ns);
         if address != self.config.address || self.ready_at_ns.is_some() {
@@ -201,7 +205,8 @@ impl Sensor {
         true
     }
 
-    /// A byte from the controller: the register pointer first, then values. Returns the acknowledge.
+    /// A byte from the controller: the register pointer first, then values. Returns the
+    /// acknowledge.
     pub fn write(&mut self, now_ns: u64, byte: u8) -> bool {
         self.advance_to(now_ns);
         if self.ready_at_ns.is_some() {
@@ -245,7 +250,8 @@ impl Sensor {
         self.release_bus();
     }
 
-    /// The time of the next event that is visible outside: end of a reset, sample, end of an interrupt pulse.
+    /// The time of the next event that is visible outside: end of a reset, sample, end of an
+    /// interrupt pulse.
     #[must_use]
     pub fn next_event_ns(&self) -> Option<u64> {
         let sample = self.clock.map(|clock| {
@@ -277,7 +283,8 @@ impl Sensor {
         self.read_register(register)
     }
 
-    /// A register changes by itself: of its bits those that hold something (a reset is not among them).
+    /// A register changes by itself: of its bits those that hold something (a reset is not among
+    /// them).
     pub fn corrupt_register(&mut self, now_ns: u64, register: u8, value: u8) {
         self.advance_to(now_ns);
         let is_trigger = register == address::PWR_MGMT_1;
@@ -490,8 +497,8 @@ impl Sensor {
         (self.now_ns - self.woken_at_ns) as f64 * 1e-9
     }
 
-    /// Sample rate = gyroscope output rate / (1 + SMPLRT_DIV), the former 8 kHz without filter, else 1 kHz
-    /// (section 4.2).
+    /// Sample rate = gyroscope output rate / (1 + SMPLRT_DIV), the former 8 kHz without filter,
+    /// else 1 kHz (section 4.2).
     fn ticks_per_sample(&self) -> u64 {
         if self.is_cycling() {
             return 1;
