@@ -4,11 +4,11 @@
 mod common;
 
 use aplomb::settings::{OutputFormat, storage};
+use aplomb_models::motion::rest::Rest;
 use common::firmware;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use virtual_board::flash::{FlashRecord, SLOT_BYTES, Step};
 use virtual_board::flight::{Outcome, Run};
-use virtual_board::motion::rest::Rest;
 
 /// Seeds of each power cut.
 const SEEDS: u64 = 5;

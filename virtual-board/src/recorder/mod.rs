@@ -5,6 +5,9 @@
 //! the firmware between two instructions. Nothing noted here changes the run, except that the
 //! probe, if there is one, empties the log buffer.
 
+mod record;
+mod timer;
+
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -12,13 +15,14 @@ use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::fault::{FaultClass, report};
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
+use aplomb_models::sensor::Burst;
 use rigless::emulator::{AccessKind, Driver, Hit, Host, Memory, Settled, Stop, Watch};
-use rigless::mcu::Operate;
 use rigless::session::Session;
-use rigless::soc::stm32f427::generated::tim5::{Register, cr1, egr};
+use rigless::soc::Width;
 use rigless::soc::stm32f427::generated::{FLASH, TIM5};
-use rigless::soc::{Layout, Width};
 use rigless::time::VirtualNanos;
+
+pub use record::{HealthReading, Record, Sample, StaleSnapshot};
 
 use crate::board::Board;
 use crate::faults::{FaultKind, ScheduledFault};
@@ -26,7 +30,7 @@ use crate::image::Firmware;
 use crate::mcu::HeardByte;
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Counts, EXCEPTIONS, Profile, Upset, exception_of};
-use aplomb_models::sensor::{Burst, DataReady};
+use timer::Timer;
 
 /// Offset of the count in the published structure; the snapshot is at 0.
 const SEQUENCE: u64 = 44;
@@ -47,26 +51,6 @@ const NMI_LIMIT_NS: u64 = 20_000;
 /// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1
 /// events and errors, TIM5; and SPI1's, by which settings are read back.
 const INPUT_INTERRUPTS: [usize; 6] = [11, 7, 31, 32, 50, 35];
-
-/// A published sample.
-#[derive(Clone, Debug)]
-pub struct Sample {
-    /// What the firmware published.
-    pub snapshot: Snapshot,
-    /// When, ns since power-up.
-    pub published_ns: u64,
-    /// The burst that the bus had delivered last.
-    pub burst: Burst,
-    /// The edge that announced the burst's data, with the true motion at that instant.
-    pub edge: Option<DataReady>,
-    /// The true time of the edge by the firmware's clock, in microseconds with their fraction.
-    pub true_t_us: Option<f64>,
-    /// Instructions from the edge on, of all interrupts and of the attitude task. `None` if
-    /// something else happened before the next edge than one publication.
-    pub instructions: Option<u64>,
-    /// The same without the attitude task.
-    pub input_instructions: Option<u64>,
-}
 
 /// How the run goes on, told about ten times a second of real time.
 #[derive(Clone, Copy, Debug)]
@@ -101,71 +85,6 @@ pub trait Observer: Send {
 pub struct Nobody;
 
 impl Observer for Nobody {}
-
-/// Everything that was noted.
-#[derive(Debug, Default)]
-pub struct Record {
-    /// Published samples, in order.
-    pub samples: Vec<Sample>,
-    /// What was published without a sample, in order, and when (ns since power-up).
-    pub stale: Vec<StaleSnapshot>,
-    /// Data-ready edges, in order.
-    pub edges: Vec<DataReady>,
-    /// The firmware's log, as the probe read it.
-    pub log: Vec<LogLine>,
-    /// What came out of the UART.
-    pub heard: Vec<HeardByte>,
-    /// Instructions executed and virtual time when the first sample was published.
-    pub first: Option<(u64, u64)>,
-    /// Instructions executed and virtual time at the end.
-    pub last: (u64, u64),
-    /// All instructions executed, by exception number; 0 is thread mode.
-    pub instructions: Vec<u64>,
-    /// How much of the stack was ever written, in bytes.
-    pub stack_bytes_used: u64,
-    /// What the firmware has counted, whenever that changed.
-    pub health: Vec<HealthReading>,
-    /// Until when the sensor could not acknowledge after its supply had come back, ns; one for each
-    /// time.
-    pub sensor_ready_ns: Vec<u64>,
-    /// When the processor was reset, ns.
-    pub resets_ns: Vec<u64>,
-}
-
-impl Record {
-    /// Forgets what would grow without end.
-    fn forget(&mut self) {
-        /// The edge of a burst is looked for among the last ones.
-        const EDGES_KEPT: usize = 8;
-        self.samples.clear();
-        self.stale.clear();
-        self.edges
-            .drain(..self.edges.len().saturating_sub(EDGES_KEPT));
-        self.log.clear();
-        self.heard.clear();
-        self.health.drain(..self.health.len().saturating_sub(1));
-    }
-}
-
-/// A snapshot that the firmware published because no sample had come.
-#[derive(Clone, Copy, Debug)]
-pub struct StaleSnapshot {
-    /// What the firmware published.
-    pub snapshot: Snapshot,
-    /// When, ns since power-up.
-    pub published_ns: u64,
-}
-
-/// What the firmware says of its own health at a time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct HealthReading {
-    /// When it was read, ns since power-up.
-    pub at_ns: u64,
-    /// The cause of the last reset, by the firmware's number.
-    pub reset_cause: u32,
-    /// How often each class of faults has been seen, by the firmware's number of the class.
-    pub counters: [u32; FaultClass::COUNT],
-}
 
 /// Notes a run.
 pub struct Recorder {
@@ -597,44 +516,6 @@ impl Driver<Board> for Recorder {
         }
         self.end(session, host, stop);
         None
-    }
-}
-
-/// Follows the firmware's microsecond timer, so that its times can be compared with the true ones.
-#[derive(Debug)]
-struct Timer {
-    /// The instant at which the count was zero, or would have been; ns since power-up.
-    zero_ns: Option<i128>,
-    /// The count to start with in place of zero.
-    starts_at: Option<u32>,
-}
-
-impl Timer {
-    /// The firmware has written a register of the timer.
-    fn written(&mut self, session: &mut Session<Board>, offset: u64, value: u64, at: VirtualNanos) {
-        let register = |register: Register| u64::from(register.spec().offset);
-        let controller = &mut session.board_mut().controller;
-        let is_started =
-            offset == register(Register::Cr1) && cr1::CEN.is_set(value) && self.zero_ns.is_none();
-        let is_restarted = offset == register(Register::Egr) && egr::UG.is_set(value);
-        let is_set = offset == register(Register::Cnt);
-        if !is_started && !(self.zero_ns.is_some() && (is_restarted || is_set)) {
-            return;
-        }
-        let count_address = TIM5.base + register(Register::Cnt);
-        if let Some(count) = self.starts_at.filter(|_| is_started) {
-            controller
-                .write(at, count_address, Width::W32, u64::from(count))
-                .ok();
-        }
-        let count = controller.peek(at, count_address, Width::W32).unwrap_or(0);
-        self.zero_ns = Some(i128::from(at.0) - 1000 * i128::from(count));
-    }
-
-    /// An instant in microseconds by the timer, with their fraction.
-    fn microseconds(&self, at_ns: u64) -> Option<f64> {
-        self.zero_ns
-            .map(|zero_ns| (i128::from(at_ns) - zero_ns) as f64 / 1000.0)
     }
 }
 

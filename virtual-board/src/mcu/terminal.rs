@@ -1,0 +1,110 @@
+//! The far end of the UART.
+
+use std::collections::VecDeque;
+
+use rigless::chip::Timeline;
+use rigless::chip::uart;
+use rigless::snapshot::Store;
+use rigless::time::VirtualNanos;
+
+use crate::faults::{FaultKind, ScheduledFault};
+
+/// The far end of the UART: it notes what it hears, and says what it was told to say, or anything
+/// while a fault floods the line.
+#[derive(Debug, Default)]
+pub struct Terminal {
+    heard: Vec<HeardByte>,
+    /// What is left to say, the first of it first.
+    script: VecDeque<SaidByte>,
+    /// When it sends without a pause.
+    floods: Vec<ScheduledFault>,
+    /// How many bytes it has sent.
+    sent: u64,
+}
+
+/// A byte from the UART.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HeardByte {
+    /// When its stop bit ended, ns since power-up.
+    pub at_ns: u64,
+    /// The byte.
+    pub byte: u8,
+}
+
+/// A byte for the UART.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SaidByte {
+    /// When its start bit may begin, ns since power-up. It waits for the bytes before it.
+    pub at_ns: u64,
+    /// The byte.
+    pub byte: u8,
+}
+
+impl Terminal {
+    /// A terminal that says these bytes.
+    #[must_use]
+    pub fn new(script: &[SaidByte]) -> Self {
+        let mut script = script.to_vec();
+        // Those of one instant keep their order.
+        script.sort_by_key(|said| said.at_ns);
+        Self {
+            script: script.into(),
+            ..Self::default()
+        }
+    }
+
+    /// Has it flood the line when these faults say so.
+    pub(super) fn flood(&mut self, faults: &[ScheduledFault]) {
+        let floods = |fault: &&ScheduledFault| {
+            matches!(fault.kind, FaultKind::UartFlood | FaultKind::UartNoise)
+        };
+        self.floods = faults.iter().filter(floods).copied().collect();
+    }
+
+    /// How many bytes it has sent.
+    #[must_use]
+    pub fn sent(&self) -> u64 {
+        self.sent
+    }
+
+    /// Has it say these bytes too, from `at_ns` on.
+    pub fn say(&mut self, at_ns: u64, bytes: &[u8]) {
+        let said = bytes.iter().map(|&byte| SaidByte { at_ns, byte });
+        self.script.extend(said);
+    }
+
+    /// Takes out what it has heard since the last call.
+    pub fn take(&mut self) -> Vec<HeardByte> {
+        std::mem::take(&mut self.heard)
+    }
+}
+
+/// Runs start from reset alone, so nothing keeps a board.
+impl Store for Terminal {}
+
+impl uart::Peer for Terminal {
+    fn receive(&mut self, word: u16, context: &mut Timeline<'_, '_>) {
+        self.heard.push(HeardByte {
+            at_ns: context.now().0,
+            byte: word.to_le_bytes()[0],
+        });
+    }
+
+    fn transmit(&mut self, now: VirtualNanos) -> Option<u16> {
+        if !self.floods.iter().any(|fault| fault.lasts(now.0)) {
+            return self
+                .script
+                .pop_front_if(|said| said.at_ns <= now.0)
+                .map(|said| said.byte.into());
+        }
+        self.sent += 1;
+        // Any byte may come, most of them printable, and a line's end now and then.
+        let mixed = self.sent.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
+        let byte = match mixed % 40 {
+            0 => u64::from(b'\n'),
+            1..=4 => mixed >> 8,
+            _ => 0x20 + (mixed >> 8) % 95,
+        };
+        Some(u16::from(byte.to_le_bytes()[0]))
+    }
+}
