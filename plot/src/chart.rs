@@ -8,7 +8,7 @@ use crate::timeline::Trace;
 
 /// Dark letters.
 pub const INK: Color = Color(30, 34, 42);
-/// What there is beside: frames, remarks.
+/// What there is beside: frames, annotations.
 pub const FRAME: Color = Color(110, 116, 126);
 const GRID: Color = Color(218, 221, 226);
 /// A curve of the truth.
@@ -83,8 +83,8 @@ pub struct Panel {
     pub range: (f64, f64),
     /// Numbers are powers of ten.
     pub is_logarithmic: bool,
-    /// Remarks at points.
-    pub remarks: Vec<((f64, f64), String)>,
+    /// Texts at points, each with a ring.
+    pub annotations: Vec<((f64, f64), String)>,
 }
 
 /// An axis of a panel's own, from zero on.
@@ -325,11 +325,11 @@ impl Panel {
             (left, top),
         ];
         picture.line(frame.to_vec(), FRAME, 1.0);
-        for ((x, y), remark) in &self.remarks {
+        for ((x, y), annotation) in &self.annotations {
             let at = (place.x(*x), place.y(*y));
             picture.ring(at, 5.0, INK);
             picture.text(
-                remark,
+                annotation,
                 (at.0 + 10.0, at.1.max(top + 10.0)),
                 Font::Normal,
                 INK,

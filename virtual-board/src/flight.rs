@@ -304,14 +304,14 @@ impl Run {
             return Err(Error::emulator(error));
         }
         let record = finished.driver.into_record();
-        let remarks = remarks(&finished.session, &profile);
+        let issues = issues(&finished.session, &profile);
         Ok(Outcome {
             summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
             uart_lines: lines(&record),
             record,
             faults: scheduled,
             flash: cells.record(),
-            remarks,
+            issues,
         })
     }
 }
@@ -331,7 +331,7 @@ pub struct Outcome {
     pub flash: FlashRecord,
     /// What the firmware did that this board cannot do, and what the emulator could not account
     /// for. Empty if all is well.
-    pub remarks: Vec<String>,
+    pub issues: Vec<String>,
 }
 
 /// A line from the UART.
@@ -386,19 +386,19 @@ fn lines(record: &Record) -> Vec<UartLine> {
 }
 
 /// What the run met that it should not have.
-fn remarks(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
-    let mut remarks: Vec<String> = session
+fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
+    let mut issues: Vec<String> = session
         .unmapped()
         .iter()
         .map(|unmapped| format!("no such address: {unmapped}"))
         .collect();
-    remarks.extend(
+    issues.extend(
         session
             .refused()
             .iter()
             .map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")),
     );
-    remarks.extend(
+    issues.extend(
         session
             .unimplemented()
             .values()
@@ -410,18 +410,18 @@ fn remarks(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
                 )
             }),
     );
-    remarks.extend(
+    issues.extend(
         session
             .unrouted()
             .iter()
             .map(|unrouted| format!("an interrupt without a line: {unrouted:?}")),
     );
-    remarks.extend(
+    issues.extend(
         session
             .told()
             .map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason)),
     );
-    remarks.extend(
+    issues.extend(
         session
             .resets()
             .iter()
@@ -429,9 +429,9 @@ fn remarks(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
     );
     let unexplained = profile.lock().map_or(1, |profile| profile.unexplained());
     if unexplained > 0 {
-        remarks.push(format!(
+        issues.push(format!(
             "{unexplained} changes of context that the instruction account cannot explain"
         ));
     }
-    remarks
+    issues
 }

@@ -225,8 +225,8 @@ fn fly(options: &Fly) -> Result<(), String> {
     }
     println!("\n{}", table(&outcome));
     println!("written to {}", options.output.display());
-    for remark in &outcome.remarks {
-        eprintln!("warning: {remark}");
+    for issue in &outcome.issues {
+        eprintln!("warning: {issue}");
     }
     if outcome.samples().is_empty() {
         return Err("the firmware published no attitude".into());

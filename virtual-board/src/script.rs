@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn times_and_commands_are_read_and_remarks_left_out() {
+    fn times_and_commands_are_read_and_comments_left_out() {
         let script = Script::parse("# greeting\n\n0.5 help\n 2\tmount  +x-z \n").unwrap();
         assert_eq!(
             script.lines(),

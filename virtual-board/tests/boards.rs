@@ -43,7 +43,7 @@ fn every_board_runs_from_its_crystal() {
                 .is_some_and(|error| error <= 1.0),
             "{name}"
         );
-        assert!(outcome.remarks.is_empty(), "{name}: {:?}", outcome.remarks);
+        assert!(outcome.issues.is_empty(), "{name}: {:?}", outcome.issues);
     });
 }
 

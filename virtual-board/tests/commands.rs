@@ -103,7 +103,7 @@ fn every_command_is_answered_as_before() {
         .seconds(39.0)
         .motion(Rest::level())
         .commands(&script));
-    assert_eq!(outcome.remarks, Vec::<String>::new());
+    assert_eq!(outcome.issues, Vec::<String>::new());
     let mut said = script.lines().iter().peekable();
     let mut text = String::new();
     for (at_s, answer) in answers(&outcome) {
@@ -179,7 +179,7 @@ fn a_flood_changes_neither_samples_nor_times_nor_anything_else() {
         .says(1.5, &bytes)
         .command(5.0, "")
         .command(5.2, "status"));
-    assert_eq!(flooded.remarks, Vec::<String>::new());
+    assert_eq!(flooded.issues, Vec::<String>::new());
     assert_eq!(flooded.summary.missed, 0);
     assert!(
         flooded.summary.timestamp_error_us_max <= Some(1.0),
@@ -340,7 +340,7 @@ fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
         .command(6.0, "calibrate accel")
         .command(31.0, "calibrate level")
         .command(34.0, "save"));
-    assert_eq!(calibration.remarks, Vec::<String>::new());
+    assert_eq!(calibration.issues, Vec::<String>::new());
     for text in [
         "done calibrate gyro: offset ",
         "pose 6 is ",

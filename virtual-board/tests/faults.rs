@@ -64,7 +64,7 @@ fn assert_recovered(outcome: &Outcome) {
         "{late} samples at the end:\n{}",
         transcript(outcome)
     );
-    assert!(outcome.remarks.is_empty(), "{:?}", outcome.remarks);
+    assert!(outcome.issues.is_empty(), "{:?}", outcome.issues);
 }
 
 #[test]

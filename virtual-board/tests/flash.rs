@@ -24,7 +24,7 @@ fn run(slots: &[u8], seconds: f64, commands: &[(f64, &str)]) -> Outcome {
         .fold(run, |run, (at_s, line)| run.command(*at_s, line))
         .run()
         .unwrap();
-    assert_eq!(outcome.remarks, Vec::<String>::new());
+    assert_eq!(outcome.issues, Vec::<String>::new());
     outcome
 }
 

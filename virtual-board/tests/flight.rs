@@ -58,7 +58,7 @@ fn assert_the_library_agrees(samples: &[Sample]) {
 fn a_flight_keeps_its_promises() {
     let outcome = fly(Run::new(firmware()).seconds(10.0).seed(3));
     let summary = &outcome.summary;
-    assert_eq!(outcome.remarks, Vec::<String>::new());
+    assert_eq!(outcome.issues, Vec::<String>::new());
     assert!(summary.samples > 9500, "{summary:?}");
     assert_eq!(summary.missed, 0);
     assert!(summary.timestamp_error_us_max <= Some(1.0), "{summary:?}");
