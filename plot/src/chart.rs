@@ -1,5 +1,5 @@
-//! Charts of curves over time, one above the other, with what lasted for a while beneath them:
-//! flags, faults.
+//! Charts of curves over time, one above the other. Beneath them are rows for flags and faults,
+//! which last for a while.
 //!
 //! Beneath those there may be panels with an axis of their own, such as a spectrum's.
 
@@ -8,18 +8,18 @@ use crate::timeline::Trace;
 
 /// Dark letters.
 pub const INK: Color = Color(30, 34, 42);
-/// What there is beside: frames, annotations.
+/// Frames and secondary texts.
 pub const FRAME: Color = Color(110, 116, 126);
 const GRID: Color = Color(218, 221, 226);
 /// A curve of the truth.
 pub const TRUTH: Color = Color(150, 156, 166);
 /// A curve about the first axis.
 pub const FIRST: Color = Color(0, 101, 189);
-/// A curve about the second axis. Also what is well.
+/// A curve about the second axis. Also a good state.
 pub const SECOND: Color = Color(0, 135, 90);
 /// A curve about the third axis.
 pub const THIRD: Color = Color(176, 84, 0);
-/// An error. Also what is not well.
+/// An error. Also a bad state.
 pub const ERROR: Color = Color(190, 30, 60);
 /// The area in which an error is expected.
 pub const EXPECTED: Color = Color(236, 226, 240);
@@ -37,7 +37,7 @@ const LEFT: f32 = 110.0;
 const MARGIN_RIGHT: f32 = 25.0;
 const TOP: f32 = 104.0;
 const GAP: f32 = 42.0;
-/// What an axis with its numbers and its name takes beneath a panel.
+/// Height of an axis with its numbers and its name, beneath a panel.
 const AXIS: f32 = 56.0;
 /// The height of a lane.
 const LANE: f32 = 17.0;
@@ -56,11 +56,11 @@ pub struct Chart {
     pub title: String,
     /// The second line.
     pub subtitle: String,
-    /// What the colours mean, on the second line.
+    /// The meanings of the colours, on the second line.
     pub legend: Vec<(Color, String)>,
     /// The time that is shown, s.
     pub time_s: (f64, f64),
-    /// What the axis of time is called.
+    /// The name of the time axis.
     pub time_name: &'static str,
     /// The panels over time, from above.
     pub panels: Vec<Panel>,
@@ -75,11 +75,11 @@ pub struct Chart {
 /// Curves in one frame.
 #[derive(Clone, Debug, Default)]
 pub struct Panel {
-    /// What it shows, and its unit.
+    /// The quantity, and its unit.
     pub name: String,
     /// The curves; the later ones cover the earlier ones.
     pub curves: Vec<Curve>,
-    /// What its lower and its upper edge stand for. The logarithms, if it is logarithmic.
+    /// The values of its lower and its upper edge; logarithms if `is_logarithmic`.
     pub range: (f64, f64),
     /// Numbers are powers of ten.
     pub is_logarithmic: bool,
@@ -92,7 +92,7 @@ pub struct Panel {
 pub struct Axis {
     /// Where it ends.
     pub end: f64,
-    /// What it is called, and its unit.
+    /// The quantity, and its unit.
     pub name: &'static str,
 }
 
@@ -103,7 +103,7 @@ pub struct Curve {
     pub color: Color,
     /// Its parts without interruption: times and values.
     pub lines: Vec<Vec<(f64, f64)>>,
-    /// What it is; nothing is said of it if that is empty.
+    /// The text of the legend. Empty: the legend leaves the curve out.
     pub meaning: String,
     /// How it is drawn.
     pub style: Style,
@@ -506,7 +506,7 @@ fn decimal_step((low, high): (f64, f64), wanted: f64) -> f64 {
     factor.unwrap_or(10.0) * power
 }
 
-/// The same for angles and rates in degrees: wide ranges up to a turn in parts of a right angle.
+/// A step for angles and rates in degrees. Wide ranges up to a turn use parts of a right angle.
 fn value_step(range: (f64, f64)) -> f64 {
     let rough = (range.1 - range.0) / 6.0;
     if (10.0..=90.0).contains(&rough) {

@@ -27,18 +27,18 @@ pub type At = (f32, f32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Color(pub u8, pub u8, pub u8);
 
-/// What letters look like: all are equally wide.
+/// Fonts. All letters of a font are equally wide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Font {
     /// 6 × 12 pixels.
     Tiny,
     /// 9 × 15 pixels.
     Small,
-    /// The same, bold.
+    /// 9 × 15 pixels, bold.
     SmallBold,
     /// 9 × 18 pixels.
     Normal,
-    /// The same, bold.
+    /// 9 × 18 pixels, bold.
     Bold,
     /// 10 × 20 pixels.
     Large,

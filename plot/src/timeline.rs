@@ -13,9 +13,9 @@ const SHORTEST_S: f64 = 1e-3;
 /// After so long a time without a value a curve is interrupted, s.
 const GAP_S: f64 = 0.5;
 
-/// What can be made one of two.
+/// Values of which two can be merged into one.
 pub trait Merge: Copy {
-    /// Takes in what comes later.
+    /// Takes in a later value.
     fn merge(&mut self, later: &Self);
 }
 
@@ -126,7 +126,7 @@ pub struct Trace {
     timeline: Timeline<Extremes>,
     last: Option<(f64, f64)>,
     wraps: bool,
-    /// What has to be added to an angle so that it goes on from the one before.
+    /// Whole turns to add to an angle so that it continues from the one before.
     turned: f64,
 }
 
@@ -177,7 +177,7 @@ impl Trace {
         self.last = Some(at);
     }
 
-    /// Whether there is nothing in it.
+    /// Returns true if it has no values.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.timeline.pieces.is_empty()

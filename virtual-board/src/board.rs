@@ -18,7 +18,7 @@ use crate::profile::{Profile, ProfiledProcessor};
 pub struct BoardModel {
     /// Its name on the command line, the same as in the firmware's features.
     pub name: &'static str,
-    /// What drives the high-speed oscillator.
+    /// The clock source of the high-speed oscillator.
     pub input: HighSpeedInput,
     /// The core clock that the firmware sets up, in hertz. The emulated core executes one
     /// instruction per cycle of it.

@@ -11,7 +11,7 @@ use rigless::time::EventId;
 
 use crate::delegate::delegate;
 
-/// What is connected to the high-speed oscillator's pins.
+/// The clock source at the high-speed oscillator's pins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HighSpeedInput {
     /// Nothing, or a crystal that does not start.
@@ -32,7 +32,7 @@ impl HighSpeedInput {
         }
     }
 
-    /// Whether the oscillator runs with HSEBYP set or clear.
+    /// Returns true if the oscillator runs with HSEBYP set or clear.
     fn starts(self, bypassed: bool) -> bool {
         match self {
             Self::Nothing => false,
@@ -45,19 +45,18 @@ impl HighSpeedInput {
 /// The clock controller.
 #[derive(Debug)]
 pub struct CrystalAware {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: Rcc,
-    /// What the board has.
+    /// The board's clock source.
     pub input: HighSpeedInput,
-    /// What the board had before the crystal stopped.
+    /// The board's clock source before the crystal stopped.
     pub stopped: Option<HighSpeedInput>,
 }
 
 impl CrystalAware {
     /// The crystal, or the other chip's clock, stops. With the clock security system on, the
-    /// hardware switches over to the internal oscillator and says so in CSSF (RM0090, section
-    /// 7.2.7), which asks for the NMI. Returns whether the core has lost its clock, because it is
-    /// off.
+    /// hardware switches to the internal oscillator and sets CSSF (RM0090, section 7.2.7), which
+    /// requests the NMI. Returns true if the system is off, so that the core has lost its clock.
     pub fn stop_crystal(
         &mut self,
         registers: &mut RegisterFile,

@@ -17,7 +17,7 @@ const ACCESSES_OF_STREAM_0: std::ops::Range<u64> = 0..2;
 /// The controller.
 #[derive(Debug)]
 pub struct RefusedDma {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: Dma,
     faults: Vec<ScheduledFault>,
 }

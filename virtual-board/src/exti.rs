@@ -30,7 +30,7 @@ const INTERRUPTS: [(usize, u64); 7] = [
 #[derive(Debug, Default)]
 pub struct Exti {
     pending: u64,
-    /// What each of [`INTERRUPTS`] was driven to last.
+    /// The last level of each of [`INTERRUPTS`].
     driven: [bool; INTERRUPTS.len()],
 }
 
@@ -104,7 +104,8 @@ impl Device for Syscfg {
     type Register = syscfg::Register;
 }
 
-/// Whether SYSCFG routes pin `pin` of port number `port` (A is 0) to the EXTI line of that number.
+/// Returns true if SYSCFG routes pin `pin` of port number `port` (A is 0) to the EXTI line of that
+/// number.
 #[must_use]
 pub fn routes(port: u8, pin: u8, registers: &RegisterFile) -> bool {
     let register = match pin / 4 {

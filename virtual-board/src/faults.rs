@@ -1,15 +1,13 @@
-//! What can go wrong on the virtual board, each at a time that a test, a schedule or a seed
-//! chooses.
+//! The faults of the virtual board. A test, a schedule or a seed chooses the time of each.
 //!
-//! Times are seconds of virtual time since power-up. [`FaultKind`] has the faults of a schedule, by
-//! name; each behaves as the silicon does, and says after which section of RM0090 or of the
-//! sensor's documents. [`Fault`] has besides them what only tests ask for.
+//! Times are seconds of virtual time since power-up. [`FaultKind`] lists the faults of a schedule
+//! by name. Each behaves as the silicon does; its comment cites the section of RM0090 or of the
+//! sensor's documents. [`Fault`] adds faults for tests alone.
 
 use std::fmt;
 use std::ops::Range;
 
-/// A way in which something goes wrong, with its parameter. As text it is its name and the
-/// parameter after a colon.
+/// A kind of fault with its parameter. Its text form is the name, and the parameter after a colon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FaultKind {
     /// The sensor does not acknowledge its address, in the one direction if one is given: AF
@@ -64,7 +62,7 @@ pub enum FaultKind {
     CoreStall,
     /// Bytes come in on the UART without a pause.
     UartFlood,
-    /// The same, with noise and framing errors (RM0090, 30.3.3).
+    /// Bytes come in on the UART without a pause, with noise and framing errors (RM0090, 30.3.3).
     UartNoise,
     /// A debug probe that had made the log wait for it (as probe-rs does) is pulled off.
     ProbeDetach,
@@ -75,7 +73,7 @@ pub enum FaultKind {
     /// The interrupt that the attitude task runs on is held back, as by another of its priority
     /// that takes too long.
     AttitudeLate,
-    /// The processor is told to leave the Thumb state, as by a jump through a spoilt pointer: a
+    /// The processor is told to leave the Thumb state, as by a jump through a corrupted pointer: a
     /// usage fault, and as no handler is enabled for that, a hard fault (PM0214, 2.4).
     Crash,
     /// The stack pointer comes so close to the end of the stack that the next exception finds no
@@ -168,7 +166,7 @@ impl FaultKind {
 }
 
 impl FaultKind {
-    /// Whether it ends in a reset of the processor.
+    /// Returns true if the fault ends in a reset of the processor.
     #[must_use]
     pub fn resets(&self) -> bool {
         matches!(self, Self::WatchdogHang | Self::Crash | Self::StackOverflow)
@@ -199,9 +197,9 @@ impl fmt::Display for FaultKind {
 pub struct ScheduledFault {
     /// When it begins, ns since power-up.
     pub start_ns: u64,
-    /// How long it lasts, ns; zero for what happens once, or does not end by itself.
+    /// Duration, ns; zero if it happens once or does not end by itself.
     pub duration_ns: u64,
-    /// What it is.
+    /// The kind of fault.
     pub kind: FaultKind,
 }
 
@@ -217,7 +215,7 @@ impl ScheduledFault {
         }
     }
 
-    /// Whether it lasts at this time.
+    /// Returns true if the fault is active at this time.
     #[must_use]
     pub fn lasts(&self, now_ns: u64) -> bool {
         (self.start_ns..self.end_ns()).contains(&now_ns)
@@ -286,12 +284,12 @@ pub enum Fault {
     InterruptStuck(bool, Range<f64>),
     /// The sensor's supply fails for an instant, so that it restarts asleep.
     SensorReset(f64),
-    /// What the firmware receives on its UART is garbled: so many bytes in a million come with an
-    /// error.
+    /// Garbles the bytes that the firmware receives on its UART: so many in a million arrive with
+    /// an error.
     ReceptionGarbled {
         /// With noise on a bit.
         noise_per_million: u32,
-        /// With a stop bit that is none.
+        /// With a wrong stop bit.
         framing_per_million: u32,
     },
     /// The crystal does not start, or the other chip's clock does not come.
@@ -316,7 +314,7 @@ pub fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// Whether a time is in a range of seconds.
+/// Returns true if a time is in a range of seconds.
 #[must_use]
 pub fn within(now_ns: u64, range: &Range<f64>) -> bool {
     (nanoseconds(range.start)..nanoseconds(range.end)).contains(&now_ns)

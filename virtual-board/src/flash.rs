@@ -51,19 +51,19 @@ pub enum Step {
     Program {
         /// Its place from the first slot's start, in bytes.
         offset: usize,
-        /// What was asked for: cells keep the bits that both have.
+        /// The requested value. A cell stays set only where both old and new value have a one.
         word: u32,
     },
 }
 
-/// What both slots hold, and what happened to them.
+/// The contents of both slots, and their changes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FlashRecord {
     /// At the start of the run.
     before: Vec<u8>,
     /// At its end.
     pub bytes: Vec<u8>,
-    /// What was done to them, in order.
+    /// The changes, in order.
     pub steps: Vec<Step>,
 }
 
@@ -74,7 +74,7 @@ impl FlashRecord {
         Self::holding(vec![0xFF; 2 * SLOT_BYTES])
     }
 
-    /// Slots that hold this; what is missing is blank, and what is too much is left out.
+    /// Slots with these contents. Missing bytes are blank; bytes beyond the slots are left out.
     #[must_use]
     pub fn holding(mut bytes: Vec<u8>) -> Self {
         bytes.resize(2 * SLOT_BYTES, 0xFF);
@@ -85,9 +85,9 @@ impl FlashRecord {
         }
     }
 
-    /// What a power cut within step number `step` would have left: the steps before it whole, those
-    /// after it not begun, and of its own bits some old, some new, and of an erase, which first
-    /// programs every cell, some neither.
+    /// Returns the slots after a power cut within step number `step`. The steps before it are
+    /// complete and those after it have not begun. Of its own bits some are old and some new; an
+    /// erase, which first programs every cell, leaves some that are neither.
     #[must_use]
     pub fn cut_in(&self, step: usize, seed: u64) -> Vec<u8> {
         let mut bytes = self.before.clone();
@@ -178,7 +178,7 @@ impl Cells {
         self.busy_until_ns
     }
 
-    /// What the core reads.
+    /// Returns the value that the core reads.
     #[must_use]
     pub fn read(&self, address: u64, width: Width) -> u64 {
         let start = (address - SLOTS.start) as usize;
@@ -189,8 +189,7 @@ impl Cells {
             .fold(0, |value, &byte| value << 8 | u64::from(byte))
     }
 
-    /// The core stores: it programs, or raises the flag that says why not (RM0090, section 3.6.4
-    /// and 3.9.5).
+    /// Programs what the core stores, or raises the error flag (RM0090, sections 3.6.4 and 3.9.5).
     pub fn store(&mut self, now: VirtualNanos, address: u64, width: Width, value: u64) {
         let is_ready = cr::PG.is_set(self.control)
             && !cr::LOCK.is_set(self.control)
@@ -219,7 +218,7 @@ impl Cells {
 /// The interface's registers.
 #[derive(Debug)]
 pub struct FlashInterface {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: Flash,
     /// The cells behind it.
     pub cells: SharedCells,

@@ -36,14 +36,14 @@ use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::{Motion, Mount};
 use aplomb_models::sensor::{Sensor, SensorConfig, SensorErrors};
 
-/// A run that is yet to be made.
+/// The settings of a run.
 pub struct Run {
     firmware: PathBuf,
     board: BoardModel,
     seed: u64,
     seconds: f64,
     mount: Mount,
-    /// The motion, and whether it is a recording: then the sensor adds no errors of its own.
+    /// The motion, and true if it is a recording: then the sensor adds no errors of its own.
     motion: Option<(Box<dyn Motion>, bool)>,
     faults: Vec<Fault>,
     script: Vec<SaidByte>,
@@ -85,35 +85,35 @@ impl Run {
         self
     }
 
-    /// How long it runs, in virtual seconds from power-up.
+    /// Sets the length of the run, in virtual seconds from power-up.
     #[must_use]
     pub fn seconds(mut self, seconds: f64) -> Self {
         self.seconds = seconds;
         self
     }
 
-    /// On which board.
+    /// Selects the board.
     #[must_use]
     pub fn board(mut self, board: BoardModel) -> Self {
         self.board = board;
         self
     }
 
-    /// How the sensor sits in the vehicle. The image must have been built for the same mount.
+    /// Mounts the sensor in the vehicle. The image must have been built for the same mount.
     #[must_use]
     pub fn mount(mut self, mount: Mount) -> Self {
         self.mount = mount;
         self
     }
 
-    /// Moves the board otherwise than by the simulated flight.
+    /// Moves the board by this motion instead of the simulated flight.
     #[must_use]
     pub fn motion(mut self, motion: impl Motion + 'static) -> Self {
         self.motion = Some((Box::new(motion), false));
         self
     }
 
-    /// The same, for a motion that has been chosen at run time.
+    /// Moves the board by a motion that is chosen at run time.
     #[must_use]
     pub fn boxed_motion(mut self, motion: Box<dyn Motion>) -> Self {
         self.motion = Some((motion, false));
@@ -134,22 +134,22 @@ impl Run {
         self
     }
 
-    /// Says a line to the UART, `at_s` seconds after power-up or as soon as the lines before it are
-    /// through.
+    /// Sends a line to the UART, `at_s` seconds after power-up or as soon as the lines before it
+    /// have been sent.
     #[must_use]
     pub fn command(self, at_s: f64, line: &str) -> Self {
         self.says(at_s, format!("{line}\n").as_bytes())
     }
 
-    /// Says these commands.
+    /// Sends the commands of a script.
     #[must_use]
     pub fn commands(self, script: &Script) -> Self {
         let lines = script.lines().iter();
         lines.fold(self, |run, (at_s, line)| run.command(*at_s, line))
     }
 
-    /// Says bytes to the UART, `at_s` seconds after power-up or as soon as those before them are
-    /// through.
+    /// Sends bytes to the UART, `at_s` seconds after power-up or as soon as those before them have
+    /// been sent.
     #[must_use]
     pub fn says(mut self, at_s: f64, bytes: &[u8]) -> Self {
         let at_ns = nanoseconds(at_s);
@@ -194,14 +194,14 @@ impl Run {
         self
     }
 
-    /// Accounts for no instructions, which is quicker.
+    /// Keeps no account of instructions, which is faster.
     #[must_use]
     pub fn without_account(mut self) -> Self {
         self.has_account = false;
         self
     }
 
-    /// Shows the run to somebody while it goes on.
+    /// Reports the run to an observer while it goes on.
     #[must_use]
     pub fn observer(mut self, observer: impl Observer + 'static) -> Self {
         self.observer = Box::new(observer);
@@ -316,21 +316,21 @@ impl Run {
     }
 }
 
-/// What came of a run.
+/// The outcome of a run.
 #[derive(Debug)]
 pub struct Outcome {
     /// The figures.
     pub summary: Summary,
     /// The lines that came out of the UART.
     pub uart_lines: Vec<UartLine>,
-    /// Everything that was noted.
+    /// The record of the run.
     pub record: Record,
     /// The faults of the schedule.
     pub faults: Vec<ScheduledFault>,
     /// The calibration slots, and what was done to them.
     pub flash: FlashRecord,
-    /// What the firmware did that this board cannot do, and what the emulator could not account
-    /// for. Empty if all is well.
+    /// Accesses that the board does not model, resets, and gaps in the account of instructions.
+    /// Empty in a sound run.
     pub issues: Vec<String>,
 }
 
@@ -356,13 +356,13 @@ impl Outcome {
         &self.record.log
     }
 
-    /// Whether both outputs, UART and log, have a line that contains this.
+    /// Returns true if both outputs, UART and log, have a line that contains this text.
     #[must_use]
     pub fn says(&self, text: &str) -> bool {
         self.uart_says(text) && self.log().iter().any(|line| line.text.contains(text))
     }
 
-    /// Whether the UART has a line that contains this.
+    /// Returns true if the UART has a line that contains this text.
     #[must_use]
     pub fn uart_says(&self, text: &str) -> bool {
         self.uart_lines.iter().any(|line| line.text.contains(text))
@@ -385,7 +385,7 @@ fn lines(record: &Record) -> Vec<UartLine> {
         .collect()
 }
 
-/// What the run met that it should not have.
+/// Lists the events that a sound run does not have.
 fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
     let mut issues: Vec<String> = session
         .unmapped()

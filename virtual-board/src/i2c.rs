@@ -53,29 +53,29 @@ pub fn items_left(dma1: &RegisterFile) -> Option<u64> {
 /// The controller.
 #[derive(Debug)]
 pub struct WiredI2c {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: I2c,
-    /// What [`items_left`] says; whoever calls the controller sets it first.
+    /// The result of [`items_left`]. The caller sets it before each call.
     pub items_left: Option<u64>,
-    /// Whether the pins are the controller's; whoever calls it sets this first.
+    /// True if the pins are connected to the controller. The caller sets it before each call.
     pub is_connected: bool,
     wires: SharedWires,
     /// The scheduled faults of the controller's own: bus errors and lost arbitration.
     faults: Vec<ScheduledFault>,
-    /// A byte's end that waits for the clock: the event that ends the wait, and the one that ends
-    /// the byte.
+    /// The delayed end of a byte: the event that ends the wait for the clock, and the event that
+    /// ends the byte.
     delayed: Option<(EventId, EventId)>,
     /// START and STOP that wait for the lines.
     waiting: u64,
-    /// Whether the byte on the wire is an address.
+    /// True if the byte on the wire is an address.
     is_addressing: bool,
     /// The direction of the transfer, from the last address.
     is_reading: bool,
     /// The byte that is sent.
     sent: u8,
-    /// Whether SDA was high when it was looked at last.
+    /// True if SDA was high at the last check.
     was_data_high: bool,
-    /// Whether one of the errors of this layer interrupts.
+    /// True if one of the errors of this layer interrupts.
     interrupts: bool,
 }
 
@@ -138,7 +138,7 @@ impl WiredI2c {
             .any(|fault| fault.kind == kind && fault.lasts(context.now().0))
     }
 
-    /// Hands a value of CR1 on to the model, less what it would misunderstand.
+    /// Passes a value of CR1 to the model, without the bits that the model would misunderstand.
     fn pass_control(
         &mut self,
         value: u64,
@@ -334,7 +334,7 @@ impl Device for WiredI2c {
 }
 
 impl WiredI2c {
-    /// What a reset leaves of this layer.
+    /// Resets this layer.
     pub fn forget(&mut self) {
         self.delayed = None;
         self.waiting = 0;

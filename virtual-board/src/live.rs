@@ -1,5 +1,5 @@
-//! `fly --live`: the board in real time, its UART on standard output and standard input, as if it
-//! hung on a port.
+//! `fly --live`: the board in real time, with its UART on standard output and standard input, as on
+//! a serial port.
 
 use std::io::{self, BufRead, Write};
 use std::process;
@@ -14,13 +14,13 @@ use virtual_board::recorder::Observer;
 /// worth.
 const AHEAD: Duration = Duration::from_millis(5);
 
-/// Whoever falls behind by more, on a busy computer, does not hurry to make up for it.
+/// After a delay longer than this, on a busy computer, the run does not catch up.
 const BEHIND: Duration = Duration::from_millis(200);
 
-/// Keeps the run to real time and carries the UART's bytes. Ends the program when nobody listens or
-/// speaks any more.
+/// Keeps the run to real time and transports the UART's bytes. Ends the program when standard
+/// output or input is closed.
 pub struct Live {
-    /// When virtual time began, as far as real time goes.
+    /// The real time at which virtual time began.
     started: Instant,
     lines: Receiver<String>,
 }

@@ -1,4 +1,4 @@
-//! `virtual-board fly`: flies a firmware image on the virtual board and leaves what came of it in a
+//! `virtual-board fly`: flies a firmware image on the virtual board and writes the results to a
 //! folder.
 
 mod live;
@@ -234,7 +234,7 @@ fn fly(options: &Fly) -> Result<(), String> {
     Ok(())
 }
 
-/// What went wrong, and how to see it again.
+/// Prints the failures of a case, and the command that repeats it.
 fn tell_failure(case: &Case, report: &Report) {
     println!("seed {}:", case.seed);
     for failure in &report.failures {

@@ -13,7 +13,7 @@ const WRITE_OFFSET: u64 = 12;
 const READ_OFFSET: u64 = 16;
 const FLAGS: u64 = 20;
 
-/// The up channel's mode that has the firmware wait for room in the buffer.
+/// The mode of the up channel in which the firmware waits for room in the buffer.
 const BLOCK_IF_FULL: u64 = 2;
 
 /// The identification that says that the control block has been set up.
@@ -32,7 +32,7 @@ pub struct LogLine {
 pub struct Probe {
     control_block: u64,
     table: Table,
-    /// What has been read of a frame that is not complete yet.
+    /// The bytes read of an incomplete frame.
     rest: Vec<u8>,
 }
 

@@ -1,6 +1,6 @@
 //! Schedules of faults: read from a file, or drawn from a seed.
 //!
-//! A line is `start_s duration_s fault`, for instance `2.5 0.02 sda-low`; what follows a `#` is a
+//! A line is `start_s duration_s fault`, for instance `2.5 0.02 sda-low`; text after a `#` is a
 //! comment.
 
 use std::fmt;
@@ -133,7 +133,7 @@ pub enum ScheduleError {
         file: String,
         /// Counted from 1.
         line: usize,
-        /// What is wrong, and what would be right.
+        /// The mistake, and the correct form.
         reason: String,
     },
     /// The seed is not a number.
@@ -142,7 +142,7 @@ pub enum ScheduleError {
 }
 
 impl Schedule {
-    /// What `--faults` takes: the name of a file, or `seed:` and a number.
+    /// Reads the argument of `--faults`: the name of a file, or `seed:` and a number.
     ///
     /// # Errors
     ///
@@ -294,7 +294,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
     }
 }
 
-/// The fault that a line's words say.
+/// Reads a fault from the words of a line.
 fn fault(words: &[&str]) -> Result<ScheduledFault, String> {
     let [start, duration, fault] = words else {
         return Err(format!(

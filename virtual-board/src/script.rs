@@ -1,6 +1,7 @@
-//! What is said to the firmware's UART, and when: a file with a line `seconds command` for each.
+//! Scripts of commands to the firmware's UART: a file with a line `seconds command` for each
+//! command.
 //!
-//! Empty lines and lines that begin with `#` say nothing.
+//! Empty lines and lines that begin with `#` are comments.
 
 use std::fs;
 use std::path::Path;

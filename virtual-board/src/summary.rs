@@ -31,7 +31,7 @@ pub struct Summary {
     pub instructions_per_sample_mean: Option<f64>,
     /// The most for any sample.
     pub instructions_per_sample_max: Option<u64>,
-    /// The same without the attitude task.
+    /// Instructions per sample of all interrupts, without the attitude task.
     pub io_instructions_per_sample_mean: Option<f64>,
     /// Instructions executed of those the core could have executed, from the first sample on, in
     /// percent.
@@ -134,7 +134,7 @@ pub fn inclination_deg(sample: &Sample) -> Option<f64> {
     Some(inclination_error_rad(estimate, truth).to_degrees())
 }
 
-/// The same, if the sample counts.
+/// Returns the inclination error in degrees, if the sample counts.
 fn scored_inclination_deg(sample: &Sample) -> Option<f64> {
     let counts = sample.edge?.truth.scored && !sample.snapshot.flags.contains(Flags::CALIBRATING);
     inclination_deg(sample).filter(|_| counts)

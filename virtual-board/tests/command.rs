@@ -147,7 +147,7 @@ fn a_file_that_is_no_image_is_refused() {
     assert!(!String::from_utf8_lossy(&refused.stderr).is_empty());
 }
 
-/// What `fly` says to this `--faults`, which it refuses before anything runs.
+/// Returns the message of `fly` for this `--faults`, which it refuses before anything runs.
 fn refusal_of_faults(argument: &str) -> String {
     let output = folder("refused-faults").join("output");
     let refused = fly(&["--faults", argument, "--output", output.to_str().unwrap()]);

@@ -1,4 +1,4 @@
-//! What a flight must show: nothing missed, right times, the library's very bits, and the same
+//! The rules of a flight: no missed sample, right times, the library's exact bits, and identical
 //! files every time.
 
 mod common;

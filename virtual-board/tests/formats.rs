@@ -17,7 +17,7 @@ use common::firmware;
 #[path = "../../tests/pymavlink/python.rs"]
 mod python;
 
-/// What `fly` has written into its folder.
+/// The files that `fly` has written into its folder.
 struct Flight {
     folder: PathBuf,
     uart: Vec<u8>,

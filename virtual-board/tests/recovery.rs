@@ -1,9 +1,9 @@
-//! Each class of faults is counted as what it is, shown, and recovered from, as the table of
-//! docs/faults.md says.
+//! The firmware counts, shows and recovers from each class of faults, as the table of
+//! docs/faults.md requires.
 //!
-//! The table is read from there, so that it and the tests say the same: a row with the name of a
-//! fault is flown. The campaign (`cargo xtask faults`) draws such flights by chance; here they are
-//! fixed, and the test of a class fails when the firmware's detection of it is taken out.
+//! The table is read from there, so that it and the tests agree: each row with the name of a fault
+//! is flown. The campaign (`cargo xtask faults`) draws such flights by chance; here they are fixed,
+//! and the test of a class fails when the firmware's detection of it is taken out.
 
 mod common;
 
@@ -32,13 +32,13 @@ const SEED: u64 = 5;
 struct Row {
     /// The faults, as a schedule has them.
     faults: Vec<String>,
-    /// Whether nothing at all may be seen.
+    /// True if the fault must leave no trace.
     is_unseen: bool,
     /// Flags that attitudes must have had.
     flags: Vec<Flags>,
-    /// What the UART must have said.
+    /// Lines that the UART must have.
     messages: Vec<String>,
-    /// What must have been counted, the first of them in time.
+    /// The classes that must have been counted, the first of them in time.
     counted: Vec<FaultClass>,
     noticed_ms: Option<f64>,
     back_ms: Option<f64>,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::setup::{TARGET, Toolchain};
 use crate::step;
 
-/// What differs between boards on this side.
+/// A board's name and chip.
 #[derive(Clone, Copy)]
 pub struct Board {
     /// The name after `--board`; the cargo feature is `board-` and this.
@@ -65,8 +65,8 @@ impl Board {
     }
 }
 
-/// Whether this names a mount, before minutes of building: two signed axes at right angles, or an
-/// alias.
+/// Returns true if this names a mount, before minutes of building: two signed axes at right angles,
+/// or an alias.
 pub fn is_mount(name: &str) -> bool {
     let is_axis = |sign, axis| b"+-".contains(&sign) && b"xyz".contains(&axis);
     match *name.as_bytes() {

@@ -10,7 +10,7 @@ use crate::{step, test};
 /// Embassy's example is a workspace of its own.
 const EMBASSY: &str = "examples/embassy";
 
-/// What the example for the computer says of the largest roll that it has made up, 29.8 degrees.
+/// The line of the example `host` for the largest roll of its motion, 29.8 degrees.
 const HOST_SAYS: &str = "  6.0 s  roll  29.7";
 
 /// Builds RTIC's, the polling one and Embassy's. Returns those that are flown, and their ELF files:

@@ -10,7 +10,7 @@ use crate::step;
 /// faults.
 const SHORT_RUNS: &str = "116";
 
-/// Builds what is needed and hands the arguments on.
+/// Builds the programs and passes the arguments on.
 pub fn run(arguments: &[String]) -> Result<(), String> {
     let virtual_board = build::virtual_board()?;
     if arguments.iter().any(|a| a == "--help" || a == "-h") {

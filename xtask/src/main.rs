@@ -1,4 +1,4 @@
-//! What the README's commands call. Each sets up what it needs first; see [`setup`].
+//! The commands of the README. Each command first sets up what it needs; see [`setup`].
 
 mod agree;
 mod api;
@@ -84,7 +84,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
     }
 }
 
-/// Builds the firmware and the virtual board, and hands the arguments on to the latter.
+/// Builds the firmware and the virtual board, and passes the arguments to the virtual board.
 fn fly(arguments: &[String]) -> Result<(), String> {
     let board = match value_of(arguments, "--board")? {
         Some(name) => Board::from_name(name)?,
@@ -112,7 +112,8 @@ fn fly(arguments: &[String]) -> Result<(), String> {
     step::run(&mut flight)
 }
 
-/// Builds the program `aplomb`, the virtual board and the firmware, and shows the one by the other.
+/// Builds the program `aplomb`, the virtual board and the firmware. Shows the flight with `aplomb
+/// view`.
 fn view(arguments: &[String]) -> Result<(), String> {
     let program = build::program()?;
     let mut view = step::command(&program);

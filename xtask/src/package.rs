@@ -1,5 +1,5 @@
-//! What others get: the packaged crate is whole and holds no more than it needs, and the library
-//! alone brings no firmware.
+//! The package for the registry: it is complete, holds nothing else, and the library alone brings
+//! no firmware.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::setup::TARGET;
 use crate::step;
 
-/// What lies in the package: these files, and these folders with files of this kind.
+/// The contents of the package: these files, and these folders with files of this kind.
 const FILES: [&str; 10] = [
     ".cargo_vcs_info.json",
     "CHANGELOG.md",

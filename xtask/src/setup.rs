@@ -96,7 +96,7 @@ pub fn qemu() -> Result<(), String> {
     install(&["qemu-system-arm"])
 }
 
-/// Whether rustup is there and may download.
+/// Returns true if rustup is there and may download.
 pub fn may_download() -> bool {
     std::env::var("RUSTUP_AUTO_INSTALL").as_deref() != Ok("0") && step::is_installed("rustup")
 }
@@ -178,7 +178,7 @@ fn distribution_cargo() -> Command {
     command
 }
 
-/// What follows `label` in the distribution's compiler's description of itself.
+/// Returns the text after `label` in the output of the distribution's `rustc -vV`.
 fn version_line(label: &str) -> Result<String, String> {
     step::output(Command::new("/usr/bin/rustc").arg("-vV"))
         .and_then(|text| {

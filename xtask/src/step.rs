@@ -23,7 +23,7 @@ pub fn command(program: &Path) -> Command {
     command
 }
 
-/// Runs it, its output on this terminal.
+/// Runs a command with its output on this terminal.
 pub fn run(command: &mut Command) -> Result<(), String> {
     let shown = describe(command);
     let status = command
@@ -36,7 +36,7 @@ pub fn run(command: &mut Command) -> Result<(), String> {
     }
 }
 
-/// Runs it and returns what it printed, or nothing if it failed.
+/// Runs a command and returns its output, or `None` if it failed.
 pub fn output(command: &mut Command) -> Option<String> {
     let output = command.stderr(Stdio::null()).output().ok()?;
     output
@@ -45,7 +45,7 @@ pub fn output(command: &mut Command) -> Option<String> {
         .then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
-/// Says what begins, does it, and says how long it took.
+/// Announces a step, does it, and reports how long it took.
 pub fn timed<T>(what: &str, work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     eprintln!("\n── {what}");
     let start = Instant::now();
@@ -54,7 +54,7 @@ pub fn timed<T>(what: &str, work: impl FnOnce() -> Result<T, String>) -> Result<
     Ok(result)
 }
 
-/// Whether a program of this name is on the path.
+/// Returns true if a program of this name is on the path.
 pub fn is_installed(program: &str) -> bool {
     std::env::var_os("PATH").is_some_and(|path| {
         std::env::split_paths(&path).any(|folder| folder.join(program).is_file())

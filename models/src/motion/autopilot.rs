@@ -182,8 +182,8 @@ fn attitude_for(force: Vector, yaw_rad: f64) -> Quaternion {
     Quaternion::from_matrix([0, 1, 2].map(|row| [forward[row], right[row], down[row]]))
 }
 
-/// What turns `current` into `wanted`, in body axes: first the shortest tilt, then the rest about
-/// the thrust axis.
+/// Returns the rotation from `current` to `wanted`, in body axes: first the shortest tilt, then the
+/// rest about the thrust axis.
 ///
 /// Keeping the two apart lets the tilt, which flies the vehicle, go ahead of the heading, which
 /// does not matter (Brescianini, Hehn, D'Andrea, ETH Zürich, 2013).

@@ -244,7 +244,7 @@ impl Segment {
     }
 }
 
-/// Whether the rotors carry the weight: the ground only pushes.
+/// Returns true if the rotors carry the weight. The ground only pushes.
 fn lifts_off(airframe: &Airframe, state: &State) -> bool {
     let squares: f64 = state
         .rotor_speeds_rad_s
@@ -255,7 +255,7 @@ fn lifts_off(airframe: &Airframe, state: &State) -> bool {
     airframe.thrust_coefficient * squares * up >= airframe.mass_kg * STANDARD_GRAVITY_M_S2
 }
 
-/// The same with the body held by the ground: only the rotors move.
+/// Returns the rates of change while the ground holds the body: only the rotors move.
 fn held(free: State) -> State {
     State {
         rotor_speeds_rad_s: free.rotor_speeds_rad_s,

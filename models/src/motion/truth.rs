@@ -1,11 +1,11 @@
-//! What is really happening to the body at one instant, and how far an estimate is from it.
+//! The true state of the body at one instant, and the error of an estimate.
 
 use super::geometry::{Quaternion, Vector, angle_between};
 
 /// Standard gravity in m/s² (CGPM 1901), the g of every datasheet.
 pub const STANDARD_GRAVITY_M_S2: f64 = 9.806_65;
 
-/// The temperature of a room, in °C: what a motion source without a thermometer says.
+/// Room temperature, in °C, for motions without a thermometer.
 pub const ROOM_TEMPERATURE_C: f64 = 25.0;
 
 /// The state of the body at one instant. Body axes are forward-right-down, earth axes
@@ -21,7 +21,7 @@ pub struct Truth {
     pub attitude: Option<Quaternion>,
     /// Temperature of the air around the sensor, °C.
     pub temperature_c: f64,
-    /// Whether this instant counts for accuracy scores.
+    /// True if this instant counts for accuracy scores.
     pub scored: bool,
 }
 

@@ -1,5 +1,4 @@
-//! What this particular chip gets wrong: the errors of an MPU-6050, drawn within its datasheet's
-//! limits.
+//! The errors of one particular MPU-6050, drawn within the datasheet's limits.
 //!
 //! Limits are from the product specification r3.4, sections 6.1 (gyroscope) and 6.2
 //! (accelerometer). The datasheet gives tolerances, not distributions; the standard deviations are
@@ -189,14 +188,14 @@ impl SensorErrors {
         air_c + self.self_heating_c * (1.0 - libm::exp(-awake_s / self.self_heating_time_s))
     }
 
-    /// What the accelerometer feels of the true specific force, without noise.
+    /// Returns the specific force that the accelerometer senses, without noise.
     #[must_use]
     pub fn distort_specific_force(&self, specific_force_m_s2: Vector, chip_c: f64) -> Vector {
         self.accelerometer
             .distort(specific_force_m_s2, chip_c - REFERENCE_TEMPERATURE_C)
     }
 
-    /// What the gyroscope feels of the true rates, without noise.
+    /// Returns the rates that the gyroscope senses, without noise.
     #[must_use]
     pub fn distort_rates(
         &self,

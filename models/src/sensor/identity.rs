@@ -11,7 +11,7 @@ use super::registers::{PWR_MGMT_1_RESET, address};
 /// How a part differs from its relatives.
 #[derive(Clone, Copy, Debug)]
 pub struct Identity {
-    /// What WHO_AM_I answers.
+    /// The value of WHO_AM_I.
     pub who_am_i: u8,
     /// PWR_MGMT_1 after a reset: 0x40 is asleep on the internal oscillator, 0x01 awake on the
     /// gyroscope's.

@@ -13,7 +13,7 @@ const READ_CLEARS: u8 = 1 << 4;
 /// Length of the pulse without the latch, in ns (t_INT, product specification r3.4, section 6.4).
 pub const PULSE_NS: u64 = 50_000;
 
-/// What the pin does to its wire.
+/// How the pin drives its wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PinLevel {
     /// Driven to ground.
@@ -62,7 +62,7 @@ impl Interrupt {
         self.status
     }
 
-    /// Whether the pin signals an interrupt at `now_ns`.
+    /// Returns true if the pin signals an interrupt at `now_ns`.
     #[must_use]
     pub fn is_active(&self, now_ns: u64) -> bool {
         self.latched || now_ns < self.pulse_end_ns
@@ -74,7 +74,7 @@ impl Interrupt {
         (now_ns < self.pulse_end_ns).then_some(self.pulse_end_ns)
     }
 
-    /// What the pin does at `now_ns`.
+    /// Returns how the pin drives its wire at `now_ns`.
     #[must_use]
     pub fn pin(&self, now_ns: u64) -> PinLevel {
         let low = self.is_active(now_ns) == (self.configuration & ACTIVE_LOW != 0);

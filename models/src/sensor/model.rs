@@ -41,21 +41,20 @@ pub struct SensorConfig {
     pub seed: u64,
     /// 7-bit bus address: 0x68, or 0x69 with AD0 high.
     pub address: u8,
-    /// What WHO_AM_I answers, and with it the part's other traits; see [`Identity`].
+    /// The value of WHO_AM_I, which decides the part's other traits too; see [`Identity`].
     pub who_am_i: u8,
     /// How the chip sits on the body.
     pub mount: Mount,
-    /// What the chip gets wrong.
+    /// The chip's errors.
     pub errors: SensorErrors,
     /// How far its clocks are from nominal.
     pub clock: ClockErrors,
     /// From power-up, or DEVICE_RESET, until the registers can be used; the chip does not
     /// acknowledge before.
     pub start_up_ns: u64,
-    /// Whether the low-pass filter filters. A recording has been through its own sensor's filter
-    /// already.
+    /// True if the low-pass filter works. A recording has passed its own sensor's filter already.
     pub filtered: bool,
-    /// Whether it has a self-test with factory trim; many clones do not.
+    /// True if it has a self-test with factory trim; many clones do not.
     pub has_self_test: bool,
 }
 
@@ -101,7 +100,7 @@ pub struct DataReady {
     pub truth: Truth,
 }
 
-/// What is wrong with the data registers.
+/// A fault of the data registers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OutputFault {
     /// They keep their values.
@@ -131,7 +130,8 @@ pub struct Sensor {
     bus: Bus,
     /// The chip's own data registers, renewed by every sample.
     internal: DataRegisters,
-    /// What the bus reads: the same, but held still during a transaction (sections 4.17 to 4.19).
+    /// The data registers as the bus reads them: held still during a transaction (sections 4.17 to
+    /// 4.19).
     visible: DataRegisters,
     edges: Vec<DataReady>,
     edge_count: u64,
@@ -298,7 +298,7 @@ impl Sensor {
         );
     }
 
-    /// What is wrong with the data registers, from the next sample on.
+    /// Sets the faults of the data registers, from the next sample on.
     pub fn set_output_faults(&mut self, faults: Vec<OutputFault>) {
         self.output_faults = faults;
     }
@@ -324,7 +324,7 @@ impl Sensor {
         self.now_ns = self.now_ns.max(now_ns);
     }
 
-    /// What the INT pin does to its wire.
+    /// Returns how the INT pin drives its wire.
     #[must_use]
     pub fn interrupt_pin(&self) -> PinLevel {
         self.interrupt.pin(self.now_ns)
@@ -403,7 +403,7 @@ impl Sensor {
         }
     }
 
-    /// What the output faults make of the data registers, which held `before` until now.
+    /// Applies the output faults to the data registers, which held `before` until now.
     fn spoil_output(&mut self, before: [u8; DATA_LENGTH]) {
         for fault in &self.output_faults {
             match *fault {
@@ -518,7 +518,7 @@ impl DataRegisters {
     }
 }
 
-/// What the registers say about the signal path.
+/// Reads the settings of the signal path from the registers.
 fn settings_of(registers: &RegisterFile, identity: &Identity) -> Settings {
     let gyroscope = registers.get(address::GYRO_CONFIG);
     let accelerometer = registers.get(address::ACCEL_CONFIG);

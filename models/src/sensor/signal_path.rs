@@ -13,7 +13,7 @@ use crate::sensor::clock::TICKS_PER_SECOND;
 /// Nominal spacing of the converters' samples.
 const TICK_S: f64 = 1.0 / TICKS_PER_SECOND;
 
-/// What the registers say about the signal path.
+/// The settings of the signal path, from the registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// FS_SEL, 0 to 3.
@@ -119,7 +119,7 @@ struct Channel {
     counts_per_unit: f64,
     /// The last converted input, before the filter.
     input: Vector,
-    /// What the registers would get, in the sensor's unit.
+    /// The value for the registers, in the sensor's unit.
     output: Vector,
 }
 
@@ -152,7 +152,7 @@ impl SignalPath {
         path
     }
 
-    /// The same chip as a clone without self-test: no trim codes, and nothing deflects.
+    /// Removes the self-test, as in some clones: no trim codes, and nothing deflects.
     #[must_use]
     pub fn without_self_test(mut self) -> Self {
         self.self_test = SelfTest::NONE;

@@ -10,7 +10,7 @@ use crate::flight::UartLine;
 use crate::profile::CRASHES;
 use crate::recorder::Record;
 
-/// The rule's angle, degrees, and its factor of σ.
+/// The largest allowed error of a valid tilt: degrees, and multiples of σ.
 const ALLOWED_DEG: f64 = 5.0;
 const ALLOWED_SIGMAS: f64 = 6.0;
 
@@ -32,7 +32,7 @@ const STEADY_NS: u64 = 5_000_000;
 /// A valid snapshot covers this much time until the next one, ns: two periods.
 const COVERED_NS: u64 = 2_000_000;
 
-/// A fault, or several that follow too closely to tell apart.
+/// A fault, or several that follow each other too closely to separate.
 #[derive(Clone, Debug)]
 struct Episode {
     start_ns: u64,
@@ -103,7 +103,7 @@ impl Judge<'_> {
         self.record.last.1
     }
 
-    /// Nothing resets the processor but what was asked for, and nothing else crashes it.
+    /// Checks that only the scheduled faults reset or crash the processor.
     fn the_processor(&self, case: &Case, failures: &mut Vec<String>) {
         let count = |is_asked_for: fn(&FaultKind) -> bool| {
             let faults = case.schedule.faults.iter();
@@ -133,7 +133,7 @@ impl Judge<'_> {
         }
     }
 
-    /// What is far wrong is not valid.
+    /// Checks that no attitude is valid and far from the truth.
     fn the_rule(&self, case: &Case, failures: &mut Vec<String>) {
         let mut motion = case.motion();
         let mut worst: Option<(f64, f64, u64)> = None;
@@ -149,7 +149,7 @@ impl Judge<'_> {
             let error_deg = tilt_error_deg(sample, truth);
             let sigma_deg = f64::from(sample.snapshot.tilt_sigma_rad()).to_degrees();
             let allowed_deg = ALLOWED_DEG.max(ALLOWED_SIGMAS * sigma_deg);
-            // A comparison that is false for what is not a number.
+            // False for NaN.
             let is_allowed = error_deg <= allowed_deg;
             if !is_allowed {
                 count += 1;
@@ -166,7 +166,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Every episode ends in time.
+    /// Checks that every episode ends in time.
     fn recovery(&self, report: &mut Report) {
         for episode in &self.episodes {
             // Steadily valid from here on, unless it was valid all the time.
@@ -201,8 +201,8 @@ impl Judge<'_> {
         }
     }
 
-    /// Whether the firmware has counted, flagged or said anything from the beginning of an episode
-    /// to its deadline.
+    /// Returns true if the firmware counted, flagged or reported anything during an episode, up to
+    /// its deadline.
     fn is_detected(&self, episode: &Episode) -> bool {
         let last_ns = episode.faults.iter().map(ScheduledFault::end_ns);
         let last_ns = last_ns.filter(|&end_ns| end_ns != u64::MAX).max();
@@ -225,7 +225,7 @@ impl Judge<'_> {
         is_counted || is_flagged || is_said
     }
 
-    /// Between the episodes all is well.
+    /// Checks that the attitude is valid between the episodes.
     fn fault_free_time(&self, failures: &mut Vec<String>) {
         let Some(&(first_ns, _)) = self.valid.first() else {
             failures.push("the attitude was never valid".into());
@@ -272,7 +272,7 @@ impl Judge<'_> {
         self.times(&is_free, failures);
     }
 
-    /// No edge without its sample.
+    /// Checks that each edge without a fault has its sample.
     fn missed(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
         let mut published: Vec<u64> = self
             .record
@@ -297,7 +297,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Times follow the edges, and never go back.
+    /// Checks that times follow the edges and never go back.
     fn times(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
         let mut worst: Option<(f64, u64)> = None;
         for pair in self.record.samples.windows(2) {
@@ -338,10 +338,10 @@ impl Judge<'_> {
         }
     }
 
-    /// Something is published all the time, and telemetry goes out.
+    /// Checks that snapshots and telemetry never pause for long.
     fn silence(&self, case: &Case, failures: &mut Vec<String>) {
         let published: Vec<u64> = self.published.iter().map(|sample| sample.at_ns).collect();
-        // Before the first attitude there is nothing to tell.
+        // No telemetry is due before the first attitude.
         let first_ns = published.first().copied().unwrap_or(u64::MAX);
         let lines = self.uart_lines.iter().map(|line| line.at_ns);
         let lines = lines.filter(|&at_ns| at_ns >= first_ns).collect();
@@ -360,8 +360,8 @@ impl Judge<'_> {
         }
     }
 
-    /// The longest time between two of these, or to the end, while the core runs, and when it
-    /// begins.
+    /// Returns the longest pause between these times, or to the end, while the core runs, with its
+    /// start.
     fn longest_gap(&self, case: &Case, mut times_ns: Vec<u64>) -> Option<(u64, u64)> {
         if times_ns.is_empty() {
             return None;
@@ -405,7 +405,7 @@ fn valid_spans(samples: &[Publication]) -> Vec<(u64, u64)> {
     spans
 }
 
-/// The faults in groups that can be told apart.
+/// Groups the faults into episodes.
 fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
     let mut episodes: Vec<Episode> = Vec::new();
     for fault in &case.schedule.faults {
@@ -418,7 +418,8 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
             faults: vec![*fault],
         };
         match episodes.last_mut() {
-            // What begins before the attitude can have been valid steadily is a part of the same.
+            // A fault that begins before the attitude can have recovered belongs to the last
+            // episode.
             Some(last) if last.due_ns + STEADY_NS >= episode.start_ns => {
                 last.end_ns = last.end_ns.max(episode.end_ns);
                 last.due_ns = last.due_ns.max(episode.due_ns);
@@ -430,7 +431,7 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
     episodes
 }
 
-/// When a fault is over, so that the firmware can recover from it.
+/// Returns the time at which a fault is over, so that the firmware can recover from it.
 fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
     let first_after =
         |times: &[u64], from_ns: u64| times.iter().copied().find(|&at_ns| at_ns >= from_ns);
@@ -442,7 +443,7 @@ fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
             first_after(&record.resets_ns, fault.start_ns).unwrap_or(fault.start_ns)
         }
         FaultKind::CrystalDies => fault.start_ns,
-        // Nothing may be seen of these.
+        // These leave no trace.
         kind if deadline_ns(kind).is_none() => fault.start_ns,
         _ => fault.end_ns(),
     }

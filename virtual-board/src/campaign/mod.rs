@@ -1,13 +1,14 @@
-//! Flights by chance with faults by chance, and what must hold in every one of them.
+//! Random flights with random faults, and the rules that every flight must keep.
 //!
-//! - No hang, no crash, and no reset but those that a `watchdog-hang`, a `crash` or a
-//!   `stack-overflow` asks for.
+//! - No hang, no crash, and no reset except after a `watchdog-hang`, a `crash` or a
+//!   `stack-overflow`.
 //! - A tilt that is wrong by more than the larger of 5° and six σ is never published as valid.
 //! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within
-//!   the deadline after each fault: 20 ms after the end of a fault of the bus, 250 ms after a reset
-//!   or the sensor's first possible acknowledge, and after a fault of what the sensor measures.
-//! - Something is published every 20 ms while the core runs: if nothing is known, that nothing is
-//!   known. A line of telemetry comes every 100 ms.
+//!   the deadline after each fault. The deadline is 20 ms after the end of a bus fault. It is 250
+//!   ms after a reset, after the sensor's first possible acknowledge, and after a fault of the
+//!   sensor's data.
+//! - A snapshot is published every 20 ms while the core runs; without data it is flagged stale. A
+//!   line of telemetry comes every 100 ms.
 //! - Without a fault no data-ready edge is without its sample, and times are right to a
 //!   microsecond.
 
@@ -39,12 +40,12 @@ const RESET_DEADLINE_NS: u64 = 250_000_000;
 /// The motion begins after this much rest, s: the gyroscope's offset has been measured by then.
 const MOTION_REST_S: f64 = 1.45;
 
-/// What a run goes on for after its last deadline, ns, and after the start of a hang, within which
-/// the watchdog must bite.
+/// Time that a run continues after its last deadline, ns; and time from a hang to the latest reset
+/// by the watchdog.
 const TAIL_NS: u64 = 300_000_000;
 const WATCHDOG_NS: u64 = 3_000_000_000;
 
-/// What is flown, and what goes wrong.
+/// A flight and its faults.
 #[derive(Clone, Debug)]
 pub struct Case {
     /// The seed that all the rest follows from.
@@ -132,7 +133,7 @@ impl Case {
     }
 }
 
-/// The deadline of the recovery from a fault; `None` if nothing may be seen of it at all.
+/// Returns the deadline of the recovery from a fault; `None` if the fault must leave no trace.
 #[must_use]
 pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
     match kind {
@@ -151,23 +152,23 @@ pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
     }
 }
 
-/// What became of one fault.
+/// The outcome of one fault.
 #[derive(Clone, Debug)]
 pub struct FaultReport {
     /// Its class.
     pub class: &'static str,
-    /// Whether the firmware noticed: a counter, a flag, or a message.
+    /// True if the firmware noticed it: by a counter, a flag, or a message.
     pub is_detected: bool,
-    /// From its end to a valid attitude again, ns; `None` if that did not come in time.
+    /// Time from its end to a valid attitude, ns; `None` if recovery missed the deadline.
     pub recovery_ns: Option<u64>,
 }
 
-/// What became of a case.
+/// The outcome of a case.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// A report for each fault.
     pub faults: Vec<FaultReport>,
-    /// What should have held and did not.
+    /// The rules that the flight broke.
     pub failures: Vec<String>,
 }
 

@@ -21,7 +21,7 @@ struct Row {
 }
 
 impl Table {
-    /// Takes a case's report into account.
+    /// Adds a case's report.
     pub fn add(&mut self, report: &Report) {
         for fault in &report.faults {
             let row = self.rows.entry(fault.class).or_default();

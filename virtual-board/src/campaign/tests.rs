@@ -16,8 +16,8 @@ fn case(text: &str) -> Case {
     Case::new(3, Schedule::parse("test", text).unwrap())
 }
 
-/// What a firmware without a fault of its own leaves: a right attitude every millisecond from
-/// 0.3 s on, valid from 1.2 s on, but for some time without.
+/// The record of a sound firmware: a right attitude every millisecond from 0.3 s on, valid from 1.2
+/// s on, except for a gap.
 fn record(case: &Case, without_ns: std::ops::Range<u64>) -> Record {
     let end_ns = VirtualNanos((case.seconds * 1e9) as u64).0;
     let mut motion = case.motion();

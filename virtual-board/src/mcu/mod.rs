@@ -38,7 +38,7 @@ use crate::wires::PortB;
 /// Port A's number, as SYSCFG_EXTICR counts them.
 const PORT_A: u8 = 0;
 
-/// INT is on PA1.
+/// The pin of INT: PA1.
 const INTERRUPT_PIN: u8 = 1;
 
 /// PA1 reaches TIM5 channel 2 through this alternate function (STM32F405 datasheet, table 9).
@@ -66,16 +66,15 @@ pub struct Microcontroller {
     syscfg: Syscfg,
     flash: FlashInterface,
     slots: Slots,
-    /// The instant at which the sensor's wire has to be looked at, and for which an event is
-    /// scheduled.
+    /// The next change of the sensor's wire, for which an event is scheduled.
     awaited_ns: Option<u64>,
     /// The faults of a schedule.
     faults: Vec<ScheduledFault>,
-    /// Whether the crystal has stopped.
+    /// True if the crystal has stopped.
     is_crystal_dead: bool,
-    /// Whether the crystal stopped with nothing to take over, so that the core has no clock.
+    /// True if the crystal stopped without a replacement, so that the core has no clock.
     is_clock_lost: bool,
-    /// Whether the UART's line garbles what comes in.
+    /// True if the UART's line garbles received bytes.
     is_noisy: bool,
     /// When the last reset was, ns.
     reset_ns: u64,
@@ -182,7 +181,7 @@ impl Microcontroller {
             .expect("the sensor is the one chip on this bus")
     }
 
-    /// When the flash's operation ends that was started last, ns since power-up.
+    /// Returns the end of the flash operation that was started last, ns since power-up.
     #[must_use]
     pub fn flash_busy_until_ns(&self) -> u64 {
         self.flash.cells.with(|cells| cells.busy_until_ns())
@@ -219,15 +218,15 @@ impl Microcontroller {
         };
     }
 
-    /// Whether the clock security system has seen the crystal fail, and nobody has cleared that:
-    /// the core executes the NMI for as long (RM0090, 7.2.7).
+    /// Returns true if the clock security system has detected a failure of the crystal, until the
+    /// firmware clears it. The core executes the NMI for as long (RM0090, 7.2.7).
     #[must_use]
     pub fn has_clock_failure(&self) -> bool {
         let registers = self.part.bus().slots()[self.slots.rcc].registers();
         cir::CSSF.is_set(registers.get(rcc::Register::Cir))
     }
 
-    /// Whether the core executes nothing: it is stalled, hangs, or has no clock.
+    /// Returns true if the core executes nothing: it is stalled, hangs, or has no clock.
     #[must_use]
     pub fn is_core_held(&self, now_ns: u64) -> bool {
         let holds = |fault: &ScheduledFault| match fault.kind {
@@ -244,7 +243,7 @@ impl Microcontroller {
         self.drive_pin(at, INTERRUPT_PIN, false);
     }
 
-    /// Lets the port and the controller look at the lines of the bus.
+    /// Updates the port and the controller from the lines of the bus.
     fn follow_bus(&mut self, at: VirtualNanos) {
         let slots = self.slots;
         let (registers, mut context) = self.part.bus_mut().drive(at, slots.port_b);
@@ -262,7 +261,7 @@ impl Microcontroller {
             });
     }
 
-    /// Lets the faults of the microcontroller's own begin and end.
+    /// Begins and ends the faults of the microcontroller itself.
     fn follow_faults(&mut self, now: VirtualNanos) {
         let lasts = |kind: FaultKind| {
             self.faults
@@ -289,8 +288,8 @@ impl Microcontroller {
         }
     }
 
-    /// Brings the sensor to `now`, carries what its INT pin did to where the wire goes, and asks to
-    /// be called again in time.
+    /// Advances the sensor to `now`, passes the changes of INT along the wire, and schedules the
+    /// next call.
     fn follow_sensor(&mut self, now: VirtualNanos) {
         let registers = self.part.bus().slots()[self.slots.port_a].registers();
         let pulls = registers.get(gpioa::Register::Pupdr) >> (2 * INTERRUPT_PIN) & 3;
@@ -310,8 +309,8 @@ impl Microcontroller {
         }
     }
 
-    /// The INT wire has changed its level. The core hears of it `at` once, which is up to an access
-    /// later; the timer captures the instant itself, whatever the core does.
+    /// Processes a change of the INT wire. The core sees it `at` the next access; the timer
+    /// captures the instant itself, whatever the core does.
     fn interrupt_wire(&mut self, at: VirtualNanos, changed: VirtualNanos, high: bool) {
         self.drive_pin(at, INTERRUPT_PIN, high);
         let slots = self.slots;

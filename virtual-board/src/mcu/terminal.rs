@@ -9,14 +9,14 @@ use rigless::time::VirtualNanos;
 
 use crate::faults::{FaultKind, ScheduledFault};
 
-/// The far end of the UART: it notes what it hears, and says what it was told to say, or anything
-/// while a fault floods the line.
+/// The far end of the UART. It records received bytes and sends its script; while a fault floods
+/// the line, it sends arbitrary bytes.
 #[derive(Debug, Default)]
 pub struct Terminal {
     heard: Vec<HeardByte>,
-    /// What is left to say, the first of it first.
+    /// The bytes still to send, in order.
     script: VecDeque<SaidByte>,
-    /// When it sends without a pause.
+    /// The faults during which it sends without a pause.
     floods: Vec<ScheduledFault>,
     /// How many bytes it has sent.
     sent: u64,
@@ -41,7 +41,7 @@ pub struct SaidByte {
 }
 
 impl Terminal {
-    /// A terminal that says these bytes.
+    /// A terminal that sends these bytes.
     #[must_use]
     pub fn new(script: &[SaidByte]) -> Self {
         let mut script = script.to_vec();
@@ -53,7 +53,7 @@ impl Terminal {
         }
     }
 
-    /// Has it flood the line when these faults say so.
+    /// Floods the line during these faults.
     pub(super) fn flood(&mut self, faults: &[ScheduledFault]) {
         let floods = |fault: &&ScheduledFault| {
             matches!(fault.kind, FaultKind::UartFlood | FaultKind::UartNoise)
@@ -67,13 +67,13 @@ impl Terminal {
         self.sent
     }
 
-    /// Has it say these bytes too, from `at_ns` on.
+    /// Sends more bytes, from `at_ns` on.
     pub fn say(&mut self, at_ns: u64, bytes: &[u8]) {
         let said = bytes.iter().map(|&byte| SaidByte { at_ns, byte });
         self.script.extend(said);
     }
 
-    /// Takes out what it has heard since the last call.
+    /// Takes the bytes received since the last call.
     pub fn take(&mut self) -> Vec<HeardByte> {
         std::mem::take(&mut self.heard)
     }

@@ -61,7 +61,7 @@ impl Bench {
         Self::with_faults(input, vec![])
     }
 
-    /// The same with faults.
+    /// A board at rest with faults.
     pub(super) fn with_faults(input: HighSpeedInput, faults: Vec<Fault>) -> Self {
         let mut sensor = Sensor::new(SensorConfig::new(1), Box::new(Rest::level()));
         let mut at_ns = 100_000_000;
@@ -302,7 +302,7 @@ fn a_reset_clears_what_it_should_and_the_wires_keep_their_levels() {
     assert!(bench.interrupts_on(EXTI1), "the sensor goes on pulsing");
 }
 
-/// Whether HSERDY comes within a millisecond of HSEON.
+/// Returns true if HSERDY comes within a millisecond of HSEON.
 fn starts(input: HighSpeedInput, bypassed: bool) -> bool {
     let mut bench = Bench::new(input);
     let control = bench.read(&RCC, RCC_CR) | u64::from(bypassed) << 18;

@@ -1,13 +1,13 @@
-//! Which exception executed how many instructions, exactly.
+//! The exact number of instructions that each exception executed.
 //!
 //! The emulated core is wrapped. A breakpoint on every handler of the vector table shows each
 //! entry. A return shows in one of two ways: if the core has only just slept when it is
 //! interrupted, at a breakpoint where the idle loop goes on; else the handler is executed one
 //! instruction at a time. (Breakpoints in busy code would slow the emulator down for good.) At each
-//! of these points IPSR says which exception is running, and the instructions since the last look
-//! belong to the one before. Tail-chained entries keep the interrupted context's frame, so the
-//! stack pointer tells them from nested ones. None of this takes an instruction or virtual time,
-//! and the run never hears of it.
+//! of these points IPSR names the running exception. The instructions since the last such point
+//! belong to the exception before. Tail-chained entries keep the interrupted context's frame, so
+//! the stack pointer tells them from nested ones. None of this takes an instruction or virtual
+//! time, so the run is unchanged.
 //!
 //! Handlers are expected on the main stack, as RTIC and cortex-m-rt have them.
 
@@ -39,24 +39,24 @@ pub struct Profile {
     /// The exception that runs, and the count of all instructions when it was last credited.
     current: usize,
     credited_at: u64,
-    /// Changes of context that could not be explained. Zero, or the account is wrong.
+    /// Changes of context without an explanation. Zero in a correct account.
     unexplained: u64,
-    /// Whether every instruction is executed on its own.
+    /// True if every instruction is executed on its own.
     steps_everything: bool,
-    /// Whether only the handlers of faults are watched, and nothing is accounted for.
+    /// True if only the fault handlers have breakpoints and no account is kept.
     crashes_only: bool,
-    /// What befalls the core before its next instruction.
+    /// The upsets that hit the core before its next instruction.
     upsets: Vec<Upset>,
 }
 
-/// What befalls the core from outside of its program.
+/// A disturbance of the core from outside of its program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Upset {
     /// It leaves the Thumb state, the only one that it has.
     ThumbStateLost,
     /// The stack pointer is here from now on.
     StackPointer(u32),
-    /// The non-maskable interrupt is asked for.
+    /// The non-maskable interrupt is requested.
     NonMaskableInterrupt,
     /// An interrupt is masked in the interrupt controller, or let through again.
     Masked(u16, bool),
@@ -80,7 +80,7 @@ impl Default for Profile {
 }
 
 impl Profile {
-    /// An account that looks after every single instruction: slow, and beyond doubt.
+    /// An account that steps through every instruction: slow, and the reference for the others.
     #[must_use]
     pub fn stepping_everything() -> Self {
         Self {
@@ -98,18 +98,18 @@ impl Profile {
         }
     }
 
-    /// Has this befall the core before its next instruction.
+    /// Disturbs the core before its next instruction.
     pub fn upset(&mut self, upset: Upset) {
         self.upsets.push(upset);
     }
 
-    /// Whether instructions are accounted for.
+    /// Returns true if an account is kept.
     #[must_use]
     pub fn is_account(&self) -> bool {
         !self.crashes_only
     }
 
-    /// The account when `retired` instructions had been executed altogether.
+    /// Returns the account at `retired` instructions in all.
     #[must_use]
     pub fn counts(&self, retired: u64) -> Counts {
         let mut counts = self.counts;

@@ -38,7 +38,7 @@ struct Activation {
     exception: usize,
     /// The stack pointer on entry, which is where the interrupted context's frame is.
     frame: u64,
-    /// Whether no breakpoint will show the return.
+    /// True if no breakpoint will show the return.
     is_stepped: bool,
 }
 
@@ -103,7 +103,7 @@ impl ProfiledProcessor {
         self.inner.set_gdb_register(number, &bytes[..4]);
     }
 
-    /// Has the core suffer what is due.
+    /// Applies the upsets that are due.
     fn suffer(&mut self) {
         let upsets = match self.profile.lock() {
             Ok(mut profile) => std::mem::take(&mut profile.upsets),
@@ -125,7 +125,7 @@ impl ProfiledProcessor {
                     (first + u64::from(interrupt / 32 * 4), 1 << (interrupt % 32))
                 }
             };
-            // Neither register has to do with time.
+            // Neither register depends on time.
             let now = VirtualNanos(0);
             self.inner
                 .debugger_access(Some(store.1), store.0, Width::W32, now);
@@ -161,7 +161,7 @@ impl ProfiledProcessor {
         }
     }
 
-    /// Finds out which exception runs now, and credits the instructions since the last time.
+    /// Determines the running exception, and credits the instructions since the last time.
     fn look(&mut self, bus: &mut dyn CoreBus) {
         let exception = self.exception();
         let is_entry =
@@ -184,7 +184,7 @@ impl ProfiledProcessor {
         }
     }
 
-    /// The same, unless the exception is the one that ran before.
+    /// Observes the context again, unless the exception is still the same.
     fn look_again(&mut self, bus: &mut dyn CoreBus) {
         if self
             .profile
@@ -220,8 +220,8 @@ impl ProfiledProcessor {
         });
     }
 
-    /// Drops the activations that have ended, if `exception` runs now. Says whether that explains
-    /// it.
+    /// Drops the activations that have ended, if `exception` runs now. Returns true if that
+    /// explains it.
     fn leave_to(&mut self, exception: usize) -> bool {
         while self
             .activations
@@ -290,7 +290,7 @@ impl Processor for ProfiledProcessor {
 
     #[expect(
         unsafe_code,
-        reason = "the emulator hands its memory over by pointer, and this only passes it on"
+        reason = "the emulator passes its memory as a pointer, and this forwards it"
     )]
     unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
         let end = start + length;

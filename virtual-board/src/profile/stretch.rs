@@ -5,13 +5,13 @@ use rigless::time::VirtualNanos;
 
 use crate::flash::{SLOTS, SharedCells};
 
-/// The bus of a stretch of execution, which notes how far the stretch may go: an access can extend
-/// it.
+/// The bus of a stretch of execution. It records the end of the stretch, which an access can
+/// extend.
 pub(super) struct Stretch<'a> {
     pub(super) bus: &'a mut dyn CoreBus,
     pub(super) cells: SharedCells,
     pub(super) until: u64,
-    /// Whether the processor comes back after every instruction.
+    /// True if the processor comes back after every instruction.
     pub(super) is_stepped: bool,
 }
 

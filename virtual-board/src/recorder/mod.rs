@@ -1,9 +1,8 @@
-//! What is noted while the firmware runs: every published snapshot with its cause and its cost, the
-//! log, the UART.
+//! The recorder of a run: every published snapshot with its cause and its cost, the log, the UART.
 //!
 //! The emulator calls [`Recorder`] after every access to a peripheral and whenever it stops, with
-//! the firmware between two instructions. Nothing noted here changes the run, except that the
-//! probe, if there is one, empties the log buffer.
+//! the firmware between two instructions. Recording does not change the run, except that the probe,
+//! if there is one, empties the log buffer.
 
 mod record;
 mod timer;
@@ -38,21 +37,22 @@ const SEQUENCE: u64 = 44;
 /// How often the probe empties the log, in virtual time.
 const SERVICE_PERIOD_NS: u64 = 1_000_000;
 
-/// What unused stack is filled with.
+/// The fill pattern of unused stack.
 const STACK_PATTERN: u32 = 0xA5A5_A5A5;
 
 /// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight/main.rs`;
 /// RM0090, table 62).
 const ATTITUDE_INTERRUPT: u16 = 51;
 
-/// An NMI that has not cleared its cause after this time never will, ns: the handler is a store.
+/// An NMI handler that has not cleared its cause after this time never will, ns. The handler is one
+/// store.
 const NMI_LIMIT_NS: u64 = 20_000;
 
 /// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1
 /// events and errors, TIM5; and SPI1's, by which settings are read back.
 const INPUT_INTERRUPTS: [usize; 6] = [11, 7, 31, 32, 50, 35];
 
-/// How the run goes on, told about ten times a second of real time.
+/// The progress of the run, reported about ten times a second of real time.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
     /// Virtual time passed, ns.
@@ -61,7 +61,7 @@ pub struct Progress {
     pub end_ns: u64,
 }
 
-/// Whoever wants to see the run while it goes on.
+/// An observer of the run while it goes on.
 pub trait Observer: Send {
     /// The firmware has logged a line.
     fn log(&mut self, _line: &LogLine) {}
@@ -69,24 +69,24 @@ pub trait Observer: Send {
     /// Time has passed.
     fn progress(&mut self, _progress: Progress) {}
 
-    /// What came out of the UART since the last call; what is given back is said to it. Every
-    /// millisecond of virtual time.
+    /// Takes the bytes from the UART since the last call, and returns bytes to send to it. Called
+    /// every millisecond of virtual time.
     fn uart(&mut self, _now_ns: u64, _heard: &[HeardByte]) -> Vec<u8> {
         Vec::new()
     }
 
-    /// Whether anybody wants the record of the run. A run without end has none.
+    /// Returns true if the record of the run is kept. A run without end keeps none.
     fn keeps_record(&self) -> bool {
         true
     }
 }
 
-/// An observer that looks away.
+/// An observer that ignores the run.
 pub struct Nobody;
 
 impl Observer for Nobody {}
 
-/// Notes a run.
+/// Records a run.
 pub struct Recorder {
     end_ns: u64,
     snapshot: Option<u64>,
@@ -97,7 +97,7 @@ pub struct Recorder {
     /// The faults of the core's own that are still to come.
     upsets: Vec<ScheduledFault>,
     is_attitude_masked: bool,
-    /// Since when the NMI has been asked for by a failure of the clock.
+    /// Start of the NMI request after a failure of the clock.
     nmi_since_ns: Option<u64>,
     is_detached: bool,
     is_held: bool,
@@ -115,7 +115,7 @@ pub struct Recorder {
     /// The exception that publishes.
     attitude: Option<usize>,
     last_burst: Option<Burst>,
-    /// The bursts that nothing has been published of yet, in order.
+    /// The bursts without a published snapshot, in order.
     unpublished: Vec<Burst>,
     record: Record,
 }
@@ -168,7 +168,7 @@ impl Recorder {
         }
     }
 
-    /// What was noted, once the run is over.
+    /// Returns the record, once the run is over.
     #[must_use]
     pub fn into_record(self) -> Record {
         self.record
@@ -179,7 +179,7 @@ impl Recorder {
         Box::new(counts.unwrap_or([0; EXCEPTIONS]))
     }
 
-    /// Notes the edges and bursts up to now.
+    /// Records the edges and bursts up to now.
     fn follow_sensor(&mut self, session: &mut Session<Board>, retired: u64) {
         let sensor = session.board_mut().controller.sensor();
         let bursts = sensor.take_bursts();
@@ -216,7 +216,7 @@ impl Recorder {
         sample.instructions = Some(input + worked(attitude));
     }
 
-    /// The firmware has counted its published sequence up.
+    /// Records a publication: the firmware has increased its sequence counter.
     fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
         self.follow_sensor(session, hit.instruction_count);
         let Some(address) = self.snapshot else { return };
@@ -285,7 +285,7 @@ impl Recorder {
         burst.or(self.last_burst)
     }
 
-    /// Notes what the firmware has counted, if that has changed.
+    /// Records the firmware's counters, if they have changed.
     fn read_health(&mut self, host: &mut dyn Host, now_ns: u64) -> Option<()> {
         let health = self.health?;
         let mut word = |offset: usize| {
@@ -309,8 +309,7 @@ impl Recorder {
         Some(())
     }
 
-    /// What the faults of the debug probe and of the core do now, and whether the processor has
-    /// been reset.
+    /// Follows the faults of the debug probe and of the core, and the resets of the processor.
     fn follow_faults(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         let resets = session.resets();
         if resets.len() > self.record.resets_ns.len() {
@@ -341,7 +340,7 @@ impl Recorder {
         }
     }
 
-    /// Lets the faults of the core's own begin and end.
+    /// Begins and ends the faults of the core itself.
     fn upset_core(&mut self, now_ns: u64) {
         let Ok(mut profile) = self.profile.lock() else {
             return;
@@ -370,8 +369,8 @@ impl Recorder {
         }
     }
 
-    /// A clock that has failed asks for the NMI until that is acknowledged: an NMI that does not is
-    /// all that the core executes. Says whether it is so.
+    /// Requests the NMI after a failure of the clock. Returns true if the handler does not clear
+    /// the cause, so that the core executes nothing else.
     fn hangs_in_nmi(&mut self, has_failed: bool, now_ns: u64) -> bool {
         if !has_failed {
             self.nmi_since_ns = None;
@@ -397,7 +396,7 @@ impl Recorder {
         }
     }
 
-    /// Has the run stop for whatever is due next.
+    /// Pauses the run for the next event that is due.
     fn pause(&self, session: &mut Session<Board>, now_ns: u64) {
         let nmi_ns = self.nmi_since_ns.map(|since_ns| since_ns + NMI_LIMIT_NS);
         let nmi_ns = nmi_ns.filter(|&nmi_ns| nmi_ns > now_ns);
@@ -406,7 +405,7 @@ impl Recorder {
         session.pause_at(next_ns.map(VirtualNanos));
     }
 
-    /// Takes the firmware's outputs and tells the observer.
+    /// Collects the firmware's outputs and informs the observer.
     fn serve(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         self.read_health(host, now_ns);
         let terminal = session.board_mut().controller.terminal();

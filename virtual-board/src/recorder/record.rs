@@ -10,9 +10,9 @@ use crate::probe::LogLine;
 /// A published sample.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// What the firmware published.
+    /// The published snapshot.
     pub snapshot: Snapshot,
-    /// When, ns since power-up.
+    /// Time of publication, ns since power-up.
     pub published_ns: u64,
     /// The burst that the bus had delivered last.
     pub burst: Burst,
@@ -23,22 +23,22 @@ pub struct Sample {
     /// Instructions from the edge on, of all interrupts and of the attitude task. `None` if
     /// something else happened before the next edge than one publication.
     pub instructions: Option<u64>,
-    /// The same without the attitude task.
+    /// Instructions from the edge on, without the attitude task.
     pub input_instructions: Option<u64>,
 }
 
-/// Everything that was noted.
+/// The record of a run.
 #[derive(Debug, Default)]
 pub struct Record {
     /// Published samples, in order.
     pub samples: Vec<Sample>,
-    /// What was published without a sample, in order, and when (ns since power-up).
+    /// The snapshots published without a sample, in order.
     pub stale: Vec<StaleSnapshot>,
     /// Data-ready edges, in order.
     pub edges: Vec<DataReady>,
     /// The firmware's log, as the probe read it.
     pub log: Vec<LogLine>,
-    /// What came out of the UART.
+    /// The bytes from the UART.
     pub heard: Vec<HeardByte>,
     /// Instructions executed and virtual time when the first sample was published.
     pub first: Option<(u64, u64)>,
@@ -48,19 +48,18 @@ pub struct Record {
     pub instructions: Vec<u64>,
     /// How much of the stack was ever written, in bytes.
     pub stack_bytes_used: u64,
-    /// What the firmware has counted, whenever that changed.
+    /// The firmware's counters, at each change.
     pub health: Vec<HealthReading>,
-    /// Until when the sensor could not acknowledge after its supply had come back, ns; one for each
-    /// time.
+    /// End of the sensor's start-up after each return of its supply, ns.
     pub sensor_ready_ns: Vec<u64>,
     /// When the processor was reset, ns.
     pub resets_ns: Vec<u64>,
 }
 
 impl Record {
-    /// Forgets what would grow without end.
+    /// Drops the parts that would grow without end.
     pub(super) fn forget(&mut self) {
-        /// The edge of a burst is looked for among the last ones.
+        /// The edge of a burst is among the last ones.
         const EDGES_KEPT: usize = 8;
         self.samples.clear();
         self.stale.clear();
@@ -75,13 +74,13 @@ impl Record {
 /// A snapshot that the firmware published because no sample had come.
 #[derive(Clone, Copy, Debug)]
 pub struct StaleSnapshot {
-    /// What the firmware published.
+    /// The published snapshot.
     pub snapshot: Snapshot,
     /// When, ns since power-up.
     pub published_ns: u64,
 }
 
-/// What the firmware says of its own health at a time.
+/// The firmware's health report at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HealthReading {
     /// When it was read, ns since power-up.

@@ -1,4 +1,4 @@
-//! What the tests of the virtual board share.
+//! Shared code of the virtual board's tests.
 
 use std::path::PathBuf;
 
