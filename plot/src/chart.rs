@@ -210,21 +210,29 @@ impl Chart {
                 place.move_down(panel_height + GAP);
             }
         }
+        let y = self.draw_lanes(&mut picture, &place);
+        place.move_down(y - place.bottom + GAP);
+        self.draw_others(&mut picture, place, panel_height);
+        self.draw_head(&mut picture);
+        picture
+    }
+
+    /// Draws the lanes beneath the panels, and the name of the time axis beneath these. Returns the
+    /// height of that name.
+    fn draw_lanes(&self, picture: &mut Picture, place: &Place) -> f32 {
         let mut y = place.bottom + 29.0;
         for lane in &self.lanes {
-            lane.draw(&mut picture, &place, y);
+            lane.draw(picture, place, y);
             y += LANE;
         }
-        let middle = (LEFT + right) / 2.0;
         y += 14.0;
-        picture.text(
-            self.time_name,
-            (middle, y),
-            Font::Normal,
-            INK,
-            Align::Center,
-        );
-        place.move_down(y + 14.0 - place.bottom + GAP - 14.0);
+        let at = (place.middle(), y);
+        picture.text(self.time_name, at, Font::Normal, INK, Align::Center);
+        y
+    }
+
+    /// Draws the panels with an axis of their own, the first of them at `place`.
+    fn draw_others(&self, picture: &mut Picture, mut place: Place, panel_height: f32) {
         for (panel, axis) in &self.others {
             place.top = place.bottom.max(place.top);
             place.bottom = place.top + panel_height;
@@ -233,11 +241,15 @@ impl Chart {
                 range: panel.range,
                 ..place
             };
-            panel.draw(&mut picture, &own, true);
-            let y = own.bottom + 40.0;
-            picture.text(axis.name, (middle, y), Font::Normal, INK, Align::Center);
+            panel.draw(picture, &own, true);
+            let at = (place.middle(), own.bottom + 40.0);
+            picture.text(axis.name, at, Font::Normal, INK, Align::Center);
             place.move_down(panel_height + GAP + AXIS - 14.0);
         }
+    }
+
+    /// Draws the title, the subtitle and the legend.
+    fn draw_head(&self, picture: &mut Picture) {
         picture.text(&self.title, (LEFT, 26.0), Font::Large, INK, Align::Left);
         picture.text(
             &self.subtitle,
@@ -250,9 +262,8 @@ impl Chart {
         for (color, meaning) in &self.legend {
             picture.line(vec![(x, 53.0), (x + 24.0, 53.0)], *color, 4.0);
             picture.text(meaning, (x + 32.0, 53.0), Font::Large, INK, Align::Left);
-            x += 32.0 + Font::Large.width() * count(meaning.chars().count()) + 36.0;
+            x += 32.0 + Font::Large.width() * meaning.chars().count() as f32 + 36.0;
         }
-        picture
     }
 
     /// Writes names into the first panel, one beneath the other.
@@ -469,6 +480,10 @@ impl Place {
     fn move_down(&mut self, by: f32) {
         self.top += by;
         self.bottom += by;
+    }
+
+    fn middle(&self) -> f32 {
+        (self.left + self.right) / 2.0
     }
 
     fn x(&self, across: f64) -> f32 {

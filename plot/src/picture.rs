@@ -166,7 +166,8 @@ impl Picture {
     pub fn svg(&self) -> String {
         let (width, height) = (self.width, self.height);
         let mut text = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n\
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"0 0 {width} {height}\">\n\
              <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
         );
         for shape in &self.shapes {
@@ -293,7 +294,8 @@ fn write_svg(shape: &Shape, svg: &mut String) -> std::fmt::Result {
         ),
         Shape::Line(points, color, width) => writeln!(
             svg,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"{width}\" stroke-linejoin=\"bevel\"/>",
+            "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" \
+             stroke-width=\"{width}\" stroke-linejoin=\"bevel\"/>",
             list(points),
             hex(*color)
         ),
@@ -326,7 +328,8 @@ fn write_svg(shape: &Shape, svg: &mut String) -> std::fmt::Result {
             let size = font.width() / 0.6;
             writeln!(
                 svg,
-                "<text x=\"{x:.1}\" y=\"{y:.1}\" dominant-baseline=\"central\" text-anchor=\"{anchor}\" font-family=\"monospace\" \
+                "<text x=\"{x:.1}\" y=\"{y:.1}\" dominant-baseline=\"central\" \
+                 text-anchor=\"{anchor}\" font-family=\"monospace\" \
                  font-size=\"{size:.1}\" font-weight=\"{weight}\" fill=\"{}\">{escaped}</text>",
                 hex(*color)
             )

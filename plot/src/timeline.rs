@@ -1,7 +1,7 @@
 //! Values over time in fixed memory: what a picture can show of an hour as well as of a second.
 //!
 //! Time is cut into equal pieces, each of which keeps the least and the greatest value in it. When
-//! there are too many pieces, two become one: so nobody has to know beforehand how long it will be,
+//! there are too many pieces, two become one: so the length need not be known beforehand,
 //! and no peak is lost.
 
 /// No more pieces than this: in the end there are between half as many and all of them.
