@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::setup::{TARGET, Toolchain};
-use crate::step;
+use crate::step::{self, target_folder};
 
 /// A board's name and chip.
 #[derive(Clone, Copy)]
@@ -163,14 +163,6 @@ pub fn keep(profile: &str, program: &str, name: &str) -> Result<PathBuf, String>
             )
         })?;
     Ok(kept)
-}
-
-/// Where cargo puts what it builds.
-pub fn target_folder() -> PathBuf {
-    match std::env::var_os("CARGO_TARGET_DIR") {
-        Some(folder) => crate::root().join(folder),
-        None => crate::root().join("target"),
-    }
 }
 
 #[cfg(test)]

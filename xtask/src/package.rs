@@ -101,7 +101,8 @@ fn check_crates(tree: &str) -> Result<(), String> {
     }
     match names.find(|name| !CRATES_OF_THE_LIBRARY.contains(name)) {
         Some(extra) => Err(format!(
-            "the library alone depends on `{extra}`: make it optional, or add it to the list in xtask/src/package.rs"
+            "the library alone depends on `{extra}`: \
+             make it optional, or add it to the list in xtask/src/package.rs"
         )),
         None => Ok(()),
     }

@@ -91,7 +91,9 @@ pub fn qemu() -> Result<(), String> {
         return Ok(());
     }
     if !step::is_installed("apt-get") {
-        return Err("qemu-system-arm is missing: install QEMU for ARM with your system's package manager, then run this again".into());
+        return Err("qemu-system-arm is missing: install QEMU for ARM \
+                    with your system's package manager, then run this again"
+            .into());
     }
     install(&["qemu-system-arm"])
 }
@@ -191,7 +193,7 @@ fn version_line(label: &str) -> Result<String, String> {
 /// Builds the target's `core` from the distribution's sources, once for each version of its
 /// compiler.
 fn build_sysroot() -> Result<PathBuf, String> {
-    let sysroot = crate::build::target_folder()
+    let sysroot = step::target_folder()
         .join("sysroot")
         .join(version_line("release: ")?);
     if holds_core(&library_of(&sysroot)) {

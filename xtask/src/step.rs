@@ -1,6 +1,6 @@
 //! Running other programs, with progress and clear failures.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
@@ -21,6 +21,21 @@ pub fn command(program: &Path) -> Command {
         }
     }
     command
+}
+
+/// Returns a cargo command for this computer. The emulator asks for a newer compiler than it needs.
+pub fn host_cargo(subcommand: &str) -> Command {
+    let mut cargo = command(Path::new("cargo"));
+    cargo.args([subcommand, "--ignore-rust-version"]);
+    cargo
+}
+
+/// Returns the folder of cargo's build products.
+pub fn target_folder() -> PathBuf {
+    match std::env::var_os("CARGO_TARGET_DIR") {
+        Some(folder) => crate::root().join(folder),
+        None => crate::root().join("target"),
+    }
 }
 
 /// Runs a command with its output on this terminal.
