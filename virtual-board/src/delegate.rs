@@ -29,7 +29,9 @@ macro_rules! delegate {
     (@ read) => { $crate::delegate::delegate!(@@ read(register: Self::Register) -> Option<u64>); };
     (@ write) => { $crate::delegate::delegate!(@@ write(register: Self::Register, value: u64)); };
     (@ on_event) => { $crate::delegate::delegate!(@@ on_event(event: rigless::time::EventId)); };
-    (@ on_request) => { $crate::delegate::delegate!(@@ on_request(request: rigless::device::RequestChange)); };
+    (@ on_request) => {
+        $crate::delegate::delegate!(@@ on_request(request: rigless::device::RequestChange));
+    };
     (@ on_access) => { $crate::delegate::delegate!(@@ on_access(token: u64, value: u64)); };
     (@ on_refused) => { $crate::delegate::delegate!(@@ on_refused(token: u64)); };
     (@ on_clock) => { $crate::delegate::delegate!(@@ on_clock(hz: u64)); };

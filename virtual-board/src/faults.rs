@@ -83,7 +83,7 @@ pub enum FaultKind {
     WatchdogHang,
 }
 
-/// The direction of a transaction, as the address byte says.
+/// The direction of a transaction, from the address byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// To the sensor.

@@ -150,7 +150,7 @@ impl FittedSensor {
     }
 
     /// Processes a STOP on the bus that the controller has not made.
-    pub fn hear_stop(&mut self, now_ns: u64) {
+    pub fn receive_stop(&mut self, now_ns: u64) {
         self.is_addressed = false;
         self.is_sending = false;
         self.sensor.stop(now_ns);
@@ -163,7 +163,7 @@ impl FittedSensor {
             let clocks = 1 + now_ns / 2_500 % 8;
             self.wires.lock().lose_count(clocks as u8);
         }
-        self.hear_stop(now_ns);
+        self.receive_stop(now_ns);
     }
 
     /// Applies the faults that begin or end at this instant.
@@ -177,7 +177,7 @@ impl FittedSensor {
             _ => false,
         });
         if restarts {
-            self.hear_stop(at_ns);
+            self.receive_stop(at_ns);
             self.wires.lock().lose_count(0);
             self.sensor.power_up(at_ns);
         }
@@ -191,7 +191,7 @@ impl FittedSensor {
                     self.sensor.corrupt_register(at_ns, register, value);
                 }
                 FaultKind::SdaLow(Some(clocks)) => {
-                    self.hear_stop(at_ns);
+                    self.receive_stop(at_ns);
                     self.wires.lock().lose_count(clocks);
                 }
                 _ => {}
@@ -360,7 +360,7 @@ impl Peer for FittedSensor {
         self.written = 0;
         self.delivered.clear();
         if self.wires.lock().take_stop() {
-            self.hear_stop(now_ns);
+            self.receive_stop(now_ns);
         }
         self.is_addressed = !self.is_deaf(now_ns)
             && !self.refuses(now_ns, kind)
@@ -376,9 +376,9 @@ impl Peer for FittedSensor {
         } else {
             BusByte::Value
         };
-        let is_heard = self.is_addressed && !self.is_deaf(now_ns) && !self.refuses(now_ns, kind);
+        let is_received = self.is_addressed && !self.is_deaf(now_ns) && !self.refuses(now_ns, kind);
         self.written = self.written.saturating_add(1);
-        if !is_heard {
+        if !is_received {
             return false;
         }
         self.pointer = Some(self.pointer.map_or(byte, |pointer| pointer.wrapping_add(1)));
@@ -417,6 +417,6 @@ impl Peer for FittedSensor {
     }
 
     fn stop(&mut self, context: &mut Timeline<'_, '_>) {
-        self.hear_stop(context.now().0);
+        self.receive_stop(context.now().0);
     }
 }

@@ -5,7 +5,7 @@
 //! use virtual_board::flight::Run;
 //!
 //! let outcome = Run::new("flight.elf").seed(7).seconds(3.0).fault(Fault::NoCrystal).run()?;
-//! assert!(outcome.says("no crystal"));
+//! assert!(outcome.reports("no crystal"));
 //! # Ok::<(), virtual_board::Error>(())
 //! ```
 
@@ -25,7 +25,7 @@ use crate::faults::{Fault, ScheduledFault, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
-use crate::mcu::{Microcontroller, SaidByte, Terminal};
+use crate::mcu::{Microcontroller, SentByte, Terminal};
 use crate::probe::{LogLine, Probe};
 use crate::profile::Profile;
 use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
@@ -46,7 +46,7 @@ pub struct Run {
     /// The motion, and true if it is a recording: then the sensor adds no errors of its own.
     motion: Option<(Box<dyn Motion>, bool)>,
     faults: Vec<Fault>,
-    script: Vec<SaidByte>,
+    script: Vec<SentByte>,
     errors: Option<SensorErrors>,
     flash: FlashRecord,
     has_probe: bool,
@@ -138,7 +138,7 @@ impl Run {
     /// have been sent.
     #[must_use]
     pub fn command(self, at_s: f64, line: &str) -> Self {
-        self.says(at_s, format!("{line}\n").as_bytes())
+        self.send(at_s, format!("{line}\n").as_bytes())
     }
 
     /// Sends the commands of a script.
@@ -151,10 +151,10 @@ impl Run {
     /// Sends bytes to the UART, `at_s` seconds after power-up or as soon as those before them have
     /// been sent.
     #[must_use]
-    pub fn says(mut self, at_s: f64, bytes: &[u8]) -> Self {
+    pub fn send(mut self, at_s: f64, bytes: &[u8]) -> Self {
         let at_ns = nanoseconds(at_s);
-        let said = bytes.iter().map(|&byte| SaidByte { at_ns, byte });
-        self.script.extend(said);
+        let sent = bytes.iter().map(|&byte| SentByte { at_ns, byte });
+        self.script.extend(sent);
         self
     }
 
@@ -358,13 +358,13 @@ impl Outcome {
 
     /// Returns true if both outputs, UART and log, have a line that contains this text.
     #[must_use]
-    pub fn says(&self, text: &str) -> bool {
-        self.uart_says(text) && self.log().iter().any(|line| line.text.contains(text))
+    pub fn reports(&self, text: &str) -> bool {
+        self.uart_reports(text) && self.log().iter().any(|line| line.text.contains(text))
     }
 
     /// Returns true if the UART has a line that contains this text.
     #[must_use]
-    pub fn uart_says(&self, text: &str) -> bool {
+    pub fn uart_reports(&self, text: &str) -> bool {
         self.uart_lines.iter().any(|line| line.text.contains(text))
     }
 }
@@ -372,10 +372,10 @@ impl Outcome {
 /// The UART's bytes as lines.
 fn lines(record: &Record) -> Vec<UartLine> {
     record
-        .heard
-        .split_inclusive(|heard| heard.byte == b'\n')
+        .received
+        .split_inclusive(|received| received.byte == b'\n')
         .filter_map(|line| {
-            let bytes: Vec<u8> = line.iter().map(|heard| heard.byte).collect();
+            let bytes: Vec<u8> = line.iter().map(|received| received.byte).collect();
             let text = String::from_utf8_lossy(&bytes).trim_end().to_owned();
             line.last().map(|last| UartLine {
                 at_ns: last.at_ns,

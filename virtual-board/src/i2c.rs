@@ -1,15 +1,19 @@
 //! The I2C controller with what rigless leaves out: CR2.LAST, and lines that do not follow.
 //!
-//! | what | where |
-//! |---|---|
-//! | With CR2.LAST set, the last byte that the DMA takes is not acknowledged, so the sensor lets go of the bus and the STOP that follows is clean | RM0090, 27.3.7 |
-//! | While SCL is held low no byte ends: it ends once SCL is free | 27.3.3 |
-//! | SDA low where a one is sent is ARLO: the transfer ends, MSL is cleared, BUSY stays | 27.3.4 |
-//! | A START or STOP of somebody else's within a byte is BERR; the transfer goes on, whatever the sensor makes of it | 27.3.4 |
-//! | BUSY is set while a line is low, and only a STOP on the lines, or SWRST, clears it: SDA rising with SCL high is one | 27.6.7 |
-//! | START and STOP are not carried out while a line is low, and read back set | 27.6.1 |
-//! | A STOP asked for by who is not controller changes nothing | 27.6.1 |
-//! | BERR and ARLO raise the error interrupt under ITERREN, and a written zero or PE = 0 clears them | 27.4, 27.6.6 |
+//! Sections are those of RM0090.
+//!
+//! - With CR2.LAST set, the last byte that the DMA takes is not acknowledged. The sensor then lets
+//!   go of the bus, and the STOP that follows is clean (27.3.7).
+//! - While SCL is held low no byte ends: it ends once SCL is free (27.3.3).
+//! - SDA low where a one is sent is ARLO: the transfer ends, MSL is cleared, BUSY stays (27.3.4).
+//! - A START or STOP of another device within a byte is BERR. The transfer continues, whatever the
+//!   sensor does (27.3.4).
+//! - BUSY is set while a line is low. Only SWRST or a STOP on the lines clears it; SDA rising with
+//!   SCL high is a STOP (27.6.7).
+//! - START and STOP are not carried out while a line is low, and read back set (27.6.1).
+//! - A STOP requested while the peripheral is not the controller changes nothing (27.6.1).
+//! - BERR and ARLO raise the error interrupt under ITERREN. A written zero or PE = 0 clears them
+//!   (27.4, 27.6.6).
 //!
 //! Both errors are seen at the end of the byte, up to 22 µs later than on silicon, and what happens
 //! between two bits is not modelled.
@@ -231,7 +235,7 @@ impl WiredI2c {
             let status = registers.get(Register::Sr1);
             registers.set(Register::Sr1, sr1::BERR.set(status, 1));
             if let Some(sensor) = self.model.chip_mut::<FittedSensor>(0) {
-                sensor.hear_stop(now_ns);
+                sensor.receive_stop(now_ns);
             }
         }
         let control = registers.get(Register::Cr2);

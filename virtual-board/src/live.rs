@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use virtual_board::mcu::HeardByte;
+use virtual_board::mcu::ReceivedByte;
 use virtual_board::recorder::Observer;
 
 /// Virtual time may be ahead of real time by this much: shorter sleeps cost more than they are
@@ -57,9 +57,9 @@ impl Live {
 }
 
 impl Observer for Live {
-    fn uart(&mut self, now_ns: u64, heard: &[HeardByte]) -> Vec<u8> {
+    fn uart(&mut self, now_ns: u64, received: &[ReceivedByte]) -> Vec<u8> {
         self.keep_pace(now_ns);
-        let bytes: Vec<u8> = heard.iter().map(|heard| heard.byte).collect();
+        let bytes: Vec<u8> = received.iter().map(|received| received.byte).collect();
         let mut output = io::stdout().lock();
         let written = output.write_all(&bytes).and_then(|()| output.flush());
         if written.is_err() {

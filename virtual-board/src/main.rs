@@ -29,7 +29,7 @@ use virtual_board::script::Script;
 
 use live::Live;
 
-/// How long the simulated flight is shown unless told otherwise, s.
+/// Default length of the simulated flight, s.
 const SECONDS: f64 = 30.0;
 
 /// The longest run, s.
@@ -81,7 +81,8 @@ struct Fly {
     log: Option<PathBuf>,
     /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up,
     /// z-down.
-    #[arg(long, value_name = "MOUNT", default_value = "z-up", allow_hyphen_values = true, value_parser = mount)]
+    #[arg(long, value_name = "MOUNT", default_value = "z-up", value_parser = mount)]
+    #[arg(allow_hyphen_values = true)]
     mount: Mount,
     /// Virtual seconds from power-up. Default: 30, or the whole recording.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
@@ -93,7 +94,8 @@ struct Fly {
     /// for faults by chance.
     #[arg(long, value_name = "FILE|seed:N")]
     faults: Option<String>,
-    #[arg(long, value_name = "NAME", help = format!("The board: {}", board_names()), default_value = BOARDS[0].name, value_parser = board)]
+    #[arg(long, value_name = "NAME", default_value = BOARDS[0].name, value_parser = board)]
+    #[arg(help = format!("The board: {}", board_names()))]
     board: BoardModel,
     /// Say commands to the UART: a file with lines such as `2.5 status`, seconds and command.
     #[arg(long, value_name = "FILE")]
@@ -235,7 +237,7 @@ fn fly(options: &Fly) -> Result<(), String> {
 }
 
 /// Prints the failures of a case, and the command that repeats it.
-fn tell_failure(case: &Case, report: &Report) {
+fn print_failure(case: &Case, report: &Report) {
     println!("seed {}:", case.seed);
     for failure in &report.failures {
         println!("  {failure}");
@@ -277,7 +279,7 @@ fn faults(options: &Faults) -> Result<(), String> {
                     if !report.failures.is_empty() {
                         *failed += 1;
                         bar.set_message(format!("{failed} failed,"));
-                        bar.suspend(|| tell_failure(&case, &report));
+                        bar.suspend(|| print_failure(&case, &report));
                     }
                     bar.inc(1);
                     let flown = bar.position();

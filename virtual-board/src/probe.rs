@@ -16,7 +16,7 @@ const FLAGS: u64 = 20;
 /// The mode of the up channel in which the firmware waits for room in the buffer.
 const BLOCK_IF_FULL: u64 = 2;
 
-/// The identification that says that the control block has been set up.
+/// The identification of a control block that has been set up.
 const IDENTIFICATION: &[u8; 10] = b"SEGGER RTT";
 
 /// A line of the firmware's log.

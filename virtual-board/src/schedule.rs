@@ -298,7 +298,8 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
 fn fault(words: &[&str]) -> Result<ScheduledFault, String> {
     let [start, duration, fault] = words else {
         return Err(format!(
-            "a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; this one has {} words",
+            "a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; \
+             this one has {} words",
             words.len()
         ));
     };
@@ -350,7 +351,9 @@ mod tests {
                     prop::sample::select(Schedule::classes().collect::<Vec<_>>()),
                     "|:[0-9a-z]{1,4}(:0x[0-9a-f]{1,3})?|:-?[0-9.]{1,6}|:a[xyz]| #.{0,4}",
                 )
-                    .prop_map(|(time, class, parameter)| format!("{time} {time} {class}{parameter}")),
+                    .prop_map(|(time, class, parameter)| {
+                        format!("{time} {time} {class}{parameter}")
+                    }),
                 0..4,
             ),
         ) {
@@ -442,7 +445,8 @@ mod tests {
     fn errors_say_where_what_and_what_is_allowed() {
         assert_eq!(
             refusal("1 0.1 frozen\n2.5 sda-low"),
-            "f.txt, line 2: a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; this one has 2 words"
+            "f.txt, line 2: a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; \
+             this one has 2 words"
         );
         assert_eq!(
             refusal("\n-1 0.1 frozen"),
@@ -465,7 +469,8 @@ mod tests {
         );
         assert_eq!(
             refusal("1 1 sda-low:10"),
-            "f.txt, line 1: `10` is not a parameter of `sda-low`: it is written sda-low[:CLOCKS] (1 to 9)"
+            "f.txt, line 1: `10` is not a parameter of `sda-low`: \
+             it is written sda-low[:CLOCKS] (1 to 9)"
         );
         for text in [
             "data-nack",

@@ -1,4 +1,4 @@
-//! The examples for the target do on a board what they say: each shows the attitude of a sensor
+//! The examples for the target work on a board: each shows the attitude of a sensor
 //! that lies tilted.
 
 use aplomb::health::Flags;

@@ -215,7 +215,7 @@ fn the_counter_wraps_in_flight_and_nobody_notices() {
 }
 
 #[test]
-fn text_and_log_tell_what_was_published() {
+fn text_and_log_report_what_was_published() {
     let outcome = fly(Run::new(firmware()).seconds(3.0));
     let lines: Vec<&str> = outcome
         .uart_lines
@@ -311,7 +311,8 @@ fn the_files_have_the_agreed_form() {
     );
     assert_eq!(
         attitude[0],
-        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags"
+        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
+         roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags"
     );
     assert_eq!(bursts[0], "t_us,bytes,flags");
     assert_eq!(attitude.len(), outcome.samples().len() + 1);

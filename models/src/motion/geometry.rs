@@ -2,7 +2,7 @@
 //!
 //! The library has its own in single precision; these are separate so that the two can disagree.
 
-/// Three components along the axes of whatever frame the name says.
+/// Three components along the axes of a frame, which the name gives.
 pub type Vector = [f64; 3];
 
 /// `left + right`.

@@ -1,4 +1,4 @@
-//! A body that is laid down in one pose after the other: what somebody does who calibrates an
+//! A body that is laid down in one pose after the other, as in the calibration of an
 //! accelerometer.
 
 use super::Motion;

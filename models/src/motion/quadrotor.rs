@@ -145,7 +145,7 @@ impl Quadrotor {
         self.segment.state(share)
     }
 
-    /// Steps until the segment contains `time_s`, and says at which share of it.
+    /// Steps until the segment contains `time_s`, and returns the share of it.
     fn step_to(&mut self, time_s: f64) -> f64 {
         while self.steps as f64 * STEP_S < time_s {
             self.step();

@@ -82,7 +82,7 @@ impl SampleClock {
         self.anchor_ns + (tick as f64 * self.tick_ns).round() as u64
     }
 
-    /// Takes the next tick if it is not later than `now_ns`, and says when it was.
+    /// Takes the next tick if it is not later than `now_ns`, and returns its time.
     pub fn take_tick(&mut self, now_ns: u64) -> Option<u64> {
         let instant = self.instant_ns(self.ticks + 1);
         if instant > now_ns {

@@ -48,7 +48,7 @@ impl Interrupt {
         !was_active
     }
 
-    /// A register was read over the bus. `is_status` says whether it was INT_STATUS.
+    /// Processes a read of a register over the bus. `is_status` is true for INT_STATUS.
     pub fn register_read(&mut self, is_status: bool) {
         if is_status || self.configuration & READ_CLEARS != 0 {
             self.status = false;

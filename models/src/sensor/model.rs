@@ -385,7 +385,7 @@ impl Sensor {
         if self.registers.get(address::PWR_MGMT_1) & TEMPERATURE_DISABLE == 0 {
             self.internal.put(6, counts.temperature);
         }
-        self.spoil_output(before);
+        self.apply_output_faults(before);
         self.internal.edge = None;
         if self.registers.get(address::INT_ENABLE) & DATA_READY != 0
             && self.interrupt.raise(self.now_ns)
@@ -404,7 +404,7 @@ impl Sensor {
     }
 
     /// Applies the output faults to the data registers, which held `before` until now.
-    fn spoil_output(&mut self, before: [u8; DATA_LENGTH]) {
+    fn apply_output_faults(&mut self, before: [u8; DATA_LENGTH]) {
         for fault in &self.output_faults {
             match *fault {
                 OutputFault::Frozen => self.internal.bytes = before,
@@ -470,7 +470,7 @@ impl Sensor {
         self.visible = self.internal;
     }
 
-    /// Starts the sampling grid anew at this instant, or stops it, as the power registers say.
+    /// Starts the sampling grid anew at this instant, or stops it, as the power registers require.
     fn restart_clock(&mut self, woken: bool) {
         let power = self.registers.get(address::PWR_MGMT_1);
         let error = self.config.clock.of_source(power & CLOCK_SELECT);

@@ -160,7 +160,8 @@ impl Judge<'_> {
         }
         if let Some((error_deg, sigma_deg, at_ns)) = worst {
             failures.push(format!(
-                "{count} attitudes published as valid were wrong, the worst by {error_deg:.1} degrees with a sigma of {sigma_deg:.2} at {} s",
+                "{count} attitudes published as valid were wrong, \
+                 the worst by {error_deg:.1} degrees with a sigma of {sigma_deg:.2} at {} s",
                 seconds(at_ns)
             ));
         }
@@ -218,11 +219,11 @@ impl Judge<'_> {
             .published
             .iter()
             .any(|sample| during(sample.at_ns) && sample.snapshot.flags != Flags::VALID);
-        let is_said = self
+        let is_reported = self
             .uart_lines
             .iter()
             .any(|line| during(line.at_ns) && line.text.starts_with('#'));
-        is_counted || is_flagged || is_said
+        is_counted || is_flagged || is_reported
     }
 
     /// Checks that the attitude is valid between the episodes.
@@ -324,8 +325,8 @@ impl Judge<'_> {
                 continue;
             }
             let true_us = (second.time_ns - first.time_ns) as f64 * 1e-3;
-            let told_us = (after.snapshot.t_us - before.snapshot.t_us) as f64;
-            let error_us = (told_us - true_us).abs();
+            let published_us = (after.snapshot.t_us - before.snapshot.t_us) as f64;
+            let error_us = (published_us - true_us).abs();
             if error_us > 1.0 && worst.is_none_or(|(worst_us, _)| error_us > worst_us) {
                 worst = Some((error_us, second.time_ns));
             }

@@ -125,7 +125,7 @@ fn a_late_recovery_fails() {
 #[test]
 fn a_wrong_attitude_fails_unless_its_sigma_or_its_flags_say_so() {
     let (case, record) = sound();
-    let spoilt = |flags: Flags, sigma_deg: f64| {
+    let with_wrong_attitude = |flags: Flags, sigma_deg: f64| {
         let mut record = Record {
             samples: record.samples.clone(),
             edges: record.edges.clone(),
@@ -146,16 +146,16 @@ fn a_wrong_attitude_fails_unless_its_sigma_or_its_flags_say_so() {
     };
     assert_fails(
         &case,
-        &spoilt(Flags::VALID, 0.1),
+        &with_wrong_attitude(Flags::VALID, 0.1),
         "1 attitudes published as valid were wrong, the worst by 11.",
     );
     for (flags, sigma_deg) in [(Flags::VALID, 2.0), (Flags::DEGRADED, 0.1)] {
         assert_eq!(
-            judge(&case, &spoilt(flags, sigma_deg), &[]).failures,
+            judge(&case, &with_wrong_attitude(flags, sigma_deg), &[]).failures,
             Vec::<String>::new()
         );
     }
-    let mut no_number = spoilt(Flags::VALID, 0.1);
+    let mut no_number = with_wrong_attitude(Flags::VALID, 0.1);
     no_number.samples[1000].snapshot.attitude.w = f32::NAN;
     assert_fails(&case, &no_number, "published as valid were wrong");
 }

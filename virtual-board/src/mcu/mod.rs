@@ -4,8 +4,8 @@
 //! | wire | from | to |
 //! |---|---|---|
 //! | INT | the sensor | PA1, and from there EXTI line 1 and TIM5 channel 2, at the same instant |
-//! | SCL, SDA | I2C1 and the sensor | PB8, PB9, pulled up; rigless carries the bytes apart from the pins |
-//! | TX, RX | USART2 on PA2 and PA3 | [`Terminal`], which notes every byte and when its stop bit ended, and says what a script tells it to |
+//! | SCL, SDA | I2C1 and the sensor | PB8, PB9, pulled up; the bytes go apart from the pins |
+//! | TX, RX | USART2 on PA2 and PA3 | [`Terminal`], which records all bytes and sends a script |
 
 #[cfg(test)]
 mod fault_tests;
@@ -24,7 +24,7 @@ use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
 
-pub use terminal::{HeardByte, SaidByte, Terminal};
+pub use terminal::{ReceivedByte, SentByte, Terminal};
 
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;

@@ -13,9 +13,9 @@ use crate::faults::{FaultKind, ScheduledFault};
 /// the line, it sends arbitrary bytes.
 #[derive(Debug, Default)]
 pub struct Terminal {
-    heard: Vec<HeardByte>,
+    received: Vec<ReceivedByte>,
     /// The bytes still to send, in order.
-    script: VecDeque<SaidByte>,
+    script: VecDeque<SentByte>,
     /// The faults during which it sends without a pause.
     floods: Vec<ScheduledFault>,
     /// How many bytes it has sent.
@@ -24,7 +24,7 @@ pub struct Terminal {
 
 /// A byte from the UART.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct HeardByte {
+pub struct ReceivedByte {
     /// When its stop bit ended, ns since power-up.
     pub at_ns: u64,
     /// The byte.
@@ -33,7 +33,7 @@ pub struct HeardByte {
 
 /// A byte for the UART.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SaidByte {
+pub struct SentByte {
     /// When its start bit may begin, ns since power-up. It waits for the bytes before it.
     pub at_ns: u64,
     /// The byte.
@@ -43,10 +43,10 @@ pub struct SaidByte {
 impl Terminal {
     /// A terminal that sends these bytes.
     #[must_use]
-    pub fn new(script: &[SaidByte]) -> Self {
+    pub fn new(script: &[SentByte]) -> Self {
         let mut script = script.to_vec();
         // Those of one instant keep their order.
-        script.sort_by_key(|said| said.at_ns);
+        script.sort_by_key(|sent| sent.at_ns);
         Self {
             script: script.into(),
             ..Self::default()
@@ -68,14 +68,14 @@ impl Terminal {
     }
 
     /// Sends more bytes, from `at_ns` on.
-    pub fn say(&mut self, at_ns: u64, bytes: &[u8]) {
-        let said = bytes.iter().map(|&byte| SaidByte { at_ns, byte });
-        self.script.extend(said);
+    pub fn send(&mut self, at_ns: u64, bytes: &[u8]) {
+        let sent = bytes.iter().map(|&byte| SentByte { at_ns, byte });
+        self.script.extend(sent);
     }
 
     /// Takes the bytes received since the last call.
-    pub fn take(&mut self) -> Vec<HeardByte> {
-        std::mem::take(&mut self.heard)
+    pub fn take(&mut self) -> Vec<ReceivedByte> {
+        std::mem::take(&mut self.received)
     }
 }
 
@@ -84,7 +84,7 @@ impl Store for Terminal {}
 
 impl uart::Peer for Terminal {
     fn receive(&mut self, word: u16, context: &mut Timeline<'_, '_>) {
-        self.heard.push(HeardByte {
+        self.received.push(ReceivedByte {
             at_ns: context.now().0,
             byte: word.to_le_bytes()[0],
         });
@@ -94,8 +94,8 @@ impl uart::Peer for Terminal {
         if !self.floods.iter().any(|fault| fault.lasts(now.0)) {
             return self
                 .script
-                .pop_front_if(|said| said.at_ns <= now.0)
-                .map(|said| said.byte.into());
+                .pop_front_if(|sent| sent.at_ns <= now.0)
+                .map(|sent| sent.byte.into());
         }
         self.sent += 1;
         // Any byte may come, most of them printable, and a line's end now and then.

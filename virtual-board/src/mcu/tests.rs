@@ -322,7 +322,7 @@ fn the_oscillator_starts_only_with_what_the_board_has() {
     assert!(!starts(HighSpeedInput::Nothing, true));
 }
 
-/// Reads WHO_AM_I and what follows by DMA, `count` bytes, and says whether the controller has
+/// Reads WHO_AM_I and what follows by DMA, `count` bytes, and returns true if the controller has
 /// stopped asking the sensor for more without a STOP.
 fn ends_after(count: u64, cr2: u64) -> bool {
     const BUFFER: u64 = 0x2000_0000;

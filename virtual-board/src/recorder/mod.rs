@@ -26,7 +26,7 @@ pub use record::{HealthReading, Record, Sample, StaleSnapshot};
 use crate::board::Board;
 use crate::faults::{FaultKind, ScheduledFault};
 use crate::image::Firmware;
-use crate::mcu::HeardByte;
+use crate::mcu::ReceivedByte;
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Counts, EXCEPTIONS, Profile, Upset, exception_of};
 use timer::Timer;
@@ -71,7 +71,7 @@ pub trait Observer: Send {
 
     /// Takes the bytes from the UART since the last call, and returns bytes to send to it. Called
     /// every millisecond of virtual time.
-    fn uart(&mut self, _now_ns: u64, _heard: &[HeardByte]) -> Vec<u8> {
+    fn uart(&mut self, _now_ns: u64, _received: &[ReceivedByte]) -> Vec<u8> {
         Vec::new()
     }
 
@@ -109,7 +109,7 @@ pub struct Recorder {
     next_service_ns: u64,
     /// Until when the core waits for the flash.
     stalled_until_ns: Option<u64>,
-    told_at: Instant,
+    reported_at: Instant,
     /// The account at the last edge, and the number of samples published before it.
     window: Option<(Box<Counts>, usize)>,
     /// The exception that publishes.
@@ -159,7 +159,7 @@ impl Recorder {
             },
             next_service_ns: 0,
             stalled_until_ns: None,
-            told_at: Instant::now(),
+            reported_at: Instant::now(),
             window: None,
             attitude: None,
             last_burst: None,
@@ -260,7 +260,7 @@ impl Recorder {
 
     /// The burst that a snapshot is of: the last one. If the attitude task was late, several have
     /// come since the snapshot before: then it is the one whose edge came as long after that one's
-    /// as the firmware says.
+    /// as the firmware reports.
     fn take_burst(&mut self, snapshot: &Snapshot) -> Option<Burst> {
         let edge_ns = |burst: &Burst| {
             let index = burst.edge?;
@@ -409,10 +409,10 @@ impl Recorder {
     fn serve(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         self.read_health(host, now_ns);
         let terminal = session.board_mut().controller.terminal();
-        let mut heard = terminal.take();
-        let said = self.observer.uart(now_ns, &heard);
-        terminal.say(now_ns, &said);
-        self.record.heard.append(&mut heard);
+        let mut received = terminal.take();
+        let answer = self.observer.uart(now_ns, &received);
+        terminal.send(now_ns, &answer);
+        self.record.received.append(&mut received);
         if let Some(probe) = self.probe.as_mut().filter(|_| !self.is_detached) {
             for line in probe.drain(host, now_ns) {
                 self.observer.log(&line);
@@ -422,8 +422,8 @@ impl Recorder {
         if !self.observer.keeps_record() {
             self.record.forget();
         }
-        if self.told_at.elapsed().as_millis() >= 100 {
-            self.told_at = Instant::now();
+        if self.reported_at.elapsed().as_millis() >= 100 {
+            self.reported_at = Instant::now();
             self.observer.progress(Progress {
                 now_ns,
                 end_ns: self.end_ns,

@@ -4,7 +4,7 @@ use aplomb::fault::FaultClass;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::sensor::{Burst, DataReady};
 
-use crate::mcu::HeardByte;
+use crate::mcu::ReceivedByte;
 use crate::probe::LogLine;
 
 /// A published sample.
@@ -39,7 +39,7 @@ pub struct Record {
     /// The firmware's log, as the probe read it.
     pub log: Vec<LogLine>,
     /// The bytes from the UART.
-    pub heard: Vec<HeardByte>,
+    pub received: Vec<ReceivedByte>,
     /// Instructions executed and virtual time when the first sample was published.
     pub first: Option<(u64, u64)>,
     /// Instructions executed and virtual time at the end.
@@ -66,7 +66,7 @@ impl Record {
         self.edges
             .drain(..self.edges.len().saturating_sub(EDGES_KEPT));
         self.log.clear();
-        self.heard.clear();
+        self.received.clear();
         self.health.drain(..self.health.len().saturating_sub(1));
     }
 }
