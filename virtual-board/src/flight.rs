@@ -213,67 +213,18 @@ impl Run {
     /// # Errors
     ///
     /// When the image cannot be used, or the emulator gives up.
-    pub fn run(self) -> Result<Outcome, Error> {
+    pub fn run(mut self) -> Result<Outcome, Error> {
         let firmware = Firmware::read(&self.firmware)?;
-        let (motion, is_recording) = match self.motion {
-            Some(motion) => motion,
-            None => (
-                Box::new(Quadrotor::by_seed(self.seed)) as Box<dyn Motion>,
-                false,
-            ),
-        };
-        let config = if is_recording {
-            SensorConfig::for_recording(self.seed)
-        } else {
-            SensorConfig::new(self.seed)
-        };
-        let sensor = Sensor::new(
-            SensorConfig {
-                mount: self.mount,
-                errors: self.errors.unwrap_or(config.errors),
-                ..config
-            },
-            motion,
-        );
-        let input = if self.faults.contains(&Fault::NoCrystal) {
-            HighSpeedInput::Nothing
-        } else {
-            self.board.input
-        };
+        let scheduled: Vec<ScheduledFault> = scheduled(&self.faults).copied().collect();
         let timer_starts_at = self.faults.iter().find_map(|fault| match fault {
             Fault::TimerStartsAt(count) => Some(*count),
             _ => None,
         });
-        let scheduled: Vec<ScheduledFault> = scheduled(&self.faults).copied().collect();
-        let garbled = self.faults.iter().find_map(|fault| match fault {
-            Fault::ReceptionGarbled {
-                noise_per_million,
-                framing_per_million,
-            } => Some((*noise_per_million, *framing_per_million)),
-            _ => None,
-        });
-        let cells = SharedCells::new(self.flash);
-        let mut controller = Microcontroller::new(
-            FittedSensor::new(sensor, self.faults),
-            input,
-            Terminal::new(&self.script),
-            cells.clone(),
-        )
-        .map_err(Error::emulator)?;
-        if let Some((noise, framing)) = garbled {
-            controller.garble_reception(self.seed, noise, framing);
-        }
-        let profile = if self.steps_everything {
-            Profile::stepping_everything()
-        } else if !self.has_account {
-            Profile::crashes_only()
-        } else {
-            Profile::default()
-        };
-        let profile = Arc::new(Mutex::new(profile));
+        let profile = Arc::new(Mutex::new(self.profile()));
+        let cells = SharedCells::new(self.flash.clone());
         let board = Board::new(
             self.board,
-            controller,
+            self.controller(cells.clone())?,
             firmware.handlers.clone(),
             Arc::clone(&profile),
             cells.clone(),
@@ -313,6 +264,70 @@ impl Run {
             flash: cells.record(),
             issues,
         })
+    }
+
+    /// Returns the sensor on its motion. Takes the motion out of the settings.
+    fn sensor(&mut self) -> Sensor {
+        let (motion, is_recording) = match self.motion.take() {
+            Some(motion) => motion,
+            None => (
+                Box::new(Quadrotor::by_seed(self.seed)) as Box<dyn Motion>,
+                false,
+            ),
+        };
+        let config = if is_recording {
+            SensorConfig::for_recording(self.seed)
+        } else {
+            SensorConfig::new(self.seed)
+        };
+        Sensor::new(
+            SensorConfig {
+                mount: self.mount,
+                errors: self.errors.take().unwrap_or(config.errors),
+                ..config
+            },
+            motion,
+        )
+    }
+
+    /// Returns the microcontroller with the sensor, the faults and the script. Takes the motion and
+    /// the faults out of the settings.
+    fn controller(&mut self, cells: SharedCells) -> Result<Microcontroller, Error> {
+        let input = if self.faults.contains(&Fault::NoCrystal) {
+            HighSpeedInput::Nothing
+        } else {
+            self.board.input
+        };
+        let garbled = self.faults.iter().find_map(|fault| match fault {
+            Fault::ReceptionGarbled {
+                noise_per_million,
+                framing_per_million,
+            } => Some((*noise_per_million, *framing_per_million)),
+            _ => None,
+        });
+        let sensor = self.sensor();
+        let mut controller = Microcontroller::new(
+            FittedSensor::new(sensor, std::mem::take(&mut self.faults)),
+            input,
+            Terminal::new(&self.script),
+            cells,
+        )
+        .map_err(Error::emulator)?;
+        if let Some((noise, framing)) = garbled {
+            controller.garble_reception(self.seed, noise, framing);
+        }
+        Ok(controller)
+    }
+
+    /// Returns the account of instructions that the settings ask for.
+    fn profile(&self) -> Profile {
+        if self.steps_everything {
+            Profile::stepping_everything()
+        } else if !self.has_account {
+            Profile::crashes_only()
+        } else {
+            Profile::default()
+        }
     }
 }
 
@@ -419,7 +434,7 @@ fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
     issues.extend(
         session
             .told()
-            .map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason)),
+            .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason)),
     );
     issues.extend(
         session
