@@ -1,5 +1,5 @@
-//! The rules of readability and of the workspace's layout that a machine can check: lengths of
-//! lines, functions and files, imports, dependencies, words, and openings of doc comments.
+//! The rules of readability and layout that a machine can check. They cover lengths of lines,
+//! functions and files, imports, dependencies, words, and openings of doc comments.
 //!
 //! Each rule is a function over text. Its test first shows that the rule finds a fault in a sample.
 

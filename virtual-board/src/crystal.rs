@@ -1,8 +1,8 @@
 //! The clock controller with an oscillator input that may have nothing on it.
 //!
 //! rigless's clock controller reports the HSE ready whatever is at the pin. Here it becomes ready
-//! only if the board has what the firmware asked for: a crystal, with HSEBYP clear, or another
-//! chip's clock, with HSEBYP set (RM0090, section 6.2.1).
+//! only if the board has the requested source (RM0090, section 6.2.1): a crystal with HSEBYP clear,
+//! or another chip's clock with HSEBYP set.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::rcc::{Register, cr};

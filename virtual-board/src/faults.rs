@@ -17,10 +17,10 @@ pub enum FaultKind {
     /// 1 the first value.
     DataNack(u8),
     /// The sensor holds SCL low from the end of the byte on the wire (clock stretching, UM10204,
-    /// 3.1.9): the controller waits for as long as that takes (RM0090, 27.3.3).
+    /// 3.1.9). The controller waits for as long as that takes (RM0090, 27.3.3).
     BurstStall,
     /// SDA is short-circuited to ground. With a number: the sensor has lost count in the middle of
-    /// a byte, and lets go of SDA after so many clocks, however long that takes (UM10204, 3.1.16).
+    /// a byte. It lets go of SDA after so many clocks, however long that takes (UM10204, 3.1.16).
     SdaLow(Option<u8>),
     /// SCL is short-circuited to ground.
     SclLow,
@@ -66,15 +66,15 @@ pub enum FaultKind {
     UartNoise,
     /// A debug probe that had made the log wait for it (as probe-rs does) is pulled off.
     ProbeDetach,
-    /// The crystal stops. With the clock security system on, CSSF is set, the core goes on from the
-    /// internal oscillator, and executes the NMI for as long as CSSF stays set (RM0090, 7.2.7).
-    /// With it off, the core stops. The crystal comes back at the end, if the duration is not zero.
+    /// The crystal stops. With the clock security system on, CSSF is set and the core continues
+    /// from the internal oscillator. It executes the NMI while CSSF stays set (RM0090, 7.2.7). With
+    /// it off, the core stops. The crystal comes back at the end, if the duration is not zero.
     CrystalDies,
     /// The interrupt that the attitude task runs on is held back, as by another of its priority
     /// that takes too long.
     AttitudeLate,
-    /// The processor is told to leave the Thumb state, as by a jump through a corrupted pointer: a
-    /// usage fault, and as no handler is enabled for that, a hard fault (PM0214, 2.4).
+    /// The processor leaves the Thumb state, as by a jump through a corrupted pointer. This is a
+    /// usage fault. As no handler is enabled for it, a hard fault follows (PM0214, 2.4).
     Crash,
     /// The stack pointer comes so close to the end of the stack that the next exception finds no
     /// room.

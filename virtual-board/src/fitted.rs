@@ -156,7 +156,7 @@ impl FittedSensor {
         self.sensor.stop(now_ns);
     }
 
-    /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte, and
+    /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte. It
     /// holds SDA until it has had the rest of its clocks (UM10204, 3.1.16).
     pub fn controller_restarts(&mut self, now_ns: u64) {
         if self.is_addressed && self.is_sending {

@@ -1,16 +1,16 @@
-//! The calibration slots of the on-chip flash, which rigless keeps as the image left them:
-//! programming clears bits, erasing sets them, both take the datasheet's time, and the power can go
-//! in the middle of either.
+//! The calibration slots of the on-chip flash, which rigless does not change. Programming clears
+//! bits and erasing sets them. Both take the datasheet's time, and the power can fail in the middle
+//! of either.
 //!
 //! The cells are those of sectors 1 and 2 alone; the rest of the flash holds the image and cannot
 //! be written here. The core's accesses to the two sectors come here ([`Cells::read`],
-//! [`Cells::store`]) instead of to rigless's memory; the registers are rigless's, which models the
-//! keys, the lock and the erase's flags, and [`FlashInterface`] adds what programming does (RM0090,
-//! sections 3.6 and 3.9, as the STM32F405 has it).
+//! [`Cells::store`]) instead of to rigless's memory. The registers are rigless's, with the keys,
+//! the lock and the erase's flags. [`FlashInterface`] adds programming (RM0090, sections 3.6 and
+//! 3.9, for the STM32F405).
 //!
 //! While an operation runs, the core of a real chip waits at its next fetch from flash. Here the
-//! recorder holds the core until then ([`Cells::busy_until_ns`]); what it does between the
-//! operation's start and its next access to the interface is not held up.
+//! recorder holds the core until then ([`Cells::busy_until_ns`]). Instructions between the
+//! operation's start and the next access to the interface are not delayed.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -31,8 +31,8 @@ pub const SLOT_BYTES: usize = 0x4000;
 /// The number of the first slot's sector.
 const FIRST_SECTOR: u64 = 1;
 
-/// The datasheet's longest erase of a 16 KiB sector, 32 bits at a time, and its longest programming
-/// of a word (STM32F405 datasheet, table "Flash memory programming").
+/// The longest erase of a 16 KiB sector, 32 bits at a time, and the longest programming of a word
+/// (STM32F405 datasheet, table "Flash memory programming").
 const ERASE_NS: u64 = 500_000_000;
 const PROGRAM_NS: u64 = 100_000;
 

@@ -15,8 +15,8 @@
 //! - BERR and ARLO raise the error interrupt under ITERREN. A written zero or PE = 0 clears them
 //!   (27.4, 27.6.6).
 //!
-//! Both errors are seen at the end of the byte, up to 22 µs later than on silicon, and what happens
-//! between two bits is not modelled.
+//! Both errors show at the end of the byte, up to 22 µs later than on silicon. Events between two
+//! bits are not modelled.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
 use rigless::soc::stm32f427::generated::dma2;

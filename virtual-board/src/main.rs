@@ -107,8 +107,8 @@ struct Fly {
     /// Where the files go.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
-    /// Fly in real time, for a day unless told otherwise: the UART's bytes go to standard output,
-    /// and lines from standard input to the UART, until that ends. No files are written.
+    /// Fly in real time, for a day by default. The UART's bytes go to standard output. Lines from
+    /// standard input go to the UART, until that ends. No files are written.
     #[arg(long, conflicts_with_all = ["output", "flash"])]
     live: bool,
 }

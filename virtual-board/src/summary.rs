@@ -20,8 +20,8 @@ const IN_FLIGHT_NS: u64 = 2_000_000;
 pub struct Summary {
     /// Published samples.
     pub samples: usize,
-    /// Data-ready edges without a published sample, from the first sample on. (An edge while the
-    /// firmware still reads back what it has configured cannot have one: the bus is not free.)
+    /// Data-ready edges without a published sample, from the first sample on. (While the firmware
+    /// reads its settings back, the bus is not free, so an edge cannot have one.)
     pub missed: usize,
     /// Virtual time, from power-up.
     pub virtual_seconds: f64,

@@ -1,9 +1,9 @@
 //! The two lines of the sensor's bus, as open-drain wires: low if any device pulls them low.
 //!
-//! rigless transports the bytes without the lines. This module adds the lines: short circuits, a
-//! sensor that holds SDA because it has lost count within a byte, clock stretching, and pins that
-//! the firmware drives as outputs. The I2C controller ([`crate::i2c`]) and the port ([`PortB`])
-//! both use it.
+//! rigless transports the bytes without the lines. This module adds the lines: short circuits,
+//! clock stretching, and pins that the firmware drives as outputs. A sensor that has lost count
+//! within a byte holds SDA. The I2C controller ([`crate::i2c`]) and the port ([`PortB`]) both use
+//! it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

@@ -265,8 +265,7 @@ fn a_noisy_line_is_counted_and_its_commands_dropped() {
     assert!(!last.contains("uart_errors=0"), "{last}");
 }
 
-/// The directions in which the sensor's axes are laid up, one after the other: face up, face down,
-/// X up, X down, Y up, Y down.
+/// The poses of the sensor, one after the other: face up, face down, X up, X down, Y up, Y down.
 fn six_poses() -> [Quaternion; 6] {
     let pose =
         |roll: f64, pitch: f64| Quaternion::from_euler(roll.to_radians(), pitch.to_radians(), 0.0);

@@ -2,8 +2,8 @@
 //! docs/faults.md requires.
 //!
 //! The table is read from there, so that it and the tests agree: each row with the name of a fault
-//! is flown. The campaign (`cargo xtask faults`) draws such flights by chance; here they are fixed,
-//! and the test of a class fails when the firmware's detection of it is taken out.
+//! is flown. The campaign (`cargo xtask faults`) draws such flights at random; here they are fixed.
+//! The test of a class fails when the firmware's detection of it is taken out.
 
 mod common;
 
@@ -383,8 +383,8 @@ fn a_fault_right_after_a_warm_start_is_reported() {
 
 #[test]
 fn interrupts_at_8_khz_starve_nobody() {
-    // Glitches all the time; and the widest low-pass filter, whose output rate is 8 kHz, and so is
-    // INT's, until the firmware has put it right, which takes 35 ms without samples.
+    // First glitches all the time. Then the widest low-pass filter, whose output rate is 8 kHz, and
+    // so is INT's. The firmware restores the filter, which takes 35 ms without samples.
     let flips = "2.0 0 register-flip:0x1a:0x00\n2.5 0 register-flip:0x1a:0x00";
     let undisturbed = fly("", 3.1);
     for (faults, least_glitches, least_samples, longest_ns) in [

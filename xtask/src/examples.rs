@@ -13,8 +13,9 @@ const EMBASSY: &str = "examples/embassy";
 /// The line of the example `host` for the largest roll of its motion, 29.8 degrees.
 const HOST_LINE: &str = "  6.0 s  roll  29.7";
 
-/// Builds RTIC's, the polling one and Embassy's. Returns those that are flown, and their ELF files:
-/// polling a bus and a pin keeps the emulator busy for fifty times as long as it flies.
+/// Builds RTIC's, the polling one and Embassy's. Returns the names and the ELF files of those that
+/// are flown. The polling one is not: it polls a bus and a pin, so its emulation takes fifty times
+/// the flown time.
 pub fn build(toolchain: &Toolchain) -> Result<[(&'static str, PathBuf); 2], String> {
     let feature = Board::default().feature();
     let mut cargo = toolchain.cargo("build");

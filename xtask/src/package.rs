@@ -23,7 +23,7 @@ const FILES: [&str; 10] = [
 const FOLDERS: [(&str, &str); 3] = [("src/", ".rs"), ("examples/", ".rs"), ("boards/", ".x")];
 
 /// Every crate that the library alone builds with: the traits it implements, its mathematics, and
-/// what these need (the macro crates are those with which `cobs` derives its error).
+/// their dependencies. The macro crates are those with which `cobs` derives its error.
 const CRATES_OF_THE_LIBRARY: [&str; 17] = [
     "aplomb",
     "byteorder",

@@ -75,8 +75,8 @@ const PANICS: [&str; 4] = [
     "core::result::unwrap_failed",
 ];
 
-/// Functions between a panic and the one to name: parts of `core` that are not inlined, and code
-/// that the compiler has taken out of several functions.
+/// Functions between a panic and its named caller: parts of `core` that are not inlined, and code
+/// that the compiler has outlined from several functions.
 const IN_BETWEEN: [&str; 3] = ["core::", "<core::", "OUTLINED_FUNCTION_"];
 
 /// Checks who calls a panic in a firmware image, and prints the list.

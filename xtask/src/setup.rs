@@ -1,8 +1,8 @@
 //! Finds a compiler for the Cortex-M4F, or gets one; and QEMU.
 //!
-//! In this order: the target of the compiler that is there; `rustup target add`, unless downloads
-//! are switched off (`RUSTUP_AUTO_INSTALL=0`); the compiler and the library sources of Debian and
-//! Ubuntu, from which the target's `core` is built once into `target/sysroot`.
+//! It tries, in this order: the target of the present compiler; `rustup target add`, unless
+//! downloads are switched off (`RUSTUP_AUTO_INSTALL=0`); the packages of Debian and Ubuntu. From
+//! their library sources the target's `core` is built once into `target/sysroot`.
 
 use std::fs;
 use std::path::{Path, PathBuf};

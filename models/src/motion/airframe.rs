@@ -9,9 +9,9 @@
 //! - rotor drag, linear in the air speed across the rotor (Faessler, Franchi, Scaramuzza, IEEE RA-L
 //!   3(2), 2018);
 //! - drag of the body, quadratic in the air speed;
-//! - vibration: the unbalanced mass of each rotor turns with it (once per turn, across the axis),
-//!   and the two blades pass the arm (twice per turn, along the axis). Both act at the rotor, so
-//!   they shake the body in rotation too.
+//! - vibration. The unbalanced mass of each rotor turns with it: once per turn, across the axis.
+//!   The two blades pass the arm: twice per turn, along the axis. Both act at the rotor, so they
+//!   shake the body in rotation too.
 
 use super::geometry::{Quaternion, Vector, add, cross, norm, scale, subtract};
 use super::truth::STANDARD_GRAVITY_M_S2;

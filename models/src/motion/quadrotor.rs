@@ -2,8 +2,8 @@
 //!
 //! The physics of [`super::airframe`] run on a fixed grid of 4 kHz; the autopilot acts on every
 //! fourth step. Between the grid points the state is the cubic Hermite interpolation of states and
-//! their rates, and the specific force is evaluated from the equations of motion in that very
-//! state, so attitude, rates and specific force belong together at every instant.
+//! their rates. The specific force follows from the equations of motion in that state. So attitude,
+//! rates and specific force agree at every instant.
 
 use super::Motion;
 use super::airframe::{Airframe, ROTORS, State, runge_kutta_step};

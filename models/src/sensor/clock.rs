@@ -1,9 +1,9 @@
 //! The chip's own clock: when its converters sample, in the world's nanoseconds.
 //!
 //! The internal sampling grid runs at 8 kHz (register map r4.2, sections 4.2 and 4.3). The chip's 8
-//! kHz is as good as its clock source: ±1 % with a gyroscope as reference, ±5 % with the relaxation
-//! oscillator (product specification r3.4, section 6.6). The grid is absolute, an anchor plus a
-//! count of ticks, so nothing accumulates.
+//! kHz is as good as its clock source. The tolerance is ±1 % with a gyroscope as reference, and ±5
+//! % with the relaxation oscillator (product specification r3.4, section 6.6). The grid is
+//! absolute, an anchor plus a count of ticks, so nothing accumulates.
 
 use crate::random::Random;
 

@@ -136,8 +136,8 @@ impl SensorErrors {
         }
     }
 
-    /// A chip from anywhere within the datasheet's tolerance, its limits as likely as its middle,
-    /// and with an offset that follows temperature in a curve: harder than what is sold.
+    /// Returns a chip from anywhere within the datasheet's tolerance, its limits as likely as its
+    /// middle. Its offset follows temperature in a curve. Such a chip is worse than those on sale.
     #[must_use]
     pub fn anywhere_in_tolerance(seed: u64) -> Self {
         let mut random = Random::new(seed, "sensor errors, uniform");

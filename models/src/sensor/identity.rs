@@ -1,9 +1,9 @@
 //! The parts that are sold as an MPU-6050, by what they answer to WHO_AM_I, and how they differ.
 //!
 //! Two families are modelled. The MPU-6050's numbers come from its register map r4.2 (section 4.3)
-//! and product specification r3.4; the MPU-6500 family's from the MPU-6500 register map r2.1
-//! (sections 4.5, 4.8) and product specification. A part with an identity that no document names
-//! behaves like an MPU-6050: its driver should refuse it anyway.
+//! and product specification r3.4. Those of the MPU-6500 family come from the MPU-6500 register map
+//! r2.1 (sections 4.5, 4.8) and product specification. A part with an identity that no document
+//! names behaves like an MPU-6050: its driver should refuse it anyway.
 
 use super::low_pass::Response;
 use super::registers::{PWR_MGMT_1_RESET, address};

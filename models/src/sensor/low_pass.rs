@@ -2,23 +2,23 @@
 //! delay.
 //!
 //! The datasheet gives no filter structure. Settings 1 to 4 fit a single pole of the stated
-//! bandwidth behind about 1 ms of pure delay; at 10 and 5 Hz the stated delay is *shorter* than
+//! bandwidth behind about 1 ms of pure delay. At 10 and 5 Hz the stated delay is *shorter* than
 //! that of such a pole. So:
 //!
 //! - where the delay is at least the pole's own, the filter is one pole and a pure delay for the
 //!   rest;
-//! - where it is shorter, it is two poles and a zero at half the bandwidth, which meet both figures
-//!   with at most 0.8 dB of peaking and a delay that is within a fifth of the stated one up to a
-//!   tenth of the bandwidth;
-//! - a stated delay of zero (the accelerometer's setting 0) is out of any causal filter's reach:
-//!   there it is one pole, whose own delay at 260 Hz is 0.6 ms.
+//! - where it is shorter, the filter is two poles and a zero at half the bandwidth. They meet both
+//!   figures with at most 0.8 dB of peaking. Up to a tenth of the bandwidth the delay is within a
+//!   fifth of the stated one;
+//! - a stated delay of zero (the accelerometer's setting 0) is impossible for a causal filter.
+//!   There it is one pole, whose own delay at 260 Hz is 0.6 ms.
 //!
 //! "Delay" is the group delay at low frequencies. Both forms are made by the bilinear transform,
 //! prewarped so that the bandwidth is exact on the 8 kHz grid.
 //!
-//! Derivation of the second, with Ω = tan(ωT/2), k = Ω at the bandwidth, x = Ω/k and d = 2kτ/T: H =
-//! (1 + jZx) / (1 − a²x² + jbx). Delay d at x = 0 needs b = Z + d, and half power at x = 1 needs (1
-//! − a²)² = Z² − 2dZ + 2 − d².
+//! Derivation of the second, with Ω = tan(ωT/2), k = Ω at the bandwidth, x = Ω/k and d = 2kτ/T:
+//! H = (1 + jZx) / (1 − a²x² + jbx). Delay d at x = 0 needs b = Z + d, and half power at x = 1 needs
+//! (1 − a²)² = Z² − 2dZ + 2 − d².
 
 use crate::motion::Vector;
 use crate::motion::geometry::{add, interpolate, scale};

@@ -54,8 +54,8 @@ pub const PWR_MGMT_1_RESET: u8 = 0x40;
 
 /// The bits of the register at `register` that keep what is written to them.
 ///
-/// Bits that trigger something and clear themselves (DEVICE_RESET, the resets in USER_CTRL,
-/// SIGNAL_PATH_RESET) are not among them: they never read as set once the action is done.
+/// Bits that trigger an action and clear themselves are not among them: DEVICE_RESET, the resets in
+/// USER_CTRL, SIGNAL_PATH_RESET. They never read as set once the action is done.
 #[must_use]
 pub const fn writable_bits(register: u8) -> u8 {
     match register {

@@ -55,11 +55,11 @@ pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
         episodes: episodes(case, record),
     };
     let mut report = Report::default();
-    judge.the_processor(case, &mut report.failures);
-    judge.the_rule(case, &mut report.failures);
-    judge.recovery(&mut report);
-    judge.fault_free_time(&mut report.failures);
-    judge.silence(case, &mut report.failures);
+    judge.check_processor(case, &mut report.failures);
+    judge.check_tilt(case, &mut report.failures);
+    judge.check_recovery(&mut report);
+    judge.check_fault_free_time(&mut report.failures);
+    judge.check_silence(case, &mut report.failures);
     report
 }
 
@@ -104,7 +104,7 @@ impl Judge<'_> {
     }
 
     /// Checks that only the scheduled faults reset or crash the processor.
-    fn the_processor(&self, case: &Case, failures: &mut Vec<String>) {
+    fn check_processor(&self, case: &Case, failures: &mut Vec<String>) {
         let count = |is_asked_for: fn(&FaultKind) -> bool| {
             let faults = case.schedule.faults.iter();
             faults.filter(|fault| is_asked_for(&fault.kind)).count()
@@ -134,7 +134,7 @@ impl Judge<'_> {
     }
 
     /// Checks that no attitude is valid and far from the truth.
-    fn the_rule(&self, case: &Case, failures: &mut Vec<String>) {
+    fn check_tilt(&self, case: &Case, failures: &mut Vec<String>) {
         let mut motion = case.motion();
         let mut worst: Option<(f64, f64, u64)> = None;
         let mut count = 0;
@@ -168,7 +168,7 @@ impl Judge<'_> {
     }
 
     /// Checks that every episode ends in time.
-    fn recovery(&self, report: &mut Report) {
+    fn check_recovery(&self, report: &mut Report) {
         for episode in &self.episodes {
             // Steadily valid from here on, unless it was valid all the time.
             let back_ns = self
@@ -227,7 +227,7 @@ impl Judge<'_> {
     }
 
     /// Checks that the attitude is valid between the episodes.
-    fn fault_free_time(&self, failures: &mut Vec<String>) {
+    fn check_fault_free_time(&self, failures: &mut Vec<String>) {
         let Some(&(first_ns, _)) = self.valid.first() else {
             failures.push("the attitude was never valid".into());
             return;
@@ -269,12 +269,12 @@ impl Judge<'_> {
                 100.0 * share
             ));
         }
-        self.missed(&is_free, failures);
-        self.times(&is_free, failures);
+        self.check_samples(&is_free, failures);
+        self.check_times(&is_free, failures);
     }
 
     /// Checks that each edge without a fault has its sample.
-    fn missed(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+    fn check_samples(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
         let mut published: Vec<u64> = self
             .record
             .samples
@@ -299,7 +299,7 @@ impl Judge<'_> {
     }
 
     /// Checks that times follow the edges and never go back.
-    fn times(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+    fn check_times(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
         let mut worst: Option<(f64, u64)> = None;
         for pair in self.record.samples.windows(2) {
             let [before, after] = pair else { continue };
@@ -340,7 +340,7 @@ impl Judge<'_> {
     }
 
     /// Checks that snapshots and telemetry never pause for long.
-    fn silence(&self, case: &Case, failures: &mut Vec<String>) {
+    fn check_silence(&self, case: &Case, failures: &mut Vec<String>) {
         let published: Vec<u64> = self.published.iter().map(|sample| sample.at_ns).collect();
         // No telemetry is due before the first attitude.
         let first_ns = published.first().copied().unwrap_or(u64::MAX);

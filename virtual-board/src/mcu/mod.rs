@@ -1,5 +1,5 @@
-//! The microcontroller with its pins wired up: rigless's STM32F427, which runs the image of an
-//! STM32F401, F405, F411 or F446 unchanged, and what that part's model lacks.
+//! The microcontroller with its pins wired up. It is rigless's STM32F427, which runs the image of
+//! an STM32F401, F405, F411 or F446 unchanged, with additions to that model.
 //!
 //! | wire | from | to |
 //! |---|---|---|

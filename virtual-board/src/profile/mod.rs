@@ -1,13 +1,13 @@
 //! The exact number of instructions that each exception executed.
 //!
 //! The emulated core is wrapped. A breakpoint on every handler of the vector table shows each
-//! entry. A return shows in one of two ways: if the core has only just slept when it is
-//! interrupted, at a breakpoint where the idle loop goes on; else the handler is executed one
-//! instruction at a time. (Breakpoints in busy code would slow the emulator down for good.) At each
-//! of these points IPSR names the running exception. The instructions since the last such point
-//! belong to the exception before. Tail-chained entries keep the interrupted context's frame, so
-//! the stack pointer tells them from nested ones. None of this takes an instruction or virtual
-//! time, so the run is unchanged.
+//! entry. A return shows in one of two ways. If the core has only just slept when it is
+//! interrupted, a breakpoint where the idle loop continues shows it. Otherwise the handler is
+//! executed one instruction at a time. (Breakpoints in busy code would slow the emulator down
+//! permanently.) At each of these points IPSR names the running exception. The instructions since
+//! the last such point belong to the exception before. Tail-chained entries keep the interrupted
+//! context's frame, so the stack pointer tells them from nested ones. None of this takes an
+//! instruction or virtual time, so the run is unchanged.
 //!
 //! Handlers are expected on the main stack, as RTIC and cortex-m-rt have them.
 

@@ -43,7 +43,7 @@ struct Activation {
 }
 
 /// Instructions that an idle loop may execute between the end of its sleep and the interrupt that
-/// ended it: one that sleeps with interrupts masked has to unmask them first.
+/// ended it. A loop that sleeps with interrupts masked has to unmask them first.
 const WAKE_UP_INSTRUCTIONS: u64 = 32;
 
 /// GDB's numbers for the registers (the target description of an M-profile core).

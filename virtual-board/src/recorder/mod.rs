@@ -49,7 +49,7 @@ const ATTITUDE_INTERRUPT: u16 = 51;
 const NMI_LIMIT_NS: u64 = 20_000;
 
 /// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1
-/// events and errors, TIM5; and SPI1's, by which settings are read back.
+/// events and errors, TIM5. SPI1's is the one that reads the settings back.
 const INPUT_INTERRUPTS: [usize; 6] = [11, 7, 31, 32, 50, 35];
 
 /// The progress of the run, reported about ten times a second of real time.
@@ -258,9 +258,9 @@ impl Recorder {
         });
     }
 
-    /// The burst that a snapshot is of: the last one. If the attitude task was late, several have
-    /// come since the snapshot before: then it is the one whose edge came as long after that one's
-    /// as the firmware reports.
+    /// Returns the burst of a snapshot, usually the last one. If the attitude task was late,
+    /// several bursts have come since the snapshot before. Then it is the burst whose edge fits the
+    /// time step that the firmware reports.
     fn take_burst(&mut self, snapshot: &Snapshot) -> Option<Burst> {
         let edge_ns = |burst: &Burst| {
             let index = burst.edge?;
