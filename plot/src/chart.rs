@@ -372,9 +372,15 @@ impl Panel {
                 );
             }
         }
-        let line = top - 13.0;
-        picture.text(&self.name, (left, line), Font::Bold, INK, Align::Left);
-        let mut x = right;
+        self.draw_head(picture, place);
+    }
+
+    /// Draws the name and the legend above the frame.
+    fn draw_head(&self, picture: &mut Picture, place: &Place) {
+        let line = place.top - 13.0;
+        let at = (place.left, line);
+        picture.text(&self.name, at, Font::Bold, INK, Align::Left);
+        let mut x = place.right;
         for curve in self
             .curves
             .iter()
