@@ -1,12 +1,244 @@
-//! The layout of the workspace that a machine can check: which crate may depend on which, files and functions of a readable
-//! length, and no two files that import each other.
+//! The rules of readability and layout that a machine can check. They cover lengths of lines,
+//! functions and files, imports, dependencies, words, and openings of doc comments.
+//!
+//! Each rule is a function over text. Its test first shows that the rule finds a fault in a sample.
 
+#[path = "layout/imports.rs"]
+mod imports;
+#[path = "layout/source.rs"]
+mod source;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use imports::Crate;
+
+const MOST_COLUMNS: usize = 100;
+const MOST_LINES_OF_A_FILE: usize = 600;
+const MOST_LINES_OF_A_FUNCTION: usize = 80;
+
+/// Home-made terms, in the words that an identifier consists of. `style.md` names the field's term.
+const BANNED: [&[&str]; 12] = [
+    &["everyday"],
+    &["stocktaking"],
+    &["take", "stock"],
+    &["aftermath"],
+    &["remark"],
+    &["remarks"],
+    &["doubt"],
+    &["desk"],
+    &["hands"],
+    &["upkeep"],
+    &["spoils"],
+    &["unsurprising"],
+];
+
+/// A doc comment says its subject first.
+const BANNED_OPENINGS: [&str; 4] = ["What", "Whether", "That", "The same"];
+
+/// Each package's folder with the folders of the workspace's packages that it may depend on.
+const MAY_DEPEND: [(&str, &[&str]); 9] = [
+    (".", &[]),
+    ("models", &[]),
+    ("plot", &[]),
+    ("recordings", &[".", "models"]),
+    ("rigs", &["."]),
+    ("virtual-board", &[".", "models", "plot", "recordings"]),
+    ("cli", &[".", "models", "plot", "recordings"]),
+    ("bench", &[".", "models", "plot", "recordings"]),
+    ("xtask", &[]),
+];
+
+/// Dependencies of tests alone.
+const TESTS_MAY_DEPEND: [(&str, &str); 1] = [("models", ".")];
+
+#[test]
+fn lines_have_at_most_100_columns() {
+    let wide = format!("{}\n{}\n", "é".repeat(100), "x".repeat(101));
+    assert_eq!(long_lines(&wide), [(2, "101 columns".to_owned())]);
+    assert_eq!(
+        long_lines(&format!("// <https://x.org/{}>", "x".repeat(101))),
+        []
+    );
+    check(&["rs"], |_, source| long_lines(source));
+}
+
+#[test]
+fn functions_have_at_most_80_lines() {
+    let function = |lines: usize| format!("fn f() {{\n{}}}\n", "x();\n".repeat(lines - 2));
+    assert_eq!(long_functions(&function(80)), []);
+    let finding = (1, "`f` has 81 lines".to_owned());
+    assert_eq!(long_functions(&function(81)), [finding]);
+    let of_tests = format!("#[cfg(test)]\nmod tests {{\n{}}}\n", function(81));
+    assert_eq!(long_functions(&of_tests), []);
+    check(&["rs"], |path, source| {
+        let rule = if is_test(path) {
+            |_: &str| Vec::new()
+        } else {
+            long_functions
+        };
+        rule(source)
+    });
+}
+
+#[test]
+fn files_have_at_most_600_lines_without_their_tests() {
+    let tests = "#[cfg(test)]\nmod tests {\n}\n";
+    assert_eq!(long_file(&format!("{}{tests}", "//\n".repeat(600))), []);
+    let finding = (1, "601 lines without its tests".to_owned());
+    assert_eq!(
+        long_file(&format!("{}{tests}", "//\n".repeat(601))),
+        [finding]
+    );
+    check(&["rs"], |path, source| {
+        let rule = if is_test(path) {
+            |_: &str| Vec::new()
+        } else {
+            long_file
+        };
+        rule(source)
+    });
+}
+
+#[test]
+fn names_and_sentences_use_the_terms_of_the_field() {
+    let banned = [
+        "an everyday word",
+        "Remark:",
+        "has_remarks",
+        "TakeStock",
+        "take_stock()",
+        "SPOILS",
+        "self.desk2",
+        "IDesk",
+    ];
+    for text in banned {
+        assert_eq!(banned_words(text).len(), 1, "{text}");
+    }
+    for text in [
+        "remarkable",
+        "handshake",
+        "every day",
+        "undoubted",
+        "take\nstock",
+        "Desktop",
+    ] {
+        assert_eq!(banned_words(text), [], "{text}");
+    }
+    let text_files = ["rs", "md", "toml", "yml", "x", "py", "txt", "dict"];
+    check(&text_files, |path, source| {
+        // The list itself.
+        if path == "tests/layout.rs" {
+            return Vec::new();
+        }
+        banned_words(source)
+    });
+}
+
+#[test]
+fn doc_comments_open_with_a_verb_or_a_noun() {
+    let sample = "/// What it is.\nfn f();\n    //! That too.\n/// Good.\n/// The same, later.\n\
+                  // What\n/// The same\n/// Thatch.\n";
+    let lines: Vec<usize> = doc_openings(sample)
+        .into_iter()
+        .map(|(line, _)| line)
+        .collect();
+    assert_eq!(lines, [1, 3, 7]);
+    check(&["rs"], |_, source| doc_openings(source));
+}
+
+#[test]
+fn no_two_files_import_each_other() {
+    let mut crates: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
+    let files = files(&["rs"]);
+    let roots: BTreeSet<&str> = files
+        .keys()
+        .filter_map(|path| {
+            path.strip_suffix("/lib.rs")
+                .or(path.strip_suffix("/main.rs"))
+        })
+        .collect();
+    for (path, source) in &files {
+        let root = roots
+            .iter()
+            .filter(|root| is_below(path, root))
+            .max_by_key(|root| root.len());
+        // Programs in one file are crates of their own.
+        let Some(root) = root.filter(|root| !is_below(path, &format!("{root}/bin"))) else {
+            continue;
+        };
+        let file = path[root.len() + 1..].to_owned();
+        let files = crates.entry((*root).to_owned()).or_default();
+        files.push((file, source.clone()));
+    }
+    let mut imports_seen = 0;
+    let mut found = Vec::new();
+    for (root, files) in &crates {
+        let package = Crate::new(files);
+        imports_seen += package.imports_seen();
+        for (a, b) in package.cycles() {
+            found.push(format!("{root}/{a}: imports {root}/{b}, which imports it"));
+        }
+    }
+    assert!(
+        imports_seen > 200,
+        "the search finds imports at all: {imports_seen}"
+    );
+    assert!(
+        crates.len() > 6,
+        "the search finds crates at all: {}",
+        crates.len()
+    );
+    report(&found);
+}
+
+#[test]
+fn packages_depend_only_on_those_below_them() {
+    let manifest = "[dependencies]\naplomb = { path = \"..\" }\n\
+                    [target.'cfg(unix)'.dependencies]\na = { path = \"../plot\" }\nb = \"1\"\n\
+                    [build-dependencies.c]\npath = \"../cli\"\n\
+                    [dev-dependencies]\nd = { path = \"../models\" }\n[[bin]]\npath = \"x.rs\"\n";
+    let expected = [
+        (".", false),
+        ("plot", false),
+        ("cli", false),
+        ("models", true),
+    ];
+    let expected = expected.map(|(folder, tests)| (folder.to_owned(), tests));
+    assert_eq!(path_dependencies("xtask", manifest), expected);
+
+    let workspace = read("Cargo.toml");
+    let members = workspace
+        .lines()
+        .find_map(|line| line.strip_prefix("members = ["))
+        .expect("the members stand in one line");
+    let members: Vec<&str> = members.split('"').skip(1).step_by(2).chain(["."]).collect();
+    assert!(
+        members.len() > 6,
+        "the search finds members at all: {members:?}"
+    );
+    let allowed: BTreeMap<&str, &[&str]> = MAY_DEPEND.into_iter().collect();
+    let mut found = Vec::new();
+    for member in members {
+        let may = allowed
+            .get(member)
+            .unwrap_or_else(|| panic!("add `{member}` to the table `MAY_DEPEND`"));
+        let file = format!("{member}/Cargo.toml");
+        for (dependency, in_tests) in path_dependencies(member, &read(&file)) {
+            let is_allowed = may.contains(&dependency.as_str())
+                || (in_tests && TESTS_MAY_DEPEND.contains(&(member, &dependency)));
+            if !is_allowed {
+                found.push(format!("{file}: may not depend on `{dependency}`"));
+            }
+        }
+    }
+    report(&found);
+}
+
 #[test]
 fn the_models_know_nothing_of_what_they_judge() {
-    let manifest = fs::read_to_string(root().join("models/Cargo.toml")).expect("a manifest");
+    let manifest = read("models/Cargo.toml");
     let (dependencies, _) = manifest
         .split_once("[dev-dependencies]")
         .expect("tests compare the models with the library");
@@ -14,6 +246,235 @@ fn the_models_know_nothing_of_what_they_judge() {
         !dependencies.contains("path = "),
         "a model that shares code with what it judges cannot disagree with it"
     );
+}
+
+#[test]
+fn paths_in_contributing_exist() {
+    let sample = "`src/lib.rs`, `a b/c`, `a::b`, `docs/`, `<a>/b.rs`, `Cargo.toml` and `Estimator`";
+    assert_eq!(
+        paths_in_backticks(sample),
+        ["src/lib.rs", "docs/", "Cargo.toml"]
+    );
+    let page = "CONTRIBUTING.md";
+    let page_text = read(page);
+    let paths = paths_in_backticks(&page_text);
+    assert!(paths.len() > 20, "the search finds paths at all: {paths:?}");
+    let missing = paths.iter().filter(|path| !root().join(path).exists());
+    let found: Vec<String> = missing
+        .map(|path| format!("{page}: `{path}` is missing"))
+        .collect();
+    report(&found);
+}
+
+/// A line's number and what is wrong with it.
+type Finding = (usize, String);
+
+fn long_lines(source: &str) -> Vec<Finding> {
+    numbered(source)
+        .filter(|(_, line)| !line.contains("https://"))
+        .map(|(number, line)| (number, line.chars().count()))
+        .filter(|(_, columns)| *columns > MOST_COLUMNS)
+        .map(|(number, columns)| (number, format!("{columns} columns")))
+        .collect()
+}
+
+fn long_functions(source: &str) -> Vec<Finding> {
+    let tokens = source::without_tests(&source::tokens(source));
+    source::functions(&tokens)
+        .iter()
+        .filter(|function| function.length() > MOST_LINES_OF_A_FUNCTION)
+        .map(|function| {
+            let finding = format!("`{}` has {} lines", function.name, function.length());
+            (*function.lines.start(), finding)
+        })
+        .collect()
+}
+
+fn long_file(source: &str) -> Vec<Finding> {
+    let lines = source::lines_without_tests(source);
+    if lines <= MOST_LINES_OF_A_FILE {
+        return Vec::new();
+    }
+    vec![(1, format!("{lines} lines without its tests"))]
+}
+
+fn banned_words(text: &str) -> Vec<Finding> {
+    let mut found = Vec::new();
+    for (number, line) in numbered(text) {
+        let words = words(line);
+        for banned in BANNED {
+            if words.windows(banned.len()).any(|window| window == banned) {
+                found.push((
+                    number,
+                    format!("`{}`: use the field's term", banned.join("_")),
+                ));
+            }
+        }
+    }
+    found
+}
+
+/// The words of a line in small letters, those of which its identifiers consist apart.
+fn words(line: &str) -> Vec<String> {
+    let mut words = vec![String::new()];
+    let characters: Vec<char> = line.chars().collect();
+    for (at, &character) in characters.iter().enumerate() {
+        let before = at.checked_sub(1).map(|before| characters[before]);
+        let begins_word = character.is_uppercase()
+            && (before.is_some_and(char::is_lowercase)
+                || characters
+                    .get(at + 1)
+                    .is_some_and(|next| next.is_lowercase()));
+        if !character.is_alphabetic() || begins_word {
+            words.push(String::new());
+        }
+        if let (true, Some(word)) = (character.is_alphabetic(), words.last_mut()) {
+            word.extend(character.to_lowercase());
+        }
+    }
+    words.retain(|word| !word.is_empty());
+    words
+}
+
+fn doc_openings(source: &str) -> Vec<Finding> {
+    let mut found = Vec::new();
+    let mut before = None;
+    for (number, line) in numbered(source) {
+        let line = line.trim_start();
+        let kind = ["///", "//!"]
+            .into_iter()
+            .find(|kind| line.starts_with(kind));
+        if let Some(kind) = kind
+            && before != Some(kind)
+        {
+            let text = line[kind.len()..].trim_start();
+            let opens = |words: &&str| {
+                let rest = text.strip_prefix(words);
+                rest.is_some_and(|rest| !rest.starts_with(char::is_alphanumeric))
+            };
+            if let Some(words) = BANNED_OPENINGS.iter().find(|words| opens(words)) {
+                found.push((
+                    number,
+                    format!("opens with `{words}`: name the subject first"),
+                ));
+            }
+        }
+        before = kind;
+    }
+    found
+}
+
+/// The folders of the workspace that a manifest names as dependencies, and if only tests use them.
+fn path_dependencies(member: &str, manifest: &str) -> Vec<(String, bool)> {
+    let mut found = Vec::new();
+    let mut section = "";
+    for line in manifest.lines() {
+        if line.starts_with('[') {
+            section = line;
+        }
+        let path = line
+            .split_once("path = \"")
+            .and_then(|(_, rest)| rest.split_once('"'));
+        let (true, Some((path, _))) = (section.contains("dependencies"), path) else {
+            continue;
+        };
+        let folder = match path {
+            ".." if member != "." => ".",
+            _ => path.trim_start_matches("../"),
+        };
+        found.push((folder.to_owned(), section.contains("dev-dependencies")));
+    }
+    found
+}
+
+/// The text in backticks that has the form of a path in the repository.
+fn paths_in_backticks(page: &str) -> Vec<&str> {
+    let is_path = |text: &&str| {
+        let endings = [".md", ".toml", ".rs", ".x", ".txt", "/"];
+        let is_word = |c: char| c.is_ascii_alphanumeric() || "._-/".contains(c);
+        text.chars().all(is_word)
+            && (text.contains('/') || endings.iter().any(|ending| text.ends_with(ending)))
+    };
+    page.split('`').skip(1).step_by(2).filter(is_path).collect()
+}
+
+/// Applies a rule to all files with one of these endings, and fails with the list of findings.
+fn check(endings: &[&str], rule: impl Fn(&str, &str) -> Vec<Finding>) {
+    let files = files(endings);
+    assert!(
+        files.len() > 200,
+        "the search finds files at all: {}",
+        files.len()
+    );
+    let mut found = Vec::new();
+    for (path, source) in &files {
+        for (number, finding) in rule(path, source) {
+            found.push(format!("{path}:{number}: {finding}"));
+        }
+    }
+    report(&found);
+}
+
+fn report(found: &[String]) {
+    assert!(
+        found.is_empty(),
+        "{} findings\n{}",
+        found.len(),
+        found.join("\n")
+    );
+}
+
+fn numbered(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines()
+        .enumerate()
+        .map(|(index, line)| (index + 1, line))
+}
+
+/// True for files that hold nothing but tests.
+fn is_test(path: &str) -> bool {
+    let file = path.rsplit('/').next().unwrap_or(path);
+    path.split('/').any(|folder| folder == "tests")
+        || file == "tests.rs"
+        || file.ends_with("_tests.rs")
+}
+
+fn is_below(path: &str, folder: &str) -> bool {
+    path.strip_prefix(folder)
+        .is_some_and(|rest| rest.starts_with('/'))
+}
+
+/// The workspace's files with one of these endings: path from its root, and contents.
+fn files(endings: &[&str]) -> BTreeMap<String, String> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![root()];
+    while let Some(folder) = folders.pop() {
+        let entries = fs::read_dir(&folder)
+            .unwrap_or_else(|error| panic!("cannot read {}: {error}", folder.display()));
+        for entry in entries {
+            let path = entry.expect("the folder can be listed").path();
+            if path.is_dir() {
+                // Built files, and folders that git keeps or ignores.
+                let kept_out = ["target", ".git", "artifacts", "corpus", "coverage"];
+                if !kept_out.iter().any(|name| path.ends_with(name)) {
+                    folders.push(path);
+                }
+                continue;
+            }
+            let ending = path.extension().and_then(|ending| ending.to_str());
+            if ending.is_some_and(|ending| endings.contains(&ending)) {
+                let text = fs::read_to_string(&path)
+                    .unwrap_or_else(|error| panic!("cannot read {}: {error}", path.display()));
+                let path = path.strip_prefix(root()).expect("it is below the root");
+                let path = path.to_str().expect("names are ASCII").replace('\\', "/");
+                found.insert(path, text);
+            }
+        }
+    }
+    found
+}
+
+fn read(file: &str) -> String {
+    fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"))
 }
 
 fn root() -> PathBuf {

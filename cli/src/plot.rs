@@ -420,7 +420,7 @@ fn spectrum_panel(spectrum: &Spectrum) -> (Panel, Axis) {
         curves,
         range: (low, high),
         is_logarithmic: true,
-        remarks,
+        annotations: remarks,
     };
     let axis = Axis {
         end: spectrum.end_hz(),

@@ -1,7 +1,8 @@
 //! Seeded random numbers: the one source of chance in the virtual world.
 //!
-//! Every use names its own stream, so that adding a draw in one place moves no draw in another. The generator
-//! (PCG-64, multiplicative) and the elementary functions are portable: one seed gives the same bits everywhere.
+//! Every use names its own stream, so that adding a draw in one place moves no draw in another. The
+//! generator (PCG-64, multiplicative) and the elementary functions are portable: one seed gives the
+//! same bits everywhere.
 
 use rand_pcg::Pcg64Mcg;
 use rand_pcg::rand_core::{Rng, SeedableRng};
@@ -49,7 +50,8 @@ impl Random {
 
     /// Normal deviate of standard deviation `sigma`, drawn again until it lies within ±`bound`.
     ///
-    /// This is how parts reach a customer: spread normally, and the ones beyond the tolerance discarded.
+    /// This is how parts reach a customer: spread normally, and the ones beyond the tolerance
+    /// discarded.
     pub fn within_tolerance(&mut self, sigma: f64, bound: f64) -> f64 {
         if sigma == 0.0 {
             return 0.0;

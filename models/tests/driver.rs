@@ -1,6 +1,8 @@
-//! The library's driver on the modelled sensor, over an ideal bus: two readings of one datasheet must agree.
+//! The library's driver on the modelled sensor, over an ideal bus: two readings of one datasheet
+//! must agree.
 //!
-//! Neither shares code with the other, so a wrong register, bit, scale, rate or delay in one of them shows here.
+//! Neither shares code with the other, so a wrong register, bit, scale, rate or delay in one of
+//! them shows here.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -210,7 +212,8 @@ fn every_setting_has_the_scale_the_rate_and_the_delay_that_the_driver_says() {
                 low_pass.gyroscope_delay_us(),
                 f64::from(config.gyroscope_range.rad_s_per_count()),
             );
-            // The datasheet's delay of 0 at 260 Hz is out of any filter's reach: the model has 0.6 ms.
+            // The datasheet's delay of 0 at 260 Hz is out of any filter's reach: the model has 0.6
+            // ms.
             let force_delay_us = match low_pass {
                 LowPass::Hertz256 => 620,
                 _ => low_pass.accelerometer_delay_us(),

@@ -1,4 +1,5 @@
-//! Charts of curves over time, one above the other, with what lasted for a while beneath them: flags, faults.
+//! Charts of curves over time, one above the other. Beneath them are rows for flags and faults,
+//! which last for a while.
 //!
 //! Beneath those there may be panels with an axis of their own, such as a spectrum's.
 
@@ -7,18 +8,18 @@ use crate::timeline::Trace;
 
 /// Dark letters.
 pub const INK: Color = Color(30, 34, 42);
-/// What there is beside: frames, remarks.
+/// Frames and secondary texts.
 pub const FRAME: Color = Color(110, 116, 126);
 const GRID: Color = Color(218, 221, 226);
 /// A curve of the truth.
 pub const TRUTH: Color = Color(150, 156, 166);
 /// A curve about the first axis.
 pub const FIRST: Color = Color(0, 101, 189);
-/// A curve about the second axis. Also what is well.
+/// A curve about the second axis. Also a good state.
 pub const SECOND: Color = Color(0, 135, 90);
 /// A curve about the third axis.
 pub const THIRD: Color = Color(176, 84, 0);
-/// An error. Also what is not well.
+/// An error. Also a bad state.
 pub const ERROR: Color = Color(190, 30, 60);
 /// The area in which an error is expected.
 pub const EXPECTED: Color = Color(236, 226, 240);
@@ -36,7 +37,7 @@ const LEFT: f32 = 110.0;
 const MARGIN_RIGHT: f32 = 25.0;
 const TOP: f32 = 104.0;
 const GAP: f32 = 42.0;
-/// What an axis with its numbers and its name takes beneath a panel.
+/// Height of an axis with its numbers and its name, beneath a panel.
 const AXIS: f32 = 56.0;
 /// The height of a lane.
 const LANE: f32 = 17.0;
@@ -55,11 +56,11 @@ pub struct Chart {
     pub title: String,
     /// The second line.
     pub subtitle: String,
-    /// What the colours mean, on the second line.
+    /// The meanings of the colours, on the second line.
     pub legend: Vec<(Color, String)>,
     /// The time that is shown, s.
     pub time_s: (f64, f64),
-    /// What the axis of time is called.
+    /// The name of the time axis.
     pub time_name: &'static str,
     /// The panels over time, from above.
     pub panels: Vec<Panel>,
@@ -74,16 +75,16 @@ pub struct Chart {
 /// Curves in one frame.
 #[derive(Clone, Debug, Default)]
 pub struct Panel {
-    /// What it shows, and its unit.
+    /// The quantity, and its unit.
     pub name: String,
     /// The curves; the later ones cover the earlier ones.
     pub curves: Vec<Curve>,
-    /// What its lower and its upper edge stand for. The logarithms, if it is logarithmic.
+    /// The values of its lower and its upper edge; logarithms if `is_logarithmic`.
     pub range: (f64, f64),
     /// Numbers are powers of ten.
     pub is_logarithmic: bool,
-    /// Remarks at points.
-    pub remarks: Vec<((f64, f64), String)>,
+    /// Texts at points, each with a ring.
+    pub annotations: Vec<((f64, f64), String)>,
 }
 
 /// An axis of a panel's own, from zero on.
@@ -91,7 +92,7 @@ pub struct Panel {
 pub struct Axis {
     /// Where it ends.
     pub end: f64,
-    /// What it is called, and its unit.
+    /// The quantity, and its unit.
     pub name: &'static str,
 }
 
@@ -102,7 +103,7 @@ pub struct Curve {
     pub color: Color,
     /// Its parts without interruption: times and values.
     pub lines: Vec<Vec<(f64, f64)>>,
-    /// What it is; nothing is said of it if that is empty.
+    /// The text of the legend. Empty: the legend leaves the curve out.
     pub meaning: String,
     /// How it is drawn.
     pub style: Style,
@@ -209,21 +210,29 @@ impl Chart {
                 place.move_down(panel_height + GAP);
             }
         }
+        let y = self.draw_lanes(&mut picture, &place);
+        place.move_down(y - place.bottom + GAP);
+        self.draw_others(&mut picture, place, panel_height);
+        self.draw_head(&mut picture);
+        picture
+    }
+
+    /// Draws the lanes beneath the panels, and the name of the time axis beneath these. Returns the
+    /// height of that name.
+    fn draw_lanes(&self, picture: &mut Picture, place: &Place) -> f32 {
         let mut y = place.bottom + 29.0;
         for lane in &self.lanes {
-            lane.draw(&mut picture, &place, y);
+            lane.draw(picture, place, y);
             y += LANE;
         }
-        let middle = (LEFT + right) / 2.0;
         y += 14.0;
-        picture.text(
-            self.time_name,
-            (middle, y),
-            Font::Normal,
-            INK,
-            Align::Center,
-        );
-        place.move_down(y + 14.0 - place.bottom + GAP - 14.0);
+        let at = (place.middle(), y);
+        picture.text(self.time_name, at, Font::Normal, INK, Align::Center);
+        y
+    }
+
+    /// Draws the panels with an axis of their own, the first of them at `place`.
+    fn draw_others(&self, picture: &mut Picture, mut place: Place, panel_height: f32) {
         for (panel, axis) in &self.others {
             place.top = place.bottom.max(place.top);
             place.bottom = place.top + panel_height;
@@ -232,11 +241,15 @@ impl Chart {
                 range: panel.range,
                 ..place
             };
-            panel.draw(&mut picture, &own, true);
-            let y = own.bottom + 40.0;
-            picture.text(axis.name, (middle, y), Font::Normal, INK, Align::Center);
+            panel.draw(picture, &own, true);
+            let at = (place.middle(), own.bottom + 40.0);
+            picture.text(axis.name, at, Font::Normal, INK, Align::Center);
             place.move_down(panel_height + GAP + AXIS - 14.0);
         }
+    }
+
+    /// Draws the title, the subtitle and the legend.
+    fn draw_head(&self, picture: &mut Picture) {
         picture.text(&self.title, (LEFT, 26.0), Font::Large, INK, Align::Left);
         picture.text(
             &self.subtitle,
@@ -249,9 +262,8 @@ impl Chart {
         for (color, meaning) in &self.legend {
             picture.line(vec![(x, 53.0), (x + 24.0, 53.0)], *color, 4.0);
             picture.text(meaning, (x + 32.0, 53.0), Font::Large, INK, Align::Left);
-            x += 32.0 + Font::Large.width() * count(meaning.chars().count()) + 36.0;
+            x += 32.0 + Font::Large.width() * meaning.chars().count() as f32 + 36.0;
         }
-        picture
     }
 
     /// Writes names into the first panel, one beneath the other.
@@ -324,11 +336,11 @@ impl Panel {
             (left, top),
         ];
         picture.line(frame.to_vec(), FRAME, 1.0);
-        for ((x, y), remark) in &self.remarks {
+        for ((x, y), annotation) in &self.annotations {
             let at = (place.x(*x), place.y(*y));
             picture.ring(at, 5.0, INK);
             picture.text(
-                remark,
+                annotation,
                 (at.0 + 10.0, at.1.max(top + 10.0)),
                 Font::Normal,
                 INK,
@@ -360,9 +372,15 @@ impl Panel {
                 );
             }
         }
-        let line = top - 13.0;
-        picture.text(&self.name, (left, line), Font::Bold, INK, Align::Left);
-        let mut x = right;
+        self.draw_head(picture, place);
+    }
+
+    /// Draws the name and the legend above the frame.
+    fn draw_head(&self, picture: &mut Picture, place: &Place) {
+        let line = place.top - 13.0;
+        let at = (place.left, line);
+        picture.text(&self.name, at, Font::Bold, INK, Align::Left);
+        let mut x = place.right;
         for curve in self
             .curves
             .iter()
@@ -428,7 +446,8 @@ pub fn error_panel(errors: &Trace, three_sigma: Option<&Trace>) -> Panel {
     panel
 }
 
-/// Returns a lane for each flag that is ever set; `good` is the one that means well and comes first.
+/// Returns a lane for each flag that is ever set; `good` is the one that means well and comes
+/// first.
 #[must_use]
 pub fn flag_lanes<'a>(
     flags: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>,
@@ -469,6 +488,10 @@ impl Place {
         self.bottom += by;
     }
 
+    fn middle(&self) -> f32 {
+        (self.left + self.right) / 2.0
+    }
+
     fn x(&self, across: f64) -> f32 {
         let width = (self.across.1 - self.across.0).max(1e-9);
         let share = ((across - self.across.0) / width).clamp(0.0, 1.0);
@@ -504,7 +527,7 @@ fn decimal_step((low, high): (f64, f64), wanted: f64) -> f64 {
     factor.unwrap_or(10.0) * power
 }
 
-/// The same for angles and rates in degrees: wide ranges up to a turn in parts of a right angle.
+/// A step for angles and rates in degrees. Wide ranges up to a turn use parts of a right angle.
 fn value_step(range: (f64, f64)) -> f64 {
     let rough = (range.1 - range.0) / 6.0;
     if (10.0..=90.0).contains(&rough) {

@@ -1,7 +1,7 @@
 //! Pictures of areas, lines and letters, drawn as PNG or as SVG.
 //!
-//! A picture is a list of shapes, in the order in which they cover each other. Coordinates are pixels from the upper
-//! left corner. As PNG its letters are of fixed size and need no font file.
+//! A picture is a list of shapes, in the order in which they cover each other. Coordinates are
+//! pixels from the upper left corner. As PNG its letters are of fixed size and need no font file.
 
 use std::fmt::Write as _;
 
@@ -27,18 +27,18 @@ pub type At = (f32, f32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Color(pub u8, pub u8, pub u8);
 
-/// What letters look like: all are equally wide.
+/// Fonts. All letters of a font are equally wide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Font {
     /// 6 × 12 pixels.
     Tiny,
     /// 9 × 15 pixels.
     Small,
-    /// The same, bold.
+    /// 9 × 15 pixels, bold.
     SmallBold,
     /// 9 × 18 pixels.
     Normal,
-    /// The same, bold.
+    /// 9 × 18 pixels, bold.
     Bold,
     /// 10 × 20 pixels.
     Large,
@@ -166,7 +166,8 @@ impl Picture {
     pub fn svg(&self) -> String {
         let (width, height) = (self.width, self.height);
         let mut text = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n\
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"0 0 {width} {height}\">\n\
              <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
         );
         for shape in &self.shapes {
@@ -293,7 +294,8 @@ fn write_svg(shape: &Shape, svg: &mut String) -> std::fmt::Result {
         ),
         Shape::Line(points, color, width) => writeln!(
             svg,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"{width}\" stroke-linejoin=\"bevel\"/>",
+            "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" \
+             stroke-width=\"{width}\" stroke-linejoin=\"bevel\"/>",
             list(points),
             hex(*color)
         ),
@@ -326,7 +328,8 @@ fn write_svg(shape: &Shape, svg: &mut String) -> std::fmt::Result {
             let size = font.width() / 0.6;
             writeln!(
                 svg,
-                "<text x=\"{x:.1}\" y=\"{y:.1}\" dominant-baseline=\"central\" text-anchor=\"{anchor}\" font-family=\"monospace\" \
+                "<text x=\"{x:.1}\" y=\"{y:.1}\" dominant-baseline=\"central\" \
+                 text-anchor=\"{anchor}\" font-family=\"monospace\" \
                  font-size=\"{size:.1}\" font-weight=\"{weight}\" fill=\"{}\">{escaped}</text>",
                 hex(*color)
             )

@@ -1,7 +1,8 @@
 //! Values over time in fixed memory: what a picture can show of an hour as well as of a second.
 //!
-//! Time is cut into equal pieces, each of which keeps the least and the greatest value in it. When there are too many
-//! pieces, two become one: so nobody has to know beforehand how long it will be, and no peak is lost.
+//! Time is cut into equal pieces, each of which keeps the least and the greatest value in it. When
+//! there are too many pieces, two become one: so the length need not be known beforehand,
+//! and no peak is lost.
 
 /// No more pieces than this: in the end there are between half as many and all of them.
 const PIECES: usize = 2_048;
@@ -12,9 +13,9 @@ const SHORTEST_S: f64 = 1e-3;
 /// After so long a time without a value a curve is interrupted, s.
 const GAP_S: f64 = 0.5;
 
-/// What can be made one of two.
+/// Values of which two can be merged into one.
 pub trait Merge: Copy {
-    /// Takes in what comes later.
+    /// Takes in a later value.
     fn merge(&mut self, later: &Self);
 }
 
@@ -37,7 +38,8 @@ impl<T> Default for Timeline<T> {
 }
 
 impl<T: Merge> Timeline<T> {
-    /// Adds what is at this time, in seconds. What comes from before the first time counts as the first.
+    /// Adds what is at this time, in seconds. What comes from before the first time counts as the
+    /// first.
     pub fn push(&mut self, time_s: f64, item: T) {
         if self.pieces.is_empty() {
             self.start_s = time_s;
@@ -56,8 +58,9 @@ impl<T: Merge> Timeline<T> {
         }
     }
 
-    /// The pieces that have something in them: from when, until when, and what. One that is followed by empty pieces lasts until
-    /// the next, unless that is a gap: so values may come irregularly.
+    /// The pieces that have something in them: from when, until when, and what. One that is
+    /// followed by empty pieces lasts until the next, unless that is a gap: so values may come
+    /// irregularly.
     pub fn iter(&self) -> impl Iterator<Item = (f64, f64, &T)> {
         let at_s = |index: usize| self.start_s + index as f64 * self.piece_s;
         self.pieces
@@ -123,7 +126,7 @@ pub struct Trace {
     timeline: Timeline<Extremes>,
     last: Option<(f64, f64)>,
     wraps: bool,
-    /// What has to be added to an angle so that it goes on from the one before.
+    /// Whole turns to add to an angle so that it continues from the one before.
     turned: f64,
 }
 
@@ -174,7 +177,7 @@ impl Trace {
         self.last = Some(at);
     }
 
-    /// Whether there is nothing in it.
+    /// Returns true if it has no values.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.timeline.pieces.is_empty()
@@ -201,8 +204,8 @@ impl Trace {
         })
     }
 
-    /// The curve's parts, without interruption each: seconds and values. An angle that wraps leaves on one side, by less than
-    /// a piece beyond ±180, and enters on the other.
+    /// The curve's parts, without interruption each: seconds and values. An angle that wraps leaves
+    /// on one side, by less than a piece beyond ±180, and enters on the other.
     #[must_use]
     pub fn lines(&self) -> Vec<Vec<(f64, f64)>> {
         let mut lines: Vec<Vec<(f64, f64)>> = Vec::new();

@@ -18,9 +18,10 @@ use crate::profile::{Profile, ProfiledProcessor};
 pub struct BoardModel {
     /// Its name on the command line, the same as in the firmware's features.
     pub name: &'static str,
-    /// What drives the high-speed oscillator.
+    /// The clock source of the high-speed oscillator.
     pub input: HighSpeedInput,
-    /// The core clock that the firmware sets up, in hertz. The emulated core executes one instruction per cycle of it.
+    /// The core clock that the firmware sets up, in hertz. The emulated core executes one
+    /// instruction per cycle of it.
     pub core_hz: u64,
 }
 
@@ -74,7 +75,8 @@ pub struct Board {
 }
 
 impl Board {
-    /// A board whose core counts its instructions into `profile` by exception; `handlers` are the vector table's.
+    /// A board whose core counts its instructions into `profile` by exception; `handlers` are the
+    /// vector table's.
     #[must_use]
     pub fn new(
         model: BoardModel,

@@ -1,8 +1,8 @@
 //! The clock controller with an oscillator input that may have nothing on it.
 //!
-//! rigless's clock controller reports the HSE ready whatever is at the pin. Here it becomes ready only if the board
-//! has what the firmware asked for: a crystal, with HSEBYP clear, or another chip's clock, with HSEBYP set (RM0090,
-//! section 6.2.1).
+//! rigless's clock controller reports the HSE ready whatever is at the pin. Here it becomes ready
+//! only if the board has the requested source (RM0090, section 6.2.1): a crystal with HSEBYP clear,
+//! or another chip's clock with HSEBYP set.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::rcc::{Register, cr};
@@ -11,7 +11,7 @@ use rigless::time::EventId;
 
 use crate::delegate::delegate;
 
-/// What is connected to the high-speed oscillator's pins.
+/// The clock source at the high-speed oscillator's pins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HighSpeedInput {
     /// Nothing, or a crystal that does not start.
@@ -32,7 +32,7 @@ impl HighSpeedInput {
         }
     }
 
-    /// Whether the oscillator runs with HSEBYP set or clear.
+    /// Returns true if the oscillator runs with HSEBYP set or clear.
     fn starts(self, bypassed: bool) -> bool {
         match self {
             Self::Nothing => false,
@@ -45,18 +45,18 @@ impl HighSpeedInput {
 /// The clock controller.
 #[derive(Debug)]
 pub struct CrystalAware {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: Rcc,
-    /// What the board has.
+    /// The board's clock source.
     pub input: HighSpeedInput,
-    /// What the board had before the crystal stopped.
+    /// The board's clock source before the crystal stopped.
     pub stopped: Option<HighSpeedInput>,
 }
 
 impl CrystalAware {
-    /// The crystal, or the other chip's clock, stops. With the clock security system on, the hardware switches over to
-    /// the internal oscillator and says so in CSSF (RM0090, section 7.2.7), which asks for the NMI. Returns whether the core has lost
-    /// its clock, because it is off.
+    /// The crystal, or the other chip's clock, stops. With the clock security system on, the
+    /// hardware switches to the internal oscillator and sets CSSF (RM0090, section 7.2.7), which
+    /// requests the NMI. Returns true if the system is off, so that the core has lost its clock.
     pub fn stop_crystal(
         &mut self,
         registers: &mut RegisterFile,
@@ -70,7 +70,8 @@ impl CrystalAware {
         if is_guarded {
             self.model.fail_hse(registers, context);
         }
-        // SWS: 0 is the internal oscillator; 1 and 2 are the crystal and the PLL, which runs from it if PLLSRC says so.
+        // SWS: 0 is the internal oscillator; 1 and 2 are the crystal and the PLL, which runs from
+        // it if PLLSRC says so.
         let switched = registers.get(Register::Cfgr) >> 2 & 3;
         let pll_from_crystal = registers.get(Register::Pllcfgr) >> 22 & 1 == 1;
         is_used && !is_guarded && (switched == 1 || switched == 2 && pll_from_crystal)

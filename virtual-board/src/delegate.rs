@@ -1,8 +1,8 @@
-//! What a decorator of an emulated device passes on as it is.
+//! A macro that forwards calls of a decorator to the emulated device inside.
 //!
-//! Five devices here are rigless's own with something around it. Each writes the calls that it changes, and names
-//! the others in [`delegate!`](crate::delegate::delegate), which hands them to its field `model`. A call that a
-//! decorator leaves out would go to the trait's empty default, and the model would never hear of it.
+//! Five devices decorate one of rigless. Each implements the calls that it changes, and names the
+//! others in [`delegate!`](crate::delegate::delegate), which forwards them to the field `model`. A
+//! call that a decorator leaves out goes to the trait's empty default, so the model misses it.
 
 macro_rules! delegate {
     ($($method:ident)+) => { $($crate::delegate::delegate!(@ $method);)+ };
@@ -29,7 +29,9 @@ macro_rules! delegate {
     (@ read) => { $crate::delegate::delegate!(@@ read(register: Self::Register) -> Option<u64>); };
     (@ write) => { $crate::delegate::delegate!(@@ write(register: Self::Register, value: u64)); };
     (@ on_event) => { $crate::delegate::delegate!(@@ on_event(event: rigless::time::EventId)); };
-    (@ on_request) => { $crate::delegate::delegate!(@@ on_request(request: rigless::device::RequestChange)); };
+    (@ on_request) => {
+        $crate::delegate::delegate!(@@ on_request(request: rigless::device::RequestChange));
+    };
     (@ on_access) => { $crate::delegate::delegate!(@@ on_access(token: u64, value: u64)); };
     (@ on_refused) => { $crate::delegate::delegate!(@@ on_refused(token: u64)); };
     (@ on_clock) => { $crate::delegate::delegate!(@@ on_clock(hz: u64)); };

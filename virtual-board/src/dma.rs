@@ -1,7 +1,7 @@
 //! The DMA controller of the sensor's bus, with memory that may refuse.
 //!
-//! While the fault lasts, the bus answers the accesses of stream 0, which serves the receiver of I2C1, with an error:
-//! TEIF is set, and the hardware clears EN (RM0090, section 10.3.18).
+//! Stream 0 serves the receiver of I2C1. While the fault lasts, the bus answers its accesses with
+//! an error: TEIF is set, and the hardware clears EN (RM0090, section 10.3.18).
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::dma2::Register;
@@ -10,13 +10,14 @@ use rigless::soc::stm32f427::peripherals::dma::Dma;
 use crate::delegate::delegate;
 use crate::faults::{Fault, FaultKind, ScheduledFault, scheduled};
 
-/// rigless numbers the accesses of its streams two to a stream: to its source, and to its destination.
+/// rigless numbers the accesses of its streams two to a stream: to its source, and to its
+/// destination.
 const ACCESSES_OF_STREAM_0: std::ops::Range<u64> = 0..2;
 
 /// The controller.
 #[derive(Debug)]
 pub struct RefusedDma {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: Dma,
     faults: Vec<ScheduledFault>,
 }

@@ -1,8 +1,10 @@
-//! The external interrupt controller and the pin multiplexer in front of it (RM0090, sections 12.2, 12.3 and 9.3).
+//! The external interrupt controller and the pin multiplexer in front of it (RM0090, sections 12.2,
+//! 12.3 and 9.3).
 //!
-//! A pin's edge goes to the EXTI line of its number if SYSCFG_EXTICR routes its port there. The line's trigger
-//! registers decide whether the edge sets the pending bit, and the mask whether the pending bit interrupts the core.
-//! A masked line's pending bit is set all the same. A pending bit is cleared by writing one to it.
+//! A pin's edge goes to the EXTI line of its number if SYSCFG_EXTICR routes its port there. The
+//! line's trigger registers decide whether the edge sets the pending bit, and the mask whether the
+//! pending bit interrupts the core. A masked line's pending bit is set all the same. A pending bit
+//! is cleared by writing one to it.
 //!
 //! Not modelled: the event lines (EMR), and lines 16 to 22, which belong to other peripherals.
 
@@ -12,7 +14,8 @@ use rigless::soc::stm32f427::generated::{exti, syscfg};
 /// Lines that belong to pins.
 const PIN_LINES: u64 = 0xFFFF;
 
-/// The interrupts by their position in the part's description of the EXTI, each with the lines that share it.
+/// The interrupts by their position in the part's description of the EXTI, each with the lines that
+/// share it.
 const INTERRUPTS: [(usize, u64); 7] = [
     (1, 1 << 0),
     (2, 1 << 1),
@@ -27,7 +30,7 @@ const INTERRUPTS: [(usize, u64); 7] = [
 #[derive(Debug, Default)]
 pub struct Exti {
     pending: u64,
-    /// What each of [`INTERRUPTS`] was driven to last.
+    /// The last level of each of [`INTERRUPTS`].
     driven: [bool; INTERRUPTS.len()],
 }
 
@@ -101,7 +104,8 @@ impl Device for Syscfg {
     type Register = syscfg::Register;
 }
 
-/// Whether SYSCFG routes pin `pin` of port number `port` (A is 0) to the EXTI line of that number.
+/// Returns true if SYSCFG routes pin `pin` of port number `port` (A is 0) to the EXTI line of that
+/// number.
 #[must_use]
 pub fn routes(port: u8, pin: u8, registers: &RegisterFile) -> bool {
     let register = match pin / 4 {

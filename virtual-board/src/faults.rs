@@ -1,32 +1,37 @@
-//! What can go wrong on the virtual board, each at a time that a test, a schedule or a seed chooses.
+//! The faults of the virtual board. A test, a schedule or a seed chooses the time of each.
 //!
-//! Times are seconds of virtual time since power-up. [`FaultKind`] has the faults of a schedule, by name; each
-//! behaves as the silicon does, and says after which section of RM0090 or of the sensor's documents. [`Fault`] has
-//! besides them what only tests ask for.
+//! Times are seconds of virtual time since power-up. [`FaultKind`] lists the faults of a schedule
+//! by name. Each behaves as the silicon does; its comment cites the section of RM0090 or of the
+//! sensor's documents. [`Fault`] adds faults for tests alone.
 
 use std::fmt;
 use std::ops::Range;
 
-/// A way in which something goes wrong, with its parameter. As text it is its name and the parameter after a colon.
+/// A kind of fault with its parameter. Its text form is the name, and the parameter after a colon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FaultKind {
-    /// The sensor does not acknowledge its address, in the one direction if one is given: AF (RM0090, 27.3.4).
+    /// The sensor does not acknowledge its address, in the one direction if one is given: AF
+    /// (RM0090, 27.3.4).
     AddressNack(Option<Direction>),
-    /// The sensor does not acknowledge this byte of those written to it: 0 is the register number, 1 the first value.
+    /// The sensor does not acknowledge this byte of those written to it: 0 is the register number,
+    /// 1 the first value.
     DataNack(u8),
-    /// The sensor holds SCL low from the end of the byte on the wire (clock stretching, UM10204, 3.1.9): the
-    /// controller waits for as long as that takes (RM0090, 27.3.3).
+    /// The sensor holds SCL low from the end of the byte on the wire (clock stretching, UM10204,
+    /// 3.1.9). The controller waits for as long as that takes (RM0090, 27.3.3).
     BurstStall,
-    /// SDA is short-circuited to ground. With a number: the sensor has lost count in the middle of a byte, and lets
-    /// go of SDA after so many clocks, however long that takes (UM10204, 3.1.16).
+    /// SDA is short-circuited to ground. With a number: the sensor has lost count in the middle of
+    /// a byte. It lets go of SDA after so many clocks, however long that takes (UM10204, 3.1.16).
     SdaLow(Option<u8>),
     /// SCL is short-circuited to ground.
     SclLow,
-    /// A STOP lies in the middle of every byte: BERR, and the sensor is no longer addressed (RM0090, 27.3.4).
+    /// A STOP lies in the middle of every byte: BERR, and the sensor is no longer addressed
+    /// (RM0090, 27.3.4).
     BusError,
-    /// SDA is pulled low while the controller sends a one: ARLO, and the controller is one no longer (RM0090, 27.3.4).
+    /// SDA is pulled low while the controller sends a one: ARLO, and the controller is one no
+    /// longer (RM0090, 27.3.4).
     ArbitrationLost,
-    /// The memory refuses what the DMA stream of the sensor's bus writes: TEIF, and the stream stops (RM0090, 10.3.18).
+    /// The memory refuses what the DMA stream of the sensor's bus writes: TEIF, and the stream
+    /// stops (RM0090, 10.3.18).
     DmaError,
     /// The INT wire is open: the pin follows the microcontroller's own pull resistor, or stays low.
     IntMissing,
@@ -52,30 +57,33 @@ pub enum FaultKind {
     Saturated(Axis),
     /// The temperature registers read this, in °C.
     Temperature(f64),
-    /// The core executes nothing, as while the flash is erased (RM0090, 3.5.2): every interrupt is late.
+    /// The core executes nothing, as while the flash is erased (RM0090, 3.5.2): every interrupt is
+    /// late.
     CoreStall,
     /// Bytes come in on the UART without a pause.
     UartFlood,
-    /// The same, with noise and framing errors (RM0090, 30.3.3).
+    /// Bytes come in on the UART without a pause, with noise and framing errors (RM0090, 30.3.3).
     UartNoise,
     /// A debug probe that had made the log wait for it (as probe-rs does) is pulled off.
     ProbeDetach,
-    /// The crystal stops. With the clock security system on, CSSF is set, the core goes on from the internal
-    /// oscillator, and executes the NMI for as long as CSSF stays set (RM0090, 7.2.7). With it off, the core stops. The
-    /// crystal comes back at the end, if the duration is not zero.
+    /// The crystal stops. With the clock security system on, CSSF is set and the core continues
+    /// from the internal oscillator. It executes the NMI while CSSF stays set (RM0090, 7.2.7). With
+    /// it off, the core stops. The crystal comes back at the end, if the duration is not zero.
     CrystalDies,
-    /// The interrupt that the attitude task runs on is held back, as by another of its priority that takes too long.
+    /// The interrupt that the attitude task runs on is held back, as by another of its priority
+    /// that takes too long.
     AttitudeLate,
-    /// The processor is told to leave the Thumb state, as by a jump through a spoilt pointer: a usage fault, and as no
-    /// handler is enabled for that, a hard fault (PM0214, 2.4).
+    /// The processor leaves the Thumb state, as by a jump through a corrupted pointer. This is a
+    /// usage fault. As no handler is enabled for it, a hard fault follows (PM0214, 2.4).
     Crash,
-    /// The stack pointer comes so close to the end of the stack that the next exception finds no room.
+    /// The stack pointer comes so close to the end of the stack that the next exception finds no
+    /// room.
     StackOverflow,
     /// The core hangs until a reset, at the longest until the end, if the duration is not zero.
     WatchdogHang,
 }
 
-/// The direction of a transaction, as the address byte says.
+/// The direction of a transaction, from the address byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// To the sensor.
@@ -158,7 +166,7 @@ impl FaultKind {
 }
 
 impl FaultKind {
-    /// Whether it ends in a reset of the processor.
+    /// Returns true if the fault ends in a reset of the processor.
     #[must_use]
     pub fn resets(&self) -> bool {
         matches!(self, Self::WatchdogHang | Self::Crash | Self::StackOverflow)
@@ -189,9 +197,9 @@ impl fmt::Display for FaultKind {
 pub struct ScheduledFault {
     /// When it begins, ns since power-up.
     pub start_ns: u64,
-    /// How long it lasts, ns; zero for what happens once, or does not end by itself.
+    /// Duration, ns; zero if it happens once or does not end by itself.
     pub duration_ns: u64,
-    /// What it is.
+    /// The kind of fault.
     pub kind: FaultKind,
 }
 
@@ -207,7 +215,7 @@ impl ScheduledFault {
         }
     }
 
-    /// Whether it lasts at this time.
+    /// Returns true if the fault is active at this time.
     #[must_use]
     pub fn lasts(&self, now_ns: u64) -> bool {
         (self.start_ns..self.end_ns()).contains(&now_ns)
@@ -229,7 +237,8 @@ impl fmt::Display for ScheduledFault {
 
 /// A byte of a bus transaction that the sensor ought to acknowledge.
 ///
-/// Bytes that the sensor sends are acknowledged by the microcontroller, so no fault of the sensor's can refuse them.
+/// Bytes that the sensor sends are acknowledged by the microcontroller, so no fault of the sensor's
+/// can refuse them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusByte {
     /// The address with the write direction, after a start.
@@ -275,11 +284,12 @@ pub enum Fault {
     InterruptStuck(bool, Range<f64>),
     /// The sensor's supply fails for an instant, so that it restarts asleep.
     SensorReset(f64),
-    /// What the firmware receives on its UART is garbled: so many bytes in a million come with an error.
+    /// Garbles the bytes that the firmware receives on its UART: so many in a million arrive with
+    /// an error.
     ReceptionGarbled {
         /// With noise on a bit.
         noise_per_million: u32,
-        /// With a stop bit that is none.
+        /// With a wrong stop bit.
         framing_per_million: u32,
     },
     /// The crystal does not start, or the other chip's clock does not come.
@@ -304,7 +314,7 @@ pub fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// Whether a time is in a range of seconds.
+/// Returns true if a time is in a range of seconds.
 #[must_use]
 pub fn within(now_ns: u64, range: &Range<f64>) -> bool {
     (nanoseconds(range.start)..nanoseconds(range.end)).contains(&now_ns)

@@ -1,4 +1,5 @@
-//! The sensor as it is fitted to the board: on the I2C bus, its INT pin on a wire, and the faults in between.
+//! The sensor as it is fitted to the board: on the I2C bus, its INT pin on a wire, and the faults
+//! in between.
 
 use std::fmt;
 
@@ -27,17 +28,17 @@ pub struct FittedSensor {
     fault_times_ns: Vec<u64>,
     /// The level that the board saw last.
     wire_high: bool,
-    /// Whether the microcontroller pulls the INT pin up.
+    /// True if the microcontroller pulls the INT pin up.
     is_pulled_up: bool,
-    /// Whether the sensor has acknowledged its address, and there has been no STOP since.
+    /// True if the sensor has acknowledged its address, and there has been no STOP since.
     is_addressed: bool,
-    /// Whether it sends.
+    /// True if the sensor sends.
     is_sending: bool,
     /// The number of the byte that is written next, the register's first.
     written: u8,
     /// The register that the next byte concerns, as the bus shows it.
     pointer: Option<u8>,
-    /// What the bus has delivered in this transfer.
+    /// The bytes that the bus has delivered in this transfer.
     delivered: Vec<u8>,
     edges: Vec<DataReady>,
     bursts: Vec<Burst>,
@@ -98,12 +99,13 @@ impl FittedSensor {
         &self.faults
     }
 
-    /// Says whether the microcontroller pulls the INT pin up, which shows if the wire is open.
+    /// Sets the microcontroller's pull-up on the INT pin, which decides the level of an open wire.
     pub fn set_pull_up(&mut self, is_pulled_up: bool) {
         self.is_pulled_up = is_pulled_up;
     }
 
-    /// Brings the sensor up to `now_ns` and says when the INT wire has changed since the last call, and to what, in order.
+    /// Advances the sensor to `now_ns`. Returns the changes of the INT wire since the last call in
+    /// order, each with its time and level.
     pub fn advance_to(&mut self, now_ns: u64) -> Vec<(u64, bool)> {
         let mut changes = Vec::new();
         while let Some(&at_ns) = self
@@ -131,13 +133,13 @@ impl FittedSensor {
             .min()
     }
 
-    /// When the sensor has the registers of a reset and acknowledges nothing, as after power-up: until then, ns.
+    /// Returns the end of the sensor's start-up, ns, while it acknowledges nothing.
     #[must_use]
     pub fn ready_at_ns(&self) -> Option<u64> {
         self.sensor.ready_at_ns()
     }
 
-    /// Takes the data-ready edges since the last call, whatever became of them on the wire.
+    /// Takes the data-ready edges since the last call, also those that a fault kept from the wire.
     pub fn take_edges(&mut self) -> Vec<DataReady> {
         std::mem::take(&mut self.edges)
     }
@@ -147,24 +149,24 @@ impl FittedSensor {
         std::mem::take(&mut self.bursts)
     }
 
-    /// There is a STOP on the bus that the controller has not made.
-    pub fn hear_stop(&mut self, now_ns: u64) {
+    /// Processes a STOP on the bus that the controller has not made.
+    pub fn receive_stop(&mut self, now_ns: u64) {
         self.is_addressed = false;
         self.is_sending = false;
         self.sensor.stop(now_ns);
     }
 
-    /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte, and holds SDA until it
-    /// has had the rest of its clocks (UM10204, 3.1.16).
+    /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte. It
+    /// holds SDA until it has had the rest of its clocks (UM10204, 3.1.16).
     pub fn controller_restarts(&mut self, now_ns: u64) {
         if self.is_addressed && self.is_sending {
             let clocks = 1 + now_ns / 2_500 % 8;
             self.wires.lock().lose_count(clocks as u8);
         }
-        self.hear_stop(now_ns);
+        self.receive_stop(now_ns);
     }
 
-    /// What happens at the very instant at which faults begin or end.
+    /// Applies the faults that begin or end at this instant.
     fn begin_and_end(&mut self, at_ns: u64) {
         let restarts = self.faults.iter().any(|fault| match fault {
             Fault::SensorAbsent(range) => nanoseconds(range.end) == at_ns,
@@ -175,7 +177,7 @@ impl FittedSensor {
             _ => false,
         });
         if restarts {
-            self.hear_stop(at_ns);
+            self.receive_stop(at_ns);
             self.wires.lock().lose_count(0);
             self.sensor.power_up(at_ns);
         }
@@ -189,7 +191,7 @@ impl FittedSensor {
                     self.sensor.corrupt_register(at_ns, register, value);
                 }
                 FaultKind::SdaLow(Some(clocks)) => {
-                    self.hear_stop(at_ns);
+                    self.receive_stop(at_ns);
                     self.wires.lock().lose_count(clocks);
                 }
                 _ => {}
@@ -211,7 +213,8 @@ impl FittedSensor {
         self.sensor.set_output_faults(outputs);
     }
 
-    /// Steps the sensor through its events up to `now_ns`, so that no pulse is lost between two calls.
+    /// Steps the sensor through its events up to `now_ns`, so that no pulse is lost between two
+    /// calls.
     fn follow(&mut self, now_ns: u64, changes: &mut Vec<(u64, bool)>) {
         loop {
             let glitch_ns = self.next_glitch_ns(self.sensor.now_ns());
@@ -286,7 +289,7 @@ impl FittedSensor {
         })
     }
 
-    /// Whether the bus hears nothing of the sensor.
+    /// Returns true if the sensor does not answer on the bus.
     fn is_deaf(&self, now_ns: u64) -> bool {
         let is_silent = |fault: &Fault| match fault {
             Fault::SensorSilent(range) => within(now_ns, range),
@@ -296,7 +299,7 @@ impl FittedSensor {
         self.is_absent(now_ns) || self.faults.iter().any(is_silent)
     }
 
-    /// Whether a fault refuses this byte; each refusal of a counted fault counts.
+    /// Returns true if a fault refuses this byte. Counts the refusals of a counted fault.
     fn refuses(&mut self, now_ns: u64, kind: BusByte) -> bool {
         let number = self.written;
         self.faults.iter_mut().any(|fault| match fault {
@@ -324,7 +327,7 @@ impl FittedSensor {
     }
 }
 
-/// Whether a glitch lies on the wire.
+/// Returns true during a glitch on the wire.
 fn is_glitch(fault: &ScheduledFault, hz: u32, now_ns: u64) -> bool {
     let period_ns = 1_000_000_000 / u64::from(hz);
     let since_ns = now_ns.checked_sub(fault.start_ns + period_ns / 2);
@@ -357,7 +360,7 @@ impl Peer for FittedSensor {
         self.written = 0;
         self.delivered.clear();
         if self.wires.lock().take_stop() {
-            self.hear_stop(now_ns);
+            self.receive_stop(now_ns);
         }
         self.is_addressed = !self.is_deaf(now_ns)
             && !self.refuses(now_ns, kind)
@@ -373,9 +376,9 @@ impl Peer for FittedSensor {
         } else {
             BusByte::Value
         };
-        let is_heard = self.is_addressed && !self.is_deaf(now_ns) && !self.refuses(now_ns, kind);
+        let is_received = self.is_addressed && !self.is_deaf(now_ns) && !self.refuses(now_ns, kind);
         self.written = self.written.saturating_add(1);
-        if !is_heard {
+        if !is_received {
             return false;
         }
         self.pointer = Some(self.pointer.map_or(byte, |pointer| pointer.wrapping_add(1)));
@@ -414,6 +417,6 @@ impl Peer for FittedSensor {
     }
 
     fn stop(&mut self, context: &mut Timeline<'_, '_>) {
-        self.hear_stop(context.now().0);
+        self.receive_stop(context.now().0);
     }
 }

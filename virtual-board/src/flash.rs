@@ -1,14 +1,16 @@
-//! The calibration slots of the on-chip flash, which rigless keeps as the image left them: programming clears bits,
-//! erasing sets them, both take the datasheet's time, and the power can go in the middle of either.
+//! The calibration slots of the on-chip flash, which rigless does not change. Programming clears
+//! bits and erasing sets them. Both take the datasheet's time, and the power can fail in the middle
+//! of either.
 //!
-//! The cells are those of sectors 1 and 2 alone; the rest of the flash holds the image and cannot be written here. The
-//! core's accesses to the two sectors come here ([`Cells::read`], [`Cells::store`]) instead of to rigless's memory; the
-//! registers are rigless's, which models the keys, the lock and the erase's flags, and [`FlashInterface`] adds what
-//! programming does (RM0090, sections 3.6 and 3.9, as the STM32F405 has it).
+//! The cells are those of sectors 1 and 2 alone; the rest of the flash holds the image and cannot
+//! be written here. The core's accesses to the two sectors come here ([`Cells::read`],
+//! [`Cells::store`]) instead of to rigless's memory. The registers are rigless's, with the keys,
+//! the lock and the erase's flags. [`FlashInterface`] adds programming (RM0090, sections 3.6 and
+//! 3.9, for the STM32F405).
 //!
-//! While an operation runs, the core of a real chip waits at its next fetch from flash. Here the recorder holds the core
-//! until then ([`Cells::busy_until_ns`]); what it does between the operation's start and its next access to the
-//! interface is not held up.
+//! While an operation runs, the core of a real chip waits at its next fetch from flash. Here the
+//! recorder holds the core until then ([`Cells::busy_until_ns`]). Instructions between the
+//! operation's start and the next access to the interface are not delayed.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -29,8 +31,8 @@ pub const SLOT_BYTES: usize = 0x4000;
 /// The number of the first slot's sector.
 const FIRST_SECTOR: u64 = 1;
 
-/// The datasheet's longest erase of a 16 KiB sector, 32 bits at a time, and its longest programming of a word (STM32F405
-/// datasheet, table "Flash memory programming").
+/// The longest erase of a 16 KiB sector, 32 bits at a time, and the longest programming of a word
+/// (STM32F405 datasheet, table "Flash memory programming").
 const ERASE_NS: u64 = 500_000_000;
 const PROGRAM_NS: u64 = 100_000;
 
@@ -49,19 +51,19 @@ pub enum Step {
     Program {
         /// Its place from the first slot's start, in bytes.
         offset: usize,
-        /// What was asked for: cells keep the bits that both have.
+        /// The requested value. A cell stays set only where both old and new value have a one.
         word: u32,
     },
 }
 
-/// What both slots hold, and what happened to them.
+/// The contents of both slots, and their changes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FlashRecord {
     /// At the start of the run.
     before: Vec<u8>,
     /// At its end.
     pub bytes: Vec<u8>,
-    /// What was done to them, in order.
+    /// The changes, in order.
     pub steps: Vec<Step>,
 }
 
@@ -72,7 +74,7 @@ impl FlashRecord {
         Self::holding(vec![0xFF; 2 * SLOT_BYTES])
     }
 
-    /// Slots that hold this; what is missing is blank, and what is too much is left out.
+    /// Slots with these contents. Missing bytes are blank; bytes beyond the slots are left out.
     #[must_use]
     pub fn holding(mut bytes: Vec<u8>) -> Self {
         bytes.resize(2 * SLOT_BYTES, 0xFF);
@@ -83,8 +85,9 @@ impl FlashRecord {
         }
     }
 
-    /// What a power cut within step number `step` would have left: the steps before it whole, those after it not begun,
-    /// and of its own bits some old, some new, and of an erase, which first programs every cell, some neither.
+    /// Returns the slots after a power cut within step number `step`. The steps before it are
+    /// complete and those after it have not begun. Of its own bits some are old and some new; an
+    /// erase, which first programs every cell, leaves some that are neither.
     #[must_use]
     pub fn cut_in(&self, step: usize, seed: u64) -> Vec<u8> {
         let mut bytes = self.before.clone();
@@ -175,7 +178,7 @@ impl Cells {
         self.busy_until_ns
     }
 
-    /// What the core reads.
+    /// Returns the value that the core reads.
     #[must_use]
     pub fn read(&self, address: u64, width: Width) -> u64 {
         let start = (address - SLOTS.start) as usize;
@@ -186,7 +189,7 @@ impl Cells {
             .fold(0, |value, &byte| value << 8 | u64::from(byte))
     }
 
-    /// The core stores: it programs, or raises the flag that says why not (RM0090, section 3.6.4 and 3.9.5).
+    /// Programs what the core stores, or raises the error flag (RM0090, sections 3.6.4 and 3.9.5).
     pub fn store(&mut self, now: VirtualNanos, address: u64, width: Width, value: u64) {
         let is_ready = cr::PG.is_set(self.control)
             && !cr::LOCK.is_set(self.control)
@@ -215,7 +218,7 @@ impl Cells {
 /// The interface's registers.
 #[derive(Debug)]
 pub struct FlashInterface {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: Flash,
     /// The cells behind it.
     pub cells: SharedCells,

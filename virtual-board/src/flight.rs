@@ -5,7 +5,7 @@
 //! use virtual_board::flight::Run;
 //!
 //! let outcome = Run::new("flight.elf").seed(7).seconds(3.0).fault(Fault::NoCrystal).run()?;
-//! assert!(outcome.says("no crystal"));
+//! assert!(outcome.reports("no crystal"));
 //! # Ok::<(), virtual_board::Error>(())
 //! ```
 
@@ -25,7 +25,7 @@ use crate::faults::{Fault, ScheduledFault, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
-use crate::mcu::{Microcontroller, SaidByte, Terminal};
+use crate::mcu::{Microcontroller, SentByte, Terminal};
 use crate::probe::{LogLine, Probe};
 use crate::profile::Profile;
 use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
@@ -36,17 +36,17 @@ use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::{Motion, Mount};
 use aplomb_models::sensor::{Sensor, SensorConfig, SensorErrors};
 
-/// A run that is yet to be made.
+/// The settings of a run.
 pub struct Run {
     firmware: PathBuf,
     board: BoardModel,
     seed: u64,
     seconds: f64,
     mount: Mount,
-    /// The motion, and whether it is a recording: then the sensor adds no errors of its own.
+    /// The motion, and true if it is a recording: then the sensor adds no errors of its own.
     motion: Option<(Box<dyn Motion>, bool)>,
     faults: Vec<Fault>,
-    script: Vec<SaidByte>,
+    script: Vec<SentByte>,
     errors: Option<SensorErrors>,
     flash: FlashRecord,
     has_probe: bool,
@@ -56,7 +56,8 @@ pub struct Run {
 }
 
 impl Run {
-    /// A run of an image: 30 s of the simulated flight of seed 1 on the first board, with a probe, without faults.
+    /// A run of an image: 30 s of the simulated flight of seed 1 on the first board, with a probe,
+    /// without faults.
     #[must_use]
     pub fn new(firmware: impl Into<PathBuf>) -> Self {
         Self {
@@ -84,35 +85,35 @@ impl Run {
         self
     }
 
-    /// How long it runs, in virtual seconds from power-up.
+    /// Sets the length of the run, in virtual seconds from power-up.
     #[must_use]
     pub fn seconds(mut self, seconds: f64) -> Self {
         self.seconds = seconds;
         self
     }
 
-    /// On which board.
+    /// Selects the board.
     #[must_use]
     pub fn board(mut self, board: BoardModel) -> Self {
         self.board = board;
         self
     }
 
-    /// How the sensor sits in the vehicle. The image must have been built for the same mount.
+    /// Mounts the sensor in the vehicle. The image must have been built for the same mount.
     #[must_use]
     pub fn mount(mut self, mount: Mount) -> Self {
         self.mount = mount;
         self
     }
 
-    /// Moves the board otherwise than by the simulated flight.
+    /// Moves the board by this motion instead of the simulated flight.
     #[must_use]
     pub fn motion(mut self, motion: impl Motion + 'static) -> Self {
         self.motion = Some((Box::new(motion), false));
         self
     }
 
-    /// The same, for a motion that has been chosen at run time.
+    /// Moves the board by a motion that is chosen at run time.
     #[must_use]
     pub fn boxed_motion(mut self, motion: Box<dyn Motion>) -> Self {
         self.motion = Some((motion, false));
@@ -133,25 +134,27 @@ impl Run {
         self
     }
 
-    /// Says a line to the UART, `at_s` seconds after power-up or as soon as the lines before it are through.
+    /// Sends a line to the UART, `at_s` seconds after power-up or as soon as the lines before it
+    /// have been sent.
     #[must_use]
     pub fn command(self, at_s: f64, line: &str) -> Self {
-        self.says(at_s, format!("{line}\n").as_bytes())
+        self.send(at_s, format!("{line}\n").as_bytes())
     }
 
-    /// Says these commands.
+    /// Sends the commands of a script.
     #[must_use]
     pub fn commands(self, script: &Script) -> Self {
         let lines = script.lines().iter();
         lines.fold(self, |run, (at_s, line)| run.command(*at_s, line))
     }
 
-    /// Says bytes to the UART, `at_s` seconds after power-up or as soon as those before them are through.
+    /// Sends bytes to the UART, `at_s` seconds after power-up or as soon as those before them have
+    /// been sent.
     #[must_use]
-    pub fn says(mut self, at_s: f64, bytes: &[u8]) -> Self {
+    pub fn send(mut self, at_s: f64, bytes: &[u8]) -> Self {
         let at_ns = nanoseconds(at_s);
-        let said = bytes.iter().map(|&byte| SaidByte { at_ns, byte });
-        self.script.extend(said);
+        let sent = bytes.iter().map(|&byte| SentByte { at_ns, byte });
+        self.script.extend(sent);
         self
     }
 
@@ -191,14 +194,14 @@ impl Run {
         self
     }
 
-    /// Accounts for no instructions, which is quicker.
+    /// Keeps no account of instructions, which is faster.
     #[must_use]
     pub fn without_account(mut self) -> Self {
         self.has_account = false;
         self
     }
 
-    /// Shows the run to somebody while it goes on.
+    /// Reports the run to an observer while it goes on.
     #[must_use]
     pub fn observer(mut self, observer: impl Observer + 'static) -> Self {
         self.observer = Box::new(observer);
@@ -210,67 +213,18 @@ impl Run {
     /// # Errors
     ///
     /// When the image cannot be used, or the emulator gives up.
-    pub fn run(self) -> Result<Outcome, Error> {
+    pub fn run(mut self) -> Result<Outcome, Error> {
         let firmware = Firmware::read(&self.firmware)?;
-        let (motion, is_recording) = match self.motion {
-            Some(motion) => motion,
-            None => (
-                Box::new(Quadrotor::by_seed(self.seed)) as Box<dyn Motion>,
-                false,
-            ),
-        };
-        let config = if is_recording {
-            SensorConfig::for_recording(self.seed)
-        } else {
-            SensorConfig::new(self.seed)
-        };
-        let sensor = Sensor::new(
-            SensorConfig {
-                mount: self.mount,
-                errors: self.errors.unwrap_or(config.errors),
-                ..config
-            },
-            motion,
-        );
-        let input = if self.faults.contains(&Fault::NoCrystal) {
-            HighSpeedInput::Nothing
-        } else {
-            self.board.input
-        };
+        let scheduled: Vec<ScheduledFault> = scheduled(&self.faults).copied().collect();
         let timer_starts_at = self.faults.iter().find_map(|fault| match fault {
             Fault::TimerStartsAt(count) => Some(*count),
             _ => None,
         });
-        let scheduled: Vec<ScheduledFault> = scheduled(&self.faults).copied().collect();
-        let garbled = self.faults.iter().find_map(|fault| match fault {
-            Fault::ReceptionGarbled {
-                noise_per_million,
-                framing_per_million,
-            } => Some((*noise_per_million, *framing_per_million)),
-            _ => None,
-        });
-        let cells = SharedCells::new(self.flash);
-        let mut controller = Microcontroller::new(
-            FittedSensor::new(sensor, self.faults),
-            input,
-            Terminal::new(&self.script),
-            cells.clone(),
-        )
-        .map_err(Error::emulator)?;
-        if let Some((noise, framing)) = garbled {
-            controller.garble_reception(self.seed, noise, framing);
-        }
-        let profile = if self.steps_everything {
-            Profile::stepping_everything()
-        } else if !self.has_account {
-            Profile::crashes_only()
-        } else {
-            Profile::default()
-        };
-        let profile = Arc::new(Mutex::new(profile));
+        let profile = Arc::new(Mutex::new(self.profile()));
+        let cells = SharedCells::new(self.flash.clone());
         let board = Board::new(
             self.board,
-            controller,
+            self.controller(cells.clone())?,
             firmware.handlers.clone(),
             Arc::clone(&profile),
             cells.clone(),
@@ -301,33 +255,98 @@ impl Run {
             return Err(Error::emulator(error));
         }
         let record = finished.driver.into_record();
-        let remarks = remarks(&finished.session, &profile);
+        let issues = issues(&finished.session, &profile);
         Ok(Outcome {
             summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
             uart_lines: lines(&record),
             record,
             faults: scheduled,
             flash: cells.record(),
-            remarks,
+            issues,
         })
+    }
+
+    /// Returns the sensor on its motion. Takes the motion out of the settings.
+    fn sensor(&mut self) -> Sensor {
+        let (motion, is_recording) = match self.motion.take() {
+            Some(motion) => motion,
+            None => (
+                Box::new(Quadrotor::by_seed(self.seed)) as Box<dyn Motion>,
+                false,
+            ),
+        };
+        let config = if is_recording {
+            SensorConfig::for_recording(self.seed)
+        } else {
+            SensorConfig::new(self.seed)
+        };
+        Sensor::new(
+            SensorConfig {
+                mount: self.mount,
+                errors: self.errors.take().unwrap_or(config.errors),
+                ..config
+            },
+            motion,
+        )
+    }
+
+    /// Returns the microcontroller with the sensor, the faults and the script. Takes the motion and
+    /// the faults out of the settings.
+    fn controller(&mut self, cells: SharedCells) -> Result<Microcontroller, Error> {
+        let input = if self.faults.contains(&Fault::NoCrystal) {
+            HighSpeedInput::Nothing
+        } else {
+            self.board.input
+        };
+        let garbled = self.faults.iter().find_map(|fault| match fault {
+            Fault::ReceptionGarbled {
+                noise_per_million,
+                framing_per_million,
+            } => Some((*noise_per_million, *framing_per_million)),
+            _ => None,
+        });
+        let sensor = self.sensor();
+        let mut controller = Microcontroller::new(
+            FittedSensor::new(sensor, std::mem::take(&mut self.faults)),
+            input,
+            Terminal::new(&self.script),
+            cells,
+        )
+        .map_err(Error::emulator)?;
+        if let Some((noise, framing)) = garbled {
+            controller.garble_reception(self.seed, noise, framing);
+        }
+        Ok(controller)
+    }
+
+    /// Returns the account of instructions that the settings ask for.
+    fn profile(&self) -> Profile {
+        if self.steps_everything {
+            Profile::stepping_everything()
+        } else if !self.has_account {
+            Profile::crashes_only()
+        } else {
+            Profile::default()
+        }
     }
 }
 
-/// What came of a run.
+/// The outcome of a run.
 #[derive(Debug)]
 pub struct Outcome {
     /// The figures.
     pub summary: Summary,
     /// The lines that came out of the UART.
     pub uart_lines: Vec<UartLine>,
-    /// Everything that was noted.
+    /// The record of the run.
     pub record: Record,
     /// The faults of the schedule.
     pub faults: Vec<ScheduledFault>,
     /// The calibration slots, and what was done to them.
     pub flash: FlashRecord,
-    /// What the firmware did that this board cannot do, and what the emulator could not account for. Empty if all is well.
-    pub remarks: Vec<String>,
+    /// Accesses that the board does not model, resets, and gaps in the account of instructions.
+    /// Empty in a sound run.
+    pub issues: Vec<String>,
 }
 
 /// A line from the UART.
@@ -352,15 +371,15 @@ impl Outcome {
         &self.record.log
     }
 
-    /// Whether both outputs, UART and log, have a line that contains this.
+    /// Returns true if both outputs, UART and log, have a line that contains this text.
     #[must_use]
-    pub fn says(&self, text: &str) -> bool {
-        self.uart_says(text) && self.log().iter().any(|line| line.text.contains(text))
+    pub fn reports(&self, text: &str) -> bool {
+        self.uart_reports(text) && self.log().iter().any(|line| line.text.contains(text))
     }
 
-    /// Whether the UART has a line that contains this.
+    /// Returns true if the UART has a line that contains this text.
     #[must_use]
-    pub fn uart_says(&self, text: &str) -> bool {
+    pub fn uart_reports(&self, text: &str) -> bool {
         self.uart_lines.iter().any(|line| line.text.contains(text))
     }
 }
@@ -368,10 +387,10 @@ impl Outcome {
 /// The UART's bytes as lines.
 fn lines(record: &Record) -> Vec<UartLine> {
     record
-        .heard
-        .split_inclusive(|heard| heard.byte == b'\n')
+        .received
+        .split_inclusive(|received| received.byte == b'\n')
         .filter_map(|line| {
-            let bytes: Vec<u8> = line.iter().map(|heard| heard.byte).collect();
+            let bytes: Vec<u8> = line.iter().map(|received| received.byte).collect();
             let text = String::from_utf8_lossy(&bytes).trim_end().to_owned();
             line.last().map(|last| UartLine {
                 at_ns: last.at_ns,
@@ -381,20 +400,20 @@ fn lines(record: &Record) -> Vec<UartLine> {
         .collect()
 }
 
-/// What the run met that it should not have.
-fn remarks(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
-    let mut remarks: Vec<String> = session
+/// Lists the events that a sound run does not have.
+fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
+    let mut issues: Vec<String> = session
         .unmapped()
         .iter()
         .map(|unmapped| format!("no such address: {unmapped}"))
         .collect();
-    remarks.extend(
+    issues.extend(
         session
             .refused()
             .iter()
             .map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")),
     );
-    remarks.extend(
+    issues.extend(
         session
             .unimplemented()
             .values()
@@ -406,18 +425,18 @@ fn remarks(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
                 )
             }),
     );
-    remarks.extend(
+    issues.extend(
         session
             .unrouted()
             .iter()
             .map(|unrouted| format!("an interrupt without a line: {unrouted:?}")),
     );
-    remarks.extend(
+    issues.extend(
         session
             .told()
-            .map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason)),
+            .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason)),
     );
-    remarks.extend(
+    issues.extend(
         session
             .resets()
             .iter()
@@ -425,9 +444,9 @@ fn remarks(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
     );
     let unexplained = profile.lock().map_or(1, |profile| profile.unexplained());
     if unexplained > 0 {
-        remarks.push(format!(
+        issues.push(format!(
             "{unexplained} changes of context that the instruction account cannot explain"
         ));
     }
-    remarks
+    issues
 }

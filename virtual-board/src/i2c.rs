@@ -1,18 +1,22 @@
 //! The I2C controller with what rigless leaves out: CR2.LAST, and lines that do not follow.
 //!
-//! | what | where |
-//! |---|---|
-//! | With CR2.LAST set, the last byte that the DMA takes is not acknowledged, so the sensor lets go of the bus and the STOP that follows is clean | RM0090, 27.3.7 |
-//! | While SCL is held low no byte ends: it ends once SCL is free | 27.3.3 |
-//! | SDA low where a one is sent is ARLO: the transfer ends, MSL is cleared, BUSY stays | 27.3.4 |
-//! | A START or STOP of somebody else's within a byte is BERR; the transfer goes on, whatever the sensor makes of it | 27.3.4 |
-//! | BUSY is set while a line is low, and only a STOP on the lines, or SWRST, clears it: SDA rising with SCL high is one | 27.6.7 |
-//! | START and STOP are not carried out while a line is low, and read back set | 27.6.1 |
-//! | A STOP asked for by who is not controller changes nothing | 27.6.1 |
-//! | BERR and ARLO raise the error interrupt under ITERREN, and a written zero or PE = 0 clears them | 27.4, 27.6.6 |
+//! Sections are those of RM0090.
 //!
-//! Both errors are seen at the end of the byte, up to 22 µs later than on silicon, and what happens between two bits
-//! is not modelled.
+//! - With CR2.LAST set, the last byte that the DMA takes is not acknowledged. The sensor then lets
+//!   go of the bus, and the STOP that follows is clean (27.3.7).
+//! - While SCL is held low no byte ends: it ends once SCL is free (27.3.3).
+//! - SDA low where a one is sent is ARLO: the transfer ends, MSL is cleared, BUSY stays (27.3.4).
+//! - A START or STOP of another device within a byte is BERR. The transfer continues, whatever the
+//!   sensor does (27.3.4).
+//! - BUSY is set while a line is low. Only SWRST or a STOP on the lines clears it; SDA rising with
+//!   SCL high is a STOP (27.6.7).
+//! - START and STOP are not carried out while a line is low, and read back set (27.6.1).
+//! - A STOP requested while the peripheral is not the controller changes nothing (27.6.1).
+//! - BERR and ARLO raise the error interrupt under ITERREN. A written zero or PE = 0 clears them
+//!   (27.4, 27.6.6).
+//!
+//! Both errors show at the end of the byte, up to 22 µs later than on silicon. Events between two
+//! bits are not modelled.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
 use rigless::soc::stm32f427::generated::dma2;
@@ -25,7 +29,8 @@ use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
 use crate::wires::SharedWires;
 
-/// The channel and the streams of DMA1 that serve I2C1's receiver (RM0090, table 42), by their control and count registers.
+/// The channel and the streams of DMA1 that serve I2C1's receiver (RM0090, table 42), by their
+/// control and count registers.
 const RECEIVE_CHANNEL: u64 = 1;
 const RECEIVE_STREAMS: [(dma2::Register, dma2::Register); 2] = [
     (dma2::Register::S0cr, dma2::Register::S0ndtr),
@@ -52,28 +57,29 @@ pub fn items_left(dma1: &RegisterFile) -> Option<u64> {
 /// The controller.
 #[derive(Debug)]
 pub struct WiredI2c {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: I2c,
-    /// What [`items_left`] says; whoever calls the controller sets it first.
+    /// The result of [`items_left`]. The caller sets it before each call.
     pub items_left: Option<u64>,
-    /// Whether the pins are the controller's; whoever calls it sets this first.
+    /// True if the pins are connected to the controller. The caller sets it before each call.
     pub is_connected: bool,
     wires: SharedWires,
     /// The scheduled faults of the controller's own: bus errors and lost arbitration.
     faults: Vec<ScheduledFault>,
-    /// A byte's end that waits for the clock: the event that ends the wait, and the one that ends the byte.
+    /// The delayed end of a byte: the event that ends the wait for the clock, and the event that
+    /// ends the byte.
     delayed: Option<(EventId, EventId)>,
     /// START and STOP that wait for the lines.
     waiting: u64,
-    /// Whether the byte on the wire is an address.
+    /// True if the byte on the wire is an address.
     is_addressing: bool,
     /// The direction of the transfer, from the last address.
     is_reading: bool,
     /// The byte that is sent.
     sent: u8,
-    /// Whether SDA was high when it was looked at last.
+    /// True if SDA was high at the last check.
     was_data_high: bool,
-    /// Whether one of the errors of this layer interrupts.
+    /// True if one of the errors of this layer interrupts.
     interrupts: bool,
 }
 
@@ -136,7 +142,7 @@ impl WiredI2c {
             .any(|fault| fault.kind == kind && fault.lasts(context.now().0))
     }
 
-    /// Hands a value of CR1 on to the model, less what it would misunderstand.
+    /// Passes a value of CR1 to the model, without the bits that the model would misunderstand.
     fn pass_control(
         &mut self,
         value: u64,
@@ -229,7 +235,7 @@ impl WiredI2c {
             let status = registers.get(Register::Sr1);
             registers.set(Register::Sr1, sr1::BERR.set(status, 1));
             if let Some(sensor) = self.model.chip_mut::<FittedSensor>(0) {
-                sensor.hear_stop(now_ns);
+                sensor.receive_stop(now_ns);
             }
         }
         let control = registers.get(Register::Cr2);
@@ -332,7 +338,7 @@ impl Device for WiredI2c {
 }
 
 impl WiredI2c {
-    /// What a reset leaves of this layer.
+    /// Resets this layer.
     pub fn forget(&mut self) {
         self.delayed = None;
         self.waiting = 0;

@@ -1,4 +1,4 @@
-//! What the virtual board needs to know of a firmware image, from its ELF file.
+//! The facts about a firmware image that the virtual board needs, from its ELF file.
 
 use std::fs;
 use std::ops::Range;
@@ -20,7 +20,8 @@ pub struct Firmware {
     pub path: PathBuf,
     /// The ELF file.
     pub bytes: Vec<u8>,
-    /// The address of `APLOMB_SNAPSHOT`, if the image publishes its attitudes there. Of another only the log shows.
+    /// The address of `APLOMB_SNAPSHOT`, if the image publishes its attitudes there. Any other
+    /// image shows only its log.
     pub snapshot: Option<u64>,
     /// The address of `APLOMB_HEALTH`, if the image has it.
     pub health: Option<u64>,
@@ -32,7 +33,8 @@ pub struct Firmware {
     pub stack: Range<u64>,
     /// Bytes that the image occupies in flash: its loaded segments.
     pub flash_bytes: u64,
-    /// Bytes of RAM that have an address at link time: initialised, zeroed and uninitialised data, not the stack.
+    /// Bytes of RAM that have an address at link time: initialised, zeroed and uninitialised data,
+    /// not the stack.
     pub ram_bytes: u64,
 }
 
@@ -103,7 +105,7 @@ impl Firmware {
     }
 }
 
-/// Whether a section is part of the memory image and can be written.
+/// Returns true if a section is part of the memory image and can be written.
 fn is_data(flags: SectionFlags) -> bool {
     let wanted = u64::from(SHF_ALLOC | SHF_WRITE);
     matches!(flags, SectionFlags::Elf { sh_flags } if sh_flags & wanted == wanted)

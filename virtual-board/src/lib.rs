@@ -1,17 +1,18 @@
-//! An emulated STM32F4 board with a modelled MPU-6050, on which aplomb's firmware image flies unchanged.
+//! An emulated STM32F4 board with a modelled MPU-6050, on which aplomb's firmware image flies
+//! unchanged.
 //!
-//! | module | what it is |
+//! | module | contents |
 //! |---|---|
 //! | [`fitted`], [`wires`] | the sensor on its wires |
-//! | [`faults`], [`schedule`] | what can go wrong, and when |
-//! | [`mcu`], [`exti`], [`i2c`], [`dma`], [`crystal`] | the microcontroller, and what rigless's model of it lacks |
+//! | [`faults`], [`schedule`] | the faults, and their times |
+//! | [`mcu`], [`exti`], [`i2c`], [`dma`], [`crystal`] | the microcontroller |
 //! | [`board`] | the boards and their cores |
 //! | [`image`] | the firmware image |
-//! | [`profile`] | which interrupt executes how many instructions |
+//! | [`profile`] | the number of instructions that each interrupt executes |
 //! | [`probe`] | a debug probe that reads the log |
-//! | [`recorder`] | what is noted during a run |
+//! | [`recorder`] | the record of a run |
 //! | [`flight`], [`summary`] | a run, and its figures |
-//! | [`campaign`] | flights by chance with faults by chance, and what must hold in them |
+//! | [`campaign`] | random flights with random faults, and their rules |
 //! | [`outputs`], [`plot`] | the files that a flight leaves |
 //!
 //! The sensor and the motion are those of `aplomb-models`.

@@ -1,4 +1,5 @@
-//! `fly --live`: the board in real time, its UART on standard output and standard input, as if it hung on a port.
+//! `fly --live`: the board in real time, with its UART on standard output and standard input, as on
+//! a serial port.
 
 use std::io::{self, BufRead, Write};
 use std::process;
@@ -6,18 +7,20 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use virtual_board::mcu::HeardByte;
+use virtual_board::mcu::ReceivedByte;
 use virtual_board::recorder::Observer;
 
-/// Virtual time may be ahead of real time by this much: shorter sleeps cost more than they are worth.
+/// Virtual time may be ahead of real time by this much: shorter sleeps cost more than they are
+/// worth.
 const AHEAD: Duration = Duration::from_millis(5);
 
-/// Whoever falls behind by more, on a busy computer, does not hurry to make up for it.
+/// After a delay longer than this, on a busy computer, the run does not catch up.
 const BEHIND: Duration = Duration::from_millis(200);
 
-/// Keeps the run to real time and carries the UART's bytes. Ends the program when nobody listens or speaks any more.
+/// Keeps the run to real time and transports the UART's bytes. Ends the program when standard
+/// output or input is closed.
 pub struct Live {
-    /// When virtual time began, as far as real time goes.
+    /// The real time at which virtual time began.
     started: Instant,
     lines: Receiver<String>,
 }
@@ -54,9 +57,9 @@ impl Live {
 }
 
 impl Observer for Live {
-    fn uart(&mut self, now_ns: u64, heard: &[HeardByte]) -> Vec<u8> {
+    fn uart(&mut self, now_ns: u64, received: &[ReceivedByte]) -> Vec<u8> {
         self.keep_pace(now_ns);
-        let bytes: Vec<u8> = heard.iter().map(|heard| heard.byte).collect();
+        let bytes: Vec<u8> = received.iter().map(|received| received.byte).collect();
         let mut output = io::stdout().lock();
         let written = output.write_all(&bytes).and_then(|()| output.flush());
         if written.is_err() {

@@ -1,4 +1,5 @@
-//! `virtual-board fly`: flies a firmware image on the virtual board and leaves what came of it in a folder.
+//! `virtual-board fly`: flies a firmware image on the virtual board and writes the results to a
+//! folder.
 
 mod live;
 
@@ -28,7 +29,7 @@ use virtual_board::script::Script;
 
 use live::Live;
 
-/// How long the simulated flight is shown unless told otherwise, s.
+/// Default length of the simulated flight, s.
 const SECONDS: f64 = 30.0;
 
 /// The longest run, s.
@@ -74,11 +75,14 @@ struct Fly {
     /// The firmware image; `cargo xtask fly` builds it and gives it.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
-    /// Replay a recording instead of the simulated flight: CSV, plain or gzip, `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
+    /// Replay a recording instead of the simulated flight: CSV, plain or gzip,
+    /// `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
-    /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up, z-down.
-    #[arg(long, value_name = "MOUNT", default_value = "z-up", allow_hyphen_values = true, value_parser = mount)]
+    /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up,
+    /// z-down.
+    #[arg(long, value_name = "MOUNT", default_value = "z-up", value_parser = mount)]
+    #[arg(allow_hyphen_values = true)]
     mount: Mount,
     /// Virtual seconds from power-up. Default: 30, or the whole recording.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
@@ -86,22 +90,25 @@ struct Fly {
     /// Seeds the flight and the sensor's errors.
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
-    /// Let things go wrong: a file with a line `start_s duration_s fault` for each fault, or seed:N for faults by chance.
+    /// Let things go wrong: a file with a line `start_s duration_s fault` for each fault, or seed:N
+    /// for faults by chance.
     #[arg(long, value_name = "FILE|seed:N")]
     faults: Option<String>,
-    #[arg(long, value_name = "NAME", help = format!("The board: {}", board_names()), default_value = BOARDS[0].name, value_parser = board)]
+    #[arg(long, value_name = "NAME", default_value = BOARDS[0].name, value_parser = board)]
+    #[arg(help = format!("The board: {}", board_names()))]
     board: BoardModel,
     /// Say commands to the UART: a file with lines such as `2.5 status`, seconds and command.
     #[arg(long, value_name = "FILE")]
     commands: Option<PathBuf>,
-    /// Keep the calibration slots in this file: read at the start if it is there, written at the end.
+    /// Keep the calibration slots in this file: read at the start if it is there, written at the
+    /// end.
     #[arg(long, value_name = "FILE")]
     flash: Option<PathBuf>,
     /// Where the files go.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
-    /// Fly in real time, for a day unless told otherwise: the UART's bytes go to standard output, and lines from standard input to
-    /// the UART, until that ends. No files are written.
+    /// Fly in real time, for a day by default. The UART's bytes go to standard output. Lines from
+    /// standard input go to the UART, until that ends. No files are written.
     #[arg(long, conflicts_with_all = ["output", "flash"])]
     live: bool,
 }
@@ -220,8 +227,8 @@ fn fly(options: &Fly) -> Result<(), String> {
     }
     println!("\n{}", table(&outcome));
     println!("written to {}", options.output.display());
-    for remark in &outcome.remarks {
-        eprintln!("warning: {remark}");
+    for issue in &outcome.issues {
+        eprintln!("warning: {issue}");
     }
     if outcome.samples().is_empty() {
         return Err("the firmware published no attitude".into());
@@ -229,8 +236,8 @@ fn fly(options: &Fly) -> Result<(), String> {
     Ok(())
 }
 
-/// What went wrong, and how to see it again.
-fn tell_failure(case: &Case, report: &Report) {
+/// Prints the failures of a case, and the command that repeats it.
+fn print_failure(case: &Case, report: &Report) {
     println!("seed {}:", case.seed);
     for failure in &report.failures {
         println!("  {failure}");
@@ -272,7 +279,7 @@ fn faults(options: &Faults) -> Result<(), String> {
                     if !report.failures.is_empty() {
                         *failed += 1;
                         bar.set_message(format!("{failed} failed,"));
-                        bar.suspend(|| tell_failure(&case, &report));
+                        bar.suspend(|| print_failure(&case, &report));
                     }
                     bar.inc(1);
                     let flown = bar.position();

@@ -1,16 +1,16 @@
 //! The files that a flight leaves in its output folder.
 //!
-//! | file | what it holds |
+//! | file | contents |
 //! |---|---|
-//! | `attitude.csv` | a row per published sample: what the firmware published |
-//! | `bursts.csv` | a row per published sample: the bytes that the bus delivered for it, and what the board said of them |
-//! | `truth.csv` | a row per published sample: how the board really moved at its edge, as far as that is known |
+//! | `attitude.csv` | a row per published sample: the published snapshot |
+//! | `bursts.csv` | a row per published sample: its bytes from the bus, and the board's flags |
+//! | `truth.csv` | a row per published sample: the true motion at its edge, where it is known |
 //! | `uart.log` | the UART's bytes |
 //! | `attitude.png` | estimate against truth, and the error |
 //! | `summary.json` | the figures |
 //!
-//! The rows of the three tables belong together by their times, which are the firmware's. Numbers are in their shortest
-//! form that reads back as the same number. Flags are names joined by `|`.
+//! The rows of the three tables belong together by their times, which are the firmware's. Numbers
+//! are in their shortest form that reads back as the same number. Flags are names joined by `|`.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -40,9 +40,9 @@ pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Er
     in_file(folder, "uart.log", |file| {
         let bytes: Vec<u8> = outcome
             .record
-            .heard
+            .received
             .iter()
-            .map(|heard| heard.byte)
+            .map(|received| received.byte)
             .collect();
         file.write_all(&bytes)
     })?;
@@ -77,7 +77,8 @@ fn in_file(
 pub fn write_attitude(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
     writeln!(
         to,
-        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags"
+        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
+         roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags"
     )?;
     for sample in samples {
         let snapshot = &sample.snapshot;
@@ -134,7 +135,8 @@ pub fn write_bursts(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
 pub fn write_truth(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
     writeln!(
         to,
-        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,scored"
+        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
+         roll_rate_dps,pitch_rate_dps,yaw_rate_dps,scored"
     )?;
     for sample in samples {
         let Some(truth) = sample.edge.map(|edge| edge.truth) else {

@@ -1,5 +1,5 @@
-//! `attitude.png`: roll, pitch and yaw against the truth, and the inclination error, over time. In a flight with faults
-//! these are shaded and named, and a row for each flag shows when it was set.
+//! `attitude.png`: roll, pitch and yaw against the truth, and the inclination error, over time. In
+//! a flight with faults these are shaded and named, and a row for each flag shows when it was set.
 
 use aplomb::health::Flags;
 
@@ -16,7 +16,7 @@ use aplomb_plot::timeline::Trace;
 /// The picture, in pixels.
 const SIZE: (u32, u32) = (1600, 1280);
 
-/// What the picture says about the flight.
+/// The texts of the picture.
 #[derive(Clone, Debug)]
 pub struct Labels {
     /// The first line, for instance the board and the motion.
@@ -60,7 +60,8 @@ fn time_s(sample: &Sample) -> f64 {
     sample.published_ns as f64 * 1e-9
 }
 
-/// The faults, and what the firmware said of them: a lane for each flag that is ever set. Nothing if nothing was to go wrong.
+/// Returns the faults, and a lane for each flag that is ever set. Empty without a schedule of
+/// faults.
 fn what_went_wrong(outcome: &Outcome) -> (Vec<Shade>, Vec<Lane>) {
     if outcome.faults.is_empty() {
         return Default::default();
@@ -147,7 +148,8 @@ fn panels(samples: &[Sample]) -> Vec<Panel> {
     panels
 }
 
-/// What to add to the true yaw so that it starts where the estimate does: the estimate's zero is the heading at rest.
+/// Returns the angle to add to the true yaw so that it starts where the estimate does: the
+/// estimate's zero is the heading at rest.
 fn heading_difference_deg(samples: &[Sample]) -> f64 {
     let first = samples.iter().find_map(|sample| {
         let attitude = sample.edge?.truth.attitude?;

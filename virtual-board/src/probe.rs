@@ -1,4 +1,5 @@
-//! A debug probe that reads the firmware's log: it drains the RTT buffer from memory and decodes defmt.
+//! A debug probe that reads the firmware's log: it drains the RTT buffer from memory and decodes
+//! defmt.
 
 use defmt_decoder::{DecodeError, Table};
 use rigless::emulator::Memory;
@@ -12,10 +13,10 @@ const WRITE_OFFSET: u64 = 12;
 const READ_OFFSET: u64 = 16;
 const FLAGS: u64 = 20;
 
-/// The up channel's mode that has the firmware wait for room in the buffer.
+/// The mode of the up channel in which the firmware waits for room in the buffer.
 const BLOCK_IF_FULL: u64 = 2;
 
-/// The identification that says that the control block has been set up.
+/// The identification of a control block that has been set up.
 const IDENTIFICATION: &[u8; 10] = b"SEGGER RTT";
 
 /// A line of the firmware's log.
@@ -31,12 +32,13 @@ pub struct LogLine {
 pub struct Probe {
     control_block: u64,
     table: Table,
-    /// What has been read of a frame that is not complete yet.
+    /// The bytes read of an incomplete frame.
     rest: Vec<u8>,
 }
 
 impl Probe {
-    /// A probe for an image with its control block at `control_block`. `None` if the image has no defmt data.
+    /// A probe for an image with its control block at `control_block`. `None` if the image has no
+    /// defmt data.
     #[must_use]
     pub fn attach(elf: &[u8], control_block: u64) -> Option<Self> {
         Some(Self {

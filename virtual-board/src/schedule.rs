@@ -1,6 +1,7 @@
 //! Schedules of faults: read from a file, or drawn from a seed.
 //!
-//! A line is `start_s duration_s fault`, for instance `2.5 0.02 sda-low`; what follows a `#` is a comment.
+//! A line is `start_s duration_s fault`, for instance `2.5 0.02 sda-low`; text after a `#` is a
+//! comment.
 
 use std::fmt;
 use std::fs;
@@ -132,7 +133,7 @@ pub enum ScheduleError {
         file: String,
         /// Counted from 1.
         line: usize,
-        /// What is wrong, and what would be right.
+        /// The mistake, and the correct form.
         reason: String,
     },
     /// The seed is not a number.
@@ -141,7 +142,7 @@ pub enum ScheduleError {
 }
 
 impl Schedule {
-    /// What `--faults` takes: the name of a file, or `seed:` and a number.
+    /// Reads the argument of `--faults`: the name of a file, or `seed:` and a number.
     ///
     /// # Errors
     ///
@@ -181,8 +182,9 @@ impl Schedule {
         Ok(Self { faults })
     }
 
-    /// One to three faults for a flight, drawn from a seed; consecutive seeds begin with consecutive classes. Most come
-    /// one after another, with time to recover; now and then one comes on top of another.
+    /// One to three faults for a flight, drawn from a seed; consecutive seeds begin with
+    /// consecutive classes. Most come one after another, with time to recover; now and then one
+    /// comes on top of another.
     #[must_use]
     pub fn by_seed(seed: u64) -> Self {
         let mut random = Random::new(seed, "faults");
@@ -211,7 +213,8 @@ impl Schedule {
         Self { faults }
     }
 
-    /// One fault of a class, its parameter and its times drawn from a seed. `None` if there is no such class.
+    /// One fault of a class, its parameter and its times drawn from a seed. `None` if there is no
+    /// such class.
     #[must_use]
     pub fn of_class(class: &str, seed: u64) -> Option<Self> {
         let form = FORMS.iter().find(|form| form.name == class)?;
@@ -291,11 +294,12 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
     }
 }
 
-/// The fault that a line's words say.
+/// Reads a fault from the words of a line.
 fn fault(words: &[&str]) -> Result<ScheduledFault, String> {
     let [start, duration, fault] = words else {
         return Err(format!(
-            "a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; this one has {} words",
+            "a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; \
+             this one has {} words",
             words.len()
         ));
     };
@@ -347,7 +351,9 @@ mod tests {
                     prop::sample::select(Schedule::classes().collect::<Vec<_>>()),
                     "|:[0-9a-z]{1,4}(:0x[0-9a-f]{1,3})?|:-?[0-9.]{1,6}|:a[xyz]| #.{0,4}",
                 )
-                    .prop_map(|(time, class, parameter)| format!("{time} {time} {class}{parameter}")),
+                    .prop_map(|(time, class, parameter)| {
+                        format!("{time} {time} {class}{parameter}")
+                    }),
                 0..4,
             ),
         ) {
@@ -439,7 +445,8 @@ mod tests {
     fn errors_say_where_what_and_what_is_allowed() {
         assert_eq!(
             refusal("1 0.1 frozen\n2.5 sda-low"),
-            "f.txt, line 2: a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; this one has 2 words"
+            "f.txt, line 2: a line is `start_s duration_s fault`, such as `2.5 0.02 sda-low`; \
+             this one has 2 words"
         );
         assert_eq!(
             refusal("\n-1 0.1 frozen"),
@@ -462,7 +469,8 @@ mod tests {
         );
         assert_eq!(
             refusal("1 1 sda-low:10"),
-            "f.txt, line 1: `10` is not a parameter of `sda-low`: it is written sda-low[:CLOCKS] (1 to 9)"
+            "f.txt, line 1: `10` is not a parameter of `sda-low`: \
+             it is written sda-low[:CLOCKS] (1 to 9)"
         );
         for text in [
             "data-nack",

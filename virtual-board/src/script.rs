@@ -1,6 +1,7 @@
-//! What is said to the firmware's UART, and when: a file with a line `seconds command` for each.
+//! Scripts of commands to the firmware's UART: a file with a line `seconds command` for each
+//! command.
 //!
-//! Empty lines and lines that begin with `#` say nothing.
+//! Empty lines and lines that begin with `#` are comments.
 
 use std::fs;
 use std::path::Path;
@@ -69,16 +70,22 @@ mod tests {
     proptest! {
         #[test]
         fn any_text_is_a_script_that_reads_back_or_a_line_that_is_wrong(
-            lines in prop::collection::vec("([0-9]{1,5}(\\.[0-9]{1,3})?|-1|x)?[ \t]{0,2}[ -~é]{0,8}|#.{0,5}", 0..5),
+            lines in prop::collection::vec(
+                "([0-9]{1,5}(\\.[0-9]{1,3})?|-1|x)?[ \t]{0,2}[ -~é]{0,8}|#.{0,5}",
+                0..5,
+            ),
         ) {
             match Script::parse(&lines.join("\n")) {
                 Ok(script) => {
-                    let written = script.lines().iter().map(|(at_s, said)| format!("{at_s} {said}\n"));
-                    prop_assert_eq!(Script::parse(&written.collect::<String>()), Ok(script));
+                    let lines = script.lines().iter();
+                    let written: String =
+                        lines.map(|(at_s, command)| format!("{at_s} {command}\n")).collect();
+                    prop_assert_eq!(Script::parse(&written), Ok(script));
                 }
                 Err(reason) => {
-                    let number = reason.strip_prefix("line ").and_then(|rest| rest.split(':').next());
-                    let number: usize = number.and_then(|number| number.parse().ok()).expect("a line");
+                    let rest = reason.strip_prefix("line ");
+                    let number = rest.and_then(|rest| rest.split(':').next()?.parse().ok());
+                    let number: usize = number.expect("a line");
                     prop_assert!(Script::parse(&lines[..number - 1].join("\n")).is_ok());
                     prop_assert!(Script::parse(&lines[number - 1]).is_err(), "{}", reason);
                 }
@@ -87,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn times_and_commands_are_read_and_remarks_left_out() {
+    fn times_and_commands_are_read_and_comments_left_out() {
         let script = Script::parse("# greeting\n\n0.5 help\n 2\tmount  +x-z \n").unwrap();
         assert_eq!(
             script.lines(),

@@ -14,13 +14,14 @@ const IN_FLIGHT_NS: u64 = 2_000_000;
 
 /// The figures, by the names that `summary.json` has.
 ///
-/// "Instructions" are counted, not timed: the emulated core has no wait states and no cost of exception entry.
+/// "Instructions" are counted, not timed: the emulated core has no wait states and no cost of
+/// exception entry.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Published samples.
     pub samples: usize,
-    /// Data-ready edges without a published sample, from the first sample on. (An edge while the firmware still reads back
-    /// what it has configured cannot have one: the bus is not free.)
+    /// Data-ready edges without a published sample, from the first sample on. (While the firmware
+    /// reads its settings back, the bus is not free, so an edge cannot have one.)
     pub missed: usize,
     /// Virtual time, from power-up.
     pub virtual_seconds: f64,
@@ -30,21 +31,25 @@ pub struct Summary {
     pub instructions_per_sample_mean: Option<f64>,
     /// The most for any sample.
     pub instructions_per_sample_max: Option<u64>,
-    /// The same without the attitude task.
+    /// Instructions per sample of all interrupts, without the attitude task.
     pub io_instructions_per_sample_mean: Option<f64>,
-    /// Instructions executed of those the core could have executed, from the first sample on, in percent.
+    /// Instructions executed of those the core could have executed, from the first sample on, in
+    /// percent.
     pub cpu_load_percent: Option<f64>,
     /// From the data-ready edge to the published attitude.
     pub edge_to_attitude_us_mean: Option<f64>,
     /// The longest of these.
     pub edge_to_attitude_us_max: Option<f64>,
-    /// The largest difference between a sample's published time and its edge's true time on the firmware's clock.
+    /// The largest difference between a sample's published time and its edge's true time on the
+    /// firmware's clock.
     pub timestamp_error_us_max: Option<f64>,
-    /// Root mean square of the inclination error over the scored samples after the start-up average.
+    /// Root mean square of the inclination error over the scored samples after the start-up
+    /// average.
     pub inclination_rms_deg: Option<f64>,
     /// The largest inclination error among them.
     pub inclination_max_deg: Option<f64>,
-    /// How many of the published attitudes, those without a sample included, had each flag, by the flag's name.
+    /// How many of the published attitudes, those without a sample included, had each flag, by the
+    /// flag's name.
     pub flags: BTreeMap<&'static str, usize>,
     /// Bytes of flash that the image fills.
     pub flash_bytes: u64,
@@ -129,7 +134,7 @@ pub fn inclination_deg(sample: &Sample) -> Option<f64> {
     Some(inclination_error_rad(estimate, truth).to_degrees())
 }
 
-/// The same, if the sample counts.
+/// Returns the inclination error in degrees, if the sample counts.
 fn scored_inclination_deg(sample: &Sample) -> Option<f64> {
     let counts = sample.edge?.truth.scored && !sample.snapshot.flags.contains(Flags::CALIBRATING);
     inclination_deg(sample).filter(|_| counts)
@@ -148,7 +153,8 @@ fn flags(record: &Record) -> BTreeMap<&'static str, usize> {
     counts
 }
 
-/// Counts the edges without a sample, apart from those whose sample was still on its way at the end.
+/// Counts the edges without a sample, apart from those whose sample was still on its way at the
+/// end.
 fn missed(record: &Record) -> usize {
     let mut published: Vec<u64> = record
         .samples

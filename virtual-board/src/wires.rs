@@ -1,8 +1,9 @@
-//! The two lines of the sensor's bus, as open-drain wires: low if anybody pulls them low.
+//! The two lines of the sensor's bus, as open-drain wires: low if any device pulls them low.
 //!
-//! rigless carries the bytes apart from the lines. Here is what the lines do besides: short circuits, a sensor that
-//! holds SDA because it has lost count within a byte, one that stretches the clock, and what the port's pins do when
-//! the firmware drives them by hand. The I2C controller ([`crate::i2c`]) and the port ([`PortB`]) both look here.
+//! rigless transports the bytes without the lines. This module adds the lines: short circuits,
+//! clock stretching, and pins that the firmware drives as outputs. A sensor that has lost count
+//! within a byte holds SDA. The I2C controller ([`crate::i2c`]) and the port ([`PortB`]) both use
+//! it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -20,7 +21,7 @@ pub const BUS_PINS: [(BusLine, u8); 2] = [(BusLine::Clock, 8), (BusLine::Data, 9
 /// The alternate function of I2C1 (STM32F405 datasheet, table 9).
 const I2C_FUNCTION: u8 = 4;
 
-/// What goes on with the lines apart from the bytes.
+/// The state of the lines.
 #[derive(Debug, Default)]
 pub struct Wires {
     /// Short circuits to ground, each with its time in ns.
@@ -31,17 +32,18 @@ pub struct Wires {
     stretched_until_ns: u64,
     /// How many falling edges of SCL the sensor still waits for before it lets go of SDA.
     clocks_owed: u8,
-    /// Whether the firmware pulls the pins low by hand: SCL, SDA.
+    /// True where the firmware pulls a pin low as an output: SCL, SDA.
     driven_low: [bool; 2],
-    /// The levels of the lines when they were looked at last: SCL, SDA.
+    /// The levels of the lines at the last check: SCL, SDA.
     levels: [bool; 2],
-    /// Falling edges of SCL that the firmware made by hand.
+    /// Falling edges of SCL that the firmware made with the pin as an output.
     clocks_made: u32,
-    /// Whether the firmware has made a STOP by hand that the sensor has not heard of yet.
+    /// True if the firmware has made a STOP with the pins as outputs that the sensor has not
+    /// received yet.
     has_stopped: bool,
 }
 
-/// The wires, for everybody who looks at them.
+/// The wires, shared by their users.
 #[derive(Clone, Debug)]
 pub struct SharedWires(Arc<Mutex<Wires>>);
 
@@ -83,7 +85,7 @@ impl SharedWires {
 }
 
 impl Wires {
-    /// Whether somebody other than the microcontroller pulls a line low.
+    /// Returns true if a device other than the microcontroller pulls a line low.
     #[must_use]
     pub fn holds_low(&self, line: BusLine, now_ns: u64) -> bool {
         let is_shorted = self
@@ -120,7 +122,8 @@ impl Wires {
         }
     }
 
-    /// The sensor has lost count within a byte whose rest is all zeros: it holds SDA for so many clocks.
+    /// Makes the sensor lose count within a byte whose rest is all zeros: it holds SDA for so many
+    /// clocks.
     pub fn lose_count(&mut self, clocks: u8) {
         self.clocks_owed = clocks;
     }
@@ -137,12 +140,12 @@ impl Wires {
         self.clocks_made
     }
 
-    /// Whether a STOP has been made by hand since the last call.
+    /// Returns true if the firmware has made a STOP with the pins since the last call.
     pub fn take_stop(&mut self) -> bool {
         std::mem::take(&mut self.has_stopped)
     }
 
-    /// The pins, or what holds the lines, may have changed: follows the edges as the sensor sees them.
+    /// Follows the edges as the sensor sees them, after a possible change of the pins or the lines.
     fn follow(&mut self, now_ns: u64) {
         loop {
             let before = self.levels;
@@ -167,14 +170,14 @@ impl Wires {
 /// The port with the sensor's bus on it: rigless's model, with the lines as they really are.
 #[derive(Debug)]
 pub struct PortB {
-    /// What rigless models of it.
+    /// The model of rigless.
     pub model: Gpio,
     /// The lines.
     pub wires: SharedWires,
 }
 
 impl PortB {
-    /// Looks at what the pins drive, and puts the lines' levels on the pins.
+    /// Reads the levels that the pins drive, and puts the lines' levels on the pins.
     pub fn follow(
         &mut self,
         now: VirtualNanos,
@@ -199,7 +202,7 @@ impl PortB {
         }
     }
 
-    /// Whether both pins are connected to the I2C controller.
+    /// Returns true if both pins are connected to the I2C controller.
     #[must_use]
     pub fn is_connected(registers: &RegisterFile) -> bool {
         BUS_PINS.into_iter().all(|(_, pin)| {

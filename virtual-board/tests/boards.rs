@@ -14,7 +14,8 @@ fn fly_all(seconds: f64, fault: Option<Fault>, check: impl Fn(&str, &Outcome)) {
         );
         let Some(image) = std::env::var_os(&variable) else {
             panic!(
-                "{variable} does not name the firmware image: run `cargo xtask test`, which builds it"
+                "{variable} does not name the firmware image: \
+                 run `cargo xtask test`, which builds it"
             );
         };
         let mut run = Run::new(image).board(board).seconds(seconds);
@@ -28,8 +29,8 @@ fn fly_all(seconds: f64, fault: Option<Fault>, check: impl Fn(&str, &Outcome)) {
 #[test]
 fn every_board_runs_from_its_crystal() {
     fly_all(2.5, None, |name, outcome| {
-        assert!(outcome.says(&format!("on {name}, ")), "{name}");
-        assert!(outcome.says("MHz from the crystal"), "{name}");
+        assert!(outcome.reports(&format!("on {name}, ")), "{name}");
+        assert!(outcome.reports("MHz from the crystal"), "{name}");
         assert!(
             outcome.samples().len() > 2_000,
             "{name}: {} samples",
@@ -43,14 +44,14 @@ fn every_board_runs_from_its_crystal() {
                 .is_some_and(|error| error <= 1.0),
             "{name}"
         );
-        assert!(outcome.remarks.is_empty(), "{name}: {:?}", outcome.remarks);
+        assert!(outcome.issues.is_empty(), "{name}: {:?}", outcome.issues);
     });
 }
 
 #[test]
 fn every_board_runs_without_its_crystal() {
     fly_all(1.5, Some(Fault::NoCrystal), |name, outcome| {
-        assert!(outcome.says("from the internal oscillator"), "{name}");
+        assert!(outcome.reports("from the internal oscillator"), "{name}");
         assert!(
             outcome.samples().len() > 1_000,
             "{name}: {} samples",

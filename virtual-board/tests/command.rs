@@ -53,7 +53,8 @@ fn a_malformed_log_is_refused_with_file_line_and_reason_before_anything_runs() {
     assert!(!message.contains("flown"), "{message}");
 }
 
-/// Flies a recording of rest with these columns, a row each 5 ms, to its end; gives what was printed and the summary.
+/// Flies a recording of rest with these columns, a row each 5 ms, to its end; gives what was
+/// printed and the summary.
 fn fly_recording(name: &str, columns: &str, row: &str, rows: u32) -> (String, String) {
     let folder = folder(name);
     let log = folder.join("log.csv");
@@ -146,7 +147,7 @@ fn a_file_that_is_no_image_is_refused() {
     assert!(!String::from_utf8_lossy(&refused.stderr).is_empty());
 }
 
-/// What `fly` says to this `--faults`, which it refuses before anything runs.
+/// Returns the message of `fly` for this `--faults`, which it refuses before anything runs.
 fn refusal_of_faults(argument: &str) -> String {
     let output = folder("refused-faults").join("output");
     let refused = fly(&["--faults", argument, "--output", output.to_str().unwrap()]);

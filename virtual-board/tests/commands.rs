@@ -1,4 +1,5 @@
-//! Commands on the UART of the real image: every one once, a flood of bytes, and a whole calibration.
+//! Commands on the UART of the real image: every one once, a flood of bytes, and a whole
+//! calibration.
 
 mod common;
 
@@ -102,18 +103,19 @@ fn every_command_is_answered_as_before() {
         .seconds(39.0)
         .motion(Rest::level())
         .commands(&script));
-    assert_eq!(outcome.remarks, Vec::<String>::new());
-    let mut said = script.lines().iter().peekable();
+    assert_eq!(outcome.issues, Vec::<String>::new());
+    let mut sent = script.lines().iter().peekable();
     let mut text = String::new();
     for (at_s, answer) in answers(&outcome) {
-        while let Some((command_s, command)) = said.next_if(|(command_s, _)| *command_s <= at_s) {
+        while let Some((command_s, command)) = sent.next_if(|(command_s, _)| *command_s <= at_s) {
             writeln!(text, "{command_s:5.1} > {command}").unwrap();
         }
-        // To a tenth of a second: which tick of the telemetry answers goes with every instruction at start.
+        // To a tenth of a second: which tick of the telemetry answers goes with every instruction
+        // at start.
         writeln!(text, "{at_s:5.1}   {answer}").unwrap();
     }
     assert_golden("commands.txt", &text);
-    // Both outputs say the same.
+    // Both outputs agree.
     for (_, answer) in answers(&outcome) {
         assert!(
             outcome.log().iter().any(|line| line.text.ends_with(answer)),
@@ -174,10 +176,10 @@ fn a_flood_changes_neither_samples_nor_times_nor_anything_else() {
     let run = || Run::new(firmware()).seconds(6.0).seed(4);
     let quiet = fly(run());
     let flooded = fly(run()
-        .says(1.5, &bytes)
+        .send(1.5, &bytes)
         .command(5.0, "")
         .command(5.2, "status"));
-    assert_eq!(flooded.remarks, Vec::<String>::new());
+    assert_eq!(flooded.issues, Vec::<String>::new());
     assert_eq!(flooded.summary.missed, 0);
     assert!(
         flooded.summary.timestamp_error_us_max <= Some(1.0),
@@ -214,7 +216,7 @@ fn a_flood_changes_neither_samples_nor_times_nor_anything_else() {
 #[test]
 fn a_flood_of_commands_costs_no_sample_either() {
     let flood = b"status\n".repeat(4_000);
-    let outcome = fly(Run::new(firmware()).seconds(4.0).says(1.0, &flood));
+    let outcome = fly(Run::new(firmware()).seconds(4.0).send(1.0, &flood));
     assert_eq!(outcome.summary.missed, 0);
     assert!(
         outcome.summary.timestamp_error_us_max <= Some(1.0),
@@ -254,7 +256,7 @@ fn a_noisy_line_is_counted_and_its_commands_dropped() {
     let (understood, dropped) = (count("ok "), count("error "));
     assert!(understood > 20 && understood < 60, "{understood}");
     assert!(dropped > 0, "{dropped}");
-    // What is understood is what was said.
+    // The firmware understands exactly what was sent.
     assert_eq!(count("ok "), count("ok mount +x+z;") + count("ok status:"));
     let (_, last) = *answers(&outcome)
         .iter()
@@ -263,7 +265,7 @@ fn a_noisy_line_is_counted_and_its_commands_dropped() {
     assert!(!last.contains("uart_errors=0"), "{last}");
 }
 
-/// The directions in which the sensor's axes are laid up, one after the other: face up, face down, X up, X down, Y up, Y down.
+/// The poses of the sensor, one after the other: face up, face down, X up, X down, Y up, Y down.
 fn six_poses() -> [Quaternion; 6] {
     let pose =
         |roll: f64, pitch: f64| Quaternion::from_euler(roll.to_radians(), pitch.to_radians(), 0.0);
@@ -294,7 +296,8 @@ fn inclination_deg(outcome: &Outcome, from_s: f64, to_s: f64) -> f64 {
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
-/// A chip with offsets and scales at the datasheet's limits, and hardly any cross-axis sensitivity, which six poses do not show.
+/// A chip with offsets and scales at the datasheet's limits, and hardly any cross-axis sensitivity,
+/// which six poses do not show.
 fn poor_chip() -> SensorErrors {
     let milli_g = 9.80665e-3;
     let mut errors = SensorErrors::typical(6);
@@ -336,7 +339,7 @@ fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
         .command(6.0, "calibrate accel")
         .command(31.0, "calibrate level")
         .command(34.0, "save"));
-    assert_eq!(calibration.remarks, Vec::<String>::new());
+    assert_eq!(calibration.issues, Vec::<String>::new());
     for text in [
         "done calibrate gyro: offset ",
         "pose 6 is ",
@@ -350,7 +353,7 @@ fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
             answers(&calibration)
         );
     }
-    // The first attitude after the pause says that there was one.
+    // The first attitude after the pause has the flag of a pause.
     let samples = calibration.samples();
     let gaps = samples
         .iter()

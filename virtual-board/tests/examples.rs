@@ -1,4 +1,5 @@
-//! The examples for the target do on a board what they say: each shows the attitude of a sensor that lies tilted.
+//! The examples for the target work on a board: each shows the attitude of a sensor
+//! that lies tilted.
 
 use aplomb::health::Flags;
 use aplomb_models::motion::Quaternion;
@@ -27,7 +28,7 @@ fn shows_the_attitude(name: &str) {
         .iter()
         .rev()
         .find_map(|line| line.text.split_once("roll "))
-        .unwrap_or_else(|| panic!("{name} shows no attitude: {:?}", outcome.remarks));
+        .unwrap_or_else(|| panic!("{name} shows no attitude: {:?}", outcome.issues));
     let (roll, pitch) = last.1.split_once(" pitch ").expect("roll and pitch");
     let (roll, pitch): (f64, f64) = (roll.parse().unwrap(), pitch.parse().unwrap());
     // The sensor's own offsets of up to 50 mg tilt it by 3 degrees.
@@ -56,7 +57,7 @@ fn the_rtic_application_notices_a_full_scale_that_has_changed() {
         let mut samples = outcome.samples().iter();
         samples.any(|sample| sample.snapshot.flags.contains(flag))
     };
-    assert!(has_seen_it(Flags::SENSOR_RESET), "{:?}", outcome.remarks);
+    assert!(has_seen_it(Flags::SENSOR_RESET), "{:?}", outcome.issues);
     let last = outcome.samples().last().expect("samples");
     assert!(last.published_ns > 2_400_000_000);
     assert!(last.snapshot.flags.contains(Flags::VALID), "{last:?}");

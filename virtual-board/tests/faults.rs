@@ -1,4 +1,5 @@
-//! Every fault that can be told from outside is told on both outputs, UART and log, and is recovered from.
+//! Every fault that shows from outside is reported on both outputs, UART and log, and is
+//! recovered from.
 
 mod common;
 
@@ -18,7 +19,7 @@ fn at_rest(seconds: f64) -> Run {
     Run::new(firmware()).seconds(seconds).motion(Rest::level())
 }
 
-/// Everything that the firmware said, for the failing test's output.
+/// All lines from the firmware, for the failing test's output.
 fn transcript(outcome: &Outcome) -> String {
     let messages = outcome
         .uart_lines
@@ -30,10 +31,10 @@ fn transcript(outcome: &Outcome) -> String {
 }
 
 #[track_caller]
-fn assert_says(outcome: &Outcome, text: &str) {
+fn assert_reports(outcome: &Outcome, text: &str) {
     assert!(
-        outcome.uart_says(text),
-        "the UART does not say `{text}`:\n{}",
+        outcome.uart_reports(text),
+        "the UART does not report `{text}`:\n{}",
         transcript(outcome)
     );
     let log: Vec<&str> = outcome
@@ -43,8 +44,8 @@ fn assert_says(outcome: &Outcome, text: &str) {
         .filter(|line| !line.contains("roll:"))
         .collect();
     assert!(
-        outcome.says(text),
-        "the log does not say `{text}`:\n{}",
+        outcome.reports(text),
+        "the log does not report `{text}`:\n{}",
         log.join("\n")
     );
 }
@@ -63,27 +64,27 @@ fn assert_recovered(outcome: &Outcome) {
         "{late} samples at the end:\n{}",
         transcript(outcome)
     );
-    assert!(outcome.remarks.is_empty(), "{:?}", outcome.remarks);
+    assert!(outcome.issues.is_empty(), "{:?}", outcome.issues);
 }
 
 #[test]
 fn sensor_absent_then_plugged_in() {
     let outcome = fly(at_rest(3.0).fault(Fault::SensorAbsent(0.0..1.5)));
-    assert_says(&outcome, "no sensor answers at 0x68 or 0x69");
+    assert_reports(&outcome, "no sensor answers at 0x68 or 0x69");
     assert!(
         outcome
             .samples()
             .iter()
             .all(|sample| sample.published_ns > 1_500_000_000)
     );
-    assert_says(&outcome, "MPU-6050 at 0x68 configured");
+    assert_reports(&outcome, "MPU-6050 at 0x68 configured");
     assert_recovered(&outcome);
 }
 
 #[test]
 fn sensor_unplugged_in_flight_and_plugged_in_again() {
     let outcome = fly(at_rest(3.5).fault(Fault::SensorAbsent(1.6..2.2)));
-    assert_says(&outcome, "no sensor answers at 0x68 or 0x69");
+    assert_reports(&outcome, "no sensor answers at 0x68 or 0x69");
     assert_recovered(&outcome);
 }
 
@@ -95,7 +96,7 @@ fn a_bus_line_held_low_then_free() {
     ] {
         for start_s in [0.0, 1.6] {
             let outcome = fly(at_rest(3.5).fault(Fault::BusHeldLow(line, start_s..2.2)));
-            assert_says(&outcome, text);
+            assert_reports(&outcome, text);
             assert_recovered(&outcome);
         }
     }
@@ -104,7 +105,7 @@ fn a_bus_line_held_low_then_free() {
 #[test]
 fn wrong_identity_then_the_right_one() {
     let outcome = fly(at_rest(3.0).fault(Fault::Identity(0x12, 0.0..1.2)));
-    assert_says(&outcome, "the chip at 0x68 has WHO_AM_I 0x12");
+    assert_reports(&outcome, "the chip at 0x68 has WHO_AM_I 0x12");
     assert_recovered(&outcome);
 }
 
@@ -116,7 +117,7 @@ fn assert_one_burst_is_lost(byte: BusByte, place: &str) {
         from_s: 2.0,
         count: 1,
     }));
-    assert_says(
+    assert_reports(
         &outcome,
         &format!("the sensor did not acknowledge at its {place}")
             .replace("its register", "the register"),
@@ -154,7 +155,7 @@ fn nack_on_a_value_while_configuring() {
         from_s: 0.0,
         count: 1,
     }));
-    assert_says(&outcome, "failed: data not acknowledged");
+    assert_reports(&outcome, "failed: data not acknowledged");
     assert_recovered(&outcome);
 }
 
@@ -170,8 +171,8 @@ fn nacks_in_a_row_have_the_sensor_set_up_again() {
             from_s: 1.6,
             count: 4,
         }));
-        assert_says(&outcome, "the sensor did not acknowledge");
-        assert_says(&outcome, "setting the bus and the sensor up again");
+        assert_reports(&outcome, "the sensor did not acknowledge");
+        assert_reports(&outcome, "setting the bus and the sensor up again");
         assert_recovered(&outcome);
     }
 }
@@ -179,18 +180,18 @@ fn nacks_in_a_row_have_the_sensor_set_up_again() {
 #[test]
 fn sensor_silent_in_flight() {
     let outcome = fly(at_rest(3.5).fault(Fault::SensorSilent(1.6..2.2)));
-    assert_says(
+    assert_reports(
         &outcome,
         "the sensor did not acknowledge at its address (write)",
     );
-    assert_says(&outcome, "no sensor answers");
+    assert_reports(&outcome, "no sensor answers");
     assert_recovered(&outcome);
 }
 
 #[test]
 fn sensor_reset_in_flight() {
     let outcome = fly(at_rest(3.0).fault(Fault::SensorReset(1.6)));
-    assert_says(&outcome, "setting the bus and the sensor up again");
+    assert_reports(&outcome, "setting the bus and the sensor up again");
     assert_recovered(&outcome);
 }
 
@@ -198,11 +199,11 @@ fn sensor_reset_in_flight() {
 fn moved_during_start_up() {
     let motion = Rest::level().nudged(0.8, 0.4, 0.5);
     let outcome = fly(Run::new(firmware()).seconds(6.0).motion(motion));
-    assert_says(
+    assert_reports(
         &outcome,
         "moved while the gyroscope's offset was being measured",
     );
-    assert_says(&outcome, "gyroscope's offset measured, ready");
+    assert_reports(&outcome, "gyroscope's offset measured, ready");
     let flags = |flag: Flags| {
         outcome
             .samples()
@@ -223,11 +224,11 @@ fn moved_during_start_up() {
 fn interrupt_never_coming_then_wired() {
     for level in [false, true] {
         let outcome = fly(at_rest(3.0).fault(Fault::InterruptStuck(level, 0.0..1.5)));
-        assert_says(
+        assert_reports(
             &outcome,
             "no data-ready edge on the INT pin: check the wire from INT to PA1",
         );
-        // The attitude goes on by timer, and says so; with the wire there are edges again.
+        // The attitude continues by timer, with a flag; with the wire there are edges again.
         for sample in outcome.samples() {
             let is_polled = sample.snapshot.flags.contains(Flags::POLLED);
             let at_us = sample.published_ns / 1000;
@@ -241,14 +242,14 @@ fn interrupt_never_coming_then_wired() {
 #[test]
 fn interrupt_lost_in_flight() {
     let outcome = fly(at_rest(3.5).fault(Fault::InterruptStuck(false, 1.6..2.2)));
-    assert_says(&outcome, "no data-ready edge on the INT pin");
+    assert_reports(&outcome, "no data-ready edge on the INT pin");
     assert_recovered(&outcome);
 }
 
 #[test]
 fn no_crystal() {
     let outcome = fly(at_rest(2.5).fault(Fault::NoCrystal));
-    assert_says(&outcome, "no crystal answered");
+    assert_reports(&outcome, "no crystal answered");
     assert_recovered(&outcome);
     assert_eq!(outcome.summary.missed, 0);
     assert!(
@@ -262,6 +263,6 @@ fn the_log_without_a_reader_holds_nothing_up() {
     let outcome = fly(at_rest(3.0).without_probe());
     assert!(outcome.log().is_empty());
     assert_eq!(outcome.summary.missed, 0);
-    assert!(outcome.uart_says("gyroscope's offset measured, ready"));
+    assert!(outcome.uart_reports("gyroscope's offset measured, ready"));
     assert_recovered(&outcome);
 }

@@ -1,18 +1,19 @@
-//! The stored record in the flash of the real image: it lasts, and no power cut during a save loses it.
+//! The stored record in the flash of the real image: it lasts, and no power cut during a save loses
+//! it.
 
 mod common;
 
 use aplomb::settings::{OutputFormat, storage};
+use aplomb_models::motion::rest::Rest;
 use common::firmware;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use virtual_board::flash::{FlashRecord, SLOT_BYTES, Step};
 use virtual_board::flight::{Outcome, Run};
-use virtual_board::motion::rest::Rest;
 
 /// Seeds of each power cut.
 const SEEDS: u64 = 5;
 
-/// A run on a table with these slots, in which the commands are said at these times.
+/// A run on a table with these slots, in which the commands are sent at these times.
 fn run(slots: &[u8], seconds: f64, commands: &[(f64, &str)]) -> Outcome {
     let run = Run::new(firmware())
         .motion(Rest::level())
@@ -23,7 +24,7 @@ fn run(slots: &[u8], seconds: f64, commands: &[(f64, &str)]) -> Outcome {
         .fold(run, |run, (at_s, line)| run.command(*at_s, line))
         .run()
         .unwrap();
-    assert_eq!(outcome.remarks, Vec::<String>::new());
+    assert_eq!(outcome.issues, Vec::<String>::new());
     outcome
 }
 
@@ -116,7 +117,7 @@ fn a_power_cut_at_any_step_of_a_save_leaves_the_old_record_or_the_new_one() {
         }
     }
     assert!(seen[0] > 0, "a cut before the end leaves the old record");
-    // The image itself starts from some of them: it has the record, and says what is damaged.
+    // The image itself starts from some of them: it has the record, and reports the damage.
     let last = save.steps.len() - 1;
     let erase = save
         .steps
@@ -127,7 +128,7 @@ fn a_power_cut_at_any_step_of_a_save_leaves_the_old_record_or_the_new_one() {
         let slots = save.cut_in(step, 1);
         let outcome = run(&slots, 1.5, &[(1.0, "show")]);
         let rates: Vec<bool> = [20, 25]
-            .map(|rate| outcome.uart_says(&format!("rate={rate} ")))
+            .map(|rate| outcome.uart_reports(&format!("rate={rate} ")))
             .to_vec();
         let expected = in_force(&slots).map(|(rate, _)| [20, 25].map(|each| each == rate).to_vec());
         assert_eq!(

@@ -1,4 +1,5 @@
-//! What a flight must show: nothing missed, right times, the library's very bits, and the same files every time.
+//! The rules of a flight: no missed sample, right times, the library's exact bits, and identical
+//! files every time.
 
 mod common;
 
@@ -57,7 +58,7 @@ fn assert_the_library_agrees(samples: &[Sample]) {
 fn a_flight_keeps_its_promises() {
     let outcome = fly(Run::new(firmware()).seconds(10.0).seed(3));
     let summary = &outcome.summary;
-    assert_eq!(outcome.remarks, Vec::<String>::new());
+    assert_eq!(outcome.issues, Vec::<String>::new());
     assert!(summary.samples > 9500, "{summary:?}");
     assert_eq!(summary.missed, 0);
     assert!(summary.timestamp_error_us_max <= Some(1.0), "{summary:?}");
@@ -214,7 +215,7 @@ fn the_counter_wraps_in_flight_and_nobody_notices() {
 }
 
 #[test]
-fn text_and_log_tell_what_was_published() {
+fn text_and_log_report_what_was_published() {
     let outcome = fly(Run::new(firmware()).seconds(3.0));
     let lines: Vec<&str> = outcome
         .uart_lines
@@ -310,7 +311,8 @@ fn the_files_have_the_agreed_form() {
     );
     assert_eq!(
         attitude[0],
-        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags"
+        "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
+         roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags"
     );
     assert_eq!(bursts[0], "t_us,bytes,flags");
     assert_eq!(attitude.len(), outcome.samples().len() + 1);

@@ -17,7 +17,7 @@ use common::firmware;
 #[path = "../../tests/pymavlink/python.rs"]
 mod python;
 
-/// What `fly` has written into its folder.
+/// The files that `fly` has written into its folder.
 struct Flight {
     folder: PathBuf,
     uart: Vec<u8>,
@@ -40,8 +40,8 @@ fn fly(name: &str, commands: &str, seconds: &str) -> Flight {
         .arg(&folder)
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success(), "{said}");
+    let printed = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{printed}");
     let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
     let attitudes = read("attitude.csv")
         .lines()

@@ -1,8 +1,9 @@
-//! Each class of faults is counted as what it is, shown, and recovered from, as the table of docs/faults.md says.
+//! The firmware counts, shows and recovers from each class of faults, as the table of
+//! docs/faults.md requires.
 //!
-//! The table is read from there, so that it and the tests say the same: a row with the name of a fault is flown. The
-//! campaign (`cargo xtask faults`) draws such flights by chance; here they are fixed, and the test of a class fails when
-//! the firmware's detection of it is taken out.
+//! The table is read from there, so that it and the tests agree: each row with the name of a fault
+//! is flown. The campaign (`cargo xtask faults`) draws such flights at random; here they are fixed.
+//! The test of a class fails when the firmware's detection of it is taken out.
 
 mod common;
 
@@ -31,13 +32,13 @@ const SEED: u64 = 5;
 struct Row {
     /// The faults, as a schedule has them.
     faults: Vec<String>,
-    /// Whether nothing at all may be seen.
+    /// True if the fault must leave no trace.
     is_unseen: bool,
     /// Flags that attitudes must have had.
     flags: Vec<Flags>,
-    /// What the UART must have said.
+    /// Lines that the UART must have.
     messages: Vec<String>,
-    /// What must have been counted, the first of them in time.
+    /// The classes that must have been counted, the first of them in time.
     counted: Vec<FaultClass>,
     noticed_ms: Option<f64>,
     back_ms: Option<f64>,
@@ -194,12 +195,15 @@ fn assert_row(row: &Row, class: &str, fault: &str) {
         let is_seen = published.iter().any(|&(_, flags)| flags.contains(flag));
         assert!(is_seen, "{fault}: {flag} is not seen");
     }
-    let odd = published.iter().find(|&&(_, flags)| flags != Flags::VALID);
-    assert!(!row.is_unseen || odd.is_none(), "{fault}: {odd:?}");
+    let unexpected = published.iter().find(|&&(_, flags)| flags != Flags::VALID);
+    assert!(
+        !row.is_unseen || unexpected.is_none(),
+        "{fault}: {unexpected:?}"
+    );
     for message in &row.messages {
         assert!(
-            outcome.uart_says(message),
-            "{fault}: not said `{message}`: {transcript:?}"
+            outcome.uart_reports(message),
+            "{fault}: not reported: `{message}`: {transcript:?}"
         );
     }
 
@@ -268,7 +272,7 @@ classes! {
     stack_overflow: "stack-overflow",
 }
 
-/// A run at rest with these faults, for what the table does not say.
+/// A run at rest with these faults, for rules that the table does not have.
 fn fly(schedule: &str, seconds: f64) -> Outcome {
     let schedule = Schedule::parse("test", schedule).unwrap();
     Run::new(firmware())
@@ -366,24 +370,24 @@ fn after_a_reset_the_attitude_goes_on_without_a_new_rest() {
 }
 
 #[test]
-fn a_fault_right_after_a_warm_start_is_told() {
+fn a_fault_right_after_a_warm_start_is_reported() {
     let outcome = fly("2.0 0 crash\n2.1 0.02 sda-low", 2.5);
-    let told = outcome.uart_lines.iter().filter(|line| {
+    let reports = outcome.uart_lines.iter().filter(|line| {
         line.at_ns > 2_100_000_000
             && line
                 .text
                 .contains("setting the bus and the sensor up again")
     });
-    assert_eq!(told.count(), 1);
+    assert_eq!(reports.count(), 1);
 }
 
 #[test]
 fn interrupts_at_8_khz_starve_nobody() {
-    // Glitches all the time; and the widest low-pass filter, whose output rate is 8 kHz, and so is INT's, until the
-    // firmware has put it right, which takes 35 ms without samples.
+    // First glitches all the time. Then the widest low-pass filter, whose output rate is 8 kHz, and
+    // so is INT's. The firmware restores the filter, which takes 35 ms without samples.
     let flips = "2.0 0 register-flip:0x1a:0x00\n2.5 0 register-flip:0x1a:0x00";
     let undisturbed = fly("", 3.1);
-    for (faults, least_odd_edges, least_samples, longest_ns) in [
+    for (faults, least_glitches, least_samples, longest_ns) in [
         ("2.0 1.0 int-glitch:8000", 7_900, 998, 2_100_000),
         (flips, 50, 910, 45_000_000),
     ] {
@@ -396,8 +400,8 @@ fn interrupts_at_8_khz_starve_nobody() {
         };
         let (before, after) = (health(during.start), health(during.end));
         let counted = |class: FaultClass| after[class as usize] - before[class as usize];
-        let odd_edges = counted(FaultClass::InterruptGlitch);
-        assert!(odd_edges >= least_odd_edges, "{faults}: {odd_edges}");
+        let glitches = counted(FaultClass::InterruptGlitch);
+        assert!(glitches >= least_glitches, "{faults}: {glitches}");
         assert_eq!(counted(FaultClass::AttitudeLate), 0, "{faults}");
         assert_eq!(counted(FaultClass::TelemetryLate), 0, "{faults}");
         assert!(outcome.record.resets_ns.is_empty(), "{faults}");

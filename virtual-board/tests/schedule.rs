@@ -71,7 +71,8 @@ fn a_probe_that_is_pulled_off_reads_nothing() {
 fn the_bursts_of_a_flight_with_faults_replay_to_the_bit() {
     let outcome = fly(
         6.0,
-        "2.0 0.05 sensor-silent\n2.5 0.1 sensor-brownout\n3.2 0.03 sda-low\n3.6 0.2 int-missing\n4.2 0 crystal-dies\n\
+        "2.0 0.05 sensor-silent\n2.5 0.1 sensor-brownout\n3.2 0.03 sda-low\n\
+         3.6 0.2 int-missing\n4.2 0 crystal-dies\n\
          4.8 0.02 zeros\n5.2 0.0015 address-nack\n5.4 0.1 saturated:gx\n",
     );
     let mut file = Vec::new();

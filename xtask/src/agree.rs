@@ -1,5 +1,5 @@
-//! Holds the virtual board, `aplomb replay` and QEMU to the same attitudes from the same bursts, to the
-//! last bit.
+//! Holds the virtual board, `aplomb replay` and QEMU to the same attitudes from the same bursts, to
+//! the last bit.
 //!
 //! Flies a simulated flight, and a whole recorded trial where recordings are at hand.
 //! `rigs/tests/qemu.rs` compares QEMU with the library.
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use crate::build::{self, Board, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{rigs, step, test};
+use crate::{rigs, step};
 
 /// Seconds of the simulated flight, from power-up to the middle of its manoeuvres.
 const SIMULATED_SECONDS: &str = "30";
@@ -37,7 +37,7 @@ pub fn run(toolchain: &Toolchain, virtual_board: &Path, elf: &Path) -> Result<()
     step::timed("QEMU tests", || {
         setup::qemu()?;
         let elf = rigs::qemu(toolchain)?;
-        let mut test = test::host_cargo("test");
+        let mut test = step::host_cargo("test");
         test.args(["-p", "aplomb-rigs", "--test", "qemu", "--", "--nocapture"]);
         test.env("APLOMB_QEMU_ELF", elf);
         step::run(test.env("APLOMB_BURSTS", bursts))
@@ -59,13 +59,14 @@ fn fly_and_replay(virtual_board: &Path, elf: &Path) -> Result<Vec<PathBuf>, Stri
         flights.push(("recorded", vec!["--log".to_owned(), path]));
     } else {
         eprintln!(
-            "   skipped: a recorded trial through board, replay and QEMU, as there is no {}; {RECORDINGS_VARIABLE} may name the folder of recordings",
+            "   skipped: a recorded trial through board, replay and QEMU, as there is no {}; \
+             {RECORDINGS_VARIABLE} may name the folder of recordings",
             recording.display()
         );
     }
     let mut bursts = Vec::new();
     for (name, motion) in flights {
-        let folder = build::target_folder().join("agree").join(name);
+        let folder = step::target_folder().join("agree").join(name);
         step::timed(&format!("a {name} flight, and its replay"), || {
             let mut fly = step::command(virtual_board);
             fly.arg("fly").args(motion).arg("--output").arg(&folder);
@@ -89,8 +90,8 @@ fn read(path: &Path) -> Result<String, String> {
     std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))
 }
 
-/// Holds every column of `flown` to that of the same name in `replayed`: numbers by their bits, the rest as text.
-/// Returns how many rows there are.
+/// Holds every column of `flown` to that of the same name in `replayed`: numbers by their bits, the
+/// rest as text. Returns how many rows there are.
 fn compare(flown: &str, replayed: &str) -> Result<usize, String> {
     let (mut flown, mut replayed) = (flown.lines(), replayed.lines());
     let columns: Vec<&str> = flown.next().unwrap_or_default().split(',').collect();

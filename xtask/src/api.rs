@@ -7,7 +7,7 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
-use crate::build::{self, Board};
+use crate::build::Board;
 use crate::setup::{TARGET, Toolchain};
 use crate::step;
 
@@ -21,7 +21,7 @@ pub fn check(toolchain: &Toolchain, bless: bool) -> Result<(), String> {
     let board = Board::default().feature();
     describe(host, "mavlink,defmt")?;
     describe(toolchain.cargo("rustdoc"), &board)?;
-    let folder = build::target_folder();
+    let folder = step::target_folder();
     let described: Vec<PathBuf> = [folder.join("doc"), folder.join(TARGET).join("doc")]
         .iter()
         .map(|folder| folder.join("aplomb.json"))

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use crate::setup::{TARGET, Toolchain};
-use crate::step;
+use crate::step::{self, target_folder};
 
-/// What differs between boards on this side.
+/// A board's name and chip.
 #[derive(Clone, Copy)]
 pub struct Board {
     /// The name after `--board`; the cargo feature is `board-` and this.
@@ -70,7 +70,8 @@ impl Board {
     }
 }
 
-/// Returns whether this names a mount, before minutes of building: two signed axes at right angles, or an alias.
+/// Returns true if this names a mount, before minutes of building: two signed axes at right angles,
+/// or an alias.
 pub fn is_mount(name: &str) -> bool {
     let is_axis = |sign, axis| b"+-".contains(&sign) && b"xyz".contains(&axis);
     match *name.as_bytes() {
@@ -109,7 +110,8 @@ impl Firmware {
         }
     }
 
-    /// Builds it and returns the ELF file, which a build for another board or mount does not replace.
+    /// Builds it and returns the ELF file, which a build for another board or mount does not
+    /// replace.
     pub fn build(&self, toolchain: &Toolchain) -> Result<PathBuf, String> {
         let (kind, features) = if self.is_minimal {
             ("minimal firmware", self.board.feature())
@@ -191,14 +193,6 @@ pub fn keep(profile: &str, program: &str, name: &str) -> Result<PathBuf, String>
     Ok(kept)
 }
 
-/// Where cargo puts what it builds.
-pub fn target_folder() -> PathBuf {
-    match std::env::var_os("CARGO_TARGET_DIR") {
-        Some(folder) => crate::root().join(folder),
-        None => crate::root().join("target"),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -216,7 +210,8 @@ mod tests {
         assert!(!is_mount("up") && !is_mount("x+z+") && !is_mount(""));
     }
 
-    /// The places that a new board has to be added to, beside those where the build fails without it.
+    /// The places that a new board has to be added to, beside those where the build fails without
+    /// it.
     #[test]
     fn boards_are_named_wherever_boards_are_listed() {
         let read = |file: &str| std::fs::read_to_string(crate::root().join(file)).expect(file);

@@ -1,8 +1,8 @@
 //! Measures the cost of the filters on the Cortex-M4F, and holds it to a table that is committed.
 //!
-//! `rigs/src/bin/cost.rs` counts instructions in QEMU. The code of a filter is the difference between
-//! its image and one without a filter. QEMU has no cycle model: these figures are without flash wait
-//! states and the core's pipeline.
+//! `rigs/src/bin/cost.rs` counts instructions in QEMU. The code of a filter is the difference
+//! between its image and one without a filter. QEMU has no cycle model: these figures are without
+//! flash wait states and the core's pipeline.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -31,11 +31,12 @@ const FILTERS: [&str; 8] = [
 const NONE: &str = "none";
 
 const EXPLANATION: &str = "\
-What one update costs on the Cortex-M4F: sample in, quaternion and body rates out, one filter to an image.
-Instructions are counted in QEMU (-icount shift=0) over a minute of rest, turns and accelerations at 1 kHz, each run
-twice with the same result; the first sample, which starts the filter, is not in the maximum. Flash is code and
-constants, RAM the state, both in bytes; the library's state is as large as its largest filter's. The vqf crate
-needs the standard library and does not build for this target. Written by `cargo xtask cost --bless`.
+The cost of one update on the Cortex-M4F: sample in, quaternion and body rates out, one filter to an
+image. Instructions are counted in QEMU (-icount shift=0) over a minute of rest, turns and
+accelerations at 1 kHz, each run twice with the same result; the first sample, which starts the
+filter, is not in the maximum. Flash is code and constants, RAM the state, both in bytes; the
+library's state is as large as its largest filter's. The vqf crate needs the standard library and
+does not build for this target. Written by `cargo xtask cost --bless`.
 ";
 
 /// One filter.
@@ -208,7 +209,8 @@ fn compare(rows: &[Row], expected: &[Row]) -> Result<(), String> {
         Ok(())
     } else {
         Err(format!(
-            "the cost of the filter has changed:\n{changes}if that is meant, run `cargo xtask cost --bless` and commit tests/golden/cost.txt"
+            "the cost of the filter has changed:\n{changes}\
+             if that is meant, run `cargo xtask cost --bless` and commit tests/golden/cost.txt"
         ))
     }
 }

@@ -1,19 +1,21 @@
-//! The examples: those for the target are built, and the virtual board's tests fly them; the one for the computer runs.
+//! The examples: those for the target are built, and the virtual board's tests fly them; the one
+//! for the computer runs.
 
 use std::path::PathBuf;
 
-use crate::build::{Board, target_folder};
+use crate::build::Board;
 use crate::setup::{TARGET, Toolchain};
-use crate::{step, test};
+use crate::step::{self, target_folder};
 
 /// Embassy's example is a workspace of its own.
 const EMBASSY: &str = "examples/embassy";
 
-/// What the example for the computer says of the largest roll that it has made up, 29.8 degrees.
-const HOST_SAYS: &str = "  6.0 s  roll  29.7";
+/// The line of the example `host` for the largest roll of its motion, 29.8 degrees.
+const HOST_LINE: &str = "  6.0 s  roll  29.7";
 
-/// Builds RTIC's, the polling one and Embassy's. Returns those that are flown, and their ELF files: polling a bus and a pin
-/// keeps the emulator busy for fifty times as long as it flies.
+/// Builds RTIC's, the polling one and Embassy's. Returns the names and the ELF files of those that
+/// are flown. The polling one is not: it polls a bus and a pin, so its emulation takes fifty times
+/// the flown time.
 pub fn build(toolchain: &Toolchain) -> Result<[(&'static str, PathBuf); 2], String> {
     let feature = Board::default().feature();
     let mut cargo = toolchain.cargo("build");
@@ -41,16 +43,16 @@ pub fn check_format() -> Result<(), String> {
     step::run(cargo.args(["fmt", "--check"]))
 }
 
-/// Runs the one for the computer, and looks at what it says.
+/// Runs the one for the computer and checks its output.
 pub fn run_on_host() -> Result<(), String> {
-    let mut cargo = test::host_cargo("run");
+    let mut cargo = step::host_cargo("run");
     cargo.args(["--quiet", "--example", "host"]);
-    let said = step::output(&mut cargo).ok_or("the example `host` failed")?;
-    if said.contains(HOST_SAYS) {
+    let output = step::output(&mut cargo).ok_or("the example `host` failed")?;
+    if output.contains(HOST_LINE) {
         Ok(())
     } else {
         Err(format!(
-            "the example `host` does not say `{HOST_SAYS}`:\n{said}"
+            "the example `host` does not print `{HOST_LINE}`:\n{output}"
         ))
     }
 }

@@ -6,10 +6,11 @@ use crate::build::{self, Board, Firmware};
 use crate::setup::Toolchain;
 use crate::step;
 
-/// Flights of the short campaign that `cargo xtask test` flies: four that begin with each class of faults.
+/// Flights of the short campaign that `cargo xtask test` flies: four that begin with each class of
+/// faults.
 const SHORT_RUNS: &str = "116";
 
-/// Builds what is needed and hands the arguments on.
+/// Builds the programs and passes the arguments on.
 pub fn run(arguments: &[String]) -> Result<(), String> {
     let virtual_board = build::virtual_board()?;
     if arguments.iter().any(|a| a == "--help" || a == "-h") {

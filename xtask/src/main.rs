@@ -1,4 +1,4 @@
-//! What the README's commands call. Each sets up what it needs first; see [`setup`].
+//! The commands of the README. Each command first sets up what it needs; see [`setup`].
 
 mod agree;
 mod api;
@@ -23,17 +23,21 @@ const USAGE: &str = "\
 usage: cargo xtask COMMAND
 
   fly [--log FILE] [--mount M] [--seconds S] [--seed N] [--board B] [--output DIR]
-                      fly the firmware on the virtual board (`cargo xtask fly --help` says more)
-                      --faults FILE|seed:N lets things go wrong
-  view                fly it in real time and watch it on a terminal, with keys for commands (`cargo xtask view --help` says more)
+                      fly the firmware on the virtual board (more: `cargo xtask fly --help`)
+                      --faults FILE|seed:N adds faults
+  view                fly it in real time and watch it on a terminal, with keys for commands
+                      (more: `cargo xtask view --help`)
   faults [--runs N] [--seed S] [--jobs J]
-                      fly many times with faults by chance, and check what must hold (`--help` says more)
+                      fly many times with random faults, and check each flight
+                      (more: `cargo xtask faults --help`)
   test                run every check and test
-  agree               board, replay and QEMU say the same of the same bursts; a part of `test`
+  agree               board, replay and QEMU agree to the bit; a part of `test`
   package             pack the library, build the package, check what is in it; a part of `test`
-  size [--board B]    flash, RAM and largest symbols of the firmware, and flash of the Kalman filter alone
-  cost [--bless]      what the filters cost on the Cortex-M4F, held to tests/golden/cost.txt; --bless writes it anew
-  api [--bless]       the public API, held to tests/golden/public-api.txt; --bless writes it anew
+  size [--board B]    flash, RAM and largest symbols of the firmware,
+                      and flash of the Kalman filter alone
+  cost [--bless]      cost of the filters on the Cortex-M4F, held to tests/golden/cost.txt
+  api [--bless]       the public API, held to tests/golden/public-api.txt
+                      --bless writes the golden file anew
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
@@ -84,7 +88,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
     }
 }
 
-/// Builds the firmware and the virtual board, and hands the arguments on to the latter.
+/// Builds the firmware and the virtual board, and passes the arguments to the virtual board.
 fn fly(arguments: &[String]) -> Result<(), String> {
     let board = match value_of(arguments, "--board")? {
         Some(name) => Board::from_name(name)?,
@@ -93,7 +97,8 @@ fn fly(arguments: &[String]) -> Result<(), String> {
     let mount = value_of(arguments, "--mount")?;
     if let Some(name) = mount.filter(|name| !build::is_mount(name)) {
         return Err(format!(
-            "there is no mount `{name}`: forward axis, then down axis, such as +x-z, or z-up or z-down"
+            "there is no mount `{name}`: \
+             forward axis, then down axis, such as +x-z, or z-up or z-down"
         ));
     }
     let virtual_board = build::virtual_board()?;
@@ -108,11 +113,12 @@ fn fly(arguments: &[String]) -> Result<(), String> {
     }
     .build(&setup::Toolchain::for_target()?)?;
     flight.arg("--elf").arg(elf);
-    // A failed flight has said why already.
+    // A failed flight has printed the reason already.
     step::run(&mut flight)
 }
 
-/// Builds the program `aplomb`, the virtual board and the firmware, and shows the one by the other.
+/// Builds the program `aplomb`, the virtual board and the firmware. Shows the flight with `aplomb
+/// view`.
 fn view(arguments: &[String]) -> Result<(), String> {
     let program = build::program()?;
     let mut view = step::command(&program);
@@ -128,10 +134,9 @@ fn view(arguments: &[String]) -> Result<(), String> {
 
 fn flash(board: Board) -> Result<(), String> {
     if !step::is_installed("probe-rs") {
-        return Err(
-            "probe-rs is not installed: run `cargo install probe-rs-tools --locked`, then this again"
-                .into(),
-        );
+        return Err("probe-rs is not installed: \
+                    run `cargo install probe-rs-tools --locked`, then this again"
+            .into());
     }
     let mount = std::env::var("APLOMB_MOUNT").ok();
     let elf = Firmware { board, mount }.build(&setup::Toolchain::for_target()?)?;

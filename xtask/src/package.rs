@@ -1,4 +1,5 @@
-//! What others get: the packaged crate is whole and holds no more than it needs, and the library alone brings no firmware.
+//! The package for the registry: it is complete, holds nothing else, and the library alone brings
+//! no firmware.
 
 use std::path::Path;
 use std::process::Command;
@@ -6,7 +7,7 @@ use std::process::Command;
 use crate::setup::TARGET;
 use crate::step;
 
-/// What lies in the package: these files, and these folders with files of this kind.
+/// The contents of the package: these files, and these folders with files of this kind.
 const FILES: [&str; 10] = [
     ".cargo_vcs_info.json",
     "CHANGELOG.md",
@@ -21,8 +22,8 @@ const FILES: [&str; 10] = [
 ];
 const FOLDERS: [(&str, &str); 3] = [("src/", ".rs"), ("examples/", ".rs"), ("boards/", ".x")];
 
-/// Every crate that the library alone builds with: the traits it implements, its mathematics, and what these need (the macro crates
-/// are those with which `cobs` derives its error).
+/// Every crate that the library alone builds with: the traits it implements, its mathematics, and
+/// their dependencies. The macro crates are those with which `cobs` derives its error.
 const CRATES_OF_THE_LIBRARY: [&str; 17] = [
     "aplomb",
     "byteorder",
@@ -100,7 +101,8 @@ fn check_crates(tree: &str) -> Result<(), String> {
     }
     match names.find(|name| !CRATES_OF_THE_LIBRARY.contains(name)) {
         Some(extra) => Err(format!(
-            "the library alone depends on `{extra}`: make it optional, or add it to the list in xtask/src/package.rs"
+            "the library alone depends on `{extra}`: \
+             make it optional, or add it to the list in xtask/src/package.rs"
         )),
         None => Ok(()),
     }

@@ -9,8 +9,8 @@ use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
 
 /// A part of the firmware that may call panics, and why it never comes to that.
 struct Expected {
-    /// Start of its functions' names, without a leading `<`: a module, whatever the compiler inlines
-    /// into what.
+    /// Start of its functions' names, without a leading `<`: a module, whatever the compiler
+    /// inlines into what.
     path: &'static str,
     /// Known panics; another one is new.
     panics: &'static [&'static str],
@@ -22,13 +22,14 @@ const EXPECTED: [Expected; 6] = [
     Expected {
         path: "flight::app::main::__rtic_init_resources",
         panics: &[PANIC, PANIC_FMT, BOUNDS, DIVISION, OPTION],
-        reason: "start-up: checks of the clock settings, which are constants; wrong ones fail at the first start",
+        reason: "start-up: checks of the clock settings, which are constants; \
+                 wrong ones fail at the first start",
     },
     Expected {
         path: "SPI2",
         panics: &[DIVISION, RESUMED],
-        reason: "RTIC's dispatcher: polling a task that has ended, which RTIC does not do, and the division by a queue's \
-                 capacity, which is a constant above zero",
+        reason: "RTIC's dispatcher: polling a task that has ended, which RTIC does not do, \
+                 and the division by a queue's capacity, which is a constant above zero",
     },
     Expected {
         path: "heapless::spsc::",
@@ -54,8 +55,9 @@ const EXPECTED: [Expected; 6] = [
 ];
 
 /// Of the mavlink crate and those of our functions that it is inlined into.
-const MAVLINK_BUFFER: &str = "the mavlink crate: the room in its buffer of 255 bytes, the length of what it reads, and an \
-                              index that it has just compared with the length; every message is shorter";
+const MAVLINK_BUFFER: &str = "the mavlink crate: the room in its buffer of 255 bytes, \
+                              the length of what it reads, and an index that it has just \
+                              compared with the length; every message is shorter";
 
 const PANIC: &str = "core::panicking::panic";
 const PANIC_FMT: &str = "core::panicking::panic_fmt";
@@ -73,8 +75,8 @@ const PANICS: [&str; 4] = [
     "core::result::unwrap_failed",
 ];
 
-/// Functions between a panic and the one to name: parts of `core` that are not inlined, and code that
-/// the compiler has taken out of several functions.
+/// Functions between a panic and its named caller: parts of `core` that are not inlined, and code
+/// that the compiler has outlined from several functions.
 const IN_BETWEEN: [&str; 3] = ["core::", "<core::", "OUTLINED_FUNCTION_"];
 
 /// Checks who calls a panic in a firmware image, and prints the list.
@@ -92,14 +94,14 @@ pub fn check(elf: &Path) -> Result<(), String> {
         return Ok(());
     }
     Err(format!(
-        "{}: these functions can panic: {}. Take the panic out, or add to `EXPECTED` in xtask/src/panics.rs \
-         why it cannot come to that",
+        "{}: these functions can panic: {}. Take the panic out, \
+         or add to `EXPECTED` in xtask/src/panics.rs why it cannot come to that",
         elf.display(),
         unexpected.join(", ")
     ))
 }
 
-/// Why a function that calls these panics never does, or the panic that nobody expects of it.
+/// Returns the reason why a function with these panics never panics, or the first unexpected panic.
 fn reason<'a>(caller: &str, panics: &'a BTreeSet<String>) -> Result<&'static str, &'a str> {
     let expected = EXPECTED
         .iter()
@@ -122,7 +124,8 @@ fn reason<'a>(caller: &str, panics: &'a BTreeSet<String>) -> Result<&'static str
     }
 }
 
-/// The functions of an image that branch to a panic, but for the panics themselves, with those that they branch to.
+/// The functions of an image that branch to a panic, but for the panics themselves, with those that
+/// they branch to.
 fn callers(elf: &[u8]) -> Result<BTreeMap<String, BTreeSet<String>>, String> {
     let file = object::File::parse(elf).map_err(|error| error.to_string())?;
     let mut functions = Vec::new();
@@ -130,7 +133,7 @@ fn callers(elf: &[u8]) -> Result<BTreeMap<String, BTreeSet<String>>, String> {
         if symbol.kind() == SymbolKind::Text && symbol.size() > 0 {
             let name = symbol.name().map_err(|error| error.to_string())?;
             let name = format!("{:#}", rustc_demangle::demangle(name));
-            // The lowest bit says that the code is Thumb.
+            // The lowest bit marks Thumb code.
             functions.push((symbol.address() & !1, symbol.size(), name));
         }
     }
@@ -142,7 +145,11 @@ fn callers(elf: &[u8]) -> Result<BTreeMap<String, BTreeSet<String>>, String> {
         .map(|(address, _, name)| (*address, BTreeSet::from([name.clone()])))
         .collect();
     if panics.is_empty() {
-        return Err("the image has no panic at all, which a firmware with start-up code cannot have: is it stripped?".into());
+        return Err(
+            "the image has no panic at all, which a firmware with start-up code \
+                    cannot have: is it stripped?"
+                .into(),
+        );
     }
     let sections: Vec<_> = file
         .sections()

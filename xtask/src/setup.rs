@@ -1,8 +1,8 @@
 //! Finds a compiler for the Cortex-M4F, or gets one; and QEMU.
 //!
-//! In this order: the target of the compiler that is there; `rustup target add`, unless downloads
-//! are switched off (`RUSTUP_AUTO_INSTALL=0`); the compiler and the library sources of Debian and
-//! Ubuntu, from which the target's `core` is built once into `target/sysroot`.
+//! It tries, in this order: the target of the present compiler; `rustup target add`, unless
+//! downloads are switched off (`RUSTUP_AUTO_INSTALL=0`); the packages of Debian and Ubuntu. From
+//! their library sources the target's `core` is built once into `target/sysroot`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -91,12 +91,14 @@ pub fn qemu() -> Result<(), String> {
         return Ok(());
     }
     if !step::is_installed("apt-get") {
-        return Err("qemu-system-arm is missing: install QEMU for ARM with your system's package manager, then run this again".into());
+        return Err("qemu-system-arm is missing: install QEMU for ARM \
+                    with your system's package manager, then run this again"
+            .into());
     }
     install(&["qemu-system-arm"])
 }
 
-/// Whether rustup is there and may download.
+/// Returns true if rustup is there and may download.
 pub fn may_download() -> bool {
     std::env::var("RUSTUP_AUTO_INSTALL").as_deref() != Ok("0") && step::is_installed("rustup")
 }
@@ -178,7 +180,7 @@ fn distribution_cargo() -> Command {
     command
 }
 
-/// What follows `label` in the distribution's compiler's description of itself.
+/// Returns the text after `label` in the output of the distribution's `rustc -vV`.
 fn version_line(label: &str) -> Result<String, String> {
     step::output(Command::new("/usr/bin/rustc").arg("-vV"))
         .and_then(|text| {
@@ -188,9 +190,10 @@ fn version_line(label: &str) -> Result<String, String> {
         .ok_or_else(|| format!("/usr/bin/rustc -vV has no line `{label}`"))
 }
 
-/// Builds the target's `core` from the distribution's sources, once for each version of its compiler.
+/// Builds the target's `core` from the distribution's sources, once for each version of its
+/// compiler.
 fn build_sysroot() -> Result<PathBuf, String> {
-    let sysroot = crate::build::target_folder()
+    let sysroot = step::target_folder()
         .join("sysroot")
         .join(version_line("release: ")?);
     if holds_core(&library_of(&sysroot)) {
@@ -219,7 +222,8 @@ fn build_sysroot() -> Result<PathBuf, String> {
                 ])
                 .arg("--target-dir")
                 .arg(&output)
-                // Building the standard library is an unstable feature; the bitcode is for link-time optimisation.
+                // Building the standard library is an unstable feature; the bitcode is for
+                // link-time optimisation.
                 .env("RUSTC_BOOTSTRAP", "1")
                 .env("RUSTFLAGS", "-Cembed-bitcode=yes"),
         )?;

@@ -1,10 +1,11 @@
 //! Running other programs, with progress and clear failures.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-/// A command that runs in the workspace's folder, free of what the outer cargo left in the environment.
+/// A command that runs in the workspace's folder, free of what the outer cargo left in the
+/// environment.
 pub fn command(program: &Path) -> Command {
     let mut command = Command::new(program);
     command.current_dir(crate::root());
@@ -22,7 +23,22 @@ pub fn command(program: &Path) -> Command {
     command
 }
 
-/// Runs it, its output on this terminal.
+/// Returns a cargo command for this computer. The emulator asks for a newer compiler than it needs.
+pub fn host_cargo(subcommand: &str) -> Command {
+    let mut cargo = command(Path::new("cargo"));
+    cargo.args([subcommand, "--ignore-rust-version"]);
+    cargo
+}
+
+/// Returns the folder of cargo's build products.
+pub fn target_folder() -> PathBuf {
+    match std::env::var_os("CARGO_TARGET_DIR") {
+        Some(folder) => crate::root().join(folder),
+        None => crate::root().join("target"),
+    }
+}
+
+/// Runs a command with its output on this terminal.
 pub fn run(command: &mut Command) -> Result<(), String> {
     let shown = describe(command);
     let status = command
@@ -35,7 +51,7 @@ pub fn run(command: &mut Command) -> Result<(), String> {
     }
 }
 
-/// Runs it and returns what it printed, or nothing if it failed.
+/// Runs a command and returns its output, or `None` if it failed.
 pub fn output(command: &mut Command) -> Option<String> {
     let output = command.stderr(Stdio::null()).output().ok()?;
     output
@@ -44,7 +60,7 @@ pub fn output(command: &mut Command) -> Option<String> {
         .then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
-/// Says what begins, does it, and says how long it took.
+/// Announces a step, does it, and reports how long it took.
 pub fn timed<T>(what: &str, work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     eprintln!("\n── {what}");
     let start = Instant::now();
@@ -53,7 +69,7 @@ pub fn timed<T>(what: &str, work: impl FnOnce() -> Result<T, String>) -> Result<
     Ok(result)
 }
 
-/// Whether a program of this name is on the path.
+/// Returns true if a program of this name is on the path.
 pub fn is_installed(program: &str) -> bool {
     std::env::var_os("PATH").is_some_and(|path| {
         std::env::split_paths(&path).any(|folder| folder.join(program).is_file())

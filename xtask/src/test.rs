@@ -1,16 +1,35 @@
 //! Every check and test of the project, in the order in which a mistake shows soonest.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use crate::build::{self, BOARDS, Firmware};
+use crate::build::{self, BOARDS, Board, Firmware};
 use crate::setup::{self, Toolchain};
 use crate::{agree, api, cost, examples, faults, package, panics, rigs, size, step};
 
-/// Runs all of it.
+/// Runs all checks and tests.
 pub fn run() -> Result<(), String> {
     let start = Instant::now();
     eprintln!("   for this computer: {}", Toolchain::Own.compiler());
+    check_on_host()?;
+    let toolchain = Toolchain::for_target()?;
+    eprintln!("   for the target: {}", toolchain.compiler());
+    check_for_target(&toolchain)?;
+    let images = build_images(&toolchain)?;
+    let examples = step::timed("examples", || examples::build(&toolchain))?;
+    let virtual_board = build::virtual_board()?;
+    test_virtual_board(&images, &examples)?;
+    step::timed("random flights with random faults", || {
+        faults::short(&virtual_board, &images[0].1)
+    })?;
+    agree::run(&toolchain, &virtual_board, &images[0].1)?;
+    cost::run()?;
+    eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+/// Checks format, lints, tests, documentation, package and dependencies on this computer.
+fn check_on_host() -> Result<(), String> {
     step::timed("formatting", || {
         component("rustfmt", "fmt")?;
         cargo(&["fmt", "--all", "--", "--check"])?;
@@ -18,11 +37,11 @@ pub fn run() -> Result<(), String> {
     })?;
     step::timed("lints, host", || {
         component("clippy", "clippy")?;
-        let mut clippy = host_cargo("clippy");
+        let mut clippy = step::host_cargo("clippy");
         step::run(clippy.args(["--workspace", "--all-targets", "--", "-D", "warnings"]))
     })?;
     step::timed("host tests", || {
-        let mut test = host_cargo("test");
+        let mut test = step::host_cargo("test");
         step::run(test.args([
             "-p",
             "aplomb",
@@ -35,96 +54,101 @@ pub fn run() -> Result<(), String> {
     })?;
     step::timed("tests of the program `aplomb`", || {
         // Whole recordings run through every filter, which takes minutes without optimisation.
-        step::run(host_cargo("test").args(["--profile", "host", "-p", "aplomb-cli"]))
+        step::run(step::host_cargo("test").args(["--profile", "host", "-p", "aplomb-cli"]))
     })?;
     step::timed("documentation", || {
-        let mut doc = host_cargo("doc");
+        let mut doc = step::host_cargo("doc");
         doc.env("RUSTDOCFLAGS", "-D warnings");
         step::run(doc.args(["--no-deps", "--lib", "-p", "aplomb", "-p", "virtual-board"]))
     })?;
     step::timed("the package", package::check)?;
-    step::timed("licences and sources of dependencies", check_dependencies)?;
+    step::timed("licences and sources of dependencies", check_dependencies)
+}
 
-    let toolchain = Toolchain::for_target()?;
-    eprintln!("   for the target: {}", toolchain.compiler());
-    step::timed("lints, target", || {
-        for board in BOARDS {
-            step::run(toolchain.cargo("clippy").args([
-                "--release",
-                "--lib",
-                "--bin",
-                "flight",
-                "--features",
-                &board.feature(),
-                "--",
-                "-D",
-                "warnings",
-            ]))?;
-        }
-        let mut clippy = toolchain.cargo("clippy");
-        clippy.args(["--release", "--example", "rtic", "--example", "polling"]);
-        clippy.args(["--features", &build::Board::default().feature()]);
-        step::run(clippy.args(["--", "-D", "warnings"]))?;
-        rigs::lint(&toolchain)?;
-        // The library alone, as someone else's firmware uses it.
-        step::run(toolchain.cargo("clippy").args([
-            "--release",
-            "--lib",
-            "--features",
-            "defmt",
-            "--",
-            "-D",
-            "warnings",
-        ]))
-    })?;
+/// Checks lints, documentation, public API, panics and the filter's size for the target.
+fn check_for_target(toolchain: &Toolchain) -> Result<(), String> {
+    step::timed("lints, target", || lint_for_target(toolchain))?;
     step::timed("documentation, target", || {
         // What docs.rs shows.
         let mut doc = toolchain.cargo("rustdoc");
         doc.args(["--release", "--lib", "--features"]);
-        doc.arg(build::Board::default().feature());
+        doc.arg(Board::default().feature());
         step::run(doc.args(["--", "-D", "warnings"]))
     })?;
-    step::timed("the public API", || api::check(&toolchain, false))?;
+    step::timed("the public API", || api::check(toolchain, false))?;
     step::timed("nothing in the library panics", || {
-        rigs::prove_no_panic(&toolchain)
+        rigs::prove_no_panic(toolchain)
     })?;
     step::timed("the size of the Kalman filter alone", || {
-        let added = size::check_kalman(&toolchain)?;
+        let added = size::check_kalman(toolchain)?;
         eprintln!("   {added} bytes of flash");
         Ok(())
-    })?;
+    })
+}
+
+/// Lints the firmware, the examples, the programs under `rigs/` and the library alone.
+fn lint_for_target(toolchain: &Toolchain) -> Result<(), String> {
+    for board in BOARDS {
+        step::run(toolchain.cargo("clippy").args([
+            "--release",
+            "--lib",
+            "--bin",
+            "flight",
+            "--features",
+            &board.feature(),
+            "--",
+            "-D",
+            "warnings",
+        ]))?;
+    }
+    let mut clippy = toolchain.cargo("clippy");
+    clippy.args(["--release", "--example", "rtic", "--example", "polling"]);
+    clippy.args(["--features", &Board::default().feature()]);
+    step::run(clippy.args(["--", "-D", "warnings"]))?;
+    rigs::lint(toolchain)?;
+    // The library alone, as someone else's firmware uses it.
+    step::run(toolchain.cargo("clippy").args([
+        "--release",
+        "--lib",
+        "--features",
+        "defmt",
+        "--",
+        "-D",
+        "warnings",
+    ]))
+}
+
+/// Builds the firmware of each board and checks its size and its panics.
+fn build_images(toolchain: &Toolchain) -> Result<Vec<(Board, PathBuf)>, String> {
     let mut images = Vec::new();
     for board in BOARDS {
-        let elf = Firmware { board, mount: None }.build(&toolchain)?;
+        let elf = Firmware { board, mount: None }.build(toolchain)?;
         let sizes = size::check(&elf)?;
         panics::check(&elf)?;
         eprintln!("   {} bytes of flash, {} of RAM", sizes.flash, sizes.ram);
         images.push((board, elf));
     }
+    Ok(images)
+}
 
-    let examples = step::timed("examples", || examples::build(&toolchain))?;
-
-    let virtual_board = build::virtual_board()?;
+/// Runs the virtual board's tests on these images and examples.
+fn test_virtual_board(
+    images: &[(Board, PathBuf)],
+    examples: &[(&str, PathBuf)],
+) -> Result<(), String> {
     step::timed("virtual board tests", || {
-        let mut test = host_cargo("test");
+        let mut test = step::host_cargo("test");
         test.args(["--profile", "host", "-p", "virtual-board"]);
-        for (board, elf) in &images {
+        for (board, elf) in images {
             let name = board.name.to_uppercase().replace('-', "_");
             test.env(format!("APLOMB_FLIGHT_ELF_{name}"), elf);
         }
         test.env("APLOMB_FLIGHT_ELF", &images[0].1);
-        for (name, elf) in &examples {
+        for (name, elf) in examples {
             test.env(format!("APLOMB_EXAMPLE_{name}"), elf);
         }
         step::run(&mut test)
-    })?;
-    step::timed("flights with faults by chance", || {
-        faults::short(&virtual_board, &images[0].1)
-    })?;
-    agree::run(&toolchain, &virtual_board, &images[0].1)?;
-    cost::run()?;
-    eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
-    Ok(())
+    })
 }
 
 /// Runs cargo-deny where it is installed: to build it takes five minutes of CPU.
@@ -143,13 +167,6 @@ fn check_dependencies() -> Result<(), String> {
         "   skipped: cargo-deny is not installed; `cargo install cargo-deny --locked` installs it"
     );
     Ok(())
-}
-
-/// A cargo command on this computer. The emulator asks for a newer compiler than it needs.
-pub fn host_cargo(subcommand: &str) -> std::process::Command {
-    let mut command = step::command(Path::new("cargo"));
-    command.args([subcommand, "--ignore-rust-version"]);
-    command
 }
 
 fn cargo(arguments: &[&str]) -> Result<(), String> {

@@ -1,16 +1,17 @@
-//! A quadrotor as a rigid body with four rotors: its state, the forces on it, and the equations of motion.
+//! A quadrotor as a rigid body with four rotors: its state, the forces on it, and the equations of
+//! motion.
 //!
 //! Body axes forward-right-down, earth axes north-east-down, SI units. In body axes:
 //!
 //! - thrust `k_T Ω²` of each rotor along −z, with the rolling and pitching moments of its arm;
-//! - torque of each rotor on the body: aerodynamic `−s k_Q Ω²`, spin-up `−s J Ω'` and gyroscopic, s = +1
-//!   clockwise from above;
-//! - rotor drag, linear in the air speed across the rotor (Faessler, Franchi, Scaramuzza, IEEE RA-L 3(2),
-//!   2018);
+//! - torque of each rotor on the body: aerodynamic `−s k_Q Ω²`, spin-up `−s J Ω'` and gyroscopic, s
+//!   = +1 clockwise from above;
+//! - rotor drag, linear in the air speed across the rotor (Faessler, Franchi, Scaramuzza, IEEE RA-L
+//!   3(2), 2018);
 //! - drag of the body, quadratic in the air speed;
-//! - vibration: the unbalanced mass of each rotor turns with it (once per turn, across the axis), and the two
-//!   blades pass the arm (twice per turn, along the axis). Both act at the rotor, so they shake the body in
-//!   rotation too.
+//! - vibration. The unbalanced mass of each rotor turns with it: once per turn, across the axis.
+//!   The two blades pass the arm: twice per turn, along the axis. Both act at the rotor, so they
+//!   shake the body in rotation too.
 
 use super::geometry::{Quaternion, Vector, add, cross, norm, scale, subtract};
 use super::truth::STANDARD_GRAVITY_M_S2;
@@ -50,8 +51,8 @@ pub struct Airframe {
     pub ripple: [f64; ROTORS],
 }
 
-/// Where the rotors are in units of the arm (forward, right), and which way they turn (+1 clockwise from
-/// above).
+/// Where the rotors are in units of the arm (forward, right), and which way they turn (+1 clockwise
+/// from above).
 pub const ROTOR_LAYOUT: [(f64, f64, f64); ROTORS] = [
     (1.0, 1.0, -1.0),
     (-1.0, -1.0, -1.0),
@@ -232,8 +233,8 @@ impl Airframe {
     }
 }
 
-/// One step of the classic fourth-order Runge–Kutta method; `rate(state, share)` with the share of the step
-/// done.
+/// One step of the classic fourth-order Runge–Kutta method; `rate(state, share)` with the share of
+/// the step done.
 #[must_use]
 pub fn runge_kutta_step(start: &State, step_s: f64, rate: impl Fn(&State, f64) -> State) -> State {
     let k1 = rate(start, 0.0);
@@ -418,8 +419,8 @@ mod tests {
             state.rotor_speeds_rad_s[rotor] = 500.0;
             airframe.wrench(&state, &OFF, STILL_AIR).torque_n_m
         };
-        // Front right lifts: left wing down, nose up; it turns counter-clockwise, so the body is driven
-        // clockwise.
+        // Front right lifts: left wing down, nose up; it turns counter-clockwise, so the body is
+        // driven clockwise.
         assert!(torque(0)[0] < 0.0 && torque(0)[1] > 0.0 && torque(0)[2] > 0.0);
         // Back right lifts: left wing down, nose down; it turns clockwise.
         assert!(torque(3)[0] < 0.0 && torque(3)[1] < 0.0 && torque(3)[2] < 0.0);

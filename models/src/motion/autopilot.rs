@@ -1,4 +1,5 @@
-//! The simulated vehicle's own control: position → velocity → attitude → rates → rotors, each inside the next.
+//! The simulated vehicle's own control: position → velocity → attitude → rates → rotors, each
+//! inside the next.
 //!
 //! It steers by the true state. Its business is to fly credibly, not to be examined.
 
@@ -37,7 +38,8 @@ pub struct Autopilot {
 }
 
 impl Autopilot {
-    /// The rotor speeds to command (rad/s) for the next `step_s` seconds. On the ground the integrals rest.
+    /// The rotor speeds to command (rad/s) for the next `step_s` seconds. On the ground the
+    /// integrals rest.
     pub fn rotor_speeds(
         &mut self,
         airframe: &Airframe,
@@ -153,8 +155,8 @@ impl Autopilot {
     }
 }
 
-/// The vector with its horizontal part no longer than `horizontal` and its vertical part no larger than
-/// `vertical`.
+/// The vector with its horizontal part no longer than `horizontal` and its vertical part no larger
+/// than `vertical`.
 fn limited(vector: Vector, horizontal: f64, vertical: f64) -> Vector {
     let length = libm::hypot(vector[0], vector[1]);
     let factor = if length > horizontal {
@@ -169,7 +171,8 @@ fn limited(vector: Vector, horizontal: f64, vertical: f64) -> Vector {
     ]
 }
 
-/// The attitude (body → earth) whose thrust axis points along `force` and whose nose points along `yaw_rad`.
+/// The attitude (body → earth) whose thrust axis points along `force` and whose nose points along
+/// `yaw_rad`.
 fn attitude_for(force: Vector, yaw_rad: f64) -> Quaternion {
     let down = scale(force, -1.0 / norm(force));
     let heading = [libm::cos(yaw_rad), libm::sin(yaw_rad), 0.0];
@@ -179,11 +182,11 @@ fn attitude_for(force: Vector, yaw_rad: f64) -> Quaternion {
     Quaternion::from_matrix([0, 1, 2].map(|row| [forward[row], right[row], down[row]]))
 }
 
-/// What turns `current` into `wanted`, in body axes: first the shortest tilt, then the rest about the thrust
-/// axis.
+/// Returns the rotation from `current` to `wanted`, in body axes: first the shortest tilt, then the
+/// rest about the thrust axis.
 ///
-/// Keeping the two apart lets the tilt, which flies the vehicle, go ahead of the heading, which does not matter
-/// (Brescianini, Hehn, D'Andrea, ETH Zürich, 2013).
+/// Keeping the two apart lets the tilt, which flies the vehicle, go ahead of the heading, which
+/// does not matter (Brescianini, Hehn, D'Andrea, ETH Zürich, 2013).
 fn attitude_error(current: Quaternion, wanted: Quaternion) -> (Vector, f64) {
     let down = [0.0, 0.0, 1.0];
     let wanted_down = current.conjugate().rotate(wanted.rotate(down));
@@ -237,8 +240,8 @@ mod tests {
         let force = [2.0, -3.0, -9.0];
         let attitude = attitude_for(force, 0.7);
         assert!(norm(cross(attitude.rotate([0.0, 0.0, -1.0]), force)) < 1e-12);
-        // The right wing never leaves the vertical plane across the heading, and the nose is on the heading's
-        // side.
+        // The right wing never leaves the vertical plane across the heading, and the nose is on the
+        // heading's side.
         let heading = [libm::cos(0.7), libm::sin(0.7), 0.0];
         assert!(dot(attitude.rotate([0.0, 1.0, 0.0]), heading).abs() < 1e-12);
         assert!(dot(attitude.rotate([1.0, 0.0, 0.0]), heading) > 0.9);

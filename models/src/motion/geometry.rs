@@ -2,7 +2,7 @@
 //!
 //! The library has its own in single precision; these are separate so that the two can disagree.
 
-/// Three components along the axes of whatever frame the name says.
+/// Three components along the axes of a frame, which the name gives.
 pub type Vector = [f64; 3];
 
 /// `left + right`.
@@ -57,7 +57,8 @@ pub fn angle_between(left: Vector, right: Vector) -> f64 {
     libm::atan2(norm(cross(left, right)), dot(left, right))
 }
 
-/// A Hamilton quaternion, scalar first. As a rotation it takes coordinates from one frame to another.
+/// A Hamilton quaternion, scalar first. As a rotation it takes coordinates from one frame to
+/// another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quaternion {
     /// Scalar part.
@@ -133,7 +134,8 @@ impl Quaternion {
         [roll, pitch, yaw].map(f64::to_degrees)
     }
 
-    /// From an orthonormal matrix with determinant +1 (Shepperd's method: divide by the largest part).
+    /// From an orthonormal matrix with determinant +1 (Shepperd's method: divide by the largest
+    /// part).
     #[must_use]
     pub fn from_matrix(m: [Vector; 3]) -> Self {
         let squares = [
@@ -215,7 +217,8 @@ impl Quaternion {
         add(add(vector, scale(doubled, self.w)), cross(axis, doubled))
     }
 
-    /// Great-circle interpolation (Shoemake 1985) the shorter way, `self` at share 0 and `end` at share 1.
+    /// Great-circle interpolation (Shoemake 1985) the shorter way, `self` at share 0 and `end` at
+    /// share 1.
     #[must_use]
     pub fn slerp(self, end: Self, share: f64) -> Self {
         let turn = self.conjugate().multiply(end).to_rotation_vector();

@@ -1,4 +1,5 @@
-//! Motion sources: where the sensor really is and what it really feels, at any time from power-up on.
+//! Motion sources: where the sensor really is and what it really feels, at any time from power-up
+//! on.
 //!
 //! - [`quadrotor`]: a simulated flight with physics, by seed;
 //! - [`poses`]: a body that is laid down in one pose after the other, as a calibration asks for it;

@@ -1,15 +1,18 @@
-//! How the sensor sits on the body: one of the 24 ways to put one set of right-handed axes on another.
+//! How the sensor sits on the body: one of the 24 ways to put one set of right-handed axes on
+//! another.
 //!
-//! A mount is named by where two body axes point in sensor axes: forward, then down. `+x-z` is sensor X
-//! forward and sensor −Z down, the chip's face up. The matrices here are built from the name and from nothing
-//! else.
+//! A mount is named by where two body axes point in sensor axes: forward, then down. `+x-z` is
+//! sensor X forward and sensor −Z down, the chip's face up. The matrices here are built from the
+//! name and from nothing else.
 
 use super::geometry::{Quaternion, Vector, cross, dot};
 
-/// The fixed rotation between sensor axes and body axes. It only permutes and negates, so it is exact.
+/// The fixed rotation between sensor axes and body axes. It only permutes and negates, so it is
+/// exact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mount {
-    /// Forward, right and down, each as a unit vector in sensor axes: the rows of the matrix sensor → body.
+    /// Forward, right and down, each as a unit vector in sensor axes: the rows of the matrix sensor
+    /// → body.
     body_axes: [Vector; 3],
 }
 

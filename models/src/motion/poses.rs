@@ -1,4 +1,5 @@
-//! A body that is laid down in one pose after the other: what somebody does who calibrates an accelerometer.
+//! A body that is laid down in one pose after the other, as in the calibration of an
+//! accelerometer.
 
 use super::Motion;
 use super::geometry::Quaternion;
@@ -17,7 +18,8 @@ pub struct Poses {
 }
 
 impl Poses {
-    /// The body lies level, and from each time on, in seconds, it is turned into the pose beside it, body → earth.
+    /// The body lies level, and from each time on, in seconds, it is turned into the pose beside
+    /// it, body → earth.
     #[must_use]
     pub fn new(poses: &[(f64, Quaternion)]) -> Self {
         let mut before = Quaternion::IDENTITY;

@@ -1,9 +1,9 @@
 //! The simulated flight: rest on the ground, take-off, way-points, with exact truth at any instant.
 //!
-//! The physics of [`super::airframe`] run on a fixed grid of 4 kHz; the autopilot acts on every fourth step.
-//! Between the grid points the state is the cubic Hermite interpolation of states and their rates, and the
-//! specific force is evaluated from the equations of motion in that very state, so attitude, rates and
-//! specific force belong together at every instant.
+//! The physics of [`super::airframe`] run on a fixed grid of 4 kHz; the autopilot acts on every
+//! fourth step. Between the grid points the state is the cubic Hermite interpolation of states and
+//! their rates. The specific force follows from the equations of motion in that state. So attitude,
+//! rates and specific force agree at every instant.
 
 use super::Motion;
 use super::airframe::{Airframe, ROTORS, State, runge_kutta_step};
@@ -40,7 +40,8 @@ pub struct Flight {
 }
 
 impl Flight {
-    /// A hover over level ground in still air with perfect rotors: what closed forms can say something about.
+    /// A hover over level ground in still air with perfect rotors: what closed forms can say
+    /// something about.
     #[must_use]
     pub fn ideal_hover() -> Self {
         Self {
@@ -52,7 +53,8 @@ impl Flight {
         }
     }
 
-    /// A flight like any other day's: a little slope, some wind, rotors that are not quite balanced.
+    /// A flight like any other day's: a little slope, some wind, rotors that are not quite
+    /// balanced.
     #[must_use]
     pub fn by_seed(seed: u64) -> Self {
         let mut random = Random::new(seed, "flight");
@@ -64,8 +66,8 @@ impl Flight {
             0.0,
         ];
         let mut airframe = Airframe::balanced();
-        // At the hover speed one rotor shakes the body by 0.1 to 1 m/s² once per turn, and by up to 0.8 m/s²
-        // twice per turn.
+        // At the hover speed one rotor shakes the body by 0.1 to 1 m/s² once per turn, and by up to
+        // 0.8 m/s² twice per turn.
         let per_m_s2 =
             airframe.mass_kg / (airframe.hover_speed_rad_s() * airframe.hover_speed_rad_s());
         airframe.unbalance_kg_m = [0; ROTORS].map(|_| random.uniform(0.1, 1.0) * per_m_s2);
@@ -143,7 +145,7 @@ impl Quadrotor {
         self.segment.state(share)
     }
 
-    /// Steps until the segment contains `time_s`, and says at which share of it.
+    /// Steps until the segment contains `time_s`, and returns the share of it.
     fn step_to(&mut self, time_s: f64) -> f64 {
         while self.steps as f64 * STEP_S < time_s {
             self.step();
@@ -242,7 +244,7 @@ impl Segment {
     }
 }
 
-/// Whether the rotors carry the weight: the ground only pushes.
+/// Returns true if the rotors carry the weight. The ground only pushes.
 fn lifts_off(airframe: &Airframe, state: &State) -> bool {
     let squares: f64 = state
         .rotor_speeds_rad_s
@@ -253,7 +255,7 @@ fn lifts_off(airframe: &Airframe, state: &State) -> bool {
     airframe.thrust_coefficient * squares * up >= airframe.mass_kg * STANDARD_GRAVITY_M_S2
 }
 
-/// The same with the body held by the ground: only the rotors move.
+/// Returns the rates of change while the ground holds the body: only the rotors move.
 fn held(free: State) -> State {
     State {
         rotor_speeds_rad_s: free.rotor_speeds_rad_s,

@@ -36,7 +36,7 @@ impl Rest {
         Self::new(Quaternion::IDENTITY)
     }
 
-    /// The same, but from `start_s` on somebody rolls the body by `angle_rad` and back, in `duration_s`
+    /// Adds a nudge: from `start_s` on the body rolls by `angle_rad` and back, in `duration_s`
     /// altogether.
     #[must_use]
     pub fn nudged(self, start_s: f64, duration_s: f64, angle_rad: f64) -> Self {

@@ -1,4 +1,5 @@
-//! Where the simulated flight goes: way-points without end, drawn in a box above the take-off point.
+//! Where the simulated flight goes: way-points without end, drawn in a box above the take-off
+//! point.
 
 use super::geometry::{Vector, norm, subtract};
 use super::truth::STANDARD_GRAVITY_M_S2;

@@ -1,12 +1,13 @@
-//! Motions for flights that have no time to lose: a body that swings about an axis, and a motion that begins later in
-//! itself.
+//! Motions for flights that have no time to lose: a body that swings about an axis, and a motion
+//! that begins later in itself.
 
 use super::geometry::{Quaternion, Vector, scale};
 use super::truth::{STANDARD_GRAVITY_M_S2, Truth};
 use super::{Motion, geometry};
 use crate::random::Random;
 
-/// Rest, and then a swing to and fro about an axis through the sensor, which so feels gravity alone.
+/// Rest, and then a swing to and fro about an axis through the sensor, which so feels gravity
+/// alone.
 #[derive(Clone, Debug)]
 pub struct Swing {
     start: Quaternion,
@@ -23,7 +24,8 @@ impl Swing {
         let mut random = Random::new(seed, "swing");
         let axis: Vector = [random.normal(), random.normal(), random.normal()];
         let amplitude_rad = random.uniform(20.0, 120.0).to_radians();
-        // The angle is half the amplitude times 1 − cos, so its rate is at most half the amplitude times this.
+        // The angle is half the amplitude times 1 − cos, so its rate is at most half the amplitude
+        // times this.
         let fastest_rad_s = random.uniform(20.0, 200.0).to_radians();
         Self {
             start: Quaternion::from_euler(

@@ -1,17 +1,19 @@
-//! What is really happening to the body at one instant, and how far an estimate is from it.
+//! The true state of the body at one instant, and the error of an estimate.
 
 use super::geometry::{Quaternion, Vector, angle_between};
 
 /// Standard gravity in m/s² (CGPM 1901), the g of every datasheet.
 pub const STANDARD_GRAVITY_M_S2: f64 = 9.806_65;
 
-/// The temperature of a room, in °C: what a motion source without a thermometer says.
+/// Room temperature, in °C, for motions without a thermometer.
 pub const ROOM_TEMPERATURE_C: f64 = 25.0;
 
-/// The state of the body at one instant. Body axes are forward-right-down, earth axes north-east-down.
+/// The state of the body at one instant. Body axes are forward-right-down, earth axes
+/// north-east-down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
-    /// Specific force (acceleration minus gravity) in body axes, m/s². Level and at rest it is (0, 0, −g).
+    /// Specific force (acceleration minus gravity) in body axes, m/s². Level and at rest it is (0,
+    /// 0, −g).
     pub specific_force_m_s2: Vector,
     /// Angular rate of the body relative to the earth, in body axes, rad/s.
     pub body_rates_rad_s: Vector,
@@ -19,7 +21,7 @@ pub struct Truth {
     pub attitude: Option<Quaternion>,
     /// Temperature of the air around the sensor, °C.
     pub temperature_c: f64,
-    /// Whether this instant counts for accuracy scores.
+    /// True if this instant counts for accuracy scores.
     pub scored: bool,
 }
 
@@ -45,9 +47,11 @@ pub fn up_in_body(body_to_earth: Quaternion) -> Vector {
     body_to_earth.conjugate().rotate([0.0, 0.0, -1.0])
 }
 
-/// The inclination error in radians, 0 to π: the angle between the estimated and the true "up" in body axes.
+/// The inclination error in radians, 0 to π: the angle between the estimated and the true "up" in
+/// body axes.
 ///
-/// Yaw plays no part in it. This is the measure of Laidig and others, *BROAD*, Data 6(7), 2021, section 4.
+/// Yaw plays no part in it. This is the measure of Laidig and others, *BROAD*, Data 6(7), 2021,
+/// section 4.
 #[must_use]
 pub fn inclination_error_rad(estimated: Quaternion, truth: Quaternion) -> f64 {
     angle_between(up_in_body(estimated), up_in_body(truth))
@@ -71,7 +75,8 @@ mod tests {
         let yawed = Quaternion::from_euler(0.4, -0.3, -2.0);
         assert!(inclination_error_rad(yawed, truth) < 1e-12);
         let tilted = Quaternion::from_euler(0.45, -0.3, -2.0);
-        // A roll of δ at pitch θ tilts by δ·cos θ to first order; the exact spherical distance is a little off.
+        // A roll of δ at pitch θ tilts by δ·cos θ to first order; the exact spherical distance is a
+        // little off.
         assert!((inclination_error_rad(tilted, truth) - 0.05 * libm::cos(0.3)).abs() < 1e-4);
         assert!((inclination_error_rad(truth.scaled(-1.0), truth)).abs() < 1e-12);
         let inverted = Quaternion::from_euler(0.4 + std::f64::consts::PI, 0.3, 0.0);

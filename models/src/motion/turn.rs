@@ -1,7 +1,8 @@
 //! A smooth turn from rest in one attitude to rest in another, with its exact rates.
 //!
-//! The body turns about one fixed axis, and the angle follows the minimum-jerk profile of Flash and Hogan
-//! (J. Neuroscience 5, 1985), s(τ) = 10τ³ − 15τ⁴ + 6τ⁵: rate and acceleration are zero at both ends.
+//! The body turns about one fixed axis, and the angle follows the minimum-jerk profile of Flash and
+//! Hogan (J. Neuroscience 5, 1985), s(τ) = 10τ³ − 15τ⁴ + 6τ⁵: rate and acceleration are zero at
+//! both ends.
 
 use super::geometry::{Quaternion, Vector, scale};
 
@@ -25,7 +26,8 @@ impl Turn {
         }
     }
 
-    /// Attitude (body → earth) and body rates (rad/s) at `elapsed_s` after the start; at rest before and after.
+    /// Attitude (body → earth) and body rates (rad/s) at `elapsed_s` after the start; at rest
+    /// before and after.
     #[must_use]
     pub fn at(&self, elapsed_s: f64) -> (Quaternion, Vector) {
         let t = (elapsed_s / self.duration_s).clamp(0.0, 1.0);

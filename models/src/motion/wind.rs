@@ -1,8 +1,8 @@
 //! Wind: a constant mean and gusts.
 //!
-//! Each component of the gust is a first-order Gauss–Markov process, the shape of the Dryden model's
-//! longitudinal spectrum (MIL-F-8785C, section 3.7.2) at one fixed air speed: standard deviation σ,
-//! correlation time L/V.
+//! Each component of the gust is a first-order Gauss–Markov process with standard deviation σ and
+//! correlation time L/V. Its spectrum has the shape of the Dryden model's longitudinal one
+//! (MIL-F-8785C, section 3.7.2) at one fixed air speed.
 
 use super::geometry::Vector;
 use crate::random::Random;
@@ -24,8 +24,8 @@ impl Wind {
         Self::new(0, [0.0; 3], 0.0, 1.0)
     }
 
-    /// A mean in earth axes (m/s), and gusts of standard deviation `gust_sigma_m_s` and correlation time
-    /// `gust_time_s`.
+    /// A mean in earth axes (m/s), and gusts of standard deviation `gust_sigma_m_s` and correlation
+    /// time `gust_time_s`.
     #[must_use]
     pub fn new(seed: u64, mean_m_s: Vector, gust_sigma_m_s: f64, gust_time_s: f64) -> Self {
         let mut random = Random::new(seed, "gusts");

@@ -1,5 +1,5 @@
-//! The chip's end of an I2C transaction: register pointer, data held still during it, bursts as they were
-//! delivered.
+//! The chip's end of an I2C transaction: register pointer, data held still during it, bursts as
+//! they were delivered.
 
 use super::registers::{DATA_LENGTH, address};
 
@@ -51,7 +51,8 @@ impl Bus {
         self.collected = 0;
     }
 
-    /// Moves the pointer to the next register; the FIFO's port is the one register that stays (section 4.31).
+    /// Moves the pointer to the next register; the FIFO's port is the one register that stays
+    /// (section 4.31).
     pub fn advance_pointer(&mut self) {
         if self.pointer != address::FIFO_R_W {
             self.pointer = self.pointer.wrapping_add(1);

@@ -1,9 +1,9 @@
 //! The chip's own clock: when its converters sample, in the world's nanoseconds.
 //!
-//! The internal sampling grid runs at 8 kHz (register map r4.2, sections 4.2 and 4.3). The chip's 8 kHz is as
-//! good as its clock source: ±1 % with a gyroscope as reference, ±5 % with the relaxation oscillator (product
-//! specification r3.4, section 6.6). The grid is absolute, an anchor plus a count of ticks, so nothing
-//! accumulates.
+//! The internal sampling grid runs at 8 kHz (register map r4.2, sections 4.2 and 4.3). The chip's 8
+//! kHz is as good as its clock source. The tolerance is ±1 % with a gyroscope as reference, and ±5
+//! % with the relaxation oscillator (product specification r3.4, section 6.6). The grid is
+//! absolute, an anchor plus a count of ticks, so nothing accumulates.
 
 use crate::random::Random;
 
@@ -38,8 +38,8 @@ impl ClockErrors {
 
     /// The source's error for a CLKSEL field, or `None` if that source does not run.
     ///
-    /// No external clock is wired to CLKIN (CLKSEL 4 and 5), 6 is reserved, and 7 stops the clock (section
-    /// 4.28).
+    /// No external clock is wired to CLKIN (CLKSEL 4 and 5), 6 is reserved, and 7 stops the clock
+    /// (section 4.28).
     #[must_use]
     pub fn of_source(&self, clock_select: u8) -> Option<f64> {
         match clock_select {
@@ -59,8 +59,8 @@ pub struct SampleClock {
 }
 
 impl SampleClock {
-    /// A grid whose tick zero is at `anchor_ns`, with ticks of nominal length `tick_s` seconds by a clock off
-    /// by `error`.
+    /// A grid whose tick zero is at `anchor_ns`, with ticks of nominal length `tick_s` seconds by a
+    /// clock off by `error`.
     #[must_use]
     pub fn new(anchor_ns: u64, tick_s: f64, error: f64) -> Self {
         Self {
@@ -82,7 +82,7 @@ impl SampleClock {
         self.anchor_ns + (tick as f64 * self.tick_ns).round() as u64
     }
 
-    /// Takes the next tick if it is not later than `now_ns`, and says when it was.
+    /// Takes the next tick if it is not later than `now_ns`, and returns its time.
     pub fn take_tick(&mut self, now_ns: u64) -> Option<u64> {
         let instant = self.instant_ns(self.ticks + 1);
         if instant > now_ns {

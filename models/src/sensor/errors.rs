@@ -1,9 +1,9 @@
-//! What this particular chip gets wrong: the errors of an MPU-6050, drawn within its datasheet's limits.
+//! The errors of one particular MPU-6050, drawn within the datasheet's limits.
 //!
-//! Limits are from the product specification r3.4, sections 6.1 (gyroscope) and 6.2 (accelerometer). The
-//! datasheet gives tolerances, not distributions; the standard deviations are chosen so that a typical chip
-//! is well inside them, as chips in the field are. Not modelled: nonlinearity (0.2 % and 0.5 %), scale drift
-//! with temperature, 1/f noise.
+//! Limits are from the product specification r3.4, sections 6.1 (gyroscope) and 6.2
+//! (accelerometer). The datasheet gives tolerances, not distributions; the standard deviations are
+//! chosen so that a typical chip is well inside them, as chips in the field are. Not modelled:
+//! nonlinearity (0.2 % and 0.5 %), scale drift with temperature, 1/f noise.
 
 use crate::motion::Vector;
 use crate::motion::geometry::{add, dot, scale};
@@ -13,7 +13,8 @@ use crate::random::Random;
 /// The errors of one sensor's three axes, in its own unit: m/s² or rad/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisErrors {
-    /// Row i gives output i: scale errors on the diagonal (1 is perfect), cross-axis sensitivity beside it.
+    /// Row i gives output i: scale errors on the diagonal (1 is perfect), cross-axis sensitivity
+    /// beside it.
     pub sensitivity: [Vector; 3],
     /// Output at zero input and 25 °C.
     pub offset: Vector,
@@ -127,15 +128,16 @@ impl SensorErrors {
                 noise_density: 0.005 * degree,
             },
             rate_per_specific_force: scale(rate_per_g, degree / STANDARD_GRAVITY_M_S2),
-            // 3.9 mA at 3.3 V, and a small board that warms with it: a few degrees in a few minutes.
+            // 3.9 mA at 3.3 V, and a small board that warms with it: a few degrees in a few
+            // minutes.
             self_heating_c: random.uniform(2.0, 6.0),
             self_heating_time_s: random.uniform(60.0, 180.0),
             start_up_rate: scale(start_up_rate, degree),
         }
     }
 
-    /// A chip from anywhere within the datasheet's tolerance, its limits as likely as its middle, and with an offset that
-    /// follows temperature in a curve: harder than what is sold.
+    /// Returns a chip from anywhere within the datasheet's tolerance, its limits as likely as its
+    /// middle. Its offset follows temperature in a curve. Such a chip is worse than those on sale.
     #[must_use]
     pub fn anywhere_in_tolerance(seed: u64) -> Self {
         let mut random = Random::new(seed, "sensor errors, uniform");
@@ -186,14 +188,14 @@ impl SensorErrors {
         air_c + self.self_heating_c * (1.0 - libm::exp(-awake_s / self.self_heating_time_s))
     }
 
-    /// What the accelerometer feels of the true specific force, without noise.
+    /// Returns the specific force that the accelerometer senses, without noise.
     #[must_use]
     pub fn distort_specific_force(&self, specific_force_m_s2: Vector, chip_c: f64) -> Vector {
         self.accelerometer
             .distort(specific_force_m_s2, chip_c - REFERENCE_TEMPERATURE_C)
     }
 
-    /// What the gyroscope feels of the true rates, without noise.
+    /// Returns the rates that the gyroscope senses, without noise.
     #[must_use]
     pub fn distort_rates(
         &self,

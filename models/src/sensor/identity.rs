@@ -1,9 +1,9 @@
 //! The parts that are sold as an MPU-6050, by what they answer to WHO_AM_I, and how they differ.
 //!
-//! Two families are modelled. The MPU-6050's numbers come from its register map r4.2 (section 4.3) and
-//! product specification r3.4; the MPU-6500 family's from the MPU-6500 register map r2.1 (sections 4.5, 4.8)
-//! and product specification. A part with an identity that no document names behaves like an MPU-6050: its
-//! driver should refuse it anyway.
+//! Two families are modelled. The MPU-6050's numbers come from its register map r4.2 (section 4.3)
+//! and product specification r3.4. Those of the MPU-6500 family come from the MPU-6500 register map
+//! r2.1 (sections 4.5, 4.8) and product specification. A part with an identity that no document
+//! names behaves like an MPU-6050: its driver should refuse it anyway.
 
 use super::low_pass::Response;
 use super::registers::{PWR_MGMT_1_RESET, address};
@@ -11,9 +11,10 @@ use super::registers::{PWR_MGMT_1_RESET, address};
 /// How a part differs from its relatives.
 #[derive(Clone, Copy, Debug)]
 pub struct Identity {
-    /// What WHO_AM_I answers.
+    /// The value of WHO_AM_I.
     pub who_am_i: u8,
-    /// PWR_MGMT_1 after a reset: 0x40 is asleep on the internal oscillator, 0x01 awake on the gyroscope's.
+    /// PWR_MGMT_1 after a reset: 0x40 is asleep on the internal oscillator, 0x01 awake on the
+    /// gyroscope's.
     pub power_management_1: u8,
     /// Least significant bits per °C.
     pub temperature_lsb_per_c: f64,
@@ -32,7 +33,8 @@ impl Identity {
     #[must_use]
     pub fn of(who_am_i: u8) -> Self {
         match who_am_i {
-            // MPU-6500, MPU-9250, MPU-9255: 333.87 LSB/°C, zero at 21 °C (their product specifications).
+            // MPU-6500, MPU-9250, MPU-9255: 333.87 LSB/°C, zero at 21 °C (their product
+            // specifications).
             0x70 | 0x71 | 0x73 => Self {
                 who_am_i,
                 power_management_1: 0x01,
@@ -68,7 +70,8 @@ impl Identity {
         }
     }
 
-    /// The bits of `register` that keep what is written to them, where this part differs from the MPU-6050.
+    /// The bits of `register` that keep what is written to them, where this part differs from the
+    /// MPU-6050.
     #[must_use]
     pub fn additional_writable_bits(&self, register: u8) -> u8 {
         if register == address::ACCEL_CONFIG_2 && self.accelerometer_filter_register == register {
@@ -110,7 +113,8 @@ const MPU_6050_ACCELEROMETER: [Response; 8] = [
     response(260.0, 0.0),
 ];
 
-/// MPU-6500 register map r2.1, section 4.5. Setting 7 (3600 Hz) is as wide as the model's 8 kHz grid allows.
+/// MPU-6500 register map r2.1, section 4.5. Setting 7 (3600 Hz) is as wide as the model's 8 kHz
+/// grid allows.
 const MPU_6500_GYROSCOPE: [Response; 8] = [
     response(250.0, 0.97),
     response(184.0, 2.9),

@@ -1,4 +1,5 @@
-//! The INT pin: register map r4.2, sections 4.14 (INT_PIN_CFG), 4.15 (INT_ENABLE) and 4.16 (INT_STATUS).
+//! The INT pin: register map r4.2, sections 4.14 (INT_PIN_CFG), 4.15 (INT_ENABLE) and 4.16
+//! (INT_STATUS).
 
 /// INT_PIN_CFG: the pin is active low.
 const ACTIVE_LOW: u8 = 1 << 7;
@@ -12,7 +13,7 @@ const READ_CLEARS: u8 = 1 << 4;
 /// Length of the pulse without the latch, in ns (t_INT, product specification r3.4, section 6.4).
 pub const PULSE_NS: u64 = 50_000;
 
-/// What the pin does to its wire.
+/// How the pin drives its wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PinLevel {
     /// Driven to ground.
@@ -47,7 +48,7 @@ impl Interrupt {
         !was_active
     }
 
-    /// A register was read over the bus. `is_status` says whether it was INT_STATUS.
+    /// Processes a read of a register over the bus. `is_status` is true for INT_STATUS.
     pub fn register_read(&mut self, is_status: bool) {
         if is_status || self.configuration & READ_CLEARS != 0 {
             self.status = false;
@@ -61,7 +62,7 @@ impl Interrupt {
         self.status
     }
 
-    /// Whether the pin signals an interrupt at `now_ns`.
+    /// Returns true if the pin signals an interrupt at `now_ns`.
     #[must_use]
     pub fn is_active(&self, now_ns: u64) -> bool {
         self.latched || now_ns < self.pulse_end_ns
@@ -73,7 +74,7 @@ impl Interrupt {
         (now_ns < self.pulse_end_ns).then_some(self.pulse_end_ns)
     }
 
-    /// What the pin does at `now_ns`.
+    /// Returns how the pin drives its wire at `now_ns`.
     #[must_use]
     pub fn pin(&self, now_ns: u64) -> PinLevel {
         let low = self.is_active(now_ns) == (self.configuration & ACTIVE_LOW != 0);

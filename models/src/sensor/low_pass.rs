@@ -1,19 +1,23 @@
-//! The digital low-pass filter, with both of the datasheet's figures: the bandwidth (−3 dB) and the delay.
+//! The digital low-pass filter, with both of the datasheet's figures: the bandwidth (−3 dB) and the
+//! delay.
 //!
-//! The datasheet gives no filter structure. Settings 1 to 4 fit a single pole of the stated bandwidth behind
-//! about 1 ms of pure delay; at 10 and 5 Hz the stated delay is *shorter* than that of such a pole. So:
+//! The datasheet gives no filter structure. Settings 1 to 4 fit a single pole of the stated
+//! bandwidth behind about 1 ms of pure delay. At 10 and 5 Hz the stated delay is *shorter* than
+//! that of such a pole. So:
 //!
-//! - where the delay is at least the pole's own, the filter is one pole and a pure delay for the rest;
-//! - where it is shorter, it is two poles and a zero at half the bandwidth, which meet both figures with at
-//!   most 0.8 dB of peaking and a delay that is within a fifth of the stated one up to a tenth of the bandwidth;
-//! - a stated delay of zero (the accelerometer's setting 0) is out of any causal filter's reach: there it is
-//!   one pole, whose own delay at 260 Hz is 0.6 ms.
+//! - where the delay is at least the pole's own, the filter is one pole and a pure delay for the
+//!   rest;
+//! - where it is shorter, the filter is two poles and a zero at half the bandwidth. They meet both
+//!   figures with at most 0.8 dB of peaking. Up to a tenth of the bandwidth the delay is within a
+//!   fifth of the stated one;
+//! - a stated delay of zero (the accelerometer's setting 0) is impossible for a causal filter.
+//!   There it is one pole, whose own delay at 260 Hz is 0.6 ms.
 //!
-//! "Delay" is the group delay at low frequencies. Both forms are made by the bilinear transform, prewarped so
-//! that the bandwidth is exact on the 8 kHz grid.
+//! "Delay" is the group delay at low frequencies. Both forms are made by the bilinear transform,
+//! prewarped so that the bandwidth is exact on the 8 kHz grid.
 //!
 //! Derivation of the second, with Ω = tan(ωT/2), k = Ω at the bandwidth, x = Ω/k and d = 2kτ/T:
-//! H = (1 + jZx) / (1 − a²x² + jbx). Delay d at x = 0 needs b = Z + d, and half power at x = 1 needs
+//! H = (1 + jZx) / (1 − a²x² + jbx). Delay d at x = 0 needs b = Z + d. Half power at x = 1 needs
 //! (1 − a²)² = Z² − 2dZ + 2 − d².
 
 use crate::motion::Vector;
@@ -126,7 +130,8 @@ impl Section {
     }
 }
 
-/// A delay of a whole and a fractional number of ticks; the fraction by a straight line between two inputs.
+/// A delay of a whole and a fractional number of ticks; the fraction by a straight line between two
+/// inputs.
 #[derive(Clone, Debug)]
 struct Delay {
     /// A ring; `newest` is the place of the last input.
@@ -149,7 +154,8 @@ impl Delay {
         let length = self.inputs.len();
         self.newest = (self.newest + 1) % length;
         self.inputs[self.newest] = input;
-        // The ring is just long enough: the oldest two inputs are the ones on either side of the delay.
+        // The ring is just long enough: the oldest two inputs are the ones on either side of the
+        // delay.
         let oldest = self.inputs[(self.newest + 1) % length];
         let next = self.inputs[(self.newest + 2) % length];
         interpolate(next, oldest, self.fraction)
@@ -164,7 +170,8 @@ mod tests {
 
     const TICK_S: f64 = 1.0 / 8000.0;
 
-    /// Gain and delay in seconds of the filter for a sine of `frequency_hz`, by correlation over whole periods.
+    /// Gain and delay in seconds of the filter for a sine of `frequency_hz`, by correlation over
+    /// whole periods.
     fn measure(response: Response, frequency_hz: f64) -> (f64, f64) {
         let mut filter = LowPass::new(response, TICK_S);
         let period = (1.0 / (frequency_hz * TICK_S)).round();
@@ -194,7 +201,8 @@ mod tests {
                 .into_iter()
                 .chain(identity.accelerometer_filters);
             for response in filters.filter(|response| response.bandwidth_hz < 1000.0) {
-                // At an eightieth of the bandwidth the phase delay is the group delay at zero to within 1 %.
+                // At an eightieth of the bandwidth the phase delay is the group delay at zero to
+                // within 1 %.
                 let (gain, delay_s) = measure(response, response.bandwidth_hz / 80.0);
                 assert!((gain - 1.0).abs() < 0.03, "{response:?}: gain {gain}");
                 // The one delay that no causal filter has: see the module's header.

@@ -1,7 +1,7 @@
 //! A register-accurate MPU-6050, as an I2C bus, an interrupt wire and the world's motion see it.
 //!
-//! Written from the register map (RM-MPU-6000A r4.2) and the product specification (PS-MPU-6000A r3.4) alone:
-//! it shares nothing with the driver that it tests.
+//! Written from the register map (RM-MPU-6000A r4.2) and the product specification (PS-MPU-6000A
+//! r3.4) alone: it shares nothing with the driver that it tests.
 //!
 //! - [`registers`]: what can be written, and what reads back after a reset;
 //! - [`clock`]: when the converters sample, with the chip's own idea of a second;
@@ -10,8 +10,8 @@
 //! - [`identity`]: clones and successors;
 //! - [`model`]: the chip that puts them together.
 //!
-//! Not modelled: the FIFO (its count reads zero), the auxiliary I2C master, FSYNC, the motion processor,
-//! nonlinearity.
+//! Not modelled: the FIFO (its count reads zero), the auxiliary I2C master, FSYNC, the motion
+//! processor, nonlinearity.
 
 pub mod bus;
 pub mod clock;

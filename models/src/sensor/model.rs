@@ -1,8 +1,8 @@
 //! The chip: registers, clock, signal path, interrupt and bus put together.
 //!
-//! Time is the caller's, in nanoseconds since power-up, and must not decrease. Nothing happens between calls:
-//! every call first brings the chip up to its time, and [`Sensor::next_event_ns`] says when to call again at
-//! the latest.
+//! Time is the caller's, in nanoseconds since power-up, and must not decrease. Nothing happens
+//! between calls: every call first brings the chip up to its time, and [`Sensor::next_event_ns`]
+//! says when to call again at the latest.
 
 use super::bus::{Burst, Bus, DataRegisters};
 use super::clock::{ClockErrors, SampleClock, TICKS_PER_SECOND};
@@ -41,19 +41,20 @@ pub struct SensorConfig {
     pub seed: u64,
     /// 7-bit bus address: 0x68, or 0x69 with AD0 high.
     pub address: u8,
-    /// What WHO_AM_I answers, and with it the part's other traits; see [`Identity`].
+    /// The value of WHO_AM_I, which decides the part's other traits too; see [`Identity`].
     pub who_am_i: u8,
     /// How the chip sits on the body.
     pub mount: Mount,
-    /// What the chip gets wrong.
+    /// The chip's errors.
     pub errors: SensorErrors,
     /// How far its clocks are from nominal.
     pub clock: ClockErrors,
-    /// From power-up, or DEVICE_RESET, until the registers can be used; the chip does not acknowledge before.
+    /// From power-up, or DEVICE_RESET, until the registers can be used; the chip does not
+    /// acknowledge before.
     pub start_up_ns: u64,
-    /// Whether the low-pass filter filters. A recording has been through its own sensor's filter already.
+    /// True if the low-pass filter works. A recording has passed its own sensor's filter already.
     pub filtered: bool,
-    /// Whether it has a self-test with factory trim; many clones do not.
+    /// True if it has a self-test with factory trim; many clones do not.
     pub has_self_test: bool,
 }
 
@@ -68,15 +69,16 @@ impl SensorConfig {
             mount: Mount::default(),
             errors: SensorErrors::typical(seed),
             clock: ClockErrors::draw(seed),
-            // Drivers are told to wait 100 ms after a reset; how much of it a chip needs is its own affair.
+            // Drivers are told to wait 100 ms after a reset; how much of it a chip needs is its own
+            // affair.
             start_up_ns: Random::new(seed, "sensor start-up").uniform(20e6, 90e6) as u64,
             filtered: true,
             has_self_test: true,
         }
     }
 
-    /// A chip that adds only its clock and its registers' resolution and range, for motion that a sensor has
-    /// recorded.
+    /// A chip that adds only its clock and its registers' resolution and range, for motion that a
+    /// sensor has recorded.
     #[must_use]
     pub fn for_recording(seed: u64) -> Self {
         Self {
@@ -98,7 +100,7 @@ pub struct DataReady {
     pub truth: Truth,
 }
 
-/// What is wrong with the data registers.
+/// A fault of the data registers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OutputFault {
     /// They keep their values.
@@ -128,7 +130,8 @@ pub struct Sensor {
     bus: Bus,
     /// The chip's own data registers, renewed by every sample.
     internal: DataRegisters,
-    /// What the bus reads: the same, but held still during a transaction (sections 4.17 to 4.19).
+    /// The data registers as the bus reads them: held still during a transaction (sections 4.17 to
+    /// 4.19).
     visible: DataRegisters,
     edges: Vec<DataReady>,
     edge_count: u64,
@@ -190,7 +193,8 @@ impl Sensor {
         self.path.reset();
     }
 
-    /// A start or repeated start condition with a 7-bit address and a direction. Returns the acknowledge.
+    /// A start or repeated start condition with a 7-bit address and a direction. Returns the
+    /// acknowledge.
     pub fn start(&mut self, now_ns: u64, address: u8, read: bool) -> bool {
         self.advance_to(now_ns);
         if address != self.config.address || self.ready_at_ns.is_some() {
@@ -201,7 +205,8 @@ impl Sensor {
         true
     }
 
-    /// A byte from the controller: the register pointer first, then values. Returns the acknowledge.
+    /// A byte from the controller: the register pointer first, then values. Returns the
+    /// acknowledge.
     pub fn write(&mut self, now_ns: u64, byte: u8) -> bool {
         self.advance_to(now_ns);
         if self.ready_at_ns.is_some() {
@@ -245,7 +250,8 @@ impl Sensor {
         self.release_bus();
     }
 
-    /// The time of the next event that is visible outside: end of a reset, sample, end of an interrupt pulse.
+    /// The time of the next event that is visible outside: end of a reset, sample, end of an
+    /// interrupt pulse.
     #[must_use]
     pub fn next_event_ns(&self) -> Option<u64> {
         let sample = self.clock.map(|clock| {
@@ -277,7 +283,8 @@ impl Sensor {
         self.read_register(register)
     }
 
-    /// A register changes by itself: of its bits those that hold something (a reset is not among them).
+    /// A register changes by itself: of its bits those that hold something (a reset is not among
+    /// them).
     pub fn corrupt_register(&mut self, now_ns: u64, register: u8, value: u8) {
         self.advance_to(now_ns);
         let is_trigger = register == address::PWR_MGMT_1;
@@ -291,7 +298,7 @@ impl Sensor {
         );
     }
 
-    /// What is wrong with the data registers, from the next sample on.
+    /// Sets the faults of the data registers, from the next sample on.
     pub fn set_output_faults(&mut self, faults: Vec<OutputFault>) {
         self.output_faults = faults;
     }
@@ -317,7 +324,7 @@ impl Sensor {
         self.now_ns = self.now_ns.max(now_ns);
     }
 
-    /// What the INT pin does to its wire.
+    /// Returns how the INT pin drives its wire.
     #[must_use]
     pub fn interrupt_pin(&self) -> PinLevel {
         self.interrupt.pin(self.now_ns)
@@ -378,7 +385,7 @@ impl Sensor {
         if self.registers.get(address::PWR_MGMT_1) & TEMPERATURE_DISABLE == 0 {
             self.internal.put(6, counts.temperature);
         }
-        self.spoil_output(before);
+        self.apply_output_faults(before);
         self.internal.edge = None;
         if self.registers.get(address::INT_ENABLE) & DATA_READY != 0
             && self.interrupt.raise(self.now_ns)
@@ -396,8 +403,8 @@ impl Sensor {
         }
     }
 
-    /// What the output faults make of the data registers, which held `before` until now.
-    fn spoil_output(&mut self, before: [u8; DATA_LENGTH]) {
+    /// Applies the output faults to the data registers, which held `before` until now.
+    fn apply_output_faults(&mut self, before: [u8; DATA_LENGTH]) {
         for fault in &self.output_faults {
             match *fault {
                 OutputFault::Frozen => self.internal.bytes = before,
@@ -463,7 +470,7 @@ impl Sensor {
         self.visible = self.internal;
     }
 
-    /// Starts the sampling grid anew at this instant, or stops it, as the power registers say.
+    /// Starts the sampling grid anew at this instant, or stops it, as the power registers require.
     fn restart_clock(&mut self, woken: bool) {
         let power = self.registers.get(address::PWR_MGMT_1);
         let error = self.config.clock.of_source(power & CLOCK_SELECT);
@@ -490,8 +497,8 @@ impl Sensor {
         (self.now_ns - self.woken_at_ns) as f64 * 1e-9
     }
 
-    /// Sample rate = gyroscope output rate / (1 + SMPLRT_DIV), the former 8 kHz without filter, else 1 kHz
-    /// (section 4.2).
+    /// Sample rate = gyroscope output rate / (1 + SMPLRT_DIV), the former 8 kHz without filter,
+    /// else 1 kHz (section 4.2).
     fn ticks_per_sample(&self) -> u64 {
         if self.is_cycling() {
             return 1;
@@ -511,7 +518,7 @@ impl DataRegisters {
     }
 }
 
-/// What the registers say about the signal path.
+/// Reads the settings of the signal path from the registers.
 fn settings_of(registers: &RegisterFile, identity: &Identity) -> Settings {
     let gyroscope = registers.get(address::GYRO_CONFIG);
     let accelerometer = registers.get(address::ACCEL_CONFIG);

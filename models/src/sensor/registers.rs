@@ -1,8 +1,8 @@
 //! The MPU-6050's register file, from the register map (RM-MPU-6000A r4.2, section 3).
 //!
-//! This is the model's own table. The driver under test has another, so a mistake in one of them shows.
-//! Registers that the map does not list read zero and ignore writes; real chips keep undocumented factory
-//! values there.
+//! This is the model's own table. The driver under test has another, so a mistake in one of them
+//! shows. Registers that the map does not list read zero and ignore writes; real chips keep
+//! undocumented factory values there.
 
 /// The addresses the model itself acts on, by the register map's names.
 pub mod address {
@@ -16,7 +16,8 @@ pub mod address {
     pub const GYRO_CONFIG: u8 = 0x1B;
     /// Accelerometer: self-test and full scale.
     pub const ACCEL_CONFIG: u8 = 0x1C;
-    /// The accelerometer's own filter, in the MPU-6500 and its relatives alone (RM-MPU-6500A r2.1, section 4.8).
+    /// The accelerometer's own filter, in the MPU-6500 and its relatives alone (RM-MPU-6500A r2.1,
+    /// section 4.8).
     pub const ACCEL_CONFIG_2: u8 = 0x1D;
     /// Shape of the INT pin's signal.
     pub const INT_PIN_CFG: u8 = 0x37;
@@ -53,8 +54,8 @@ pub const PWR_MGMT_1_RESET: u8 = 0x40;
 
 /// The bits of the register at `register` that keep what is written to them.
 ///
-/// Bits that trigger something and clear themselves (DEVICE_RESET, the resets in USER_CTRL,
-/// SIGNAL_PATH_RESET) are not among them: they never read as set once the action is done.
+/// Bits that trigger an action and clear themselves are not among them: DEVICE_RESET, the resets in
+/// USER_CTRL, SIGNAL_PATH_RESET. They never read as set once the action is done.
 #[must_use]
 pub const fn writable_bits(register: u8) -> u8 {
     match register {
@@ -84,8 +85,8 @@ pub struct RegisterFile {
 }
 
 impl RegisterFile {
-    /// All registers at their reset values: zero, except PWR_MGMT_1, WHO_AM_I and the factory's self-test
-    /// trims.
+    /// All registers at their reset values: zero, except PWR_MGMT_1, WHO_AM_I and the factory's
+    /// self-test trims.
     #[must_use]
     pub fn at_reset(who_am_i: u8, power_management_1: u8, self_test: [u8; 4]) -> Self {
         let mut file = Self {

@@ -1,4 +1,5 @@
-//! From the motion to the converters' counts: errors, noise, saturation, low-pass filter, quantisation.
+//! From the motion to the converters' counts: errors, noise, saturation, low-pass filter,
+//! quantisation.
 
 use super::errors::SensorErrors;
 use super::identity::Identity;
@@ -12,7 +13,7 @@ use crate::sensor::clock::TICKS_PER_SECOND;
 /// Nominal spacing of the converters' samples.
 const TICK_S: f64 = 1.0 / TICKS_PER_SECOND;
 
-/// What the registers say about the signal path.
+/// The settings of the signal path, from the registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// FS_SEL, 0 to 3.
@@ -118,7 +119,7 @@ struct Channel {
     counts_per_unit: f64,
     /// The last converted input, before the filter.
     input: Vector,
-    /// What the registers would get, in the sensor's unit.
+    /// The value for the registers, in the sensor's unit.
     output: Vector,
 }
 
@@ -151,7 +152,7 @@ impl SignalPath {
         path
     }
 
-    /// The same chip as a clone without self-test: no trim codes, and nothing deflects.
+    /// Removes the self-test, as in some clones: no trim codes, and nothing deflects.
     #[must_use]
     pub fn without_self_test(mut self) -> Self {
         self.self_test = SelfTest::NONE;
@@ -181,7 +182,8 @@ impl SignalPath {
         }
     }
 
-    /// Clears converters and filters, as a signal path reset does (register map r4.2, section 4.26).
+    /// Clears converters and filters, as a signal path reset does (register map r4.2, section
+    /// 4.26).
     pub fn reset(&mut self) {
         self.reset_gyroscope();
         self.reset_accelerometer();
@@ -251,8 +253,8 @@ impl SignalPath {
     }
 
     fn set_ranges(&mut self) {
-        // 131, 65.5, 32.8 and 16.4 LSB/(°/s); 16384 to 2048 LSB/g (product specification r3.4, sections 6.1
-        // and 6.2).
+        // 131, 65.5, 32.8 and 16.4 LSB/(°/s); 16384 to 2048 LSB/g (product specification r3.4,
+        // sections 6.1 and 6.2).
         let per_degree_s =
             [131.0, 65.5, 32.8, 16.4][usize::from(self.settings.gyroscope_range & 3)];
         self.gyroscope.counts_per_unit = per_degree_s * 1.0_f64.to_degrees();

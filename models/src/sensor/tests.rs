@@ -1,5 +1,5 @@
-//! The chip as a controller on its bus sees it. Register addresses and bits are written as numbers here, so
-//! that a wrong entry in the model's own table shows.
+//! The chip as a controller on its bus sees it. Register addresses and bits are written as numbers
+//! here, so that a wrong entry in the model's own table shows.
 
 use super::errors::AxisErrors;
 use super::identity::Identity;
@@ -29,7 +29,8 @@ impl Controller {
         }
     }
 
-    /// A chip that has started up, awake, sampling at 1 kHz with filter 1 and raising the interrupt.
+    /// A chip that has started up, awake, sampling at 1 kHz with filter 1 and raising the
+    /// interrupt.
     fn running(config: SensorConfig, motion: impl Motion + 'static) -> Self {
         let mut controller = Self::new(config, motion);
         controller.wait(START_UP);
@@ -345,7 +346,8 @@ fn only_a_complete_burst_is_recorded() {
 
 // The clock.
 
-/// Edges in one second with these settings of CONFIG and SMPLRT_DIV, and the spacing of the first two in ns.
+/// Edges in one second with these settings of CONFIG and SMPLRT_DIV, and the spacing of the first
+/// two in ns.
 fn rate(config: SensorConfig, filter: u8, divider: u8) -> (usize, u64) {
     let mut chip = Controller::running(config, level());
     chip.write(0x1A, filter);
@@ -810,7 +812,8 @@ fn a_changed_range_leaves_the_filter_alone_and_a_changed_filter_starts_settled()
 
 #[test]
 fn what_exceeds_the_range_is_cut_off_before_the_filter() {
-    // Every other millisecond +3 g and −1 g: the filter's mean is 1 g, but of the cut-off signal 0.5 g.
+    // Every other millisecond +3 g and −1 g: the filter's mean is 1 g, but of the cut-off signal
+    // 0.5 g.
     let hammering = Scripted {
         force: |time_s| {
             let up = (time_s * 1000.0) as i64 % 2 == 0;
@@ -831,8 +834,8 @@ fn what_exceeds_the_range_is_cut_off_before_the_filter() {
 
 #[test]
 fn the_self_test_deflects_every_axis_as_its_trim_promises() {
-    // The procedure of register map r4.2, section 4.1: gyroscope at ±250 °/s, accelerometer at ±8 g, response
-    // = on − off.
+    // The procedure of register map r4.2, section 4.1: gyroscope at ±250 °/s, accelerometer at ±8
+    // g, response = on − off.
     let mut chip = Controller::running(perfect(), level());
     chip.write_all(&[0x1B, 0x00, 0x10]);
     chip.wait(300 * MILLISECOND);

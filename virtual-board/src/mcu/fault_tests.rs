@@ -534,7 +534,8 @@ fn the_core_stands_still_while_it_is_stalled_and_hangs_until_a_reset() {
     }
 }
 
-/// The clocks: HSE on, PLL from it, PLL as the system's clock, and the clock security system if asked for.
+/// The clocks: HSE on, PLL from it, PLL as the system's clock, and the clock security system if
+/// asked for.
 fn run_from_crystal(bench: &mut Bench, guarded: bool) {
     bench.write(&RCC, 0x00, 1 << 16 | 1);
     bench.run_for(MILLISECOND / 100);
@@ -584,7 +585,8 @@ fn a_dead_crystal_stops_the_core_if_it_is_not_guarded() {
     );
 }
 
-/// Listens on USART2 at 115,200 baud for the fault's ten milliseconds: bytes, and those among them with an error.
+/// Listens on USART2 at 115,200 baud for the fault's ten milliseconds: bytes, and those among them
+/// with an error.
 fn listen(kind: FaultKind) -> (u32, u32) {
     let mut bench = bench(kind);
     bench.write(&RCC, 0x40, 1 << 21 | 1 << 17);

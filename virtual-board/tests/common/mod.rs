@@ -1,4 +1,4 @@
-//! What the tests of the virtual board share.
+//! Shared code of the virtual board's tests.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,8 @@ pub fn firmware() -> PathBuf {
     match std::env::var_os("APLOMB_FLIGHT_ELF") {
         Some(path) => path.into(),
         None => panic!(
-            "APLOMB_FLIGHT_ELF does not name the firmware image: run `cargo xtask test`, which builds it"
+            "APLOMB_FLIGHT_ELF does not name the firmware image: \
+             run `cargo xtask test`, which builds it"
         ),
     }
 }

@@ -1,147 +1,18 @@
-//! Which exception executed how many instructions, exactly.
-//!
-//! The emulated core is wrapped. A breakpoint on every handler of the vector table shows each entry. A return shows in
-//! one of two ways: if the core has only just slept when it is interrupted, at a breakpoint where the idle loop goes on;
-//! else the handler is executed one instruction at a time. (Breakpoints in busy code would slow the emulator down for good.)
-//! At each of these points IPSR says which exception is running, and the instructions since the last look belong to the
-//! one before. Tail-chained entries keep the interrupted context's frame, so the stack pointer tells them from nested
-//! ones. None of this takes an instruction or virtual time, and the run never hears of it.
-//!
-//! Handlers are expected on the main stack, as RTIC and cortex-m-rt have them.
+//! The wrapped processor that keeps the account.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
 use rigless::emulator::{
-    Access, AccessKind, BitAlias, Checked, CoreBus, DataModel, Error, Exit, HaltReason, HostCall,
-    InterruptLine, Processor, Queued,
+    Access, AccessKind, BitAlias, CoreBus, DataModel, Error, Exit, HaltReason, HostCall, Processor,
+    Queued,
 };
 use rigless::soc::{Endian, Width};
 use rigless::time::VirtualNanos;
 
+use super::stretch::Stretch;
+use super::{CRASHES, EXCEPTIONS, Profile, THREAD, Upset};
 use crate::flash::{SLOTS, SharedCells};
-
-/// One more than the highest exception number of the part: 16 of the core, 91 of the STM32F427, and some to spare.
-pub const EXCEPTIONS: usize = 128;
-
-/// Thread mode, where no exception runs.
-pub const THREAD: usize = 0;
-
-/// The exception number of an interrupt.
-#[must_use]
-pub const fn exception_of(interrupt: usize) -> usize {
-    16 + interrupt
-}
-
-/// Instructions executed, by exception number; [`THREAD`] is everything outside of exceptions.
-pub type Counts = [u64; EXCEPTIONS];
-
-/// The account that a [`ProfiledProcessor`] keeps.
-#[derive(Debug)]
-pub struct Profile {
-    counts: Counts,
-    /// The exception that runs, and the count of all instructions when it was last credited.
-    current: usize,
-    credited_at: u64,
-    /// Changes of context that could not be explained. Zero, or the account is wrong.
-    unexplained: u64,
-    /// Whether every instruction is executed on its own.
-    steps_everything: bool,
-    /// Whether only the handlers of faults are watched, and nothing is accounted for.
-    crashes_only: bool,
-    /// What befalls the core before its next instruction.
-    upsets: Vec<Upset>,
-}
-
-/// What befalls the core from outside of its program.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Upset {
-    /// It leaves the Thumb state, the only one that it has.
-    ThumbStateLost,
-    /// The stack pointer is here from now on.
-    StackPointer(u32),
-    /// The non-maskable interrupt is asked for.
-    NonMaskableInterrupt,
-    /// An interrupt is masked in the interrupt controller, or let through again.
-    Masked(u16, bool),
-}
-
-/// The exceptions of a crash: HardFault, MemManage, BusFault, UsageFault (PM0214, table 16).
-pub const CRASHES: std::ops::RangeInclusive<usize> = 3..=6;
-
-impl Default for Profile {
-    fn default() -> Self {
-        Self {
-            counts: [0; EXCEPTIONS],
-            current: THREAD,
-            credited_at: 0,
-            unexplained: 0,
-            steps_everything: false,
-            crashes_only: false,
-            upsets: Vec::new(),
-        }
-    }
-}
-
-impl Profile {
-    /// An account that looks after every single instruction: slow, and beyond doubt.
-    #[must_use]
-    pub fn stepping_everything() -> Self {
-        Self {
-            steps_everything: true,
-            ..Self::default()
-        }
-    }
-
-    /// No account, except that the handlers of a crash show as having executed something: quick.
-    #[must_use]
-    pub fn crashes_only() -> Self {
-        Self {
-            crashes_only: true,
-            ..Self::default()
-        }
-    }
-
-    /// Has this befall the core before its next instruction.
-    pub fn upset(&mut self, upset: Upset) {
-        self.upsets.push(upset);
-    }
-
-    /// Whether instructions are accounted for.
-    #[must_use]
-    pub fn is_account(&self) -> bool {
-        !self.crashes_only
-    }
-
-    /// The account when `retired` instructions had been executed altogether.
-    #[must_use]
-    pub fn counts(&self, retired: u64) -> Counts {
-        let mut counts = self.counts;
-        if self.crashes_only {
-            return counts;
-        }
-        counts[self.current] += retired.saturating_sub(self.credited_at);
-        counts
-    }
-
-    /// The exception that runs.
-    #[must_use]
-    pub fn current(&self) -> usize {
-        self.current
-    }
-
-    /// Changes of context that could not be explained. Zero, or the account is wrong.
-    #[must_use]
-    pub fn unexplained(&self) -> u64 {
-        self.unexplained
-    }
-
-    fn switch(&mut self, retired: u64, exception: usize) {
-        self.counts[self.current] += retired - self.credited_at;
-        self.credited_at = retired;
-        self.current = exception;
-    }
-}
 
 /// A processor that keeps a [`Profile`] and otherwise does what the one inside does.
 #[derive(Debug)]
@@ -167,12 +38,12 @@ struct Activation {
     exception: usize,
     /// The stack pointer on entry, which is where the interrupted context's frame is.
     frame: u64,
-    /// Whether no breakpoint will show the return.
+    /// True if no breakpoint will show the return.
     is_stepped: bool,
 }
 
-/// Instructions that an idle loop may execute between the end of its sleep and the interrupt that ended it: one that
-/// sleeps with interrupts masked has to unmask them first.
+/// Instructions that an idle loop may execute between the end of its sleep and the interrupt that
+/// ended it. A loop that sleeps with interrupts masked has to unmask them first.
 const WAKE_UP_INSTRUCTIONS: u64 = 32;
 
 /// GDB's numbers for the registers (the target description of an M-profile core).
@@ -188,7 +59,8 @@ const EXCEPTION_NUMBER: u64 = 0x1FF;
 /// EPSR.T in the status register (section B1.4.2).
 const THUMB: u64 = 1 << 24;
 
-/// ICSR with its bit NMIPENDSET, and the first of the registers that enable and disable interrupts (PM0214, 4.3 and 4.4.3).
+/// ICSR with its bit NMIPENDSET, and the first of the registers that enable and disable interrupts
+/// (PM0214, 4.3 and 4.4.3).
 const ICSR: u64 = 0xE000_ED04;
 const NMIPENDSET: u64 = 1 << 31;
 const NVIC_ISER: u64 = 0xE000_E100;
@@ -231,7 +103,7 @@ impl ProfiledProcessor {
         self.inner.set_gdb_register(number, &bytes[..4]);
     }
 
-    /// Has the core suffer what is due.
+    /// Applies the upsets that are due.
     fn suffer(&mut self) {
         let upsets = match self.profile.lock() {
             Ok(mut profile) => std::mem::take(&mut profile.upsets),
@@ -253,7 +125,7 @@ impl ProfiledProcessor {
                     (first + u64::from(interrupt / 32 * 4), 1 << (interrupt % 32))
                 }
             };
-            // Neither register has to do with time.
+            // Neither register depends on time.
             let now = VirtualNanos(0);
             self.inner
                 .debugger_access(Some(store.1), store.0, Width::W32, now);
@@ -289,7 +161,7 @@ impl ProfiledProcessor {
         }
     }
 
-    /// Finds out which exception runs now, and credits the instructions since the last time.
+    /// Determines the running exception, and credits the instructions since the last time.
     fn look(&mut self, bus: &mut dyn CoreBus) {
         let exception = self.exception();
         let is_entry =
@@ -312,7 +184,7 @@ impl ProfiledProcessor {
         }
     }
 
-    /// The same, unless the exception is the one that ran before.
+    /// Observes the context again, unless the exception is still the same.
     fn look_again(&mut self, bus: &mut dyn CoreBus) {
         if self
             .profile
@@ -348,7 +220,8 @@ impl ProfiledProcessor {
         });
     }
 
-    /// Drops the activations that have ended, if `exception` runs now. Says whether that explains it.
+    /// Drops the activations that have ended, if `exception` runs now. Returns true if that
+    /// explains it.
     fn leave_to(&mut self, exception: usize) -> bool {
         while self
             .activations
@@ -417,18 +290,19 @@ impl Processor for ProfiledProcessor {
 
     #[expect(
         unsafe_code,
-        reason = "the emulator hands its memory over by pointer, and this only passes it on"
+        reason = "the emulator passes its memory as a pointer, and this forwards it"
     )]
     unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
         let end = start + length;
         let below = start..end.min(SLOTS.start.max(start));
         let above = start.max(SLOTS.end.min(end))..end;
-        // The slots stay out, so that accesses to them come to the bus, and there to the flash model.
+        // The slots stay out, so that accesses to them come to the bus, and there to the flash
+        // model.
         for part in [below, above] {
             if !part.is_empty() {
                 let offset = usize::try_from(part.start - start).unwrap_or(0);
-                // SAFETY: the caller's promise for the whole range, passed on for a part of it. The inner processor
-                // lives as long as this one.
+                // SAFETY: the caller's promise for the whole range, passed on for a part of it. The
+                // inner processor lives as long as this one.
                 unsafe {
                     let first = host.add(offset);
                     self.inner
@@ -570,69 +444,5 @@ impl Processor for ProfiledProcessor {
 
     fn answer_host_call(&mut self, answer: Option<u64>) {
         self.inner.answer_host_call(answer);
-    }
-}
-
-/// The bus of a stretch of execution, which notes how far the stretch may go: an access can extend it.
-struct Stretch<'a> {
-    bus: &'a mut dyn CoreBus,
-    cells: SharedCells,
-    until: u64,
-    /// Whether the processor comes back after every instruction.
-    is_stepped: bool,
-}
-
-impl CoreBus for Stretch<'_> {
-    fn carry_on(&mut self, instructions: u64, event: Option<VirtualNanos>) -> Option<u32> {
-        if self.is_stepped {
-            return None;
-        }
-        let left = self.bus.carry_on(instructions, event);
-        if let Some(left) = left {
-            self.until = instructions + u64::from(left);
-        }
-        left
-    }
-
-    fn access(&mut self, access: Access, from_code: bool) -> Option<u64> {
-        if SLOTS.contains(&access.address) {
-            return Some(self.cells.with(|cells| match access.kind {
-                AccessKind::Read => cells.read(access.address, access.width),
-                AccessKind::Write => {
-                    let now = access.virtual_time;
-                    cells.store(now, access.address, access.width, access.value);
-                    access.value
-                }
-            }));
-        }
-        self.bus.access(access, from_code)
-    }
-
-    fn time(&self, instructions: u64) -> VirtualNanos {
-        self.bus.time(instructions)
-    }
-
-    fn queued(&mut self) -> Vec<Queued> {
-        self.bus.queued()
-    }
-
-    fn acknowledge(&mut self, line: InterruptLine, instructions: u64) -> Option<u64> {
-        self.bus.acknowledge(line, instructions)
-    }
-
-    fn read_checked(&mut self, access: Access, report: bool) -> Option<Checked> {
-        self.bus.read_checked(access, report)
-    }
-
-    fn write_checked(&mut self, access: Access) -> Option<bool> {
-        self.bus.write_checked(access)
-    }
-
-    fn stops_before(&mut self, access: &Access) -> bool {
-        self.bus.stops_before(access)
-    }
-
-    fn send_trace(&mut self, bytes: &[u8]) {
-        self.bus.send_trace(bytes);
     }
 }

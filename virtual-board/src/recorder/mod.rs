@@ -1,7 +1,11 @@
-//! What is noted while the firmware runs: every published snapshot with its cause and its cost, the log, the UART.
+//! The recorder of a run: every published snapshot with its cause and its cost, the log, the UART.
 //!
-//! The emulator calls [`Recorder`] after every access to a peripheral and whenever it stops, with the firmware between
-//! two instructions. Nothing noted here changes the run, except that the probe, if there is one, empties the log buffer.
+//! The emulator calls [`Recorder`] after every access to a peripheral and whenever it stops, with
+//! the firmware between two instructions. Recording does not change the run, except that the probe,
+//! if there is one, empties the log buffer.
+
+mod record;
+mod timer;
 
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
@@ -10,21 +14,22 @@ use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::fault::{FaultClass, report};
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
+use aplomb_models::sensor::Burst;
 use rigless::emulator::{AccessKind, Driver, Hit, Host, Memory, Settled, Stop, Watch};
-use rigless::mcu::Operate;
 use rigless::session::Session;
-use rigless::soc::stm32f427::generated::tim5::{Register, cr1, egr};
+use rigless::soc::Width;
 use rigless::soc::stm32f427::generated::{FLASH, TIM5};
-use rigless::soc::{Layout, Width};
 use rigless::time::VirtualNanos;
+
+pub use record::{HealthReading, Record, Sample, StaleSnapshot};
 
 use crate::board::Board;
 use crate::faults::{FaultKind, ScheduledFault};
 use crate::image::Firmware;
-use crate::mcu::HeardByte;
+use crate::mcu::ReceivedByte;
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Counts, EXCEPTIONS, Profile, Upset, exception_of};
-use aplomb_models::sensor::{Burst, DataReady};
+use timer::Timer;
 
 /// Offset of the count in the published structure; the snapshot is at 0.
 const SEQUENCE: u64 = 44;
@@ -32,40 +37,22 @@ const SEQUENCE: u64 = 44;
 /// How often the probe empties the log, in virtual time.
 const SERVICE_PERIOD_NS: u64 = 1_000_000;
 
-/// What unused stack is filled with.
+/// The fill pattern of unused stack.
 const STACK_PATTERN: u32 = 0xA5A5_A5A5;
 
-/// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight/main.rs`; RM0090, table 62).
+/// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight/main.rs`;
+/// RM0090, table 62).
 const ATTITUDE_INTERRUPT: u16 = 51;
 
-/// An NMI that has not cleared its cause after this time never will, ns: the handler is a store.
+/// An NMI handler that has not cleared its cause after this time never will, ns. The handler is one
+/// store.
 const NMI_LIMIT_NS: u64 = 20_000;
 
-/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1 events and errors, TIM5;
-/// and SPI1's, by which settings are read back.
+/// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1
+/// events and errors, TIM5. SPI1's is the one that reads the settings back.
 const INPUT_INTERRUPTS: [usize; 6] = [11, 7, 31, 32, 50, 35];
 
-/// A published sample.
-#[derive(Clone, Debug)]
-pub struct Sample {
-    /// What the firmware published.
-    pub snapshot: Snapshot,
-    /// When, ns since power-up.
-    pub published_ns: u64,
-    /// The burst that the bus had delivered last.
-    pub burst: Burst,
-    /// The edge that announced the burst's data, with the true motion at that instant.
-    pub edge: Option<DataReady>,
-    /// The true time of the edge by the firmware's clock, in microseconds with their fraction.
-    pub true_t_us: Option<f64>,
-    /// Instructions from the edge on, of all interrupts and of the attitude task. `None` if something else happened
-    /// before the next edge than one publication.
-    pub instructions: Option<u64>,
-    /// The same without the attitude task.
-    pub input_instructions: Option<u64>,
-}
-
-/// How the run goes on, told about ten times a second of real time.
+/// The progress of the run, reported about ten times a second of real time.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
     /// Virtual time passed, ns.
@@ -74,7 +61,7 @@ pub struct Progress {
     pub end_ns: u64,
 }
 
-/// Whoever wants to see the run while it goes on.
+/// An observer of the run while it goes on.
 pub trait Observer: Send {
     /// The firmware has logged a line.
     fn log(&mut self, _line: &LogLine) {}
@@ -82,87 +69,24 @@ pub trait Observer: Send {
     /// Time has passed.
     fn progress(&mut self, _progress: Progress) {}
 
-    /// What came out of the UART since the last call; what is given back is said to it. Every millisecond of virtual time.
-    fn uart(&mut self, _now_ns: u64, _heard: &[HeardByte]) -> Vec<u8> {
+    /// Takes the bytes from the UART since the last call, and returns bytes to send to it. Called
+    /// every millisecond of virtual time.
+    fn uart(&mut self, _now_ns: u64, _received: &[ReceivedByte]) -> Vec<u8> {
         Vec::new()
     }
 
-    /// Whether anybody wants the record of the run. A run without end has none.
+    /// Returns true if the record of the run is kept. A run without end keeps none.
     fn keeps_record(&self) -> bool {
         true
     }
 }
 
-/// An observer that looks away.
+/// An observer that ignores the run.
 pub struct Nobody;
 
 impl Observer for Nobody {}
 
-/// Everything that was noted.
-#[derive(Debug, Default)]
-pub struct Record {
-    /// Published samples, in order.
-    pub samples: Vec<Sample>,
-    /// What was published without a sample, in order, and when (ns since power-up).
-    pub stale: Vec<StaleSnapshot>,
-    /// Data-ready edges, in order.
-    pub edges: Vec<DataReady>,
-    /// The firmware's log, as the probe read it.
-    pub log: Vec<LogLine>,
-    /// What came out of the UART.
-    pub heard: Vec<HeardByte>,
-    /// Instructions executed and virtual time when the first sample was published.
-    pub first: Option<(u64, u64)>,
-    /// Instructions executed and virtual time at the end.
-    pub last: (u64, u64),
-    /// All instructions executed, by exception number; 0 is thread mode.
-    pub instructions: Vec<u64>,
-    /// How much of the stack was ever written, in bytes.
-    pub stack_bytes_used: u64,
-    /// What the firmware has counted, whenever that changed.
-    pub health: Vec<HealthReading>,
-    /// Until when the sensor could not acknowledge after its supply had come back, ns; one for each time.
-    pub sensor_ready_ns: Vec<u64>,
-    /// When the processor was reset, ns.
-    pub resets_ns: Vec<u64>,
-}
-
-impl Record {
-    /// Forgets what would grow without end.
-    fn forget(&mut self) {
-        /// The edge of a burst is looked for among the last ones.
-        const EDGES_KEPT: usize = 8;
-        self.samples.clear();
-        self.stale.clear();
-        self.edges
-            .drain(..self.edges.len().saturating_sub(EDGES_KEPT));
-        self.log.clear();
-        self.heard.clear();
-        self.health.drain(..self.health.len().saturating_sub(1));
-    }
-}
-
-/// A snapshot that the firmware published because no sample had come.
-#[derive(Clone, Copy, Debug)]
-pub struct StaleSnapshot {
-    /// What the firmware published.
-    pub snapshot: Snapshot,
-    /// When, ns since power-up.
-    pub published_ns: u64,
-}
-
-/// What the firmware says of its own health at a time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct HealthReading {
-    /// When it was read, ns since power-up.
-    pub at_ns: u64,
-    /// The cause of the last reset, by the firmware's number.
-    pub reset_cause: u32,
-    /// How often each class of faults has been seen, by the firmware's number of the class.
-    pub counters: [u32; FaultClass::COUNT],
-}
-
-/// Notes a run.
+/// Records a run.
 pub struct Recorder {
     end_ns: u64,
     snapshot: Option<u64>,
@@ -173,7 +97,7 @@ pub struct Recorder {
     /// The faults of the core's own that are still to come.
     upsets: Vec<ScheduledFault>,
     is_attitude_masked: bool,
-    /// Since when the NMI has been asked for by a failure of the clock.
+    /// Start of the NMI request after a failure of the clock.
     nmi_since_ns: Option<u64>,
     is_detached: bool,
     is_held: bool,
@@ -185,13 +109,13 @@ pub struct Recorder {
     next_service_ns: u64,
     /// Until when the core waits for the flash.
     stalled_until_ns: Option<u64>,
-    told_at: Instant,
+    reported_at: Instant,
     /// The account at the last edge, and the number of samples published before it.
     window: Option<(Box<Counts>, usize)>,
     /// The exception that publishes.
     attitude: Option<usize>,
     last_burst: Option<Burst>,
-    /// The bursts that nothing has been published of yet, in order.
+    /// The bursts without a published snapshot, in order.
     unpublished: Vec<Burst>,
     record: Record,
 }
@@ -235,7 +159,7 @@ impl Recorder {
             },
             next_service_ns: 0,
             stalled_until_ns: None,
-            told_at: Instant::now(),
+            reported_at: Instant::now(),
             window: None,
             attitude: None,
             last_burst: None,
@@ -244,7 +168,7 @@ impl Recorder {
         }
     }
 
-    /// What was noted, once the run is over.
+    /// Returns the record, once the run is over.
     #[must_use]
     pub fn into_record(self) -> Record {
         self.record
@@ -255,7 +179,7 @@ impl Recorder {
         Box::new(counts.unwrap_or([0; EXCEPTIONS]))
     }
 
-    /// Notes the edges and bursts up to now.
+    /// Records the edges and bursts up to now.
     fn follow_sensor(&mut self, session: &mut Session<Board>, retired: u64) {
         let sensor = session.board_mut().controller.sensor();
         let bursts = sensor.take_bursts();
@@ -292,7 +216,7 @@ impl Recorder {
         sample.instructions = Some(input + worked(attitude));
     }
 
-    /// The firmware has counted its published sequence up.
+    /// Records a publication: the firmware has increased its sequence counter.
     fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
         self.follow_sensor(session, hit.instruction_count);
         let Some(address) = self.snapshot else { return };
@@ -334,8 +258,9 @@ impl Recorder {
         });
     }
 
-    /// The burst that a snapshot is of: the last one. If the attitude task was late, several have come since the snapshot
-    /// before: then it is the one whose edge came as long after that one's as the firmware says.
+    /// Returns the burst of a snapshot, usually the last one. If the attitude task was late,
+    /// several bursts have come since the snapshot before. Then it is the burst whose edge fits the
+    /// time step that the firmware reports.
     fn take_burst(&mut self, snapshot: &Snapshot) -> Option<Burst> {
         let edge_ns = |burst: &Burst| {
             let index = burst.edge?;
@@ -360,7 +285,7 @@ impl Recorder {
         burst.or(self.last_burst)
     }
 
-    /// Notes what the firmware has counted, if that has changed.
+    /// Records the firmware's counters, if they have changed.
     fn read_health(&mut self, host: &mut dyn Host, now_ns: u64) -> Option<()> {
         let health = self.health?;
         let mut word = |offset: usize| {
@@ -384,7 +309,7 @@ impl Recorder {
         Some(())
     }
 
-    /// What the faults of the debug probe and of the core do now, and whether the processor has been reset.
+    /// Follows the faults of the debug probe and of the core, and the resets of the processor.
     fn follow_faults(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         let resets = session.resets();
         if resets.len() > self.record.resets_ns.len() {
@@ -415,7 +340,7 @@ impl Recorder {
         }
     }
 
-    /// Lets the faults of the core's own begin and end.
+    /// Begins and ends the faults of the core itself.
     fn upset_core(&mut self, now_ns: u64) {
         let Ok(mut profile) = self.profile.lock() else {
             return;
@@ -444,8 +369,8 @@ impl Recorder {
         }
     }
 
-    /// A clock that has failed asks for the NMI until that is acknowledged: an NMI that does not is all that the core
-    /// executes. Says whether it is so.
+    /// Requests the NMI after a failure of the clock. Returns true if the handler does not clear
+    /// the cause, so that the core executes nothing else.
     fn hangs_in_nmi(&mut self, has_failed: bool, now_ns: u64) -> bool {
         if !has_failed {
             self.nmi_since_ns = None;
@@ -471,7 +396,7 @@ impl Recorder {
         }
     }
 
-    /// Has the run stop for whatever is due next.
+    /// Pauses the run for the next event that is due.
     fn pause(&self, session: &mut Session<Board>, now_ns: u64) {
         let nmi_ns = self.nmi_since_ns.map(|since_ns| since_ns + NMI_LIMIT_NS);
         let nmi_ns = nmi_ns.filter(|&nmi_ns| nmi_ns > now_ns);
@@ -480,14 +405,14 @@ impl Recorder {
         session.pause_at(next_ns.map(VirtualNanos));
     }
 
-    /// Takes the firmware's outputs and tells the observer.
+    /// Collects the firmware's outputs and informs the observer.
     fn serve(&mut self, session: &mut Session<Board>, host: &mut dyn Host, now_ns: u64) {
         self.read_health(host, now_ns);
         let terminal = session.board_mut().controller.terminal();
-        let mut heard = terminal.take();
-        let said = self.observer.uart(now_ns, &heard);
-        terminal.say(now_ns, &said);
-        self.record.heard.append(&mut heard);
+        let mut received = terminal.take();
+        let answer = self.observer.uart(now_ns, &received);
+        terminal.send(now_ns, &answer);
+        self.record.received.append(&mut received);
         if let Some(probe) = self.probe.as_mut().filter(|_| !self.is_detached) {
             for line in probe.drain(host, now_ns) {
                 self.observer.log(&line);
@@ -497,8 +422,8 @@ impl Recorder {
         if !self.observer.keeps_record() {
             self.record.forget();
         }
-        if self.told_at.elapsed().as_millis() >= 100 {
-            self.told_at = Instant::now();
+        if self.reported_at.elapsed().as_millis() >= 100 {
+            self.reported_at = Instant::now();
             self.observer.progress(Progress {
                 now_ns,
                 end_ns: self.end_ns,
@@ -590,44 +515,6 @@ impl Driver<Board> for Recorder {
         }
         self.end(session, host, stop);
         None
-    }
-}
-
-/// Follows the firmware's microsecond timer, so that its times can be compared with the true ones.
-#[derive(Debug)]
-struct Timer {
-    /// The instant at which the count was zero, or would have been; ns since power-up.
-    zero_ns: Option<i128>,
-    /// The count to start with in place of zero.
-    starts_at: Option<u32>,
-}
-
-impl Timer {
-    /// The firmware has written a register of the timer.
-    fn written(&mut self, session: &mut Session<Board>, offset: u64, value: u64, at: VirtualNanos) {
-        let register = |register: Register| u64::from(register.spec().offset);
-        let controller = &mut session.board_mut().controller;
-        let is_started =
-            offset == register(Register::Cr1) && cr1::CEN.is_set(value) && self.zero_ns.is_none();
-        let is_restarted = offset == register(Register::Egr) && egr::UG.is_set(value);
-        let is_set = offset == register(Register::Cnt);
-        if !is_started && !(self.zero_ns.is_some() && (is_restarted || is_set)) {
-            return;
-        }
-        let count_address = TIM5.base + register(Register::Cnt);
-        if let Some(count) = self.starts_at.filter(|_| is_started) {
-            controller
-                .write(at, count_address, Width::W32, u64::from(count))
-                .ok();
-        }
-        let count = controller.peek(at, count_address, Width::W32).unwrap_or(0);
-        self.zero_ns = Some(i128::from(at.0) - 1000 * i128::from(count));
-    }
-
-    /// An instant in microseconds by the timer, with their fraction.
-    fn microseconds(&self, at_ns: u64) -> Option<f64> {
-        self.zero_ns
-            .map(|zero_ns| (i128::from(at_ns) - zero_ns) as f64 / 1000.0)
     }
 }
 

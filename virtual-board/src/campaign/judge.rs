@@ -1,0 +1,466 @@
+//! The judge of a flight: which of the campaign's rules the record of the flight breaks.
+
+use aplomb::health::Flags;
+use aplomb::pipeline::Snapshot;
+use aplomb_models::motion::{Quaternion, inclination_error_rad};
+
+use super::{Case, FaultReport, Report, deadline_ns};
+use crate::faults::{FaultKind, ScheduledFault};
+use crate::flight::UartLine;
+use crate::profile::CRASHES;
+use crate::recorder::Record;
+
+/// The largest allowed error of a valid tilt: degrees, and multiples of σ.
+const ALLOWED_DEG: f64 = 5.0;
+const ALLOWED_SIGMAS: f64 = 6.0;
+
+/// The share of fault-free time in which the attitude must be valid.
+const VALID_SHARE: f64 = 0.995;
+
+/// The longest pause between publications while the core runs, ns.
+const LONGEST_SILENCE_NS: u64 = 20_000_000;
+
+/// The longest pause between two lines of telemetry, of which there are 50 a second, ns.
+const LONGEST_UART_SILENCE_NS: u64 = 100_000_000;
+
+/// From an edge to the end of its burst, and some more, ns.
+const IN_FLIGHT_NS: u64 = 1_000_000;
+
+/// Valid for this long without a break is recovered, ns.
+const STEADY_NS: u64 = 5_000_000;
+
+/// A valid snapshot covers this much time until the next one, ns: two periods.
+const COVERED_NS: u64 = 2_000_000;
+
+/// A fault, or several that follow each other too closely to separate.
+#[derive(Clone, Debug)]
+struct Episode {
+    start_ns: u64,
+    /// When the last of them is over, so that recovery can begin.
+    end_ns: u64,
+    /// When the attitude must be valid again.
+    due_ns: u64,
+    faults: Vec<ScheduledFault>,
+}
+
+/// Judges what came of a case.
+#[must_use]
+pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
+    let published = publications(record);
+    let judge = Judge {
+        record,
+        uart_lines,
+        valid: valid_spans(&published),
+        published,
+        episodes: episodes(case, record),
+    };
+    let mut report = Report::default();
+    judge.check_processor(case, &mut report.failures);
+    judge.check_tilt(case, &mut report.failures);
+    judge.check_recovery(&mut report);
+    judge.check_fault_free_time(&mut report.failures);
+    judge.check_silence(case, &mut report.failures);
+    report
+}
+
+/// A snapshot of either kind.
+#[derive(Clone, Copy, Debug)]
+struct Publication {
+    at_ns: u64,
+    snapshot: Snapshot,
+    /// The true attitude at its sample, if that is known from the sample.
+    truth: Option<Quaternion>,
+}
+
+/// All snapshots, in the order of their publication.
+fn publications(record: &Record) -> Vec<Publication> {
+    let samples = record.samples.iter().map(|sample| Publication {
+        at_ns: sample.published_ns,
+        snapshot: sample.snapshot,
+        truth: sample.edge.and_then(|edge| edge.truth.attitude),
+    });
+    let stale = record.stale.iter().map(|stale| Publication {
+        at_ns: stale.published_ns,
+        snapshot: stale.snapshot,
+        truth: None,
+    });
+    let mut all: Vec<Publication> = samples.chain(stale).collect();
+    all.sort_by_key(|publication| publication.at_ns);
+    all
+}
+
+struct Judge<'a> {
+    record: &'a Record,
+    uart_lines: &'a [UartLine],
+    published: Vec<Publication>,
+    /// When the published attitude was valid, ns.
+    valid: Vec<(u64, u64)>,
+    episodes: Vec<Episode>,
+}
+
+impl Judge<'_> {
+    fn end_ns(&self) -> u64 {
+        self.record.last.1
+    }
+
+    /// Checks that only the scheduled faults reset or crash the processor.
+    fn check_processor(&self, case: &Case, failures: &mut Vec<String>) {
+        let count = |is_asked_for: fn(&FaultKind) -> bool| {
+            let faults = case.schedule.faults.iter();
+            faults.filter(|fault| is_asked_for(&fault.kind)).count()
+        };
+        let asked_for = count(FaultKind::resets);
+        let crashes =
+            count(|kind| matches!(kind, FaultKind::Crash | FaultKind::StackOverflow)) as u64;
+        let resets = &self.record.resets_ns;
+        if resets.len() > asked_for {
+            let at: Vec<String> = resets.iter().map(|&at_ns| seconds(at_ns)).collect();
+            failures.push(format!(
+                "{} resets, {asked_for} asked for: at {} s",
+                resets.len(),
+                at.join(", ")
+            ));
+        }
+        if resets.len() < asked_for {
+            failures.push("the core hung or crashed, and nothing reset it".into());
+        }
+        let instructions = &self.record.instructions;
+        let crashed: u64 = CRASHES
+            .filter_map(|exception| instructions.get(exception))
+            .sum();
+        if crashed > crashes {
+            failures.push("a fault handler ran: a crash or a panic".into());
+        }
+    }
+
+    /// Checks that no attitude is valid and far from the truth.
+    fn check_tilt(&self, case: &Case, failures: &mut Vec<String>) {
+        let mut motion = case.motion();
+        let mut worst: Option<(f64, f64, u64)> = None;
+        let mut count = 0;
+        for sample in &self.published {
+            if !sample.snapshot.flags.contains(Flags::VALID) {
+                continue;
+            }
+            let at_publication = || motion.at(sample.at_ns as f64 * 1e-9).attitude;
+            let Some(truth) = sample.truth.or_else(at_publication) else {
+                continue;
+            };
+            let error_deg = tilt_error_deg(sample, truth);
+            let sigma_deg = f64::from(sample.snapshot.tilt_sigma_rad()).to_degrees();
+            let allowed_deg = ALLOWED_DEG.max(ALLOWED_SIGMAS * sigma_deg);
+            // False for NaN.
+            let is_allowed = error_deg <= allowed_deg;
+            if !is_allowed {
+                count += 1;
+                if worst.is_none_or(|(error, ..)| error_deg > error) {
+                    worst = Some((error_deg, sigma_deg, sample.at_ns));
+                }
+            }
+        }
+        if let Some((error_deg, sigma_deg, at_ns)) = worst {
+            failures.push(format!(
+                "{count} attitudes published as valid were wrong, \
+                 the worst by {error_deg:.1} degrees with a sigma of {sigma_deg:.2} at {} s",
+                seconds(at_ns)
+            ));
+        }
+    }
+
+    /// Checks that every episode ends in time.
+    fn check_recovery(&self, report: &mut Report) {
+        for episode in &self.episodes {
+            // Steadily valid from here on, unless it was valid all the time.
+            let back_ns = self
+                .valid
+                .iter()
+                .find(|&&(start, end)| {
+                    let from = start.max(episode.end_ns);
+                    end > from && (end - from >= STEADY_NS || end + COVERED_NS > self.end_ns())
+                })
+                .map(|&(start, _)| start.max(episode.end_ns));
+            let recovery_ns = back_ns
+                .filter(|&back_ns| back_ns <= episode.due_ns)
+                .map(|back_ns| back_ns - episode.end_ns);
+            if recovery_ns.is_none() {
+                let took = back_ns.map_or("not by the end".into(), |back_ns| {
+                    format!("after {:.1} ms", (back_ns - episode.end_ns) as f64 * 1e-6)
+                });
+                report.failures.push(format!(
+                    "valid again {took}, allowed are {:.1} ms: {}",
+                    (episode.due_ns - episode.end_ns) as f64 * 1e-6,
+                    names(&episode.faults)
+                ));
+            }
+            for fault in &episode.faults {
+                report.faults.push(FaultReport {
+                    class: fault.kind.name(),
+                    is_detected: self.is_detected(episode),
+                    recovery_ns,
+                });
+            }
+        }
+    }
+
+    /// Returns true if the firmware counted, flagged or reported anything during an episode, up to
+    /// its deadline.
+    fn is_detected(&self, episode: &Episode) -> bool {
+        let last_ns = episode.faults.iter().map(ScheduledFault::end_ns);
+        let last_ns = last_ns.filter(|&end_ns| end_ns != u64::MAX).max();
+        let until_ns = episode.due_ns.max(last_ns.unwrap_or(0));
+        let during = |at_ns: u64| (episode.start_ns..=until_ns).contains(&at_ns);
+        let is_counted = self
+            .record
+            .health
+            .iter()
+            .skip(1)
+            .any(|reading| during(reading.at_ns));
+        let is_flagged = self
+            .published
+            .iter()
+            .any(|sample| during(sample.at_ns) && sample.snapshot.flags != Flags::VALID);
+        let is_reported = self
+            .uart_lines
+            .iter()
+            .any(|line| during(line.at_ns) && line.text.starts_with('#'));
+        is_counted || is_flagged || is_reported
+    }
+
+    /// Checks that the attitude is valid between the episodes.
+    fn check_fault_free_time(&self, failures: &mut Vec<String>) {
+        let Some(&(first_ns, _)) = self.valid.first() else {
+            failures.push("the attitude was never valid".into());
+            return;
+        };
+        if self
+            .episodes
+            .first()
+            .is_some_and(|first| first_ns > first.start_ns)
+        {
+            failures.push(format!(
+                "not valid before the first fault: only at {} s",
+                seconds(first_ns)
+            ));
+        }
+        // Samples of the last moments may still be on their way.
+        let end_ns = self.end_ns().saturating_sub(COVERED_NS);
+        let is_free = |at_ns: u64| {
+            (first_ns..end_ns).contains(&at_ns)
+                && !self.episodes.iter().any(|episode| {
+                    // The burst of an edge shortly before the fault is still under way.
+                    (episode.start_ns.saturating_sub(IN_FLIGHT_NS)..=episode.due_ns)
+                        .contains(&at_ns)
+                })
+        };
+        let step_ns = 100_000;
+        let (mut free, mut valid) = (0_u64, 0_u64);
+        let mut spans = self.valid.iter().peekable();
+        for at_ns in (first_ns..end_ns).step_by(step_ns) {
+            while spans.next_if(|&&(_, end)| end <= at_ns).is_some() {}
+            if is_free(at_ns) {
+                free += 1;
+                valid += u64::from(spans.peek().is_some_and(|&&(start, _)| start <= at_ns));
+            }
+        }
+        let share = valid as f64 / free.max(1) as f64;
+        if share < VALID_SHARE {
+            failures.push(format!(
+                "valid for {:.2} % of the time without a fault",
+                100.0 * share
+            ));
+        }
+        self.check_samples(&is_free, failures);
+        self.check_times(&is_free, failures);
+    }
+
+    /// Checks that each edge without a fault has its sample.
+    fn check_samples(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+        let mut published: Vec<u64> = self
+            .record
+            .samples
+            .iter()
+            .filter_map(|sample| Some(sample.edge?.index))
+            .collect();
+        published.sort_unstable();
+        let missed: Vec<u64> = self
+            .record
+            .edges
+            .iter()
+            .filter(|edge| is_free(edge.time_ns) && published.binary_search(&edge.index).is_err())
+            .map(|edge| edge.time_ns)
+            .collect();
+        if let Some(&first_ns) = missed.first() {
+            failures.push(format!(
+                "{} samples missed without a fault, the first at {} s",
+                missed.len(),
+                seconds(first_ns)
+            ));
+        }
+    }
+
+    /// Checks that times follow the edges and never go back.
+    fn check_times(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+        let mut worst: Option<(f64, u64)> = None;
+        for pair in self.record.samples.windows(2) {
+            let [before, after] = pair else { continue };
+            let was_reset = self
+                .record
+                .resets_ns
+                .iter()
+                .any(|&at_ns| (before.published_ns..=after.published_ns).contains(&at_ns));
+            if was_reset {
+                continue;
+            }
+            if after.snapshot.t_us < before.snapshot.t_us {
+                failures.push(format!(
+                    "time went back from {} us to {} us",
+                    before.snapshot.t_us, after.snapshot.t_us
+                ));
+                return;
+            }
+            let (Some(first), Some(second)) = (before.edge, after.edge) else {
+                continue;
+            };
+            if !is_free(first.time_ns) || !is_free(second.time_ns) || second.index == first.index {
+                continue;
+            }
+            let true_us = (second.time_ns - first.time_ns) as f64 * 1e-3;
+            let published_us = (after.snapshot.t_us - before.snapshot.t_us) as f64;
+            let error_us = (published_us - true_us).abs();
+            if error_us > 1.0 && worst.is_none_or(|(worst_us, _)| error_us > worst_us) {
+                worst = Some((error_us, second.time_ns));
+            }
+        }
+        if let Some((error_us, at_ns)) = worst {
+            failures.push(format!(
+                "a step of time was wrong by {error_us:.1} us without a fault, at {} s",
+                seconds(at_ns)
+            ));
+        }
+    }
+
+    /// Checks that snapshots and telemetry never pause for long.
+    fn check_silence(&self, case: &Case, failures: &mut Vec<String>) {
+        let published: Vec<u64> = self.published.iter().map(|sample| sample.at_ns).collect();
+        // No telemetry is due before the first attitude.
+        let first_ns = published.first().copied().unwrap_or(u64::MAX);
+        let lines = self.uart_lines.iter().map(|line| line.at_ns);
+        let lines = lines.filter(|&at_ns| at_ns >= first_ns).collect();
+        for (times_ns, longest_ns, what) in [
+            (published, LONGEST_SILENCE_NS, "nothing was published"),
+            (lines, LONGEST_UART_SILENCE_NS, "no line came by UART"),
+        ] {
+            let gap = self.longest_gap(case, times_ns);
+            if let Some((gap_ns, at_ns)) = gap.filter(|&(gap_ns, _)| gap_ns > longest_ns) {
+                failures.push(format!(
+                    "{what} for {:.1} ms from {} s on",
+                    gap_ns as f64 * 1e-6,
+                    seconds(at_ns)
+                ));
+            }
+        }
+    }
+
+    /// Returns the longest pause between these times, or to the end, while the core runs, with its
+    /// start.
+    fn longest_gap(&self, case: &Case, mut times_ns: Vec<u64>) -> Option<(u64, u64)> {
+        if times_ns.is_empty() {
+            return None;
+        }
+        times_ns.push(self.end_ns());
+        let is_broken = |last_ns: u64, at_ns: u64| {
+            let held = case
+                .schedule
+                .faults
+                .iter()
+                .filter(|fault| {
+                    matches!(fault.kind, FaultKind::CoreStall | FaultKind::WatchdogHang)
+                })
+                .any(|fault| fault.start_ns < at_ns && fault.end_ns() > last_ns);
+            let mut resets = self.record.resets_ns.iter();
+            held || resets.any(|reset_ns| (last_ns..=at_ns).contains(reset_ns))
+        };
+        times_ns
+            .windows(2)
+            .filter(|pair| !is_broken(pair[0], pair[1]))
+            .map(|pair| (pair[1] - pair[0], pair[0]))
+            .max_by_key(|&(gap_ns, _)| gap_ns)
+    }
+}
+
+/// The times at which the attitude that was published last is valid and fresh.
+fn valid_spans(samples: &[Publication]) -> Vec<(u64, u64)> {
+    let mut spans: Vec<(u64, u64)> = Vec::new();
+    for (nth, sample) in samples.iter().enumerate() {
+        if !sample.snapshot.flags.contains(Flags::VALID) {
+            continue;
+        }
+        let start_ns = sample.at_ns;
+        let next_ns = samples.get(nth + 1).map_or(u64::MAX, |next| next.at_ns);
+        let end_ns = next_ns.min(start_ns + COVERED_NS);
+        match spans.last_mut() {
+            Some(last) if last.1 == start_ns => last.1 = end_ns,
+            _ => spans.push((start_ns, end_ns)),
+        }
+    }
+    spans
+}
+
+/// Groups the faults into episodes.
+fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
+    let mut episodes: Vec<Episode> = Vec::new();
+    for fault in &case.schedule.faults {
+        let end_ns = end_ns(fault, record);
+        let deadline_ns = deadline_ns(fault.kind);
+        let episode = Episode {
+            start_ns: fault.start_ns,
+            end_ns,
+            due_ns: end_ns + deadline_ns.unwrap_or(0),
+            faults: vec![*fault],
+        };
+        match episodes.last_mut() {
+            // A fault that begins before the attitude can have recovered belongs to the last
+            // episode.
+            Some(last) if last.due_ns + STEADY_NS >= episode.start_ns => {
+                last.end_ns = last.end_ns.max(episode.end_ns);
+                last.due_ns = last.due_ns.max(episode.due_ns);
+                last.faults.push(*fault);
+            }
+            _ => episodes.push(episode),
+        }
+    }
+    episodes
+}
+
+/// Returns the time at which a fault is over, so that the firmware can recover from it.
+fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
+    let first_after =
+        |times: &[u64], from_ns: u64| times.iter().copied().find(|&at_ns| at_ns >= from_ns);
+    match fault.kind {
+        FaultKind::SensorBrownout => {
+            first_after(&record.sensor_ready_ns, fault.end_ns()).unwrap_or(fault.end_ns())
+        }
+        kind if kind.resets() => {
+            first_after(&record.resets_ns, fault.start_ns).unwrap_or(fault.start_ns)
+        }
+        FaultKind::CrystalDies => fault.start_ns,
+        // These leave no trace.
+        kind if deadline_ns(kind).is_none() => fault.start_ns,
+        _ => fault.end_ns(),
+    }
+}
+
+fn tilt_error_deg(sample: &Publication, truth: Quaternion) -> f64 {
+    let attitude = sample.snapshot.attitude;
+    let [w, x, y, z] = [attitude.w, attitude.x, attitude.y, attitude.z].map(f64::from);
+    inclination_error_rad(Quaternion { w, x, y, z }, truth).to_degrees()
+}
+
+fn names(faults: &[ScheduledFault]) -> String {
+    let names: Vec<String> = faults.iter().map(ScheduledFault::to_string).collect();
+    names.join(", then ")
+}
+
+fn seconds(at_ns: u64) -> String {
+    format!("{:.4}", at_ns as f64 * 1e-9)
+}

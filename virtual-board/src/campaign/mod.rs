@@ -1,0 +1,185 @@
+//! Random flights with random faults, and the rules that every flight must keep.
+//!
+//! - No hang, no crash, and no reset except after a `watchdog-hang`, a `crash` or a
+//!   `stack-overflow`.
+//! - A tilt that is wrong by more than the larger of 5° and six σ is never published as valid.
+//! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within
+//!   the deadline after each fault. The deadline is 20 ms after the end of a bus fault. It is 250
+//!   ms after a reset, after the sensor's first possible acknowledge, and after a fault of the
+//!   sensor's data.
+//! - A snapshot is published every 20 ms while the core runs; without data it is flagged stale. A
+//!   line of telemetry comes every 100 ms.
+//! - Without a fault no data-ready edge is without its sample, and times are right to a
+//!   microsecond.
+
+mod judge;
+mod table;
+#[cfg(test)]
+mod tests;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use aplomb_models::motion::quadrotor::{Quadrotor, REST_S};
+use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::swing::{Later, Swing};
+use aplomb_models::motion::{Motion, Quaternion};
+use aplomb_models::random::Random;
+
+pub use judge::judge;
+pub use table::Table;
+
+use crate::faults::{FaultKind, ScheduledFault};
+use crate::flight::{Outcome, Run};
+use crate::schedule::Schedule;
+
+/// Deadlines of recovery, ns.
+const BUS_DEADLINE_NS: u64 = 20_000_000;
+const RESET_DEADLINE_NS: u64 = 250_000_000;
+
+/// The motion begins after this much rest, s: the gyroscope's offset has been measured by then.
+const MOTION_REST_S: f64 = 1.45;
+
+/// Time that a run continues after its last deadline, ns; and time from a hang to the latest reset
+/// by the watchdog.
+const TAIL_NS: u64 = 300_000_000;
+const WATCHDOG_NS: u64 = 3_000_000_000;
+
+/// A flight and its faults.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// The seed that all the rest follows from.
+    pub seed: u64,
+    /// The faults.
+    pub schedule: Schedule,
+    /// How long, s.
+    pub seconds: f64,
+}
+
+impl Case {
+    /// The case of this seed. Consecutive seeds begin with consecutive classes of faults.
+    #[must_use]
+    pub fn by_seed(seed: u64) -> Self {
+        Self::new(seed, Schedule::by_seed(seed))
+    }
+
+    /// A flight of this seed with these faults.
+    #[must_use]
+    pub fn new(seed: u64, schedule: Schedule) -> Self {
+        let over_ns = |fault: &ScheduledFault| match fault.end_ns() {
+            _ if fault.kind.resets() => fault.start_ns + WATCHDOG_NS,
+            u64::MAX => fault.start_ns + RESET_DEADLINE_NS,
+            // The sensor takes up to 90 ms to start.
+            end_ns if fault.kind == FaultKind::SensorBrownout => {
+                end_ns + 100_000_000 + RESET_DEADLINE_NS
+            }
+            end_ns => end_ns + deadline_ns(fault.kind).unwrap_or(0),
+        };
+        let last_ns = schedule
+            .faults
+            .iter()
+            .map(over_ns)
+            .max()
+            .unwrap_or(2_000_000_000);
+        Self {
+            seed,
+            schedule,
+            seconds: (last_ns + TAIL_NS) as f64 * 1e-9,
+        }
+    }
+
+    /// How the board moves: a flight, a swing, or not at all.
+    #[must_use]
+    pub fn motion(&self) -> Box<dyn Motion> {
+        let mut random = Random::new(self.seed, "motion of a case");
+        let kind = random.uniform(0.0, 1.0);
+        if kind < 0.5 {
+            Box::new(Swing::by_seed(self.seed, MOTION_REST_S))
+        } else if kind < 0.8 {
+            Box::new(Later {
+                motion: Quadrotor::by_seed(self.seed),
+                by_s: REST_S - MOTION_REST_S,
+            })
+        } else {
+            let mut angle = || random.uniform(-0.7, 0.7);
+            Box::new(Rest::new(Quaternion::from_euler(angle(), angle(), 0.0)))
+        }
+    }
+
+    /// Flies it.
+    ///
+    /// # Errors
+    ///
+    /// When the image cannot be used, or the emulator gives up or panics.
+    pub fn fly(&self, firmware: &Path) -> Result<Outcome, String> {
+        let needs_probe = self
+            .schedule
+            .faults
+            .iter()
+            .any(|fault| fault.kind == FaultKind::ProbeDetach);
+        let mut run = Run::new(firmware)
+            .seed(self.seed)
+            .seconds(self.seconds)
+            .boxed_motion(self.motion())
+            .schedule(&self.schedule)
+            .without_account();
+        if !needs_probe {
+            run = run.without_probe();
+        }
+        match catch_unwind(AssertUnwindSafe(|| run.run())) {
+            Ok(outcome) => outcome.map_err(|error| error.to_string()),
+            Err(_) => Err("the emulator panicked".into()),
+        }
+    }
+}
+
+/// Returns the deadline of the recovery from a fault; `None` if the fault must leave no trace.
+#[must_use]
+pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
+    match kind {
+        FaultKind::UartFlood | FaultKind::UartNoise | FaultKind::ProbeDetach => None,
+        FaultKind::SensorBrownout
+        | FaultKind::RegisterFlip(..)
+        | FaultKind::Frozen
+        | FaultKind::Zeros
+        | FaultKind::Ones
+        | FaultKind::Saturated(_)
+        | FaultKind::CrystalDies
+        | FaultKind::WatchdogHang
+        | FaultKind::Crash
+        | FaultKind::StackOverflow => Some(RESET_DEADLINE_NS),
+        _ => Some(BUS_DEADLINE_NS),
+    }
+}
+
+/// The outcome of one fault.
+#[derive(Clone, Debug)]
+pub struct FaultReport {
+    /// Its class.
+    pub class: &'static str,
+    /// True if the firmware noticed it: by a counter, a flag, or a message.
+    pub is_detected: bool,
+    /// Time from its end to a valid attitude, ns; `None` if recovery missed the deadline.
+    pub recovery_ns: Option<u64>,
+}
+
+/// The outcome of a case.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// A report for each fault.
+    pub faults: Vec<FaultReport>,
+    /// The rules that the flight broke.
+    pub failures: Vec<String>,
+}
+
+/// Flies a case and judges it.
+#[must_use]
+pub fn run(case: &Case, firmware: &Path) -> Report {
+    match case.fly(firmware) {
+        Ok(outcome) => judge(case, &outcome.record, &outcome.uart_lines),
+        Err(error) => Report {
+            faults: Vec::new(),
+            failures: vec![error],
+        },
+    }
+}

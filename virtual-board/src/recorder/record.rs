@@ -1,0 +1,92 @@
+//! The record of a run.
+
+use aplomb::fault::FaultClass;
+use aplomb::pipeline::Snapshot;
+use aplomb_models::sensor::{Burst, DataReady};
+
+use crate::mcu::ReceivedByte;
+use crate::probe::LogLine;
+
+/// A published sample.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// The published snapshot.
+    pub snapshot: Snapshot,
+    /// Time of publication, ns since power-up.
+    pub published_ns: u64,
+    /// The burst that the bus had delivered last.
+    pub burst: Burst,
+    /// The edge that announced the burst's data, with the true motion at that instant.
+    pub edge: Option<DataReady>,
+    /// The true time of the edge by the firmware's clock, in microseconds with their fraction.
+    pub true_t_us: Option<f64>,
+    /// Instructions from the edge on, of all interrupts and of the attitude task. `None` if
+    /// something else happened before the next edge than one publication.
+    pub instructions: Option<u64>,
+    /// Instructions from the edge on, without the attitude task.
+    pub input_instructions: Option<u64>,
+}
+
+/// The record of a run.
+#[derive(Debug, Default)]
+pub struct Record {
+    /// Published samples, in order.
+    pub samples: Vec<Sample>,
+    /// The snapshots published without a sample, in order.
+    pub stale: Vec<StaleSnapshot>,
+    /// Data-ready edges, in order.
+    pub edges: Vec<DataReady>,
+    /// The firmware's log, as the probe read it.
+    pub log: Vec<LogLine>,
+    /// The bytes from the UART.
+    pub received: Vec<ReceivedByte>,
+    /// Instructions executed and virtual time when the first sample was published.
+    pub first: Option<(u64, u64)>,
+    /// Instructions executed and virtual time at the end.
+    pub last: (u64, u64),
+    /// All instructions executed, by exception number; 0 is thread mode.
+    pub instructions: Vec<u64>,
+    /// How much of the stack was ever written, in bytes.
+    pub stack_bytes_used: u64,
+    /// The firmware's counters, at each change.
+    pub health: Vec<HealthReading>,
+    /// End of the sensor's start-up after each return of its supply, ns.
+    pub sensor_ready_ns: Vec<u64>,
+    /// When the processor was reset, ns.
+    pub resets_ns: Vec<u64>,
+}
+
+impl Record {
+    /// Drops the parts that would grow without end.
+    pub(super) fn forget(&mut self) {
+        /// The edge of a burst is among the last ones.
+        const EDGES_KEPT: usize = 8;
+        self.samples.clear();
+        self.stale.clear();
+        self.edges
+            .drain(..self.edges.len().saturating_sub(EDGES_KEPT));
+        self.log.clear();
+        self.received.clear();
+        self.health.drain(..self.health.len().saturating_sub(1));
+    }
+}
+
+/// A snapshot that the firmware published because no sample had come.
+#[derive(Clone, Copy, Debug)]
+pub struct StaleSnapshot {
+    /// The published snapshot.
+    pub snapshot: Snapshot,
+    /// When, ns since power-up.
+    pub published_ns: u64,
+}
+
+/// The firmware's health report at one time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HealthReading {
+    /// When it was read, ns since power-up.
+    pub at_ns: u64,
+    /// The cause of the last reset, by the firmware's number.
+    pub reset_cause: u32,
+    /// How often each class of faults has been seen, by the firmware's number of the class.
+    pub counters: [u32; FaultClass::COUNT],
+}
