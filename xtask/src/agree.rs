@@ -21,10 +21,7 @@ const RECORDINGS: &str = "../shared/data";
 /// Builds what it takes, and does it.
 pub fn build_and_run() -> Result<(), String> {
     let toolchain = Toolchain::for_target()?;
-    let firmware = Firmware {
-        board: Board::default(),
-        mount: None,
-    };
+    let firmware = Firmware::full(Board::default());
     let elf = firmware.build(&toolchain)?;
     run(&toolchain, &build::virtual_board()?, &elf)
 }

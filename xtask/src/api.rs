@@ -18,7 +18,7 @@ const RUSTDOC: &str = "APLOMB_RUSTDOC";
 pub fn check(toolchain: &Toolchain, bless: bool) -> Result<(), String> {
     let mut host = step::command("cargo".as_ref());
     host.args(["rustdoc", "--ignore-rust-version"]);
-    let board = Board::default().feature();
+    let board = Board::default().features();
     describe(host, "mavlink,defmt")?;
     describe(toolchain.cargo("rustdoc"), &board)?;
     let folder = step::target_folder();

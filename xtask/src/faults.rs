@@ -16,11 +16,7 @@ pub fn run(arguments: &[String]) -> Result<(), String> {
     if arguments.iter().any(|a| a == "--help" || a == "-h") {
         return step::run(step::command(&virtual_board).arg("faults").args(arguments));
     }
-    let elf = Firmware {
-        board: Board::default(),
-        mount: None,
-    }
-    .build(&Toolchain::for_target()?)?;
+    let elf = Firmware::full(Board::default()).build(&Toolchain::for_target()?)?;
     let mut faults = step::command(&virtual_board);
     step::run(faults.arg("faults").args(arguments).arg("--elf").arg(elf))
 }

@@ -24,6 +24,7 @@ usage: cargo xtask COMMAND
 
   fly [--log FILE] [--mount M] [--seconds S] [--seed N] [--board B] [--output DIR]
                       fly the firmware on the virtual board (more: `cargo xtask fly --help`)
+                      --minimal flies the build without commands, MAVLink and flight log
                       --faults FILE|seed:N adds faults
   view                fly it in real time and watch it on a terminal, with keys for commands
                       (more: `cargo xtask view --help`)
@@ -42,6 +43,9 @@ usage: cargo xtask COMMAND
   setup               install and build what the others need, and nothing else
 
 boards: stm32f405 (default), blackpill-f401, blackpill-f411, nucleo-f411, nucleo-f446";
+
+/// Option of `fly` for the build without commands, MAVLink and flight log.
+const MINIMAL: &str = "--minimal";
 
 fn main() -> ExitCode {
     if let Some(code) = api::run_as_rustdoc() {
@@ -101,15 +105,18 @@ fn fly(arguments: &[String]) -> Result<(), String> {
              forward axis, then down axis, such as +x-z, or z-up or z-down"
         ));
     }
+    let is_minimal = arguments.iter().any(|argument| argument == MINIMAL);
     let virtual_board = build::virtual_board()?;
     let mut flight = step::command(&virtual_board);
-    flight.arg("fly").args(arguments);
+    flight.arg("fly");
+    flight.args(arguments.iter().filter(|argument| *argument != MINIMAL));
     if arguments.iter().any(|a| a == "--help" || a == "-h") {
         return step::run(&mut flight);
     }
     let elf = Firmware {
         board,
         mount: mount.map(str::to_owned),
+        is_minimal,
     }
     .build(&setup::Toolchain::for_target()?)?;
     flight.arg("--elf").arg(elf);
@@ -127,8 +134,7 @@ fn view(arguments: &[String]) -> Result<(), String> {
         return step::run(view.arg("--help"));
     }
     build::virtual_board()?;
-    let board = Board::default();
-    let elf = Firmware { board, mount: None }.build(&setup::Toolchain::for_target()?)?;
+    let elf = Firmware::full(Board::default()).build(&setup::Toolchain::for_target()?)?;
     step::run(view.args(["--virtual", "--elf"]).arg(elf).args(arguments))
 }
 
@@ -138,8 +144,11 @@ fn flash(board: Board) -> Result<(), String> {
                     run `cargo install probe-rs-tools --locked`, then this again"
             .into());
     }
-    let mount = std::env::var("APLOMB_MOUNT").ok();
-    let elf = Firmware { board, mount }.build(&setup::Toolchain::for_target()?)?;
+    let firmware = Firmware {
+        mount: std::env::var("APLOMB_MOUNT").ok(),
+        ..Firmware::full(board)
+    };
+    let elf = firmware.build(&setup::Toolchain::for_target()?)?;
     let mut probe = step::command(Path::new("probe-rs"));
     probe.args(["run", "--chip", board.chip]).arg(elf);
     step::run(&mut probe)

@@ -16,9 +16,10 @@ pub fn run() -> Result<(), String> {
     eprintln!("   for the target: {}", toolchain.compiler());
     check_for_target(&toolchain)?;
     let images = build_images(&toolchain)?;
+    let minimal = build_minimal(&toolchain)?;
     let examples = step::timed("examples", || examples::build(&toolchain))?;
     let virtual_board = build::virtual_board()?;
-    test_virtual_board(&images, &examples)?;
+    test_virtual_board(&images, &minimal, &examples)?;
     step::timed("random flights with random faults", || {
         faults::short(&virtual_board, &images[0].1)
     })?;
@@ -38,28 +39,21 @@ fn check_on_host() -> Result<(), String> {
     step::timed("lints, host", || {
         component("clippy", "clippy")?;
         let mut clippy = step::host_cargo("clippy");
-        step::run(clippy.args(["--workspace", "--all-targets", "--", "-D", "warnings"]))
+        clippy.args(["--release", "--workspace", "--all-targets"]);
+        step::run(clippy.args(["--", "-D", "warnings"]))
     })?;
     step::timed("host tests", || {
         let mut test = step::host_cargo("test");
-        step::run(test.args([
-            "-p",
-            "aplomb",
-            "-p",
-            "xtask",
-            "--features",
-            "aplomb/mavlink",
-        ]))?;
+        test.args(["--release", "--workspace", "--features", "aplomb/mavlink"]);
+        // It needs the firmware, and runs later.
+        step::run(test.args(["--exclude", "virtual-board"]))?;
         examples::run_on_host()
-    })?;
-    step::timed("tests of the program `aplomb`", || {
-        // Whole recordings run through every filter, which takes minutes without optimisation.
-        step::run(step::host_cargo("test").args(["--profile", "host", "-p", "aplomb-cli"]))
     })?;
     step::timed("documentation", || {
         let mut doc = step::host_cargo("doc");
         doc.env("RUSTDOCFLAGS", "-D warnings");
-        step::run(doc.args(["--no-deps", "--lib", "-p", "aplomb", "-p", "virtual-board"]))
+        doc.args(["--release", "--no-deps", "--lib"]);
+        step::run(doc.args(["-p", "aplomb", "-p", "aplomb-models", "-p", "virtual-board"]))
     })?;
     step::timed("the package", package::check)?;
     step::timed("licences and sources of dependencies", check_dependencies)
@@ -71,8 +65,8 @@ fn check_for_target(toolchain: &Toolchain) -> Result<(), String> {
     step::timed("documentation, target", || {
         // What docs.rs shows.
         let mut doc = toolchain.cargo("rustdoc");
-        doc.args(["--release", "--lib", "--features"]);
-        doc.arg(Board::default().feature());
+        doc.args(["--profile", "firmware", "--lib", "--features"]);
+        doc.arg(Board::default().features());
         step::run(doc.args(["--", "-D", "warnings"]))
     })?;
     step::timed("the public API", || api::check(toolchain, false))?;
@@ -88,41 +82,34 @@ fn check_for_target(toolchain: &Toolchain) -> Result<(), String> {
 
 /// Lints the firmware, the examples, the programs under `rigs/` and the library alone.
 fn lint_for_target(toolchain: &Toolchain) -> Result<(), String> {
+    let clippy = |arguments: &[&str]| {
+        let mut clippy = toolchain.cargo("clippy");
+        clippy.args(["--profile", "firmware"]).args(arguments);
+        step::run(clippy.args(["--", "-D", "warnings"]))
+    };
     for board in BOARDS {
-        step::run(toolchain.cargo("clippy").args([
-            "--release",
-            "--lib",
-            "--bin",
-            "flight",
-            "--features",
-            &board.feature(),
-            "--",
-            "-D",
-            "warnings",
-        ]))?;
+        clippy(&["--lib", "--bin", "flight", "--features", &board.features()])?;
     }
-    let mut clippy = toolchain.cargo("clippy");
-    clippy.args(["--release", "--example", "rtic", "--example", "polling"]);
-    clippy.args(["--features", &Board::default().feature()]);
-    step::run(clippy.args(["--", "-D", "warnings"]))?;
+    let board = Board::default().feature();
+    clippy(&["--bin", "flight", "--features", &board])?;
+    clippy(&[
+        "--example",
+        "rtic",
+        "--example",
+        "polling",
+        "--features",
+        &board,
+    ])?;
     rigs::lint(toolchain)?;
     // The library alone, as someone else's firmware uses it.
-    step::run(toolchain.cargo("clippy").args([
-        "--release",
-        "--lib",
-        "--features",
-        "defmt",
-        "--",
-        "-D",
-        "warnings",
-    ]))
+    clippy(&["--lib", "--features", "defmt"])
 }
 
 /// Builds the firmware of each board and checks its size and its panics.
 fn build_images(toolchain: &Toolchain) -> Result<Vec<(Board, PathBuf)>, String> {
     let mut images = Vec::new();
     for board in BOARDS {
-        let elf = Firmware { board, mount: None }.build(toolchain)?;
+        let elf = Firmware::full(board).build(toolchain)?;
         let sizes = size::check(&elf)?;
         panics::check(&elf)?;
         eprintln!("   {} bytes of flash, {} of RAM", sizes.flash, sizes.ram);
@@ -131,19 +118,30 @@ fn build_images(toolchain: &Toolchain) -> Result<Vec<(Board, PathBuf)>, String> 
     Ok(images)
 }
 
+/// Builds the minimal firmware of the default board and checks its size and its panics.
+fn build_minimal(toolchain: &Toolchain) -> Result<PathBuf, String> {
+    let elf = Firmware::minimal(Board::default()).build(toolchain)?;
+    let sizes = size::check_minimal(&elf)?;
+    panics::check(&elf)?;
+    eprintln!("   {} bytes of flash, {} of RAM", sizes.flash, sizes.ram);
+    Ok(elf)
+}
+
 /// Runs the virtual board's tests on these images and examples.
 fn test_virtual_board(
     images: &[(Board, PathBuf)],
+    minimal: &Path,
     examples: &[(&str, PathBuf)],
 ) -> Result<(), String> {
     step::timed("virtual board tests", || {
         let mut test = step::host_cargo("test");
-        test.args(["--profile", "host", "-p", "virtual-board"]);
+        test.args(["--release", "-p", "virtual-board"]);
         for (board, elf) in images {
             let name = board.name.to_uppercase().replace('-', "_");
             test.env(format!("APLOMB_FLIGHT_ELF_{name}"), elf);
         }
         test.env("APLOMB_FLIGHT_ELF", &images[0].1);
+        test.env("APLOMB_FLIGHT_ELF_MINIMAL", minimal);
         for (name, elf) in examples {
             test.env(format!("APLOMB_EXAMPLE_{name}"), elf);
         }
