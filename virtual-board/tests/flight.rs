@@ -11,7 +11,7 @@ use aplomb::mpu6050::{Burst, PARTS};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb_models::motion::Quaternion;
 use aplomb_models::motion::rest::Rest;
-use common::firmware;
+use common::{firmware, minimal_firmware};
 use virtual_board::faults::{BusByte, Fault};
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
@@ -24,10 +24,17 @@ fn fly(run: Run) -> Outcome {
 }
 
 /// All of a snapshot, as bits.
-fn bits(snapshot: &Snapshot) -> (u64, [u32; 7], u32) {
+fn bits(snapshot: &Snapshot) -> (u64, [u32; 8], u32) {
     let (attitude, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
     let floats = [
-        attitude.w, attitude.x, attitude.y, attitude.z, rates.x, rates.y, rates.z,
+        attitude.w,
+        attitude.x,
+        attitude.y,
+        attitude.z,
+        rates.x,
+        rates.y,
+        rates.z,
+        snapshot.tilt_variance_rad2,
     ];
     (
         snapshot.t_us,
@@ -86,6 +93,25 @@ fn a_flight_keeps_its_promises() {
         summary.inclination_rms_deg.is_some(),
         "the simulated flight knows the truth"
     );
+    assert_the_library_agrees(outcome.samples());
+}
+
+#[test]
+fn the_minimal_firmware_keeps_the_same_promises_in_64_kib() {
+    let outcome = fly(Run::new(minimal_firmware()).seconds(10.0).seed(3));
+    let summary = &outcome.summary;
+    assert_eq!(outcome.issues, Vec::<String>::new());
+    assert!(summary.samples > 9500, "{summary:?}");
+    assert_eq!(summary.missed, 0);
+    assert!(
+        summary.edge_to_attitude_us_max <= Some(395.0),
+        "{summary:?}"
+    );
+    assert!(summary.flash_bytes <= 64 * 1024, "{summary:?}");
+    let is_line = |text: &str| text.starts_with("roll:");
+    let lines = outcome.uart_lines.iter();
+    let lines = lines.filter(|line| is_line(&line.text)).count();
+    assert!((450..=510).contains(&lines), "{lines} lines at 50 Hz");
     assert_the_library_agrees(outcome.samples());
 }
 
