@@ -18,7 +18,7 @@ const MOST_COLUMNS: usize = 100;
 const MOST_LINES_OF_A_FILE: usize = 600;
 const MOST_LINES_OF_A_FUNCTION: usize = 80;
 
-/// Home-made terms, in the words that an identifier consists of. `style.md` names the field's term.
+/// Home-made terms, as the words of an identifier. The field has a standard term for each.
 const BANNED: [&[&str]; 12] = [
     &["everyday"],
     &["stocktaking"],

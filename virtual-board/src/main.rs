@@ -45,9 +45,9 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Fly a firmware image and write what came of it.
+    /// Fly a firmware image and write the results.
     Fly(Box<Fly>),
-    /// Fly it many times with faults by chance, and check what must hold.
+    /// Fly it many times with random faults, and check each flight.
     Faults(Faults),
 }
 
@@ -90,14 +90,14 @@ struct Fly {
     /// Seeds the flight and the sensor's errors.
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
-    /// Let things go wrong: a file with a line `start_s duration_s fault` for each fault, or seed:N
-    /// for faults by chance.
+    /// Inject faults: a file with a line `start_s duration_s fault` for each fault, or seed:N for
+    /// random faults.
     #[arg(long, value_name = "FILE|seed:N")]
     faults: Option<String>,
     #[arg(long, value_name = "NAME", default_value = BOARDS[0].name, value_parser = board)]
     #[arg(help = format!("The board: {}", board_names()))]
     board: BoardModel,
-    /// Say commands to the UART: a file with lines such as `2.5 status`, seconds and command.
+    /// Send commands to the UART: a file with lines such as `2.5 status`, seconds and command.
     #[arg(long, value_name = "FILE")]
     commands: Option<PathBuf>,
     /// Keep the calibration slots in this file: read at the start if it is there, written at the
