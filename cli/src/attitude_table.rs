@@ -144,7 +144,8 @@ impl Columns {
         };
         let flags = |index| {
             let cell = cell(index)?;
-            Flags::parse(cell).ok_or_else(|| format!("\"{cell}\" are no flags"))
+            cell.parse::<Flags>()
+                .map_err(|_| format!("\"{cell}\" are no flags"))
         };
         let counts = match self.scored.map(cell).transpose()? {
             None | Some("1") => true,

@@ -109,7 +109,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         ));
         recordings = simulated::flights(EVALUATION_SEEDS);
     }
-    let filters = Choice::all();
+    let filters = Choice::ALL;
     let scores = parallel::map_with_bar("filtering", &recordings, |recording| {
         let scores = filters.iter().map(|filter| recording.score(*filter));
         scores.collect::<Option<Vec<Score>>>()

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use aplomb::calibration::Mount;
-use aplomb::health::Flags;
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
@@ -101,7 +101,7 @@ impl Kind {
 }
 
 /// A burst, and what the board said of it.
-type FlaggedBurst = (Burst, Flags);
+type FlaggedBurst = (Burst, BoardFlags);
 
 /// Does it.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
@@ -154,12 +154,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(mount) = found.mount {
         let mut replay_with = format!("--mount {}", mount.name());
         if into == Kind::Bursts {
-            // AFS_SEL and FS_SEL double the ranges (register map §4.4, §4.5).
             let sensor = &found.config;
             replay_with += &format!(
                 " --accel-range {} --gyro-range {}",
-                2 << sensor.accelerometer_range.bits(),
-                250 << sensor.gyroscope_range.bits()
+                sensor.accelerometer_range, sensor.gyroscope_range
             );
         }
         crate::say(&format!(
@@ -239,7 +237,7 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
                             .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
                         missed_before: 0,
                     };
-                    Ok((burst, Flags::NONE))
+                    Ok((burst, BoardFlags::empty()))
                 }
             },
         };

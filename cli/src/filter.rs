@@ -1,29 +1,46 @@
-//! The filters that can be chosen, the library's own and others, in one seat.
+//! The filters to compare, the library's own and others, behind one interface.
 
 use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::estimator::classic::{AxisKalman, Tutorial};
 use aplomb::estimator::kalman::{Kalman, Tuning};
-use aplomb::estimator::{AnyFilter, Estimate, Estimator, FilterKind, Sample};
+use aplomb::estimator::{Estimate, Estimator, Sample};
 
 use crate::peers::{self, Fusion, Gains, Madgwick, Mahony, Peer, Vqf, VqfAsIs};
 
-/// Which filter runs.
+/// A filter to compare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// One of the library's.
-    Library(FilterKind),
-    /// Mahony's, of the `ahrs` crate.
-    Mahony,
-    /// Madgwick's, of the `ahrs` crate.
-    Madgwick,
+    /// The library's Kalman filter.
+    Kalman,
+    /// The tutorial's two Kalman filters with exact kinematics.
+    AxisKalman,
+    /// The tutorial's formulas.
+    Classic,
+    /// VQF without magnetometer, of the `vqf` crate, with two corrections.
+    Vqf,
+    /// VQF as the crate has it.
+    VqfAsIs,
     /// x-io Technologies' Fusion, of the `fusion-ahrs` crate.
     Fusion,
-    /// VQF without magnetometer, of the `vqf` crate, mended.
-    Vqf,
-    /// The same as the crate has it.
-    VqfAsIs,
+    /// Madgwick's, of the `ahrs` crate.
+    Madgwick,
+    /// Mahony's, of the `ahrs` crate.
+    Mahony,
 }
 
 impl Choice {
+    /// Every filter: the library's, its default first, then the others.
+    pub const ALL: [Self; 8] = [
+        Self::Kalman,
+        Self::AxisKalman,
+        Self::Classic,
+        Self::Vqf,
+        Self::VqfAsIs,
+        Self::Fusion,
+        Self::Madgwick,
+        Self::Mahony,
+    ];
+
     /// Filters of other crates.
     pub const PEERS: [Self; 5] = [
         Self::Vqf,
@@ -33,61 +50,40 @@ impl Choice {
         Self::Mahony,
     ];
 
-    /// Every filter: the library's, its default first, then the others.
-    pub fn all() -> Vec<Self> {
-        let default = FilterKind::default();
-        let others = FilterKind::ALL.into_iter().filter(|kind| *kind != default);
-        std::iter::once(default)
-            .chain(others)
-            .map(Self::Library)
-            .chain(Self::PEERS)
-            .collect()
-    }
-
-    /// The filters that a recording can be replayed with; an error lists their names.
-    pub fn parse(name: &str) -> Result<Self, String> {
-        match FilterKind::parse(name) {
-            Some(kind) => Ok(Self::Library(kind)),
-            None if name == Self::Mahony.name() => Ok(Self::Mahony),
-            None => {
-                let names = FilterKind::ALL.map(FilterKind::name).join(", ");
-                Err(format!("choose one of {names}, {}", Self::Mahony.name()))
-            }
-        }
-    }
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
+    /// Returns the name.
+    pub const fn name(self) -> &'static str {
         match self {
-            Self::Library(kind) => kind.name(),
-            Self::Mahony => "mahony",
-            Self::Madgwick => "madgwick",
-            Self::Fusion => "fusion",
+            Self::Kalman => "kalman",
+            Self::AxisKalman => "axis-kalman",
+            Self::Classic => "classic",
             Self::Vqf => "vqf",
             Self::VqfAsIs => "vqf as is",
+            Self::Fusion => "fusion",
+            Self::Madgwick => "madgwick",
+            Self::Mahony => "mahony",
         }
     }
 
-    /// The gains in use, of another crate's filter.
-    pub fn gains(self) -> Option<Gains> {
-        fn of<F: peers::Filter>() -> Option<Gains> {
+    /// Returns the gains in use, of another crate's filter.
+    pub const fn gains(self) -> Option<Gains> {
+        const fn of<F: peers::Filter>() -> Option<Gains> {
             Some(F::GAINS)
         }
         match self {
-            Self::Library(_) => None,
-            Self::Mahony => of::<Mahony>(),
-            Self::Madgwick => of::<Madgwick>(),
-            Self::Fusion => of::<Fusion>(),
+            Self::Kalman | Self::AxisKalman | Self::Classic => None,
             Self::Vqf => of::<Vqf>(),
             Self::VqfAsIs => of::<VqfAsIs>(),
+            Self::Fusion => of::<Fusion>(),
+            Self::Madgwick => of::<Madgwick>(),
+            Self::Mahony => of::<Mahony>(),
         }
     }
 }
 
-/// A filter at work, whose attitudes are extrapolated by the delay of the sensor.
+/// A running filter. Its attitudes are extrapolated by the delay of the sensor.
 pub struct Filter {
-    seat: Seat,
-    /// What is left for this side to make up for, in s.
+    variant: Variant,
+    /// Extrapolation of the filters that know no delay, s.
     delay_s: f32,
 }
 
@@ -95,71 +91,75 @@ pub struct Filter {
     clippy::large_enum_variant,
     reason = "there are as many as filters, and each is used for a whole recording"
 )]
-enum Seat {
-    Library(Estimator),
+enum Variant {
+    Kalman(Estimator),
+    AxisKalman(Estimator<AxisKalman>),
+    Classic(Estimator<Tutorial>),
     Peer(Peer),
 }
 
 impl Filter {
-    /// The chosen filter, before its first sample. Samples will be about `step_s` apart, and `delay_us` late.
+    /// Creates a filter for samples that are about `step_s` apart, and `delay_us` late.
     pub fn new(choice: Choice, step_s: f32, delay_us: u32) -> Self {
         Self::with_gains(choice, step_s, delay_us, None)
     }
 
-    /// The same with gains of one's own, if it is another crate's.
+    /// Creates a filter, with other gains than those in use if it is another crate's.
     pub fn with_gains(choice: Choice, step_s: f32, delay_us: u32, gains: Option<Gains>) -> Self {
-        let seat = match choice {
-            Choice::Library(kind) => {
-                Seat::Library(Estimator::new(kind).with_sensor_delay_us(delay_us))
-            }
-            Choice::Mahony => Seat::Peer(Peer::new::<Mahony>(step_s, gains)),
-            Choice::Madgwick => Seat::Peer(Peer::new::<Madgwick>(step_s, gains)),
-            Choice::Fusion => Seat::Peer(Peer::new::<Fusion>(step_s, gains)),
-            Choice::Vqf => Seat::Peer(Peer::new::<Vqf>(step_s, gains)),
-            Choice::VqfAsIs => Seat::Peer(Peer::new::<VqfAsIs>(step_s, gains)),
+        let variant = match choice {
+            Choice::Kalman => return Self::with_tuning(&Tuning::DEFAULT, delay_us),
+            Choice::AxisKalman => Variant::AxisKalman(Estimator::with_filter(AxisKalman::new())),
+            Choice::Classic => Variant::Classic(Estimator::with_filter(Tutorial::new())),
+            Choice::Mahony => Variant::Peer(Peer::new::<Mahony>(step_s, gains)),
+            Choice::Madgwick => Variant::Peer(Peer::new::<Madgwick>(step_s, gains)),
+            Choice::Fusion => Variant::Peer(Peer::new::<Fusion>(step_s, gains)),
+            Choice::Vqf => Variant::Peer(Peer::new::<Vqf>(step_s, gains)),
+            Choice::VqfAsIs => Variant::Peer(Peer::new::<VqfAsIs>(step_s, gains)),
         };
-        let delay_s = match choice {
-            Choice::Library(FilterKind::Kalman) => 0.0,
-            _ => delay_us as f32 * 1e-6,
-        };
-        Self { seat, delay_s }
+        Self {
+            variant,
+            delay_s: delay_us as f32 * 1e-6,
+        }
     }
 
-    /// The library's default filter with a tuning of one's own.
+    /// Creates the library's Kalman filter with this tuning.
     pub fn with_tuning(tuning: &'static Tuning, delay_us: u32) -> Self {
-        let filter = AnyFilter::Kalman(Kalman::with_tuning(tuning));
+        let mut filter = Kalman::with_tuning(tuning);
+        filter.set_delay(delay_us as f32 * 1e-6);
         Self {
-            seat: Seat::Library(Estimator::with_filter(filter).with_sensor_delay_us(delay_us)),
+            variant: Variant::Kalman(Estimator::with_filter(filter)),
             delay_s: 0.0,
         }
     }
 
-    /// Takes one sample and gives the attitude at its time.
+    /// Takes one sample, and returns the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
-        let mut estimate = match &mut self.seat {
-            Seat::Library(estimator) => estimator.update(sample),
-            Seat::Peer(peer) => peer.update(sample),
+        let mut estimate = match &mut self.variant {
+            Variant::Kalman(estimator) => estimator.update(sample),
+            Variant::AxisKalman(estimator) => estimator.update(sample),
+            Variant::Classic(estimator) => estimator.update(sample),
+            Variant::Peer(peer) => peer.update(sample),
         };
         if self.delay_s > 0.0 {
-            estimate.attitude = extrapolate(&estimate, self.delay_s);
+            let (attitude, rates) = (estimate.attitude, estimate.body_rates_rad_s);
+            estimate.attitude = extrapolate(attitude, rates, self.delay_s);
         }
         estimate
     }
 
-    /// How sure it is of roll and pitch, if it knows.
+    /// Returns the σ of roll and pitch, if the filter knows it.
     pub fn tilt_sigma_rad(&self) -> Option<f32> {
-        match &self.seat {
-            Seat::Library(estimator) => estimator.kalman().map(Kalman::tilt_sigma_rad),
-            Seat::Peer(_) => None,
+        match &self.variant {
+            Variant::Kalman(estimator) => Some(estimator.filter().tilt_sigma_rad()),
+            Variant::AxisKalman(_) | Variant::Classic(_) | Variant::Peer(_) => None,
         }
     }
 }
 
-/// The attitude `delay_s` later, if the body turns on as it does.
-fn extrapolate(estimate: &Estimate, delay_s: f32) -> Quaternion {
-    let turn = estimate.body_rates_rad_s.scale(delay_s);
-    estimate
-        .attitude
+/// Returns the attitude `delay_s` later, if the body keeps these rates.
+pub fn extrapolate(attitude: Quaternion, body_rates_rad_s: Vector3, delay_s: f32) -> Quaternion {
+    let turn = body_rates_rad_s.scale(delay_s);
+    attitude
         .multiply(Quaternion::from_rotation_vector(turn))
         .normalize()
 }
@@ -201,10 +201,10 @@ mod tests {
 
     #[test]
     fn every_filter_finds_gravity_at_rest_in_the_same_axes() {
-        for choice in Choice::all() {
+        for choice in Choice::ALL {
             for (roll, pitch) in [(0.0, 0.0), (40.0, 0.0), (0.0, -35.0), (-20.0, 50.0)] {
                 // The classic angles are no Euler angles: each is right alone.
-                if choice == Choice::Library(FilterKind::Classic) && roll * pitch != 0.0 {
+                if choice == Choice::Classic && roll * pitch != 0.0 {
                     continue;
                 }
                 let start = EulerAngles {
@@ -227,11 +227,11 @@ mod tests {
     fn every_filter_turns_the_same_way_and_in_time() {
         // 90 °/s about the right axis for a third of a second: half a step of lead or lag is 0.2°.
         let rate = Vector3::new(0.0, radians(90.0), 0.0);
-        for choice in Choice::all() {
+        for choice in Choice::ALL {
             let error = error_degrees(choice, EulerAngles::default(), rate, 67);
             // The classic filter lags by design.
             let limit = match choice {
-                Choice::Library(FilterKind::Classic) => 1.0,
+                Choice::Classic => 1.0,
                 _ => 0.1,
             };
             assert!(error < limit, "{}: {error}", choice.name());
@@ -239,25 +239,13 @@ mod tests {
     }
 
     #[test]
-    fn names_choose_what_can_be_replayed() {
-        for kind in FilterKind::ALL {
-            assert_eq!(Choice::parse(kind.name()), Ok(Choice::Library(kind)));
-        }
-        assert_eq!(Choice::parse("mahony"), Ok(Choice::Mahony));
-        assert!(Choice::parse("vqf").is_err_and(|error| error.contains("mahony")));
-    }
-
-    #[test]
     fn attitudes_are_extrapolated_about_the_bodys_own_axes() {
-        let estimate = Estimate {
-            attitude: Quaternion::from_euler(EulerAngles {
-                yaw_rad: radians(90.0),
-                ..EulerAngles::default()
-            }),
-            body_rates_rad_s: Vector3::new(radians(100.0), 0.0, 0.0),
-            ..Estimate::default()
-        };
-        let angles = extrapolate(&estimate, 0.1).to_euler();
+        let attitude = Quaternion::from_euler(EulerAngles {
+            yaw_rad: radians(90.0),
+            ..EulerAngles::default()
+        });
+        let rates = Vector3::new(radians(100.0), 0.0, 0.0);
+        let angles = extrapolate(attitude, rates, 0.1).to_euler();
         assert!((angles.roll_rad - radians(10.0)).abs() < 1e-5);
         assert!((angles.yaw_rad - radians(90.0)).abs() < 1e-5);
     }

@@ -8,16 +8,18 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 use aplomb::attitude::Quaternion;
-use aplomb::estimator::{AnyFilter, REVISION};
-use aplomb::health::Flags;
+use aplomb::estimator::REVISION;
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::Burst;
-use aplomb::pipeline::{Pipeline, Settings, Snapshot};
+use aplomb::pipeline::{Pipeline, Snapshot};
 use aplomb::serialize::StateReader;
 use aplomb::telemetry::Output;
 use aplomb::telemetry::log::{
     Configuration, Counts, Decoder, FRAME_CAPACITY, Frame, NumberedBurst, Sender, StatePiece,
     put_attitude,
 };
+
+use crate::device::{Device, FilterName};
 
 /// The first bytes decide what a file is.
 const SNIFFED_BYTES: usize = 64 * 1024;
@@ -242,36 +244,31 @@ pub struct Agreement {
 pub struct Replay<'a> {
     flight: &'a Flight,
     next: usize,
-    pipeline: Pipeline,
+    device: Device,
     /// The configuration that holds now.
     configuration: usize,
     is_exact: bool,
-    /// Started over with every state, if it is the flight's own filter.
-    follows_states: bool,
+    /// Whether the flight was flown with these filters, so that its states apply.
+    is_revision: bool,
     agreement: Agreement,
 }
 
 impl<'a> Replay<'a> {
-    /// A replay with the flight's settings, unless `change` makes others of them: then nothing is exact.
-    pub fn new(
-        flight: &'a Flight,
-        change: impl FnOnce(&mut Settings),
-    ) -> Result<Self, &'static str> {
+    /// Creates a replay with the flight's settings. With another filter than the Kalman filter nothing is exact.
+    pub fn new(flight: &'a Flight, filter: FilterName) -> Result<Self, &'static str> {
         let Some(first) = flight.configurations.first() else {
             return Err(
                 "there is no configuration in it, so that the bytes have no meaning: record a second or more",
             );
         };
-        let mut settings = first.settings;
-        change(&mut settings);
         let is_revision = first.revision == REVISION;
         Ok(Self {
             flight,
             next: 0,
-            pipeline: Pipeline::new(&settings),
+            device: Device::for_bursts(filter, &first.settings),
             configuration: 0,
             is_exact: false,
-            follows_states: settings == first.settings && is_revision,
+            is_revision,
             agreement: Agreement {
                 other_revision: (!is_revision).then_some(first.revision),
                 ..Agreement::default()
@@ -291,20 +288,20 @@ impl<'a> Replay<'a> {
         self.is_exact &= follows;
         self.next += 1;
         self.change_settings(number);
-        if self.follows_states
+        if self.is_revision
             && let Some(state) = self.flight.states.get(&number)
+            && let Some(pipeline) = self.device.kalman_mut()
         {
-            let mut pipeline = self.pipeline;
+            let mut restored = *pipeline;
             let mut reader = StateReader::new(state);
-            pipeline.visit_state(&mut reader);
+            restored.visit_state(&mut reader);
             if reader.is_complete() {
-                self.pipeline = pipeline;
+                *pipeline = restored;
                 self.is_exact = true;
             }
         }
         // That the module reads the scales back is not in the log; only VALID depends on it.
-        let snapshot = self.pipeline.update_flagged(&burst, flags);
-        self.pipeline.collect(&burst);
+        let snapshot = self.device.update(&burst, flags);
         self.agreement.bursts += 1;
         if self.is_exact {
             self.agreement.exact += 1;
@@ -313,9 +310,9 @@ impl<'a> Replay<'a> {
         Some(snapshot)
     }
 
-    /// What the pipeline knows.
-    pub fn pipeline(&self) -> &Pipeline {
-        &self.pipeline
+    /// Returns the pipeline.
+    pub fn device(&self) -> &Device {
+        &self.device
     }
 
     /// How far it is the flight itself.
@@ -334,7 +331,7 @@ impl<'a> Replay<'a> {
         if next.settings != *before {
             // Without the state after it, nobody knows between which two samples it was.
             self.is_exact = false;
-            self.pipeline.set_calibration(&next.settings.calibration);
+            self.device.set_calibration(&next.settings);
         }
         self.configuration += 1;
     }
@@ -361,7 +358,7 @@ impl<'a> Replay<'a> {
 /// Writes bursts as the module would log them, with this pipeline.
 pub struct Recorder<W> {
     output: W,
-    sender: Sender<AnyFilter>,
+    sender: Sender,
     pipeline: Pipeline,
     number: u32,
 }
@@ -378,7 +375,7 @@ impl<W: Write> Recorder<W> {
     }
 
     /// Adds a burst, with what the board said of it.
-    pub fn add(&mut self, burst: &Burst, flags: Flags) -> std::io::Result<Snapshot> {
+    pub fn add(&mut self, burst: &Burst, flags: BoardFlags) -> std::io::Result<Snapshot> {
         let now_us = burst.captured_at_us;
         if self.sender.wants_state(now_us) {
             self.sender.copy_state(&self.pipeline, self.number);
@@ -393,8 +390,7 @@ impl<W: Write> Recorder<W> {
         let mut output = Output::new(&mut buffer);
         self.sender
             .fill(now_us, &mut output, || burst_to_send.take());
-        let snapshot = self.pipeline.update_flagged(burst, flags);
-        self.pipeline.collect(burst);
+        let snapshot = self.pipeline.update(burst, flags);
         if self.number.is_multiple_of(BURSTS_PER_ATTITUDE) {
             put_attitude(&snapshot, &mut output);
         }
@@ -417,10 +413,10 @@ mod tests {
     use std::sync::LazyLock;
 
     use crate::simulated;
-    use aplomb::estimator::FilterKind;
     use aplomb::mpu6050::{
         AccelerometerCounts, GyroscopeCounts, Part, RawSample, TemperatureCounts,
     };
+    use aplomb::pipeline::Settings;
     use aplomb::telemetry::log::encode;
     use proptest::prelude::*;
 
@@ -468,23 +464,19 @@ mod tests {
         let mut pipeline = Pipeline::new(&settings());
         let mut snapshots: Vec<_> = bursts[..first]
             .iter()
-            .map(|burst| {
-                let snapshot = pipeline.update(burst);
-                pipeline.collect(burst);
-                snapshot
-            })
+            .map(|burst| pipeline.update(burst, BoardFlags::empty()))
             .collect();
         let mut recorder = Recorder::new(Vec::new(), pipeline, first as u32);
         snapshots.extend(bursts[first..].iter().map(|burst| {
             recorder
-                .add(burst, Flags::NONE)
+                .add(burst, BoardFlags::empty())
                 .expect("memory takes everything")
         }));
         (recorder.into_inner(), snapshots)
     }
 
     fn replayed(flight: &Flight) -> (Vec<Snapshot>, Agreement) {
-        let mut replay = Replay::new(flight, |_| {}).expect("there is a configuration");
+        let mut replay = Replay::new(flight, FilterName::Kalman).expect("there is a configuration");
         let snapshots = std::iter::from_fn(|| replay.next()).collect();
         (snapshots, replay.agreement().clone())
     }
@@ -622,7 +614,7 @@ mod tests {
                     captured_at_us,
                     missed_before: 0,
                 };
-                let flags = Flags::from_bits(number);
+                let flags = BoardFlags::from_bits_retain(number);
                 Frame::Burst(NumberedBurst {
                     number,
                     flags,
@@ -632,7 +624,7 @@ mod tests {
         );
         let configuration = any::<u32>().prop_map(|from_number| {
             let mut settings = Settings::new(&Part::MPU_6050);
-            settings.averaging_samples = from_number as u16;
+            settings.sensor_delay_us = Some(from_number);
             Frame::Configuration(Configuration {
                 revision: REVISION,
                 from_number,
@@ -674,7 +666,7 @@ mod tests {
                 prop_assert!(numbers.is_sorted_by(|one, other| one < other));
                 prop_assert!(flight.lost() <= u64::from(u32::MAX));
                 whole += flight.bursts.len() as u64;
-                let Ok(mut replay) = Replay::new(flight, |_| {}) else {
+                let Ok(mut replay) = Replay::new(flight, FilterName::Kalman) else {
                     prop_assert!(flight.configurations.is_empty());
                     continue;
                 };
@@ -694,8 +686,8 @@ mod tests {
     fn another_filter_is_never_called_exact() {
         let bursts = bursts(3);
         let log = decode(&fly(&bursts, 0).0);
-        let change = |settings: &mut Settings| settings.filter = FilterKind::Classic;
-        let mut replay = Replay::new(&log.flights[0], change).expect("there is a configuration");
+        let mut replay =
+            Replay::new(&log.flights[0], FilterName::Classic).expect("there is a configuration");
         while replay.next().is_some() {}
         assert_eq!(
             (replay.agreement().bursts, replay.agreement().exact),

@@ -78,7 +78,7 @@ fn candidates(choice: Choice) -> Vec<Gains> {
         pairs.collect()
     };
     let mut candidates = match choice {
-        Choice::Library(_) => Vec::new(),
+        Choice::Kalman | Choice::AxisKalman | Choice::Classic => Vec::new(),
         Choice::Mahony => pairs(&GAIN, &INTEGRAL_GAIN),
         Choice::Madgwick => pairs(&GAIN, &[0.0]),
         Choice::Fusion => pairs(&GAIN, &REJECTION_DEGREES),

@@ -32,13 +32,13 @@ const LEAST_GAIN: f64 = 5e-4;
 /// What [`Tuning`] has from what is known of such sensors.
 const SENSOR: [&str; 8] = [
     "start_tilt_rad",
-    "start_bias_rad_s",
+    "gyroscope_bias_rad_s",
     "start_velocity_m_s",
-    "force_bias_m_s2",
-    "scale",
-    "misalignment_rad",
-    "bias_walk",
-    "force_bias_walk",
+    "accelerometer_bias_m_s2",
+    "gyroscope_scale",
+    "gyroscope_misalignment_rad",
+    "gyroscope_bias_walk",
+    "accelerometer_bias_walk",
 ];
 
 /// The numbers of a tuning that decide how accurate the filter is. Those that only cost time stay as they are.
@@ -46,57 +46,57 @@ fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 24] {
     // All fields are named, so that a new one cannot be forgotten.
     let Tuning {
         start_tilt_rad,
-        start_bias_rad_s,
+        gyroscope_bias_rad_s,
         start_velocity_m_s,
-        force_bias_m_s2,
-        scale,
-        misalignment_rad,
+        accelerometer_bias_m_s2,
+        gyroscope_scale,
+        gyroscope_misalignment_rad,
         rate_noise,
         rate_noise_per_rate,
-        bias_walk,
-        force_bias_walk,
+        gyroscope_bias_walk,
+        accelerometer_bias_walk,
         force_noise,
         force_noise_per_velocity,
-        velocity,
-        velocity_per_velocity,
-        velocity_limit,
-        velocity_time_s,
+        velocity_noise,
+        velocity_noise_per_velocity,
+        velocity_noise_limit,
+        velocity_average_s,
         velocity_smoothing_s,
         coupling,
-        surprise,
-        rest_after_s,
-        rest_rate_rad_s,
-        rest_force_m_s2,
-        rest_velocity,
-        rest_rate,
+        prior_gate_sigma,
+        stationary_after_s,
+        stationary_rate_rad_s,
+        stationary_force_m_s2,
+        stationary_velocity_noise,
+        stationary_rate_noise,
         covariance_period_s: _,
         earth_period_s: _,
     } = tuning;
     [
         ("start_tilt_rad", start_tilt_rad),
-        ("start_bias_rad_s", start_bias_rad_s),
+        ("gyroscope_bias_rad_s", gyroscope_bias_rad_s),
         ("start_velocity_m_s", start_velocity_m_s),
-        ("force_bias_m_s2", force_bias_m_s2),
-        ("scale", scale),
-        ("misalignment_rad", misalignment_rad),
+        ("accelerometer_bias_m_s2", accelerometer_bias_m_s2),
+        ("gyroscope_scale", gyroscope_scale),
+        ("gyroscope_misalignment_rad", gyroscope_misalignment_rad),
         ("rate_noise", rate_noise),
         ("rate_noise_per_rate", rate_noise_per_rate),
-        ("bias_walk", bias_walk),
-        ("force_bias_walk", force_bias_walk),
+        ("gyroscope_bias_walk", gyroscope_bias_walk),
+        ("accelerometer_bias_walk", accelerometer_bias_walk),
         ("force_noise", force_noise),
         ("force_noise_per_velocity", force_noise_per_velocity),
-        ("velocity", velocity),
-        ("velocity_per_velocity", velocity_per_velocity),
-        ("velocity_limit", velocity_limit),
-        ("velocity_time_s", velocity_time_s),
+        ("velocity_noise", velocity_noise),
+        ("velocity_noise_per_velocity", velocity_noise_per_velocity),
+        ("velocity_noise_limit", velocity_noise_limit),
+        ("velocity_average_s", velocity_average_s),
         ("velocity_smoothing_s", velocity_smoothing_s),
         ("coupling", coupling),
-        ("surprise", surprise),
-        ("rest_after_s", rest_after_s),
-        ("rest_rate_rad_s", rest_rate_rad_s),
-        ("rest_force_m_s2", rest_force_m_s2),
-        ("rest_velocity", rest_velocity),
-        ("rest_rate", rest_rate),
+        ("prior_gate_sigma", prior_gate_sigma),
+        ("stationary_after_s", stationary_after_s),
+        ("stationary_rate_rad_s", stationary_rate_rad_s),
+        ("stationary_force_m_s2", stationary_force_m_s2),
+        ("stationary_velocity_noise", stationary_velocity_noise),
+        ("stationary_rate_noise", stationary_rate_noise),
     ]
 }
 
@@ -285,19 +285,20 @@ mod tests {
         };
         let sets = [&flights];
         let mut wrong = Tuning::DEFAULT;
-        wrong.velocity_per_velocity *= 0.2;
+        wrong.velocity_noise_per_velocity *= 0.2;
         let mut least = cost(&sets, &wrong);
         let start = least;
         let index = numbers(&mut wrong)
             .iter()
-            .position(|(name, _)| *name == "velocity_per_velocity")
+            .position(|(name, _)| *name == "velocity_noise_per_velocity")
             .unwrap();
         assert!(improve(&mut wrong, index, 2.0, &mut least, &sets));
         assert!(
             least < start
-                && wrong.velocity_per_velocity > 0.3 * Tuning::DEFAULT.velocity_per_velocity
+                && wrong.velocity_noise_per_velocity
+                    > 0.3 * Tuning::DEFAULT.velocity_noise_per_velocity
         );
         assert_eq!(least, cost(&sets, &wrong));
-        assert!(changes(&wrong).starts_with("velocity_per_velocity ×0.40"));
+        assert!(changes(&wrong).starts_with("velocity_noise_per_velocity ×0.40"));
     }
 }

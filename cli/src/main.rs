@@ -8,6 +8,7 @@ mod calibrate;
 mod completions;
 mod convert;
 mod counts;
+mod device;
 mod filter;
 mod flight_log;
 mod gains;

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use ahrs::Ahrs as _;
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::estimator::{Estimate, LONGEST_STEP_US, Remarks, Sample};
+use aplomb::estimator::{Estimate, LONGEST_STEP_US, Sample};
 use aplomb::units::{STANDARD_GRAVITY_M_S2, degrees};
 use nalgebra::UnitQuaternion;
 
@@ -100,27 +100,23 @@ impl Peer {
     /// Takes one sample and gives the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
         let (force, rates) = (sample.specific_force_m_s2, sample.angular_rate_rad_s);
-        let mut remarks = Remarks {
-            rejected: !(force.is_within(f32::MAX) && rates.is_within(f32::MAX)),
-            ..Remarks::default()
-        };
-        if !remarks.rejected {
+        let is_measurement = force.is_within(f32::MAX) && rates.is_within(f32::MAX);
+        if is_measurement {
             match &self.last {
                 None => self.filter = (self.restart)(tilt(flip(force)), self.step_s, self.gains),
-                Some(last) if sample.t_us <= last.t_us => remarks.time_went_back = true,
-                Some(last) if sample.t_us - last.t_us > LONGEST_STEP_US => remarks.gap = true,
+                // The attitude is held where time went back, and over a gap.
+                Some(last) if sample.t_us <= last.t_us => {}
+                Some(last) if sample.t_us - last.t_us > LONGEST_STEP_US => {}
                 Some(last) => self.filter.step(&Step::new(last, sample)),
             }
             self.last = Some(*sample);
         }
-        Estimate {
-            attitude: self.attitude(),
-            body_rates_rad_s: self
-                .last
-                .map_or(Vector3::ZERO, |sample| sample.angular_rate_rad_s),
-            remarks,
-            ..Estimate::default()
+        let mut estimate = Estimate::default();
+        estimate.attitude = self.attitude();
+        if let Some(last) = &self.last {
+            estimate.body_rates_rad_s = last.angular_rate_rad_s;
         }
+        estimate
     }
 
     fn attitude(&self) -> Quaternion {

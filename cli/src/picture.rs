@@ -1,6 +1,5 @@
 //! The README's picture: the default filter, VQF and the classic one through a simulated flight.
 
-use aplomb::estimator::FilterKind;
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_plot::chart::{Chart, Curve, Panel, TRUTH};
 use aplomb_plot::picture::{Color, Picture};
@@ -15,17 +14,9 @@ pub const SEED: u64 = FIRST_EVALUATION_SEED;
 
 /// The best last, so that no other covers it. Colours differ for the colour-blind too (Okabe and Ito, 2008).
 const FILTERS: [(Choice, &str, Color); 3] = [
-    (
-        Choice::Library(FilterKind::Classic),
-        "classic",
-        Color(230, 159, 0),
-    ),
+    (Choice::Classic, "classic", Color(230, 159, 0)),
     (Choice::Vqf, "VQF", Color(0, 114, 178)),
-    (
-        Choice::Library(FilterKind::Kalman),
-        "aplomb",
-        Color(213, 30, 60),
-    ),
+    (Choice::Kalman, "aplomb", Color(213, 30, 60)),
 ];
 
 const SIZE: (u32, u32) = (1200, 900);

@@ -289,7 +289,9 @@ impl Shown {
         }
         let spectrum = self.welch.spectrum();
         let others: Vec<_> = spectrum.as_ref().map(spectrum_panel).into_iter().collect();
-        let flags = Flags::NAMES.map(|(flag, name)| (name, self.spans(flag)));
+        let flags = Flags::all()
+            .iter_names()
+            .map(|(name, flag)| (name, self.spans(flag)));
         let lanes = flag_lanes(flags, "VALID");
         let height = PANEL_HEIGHT * (panels.len() + others.len()) as u32
             + LANE_HEIGHT * lanes.len() as u32
@@ -454,7 +456,7 @@ impl Source for Table {
             attitude: row.attitude.quaternion(),
             body_rates_rad_s: Vector3::new(p, q, r),
             tilt_sigma_rad: row.tilt_sigma_deg.map(radians),
-            flags: row.flags.unwrap_or(Flags::NONE),
+            flags: row.flags.unwrap_or(Flags::empty()),
             specific_force_m_s2: None,
             truth: None,
             counts: row.counts,

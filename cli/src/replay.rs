@@ -11,20 +11,20 @@ use std::path::{Path, PathBuf};
 
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
 use aplomb::calibration::Mount;
-use aplomb::estimator::kalman::Kalman;
-use aplomb::estimator::{FilterKind, REVISION, Sample};
+use aplomb::estimator::{REVISION, Sample};
 use aplomb::health::Flags;
 use aplomb::mpu6050::{
     AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange, Part,
 };
-use aplomb::pipeline::{Pipeline, Settings, Snapshot};
+use aplomb::pipeline::{Settings, Snapshot};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::log::{Lines, Row, parse_row};
 
 use crate::counts::counts;
-use crate::filter::{Choice, Filter, up_in_body};
+use crate::device::{Device, FilterName};
+use crate::filter::up_in_body;
 use crate::flight_log::{self, Flight};
 use crate::input::{Counts, Form};
 use crate::number;
@@ -37,9 +37,6 @@ pub const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_
 
 /// One second: no low-pass filter or bus is so slow, and no turn goes on for so long.
 const LONGEST_DELAY_US: i64 = 1_000_000;
-
-/// A first guess for filters that want one; each row then brings its own step.
-const USUAL_STEP_S: f32 = 0.001;
 
 /// So many rows of a log tell how far apart they are.
 const ROWS_AHEAD: usize = 101;
@@ -76,9 +73,9 @@ pub struct Options {
 pub struct Reading {
     /// The recording
     pub input: PathBuf,
-    /// Which filter: kalman, axis-kalman, classic, mahony [default: kalman, or the one that flew]
-    #[arg(long, value_name = "NAME", value_parser = Choice::parse)]
-    filter: Option<Choice>,
+    /// Which filter: kalman, axis-kalman, classic [default: kalman]
+    #[arg(long, value_name = "NAME")]
+    filter: Option<FilterName>,
     /// Where the body's forward and down axes point in sensor axes, for example +x-z [default: z-up]
     #[arg(long, allow_hyphen_values = true, value_parser = parse_mount)]
     mount: Option<Mount>,
@@ -184,30 +181,16 @@ impl Reading {
         self.mount.unwrap_or(Mount::Z_UP)
     }
 
-    fn filter(&self) -> Choice {
-        self.filter
-            .unwrap_or(Choice::Library(FilterKind::default()))
+    fn filter(&self) -> FilterName {
+        self.filter.unwrap_or_default()
     }
 
     /// A flight of a flight log.
     pub fn open_flight<'a>(&self, flight: &'a Flight) -> Result<Logged<'a>, String> {
         self.check(Kind::FlightLog)?;
-        let place = self.input.display();
-        let kind = match self.filter {
-            Some(Choice::Library(kind)) => Some(kind),
-            None => None,
-            Some(_) => {
-                return Err(format!(
-                    "{place}: a flight log is replayed with a filter of the library"
-                ));
-            }
-        };
-        let replay = flight_log::Replay::new(flight, |settings| {
-            settings.filter = kind.unwrap_or(settings.filter);
-        });
-        replay
+        flight_log::Replay::new(flight, self.filter())
             .map(|replay| Logged { replay })
-            .map_err(|reason| format!("{place}: {reason}"))
+            .map_err(|reason| format!("{}: {reason}", self.input.display()))
     }
 }
 
@@ -249,7 +232,7 @@ impl Summary {
             "{}: {} rows, {:.1} s, filter {}, mount {}",
             self.input, self.samples, self.seconds, self.filter, self.mount,
         ));
-        for (_, name) in Flags::NAMES {
+        for (name, _) in Flags::all().iter_names() {
             if let Some(count) = self.flags.get(name) {
                 crate::say(&format!("{name}: {count} rows"));
             }
@@ -363,7 +346,7 @@ pub trait Source {
 fn replay(
     options: &Options,
     mount: Mount,
-    filter: Choice,
+    filter: FilterName,
     source: &mut dyn Source,
 ) -> Result<Summary, Box<dyn Error>> {
     let input = &options.reading.input;
@@ -372,7 +355,10 @@ fn replay(
         None => None,
     };
     let mut errors = Errors::default();
-    let mut flagged = [0_u64; Flags::NAMES.len()];
+    let mut flagged: Vec<_> = Flags::all()
+        .iter_names()
+        .map(|(name, flag)| (name, flag, 0))
+        .collect();
     let (mut samples, mut first_us, mut last_us) = (0_u64, None, 0);
     while let Some(point) = source.next()? {
         let first_us = *first_us.get_or_insert(point.t_us);
@@ -386,8 +372,8 @@ fn replay(
                 point.tilt_sigma_rad,
             );
         }
-        for (count, (flag, _)) in flagged.iter_mut().zip(Flags::NAMES) {
-            *count += u64::from(point.flags.contains(flag));
+        for (_, flag, count) in &mut flagged {
+            *count += u64::from(point.flags.contains(*flag));
         }
         if let Some(output) = &mut output {
             output.write(&point, up)?;
@@ -399,48 +385,33 @@ fn replay(
     if let Some(output) = output {
         output.file.finish()?;
     }
-    let named = flagged.into_iter().zip(Flags::NAMES);
     Ok(Summary {
         input: input.display().to_string(),
         filter: filter.name(),
         mount: mount.name(),
         samples,
         seconds: last_us.saturating_sub(first_us) as f64 * 1e-6,
-        flags: named
-            .filter(|(count, _)| *count > 0)
-            .map(|(count, (_, name))| (name, count))
+        flags: flagged
+            .into_iter()
+            .filter(|(_, _, count)| *count > 0)
+            .map(|(name, _, count)| (name, count))
             .collect(),
         score: errors.score(),
         log: None,
     })
 }
 
-/// The pipeline, and behind it a filter that is none of those it has.
-struct Device {
-    pipeline: Pipeline,
-    peer: Option<Filter>,
-}
-
-impl Device {
-    fn point(&mut self, snapshot: &Snapshot, t_us: i64) -> Point {
-        let kalman = self.pipeline.estimator().kalman();
-        let mut point = Point {
-            t_us,
-            attitude: snapshot.attitude,
-            body_rates_rad_s: snapshot.body_rates_rad_s,
-            tilt_sigma_rad: kalman.map(Kalman::tilt_sigma_rad),
-            flags: snapshot.flags,
-            specific_force_m_s2: Some(self.pipeline.sample().specific_force_m_s2),
-            truth: None,
-            counts: false,
-        };
-        if let Some(peer) = &mut self.peer {
-            let estimate = peer.update(self.pipeline.sample());
-            point.attitude = estimate.attitude;
-            point.body_rates_rad_s = estimate.body_rates_rad_s;
-            point.tilt_sigma_rad = None;
-        }
-        point
+/// Returns the point of a snapshot, without its truth.
+fn point(device: &Device, snapshot: &Snapshot, t_us: i64) -> Point {
+    Point {
+        t_us,
+        attitude: snapshot.attitude,
+        body_rates_rad_s: snapshot.body_rates_rad_s,
+        tilt_sigma_rad: device.has_sigma().then(|| snapshot.tilt_sigma_rad()),
+        flags: snapshot.flags,
+        specific_force_m_s2: Some(device.specific_force_m_s2()),
+        truth: None,
+        counts: false,
     }
 }
 
@@ -470,25 +441,13 @@ impl Log {
         let delay_us = options.sensor_delay_us.unwrap_or(0);
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor_delay_us = Some(delay_us);
-        // There are no counts to average.
-        settings.averaging_samples = 0;
-        settings.filter = FilterKind::AxisKalman;
-        let mut peer = Some(Filter::new(options.filter(), USUAL_STEP_S, delay_us));
-        if let Choice::Library(kind) = options.filter() {
-            settings.filter = kind;
-            // The others are extrapolated here.
-            peer = peer.filter(|_| kind != FilterKind::Kalman);
-        }
         let mut log = Self {
             lines,
             columns,
             mount: options.mount(),
             ranges: options.counts.ranges(),
             ahead: VecDeque::new(),
-            device: Device {
-                pipeline: Pipeline::new(&settings),
-                peer,
-            },
+            device: Device::for_samples(options.filter(), &settings, delay_us),
         };
         while log.ahead.len() < ROWS_AHEAD
             && let Some(row) = log.read()?
@@ -496,7 +455,7 @@ impl Log {
             log.ahead.push_back(row);
         }
         settings.sensor.sample_rate_divider = log.sample_rate_divider();
-        log.device.pipeline = Pipeline::new(&settings);
+        log.device = Device::for_samples(options.filter(), &settings, delay_us);
         Ok(log)
     }
 
@@ -558,11 +517,11 @@ impl Source for Log {
             None => self.read()?,
         };
         Ok(row.map(|row| {
-            let snapshot = self.device.pipeline.update_sample(&row.sample);
+            let snapshot = self.device.update_sample(&row.sample);
             Point {
                 truth: row.truth,
                 counts: row.counts,
-                ..self.device.point(&snapshot, row.t_us)
+                ..point(&self.device, &snapshot, row.t_us)
             }
         }))
     }
@@ -580,24 +539,9 @@ impl Bursts {
         settings.mount = options.mount();
         settings.sensor_delay_us = options.sensor_delay_us;
         settings.sensor = options.counts.config();
-        // Behind another crate's filter, offsets at rest are removed as for the library's simple ones.
-        settings.filter = FilterKind::AxisKalman;
-        let delay_us = settings.sensor.low_pass.gyroscope_delay_us().into();
-        let peer = match options.filter() {
-            Choice::Library(kind) => {
-                settings.filter = kind;
-                None
-            }
-            other => Some(Filter::new(
-                other,
-                USUAL_STEP_S,
-                options.sensor_delay_us.unwrap_or(delay_us),
-            )),
-        };
-        let pipeline = Pipeline::new(&settings);
         Self {
             lines,
-            device: Device { pipeline, peer },
+            device: Device::for_bursts(options.filter(), &settings),
         }
     }
 }
@@ -611,9 +555,8 @@ impl Source for Bursts {
             bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
-        let snapshot = self.device.pipeline.update_flagged(&burst, flags);
-        self.device.pipeline.collect(&burst);
-        Ok(Some(self.device.point(&snapshot, t_us)))
+        let snapshot = self.device.update(&burst, flags);
+        Ok(Some(point(&self.device, &snapshot, t_us)))
     }
 }
 
@@ -625,12 +568,12 @@ pub struct Logged<'a> {
 impl Logged<'_> {
     /// How the sensor was mounted.
     pub fn mount(&self) -> Mount {
-        self.replay.pipeline().settings().mount()
+        self.replay.device().settings().mount()
     }
 
     /// The filter that runs.
-    fn filter(&self) -> Choice {
-        Choice::Library(self.replay.pipeline().settings().filter)
+    fn filter(&self) -> FilterName {
+        self.replay.device().filter()
     }
 }
 
@@ -639,18 +582,8 @@ impl Source for Logged<'_> {
         let Some(snapshot) = self.replay.next() else {
             return Ok(None);
         };
-        let pipeline = self.replay.pipeline();
-        let kalman = pipeline.estimator().kalman();
-        Ok(Some(Point {
-            t_us: i64::try_from(snapshot.t_us)?,
-            attitude: snapshot.attitude,
-            body_rates_rad_s: snapshot.body_rates_rad_s,
-            tilt_sigma_rad: kalman.map(Kalman::tilt_sigma_rad),
-            flags: snapshot.flags,
-            specific_force_m_s2: Some(pipeline.sample().specific_force_m_s2),
-            truth: None,
-            counts: false,
-        }))
+        let t_us = i64::try_from(snapshot.t_us)?;
+        Ok(Some(point(self.replay.device(), &snapshot, t_us)))
     }
 }
 

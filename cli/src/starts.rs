@@ -80,9 +80,7 @@ fn start(recording: &Recording, start_s: u64, offset_degrees_s: [f32; 3]) -> Out
         let Some(up) = up else { continue };
         let found = up_in_body(snapshot.attitude);
         let error = angle_between([found.x, found.y, found.z].map(f64::from), *up).to_degrees();
-        let sigma = f64::from(pipeline.tilt_variance_rad2(sample.t_us))
-            .sqrt()
-            .to_degrees();
+        let sigma = f64::from(snapshot.tilt_variance_rad2).sqrt().to_degrees();
         outcome.wrong += u32::from(error > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * sigma));
     }
     outcome

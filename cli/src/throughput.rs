@@ -9,10 +9,9 @@ use std::fmt::Write as _;
 use std::hint::black_box;
 use std::time::Instant;
 
-use aplomb::estimator::axis_kalman::AxisKalman;
-use aplomb::estimator::classic::Classic;
+use aplomb::estimator::classic::{AxisKalman, Tutorial};
 use aplomb::estimator::kalman::Kalman;
-use aplomb::estimator::{Estimator, Filter, FilterKind, Sample};
+use aplomb::estimator::{Estimator, Filter, Sample};
 
 use crate::filter::Choice;
 use crate::peers::{self, Fusion, Madgwick, Mahony, Step, Vqf, VqfAsIs, tilt};
@@ -31,7 +30,7 @@ pub fn measure(recording: &Recording) -> String {
         .zip(samples.iter().skip(1))
         .map(|(before, after)| Step::new(before, after))
         .collect();
-    let choices = Choice::all();
+    let choices = Choice::ALL;
     // Seconds, by filter and round.
     let mut seconds = vec![Vec::new(); choices.len()];
     for _ in 0..ROUNDS {
@@ -74,9 +73,9 @@ fn middle(numbers: impl Iterator<Item = f64>) -> f64 {
 fn run(choice: Choice, step_s: f32, samples: &[Sample], steps: &[Step]) {
     match choice {
         // As a firmware has it: the filter is the estimator's type.
-        Choice::Library(FilterKind::Kalman) => run_library(Kalman::new(), samples),
-        Choice::Library(FilterKind::AxisKalman) => run_library(AxisKalman::new(), samples),
-        Choice::Library(FilterKind::Classic) => run_library(Classic::new(), samples),
+        Choice::Kalman => run_library(Kalman::new(), samples),
+        Choice::AxisKalman => run_library(AxisKalman::new(), samples),
+        Choice::Classic => run_library(Tutorial::new(), samples),
         Choice::Vqf => run_peer::<Vqf>(step_s, steps),
         Choice::VqfAsIs => run_peer::<VqfAsIs>(step_s, steps),
         Choice::Fusion => run_peer::<Fusion>(step_s, steps),

@@ -11,7 +11,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use aplomb::health::Flags;
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::Burst;
 use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use common::{aplomb, file, path};
@@ -109,7 +109,7 @@ fn a_log_is_switched_on_and_everything_back_at_the_end() {
 fn burst(number: u32) -> Vec<u8> {
     let burst = NumberedBurst {
         number,
-        flags: Flags::NONE,
+        flags: BoardFlags::empty(),
         burst: Burst {
             bytes: [0; 14],
             captured_at_us: 1000 * u64::from(number),

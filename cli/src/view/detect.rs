@@ -6,7 +6,7 @@
 use std::collections::VecDeque;
 
 use aplomb::attitude::Quaternion;
-use aplomb::health::Flags;
+use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Part, RawSample};
 use aplomb::pipeline::{Pipeline, Snapshot};
 use aplomb::serialize::StateReader;
@@ -245,6 +245,8 @@ impl Reading {
 
     /// `told` are the flags that the module named last; whether an attitude is valid each line says.
     fn of_line(line: &Line, told: Flags) -> Self {
+        let mut flags = told;
+        flags.set(Flags::VALID, line.is_valid);
         Self {
             roll_deg: line.roll_deg,
             pitch_deg: line.pitch_deg,
@@ -255,7 +257,7 @@ impl Reading {
                 line.yaw_rate_deg_s,
             ]
             .map(Some),
-            flags: Some(told.without(Flags::VALID).with(Flags::VALID, line.is_valid)),
+            flags: Some(flags),
             ..Self::default()
         }
     }
@@ -275,7 +277,7 @@ fn flags_of(message: &str) -> Option<Flags> {
         let status = message.strip_prefix("ok status: flags=")?;
         status.split(' ').next()
     })?;
-    let flags = Flags::parse(names)?;
+    let flags: Flags = names.parse().ok()?;
     Some(flags & (Flags::LASTING | Flags::CALIBRATING))
 }
 
@@ -374,9 +376,9 @@ impl Lines {
     }
 
     fn attitude(&mut self, line: &Line, items: &mut Vec<Item>) {
-        if line.is_valid && self.told.intersects(Flags::SPOILS) {
+        if line.is_valid && self.told.intersects(Flags::INVALIDATING) {
             // What was named is over.
-            self.told = Flags::NONE;
+            self.told = Flags::empty();
         }
         items.push(Item::Reading(Reading::of_line(line, self.told)));
     }
@@ -582,8 +584,8 @@ impl Log {
             Frame::Attitude(snapshot) => {
                 items.push(Item::Reading(Reading::of_snapshot(&snapshot)));
                 if let Some(pipeline) = &self.pipeline {
-                    let sigma_rad = pipeline.tilt_variance_rad2(snapshot.t_us).sqrt();
-                    items.push(Item::TiltSigma(degrees(sigma_rad)));
+                    let held = pipeline.stale(snapshot.t_us, BoardFlags::empty());
+                    items.push(Item::TiltSigma(degrees(held.tilt_sigma_rad())));
                 }
                 if let (Some(part), Some(last)) = (self.part, self.recent.back()) {
                     let raw = RawSample::decode(&last.burst.bytes);
@@ -642,10 +644,9 @@ impl Log {
     }
 }
 
-fn update(pipeline: &mut Pipeline, burst: &NumberedBurst) {
-    pipeline.update_with(&burst.burst, burst.flags, |_, _| {});
-    pipeline.confirm_scales();
-    pipeline.collect(&burst.burst);
+/// Updates with a burst. The log does not hold the module's checks of the full scales: they are taken for right.
+fn update(pipeline: &mut Pipeline, burst: &NumberedBurst) -> Snapshot {
+    pipeline.update(&burst.burst, burst.flags | BoardFlags::SCALES_VERIFIED)
 }
 
 #[cfg(test)]
@@ -715,7 +716,7 @@ mod tests {
                     captured_at_us,
                     missed_before: 0,
                 };
-                let flags = Flags::from_bits(flags);
+                let flags = BoardFlags::from_bits_retain(flags);
                 let configuration = log::Configuration {
                     revision: aplomb::estimator::REVISION,
                     from_number: number,
@@ -910,7 +911,7 @@ mod tests {
             };
             let burst = NumberedBurst {
                 number,
-                flags: Flags::NONE,
+                flags: BoardFlags::empty(),
                 burst,
             };
             log::encode(&Frame::Burst(burst), &mut buffer).to_vec()
@@ -953,6 +954,7 @@ mod tests {
         let mut bytes = [0; 14];
         bytes[4..6].copy_from_slice(&2048_i16.to_be_bytes());
         let mut pipeline = Pipeline::new(&settings);
+        let mut sigma_rad = f32::NAN;
         for index in 0..12_000_u64 {
             // The last bit trembles, as in any sensor that lives.
             bytes[9] = (index * 7 % 5) as u8;
@@ -962,17 +964,18 @@ mod tests {
                 missed_before: 0,
             };
             recorder
-                .add(&burst, Flags::NONE)
+                .add(&burst, BoardFlags::empty())
                 .expect("a vector takes everything");
             if index <= 11_980 {
-                update(
+                sigma_rad = update(
                     &mut pipeline,
                     &NumberedBurst {
                         number: index as u32,
-                        flags: Flags::NONE,
+                        flags: BoardFlags::empty(),
                         burst,
                     },
-                );
+                )
+                .tilt_sigma_rad();
             }
         }
         let log = recorder.into_inner();
@@ -985,7 +988,7 @@ mod tests {
             (600, 12_000, 0, 0)
         );
         let sigma = sigma_of(&items);
-        let expected = degrees(pipeline.tilt_variance_rad2(11_980_000).sqrt());
+        let expected = degrees(sigma_rad);
         assert_eq!(sigma, Some(expected));
         // Begun in the middle: the module's next state, ten seconds after its start, brings the same σ.
         assert_eq!(

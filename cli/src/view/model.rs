@@ -241,12 +241,8 @@ impl Model {
         let Some(flags) = self.reading().and_then(|reading| reading.flags) else {
             return Vec::new();
         };
-        let is_set = |(flag, _): &&(Flags, &str)| flags.contains(*flag) && *flag != Flags::VALID;
-        Flags::NAMES
-            .iter()
-            .filter(is_set)
-            .map(|(_, name)| *name)
-            .collect()
+        let others = flags.difference(Flags::VALID);
+        others.iter_names().map(|(name, _)| name).collect()
     }
 
     /// Attitudes and bursts a second.

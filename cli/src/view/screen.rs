@@ -264,8 +264,8 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
 /// Names in red are what an attitude cannot be valid with.
 fn colour_of(name: &str) -> Color {
     use aplomb::health::Flags;
-    match Flags::parse(name) {
-        Some(flag) if !Flags::SPOILS.contains(flag) => Color::Indexed(214),
+    match Flags::from_name(name) {
+        Some(flag) if !Flags::INVALIDATING.contains(flag) => Color::Indexed(214),
         _ => Color::Indexed(203),
     }
 }

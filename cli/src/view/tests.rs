@@ -112,7 +112,11 @@ fn an_attitude_that_is_not_valid_says_so_with_the_reasons() {
         Flags::BUS_FAULT,
         Flags::POLLED,
     ];
-    let mut model = swinging(flags.into_iter().fold(Flags::NONE, |all, flag| all | flag));
+    let mut model = swinging(
+        flags
+            .into_iter()
+            .fold(Flags::empty(), |all, flag| all | flag),
+    );
     model.counts.lost = 12;
     model.recording = Some(("aplomb-1.log".into(), 1_234_567));
     model.say(24.0, Speaker::Person, "calibrate gyro".into());
@@ -151,14 +155,14 @@ fn a_format_without_health_and_yaw_says_so_and_help_lies_above_all() {
 
 #[test]
 fn any_size_and_any_number_can_be_drawn() {
-    let mut model = swinging(Flags::NONE);
+    let mut model = swinging(Flags::empty());
     for value in [f32::NAN, f32::INFINITY, f32::MAX, -1e9] {
         let reading = Reading {
             roll_deg: value,
             pitch_deg: value,
             yaw_deg: Some(value),
             rates_deg_s: [Some(value); 3],
-            flags: Some(Flags::from_bits(u32::MAX)),
+            flags: Some(Flags::all()),
             t_us: None,
         };
         model.take(25.0, Item::Reading(reading));
