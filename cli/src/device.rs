@@ -173,9 +173,10 @@ impl Device {
         }
     }
 
-    /// Returns whether the filter knows its σ.
-    pub const fn has_sigma(&self) -> bool {
-        matches!(self.pipeline, Variant::Kalman(_))
+    /// Returns the σ of a snapshot's tilt, if the filter knows it: it is infinite before the first gravity.
+    pub fn tilt_sigma_rad(&self, snapshot: &Snapshot) -> Option<f32> {
+        let sigma_rad = snapshot.tilt_sigma_rad();
+        sigma_rad.is_finite().then_some(sigma_rad)
     }
 
     /// Returns the settings.

@@ -407,7 +407,7 @@ fn point(device: &Device, snapshot: &Snapshot, t_us: i64) -> Point {
         t_us,
         attitude: snapshot.attitude,
         body_rates_rad_s: snapshot.body_rates_rad_s,
-        tilt_sigma_rad: device.has_sigma().then(|| snapshot.tilt_sigma_rad()),
+        tilt_sigma_rad: device.tilt_sigma_rad(snapshot),
         flags: snapshot.flags,
         specific_force_m_s2: Some(device.specific_force_m_s2()),
         truth: None,

@@ -231,6 +231,7 @@ fn messages(text: Option<&str>) -> Vec<u8> {
         attitude: Quaternion::IDENTITY,
         body_rates_rad_s: Vector3::new(0.1, -0.2, 0.3),
         flags: Flags::VALID,
+        tilt_variance_rad2: 1e-4,
     };
     let vehicle = Vehicle {
         snapshot: Some(&snapshot),

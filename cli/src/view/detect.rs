@@ -674,6 +674,7 @@ mod tests {
             }),
             body_rates_rad_s: Vector3::new(0.1, -0.2, 0.3),
             flags: Flags::VALID,
+            tilt_variance_rad2: 1e-4,
         }
     }
 
