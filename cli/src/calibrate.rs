@@ -19,11 +19,13 @@ use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part,
 use aplomb::pipeline::Settings;
 use aplomb::telemetry::bursts;
 use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
+use aplomb_recordings::counts::counts;
+use aplomb_recordings::form::Form;
 use aplomb_recordings::log::{Lines, Row, parse_row};
+use aplomb_recordings::output::OutputFile;
+use aplomb_recordings::terminal::print_line;
 
-use crate::counts::counts;
-use crate::input::{Counts, Form};
-use crate::output::OutputFile;
+use crate::input::Counts;
 use crate::progress;
 
 /// A rest is so long, s: the device takes a second, a recording made by hand seldom has it.
@@ -111,10 +113,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         }
     };
     if options.json {
-        crate::say(&found.json()?);
+        print_line(&found.json()?);
     } else {
         found.describe(&mut report);
-        crate::say(report.trim_end());
+        print_line(report.trim_end());
     }
     Ok(())
 }

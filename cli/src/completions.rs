@@ -1,5 +1,6 @@
 //! `aplomb completions`: what a shell has to know to complete the program's words.
 
+use aplomb_recordings::terminal::print_line;
 use clap::CommandFactory;
 use clap_complete::{Shell, generate};
 
@@ -18,5 +19,5 @@ pub struct Options {
 pub fn run<C: CommandFactory>(options: &Options) {
     let mut script = Vec::new();
     generate(options.shell, &mut C::command(), "aplomb", &mut script);
-    crate::say(&String::from_utf8_lossy(&script));
+    print_line(&String::from_utf8_lossy(&script));
 }

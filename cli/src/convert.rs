@@ -11,12 +11,14 @@ use aplomb::mpu6050::{
 };
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
+use aplomb_recordings::flight_log::{self, Recorder};
+use aplomb_recordings::form::Form;
 use aplomb_recordings::log::{LogFault, Row, parse_row};
+use aplomb_recordings::number;
+use aplomb_recordings::output::OutputFile;
+use aplomb_recordings::terminal::print_line;
 
-use crate::flight_log::{self, Recorder};
-use crate::input::Form;
-use crate::output::OutputFile;
-use crate::{number, progress, replay};
+use crate::progress;
 
 /// Convert a recording into another form.
 ///
@@ -36,7 +38,7 @@ pub struct Options {
     /// The file to write
     output: PathBuf,
     /// What a flight log that is made of bursts or of CSV says about the mount [default: z-up]
-    #[arg(long, allow_hyphen_values = true, value_parser = replay::parse_mount)]
+    #[arg(long, allow_hyphen_values = true)]
     mount: Option<Mount>,
     /// Which flight of a flight log in which the module started several times, counted from 1
     #[arg(long, value_name = "N")]
@@ -135,22 +137,22 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         clipped_values: found.clipped_values,
     };
     if options.json {
-        crate::say(&serde_json::to_string(&summary)?);
+        print_line(&serde_json::to_string(&summary)?);
         return Ok(());
     }
     if found.bursts_lost + found.damaged_pieces > 0 {
-        crate::say(&format!(
+        print_line(&format!(
             "{}: {} bursts are missing, {} damaged pieces skipped",
             summary.input, found.bursts_lost, found.damaged_pieces
         ));
     }
     if found.clipped_values > 0 {
-        crate::say(&format!(
+        print_line(&format!(
             "{}: {} values are beyond 16 g or 2000 degrees per second and were clipped",
             summary.input, found.clipped_values
         ));
     }
-    crate::say(&format!("{}: {} bursts", summary.output, summary.bursts));
+    print_line(&format!("{}: {} bursts", summary.output, summary.bursts));
     if let Some(mount) = found.mount {
         let mut replay_with = format!("--mount {}", mount.name());
         if into == Kind::Bursts {
@@ -160,7 +162,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
                 sensor.accelerometer_range, sensor.gyroscope_range
             );
         }
-        crate::say(&format!(
+        print_line(&format!(
             "replay it with {replay_with}; the flight's calibration is not in it"
         ));
     }
@@ -192,7 +194,7 @@ struct Found {
 
 fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
     let path = &options.input;
-    if flight_log::is_one(path) {
+    if flight_log::is_flight_log(path) {
         Kind::FlightLog.check(options, into)?;
         let log = flight_log::read(path)?;
         let at = |reason: String| format!("{}: {reason}", path.display());

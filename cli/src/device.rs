@@ -11,8 +11,7 @@ use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, RawSample};
 use aplomb::pipeline::classic::{ClassicPipeline, Zero};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-
-use crate::filter::extrapolate;
+use aplomb_recordings::attitude::extrapolate;
 
 /// Samples at rest that the tutorial's pipelines average at first, as the tutorial does.
 pub const AVERAGED_SAMPLES: u16 = 1_000;
@@ -153,15 +152,6 @@ impl Device {
             Variant::Kalman(pipeline) => pipeline.set_calibration(&settings.calibration),
             Variant::AxisKalman(_) => *self = Self::for_bursts(FilterName::AxisKalman, settings),
             Variant::Classic(_) => *self = Self::for_bursts(FilterName::Classic, settings),
-        }
-    }
-
-    /// Returns the filter.
-    pub const fn filter(&self) -> FilterName {
-        match self.pipeline {
-            Variant::Kalman(_) => FilterName::Kalman,
-            Variant::AxisKalman(_) => FilterName::AxisKalman,
-            Variant::Classic(_) => FilterName::Classic,
         }
     }
 

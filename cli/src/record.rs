@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::output::cannot_write;
+use aplomb_recordings::output::cannot_write;
+
 use crate::view::{BAUD, Decoder, Item, LOG_BAUD, Link, Report, end_request, which_port};
 
 /// How long the module may take to answer a command.

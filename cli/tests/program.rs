@@ -85,7 +85,6 @@ fn wrong_usage_and_failures_have_the_documented_exit_codes() {
         (&["no-such-command"], 2),
         (&["replay"], 2),
         (&["replay", "x.csv", "--filter", "none"], 2),
-        (&["bench", "--json", "--scan-gains"], 2),
         (&["calibrate"], 2),
         (&["simulate", "--output", "x.csv", "--seconds", "0"], 2),
         (&["completions", "none"], 2),
@@ -93,7 +92,6 @@ fn wrong_usage_and_failures_have_the_documented_exit_codes() {
         (&["plot", "/no/such.csv"], 1),
         (&["convert", "/no/such.csv", "x.csv"], 1),
         (&["calibrate", "/no/such.csv"], 1),
-        (&["bench", "/no/such"], 1),
         (&["simulate", "--output", "/no/such/x.csv"], 1),
         (&["--version"], 0),
     ] {

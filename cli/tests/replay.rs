@@ -6,11 +6,18 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 
+use aplomb::attitude::Vector3;
+use aplomb::calibration::Mount;
+use aplomb::estimator::{Estimator, Sample};
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{BURST_LENGTH, Burst, Part};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
+use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::truth::up_in_body;
+use aplomb_recordings::score::{Errors, START_US};
+use aplomb_recordings::simulated::{CONFIG, samples};
 use common::{aplomb, file, path};
 
 const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
@@ -674,11 +681,11 @@ fn times_may_be_as_far_apart_as_they_like() {
 #[test]
 fn every_mount_can_be_named() {
     let input = file("mounts", "input.csv", log(3, 0.0));
-    let names = aplomb::calibration::Mount::ALL.map(aplomb::calibration::Mount::name);
+    let names = Mount::ALL.map(Mount::name);
     for name in names.into_iter().chain(["z-up", "z-down"]) {
         for arguments in [vec!["--mount", name], vec![&*format!("--mount={name}")]] {
             let (printed, _) = replay("mounts", &input, &arguments);
-            let stated = aplomb::calibration::Mount::parse(name).unwrap().name();
+            let stated = Mount::parse(name).unwrap().name();
             assert!(printed.contains(&format!("mount {stated}")), "{printed}");
         }
     }
@@ -699,7 +706,7 @@ fn options_that_do_not_go_together_are_refused() {
         (
             &input,
             vec!["--raw", "--accel-range", "9", "--gyro-range", "250"],
-            "2, 4, 8 or 16",
+            "2, 4, 8 and 16",
         ),
         (
             &bursts,
@@ -735,4 +742,52 @@ fn assert_golden(name: &str, contents: &str) {
         "{}: run with APLOMB_BLESS=1 if the change is meant",
         path.display()
     );
+}
+
+#[test]
+fn a_simulated_flight_has_the_error_of_the_librarys_own_filter() {
+    let log = path("simulated", "flight.csv");
+    let name = log.to_str().unwrap();
+    let simulated = aplomb(&["simulate", "--seed", "1000", "--output", name]);
+    assert!(simulated.status.success());
+    let options = ["--json", "--sensor-delay-us", "1900"];
+    let (json, _) = replay("simulated", &log, &options);
+    let replayed: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let mut estimator = Estimator::new();
+    estimator.filter_mut().set_delay(1900e-6);
+    let mut errors = Errors::default();
+    for simulated in samples(Box::new(Quadrotor::by_seed(1_000)), 1_000, 60) {
+        let raw = simulated.raw;
+        let to_body = |reading: Vector3| Mount::Z_UP.to_body(reading);
+        let mut sample = Sample::new(
+            simulated.t_us,
+            to_body(raw.accelerometer.to_m_s2(CONFIG.accelerometer_range)),
+            to_body(raw.gyroscope.to_rad_s(CONFIG.gyroscope_range)),
+        );
+        sample.is_force_saturated = raw.accelerometer.is_saturated();
+        sample.is_rate_saturated = raw.gyroscope.is_saturated();
+        let estimate = estimator.update(&sample);
+        let truth = simulated.truth.attitude.filter(|_| simulated.truth.scored);
+        if let Some(truth) = truth
+            && simulated.t_us >= 1_000 + START_US.unsigned_abs()
+        {
+            let up = -estimate.attitude.down_in_body();
+            errors.add([up.x, up.y, up.z].map(f64::from), up_in_body(truth), None);
+        }
+    }
+    let score = errors.score().unwrap();
+    assert_eq!(replayed["inclination_samples"], score.rows);
+    for (name, expected) in [
+        ("rms", score.rms),
+        ("p95", score.p95),
+        ("max", score.maximum),
+    ] {
+        let value = replayed[format!("inclination_{name}_deg")]
+            .as_f64()
+            .unwrap();
+        assert!(
+            (value - expected).abs() < 1e-6,
+            "{name}: {value} and {expected}"
+        );
+    }
 }

@@ -33,9 +33,11 @@ pub fn run() -> Result<(), String> {
         ]))?;
         examples::run_on_host()
     })?;
-    step::timed("tests of the program `aplomb`", || {
+    step::timed("tests of the programs `aplomb` and `aplomb-bench`", || {
         // Whole recordings run through every filter, which takes minutes without optimisation.
-        step::run(host_cargo("test").args(["--profile", "host", "-p", "aplomb-cli"]))
+        let mut test = host_cargo("test");
+        test.args(["--profile", "host", "-p", "aplomb-recordings"]);
+        step::run(test.args(["-p", "aplomb-cli", "-p", "aplomb-bench"]))
     })?;
     step::timed("documentation", || {
         let mut doc = host_cargo("doc");

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use aplomb::health::Flags;
 use aplomb::settings::OutputFormat;
 
-use super::detect::{Counts, Format, Item, Reading, Sensors};
+use super::item::{Counts, Format, Item, Reading, Sensors};
 
 /// How long the strips are, s.
 pub const STRIP_S: f64 = 20.0;

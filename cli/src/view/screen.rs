@@ -4,8 +4,8 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 
-use super::detect::Reading;
 use super::dots::{ACROSS, DOWN, Dots};
+use super::item::Reading;
 use super::model::{Connection, Model, STRIP_S, Speaker, Trust};
 use super::{horizon, keys};
 

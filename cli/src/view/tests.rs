@@ -1,4 +1,5 @@
-//! Screens as golden text: the letters, then a letter for each background colour. `APLOMB_BLESS=1 cargo test …` writes them anew.
+//! Screens as golden text: the letters, then a letter for each background colour.
+//! `APLOMB_BLESS=1 cargo test …` writes them anew.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -10,9 +11,11 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
-use super::detect::{Counts, Format, Item, Reading};
+use super::item::{Counts, Format, Item, Reading};
+use super::live::next_baud;
 use super::model::{Connection, Model, Speaker};
-use super::{changed_speed, horizon, next_baud, parse_speed, screen};
+use super::player::changed_speed;
+use super::{horizon, parse_speed, screen};
 
 fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it takes everything");

@@ -1,5 +1,6 @@
-//! Files that are written: each appears under its name when it is complete. A device or a pipe is written as it goes, and
-//! where a link leads is written, so that the link stays.
+//! Output files. A file appears under its name when it is complete.
+//!
+//! A device or a pipe is written at once. Through a link its target is written, so the link stays.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -9,31 +10,38 @@ use std::sync::{LazyLock, Mutex, MutexGuard};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-/// More links in a row than any system follows (Linux: 40).
+/// Links in a row that are followed; Linux follows 40.
 const MOST_LINKS: usize = 64;
-/// What a program says that Ctrl-C ended, by the custom of shells: 128 and the signal's number.
+/// Exit code after Ctrl-C, by the custom of shells: 128 and the signal's number.
 const ENDED_BY_CTRL_C: i32 = 130;
 
-/// A file that is being written; gzipped if its name ends with .gz.
+/// Output file, gzipped if its name ends with .gz.
+#[derive(Debug)]
 pub struct OutputFile {
     path: PathBuf,
     unfinished: Option<Unfinished>,
     sink: Sink,
 }
 
-/// What is written until it is complete, and the name that it then gets.
+/// Unfinished file, and the name that it gets in the end.
+#[derive(Debug)]
 struct Unfinished {
     path: PathBuf,
     target: PathBuf,
 }
 
+#[derive(Debug)]
 enum Sink {
     Plain(BufWriter<File>),
     Zipped(Box<GzEncoder<BufWriter<File>>>),
 }
 
 impl OutputFile {
-    /// Begins a file that must not be one of these inputs.
+    /// Creates a file, which must not be one of these inputs.
+    ///
+    /// # Errors
+    ///
+    /// Returns a message with the path if the file cannot be created, or is an input.
     pub fn create(path: &Path, inputs: &[&Path]) -> Result<Self, String> {
         if inputs.iter().any(|input| is_same_file(path, input)) {
             return Err(format!(
@@ -63,7 +71,11 @@ impl OutputFile {
         })
     }
 
-    /// Writes a whole file at once.
+    /// Writes a whole file.
+    ///
+    /// # Errors
+    ///
+    /// Returns a message with the path if the file cannot be written, or is an input.
     pub fn write(path: &Path, inputs: &[&Path], contents: &[u8]) -> Result<(), String> {
         let mut file = Self::create(path, inputs)?;
         file.write_all(contents)
@@ -71,7 +83,11 @@ impl OutputFile {
         file.finish()
     }
 
-    /// Gives it its name.
+    /// Completes the file, and gives it its name.
+    ///
+    /// # Errors
+    ///
+    /// Returns a message with the path if the file cannot be completed.
     pub fn finish(mut self) -> Result<(), String> {
         let written = match &mut self.sink {
             Sink::Plain(file) => file.flush(),
@@ -85,7 +101,8 @@ impl OutputFile {
             .map_err(|error| self.failed(&error))
     }
 
-    /// What to say of an error.
+    /// Returns the message of a failed write.
+    #[must_use]
     pub fn failed(&self, error: &io::Error) -> String {
         cannot_write(&self.path, error)
     }
@@ -108,7 +125,7 @@ impl Write for OutputFile {
 }
 
 impl Unfinished {
-    /// Beside the target, under a name that no other file has.
+    /// Creates a file beside the target, with a name that no other file has.
     fn create(target: PathBuf) -> io::Result<(Self, File)> {
         let mut number = 1;
         loop {
@@ -124,7 +141,7 @@ impl Unfinished {
                     all.push(path.clone());
                     return Ok((Self { path, target }, file));
                 }
-                // Another run's, or left by one that was killed.
+                // A file of another run, or left by one that was killed.
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
                 Err(error) => return Err(error),
             }
@@ -135,15 +152,15 @@ impl Unfinished {
 impl Drop for Unfinished {
     fn drop(&mut self) {
         all_unfinished().retain(|path| *path != self.path);
-        // After `finish` it is gone already.
+        // After `finish` the file has its final name.
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
-/// The unfinished files of this run. Ctrl-C removes them.
+/// Returns the unfinished files of this run. Ctrl-C removes them.
 fn all_unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
     static ALL: LazyLock<Mutex<Vec<PathBuf>>> = LazyLock::new(|| {
-        // Whoever set another handler, or has signals ignored, keeps that.
+        // Another handler, or ignored signals, stay.
         let _ = ctrlc::try_set_handler(|| {
             for path in all_unfinished().drain(..) {
                 let _ = std::fs::remove_file(path);
@@ -156,8 +173,8 @@ fn all_unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
         .unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-/// The file that gets this name, be it there yet or not: where links lead. `None` for what is written as it goes: a
-/// device, a pipe, or what is open already, as /dev/stdout is.
+/// Returns the file to write, which need not exist: the target of links. Returns `None` for what is
+/// written at once: a device, a pipe, or an open file such as /dev/stdout.
 fn target(path: &Path) -> io::Result<Option<PathBuf>> {
     match path.metadata() {
         Ok(data) if data.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
@@ -185,8 +202,8 @@ fn target(path: &Path) -> io::Result<Option<PathBuf>> {
     Err(io::Error::other("too many links"))
 }
 
-/// Opens what is written as it goes. Standard output is the one that is open already, so that what follows does not
-/// overwrite it.
+/// Opens a file that is written at once. For standard output, uses the open one, so that later text
+/// does not overwrite it.
 fn open(path: &Path) -> io::Result<File> {
     #[cfg(unix)]
     if is_same_file(path, Path::new("/proc/self/fd/1")) {
@@ -197,12 +214,13 @@ fn open(path: &Path) -> io::Result<File> {
 }
 
 fn is_same_file(one: &Path, other: &Path) -> bool {
-    // What is not there yet, or is standard input, is no other file.
+    // A missing file, or standard input, is no other file.
     let paths = one.canonicalize().ok().zip(other.canonicalize().ok());
     paths.is_some_and(|(one, other)| one == other)
 }
 
-/// Why a file cannot be written, and what to do.
+/// Returns the message for a file that cannot be written.
+#[must_use]
 pub fn cannot_write(path: &Path, error: &io::Error) -> String {
     let mut message = format!("{}: cannot be written: {error}", path.display());
     let folder = path

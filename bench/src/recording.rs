@@ -1,4 +1,4 @@
-//! Recordings with truth, or with rests to check by, in memory, for comparing filters.
+//! Recordings in memory, to compare filters on: with truth, or with rests to check by.
 
 use std::path::{Path, PathBuf};
 
@@ -8,44 +8,45 @@ use aplomb::estimator::Sample;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
 use aplomb::units::STANDARD_GRAVITY_M_S2;
 use aplomb_models::motion::geometry::angle_between;
+use aplomb_recordings::attitude::up_in_body;
+use aplomb_recordings::counts::counts;
 use aplomb_recordings::log::{Lines, LogError, LogFault, Row, column_count, parse_row};
+use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
 
-use crate::counts::counts;
-use crate::filter::{Choice, Filter, up_in_body};
+use crate::filter::{Choice, Filter};
 use crate::rest;
-use crate::score::{Errors, START_US, Score, up_in_sensor};
 
-/// Beyond what any such sensor measures: the columns are not in m/s².
+/// Largest plausible force. A larger one means that the columns are not in m/s².
 const IMPLAUSIBLE_FORCE_M_S2: f32 = 100.0 * STANDARD_GRAVITY_M_S2;
 
-/// One recording in body axes.
+/// Recording in body axes.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// The set to which it belongs: its folder.
+    /// Set: the folder.
     pub set: String,
-    /// The file.
+    /// File name.
     pub name: String,
-    /// By how much its samples are late.
+    /// Delay of the samples, µs.
     pub delay_us: u32,
-    /// What it is judged by.
+    /// Reference.
     pub reference: Reference,
-    /// What the sensor said.
+    /// Samples.
     pub samples: Vec<Sample>,
-    /// "Up" in body axes for each sample, where it is known and counts.
+    /// True "up" in body axes for each sample, where it is known and counts.
     pub true_up: Vec<Option<[f64; 3]>>,
 }
 
-/// What a recording is judged by.
+/// Reference that a recording is judged by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Reference {
-    /// A truth that somebody else measured.
+    /// A measured truth.
     Truth,
-    /// The accelerometer itself, where it rests.
+    /// The accelerometer, where the sensor rests.
     Rest,
 }
 
 impl Reference {
-    /// Its name.
+    /// Returns the name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Truth => "truth",
@@ -54,25 +55,26 @@ impl Reference {
     }
 }
 
-/// What has to be known of a set, as its files do not say it.
+/// Properties of a set that its files do not state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Handling {
-    /// By how much samples are late.
+    /// Delay of the samples, µs.
     pub delay_us: u32,
-    /// Values are register counts at these ranges.
+    /// Ranges of register counts; `None` for SI units.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
 }
 
-/// What came of a file.
+/// Result of reading a file.
 pub enum Found {
-    /// It can be scored.
+    /// Recording that can be scored.
     Recording(Recording),
-    /// It cannot, for this reason.
+    /// Reason why the file cannot be scored.
     Unusable(String),
 }
 
 impl Recording {
-    /// Reads a file. Malformed rows are errors; a file that cannot be scored says why.
+    /// Reads a file. Malformed rows are errors; a file that cannot be scored is
+    /// [`Found::Unusable`].
     pub fn read(path: &Path, handling: Handling) -> Result<Found, LogError> {
         let unusable = |reason: &str| Ok(Found::Unusable(reason.to_owned()));
         let mut lines = Lines::open(path, |file| file)?;
@@ -140,19 +142,19 @@ impl Recording {
         }
     }
 
-    /// Whether there is a row by which to judge.
+    /// Returns whether any row counts.
     fn counts(&self) -> bool {
         let start_us = self.start_us();
         let mut rows = self.samples.iter().zip(&self.true_up);
         rows.any(|(sample, up)| sample.t_us >= start_us && up.is_some())
     }
 
-    /// From here on rows count.
+    /// Returns the time from which on rows count, µs.
     fn start_us(&self) -> u64 {
         self.samples.first().map_or(0, |first| first.t_us) + START_US.unsigned_abs()
     }
 
-    /// The median step between its samples.
+    /// Returns the median step between samples, s.
     pub fn step_s(&self) -> f32 {
         let pairs = self.samples.iter().zip(self.samples.iter().skip(1));
         let mut steps: Vec<u64> = pairs
@@ -163,7 +165,7 @@ impl Recording {
         median.max(1) as f32 * 1e-6
     }
 
-    /// Runs a filter through it. `None` if no row counts.
+    /// Scores a filter. Returns `None` if no row counts.
     pub fn score(&self, choice: Choice) -> Option<Score> {
         let mut errors = Errors::default();
         let has_sigma = self.reference == Reference::Truth;
@@ -174,7 +176,7 @@ impl Recording {
         errors.score()
     }
 
-    /// The root mean square in degrees alone, of a filter that was set up for this recording.
+    /// Returns the root mean square in degrees of a filter that was set up for this recording.
     pub fn rms(&self, filter: Filter) -> f64 {
         let (mut squares, mut rows) = (0.0, 0_u32);
         self.run(filter, |estimated, true_up, _| {
@@ -185,7 +187,7 @@ impl Recording {
         (squares / f64::from(rows)).sqrt()
     }
 
-    /// Runs a filter through it and tells of every row that counts: its "up", the true one, and σ in rad.
+    /// Runs a filter, and calls `note` for every row that counts: its "up", the true one, σ in rad.
     fn run(&self, mut filter: Filter, mut note: impl FnMut([f64; 3], [f64; 3], Option<f32>)) {
         let start_us = self.start_us();
         for (sample, true_up) in self.samples.iter().zip(&self.true_up) {
@@ -201,7 +203,7 @@ impl Recording {
     }
 }
 
-/// Every file below a folder, in order; or the file itself.
+/// Returns every file below a folder, in order; or the file itself.
 pub fn files(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
@@ -214,13 +216,13 @@ pub fn files(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Whether the name is that of a table.
+/// Returns whether the name is that of a table.
 pub fn is_table(path: &Path) -> bool {
     let name = name_of(Some(path)).to_lowercase();
     name.ends_with(".csv") || name.ends_with(".csv.gz")
 }
 
-/// Face up or face down, as it lies in this row. All filters get the same, and most do not care.
+/// Returns the mount in this row: face up or face down. Most filters do not depend on it.
 fn mount(row: &Row) -> Mount {
     if row.specific_force_m_s2[2] < 0.0 {
         Mount::Z_DOWN

@@ -1,10 +1,14 @@
-//! Logs whose values are the counts of a sensor's registers instead of SI units.
+//! Logs of register counts instead of SI units.
 
-use aplomb_recordings::log::Row;
+use crate::log::Row;
 
-/// The values of a row whose cells are register counts: accelerometer, then gyroscope.
+/// Returns the register counts of a row: accelerometer, then gyroscope.
 ///
-/// A logger that turns an axis around makes 32768 of the register's −32768: it is full scale too.
+/// A logger that turns an axis around makes 32768 of the register's −32768: full scale too.
+///
+/// # Errors
+///
+/// Names the first cell that is no count of a 16-bit register.
 pub fn counts(row: &Row) -> Result<[[i16; 3]; 2], String> {
     let mut counts = [[0; 3]; 2];
     let groups = [&row.specific_force_m_s2, &row.rates_rad_s];
@@ -26,9 +30,8 @@ pub fn counts(row: &Row) -> Result<[[i16; 3]; 2], String> {
 
 #[cfg(test)]
 mod tests {
-    use aplomb_recordings::log::parse_row;
-
     use super::*;
+    use crate::log::parse_row;
 
     #[test]
     fn counts_are_those_of_a_register_and_full_scale_may_be_turned_around() {

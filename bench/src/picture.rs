@@ -4,8 +4,9 @@ use aplomb_models::motion::geometry::angle_between;
 use aplomb_plot::chart::{Chart, Curve, Panel, TRUTH};
 use aplomb_plot::picture::{Color, Picture};
 use aplomb_plot::timeline::Trace;
+use aplomb_recordings::attitude::up_in_body;
 
-use crate::filter::{Choice, Filter, up_in_body};
+use crate::filter::{Choice, Filter};
 use crate::recording::Recording;
 use crate::simulated::FIRST_EVALUATION_SEED;
 

@@ -1,9 +1,9 @@
 //! The filters to compare, the library's own and others, behind one interface.
 
-use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
 use aplomb::estimator::kalman::{Kalman, Tuning};
 use aplomb::estimator::{Estimate, Estimator, Sample};
+use aplomb_recordings::attitude::extrapolate;
 
 use crate::peers::{self, Fusion, Gains, Madgwick, Mahony, Peer, Vqf, VqfAsIs};
 
@@ -156,28 +156,17 @@ impl Filter {
     }
 }
 
-/// Returns the attitude `delay_s` later, if the body keeps these rates.
-pub fn extrapolate(attitude: Quaternion, body_rates_rad_s: Vector3, delay_s: f32) -> Quaternion {
-    let turn = body_rates_rad_s.scale(delay_s);
-    attitude
-        .multiply(Quaternion::from_rotation_vector(turn))
-        .normalize()
-}
-
-/// The direction opposite to gravity, in body axes.
-pub fn up_in_body(attitude: Quaternion) -> Vector3 {
-    -attitude.down_in_body()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use aplomb::attitude::EulerAngles;
+    use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
     use aplomb::units::{STANDARD_GRAVITY_M_S2, radians};
+    use aplomb_recordings::attitude::up_in_body;
 
     const STEP_S: f32 = 0.005;
 
-    /// The angle in degrees between a filter's "up" and the true one, after seconds of turning in this way.
+    /// Returns the angle between a filter's "up" and the true one in degrees, after turning at this
+    /// rate.
     fn error_degrees(choice: Choice, start: EulerAngles, rate_rad_s: Vector3, steps: u32) -> f32 {
         let mut filter = Filter::new(choice, STEP_S, 0);
         let mut truth = Quaternion::from_euler(start);
@@ -236,17 +225,5 @@ mod tests {
             };
             assert!(error < limit, "{}: {error}", choice.name());
         }
-    }
-
-    #[test]
-    fn attitudes_are_extrapolated_about_the_bodys_own_axes() {
-        let attitude = Quaternion::from_euler(EulerAngles {
-            yaw_rad: radians(90.0),
-            ..EulerAngles::default()
-        });
-        let rates = Vector3::new(radians(100.0), 0.0, 0.0);
-        let angles = extrapolate(attitude, rates, 0.1).to_euler();
-        assert!((angles.roll_rad - radians(10.0)).abs() < 1e-5);
-        assert!((angles.yaw_rad - radians(90.0)).abs() < 1e-5);
     }
 }

@@ -1,12 +1,36 @@
-//! `aplomb bench` from the outside.
+//! `aplomb-bench` from the outside.
 
-mod common;
-
+use std::ffi::OsStr;
 use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
 
-use common::{aplomb, file, path};
+use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_recordings::simulated::{LOG_HEADER, samples};
 
-/// Ten seconds at 200 Hz of a sensor that lies still, tilted by this much about x, with this much offset in the accelerometer's y.
+/// Runs the program with these arguments.
+fn bench<A: AsRef<OsStr>>(arguments: &[A]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_aplomb-bench"))
+        .args(arguments)
+        .output()
+        .expect("the program runs")
+}
+
+/// Returns a path in a folder of the test's own.
+fn path(test: &str, name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(test);
+    std::fs::create_dir_all(&folder).expect("the target folder can be written");
+    folder.join(name)
+}
+
+/// Writes a file of the test's own.
+fn file(test: &str, name: &str, contents: impl AsRef<[u8]>) -> PathBuf {
+    let path = path(test, name);
+    std::fs::write(&path, contents).expect("the target folder can be written");
+    path
+}
+
+/// Ten seconds at 200 Hz of a sensor at rest, tilted about x, with an offset in the accelerometer's y.
 fn log(tilt_degrees: f64, offset_m_s2: f64) -> String {
     let tilt = tilt_degrees.to_radians();
     let (y, z) = (9.80665 * tilt.sin() + offset_m_s2, 9.80665 * tilt.cos());
@@ -21,7 +45,7 @@ fn log(tilt_degrees: f64, offset_m_s2: f64) -> String {
 
 const UNKNOWN: &str = "t_us,ax,ay,az,gx,gy,gz\n";
 
-/// Ten seconds at 200 Hz without truth, at rest with this much on the z axis.
+/// Ten seconds at 200 Hz without truth, at rest, with this reading of the z axis.
 fn resting(z: f64) -> String {
     (0..2_000).fold(String::from(UNKNOWN), |text, index| {
         format!("{text}{},0,0,{z},0,0,0\n", index * 5_000)
@@ -48,8 +72,7 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     file("bench/counted", "resting.csv", resting(4_096.0));
     file("bench/uncounted", "resting.csv", resting(-4_096.0));
     let (folder, output) = (path("bench", ""), path("bench-output", ""));
-    let result = aplomb(&[
-        "bench".as_ref(),
+    let result = bench(&[
         folder.as_os_str(),
         "--output".as_ref(),
         output.as_os_str(),
@@ -122,9 +145,8 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     assert!(filters >= 28 && filters % 4 == 0, "{filters}");
     let picture = std::fs::read(output.join("accuracy.png")).unwrap();
     assert!(picture.starts_with(b"\x89PNG"));
-    // The same as JSON.
-    let result = aplomb(&[
-        "bench".as_ref(),
+    // JSON has the same scores.
+    let result = bench(&[
         folder.as_os_str(),
         "--sensor-delay-us=still=1000".as_ref(),
         "--counts=counted=8,250".as_ref(),
@@ -155,14 +177,14 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
 #[test]
 fn a_malformed_recording_is_named() {
     let bad = file("bench-bad/set", "bad.csv", log(0.0, 0.0) + "1,2\n");
-    let result = aplomb(&["bench".as_ref(), path("bench-bad", "").as_os_str()]);
+    let result = bench(&[path("bench-bad", "").as_os_str()]);
     assert_eq!(result.status.code(), Some(1));
     let message = String::from_utf8(result.stderr).unwrap();
     assert!(
         message.contains(&format!("{}:2002: ", bad.display())),
         "{message}"
     );
-    let missing = aplomb(&["bench", "/no/such/folder"]);
+    let missing = bench(&["/no/such/folder"]);
     assert!(!missing.status.success());
 }
 
@@ -170,8 +192,7 @@ fn a_malformed_recording_is_named() {
 fn what_cannot_be_scored_ends_nothing_but_is_no_flight_either() {
     file("bench-some/set", "good.csv", log(0.0, 0.0));
     let bad = file("bench-some/set", "bad.csv", log(0.0, 0.0) + "1,2\n");
-    let json =
-        |path: &std::path::Path| aplomb(&["bench".as_ref(), path.as_os_str(), "--json".as_ref()]);
+    let json = |path: &Path| bench(&[path.as_os_str(), "--json".as_ref()]);
     let result = json(&path("bench-some", ""));
     let errors = String::from_utf8_lossy(&result.stderr);
     assert!(result.status.success(), "{errors}");
@@ -204,8 +225,7 @@ fn what_cannot_be_scored_ends_nothing_but_is_no_flight_either() {
 fn what_is_scored_is_not_replaced() {
     let text = log(0.0, 0.0);
     let input = file("bench-over", "accuracy.csv", &text);
-    let result = aplomb(&[
-        "bench".as_ref(),
+    let result = bench(&[
         input.as_os_str(),
         "--output".as_ref(),
         input.parent().unwrap().as_os_str(),
@@ -218,8 +238,8 @@ fn what_is_scored_is_not_replaced() {
 fn without_recordings_flights_are_simulated_and_it_says_so() {
     let output = path("bench-simulated", "");
     // Where there is no folder of recordings beside it.
-    let result = std::process::Command::new(env!("CARGO_BIN_EXE_aplomb"))
-        .args(["bench", "--output", "."])
+    let result = Command::new(env!("CARGO_BIN_EXE_aplomb-bench"))
+        .args(["--output", "."])
         .current_dir(&output)
         .output()
         .unwrap();
@@ -232,17 +252,15 @@ fn without_recordings_flights_are_simulated_and_it_says_so() {
         csv.contains("simulated,flight 1000,truth,1900,vqf,"),
         "{csv}"
     );
-    // The same flight as a file has the same error.
-    let log = path("bench-simulated", "flight.csv");
-    let seed = ["simulate", "--seed", "1000", "--output"].map(std::ffi::OsStr::new);
-    assert!(
-        aplomb(&[&seed[..], &[log.as_os_str()]].concat())
-            .status
-            .success()
-    );
-    let replay = ["replay", "--json", "--sensor-delay-us", "1900"].map(std::ffi::OsStr::new);
-    let replayed = aplomb(&[&replay[..], &[log.as_os_str()]].concat());
-    let replayed: serde_json::Value = serde_json::from_slice(&replayed.stdout).unwrap();
+    // As a file, the flight has the error of the simulated one.
+    let mut log = format!("{LOG_HEADER}\n").into_bytes();
+    for sample in samples(Box::new(Quadrotor::by_seed(1_000)), 1_000, 60) {
+        sample.write_row(&mut log);
+    }
+    let log = file("bench-simulated/file", "flight.csv", log);
+    let delay = "--sensor-delay-us=file=1900".as_ref();
+    let scored = bench(&[log.as_os_str(), delay, "--json".as_ref()]);
+    let scored: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
     let start = "simulated,flight 1000,truth,1900,kalman,";
     let row = csv.lines().find(|row| row.starts_with(start)).unwrap();
     let cells: Vec<f64> = row[start.len()..]
@@ -251,7 +269,8 @@ fn without_recordings_flights_are_simulated_and_it_says_so() {
         .collect();
     let names = ["samples", "rms_deg", "p95_deg", "max_deg"];
     for (name, cell) in names.iter().zip(&cells) {
-        let value = replayed[format!("inclination_{name}")].as_f64().unwrap();
+        let value = scored["scores"][0][format!("inclination_{name}")].as_f64();
+        let value = value.unwrap_or_else(|| panic!("{name}: {scored}"));
         assert!((value - cell).abs() < 1e-6, "{name}: {value} and {cell}");
     }
 }
@@ -259,7 +278,7 @@ fn without_recordings_flights_are_simulated_and_it_says_so() {
 #[test]
 fn the_picture_is_drawn_by_one_command() {
     let picture = path("bench-picture", "flight.png");
-    let result = aplomb(&["bench".as_ref(), "--picture".as_ref(), picture.as_os_str()]);
+    let result = bench(&["--picture".as_ref(), picture.as_os_str()]);
     assert!(result.status.success());
     assert!(std::fs::read(picture).unwrap().starts_with(b"\x89PNG"));
 }
@@ -267,17 +286,27 @@ fn the_picture_is_drawn_by_one_command() {
 #[test]
 fn gains_are_scanned_on_recordings_with_truth() {
     file("bench-scan/still", "a.csv", log(0.0, 0.0));
-    let result = aplomb(&[
-        "bench".as_ref(),
-        "--scan-gains".as_ref(),
-        path("bench-scan", "").as_os_str(),
-    ]);
+    let result = bench(&["--scan-gains".as_ref(), path("bench-scan", "").as_os_str()]);
     let printed = String::from_utf8(result.stdout).unwrap();
     assert!(result.status.success());
     assert_eq!(printed.matches("<- in use").count(), 5, "{printed}");
     for search in ["--scan-gains", "--leave-one-out"] {
         let empty = path("bench-empty", "");
-        let nothing = aplomb(&["bench".as_ref(), search.as_ref(), empty.as_os_str()]);
+        let nothing = bench(&[search.as_ref(), empty.as_os_str()]);
         assert_eq!(nothing.status.code(), Some(1));
+    }
+}
+
+#[test]
+fn wrong_usage_and_failures_have_the_documented_exit_codes() {
+    for (arguments, code) in [
+        (&["--json", "--scan-gains"][..], 2),
+        (&["--counts", "x=8"], 2),
+        (&["/no/such"], 1),
+        (&["--version"], 0),
+    ] {
+        let result = bench(arguments);
+        assert_eq!(result.status.code(), Some(code), "{arguments:?}");
+        assert_eq!(result.stderr.is_empty(), code == 0, "{arguments:?}");
     }
 }

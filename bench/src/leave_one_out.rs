@@ -13,11 +13,11 @@ use std::fmt::Write as _;
 
 use aplomb::estimator::kalman::Tuning;
 use aplomb_models::random::Random;
+use aplomb_recordings::score::{mean, median};
 
 use crate::filter::Filter;
 use crate::parallel;
 use crate::recording::Recording;
-use crate::score::{mean, median};
 use crate::simulated::{self, EVALUATION_SEEDS, TUNING_SEEDS};
 
 /// Numbers begin this much too large or too small.
@@ -157,22 +157,22 @@ pub fn run(recordings: Vec<Recording>) -> String {
             line(&mut text, &set.name, before, &after, &changes(&found));
         }
         let found = search("with all", &sets.iter().collect::<Vec<_>>(), kept);
-        let mut remark = changes(&found);
+        let mut note = changes(&found);
         for (set, before) in sets.iter().zip(&before) {
             let after = errors(set.to_judge(), &found);
             let name = format!("none: {}", set.name);
-            line(&mut text, &name, before, &after, &remark);
-            remark.clear();
+            line(&mut text, &name, before, &after, &note);
+            note.clear();
         }
     }
     text
 }
 
-fn line(text: &mut String, name: &str, before: &[f64], after: &[f64], remark: &str) {
+fn line(text: &mut String, name: &str, before: &[f64], after: &[f64], note: &str) {
     let both = |errors: &[f64]| format!("{:.2}/{:.2}", median(errors), mean(errors));
     let change = 100.0 * (mean(after) / mean(before) - 1.0);
     let line = format!(
-        "{name:<18}{:>11}{:>16}{change:>+8.0} %   {remark}",
+        "{name:<18}{:>11}{:>16}{change:>+8.0} %   {note}",
         both(before),
         both(after)
     );

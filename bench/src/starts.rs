@@ -10,8 +10,8 @@ use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::motion::geometry::angle_between;
+use aplomb_recordings::attitude::up_in_body;
 
-use crate::filter::up_in_body;
 use crate::parallel;
 use crate::recording::{Found, Handling, Recording};
 use crate::simulated;

@@ -1,16 +1,17 @@
-//! The picture of `aplomb bench`: one dot for each recording, one line for each filter, one block for each set.
+//! Picture of the accuracy: one dot for each recording, one line for each filter, one block for each
+//! set.
 
 use aplomb_plot::picture::{Align, Color, Font, Picture};
+use aplomb_recordings::score::median;
 
-use crate::bench::Set;
 use crate::recording::Reference;
-use crate::score::median;
+use crate::results::Set;
 
 const WIDTH: u32 = 1000;
 const LEFT: f32 = 130.0;
 const RIGHT: f32 = WIDTH as f32 - 30.0;
 const ROW: u32 = 22;
-/// The axis is logarithmic, from here to there, in degrees.
+/// Ends of the logarithmic axis, degrees.
 const AXIS: (f64, f64) = (0.1, 100.0);
 const GRID: [f64; 10] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
 
@@ -19,7 +20,7 @@ const FAINT: Color = Color(222, 222, 222);
 const OURS: Color = Color(200, 60, 30);
 const OTHERS: Color = Color(60, 100, 160);
 
-/// The picture.
+/// Returns the picture.
 pub fn picture(names: &[&str], sets: &[Set]) -> Picture {
     let block_height = ROW * (names.len() as u32 + 2);
     let mut picture = Picture::new(WIDTH, 60 + block_height * sets.len() as u32);
@@ -32,7 +33,7 @@ pub fn picture(names: &[&str], sets: &[Set]) -> Picture {
     picture
 }
 
-/// Where an error lies on the axis.
+/// Returns the place of an error on the axis.
 fn place(degrees: f64) -> f32 {
     let (low, high) = (AXIS.0.log10(), AXIS.1.log10());
     let share = (degrees.clamp(AXIS.0, AXIS.1).log10() - low) / (high - low);

@@ -1,10 +1,10 @@
-//! How far an estimate is from the truth.
+//! Errors of attitudes against the truth.
 
 use std::fmt;
 
 use aplomb_models::motion::geometry::{Quaternion, angle_between};
 
-/// Rows before this much of the recording do not count, in µs: a filter may take time to start.
+/// Start of a recording whose rows do not count, µs: a filter may take time to start.
 pub const START_US: i64 = 5_000_000;
 
 /// Inclination errors: the angles between the estimated and the true "up" in the sensor's axes.
@@ -13,43 +13,44 @@ pub const START_US: i64 = 5_000_000;
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
     degrees: Vec<f64>,
-    /// Errors as multiples of the σ that the filter stated.
+    /// Errors as multiples of the reported σ.
     per_sigma: Vec<f64>,
 }
 
-/// What there is to say about the errors, in degrees. The names in JSON are those of the `summary.json` of a flight on the
-/// virtual board, as far as it has them.
+/// Statistics of the errors, degrees. The names in JSON are those of a virtual flight's
+/// `summary.json`.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Score {
-    /// How many rows counted.
+    /// Number of rows that counted.
     #[serde(rename = "inclination_samples")]
     pub rows: usize,
     /// Root mean square.
     #[serde(rename = "inclination_rms_deg")]
     pub rms: f64,
-    /// So large are the largest 5 % at least.
+    /// 95th percentile.
     #[serde(rename = "inclination_p95_deg")]
     pub p95: f64,
-    /// The largest.
+    /// Largest error.
     #[serde(rename = "inclination_max_deg")]
     pub maximum: f64,
-    /// How far the filter's own σ is to be believed, if it states one.
+    /// Errors against the reported σ, if the filter reports one.
     #[serde(flatten)]
     pub honesty: Option<Honesty>,
 }
 
-/// Errors against the σ that the filter stated for them.
+/// Errors against the reported σ.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Honesty {
-    /// The share of rows whose error is at most 3 σ.
+    /// Share of rows with an error of at most 3 σ.
     pub within_3_sigma: f64,
-    /// The median of error/σ. Two independent normal errors, σ being the root of the sum of their variances, have 0.83.
+    /// Median of error/σ. It is 0.83 for two independent normal errors, where σ is the root of the sum
+    /// of their variances.
     #[serde(rename = "median_error_per_sigma")]
     pub median: f64,
 }
 
 impl Errors {
-    /// Notes the angle between an estimated "up" and the true one, and the σ that the filter states for it.
+    /// Adds the angle between an estimated "up" and the true one, with the reported σ.
     pub fn add(&mut self, estimated_up: [f64; 3], true_up: [f64; 3], sigma_rad: Option<f32>) {
         let error_rad = angle_between(estimated_up, true_up);
         self.degrees.push(error_rad.to_degrees());
@@ -63,7 +64,7 @@ impl Errors {
         }
     }
 
-    /// The score; `None` if no row counted.
+    /// Returns the score; `None` if no row counted.
     pub fn score(&mut self) -> Option<Score> {
         self.degrees.sort_by(f64::total_cmp);
         let rows = self.degrees.len();
@@ -117,7 +118,8 @@ impl fmt::Display for Score {
     }
 }
 
-/// The middle one of ascending numbers, or the mean of the two in the middle.
+/// Returns the median of ascending numbers.
+#[must_use]
 pub fn median(ascending: &[f64]) -> f64 {
     let length = ascending.len();
     match (
@@ -129,12 +131,14 @@ pub fn median(ascending: &[f64]) -> f64 {
     }
 }
 
-/// The mean.
+/// Returns the mean.
+#[must_use]
 pub fn mean(numbers: &[f64]) -> f64 {
     numbers.iter().sum::<f64>() / numbers.len() as f64
 }
 
-/// "Up" in the sensor's axes by the rotation sensor → earth with z up.
+/// Returns "up" in the sensor's axes, from the rotation sensor → earth with z up.
+#[must_use]
 pub fn up_in_sensor(sensor_to_earth: Quaternion) -> [f64; 3] {
     sensor_to_earth.conjugate().rotate([0.0, 0.0, 1.0])
 }

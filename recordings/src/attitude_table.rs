@@ -4,10 +4,11 @@ use aplomb::attitude::{EulerAngles, Quaternion};
 use aplomb::health::Flags;
 use aplomb::units::{degrees, radians};
 
-/// A quaternion may be so much longer or shorter than a rotation's.
+/// Largest deviation of a quaternion's length from 1.
 const LENGTH_TOLERANCE: f32 = 0.01;
 
-/// Where the columns are.
+/// Columns of a table, by their places.
+#[derive(Debug)]
 pub struct Columns {
     time: usize,
     attitude: Place,
@@ -17,15 +18,16 @@ pub struct Columns {
     scored: Option<usize>,
 }
 
-/// What a table has of an attitude, and where.
+/// Places of the attitude's columns.
+#[derive(Debug)]
 enum Place {
-    /// w, x, y and z.
+    /// Places of w, x, y and z.
     Quaternion([usize; 4]),
-    /// Roll, pitch and yaw.
+    /// Places of roll, pitch and yaw.
     Angles([usize; 3]),
 }
 
-/// An attitude as a table has it.
+/// Attitude in the form of the table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Attitude {
     /// Body to earth.
@@ -34,25 +36,26 @@ pub enum Attitude {
     Angles([f32; 3]),
 }
 
-/// A row.
+/// Row of a table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// µs.
+    /// Time, µs.
     pub t_us: i64,
-    /// The attitude.
+    /// Attitude.
     pub attitude: Attitude,
-    /// About forward, right and down, °/s.
+    /// Rates about forward, right and down, °/s.
     pub rates_deg_s: Option<[f32; 3]>,
     /// σ of the tilt, degrees.
     pub tilt_sigma_deg: Option<f32>,
-    /// The flags, if the table has them.
+    /// Flags, if the table has them.
     pub flags: Option<Flags>,
-    /// Whether the row counts for scores.
+    /// The row counts for scores.
     pub counts: bool,
 }
 
 impl Attitude {
-    /// Body to earth.
+    /// Returns the rotation body to earth.
+    #[must_use]
     pub fn quaternion(self) -> Quaternion {
         match self {
             Self::Quaternion(quaternion) => quaternion,
@@ -67,7 +70,8 @@ impl Attitude {
         }
     }
 
-    /// Roll, pitch and yaw in degrees.
+    /// Returns roll, pitch and yaw, degrees.
+    #[must_use]
     pub fn angles_deg(self) -> [f32; 3] {
         match self {
             Self::Quaternion(quaternion) => {
@@ -80,7 +84,8 @@ impl Attitude {
 }
 
 impl Columns {
-    /// The columns by their names, if it has a time and an attitude and is no log.
+    /// Returns the columns of a header with a time and an attitude; `None` for others, and for logs.
+    #[must_use]
     pub fn of(header: &str) -> Option<Self> {
         let names: Vec<&str> = header.split(',').collect();
         let place = |name: &str| names.iter().position(|other| *other == name);
@@ -105,12 +110,17 @@ impl Columns {
         })
     }
 
-    /// Whether the table has flags.
+    /// Returns whether the table has flags.
+    #[must_use]
     pub fn has_flags(&self) -> bool {
         self.flags.is_some()
     }
 
-    /// Reads a row, or says what is wrong with it.
+    /// Reads a row.
+    ///
+    /// # Errors
+    ///
+    /// Returns the fault of the row.
     pub fn row(&self, line: &str) -> Result<Row, String> {
         let cells: Vec<&str> = line.split(',').collect();
         let cell = |index: usize| {
@@ -172,7 +182,8 @@ mod tests {
 
     use super::*;
 
-    const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,tilt_sigma_deg,flags,scored";
+    const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
+        roll_rate_dps,pitch_rate_dps,yaw_rate_dps,tilt_sigma_deg,flags,scored";
 
     #[test]
     fn each_fault_of_a_row_is_named() {

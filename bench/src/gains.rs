@@ -1,16 +1,18 @@
-//! `aplomb bench --scan-gains`: the gains with which the filters of other crates do best on these recordings.
+//! `aplomb-bench --scan-gains`: the best gains of the filters of other crates on these recordings.
 //!
-//! Every gain is tried on every recording with truth. The best has the least mean error, every set weighing alike.
+//! Every gain is tried on every recording with truth. The best has the least mean error, with equal
+//! weights for all sets.
 
 use std::fmt::Write as _;
+
+use aplomb_recordings::score::mean;
 
 use crate::filter::{Choice, Filter};
 use crate::parallel;
 use crate::peers::Gains;
 use crate::recording::Recording;
-use crate::score::mean;
 
-/// Six steps a decade.
+/// Candidates for a gain: six steps a decade.
 const GAIN: [f32; 22] = [
     0.003, 0.005, 0.007, 0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5,
     0.7, 1.0, 1.5, 2.0, 3.0, 5.0,
@@ -19,15 +21,16 @@ const INTEGRAL_GAIN: [f32; 6] = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01];
 const REJECTION_DEGREES: [f32; 7] = [0.0, 10.0, 20.0, 45.0, 60.0, 90.0, 120.0];
 const TIME_S: [f32; 8] = [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0];
 
-/// How many of the best are shown.
+/// Number of the best that are shown.
 const SHOWN: usize = 3;
 
-/// Scans, and says what came of it.
+/// Scans, and returns the report.
 pub fn scan(recordings: &[Recording]) -> String {
     let mut sets: Vec<&str> = recordings.iter().map(|one| one.set.as_str()).collect();
     sets.dedup();
     let mut text = String::from(
-        "\nThe best gains over these recordings: mean error in degrees, every set weighing alike, and of each set\n",
+        "\nThe best gains over these recordings: mean error in degrees, every set weighing alike, \
+         and of each set\n",
     );
     for choice in Choice::PEERS {
         let mut results = parallel::map_with_bar(choice.name(), &candidates(choice), |gains| {
@@ -69,7 +72,7 @@ fn rms(recording: &Recording, choice: Choice, gains: Gains) -> f64 {
     ))
 }
 
-/// What is tried, the gains in use among it.
+/// Returns the candidates, the gains in use included.
 fn candidates(choice: Choice) -> Vec<Gains> {
     let pairs = |first: &[f32], second: &[f32]| -> Vec<Gains> {
         let pairs = first

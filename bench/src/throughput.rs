@@ -1,4 +1,4 @@
-//! How many samples a second each filter takes on this computer.
+//! Throughput of each filter on this computer, in samples a second.
 //!
 //! The same samples for all, in memory and in each filter's own axes, what moves a peer from one to the next worked out
 //! beforehand; the update alone: sample in, attitude out. All filters run in turn, so that whatever else the computer does
@@ -13,15 +13,16 @@ use aplomb::estimator::classic::{AxisKalman, Tutorial};
 use aplomb::estimator::kalman::Kalman;
 use aplomb::estimator::{Estimator, Filter, Sample};
 
+use aplomb_recordings::score::median;
+
 use crate::filter::Choice;
 use crate::peers::{self, Fusion, Madgwick, Mahony, Step, Vqf, VqfAsIs, tilt};
 use crate::recording::Recording;
-use crate::score::median;
 
-/// How often each filter runs through the recording.
+/// Runs of each filter through the recording.
 const ROUNDS: usize = 25;
 
-/// Measures every filter, and says what came of it.
+/// Measures every filter, and returns the report.
 pub fn measure(recording: &Recording) -> String {
     let step_s = recording.step_s();
     let samples = &recording.samples;
@@ -42,7 +43,8 @@ pub fn measure(recording: &Recording) -> String {
     }
     let ours = choices.first().map_or("", |choice| choice.name());
     let mut text = format!(
-        "\nThroughput of the update alone on this computer, one core, {} samples in memory, median of {ROUNDS} rounds\n\n",
+        "\nThroughput of the update alone on this computer, one core, {} samples in memory, \
+         median of {ROUNDS} rounds\n\n",
         samples.len()
     );
     for (choice, of_this) in choices.iter().zip(&seconds) {
@@ -53,7 +55,8 @@ pub fn measure(recording: &Recording) -> String {
         let of_fastest = fastest(of_ours) / fastest(of_this.iter());
         let _ = writeln!(
             text,
-            "{:<12}{millions_per_s:>7.1} million/s, {ratio:.2} times {ours}; by the fastest rounds {of_fastest:.2}",
+            "{:<12}{millions_per_s:>7.1} million/s, {ratio:.2} times {ours}; \
+             by the fastest rounds {of_fastest:.2}",
             choice.name()
         );
     }
@@ -72,7 +75,7 @@ fn middle(numbers: impl Iterator<Item = f64>) -> f64 {
 
 fn run(choice: Choice, step_s: f32, samples: &[Sample], steps: &[Step]) {
     match choice {
-        // As a firmware has it: the filter is the estimator's type.
+        // The filter is the estimator's type, as in the firmware.
         Choice::Kalman => run_library(Kalman::new(), samples),
         Choice::AxisKalman => run_library(AxisKalman::new(), samples),
         Choice::Classic => run_library(Tutorial::new(), samples),

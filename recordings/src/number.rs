@@ -19,8 +19,8 @@ pub fn append(text: &mut Vec<u8>, number: f32) {
     write!(text, "{number}").expect("a vector takes everything");
 }
 
-/// Whether the standard library may write it differently: with an exponent, or if there are two
-/// shortest forms, equally near, of which each takes another.
+/// Returns whether the standard library may write another text: with an exponent, or if there are
+/// two shortest forms, equally near.
 fn is_special(number: f32, shortest: &str) -> bool {
     let Some((_, decimals)) = shortest.split_once('.') else {
         return true;
@@ -28,8 +28,8 @@ fn is_special(number: f32, shortest: &str) -> bool {
     if decimals.contains('e') {
         return true;
     }
-    // Exact: 24 bits of the number and 28 of 5¹². Half way is an odd number of halves. With more decimals a number of
-    // nine digits is too small to be half way.
+    // Exact: 24 bits of the number and 28 of 5¹². Half way is an odd number of halves. With more
+    // decimals a number of nine digits is too small to be half way.
     POWERS_OF_TEN.get(decimals.len()).is_some_and(|power| {
         let halves = f64::from(number) * power * 2.0;
         let whole = halves as i64;
