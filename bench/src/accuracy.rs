@@ -1,5 +1,5 @@
-//! Picture of the accuracy: one dot for each recording, one line for each filter, one block for each
-//! set.
+//! Picture of the accuracy: one dot for each recording, one line for each filter, one block for
+//! each set.
 
 use aplomb_plot::picture::{Align, Color, Font, Picture};
 use aplomb_recordings::score::median;

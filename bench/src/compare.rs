@@ -45,7 +45,8 @@ pub struct Options {
     /// By how much the samples of a set are late, in microseconds [known: broad=4000]
     #[arg(long = "sensor-delay-us", value_name = "SET=N", value_parser = parse_delay)]
     delays_us: Vec<(String, u32)>,
-    /// A set holds register counts, at this range in g and this one in degrees per second [known: mpu6050-raw=8,250]
+    /// A set holds register counts, at this range in g and this one in degrees per second [known:
+    /// mpu6050-raw=8,250]
     #[arg(long = "counts", value_name = "SET=G,DPS", value_parser = parse_ranges)]
     ranges: Vec<(String, Ranges)>,
     /// Where accuracy.csv and accuracy.png go
@@ -54,13 +55,16 @@ pub struct Options {
     /// Print the scores as JSON; neither speed nor files
     #[arg(long, conflicts_with = "instead")]
     json: bool,
-    /// Instead: tune the filter on all sets but one, and judge it on that one; for each set (minutes)
+    /// Instead: tune the filter on all sets but one, and judge it on that one; for each set
+    /// (minutes)
     #[arg(long, group = "instead")]
     leave_one_out: bool,
-    /// Instead: the gains with which the filters of other crates do best on the recordings (minutes)
+    /// Instead: the gains with which the filters of other crates do best on the recordings
+    /// (minutes)
     #[arg(long, group = "instead")]
     scan_gains: bool,
-    /// Instead: draw the default filter, VQF and the classic one through a simulated flight, as a PNG file
+    /// Instead: draw the default filter, VQF and the classic one through a simulated flight, as a
+    /// PNG file
     #[arg(long, value_name = "FILE", group = "instead")]
     picture: Option<PathBuf>,
 }

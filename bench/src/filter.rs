@@ -202,7 +202,8 @@ mod tests {
                     yaw_rad: 0.0,
                 };
                 let error = error_degrees(choice, start, Vector3::ZERO, 10_000);
-                // At low frequencies `f32` is too short for the second-order low-pass of the vqf crate.
+                // At low frequencies `f32` is too short for the second-order low-pass of the vqf
+                // crate.
                 let limit = match choice {
                     Choice::Vqf | Choice::VqfAsIs => 1.5,
                     _ => 0.1,

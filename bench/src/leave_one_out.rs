@@ -1,13 +1,15 @@
-//! `aplomb bench --leave-one-out`: whether the tuning would hold for a set of recordings that it never saw.
+//! `aplomb-bench --leave-one-out`: accuracy of a tuning on a set of recordings that it never saw.
 //!
-//! For each set in turn the library's filter is tuned on the other sets, and judged on that one. The search knows
-//! nothing of the default tuning but its order of magnitude: it begins with every number doubled or halved, by chance. From there it
-//! goes along one number at a time by a factor, in both directions, keeps what is better, and takes a smaller factor
-//! when nothing is. Better is a smaller product of the sets' mean errors, so that every set weighs alike. Simulated flights
-//! are tuned on and judged on with different seeds.
+//! For each set in turn, a search tunes the library's filter on the other sets, and the filter is
+//! judged on that one. The search starts with every number of the default tuning doubled or halved
+//! at random. It changes one number at a time by a factor, in both directions, and keeps
+//! improvements. Without an improvement it takes a smaller factor. The cost is the product of the
+//! sets' mean errors, so every set has an equal weight. Simulated flights for tuning and for
+//! judging have different seeds.
 //!
-//! It is done twice. At first what the sensor's part is known to err by stays as it is, since the default has it from datasheets
-//! and not from recordings. Then every number is searched: sets of calibrated sensors cannot know how far off others are.
+//! The search runs twice. The first run keeps the numbers of the sensor's known errors, because the
+//! default has them from datasheets and not from recordings. The second run searches every number:
+//! sets of calibrated sensors do not show the errors of other sensors.
 
 use std::fmt::Write as _;
 
@@ -20,16 +22,16 @@ use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated::{self, EVALUATION_SEEDS, TUNING_SEEDS};
 
-/// Numbers begin this much too large or too small.
+/// Factor by which a number starts too large or too small.
 const START_FACTOR: f32 = 2.0;
-/// The steps of the search, largest first.
+/// Factors of the search, largest first.
 const FACTORS: [f32; 2] = [2.0, 1.4];
-/// No more rounds through all numbers for each factor.
+/// Most rounds through all numbers for each factor.
 const MOST_ROUNDS: usize = 5;
-/// A change has to make the product better by this share, or it is kept out as chance.
+/// Least share by which a change has to improve the product. A smaller one is chance.
 const LEAST_GAIN: f64 = 5e-4;
 
-/// What [`Tuning`] has from what is known of such sensors.
+/// Numbers of [`Tuning`] that are known properties of such sensors.
 const SENSOR: [&str; 8] = [
     "start_tilt_rad",
     "gyroscope_bias_rad_s",
@@ -41,9 +43,9 @@ const SENSOR: [&str; 8] = [
     "accelerometer_bias_walk",
 ];
 
-/// The numbers of a tuning that decide how accurate the filter is. Those that only cost time stay as they are.
+/// Returns the numbers of a tuning that decide on accuracy, without those that only cost time.
 fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 24] {
-    // All fields are named, so that a new one cannot be forgotten.
+    // Every field has a name here, so that the compiler reports a new one.
     let Tuning {
         start_tilt_rad,
         gyroscope_bias_rad_s,
@@ -100,7 +102,7 @@ fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 24] {
     ]
 }
 
-/// One set, as it is tuned on and as it is judged on: the same recordings, but for flights.
+/// Set to tune on and to judge on: the same recordings, except for flights.
 struct Set {
     name: String,
     to_tune: Vec<Recording>,
@@ -113,7 +115,7 @@ impl Set {
     }
 }
 
-/// Leaves every set out once, then none, and says what came of it.
+/// Leaves out every set once, then none, and returns the report.
 pub fn run(recordings: Vec<Recording>) -> String {
     let mut sets: Vec<Set> = Vec::new();
     for recording in recordings {
@@ -136,8 +138,10 @@ pub fn run(recordings: Vec<Recording>) -> String {
         .map(|set| errors(set.to_judge(), &Tuning::DEFAULT))
         .collect();
     let mut text = String::from(
-        "\nInclination error in degrees, median/mean over the recordings of a set, with the default tuning and with one that was\n\
-         searched on the other sets alone, from a start that is off by a factor of two in every number searched\n",
+        "\nInclination error in degrees, median/mean over the recordings of a set, \
+         with the default tuning and with one that was\n\
+         searched on the other sets alone, \
+         from a start that is off by a factor of two in every number searched\n",
     );
     for (title, kept) in [
         ("what is known of the sensor stays", &SENSOR[..]),
@@ -179,7 +183,7 @@ fn line(text: &mut String, name: &str, before: &[f64], after: &[f64], note: &str
     let _ = writeln!(text, "{}", line.trim_end());
 }
 
-/// The errors of the recordings, ascending.
+/// Returns the errors of the recordings, ascending.
 fn errors(recordings: &[Recording], tuning: &Tuning) -> Vec<f64> {
     // A filter borrows its tuning for ever. A search leaks some hundred kilobytes.
     let tuning: &'static Tuning = Box::leak(Box::new(*tuning));
@@ -190,7 +194,7 @@ fn errors(recordings: &[Recording], tuning: &Tuning) -> Vec<f64> {
     errors
 }
 
-/// The logarithm of the product of the sets' mean errors.
+/// Returns the logarithm of the product of the sets' mean errors.
 fn cost(sets: &[&Set], tuning: &Tuning) -> f64 {
     let means = sets
         .iter()
@@ -234,7 +238,7 @@ fn search(what: &str, sets: &[&Set], kept: &[&str]) -> Tuning {
     tuning
 }
 
-/// Tries a larger and a smaller value of one number. Whether one was better.
+/// Tries a larger and a smaller value of one number, and returns whether one was better.
 fn improve(tuning: &mut Tuning, index: usize, factor: f32, least: &mut f64, sets: &[&Set]) -> bool {
     for factor in [factor, 1.0 / factor] {
         let mut candidate = *tuning;
@@ -250,7 +254,7 @@ fn improve(tuning: &mut Tuning, index: usize, factor: f32, least: &mut f64, sets
     false
 }
 
-/// By what the numbers differ most from the default.
+/// Returns the largest changes from the default as text.
 fn changes(tuning: &Tuning) -> String {
     let (mut tuning, mut default) = (*tuning, Tuning::DEFAULT);
     let pairs = numbers(&mut tuning).into_iter().zip(numbers(&mut default));

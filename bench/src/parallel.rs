@@ -1,10 +1,10 @@
-//! The same work on many things, on every core.
+//! Work on many items on every core.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Does the same with every item and keeps their order.
+/// Maps every item, and keeps the order.
 pub fn map<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let next = AtomicUsize::new(0);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -30,13 +30,13 @@ pub fn map<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<
     results.into_iter().map(|(_, result)| result).collect()
 }
 
-/// The same, and shows how far it is.
+/// Maps every item with a progress bar.
 pub fn map_with_bar<T: Sync, R: Send>(
-    what: &str,
+    name: &str,
     items: &[T],
     work: impl Fn(&T) -> R + Sync,
 ) -> Vec<R> {
-    let bar = bar(what, items.len() as u64);
+    let bar = bar(name, items.len() as u64);
     let results = map(items, |item| {
         let result = work(item);
         bar.inc(1);
@@ -46,12 +46,12 @@ pub fn map_with_bar<T: Sync, R: Send>(
     results
 }
 
-/// A bar of so many steps.
-pub fn bar(what: &str, length: u64) -> ProgressBar {
+/// Creates a bar of this many steps.
+pub fn bar(name: &str, length: u64) -> ProgressBar {
     let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}");
     ProgressBar::new(length)
         .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-        .with_message(what.to_owned())
+        .with_message(name.to_owned())
 }
 
 #[cfg(test)]

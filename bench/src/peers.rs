@@ -1,14 +1,16 @@
-//! Filters of other crates behind one interface, so that all are treated alike.
+//! Filters of other crates behind one interface, under equal conditions.
 //!
-//! Each gets the same samples in forward-left-up axes and gives a rotation to an earth with z up; the change to
-//! and from the library's axes is made here. A sample's rate is that of its instant, so what moves a filter from
-//! one sample to the next is the mean of the two rates: then its attitude is that of the last sample's time, with
-//! no lead of half a step. For the same reason those that compare the specific force with the attitude of the sample
-//! before get that sample's force. Those that take a step's length get it; the others get the recording's median. Those that take a
-//! first attitude get that of the first specific force; the others find their own.
+//! Each filter gets samples in forward-left-up axes and returns a rotation to an earth with z up.
+//! This module converts to and from the library's axes. A rate is that of its instant, so the mean
+//! of two rates moves a filter from one sample to the next. Its attitude is then that of the last
+//! sample's time, without a lead of half a step. For this reason, filters that compare the specific
+//! force with the attitude of the sample before get that sample's force. Filters that take a step's
+//! length get it; the others get the recording's median. Filters that take a first attitude get
+//! that of the first specific force; the others find their own.
 //!
-//! Gains: one for every recording, the best that `aplomb bench --scan-gains` found on 14 trials of BROAD and three rooms of
-//! TUM-VI by the mean error, both sets weighing alike. VQF keeps the tuning of its authors, which is meant to fit everything.
+//! Gains: one set for all recordings, the best that `aplomb-bench --scan-gains` found on 14 trials
+//! of BROAD and three rooms of TUM-VI by the mean error, with equal weights for both sets. VQF
+//! keeps the tuning of its authors, which is meant to fit everything.
 
 use std::time::Duration;
 
@@ -18,21 +20,21 @@ use aplomb::estimator::{Estimate, LONGEST_STEP_US, Sample};
 use aplomb::units::{STANDARD_GRAVITY_M_S2, degrees};
 use nalgebra::UnitQuaternion;
 
-/// From one sample to the next, in forward-left-up axes.
+/// Step from one sample to the next, in forward-left-up axes.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
-    /// The mean of the two samples' rates, in rad/s.
+    /// Mean of the two samples' rates, rad/s.
     pub rates: [f32; 3],
-    /// The specific force at its beginning, in m/s².
+    /// Specific force at the beginning, m/s².
     pub force_before: [f32; 3],
-    /// The specific force at its end, in m/s².
+    /// Specific force at the end, m/s².
     pub force: [f32; 3],
-    /// Its length in s.
+    /// Length, s.
     pub dt_s: f32,
 }
 
 impl Step {
-    /// The step between two samples.
+    /// Returns the step between two samples.
     pub fn new(before: &Sample, after: &Sample) -> Self {
         let rates = before.angular_rate_rad_s + after.angular_rate_rad_s;
         Self {
@@ -44,22 +46,22 @@ impl Step {
     }
 }
 
-/// What can be set on a filter, at most two numbers; each filter says which.
+/// Gains of a filter, at most two numbers; each filter documents its own.
 pub type Gains = [f32; 2];
 
-/// A filter that turns in forward-left-up axes.
+/// Filter in forward-left-up axes.
 pub trait Filter {
-    /// Those that are in use.
+    /// Gains in use.
     const GAINS: Gains;
-    /// A filter that starts in this attitude, for samples that are `step_s` apart.
+    /// Creates a filter that starts in this attitude, for samples that are `step_s` apart.
     fn new(start: [f32; 4], step_s: f32, gains: Gains) -> Self;
     /// Takes one step.
     fn step(&mut self, step: &Step);
-    /// w, x, y, z: sensor → earth with z up.
+    /// Returns the rotation sensor → earth with z up, as w, x, y, z.
     fn attitude(&self) -> [f32; 4];
 }
 
-/// A filter of another crate, with the library's axes and sense of time.
+/// Filter of another crate, with the library's axes and timing.
 pub struct Peer {
     filter: Box<dyn Turning>,
     restart: fn([f32; 4], f32, Gains) -> Box<dyn Turning>,
@@ -68,7 +70,7 @@ pub struct Peer {
     last: Option<Sample>,
 }
 
-/// What a [`Filter`] does once it is there.
+/// Part of [`Filter`] that works on a trait object.
 trait Turning {
     fn step(&mut self, step: &Step);
     fn attitude(&self) -> [f32; 4];
@@ -85,7 +87,8 @@ impl<F: Filter> Turning for F {
 }
 
 impl Peer {
-    /// A filter for samples that are about `step_s` apart, with gains of one's own or those in use.
+    /// Creates a filter for samples that are about `step_s` apart, with these gains or those in
+    /// use.
     pub fn new<F: Filter + 'static>(step_s: f32, gains: Option<Gains>) -> Self {
         let gains = gains.unwrap_or(F::GAINS);
         Self {
@@ -97,7 +100,7 @@ impl Peer {
         }
     }
 
-    /// Takes one sample and gives the attitude at its time.
+    /// Takes one sample, and returns the attitude at its time.
     pub fn update(&mut self, sample: &Sample) -> Estimate {
         let (force, rates) = (sample.specific_force_m_s2, sample.angular_rate_rad_s);
         let is_measurement = force.is_within(f32::MAX) && rates.is_within(f32::MAX);
@@ -125,12 +128,13 @@ impl Peer {
     }
 }
 
-/// Forward-right-down to forward-left-up.
+/// Converts forward-right-down to forward-left-up.
 fn flip(vector: Vector3) -> [f32; 3] {
     [vector.x, -vector.y, -vector.z]
 }
 
-/// The rotation with no heading in which a sensor at rest feels this specific force, forward-left-up.
+/// Returns the rotation without heading in which a sensor at rest feels this specific force,
+/// forward-left-up.
 pub fn tilt([x, y, z]: [f32; 3]) -> [f32; 4] {
     let (roll, pitch) = (0.5 * y.atan2(z), 0.5 * (-x).atan2(y.hypot(z)));
     [
@@ -141,10 +145,11 @@ pub fn tilt([x, y, z]: [f32; 3]) -> [f32; 4] {
     ]
 }
 
-/// VQF without magnetometer (Laidig and Seel 2022), of the `vqf` crate, as that crate is, with its default tuning.
+/// VQF without magnetometer (Laidig and Seel 2022), of the unchanged `vqf` crate, with its default
+/// tuning.
 ///
-/// Version 0.4.1 turns by the gyroscope's rates with their bias, which it estimates and then does not remove, and
-/// takes its threshold of rest, in degrees, for radians. See [`Vqf`] for the filter as its authors describe it.
+/// Version 0.4.1 estimates the gyroscope's bias but does not remove it from the rates. It takes its
+/// threshold of rest, in degrees, for radians. [`Vqf`] is the filter as its authors describe it.
 pub struct VqfAsIs(vqf::Vqf);
 
 impl VqfAsIs {
@@ -155,7 +160,7 @@ impl VqfAsIs {
 }
 
 impl Filter for VqfAsIs {
-    /// The time constant of the accelerometer's correction, in s, that its authors chose.
+    /// Time constant of the accelerometer's correction, s, as its authors chose it.
     const GAINS: Gains = [3.0, 0.0];
 
     fn new(_: [f32; 4], step_s: f32, [time_s, _]: Gains) -> Self {
@@ -176,8 +181,8 @@ impl Filter for VqfAsIs {
     }
 }
 
-/// VQF without magnetometer (Laidig and Seel 2022), of the `vqf` crate, with both slips of [`VqfAsIs`] mended from outside
-/// and the default tuning of its authors.
+/// VQF without magnetometer (Laidig and Seel 2022), of the `vqf` crate, with both faults of
+/// [`VqfAsIs`] corrected from outside, and the default tuning of its authors.
 pub struct Vqf {
     filter: VqfAsIs,
     step_s: f32,
@@ -202,7 +207,7 @@ impl Filter for Vqf {
         let filter = &mut self.filter.0;
         let turned = filter.state.gyroscope;
         let bias = filter.state.bias;
-        // For its sense of rest; where it turns to is replaced.
+        // This call updates the rest detection; its rotation is replaced.
         filter.gyroscope_update(step.rates.into());
         let turn = [0, 1, 2].map(|axis| (step.rates[axis] - bias[axis]) * self.step_s);
         filter.state.gyroscope =
@@ -229,7 +234,7 @@ impl Filter for Madgwick {
     fn step(&mut self, step: &Step) {
         let (rates, force) = (step.rates.into(), step.force_before.into());
         *self.0.sample_period_mut() = step.dt_s;
-        // Without any force there is nothing to learn from it.
+        // A zero force gives no correction.
         if self.0.update_imu(&rates, &force).is_err() {
             self.0.update_gyro(&rates);
         }
@@ -275,7 +280,7 @@ impl Filter for Mahony {
 pub struct Fusion(fusion_ahrs::Ahrs);
 
 impl Filter for Fusion {
-    /// Gain, in 1/s, and the angle in degrees from which on it rejects accelerations, 0 for never.
+    /// Gain, 1/s, and the angle from which on it rejects accelerations, degrees; 0 for never.
     const GAINS: Gains = [0.15, 90.0];
 
     fn new(_: [f32; 4], step_s: f32, [gain, acceleration_rejection]: Gains) -> Self {
@@ -285,7 +290,7 @@ impl Filter for Fusion {
                 convention: fusion_ahrs::Convention::Nwu,
                 gain,
                 acceleration_rejection,
-                // That of its authors' example.
+                // As in its authors' example.
                 rejection_timeout: 5.0,
                 ..Default::default()
             },

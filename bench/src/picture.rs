@@ -1,4 +1,4 @@
-//! The README's picture: the default filter, VQF and the classic one through a simulated flight.
+//! Picture of the README: the default filter, VQF and the classic one through a simulated flight.
 
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_plot::chart::{Chart, Curve, Panel, TRUTH};
@@ -10,10 +10,11 @@ use crate::filter::{Choice, Filter};
 use crate::recording::Recording;
 use crate::simulated::FIRST_EVALUATION_SEED;
 
-/// The flight that is drawn: the first of those that nothing was tuned on.
+/// Seed of the flight: the first that nothing was tuned on.
 pub const SEED: u64 = FIRST_EVALUATION_SEED;
 
-/// The best last, so that no other covers it. Colours differ for the colour-blind too (Okabe and Ito, 2008).
+/// Filters with their colours, the best last, so that no other covers it. The colours also differ
+/// for the colour-blind (Okabe and Ito, 2008).
 const FILTERS: [(Choice, &str, Color); 3] = [
     (Choice::Classic, "classic", Color(230, 159, 0)),
     (Choice::Vqf, "VQF", Color(0, 114, 178)),
@@ -21,13 +22,13 @@ const FILTERS: [(Choice, &str, Color); 3] = [
 ];
 
 const SIZE: (u32, u32) = (1200, 900);
-/// One point in so many samples is drawn.
+/// Samples from one drawn point to the next.
 const STRIDE: usize = 25;
 
-/// What a filter or the truth says at one time, in s: roll, pitch and error in degrees.
+/// Time in s, with roll, pitch and error of a filter or the truth in degrees.
 type Row = (f64, [f64; 3]);
 
-/// The picture.
+/// Draws the picture.
 pub fn flight(recording: &Recording) -> Picture {
     let truth = truth(recording);
     let runs = FILTERS.map(|(choice, _, color)| (run(recording, choice), color));
@@ -92,7 +93,7 @@ fn run(recording: &Recording, choice: Choice) -> Vec<Row> {
         .collect()
 }
 
-/// Roll and pitch of a body that has its "up" there, and the angle to the true "up", in degrees.
+/// Returns roll and pitch of a body with this "up", and the angle to the true "up", degrees.
 fn values(up: [f64; 3], true_up: [f64; 3]) -> [f64; 3] {
     let [x, y, z] = up;
     let (roll, pitch) = ((-y).atan2(-z), x.clamp(-1.0, 1.0).asin());

@@ -54,7 +54,8 @@ pub fn one_by_one(names: &[&str], rows: &[Row<'_>]) -> String {
         .collect();
     let width = titles.iter().map(String::len).max().unwrap_or(0);
     let mut text = format!(
-        "\n{}, recording by recording, in degrees; how much of the time the error is within 3 sigma; \
+        "\n{}, recording by recording, in degrees; \
+         how much of the time the error is within 3 sigma; \
          median of error/sigma (ideal: 0.83)\n\n\
          {:<width$}{:>8}{:>8}{:>9}{:>10}{:>8}\n",
         names[0], "", "rms", "95 %", "maximum", "<= 3 s", "median"

@@ -1,27 +1,30 @@
-//! Where a recording rests: a check for recordings without truth.
+//! Rests of a recording: a check for recordings without truth.
 //!
-//! At rest the mean specific force points up, so a filter that says otherwise errs, be it by its start or by the motion
-//! before. What the accelerometer itself errs by is not seen. Nothing here asks a filter.
+//! At rest the mean specific force points up. A filter with another "up" errs, by its start or by
+//! the motion before. Errors of the accelerometer itself stay unseen. The search for rests uses no
+//! filter.
 
 use std::ops::Range;
 
 use aplomb::attitude::Vector3;
 use aplomb::estimator::Sample;
 
-/// The recording is judged in blocks of this length.
+/// Length of a block, µs.
 const BLOCK_US: u64 = 500_000;
-/// A rest has this many blocks at least.
+/// Fewest blocks of a rest.
 const FEWEST_BLOCKS: usize = 3;
-/// A block has this many samples at least, so that noise shows.
+/// Fewest samples of a block, so that noise shows.
 const FEWEST_SAMPLES: usize = 10;
-/// From the smallest to the largest of an axis in a block: several times the noise of such a sensor (MPU-6050 product
-/// specification §6.1, §6.2), and less than a hand's tremor.
+/// Largest range of a rate within a block: several times the noise of such a sensor (MPU-6050
+/// product specification §6.1, §6.2), and less than a hand's tremor.
 const LARGEST_RATE_SPREAD_RAD_S: f32 = aplomb::units::radians(3.0);
+/// Largest range of a specific force within a block.
 const LARGEST_FORCE_SPREAD_M_S2: f32 = 0.6;
-/// From a rest's first block to any other, of an axis' mean: one degree of tilt.
+/// Largest change of an axis' mean from a rest's first block to any other: one degree of tilt.
 const LARGEST_FORCE_CHANGE_M_S2: f64 = 0.17;
 
-/// "Up" in body axes for each sample of a rest: the direction of the mean specific force over that rest.
+/// Returns "up" in body axes for each sample of a rest: the direction of the mean specific force
+/// over that rest.
 pub fn up_at_rest(samples: &[Sample]) -> Vec<Option<[f64; 3]>> {
     let mut up = vec![None; samples.len()];
     for rest in rests(samples) {
@@ -60,7 +63,7 @@ fn rests(samples: &[Sample]) -> Vec<Range<usize>> {
     rests
 }
 
-/// Makes a rest of these blocks, if they are enough for one.
+/// Ends a rest, if it has enough blocks.
 fn close(blocks: &mut Vec<Range<usize>>, rests: &mut Vec<Range<usize>>) {
     if let (Some(first), Some(last)) = (blocks.first(), blocks.last())
         && blocks.len() >= FEWEST_BLOCKS
@@ -89,7 +92,7 @@ fn is_still(block: &[Sample]) -> bool {
         && spread(block, |sample| sample.angular_rate_rad_s) <= LARGEST_RATE_SPREAD_RAD_S
 }
 
-/// From the smallest to the largest value of the axis in which that is most.
+/// Returns the largest range of an axis.
 fn spread(block: &[Sample], of: fn(&Sample) -> Vector3) -> f32 {
     let ends = |axis: fn(Vector3) -> f32| {
         let values = block.iter().map(|sample| axis(of(sample)));
@@ -115,7 +118,7 @@ fn mean(samples: &[Sample], of: fn(&Sample) -> Vector3) -> [f64; 3] {
 mod tests {
     use super::*;
 
-    /// 100 Hz: rest on one side until 3 s, a turn until 5 s, rest on another side until 10 s.
+    /// Returns samples at 100 Hz: rest on one side until 3 s, a turn until 5 s, rest on another side until 10 s.
     fn turned_once() -> Vec<Sample> {
         let sample = |index: u64| {
             let time_s = index as f32 * 0.01;

@@ -1,6 +1,8 @@
-//! Starts in the middle of recordings and simulated flights: the rule that the flag `VALID` stands for, where it is hardest to keep.
+//! Starts in the middle of recordings and simulated flights: the rule of the flag `VALID`, where it
+//! is hardest to keep.
 //!
-//! The truth is that of the recordings and of the simulation. It is compared as the rule says it, by nothing of the library.
+//! The truth is that of the recordings and of the simulation. The comparison uses no code of the
+//! library.
 
 use std::path::Path;
 
@@ -16,9 +18,10 @@ use crate::parallel;
 use crate::recording::{Found, Handling, Recording};
 use crate::simulated;
 
-/// Starts at these seconds: the first one at rest in most recordings, the others somewhere.
+/// Times of the starts, s: the first one at rest in most recordings, the others anywhere.
 const STARTS_S: [u64; 5] = [0, 10, 25, 40, 55];
-/// What comes on top of each gyroscope's own offset, °/s: the most that the datasheet allows (product specification §6.1).
+/// Additional gyroscope offsets, °/s: the largest that the datasheet allows (product specification
+/// §6.1).
 const OFFSETS_DEGREES_S: [[f32; 3]; 5] = [
     [0.0, 0.0, 0.0],
     [20.0, 0.0, 0.0],
@@ -26,14 +29,15 @@ const OFFSETS_DEGREES_S: [[f32; 3]; 5] = [
     [0.0, 0.0, 20.0],
     [0.0, 0.0, -20.0],
 ];
-/// The rule.
+/// Largest error of a valid attitude: the larger of this angle and six σ.
 const ALLOWED_DEGREES: f64 = 5.0;
 const ALLOWED_SIGMAS: f64 = 6.0;
-/// Seeds of no other use, and how long those flights are, s: in minutes the filter can become sure of what is wrong.
+/// Seeds of flights without other use.
 const SEEDS: std::ops::Range<u64> = 2_051..2_054;
+/// Length of those flights, s: within minutes a filter can become sure of a wrong attitude.
 const FLIGHT_S: u64 = 240;
 
-/// What became of one start.
+/// Outcome of one start.
 struct Outcome {
     name: String,
     samples: u32,
@@ -101,7 +105,7 @@ fn starts(recordings: &[Recording]) -> Vec<Outcome> {
     })
 }
 
-/// No start of these is wrong and valid at once.
+/// Asserts that no start is wrong and valid at once.
 fn hold_to_the_rule(outcomes: &[Outcome]) {
     let wrong: Vec<String> = outcomes
         .iter()
@@ -119,7 +123,7 @@ fn a_start_in_flight_is_never_wrong_and_valid() {
         .collect();
     let outcomes = starts(&flights);
     hold_to_the_rule(&outcomes);
-    // Caution that never says valid would be no answer: from rest it is after a second or two.
+    // Flags that are never valid would be useless: from rest they are valid after a second or two.
     for outcome in outcomes
         .iter()
         .filter(|outcome| outcome.name.contains("from 0 s"))

@@ -1,9 +1,10 @@
 //! Throughput of each filter on this computer, in samples a second.
 //!
-//! The same samples for all, in memory and in each filter's own axes, what moves a peer from one to the next worked out
-//! beforehand; the update alone: sample in, attitude out. All filters run in turn, so that whatever else the computer does
-//! falls on all; each figure is the median over the rounds, and a ratio is the median of the rounds' ratios. On a busy computer
-//! the fastest rounds of each, which were disturbed least, say more.
+//! All filters get the samples in memory and in their own axes; the steps of the peers are computed
+//! beforehand. Only the update is measured: sample in, attitude out. The filters run in turn, so
+//! that other load falls on all of them. Each figure is the median over the rounds, and a ratio is
+//! the median of the rounds' ratios. On a busy computer the fastest rounds were disturbed least,
+//! and are more reliable.
 
 use std::fmt::Write as _;
 use std::hint::black_box;

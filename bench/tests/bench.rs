@@ -30,7 +30,7 @@ fn file(test: &str, name: &str, contents: impl AsRef<[u8]>) -> PathBuf {
     path
 }
 
-/// Ten seconds at 200 Hz of a sensor at rest, tilted about x, with an offset in the accelerometer's y.
+/// Returns ten seconds at 200 Hz of a sensor at rest, tilted about x, with an offset in y.
 fn log(tilt_degrees: f64, offset_m_s2: f64) -> String {
     let tilt = tilt_degrees.to_radians();
     let (y, z) = (9.80665 * tilt.sin() + offset_m_s2, 9.80665 * tilt.cos());
@@ -45,11 +45,72 @@ fn log(tilt_degrees: f64, offset_m_s2: f64) -> String {
 
 const UNKNOWN: &str = "t_us,ax,ay,az,gx,gy,gz\n";
 
-/// Ten seconds at 200 Hz without truth, at rest, with this reading of the z axis.
+/// Returns ten seconds at 200 Hz without truth, at rest, with this reading of the z axis.
 fn resting(z: f64) -> String {
     (0..2_000).fold(String::from(UNKNOWN), |text, index| {
         format!("{text}{},0,0,{z},0,0,0\n", index * 5_000)
     })
+}
+
+/// Checks a row of accuracy.csv.
+fn check_row(line: &str) {
+    let cells: Vec<&str> = line.split(',').collect();
+    let rms: f64 = cells[6].parse().unwrap();
+    assert!(
+        ["999", "1000"].contains(&cells[5]),
+        "rows after 5 s: {line}"
+    );
+    match cells[..4] {
+        ["still", "a.csv", "truth", "1000"] => assert!(rms < 0.05, "{line}"),
+        // It starts there or comes from level, within ten seconds.
+        ["wrong", "b.csv", "truth", "0"] => assert!((2.0..3.5).contains(&rms), "{line}"),
+        ["unknown" | "counted", "resting.csv", "rest", "0"] => assert!(rms < 0.1, "{line}"),
+        _ => panic!("{line}"),
+    }
+    // Only the Kalman filter reports σ, which is judged where there is a truth.
+    let has_sigma = cells[4] == "kalman" && cells[2] == "truth";
+    assert_eq!(
+        !cells[9].is_empty() && !cells[10].is_empty(),
+        has_sigma,
+        "{line}"
+    );
+    if has_sigma {
+        let [within, median] = [9, 10].map(|cell| cells[cell].parse::<f64>().unwrap());
+        // The filter cannot know the error of the accelerometer.
+        let honest = if cells[0] == "still" {
+            0.0..=1.0
+        } else {
+            2.0..=12.0
+        };
+        assert!(
+            (0.0..=1.0).contains(&within) && honest.contains(&median),
+            "{line}"
+        );
+    }
+}
+
+/// Checks that the JSON has the scores of accuracy.csv.
+fn check_json(json: &[u8], csv: &str, not_scored: usize) {
+    let found: serde_json::Value = serde_json::from_slice(json).unwrap();
+    assert_eq!(found["not_scored"].as_array().unwrap().len(), not_scored);
+    let scores = found["scores"].as_array().unwrap();
+    assert_eq!(scores.len(), csv.lines().count() - 1);
+    for (score, line) in scores.iter().zip(csv.lines().skip(1)) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let names = ["set", "recording", "reference", "sensor_delay_us", "filter"];
+        for (name, cell) in names.iter().zip(&cells) {
+            let value = score[name].to_string();
+            assert_eq!(value.trim_matches('"'), *cell, "{name}: {line}");
+        }
+        let rms: f64 = cells[6].parse().unwrap();
+        let found = score["inclination_rms_deg"].as_f64().unwrap();
+        assert!((found - rms).abs() < 1e-12, "{line}");
+        assert_eq!(
+            score.get("within_3_sigma").is_some(),
+            !cells[9].is_empty(),
+            "{line}"
+        );
+    }
 }
 
 #[test]
@@ -63,7 +124,8 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     );
     file("bench/wrong", "notes.txt", "no recording");
     file("bench/wrong", "other.csv", "a,b\n1,2\n");
-    // Without truth: one rests, one turns all the time. In register counts: one is said to be, one is not.
+    // Without truth: one rests, one turns all the time. In register counts: one is stated, one is
+    // not.
     let turning = (0..2_000).fold(String::from(UNKNOWN), |text, index| {
         format!("{text}{},0,0,9.8,{},0,0\n", index * 5_000, index % 200)
     });
@@ -105,73 +167,19 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     );
     assert!(printed.contains("million/s"), "{printed}");
     let csv = std::fs::read_to_string(output.join("accuracy.csv")).unwrap();
-    let mut filters = 0;
-    for line in csv.lines().skip(1) {
-        let cells: Vec<&str> = line.split(',').collect();
-        let rms: f64 = cells[6].parse().unwrap();
-        assert!(
-            ["999", "1000"].contains(&cells[5]),
-            "rows after 5 s: {line}"
-        );
-        match cells[..4] {
-            ["still", "a.csv", "truth", "1000"] => assert!(rms < 0.05, "{line}"),
-            // It starts there or comes from level, within ten seconds.
-            ["wrong", "b.csv", "truth", "0"] => assert!((2.0..3.5).contains(&rms), "{line}"),
-            ["unknown" | "counted", "resting.csv", "rest", "0"] => assert!(rms < 0.1, "{line}"),
-            _ => panic!("{line}"),
-        }
-        // The Kalman filter alone says how sure it is, and is held to it where there is a truth.
-        let has_sigma = cells[4] == "kalman" && cells[2] == "truth";
-        assert_eq!(
-            !cells[9].is_empty() && !cells[10].is_empty(),
-            has_sigma,
-            "{line}"
-        );
-        if has_sigma {
-            let [within, median] = [9, 10].map(|cell| cells[cell].parse::<f64>().unwrap());
-            // It cannot know that the accelerometer errs.
-            let honest = if cells[0] == "still" {
-                0.0..=1.0
-            } else {
-                2.0..=12.0
-            };
-            assert!(
-                (0.0..=1.0).contains(&within) && honest.contains(&median),
-                "{line}"
-            );
-        }
-        filters += 1;
-    }
-    assert!(filters >= 28 && filters % 4 == 0, "{filters}");
+    let rows = csv.lines().skip(1);
+    rows.clone().for_each(check_row);
+    let rows = rows.count();
+    assert!(rows >= 28 && rows % 4 == 0, "{rows}");
     let picture = std::fs::read(output.join("accuracy.png")).unwrap();
     assert!(picture.starts_with(b"\x89PNG"));
-    // JSON has the same scores.
     let result = bench(&[
         folder.as_os_str(),
         "--sensor-delay-us=still=1000".as_ref(),
         "--counts=counted=8,250".as_ref(),
         "--json".as_ref(),
     ]);
-    let found: serde_json::Value = serde_json::from_slice(&result.stdout).unwrap();
-    assert_eq!(found["not_scored"].as_array().unwrap().len(), reasons.len());
-    let scores = found["scores"].as_array().unwrap();
-    assert_eq!(scores.len(), filters);
-    for (score, line) in scores.iter().zip(csv.lines().skip(1)) {
-        let cells: Vec<&str> = line.split(',').collect();
-        let names = ["set", "recording", "reference", "sensor_delay_us", "filter"];
-        for (name, cell) in names.iter().zip(&cells) {
-            let value = score[name].to_string();
-            assert_eq!(value.trim_matches('"'), *cell, "{name}: {line}");
-        }
-        let rms: f64 = cells[6].parse().unwrap();
-        let found = score["inclination_rms_deg"].as_f64().unwrap();
-        assert!((found - rms).abs() < 1e-12, "{line}");
-        assert_eq!(
-            score.get("within_3_sigma").is_some(),
-            !cells[9].is_empty(),
-            "{line}"
-        );
-    }
+    check_json(&result.stdout, &csv, reasons.len());
 }
 
 #[test]

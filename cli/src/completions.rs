@@ -1,4 +1,4 @@
-//! `aplomb completions`: what a shell has to know to complete the program's words.
+//! `aplomb completions`: scripts with which a shell completes the program's words.
 
 use aplomb_recordings::terminal::print_line;
 use clap::CommandFactory;
@@ -15,7 +15,7 @@ pub struct Options {
     shell: Shell,
 }
 
-/// Prints them.
+/// Prints the script.
 pub fn run<C: CommandFactory>(options: &Options) {
     let mut script = Vec::new();
     generate(options.shell, &mut C::command(), "aplomb", &mut script);

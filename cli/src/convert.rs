@@ -22,22 +22,25 @@ use crate::progress;
 
 /// Convert a recording into another form.
 ///
-/// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI units, plain or gzipped.
-/// OUTPUT's name says what it becomes: *.log a flight log, *bursts.csv bursts, any other *.csv a log in SI units and the sensor's
-/// axes, as `replay` reads it. A log in SI units becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out. Bursts and
-/// CSV logs have no place for a flight log's mount and calibration, and bursts none for its ranges: what to replay them with is said.
+/// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI
+/// units, plain or gzipped. OUTPUT's name decides on its form: *.log a flight log, *bursts.csv
+/// bursts, any other *.csv a log in SI units and the sensor's axes, as `replay` reads it. A log in
+/// SI units becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out.
+/// Bursts and CSV logs have no place for a flight log's mount and calibration, and bursts none for
+/// its ranges: the output names the options to replay them with.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb convert flight.log flight-bursts.csv
   aplomb convert recording.csv.gz recording.log
 
-JSON: input, output, bursts, bursts_lost, damaged_pieces, clipped_values (of a log in SI units, beyond the ranges).")]
+JSON: input, output, bursts, bursts_lost, damaged_pieces,
+clipped_values (of a log in SI units, beyond the ranges).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
     /// The file to write
     output: PathBuf,
-    /// What a flight log that is made of bursts or of CSV says about the mount [default: z-up]
+    /// Mount of a flight log that is made of bursts or of CSV [default: z-up]
     #[arg(long, allow_hyphen_values = true)]
     mount: Option<Mount>,
     /// Which flight of a flight log in which the module started several times, counted from 1
@@ -48,7 +51,7 @@ pub struct Options {
     json: bool,
 }
 
-/// What recordings are converted from and into.
+/// Kind of a recording.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     FlightLog,
@@ -57,7 +60,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// What a file of this name is to be.
+    /// Returns the kind by the name of the output.
     fn of_name(path: &Path) -> Option<Self> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if name.ends_with(".log") {
@@ -71,7 +74,7 @@ impl Kind {
         }
     }
 
-    /// What it is called.
+    /// Returns the name.
     fn name(self) -> &'static str {
         match self {
             Self::FlightLog => "a flight log",
@@ -80,7 +83,7 @@ impl Kind {
         }
     }
 
-    /// Refuses what would only lose: from a form into itself, and options that mean nothing.
+    /// Refuses a conversion into the present kind, and options that mean nothing.
     fn check(self, options: &Options, into: Self) -> Result<(), String> {
         let input = options.input.display();
         if self == into {
@@ -102,10 +105,10 @@ impl Kind {
     }
 }
 
-/// A burst, and what the board said of it.
+/// Burst with the conditions that the board reported.
 type FlaggedBurst = (Burst, BoardFlags);
 
-/// Does it.
+/// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let output = &options.output;
     let into = Kind::of_name(output).ok_or_else(|| {
@@ -169,7 +172,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// What is printed in the end; the names are those of the JSON.
+/// Summary of a conversion. The names are those of the JSON.
 #[derive(serde::Serialize)]
 struct Summary {
     input: String,
@@ -180,10 +183,10 @@ struct Summary {
     clipped_values: usize,
 }
 
-/// What is in a recording.
+/// Contents of a recording.
 struct Found {
     config: Config,
-    /// How the sensor was mounted, if it says so.
+    /// Mount of the sensor, if it is known.
     mount: Option<Mount>,
     part: &'static Part,
     bursts: Vec<FlaggedBurst>,
@@ -256,7 +259,7 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
     })
 }
 
-/// What the default full scales make of SI units, and how many values are beyond them.
+/// Converts a row to counts at the default full scales. Returns the number of clipped values too.
 fn counts_of(row: &Row) -> Result<(RawSample, usize), LogFault> {
     let names = ["ax", "ay", "az", "gx", "gy", "gz"];
     let values = row.specific_force_m_s2.into_iter().chain(row.rates_rad_s);

@@ -111,7 +111,7 @@ impl Device {
         }
     }
 
-    /// Takes a burst with the conditions that the board reported, and returns the attitude at its time.
+    /// Takes a burst with the conditions of the board, and returns the attitude at its time.
     pub fn update(&mut self, burst: &Burst, board: BoardFlags) -> Snapshot {
         let mut snapshot = match &mut self.pipeline {
             Variant::Kalman(pipeline) => {
@@ -163,7 +163,8 @@ impl Device {
         }
     }
 
-    /// Returns the σ of a snapshot's tilt, if the filter knows it: it is infinite before the first gravity.
+    /// Returns the σ of a snapshot's tilt, if the filter knows it. Before the first gravity it does
+    /// not.
     pub fn tilt_sigma_rad(&self, snapshot: &Snapshot) -> Option<f32> {
         let sigma_rad = snapshot.tilt_sigma_rad();
         sigma_rad.is_finite().then_some(sigma_rad)

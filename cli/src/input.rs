@@ -12,7 +12,8 @@ pub struct Counts {
     /// Accelerometer range of counts in g: 2, 4, 8 or 16 (bursts: 16 unless told otherwise)
     #[arg(long, value_name = "G")]
     accel_range: Option<AccelerometerRange>,
-    /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000 (bursts: 2000 unless told otherwise)
+    /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000 (bursts: 2000 unless
+    /// told otherwise)
     #[arg(long, value_name = "DPS")]
     gyro_range: Option<GyroscopeRange>,
 }
@@ -23,14 +24,15 @@ impl Counts {
         let has_ranges = self.accel_range.is_some() || self.gyro_range.is_some();
         match form {
             Form::Bursts if self.raw => Err("--raw is for logs: bursts are raw in any case"),
-            Form::Log(_) if has_ranges && !self.raw => Err(
-                "--accel-range and --gyro-range give counts their meaning: add --raw, if the log holds counts",
-            ),
+            Form::Log(_) if has_ranges && !self.raw => {
+                Err("--accel-range and --gyro-range give counts their meaning: \
+                 add --raw, if the log holds counts")
+            }
             _ => Ok(()),
         }
     }
 
-    /// The options, and whether they were given.
+    /// Returns the options, and whether they were given.
     pub fn given(&self) -> [(&'static str, bool); 3] {
         [
             ("--raw", self.raw),
@@ -39,12 +41,12 @@ impl Counts {
         ]
     }
 
-    /// The ranges, if both were told.
+    /// Returns the ranges, if both were given.
     pub fn ranges(&self) -> Option<(AccelerometerRange, GyroscopeRange)> {
         self.accel_range.zip(self.gyro_range)
     }
 
-    /// The sensor's settings, with the usual ranges if none were told.
+    /// Returns the sensor's configuration, with the default ranges if none were given.
     pub fn config(&self) -> Config {
         Config::DEFAULT
             .with_accelerometer_range(self.accel_range.unwrap_or_default())

@@ -1,5 +1,5 @@
-//! `aplomb`: shows and records a module, replays recordings through the library, draws, converts and
-//! simulates them, and finds calibrations.
+//! `aplomb`: shows and records a module, replays recordings through the library, draws, converts
+//! and simulates them, and finds calibrations.
 
 mod calibrate;
 mod completions;

@@ -39,7 +39,8 @@ use truth::{Table, TruthFile};
 pub struct Options {
     #[command(flatten)]
     reading: Reading,
-    /// A file with the true attitudes at the same times: the truth.csv of a flight, or a log with truth
+    /// A file with the true attitudes at the same times: the truth.csv of a flight, or a log with
+    /// truth
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
     /// The picture, by its name a PNG or an SVG file

@@ -23,11 +23,12 @@ pub struct Reading {
     /// Which filter: kalman, axis-kalman, classic [default: kalman]
     #[arg(long, value_name = "NAME")]
     filter: Option<FilterName>,
-    /// Where the body's forward and down axes point in sensor axes, for example +x-z [default: z-up]
+    /// Where the body's forward and down axes point in sensor axes, for example +x-z [default:
+    /// z-up]
     #[arg(long, allow_hyphen_values = true)]
     mount: Option<Mount>,
-    /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0 unless told
-    /// otherwise; bursts: the delay of the sensor's low-pass filter)
+    /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0
+    /// unless told otherwise; bursts: the delay of the sensor's low-pass filter)
     #[arg(
         long,
         value_name = "N",

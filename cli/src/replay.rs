@@ -2,8 +2,8 @@
 //!
 //! The pipeline takes the rows of a log as samples in SI units. It takes bursts as bytes, as on a
 //! board, and gives the same attitudes to the last bit. Both have the flags that depend on samples,
-//! `VALID` included. Flags of the bus, the registers and the chip's clock come with bursts alone, as
-//! far as the board noted them.
+//! `VALID` included. Flags of the bus, the registers and the chip's clock come with bursts alone,
+//! as far as the board noted them.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -142,7 +142,8 @@ impl Summary {
     }
 }
 
-/// Replays every flight of a log, or the chosen one. A difference from a logged attitude is an error.
+/// Replays every flight of a log, or the chosen one. A difference from a logged attitude is an
+/// error.
 fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
     let reading = &options.reading;
     let log = flight_log::read(&reading.input)?;

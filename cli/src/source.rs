@@ -1,4 +1,5 @@
-//! Sources of attitudes: the rows of a log, bursts, or a flight of a flight log, through a pipeline.
+//! Sources of attitudes: the rows of a log, bursts, or a flight of a flight log, through a
+//! pipeline.
 
 use std::collections::VecDeque;
 use std::error::Error;

@@ -1,4 +1,5 @@
-//! `aplomb record` and `aplomb view` from the outside, with a module at the end of a pseudo-terminal.
+//! `aplomb record` and `aplomb view` from the outside, with a module at the end of a
+//! pseudo-terminal.
 
 #![cfg(unix)]
 
@@ -105,7 +106,7 @@ fn a_log_is_switched_on_and_everything_back_at_the_end() {
     assert_eq!(std::fs::read(&output).expect("it is there"), LINE);
 }
 
-/// A burst of the flight log with this number.
+/// Returns the burst of the flight log with this number.
 fn burst(number: u32) -> Vec<u8> {
     let burst = NumberedBurst {
         number,

@@ -1,4 +1,4 @@
-//! `aplomb replay` from the outside: what it reads, what it writes, what it refuses.
+//! `aplomb replay` from the outside: input, output, refusals.
 
 mod common;
 
@@ -11,7 +11,7 @@ use aplomb::calibration::Mount;
 use aplomb::estimator::{Estimator, Sample};
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{BURST_LENGTH, Burst, Part};
-use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
 use aplomb_models::motion::quadrotor::Quadrotor;
@@ -23,7 +23,7 @@ use common::{aplomb, file, path};
 const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
 const GRAVITY: f64 = 9.80665;
 
-/// A sensor face up that rolls to and fro by 30°, at 100 Hz; its samples are late by `delay_s`.
+/// Returns the log of a sensor face up that rolls to and fro by 30°, at 100 Hz, late by `delay_s`.
 fn log(rows: u32, delay_s: f64) -> String {
     let mut text = format!("{HEADER}\n");
     for index in 0..rows {
@@ -36,7 +36,8 @@ fn log(rows: u32, delay_s: f64) -> String {
         let moving = u8::from(index % 100 != 99);
         writeln!(
             text,
-            "{},0,{force_y:.5},{force_z:.5},{rate:.6},0,0,{half_cosine:.6},{half_sine:.6},0,0,{moving}",
+            "{},0,{force_y:.5},{force_z:.5},{rate:.6},0,0,\
+             {half_cosine:.6},{half_sine:.6},0,0,{moving}",
             index * 10_000
         )
         .unwrap();
@@ -57,7 +58,7 @@ fn replay(test: &str, input: &Path, options: &[&str]) -> (String, String) {
     (printed, std::fs::read_to_string(output).unwrap())
 }
 
-/// The root mean square that it printed.
+/// Returns the printed root mean square.
 fn rms(printed: &str) -> f64 {
     let (_, after) = printed.split_once("rms ").expect(printed);
     after.split_once('°').unwrap().0.parse().unwrap()
@@ -253,7 +254,8 @@ fn counts_and_si_values_give_the_same() {
     }
 }
 
-/// Rest, motion, a pause, a jump of the rates, a gap, a saturated gyroscope, free fall: time in µs and counts.
+/// Returns rest, motion, a pause, a jump of the rates, a gap, a saturated gyroscope, free fall: time in µs
+/// and counts.
 fn eventful() -> Vec<(u64, [i16; 6])> {
     let mut t_us = 5_000;
     (0..9_000_u32)
@@ -351,6 +353,18 @@ fn rows_far_apart_are_no_pauses_if_all_of_them_are() {
     );
 }
 
+/// Returns the first columns of a row, up to the rates.
+fn first_columns(snapshot: &Snapshot) -> String {
+    let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
+    let angles = snapshot.euler();
+    let angles = [angles.roll_rad, angles.pitch_rad, angles.yaw_rad].map(degrees);
+    let rates = [rates.x, rates.y, rates.z].map(degrees);
+    let numbers = [q.w, q.x, q.y, q.z].into_iter().chain(angles).chain(rates);
+    numbers.fold(snapshot.t_us.to_string(), |row, number| {
+        format!("{row},{number}")
+    })
+}
+
 #[test]
 fn bursts_go_through_the_whole_pipeline_to_the_bit() {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
@@ -385,28 +399,7 @@ fn bursts_go_through_the_whole_pipeline_to_the_bit() {
         flags.set(BoardFlags::INTERNAL_CLOCK, index > 1_300);
         writeln!(input, "{}", bursts::Line(&burst, flags)).unwrap();
         let snapshot = pipeline.update(&burst, flags);
-        let (q, rates, angles) = (
-            snapshot.attitude,
-            snapshot.body_rates_rad_s,
-            snapshot.euler(),
-        );
-        expected.push((
-            format!(
-                "{},{},{},{},{},{},{},{},{},{},{}",
-                snapshot.t_us,
-                q.w,
-                q.x,
-                q.y,
-                q.z,
-                degrees(angles.roll_rad),
-                degrees(angles.pitch_rad),
-                degrees(angles.yaw_rad),
-                degrees(rates.x),
-                degrees(rates.y),
-                degrees(rates.z)
-            ),
-            snapshot.flags.to_string(),
-        ));
+        expected.push((first_columns(&snapshot), snapshot.flags.to_string()));
     }
     let (printed, output) = replay("bursts", &file("bursts", "bursts.csv", input), &[]);
     let is_calibrating = |(_, flags): &&(String, String)| flags.contains("CALIBRATING");
@@ -424,7 +417,11 @@ fn bursts_go_through_the_whole_pipeline_to_the_bit() {
             .iter()
             .all(|sigma| !sigma.is_empty())
     );
-    // The tutorial's filters average at rest for as long, and have no σ.
+    check_averaging_filters();
+}
+
+/// Checks that the tutorial's filters average at rest for a second, and report no σ.
+fn check_averaging_filters() {
     let bursts = path("bursts", "bursts.csv");
     let (_, simple) = replay("bursts", &bursts, &["--filter", "axis-kalman"]);
     let flags = column(&simple, "flags");
@@ -535,7 +532,7 @@ fn what_cannot_be_written_or_must_not_is_left_alone() {
     assert_eq!(std::fs::read_to_string(&input).unwrap(), log(3, 0.0));
 }
 
-/// A file that took the place of a pipe, or of /dev/null, would be a nuisance.
+/// A file must not replace a pipe, or /dev/null.
 #[cfg(unix)]
 #[test]
 fn a_pipe_is_written_to_and_stays_one() {
@@ -593,8 +590,8 @@ fn where_a_link_leads_is_written_and_the_link_stays() {
     assert!(round.is_symlink());
 }
 
-/// As a shell redirects it: what goes to standard output stays there, whatever file that is. By a link of its own, as
-/// /dev/stdout is one, since a test must not touch that.
+/// A shell redirects it: standard output stays the output, whatever file that is. By a
+/// link of its own, as /dev/stdout is one, since a test must not touch that.
 #[cfg(target_os = "linux")]
 #[test]
 fn standard_output_can_be_named() {
@@ -626,7 +623,7 @@ fn another_file_is_not_overwritten_on_the_way() {
     assert!(!path("unfinished", "output.csv.unfinished2").exists());
 }
 
-/// Ctrl-C while the input, a pipe, is still open.
+/// Ctrl-C comes while the input, a pipe, is still open.
 #[cfg(unix)]
 #[test]
 fn what_is_interrupted_leaves_no_file() {

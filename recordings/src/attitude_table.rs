@@ -84,7 +84,8 @@ impl Attitude {
 }
 
 impl Columns {
-    /// Returns the columns of a header with a time and an attitude; `None` for others, and for logs.
+    /// Returns the columns of a header with a time and an attitude; `None` for others, and for
+    /// logs.
     #[must_use]
     pub fn of(header: &str) -> Option<Self> {
         let names: Vec<&str> = header.split(',').collect();
@@ -232,7 +233,10 @@ mod tests {
     proptest! {
         #[test]
         fn any_table_is_read_or_refused(
-            header in prop::collection::vec(prop::sample::select(HEADER.split(',').collect::<Vec<_>>()), 0..20),
+            header in prop::collection::vec(
+                prop::sample::select(HEADER.split(',').collect::<Vec<_>>()),
+                0..20,
+            ),
             line in "(-?[0-9.]{0,3}|1|0|nan|VALID|é){0,1}(,(-?[0-9.]{0,3}|1|0|inf|GAP|)){0,18}",
         ) {
             let Some(columns) = Columns::of(&header.join(",")) else {

@@ -6,7 +6,8 @@ use std::sync::OnceLock;
 /// First error of [`print_line`].
 static LOST: OnceLock<io::Error> = OnceLock::new();
 
-/// Prints a line. A closed pipe, as behind `head`, is no error; any other error is kept for [`finish`].
+/// Prints a line. A closed pipe, as behind `head`, is no error; any other error is kept for
+/// [`finish`].
 pub fn print_line(text: &str) {
     let mut output = io::stdout();
     if let Err(error) = writeln!(output, "{text}").and_then(|()| output.flush())

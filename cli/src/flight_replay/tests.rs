@@ -36,7 +36,7 @@ fn bursts(seconds: usize) -> Vec<Burst> {
         .collect()
 }
 
-/// The log of these bursts, from the burst of this index on, and all snapshots of the flight.
+/// Returns the log of these bursts from an index on, and all snapshots of the flight.
 fn fly(bursts: &[Burst], first: usize) -> (Vec<u8>, Vec<Snapshot>) {
     let mut pipeline = Pipeline::new(&settings());
     let mut snapshots: Vec<_> = bursts[..first]
@@ -180,7 +180,7 @@ fn a_restart_of_the_module_is_another_flight() {
     }
 }
 
-/// A second's log, damaged, with whole frames of any numbers between.
+/// Returns a second's log, damaged, with whole frames of any numbers between.
 fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
     static LOG: LazyLock<Vec<u8>> = LazyLock::new(|| fly(&bursts(2), 0).0);
     let change = (any::<prop::sample::Index>(), any::<u8>());
@@ -253,7 +253,8 @@ proptest! {
             }
             let agreement = replay.agreement();
             prop_assert_eq!(agreement.bursts, flight.bursts.len() as u64);
-            prop_assert!(agreement.compared <= agreement.exact && agreement.exact <= agreement.bursts);
+            prop_assert!(agreement.compared <= agreement.exact);
+            prop_assert!(agreement.exact <= agreement.bursts);
         }
         prop_assert!(whole <= log.counts.frames);
     }

@@ -327,7 +327,8 @@ mod tests {
     use aplomb::units::radians;
     use aplomb_models::motion;
 
-    /// Rows of a body that turns about down, whose heading is told from another zero; with an offset that is not known at first.
+    /// Rows of a body that turns about down. The truth has another heading, and the offset is
+    /// unknown at first.
     struct Turning(i64);
 
     impl Source for Turning {

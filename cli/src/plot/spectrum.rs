@@ -1,61 +1,63 @@
-//! The spectrum of vibration: the power spectral density of the specific force, by Welch's method.
+//! Spectrum of vibration: the power spectral density of the specific force, by Welch's method.
 //!
-//! Pieces of equal length that overlap by half, without their means, under Hann's window; the mean of their periodograms
-//! (P. D. Welch, IEEE Transactions on Audio and Electroacoustics 15(2), 1967). Fixed memory, however long the recording.
+//! Pieces of equal length overlap by half. Each loses its mean and gets Hann's window. The spectrum
+//! is the mean of their periodograms (P. D. Welch, IEEE Transactions on Audio and Electroacoustics
+//! 15(2), 1967). Fixed memory, however long the recording.
 
 use std::sync::Arc;
 
 use realfft::num_complex::Complex;
 use realfft::{RealFftPlanner, RealToComplex};
 
-/// Samples of a piece: about 1 Hz at 1 kHz.
+/// Samples of a piece: a resolution of about 1 Hz at 1 kHz.
 pub const LENGTH: usize = 1024;
 
-/// Slower than this the body itself moves; what shakes it is faster. In Hz.
+/// Lowest frequency of vibration, Hz. Slower motion is that of the body.
 const VIBRATION_HZ: f64 = 20.0;
 
-/// A step of time between samples that is so many times the mean means that samples are missing.
+/// Longest step between samples, as a multiple of the mean. A longer one means missing samples.
 const LONGEST_STEP: f64 = 2.5;
 
-/// Collects samples and has their spectrum at the end.
+/// Collector of samples for their spectrum.
 pub struct Welch {
     transform: Arc<dyn RealToComplex<f64>>,
     window: Vec<f64>,
     times_s: Vec<f64>,
-    /// x, y and z of the piece that is being collected.
+    /// x, y and z of the present piece.
     axes: [Vec<f64>; 3],
     /// Sums of the squares of the transforms.
     powers: [Vec<f64>; 3],
     pieces: u32,
-    /// How long the pieces last, together.
+    /// Duration of all pieces, s.
     duration_s: f64,
 }
 
 /// Power spectral densities.
 pub struct Spectrum {
-    /// From one value to the next.
+    /// Step between two values, Hz.
     pub step_hz: f64,
-    /// Of x, y and z, from 0 Hz on, in (m/s²)²/Hz.
+    /// Densities of x, y and z from 0 Hz on, (m/s²)²/Hz.
     pub axes: [Vec<f64>; 3],
 }
 
-/// Peaks are looked for in means of so many values, and stand out by so much: 10 dB, which the noise of such a mean does not.
+/// Values whose means are searched for peaks.
 const SMOOTHED: usize = 9;
+/// Least prominence of a peak: 10 dB, more than the noise of such a mean.
 const LEAST_PROMINENCE: f64 = 10.0;
 
-/// What shakes.
+/// Vibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vibration {
-    /// The frequency that stands out most of its surroundings, if one does.
+    /// Frequency of the most prominent peak, if there is one.
     pub peak_hz: Option<f64>,
-    /// Root mean square above the same frequency, all axes together.
+    /// Root mean square above `from_hz`, all axes together.
     pub rms_m_s2: f64,
-    /// Where that begins.
+    /// Lowest frequency of the root mean square.
     pub from_hz: f64,
 }
 
 impl Welch {
-    /// Nothing collected yet.
+    /// Creates a collector without samples.
     pub fn new() -> Self {
         let transform = RealFftPlanner::new().plan_fft_forward(LENGTH);
         let hann = |nth: usize| {
@@ -73,7 +75,7 @@ impl Welch {
         }
     }
 
-    /// Takes a sample. What is not finite, and time that goes back, begins a new piece.
+    /// Takes a sample. A value that is not finite, or time that goes back, begins a new piece.
     pub fn add(&mut self, time_s: f64, sample: [f64; 3]) {
         let goes_on = self.times_s.last().is_none_or(|last_s| *last_s < time_s);
         if !goes_on || sample.iter().any(|value| !value.is_finite()) {
@@ -114,7 +116,7 @@ impl Welch {
             let mut windowed: Vec<f64> = windowed
                 .map(|(value, window)| (value - mean) * window)
                 .collect();
-            // The lengths are those that it was planned for.
+            // The lengths are those of the plan, so this does not fail.
             if self
                 .transform
                 .process(&mut windowed, &mut transformed)
@@ -128,7 +130,7 @@ impl Welch {
         }
     }
 
-    /// The spectrum; `None` if there was no whole piece.
+    /// Returns the spectrum; `None` without a whole piece.
     pub fn spectrum(&self) -> Option<Spectrum> {
         if self.pieces == 0 {
             return None;
@@ -146,12 +148,12 @@ impl Welch {
 }
 
 impl Spectrum {
-    /// The highest frequency in it.
+    /// Returns the highest frequency, Hz.
     pub fn end_hz(&self) -> f64 {
         (LENGTH / 2) as f64 * self.step_hz
     }
 
-    /// What shakes; `None` if the samples are too slow to show it.
+    /// Returns the vibration; `None` if the samples are too slow to show it.
     pub fn vibration(&self) -> Option<Vibration> {
         let first = (VIBRATION_HZ / self.step_hz).ceil() as usize;
         let total = |index: usize| self.axes.iter().map(|axis| axis[index]).sum::<f64>();
@@ -181,7 +183,8 @@ impl Spectrum {
     }
 }
 
-/// By what factor one has to go down, on the side where it is less, to come from this value to a higher one, or to the end.
+/// Returns the prominence of a value: the factor down to the deepest point on the way to a higher
+/// value, or to the end, on the side where it is less.
 fn prominence(values: &[f64], index: usize) -> f64 {
     let value = values[index];
     let lowest = |walk: &mut dyn Iterator<Item = &f64>| {
@@ -197,7 +200,7 @@ fn prominence(values: &[f64], index: usize) -> f64 {
 mod tests {
     use super::*;
 
-    /// White noise of a given σ, uniform.
+    /// Returns uniform white noise of this σ.
     fn noise(sigma: f64) -> impl FnMut() -> f64 {
         let mut random = 1_u32;
         move || {

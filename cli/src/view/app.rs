@@ -38,8 +38,8 @@ pub enum Origin {
     VirtualBoard(Command),
 }
 
-/// Returns the events of the keyboard. A thread reads them, because the library does not return from
-/// a terminal that is gone.
+/// Returns the events of the keyboard. A thread reads them, because the library does not return
+/// from a terminal that is gone.
 fn keyboard() -> Receiver<io::Result<Event>> {
     let (sender, events) = channel();
     std::thread::spawn(move || {

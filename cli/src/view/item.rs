@@ -128,8 +128,8 @@ impl Reading {
         }
     }
 
-    /// Returns the reading of a line. `named` are the flags that the module named last; `VALID` is in
-    /// each line.
+    /// Returns the reading of a line. `named` are the flags that the module named last; `VALID` is
+    /// in each line.
     pub fn of_line(line: &Line, named: Flags) -> Self {
         let mut flags = named;
         flags.set(Flags::VALID, line.is_valid);

@@ -39,9 +39,9 @@ const PICTURE: Rect = Rect::new(0, 0, 110, 32);
 
 /// Watch the attitude live: horizon, angles and rates over time, health, messages.
 ///
-/// Shows a module on a serial port, the virtual board, or a recording: a flight log, what the module
-/// sent in any format, or an attitude CSV. The format is found out, and the baud rate too. A port
-/// that is unplugged is waited for.
+/// Shows a module on a serial port, the virtual board, or a recording: a flight log, what the
+/// module sent in any format, or an attitude CSV. The format is found out, and the baud rate too. A
+/// port that is unplugged is waited for.
 ///
 /// Keys command the module (`?` lists them): calibrate, save, change the format, record to a file.
 /// Health and σ are complete in the format `log`; in the others σ and the temperature are asked for
@@ -51,7 +51,7 @@ const PICTURE: Rect = Rect::new(0, 0, 110, 32);
   aplomb view --port /dev/ttyUSB0
   aplomb view flight.log --speed 4
   aplomb view target/fly/attitude.csv
-  cargo xtask view                        (builds the virtual board and shows it: no hardware needed)")]
+  cargo xtask view                  (builds the virtual board and shows it: no hardware needed)")]
 pub struct Options {
     /// A recording to play
     #[arg(conflicts_with_all = ["port", "virtual_board"])]
@@ -116,8 +116,8 @@ impl Options {
     }
 }
 
-/// Returns a flag that is set when the program has to end: Ctrl-C, `kill`, or a terminal that is gone.
-/// Can be called once.
+/// Returns a flag that is set when the program has to end: Ctrl-C, `kill`, or a terminal that is
+/// gone. Can be called once.
 pub fn end_request() -> Result<Arc<AtomicBool>, ctrlc::Error> {
     let is_asked = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&is_asked);
@@ -150,7 +150,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     result
 }
 
-/// Returns the command for the virtual board beside this program, with the firmware that `cargo xtask view` builds.
+/// Returns the command for the virtual board beside this program, with the firmware that `cargo
+/// xtask view` builds.
 fn virtual_board(elf: Option<&Path>) -> Result<Command, String> {
     const ADVICE: &str = "`cargo xtask view` builds what is needed and comes here";
     let own = std::env::current_exe().map_err(|error| format!("{error}: {ADVICE}"))?;

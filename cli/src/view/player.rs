@@ -62,8 +62,9 @@ impl Player {
                 return Err(error);
             }
             return Err(format!(
-                "{}: there is no attitude in it. It has to be a flight log, what the module sent in any format, or a CSV with \
-                 t_us and roll_deg, pitch_deg, yaw_deg or qw, qx, qy, qz; `aplomb replay` makes such a CSV of sensor data",
+                "{}: there is no attitude in it. It has to be a flight log, what the module sent \
+                 in any format, or a CSV with t_us and roll_deg, pitch_deg, yaw_deg or \
+                 qw, qx, qy, qz; `aplomb replay` makes such a CSV of sensor data",
                 path.display()
             ));
         }

@@ -1,8 +1,8 @@
-//! Source of the bytes: a serial port, which may be unplugged and come back, or the virtual board as
-//! another process.
+//! Source of the bytes: a serial port, which may be unplugged and come back, or the virtual board
+//! as another process.
 //!
-//! A thread reads, so that no byte is lost while the screen is drawn, and carries out orders. It ends
-//! when the [`Link`] is dropped.
+//! A thread reads, so that no byte is lost while the screen is drawn, and carries out orders. It
+//! ends when the [`Link`] is dropped.
 
 use std::io::{self, Read, Write};
 use std::path::Path;

@@ -25,7 +25,7 @@ fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     terminal.backend().buffer().clone()
 }
 
-/// The letters, and below them the backgrounds: sky, ground, good, bad, and `.` for others.
+/// Returns the letters, and below them the backgrounds: sky, ground, good, bad, and `.` for others.
 fn text(buffer: &Buffer) -> String {
     let mut text = String::new();
     let area = buffer.area;
@@ -64,7 +64,7 @@ fn assert_golden(name: &str, buffer: &Buffer) {
     assert_eq!(text.lines().count(), golden.lines().count(), "{name}");
 }
 
-/// A module that swings for 25 s, sends the flight log, and has a word to say now and then.
+/// Returns a module that swings for 25 s, and sends the flight log and a few messages.
 fn swinging(flags: Flags) -> Model {
     let mut model = Model::new("/dev/ttyUSB0".into(), Connection::Open(Some(921_600)));
     let mut counts = Counts::default();

@@ -27,7 +27,7 @@ pub struct FlightLog {
     pub counts: Counts,
     /// Messages of the module, in order.
     pub messages: Vec<String>,
-    /// Whether reading stopped before the end of the file.
+    /// Reading stopped before the end of the file.
     pub is_cut_off: bool,
 }
 
@@ -52,7 +52,8 @@ impl FlightLog {
             .filter(|flight| !flight.bursts.is_empty())
     }
 
-    /// Returns the flight of this number, counted from 1. Without a number, returns the only flight.
+    /// Returns the flight of this number, counted from 1. Without a number, returns the only
+    /// flight.
     ///
     /// # Errors
     ///

@@ -31,7 +31,8 @@ impl<W: Write> Recorder<W> {
         }
     }
 
-    /// Adds a burst with the conditions that the board reported, and returns the attitude at its time.
+    /// Adds a burst with the conditions that the board reported, and returns the attitude at its
+    /// time.
     ///
     /// # Errors
     ///

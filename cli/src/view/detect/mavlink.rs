@@ -95,8 +95,8 @@ impl Mavlink {
         }
     }
 
-    /// Takes a piece of a message: severity, 50 letters, number of the message, number of the piece.
-    /// Zeros at the end may be missing.
+    /// Takes a piece of a message: severity, 50 letters, number of the message, number of the
+    /// piece. Zeros at the end may be missing.
     fn text(&mut self, payload: &[u8], items: &mut Vec<Item>) {
         const LETTERS: std::ops::Range<usize> = 1..51;
         let letters = payload

@@ -88,7 +88,8 @@ fn nearly_a_stream() -> impl Strategy<Value = Vec<u8>> {
             let mut place = [0; log::FRAME_CAPACITY];
             log::encode(&frames[number as usize % 4], &mut place).to_vec()
         });
-    let line = "# (attitude: |ok status: flags=)?[A-Z|]{0,20}( x=1)?\n|t_us,(qw,qx,qy,qz|roll_deg,pitch_deg,yaw_deg)(,flags)?\n|\
+    let line = "# (attitude: |ok status: flags=)?[A-Z|]{0,20}( x=1)?\n|\
+                t_us,(qw,qx,qy,qz|roll_deg,pitch_deg,yaw_deg)(,flags)?\n|\
                 -?[0-9]{1,4}(,(1|0|nan)){3,4}(,VALID)?\n|>[a-z_]{3,5}:[0-9.]{1,5}\n|.{0,9}";
     let piece = prop_oneof![
         4 => of_format,
@@ -136,7 +137,7 @@ proptest! {
     }
 }
 
-/// The last σ.
+/// Returns the last σ.
 fn sigma_of(items: &[Item]) -> Option<f32> {
     items.iter().rev().find_map(|item| match item {
         Item::TiltSigma(sigma) => Some(*sigma),
@@ -199,15 +200,16 @@ fn every_format_of_a_frame_is_found_by_itself_and_so_are_changes() {
 #[test]
 fn text_says_whether_it_is_valid_and_a_message_why_it_is_not() {
     let mut decoder = Decoder::default();
-    let said = "# attitude: VALID|DEGRADED|POLLED\nroll:1.00\tpitch:-2.50\tyaw:90.00\troll_rate:0.00\t\
-                pitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
+    let said = "# attitude: VALID|DEGRADED|POLLED\nroll:1.00\tpitch:-2.50\tyaw:90.00\t\
+                roll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
     let items = decode(&mut decoder, said.as_bytes());
     let [reading] = readings(&items)[..] else {
         panic!("{items:?}");
     };
     assert_eq!(reading.flags, Some(Flags::DEGRADED | Flags::POLLED));
     // A status names them before anything changes, what has just happened too.
-    let said = "# ok status: flags=CALIBRATING|MISSED|DEGRADED sensor=none\nroll:1.00\tpitch:-2.50\tyaw:90.00\t\
+    let said = "# ok status: flags=CALIBRATING|MISSED|DEGRADED sensor=none\n\
+                roll:1.00\tpitch:-2.50\tyaw:90.00\t\
                 roll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
     let items = decode(&mut decoder, said.as_bytes());
     let flags = Flags::CALIBRATING | Flags::DEGRADED;
