@@ -151,7 +151,9 @@ fn unsafe_stands_in_the_board_alone_and_gives_its_reason() {
     let mut blocks = 0;
     for folder in [
         "src",
+        "bench/src",
         "cli/src",
+        "recordings/src",
         "rigs",
         "virtual-board/src",
         "xtask/src",
@@ -228,7 +230,9 @@ fn every_package_takes_the_lints_of_the_workspace() {
 fn every_module_header_says_what_it_is() {
     for folder in [
         "src",
+        "bench/src",
         "cli/src",
+        "recordings/src",
         "rigs",
         "virtual-board/src",
         "xtask/src",

@@ -1,9 +1,10 @@
-//! `aplomb calibrate`: the accelerometer's calibration from a recording, with the device's own rule and fit.
+//! `aplomb calibrate`: calibration of the accelerometer from a recording, with the device's own
+//! rule and fit.
 //!
-//! Rests are found by the watch that the firmware uses, and collected by its collector. A recording that never rests may
-//! still hold slow moments, in which the specific force is nearly gravity; they are taken where there are enough of them in every
-//! direction, and the output says so. Half of the poses are held out, to report what the fit is worth on poses that
-//! it has not seen.
+//! The firmware's stationary detector finds the rests, and its collector collects them. A recording
+//! without rests may hold slow moments, in which the specific force is nearly gravity. The program
+//! uses them if there are enough in every direction, and the output names this rule. Half of the
+//! poses are held out, to report the residual on poses that the fit has not seen.
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -19,37 +20,40 @@ use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part,
 use aplomb::pipeline::Settings;
 use aplomb::telemetry::bursts;
 use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
+use aplomb_recordings::counts::counts;
+use aplomb_recordings::form::Form;
 use aplomb_recordings::log::{Lines, Row, parse_row};
+use aplomb_recordings::output::OutputFile;
+use aplomb_recordings::terminal::print_line;
 
-use crate::counts::counts;
-use crate::input::{Counts, Form};
-use crate::output::OutputFile;
+use crate::input::Counts;
 use crate::progress;
 
-/// A rest is so long, s: the device takes a second, a recording made by hand seldom has it.
+/// Length of a rest, s. The device wants a second, which a recording made by hand seldom has.
 const REST_S: f64 = 0.5;
-/// A slow moment is so long, s: three periods of a hand's tremor, which is at about 10 Hz, average out.
+/// Length of a slow moment, s: three periods of a hand's tremor (about 10 Hz) average out.
 const SLOW_S: f64 = 0.3;
-/// And has at least so many rows.
+/// Fewest rows of a slow moment.
 const LEAST_ROWS: usize = 10;
-/// Its rates spread by no more than this (standard deviation of the worst axis), °/s.
+/// Largest spread of a slow moment's rates (standard deviation of the worst axis), °/s.
 const SLOW_SPREAD_DEGREES_S: f64 = 10.0;
-/// Fewer slow moments say too little, since each is only nearly at rest.
+/// Fewest slow moments: each is only nearly at rest.
 const LEAST_SLOW_POSES: usize = 24;
 
 /// Find the accelerometer's calibration in a recording that shows the sensor from many sides.
 ///
-/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with --raw) or a bursts.csv, plain or
-/// gzipped. Lay the sensor on each of its six sides for two seconds; a dozen poses, edges included, show the cross-axis
-/// terms too.
+/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with --raw) or
+/// a bursts.csv, plain or gzipped. Lay the sensor on each of its six sides for two seconds; a dozen
+/// poses, edges included, show the cross-axis terms too.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb calibrate poses.csv
   aplomb calibrate counts.csv --raw --accel-range 2 --gyro-range 250 --json
   aplomb calibrate --draw-poses poses.png
 
-JSON: rule (rest or slow), poses, offset_m_s2, matrix (what corrects: times reading less offset), cross_axis_fitted, residual_before_g,
-residual_after_g, and held_out: fitted and held_out poses, residual_before_g and residual_after_g of those held out.")]
+JSON: rule (rest or slow), poses, offset_m_s2, matrix (what corrects: times reading less offset),
+cross_axis_fitted, residual_before_g, residual_after_g, and held_out: fitted and held_out poses,
+residual_before_g and residual_after_g of those held out.")]
 pub struct Options {
     /// The recording
     #[arg(required_unless_present = "draw_poses")]
@@ -64,7 +68,7 @@ pub struct Options {
     draw_poses: Option<PathBuf>,
 }
 
-/// Does it.
+/// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(path) = &options.draw_poses {
         let inputs: Vec<&Path> = options.input.iter().map(PathBuf::as_path).collect();
@@ -99,7 +103,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             writeln!(report, "{why}")?;
             writeln!(
                 report,
-                "instead: {} slow moments of {SLOW_S} s with a gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s, of {}",
+                "instead: {} slow moments of {SLOW_S} s with a gyroscope spread of at most \
+                 {SLOW_SPREAD_DEGREES_S} °/s, of {}",
                 slow.poses.len(),
                 slow.windows,
             )?;
@@ -111,15 +116,15 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         }
     };
     if options.json {
-        crate::say(&found.json()?);
+        print_line(&found.json()?);
     } else {
         found.describe(&mut report);
-        crate::say(report.trim_end());
+        print_line(report.trim_end());
     }
     Ok(())
 }
 
-/// Rows as counts.
+/// Recording as register counts.
 struct Recording {
     settings: Settings,
     samples: Vec<Sample>,
@@ -174,7 +179,7 @@ impl Recording {
         ((rate * seconds) as usize).clamp(LEAST_ROWS, usize::from(u16::MAX))
     }
 
-    /// What the device would have taken.
+    /// Returns the rests by the device's rule.
     fn rests(&self) -> Rested {
         let rate_hz = self.samples.len() as f64 / self.duration_s().max(1e-6);
         let sensor = &self.settings.sensor;
@@ -211,7 +216,7 @@ impl Recording {
         rested
     }
 
-    /// Moments that are slow enough for the specific force to be nearly gravity.
+    /// Returns the moments in which the specific force is nearly gravity.
     fn slow_moments(&self) -> SlowMoments {
         let per_degree_s = f64::from(self.settings.sensor.gyroscope_range.counts_per_degree_s());
         let per_g = f64::from(self.settings.sensor.accelerometer_range.counts_per_g());
@@ -261,7 +266,7 @@ fn read_rows(lines: &mut Lines, columns: usize) -> Result<Vec<Row>, Box<dyn Erro
     Ok(rows)
 }
 
-/// The smallest ranges in which a log's values fit.
+/// Returns the smallest ranges that hold a log's values.
 fn finest_config(rows: &[Row]) -> Result<Config, String> {
     let largest = |values: fn(&Row) -> [f64; 3]| {
         rows.iter()
@@ -283,14 +288,17 @@ fn finest_config(rows: &[Row]) -> Result<Config, String> {
         .into_iter()
         .find(|range| fits(degrees_s, range.counts_per_degree_s()))
         .ok_or_else(|| {
-            format!("{degrees_s:.0} °/s is more than any range of the sensor: if the log holds counts, add --raw")
+            format!(
+                "{degrees_s:.0} °/s is more than any range of the sensor: \
+                 if the log holds counts, add --raw"
+            )
         })?;
     Ok(Config::DEFAULT
         .with_accelerometer_range(accelerometer_range)
         .with_gyroscope_range(gyroscope_range))
 }
 
-/// Rows in counts; what does not fit, with its line.
+/// Converts rows to counts. The error has the line of the fault.
 fn to_samples(rows: &[Row], config: &Config, is_raw: bool) -> Result<Vec<Sample>, (usize, String)> {
     let per_m_s2 =
         f64::from(config.accelerometer_range.counts_per_g()) / f64::from(STANDARD_GRAVITY_M_S2);
@@ -342,7 +350,7 @@ fn statistics(counts: impl Iterator<Item = [i16; 3]> + Clone) -> Statistics {
     Statistics { mean, sigma }
 }
 
-/// What the device's rule finds.
+/// Rests by the device's rule.
 struct Rested {
     collector: PoseCollector,
     rests: usize,
@@ -387,7 +395,7 @@ impl Rested {
         }
     }
 
-    /// Why the device's rule finds no calibration here.
+    /// Returns why the device's rule finds no calibration.
     fn refusal(&self, error: &FitError, recording: &Recording) -> String {
         if self.rests == 0 {
             let calmest = recording.slow_moments().calmest_degrees_s;
@@ -396,12 +404,14 @@ impl Rested {
                 format!(" ({reason}, {number} times)")
             });
             return format!(
-                "too restless for the device's rule: it never rests for {REST_S} s; in the calmest {SLOW_S} s the gyroscope spreads by {calmest:.1} °/s{most}"
+                "too restless for the device's rule: it never rests for {REST_S} s; \
+                 in the calmest {SLOW_S} s the gyroscope spreads by {calmest:.1} °/s{most}"
             );
         }
         let moved: usize = self.moved.iter().map(|(_, number)| number).sum();
         format!(
-            "its {} rests of {REST_S} s are not enough: {error} (moved {moved} times, a pose again {} times)",
+            "its {} rests of {REST_S} s are not enough: {error} \
+             (moved {moved} times, a pose again {} times)",
             self.rests, self.repeated
         )
     }
@@ -417,7 +427,8 @@ struct SlowMoments {
 impl SlowMoments {
     fn fit(&self) -> Result<AccelerometerFit, String> {
         let which = format!(
-            "nor do its {} slow moments (gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s for {SLOW_S} s) serve",
+            "nor do its {} slow moments \
+             (gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s for {SLOW_S} s) serve",
             self.poses.len(),
         );
         if self.poses.len() < LEAST_SLOW_POSES {
@@ -427,14 +438,14 @@ impl SlowMoments {
     }
 }
 
-/// What was found.
+/// Calibration that was found.
 struct Found {
     rule: &'static str,
     poses: Vec<Vector3>,
     fit: AccelerometerFit,
 }
 
-/// A fit on every other pose, and what it is worth on the rest.
+/// Fit on every other pose, and its residual on the rest.
 #[derive(serde::Serialize)]
 struct HeldOut {
     fitted: usize,
@@ -447,8 +458,8 @@ struct HeldOut {
 
 impl Found {
     fn held_out(&self) -> Option<HeldOut> {
-        let half = |odd: usize| -> Vec<Vector3> {
-            self.poses.iter().skip(odd).step_by(2).copied().collect()
+        let half = |first: usize| -> Vec<Vector3> {
+            self.poses.iter().skip(first).step_by(2).copied().collect()
         };
         let (fitted, held_out) = (half(0), half(1));
         let fit = accelerometer::fit(&fitted).ok()?;
@@ -477,7 +488,8 @@ impl Found {
         } = correction.matrix;
         *report += &format!("{}\n", self.fit);
         *report += &format!(
-            "offset {:+.1} {:+.1} {:+.1} mg, scale {xx:.4} {yy:.4} {zz:.4}, cross-axis xy {xy:+.4} xz {xz:+.4} yz {yz:+.4}\n",
+            "offset {:+.1} {:+.1} {:+.1} mg, scale {xx:.4} {yy:.4} {zz:.4}, \
+             cross-axis xy {xy:+.4} xz {xz:+.4} yz {yz:+.4}\n",
             offset.x, offset.y, offset.z,
         );
         match self.held_out() {
@@ -488,7 +500,8 @@ impl Found {
                 after_g,
             }) => {
                 *report += &format!(
-                    "held out: fitted on {fitted} poses, residual of the other {held_out}: {:.2} mg before, {:.2} mg after, {:.2} times better\n",
+                    "held out: fitted on {fitted} poses, residual of the other {held_out}: \
+                     {:.2} mg before, {:.2} mg after, {:.2} times better\n",
                     1000.0 * before_g,
                     1000.0 * after_g,
                     before_g / after_g,
@@ -517,7 +530,7 @@ impl Found {
     }
 }
 
-/// What was found, as JSON has it.
+/// Calibration in the form of the JSON.
 #[derive(serde::Serialize)]
 struct Summary {
     rule: &'static str,

@@ -1,5 +1,6 @@
-//! `aplomb completions`: what a shell has to know to complete the program's words.
+//! `aplomb completions`: scripts with which a shell completes the program's words.
 
+use aplomb_recordings::terminal::print_line;
 use clap::CommandFactory;
 use clap_complete::{Shell, generate};
 
@@ -14,9 +15,9 @@ pub struct Options {
     shell: Shell,
 }
 
-/// Prints them.
+/// Prints the script.
 pub fn run<C: CommandFactory>(options: &Options) {
     let mut script = Vec::new();
     generate(options.shell, &mut C::command(), "aplomb", &mut script);
-    crate::say(&String::from_utf8_lossy(&script));
+    print_line(&String::from_utf8_lossy(&script));
 }

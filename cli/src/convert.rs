@@ -5,38 +5,43 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use aplomb::calibration::Mount;
-use aplomb::health::Flags;
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
+use aplomb_recordings::flight_log::{self, Recorder};
+use aplomb_recordings::form::Form;
 use aplomb_recordings::log::{LogFault, Row, parse_row};
+use aplomb_recordings::number;
+use aplomb_recordings::output::OutputFile;
+use aplomb_recordings::terminal::print_line;
 
-use crate::flight_log::{self, Recorder};
-use crate::input::Form;
-use crate::output::OutputFile;
-use crate::{number, progress, replay};
+use crate::progress;
 
 /// Convert a recording into another form.
 ///
-/// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI units, plain or gzipped.
-/// OUTPUT's name says what it becomes: *.log a flight log, *bursts.csv bursts, any other *.csv a log in SI units and the sensor's
-/// axes, as `replay` reads it. A log in SI units becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out. Bursts and
-/// CSV logs have no place for a flight log's mount and calibration, and bursts none for its ranges: what to replay them with is said.
+/// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI
+/// units, plain or gzipped. OUTPUT's name decides on its form: *.log a flight log, *bursts.csv
+/// bursts, any other *.csv a log in SI units and the sensor's axes, as `replay` reads it. A log in
+/// SI units becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out.
+/// Bursts and CSV logs have no place for a flight log's mount and calibration, and bursts none for
+/// its ranges: the output names the options to replay them with.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb convert flight.log flight-bursts.csv
   aplomb convert recording.csv.gz recording.log
 
-JSON: input, output, bursts, bursts_lost, damaged_pieces, clipped_values (of a log in SI units, beyond the ranges).")]
+JSON: input, output, bursts, bursts_lost, damaged_pieces,
+clipped_values (of a log in SI units, beyond the ranges).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
     /// The file to write
     output: PathBuf,
-    /// What a flight log that is made of bursts or of CSV says about the mount [default: z-up]
-    #[arg(long, allow_hyphen_values = true, value_parser = replay::parse_mount)]
+    /// Mount of a flight log that is made of bursts or of CSV [default: z-up]
+    #[arg(long, allow_hyphen_values = true)]
     mount: Option<Mount>,
     /// Which flight of a flight log in which the module started several times, counted from 1
     #[arg(long, value_name = "N")]
@@ -46,7 +51,7 @@ pub struct Options {
     json: bool,
 }
 
-/// What recordings are converted from and into.
+/// Kind of a recording.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     FlightLog,
@@ -55,7 +60,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// What a file of this name is to be.
+    /// Returns the kind by the name of the output.
     fn of_name(path: &Path) -> Option<Self> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if name.ends_with(".log") {
@@ -69,7 +74,7 @@ impl Kind {
         }
     }
 
-    /// What it is called.
+    /// Returns the name.
     fn name(self) -> &'static str {
         match self {
             Self::FlightLog => "a flight log",
@@ -78,7 +83,7 @@ impl Kind {
         }
     }
 
-    /// Refuses what would only lose: from a form into itself, and options that mean nothing.
+    /// Refuses a conversion into the present kind, and options that mean nothing.
     fn check(self, options: &Options, into: Self) -> Result<(), String> {
         let input = options.input.display();
         if self == into {
@@ -100,10 +105,10 @@ impl Kind {
     }
 }
 
-/// A burst, and what the board said of it.
-type FlaggedBurst = (Burst, Flags);
+/// Burst with the conditions that the board reported.
+type FlaggedBurst = (Burst, BoardFlags);
 
-/// Does it.
+/// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let output = &options.output;
     let into = Kind::of_name(output).ok_or_else(|| {
@@ -135,41 +140,39 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         clipped_values: found.clipped_values,
     };
     if options.json {
-        crate::say(&serde_json::to_string(&summary)?);
+        print_line(&serde_json::to_string(&summary)?);
         return Ok(());
     }
     if found.bursts_lost + found.damaged_pieces > 0 {
-        crate::say(&format!(
+        print_line(&format!(
             "{}: {} bursts are missing, {} damaged pieces skipped",
             summary.input, found.bursts_lost, found.damaged_pieces
         ));
     }
     if found.clipped_values > 0 {
-        crate::say(&format!(
+        print_line(&format!(
             "{}: {} values are beyond 16 g or 2000 degrees per second and were clipped",
             summary.input, found.clipped_values
         ));
     }
-    crate::say(&format!("{}: {} bursts", summary.output, summary.bursts));
+    print_line(&format!("{}: {} bursts", summary.output, summary.bursts));
     if let Some(mount) = found.mount {
         let mut replay_with = format!("--mount {}", mount.name());
         if into == Kind::Bursts {
-            // AFS_SEL and FS_SEL double the ranges (register map §4.4, §4.5).
             let sensor = &found.config;
             replay_with += &format!(
                 " --accel-range {} --gyro-range {}",
-                2 << sensor.accelerometer_range.bits(),
-                250 << sensor.gyroscope_range.bits()
+                sensor.accelerometer_range, sensor.gyroscope_range
             );
         }
-        crate::say(&format!(
+        print_line(&format!(
             "replay it with {replay_with}; the flight's calibration is not in it"
         ));
     }
     Ok(())
 }
 
-/// What is printed in the end; the names are those of the JSON.
+/// Summary of a conversion. The names are those of the JSON.
 #[derive(serde::Serialize)]
 struct Summary {
     input: String,
@@ -180,10 +183,10 @@ struct Summary {
     clipped_values: usize,
 }
 
-/// What is in a recording.
+/// Contents of a recording.
 struct Found {
     config: Config,
-    /// How the sensor was mounted, if it says so.
+    /// Mount of the sensor, if it is known.
     mount: Option<Mount>,
     part: &'static Part,
     bursts: Vec<FlaggedBurst>,
@@ -194,7 +197,7 @@ struct Found {
 
 fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
     let path = &options.input;
-    if flight_log::is_one(path) {
+    if flight_log::is_flight_log(path) {
         Kind::FlightLog.check(options, into)?;
         let log = flight_log::read(path)?;
         let at = |reason: String| format!("{}: {reason}", path.display());
@@ -239,7 +242,7 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
                             .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
                         missed_before: 0,
                     };
-                    Ok((burst, Flags::NONE))
+                    Ok((burst, BoardFlags::empty()))
                 }
             },
         };
@@ -256,7 +259,7 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
     })
 }
 
-/// What the default full scales make of SI units, and how many values are beyond them.
+/// Converts a row to counts at the default full scales. Returns the number of clipped values too.
 fn counts_of(row: &Row) -> Result<(RawSample, usize), LogFault> {
     let names = ["ax", "ay", "az", "gx", "gy", "gz"];
     let values = row.specific_force_m_s2.into_iter().chain(row.rates_rad_s);

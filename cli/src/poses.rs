@@ -1,6 +1,8 @@
-//! The picture of the poses in which an accelerometer is calibrated: a breakout board on a table, on each of its six sides.
+//! Picture of the poses of the accelerometer calibration: a breakout board on a table, on each of
+//! its six sides.
 //!
-//! A parallel projection, seen from the front, the right and above. The board's axes are those printed on it.
+//! A parallel projection, seen from the front, the right and above. The board's axes are those
+//! printed on it.
 
 use aplomb_plot::picture::{Align, At, Color, Font, Picture};
 
@@ -9,11 +11,11 @@ const MARGIN: f32 = 20.0;
 const TITLE: f32 = 44.0;
 /// Pixels per unit of length.
 const SCALE: f64 = 52.0;
-/// Half the board: along x, y and z.
+/// Half the size of the board along x, y and z.
 const HALF: Vector = [1.15, 0.8, 0.1];
-/// The chip on it, half its side, and where its mark for pin 1 is.
+/// Half the side of the chip.
 const HALF_CHIP: f64 = 0.28;
-/// Whence it is seen, in radians: to the right of the front, and above the table.
+/// Direction of view, rad: to the right of the front, and above the table.
 const AZIMUTH: f64 = 0.45;
 const ELEVATION: f64 = 0.5;
 
@@ -28,7 +30,8 @@ const AXES: [Color; 3] = [Color(200, 40, 40), Color(20, 140, 60), Color(235, 140
 
 type Vector = [f64; 3];
 
-/// A pose: its name, what that means, and where the board's x, y and z point; the world is right, away, up.
+/// Pose: its name, an explanation, and the directions of the board's x, y and z in a world of
+/// right, away, up.
 struct Pose {
     name: &'static str,
     hint: &'static str,
@@ -42,7 +45,7 @@ const TOWARDS: Vector = [0.0, -1.0, 0.0];
 const UP: Vector = [0.0, 0.0, 1.0];
 const DOWN: Vector = [0.0, 0.0, -1.0];
 
-/// In the order in which the firmware asks for them.
+/// Poses in the order in which the firmware asks for them.
 const POSES: [Pose; 6] = [
     pose("z up", "flat, chip up", [RIGHT, AWAY, UP]),
     pose("z down", "flat, chip down", [RIGHT, TOWARDS, DOWN]),
@@ -56,7 +59,7 @@ const fn pose(name: &'static str, hint: &'static str, axes: [Vector; 3]) -> Pose
     Pose { name, hint, axes }
 }
 
-/// The picture.
+/// Draws the picture.
 pub fn draw() -> Picture {
     let (width, height) = (3.0 * CELL + 2.0 * MARGIN, 2.0 * CELL + TITLE + MARGIN);
     let mut picture = Picture::new(width as u32, height as u32);
@@ -80,7 +83,7 @@ fn draw_pose(picture: &mut Picture, number: usize, pose: &Pose, corner: At) {
     let corners = [(-1.5, -1.1), (1.5, -1.1), (1.5, 1.1), (-1.5, 1.1)];
     let table = corners.map(|(x, y)| flat([x, y, 0.0], centre));
     picture.area(table.to_vec(), TABLE);
-    // What points away from the viewer is behind the board.
+    // Arrows that point away from the viewer are behind the board.
     let is_in_front = |axis: usize| dot(pose.axes[axis], viewer()) > 0.0;
     for axis in (0..3).filter(|axis| !is_in_front(*axis)) {
         arrow(picture, axis, &at);
@@ -115,7 +118,8 @@ fn draw_pose(picture: &mut Picture, number: usize, pose: &Pose, corner: At) {
     picture.text(pose.hint, (x, y + 17.0), Font::Small, TEXT, Align::Center);
 }
 
-/// The corners of a rectangle across an axis at this distance, so large along the two axes that follow it.
+/// Returns the corners of a rectangle across an axis at this distance, by its half sizes along the
+/// next two axes.
 fn face(axis: usize, distance: f64, [first, second]: [f64; 2]) -> [Vector; 4] {
     [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(a, b)| {
         let mut corner = [0.0; 3];
@@ -126,7 +130,7 @@ fn face(axis: usize, distance: f64, [first, second]: [f64; 2]) -> [Vector; 4] {
     })
 }
 
-/// An arrow along an axis of the board, from its surface.
+/// Draws an arrow along an axis of the board, from its surface.
 fn arrow(picture: &mut Picture, axis: usize, at: &impl Fn(Vector) -> At) {
     let along = |length: f64| {
         let mut point = [0.0; 3];
@@ -153,7 +157,7 @@ fn arrow(picture: &mut Picture, axis: usize, at: &impl Fn(Vector) -> At) {
     );
 }
 
-/// Where a point of the board is on the picture.
+/// Projects a point of the board.
 fn project(pose: &Pose, board: Vector, height: f64, centre: At) -> At {
     let mut world =
         [0, 1, 2].map(|row| (0..3).map(|axis| pose.axes[axis][row] * board[axis]).sum());
@@ -161,7 +165,7 @@ fn project(pose: &Pose, board: Vector, height: f64, centre: At) -> At {
     flat(world, centre)
 }
 
-/// Where a point of the world is on a picture with this centre.
+/// Projects a point of the world onto a picture with this centre.
 fn flat(world: Vector, centre: At) -> At {
     let right = [AZIMUTH.cos(), AZIMUTH.sin(), 0.0];
     let [vx, vy, vz] = viewer();
@@ -174,7 +178,7 @@ fn flat(world: Vector, centre: At) -> At {
     (centre.0 + pixels(right), centre.1 - pixels(up))
 }
 
-/// The direction from the scene to the viewer.
+/// Returns the direction from the scene to the viewer.
 fn viewer() -> Vector {
     [
         AZIMUTH.sin() * ELEVATION.cos(),
@@ -197,7 +201,7 @@ mod tests {
     fn the_picture_shows_what_the_firmware_asks_for() {
         for (pose, asked) in POSES.iter().zip(Asked::GUIDE) {
             assert_eq!(pose.name, asked.to_string());
-            // What points up in the picture is what the guide has up.
+            // The picture and the guide agree on the axis that points up.
             let up = asked.up();
             let height: f64 = [up.x, up.y, up.z]
                 .into_iter()
@@ -205,7 +209,7 @@ mod tests {
                 .map(|(part, axis)| f64::from(part) * axis[2])
                 .sum();
             assert_eq!(height, 1.0, "{}", pose.name);
-            // And the axes are right-handed.
+            // The axes are right-handed.
             let [[xx, xy, xz], [yx, yy, yz], z] = pose.axes;
             let cross = [xy * yz - xz * yy, xz * yx - xx * yz, xx * yy - xy * yx];
             assert_eq!(cross, z, "{}", pose.name);

@@ -1,4 +1,4 @@
-//! A bar that shows how much of a long file has been read.
+//! Progress bars.
 
 use std::path::Path;
 
@@ -6,10 +6,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use aplomb_recordings::log::{Lines, LogError};
 
-/// Files from this size on take seconds.
+/// Size from which on reading takes seconds.
 const LONG_BYTES: u64 = 16 * 1024 * 1024;
 
-/// Opens a file whose reading shows on a bar, if it is long and someone watches; `-` is standard input.
+/// Opens a file, with a progress bar if it is long; `-` is standard input.
 pub fn lines(path: &Path) -> Result<Lines, LogError> {
     if path == Path::new("-") {
         return Lines::read_from(Path::new("standard input"), std::io::stdin());
@@ -22,4 +22,12 @@ pub fn lines(path: &Path) -> Result<Lines, LogError> {
         ProgressBar::new(length).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
     };
     Lines::open(path, |file| bar.wrap_read(file))
+}
+
+/// Creates a bar of this many steps.
+pub fn bar(name: &'static str, length: u64) -> ProgressBar {
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}");
+    ProgressBar::new(length)
+        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+        .with_message(name)
 }

@@ -1,4 +1,4 @@
-//! `aplomb record`: what a module sends, byte for byte, in a file.
+//! `aplomb record`: the bytes of a module in a file.
 
 use std::error::Error;
 use std::fs::{File, OpenOptions};
@@ -7,34 +7,37 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::output::cannot_write;
+use aplomb_recordings::output::cannot_write;
+
 use crate::view::{BAUD, Decoder, Item, LOG_BAUD, Link, Report, end_request, which_port};
 
-/// How long the module may take to answer a command.
+/// Longest time until the module answers a command.
 const ANSWER: Duration = Duration::from_secs(2);
 
-/// A module that still sends its flight log is heard within this time: it sends 1000 bursts a second.
+/// Time to detect a module that still sends its flight log: it sends 1000 bursts a second.
 const LISTEN: Duration = Duration::from_secs(1);
 
-/// If bytes come for so long of which nothing can be read, the module has started again at its own rate.
+/// Time with unreadable bytes that shows that the module has started again at its own baud rate.
 const LOG_PATIENCE: Duration = Duration::from_secs(3);
 
-/// Fewer bytes than these may be noise.
+/// Unreadable bytes that are more than noise.
 const UNREAD: usize = 100;
 
-/// What is still on its way when the recording ends is waited for so long.
+/// Longest wait for bytes that are still on their way when the recording ends.
 const DRAIN: Duration = Duration::from_secs(2);
 
 /// Record what the module sends, byte for byte.
 ///
-/// Every byte is in the file as soon as it has come, so that Ctrl-C loses nothing. A port that is unplugged is waited for,
-/// and what comes then is appended; with `--log` the log is asked for again if need be. The bytes can be played by `aplomb view`; a flight log also by `aplomb replay`.
+/// Every byte is in the file as soon as it has come, so that Ctrl-C loses nothing. A port that is
+/// unplugged is waited for, and later bytes are appended; with `--log` the log is requested again
+/// if need be. The bytes can be played by `aplomb view`; a flight log also by `aplomb replay`.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb record --port /dev/ttyUSB0 --output flight.log --log
   aplomb record --port /dev/ttyUSB0 --output text.uart --seconds 60
 
-Exit code: 0 if attitudes or bursts were recorded, 1 if not, or if the log did not go on after the port had been gone.")]
+Exit code: 0 if attitudes or bursts were recorded, 1 if not, or if the log did not go on after the
+port had been gone.")]
 pub struct Options {
     /// The module's serial port; without one the ports of this computer are listed
     #[arg(long)]
@@ -48,7 +51,8 @@ pub struct Options {
     /// End after so many seconds. Default: with Ctrl-C
     #[arg(long, allow_negative_numbers = true, value_parser = parse_seconds)]
     seconds: Option<f64>,
-    /// Have the module send its flight log at 921,600 baud, and what it sent before when the recording ends
+    /// Have the module send its flight log at 921,600 baud, and what it sent before when the
+    /// recording ends
     #[arg(long)]
     log: bool,
     /// Replace the file if it is there
@@ -63,12 +67,12 @@ fn parse_seconds(text: &str) -> Result<f64, &'static str> {
         .ok_or("it has to be a number above 0")
 }
 
-/// Does it.
+/// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let Some(port) = &options.port else {
         return Err(which_port().into());
     };
-    // Whoever has two files of one name does not want to learn it after the flight.
+    // A name that is in use is refused before the flight, not after it.
     let was_there = options.output.exists();
     if was_there && !options.force {
         return Err(exists(&options.output).into());
@@ -77,7 +81,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let link = Link::port(port, options.baud)?;
     let mut recorder = Recorder {
         options,
-        // Before the module is told anything: what fails changes nothing.
+        // Opened before any command, so that a failure does not change the module.
         file: open(&options.output, options.force)?,
         link,
         decoder: Decoder::default(),
@@ -113,7 +117,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if counts.readings + counts.bursts == 0 {
         let output = options.output.display();
         return Err(format!(
-            "nothing of it could be read at {baud} baud: was that the rate? The bytes are in {output}"
+            "nothing of it could be read at {baud} baud: was that the rate? \
+             The bytes are in {output}"
         )
         .into());
     }
@@ -127,7 +132,7 @@ fn exists(path: &Path) -> String {
     )
 }
 
-/// Opens the file to write. What is in it stays until something else comes.
+/// Opens the file to write. Its contents stay until the first byte comes.
 fn open(path: &Path, may_replace: bool) -> Result<File, String> {
     let mut options = OpenOptions::new();
     options.write(true);
@@ -142,42 +147,42 @@ fn open(path: &Path, may_replace: bool) -> Result<File, String> {
     })
 }
 
-/// How far the module is with its flight log.
+/// Stage of the request for a flight log.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stage {
-    /// It has been asked what it sends.
+    /// The module was asked for its format.
     Asked,
-    /// Its rate is being changed.
+    /// The baud rate is being changed.
     Switching,
-    /// It has been told to send the log.
-    Told,
-    /// The log comes.
+    /// The module was told to send the log.
+    Commanded,
+    /// The module sends the log.
     Runs,
-    /// The port was gone, or the module has started again: perhaps the log still comes.
+    /// The port was gone, or the module has started again: the module may still send the log.
     Listening,
 }
 
-/// A flight log that was asked for.
+/// Requested flight log.
 struct Log {
     stage: Stage,
     since: Instant,
-    /// What is said before the recording begins, or between its parts.
+    /// Decoder of the answers before the recording begins, or between its parts.
     talk: Decoder,
-    /// What has come while listening.
+    /// Bytes received while listening.
     held: Vec<u8>,
-    /// What the module sent before.
+    /// Format before the request.
     format: Option<String>,
-    /// Whether the module has been told to send something else, or at another rate.
+    /// The module's format or baud rate may have changed.
     is_changed: bool,
     has_run: bool,
-    /// Why the log does not go on.
+    /// Reason why the log does not continue.
     trouble: Option<String>,
-    /// When something came last that could be read, and how many bytes that could not have come since.
+    /// Time of the last readable piece, and number of bytes since.
     heard: Instant,
     unread: usize,
 }
 
-/// What is written, and what it is.
+/// Recorder of a module.
 struct Recorder<'a> {
     options: &'a Options,
     file: File,
@@ -194,7 +199,7 @@ impl Recorder<'_> {
     fn run(&mut self, ends: &AtomicBool) -> Result<(), String> {
         let is_terminal = io::stderr().is_terminal();
         let period = Duration::from_millis(if is_terminal { 200 } else { 10_000 });
-        let mut told = Instant::now();
+        let mut reported = Instant::now();
         let is_over = |started: Instant| {
             let seconds = self.options.seconds;
             ends.load(Ordering::Relaxed)
@@ -202,12 +207,12 @@ impl Recorder<'_> {
         };
         while !is_over(self.started) {
             if let Some(report) = self.link.next(Duration::from_millis(50)) {
-                self.hear(report)?;
+                self.on_report(report)?;
             }
             self.pass_time()?;
             let is_running = self.log.as_ref().is_none_or(|log| log.stage == Stage::Runs);
-            if told.elapsed() >= period && !self.is_away && is_running {
-                told = Instant::now();
+            if reported.elapsed() >= period && !self.is_away && is_running {
+                reported = Instant::now();
                 if is_terminal {
                     eprint!("\r\x1b[K{}", self.summary());
                     io::stderr().flush().ok();
@@ -219,12 +224,12 @@ impl Recorder<'_> {
         if is_terminal {
             eprint!("\r\x1b[K");
         }
-        // What has come until now is a part of it.
+        // Bytes until now belong to the recording.
         let ended = Instant::now();
         while ended.elapsed() < DRAIN
             && let Some(report) = self.link.next(Duration::ZERO)
         {
-            self.hear(report)?;
+            self.on_report(report)?;
         }
         let data = self.file.metadata();
         if data.is_ok_and(|data| data.is_file()) {
@@ -242,7 +247,7 @@ impl Recorder<'_> {
         }
     }
 
-    fn hear(&mut self, report: Report) -> Result<(), String> {
+    fn on_report(&mut self, report: Report) -> Result<(), String> {
         match report {
             Report::Bytes(bytes) => return self.take(bytes),
             Report::Away(reason) => {
@@ -261,13 +266,13 @@ impl Recorder<'_> {
                 self.listen();
             }
             Report::Ended(reason) => return Err(reason),
-            Report::Switched(Ok(_)) => self.tell_log(),
+            Report::Switched(Ok(_)) => self.command_log(),
             Report::Switched(Err(reason)) => return self.fail(reason),
         }
         Ok(())
     }
 
-    /// Takes in what has come: into the file, unless it is talk.
+    /// Takes received bytes: into the file, unless they are answers.
     fn take(&mut self, bytes: Vec<u8>) -> Result<(), String> {
         let Some(log) = &mut self.log else {
             return self.keep(&bytes);
@@ -286,7 +291,7 @@ impl Recorder<'_> {
             }
             _ => {}
         }
-        // One at a time: what follows the last answer belongs to the log.
+        // One byte at a time: those after the last answer belong to the log.
         for (index, byte) in bytes.iter().enumerate() {
             let Some(log) = &mut self.log else {
                 return Ok(());
@@ -304,7 +309,7 @@ impl Recorder<'_> {
         Ok(())
     }
 
-    /// Goes on as the module answers; whether the log has begun.
+    /// Takes an answer of the module, and returns whether the log has begun.
     fn answer(&mut self, text: &str) -> Result<bool, String> {
         let Some(log) = &mut self.log else {
             return Ok(false);
@@ -317,17 +322,17 @@ impl Recorder<'_> {
                     .get_or_insert_with(|| format.unwrap_or("text").to_owned());
                 log.is_changed = true;
                 if self.options.baud == LOG_BAUD {
-                    self.tell_log();
+                    self.command_log();
                 } else {
                     self.enter(Stage::Switching);
                     self.link.switch_baud(LOG_BAUD);
                 }
             }
-            (Stage::Told, Some(answer)) if answer.starts_with("log") => {
+            (Stage::Commanded, Some(answer)) if answer.starts_with("log") => {
                 self.begin();
                 return Ok(true);
             }
-            (Stage::Told, None) if text.starts_with("error") => self.fail(text.to_owned())?,
+            (Stage::Commanded, None) if text.starts_with("error") => self.fail(text.to_owned())?,
             _ => {}
         }
         Ok(false)
@@ -340,7 +345,7 @@ impl Recorder<'_> {
         }
     }
 
-    /// Asks the module what it sends, at its own rate.
+    /// Asks the module for its format, at its own baud rate.
     fn ask_for_log(&mut self) {
         let now = Instant::now();
         let log = self.log.get_or_insert_with(|| Log {
@@ -361,12 +366,12 @@ impl Recorder<'_> {
         self.link.say("show");
     }
 
-    fn tell_log(&mut self) {
-        self.enter(Stage::Told);
+    fn command_log(&mut self) {
+        self.enter(Stage::Commanded);
         self.link.say("format log");
     }
 
-    /// The log comes, or comes again.
+    /// Begins the log, or continues it.
     fn begin(&mut self) {
         self.enter(Stage::Runs);
         if let Some(log) = &mut self.log {
@@ -380,7 +385,7 @@ impl Recorder<'_> {
         }
     }
 
-    /// Listens whether the log comes: without a loss of power the module still sends it.
+    /// Listens for the log: without a loss of power the module still sends it.
     fn listen(&mut self) {
         if let Some(log) = &mut self.log {
             log.talk = Decoder::default();
@@ -390,7 +395,7 @@ impl Recorder<'_> {
         }
     }
 
-    /// The log cannot be had: a reason to give up at first, and to try again later.
+    /// Handles a failed request: gives up before the log has begun, and tries again later.
     fn fail(&mut self, reason: String) -> Result<(), String> {
         match &mut self.log {
             Some(log) if log.has_run => {
@@ -405,7 +410,7 @@ impl Recorder<'_> {
         }
     }
 
-    /// Goes on if what was waited for has not come.
+    /// Continues after a timeout.
     fn pass_time(&mut self) -> Result<(), String> {
         let baud = self.options.baud;
         let Some(log) = self.log.as_ref().filter(|_| !self.is_away) else {
@@ -416,9 +421,10 @@ impl Recorder<'_> {
             Stage::Asked if elapsed >= ANSWER => self.fail(format!(
                 "the module does not answer at {baud} baud: is it aplomb, and is that its rate?"
             )),
-            // The module goes back by itself, if it has understood nothing at the new rate.
-            Stage::Told if elapsed >= ANSWER => self.fail(format!(
-                "the module did not confirm `format log` at {LOG_BAUD} baud: does the adapter carry that?"
+            // The module restores its rate if it understands nothing at the new one.
+            Stage::Commanded if elapsed >= ANSWER => self.fail(format!(
+                "the module did not confirm `format log` at {LOG_BAUD} baud: \
+                 does the adapter carry that?"
             )),
             Stage::Listening if elapsed >= LISTEN => {
                 self.ask_for_log();
@@ -434,7 +440,7 @@ impl Recorder<'_> {
         }
     }
 
-    /// Brings the module back to what it sent before.
+    /// Restores the module's format and baud rate.
     fn leave(&self) -> Result<(), String> {
         match &self.log {
             Some(Log {
@@ -446,7 +452,7 @@ impl Recorder<'_> {
         }
     }
 
-    /// Writes it. Without a buffer of our own: what is written survives this program.
+    /// Writes bytes without a buffer, so that they survive this program.
     fn keep(&mut self, bytes: &[u8]) -> Result<(), String> {
         if bytes.is_empty() {
             return Ok(());
@@ -477,7 +483,7 @@ impl Recorder<'_> {
         Ok(())
     }
 
-    /// What has come.
+    /// Returns the counts as a line.
     fn summary(&self) -> String {
         use std::fmt::Write as _;
         let counts = self.decoder.counts();

@@ -1,65 +1,55 @@
 //! `aplomb replay`: a recording through the library, one attitude for each row.
 //!
-//! Rows of a log go through the pipeline as they are, in SI units; bursts from their bytes on, as they do on a board, and
-//! give the same attitudes to the last bit. So both have the flags that samples tell,
-//! `VALID` among them; what the bus, the registers and the chip's own clock did is in bursts alone, as far as the board noted it.
+//! The pipeline takes the rows of a log as samples in SI units. It takes bursts as bytes, as on a
+//! board, and gives the same attitudes to the last bit. Both have the flags that depend on samples,
+//! `VALID` included. Flags of the bus, the registers and the chip's clock come with bursts alone,
+//! as far as the board noted them.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
+use aplomb::attitude::{EulerAngles, Vector3};
 use aplomb::calibration::Mount;
-use aplomb::estimator::kalman::Kalman;
-use aplomb::estimator::{FilterKind, REVISION, Sample};
+use aplomb::estimator::REVISION;
 use aplomb::health::Flags;
-use aplomb::mpu6050::{
-    AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange, Part,
-};
-use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
-use aplomb_models::motion::geometry::Quaternion as Truth;
-use aplomb_recordings::log::{Lines, Row, parse_row};
+use aplomb_recordings::attitude::up_in_body;
+use aplomb_recordings::flight_log::{self, Flight};
+use aplomb_recordings::number;
+use aplomb_recordings::output::OutputFile;
+use aplomb_recordings::score::{Errors, Score, up_in_sensor};
+use aplomb_recordings::terminal::print_line;
 
-use crate::counts::counts;
-use crate::filter::{Choice, Filter, up_in_body};
-use crate::flight_log::{self, Flight};
-use crate::input::{Counts, Form};
-use crate::number;
-use crate::output::OutputFile;
+use crate::device::FilterName;
 use crate::progress;
-use crate::score::{Errors, START_US, Score, up_in_sensor};
+use crate::reading::Reading;
+use crate::source::{Point, Source};
 
-/// The first line of the output.
-pub const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,roll_rate_dps,pitch_rate_dps,yaw_rate_dps,up_x,up_y,up_z,tilt_sigma_deg,flags";
-
-/// One second: no low-pass filter or bus is so slow, and no turn goes on for so long.
-const LONGEST_DELAY_US: i64 = 1_000_000;
-
-/// A first guess for filters that want one; each row then brings its own step.
-const USUAL_STEP_S: f32 = 0.001;
-
-/// So many rows of a log tell how far apart they are.
-const ROWS_AHEAD: usize = 101;
+/// First line of the output.
+const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
+    roll_rate_dps,pitch_rate_dps,yaw_rate_dps,up_x,up_y,up_z,tilt_sigma_deg,flags";
 
 /// Run a recording through a filter: one attitude for each row.
 ///
-/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]; microseconds, m/s², rad/s; truth sensor to earth with z
-/// up), a bursts.csv (t_us,bytes,flags) or a flight log (what the module sends with `format log`), plain or gzipped; - is standard
-/// input, for all but flight logs. A flight log brings its own settings, and its attitudes are compared with those of the flight: of the options for reading it takes
-/// --filter and --flight alone. With truth in it, the inclination error is printed, over the
-/// rows with mov 1 after 5 s.
+/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]; microseconds, m/s², rad/s; truth
+/// sensor to earth with z up), a bursts.csv (t_us,bytes,flags) or a flight log (what the module
+/// sends with `format log`), plain or gzipped; - is standard input, for all but flight logs. A
+/// flight log brings its own settings, and its attitudes are compared with those of the flight: of
+/// the options for reading it takes --filter and --flight alone. With truth in it, the inclination
+/// error is printed, over the rows with mov 1 after 5 s.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb replay recording.csv.gz --output attitude.csv
   aplomb replay flight.log --json
   aplomb replay counts.csv --raw --accel-range 8 --gyro-range 250 --mount z-down
 
-JSON: input, filter, mount, samples, seconds, flags (how many samples have each); with truth inclination_samples, inclination_rms_deg,
-inclination_p95_deg, inclination_max_deg, within_3_sigma (a share), median_error_per_sigma; of a flight log also log with bursts_lost,
-damaged_pieces, damaged_bytes, cut_off (a gzip file that ends too early), exact, compared, different, revision_flown.")]
+JSON: input, filter, mount, samples, seconds, flags (how many samples have each); with truth
+inclination_samples, inclination_rms_deg, inclination_p95_deg, inclination_max_deg,
+within_3_sigma (a share), median_error_per_sigma; of a flight log also log with bursts_lost,
+damaged_pieces, damaged_bytes, cut_off (a gzip file that ends too early), exact, compared,
+different, revision_flown.")]
 pub struct Options {
     #[command(flatten)]
     reading: Reading,
@@ -71,147 +61,19 @@ pub struct Options {
     json: bool,
 }
 
-/// How a recording is read.
-#[derive(clap::Args)]
-pub struct Reading {
-    /// The recording
-    pub input: PathBuf,
-    /// Which filter: kalman, axis-kalman, classic, mahony [default: kalman, or the one that flew]
-    #[arg(long, value_name = "NAME", value_parser = Choice::parse)]
-    filter: Option<Choice>,
-    /// Where the body's forward and down axes point in sensor axes, for example +x-z [default: z-up]
-    #[arg(long, allow_hyphen_values = true, value_parser = parse_mount)]
-    mount: Option<Mount>,
-    /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0 unless told
-    /// otherwise; bursts: the delay of the sensor's low-pass filter)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US))]
-    sensor_delay_us: Option<u32>,
-    /// Which flight of a flight log in which the module started several times, counted from 1
-    #[arg(long, value_name = "N")]
-    pub flight: Option<usize>,
-    #[command(flatten)]
-    counts: Counts,
-}
-
-/// What is read, as far as options go.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// A log or bursts.
-    Recording,
-    FlightLog,
-    /// Attitudes, with which a truth in the sensor's axes is compared, or nothing is.
-    Attitudes {
-        has_truth: bool,
-    },
-}
-
-impl Kind {
-    /// The options that mean something for it.
-    fn takes(self) -> &'static [&'static str] {
-        match self {
-            Self::Recording => &[
-                "--filter",
-                "--mount",
-                "--sensor-delay-us",
-                "--raw",
-                "--accel-range",
-                "--gyro-range",
-            ],
-            Self::FlightLog => &["--filter", "--flight"],
-            Self::Attitudes { has_truth: true } => &["--mount"],
-            Self::Attitudes { has_truth: false } => &[],
-        }
-    }
-
-    /// Why it takes no others.
-    fn reason(self) -> &'static str {
-        match self {
-            Self::Recording => "it holds one flight",
-            Self::FlightLog => "a flight log brings its mount, its ranges and its delay",
-            Self::Attitudes { .. } => "these are attitudes, which a filter has made already",
-        }
-    }
-}
-
-/// Does it.
+/// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let reading = &options.reading;
-    if flight_log::is_one(&reading.input) {
+    if flight_log::is_flight_log(&reading.input) {
         return run_flight_log(options);
     }
     let lines = progress::lines(&reading.input)?;
     let mut source = reading.open(lines)?;
     let summary = replay(options, reading.mount(), reading.filter(), &mut *source)?;
-    summary.say(options.json)
+    summary.print(options.json)
 }
 
-impl Reading {
-    /// Refuses options that mean nothing for what is read.
-    pub fn check(&self, kind: Kind) -> Result<(), String> {
-        let own = [
-            ("--filter", self.filter.is_some()),
-            ("--mount", self.mount.is_some()),
-            ("--sensor-delay-us", self.sensor_delay_us.is_some()),
-            ("--flight", self.flight.is_some()),
-        ];
-        let given = own.into_iter().chain(self.counts.given());
-        let unused = given.filter(|(name, is_given)| *is_given && !kind.takes().contains(name));
-        let unused: Vec<&str> = unused.map(|(name, _)| name).collect();
-        if unused.is_empty() {
-            return Ok(());
-        }
-        Err(format!(
-            "{}: {} would change nothing: {}",
-            self.input.display(),
-            unused.join(" "),
-            kind.reason()
-        ))
-    }
-
-    /// A log or bursts, whose header is the next of the lines.
-    pub fn open(&self, mut lines: Lines) -> Result<Box<dyn Source>, Box<dyn Error>> {
-        self.check(Kind::Recording)?;
-        let form = Form::read(&mut lines)?;
-        self.counts.check(form)?;
-        Ok(match form {
-            Form::Bursts => Box::new(Bursts::new(self, lines)),
-            Form::Log(columns) => Box::new(Log::new(self, lines, columns)?),
-        })
-    }
-
-    /// The mount that is told of, or the usual one.
-    pub fn mount(&self) -> Mount {
-        self.mount.unwrap_or(Mount::Z_UP)
-    }
-
-    fn filter(&self) -> Choice {
-        self.filter
-            .unwrap_or(Choice::Library(FilterKind::default()))
-    }
-
-    /// A flight of a flight log.
-    pub fn open_flight<'a>(&self, flight: &'a Flight) -> Result<Logged<'a>, String> {
-        self.check(Kind::FlightLog)?;
-        let place = self.input.display();
-        let kind = match self.filter {
-            Some(Choice::Library(kind)) => Some(kind),
-            None => None,
-            Some(_) => {
-                return Err(format!(
-                    "{place}: a flight log is replayed with a filter of the library"
-                ));
-            }
-        };
-        let replay = flight_log::Replay::new(flight, |settings| {
-            settings.filter = kind.unwrap_or(settings.filter);
-        });
-        replay
-            .map(|replay| Logged { replay })
-            .map_err(|reason| format!("{place}: {reason}"))
-    }
-}
-
-/// What is printed in the end; the names are those of the JSON.
+/// Summary of a replay. The names are those of the JSON.
 #[derive(serde::Serialize)]
 struct Summary {
     input: String,
@@ -226,7 +88,7 @@ struct Summary {
     log: Option<LogSummary>,
 }
 
-/// How far the replay of a flight log is the flight.
+/// Summary of a flight log, and its agreement with the flight.
 #[derive(serde::Serialize)]
 struct LogSummary {
     bursts_lost: u64,
@@ -240,38 +102,39 @@ struct LogSummary {
 }
 
 impl Summary {
-    fn say(&self, as_json: bool) -> Result<(), Box<dyn Error>> {
+    fn print(&self, as_json: bool) -> Result<(), Box<dyn Error>> {
         if as_json {
-            crate::say(&serde_json::to_string(self)?);
+            print_line(&serde_json::to_string(self)?);
             return Ok(());
         }
-        crate::say(&format!(
+        print_line(&format!(
             "{}: {} rows, {:.1} s, filter {}, mount {}",
             self.input, self.samples, self.seconds, self.filter, self.mount,
         ));
-        for (_, name) in Flags::NAMES {
+        for (name, _) in Flags::all().iter_names() {
             if let Some(count) = self.flags.get(name) {
-                crate::say(&format!("{name}: {count} rows"));
+                print_line(&format!("{name}: {count} rows"));
             }
         }
-        crate::say(&match &self.score {
+        print_line(&match &self.score {
             Some(score) => format!("inclination error: {score}"),
             None => "inclination error: unknown, the recording has no truth that counts".to_owned(),
         });
         let Some(log) = &self.log else {
             return Ok(());
         };
-        crate::say(&format!(
+        print_line(&format!(
             "log: {} bursts lost, {} damaged pieces ({} bytes) skipped",
             log.bursts_lost, log.damaged_pieces, log.damaged_bytes
         ));
-        crate::say(&format!(
+        print_line(&format!(
             "exact: {} of {} attitudes; {} compared with the flight's own, {} differ",
             log.exact, self.samples, log.compared, log.different
         ));
         if log.revision_flown != REVISION {
-            crate::say(&format!(
-                "the filters that flew are of revision {}, these of {REVISION}: nothing can be exact",
+            print_line(&format!(
+                "the filters that flew are of revision {}, these of {REVISION}: \
+                 nothing can be exact",
                 log.revision_flown
             ));
         }
@@ -279,14 +142,15 @@ impl Summary {
     }
 }
 
-/// Every flight of a log, one after the other. That an attitude of the log differs is an error.
+/// Replays every flight of a log, or the chosen one. A difference from a logged attitude is an
+/// error.
 fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
     let reading = &options.reading;
     let log = flight_log::read(&reading.input)?;
     let place = reading.input.display();
     if !options.json {
         for message in &log.messages {
-            crate::say(&format!("# {message}"));
+            print_line(&format!("# {message}"));
         }
     }
     let takes_one = reading.flight.is_some() || options.output.is_some() || options.json;
@@ -298,9 +162,8 @@ fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
     };
     for flight in flights {
         let mut source = reading.open_flight(flight)?;
-        let (mount, filter) = (source.mount(), source.filter());
-        let mut summary = replay(options, mount, filter, &mut source)?;
-        let agreement = source.replay.agreement();
+        let mut summary = replay(options, source.mount(), reading.filter(), &mut source)?;
+        let agreement = source.agreement();
         summary.log = Some(LogSummary {
             bursts_lost: flight.lost(),
             damaged_pieces: log.counts.damaged,
@@ -311,10 +174,11 @@ fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
             different: agreement.different,
             revision_flown: agreement.other_revision.unwrap_or(REVISION),
         });
-        summary.say(options.json)?;
+        summary.print(options.json)?;
         if let Some(t_us) = agreement.first_difference_us {
             return Err(format!(
-                "{place}: the attitude at {t_us} us is not the flight's, although nothing is missing before it"
+                "{place}: the attitude at {t_us} us is not the flight's, \
+                 although nothing is missing before it"
             )
             .into());
         }
@@ -322,48 +186,10 @@ fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// What there is to say of one row.
-pub struct Point {
-    /// Its time, in its own microseconds.
-    pub t_us: i64,
-    /// Body to earth.
-    pub attitude: Quaternion,
-    /// The body's own rates.
-    pub body_rates_rad_s: Vector3,
-    /// σ of the tilt, if the filter has one.
-    pub tilt_sigma_rad: Option<f32>,
-    /// What the pipeline says.
-    pub flags: Flags,
-    /// What the accelerometer said, in body axes, if that is known.
-    pub specific_force_m_s2: Option<Vector3>,
-    /// The true attitude, sensor to earth with z up, if it is known.
-    pub truth: Option<Truth>,
-    /// Whether the row counts for scores.
-    pub counts: bool,
-}
-
-impl Point {
-    /// Whether its error counts, in a recording that begins then.
-    pub fn is_scored(&self, first_us: i64) -> bool {
-        self.counts && self.t_us.saturating_sub(first_us) >= START_US
-    }
-}
-
-/// A sequence of rows.
-pub trait Source {
-    /// The next row; `None` after the last.
-    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>>;
-
-    /// Whether flags are known.
-    fn has_flags(&self) -> bool {
-        true
-    }
-}
-
 fn replay(
     options: &Options,
     mount: Mount,
-    filter: Choice,
+    filter: FilterName,
     source: &mut dyn Source,
 ) -> Result<Summary, Box<dyn Error>> {
     let input = &options.reading.input;
@@ -372,7 +198,10 @@ fn replay(
         None => None,
     };
     let mut errors = Errors::default();
-    let mut flagged = [0_u64; Flags::NAMES.len()];
+    let mut flagged: Vec<_> = Flags::all()
+        .iter_names()
+        .map(|(name, flag)| (name, flag, 0))
+        .collect();
     let (mut samples, mut first_us, mut last_us) = (0_u64, None, 0);
     while let Some(point) = source.next()? {
         let first_us = *first_us.get_or_insert(point.t_us);
@@ -386,8 +215,8 @@ fn replay(
                 point.tilt_sigma_rad,
             );
         }
-        for (count, (flag, _)) in flagged.iter_mut().zip(Flags::NAMES) {
-            *count += u64::from(point.flags.contains(flag));
+        for (_, flag, count) in &mut flagged {
+            *count += u64::from(point.flags.contains(*flag));
         }
         if let Some(output) = &mut output {
             output.write(&point, up)?;
@@ -399,262 +228,23 @@ fn replay(
     if let Some(output) = output {
         output.file.finish()?;
     }
-    let named = flagged.into_iter().zip(Flags::NAMES);
     Ok(Summary {
         input: input.display().to_string(),
         filter: filter.name(),
         mount: mount.name(),
         samples,
         seconds: last_us.saturating_sub(first_us) as f64 * 1e-6,
-        flags: named
-            .filter(|(count, _)| *count > 0)
-            .map(|(count, (_, name))| (name, count))
+        flags: flagged
+            .into_iter()
+            .filter(|(_, _, count)| *count > 0)
+            .map(|(name, _, count)| (name, count))
             .collect(),
         score: errors.score(),
         log: None,
     })
 }
 
-/// The pipeline, and behind it a filter that is none of those it has.
-struct Device {
-    pipeline: Pipeline,
-    peer: Option<Filter>,
-}
-
-impl Device {
-    fn point(&mut self, snapshot: &Snapshot, t_us: i64) -> Point {
-        let kalman = self.pipeline.estimator().kalman();
-        let mut point = Point {
-            t_us,
-            attitude: snapshot.attitude,
-            body_rates_rad_s: snapshot.body_rates_rad_s,
-            tilt_sigma_rad: kalman.map(Kalman::tilt_sigma_rad),
-            flags: snapshot.flags,
-            specific_force_m_s2: Some(self.pipeline.sample().specific_force_m_s2),
-            truth: None,
-            counts: false,
-        };
-        if let Some(peer) = &mut self.peer {
-            let estimate = peer.update(self.pipeline.sample());
-            point.attitude = estimate.attitude;
-            point.body_rates_rad_s = estimate.body_rates_rad_s;
-            point.tilt_sigma_rad = None;
-        }
-        point
-    }
-}
-
-/// A log's rows through the pipeline, as samples in SI units.
-struct Log {
-    lines: Lines,
-    columns: usize,
-    mount: Mount,
-    ranges: Option<(AccelerometerRange, GyroscopeRange)>,
-    /// Rows that were read ahead.
-    ahead: VecDeque<LogRow>,
-    device: Device,
-}
-
-/// A row of a log.
-struct LogRow {
-    t_us: i64,
-    /// In body axes.
-    sample: Sample,
-    truth: Option<Truth>,
-    counts: bool,
-}
-
-impl Log {
-    /// A log whose header has been read. The first rows say how far apart they all are: then more is a pause.
-    fn new(options: &Reading, lines: Lines, columns: usize) -> Result<Self, Box<dyn Error>> {
-        let delay_us = options.sensor_delay_us.unwrap_or(0);
-        let mut settings = Settings::new(&Part::MPU_6050);
-        settings.sensor_delay_us = Some(delay_us);
-        // There are no counts to average.
-        settings.averaging_samples = 0;
-        settings.filter = FilterKind::AxisKalman;
-        let mut peer = Some(Filter::new(options.filter(), USUAL_STEP_S, delay_us));
-        if let Choice::Library(kind) = options.filter() {
-            settings.filter = kind;
-            // The others are extrapolated here.
-            peer = peer.filter(|_| kind != FilterKind::Kalman);
-        }
-        let mut log = Self {
-            lines,
-            columns,
-            mount: options.mount(),
-            ranges: options.counts.ranges(),
-            ahead: VecDeque::new(),
-            device: Device {
-                pipeline: Pipeline::new(&settings),
-                peer,
-            },
-        };
-        while log.ahead.len() < ROWS_AHEAD
-            && let Some(row) = log.read()?
-        {
-            log.ahead.push_back(row);
-        }
-        settings.sensor.sample_rate_divider = log.sample_rate_divider();
-        log.device.pipeline = Pipeline::new(&settings);
-        Ok(log)
-    }
-
-    /// What a sensor is set to that takes a sample as often as the log has a row; rounded up, for rows come irregularly.
-    fn sample_rate_divider(&self) -> u8 {
-        let pairs = self.ahead.iter().zip(self.ahead.iter().skip(1));
-        let mut steps_us: Vec<u64> = pairs
-            .map(|(before, after)| before.t_us.abs_diff(after.t_us))
-            .collect();
-        steps_us.sort_unstable();
-        let median_us = steps_us.get(steps_us.len() / 2).copied().unwrap_or(0);
-        let periods = median_us.div_ceil(1_000).saturating_sub(1);
-        periods.try_into().unwrap_or(u8::MAX)
-    }
-
-    fn read(&mut self) -> Result<Option<LogRow>, Box<dyn Error>> {
-        let Some(line) = self.lines.next_line()? else {
-            return Ok(None);
-        };
-        let row = parse_row(line, self.columns).map_err(|fault| self.lines.refuse(fault))?;
-        let sample = self
-            .sample(&row)
-            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
-        Ok(Some(LogRow {
-            t_us: row.time_us,
-            sample,
-            truth: row.attitude,
-            counts: row.moving,
-        }))
-    }
-
-    /// The row as a sample in body axes.
-    fn sample(&self, row: &Row) -> Result<Sample, String> {
-        let t_us = unsigned(row.time_us);
-        let Some((accelerometer_range, gyroscope_range)) = self.ranges else {
-            return Ok(Sample {
-                t_us,
-                specific_force_m_s2: self.mount.to_body(vector(row.specific_force_m_s2)),
-                angular_rate_rad_s: self.mount.to_body(vector(row.rates_rad_s)),
-                ..Sample::default()
-            });
-        };
-        let [force, rates] = counts(row)?;
-        let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
-        Ok(Sample {
-            t_us,
-            specific_force_m_s2: self.mount.to_body(force.to_m_s2(accelerometer_range)),
-            angular_rate_rad_s: self.mount.to_body(rates.to_rad_s(gyroscope_range)),
-            is_force_saturated: force.is_saturated(),
-            is_rate_saturated: rates.is_saturated(),
-        })
-    }
-}
-
-impl Source for Log {
-    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
-        let row = match self.ahead.pop_front() {
-            Some(row) => Some(row),
-            None => self.read()?,
-        };
-        Ok(row.map(|row| {
-            let snapshot = self.device.pipeline.update_sample(&row.sample);
-            Point {
-                truth: row.truth,
-                counts: row.counts,
-                ..self.device.point(&snapshot, row.t_us)
-            }
-        }))
-    }
-}
-
-/// Bursts through the whole pipeline.
-struct Bursts {
-    lines: Lines,
-    device: Device,
-}
-
-impl Bursts {
-    fn new(options: &Reading, lines: Lines) -> Self {
-        let mut settings = Settings::new(&Part::MPU_6050);
-        settings.mount = options.mount();
-        settings.sensor_delay_us = options.sensor_delay_us;
-        settings.sensor = options.counts.config();
-        // Behind another crate's filter, offsets at rest are removed as for the library's simple ones.
-        settings.filter = FilterKind::AxisKalman;
-        let delay_us = settings.sensor.low_pass.gyroscope_delay_us().into();
-        let peer = match options.filter() {
-            Choice::Library(kind) => {
-                settings.filter = kind;
-                None
-            }
-            other => Some(Filter::new(
-                other,
-                USUAL_STEP_S,
-                options.sensor_delay_us.unwrap_or(delay_us),
-            )),
-        };
-        let pipeline = Pipeline::new(&settings);
-        Self {
-            lines,
-            device: Device { pipeline, peer },
-        }
-    }
-}
-
-impl Source for Bursts {
-    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
-        let Some(line) = self.lines.next_line()? else {
-            return Ok(None);
-        };
-        let (burst, flags) =
-            bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
-        let t_us = i64::try_from(burst.captured_at_us)
-            .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
-        let snapshot = self.device.pipeline.update_flagged(&burst, flags);
-        self.device.pipeline.collect(&burst);
-        Ok(Some(self.device.point(&snapshot, t_us)))
-    }
-}
-
-/// A flight of a flight log.
-pub struct Logged<'a> {
-    replay: flight_log::Replay<'a>,
-}
-
-impl Logged<'_> {
-    /// How the sensor was mounted.
-    pub fn mount(&self) -> Mount {
-        self.replay.pipeline().settings().mount()
-    }
-
-    /// The filter that runs.
-    fn filter(&self) -> Choice {
-        Choice::Library(self.replay.pipeline().settings().filter)
-    }
-}
-
-impl Source for Logged<'_> {
-    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
-        let Some(snapshot) = self.replay.next() else {
-            return Ok(None);
-        };
-        let pipeline = self.replay.pipeline();
-        let kalman = pipeline.estimator().kalman();
-        Ok(Some(Point {
-            t_us: i64::try_from(snapshot.t_us)?,
-            attitude: snapshot.attitude,
-            body_rates_rad_s: snapshot.body_rates_rad_s,
-            tilt_sigma_rad: kalman.map(Kalman::tilt_sigma_rad),
-            flags: snapshot.flags,
-            specific_force_m_s2: Some(pipeline.sample().specific_force_m_s2),
-            truth: None,
-            counts: false,
-        }))
-    }
-}
-
-/// The file of attitudes.
+/// Output file of attitudes.
 struct Attitudes {
     file: OutputFile,
     line: Vec<u8>,
@@ -711,21 +301,4 @@ impl Attitudes {
             .and_then(|()| self.file.write_all(&self.line))
             .map_err(|error| self.file.failed(&error))
     }
-}
-
-/// The same moments on a scale without a sign: only differences matter to a filter.
-pub fn unsigned(time_us: i64) -> u64 {
-    time_us.cast_unsigned() ^ (1 << 63)
-}
-
-fn vector([x, y, z]: [f64; 3]) -> Vector3 {
-    Vector3::new(x as f32, y as f32, z as f32)
-}
-
-/// An option's mount.
-pub fn parse_mount(name: &str) -> Result<Mount, String> {
-    Mount::parse(name).ok_or_else(|| {
-        "name the sensor axes to which forward and down point, such as +x-z, or z-up or z-down"
-            .into()
-    })
 }

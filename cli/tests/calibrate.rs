@@ -9,7 +9,8 @@ use common::{aplomb, file, path};
 
 const GRAVITY: f64 = 9.80665;
 
-/// Counts at ±8 g and ±250 °/s of a sensor with known errors, two seconds in each pose and a turn between them, at 100 Hz.
+/// Returns counts at ±8 g and ±250 °/s of a sensor with known errors: two seconds in each pose and
+/// a turn between them, at 100 Hz.
 fn recording(poses: &[Pose], moving_degrees_s: f64) -> String {
     let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
     let mut noise = 1_u32;
@@ -48,7 +49,7 @@ fn recording(poses: &[Pose], moving_degrees_s: f64) -> String {
 
 const RAW: [&str; 5] = ["--raw", "--accel-range", "8", "--gyro-range", "250"];
 
-/// What it printed, or its error.
+/// Returns the output, or the error.
 fn calibrate(test: &str, text: &str, options: &[&str]) -> Result<String, String> {
     let input = file(test, "input.csv", text);
     let mut arguments = vec!["calibrate", input.to_str().unwrap()];

@@ -36,7 +36,7 @@ fn simulate(test: &str, name: &str, options: &[&str]) -> PathBuf {
     output
 }
 
-/// What is written in an SVG, and how many points its curves have.
+/// Returns the texts of an SVG, and the number of points of its curves.
 fn words(svg: &Path) -> (Vec<String>, usize) {
     let svg = std::fs::read_to_string(svg).unwrap();
     assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n"));
@@ -167,7 +167,7 @@ fn attitudes_are_drawn_with_a_truth_of_their_own_file() {
     );
 }
 
-/// The root mean square that it printed, in degrees.
+/// Returns the printed root mean square, degrees.
 fn plotted_rms(printed: &str) -> f64 {
     let (_, after) = printed.split_once("inclination error ").expect(printed);
     after.split_once(' ').unwrap().0.parse().unwrap()

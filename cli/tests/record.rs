@@ -1,4 +1,5 @@
-//! `aplomb record` and `aplomb view` from the outside, with a module at the end of a pseudo-terminal.
+//! `aplomb record` and `aplomb view` from the outside, with a module at the end of a
+//! pseudo-terminal.
 
 #![cfg(unix)]
 
@@ -11,7 +12,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use aplomb::health::Flags;
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::Burst;
 use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use common::{aplomb, file, path};
@@ -105,11 +106,11 @@ fn a_log_is_switched_on_and_everything_back_at_the_end() {
     assert_eq!(std::fs::read(&output).expect("it is there"), LINE);
 }
 
-/// A burst of the flight log with this number.
+/// Returns the burst of the flight log with this number.
 fn burst(number: u32) -> Vec<u8> {
     let burst = NumberedBurst {
         number,
-        flags: Flags::NONE,
+        flags: BoardFlags::empty(),
         burst: Burst {
             bytes: [0; 14],
             captured_at_us: 1000 * u64::from(number),

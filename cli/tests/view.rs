@@ -1,4 +1,5 @@
-//! `aplomb view` from the outside: on a pseudo-terminal as its screen, with a module at the end of another.
+//! `aplomb view` from the outside: on a pseudo-terminal as its screen, with a module at the end of
+//! another.
 
 #![cfg(target_os = "linux")]
 
@@ -119,14 +120,15 @@ impl View {
         terminal.write_all(keys.as_bytes()).expect("it takes keys");
     }
 
-    /// Whether it takes letters as they are typed, as only the program has it.
+    /// Returns whether the terminal takes letters as they are typed, as only the program sets it.
     fn is_raw(&self) -> bool {
         let terminal = self.terminal.as_ref().expect("it is open");
         let settings = tcgetattr(terminal).expect("a terminal");
         !settings.local_modes.contains(LocalModes::ICANON)
     }
 
-    /// What the processor has worked for it, s: user's and system's time, in hundredths (proc(5), fields 14 and 15).
+    /// Returns the processor time of the program, s: user's and system's time in hundredths
+    /// (proc(5), fields 14 and 15).
     fn processor_s(&self) -> f64 {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id()));
         let stat = stat.expect("it runs");
@@ -145,7 +147,7 @@ impl View {
         assert!(told.is_ok_and(|status| status.success()));
     }
 
-    /// Its exit code and errors, once it has ended.
+    /// Returns the exit code and the errors, once the program has ended.
     fn end(mut self) -> (Option<i32>, String) {
         let start = Instant::now();
         while self.child.try_wait().expect("it is ours").is_none() {
@@ -162,7 +164,7 @@ impl View {
     }
 }
 
-/// So many seconds of 50 attitudes a second.
+/// Returns attitudes of this many seconds, 50 a second.
 fn send(plug: &mut Plug, seconds: f64) {
     let start = Instant::now();
     let mut sent = 0.0;
@@ -215,12 +217,12 @@ fn a_rate_that_the_module_refuses_leaves_the_port_as_it_is() {
     assert_eq!(view.end().0, Some(0));
 }
 
-/// A round of MAVLink.
+/// Returns a round of MAVLink.
 fn mavlink() -> Vec<u8> {
     messages(None)
 }
 
-/// The same with something that the module says.
+/// Returns MAVLink messages with a text of the module.
 fn said(text: &str) -> Vec<u8> {
     messages(Some(text))
 }
@@ -231,6 +233,7 @@ fn messages(text: Option<&str>) -> Vec<u8> {
         attitude: Quaternion::IDENTITY,
         body_rates_rad_s: Vector3::new(0.1, -0.2, 0.3),
         flags: Flags::VALID,
+        tilt_variance_rad2: 1e-4,
     };
     let vehicle = Vehicle {
         snapshot: Some(&snapshot),

@@ -1,7 +1,29 @@
-//! Recordings of sensors: read, written, and played as motion.
+//! Recordings of sensors and attitudes: one reader for every program, writers, and motion played
+//! from a recording.
+//!
+//! - [`log`]: logs in SI units, plain or gzipped; [`counts`]: logs of register counts;
+//! - [`form`]: logs and bursts apart, by their header;
+//! - [`flight_log`]: the module's flight log;
+//! - [`attitude_table`]: tables of attitudes;
+//! - [`motion`]: a log as motion; [`simulated`]: simulated sensor data with its truth;
+//! - [`number`]: numbers as text, fast;
+//! - [`score`]: errors of attitudes against the truth; [`attitude`]: geometry for that;
+//! - `output`, with the feature of this name: files that appear when they are complete;
+//! - [`terminal`]: standard output.
 
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+pub mod attitude;
+pub mod attitude_table;
+pub mod counts;
+pub mod flight_log;
+pub mod form;
 pub mod log;
 pub mod motion;
+pub mod number;
+#[cfg(feature = "output")]
+pub mod output;
+pub mod score;
+pub mod simulated;
+pub mod terminal;

@@ -8,12 +8,12 @@
 //! t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov
 //! ```
 //!
-//! Time is in whole microseconds and increases; specific force in m/s² and rates in rad/s, in sensor axes;
-//! the truth is the quaternion sensor → earth with z up, its four cells empty where it is not known; `mov` is
-//! 1 where a row counts for scores, else 0.
+//! Time is in whole microseconds and increases; specific force in m/s² and rates in rad/s, in
+//! sensor axes; the truth is the quaternion sensor → earth with z up, its four cells empty where it
+//! is not known; `mov` is 1 where a row counts for scores, else 0.
 //!
-//! [`Lines`] and [`parse_row`] read row by row and judge only whether a row is one: what its numbers say
-//! is for their reader to bear. [`Log::read`] reads a whole log and refuses what no sensor says.
+//! [`Lines`] and [`parse_row`] read row by row and check the form alone: numbers may have any
+//! value. [`Log::read`] reads a whole log and refuses values that no sensor measures.
 
 use std::fmt;
 use std::fs::File;
@@ -24,55 +24,55 @@ use flate2::bufread::MultiGzDecoder;
 
 use aplomb_models::motion::geometry::{Quaternion, Vector, norm};
 
-/// The columns in their order; a log has the first 7, 11 or 12 of them.
+/// Columns in their order. A log has the first 7, 11 or 12 of them.
 const COLUMNS: [&str; 12] = [
     "t_us", "ax", "ay", "az", "gx", "gy", "gz", "qw", "qx", "qy", "qz", "mov",
 ];
 
-/// Beyond what any such sensor measures (100 g): the columns are not in m/s².
+/// Largest plausible force (100 g). A larger one means that the columns are not in m/s².
 const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f64 = 1000.0;
-/// Beyond what any such sensor measures (11,000 °/s): the columns are not in rad/s.
+/// Largest plausible rate (11,000 °/s). A larger one means that the columns are not in rad/s.
 const IMPLAUSIBLE_RATE_RAD_S: f64 = 200.0;
-/// How far a quaternion's length may be from 1: the truth is often printed with few digits.
+/// Largest deviation of a quaternion's length from 1: the truth is often printed with few digits.
 const QUATERNION_TOLERANCE: f64 = 0.01;
-/// U+FEFF in UTF-8.
+/// Byte order mark: U+FEFF in UTF-8.
 const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
-/// What is read and unpacked at once, in bytes.
+/// Bytes that are read and unpacked at once.
 const BUFFER_LENGTH: usize = 256 * 1024;
 
-/// One row.
+/// Row of a log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// µs.
+    /// Time, µs.
     pub time_us: i64,
-    /// Sensor axes, m/s².
+    /// Specific force in sensor axes, m/s².
     pub specific_force_m_s2: Vector,
-    /// Sensor axes, rad/s.
+    /// Rates in sensor axes, rad/s.
     pub rates_rad_s: Vector,
-    /// Sensor → earth with z up, of length 1.
+    /// True attitude, sensor → earth with z up, of length 1.
     pub attitude: Option<Quaternion>,
     /// The row counts for scores; true if the log has no such column.
     pub moving: bool,
 }
 
-/// A whole log, of at least two rows.
+/// Whole log, of at least two rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
     rows: Vec<Row>,
 }
 
-/// Why a log was refused, and where.
+/// Error of a log: the reason and the place.
 #[derive(Debug)]
 pub struct LogError {
-    /// The file.
+    /// File.
     pub file: PathBuf,
-    /// The line, counted from 1; `None` if the file as a whole is meant.
+    /// Line, counted from 1; `None` for the whole file.
     pub line: Option<u64>,
-    /// What is wrong with it.
+    /// Fault of the line or file.
     pub reason: LogFault,
 }
 
-/// What can be wrong with a log.
+/// Faults of a log.
 #[derive(Debug, thiserror::Error)]
 pub enum LogFault {
     /// The file cannot be opened.
@@ -106,7 +106,7 @@ pub enum LogFault {
     NotANumber {
         /// Name of the column.
         column: &'static str,
-        /// What stands there.
+        /// Contents of the cell.
         text: String,
     },
     /// The time is not a whole number of microseconds.
@@ -117,7 +117,7 @@ pub enum LogFault {
     NotFinite {
         /// Name of the column.
         column: &'static str,
-        /// What stands there.
+        /// Contents of the cell.
         value: f64,
     },
     /// Time does not go on.
@@ -135,7 +135,7 @@ pub enum LogFault {
     Implausible {
         /// Name of the column.
         column: &'static str,
-        /// What stands there.
+        /// Contents of the cell.
         value: f64,
         /// The unit of the column.
         unit: &'static str,
@@ -170,23 +170,24 @@ impl std::error::Error for LogError {
     }
 }
 
-/// The lines of a file, gzipped if it begins as gzip files do.
+/// Lines of a file, which is gzipped if it begins as gzip files do.
 pub struct Lines {
     path: PathBuf,
     text: Box<dyn BufRead>,
     is_zipped: bool,
     line: Vec<u8>,
-    /// The line is the next one again.
+    /// The last line is the next one again.
     is_unread: bool,
-    /// The number of the line that was read last, counted from 1.
+    /// Number of the last line, counted from 1.
     number: u64,
 }
 
 impl Lines {
-    /// Opens a file. Whatever is read of it passes through `wrap` first, still zipped.
+    /// Opens a file. All bytes pass through `wrap`, still zipped.
     ///
     /// # Errors
-    /// The file cannot be opened or read.
+    ///
+    /// Returns an error if the file cannot be opened or read.
     pub fn open<R: Read + 'static>(
         path: &Path,
         wrap: impl FnOnce(File) -> R,
@@ -200,10 +201,11 @@ impl Lines {
         Self::new(path, wrap(file)).map_err(|error| at(LogFault::Read(error)))
     }
 
-    /// The lines of something that is open already; `name` stands for it in messages.
+    /// Returns the lines of an open input; messages call it `name`.
     ///
     /// # Errors
-    /// It cannot be read.
+    ///
+    /// Returns an error if the input cannot be read.
     pub fn read_from(name: &Path, bytes: impl Read + 'static) -> Result<Self, LogError> {
         Self::new(name, bytes).map_err(|error| LogError {
             file: name.to_owned(),
@@ -231,10 +233,11 @@ impl Lines {
         })
     }
 
-    /// The next line, without its end; `None` after the last.
+    /// Returns the next line, without its end; `None` after the last.
     ///
     /// # Errors
-    /// The file cannot be read on, is damaged, or is not text.
+    ///
+    /// Returns an error if the file cannot be read on, is damaged, or is not text.
     pub fn next_line(&mut self) -> Result<Option<&str>, LogError> {
         if !std::mem::take(&mut self.is_unread) {
             self.line.clear();
@@ -252,7 +255,7 @@ impl Lines {
                 self.line.pop();
             }
         }
-        // Some programs begin a text with the mark of UTF-8, which is invisible.
+        // Some programs begin a text with the byte order mark, which is invisible.
         let line = match self.line.strip_prefix(BYTE_ORDER_MARK) {
             Some(rest) if self.number == 1 => rest,
             _ => &self.line,
@@ -267,18 +270,18 @@ impl Lines {
         }
     }
 
-    /// The line that was read last is the next one again.
+    /// Makes the last line the next one again.
     pub fn unread(&mut self) {
         self.is_unread = true;
     }
 
-    /// Where the line is that was read last: the file and the line's number.
+    /// Returns the place of the last line: the file and the number.
     #[must_use]
     pub fn place(&self) -> String {
         format!("{}:{}", self.path.display(), self.number)
     }
 
-    /// The line that was read last is refused for this reason.
+    /// Returns the error of the last line, for this reason.
     #[must_use]
     pub fn refuse(&self, reason: LogFault) -> LogError {
         LogError {
@@ -287,7 +290,7 @@ impl Lines {
         }
     }
 
-    /// The file as a whole is refused for this reason.
+    /// Returns the error of the whole file, for this reason.
     #[must_use]
     pub fn refuse_file(&self, reason: LogFault) -> LogError {
         LogError {
@@ -299,15 +302,16 @@ impl Lines {
 }
 
 impl Log {
-    /// Reads and checks a file, gzipped if it begins as gzip files do.
+    /// Reads and checks a file, which is gzipped if it begins as gzip files do.
     ///
     /// # Errors
-    /// The file, the line and what is wrong with it.
+    ///
+    /// Returns an error with the file, the line and the fault.
     pub fn read(path: &Path) -> Result<Self, LogError> {
         Self::parse(Lines::open(path, |file| file)?)
     }
 
-    /// The rows, at least two, with increasing times.
+    /// Returns the rows, at least two, with increasing times.
     #[must_use]
     pub fn rows(&self) -> &[Row] {
         &self.rows
@@ -336,7 +340,7 @@ impl Log {
     }
 }
 
-/// How many columns a log with this header has; `None` if it is not a log's.
+/// Returns the number of columns of a log with this header; `None` for another header.
 #[must_use]
 pub fn column_count(header: &str) -> Option<usize> {
     [7, 11, 12]
@@ -344,10 +348,11 @@ pub fn column_count(header: &str) -> Option<usize> {
         .find(|&count| header == COLUMNS[..count].join(","))
 }
 
-/// Reads a row of so many columns. Numbers may be infinite or not numbers, and of any size.
+/// Reads a row with this number of columns. Numbers may have any value, also infinite or NaN.
 ///
 /// # Errors
-/// What is wrong with the row.
+///
+/// Returns the fault of the row.
 pub fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
     let mut cells = [""; COLUMNS.len()];
     let mut found = 0;
@@ -404,7 +409,7 @@ pub fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
     })
 }
 
-/// Whether a sensor can have said this, so long after `before_us`.
+/// Checks that a sensor can have measured this row, after the one at `before_us`.
 fn check(row: &Row, before_us: Option<i64>) -> Result<(), LogFault> {
     let values = row.specific_force_m_s2.into_iter().chain(row.rates_rad_s);
     for (value, column) in values.zip(&COLUMNS[1..]) {
@@ -460,7 +465,7 @@ mod tests {
     const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
     const GOOD: &str = "0,0,0,9.81,0.1,0.2,0.3,1,0,0,0,1";
 
-    /// The line, if one is to blame, and what is wrong.
+    /// Returns the line of the fault, if one line has it, and the fault.
     type Refusal = (Option<u64>, LogFault);
 
     fn parse(text: impl AsRef<[u8]>) -> Result<Log, Refusal> {
@@ -470,7 +475,7 @@ mod tests {
             .and_then(|lines| Log::parse(lines).map_err(|error| (error.line, error.reason)))
     }
 
-    /// The line and the reason with which a log is refused whose third line is `row`.
+    /// Returns the line and the reason of the refusal of a log whose third line is `row`.
     fn refusal(row: &str) -> (Option<u64>, String) {
         let (line, reason) = parse(format!("{HEADER}\n{GOOD}\n{row}\n")).unwrap_err();
         (line, reason.to_string())

@@ -1,12 +1,12 @@
-//! A recorded log as motion: what a sensor on the same path would have felt, at any time.
+//! Recorded log as a motion: the readings of a sensor on the recorded path, at any time.
 //!
-//! Time line: 3 s of rest, level; 1 s of smooth turn into the recording's first pose; then the recording. A
-//! start-up that needs rest has it, though recordings often begin in motion. Only the recording's own time
-//! counts for scores.
+//! Time line: 3 s of rest, level; 1 s of smooth turn into the recording's first pose; then the
+//! recording. The filter thus starts at rest, though recordings often begin in motion. Only the
+//! recording's own time counts for scores.
 //!
-//! Specific force and rates are interpolated linearly between rows, the truth along the great circle. A log's
-//! frames are sensor axes and an earth with z up; they become body axes and north-east-down through the
-//! mount.
+//! Specific force and rates are interpolated linearly between rows, the truth along the great
+//! circle. A log's frames are sensor axes and an earth with z up; they become body axes and
+//! north-east-down through the mount.
 
 use std::path::Path;
 
@@ -16,27 +16,29 @@ use aplomb_models::motion::truth::{ROOM_TEMPERATURE_C, Truth};
 use aplomb_models::motion::turn::Turn;
 use aplomb_models::motion::{Motion, Mount};
 
-/// Level rest before everything else, s.
+/// Level rest at the start, s.
 pub const REST_S: f64 = 3.0;
-/// The turn into the first pose, s.
+/// Turn into the first pose, s.
 pub const TURN_S: f64 = 1.0;
 
-/// The first pose is looked for in this much of the recording, s.
+/// Length of the part of the recording that shows the first pose, s.
 const FIRST_POSE_S: f64 = 0.3;
-/// Across a longer gap the truth between two rows is not known, s.
+/// Longest gap between two rows with a known truth between them, s.
 const TRUTH_GAP_S: f64 = 0.1;
 
-/// An earth with z up, in north-east-down: x stays north, y (left of it) becomes west, z becomes up. Half a
-/// turn about x.
+/// An earth with z up, in north-east-down: x stays north, y (left of it) becomes west, z becomes
+/// up. Half a turn about x.
 const UP_TO_DOWN: Quaternion = Quaternion::new(0.0, 1.0, 0.0, 0.0);
 
-/// The attitude (body → earth, north-east-down) of a log's truth (sensor → earth with z up).
+/// Returns the attitude (body → earth, north-east-down) of a log's truth (sensor → earth with z
+/// up).
 #[must_use]
 pub fn body_to_earth(truth: Quaternion, mount: Mount) -> Quaternion {
     UP_TO_DOWN.multiply(truth).multiply(mount.body_to_sensor())
 }
 
-/// What a log has to say of this attitude (body → earth, north-east-down): the inverse of [`body_to_earth`].
+/// Returns the truth of a log for this attitude (body → earth, north-east-down): the inverse of
+/// [`body_to_earth`].
 #[must_use]
 pub fn truth_of(body_to_earth: Quaternion, mount: Mount) -> Quaternion {
     UP_TO_DOWN
@@ -45,19 +47,19 @@ pub fn truth_of(body_to_earth: Quaternion, mount: Mount) -> Quaternion {
         .multiply(mount.body_to_sensor().conjugate())
 }
 
-/// A recording, ready to be played once.
+/// Recording that can be played once.
 #[derive(Clone, Debug)]
 pub struct Recording {
     samples: Vec<Sample>,
     turn: Turn,
-    /// The sample at or before the last time asked for.
+    /// Sample at or before the last requested time.
     cursor: usize,
 }
 
-/// A row in body axes and north-east-down.
+/// Row in body axes and north-east-down.
 #[derive(Clone, Copy, Debug)]
 struct Sample {
-    /// Since power-up.
+    /// Time since power-up.
     time_s: f64,
     specific_force_m_s2: Vector,
     body_rates_rad_s: Vector,
@@ -66,15 +68,16 @@ struct Sample {
 }
 
 impl Recording {
-    /// Reads the log of a sensor that was mounted as `mount` says.
+    /// Reads the log of a sensor with this mount.
     ///
     /// # Errors
+    ///
     /// See [`Log::read`].
     pub fn open(path: &Path, mount: Mount) -> Result<Self, LogError> {
         Ok(Self::new(&Log::read(path)?, mount))
     }
 
-    /// The recording in `log`, of a sensor that was mounted as `mount` says.
+    /// Creates the recording of a log, of a sensor with this mount.
     #[must_use]
     pub fn new(log: &Log, mount: Mount) -> Self {
         let rows = log.rows();
@@ -90,7 +93,7 @@ impl Recording {
         }
     }
 
-    /// When the recording ends, s after power-up; later the last row lasts for ever, without truth.
+    /// Returns the end of the recording, s after power-up. Later the last row stays, without truth.
     #[must_use]
     pub fn end_s(&self) -> f64 {
         self.samples.last().map_or(0.0, |sample| sample.time_s)
@@ -136,7 +139,7 @@ impl Sample {
         }
     }
 
-    /// The truth at `time_s`, between this sample and the next.
+    /// Returns the truth at `time_s`, between this sample and the next.
     fn towards(&self, next: &Self, time_s: f64) -> Truth {
         let gap_s = next.time_s - self.time_s;
         let share = if gap_s > 0.0 {
@@ -162,7 +165,7 @@ impl Sample {
     }
 }
 
-/// The attitude (body → earth) at the first row.
+/// Returns the attitude (body → earth) at the first row.
 fn first_pose(samples: &[Sample]) -> Quaternion {
     let start_s = REST_S + TURN_S;
     let early = samples
@@ -187,7 +190,8 @@ fn first_pose(samples: &[Sample]) -> Quaternion {
     )
 }
 
-/// The attitude with heading 0 in which a body at rest feels this specific force, in body axes; any length.
+/// Returns the attitude with heading 0 in which a body at rest feels this specific force, in body
+/// axes; any length.
 fn level_by(specific_force: Vector) -> Quaternion {
     let [x, y, z] = specific_force;
     if norm(specific_force) == 0.0 {
@@ -205,7 +209,7 @@ mod tests {
 
     const LEAD_IN_S: f64 = REST_S + TURN_S;
 
-    /// A log in a file of its own, through the whole reading path.
+    /// Writes a log to a file, and reads it through the whole path.
     fn recording(name: &str, text: &str, mount: Mount) -> Recording {
         let path =
             std::env::temp_dir().join(format!("aplomb-recording-{}-{name}", std::process::id()));
@@ -239,7 +243,8 @@ mod tests {
 
     #[test]
     fn values_are_interpolated_between_the_rows_and_the_frames_are_the_bodys() {
-        // Sensor z up: x forward, y to the left. The sensor yaws left (positive about up) by 0.2 rad in 0.1 s.
+        // Sensor z up: x forward, y to the left. The sensor yaws left (positive about up) by 0.2
+        // rad in 0.1 s.
         let (sine, cosine) = 0.1_f64.sin_cos();
         let log = format!(
             "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov\n\
@@ -297,8 +302,10 @@ mod tests {
 
     #[test]
     fn truth_is_not_made_up_across_gaps_and_empty_cells() {
-        let log = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz\n0,0,0,9.8,0,0,0,1,0,0,0\n50000,0,0,9.8,0,0,0,,,,\n\
-                   60000,0,0,9.8,0,0,0,1,0,0,0\n70000,0,0,9.8,0,0,0,1,0,0,0\n500000,0,0,9.8,0,0,0,1,0,0,0\n";
+        let log = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz\n0,0,0,9.8,0,0,0,1,0,0,0\n\
+                   50000,0,0,9.8,0,0,0,,,,\n\
+                   60000,0,0,9.8,0,0,0,1,0,0,0\n70000,0,0,9.8,0,0,0,1,0,0,0\n\
+                   500000,0,0,9.8,0,0,0,1,0,0,0\n";
         let mut recording = recording("gaps", log, Mount::Z_UP);
         for (elapsed_s, known) in [(0.01, false), (0.055, false), (0.065, true), (0.3, false)] {
             let truth = recording.at(LEAD_IN_S + elapsed_s);
@@ -387,7 +394,7 @@ mod tests {
         );
     }
 
-    /// The folder of recordings beside the project, if it is there.
+    /// Returns the recordings of a set beside the project, if they are there.
     fn recordings(kind: &str) -> Vec<PathBuf> {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
             .join("../../shared/data")
@@ -407,14 +414,15 @@ mod tests {
     fn real_recordings_are_consistent_with_their_own_truth() {
         for file in recordings("broad").into_iter().chain(recordings("tumvi")) {
             let mut recording = Recording::open(&file, Mount::Z_UP).unwrap();
-            // At the first pose gravity is where the truth says: within 15°, for some begin in motion.
+            // At the first pose gravity is where the truth says: within 15°, for some begin in
+            // motion.
             let before = recording.at(LEAD_IN_S - 1e-9);
             let after = recording.at(LEAD_IN_S);
             let angle =
                 angle_between(before.specific_force_m_s2, after.specific_force_m_s2).to_degrees();
             assert!(angle < 15.0, "{}: {angle}°", file.display());
-            // Over stretches of a quarter of a second the rates turn the body as the truth turns. Not
-            // exactly: these sensors lag their truth by some milliseconds.
+            // Over stretches of a quarter of a second the rates turn the body as the truth turns.
+            // Not exactly: these sensors lag their truth by some milliseconds.
             let (mut scored, mut differences_deg) = (0, Vec::new());
             let (mut start, mut turned) = (None, Quaternion::IDENTITY);
             let step_s = 1e-3;

@@ -9,17 +9,18 @@ pub const ACROSS: i32 = 2;
 /// Points down a cell.
 pub const DOWN: i32 = 4;
 
-/// U+2800 and this bit is the pattern with the point in this row and column (Unicode, block Braille Patterns).
+/// Bits of the points by row and column. U+2800 plus the bits is the pattern (Unicode, block Braille
+/// Patterns).
 const BITS: [[u8; 2]; 4] = [[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]];
 
-/// A field of points; (0, 0) is at the top left.
+/// Field of points; (0, 0) is at the top left.
 pub struct Dots {
     area: Rect,
     cells: Vec<(u8, Color)>,
 }
 
 impl Dots {
-    /// None set, on the cells of this area.
+    /// Creates an empty field on the cells of this area.
     pub fn new(area: Rect) -> Self {
         Self {
             area,
@@ -27,7 +28,7 @@ impl Dots {
         }
     }
 
-    /// Sets a point, if it is inside. A cell has the colour of the last one in it.
+    /// Sets a point, if it is inside. A cell has the colour of its last point.
     pub fn set(&mut self, x: i32, y: i32, colour: Color) {
         let width = i32::from(self.area.width);
         if (0..width * ACROSS).contains(&x) && (0..i32::from(self.area.height) * DOWN).contains(&y)
@@ -38,7 +39,7 @@ impl Dots {
         }
     }
 
-    /// Sets the points from one to the other.
+    /// Sets the points of a line.
     pub fn line(&mut self, start: (f64, f64), end: (f64, f64), colour: Color) {
         let (across, down) = (end.0 - start.0, end.1 - start.1);
         let steps = across.abs().max(down.abs()).ceil().clamp(1.0, 4096.0);
@@ -49,7 +50,7 @@ impl Dots {
         }
     }
 
-    /// Writes the patterns where there are any, on whatever background there is, and where `may_cover` allows it.
+    /// Writes the patterns over the present background, where `may_cover` allows it.
     pub fn draw(&self, buffer: &mut Buffer, may_cover: impl Fn(&str) -> bool) {
         for (index, (pattern, colour)) in (0..).zip(&self.cells) {
             if *pattern == 0 {

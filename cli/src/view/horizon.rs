@@ -1,8 +1,10 @@
-//! The artificial horizon: sky and ground as the pilot sees them, a ladder of pitch, a scale of roll, and the aircraft.
+//! Artificial horizon: sky and ground as the pilot sees them, a ladder of pitch, a scale of
+//! roll, and the aircraft.
 //!
-//! A point of the picture, x to the right and y up from its centre, lies at the elevation θ + (y cos φ − x sin φ) / s, with roll φ
-//! (right wing down positive), pitch θ (nose up positive) and s points to a degree: the body's axes are forward-right-down, so
-//! with the right wing down there is ground to the right, and the horizon rises on the right.
+//! A point of the picture, x to the right and y up from its centre, lies at the elevation θ + (y
+//! cos φ − x sin φ) / s, with roll φ (right wing down positive), pitch θ (nose up positive) and s
+//! points to a degree: the body's axes are forward-right-down, so with the right wing down there is
+//! ground to the right, and the horizon rises on the right.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -14,17 +16,18 @@ pub const SKY: Color = Color::Indexed(25);
 pub const GROUND: Color = Color::Indexed(94);
 const LADDER: Color = Color::Indexed(255);
 const AIRCRAFT: Color = Color::Indexed(226);
-/// Without an attitude.
+/// Background without an attitude.
 const NOTHING: Color = Color::Indexed(236);
 
-/// Degrees of pitch from the centre to the upper edge.
+/// Pitch from the centre to the upper edge, degrees.
 const HALF_VIEW_DEG: f64 = 25.0;
 
-/// Parts of a cell, from its lower edge up, and from its left edge on (Unicode, block Block Elements).
+/// Parts of a cell, from its lower edge up, and from its left edge on (Unicode, block Block
+/// Elements).
 const FROM_BELOW: [&str; 9] = [" ", "▁", "▂", "▃", "▄", "▅", "▆", "▇", "█"];
 const FROM_LEFT: [&str; 9] = [" ", "▏", "▎", "▍", "▌", "▋", "▊", "▉", "█"];
 
-/// Roll and pitch in degrees as a picture; without them it says so.
+/// Draws roll and pitch, degrees; without them draws an empty field.
 pub fn draw(attitude_deg: Option<(f64, f64)>, area: Rect, buffer: &mut Buffer) {
     let Some((roll_deg, pitch_deg)) = attitude_deg else {
         buffer.set_style(area, Style::new().bg(NOTHING));
@@ -47,14 +50,14 @@ pub fn draw(attitude_deg: Option<(f64, f64)>, area: Rect, buffer: &mut Buffer) {
     aircraft(area, buffer);
 }
 
-/// An attitude on an area; points are those of [`Dots`].
+/// Attitude on an area, with the points of [`Dots`].
 struct View {
     area: Rect,
     pitch_deg: f64,
     roll_sine: f64,
     roll_cosine: f64,
     points_per_degree: f64,
-    /// From the area's corner.
+    /// Centre, from the area's corner.
     centre: (f64, f64),
 }
 
@@ -75,7 +78,7 @@ impl View {
         }
     }
 
-    /// The symbol for the part of a cell that is ground or sky, its colour, and the colour behind it.
+    /// Returns the symbol for the ground or sky of a cell, its colour, and the colour behind it.
     fn ground_in(&self, cell: Rect) -> (&'static str, Color, Color) {
         let x = (f64::from(cell.x - self.area.x) + 0.5) * f64::from(ACROSS) - self.centre.0;
         let y = self.centre.1 - (f64::from(cell.y - self.area.y) + 0.5) * f64::from(DOWN);
@@ -107,7 +110,7 @@ impl View {
         }
     }
 
-    /// The point at a distance along the horizon to the right, and at an elevation.
+    /// Returns the point at a distance along the horizon to the right, and at an elevation.
     fn point(&self, along: f64, elevation_deg: f64) -> (f64, f64) {
         let up = (elevation_deg - self.pitch_deg) * self.points_per_degree;
         let x = along * self.roll_cosine - up * self.roll_sine;
@@ -160,7 +163,7 @@ impl View {
         }
     }
 
-    /// Ticks at the angles of bank that instruments have, and where the aircraft's top points among them.
+    /// Draws ticks at the angles of bank of real instruments, and the direction of the aircraft's top.
     fn roll_scale(&self, dots: &mut Dots) {
         let radius = self.centre.1 * 0.94;
         let place = |angle_deg: f64, radius: f64| {
@@ -186,7 +189,7 @@ impl View {
     }
 }
 
-/// Fixed in the middle: the wings, the nose, and the pointer of the roll scale.
+/// Draws the fixed parts in the middle: the wings, the nose, the pointer of the roll scale.
 fn aircraft(area: Rect, buffer: &mut Buffer) {
     let (x, y) = (area.x + area.width / 2, area.y + area.height / 2);
     let style = Style::new().fg(AIRCRAFT).add_modifier(Modifier::BOLD);
@@ -222,7 +225,7 @@ mod tests {
         buffer
     }
 
-    /// How much of the cell is ground: all, a part, nothing.
+    /// Returns the share of ground in a cell: all, a part, nothing.
     fn ground(buffer: &Buffer, x: u16, y: u16) -> f64 {
         let cell = &buffer[(x, y)];
         let part = [FROM_BELOW, FROM_LEFT]
@@ -244,7 +247,7 @@ mod tests {
         cells.sum::<f64>() / f64::from(AREA.width * AREA.height)
     }
 
-    /// Rows of ground from below in a column.
+    /// Returns the rows of ground from below in a column.
     fn height(buffer: &Buffer, x: u16) -> f64 {
         (0..AREA.height).map(|y| ground(buffer, x, y)).sum()
     }

@@ -1,32 +1,32 @@
-//! What the keys do.
+//! Keys and their actions.
 
 use aplomb::settings::OutputFormat;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 use super::model::Model;
 
-/// What a key asks for.
+/// Action of a key.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
-    /// Say this to the module.
+    /// Send this line to the module.
     Say(String),
     /// Have the module send this format.
     SetFormat(OutputFormat),
-    /// Begin or end to record.
+    /// Begin or end a recording.
     Record,
-    /// Hold the screen still, or go on.
+    /// Pause the screen, or continue.
     Pause,
     /// Play a recording at a multiple of the present speed.
     Faster(f64),
     /// Show or hide the keys.
     Help,
-    /// Begin, change or give up a command; `None` gives it up.
+    /// Begin or change a command; `None` cancels it.
     Type(Option<String>),
-    /// End.
+    /// End the program.
     Quit,
 }
 
-/// The keys with their commands, for the module.
+/// Keys with their commands for the module.
 const COMMANDS: [(char, &str, &str); 7] = [
     ('g', "calibrate gyro", "the gyroscope's offset, at rest"),
     ('a', "calibrate accel", "the accelerometer, pose by pose"),
@@ -37,7 +37,7 @@ const COMMANDS: [(char, &str, &str); 7] = [
     ('i', "status", "how the module is"),
 ];
 
-/// What every key does, for the help: with a recording, or with a module.
+/// Returns the help: every key with its action, for a recording or a module.
 pub fn help(is_playing: bool) -> Vec<(String, String)> {
     let mut lines = Vec::new();
     let mut add = |key: &str, what: &str| lines.push((key.to_owned(), what.to_owned()));
@@ -58,7 +58,7 @@ pub fn help(is_playing: bool) -> Vec<(String, String)> {
     lines
 }
 
-/// What is most needed, for the last line.
+/// Returns the most important keys, for the last line.
 pub fn summary(is_playing: bool) -> &'static [(&'static str, &'static str)] {
     if is_playing {
         &[
@@ -83,7 +83,7 @@ pub fn summary(is_playing: bool) -> &'static [(&'static str, &'static str)] {
     }
 }
 
-/// What a key asks for in this state.
+/// Returns the action of a key in this state.
 pub fn action(key: KeyEvent, model: &Model) -> Option<Action> {
     if key.modifiers.contains(KeyModifiers::CONTROL) {
         return (key.code == KeyCode::Char('c')).then_some(Action::Quit);

@@ -1,19 +1,19 @@
-//! What the screen shows: everything it knows, and no port, file or clock, so that a state can be drawn in a test.
+//! Model of the screen. It has no port, file or clock, so that tests can draw any state.
 
 use std::collections::VecDeque;
 
 use aplomb::health::Flags;
 use aplomb::settings::OutputFormat;
 
-use super::detect::{Counts, Format, Item, Reading, Sensors};
+use super::item::{Counts, Format, Item, Reading, Sensors};
 
-/// How long the strips are, s.
+/// Length of the strips, s.
 pub const STRIP_S: f64 = 20.0;
 
-/// Rates are counted over this time, s.
+/// Time over which rates are counted, s.
 const RATE_WINDOW_S: f64 = 4.0;
 
-/// Without an attitude for so long, the last one is not shown as if it were fresh, s.
+/// Age from which on an attitude is not fresh, s.
 const FRESH_S: f64 = 1.0;
 
 /// Messages that are kept.
@@ -24,20 +24,20 @@ const MESSAGES: usize = 200;
 pub enum Connection {
     /// Bytes may come; the baud rate, if there is one.
     Open(Option<u32>),
-    /// It is gone and being looked for, for this reason.
+    /// The port is gone, for this reason, and is waited for.
     Away(String),
-    /// It has ended, for this reason.
+    /// The source has ended, for this reason.
     Ended(String),
     /// A recording is played.
     Playing {
-        /// Times real time.
+        /// Multiple of real time.
         speed: f64,
-        /// Whether it is at its end.
+        /// The recording is at its end.
         is_over: bool,
     },
 }
 
-/// Who says a line.
+/// Origin of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Speaker {
     /// The module.
@@ -48,10 +48,10 @@ pub enum Speaker {
     Program,
 }
 
-/// A line of what was said.
+/// Line of the messages.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Message {
-    /// When, s.
+    /// Time, s.
     pub at_s: f64,
     pub speaker: Speaker,
     pub text: String,
@@ -67,15 +67,15 @@ pub struct Point {
 /// How far the attitude can be trusted.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Trust {
-    /// The module says so.
+    /// The module flags it as valid.
     Valid,
-    /// It does not say that much, but calls its sensors healthy.
+    /// The module reports healthy sensors, without flags.
     Healthy,
-    /// It does not; what there is to say, by name.
+    /// Not valid, with the names of flags or sensors.
     NotValid(Vec<&'static str>),
-    /// The format does not tell.
-    Untold,
-    /// None has come for a while; how long, s.
+    /// The format has no health.
+    Unknown,
+    /// No fresh attitude; the age of the last one, s.
     NoData(Option<f64>),
 }
 
@@ -86,30 +86,31 @@ pub struct Model {
     pub name: String,
     pub connection: Connection,
     pub format: Option<Format>,
-    /// Seconds since the beginning.
+    /// Time since the beginning, s.
     pub now_s: f64,
     pub tilt_sigma_deg: Option<f32>,
     pub temperature_c: Option<f32>,
     pub sensors: Option<Sensors>,
     pub counts: Counts,
-    /// What the module itself has dropped and failed to read, by its status.
+    /// Frames that the module has dropped, by its status.
     pub frames_dropped: Option<u64>,
+    /// Bursts that the module failed to read, by its status.
     pub bursts_failed: Option<u64>,
     pub points: VecDeque<Point>,
     pub messages: VecDeque<Message>,
-    /// The file that is recorded to, and its bytes so far.
+    /// File of the recording, and its bytes so far.
     pub recording: Option<(String, u64)>,
     pub is_paused: bool,
     pub shows_help: bool,
-    /// The command that is being typed.
+    /// Command that is being typed.
     pub typed: Option<String>,
-    /// Answers to `status` that were asked for unasked.
+    /// Answers to `status` that the program requested for itself.
     pub quiet_answers: u32,
     totals: VecDeque<(f64, u64, u64)>,
 }
 
 impl Model {
-    /// Nothing known yet.
+    /// Creates a model without data.
     pub fn new(name: String, connection: Connection) -> Self {
         Self {
             name,
@@ -133,7 +134,7 @@ impl Model {
         }
     }
 
-    /// Takes something that was decoded at this time.
+    /// Takes an item that was decoded at this time.
     pub fn take(&mut self, at_s: f64, item: Item) {
         match item {
             Item::Reading(reading) => {
@@ -160,7 +161,8 @@ impl Model {
         }
     }
 
-    /// This state's attitudes with the present one's keys, connection and messages: the screen while it is held still.
+    /// Returns this model's attitudes with the keys, connection and messages of the present model:
+    /// the paused screen.
     pub fn held_beside(&self, present: &Self) -> Self {
         Self {
             is_paused: true,
@@ -173,7 +175,7 @@ impl Model {
         }
     }
 
-    /// The time is now this, and so much has come.
+    /// Sets the time, the format and the counts.
     pub fn tick(&mut self, now_s: f64, format: Option<Format>, counts: Counts) {
         if format != self.format {
             // Another format may not have them.
@@ -196,7 +198,7 @@ impl Model {
         }
     }
 
-    /// Adds a line to what was said.
+    /// Adds a line to the messages.
     pub fn say(&mut self, at_s: f64, speaker: Speaker, text: String) {
         if self.messages.len() == MESSAGES {
             self.messages.pop_front();
@@ -208,13 +210,13 @@ impl Model {
         });
     }
 
-    /// The newest attitude, if it is fresh.
+    /// Returns the newest attitude, if it is fresh.
     pub fn reading(&self) -> Option<&Reading> {
         let last = self.points.back()?;
         (self.now_s - last.at_s < FRESH_S).then_some(&last.reading)
     }
 
-    /// How far it can be trusted.
+    /// Returns how far the attitude can be trusted.
     pub fn trust(&self) -> Trust {
         let Some(reading) = self.reading() else {
             return Trust::NoData(self.points.back().map(|last| self.now_s - last.at_s));
@@ -232,24 +234,20 @@ impl Model {
                 Trust::NotValid(unhealthy.map(|(_, name)| *name).collect())
             }
             (None, Some(_)) => Trust::Healthy,
-            (None, None) => Trust::Untold,
+            (None, None) => Trust::Unknown,
         }
     }
 
-    /// The names of the flags that are set, but for `VALID`.
+    /// Returns the names of the set flags, without `VALID`.
     pub fn flag_names(&self) -> Vec<&'static str> {
         let Some(flags) = self.reading().and_then(|reading| reading.flags) else {
             return Vec::new();
         };
-        let is_set = |(flag, _): &&(Flags, &str)| flags.contains(*flag) && *flag != Flags::VALID;
-        Flags::NAMES
-            .iter()
-            .filter(is_set)
-            .map(|(_, name)| *name)
-            .collect()
+        let others = flags.difference(Flags::VALID);
+        others.iter_names().map(|(name, _)| name).collect()
     }
 
-    /// Attitudes and bursts a second.
+    /// Returns the rates of attitudes and bursts, Hz.
     pub fn rates_hz(&self) -> Option<(f64, f64)> {
         let (first_s, readings, bursts) = self.totals.front()?;
         let seconds = self.now_s - first_s;
@@ -262,17 +260,17 @@ impl Model {
         })
     }
 
-    /// Whether there is a module that takes commands.
+    /// Returns whether a module takes commands.
     pub fn takes_commands(&self) -> bool {
         matches!(self.connection, Connection::Open(_))
     }
 
-    /// Whether it is a recording that is played.
+    /// Returns whether a recording is played.
     pub fn is_playing(&self) -> bool {
         matches!(self.connection, Connection::Playing { .. })
     }
 
-    /// The format that follows the present one.
+    /// Returns the format after the present one.
     pub fn next_format(&self) -> OutputFormat {
         let formats = OutputFormat::ALL;
         let present = formats
@@ -325,7 +323,7 @@ mod tests {
         model.take(2.5, reading(Some(Flags::DEGRADED | Flags::STALE)));
         assert_eq!(model.trust(), Trust::NotValid(vec!["DEGRADED", "STALE"]));
         model.take(2.5, reading(None));
-        assert_eq!(model.trust(), Trust::Untold);
+        assert_eq!(model.trust(), Trust::Unknown);
         let healthy = Sensors {
             gyroscope: true,
             accelerometer: true,
@@ -344,7 +342,8 @@ mod tests {
     #[test]
     fn a_status_is_read_and_shown_only_if_a_person_asked() {
         let mut model = model();
-        let status = "ok status: sensor=MPU-6050@0x68 tilt_sigma_deg=0.58 temperature_c=25.6 armed=no bursts_failed=2 \
+        let status = "ok status: sensor=MPU-6050@0x68 tilt_sigma_deg=0.58 temperature_c=25.6 \
+                      armed=no bursts_failed=2 \
                       frames_dropped=7 doing=\"calibrate gyro\"";
         model.quiet_answers = 1;
         model.take(0.0, Item::Message(status.into()));

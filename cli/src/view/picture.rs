@@ -4,15 +4,15 @@ use aplomb_plot::picture::{Align, At, Color, Font, Picture};
 use ratatui::buffer::{Buffer, Cell};
 use ratatui::style::{Color as CellColor, Modifier};
 
-/// A cell's size, pixels: that of the font.
+/// Size of a cell, pixels: that of the font.
 const CELL: (f32, f32) = (10.0, 20.0);
-/// Around the whole.
+/// Margin, pixels.
 const MARGIN: f32 = 10.0;
 
 const BACKGROUND: Color = Color(24, 24, 28);
 const FOREGROUND: Color = Color(208, 208, 208);
 
-/// The picture.
+/// Draws the picture.
 pub fn picture(screen: &Buffer) -> Picture {
     let area = screen.area;
     let width = f32::from(area.width) * CELL.0 + 2.0 * MARGIN;
@@ -100,7 +100,7 @@ fn draw(picture: &mut Picture, cell: &Cell, (left, top): At) {
     }
 }
 
-/// The color of a number as terminals have it (xterm): a cube of 6 × 6 × 6, then 24 greys.
+/// Returns the color of a number as in terminals (xterm): a cube of 6 × 6 × 6, then 24 greys.
 fn rgb(color: CellColor) -> Option<Color> {
     let CellColor::Indexed(number) = color else {
         return None;

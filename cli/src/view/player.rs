@@ -1,31 +1,38 @@
-//! A recording as a source: what was decoded, handed out at the pace at which it was recorded.
+//! Recording as a source: decoded items at the pace at which they were recorded.
 
 use std::collections::VecDeque;
 use std::io::{BufReader, ErrorKind, Read};
+use std::ops::RangeInclusive;
 use std::path::Path;
 
-use super::detect::{Counts, Decoder, Format, Item};
-use crate::flight_log;
+use aplomb_recordings::flight_log;
+
+use super::detect::Decoder;
+use super::item::{Counts, Format, Item};
+
+/// Speeds of a recording, as multiples of real time.
+pub const SPEEDS: RangeInclusive<f64> = 0.01..=1000.0;
 
 /// Attitudes a second in recordings that have no time: the module's default.
 pub const ASSUMED_HZ: f64 = 50.0;
 
-/// A step of time that is longer, or backwards, is a restart or a hole: the clock goes on from there.
+/// Longest step of time. A longer one, or one backwards, is a restart or a gap: the clock continues
+/// from there.
 const LONGEST_STEP_US: u64 = 5_000_000;
 
-/// Plays a file.
+/// Player of a file.
 pub struct Player {
     name: String,
     file: BufReader<Box<dyn Read>>,
     decoder: Decoder,
-    /// What is decoded and not due yet, with its time in seconds from the beginning.
+    /// Decoded items that are not due yet, with their time from the beginning, s.
     waiting: VecDeque<(f64, Item)>,
-    /// The time of the last attitude that was decoded.
+    /// Time of the last decoded attitude.
     clock: Option<Clock>,
     count: u64,
     position_s: f64,
     is_read: bool,
-    /// Why it cannot be read to its end, until that is told.
+    /// Reason why the file cannot be read to its end, until it is reported.
     error: Option<String>,
 }
 
@@ -55,15 +62,16 @@ impl Player {
                 return Err(error);
             }
             return Err(format!(
-                "{}: there is no attitude in it. It has to be a flight log, what the module sent in any format, or a CSV with \
-                 t_us and roll_deg, pitch_deg, yaw_deg or qw, qx, qy, qz; `aplomb replay` makes such a CSV of sensor data",
+                "{}: there is no attitude in it. It has to be a flight log, what the module sent \
+                 in any format, or a CSV with t_us and roll_deg, pitch_deg, yaw_deg or \
+                 qw, qx, qy, qz; `aplomb replay` makes such a CSV of sensor data",
                 path.display()
             ));
         }
         Ok(player)
     }
 
-    /// Goes on by so many seconds, and gives what is due with its time.
+    /// Advances by `seconds`, and returns the items that are due with their times.
     pub fn advance(&mut self, seconds: f64) -> Vec<(f64, Item)> {
         self.position_s += seconds;
         let mut due = Vec::new();
@@ -81,17 +89,17 @@ impl Player {
         }
     }
 
-    /// Where it is, s.
+    /// Returns the position, s.
     pub fn position_s(&self) -> f64 {
         self.position_s
     }
 
-    /// Whether everything has been given out.
+    /// Returns whether every item has been returned.
     pub fn is_over(&self) -> bool {
         self.is_read && self.waiting.is_empty()
     }
 
-    /// Why it could not be read to its end; told once, when all that could be read has been given out.
+    /// Returns once why the file could not be read to its end, after the last item.
     pub fn take_error(&mut self) -> Option<String> {
         if self.is_over() {
             self.error.take()
@@ -100,18 +108,18 @@ impl Player {
         }
     }
 
-    /// What was decoded, a little ahead of what is given out.
+    /// Returns the counts of the decoder, which is a little ahead.
     pub fn counts(&self) -> Counts {
         self.decoder.counts()
     }
 
-    /// The format.
+    /// Returns the format.
     pub fn format(&self) -> Option<Format> {
         self.decoder.format()
     }
 
     fn read(&mut self) {
-        // Little at a time: what is decoded is counted before it is due.
+        // Small pieces, because items count when they are decoded, before they are due.
         let mut buffer = [0; 512];
         let length = match self.file.read(&mut buffer) {
             Ok(length) => length,
@@ -138,7 +146,7 @@ impl Player {
         }
     }
 
-    /// The time of the next attitude, from the module's or from how many there were.
+    /// Sets the time of the next attitude: the module's, or else by the number of attitudes.
     fn time(&mut self, t_us: Option<u64>) {
         let t_us = t_us.unwrap_or((self.count as f64 * 1e6 / ASSUMED_HZ) as u64);
         self.count += 1;
@@ -160,7 +168,12 @@ impl Player {
     }
 }
 
-/// The module's time and the recording's, which has no holes.
+/// Returns a speed changed by a factor, within [`SPEEDS`].
+pub fn changed_speed(speed: f64, factor: f64) -> f64 {
+    (speed * factor).clamp(*SPEEDS.start(), *SPEEDS.end())
+}
+
+/// Time of the module, and of the recording without gaps.
 struct Clock {
     start_us: u64,
     start_s: f64,

@@ -1,15 +1,15 @@
-//! Draws the state: header, horizon, figures and health, strips, messages, keys.
+//! Drawing of the model: header, horizon, figures and health, strips, messages, keys.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 
-use super::detect::Reading;
 use super::dots::{ACROSS, DOWN, Dots};
+use super::item::Reading;
 use super::model::{Connection, Model, STRIP_S, Speaker, Trust};
 use super::{horizon, keys};
 
-/// The smallest terminal for which everything has its place.
+/// Smallest terminal that holds all parts.
 const LEAST: (u16, u16) = (80, 24);
 
 pub const ROLL: Color = Color::Indexed(208);
@@ -21,13 +21,13 @@ const TEXT: Color = Color::Indexed(252);
 const BAR: Color = Color::Indexed(237);
 const GOOD: Color = Color::Indexed(28);
 const BAD: Color = Color::Indexed(160);
-const DOUBTFUL: Color = Color::Indexed(136);
+const CAUTION: Color = Color::Indexed(136);
 const NEUTRAL: Color = Color::Indexed(240);
 const WHITE: Color = Color::Indexed(231);
 
-/// What the ends of a strip's scale can be: degrees.
+/// Possible ends of a strip's scale, degrees.
 const ANGLES: [f64; 8] = [5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 180.0];
-/// And °/s, up to the sensor's largest full scale.
+/// Possible ends of a strip's scale, °/s, up to the sensor's largest full scale.
 const RATES: [f64; 9] = [5.0, 10.0, 20.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 2000.0];
 
 /// Draws everything.
@@ -37,7 +37,7 @@ pub fn draw(model: &Model, area: Rect, buffer: &mut Buffer) {
         put(buffer, area, 0, 0, &text, Style::new());
         return;
     }
-    // What a larger terminal has more goes to all parts.
+    // All parts share the rows of a larger terminal.
     let more = area.height - LEAST.1;
     let [header, top, strips, messages, footer] = Layout::vertical([
         Constraint::Length(1),
@@ -83,7 +83,7 @@ pub fn draw(model: &Model, area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// Writes a text in a row of an area, as far as there is room, and says where it ends.
+/// Writes a text in a row of an area, as far as there is room, and returns its end.
 fn put(buffer: &mut Buffer, area: Rect, x: u16, y: u16, text: &str, style: Style) -> u16 {
     if x >= area.width || y >= area.height {
         return x;
@@ -93,7 +93,7 @@ fn put(buffer: &mut Buffer, area: Rect, x: u16, y: u16, text: &str, style: Style
     end - area.x
 }
 
-/// The same at the right end.
+/// Writes a text at the right end of a row.
 fn put_right(buffer: &mut Buffer, area: Rect, y: u16, text: &str, style: Style) {
     let width = text.chars().count() as u16;
     put(
@@ -113,7 +113,7 @@ fn draw_header(model: &Model, area: Rect, buffer: &mut Buffer) {
     let mut x = put(buffer, area, 1, 0, "aplomb ", bold.fg(WHITE));
     let name_room = usize::from(area.width) - 56;
     let name: String = match model.name.char_indices().nth_back(name_room) {
-        // Of a long path the end counts.
+        // A long path loses its beginning.
         Some((start, letter)) => format!("…{}", &model.name[start + letter.len_utf8()..]),
         None => model.name.clone(),
     };
@@ -146,7 +146,7 @@ fn draw_header(model: &Model, area: Rect, buffer: &mut Buffer) {
             x + 1,
             0,
             " PAUSED ",
-            bold.bg(DOUBTFUL).fg(WHITE),
+            bold.bg(CAUTION).fg(WHITE),
         );
     }
     if let Some((file, bytes)) = &model.recording {
@@ -184,7 +184,7 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
     let reading = model.reading();
     let plain = Style::new().fg(TEXT);
     let faint = Style::new().fg(FAINT);
-    // Where there is room, with air between the rows and around the banner.
+    // A tall area has empty rows between the figures and around the banner.
     let (step, tall) = if area.height >= 17 { (2, 5) } else { (1, 3) };
     for (index, (name, colour)) in ["roll", "pitch", "yaw"]
         .into_iter()
@@ -207,8 +207,8 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
         Trust::Valid => ("VALID".to_owned(), GOOD),
         Trust::Healthy => ("SENSORS HEALTHY".to_owned(), GOOD),
         Trust::NotValid(_) => ("NOT VALID".to_owned(), BAD),
-        Trust::Untold => ("health is not in this format".to_owned(), NEUTRAL),
-        Trust::NoData(None) => ("NO ATTITUDE YET".to_owned(), DOUBTFUL),
+        Trust::Unknown => ("health is not in this format".to_owned(), NEUTRAL),
+        Trust::NoData(None) => ("NO ATTITUDE YET".to_owned(), CAUTION),
         Trust::NoData(Some(seconds)) => (format!("NO ATTITUDE FOR {seconds:.0} s"), BAD),
     };
     let banner_row = 3 * step + 1;
@@ -244,7 +244,7 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
             .add_modifier(Modifier::BOLD);
         x = put(buffer, area, x, y, name, style) + 1;
     }
-    // Old ones are as good as none.
+    // Old values are not shown.
     let sigma = model
         .tilt_sigma_deg
         .filter(|sigma| sigma.is_finite() && reading.is_some());
@@ -261,11 +261,11 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
     draw_counts(model, area, y + 1, buffer);
 }
 
-/// Names in red are what an attitude cannot be valid with.
+/// Returns the colour of a flag: red if it invalidates the attitude.
 fn colour_of(name: &str) -> Color {
     use aplomb::health::Flags;
-    match Flags::parse(name) {
-        Some(flag) if !Flags::SPOILS.contains(flag) => Color::Indexed(214),
+    match Flags::from_name(name) {
+        Some(flag) if !Flags::INVALIDATING.contains(flag) => Color::Indexed(214),
         _ => Color::Indexed(203),
     }
 }
@@ -301,7 +301,7 @@ fn draw_counts(model: &Model, area: Rect, y: u16, buffer: &mut Buffer) {
     }
 }
 
-/// A number with two decimals, right-aligned in a width, or a dash.
+/// Formats a number with two decimals, right-aligned in a width, or a dash.
 fn number(value: Option<f32>, width: usize, unit: &str) -> String {
     match value {
         // Minus zero is zero.
@@ -313,7 +313,7 @@ fn number(value: Option<f32>, width: usize, unit: &str) -> String {
     }
 }
 
-/// What a strip shows.
+/// Contents of a strip.
 struct Strip {
     names: &'static [&'static str],
     unit: &'static str,
@@ -381,6 +381,17 @@ fn draw_strip(model: &Model, strip: &Strip, area: Rect, buffer: &mut Buffer) {
         &low,
         faint,
     );
+    draw_curves(model, values, scale, plot, buffer);
+}
+
+/// Draws the curves of a strip over the last [`STRIP_S`].
+fn draw_curves(
+    model: &Model,
+    values: fn(&Reading) -> [Option<f32>; 3],
+    scale: f64,
+    plot: Rect,
+    buffer: &mut Buffer,
+) {
     let width = f64::from(i32::from(plot.width) * ACROSS);
     let height = f64::from(i32::from(plot.height) * DOWN);
     let mut dots = Dots::new(plot);
@@ -400,11 +411,11 @@ fn draw_strip(model: &Model, strip: &Strip, area: Rect, buffer: &mut Buffer) {
                 width - 1.0 - age_s / STRIP_S * width,
                 (height - 1.0) * (0.5 - 0.5 * share) + 0.5,
             );
-            // Across a wrap from 180 to −180, or a hole, there is no line.
+            // Across a wrap from 180 to −180, or a gap, there is no line.
             let start = last.filter(|(x, y)| {
                 (y - place.1).abs() < height * 0.6 && place.0 - x < width / STRIP_S
             });
-            // What is on the same point adds nothing.
+            // A value on the present point adds nothing.
             if start.is_none_or(|(x, y)| x.floor() != place.0.floor() || (y - place.1).abs() >= 1.0)
             {
                 dots.line(start.unwrap_or(place), place, colour);
@@ -427,7 +438,7 @@ fn draw_messages(model: &Model, area: Rect, buffer: &mut Buffer) {
     );
     put(buffer, area, 1, 0, " messages ", faint);
     let rows = usize::from(area.height - 1);
-    // Long ones take several rows; the newest is below.
+    // Long messages take several rows; the newest is at the bottom.
     let mut lines: Vec<(String, Style)> = Vec::new();
     for message in model.messages.iter().rev() {
         let style = match message.speaker {
@@ -455,7 +466,7 @@ fn draw_messages(model: &Model, area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// Whether the module says that something is wrong.
+/// Returns whether the module reports a fault.
 fn is_bad(text: &str) -> bool {
     ["error", "failed"]
         .iter()
@@ -464,7 +475,7 @@ fn is_bad(text: &str) -> bool {
         || text.contains("trying again")
 }
 
-/// A text in rows of so many letters, broken at spaces; all rows but the first are indented.
+/// Wraps a text at spaces into rows of at most `width` letters. All rows but the first are indented.
 fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
     let mut rows = Vec::new();
     let mut row = String::new();

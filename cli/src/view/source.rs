@@ -1,7 +1,8 @@
-//! Where the bytes come from: a serial port, which may be unplugged and come back, or the virtual board as another process.
+//! Source of the bytes: a serial port, which may be unplugged and come back, or the virtual board
+//! as another process.
 //!
-//! A thread of its own reads, so that nothing is lost while the screen is drawn, and obeys orders. It ends when
-//! the [`Link`] is dropped.
+//! A thread reads, so that no byte is lost while the screen is drawn, and carries out orders. It
+//! ends when the [`Link`] is dropped.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -12,53 +13,57 @@ use std::time::{Duration, Instant};
 
 use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 
-use super::detect::{Decoder, Item};
+use super::detect::Decoder;
+use super::item::Item;
 
-/// The module's baud rate unless it has been told otherwise.
+/// Default baud rate of the module.
 pub const BAUD: u32 = 115_200;
 
-/// How long a read waits: orders wait as long.
+/// Baud rate for the flight log.
+pub const LOG_BAUD: u32 = 921_600;
+
+/// Timeout of a read. Orders wait as long.
 const READ_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// Bytes gather for so long between reads: at 921,600 baud 460 of them, of the 4096 that a terminal's buffer has.
+/// Pause between reads: at 921,600 baud 460 bytes gather, and a terminal's buffer holds 4096.
 const GATHER: Duration = Duration::from_millis(5);
 
-/// From one attempt to open the port again to the next.
+/// Time between two attempts to open the port again.
 const RETRY: Duration = Duration::from_millis(250);
 
-/// The module answers a command to change its baud rate within this time, and changes it then: of a slow line, 9600 baud, two
-/// lines and the answer take 300 ms.
+/// Longest time until the module answers a change of the baud rate. At 9600 baud two lines and the
+/// answer take 300 ms.
 const BAUD_ANSWER: Duration = Duration::from_secs(1);
 
-/// Why a rate is not changed to if the module says nothing.
+/// Reason of a failed change of the baud rate if the module sends no answer.
 const UNANSWERED: &str = "the module does not answer";
 
-/// What the thread tells.
+/// Report of the thread.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Report {
-    /// These bytes have come.
+    /// Received bytes.
     Bytes(Vec<u8>),
-    /// It is there again.
+    /// The port is back.
     Back,
-    /// It is gone, for this reason; it is being looked for.
+    /// The port is gone, for this reason. The thread tries to open it again.
     Away(String),
-    /// It has ended for good, for this reason.
+    /// The source has ended, for this reason.
     Ended(String),
-    /// The module has changed to this rate, and the port with it; or neither has, for this reason.
+    /// The module and the port have changed to this baud rate; or neither has, for this reason.
     Switched(Result<u32, String>),
 }
 
-/// What the thread is told.
+/// Order to the thread.
 enum Order {
     /// Send a line.
     Say(String),
-    /// Go on at this rate.
+    /// Continue at this baud rate.
     SetBaud(u32),
-    /// Have the module change to this rate, and go on at it.
+    /// Have the module change to this baud rate, and continue at it.
     SwitchBaud(u32),
 }
 
-/// A connection.
+/// Connection to a module.
 pub struct Link {
     reports: Receiver<Report>,
     orders: Option<Sender<Order>>,
@@ -66,7 +71,7 @@ pub struct Link {
 }
 
 impl Link {
-    /// A serial port, which must be there now; later it may go and come.
+    /// Opens a serial port. Later it may go and come back.
     pub fn port(path: &str, baud: u32) -> Result<Self, String> {
         let port = open(path, baud).map_err(|error| explain(path, &error))?;
         let path = path.to_owned();
@@ -75,7 +80,7 @@ impl Link {
         }))
     }
 
-    /// A process: bytes from its standard output, lines to its standard input.
+    /// Starts a process: bytes from its standard output, lines to its standard input.
     pub fn process(mut command: Command) -> Result<Self, String> {
         let name = Path::new(command.get_program()).display().to_string();
         command
@@ -100,7 +105,7 @@ impl Link {
         }
     }
 
-    /// The next report, waited for so long.
+    /// Returns the next report, or `None` after `timeout`.
     pub fn next(&self, timeout: Duration) -> Option<Report> {
         self.reports.recv_timeout(timeout).ok()
     }
@@ -110,17 +115,18 @@ impl Link {
         self.order(Order::Say(line.to_owned()));
     }
 
-    /// Listens at another rate, from now on and when the port comes back.
+    /// Changes the port's baud rate, from now on and when the port comes back.
     pub fn set_baud(&self, baud: u32) {
         self.order(Order::SetBaud(baud));
     }
 
-    /// Has the module change its rate, and goes along if it says that it does: a [`Report::Switched`] tells.
+    /// Has the module change its baud rate, and follows if the module confirms it. A
+    /// [`Report::Switched`] has the result.
     pub fn switch_baud(&self, baud: u32) {
         self.order(Order::SwitchBaud(baud));
     }
 
-    /// Brings the module back to a format and a rate; what comes meanwhile is dropped.
+    /// Restores a format and a baud rate of the module. Drops the bytes that come meanwhile.
     pub fn bring_back(&self, format: &str, baud: u32) -> Result<(), String> {
         let mut result = Err(UNANSWERED.to_owned());
         for _attempt in 0..2 {
@@ -128,7 +134,7 @@ impl Link {
             self.switch_baud(baud);
             result = self.switched();
             if result.is_ok() {
-                // The module keeps a rate at which it has understood something.
+                // The module keeps a rate once it has understood a line at it.
                 self.say("status");
                 break;
             }
@@ -140,7 +146,7 @@ impl Link {
         })
     }
 
-    /// What came of a change of the rate.
+    /// Waits for the result of a change of the baud rate.
     fn switched(&self) -> Result<(), String> {
         let asked = Instant::now();
         // Other orders may come before.
@@ -156,7 +162,7 @@ impl Link {
 
     fn order(&self, order: Order) {
         if let Some(orders) = &self.orders {
-            // A thread that has ended has said so.
+            // A thread that has ended has sent a report of it.
             orders.send(order).ok();
         }
     }
@@ -164,7 +170,7 @@ impl Link {
 
 impl Drop for Link {
     fn drop(&mut self) {
-        // The thread carries out what it has been told, and ends.
+        // The thread carries out its orders, and ends.
         self.orders = None;
         if let Some(thread) = self.thread.take() {
             thread.join().ok();
@@ -176,15 +182,18 @@ fn open(path: &str, baud: u32) -> serialport::Result<Box<dyn SerialPort>> {
     serialport::new(path, baud).timeout(READ_TIMEOUT).open()
 }
 
-/// Why a port cannot be opened, and what to do.
+/// Returns why a port cannot be opened, and what to do.
 fn explain(path: &str, error: &serialport::Error) -> String {
     let advice = match error.kind() {
         ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
-            "your user may not use it: on Linux, `sudo usermod -a -G dialout $USER`, then log in again"
+            "your user may not use it: on Linux, `sudo usermod -a -G dialout $USER`, \
+             then log in again"
                 .into()
         }
         ErrorKind::NoDevice if Path::new(path).exists() => {
-            "another program has it open: close that one (a serial monitor, a ground station, ModemManager)".into()
+            "another program has it open: close that one \
+             (a serial monitor, a ground station, ModemManager)"
+                .into()
         }
         ErrorKind::NoDevice | ErrorKind::Io(io::ErrorKind::NotFound) => {
             format!("there is no such port. {}", found())
@@ -194,16 +203,18 @@ fn explain(path: &str, error: &serialport::Error) -> String {
     format!("{path}: {error}: {advice}")
 }
 
-/// For whoever has not said which port.
+/// Returns the message for a missing `--port`.
 pub fn which_port() -> String {
     format!("which port? {}", found())
 }
 
-/// The ports of this computer, as a sentence.
+/// Returns the ports of this computer, as a sentence.
 fn found() -> String {
     let ports = serialport::available_ports().unwrap_or_default();
     if ports.is_empty() {
-        return "No serial port was found: is the adapter plugged in, and the cable one that carries data?".into();
+        return "No serial port was found: is the adapter plugged in, \
+                and the cable one that carries data?"
+            .into();
     }
     let lines: Vec<String> = ports
         .iter()
@@ -221,17 +232,17 @@ fn found() -> String {
     format!("These were found:\n{}", lines.join("\n"))
 }
 
-/// What serves a port.
+/// Server of a port.
 struct Port {
     path: String,
     baud: u32,
 }
 
-/// Why a port is served no longer.
+/// Reason why a port is served no longer.
 enum End {
-    /// It is gone.
+    /// The port is gone.
     Away(String),
-    /// Nobody wants it.
+    /// The link was dropped.
     Unwanted,
 }
 
@@ -269,7 +280,7 @@ impl Port {
         }
     }
 
-    /// Reads, and does what it is told, until either ends.
+    /// Reads and carries out orders until the port is gone or the link is dropped.
     fn follow(
         &mut self,
         mut port: Box<dyn SerialPort>,
@@ -315,7 +326,7 @@ impl Port {
                     self.baud = baud;
                     port.set_baud_rate(baud)?;
                 }
-                // Whoever no longer listens has no need to know.
+                // A dropped link needs no report.
                 reports.send(Report::Switched(answer)).ok();
                 Ok(())
             }
@@ -343,7 +354,7 @@ fn wait_for_baud(
         for item in items {
             match item {
                 Item::Message(text) if text.starts_with(&expected) => return Ok(Ok(baud)),
-                // It may still be the answer to something else.
+                // This may be the answer to an earlier line.
                 Item::Message(text) if text.starts_with("error") => refusal = Some(text),
                 _ => {}
             }
@@ -352,7 +363,7 @@ fn wait_for_baud(
     Ok(Err(refusal.unwrap_or_else(|| UNANSWERED.to_owned())))
 }
 
-/// Hands on what has come; false if nobody wants it.
+/// Forwards received bytes. Returns false if the link was dropped.
 fn forward(port: &mut dyn SerialPort, reports: &Sender<Report>) -> io::Result<bool> {
     let bytes = read(port)?;
     if bytes.is_empty() {
@@ -363,7 +374,7 @@ fn forward(port: &mut dyn SerialPort, reports: &Sender<Report>) -> io::Result<bo
     Ok(is_wanted)
 }
 
-/// What has come, perhaps nothing.
+/// Reads the received bytes, perhaps none.
 fn read(port: &mut dyn SerialPort) -> io::Result<Vec<u8>> {
     let mut buffer = [0; 4096];
     match port.read(&mut buffer) {
@@ -409,7 +420,7 @@ fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<O
     loop {
         let line = match orders.recv_timeout(RETRY) {
             Ok(Order::Say(line)) => line,
-            // There is no line to have a rate, but the firmware believes in one.
+            // A process has no baud rate, but the firmware on the virtual board has one.
             Ok(Order::SwitchBaud(baud)) => {
                 reports.send(Report::Switched(Ok(baud))).ok();
                 format!("baud {baud}")

@@ -1,4 +1,5 @@
-//! Screens as golden text: the letters, then a letter for each background colour. `APLOMB_BLESS=1 cargo test …` writes them anew.
+//! Screens as golden text: the letters, then a letter for each background colour.
+//! `APLOMB_BLESS=1 cargo test …` writes them anew.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -10,9 +11,11 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
-use super::detect::{Counts, Format, Item, Reading};
+use super::item::{Counts, Format, Item, Reading};
+use super::live::next_baud;
 use super::model::{Connection, Model, Speaker};
-use super::{changed_speed, horizon, next_baud, parse_speed, screen};
+use super::player::changed_speed;
+use super::{horizon, parse_speed, screen};
 
 fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it takes everything");
@@ -22,7 +25,7 @@ fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     terminal.backend().buffer().clone()
 }
 
-/// The letters, and below them the backgrounds: sky, ground, good, bad, and `.` for others.
+/// Returns the letters, and below them the backgrounds: sky, ground, good, bad, and `.` for others.
 fn text(buffer: &Buffer) -> String {
     let mut text = String::new();
     let area = buffer.area;
@@ -61,7 +64,7 @@ fn assert_golden(name: &str, buffer: &Buffer) {
     assert_eq!(text.lines().count(), golden.lines().count(), "{name}");
 }
 
-/// A module that swings for 25 s, sends the flight log, and has a word to say now and then.
+/// Returns a module that swings for 25 s, and sends the flight log and a few messages.
 fn swinging(flags: Flags) -> Model {
     let mut model = Model::new("/dev/ttyUSB0".into(), Connection::Open(Some(921_600)));
     let mut counts = Counts::default();
@@ -112,7 +115,11 @@ fn an_attitude_that_is_not_valid_says_so_with_the_reasons() {
         Flags::BUS_FAULT,
         Flags::POLLED,
     ];
-    let mut model = swinging(flags.into_iter().fold(Flags::NONE, |all, flag| all | flag));
+    let mut model = swinging(
+        flags
+            .into_iter()
+            .fold(Flags::empty(), |all, flag| all | flag),
+    );
     model.counts.lost = 12;
     model.recording = Some(("aplomb-1.log".into(), 1_234_567));
     model.say(24.0, Speaker::Person, "calibrate gyro".into());
@@ -151,14 +158,14 @@ fn a_format_without_health_and_yaw_says_so_and_help_lies_above_all() {
 
 #[test]
 fn any_size_and_any_number_can_be_drawn() {
-    let mut model = swinging(Flags::NONE);
+    let mut model = swinging(Flags::empty());
     for value in [f32::NAN, f32::INFINITY, f32::MAX, -1e9] {
         let reading = Reading {
             roll_deg: value,
             pitch_deg: value,
             yaw_deg: Some(value),
             rates_deg_s: [Some(value); 3],
-            flags: Some(Flags::from_bits(u32::MAX)),
+            flags: Some(Flags::all()),
             t_us: None,
         };
         model.take(25.0, Item::Reading(reading));

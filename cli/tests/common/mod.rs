@@ -1,4 +1,4 @@
-//! What the tests of the program share: running it, files of their own, and golden files.
+//! Shared parts of the tests: the program, files of a test, golden files.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -11,7 +11,7 @@ pub fn aplomb<A: AsRef<std::ffi::OsStr>>(arguments: &[A]) -> Output {
         .expect("the program runs")
 }
 
-/// A path in a folder of the test's own.
+/// Returns a path in a folder of the test's own.
 pub fn path(test: &str, name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(test);
     std::fs::create_dir_all(&folder).expect("the target folder can be written");

@@ -1,4 +1,5 @@
-//! A module at the end of a pseudo-terminal that can be unplugged and plugged in again, under a name that stays.
+//! Module at the end of a pseudo-terminal that can be unplugged and plugged in again, under a
+//! name that stays.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
@@ -11,17 +12,17 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-/// The module's patience.
+/// Longest wait of the module.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// The module's end, and the name of the port.
+/// Module's end, and the name of the port.
 pub struct Plug {
     name: PathBuf,
     module: Option<File>,
 }
 
 impl Plug {
-    /// It is plugged in.
+    /// Creates a module that is plugged in.
     pub fn new(test: &str) -> Self {
         let name = std::env::temp_dir().join(format!("aplomb-{test}-{}", std::process::id()));
         let mut plug = Self { name, module: None };
@@ -29,12 +30,12 @@ impl Plug {
         plug
     }
 
-    /// The name of the port.
+    /// Returns the name of the port.
     pub fn name(&self) -> &str {
         self.name.to_str().expect("a name that is text")
     }
 
-    /// It comes back as another device, as after a real adapter's return.
+    /// Plugs the module in as another device, as after a real adapter's return.
     pub fn plug_in(&mut self) {
         // No child keeps it open when it is unplugged.
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
@@ -48,13 +49,13 @@ impl Plug {
         self.module = Some(module.into());
     }
 
-    /// It goes away.
+    /// Unplugs the module.
     pub fn unplug(&mut self) {
         std::fs::remove_file(&self.name).expect("the link is there");
         self.module = None;
     }
 
-    /// Sends, in pieces that a pseudo-terminal has room for, once somebody listens.
+    /// Sends bytes in pieces for which a pseudo-terminal has room, once the other end is open.
     pub fn send(&mut self, bytes: &[u8]) {
         for piece in bytes.chunks(512) {
             // What is sent to nobody would come back as an echo.
@@ -65,7 +66,7 @@ impl Plug {
         }
     }
 
-    /// The line that comes next, or none within some seconds.
+    /// Returns the next line, or `None` after some seconds.
     pub fn hear(&mut self) -> Option<String> {
         let mut line = Vec::new();
         loop {
@@ -79,14 +80,14 @@ impl Plug {
         }
     }
 
-    /// The rate of the port's side.
+    /// Returns the baud rate of the port's side.
     pub fn baud(&self) -> u32 {
         let module = self.module.as_ref().expect("it is plugged in");
         let settings = rustix::termios::tcgetattr(module).expect("a terminal");
         settings.output_speed()
     }
 
-    /// Waits until it can be read or written, with somebody at the other end.
+    /// Waits until the line can be read or written, with the other end open.
     fn wait_for(&self, event: PollFlags) -> io::Result<()> {
         let module = self.module.as_ref().ok_or(ErrorKind::NotConnected)?;
         let start = Instant::now();

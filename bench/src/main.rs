@@ -1,0 +1,35 @@
+//! `aplomb-bench`: the library's filters beside those of other crates, on the same recordings.
+
+mod accuracy;
+mod compare;
+mod filter;
+mod folders;
+mod gains;
+mod leave_one_out;
+mod parallel;
+mod peers;
+mod picture;
+mod recording;
+mod report;
+mod rest;
+mod results;
+mod simulated;
+#[cfg(test)]
+mod starts;
+mod throughput;
+
+use std::process::ExitCode;
+
+use aplomb_recordings::terminal;
+use clap::Parser;
+
+fn main() -> ExitCode {
+    let result = compare::run(&compare::Options::parse());
+    match result.and(terminal::finish().map_err(Into::into)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! Recordings in memory, to compare filters on: with truth, or with rests to check by.
+
+use std::path::{Path, PathBuf};
+
+use aplomb::attitude::Vector3;
+use aplomb::calibration::Mount;
+use aplomb::estimator::Sample;
+use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
+use aplomb::units::STANDARD_GRAVITY_M_S2;
+use aplomb_models::motion::geometry::angle_between;
+use aplomb_recordings::attitude::up_in_body;
+use aplomb_recordings::counts::counts;
+use aplomb_recordings::log::{Lines, LogError, LogFault, Row, column_count, parse_row};
+use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
+
+use crate::filter::{Choice, Filter};
+use crate::rest;
+
+/// Largest plausible force. A larger one means that the columns are not in m/s².
+const IMPLAUSIBLE_FORCE_M_S2: f32 = 100.0 * STANDARD_GRAVITY_M_S2;
+
+/// Recording in body axes.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// Set: the folder.
+    pub set: String,
+    /// File name.
+    pub name: String,
+    /// Delay of the samples, µs.
+    pub delay_us: u32,
+    /// Reference.
+    pub reference: Reference,
+    /// Samples.
+    pub samples: Vec<Sample>,
+    /// True "up" in body axes for each sample, where it is known and counts.
+    pub true_up: Vec<Option<[f64; 3]>>,
+}
+
+/// Reference that a recording is judged by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Reference {
+    /// A measured truth.
+    Truth,
+    /// The accelerometer, where the sensor rests.
+    Rest,
+}
+
+impl Reference {
+    /// Returns the name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Truth => "truth",
+            Self::Rest => "rest",
+        }
+    }
+}
+
+/// Properties of a set that its files do not state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Handling {
+    /// Delay of the samples, µs.
+    pub delay_us: u32,
+    /// Ranges of register counts; `None` for SI units.
+    pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+}
+
+/// Result of reading a file.
+pub enum Found {
+    /// Recording that can be scored.
+    Recording(Recording),
+    /// Reason why the file cannot be scored.
+    Unusable(String),
+}
+
+impl Recording {
+    /// Reads a file. Malformed rows are errors; a file that cannot be scored is
+    /// [`Found::Unusable`].
+    pub fn read(path: &Path, handling: Handling) -> Result<Found, LogError> {
+        let unusable = |reason: &str| Ok(Found::Unusable(reason.to_owned()));
+        let mut lines = Lines::open(path, |file| file)?;
+        let header = match lines.next_line() {
+            Ok(Some(header)) => header,
+            Ok(None) => return unusable("it is empty"),
+            Err(LogError {
+                reason: LogFault::NotText,
+                ..
+            }) => return unusable("it is no text"),
+            Err(error) => return Err(error),
+        };
+        if header == aplomb::telemetry::bursts::HEADER {
+            return unusable("bursts have no truth: `aplomb replay` takes them");
+        }
+        let Some(columns) = column_count(header) else {
+            return unusable("it is no log: it does not begin with t_us,ax,ay,az,gx,gy,gz");
+        };
+        let mut recording = Self {
+            set: name_of(path.parent()),
+            name: name_of(Some(path)),
+            delay_us: handling.delay_us,
+            reference: Reference::Truth,
+            samples: Vec::new(),
+            true_up: Vec::new(),
+        };
+        let mut start = None;
+        let mut is_plausible = true;
+        while let Some(line) = lines.next_line()? {
+            let row = parse_row(line, columns).map_err(|fault| lines.refuse(fault))?;
+            let (first_us, mount) = *start.get_or_insert((row.time_us, mount(&row)));
+            let since_us = row.time_us.checked_sub(first_us);
+            let t_us = since_us
+                .and_then(|since| u64::try_from(since).ok())
+                .ok_or_else(|| lines.refuse(LogFault::Time(row.time_us.to_string())))?;
+            let Ok(sample) = sample(&row, t_us, mount, handling) else {
+                return unusable(
+                    "its values are no register counts, though its set is said to hold them",
+                );
+            };
+            is_plausible &= sample.specific_force_m_s2.is_within(IMPLAUSIBLE_FORCE_M_S2);
+            recording.samples.push(sample);
+            let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
+            recording.true_up.push(up.map(|up| {
+                let up = mount.to_body(vector(up));
+                [up.x, up.y, up.z].map(f64::from)
+            }));
+        }
+        if recording.counts() {
+            return Ok(Found::Recording(recording));
+        }
+        if !is_plausible && handling.ranges.is_none() {
+            return unusable(
+                "its values are beyond SI units: if they are counts, say --counts SET=G,DPS",
+            );
+        }
+        recording.reference = Reference::Rest;
+        recording.true_up = rest::up_at_rest(&recording.samples);
+        if recording.counts() {
+            Ok(Found::Recording(recording))
+        } else {
+            unusable(
+                "it has no truth, and after its first 5 s it does not lie still for 1.5 s either",
+            )
+        }
+    }
+
+    /// Returns whether any row counts.
+    fn counts(&self) -> bool {
+        let start_us = self.start_us();
+        let mut rows = self.samples.iter().zip(&self.true_up);
+        rows.any(|(sample, up)| sample.t_us >= start_us && up.is_some())
+    }
+
+    /// Returns the time from which on rows count, µs.
+    fn start_us(&self) -> u64 {
+        self.samples.first().map_or(0, |first| first.t_us) + START_US.unsigned_abs()
+    }
+
+    /// Returns the median step between samples, s.
+    pub fn step_s(&self) -> f32 {
+        let pairs = self.samples.iter().zip(self.samples.iter().skip(1));
+        let mut steps: Vec<u64> = pairs
+            .map(|(before, after)| after.t_us.saturating_sub(before.t_us))
+            .collect();
+        steps.sort_unstable();
+        let median = steps.get(steps.len() / 2).copied().unwrap_or(1_000);
+        median.max(1) as f32 * 1e-6
+    }
+
+    /// Scores a filter. Returns `None` if no row counts.
+    pub fn score(&self, choice: Choice) -> Option<Score> {
+        let mut errors = Errors::default();
+        let has_sigma = self.reference == Reference::Truth;
+        let filter = Filter::new(choice, self.step_s(), self.delay_us);
+        self.run(filter, |estimated, true_up, sigma_rad| {
+            errors.add(estimated, true_up, sigma_rad.filter(|_| has_sigma));
+        });
+        errors.score()
+    }
+
+    /// Returns the root mean square in degrees of a filter that was set up for this recording.
+    pub fn rms(&self, filter: Filter) -> f64 {
+        let (mut squares, mut rows) = (0.0, 0_u32);
+        self.run(filter, |estimated, true_up, _| {
+            let error = angle_between(estimated, true_up).to_degrees();
+            squares += error * error;
+            rows += 1;
+        });
+        (squares / f64::from(rows)).sqrt()
+    }
+
+    /// Runs a filter, and calls `note` for every row that counts: its "up", the true one, σ in rad.
+    fn run(&self, mut filter: Filter, mut note: impl FnMut([f64; 3], [f64; 3], Option<f32>)) {
+        let start_us = self.start_us();
+        for (sample, true_up) in self.samples.iter().zip(&self.true_up) {
+            let attitude = filter.update(sample).attitude;
+            if let Some(true_up) = *true_up
+                && sample.t_us >= start_us
+            {
+                let up = up_in_body(attitude);
+                let estimated = [up.x, up.y, up.z].map(f64::from);
+                note(estimated, true_up, filter.tilt_sigma_rad());
+            }
+        }
+    }
+}
+
+/// Returns every file below a folder, in order; or the file itself.
+pub fn files(path: &Path) -> std::io::Result<Vec<PathBuf>> {
+    if !path.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(path)? {
+        found.extend(files(&entry?.path())?);
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// Returns whether the name is that of a table.
+pub fn is_table(path: &Path) -> bool {
+    let name = name_of(Some(path)).to_lowercase();
+    name.ends_with(".csv") || name.ends_with(".csv.gz")
+}
+
+/// Returns the mount in this row: face up or face down. Most filters do not depend on it.
+fn mount(row: &Row) -> Mount {
+    if row.specific_force_m_s2[2] < 0.0 {
+        Mount::Z_DOWN
+    } else {
+        Mount::Z_UP
+    }
+}
+
+fn sample(row: &Row, t_us: u64, mount: Mount, handling: Handling) -> Result<Sample, String> {
+    let Some((accelerometer_range, gyroscope_range)) = handling.ranges else {
+        return Ok(Sample {
+            t_us,
+            specific_force_m_s2: mount.to_body(vector(row.specific_force_m_s2)),
+            angular_rate_rad_s: mount.to_body(vector(row.rates_rad_s)),
+            ..Sample::default()
+        });
+    };
+    let [force, rates] = counts(row)?;
+    let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
+    Ok(Sample {
+        t_us,
+        specific_force_m_s2: mount.to_body(force.to_m_s2(accelerometer_range)),
+        angular_rate_rad_s: mount.to_body(rates.to_rad_s(gyroscope_range)),
+        is_force_saturated: force.is_saturated(),
+        is_rate_saturated: rates.is_saturated(),
+    })
+}
+
+fn vector([x, y, z]: [f64; 3]) -> Vector3 {
+    Vector3::new(x as f32, y as f32, z as f32)
+}
+
+fn name_of(path: Option<&Path>) -> String {
+    path.and_then(Path::file_name)
+        .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}

@@ -1,0 +1,97 @@
+//! Simulated flights as recordings, for computers without recordings.
+//!
+//! Filters are tuned on flights with seeds below [`FIRST_EVALUATION_SEED`], and judged on those
+//! from there on.
+
+use std::ops::Range;
+
+use aplomb::calibration::Mount;
+use aplomb::estimator::Sample;
+use aplomb::mpu6050::LowPass;
+use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::truth::up_in_body;
+use aplomb_recordings::simulated::{CONFIG, samples};
+
+use crate::parallel;
+use crate::recording::{Recording, Reference};
+
+/// First seed of flights for judging. Smaller seeds are for tuning.
+pub const FIRST_EVALUATION_SEED: u64 = 1_000;
+
+/// Seeds of the flights that filters are tuned on.
+pub const TUNING_SEEDS: Range<u64> = 1..13;
+
+/// Seeds of the flights that filters are judged on.
+pub const EVALUATION_SEEDS: Range<u64> = FIRST_EVALUATION_SEED..FIRST_EVALUATION_SEED + 8;
+
+// Filters are not judged on the flights that they were tuned on.
+const _: () = assert!(TUNING_SEEDS.end <= FIRST_EVALUATION_SEED);
+
+/// Length of a flight, s.
+const SECONDS: u64 = 60;
+
+/// Simulates the flights of these seeds.
+pub fn flights(seeds: Range<u64>) -> Vec<Recording> {
+    let seeds: Vec<u64> = seeds.collect();
+    parallel::map_with_bar("simulating", &seeds, |seed| flight(*seed))
+}
+
+/// Simulates the flight of this seed.
+pub fn flight(seed: u64) -> Recording {
+    flight_for(seed, SECONDS)
+}
+
+/// Simulates the flight of this seed for `seconds`.
+pub fn flight_for(seed: u64, seconds: u64) -> Recording {
+    let mut recording = Recording {
+        set: "simulated".to_owned(),
+        name: format!("flight {seed}"),
+        delay_us: u32::from(LowPass::gyroscope_delay_us(CONFIG.low_pass)),
+        reference: Reference::Truth,
+        samples: Vec::new(),
+        true_up: Vec::new(),
+    };
+    for simulated in samples(Box::new(Quadrotor::by_seed(seed)), seed, seconds) {
+        let (raw, truth) = (simulated.raw, simulated.truth);
+        let force = raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
+        let rates = raw.gyroscope.to_rad_s(CONFIG.gyroscope_range);
+        recording.samples.push(Sample {
+            t_us: simulated.t_us,
+            specific_force_m_s2: Mount::Z_UP.to_body(force),
+            angular_rate_rad_s: Mount::Z_UP.to_body(rates),
+            is_rate_saturated: raw.gyroscope.is_saturated(),
+            is_force_saturated: raw.accelerometer.is_saturated(),
+        });
+        let up = truth.attitude.filter(|_| truth.scored).map(up_in_body);
+        recording.true_up.push(up);
+    }
+    recording
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use aplomb_recordings::simulated::BIAS_DEGREES_S;
+
+    #[test]
+    fn a_flight_has_the_bias_the_motion_and_the_truth() {
+        let recording = flight(FIRST_EVALUATION_SEED);
+        assert_eq!(recording.samples.len(), 60_000);
+        assert_eq!(recording.true_up.len(), 60_000);
+        // At rest on the ground the gyroscope shows its offset, and no row counts.
+        let at_rest = recording.samples[1_500].angular_rate_rad_s.norm();
+        let at_rest = f64::from(at_rest).to_degrees();
+        // Gravity and warmth add to it.
+        assert!((at_rest - BIAS_DEGREES_S).abs() < 1.0, "{at_rest}");
+        assert_eq!(recording.true_up[1_500], None);
+        let scored = recording.true_up.iter().flatten().count();
+        assert!(scored > 50_000, "{scored}");
+        let fastest = recording
+            .samples
+            .iter()
+            .map(|sample| sample.angular_rate_rad_s.norm())
+            .fold(0.0, f32::max);
+        assert!(fastest > 1.0, "{fastest} rad/s");
+        assert_ne!(recording.samples[30_000], flight(7).samples[30_000]);
+    }
+}

@@ -1,0 +1,159 @@
+//! Starts in the middle of recordings and simulated flights: the rule of the flag `VALID`, where it
+//! is hardest to keep.
+//!
+//! The truth is that of the recordings and of the simulation. The comparison uses no code of the
+//! library.
+
+use std::path::Path;
+
+use aplomb::attitude::Vector3;
+use aplomb::estimator::Sample;
+use aplomb::health::Flags;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb_models::motion::geometry::angle_between;
+use aplomb_recordings::attitude::up_in_body;
+
+use crate::parallel;
+use crate::recording::{Found, Handling, Recording};
+use crate::simulated;
+
+/// Times of the starts, s: the first one at rest in most recordings, the others anywhere.
+const STARTS_S: [u64; 5] = [0, 10, 25, 40, 55];
+/// Additional gyroscope offsets, °/s: the largest that the datasheet allows (product specification
+/// §6.1).
+const OFFSETS_DEGREES_S: [[f32; 3]; 5] = [
+    [0.0, 0.0, 0.0],
+    [20.0, 0.0, 0.0],
+    [0.0, -20.0, 0.0],
+    [0.0, 0.0, 20.0],
+    [0.0, 0.0, -20.0],
+];
+/// Largest error of a valid attitude: the larger of this angle and six σ.
+const ALLOWED_DEGREES: f64 = 5.0;
+const ALLOWED_SIGMAS: f64 = 6.0;
+/// Seeds of flights without other use.
+const SEEDS: std::ops::Range<u64> = 2_051..2_054;
+/// Length of those flights, s: within minutes a filter can become sure of a wrong attitude.
+const FLIGHT_S: u64 = 240;
+
+/// Outcome of one start.
+struct Outcome {
+    name: String,
+    samples: u32,
+    valid: u32,
+    wrong: u32,
+}
+
+fn start(recording: &Recording, start_s: u64, offset_degrees_s: [f32; 3]) -> Outcome {
+    let [x, y, z] = offset_degrees_s.map(f32::to_radians);
+    let offset = Vector3::new(x, y, z);
+    let mut settings = Settings::new(&Part::MPU_6050);
+    settings.sensor_delay_us = Some(recording.delay_us);
+    let mut steps_us: Vec<u64> = recording
+        .samples
+        .windows(2)
+        .map(|pair| pair[1].t_us.saturating_sub(pair[0].t_us))
+        .collect();
+    steps_us.sort_unstable();
+    let period_us = steps_us[steps_us.len() / 2];
+    settings.sensor.sample_rate_divider = (period_us.div_ceil(1_000) - 1) as u8;
+    let mut pipeline = Pipeline::new(&settings);
+    let mut outcome = Outcome {
+        name: format!(
+            "{}/{} from {start_s} s with {offset_degrees_s:?} °/s",
+            recording.set, recording.name
+        ),
+        samples: 0,
+        valid: 0,
+        wrong: 0,
+    };
+    for (sample, up) in recording.samples.iter().zip(&recording.true_up) {
+        if sample.t_us < start_s * 1_000_000 {
+            continue;
+        }
+        let snapshot = pipeline.update_sample(&Sample {
+            angular_rate_rad_s: sample.angular_rate_rad_s + offset,
+            ..*sample
+        });
+        outcome.samples += 1;
+        if !snapshot.flags.contains(Flags::VALID) {
+            continue;
+        }
+        outcome.valid += 1;
+        let Some(up) = up else { continue };
+        let found = up_in_body(snapshot.attitude);
+        let error = angle_between([found.x, found.y, found.z].map(f64::from), *up).to_degrees();
+        let sigma = f64::from(snapshot.tilt_variance_rad2).sqrt().to_degrees();
+        outcome.wrong += u32::from(error > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * sigma));
+    }
+    outcome
+}
+
+fn starts(recordings: &[Recording]) -> Vec<Outcome> {
+    let mut cases = Vec::new();
+    for recording in recordings {
+        let end_us = recording.samples.last().map_or(0, |sample| sample.t_us);
+        for start_s in STARTS_S {
+            if start_s * 1_000_000 + 15_000_000 < end_us {
+                cases.extend(OFFSETS_DEGREES_S.map(|offset| (recording, start_s, offset)));
+            }
+        }
+    }
+    parallel::map(&cases, |(recording, start_s, offset)| {
+        start(recording, *start_s, *offset)
+    })
+}
+
+/// Asserts that no start is wrong and valid at once.
+fn hold_to_the_rule(outcomes: &[Outcome]) {
+    let wrong: Vec<String> = outcomes
+        .iter()
+        .filter(|outcome| outcome.wrong > 0)
+        .map(|outcome| format!("{}: {} samples", outcome.name, outcome.wrong))
+        .collect();
+    println!("{} starts, {} wrong and valid", outcomes.len(), wrong.len());
+    assert!(wrong.is_empty(), "wrong and valid: {wrong:#?}");
+}
+
+#[test]
+fn a_start_in_flight_is_never_wrong_and_valid() {
+    let flights: Vec<Recording> = SEEDS
+        .map(|seed| simulated::flight_for(seed, FLIGHT_S))
+        .collect();
+    let outcomes = starts(&flights);
+    hold_to_the_rule(&outcomes);
+    // Flags that are never valid would be useless: from rest they are valid after a second or two.
+    for outcome in outcomes
+        .iter()
+        .filter(|outcome| outcome.name.contains("from 0 s"))
+    {
+        let share = f64::from(outcome.valid) / f64::from(outcome.samples);
+        assert!(share > 0.99, "{}: {share}", outcome.name);
+    }
+}
+
+#[test]
+fn a_start_in_a_recording_is_never_wrong_and_valid() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
+    let mut recordings = Vec::new();
+    for (set, delay_us) in [("broad", 4_000), ("tumvi", 0)] {
+        let Ok(files) = std::fs::read_dir(folder.join(set)) else {
+            println!("skipped: there are no recordings of {set}");
+            continue;
+        };
+        for file in files {
+            let path = file.expect("a folder that can be read").path();
+            let handling = Handling {
+                delay_us,
+                ranges: None,
+            };
+            match Recording::read(&path, handling) {
+                Ok(Found::Recording(recording)) => recordings.push(recording),
+                Ok(Found::Unusable(_)) => {}
+                Err(error) => panic!("{error}"),
+            }
+        }
+    }
+    hold_to_the_rule(&starts(&recordings));
+}

@@ -1,0 +1,180 @@
+//! True attitudes over time, and tables of attitudes.
+
+use std::error::Error;
+use std::path::Path;
+
+use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::calibration::Mount;
+use aplomb::units::radians;
+use aplomb_models::motion;
+use aplomb_models::motion::geometry::Quaternion as Truth;
+use aplomb_recordings::attitude_table::Columns;
+use aplomb_recordings::log::{Lines, LogFault, column_count, parse_row};
+use aplomb_recordings::motion::body_to_earth;
+
+use crate::progress;
+use crate::source::{Point, Source};
+
+/// Largest distance in time between an attitude and its truth, µs.
+const TRUTH_WITHIN_US: u64 = 5_000;
+
+/// Returns the mount in the models' terms, for the truth.
+pub fn modelled(mount: Mount) -> Result<motion::Mount, String> {
+    let name = mount.name();
+    motion::Mount::parse(name).ok_or_else(|| format!("{name} is no mount of a recording"))
+}
+
+/// Rows of an attitude.csv, or of a truth.csv.
+pub struct Table {
+    /// Lines after the header.
+    pub lines: Lines,
+    /// Columns by the header.
+    pub columns: Columns,
+}
+
+impl Source for Table {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let parsed = self.columns.row(line);
+        let row = parsed.map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        let [p, q, r] = row.rates_deg_s.unwrap_or_default().map(radians);
+        Ok(Some(Point {
+            t_us: row.t_us,
+            attitude: row.attitude.quaternion(),
+            body_rates_rad_s: Vector3::new(p, q, r),
+            tilt_sigma_rad: row.tilt_sigma_deg.map(radians),
+            flags: row.flags.unwrap_or_default(),
+            specific_force_m_s2: None,
+            truth: None,
+            counts: row.counts,
+        }))
+    }
+
+    fn has_flags(&self) -> bool {
+        self.columns.has_flags()
+    }
+}
+
+/// Truth at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrueRow {
+    /// Time, µs.
+    pub t_us: i64,
+    /// Body to earth, if it is known.
+    pub attitude: Option<Truth>,
+    /// The row counts for scores.
+    pub counts: bool,
+}
+
+/// Reader of the next row; `None` after the last.
+type NextRow = dyn FnMut() -> Result<Option<TrueRow>, Box<dyn Error>>;
+
+/// True attitudes over time, read along with the estimate.
+pub struct TruthFile {
+    rows: Box<NextRow>,
+    before: Option<TrueRow>,
+    after: Option<TrueRow>,
+}
+
+impl TruthFile {
+    /// Opens a table of attitudes, or a log with truth of a sensor with this mount.
+    pub fn open(path: &Path, mount: Mount) -> Result<Self, Box<dyn Error>> {
+        let mount = modelled(mount)?;
+        let mut lines = progress::lines(path)?;
+        let header = lines.next_line()?.unwrap_or_default().to_owned();
+        let mut file = if let Some(columns) = Columns::of(&header) {
+            let mut table = Table { lines, columns };
+            Self::new(move || {
+                let point = table.next()?;
+                Ok(point.map(|point| {
+                    let Quaternion { w, x, y, z } = point.attitude;
+                    let truth = Truth::new(w.into(), x.into(), y.into(), z.into());
+                    TrueRow {
+                        t_us: point.t_us,
+                        attitude: Some(truth),
+                        counts: point.counts,
+                    }
+                }))
+            })
+        } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 7) {
+            Self::new(move || {
+                let Some(line) = lines.next_line()? else {
+                    return Ok(None);
+                };
+                let row = parse_row(line, columns).map_err(|fault| lines.refuse(fault))?;
+                Ok(Some(TrueRow {
+                    t_us: row.time_us,
+                    attitude: row.attitude.map(|truth| body_to_earth(truth, mount)),
+                    counts: row.moving,
+                }))
+            })
+        } else {
+            let refused = lines.refuse(LogFault::Header(header));
+            return Err(format!(
+                "{refused}; or t_us,qw,qx,qy,qz,… or t_us,roll_deg,pitch_deg,yaw_deg,… for truth"
+            )
+            .into());
+        };
+        file.after = (file.rows)()?;
+        Ok(file)
+    }
+
+    fn new(rows: impl FnMut() -> Result<Option<TrueRow>, Box<dyn Error>> + 'static) -> Self {
+        Self {
+            rows: Box::new(rows),
+            before: None,
+            after: None,
+        }
+    }
+
+    /// Returns the row nearest to this time, if it is near. Times must not go back.
+    pub fn at(&mut self, t_us: i64) -> Result<Option<TrueRow>, Box<dyn Error>> {
+        while let Some(after) = self.after
+            && after.t_us < t_us
+        {
+            self.before = Some(after);
+            self.after = (self.rows)()?;
+        }
+        let distance = |row: &TrueRow| row.t_us.abs_diff(t_us);
+        let nearest = self
+            .after
+            .into_iter()
+            .chain(self.before)
+            .min_by_key(distance);
+        Ok(nearest.filter(|row| distance(row) <= TRUTH_WITHIN_US))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_truth_is_the_nearest_if_it_is_near() {
+        let attitude = |nth: i64| Truth::from_euler(nth as f64, 0.0, 0.0);
+        let mut times = [0, 10_000, 50_000].into_iter();
+        let row = move |t_us| TrueRow {
+            t_us,
+            attitude: Some(attitude(t_us)),
+            counts: true,
+        };
+        let mut file = TruthFile::new(move || Ok(times.next().map(row)));
+        file.after = (file.rows)().unwrap();
+        for (t_us, expected) in [
+            (-4_000, Some(0)),
+            (0, Some(0)),
+            (1_000, Some(0)),
+            (9_000, Some(10_000)),
+            (10_000, Some(10_000)),
+            (14_000, Some(10_000)),
+            (16_000, None),
+            (46_000, Some(50_000)),
+            (54_000, Some(50_000)),
+            (60_000, None),
+        ] {
+            assert_eq!(file.at(t_us).unwrap(), expected.map(row), "{t_us}");
+        }
+    }
+}

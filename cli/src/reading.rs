@@ -1,0 +1,150 @@
+//! Options for reading a recording, shared by `replay` and `plot`.
+
+use std::error::Error;
+use std::path::PathBuf;
+
+use aplomb::calibration::Mount;
+use aplomb_recordings::flight_log::Flight;
+use aplomb_recordings::form::Form;
+use aplomb_recordings::log::Lines;
+
+use crate::device::FilterName;
+use crate::input::Counts;
+use crate::source::{Bursts, Log, LogOptions, Logged, Source};
+
+/// Largest delay: no low-pass filter or bus is slower, and no turn lasts longer.
+const LONGEST_DELAY_US: i64 = 1_000_000;
+
+/// Options for reading a recording.
+#[derive(clap::Args)]
+pub struct Reading {
+    /// The recording
+    pub input: PathBuf,
+    /// Which filter: kalman, axis-kalman, classic [default: kalman]
+    #[arg(long, value_name = "NAME")]
+    filter: Option<FilterName>,
+    /// Where the body's forward and down axes point in sensor axes, for example +x-z [default:
+    /// z-up]
+    #[arg(long, allow_hyphen_values = true)]
+    mount: Option<Mount>,
+    /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0
+    /// unless told otherwise; bursts: the delay of the sensor's low-pass filter)
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US)
+    )]
+    sensor_delay_us: Option<u32>,
+    /// Which flight of a flight log in which the module started several times, counted from 1
+    #[arg(long, value_name = "N")]
+    pub flight: Option<usize>,
+    #[command(flatten)]
+    counts: Counts,
+}
+
+/// Kind of input, as far as it decides on options.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A log or bursts.
+    Recording,
+    /// A flight log.
+    FlightLog,
+    /// Attitudes, perhaps compared with a truth in the sensor's axes.
+    Attitudes {
+        /// Compared with a truth.
+        has_truth: bool,
+    },
+}
+
+impl Kind {
+    /// Returns the options that mean something for this kind.
+    fn takes(self) -> &'static [&'static str] {
+        match self {
+            Self::Recording => &[
+                "--filter",
+                "--mount",
+                "--sensor-delay-us",
+                "--raw",
+                "--accel-range",
+                "--gyro-range",
+            ],
+            Self::FlightLog => &["--filter", "--flight"],
+            Self::Attitudes { has_truth: true } => &["--mount"],
+            Self::Attitudes { has_truth: false } => &[],
+        }
+    }
+
+    /// Returns why it takes no others.
+    fn reason(self) -> &'static str {
+        match self {
+            Self::Recording => "it holds one flight",
+            Self::FlightLog => "a flight log brings its mount, its ranges and its delay",
+            Self::Attitudes { .. } => "these are attitudes, which a filter has made already",
+        }
+    }
+}
+
+impl Reading {
+    /// Refuses options that mean nothing for this kind of input.
+    pub fn check(&self, kind: Kind) -> Result<(), String> {
+        let own = [
+            ("--filter", self.filter.is_some()),
+            ("--mount", self.mount.is_some()),
+            ("--sensor-delay-us", self.sensor_delay_us.is_some()),
+            ("--flight", self.flight.is_some()),
+        ];
+        let given = own.into_iter().chain(self.counts.given());
+        let unused = given.filter(|(name, is_given)| *is_given && !kind.takes().contains(name));
+        let unused: Vec<&str> = unused.map(|(name, _)| name).collect();
+        if unused.is_empty() {
+            return Ok(());
+        }
+        Err(format!(
+            "{}: {} would change nothing: {}",
+            self.input.display(),
+            unused.join(" "),
+            kind.reason()
+        ))
+    }
+
+    /// Opens a log or bursts. The header is the next line.
+    pub fn open(&self, mut lines: Lines) -> Result<Box<dyn Source>, Box<dyn Error>> {
+        self.check(Kind::Recording)?;
+        let form = Form::read(&mut lines)?;
+        self.counts.check(form)?;
+        Ok(match form {
+            Form::Bursts => {
+                let (mount, config) = (self.mount(), self.counts.config());
+                let delay_us = self.sensor_delay_us;
+                Box::new(Bursts::new(lines, self.filter(), mount, config, delay_us))
+            }
+            Form::Log(columns) => {
+                let options = LogOptions {
+                    columns,
+                    filter: self.filter(),
+                    mount: self.mount(),
+                    delay_us: self.sensor_delay_us.unwrap_or(0),
+                    ranges: self.counts.ranges(),
+                };
+                Box::new(Log::new(lines, options)?)
+            }
+        })
+    }
+
+    /// Opens a flight of a flight log.
+    pub fn open_flight<'a>(&self, flight: &'a Flight) -> Result<Logged<'a>, String> {
+        self.check(Kind::FlightLog)?;
+        Logged::new(flight, self.filter())
+            .map_err(|reason| format!("{}: {reason}", self.input.display()))
+    }
+
+    /// Returns the mount of the options, or the default.
+    pub fn mount(&self) -> Mount {
+        self.mount.unwrap_or(Mount::Z_UP)
+    }
+
+    /// Returns the filter of the options, or the default.
+    pub fn filter(&self) -> FilterName {
+        self.filter.unwrap_or_default()
+    }
+}

@@ -1,0 +1,288 @@
+//! Sources of attitudes: the rows of a log, bursts, or a flight of a flight log, through a
+//! pipeline.
+
+use std::collections::VecDeque;
+use std::error::Error;
+
+use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::calibration::Mount;
+use aplomb::estimator::Sample;
+use aplomb::health::Flags;
+use aplomb::mpu6050::{
+    AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
+};
+use aplomb::pipeline::{Settings, Snapshot};
+use aplomb::telemetry::bursts;
+use aplomb_models::motion::geometry::Quaternion as Truth;
+use aplomb_recordings::counts::counts;
+use aplomb_recordings::flight_log::Flight;
+use aplomb_recordings::log::{Lines, Row, parse_row};
+use aplomb_recordings::score::START_US;
+
+use crate::device::{Device, FilterName};
+use crate::flight_replay::{Agreement, Replay};
+
+/// Rows of a log that are read ahead, to measure the time between rows.
+const ROWS_AHEAD: usize = 101;
+
+/// Attitude at one row, with its truth.
+pub struct Point {
+    /// Time of the row, µs.
+    pub t_us: i64,
+    /// Body to earth.
+    pub attitude: Quaternion,
+    /// Body rates p, q, r, rad/s.
+    pub body_rates_rad_s: Vector3,
+    /// σ of the tilt, if the filter knows it.
+    pub tilt_sigma_rad: Option<f32>,
+    /// Flags of the pipeline.
+    pub flags: Flags,
+    /// Specific force in body axes, if it is known.
+    pub specific_force_m_s2: Option<Vector3>,
+    /// True attitude, sensor to earth with z up, if it is known.
+    pub truth: Option<Truth>,
+    /// The row counts for scores.
+    pub counts: bool,
+}
+
+impl Point {
+    /// Returns whether the error counts, in a recording that starts at `first_us`.
+    pub fn is_scored(&self, first_us: i64) -> bool {
+        self.counts && self.t_us.saturating_sub(first_us) >= START_US
+    }
+
+    /// Returns the point of a snapshot, without its truth.
+    fn new(device: &Device, snapshot: &Snapshot, t_us: i64) -> Self {
+        Self {
+            t_us,
+            attitude: snapshot.attitude,
+            body_rates_rad_s: snapshot.body_rates_rad_s,
+            tilt_sigma_rad: device.tilt_sigma_rad(snapshot),
+            flags: snapshot.flags,
+            specific_force_m_s2: Some(device.specific_force_m_s2()),
+            truth: None,
+            counts: false,
+        }
+    }
+}
+
+/// Sequence of attitudes.
+pub trait Source {
+    /// Returns the next point; `None` after the last.
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>>;
+
+    /// Returns whether flags are known.
+    fn has_flags(&self) -> bool {
+        true
+    }
+}
+
+/// Options of a log.
+#[derive(Clone, Copy)]
+pub struct LogOptions {
+    /// Columns of the log.
+    pub columns: usize,
+    /// Filter to run.
+    pub filter: FilterName,
+    /// Mount of the sensor.
+    pub mount: Mount,
+    /// Delay of the samples, µs.
+    pub delay_us: u32,
+    /// Ranges of the register counts, if the log holds counts.
+    pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+}
+
+/// Rows of a log through the pipeline, as samples in SI units.
+pub struct Log {
+    lines: Lines,
+    options: LogOptions,
+    /// Rows that were read ahead.
+    ahead: VecDeque<LogRow>,
+    device: Device,
+}
+
+/// Row of a log.
+struct LogRow {
+    t_us: i64,
+    /// In body axes.
+    sample: Sample,
+    truth: Option<Truth>,
+    counts: bool,
+}
+
+impl Log {
+    /// Starts a log after its header. The first rows show the usual time between rows: a longer
+    /// one is a pause.
+    pub fn new(lines: Lines, options: LogOptions) -> Result<Self, Box<dyn Error>> {
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.sensor_delay_us = Some(options.delay_us);
+        let mut log = Self {
+            lines,
+            options,
+            ahead: VecDeque::new(),
+            device: Device::for_samples(options.filter, &settings, options.delay_us),
+        };
+        while log.ahead.len() < ROWS_AHEAD
+            && let Some(row) = log.read()?
+        {
+            log.ahead.push_back(row);
+        }
+        settings.sensor.sample_rate_divider = log.sample_rate_divider();
+        log.device = Device::for_samples(options.filter, &settings, options.delay_us);
+        Ok(log)
+    }
+
+    /// Returns the divider of a sensor with the log's sample rate. Rows may come irregularly, so
+    /// the period is rounded up.
+    fn sample_rate_divider(&self) -> u8 {
+        let pairs = self.ahead.iter().zip(self.ahead.iter().skip(1));
+        let mut steps_us: Vec<u64> = pairs
+            .map(|(before, after)| before.t_us.abs_diff(after.t_us))
+            .collect();
+        steps_us.sort_unstable();
+        let median_us = steps_us.get(steps_us.len() / 2).copied().unwrap_or(0);
+        let periods = median_us.div_ceil(1_000).saturating_sub(1);
+        periods.try_into().unwrap_or(u8::MAX)
+    }
+
+    fn read(&mut self) -> Result<Option<LogRow>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let row =
+            parse_row(line, self.options.columns).map_err(|fault| self.lines.refuse(fault))?;
+        let sample = self
+            .options
+            .sample(&row)
+            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        Ok(Some(LogRow {
+            t_us: row.time_us,
+            sample,
+            truth: row.attitude,
+            counts: row.moving,
+        }))
+    }
+}
+
+impl LogOptions {
+    /// Returns the row as a sample in body axes.
+    fn sample(&self, row: &Row) -> Result<Sample, String> {
+        let t_us = unsigned(row.time_us);
+        let Some((accelerometer_range, gyroscope_range)) = self.ranges else {
+            return Ok(Sample {
+                t_us,
+                specific_force_m_s2: self.mount.to_body(vector(row.specific_force_m_s2)),
+                angular_rate_rad_s: self.mount.to_body(vector(row.rates_rad_s)),
+                ..Sample::default()
+            });
+        };
+        let [force, rates] = counts(row)?;
+        let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
+        Ok(Sample {
+            t_us,
+            specific_force_m_s2: self.mount.to_body(force.to_m_s2(accelerometer_range)),
+            angular_rate_rad_s: self.mount.to_body(rates.to_rad_s(gyroscope_range)),
+            is_force_saturated: force.is_saturated(),
+            is_rate_saturated: rates.is_saturated(),
+        })
+    }
+}
+
+impl Source for Log {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let row = match self.ahead.pop_front() {
+            Some(row) => Some(row),
+            None => self.read()?,
+        };
+        Ok(row.map(|row| {
+            let snapshot = self.device.update_sample(&row.sample);
+            Point {
+                truth: row.truth,
+                counts: row.counts,
+                ..Point::new(&self.device, &snapshot, row.t_us)
+            }
+        }))
+    }
+}
+
+/// Bursts through the whole pipeline.
+pub struct Bursts {
+    lines: Lines,
+    device: Device,
+}
+
+impl Bursts {
+    /// Starts bursts after their header. `delay_us` replaces the delay of the low-pass filter.
+    pub fn new(
+        lines: Lines,
+        filter: FilterName,
+        mount: Mount,
+        config: Config,
+        delay_us: Option<u32>,
+    ) -> Self {
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.mount = mount;
+        settings.sensor_delay_us = delay_us;
+        settings.sensor = config;
+        Self {
+            lines,
+            device: Device::for_bursts(filter, &settings),
+        }
+    }
+}
+
+impl Source for Bursts {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let (burst, flags) =
+            bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        let t_us = i64::try_from(burst.captured_at_us)
+            .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
+        let snapshot = self.device.update(&burst, flags);
+        Ok(Some(Point::new(&self.device, &snapshot, t_us)))
+    }
+}
+
+/// Flight of a flight log through the whole pipeline.
+pub struct Logged<'a> {
+    replay: Replay<'a>,
+}
+
+impl<'a> Logged<'a> {
+    /// Starts the replay of a flight.
+    pub fn new(flight: &'a Flight, filter: FilterName) -> Result<Self, &'static str> {
+        let replay = Replay::new(flight, filter)?;
+        Ok(Self { replay })
+    }
+
+    /// Returns the mount of the sensor.
+    pub fn mount(&self) -> Mount {
+        self.replay.device().settings().mount()
+    }
+
+    /// Returns the agreement with the flight so far.
+    pub fn agreement(&self) -> &Agreement {
+        self.replay.agreement()
+    }
+}
+
+impl Source for Logged<'_> {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let Some(snapshot) = self.replay.next() else {
+            return Ok(None);
+        };
+        let t_us = i64::try_from(snapshot.t_us)?;
+        Ok(Some(Point::new(self.replay.device(), &snapshot, t_us)))
+    }
+}
+
+/// Shifts times to a scale without a sign. Only their differences matter to a filter.
+fn unsigned(time_us: i64) -> u64 {
+    time_us.cast_unsigned() ^ (1 << 63)
+}
+
+fn vector([x, y, z]: [f64; 3]) -> Vector3 {
+    Vector3::new(x as f32, y as f32, z as f32)
+}

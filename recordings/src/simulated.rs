@@ -1,0 +1,108 @@
+//! Simulated sensor data: a motion, as an MPU-6050 with the default settings and an uncalibrated
+//! gyroscope measures it at 1 kHz.
+
+use aplomb::mpu6050::{AccelerometerCounts, Config, GyroscopeCounts, RawSample};
+use aplomb_models::motion::geometry::{Quaternion, scale};
+use aplomb_models::motion::{self, Motion, Truth};
+use aplomb_models::random::Random;
+use aplomb_models::sensor::SensorErrors;
+use aplomb_models::sensor::clock::TICKS_PER_SECOND;
+use aplomb_models::sensor::identity::Identity;
+use aplomb_models::sensor::signal_path::{Settings, SignalPath};
+
+use crate::motion::truth_of;
+use crate::number;
+
+/// Configuration of the simulated sensor.
+pub const CONFIG: Config = Config::DEFAULT;
+
+/// Mount of the simulated sensor.
+pub const MOUNT: motion::Mount = motion::Mount::Z_UP;
+
+/// Zero-rate offset of the gyroscope, °/s; the seed decides its direction.
+pub const BIAS_DEGREES_S: f64 = 4.0;
+
+/// Header of a log of simulated samples.
+pub const LOG_HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
+
+const TICKS_PER_SAMPLE: u64 = 8;
+
+/// Sample of the simulated sensor, with its truth.
+#[derive(Clone, Copy, Debug)]
+pub struct Simulated {
+    /// Time, µs.
+    pub t_us: u64,
+    /// Register counts.
+    pub raw: RawSample,
+    /// Truth at this time.
+    pub truth: Truth,
+}
+
+impl Simulated {
+    /// Appends the sample as a row of a log with [`LOG_HEADER`].
+    pub fn write_row(&self, line: &mut Vec<u8>) {
+        let force = self.raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
+        let rates = self.raw.gyroscope.to_rad_s(CONFIG.gyroscope_range);
+        line.extend_from_slice(self.t_us.to_string().as_bytes());
+        for value in [force.x, force.y, force.z, rates.x, rates.y, rates.z] {
+            line.push(b',');
+            number::append(line, value);
+        }
+        let truth = match self.truth.attitude {
+            Some(attitude) => {
+                let Quaternion { w, x, y, z } = truth_of(attitude, MOUNT);
+                format!(",{w},{x},{y},{z}")
+            }
+            None => ",,,,".to_owned(),
+        };
+        line.extend_from_slice(truth.as_bytes());
+        line.extend_from_slice(if self.truth.scored { b",1\n" } else { b",0\n" });
+    }
+}
+
+/// Simulates a motion for `seconds`. The seed decides the sensor's errors and its noise.
+pub fn samples(
+    mut motion: Box<dyn Motion>,
+    seed: u64,
+    seconds: u64,
+) -> impl Iterator<Item = Simulated> {
+    let mut sensor = SignalPath::new(
+        seed,
+        MOUNT,
+        errors(seed),
+        Identity::of(0x68),
+        Settings {
+            gyroscope_range: CONFIG.gyroscope_range.bits(),
+            accelerometer_range: CONFIG.accelerometer_range.bits(),
+            gyroscope_filter: CONFIG.low_pass.bits(),
+            accelerometer_filter: CONFIG.low_pass.bits(),
+            gyroscope_self_test: [false; 3],
+            accelerometer_self_test: [false; 3],
+        },
+    );
+    (1..=seconds * TICKS_PER_SECOND as u64).filter_map(move |tick| {
+        let time_s = tick as f64 / TICKS_PER_SECOND;
+        let truth = motion.at(time_s);
+        let is_due = tick.is_multiple_of(TICKS_PER_SAMPLE);
+        sensor.convert(&truth, time_s, is_due);
+        let counts = is_due.then(|| sensor.counts())?;
+        Some(Simulated {
+            t_us: tick * 1_000_000 / TICKS_PER_SECOND as u64,
+            raw: RawSample {
+                accelerometer: AccelerometerCounts(counts.accelerometer),
+                gyroscope: GyroscopeCounts(counts.gyroscope),
+                ..RawSample::default()
+            },
+            truth,
+        })
+    })
+}
+
+fn errors(seed: u64) -> SensorErrors {
+    let mut random = Random::new(seed, "uncalibrated gyroscope");
+    let direction = [0; 3].map(|_| random.normal());
+    let length = direction.iter().map(|part| part * part).sum::<f64>().sqrt();
+    let mut errors = SensorErrors::typical(seed);
+    errors.gyroscope.offset = scale(direction, BIAS_DEGREES_S.to_radians() / length);
+    errors
+}
