@@ -118,7 +118,8 @@ fn mean(samples: &[Sample], of: fn(&Sample) -> Vector3) -> [f64; 3] {
 mod tests {
     use super::*;
 
-    /// Returns samples at 100 Hz: rest on one side until 3 s, a turn until 5 s, rest on another side until 10 s.
+    /// Returns samples at 100 Hz: rest on one side until 3 s, a turn until 5 s, rest on another
+    /// side until 10 s.
     fn turned_once() -> Vec<Sample> {
         let sample = |index: u64| {
             let time_s = index as f32 * 0.01;

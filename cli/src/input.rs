@@ -9,11 +9,11 @@ pub struct Counts {
     /// The log's values are register counts of a sensor with these ranges
     #[arg(long, requires_all = ["accel_range", "gyro_range"])]
     pub raw: bool,
-    /// Accelerometer range of counts in g: 2, 4, 8 or 16 (bursts: 16 unless told otherwise)
+    /// Accelerometer range of counts in g: 2, 4, 8 or 16 (bursts: 16 by default)
     #[arg(long, value_name = "G")]
     accel_range: Option<AccelerometerRange>,
-    /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000 (bursts: 2000 unless
-    /// told otherwise)
+    /// Gyroscope range of counts in degrees per second: 250, 500, 1000 or 2000
+    /// (bursts: 2000 by default)
     #[arg(long, value_name = "DPS")]
     gyro_range: Option<GyroscopeRange>,
 }

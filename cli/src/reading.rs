@@ -28,7 +28,7 @@ pub struct Reading {
     #[arg(long, allow_hyphen_values = true)]
     mount: Option<Mount>,
     /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0
-    /// unless told otherwise; bursts: the delay of the sensor's low-pass filter)
+    /// by default; bursts: the delay of the sensor's low-pass filter)
     #[arg(
         long,
         value_name = "N",

@@ -363,12 +363,12 @@ impl Recorder<'_> {
         log.talk = Decoder::default();
         self.enter(Stage::Asked);
         self.link.set_baud(self.options.baud);
-        self.link.say("show");
+        self.link.send_line("show");
     }
 
     fn command_log(&mut self) {
         self.enter(Stage::Commanded);
-        self.link.say("format log");
+        self.link.send_line("format log");
     }
 
     /// Begins the log, or continues it.

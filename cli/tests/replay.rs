@@ -254,8 +254,8 @@ fn counts_and_si_values_give_the_same() {
     }
 }
 
-/// Returns rest, motion, a pause, a jump of the rates, a gap, a saturated gyroscope, free fall: time in µs
-/// and counts.
+/// Returns rest, motion, a pause, a jump of the rates, a gap, a saturated gyroscope, free fall:
+/// time in µs and counts.
 fn eventful() -> Vec<(u64, [i16; 6])> {
     let mut t_us = 5_000;
     (0..9_000_u32)

@@ -192,7 +192,7 @@ impl App {
                 }
                 let (position_s, counts) = (player.position_s(), player.counts());
                 if let Some(error) = error {
-                    self.model.say(position_s, Speaker::Program, error);
+                    self.model.add_message(position_s, Speaker::Program, error);
                 }
                 self.model.tick(position_s, player.format(), counts);
                 true
@@ -216,10 +216,10 @@ impl App {
                     *speed = changed_speed(*speed, factor);
                 }
             }
-            Action::Say(line) => {
+            Action::Send(line) => {
                 model.typed = None;
                 if let Input::Live(live) = &mut self.input {
-                    live.say(&line, model);
+                    live.send(&line, model);
                 }
             }
             Action::SetFormat(format) => {
@@ -238,7 +238,7 @@ impl App {
         if self.recording.take().is_some() {
             if let Some((name, bytes)) = model.recording.take() {
                 let text = format!("recorded {bytes} bytes to {name}");
-                model.say(now_s, Speaker::Program, text);
+                model.add_message(now_s, Speaker::Program, text);
             }
             return;
         }
@@ -250,7 +250,7 @@ impl App {
             }
             Err(error) => {
                 let text = format!("no file can be made here: {error}");
-                model.say(now_s, Speaker::Program, text);
+                model.add_message(now_s, Speaker::Program, text);
             }
         }
     }

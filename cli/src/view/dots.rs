@@ -9,8 +9,8 @@ pub const ACROSS: i32 = 2;
 /// Points down a cell.
 pub const DOWN: i32 = 4;
 
-/// Bits of the points by row and column. U+2800 plus the bits is the pattern (Unicode, block Braille
-/// Patterns).
+/// Bits of the points by row and column. U+2800 plus the bits is the pattern (Unicode, block
+/// Braille Patterns).
 const BITS: [[u8; 2]; 4] = [[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]];
 
 /// Field of points; (0, 0) is at the top left.

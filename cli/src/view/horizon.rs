@@ -163,7 +163,8 @@ impl View {
         }
     }
 
-    /// Draws ticks at the angles of bank of real instruments, and the direction of the aircraft's top.
+    /// Draws ticks at the angles of bank of real instruments, and the direction of the aircraft's
+    /// top.
     fn roll_scale(&self, dots: &mut Dots) {
         let radius = self.centre.1 * 0.94;
         let place = |angle_deg: f64, radius: f64| {

@@ -9,7 +9,7 @@ use super::model::Model;
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
     /// Send this line to the module.
-    Say(String),
+    Send(String),
     /// Have the module send this format.
     SetFormat(OutputFormat),
     /// Begin or end a recording.
@@ -92,7 +92,7 @@ pub fn action(key: KeyEvent, model: &Model) -> Option<Action> {
         return Some(match key.code {
             KeyCode::Esc => Action::Type(None),
             KeyCode::Enter if typed.trim().is_empty() => Action::Type(None),
-            KeyCode::Enter => Action::Say(typed.trim().to_owned()),
+            KeyCode::Enter => Action::Send(typed.trim().to_owned()),
             KeyCode::Backspace => {
                 let mut typed = typed.clone();
                 let is_empty = typed.pop().is_none();
@@ -118,7 +118,7 @@ pub fn action(key: KeyEvent, model: &Model) -> Option<Action> {
         _ => COMMANDS
             .iter()
             .find(|(key, ..)| *key == letter)
-            .map(|(_, command, _)| Action::Say((*command).to_owned())),
+            .map(|(_, command, _)| Action::Send((*command).to_owned())),
     }
 }
 
@@ -134,8 +134,8 @@ mod tests {
     #[test]
     fn keys_say_commands_to_a_module_and_not_to_a_recording() {
         let mut model = Model::new("port".into(), Connection::Open(None));
-        let say = |text: &str| Some(Action::Say(text.into()));
-        assert_eq!(press(KeyCode::Char('g'), &model), say("calibrate gyro"));
+        let send = |text: &str| Some(Action::Send(text.into()));
+        assert_eq!(press(KeyCode::Char('g'), &model), send("calibrate gyro"));
         assert_eq!(press(KeyCode::Char('+'), &model), None);
         model.connection = Connection::Playing {
             speed: 1.0,
@@ -169,7 +169,7 @@ mod tests {
         }
         assert_eq!(
             press(KeyCode::Enter, &model),
-            Some(Action::Say("rate 20".into()))
+            Some(Action::Send("rate 20".into()))
         );
         assert_eq!(press(KeyCode::Esc, &model), Some(Action::Type(None)));
     }

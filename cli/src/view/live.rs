@@ -121,18 +121,18 @@ impl Live {
                         self.link.set_baud(baud);
                     }
                     let text = format!("{} is gone ({reason}): waiting for it", model.name);
-                    model.say(now_s, Speaker::Program, text);
+                    model.add_message(now_s, Speaker::Program, text);
                     model.connection = Connection::Away(reason);
                     model.quiet_answers = 0;
                 }
                 Report::Back => {
-                    model.say(now_s, Speaker::Program, format!("{} is back", model.name));
+                    model.add_message(now_s, Speaker::Program, format!("{} is back", model.name));
                     self.baud = self.first_baud;
                     self.unread = None;
                     model.connection = Connection::Open(self.baud);
                 }
                 Report::Ended(reason) => {
-                    model.say(now_s, Speaker::Program, reason.clone());
+                    model.add_message(now_s, Speaker::Program, reason.clone());
                     model.connection = Connection::Ended(reason);
                 }
                 Report::Switched(result) => self.switched(result, model),
@@ -147,7 +147,7 @@ impl Live {
             if self.asked.elapsed() >= STATUS_PERIOD {
                 self.asked = Instant::now();
                 model.quiet_answers = 1;
-                self.link.say("status");
+                self.link.send_line("status");
             }
         }
         has_changed
@@ -161,7 +161,7 @@ impl Live {
                     let text = format!("{name} cannot be written any more: {error}");
                     *recording = None;
                     model.recording = None;
-                    model.say(now_s, Speaker::Program, text);
+                    model.add_message(now_s, Speaker::Program, text);
                 }
             }
         }
@@ -202,13 +202,13 @@ impl Live {
             }
             None => {
                 let text = format!("what comes cannot be read at {baud} baud: is --baud right?");
-                return model.say(now_s, Speaker::Program, text);
+                return model.add_message(now_s, Speaker::Program, text);
             }
         };
         self.baud = Some(next);
         model.connection = Connection::Open(Some(next));
         let text = format!("what comes cannot be read at {baud} baud: trying {next}");
-        model.say(now_s, Speaker::Program, text);
+        model.add_message(now_s, Speaker::Program, text);
         self.link.set_baud(next);
     }
 
@@ -223,7 +223,7 @@ impl Live {
                     Some(baud) => format!("it stays at {baud} baud"),
                     None => "it stays as it is".into(),
                 };
-                model.say(model.now_s, Speaker::Program, format!("{stays}: {reason}"));
+                model.add_message(model.now_s, Speaker::Program, format!("{stays}: {reason}"));
             }
             Ok(baud) => {
                 if self.baud.is_some() {
@@ -233,7 +233,7 @@ impl Live {
                 match purpose {
                     Switching::Log => {
                         self.switched_baud = self.baud;
-                        self.say(&format!("format {}", OutputFormat::Log.name()), model);
+                        self.send(&format!("format {}", OutputFormat::Log.name()), model);
                     }
                     Switching::Person => {
                         // The new rate stays.
@@ -241,7 +241,7 @@ impl Live {
                         self.switched_baud = None;
                         // The module keeps a rate once it has understood a line at it.
                         model.quiet_answers = 1;
-                        self.link.say("status");
+                        self.link.send_line("status");
                     }
                 }
             }
@@ -249,12 +249,12 @@ impl Live {
     }
 
     /// Sends a line of the person.
-    pub fn say(&mut self, line: &str, model: &mut Model) {
+    pub fn send(&mut self, line: &str, model: &mut Model) {
         if !model.takes_commands() {
-            let text = format!("not said, since nobody is there: {line}");
-            return model.say(model.now_s, Speaker::Program, text);
+            let text = format!("not sent, because no module is connected: {line}");
+            return model.add_message(model.now_s, Speaker::Program, text);
         }
-        model.say(model.now_s, Speaker::Person, line.to_owned());
+        model.add_message(model.now_s, Speaker::Person, line.to_owned());
         // The screen shows the answer to a person's question.
         if line == "status" {
             model.quiet_answers = 0;
@@ -264,7 +264,7 @@ impl Live {
                 self.switching = Some(Switching::Person);
                 self.link.switch_baud(baud);
             }
-            _ => self.link.say(line),
+            _ => self.link.send_line(line),
         }
     }
 
@@ -272,11 +272,11 @@ impl Live {
     pub fn set_format(&mut self, format: OutputFormat, model: &mut Model) {
         let is_fast = self.baud == Some(LOG_BAUD);
         if format == OutputFormat::Log && !is_fast && model.takes_commands() {
-            model.say(model.now_s, Speaker::Person, format!("baud {LOG_BAUD}"));
+            model.add_message(model.now_s, Speaker::Person, format!("baud {LOG_BAUD}"));
             self.switching = Some(Switching::Log);
             self.link.switch_baud(LOG_BAUD);
         } else {
-            self.say(&format!("format {}", format.name()), model);
+            self.send(&format!("format {}", format.name()), model);
         }
     }
 }

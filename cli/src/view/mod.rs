@@ -195,7 +195,7 @@ fn draw_picture(file: &Path, at_s: f64, picture: &Path) -> Result<(), Box<dyn Er
         model.tick(player.position_s(), player.format(), player.counts());
         if let Some(error) = player.take_error() {
             eprintln!("{error}");
-            model.say(player.position_s(), Speaker::Program, error);
+            model.add_message(player.position_s(), Speaker::Program, error);
         }
     }
     let mut buffer = Buffer::empty(PICTURE);

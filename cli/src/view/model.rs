@@ -156,7 +156,7 @@ impl Model {
                         return;
                     }
                 }
-                self.say(at_s, Speaker::Module, text);
+                self.add_message(at_s, Speaker::Module, text);
             }
         }
     }
@@ -199,7 +199,7 @@ impl Model {
     }
 
     /// Adds a line to the messages.
-    pub fn say(&mut self, at_s: f64, speaker: Speaker, text: String) {
+    pub fn add_message(&mut self, at_s: f64, speaker: Speaker, text: String) {
         if self.messages.len() == MESSAGES {
             self.messages.pop_front();
         }

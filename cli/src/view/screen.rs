@@ -475,7 +475,8 @@ fn is_bad(text: &str) -> bool {
         || text.contains("trying again")
 }
 
-/// Wraps a text at spaces into rows of at most `width` letters. All rows but the first are indented.
+/// Wraps a text at spaces into rows of at most `width` letters. All rows but the first are
+/// indented.
 fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
     let mut rows = Vec::new();
     let mut row = String::new();

@@ -56,7 +56,7 @@ pub enum Report {
 /// Order to the thread.
 enum Order {
     /// Send a line.
-    Say(String),
+    Send(String),
     /// Continue at this baud rate.
     SetBaud(u32),
     /// Have the module change to this baud rate, and continue at it.
@@ -111,8 +111,8 @@ impl Link {
     }
 
     /// Sends a command.
-    pub fn say(&self, line: &str) {
-        self.order(Order::Say(line.to_owned()));
+    pub fn send_line(&self, line: &str) {
+        self.order(Order::Send(line.to_owned()));
     }
 
     /// Changes the port's baud rate, from now on and when the port comes back.
@@ -130,12 +130,12 @@ impl Link {
     pub fn bring_back(&self, format: &str, baud: u32) -> Result<(), String> {
         let mut result = Err(UNANSWERED.to_owned());
         for _attempt in 0..2 {
-            self.say(&format!("format {format}"));
+            self.send_line(&format!("format {format}"));
             self.switch_baud(baud);
             result = self.switched();
             if result.is_ok() {
                 // The module keeps a rate once it has understood a line at it.
-                self.say("status");
+                self.send_line("status");
                 break;
             }
         }
@@ -267,7 +267,7 @@ impl Port {
                         let gone = Err("the port is gone".to_owned());
                         reports.send(Report::Switched(gone)).ok();
                     }
-                    Ok(Order::Say(_)) | Err(RecvTimeoutError::Timeout) => {}
+                    Ok(Order::Send(_)) | Err(RecvTimeoutError::Timeout) => {}
                     Err(RecvTimeoutError::Disconnected) => return,
                 }
                 if let Ok(port) = open(&self.path, self.baud) {
@@ -308,7 +308,7 @@ impl Port {
         reports: &Sender<Report>,
     ) -> io::Result<()> {
         match order {
-            Order::Say(line) => {
+            Order::Send(line) => {
                 port.write_all(format!("{line}\n").as_bytes())?;
                 port.flush()
             }
@@ -419,7 +419,7 @@ fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<O
     });
     loop {
         let line = match orders.recv_timeout(RETRY) {
-            Ok(Order::Say(line)) => line,
+            Ok(Order::Send(line)) => line,
             // A process has no baud rate, but the firmware on the virtual board has one.
             Ok(Order::SwitchBaud(baud)) => {
                 reports.send(Report::Switched(Ok(baud))).ok();
@@ -442,8 +442,8 @@ fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<O
     }
     child.kill().ok();
     child.wait().ok();
-    let said = errors.join().unwrap_or_default();
-    let last = said.lines().rfind(|line| !line.is_empty());
+    let errors = errors.join().unwrap_or_default();
+    let last = errors.lines().rfind(|line| !line.is_empty());
     let reason = last.unwrap_or("the virtual board has ended").to_owned();
     reports.send(Report::Ended(reason)).ok();
 }
@@ -486,12 +486,12 @@ mod tests {
         wait_for_bytes(&link, b"one\n\0\xFFtwo");
         plug.unplug();
         wait_for(&link, |report| matches!(report, Report::Away(_)));
-        link.say("lost");
+        link.send_line("lost");
         plug.plug_in();
         wait_for(&link, |report| *report == Report::Back);
         plug.send(b"three");
         wait_for_bytes(&link, b"three");
-        link.say("status");
+        link.send_line("status");
         assert_eq!(plug.hear().as_deref(), Some("status"));
     }
 
@@ -535,7 +535,7 @@ mod tests {
         ]);
         let link = Link::process(command).expect("there is a shell");
         wait_for_bytes(&link, b"hello\n");
-        link.say("status");
+        link.send_line("status");
         wait_for_bytes(&link, b"got status\n");
         let end = wait_for(&link, |report| matches!(report, Report::Ended(_)));
         assert_eq!(end, Report::Ended("error: no image".into()));

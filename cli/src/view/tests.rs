@@ -68,8 +68,8 @@ fn assert_golden(name: &str, buffer: &Buffer) {
 fn swinging(flags: Flags) -> Model {
     let mut model = Model::new("/dev/ttyUSB0".into(), Connection::Open(Some(921_600)));
     let mut counts = Counts::default();
-    model.say(0.3, Speaker::Module, "MPU-6050 at 0x68 configured".into());
-    model.say(
+    model.add_message(0.3, Speaker::Module, "MPU-6050 at 0x68 configured".into());
+    model.add_message(
         1.2,
         Speaker::Module,
         "gyroscope's offset measured, ready".into(),
@@ -122,9 +122,9 @@ fn an_attitude_that_is_not_valid_says_so_with_the_reasons() {
     );
     model.counts.lost = 12;
     model.recording = Some(("aplomb-1.log".into(), 1_234_567));
-    model.say(24.0, Speaker::Person, "calibrate gyro".into());
+    model.add_message(24.0, Speaker::Person, "calibrate gyro".into());
     let error = "error refused while \"calibrate accel\" goes on: \"calibrate stop\" ends it";
-    model.say(24.1, Speaker::Module, error.into());
+    model.add_message(24.1, Speaker::Module, error.into());
     assert_golden("view-not-valid-80x24.txt", &drawn(&model, 80, 24));
     assert_golden("view-not-valid-120x40.txt", &drawn(&model, 120, 40));
 }

@@ -59,8 +59,8 @@ fn nearly_a_stream() -> impl Strategy<Value = Vec<u8>> {
     ];
     let of_format = (prop::sample::select(formats.to_vec()), any::<u8>())
         .prop_map(|(format, counter)| frame(format, counter));
-    let said = prop::option::of("[ -~é°]{0,120}");
-    let of_session = said.prop_map(|said| mavlink(&mut Session::new(), said.as_deref()));
+    let message = prop::option::of("[ -~é°]{0,120}");
+    let of_session = message.prop_map(|text| mavlink(&mut Session::new(), text.as_deref()));
     let of_log =
         (any::<u32>(), any::<[u8; 14]>(), any::<u32>()).prop_map(|(number, bytes, flags)| {
             let captured_at_us = u64::from(number) * 1_000;
@@ -83,7 +83,7 @@ fn nearly_a_stream() -> impl Strategy<Value = Vec<u8>> {
                 }),
                 Frame::Configuration(configuration),
                 Frame::Attitude(snapshot()),
-                Frame::Text(log::Text::new("said")),
+                Frame::Text(log::Text::new("text")),
             ];
             let mut place = [0; log::FRAME_CAPACITY];
             log::encode(&frames[number as usize % 4], &mut place).to_vec()
@@ -200,18 +200,18 @@ fn every_format_of_a_frame_is_found_by_itself_and_so_are_changes() {
 #[test]
 fn text_says_whether_it_is_valid_and_a_message_why_it_is_not() {
     let mut decoder = Decoder::default();
-    let said = "# attitude: VALID|DEGRADED|POLLED\nroll:1.00\tpitch:-2.50\tyaw:90.00\t\
+    let lines = "# attitude: VALID|DEGRADED|POLLED\nroll:1.00\tpitch:-2.50\tyaw:90.00\t\
                 roll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
-    let items = decode(&mut decoder, said.as_bytes());
+    let items = decode(&mut decoder, lines.as_bytes());
     let [reading] = readings(&items)[..] else {
         panic!("{items:?}");
     };
     assert_eq!(reading.flags, Some(Flags::DEGRADED | Flags::POLLED));
     // A status names them before anything changes, what has just happened too.
-    let said = "# ok status: flags=CALIBRATING|MISSED|DEGRADED sensor=none\n\
+    let lines = "# ok status: flags=CALIBRATING|MISSED|DEGRADED sensor=none\n\
                 roll:1.00\tpitch:-2.50\tyaw:90.00\t\
                 roll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
-    let items = decode(&mut decoder, said.as_bytes());
+    let items = decode(&mut decoder, lines.as_bytes());
     let flags = Flags::CALIBRATING | Flags::DEGRADED;
     assert_eq!(readings(&items)[0].flags, Some(flags));
     // It is over when an attitude is valid.
