@@ -146,6 +146,19 @@ pub fn program() -> Result<PathBuf, String> {
     Ok(target_folder().join("host/aplomb"))
 }
 
+/// Builds the program `aplomb-bench`.
+pub fn bench() -> Result<PathBuf, String> {
+    step::run(step::command("cargo".as_ref()).args([
+        "build",
+        "--profile",
+        "host",
+        "-p",
+        "aplomb-bench",
+        "--ignore-rust-version",
+    ]))?;
+    Ok(target_folder().join("host/aplomb-bench"))
+}
+
 /// Copies a program for the target to `target/firmware/<name>.elf`.
 pub fn keep(profile: &str, program: &str, name: &str) -> Result<PathBuf, String> {
     let folder = target_folder().join("firmware");
@@ -192,16 +205,16 @@ mod tests {
     #[test]
     fn boards_are_named_wherever_boards_are_listed() {
         let read = |file: &str| std::fs::read_to_string(crate::root().join(file)).expect(file);
-        let (readme, embed) = (read("README.md"), read("Embed.toml"));
+        let (page, embed) = (read("docs/first-board.md"), read("Embed.toml"));
         let list = crate::USAGE.rsplit_once("boards: ").expect("a list").1;
         for Board { name, chip } in BOARDS {
             assert!(list.contains(name), "{name} in the usage");
-            let row = readme
+            let row = page
                 .lines()
                 .find(|line| line.starts_with(&format!("| `{name}` |")));
             assert!(
                 row.is_some_and(|row| row.contains(chip)),
-                "{name} in README.md"
+                "{name} in docs/first-board.md"
             );
             let section = if name == Board::default().name {
                 "default"

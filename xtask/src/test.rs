@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{agree, api, cost, examples, faults, package, panics, rigs, size, step};
+use crate::{agree, api, cost, examples, faults, package, panics, results, rigs, size, step};
 
 /// Runs all of it.
 pub fn run() -> Result<(), String> {
@@ -16,6 +16,7 @@ pub fn run() -> Result<(), String> {
         cargo(&["fmt", "--all", "--", "--check"])?;
         examples::check_format()
     })?;
+    step::timed("figures on the pages", results::check)?;
     step::timed("lints, host", || {
         component("clippy", "clippy")?;
         let mut clippy = host_cargo("clippy");
@@ -88,10 +89,10 @@ pub fn run() -> Result<(), String> {
     step::timed("nothing in the library panics", || {
         rigs::prove_no_panic(&toolchain)
     })?;
-    step::timed("the size of the Kalman filter alone", || {
+    let kalman_flash_bytes = step::timed("the size of the Kalman filter alone", || {
         let added = size::check_kalman(&toolchain)?;
         eprintln!("   {added} bytes of flash");
-        Ok(())
+        Ok(added)
     })?;
     let mut images = Vec::new();
     for board in BOARDS {
@@ -105,6 +106,9 @@ pub fn run() -> Result<(), String> {
     let examples = step::timed("examples", || examples::build(&toolchain))?;
 
     let virtual_board = build::virtual_board()?;
+    step::timed("figures of the firmware", || {
+        results::hold(&virtual_board, &images, kalman_flash_bytes)
+    })?;
     step::timed("virtual board tests", || {
         let mut test = host_cargo("test");
         test.args(["--profile", "host", "-p", "virtual-board"]);
