@@ -200,7 +200,8 @@ fn filters(data: &mut Data) -> Result<(), String> {
             command.arg(folder);
         }
         let json = step::timed(&format!("measuring: filters on {set}"), || {
-            step::output(&mut command).ok_or_else(|| "aplomb-bench failed".to_owned())
+            step::output(&mut command)
+                .ok_or_else(|| "aplomb-bench failed: run `cargo xtask bench` to see why".to_owned())
         })?;
         let mut section = Section::new(&format!("filters.{set}"), &today()?);
         for (index, filter) in FILTERS.into_iter().enumerate() {
@@ -248,7 +249,9 @@ fn calibration(data: &mut Data) -> Result<(), String> {
     command.args(["--profile", "host", "-p", "aplomb-models", "--test"]);
     command.args(["calibration", "two_hundred", "--", "--nocapture"]);
     let text = step::timed("measuring: calibration", || {
-        step::output(&mut command).ok_or_else(|| "the test `calibration` failed".to_owned())
+        step::output(&mut command).ok_or_else(|| {
+            "the test failed: `cargo test -p aplomb-models --test calibration` shows why".to_owned()
+        })
     })?;
     let mut section = Section::new("calibration", &today()?);
     for line in text.lines() {
