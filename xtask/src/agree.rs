@@ -15,7 +15,7 @@ const SIMULATED_SECONDS: &str = "30";
 /// The recorded trial: 141 s of walking about with the sensor in the hand.
 const RECORDING: &str = "tumvi/room1.csv.gz";
 /// Names the folder of recordings if it is not the usual one.
-const RECORDINGS_VARIABLE: &str = "APLOMB_RECORDINGS";
+pub const RECORDINGS_VARIABLE: &str = "APLOMB_RECORDINGS";
 const RECORDINGS: &str = "../shared/data";
 
 /// Builds what it takes, and does it.
@@ -41,16 +41,20 @@ pub fn run(toolchain: &Toolchain, virtual_board: &Path, elf: &Path) -> Result<()
     })
 }
 
+/// The folder of recordings, which need not exist.
+pub fn recordings() -> PathBuf {
+    match std::env::var_os(RECORDINGS_VARIABLE) {
+        Some(folder) => PathBuf::from(folder),
+        None => crate::root().join(RECORDINGS),
+    }
+}
+
 /// Returns the files of bursts.
 fn fly_and_replay(virtual_board: &Path, elf: &Path) -> Result<Vec<PathBuf>, String> {
     let aplomb = build::program()?;
     let simulated = ["--seconds", SIMULATED_SECONDS].map(str::to_owned);
     let mut flights = vec![("simulated", simulated.to_vec())];
-    let folder = match std::env::var_os(RECORDINGS_VARIABLE) {
-        Some(folder) => PathBuf::from(folder),
-        None => crate::root().join(RECORDINGS),
-    };
-    let recording = folder.join(RECORDING);
+    let recording = recordings().join(RECORDING);
     if recording.is_file() {
         let path = recording.to_string_lossy().into_owned();
         flights.push(("recorded", vec!["--log".to_owned(), path]));

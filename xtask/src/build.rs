@@ -150,30 +150,23 @@ impl Firmware {
 /// Builds the virtual board's program.
 pub fn virtual_board() -> Result<PathBuf, String> {
     step::timed("building the virtual board", || {
-        step::run(
-            // The emulator asks for a newer compiler than it needs.
-            step::command("cargo".as_ref()).args([
-                "build",
-                "--release",
-                "-p",
-                "virtual-board",
-                "--ignore-rust-version",
-            ]),
-        )
-    })?;
-    Ok(target_folder().join("release/virtual-board"))
+        host_program("virtual-board", "virtual-board")
+    })
 }
 
 /// Builds the program `aplomb`.
 pub fn program() -> Result<PathBuf, String> {
-    step::run(step::command("cargo".as_ref()).args([
-        "build",
-        "--release",
-        "-p",
-        "aplomb-cli",
-        "--ignore-rust-version",
-    ]))?;
-    Ok(target_folder().join("release/aplomb"))
+    host_program("aplomb-cli", "aplomb")
+}
+
+/// Builds the program `aplomb-bench`.
+pub fn bench() -> Result<PathBuf, String> {
+    host_program("aplomb-bench", "aplomb-bench")
+}
+
+fn host_program(package: &str, program: &str) -> Result<PathBuf, String> {
+    step::run(step::host_cargo("build").args(["--release", "-p", package]))?;
+    Ok(target_folder().join("release").join(program))
 }
 
 /// Copies a program for the target to `target/firmware/<name>.elf`.
@@ -215,16 +208,16 @@ mod tests {
     #[test]
     fn boards_are_named_wherever_boards_are_listed() {
         let read = |file: &str| std::fs::read_to_string(crate::root().join(file)).expect(file);
-        let (readme, embed) = (read("README.md"), read("Embed.toml"));
+        let (page, embed) = (read("docs/first-board.md"), read("Embed.toml"));
         let list = crate::USAGE.rsplit_once("boards: ").expect("a list").1;
         for Board { name, chip } in BOARDS {
             assert!(list.contains(name), "{name} in the usage");
-            let row = readme
+            let row = page
                 .lines()
                 .find(|line| line.starts_with(&format!("| `{name}` |")));
             assert!(
                 row.is_some_and(|row| row.contains(chip)),
-                "{name} in README.md"
+                "{name} in docs/first-board.md"
             );
             let section = if name == Board::default().name {
                 "default"

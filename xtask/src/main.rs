@@ -8,6 +8,7 @@ mod examples;
 mod faults;
 mod package;
 mod panics;
+mod results;
 mod rigs;
 mod setup;
 mod size;
@@ -39,6 +40,12 @@ usage: cargo xtask COMMAND
   cost [--bless]      cost of the filters on the Cortex-M4F, held to tests/golden/cost.txt
   api [--bless]       the public API, held to tests/golden/public-api.txt
                       --bless writes the golden file anew
+  bench               compare filters on recordings or simulated flights
+                      (more: `cargo xtask bench --help`)
+  results [--long]    measure the figures of README.md and docs/results.md, and write both
+                      --long adds the flight of an hour and 2000 flights with faults
+                      --render writes the pages from docs/results.toml
+                      --check fails if a page disagrees with it, and is a part of `test`
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
@@ -73,12 +80,17 @@ fn run(arguments: &[String]) -> Result<(), String> {
         "size" => size::run(board_alone(rest)?),
         "cost" => {
             if bless_alone(rest)? {
-                cost::bless()
+                cost::bless().and_then(|()| results::take_costs())
             } else {
                 cost::run()
             }
         }
         "api" => api::check(&setup::Toolchain::for_target()?, bless_alone(rest)?),
+        "bench" => step::run(step::command(&build::bench()?).args(rest)),
+        "results" => match results::Mode::parse(rest) {
+            Some(mode) => results::run(mode),
+            None => Err(format!("`results` takes one option\n\n{USAGE}")),
+        },
         "flash" => flash(board_alone(rest)?),
         "setup" => no_more(rest).and_then(|()| {
             setup::Toolchain::for_target()?;

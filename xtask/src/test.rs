@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Board, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{agree, api, cost, examples, faults, package, panics, rigs, size, step};
+use crate::{agree, api, cost, examples, faults, package, panics, results, rigs, size, step};
 
 /// Runs all checks and tests.
 pub fn run() -> Result<(), String> {
@@ -14,11 +14,14 @@ pub fn run() -> Result<(), String> {
     check_on_host()?;
     let toolchain = Toolchain::for_target()?;
     eprintln!("   for the target: {}", toolchain.compiler());
-    check_for_target(&toolchain)?;
+    let kalman_flash_bytes = check_for_target(&toolchain)?;
     let images = build_images(&toolchain)?;
     let minimal = build_minimal(&toolchain)?;
     let examples = step::timed("examples", || examples::build(&toolchain))?;
     let virtual_board = build::virtual_board()?;
+    step::timed("figures of the firmware", || {
+        results::hold(&virtual_board, &images, kalman_flash_bytes)
+    })?;
     test_virtual_board(&images, &minimal, &examples)?;
     step::timed("random flights with random faults", || {
         faults::short(&virtual_board, &images[0].1)
@@ -36,6 +39,7 @@ fn check_on_host() -> Result<(), String> {
         cargo(&["fmt", "--all", "--", "--check"])?;
         examples::check_format()
     })?;
+    step::timed("figures on the pages", results::check)?;
     step::timed("lints, host", || {
         component("clippy", "clippy")?;
         let mut clippy = step::host_cargo("clippy");
@@ -59,8 +63,9 @@ fn check_on_host() -> Result<(), String> {
     step::timed("licences and sources of dependencies", check_dependencies)
 }
 
-/// Checks lints, documentation, public API, panics and the filter's size for the target.
-fn check_for_target(toolchain: &Toolchain) -> Result<(), String> {
+/// Checks lints, documentation, public API, panics and the filter's size for the target. Returns
+/// the flash of the Kalman filter alone, in bytes.
+fn check_for_target(toolchain: &Toolchain) -> Result<u64, String> {
     step::timed("lints, target", || lint_for_target(toolchain))?;
     step::timed("documentation, target", || {
         // What docs.rs shows.
@@ -76,7 +81,7 @@ fn check_for_target(toolchain: &Toolchain) -> Result<(), String> {
     step::timed("the size of the Kalman filter alone", || {
         let added = size::check_kalman(toolchain)?;
         eprintln!("   {added} bytes of flash");
-        Ok(())
+        Ok(added)
     })
 }
 

@@ -1,0 +1,445 @@
+//! Renders the measured figures: `docs/results.md`, and the table in README.md.
+
+use std::fmt::Write as _;
+
+use super::data::{DATE, Data, Section};
+use crate::build::BOARDS;
+
+/// Lines around the generated part of README.md.
+const START: &str = "<!-- results: written by `cargo xtask results` -->\n";
+const END: &str = "<!-- end of results -->\n";
+
+/// Filters in the tables of accuracy: key, text, and key of the cost.
+const FILTERS: [(&str, &str); 4] = [
+    ("kalman", "`kalman`, the default"),
+    ("vqf", "VQF (`vqf` 0.4.1, two slips mended)"),
+    (
+        "axis-kalman",
+        "`axis-kalman`, the tutorial's with one filter per axis",
+    ),
+    ("classic", "`classic`, the tutorial's to the letter"),
+];
+
+/// Sets of recordings: key and title.
+const SETS: [(&str, &str); 3] = [
+    ("broad", "BROAD"),
+    ("tumvi", "TUM-VI"),
+    ("simulated", "simulated flights"),
+];
+
+/// Returns README.md with the table that belongs there.
+pub fn readme(before: &str, data: &Data) -> Result<String, String> {
+    let missing = || format!("README.md needs the lines\n{START}{END}");
+    let (head, rest) = before.split_once(START).ok_or_else(missing)?;
+    let (_, tail) = rest.split_once(END).ok_or_else(missing)?;
+    Ok(format!("{head}{START}{}{END}{tail}", summary(data)?))
+}
+
+/// The table of README.md.
+fn summary(data: &Data) -> Result<String, String> {
+    let fly = data.section("fly")?;
+    let [broad, tumvi, simulated] = SETS.map(|(set, _)| data.section(&format!("filters.{set}")));
+    let (broad, tumvi, simulated) = (broad?, tumvi?, simulated?);
+    let median = |section: &Section, filter: &str| {
+        let pair = section.text(filter)?;
+        let (median, _) = pair.split_once('/').unwrap_or((pair, ""));
+        Ok::<String, String>(median.to_owned())
+    };
+    let mut text = String::from("| figure | measured |\n|---|---|\n");
+    for (section, place) in [
+        (broad, "{} recordings of BROAD: a sensor turned by a person"),
+        (tumvi, "{} recordings of TUM-VI: a sensor carried about"),
+        (
+            simulated,
+            "{} simulated quadrotor flights, gyroscope not calibrated",
+        ),
+    ] {
+        let place = place.replacen("{}", section.text("recordings")?, 1);
+        let (ours, vqf) = (median(section, "kalman")?, median(section, "vqf")?);
+        let _ = writeln!(
+            text,
+            "| tilt error, median of {place} | {ours}° (VQF: {vqf}°) |"
+        );
+    }
+    let rows = [
+        (
+            "edge on INT to published attitude",
+            format!(
+                "{} on average, {} at most",
+                us(fly, "edge_to_attitude_us_mean")?,
+                us(fly, "edge_to_attitude_us_max")?
+            ),
+        ),
+        (
+            "instructions per sample",
+            format!(
+                "{}, of which {} in interrupts; {} at most",
+                count(fly, "instructions_per_sample_mean")?,
+                count(fly, "io_instructions_per_sample_mean")?,
+                count(fly, "instructions_per_sample_max")?
+            ),
+        ),
+        (
+            "load of the core, telemetry included",
+            format!("{} %", fixed(fly, "cpu_load_percent", 2)?),
+        ),
+        (
+            "samples missed",
+            format!("{} of {}", count(fly, "missed")?, count(fly, "samples")?),
+        ),
+        (
+            "flash, RAM, stack",
+            format!(
+                "{}, {}, {} bytes",
+                count(fly, "flash_bytes")?,
+                count(fly, "ram_bytes")?,
+                count(fly, "stack_bytes_used")?
+            ),
+        ),
+    ];
+    for (what, figure) in rows {
+        let _ = writeln!(text, "| {what} | {figure} |");
+    }
+    Ok(text)
+}
+
+/// The page `docs/results.md`.
+pub fn results(data: &Data) -> Result<String, String> {
+    let parts = [
+        flight(data)?,
+        boards(data)?,
+        long_flights(data)?,
+        filters(data)?,
+        cost(data)?,
+        calibration(data)?,
+        campaign(data)?,
+        by_hand(data)?,
+    ];
+    let mut text = String::from(
+        "# Results\n\n\
+         `cargo xtask results` measures these figures and writes this page from\n\
+         [results.toml](results.toml). Do not edit it. [accuracy.md](accuracy.md) explains the \
+         method.\n\
+         Nothing here was measured on a real board. The virtual board counts instructions, not \
+         cycles.\n",
+    );
+    for part in parts {
+        text.push('\n');
+        text.push_str(&part);
+    }
+    Ok(text)
+}
+
+fn flight(data: &Data) -> Result<String, String> {
+    let fly = data.section("fly")?;
+    let mut text = heading("One minute on the default board", fly)?;
+    text.push_str(
+        "`cargo xtask fly --seconds 60`: a simulated quadrotor with manoeuvres of up to 1 g, on \
+         an\n\
+         STM32F405 at 168 MHz with 1,000 samples a second, a bus of 400 kHz, and text at 50 Hz \
+         on UART\n\
+         and log. Two runs with one seed write identical files.\n\n",
+    );
+    let rows = [
+        ("samples", count(fly, "samples")?),
+        (
+            "samples missed, from the first published one on",
+            count(fly, "missed")?,
+        ),
+        (
+            "error of the time stamp, against the model's true edge",
+            format!("{} µs at most", fixed(fly, "timestamp_error_us_max", 2)?),
+        ),
+        (
+            "instructions per sample: interrupts and hand-over",
+            format!(
+                "{} on average",
+                count(fly, "io_instructions_per_sample_mean")?
+            ),
+        ),
+        (
+            "instructions per sample: all work",
+            format!(
+                "{} on average, {} at most",
+                count(fly, "instructions_per_sample_mean")?,
+                count(fly, "instructions_per_sample_max")?
+            ),
+        ),
+        (
+            "edge on INT to published attitude; the bus alone takes 384 µs",
+            format!(
+                "{} on average, {} at most",
+                us(fly, "edge_to_attitude_us_mean")?,
+                us(fly, "edge_to_attitude_us_max")?
+            ),
+        ),
+        (
+            "load of the core, telemetry included",
+            format!("{} %", fixed(fly, "cpu_load_percent", 2)?),
+        ),
+        (
+            "tilt error, root mean square",
+            format!("{}°", fixed(fly, "inclination_rms_deg", 2)?),
+        ),
+        (
+            "tilt error, largest",
+            format!("{}°", fixed(fly, "inclination_max_deg", 2)?),
+        ),
+        ("flash", format!("{} bytes", count(fly, "flash_bytes")?)),
+        (
+            "RAM, without the stack",
+            format!("{} bytes", count(fly, "ram_bytes")?),
+        ),
+        (
+            "stack used",
+            format!("{} bytes", count(fly, "stack_bytes_used")?),
+        ),
+    ];
+    text.push_str(&table(["figure", "measured"], rows));
+    let size = data.section("size")?;
+    let _ = write!(
+        text,
+        "\nThe Kalman filter alone adds {} bytes of flash to an empty image. The example \
+         `rtic.rs` takes\n\
+         {} bytes.\n",
+        count(size, "kalman_flash_bytes")?,
+        count(size, "rtic_flash_bytes")?
+    );
+    Ok(text)
+}
+
+fn boards(data: &Data) -> Result<String, String> {
+    let mut text = heading("Every board", data.section("board.stm32f405")?)?;
+    text.push_str(
+        "`cargo xtask fly --seconds 20 --board NAME`.\n\n\
+         | board | flash, bytes | RAM, bytes | edge to attitude, at most | load | missed |\n\
+         |---|---|---|---|---|---|\n",
+    );
+    for board in BOARDS {
+        let section = data.section(&format!("board.{}", board.name))?;
+        let _ = writeln!(
+            text,
+            "| `{}` | {} | {} | {} | {} % | {} |",
+            board.name,
+            count(section, "flash_bytes")?,
+            count(section, "ram_bytes")?,
+            us(section, "edge_to_attitude_us_max")?,
+            fixed(section, "cpu_load_percent", 2)?,
+            count(section, "missed")?
+        );
+    }
+    Ok(text)
+}
+
+fn long_flights(data: &Data) -> Result<String, String> {
+    let (hour, recorded) = (data.section("hour")?, data.section("recorded")?);
+    let mut text = heading("An hour, and recorded motion", hour)?;
+    let _ = write!(
+        text,
+        "`cargo xtask fly --seconds 3600` takes 2 GB of memory and some minutes: {} samples, {} \
+         missed,\n\
+         {} from edge to attitude at most, tilt error {}° root mean square.\n\n\
+         `cargo xtask fly --log FILE` flies a recording of a real sensor's motion:\n\n",
+        count(hour, "samples")?,
+        count(hour, "missed")?,
+        us(hour, "edge_to_attitude_us_max")?,
+        fixed(hour, "inclination_rms_deg", 2)?
+    );
+    let rows = [
+        (
+            "`broad/01.csv.gz`: slow rotation by a person",
+            format!("{}°", fixed(recorded, "broad_01_rms_deg", 2)?),
+        ),
+        (
+            "`tumvi/room1.csv.gz`: walking about",
+            format!("{}°", fixed(recorded, "tumvi_room1_rms_deg", 2)?),
+        ),
+    ];
+    text.push_str(&table(["recording", "tilt error, root mean square"], rows));
+    Ok(text)
+}
+
+fn filters(data: &Data) -> Result<String, String> {
+    let mut text = heading("Filters side by side", data.section("filters.broad")?)?;
+    text.push_str(
+        "`cargo xtask bench`: the error of the tilt in degrees, root mean square over the rows \
+         that count\n\
+         after 5 s, as median/mean over the recordings.\n\n| filter |",
+    );
+    for (set, title) in SETS {
+        let section = data.section(&format!("filters.{set}"))?;
+        let _ = write!(text, " {title}, {} |", section.text("recordings")?);
+    }
+    text.push_str("\n|---|---|---|---|\n");
+    for (filter, title) in FILTERS {
+        let _ = write!(text, "| {title} |");
+        for (set, _) in SETS {
+            let section = data.section(&format!("filters.{set}"))?;
+            let _ = write!(text, " {} |", section.text(filter)?);
+        }
+        text.push('\n');
+    }
+    let left_out = data.section("leave-one-out")?;
+    let _ = write!(
+        text,
+        "\n`cargo xtask bench --leave-one-out` tunes on all sets but one and judges on that one \
+         ({}):\n\n\
+         | left out | default tuning | tuned, the sensor's known errors stay | tuned, every \
+         number | VQF |\n\
+         |---|---|---|---|---|\n",
+        left_out.text(DATE)?
+    );
+    for (set, cells) in left_out.figures() {
+        let _ = writeln!(text, "| {set} | {cells} |");
+    }
+    Ok(text)
+}
+
+fn cost(data: &Data) -> Result<String, String> {
+    let cost = data.section("cost")?;
+    let mut text = heading("Cost of one update", cost)?;
+    text.push_str(
+        "`cargo xtask cost`: a sample in, quaternion and body rates out, on a Cortex-M4F in \
+         QEMU, held to\n\
+         `tests/golden/cost.txt`. Flash and RAM are bytes.\n\n\
+         | filter | instructions, mean | worst after the first | first | flash | RAM |\n\
+         |---|---|---|---|---|---|\n",
+    );
+    for (filter, cells) in cost.figures() {
+        let cells: Vec<&str> = cells.split(' ').collect();
+        let _ = writeln!(text, "| {filter} | {} |", cells.join(" | "));
+    }
+    text.push_str(
+        "\nThe crate `vqf` needs the standard library and does not build for this core.\n",
+    );
+    Ok(text)
+}
+
+fn calibration(data: &Data) -> Result<String, String> {
+    let section = data.section("calibration")?;
+    let mut text = heading("Calibration of two hundred simulated chips", section)?;
+    text.push_str(
+        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off \
+         (`models/tests/calibration.rs`).\n\n",
+    );
+    text.push_str(&table(["figure", "measured"], section.figures()));
+    Ok(text)
+}
+
+fn campaign(data: &Data) -> Result<String, String> {
+    let campaign = data.section("campaign")?;
+    let mut text = heading("Flights with faults by chance", campaign)?;
+    let runs = count(campaign, "runs")?;
+    let _ = write!(
+        text,
+        "`cargo xtask faults --runs {}`: {runs} flights, {} failed. \"Worst\" is the longest \
+         recovery of an\n\
+         episode that the fault was a part of, often with another beside it. \
+         [faults.md](faults.md) lists\n\
+         what must hold in every flight.\n\n\
+         | fault | runs | recovered | worst |\n|---|---|---|---|\n",
+        runs.replace(',', ""),
+        count(campaign, "failed")?
+    );
+    for (fault, cells) in campaign.figures() {
+        if let [runs, recovered, worst] = cells.split(' ').collect::<Vec<_>>()[..] {
+            let _ = writeln!(text, "| `{fault}` | {runs} | {recovered} | {worst} ms |");
+        }
+    }
+    Ok(text)
+}
+
+fn by_hand(data: &Data) -> Result<String, String> {
+    let section = data.section("by-hand")?;
+    let mut text = heading("Measured by hand", section)?;
+    text.push_str("`cargo xtask results` keeps these as they are in results.toml.\n\n");
+    text.push_str(&table(["figure", "measured"], section.figures()));
+    Ok(text)
+}
+
+fn heading(title: &str, section: &Section) -> Result<String, String> {
+    Ok(format!(
+        "## {title}\n\nMeasured on {}.\n",
+        section.text(DATE)?
+    ))
+}
+
+fn table<K: AsRef<str>, V: AsRef<str>>(
+    [key, value]: [&str; 2],
+    rows: impl IntoIterator<Item = (K, V)>,
+) -> String {
+    let mut text = format!("| {key} | {value} |\n|---|---|\n");
+    for (key, value) in rows {
+        let _ = writeln!(text, "| {} | {} |", key.as_ref(), value.as_ref());
+    }
+    text
+}
+
+/// A whole number with commas.
+fn count(section: &Section, key: &str) -> Result<String, String> {
+    let digits = format!("{:.0}", section.number(key)?);
+    let mut text = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index) % 3 == 0 {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    Ok(text)
+}
+
+fn us(section: &Section, key: &str) -> Result<String, String> {
+    Ok(format!("{} µs", fixed(section, key, 1)?))
+}
+
+fn fixed(section: &Section, key: &str, decimals: usize) -> Result<String, String> {
+    Ok(format!("{:.decimals$}", section.number(key)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn committed() -> Data {
+        let path = crate::root().join("docs/results.toml");
+        let text = std::fs::read_to_string(path).expect("the data are committed");
+        Data::parse(&text).expect("they are right")
+    }
+
+    #[test]
+    fn counts_have_commas_and_figures_their_decimals() {
+        let mut section = Section::new("a", "2026-11-22");
+        for (key, value) in [("x", "7"), ("y", "1018.4"), ("z", "3574746")] {
+            section.put(key, value);
+        }
+        let counts = ["x", "y", "z"].map(|key| count(&section, key).expect("a number"));
+        assert_eq!(counts, ["7", "1,018", "3,574,746"]);
+        assert_eq!(us(&section, "y"), Ok("1018.4 µs".to_owned()));
+    }
+
+    #[test]
+    fn the_readme_keeps_all_but_the_table() {
+        let data = committed();
+        let before = format!("# a\n\n{START}old\n{END}\nrest\n");
+        let after = readme(&before, &data).expect("the data are complete");
+        assert!(after.starts_with("# a\n\n") && after.ends_with("\nrest\n"));
+        assert!(!after.contains("old") && after.contains("BROAD"));
+        assert_eq!(readme(&after, &data).as_ref(), Ok(&after));
+        assert!(readme("# a\n", &data).is_err_and(|error| error.contains(START)));
+    }
+
+    #[test]
+    fn a_figure_that_is_missing_is_named() {
+        let error = results(&Data::default()).expect_err("nothing is there");
+        assert!(error.contains("[fly]"), "{error}");
+    }
+
+    #[test]
+    fn every_board_and_every_fault_has_a_row() {
+        let page = results(&committed()).expect("the data are complete");
+        for board in BOARDS {
+            assert!(page.contains(&format!("| `{}` |", board.name)));
+        }
+        assert!(page.contains("| `sda-low` |"));
+    }
+}
