@@ -1,18 +1,19 @@
-//! What every filter does, so that one [`Estimator`](super::Estimator) serves them all.
+//! Trait of all filters, so that one [`Estimator`](super::Estimator) serves them all.
 
 use super::sample::Sample;
 use crate::attitude::{Quaternion, Vector3};
 
-/// A filter behind the estimator's gate: it gets finite samples only, and steps between 1 µs and 0.5 s.
+/// Filter behind the estimator's gate. The gate passes finite samples only, and steps between 1 µs
+/// and 0.5 s.
 pub trait Filter {
     /// Resets everything but the settings and the quaternion's sign.
     fn restart(&mut self);
 
-    /// Starts from a sample, the first one or the first after a gap: takes the tilt from the specific force if it
-    /// shows gravity, and keeps yaw.
+    /// Starts from the first sample, or the first after a gap. Takes the tilt from the specific
+    /// force if it shows gravity, and keeps yaw.
     fn start(&mut self, sample: &Sample, shows_gravity: bool);
 
-    /// Advances by one sample, `dt_s` seconds after the one before.
+    /// Advances by one sample, `dt_s` seconds after the previous one.
     fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool);
 
     /// Attitude at the last sample's time, body to earth.
@@ -26,7 +27,8 @@ pub trait Filter {
         f32::INFINITY
     }
 
-    /// Whether the gyroscope's bias is known, or is not estimated.
+    /// Returns whether the gyroscope's bias is known. Always true for filters that do not estimate
+    /// it.
     fn is_bias_known(&self) -> bool {
         true
     }

@@ -1,4 +1,4 @@
-//! The gate in front of every filter: checks a sample, and measures the time since the one before.
+//! Gate in front of every filter: checks each sample, and measures the time since the previous one.
 
 use super::sample::{Issues, Sample};
 use crate::serialize::StateVisitor;
@@ -8,32 +8,35 @@ use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
 pub const LONGEST_STEP_US: u64 = 500_000;
 
 /// Smallest specific force that shows where down is, in m/s²: a quarter of gravity. Below it the
-/// accelerometer's offset (80 mg, product specification §6.2) may turn its direction by 20° and more.
+/// accelerometer's offset (80 mg, product specification §6.2) may turn its direction by 20° and
+/// more.
 pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
 
-/// Largest increase of the rate from one sample to the next beyond a doubling, in rad/s: 50 °/s. No airframe
-/// gains as much in a millisecond. A gyroscope whose full scale has changed does, and so does one that was hit.
+/// Largest increase of the rate from one sample to the next beyond a doubling, in rad/s: 50 °/s. No
+/// airframe gains as much in a millisecond. A changed full scale does, and so does a blow to the
+/// sensor.
 const RATE_JUMP_RAD_S: f32 = radians(50.0);
 
-/// Beyond these limits a sample is no measurement: no sensor of this family reaches a tenth of them.
+/// Beyond these limits a sample is no measurement: no sensor of this family reaches a tenth of
+/// them.
 const LARGEST_SPECIFIC_FORCE_M_S2: f32 = 10_000.0;
 const LARGEST_RATE_RAD_S: f32 = 1_000.0;
 
-/// What a filter does with a sample.
+/// Action of the filter on a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Step {
-    /// Nothing: the attitude is held.
+    /// Holds the attitude.
     Hold,
-    /// Starts from the sample: it is the first one, or the first after a gap.
+    /// Starts from the sample, which is the first one or the first after a gap.
     Start,
-    /// Advances by this time.
+    /// Advances by a time step.
     Advance {
-        /// Seconds since the sample before, from 1 µs to [`LONGEST_STEP_US`].
+        /// Time since the previous sample in seconds, from 1 µs to [`LONGEST_STEP_US`].
         dt_s: f32,
     },
 }
 
-/// The gate.
+/// Gate: time and rate of the last accepted sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct Gate {
@@ -42,7 +45,7 @@ pub(super) struct Gate {
 }
 
 impl Gate {
-    /// A gate that has seen no sample.
+    /// Creates a gate without a sample.
     pub(super) const fn new() -> Self {
         Self {
             last_t_us: None,
@@ -50,17 +53,17 @@ impl Gate {
         }
     }
 
-    /// Time of the last sample that was a measurement, in µs.
+    /// Time of the last accepted sample, in µs.
     pub(super) const fn last_t_us(&self) -> Option<u64> {
         self.last_t_us
     }
 
-    /// Forgets the last time, so that the next sample starts the filter.
+    /// Forgets the last sample's time, so that the next sample starts the filter.
     pub(super) const fn reset(&mut self) {
         self.last_t_us = None;
     }
 
-    /// Checks a sample, and decides what the filter does with it.
+    /// Checks a sample. Returns the filter's action and the issues found.
     #[inline]
     pub(super) fn check(&mut self, sample: &Sample) -> (Step, Issues) {
         let force = sample.specific_force_m_s2;

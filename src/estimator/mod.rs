@@ -1,10 +1,11 @@
-//! From calibrated samples to attitude.
+//! Estimates the attitude from calibrated samples.
 //!
-//! An [`Estimator`] is a gate and a filter. The gate checks each sample and measures the time since the one before, so
-//! a filter sees only finite samples, and steps between 1 µs and 0.5 s. The filter is a type parameter:
+//! An [`Estimator`] is a gate and a filter. The gate checks each sample and measures the time since
+//! the previous one. A filter therefore gets only finite samples, and steps between 1 µs and 0.5 s.
+//! The filter is a type parameter:
 //!
 //! - [`kalman`], the default: one Kalman filter for tilt, velocity and the sensor's parameters;
-//! - [`classic`]: the filters of the well-known tutorial, to compare with.
+//! - [`classic`]: the filters of the well-known tutorial, for comparison.
 //!
 //! No filter here has a compass: yaw starts at zero and is relative.
 //!
@@ -40,12 +41,13 @@ use crate::serialize::StateVisitor;
 use gate::{Gate, Step};
 use kalman::Kalman;
 
-/// Revision of the filters' arithmetic: it changes with every change that gives other attitudes, if only in one bit, or
-/// another state. A flight log carries it. `tests/revision.rs` fails when the bits change and the revision does not.
+/// Revision of the filters' arithmetic. It increases with every change of an attitude, even by one
+/// bit, or of the state's layout. A flight log carries it. `tests/revision.rs` fails when the bits
+/// change and the revision does not.
 pub const REVISION: u16 = 3;
 
-/// A filter with its gate. Whatever comes in, the attitude stays a finite rotation,
-/// and good samples restore it.
+/// Filter with its gate. The attitude stays a finite rotation for any input, and good samples
+/// restore it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Estimator<F = Kalman> {
@@ -54,7 +56,7 @@ pub struct Estimator<F = Kalman> {
 }
 
 impl<F: Filter> Estimator<F> {
-    /// An estimator around this filter. It starts with its first sample.
+    /// Creates an estimator with this filter. The first sample starts it.
     pub const fn with_filter(filter: F) -> Self {
         Self {
             gate: Gate::new(),
@@ -62,7 +64,7 @@ impl<F: Filter> Estimator<F> {
         }
     }
 
-    /// Takes one sample, and returns the attitude at its time.
+    /// Updates with one sample, and returns the attitude at the sample's time.
     #[inline]
     pub fn update(&mut self, sample: &Sample) -> Estimate {
         let (step, issues) = self.gate.check(sample);
@@ -75,7 +77,7 @@ impl<F: Filter> Estimator<F> {
         self.estimate_with(issues)
     }
 
-    /// The estimate after the last sample, without its issues.
+    /// Returns the estimate after the last sample, without its issues.
     pub fn estimate(&self) -> Estimate {
         self.estimate_with(Issues::empty())
     }
@@ -91,17 +93,18 @@ impl<F: Filter> Estimator<F> {
         }
     }
 
-    /// Time of the last sample that was a measurement, in µs since start.
+    /// Returns the time of the last accepted sample, in µs since start.
     pub const fn last_t_us(&self) -> Option<u64> {
         self.gate.last_t_us()
     }
 
-    /// The filter.
+    /// Returns the filter.
     pub const fn filter(&self) -> &F {
         &self.filter
     }
 
-    /// The filter, for what the samples do not show: its settings, and unobserved motion.
+    /// Returns the filter for changes that are not in the samples: its settings, and unobserved
+    /// motion.
     pub const fn filter_mut(&mut self) -> &mut F {
         &mut self.filter
     }
@@ -112,7 +115,8 @@ impl<F: Filter> Estimator<F> {
         self.filter.restart();
     }
 
-    /// Lets the next sample set the tilt from its specific force, as after a gap. Yaw and the sensor's parameters are kept.
+    /// Makes the next sample set the tilt from its specific force, as after a gap. Yaw and the
+    /// sensor's parameters are kept.
     pub const fn reset_tilt(&mut self) {
         self.gate.reset();
     }
@@ -125,7 +129,7 @@ impl Default for Estimator {
 }
 
 impl Estimator {
-    /// An estimator with the default filter. It starts with its first sample.
+    /// Creates an estimator with the default filter. The first sample starts it.
     pub fn new() -> Self {
         Self::with_filter(Kalman::new())
     }

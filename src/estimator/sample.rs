@@ -1,4 +1,4 @@
-//! What a filter takes and gives: [`Sample`], [`Estimate`], [`Issues`].
+//! Input and output of a filter: [`Sample`], [`Estimate`], [`Issues`].
 
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
 
@@ -12,14 +12,14 @@ pub struct Sample {
     pub specific_force_m_s2: Vector3,
     /// Angular rate in rad/s.
     pub angular_rate_rad_s: Vector3,
-    /// Whether an axis of the gyroscope reads full scale.
+    /// True if an axis of the gyroscope reads full scale.
     pub is_rate_saturated: bool,
-    /// Whether an axis of the accelerometer reads full scale.
+    /// True if an axis of the accelerometer reads full scale.
     pub is_force_saturated: bool,
 }
 
 impl Sample {
-    /// A sample without an axis at full scale.
+    /// Creates a sample without an axis at full scale.
     pub const fn new(t_us: u64, specific_force_m_s2: Vector3, angular_rate_rad_s: Vector3) -> Self {
         Self {
             t_us,
@@ -32,20 +32,22 @@ impl Sample {
 }
 
 bitflags::bitflags! {
-    /// What was wrong with a sample, and what the estimator did about it.
+    /// Problems of a sample, with the estimator's reaction to each.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
     pub struct Issues: u8 {
-        /// Time stood still or ran backwards. The attitude is held, and time continues from here.
+        /// The time did not increase. The attitude is held, and time continues from this sample.
         const TIME_WENT_BACK = 1 << 0;
-        /// The step was longer than [`LONGEST_STEP_US`](super::LONGEST_STEP_US). Roll and pitch start again from the
-        /// accelerometer, and yaw is kept.
+        /// The step was longer than [`LONGEST_STEP_US`](super::LONGEST_STEP_US). Roll and pitch
+        /// restart from the accelerometer, and yaw is kept.
         const GAP = 1 << 1;
-        /// A value was not finite or implausibly large. The sample is ignored.
+        /// A value was not finite, or was implausibly large. The sample is ignored.
         const REJECTED = 1 << 2;
-        /// The specific force was under [`LEAST_SPECIFIC_FORCE_M_S2`](super::LEAST_SPECIFIC_FORCE_M_S2). Only the
-        /// gyroscope was used.
+        /// The specific force was under
+        /// [`LEAST_SPECIFIC_FORCE_M_S2`](super::LEAST_SPECIFIC_FORCE_M_S2). Only the gyroscope was
+        /// used.
         const NO_GRAVITY = 1 << 3;
-        /// The rate is more than twice the one before plus 50 °/s, as if the gyroscope's full scale had changed.
+        /// The rate is more than twice the previous one plus 50 °/s, as if the gyroscope's full
+        /// scale had changed.
         const RATE_JUMP = 1 << 4;
     }
 }
@@ -69,21 +71,21 @@ pub struct Estimate {
     pub attitude: Quaternion,
     /// Body rates p, q, r in rad/s.
     pub body_rates_rad_s: Vector3,
-    /// Variance of the direction of down, both axes together, rad². Infinite if the filter does not know it.
+    /// Variance of the direction of down, both axes together, rad². Infinite if unknown.
     pub tilt_variance_rad2: f32,
-    /// Whether the gyroscope's bias is known. Always, for filters that do not estimate it.
+    /// True if the gyroscope's bias is known. Always true for filters that do not estimate it.
     pub is_bias_known: bool,
-    /// What was wrong with the sample.
+    /// Problems of the sample.
     pub issues: Issues,
 }
 
 impl Estimate {
-    /// Roll, pitch and yaw. Yaw is relative to the heading at start.
+    /// Returns roll, pitch and yaw in rad. Yaw is relative to the heading at start.
     pub fn euler(&self) -> EulerAngles {
         self.attitude.to_euler()
     }
 
-    /// σ of the direction of down, both axes together, in rad.
+    /// Returns σ of the direction of down, both axes together, in rad.
     pub fn tilt_sigma_rad(&self) -> f32 {
         libm::sqrtf(self.tilt_variance_rad2)
     }

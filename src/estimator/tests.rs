@@ -1,4 +1,4 @@
-//! What every filter does behind the gate, and what the gate keeps away from them.
+//! Tests of every filter behind the gate, and of the samples that the gate rejects.
 
 use super::classic::{AxisKalman, Tutorial};
 use super::*;
@@ -7,7 +7,7 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 
 const GRAVITY: Vector3 = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
 
-/// What an ideal sensor in this attitude, turning so and not accelerating, reads.
+/// Returns an ideal sensor's sample in this attitude, turning at this rate without acceleration.
 pub(crate) fn sample(t_us: u64, attitude: Quaternion, rate_rad_s: Vector3) -> Sample {
     Sample {
         t_us,
@@ -25,7 +25,7 @@ pub(crate) fn from_degrees(roll: f32, pitch: f32, yaw: f32) -> Quaternion {
     })
 }
 
-/// The angle between two attitudes, in degrees.
+/// Returns the angle between two attitudes, in degrees.
 pub(crate) fn angle_between(a: Quaternion, b: Quaternion) -> f32 {
     let difference = a.conjugate().multiply(b).normalize();
     let vector = Vector3::new(difference.x, difference.y, difference.z);
@@ -111,7 +111,7 @@ fn the_first_sample_sets_the_tilt_and_yaw_is_zero() {
 }
 
 #[test]
-fn what_is_no_measurement_changes_nothing() {
+fn a_rejected_sample_changes_nothing() {
     for mut estimator in all() {
         let pose = from_degrees(10.0, 0.0, 0.0);
         let rate = Vector3::new(0.1, 0.2, 0.3);
@@ -148,7 +148,7 @@ fn a_lost_sample_is_bridged_by_the_next() {
 }
 
 #[test]
-fn time_that_stands_still_or_runs_back_holds_the_attitude() {
+fn a_time_that_does_not_increase_holds_the_attitude() {
     let rate = Vector3::new(1.0, 0.0, 0.0);
     for mut estimator in all() {
         let pose = from_degrees(5.0, 5.0, 0.0);
@@ -158,7 +158,7 @@ fn time_that_stands_still_or_runs_back_holds_the_attitude() {
             assert!(estimate.issues.contains(Issues::TIME_WENT_BACK), "{t_us}");
             assert_eq!(estimate.attitude, held);
         }
-        // It went back to zero, and goes on from there.
+        // The time went back to zero, and continues from there.
         let estimate = estimator.update(&sample(10_000, pose, rate));
         assert_eq!(estimate.issues, Issues::empty());
         assert_ne!(estimate.attitude, held);
@@ -166,7 +166,7 @@ fn time_that_stands_still_or_runs_back_holds_the_attitude() {
 }
 
 #[test]
-fn after_a_gap_the_tilt_is_new_and_yaw_is_kept() {
+fn a_gap_resets_the_tilt_and_keeps_yaw() {
     let mut estimator = Estimator::with_filter(AxisKalman::new());
     let turn = Vector3::new(0.0, 0.0, 1.0);
     for millisecond in 0..=500 {
@@ -186,13 +186,13 @@ fn after_a_gap_the_tilt_is_new_and_yaw_is_kept() {
 }
 
 #[test]
-fn without_gravity_the_gyroscope_alone_turns() {
+fn without_gravity_only_the_gyroscope_turns_the_attitude() {
     let rate = Vector3::new(0.5, 0.0, 0.0);
     let mut estimator = Estimator::with_filter(AxisKalman::new());
     estimator.update(&sample(0, Quaternion::IDENTITY, rate));
     for millisecond in 1..=1000 {
         let mut falling = sample(millisecond * 1000, Quaternion::IDENTITY, rate);
-        // Whatever is left points the wrong way.
+        // The remaining force points the wrong way.
         falling.specific_force_m_s2 = Vector3::new(0.9 * LEAST_SPECIFIC_FORCE_M_S2, 0.0, 0.0);
         let estimate = estimator.update(&falling);
         assert!(estimate.issues.contains(Issues::NO_GRAVITY));
@@ -219,7 +219,7 @@ fn a_start_in_free_fall_finds_the_tilt_later() {
 }
 
 #[test]
-fn a_restart_zeroes_yaw_and_takes_the_tilt_afresh() {
+fn a_restart_zeroes_yaw_and_sets_the_tilt_from_the_next_sample() {
     for mut estimator in all() {
         for millisecond in 0..300 {
             let rate = Vector3::new(0.3, 0.0, 1.0);
@@ -230,7 +230,7 @@ fn a_restart_zeroes_yaw_and_takes_the_tilt_afresh() {
         let pose = from_degrees(0.0, 10.0, 0.0);
         let estimate = estimator.update(&sample(300_000, pose, Vector3::ZERO));
         assert!(angle_between(estimate.attitude, pose) < 0.1);
-        // The jump is no motion: the classic rate does not show it.
+        // The jump is no motion, so the classic rate does not contain it.
         if let Any::Tutorial(filter) = estimator.filter {
             let angles = filter.angles();
             assert_eq!(angles.pitch_rate_deg_s, 0.0);
@@ -260,7 +260,7 @@ fn a_restart_keeps_the_sign_of_the_quaternion() {
 }
 
 #[test]
-fn anything_in_leaves_a_rotation_and_good_samples_repair_it() {
+fn any_input_leaves_a_rotation_and_good_samples_restore_it() {
     let extremes = [
         0.0,
         -0.0,
@@ -302,7 +302,7 @@ fn anything_in_leaves_a_rotation_and_good_samples_repair_it() {
             last = estimator.update(&good).attitude;
         }
         let tilt_error = (last.down_in_body() - pose.down_in_body()).norm();
-        // What the nonsense taught of the accelerometer's bias goes away more slowly.
+        // The accelerometer bias that the extreme samples caused decays more slowly.
         let tolerance = match estimator.filter {
             Any::Kalman(_) => 2e-2,
             Any::AxisKalman(_) | Any::Tutorial(_) => 2e-3,

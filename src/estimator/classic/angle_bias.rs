@@ -8,18 +8,17 @@
 //! z      = angle + noise              H = [1 0],  R = R_measure
 //! ```
 //!
-//! This file holds the covariance and the bias. The angle belongs to the filter that uses it, since
-//! one adds corrections to a number and another turns a quaternion by them. The gains do not depend
-//! on the unit of the angle, so the covariance is in degrees, where the classic constants live,
-//! whatever the angle's unit.
+//! This file holds the covariance and the bias. The angle belongs to the filter that uses it: one
+//! adds corrections to a number, another turns a quaternion by them. The gains do not depend on the
+//! unit of the angle. Therefore the covariance is in degrees, the unit of the classic constants.
 
-/// Variance that the angle gains, in deg²/s. Larger: trusts the rate less, follows the measured
-/// angle faster and with more of its noise. The classic value.
+/// Process noise of the angle, in deg²/s: the classic value. Larger: relies less on the rate,
+/// follows the measured angle faster and with more of its noise.
 pub const Q_ANGLE: f32 = 0.001;
-/// Variance that the bias gains, in (deg/s)²/s. Larger: the bias follows faster, and takes every
-/// acceleration for one. The classic value.
+/// Process noise of the bias, in (deg/s)²/s: the classic value. Larger: the bias follows faster,
+/// and accelerations disturb it more.
 pub const Q_BIAS: f32 = 0.003;
-/// Variance of one measured angle, in deg². Larger: smoother, slower. The classic value.
+/// Variance of one measured angle, in deg²: the classic value. Larger: smoother, slower.
 pub const R_MEASURE: f32 = 0.03;
 
 /// The covariance and the bias of one angle.
@@ -40,7 +39,7 @@ impl Default for AngleBias {
 }
 
 impl AngleBias {
-    /// Angle and bias known exactly, as the classic filter starts.
+    /// Creates the classic start: angle and bias known exactly.
     pub const fn new() -> Self {
         Self {
             bias: 0.0,
@@ -59,7 +58,7 @@ impl AngleBias {
         self.variance_bias += dt_s * Q_BIAS;
     }
 
-    /// Moves the bias by an innovation and returns by how much the angle moves.
+    /// Corrects the bias by an innovation. Returns the correction of the angle.
     ///
     /// `innovation` is measured minus predicted angle; `variance_measured` is R, in deg².
     #[inline]
@@ -83,7 +82,7 @@ impl AngleBias {
 mod tests {
     use super::*;
 
-    /// The same filter as the textbook writes it: whole matrices, double precision.
+    /// Reference filter as in the textbook: whole matrices, double precision.
     struct Textbook {
         x: [f64; 2],
         p: [[f64; 2]; 2],
@@ -111,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_the_textbooks_filter() {
+    fn the_filter_agrees_with_the_textbook() {
         for dt in [0.001, 0.01, 0.1] {
             let mut textbook = Textbook {
                 x: [5.0, 0.0],
@@ -133,13 +132,13 @@ mod tests {
                 let variance = f64::from(filter.variance_angle);
                 assert!((variance / textbook.p[0][0] - 1.0).abs() < 1e-3, "{step}");
             }
-            // It has found the bias of 1.5.
+            // The filter has found the bias of 1.5.
             assert!((filter.bias - 1.5).abs() < 0.5, "{dt}: {}", filter.bias);
         }
     }
 
     #[test]
-    fn the_covariance_stays_one() {
+    fn the_covariance_stays_positive_definite() {
         let mut filter = AngleBias::new();
         let steps = [1e-6, 0.5, 0.001, 0.3, 0.01];
         for (step, dt_s) in steps.into_iter().cycle().take(100_000).enumerate() {

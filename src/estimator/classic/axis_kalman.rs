@@ -2,13 +2,13 @@
 //!
 //! The tutorial's two filters, without its two shortcuts: the angles are proper Euler angles from
 //! arctangents, and the gyroscope moves them by the full kinematics. The kinematics run on a
-//! quaternion, which has no singularity and costs no trigonometry; each sample then corrects it by
-//! two scalar innovations, roll and pitch, which arise wrapped to ±π because each is the angle
-//! between two directions. A roll correction turns about the forward axis and a pitch correction
-//! about the level axis at right angles to it, so that neither touches the other angle or yaw.
+//! quaternion, which has no singularity and costs no trigonometry. Each sample then corrects it by
+//! two scalar innovations, roll and pitch. Each is the angle between two directions, so it lies
+//! within ±π. A roll correction turns about the forward axis, a pitch correction about the level
+//! axis at right angles to it. Neither changes the other angle or yaw.
 //!
-//! Near pitch ±90° roll is not defined, and the accelerometer says less and less about it: its
-//! variance is R/cos²(pitch), and at the pole the gyroscope alone carries roll across.
+//! Near pitch ±90° roll is not defined, and the accelerometer measures it with the variance
+//! R/cos²(pitch). At the pole only the gyroscope propagates roll.
 //!
 //! Terms: "down" is the direction of gravity in body axes, measured as minus the specific force.
 //! Cost: two arctangents, two square roots and three divisions per sample.
@@ -19,20 +19,20 @@ use crate::estimator::filter::Filter;
 use crate::estimator::sample::Sample;
 use crate::units::radians;
 
-/// No part of the family has a larger zero-rate offset (20 °/s, and 20 more over temperature:
-/// product specification §6.1); it bounds what long accelerations can do to the bias.
+/// Largest zero-rate offset of the family: 20 °/s, and 20 more over temperature (product
+/// specification §6.1). It limits the effect of long accelerations on the bias.
 const LARGEST_BIAS_RAD_S: f32 = radians(40.0);
 
-/// Where cos² of pitch is smaller than this (0.6° from the pole), the accelerometer's noise alone
-/// turns the measured roll by half a turn, and it is not used.
+/// Smallest cos² of pitch at which the measured roll is used: 0.6° from the pole. Nearer to it, the
+/// accelerometer's noise alone turns the measured roll by half a turn.
 const LEAST_PITCH_COSINE_SQUARED: f32 = 1.0e-4;
 
-/// The filter's state.
+/// Filter state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AxisKalman {
     attitude: Quaternion,
-    /// The last sample's rate: between samples the rate is taken to change linearly.
+    /// The last sample's rate. Between samples the rate is assumed to change linearly.
     rate_rad_s: Vector3,
     roll: AngleBias,
     pitch: AngleBias,
@@ -85,7 +85,7 @@ impl Default for AxisKalman {
 }
 
 impl AxisKalman {
-    /// A filter without an attitude.
+    /// Creates a filter without an attitude.
     pub const fn new() -> Self {
         Self {
             attitude: Quaternion::IDENTITY,
@@ -107,7 +107,7 @@ impl AxisKalman {
         self.pitch.predict(dt_s);
     }
 
-    /// One Kalman step per angle.
+    /// Runs one Kalman step per angle.
     fn correct(&mut self, measured_down: Vector3) {
         let innovation = self.innovation(measured_down);
         let mut roll_change = 0.0;
@@ -121,11 +121,11 @@ impl AxisKalman {
         self.turn(self.in_body(roll_change, pitch_change));
     }
 
-    /// Takes roll and pitch as measured and keeps yaw; at the pole, it keeps roll too.
+    /// Sets roll and pitch as measured and keeps yaw. At the pole it keeps roll too.
     fn set_tilt(&mut self, measured_down: Vector3) {
         let innovation = self.innovation(measured_down);
-        // One after the other, since large turns do not add up: pitch about its own axis first,
-        // which leaves roll alone, then roll about the forward axis.
+        // Large turns do not add up, so they are applied in turn: first pitch about its own axis,
+        // which does not change roll, then roll about the forward axis.
         self.turn(self.in_body(0.0, innovation.pitch));
         if let Some(roll) = innovation.roll {
             self.turn(self.in_body(roll, 0.0));
@@ -133,10 +133,10 @@ impl AxisKalman {
         self.has_tilt = true;
     }
 
-    /// Measured minus predicted angles. Also brings the axis of pitch up to date.
+    /// Returns measured minus predicted angles. Also updates the axis of pitch.
     fn innovation(&mut self, measured: Vector3) -> Innovation {
         let predicted = self.attitude.down_in_body();
-        // The part of each direction at right angles to the forward axis: where roll shows.
+        // The component of each direction at right angles to the forward axis depends on roll.
         let measured_squared = measured.y * measured.y + measured.z * measured.z;
         let predicted_squared = predicted.y * predicted.y + predicted.z * predicted.z;
         let measured_across = libm::sqrtf(measured_squared);
@@ -176,7 +176,7 @@ impl AxisKalman {
     }
 }
 
-/// How the measured direction of down differs from the predicted one.
+/// Difference of the measured from the predicted direction of down.
 struct Innovation {
     /// In radians, within ±π; none at the pole.
     roll: Option<f32>,
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn roll_goes_round_and_round() {
+    fn roll_follows_full_turns() {
         let worst = follow(
             Quaternion::IDENTITY,
             |_| 1000,
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn roll_that_swings_about_180_degrees_stays_there() {
+    fn roll_that_swings_about_180_degrees_does_not_jump() {
         let worst = follow(
             from_degrees(180.0, 0.0, 0.0),
             |_| 1000,
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn the_very_pole_does_no_harm() {
+    fn a_sample_at_the_exact_pole_leaves_a_finite_attitude() {
         // Neither the measured nor the predicted direction has anything left across the axis.
         let mut filter = AxisKalman::new();
         filter.attitude = Quaternion::new(0.5_f32.sqrt(), 0.0, 0.5_f32.sqrt(), 0.0);
@@ -296,7 +296,7 @@ mod tests {
             update(&mut filter, Vector3::new(9.8, 0.0, 0.0));
         }
         assert!(angle_between(filter.attitude, before) < 1e-3);
-        // Away from the pole roll is corrected as ever.
+        // Away from the pole roll is corrected as usual.
         let pose = from_degrees(20.0, 0.0, 0.0);
         for _ in 0..10_000 {
             update(&mut filter, -pose.down_in_body().scale(9.8));
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn roll_is_not_compared_where_either_side_is_at_the_pole() {
+    fn roll_is_not_corrected_while_either_direction_is_at_the_pole() {
         let at = |roll, pitch| {
             let mut filter = AxisKalman::new();
             filter.attitude = from_degrees(roll, pitch, 0.0);
@@ -320,8 +320,8 @@ mod tests {
     }
 
     #[test]
-    fn near_the_pole_the_accelerometer_says_less_about_roll() {
-        // How far one measurement of a roll 1° away moves a settled filter.
+    fn near_the_pole_the_accelerometer_corrects_roll_less() {
+        // Correction of a settled filter by one measurement of a roll 1° away.
         let pull = |pitch: f32| {
             let down = |roll| from_degrees(roll, pitch, 0.0).down_in_body();
             let mut filter = AxisKalman::new();
@@ -398,8 +398,8 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_tilt_decays_over_the_shorter_way() {
-        // The filter believes 170° of roll; the truth is −170°, 20° further and not 340° back.
+    fn a_wrong_tilt_decays_along_the_shorter_arc() {
+        // The filter starts at 170° of roll. The truth is −170°: 20° further, not 340° back.
         let mut filter = AxisKalman::new();
         filter.set_tilt(from_degrees(170.0, 0.0, 0.0).down_in_body());
         let force = -from_degrees(-170.0, 0.0, 0.0).down_in_body().scale(9.8);
@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn corrections_leave_yaw_and_the_other_angle_alone() {
+    fn a_correction_changes_neither_yaw_nor_the_other_angle() {
         let mut filter = AxisKalman::new();
         filter.attitude = from_degrees(50.0, 30.0, 80.0);
         filter.has_tilt = true;
@@ -470,7 +470,7 @@ mod tests {
     fn the_bias_stays_within_the_datasheet() {
         let mut filter = AxisKalman::new();
         for step in 0..20_000 {
-            // A centrifuge: the force says 90° of roll, the gyroscope says that nothing turns.
+            // A centrifuge: the force shows 90° of roll, the gyroscope shows no rotation.
             let sideways = Vector3::new(0.0, if step < 10_000 { -9.8 } else { 9.8 }, 0.1);
             filter.update(
                 &Sample::new(0, sideways, degrees_s(500.0, -500.0, 0.0)),

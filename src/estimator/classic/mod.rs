@@ -1,7 +1,8 @@
-//! The tutorial's filters, to compare with.
+//! The tutorial's filters, for comparison.
 //!
-//! Neither knows its σ, and neither finds the gyroscope's offset well enough in motion: they want it averaged at rest and
-//! removed beforehand, which [`ClassicPipeline`](crate::pipeline::classic::ClassicPipeline) does.
+//! Neither reports σ, and neither finds the gyroscope's offset well enough in motion. The offset
+//! has to be averaged at rest and removed first, as in
+//! [`ClassicPipeline`](crate::pipeline::classic::ClassicPipeline).
 //!
 //! - [`Tutorial`]: the tutorial's formulas, one by one;
 //! - [`AxisKalman`]: the same two Kalman filters with exact kinematics.

@@ -1,12 +1,13 @@
-//! The classic tutorial's pipeline, formula by formula, for whoever wants to find its numbers.
+//! The classic tutorial's filter, formula by formula, for readers who want to reproduce its
+//! numbers.
 //!
-//! Roll and pitch come from arccosines with signs and lie within ±90°; each feeds an angle and bias
-//! Kalman filter whose rate input is the gyroscope axis itself; the printed rate is the change of
-//! the filtered angle over the time step. In body axes its chip lies face down, forward along X,
-//! which is the mount `+x+z`; any other mount gives the same numbers for the same motion.
+//! Roll and pitch come from arccosines with signs and lie within ±90°. Each feeds an angle and bias
+//! Kalman filter, whose rate input is the gyroscope axis itself. The printed rate is the change of
+//! the filtered angle over the time step. In body axes the tutorial's chip lies face down, forward
+//! along X, which is the mount `+x+z`. Any other mount gives the same numbers for the same motion.
 //!
-//! What that costs: no angle beyond ±90°, no coupling of the axes when both are tilted, 0.02° of
-//! grain near zero (an arccosine of an `f32` near one), and a slow rest at ±90°.
+//! Limits: no angle beyond ±90°, and no coupling of the axes when both are tilted. The resolution
+//! near zero is 0.02° (an arccosine of an `f32` near one), and the angle settles slowly at ±90°.
 
 use super::angle_bias::{AngleBias, R_MEASURE};
 use crate::attitude::{EulerAngles, Quaternion, Vector3, wrap_pi};
@@ -14,7 +15,7 @@ use crate::estimator::filter::Filter;
 use crate::estimator::sample::Sample;
 use crate::units::{degrees, radians};
 
-/// What the tutorial prints: angles and the rates at which the filtered angles change.
+/// The tutorial's output: the filtered angles and their rates of change.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ClassicAngles {
@@ -28,21 +29,23 @@ pub struct ClassicAngles {
     pub pitch_rate_deg_s: f32,
 }
 
-/// The tutorial's roll from the specific force: negative if y is positive. In degrees.
+/// Returns the tutorial's roll from the specific force, in degrees. It is negative if y is
+/// positive.
 pub fn roll_deg(force: Vector3) -> f32 {
     let across = libm::sqrtf(force.x * force.x + force.z * force.z);
     let angle = arccosine_deg(across, force.norm());
     if force.y > 0.0 { -angle } else { angle }
 }
 
-/// The tutorial's pitch from the specific force: negative if x is negative. In degrees.
+/// Returns the tutorial's pitch from the specific force, in degrees. It is negative if x is
+/// negative.
 pub fn pitch_deg(force: Vector3) -> f32 {
     let across = libm::sqrtf(force.y * force.y + force.z * force.z);
     let angle = arccosine_deg(across, force.norm());
     if force.x < 0.0 { -angle } else { angle }
 }
 
-/// The filter's state.
+/// Filter state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Tutorial {
@@ -99,7 +102,7 @@ impl Default for Tutorial {
 }
 
 impl Tutorial {
-    /// A filter at zero.
+    /// Creates a filter at zero.
     pub const fn new() -> Self {
         Self {
             roll: Axis::new(),
@@ -110,7 +113,7 @@ impl Tutorial {
         }
     }
 
-    /// What the tutorial prints.
+    /// Returns the tutorial's output.
     pub fn angles(&self) -> ClassicAngles {
         ClassicAngles {
             roll_deg: self.roll.angle_deg,
@@ -130,7 +133,7 @@ impl Tutorial {
     }
 }
 
-/// One angle with its filter.
+/// Angle with its filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Axis {
@@ -171,10 +174,10 @@ impl Axis {
     }
 }
 
-/// acos(across/norm) in degrees; zero for no force at all.
+/// Returns acos(across/norm) in degrees, or zero for a zero force.
 fn arccosine_deg(across: f32, norm: f32) -> f32 {
     if norm > 0.0 {
-        // The quotient cannot exceed one, where the arccosine ends: `norm` adds a square to the sum
+        // The quotient cannot exceed one, where the arccosine ends. `norm` adds a square to the sum
         // of `across`, and rounding keeps the order of sums, roots and quotients.
         degrees(libm::acosf(across / norm))
     } else {
@@ -201,7 +204,7 @@ mod tests {
             (-16384.0, 0.0, 0.0, 0.0, -90.0),
             // 70.53° from each axis is 35.26° out of each plane.
             (1000.0, -1000.0, -1000.0, 35.264, 35.264),
-            // Past the vertical it comes down again.
+            // Past the vertical the angle decreases again.
             (0.0, -8192.0, 14189.0, 30.0, 0.0),
         ] {
             let force = Vector3::new(x, y, z);
@@ -213,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn no_force_is_outside_the_arccosine() {
+    fn every_force_is_within_the_range_of_the_arccosine() {
         let mut seed = 1_u32;
         let mut number = || {
             seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -282,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn the_quaternion_says_the_same_and_keeps_its_sign() {
+    fn the_quaternion_has_the_same_angles_and_keeps_its_sign() {
         let mut estimator = Estimator::with_filter(Tutorial::new());
         let mut last = estimator.estimate().attitude;
         let rate = Vector3::new(0.0, 0.0, 3.0);

@@ -1,8 +1,8 @@
-//! The covariance as three blocks, and the operations that the filter needs.
+//! Covariance in three blocks, and the operations on it.
 //!
-//! Four states are *dynamic*: tilt (2) and horizontal velocity (2). The other fifteen are *parameters* of the sensor: gyroscope
-//! bias (3), gyroscope matrix (9), accelerometer bias (3). Time changes only the rows and columns of the
-//! dynamic states, so the blocks are stored apart:
+//! Four states are *dynamic*: tilt (2) and horizontal velocity (2). The other fifteen are
+//! *parameters* of the sensor: gyroscope bias (3), gyroscope matrix (9), accelerometer bias (3).
+//! Time changes only the rows and columns of the dynamic states, so the blocks are stored apart:
 //!
 //! ```text
 //!      dynamic  parameters
@@ -10,15 +10,16 @@
 //!     [   X        C     ]   C: 15 × 15, lower triangle by rows
 //! ```
 //!
-//! C cannot become asymmetric, because only half of it is stored. M is mirrored from its lower half.
-//! Operations on X and C work on one row each, so that a caller can spread them over several samples.
+//! C cannot become asymmetric, because only half of it is stored. M is mirrored from its lower
+//! half. Operations on X and C work on one row each, so that a caller can spread them over several
+//! samples.
 
 use super::propagation::{DYNAMIC, Effect, GYROSCOPE_PARAMETERS, PARAMETERS, Transition};
 use crate::serialize::StateVisitor;
 
 const TRIANGLE: usize = PARAMETERS * (PARAMETERS + 1) / 2;
 
-/// The covariance.
+/// Covariance of the error state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct Covariance {
@@ -42,7 +43,7 @@ impl Column {
         parameters: [0.0; PARAMETERS],
     };
 
-    /// Whether every entry is a finite number of plausible size.
+    /// Returns whether every entry is a finite number of plausible size.
     pub(super) fn is_sound(&self) -> bool {
         // A NaN makes the sum a NaN, which fails the comparison.
         let entries = self.dynamic.iter().chain(&self.parameters);
@@ -87,7 +88,7 @@ impl Covariance {
         }
     }
 
-    /// Variance of a dynamic state.
+    /// Returns the variance of a dynamic state.
     #[inline]
     pub(super) fn dynamic_variance(&self, state: usize) -> f32 {
         match self.dynamic.get(state).and_then(|row| row.get(state)) {
@@ -96,7 +97,7 @@ impl Covariance {
         }
     }
 
-    /// Variance of a parameter.
+    /// Returns the variance of a parameter.
     #[inline]
     pub(super) fn parameter_variance(&self, parameter: usize) -> f32 {
         match self.row(parameter).last() {
@@ -147,7 +148,8 @@ impl Covariance {
         }
     }
 
-    /// Sets the variances of tilt (per axis, rad²) and velocity (per axis, (m/s)²), and all their correlations to zero.
+    /// Sets the variances of tilt (per axis, rad²) and velocity (per axis, (m/s)²), and all their
+    /// correlations to zero.
     pub(super) fn reset_motion(&mut self, tilt: f32, velocity: f32) {
         self.cross.as_flattened_mut().fill(0.0);
         self.dynamic = [
@@ -199,7 +201,7 @@ impl Covariance {
         }
     }
 
-    /// Propagates C into X for a row of C: X ← X − C·Bᵀ. Each entry of the row stands for two of C.
+    /// Propagates C into X for a row of C: X ← X − C·Bᵀ. Each entry of the row represents two of C.
     pub(super) fn propagate_parameters(&mut self, parameter: usize, transition: &Transition) {
         let start = parameter * (parameter + 1) / 2;
         let Some(row) = self.triangle.get(start..start + parameter + 1) else {
@@ -254,7 +256,7 @@ impl Covariance {
 
     /// Completes the propagation of M from the propagated X: M ← M − X·Bᵀ. M is then symmetric.
     pub(super) fn complete_dynamic(&mut self, transition: &Transition) {
-        // Only the lower half: what `propagate_cross` has left out.
+        // Only the lower half, with the terms that `propagate_cross` leaves out.
         let [first, second, third, fourth] = &mut self.dynamic;
         let (gyroscope, accelerometer) = self.cross.split_at(GYROSCOPE_PARAMETERS);
         for (x, b) in gyroscope.iter().zip(&transition.tilt) {
@@ -278,7 +280,7 @@ impl Covariance {
         }
     }
 
-    /// Whether every variance is positive and of plausible size.
+    /// Returns whether every variance is positive and of plausible size.
     pub(super) fn is_sound(&self) -> bool {
         const LARGEST: f32 = 1.0e6;
         let is_sound = |variance: f32| variance > 0.0 && variance < LARGEST;
@@ -286,7 +288,7 @@ impl Covariance {
             && (0..PARAMETERS).all(|parameter| is_sound(self.parameter_variance(parameter)))
     }
 
-    /// The column of a dynamic state.
+    /// Returns the column of a dynamic state.
     pub(super) fn dynamic_column(&self, state: usize) -> Column {
         let mut column = Column::ZERO;
         for (entry, row) in column.dynamic.iter_mut().zip(&self.dynamic) {
@@ -298,7 +300,7 @@ impl Covariance {
         column
     }
 
-    /// The column of a parameter.
+    /// Returns the column of a parameter.
     pub(super) fn parameter_column(&self, parameter: usize) -> Column {
         let mut column = Column::ZERO;
         if let Some(row) = self.cross.get(parameter) {

@@ -1,4 +1,4 @@
-//! How the filter starts: from a first sample, from a stored bias, or from an earlier run.
+//! Start of the filter: from a first sample, from a stored bias, or from an earlier run.
 
 use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
@@ -9,7 +9,8 @@ use crate::estimator::sample::Sample;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
 impl Kalman {
-    /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Call it before the first sample.
+    /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Call it before
+    /// the first sample.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.nominal.set_gyroscope_bias(bias_rad_s);
         self.prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
@@ -20,7 +21,8 @@ impl Kalman {
         }
     }
 
-    /// Continues from an earlier run, instead of taking the tilt from the first sample. Call it before the first sample.
+    /// Continues from an earlier run, instead of taking the tilt from the first sample. Call it
+    /// before the first sample.
     pub fn resume(&mut self, start: &WarmStart) {
         self.set_bias(start.bias_rad_s, start.bias_sigma_rad_s);
         self.nominal.attitude = start.attitude;
@@ -29,7 +31,8 @@ impl Kalman {
         self.is_bias_known = start.bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
     }
 
-    /// Shifts the bias estimate after the upstream compensation changed, rad/s. The attitude is unaffected.
+    /// Shifts the bias estimate after the upstream compensation changed, rad/s. The attitude is
+    /// unaffected.
     pub(crate) fn shift_bias(&mut self, change_rad_s: Vector3) {
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s + change_rad_s;
         self.nominal.set_gyroscope_bias(bias_rad_s);
@@ -49,8 +52,8 @@ impl Kalman {
         self.nominal.attitude = attitude;
     }
 
-    /// Starts from the first sample, or the first after a gap: takes roll and pitch from the specific force if it
-    /// shows gravity. Keeps yaw and the sensor's parameters.
+    /// Starts from the first sample, or the first after a gap: takes roll and pitch from the
+    /// specific force if it shows gravity. Keeps yaw and the sensor's parameters.
     pub(super) fn start_from(&mut self, sample: &Sample, shows_gravity: bool) {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let readings = self.stationary.readings(self.tuning);
@@ -74,7 +77,8 @@ impl Kalman {
         self.nominal.start(rate, force);
     }
 
-    /// Resets tilt (variance per axis, rad²) and velocity, and abandons the covariance step under way.
+    /// Resets tilt (variance per axis, rad²) and velocity, and abandons the covariance step under
+    /// way.
     pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;

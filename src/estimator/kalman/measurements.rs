@@ -1,4 +1,5 @@
-//! The measurements of a covariance step: "velocity is zero", and at rest zero rate; the bias prior's width.
+//! Measurements of a covariance step: zero velocity, zero rate at rest, and the width of the bias
+//! prior.
 
 use super::prior::BiasPrior;
 use super::propagation::{GYROSCOPE_PARAMETERS, Interval};
@@ -11,15 +12,17 @@ use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
 /// Gate of the zero-rate update, in σ of each axis.
 const ZERO_RATE_GATE_SIGMA: f32 = 4.0;
-/// Gate of the first zero-rate update, in σ. Beyond it the state before the first rest is not worth keeping.
+/// Gate of the first zero-rate update, in σ. Beyond it the filter restarts at the rest.
 const FIRST_REST_GATE_SIGMA: f32 = 2.0;
-/// Gate of the velocity at rest, in σ. A larger one is steady motion, and no error of the tilt.
+/// Gate of the velocity at rest, in σ. A larger velocity is steady motion, not an error of the
+/// tilt.
 const COASTING_GATE_SIGMA: f32 = 3.0;
 
 /// σ of the bias below which one axis a step is measured at rest, rad/s.
 const WELL_KNOWN_BIAS_RAD_S: f32 = radians(0.1);
 
-/// Largest horizontal force at rest beyond what the tilt's σ explains, as a share of one g: the accelerometer's bias.
+/// Largest horizontal force at rest that the tilt's σ does not explain, as a share of one g: the
+/// accelerometer's bias.
 pub(super) const STATIONARY_FORCE_SHARE: f32 = 0.03;
 
 impl Kalman {
@@ -38,7 +41,7 @@ impl Kalman {
         }
     }
 
-    /// Variance of "velocity is zero" in motion, (m/s)²·s.
+    /// Returns the noise density of the zero-velocity measurement in motion, (m/s)²·s.
     fn velocity_noise(&self) -> f32 {
         let tuning = self.tuning;
         (square(tuning.velocity_noise)
@@ -57,7 +60,7 @@ impl Kalman {
         }
     }
 
-    /// Zero-rate and zero-velocity updates, each only if it passes its gate. A first rest that
+    /// Adds zero-rate and zero-velocity updates, each only if it passes its gate. A first rest that
     /// contradicts the state reached in motion makes the next sample restart the filter.
     fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) {
         let tuning = self.tuning;
@@ -85,7 +88,8 @@ impl Kalman {
         self.measure_velocity(velocity_noise / duration_s);
     }
 
-    /// Resets a velocity that the tilt's error cannot explain: the vehicle moves steadily, which reads like rest.
+    /// Resets a velocity that the tilt's error cannot explain: the vehicle moves steadily, and the
+    /// readings are those of rest.
     fn reset_coasting(&mut self, variance: f32) {
         let [north, east] = self.nominal.velocity_m_s;
         let covariance = &mut self.step.covariance;
@@ -98,7 +102,7 @@ impl Kalman {
         }
     }
 
-    /// Zero-rate update: at rest the gyroscope reads its bias.
+    /// Adds the zero-rate update: at rest the gyroscope reads its bias.
     fn measure_bias(&mut self, difference: Vector3, variance: f32) {
         // Well-known axes are measured in turn, which is cheaper.
         self.next_axis = if self.next_axis < 2 {
@@ -119,7 +123,7 @@ impl Kalman {
         }
     }
 
-    /// Whether biases may be off by this, rad/s, within so many σ on each axis.
+    /// Returns whether a bias innovation, rad/s, is within this number of σ on each axis.
     fn passes_gate(&self, difference: Vector3, sigmas: f32) -> bool {
         let noise = square(self.tuning.stationary_rate_noise);
         let differences = [difference.x, difference.y, difference.z];
@@ -132,8 +136,8 @@ impl Kalman {
     /// Doubles the prior variance of a bias that has turned out to lie outside its prior.
     ///
     /// The prior is a measurement of the bias with variance p. Replacing p by 2p removes a
-    /// measurement of variance 2p, which is the same as adding one of variance −2p. Repeated, this maximises the
-    /// likelihood over the prior's width.
+    /// measurement of variance 2p, which is the same as adding one of variance −2p. Repeated, this
+    /// maximises the likelihood over the prior's width.
     fn widen_prior(&mut self) {
         let BiasPrior {
             mean_rad_s,
@@ -158,7 +162,8 @@ impl Kalman {
         }
     }
 
-    /// Closes the interval: adds its velocity, and starts its covariance step with the noise that no state explains.
+    /// Closes the interval: adds its velocity, and begins its covariance step with the process
+    /// noise.
     pub(super) fn begin_covariance_step(&mut self) {
         let tuning = self.tuning;
         let duration_s = self.interval.duration_s;
@@ -183,7 +188,7 @@ impl Kalman {
         let tilt_noise = density * duration_s
             + square(tuning.rate_noise_per_rate) * self.interval.squared_rate
             + self.interval.unseen_tilt_rad2;
-        // A sensor that is still does not shake, however much it has moved before.
+        // A still sensor does not shake, even after much motion.
         let shaking = if self.stationary.is_still() {
             0.0
         } else {

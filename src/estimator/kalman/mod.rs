@@ -1,8 +1,9 @@
 //! One Kalman filter for tilt, velocity and the sensor's parameters.
 //!
-//! An accelerometer shows down only while nothing accelerates. This filter does not decide when that
-//! is. It integrates the specific force to a velocity, and measures that velocities stay small. A force that
-//! integrates to an implausible velocity is no acceleration, but gravity seen in a wrong attitude.
+//! An accelerometer shows down only while nothing accelerates. This filter does not detect such
+//! moments. It integrates the specific force to a velocity, and uses the pseudo-measurement that
+//! velocities stay small. A force that integrates to an implausible velocity is no acceleration,
+//! but gravity seen in a wrong attitude.
 //!
 //! # Nominal state ([`nominal`](self))
 //!
@@ -13,18 +14,19 @@
 //! ω = C·(g − b)      q ← q ⊗ exp(ω·dt)      v ← v + [R(q)·(f − a)·dt] north and east
 //! ```
 //!
-//! Samples are values at an instant, so increments are trapezoids. They are summed in body axes
-//! and turned to earth axes every 7 ms by the attitude half-way, which accounts for the
-//! rotation in between (rotation correction: Savage, *Strapdown Analytics*, 2000, §7.1 and §7.2).
-//! The attitude at a sample is q ⊗ exp(rotation since the last earth step + ω·delay). The
-//! delay is that of the sensor, so the attitude belongs to the sample's time.
+//! Samples are values at an instant, so increments are trapezoids. They are summed in body axes and
+//! turned to earth axes every 7 ms by the attitude half-way. This accounts for the rotation in
+//! between (rotation correction: Savage, *Strapdown Analytics*, 2000, §7.1 and §7.2). The attitude
+//! at a sample is q ⊗ exp(rotation since the last earth step + ω·delay). The delay is that of the
+//! sensor, so the attitude belongs to the sample's time.
 //!
 //! # Error state
 //!
 //! An error-state filter (Solà, *Quaternion kinematics for the error-state Kalman filter*, 2017,
-//! §7, with the error on the earth's side). Nineteen states are the *error* of the nominal state: tilt θ (north, east:
-//! R_true = exp(θ)·R), v, b, E by rows, a. Every correction moves into the nominal state at once. Yaw is no state,
-//! because nothing observes it. Over an interval T with p = ω,
+//! §7, with the error on the earth's side). Nineteen states are the *error* of the nominal state:
+//! tilt θ (north, east: R_true = exp(θ)·R), v, b, E by rows, a. Every correction moves into the
+//! nominal state at once. Yaw is no state, because nothing observes it. Over an interval T with p =
+//! ω,
 //!
 //! ```text
 //! θ ← θ − Σ_j (∫R_kj dt)·b_j − Σ_jl (∫R_kj·p_l dt)·E_jl        k = north, east
@@ -32,28 +34,33 @@
 //! v_e ← v_e − (∫f_down dt)·θ_n − Σ_j (∫R_ej dt)·a_j
 //! ```
 //!
-//! A covariance step needs only these integrals, and may come late, at 4.5 Hz. It runs in slices, one a sample.
-//! The measurement is v = 0, with a variance that follows how much the vehicle has been moving.
+//! A covariance step needs only these integrals, and may come late, at 4.5 Hz. The step runs in
+//! slices, one a sample. The measurement is v = 0, with a variance that follows how much the
+//! vehicle has been moving.
 //!
 //! # Start and rest
 //!
 //! - The first sample sets the tilt, with a large σ. There is no start-up average.
-//! - The bias has a prior. When a bias turns out to lie more than [`Tuning::prior_gate_sigma`] outside it, the prior is widened.
-//! - While tilt and bias are both uncertain, their product, which the linear model leaves out, counts as noise
-//!   ([`Tuning::coupling`]).
-//! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and neither runs
-//!   while armed. If the first rest contradicts the state reached in motion, the filter restarts at that rest.
-//! - Only a rest, of this run or an earlier one, makes the bias known ([`Filter::is_bias_known`]): a large bias about
-//!   the vertical can mislead the filter in motion, and its σ too.
-//! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest is reset.
-//!   Therefore a vehicle that coasts after a long acceleration finds down again.
-//! - Unsolved: a bias of 20 °/s about the vertical that starts in motion takes more than
-//!   half a minute to find, if it is found, because yaw is not observed. It stays unknown until the first rest.
+//! - The bias has a prior. When a bias turns out to lie more than [`Tuning::prior_gate_sigma`]
+//!   outside it, the prior is widened.
+//! - While tilt and bias are both uncertain, their product, which the linear model leaves out,
+//!   counts as noise ([`Tuning::coupling`]).
+//! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and
+//!   neither runs while armed. If the first rest contradicts the state reached in motion, the
+//!   filter restarts at that rest.
+//! - Only a rest, of this run or an earlier one, makes the bias known ([`Filter::is_bias_known`]).
+//!   In motion, a large bias about the vertical can mislead the filter, and its σ too.
+//! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
+//!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
+//! - Unsolved: after a start in motion, a bias of 20 °/s about the vertical takes more than half a
+//!   minute to find, or is not found. Yaw is not observed. The bias stays unknown until the first
+//!   rest.
 //!
 //! # Cost
 //!
 //! Deadline: one sample. At 1 kHz a sample costs about 335 instructions on a Cortex-M4F on average,
-//! covariance included, and below 800 at worst; at 100 Hz 1,100 at worst. No loop's length depends on data.
+//! covariance included, and below 800 at worst. At 100 Hz the worst case is 1,100. No loop's length
+//! depends on data.
 
 mod covariance;
 mod init;
@@ -95,9 +102,9 @@ const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
 
 /// Scale from the filter's σ of tilt, which is conservative, to the reported σ.
 ///
-/// Vehicle velocities are not the white noise that the filter assumes, so its σ is too large on every set of recordings with
-/// truth. The scale is no smaller, so that 3 σ hold 99 % of the errors of each
-/// set. A single recording may have less, such as 98.6 % of one room of TUM-VI.
+/// Vehicle velocities are not the white noise that the filter assumes, so its σ is too large on
+/// every set of recordings with truth. The scale is no smaller, so that 3 σ hold 99 % of the errors
+/// of each set. A single recording may have less, such as 98.6 % of one room of TUM-VI.
 const REPORTED_SIGMA_SCALE: f32 = 0.92;
 const REPORTED_VARIANCE_SCALE: f32 = square(REPORTED_SIGMA_SCALE);
 
@@ -108,9 +115,10 @@ const LONG_SAMPLE_PERIOD_S: f32 = 5.5e-3;
 /// Upper limit of the slices per sample: more than a covariance step has.
 const MOST_SLICES: u32 = 80;
 
-/// The filter.
+/// Kalman filter for tilt, velocity and the parameters of the sensor.
 ///
-/// The fields keep this order in memory, because a core reaches the first kilobyte with shorter code.
+/// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
+/// code.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -123,24 +131,24 @@ pub struct Kalman {
     saturated_s: f32,
     is_armed: bool,
     tilt: Tilt,
-    /// Whether a covariance step is due or under way.
+    /// True if a covariance step is due or under way.
     has_work: bool,
     is_bias_known: bool,
-    /// Whether the bias has been measured at rest in this run.
+    /// True if the bias has been measured at rest in this run.
     has_rested: bool,
-    /// The well-known axis whose bias is measured next at rest.
+    /// Well-known axis whose bias is measured next at rest.
     next_axis: u8,
     nominal: NominalState,
     interval: Interval,
     stationary: StationaryDetector,
     recent: RecentVelocity,
     prior: BiasPrior,
-    /// The mean specific force in earth axes over the recovery time, m/s².
+    /// Mean specific force in earth axes over the recovery time, m/s².
     mean_force_m_s2: Vector3,
     step: CovarianceStep,
 }
 
-/// Where the tilt comes from, or has to come from with the next sample.
+/// Source of the tilt, now or with the next sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 enum Tilt {
@@ -148,7 +156,8 @@ enum Tilt {
     Unknown,
     /// From an earlier run: the next sample does not set it.
     Resumed,
-    /// From the mean readings at rest, which contradict the state: the next sample restarts the filter.
+    /// From the mean readings at rest, which contradict the state: the next sample restarts the
+    /// filter.
     Restarting,
     /// Known.
     Known,
@@ -196,19 +205,20 @@ impl Filter for Kalman {
         }
     }
 
-    /// Extrapolated by the sensor's delay.
+    /// Returns the attitude, extrapolated by the sensor's delay.
     #[inline]
     fn attitude(&self) -> Quaternion {
         self.nominal.extrapolate(self.delay_s)
     }
 
-    /// Without bias, scale error and misalignment.
+    /// Returns the rates without bias, scale error and misalignment.
     #[inline]
     fn body_rates_rad_s(&self) -> Vector3 {
         self.nominal.rate_rad_s
     }
 
-    /// Includes unobserved motion since the last covariance step. Infinite without a tilt.
+    /// Returns the tilt variance, including unobserved motion since the last covariance step.
+    /// Infinite without a tilt.
     #[inline]
     fn tilt_variance_rad2(&self) -> f32 {
         match self.tilt {
@@ -219,8 +229,8 @@ impl Filter for Kalman {
         }
     }
 
-    /// Whether the bias has been measured at rest, in this run or the one that a stored value
-    /// came from, and its σ is below 0.5 °/s on every axis.
+    /// Returns whether the bias is known: measured at rest, in this run or that of a stored value,
+    /// with σ below 0.5 °/s on every axis.
     #[inline]
     fn is_bias_known(&self) -> bool {
         self.is_bias_known
@@ -228,12 +238,12 @@ impl Filter for Kalman {
 }
 
 impl Kalman {
-    /// A filter without an attitude.
+    /// Creates a filter without an attitude.
     pub fn new() -> Self {
         Self::with_tuning(&Tuning::DEFAULT)
     }
 
-    /// A filter with this tuning.
+    /// Creates a filter with this tuning.
     pub fn with_tuning(tuning: &'static Tuning) -> Self {
         let mut filter = Self {
             tuning,
@@ -260,12 +270,13 @@ impl Kalman {
         filter
     }
 
-    /// Sets the delay of the sensor, s: the attitude is extrapolated by it to the sample's time.
+    /// Sets the delay of the sensor, s. The attitude is extrapolated by it to the sample's time.
     pub const fn set_delay(&mut self, delay_s: f32) {
         self.delay_s = delay_s;
     }
 
-    /// Disables (`true`) the zero-rate and zero-velocity updates, which are only safe on the ground. Default: false.
+    /// Disables (`true`) the zero-rate and zero-velocity updates, which are only safe on the
+    /// ground. Default: false.
     pub const fn set_armed(&mut self, is_armed: bool) {
         self.is_armed = is_armed;
     }
@@ -303,7 +314,8 @@ impl Kalman {
         }
     }
 
-    /// Moves the correction of the covariance step, propagated to the present, into the nominal state.
+    /// Moves the correction of the covariance step, propagated to the present, into the nominal
+    /// state.
     fn correct(&mut self) {
         self.has_work = false;
         let Column {
@@ -322,7 +334,7 @@ impl Kalman {
         self.is_bias_known = is_measured && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
     }
 
-    /// The filter's own tilt variance, both axes together, rad².
+    /// Returns the filter's own tilt variance, both axes together, rad².
     #[inline]
     fn conservative_tilt_variance(&self) -> f32 {
         let covariance = &self.step.covariance;
@@ -331,23 +343,23 @@ impl Kalman {
             + 2.0 * self.interval.unseen_tilt_rad2
     }
 
-    /// σ of the direction of down, both axes together, rad; infinite without a tilt.
+    /// Returns σ of the direction of down, both axes together, rad. Infinite without a tilt.
     pub fn tilt_sigma_rad(&self) -> f32 {
         sigma(self.tilt_variance_rad2())
     }
 
-    /// Gyroscope bias, rad/s in body axes.
+    /// Returns the gyroscope bias, rad/s in body axes.
     pub fn bias_rad_s(&self) -> Vector3 {
         self.nominal.gyroscope_bias_rad_s
     }
 
-    /// σ of [`bias_rad_s`](Self::bias_rad_s), rad/s.
+    /// Returns σ of [`bias_rad_s`](Self::bias_rad_s), rad/s.
     pub fn bias_sigma_rad_s(&self) -> Vector3 {
         let sigma = |axis| sigma(self.step.covariance.parameter_variance(axis));
         Vector3::new(sigma(0), sigma(1), sigma(2))
     }
 
-    /// σ of the bias of the worst axis, rad/s.
+    /// Returns σ of the bias of the worst axis, rad/s.
     pub fn largest_bias_sigma_rad_s(&self) -> f32 {
         sigma(self.largest_bias_variance())
     }
@@ -358,26 +370,26 @@ impl Kalman {
         x.max(y).max(z)
     }
 
-    /// Accelerometer bias, m/s² in body axes.
+    /// Returns the accelerometer bias, m/s² in body axes.
     pub fn accelerometer_bias_m_s2(&self) -> Vector3 {
         self.nominal.accelerometer_bias_m_s2
     }
 
-    /// σ of [`accelerometer_bias_m_s2`](Self::accelerometer_bias_m_s2), m/s².
+    /// Returns σ of [`accelerometer_bias_m_s2`](Self::accelerometer_bias_m_s2), m/s².
     pub fn accelerometer_bias_sigma_m_s2(&self) -> Vector3 {
         let covariance = &self.step.covariance;
         let sigma = |axis| sigma(covariance.parameter_variance(GYROSCOPE_PARAMETERS + axis));
         Vector3::new(sigma(0), sigma(1), sigma(2))
     }
 
-    /// Acceleration of the body without gravity, m/s² in body axes.
+    /// Returns the acceleration of the body without gravity, m/s² in body axes.
     pub fn linear_acceleration_m_s2(&self) -> Vector3 {
         let attitude = self.nominal.extrapolate(0.0);
         let gravity = attitude.down_in_body().scale(STANDARD_GRAVITY_M_S2);
         self.nominal.force_m_s2 - self.nominal.accelerometer_bias_m_s2 + gravity
     }
 
-    /// Whether the readings have not changed for a third of a second.
+    /// Returns whether the readings have not changed for a third of a second.
     pub fn is_still(&self) -> bool {
         self.stationary.is_still()
     }
@@ -389,7 +401,8 @@ impl Kalman {
         }
     }
 
-    /// Inflates the tilt by this variance per axis, rad², and resets the velocity, which wrong samples corrupt at once.
+    /// Inflates the tilt by this variance per axis, rad², and resets the velocity, which wrong
+    /// samples corrupt at once.
     pub fn inflate_motion(&mut self, variance: f32) {
         if self.tilt != Tilt::Unknown {
             let tilt_variance = 0.5 * self.conservative_tilt_variance();

@@ -1,7 +1,8 @@
-//! The nominal state: attitude, velocity, the sensor's parameters, and the increments since the last earth step.
+//! The nominal state: attitude, velocity, the sensor's parameters, and the increments since the
+//! last earth step.
 //!
-//! Each sample adds its increments in body axes, which is cheap. Every few samples an *earth step* turns the sums
-//! to earth axes, where gravity and velocity are.
+//! Each sample adds its increments in body axes, which is cheap. Every few samples an *earth step*
+//! turns the sums to earth axes, where gravity and velocity are.
 
 use super::propagation::{DYNAMIC, PARAMETERS, Transition};
 use super::tuning::{
@@ -40,7 +41,7 @@ pub(super) struct NominalState {
     rotation_rad: Vector3,
     /// Velocity gained since the last earth step, body axes, bias included.
     gained_m_s: Vector3,
-    /// Time since the last earth step.
+    /// Time since the last earth step, s.
     elapsed_s: f32,
 }
 
@@ -56,7 +57,7 @@ pub(super) struct EarthStep {
 }
 
 impl NominalState {
-    /// The identity attitude, at rest, of a perfect sensor.
+    /// Creates the state of a perfect sensor at rest in the identity attitude.
     pub(super) const fn new() -> Self {
         Self {
             attitude: Quaternion::IDENTITY,
@@ -73,7 +74,7 @@ impl NominalState {
         }
     }
 
-    /// Rate of a gyroscope reading: C·(g − b).
+    /// Returns the rate of a gyroscope reading: C·(g − b).
     #[inline]
     pub(super) fn rate_of(&self, reading: Vector3) -> Vector3 {
         multiply(&self.gyroscope_matrix, reading) - self.rate_offset_rad_s
@@ -92,7 +93,7 @@ impl NominalState {
         self.set_gyroscope_bias(self.gyroscope_bias_rad_s);
     }
 
-    /// Starts the integration at a sample: the first one, or the first after a gap.
+    /// Starts the integration at the first sample, or the first after a gap.
     pub(super) fn start(&mut self, rate_reading: Vector3, force_m_s2: Vector3) {
         self.rate_rad_s = self.rate_of(rate_reading);
         self.force_m_s2 = force_m_s2;
@@ -101,7 +102,8 @@ impl NominalState {
         self.elapsed_s = 0.0;
     }
 
-    /// Integrates from the sample before to this one by the trapezoid rule. Returns the time since the last earth step, s.
+    /// Integrates from the previous sample to this one by the trapezoid rule. Returns the time
+    /// since the last earth step, s.
     #[inline]
     pub(super) fn integrate(
         &mut self,
@@ -119,7 +121,7 @@ impl NominalState {
         self.elapsed_s
     }
 
-    /// Attitude this long after the last sample's motion, at its rate.
+    /// Returns the attitude this long after the last sample's motion, at its rate.
     #[inline]
     pub(super) fn extrapolate(&self, delay_s: f32) -> Quaternion {
         let rotation_rad = self.rotation_rad + self.rate_rad_s.scale(delay_s);
@@ -127,7 +129,8 @@ impl NominalState {
             .multiply(Quaternion::from_rotation_vector(rotation_rad))
     }
 
-    /// Turns the increments to earth axes, advances the attitude, and adds to the interval's transition.
+    /// Turns the increments to earth axes, advances the attitude, and adds to the interval's
+    /// transition.
     pub(super) fn step_in_earth_axes(&mut self, transition: &mut Transition) -> EarthStep {
         let t = self.elapsed_s;
         let rotation_rad = self.rotation_rad;
@@ -182,7 +185,7 @@ impl NominalState {
         self.set_gyroscope_bias(clamp(bias_rad_s, LARGEST_GYROSCOPE_BIAS_RAD_S));
     }
 
-    /// Whether accelerometer bias and gyroscope matrix are within what a part may have.
+    /// Returns whether accelerometer bias and gyroscope matrix are within the part's tolerances.
     pub(super) fn is_plausible(&self) -> bool {
         let [x, y, z] = self.gyroscope_matrix;
         let [ix, iy, iz] = IDENTITY;
@@ -210,9 +213,9 @@ impl NominalState {
     }
 }
 
-/// Rows of the rotation matrix half-way between two attitudes: north, east, down.
+/// Returns the rows of the rotation matrix half-way between two attitudes: north, east, down.
 fn rows_half_way(before: Quaternion, after: Quaternion) -> [Vector3; 3] {
-    // The chord's middle, whose length is removed by s.
+    // The chord's middle; s normalizes its length.
     let (w, x, y, z) = (
         before.w + after.w,
         before.x + after.x,

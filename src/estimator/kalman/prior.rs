@@ -1,11 +1,11 @@
-//! What the filter knows before its first sample: priors of the parameters, and the state of an earlier run.
+//! Information before the first sample: priors of the parameters, and the state of an earlier run.
 
 use super::propagation::PARAMETERS;
 use super::tuning::{Tuning, square};
 use crate::attitude::{Quaternion, Vector3};
 use crate::serialize::StateVisitor;
 
-/// State of an earlier run, which the filter continues from.
+/// State of an earlier run, from which the filter continues.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WarmStart {
@@ -23,9 +23,9 @@ pub struct WarmStart {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct BiasPrior {
-    /// Its mean, rad/s in body axes.
+    /// Mean, rad/s in body axes.
     pub(super) mean_rad_s: Vector3,
-    /// Its variance per axis, (rad/s)².
+    /// Variance per axis, (rad/s)².
     pub(super) variance: [f32; 3],
 }
 
@@ -43,7 +43,8 @@ impl BiasPrior {
     }
 }
 
-/// Variances of all parameters before the first sample: the prior of the bias, and the tuning's of the others.
+/// Returns the variances of all parameters before the first sample, from the bias prior and the
+/// tuning.
 pub(super) fn parameter_variances(tuning: &Tuning, bias: &[f32; 3]) -> [f32; PARAMETERS] {
     let [x, y, z] = *bias;
     let scale = square(tuning.gyroscope_scale);

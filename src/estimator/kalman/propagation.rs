@@ -1,13 +1,16 @@
-//! What an interval does to the error state: its transition, and the noise that it adds.
+//! Propagation of the error state over an interval: its transition, and the noise that it adds.
 //!
-//! An interval lasts from one covariance step to the next. The nominal state is integrated through it, and these sums
-//! are taken along the way, so that the covariance can be propagated over the whole interval at once.
+//! An interval lasts from one covariance step to the next. The nominal state is integrated through
+//! it, and these sums accumulate with it. They propagate the covariance over the whole interval at
+//! once.
 
 use crate::serialize::StateVisitor;
 
-/// Dynamic states, which change by themselves: tilt about north and east, velocity to north and east.
+/// Dynamic states, which change by themselves: tilt about north and east, velocity to north and
+/// east.
 pub(super) const DYNAMIC: usize = 4;
-/// Parameter states of the sensor: gyroscope bias (3), gyroscope matrix by rows (9), accelerometer bias (3).
+/// Parameter states of the sensor: gyroscope bias (3), gyroscope matrix by rows (9), accelerometer
+/// bias (3).
 pub(super) const PARAMETERS: usize = 15;
 /// The gyroscope's parameters, which come first. The accelerometer's bias is the rest.
 pub(super) const GYROSCOPE_PARAMETERS: usize = 12;
@@ -18,23 +21,23 @@ pub(super) const GYROSCOPE_PARAMETERS: usize = 12;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct Transition {
-    /// The tilt rows of B: what each gyroscope parameter adds to the tilt error, north and east.
+    /// The tilt rows of B: effect of each gyroscope parameter on the tilt error, north and east.
     ///
-    /// The first three entries are ∫R dt, the upper two rows of the rotation matrix. They are the velocity rows of B
-    /// for the accelerometer's bias as well.
+    /// The first three entries are ∫R dt, the upper two rows of the rotation matrix. They are the
+    /// velocity rows of B for the accelerometer's bias as well.
     pub(super) tilt: [[f32; 2]; GYROSCOPE_PARAMETERS],
     /// The off-diagonal entry of A: ∫f_down dt, m/s. About −g times the interval.
     pub(super) down_m_s: f32,
 }
 
 impl Transition {
-    /// The transition of an empty interval.
+    /// Transition of an empty interval.
     pub(super) const IDENTITY: Self = Self {
         tilt: [[0.0; 2]; GYROSCOPE_PARAMETERS],
         down_m_s: 0.0,
     };
 
-    /// The entries of B for a parameter, north and east.
+    /// Returns the entries of B for a parameter, north and east.
     pub(super) fn effect(&self, parameter: usize) -> Effect {
         if let Some(entries) = self.tilt.get(parameter) {
             return Effect::Tilt(*entries);
@@ -68,12 +71,12 @@ impl Transition {
     }
 }
 
-/// What a parameter's error adds to, per unit, with entries for north and east.
+/// Dynamic states that a parameter's error affects, per unit, with entries for north and east.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Effect {
-    /// The tilt: parameters of the gyroscope.
+    /// Tilt, affected by the parameters of the gyroscope.
     Tilt([f32; 2]),
-    /// The velocity: the accelerometer's bias.
+    /// Velocity, affected by the accelerometer's bias.
     Velocity([f32; 2]),
 }
 
@@ -96,7 +99,7 @@ pub(super) struct Interval {
 }
 
 impl Interval {
-    /// An interval of no length.
+    /// Interval of no length.
     pub(super) const EMPTY: Self = Self {
         transition: Transition::IDENTITY,
         velocity_m_s: [0.0; 2],

@@ -1,9 +1,9 @@
-//! How much the vehicle has been moving of late.
+//! Recent speed of the vehicle, which sets the noise of the zero-velocity measurement.
 
 use super::tuning::{Tuning, square};
 use crate::serialize::StateVisitor;
 
-/// Average speed of the vehicle: how much it has been moving of late.
+/// Recent average speed of the vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct RecentVelocity {
@@ -30,7 +30,8 @@ impl RecentVelocity {
         // A plain average at first, and an exponential one later.
         self.age_s = (self.age_s + duration_s).min(tuning.velocity_average_s);
         let [north, east] = self.smooth_m_s;
-        // A larger value would change nothing now, and the average would take long to return from a knock.
+        // A larger value would change nothing now, and the average would return slowly after a
+        // knock.
         let limit = square(2.0 * tuning.velocity_noise_limit);
         let squared = (square(north) + square(east)).min(limit);
         self.squared += duration_s / (self.age_s + duration_s) * (squared - self.squared);

@@ -1,4 +1,5 @@
-//! Restarts: at a rest that contradicts the state, from a tilt that the linear model cannot correct, from unusable numbers.
+//! Restarts: at a rest that contradicts the state, from a tilt that the linear model cannot
+//! correct, from unusable numbers.
 
 use super::measurements::STATIONARY_FORCE_SHARE;
 use super::prior::{WarmStart, parameter_variances};
@@ -13,13 +14,15 @@ const RECOVERY_TIME_S: f32 = 1.5;
 /// σ of the tilt after a recovery, rad.
 const RECOVERED_TILT_RAD: f32 = 0.3;
 
-/// σ of the tilt that the mean force at rest shows, both axes together, rad: the accelerometer's bias.
+/// σ of the tilt from the mean force at rest, both axes together, rad: the accelerometer's bias.
 const STATIONARY_TILT_RAD: f32 = 1.4 * STATIONARY_FORCE_SHARE;
-/// σ of the bias that the mean rate at rest shows, per axis, rad/s: motion that the average still contains.
+/// σ of the bias from the mean rate at rest, per axis, rad/s: motion that the average still
+/// contains.
 const STATIONARY_BIAS_RAD_S: f32 = radians(0.1);
 
 impl Kalman {
-    /// Restarts from the mean readings at rest: takes bias and tilt from them, and resets the other parameters.
+    /// Restarts from the mean readings at rest: takes bias and tilt from them, and resets the other
+    /// parameters.
     pub(super) fn restart_at_rest(&mut self, readings: &StationaryReadings) {
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
         self.level(force);
@@ -36,10 +39,11 @@ impl Kalman {
         self.has_rested = true;
     }
 
-    /// Restarts the tilt when the mean specific force contradicts it: about one g for a second and a half, over 45° from up.
+    /// Restarts the tilt when the mean specific force contradicts it: about one g for 1.5 s, over
+    /// 45° from up.
     ///
-    /// No vehicle that holds its height does that: a sideways acceleration of one g would make it 1.4 g. Returns
-    /// whether the tilt was restarted.
+    /// No vehicle that holds its height reads this: a sideways acceleration of one g would give 1.4
+    /// g. Returns whether the tilt was restarted.
     pub(super) fn recover_from_wrong_gravity(&mut self) -> bool {
         let interval = &self.interval;
         let [north, east] = interval.velocity_m_s;
@@ -65,13 +69,14 @@ impl Kalman {
         true
     }
 
-    /// Turns the attitude by the shortest rotation that makes this force, which is given in earth axes, point up.
+    /// Turns the attitude by the shortest rotation that makes this force, which is given in earth
+    /// axes, point up.
     fn level(&mut self, force: Vector3) {
         let rotation = shortest_to_up(force);
         self.nominal.attitude = rotation.multiply(self.nominal.attitude).normalize();
     }
 
-    /// Restarts, but keeps the attitude. Only readings that no sensor delivers lead here.
+    /// Restarts, but keeps the attitude. Only readings that no sensor delivers cause this.
     pub(super) fn restart_from_unusable_numbers(&mut self) {
         let attitude = self.nominal.attitude;
         self.reset();
@@ -80,10 +85,11 @@ impl Kalman {
     }
 }
 
-/// Shortest rotation that turns this direction, which is not zero, up: to (0, 0, −1).
+/// Returns the shortest rotation that turns this nonzero direction up, to (0, 0, −1).
 fn shortest_to_up(direction: Vector3) -> Quaternion {
     let norm = direction.norm();
-    // w = 1 + cos, and the axis is direction × up. Both vanish where it points straight down.
+    // w = 1 + cos, and the axis is direction × up. Both vanish where the direction points straight
+    // down.
     let w = norm - direction.z;
     if w < 1.0e-3 * norm {
         return Quaternion::new(0.0, 1.0, 0.0, 0.0);

@@ -1,16 +1,16 @@
-//! The covariance step in slices, so that no sample takes the time of a whole step.
+//! Covariance step in slices, so that no sample takes the time of a whole step.
 //!
-//! A step covers an interval through which the nominal state has been integrated and whose [`Transition`] is known.
-//! It propagates the covariance over the interval, P ← F·P·Fᵀ + Q, and then applies scalar
-//! measurements z = x_i + noise one after the other (Bierman, *Factorization Methods for Discrete
-//! Sequential Estimation*, 1977, ch. II):
+//! A step covers an interval through which the nominal state has been integrated and whose
+//! [`Transition`] is known. The step propagates the covariance over the interval, P ← F·P·Fᵀ + Q.
+//! It then applies scalar measurements z = x_i + noise in sequence (Bierman, *Factorization Methods
+//! for Discrete Sequential Estimation*, 1977, ch. II):
 //!
 //! ```text
 //! h = P·e_i    s = h_i + r    δ ← δ + h·(z − x_i − δ_i)/s    P ← P − h·hᵀ/s
 //! ```
 //!
-//! The correction δ belongs to the interval's end, which is some samples ago when the last slice is
-//! done. The caller propagates it to the present.
+//! The correction δ belongs to the interval's end, some samples before the last slice. The caller
+//! propagates it to the present.
 
 use super::covariance::{Column, Covariance};
 use super::propagation::{DYNAMIC, PARAMETERS, Transition};
@@ -82,7 +82,7 @@ pub(super) enum State {
     Parameter(usize),
 }
 
-/// The covariance, and the step under way.
+/// Covariance, and the step in progress.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct CovarianceStep {
@@ -100,7 +100,7 @@ pub(super) struct CovarianceStep {
 }
 
 impl CovarianceStep {
-    /// A zero covariance without a step.
+    /// Creates a zero covariance without a step.
     pub(super) const fn new() -> Self {
         Self {
             covariance: Covariance::ZERO,
@@ -114,7 +114,7 @@ impl CovarianceStep {
         }
     }
 
-    /// Length of the interval, s.
+    /// Returns the length of the interval, s.
     pub(super) fn duration_s(&self) -> f32 {
         self.duration_s
     }
@@ -124,7 +124,8 @@ impl CovarianceStep {
         self.phase = Phase::Idle;
     }
 
-    /// Begins a step over an interval that adds these variances to each axis of tilt (rad²) and velocity ((m/s)²).
+    /// Begins a step over an interval that adds these variances to each axis of tilt (rad²) and
+    /// velocity ((m/s)²).
     pub(super) fn begin(
         &mut self,
         transition: &Transition,
@@ -162,7 +163,8 @@ impl CovarianceStep {
                 self.phase = Phase::PropagateParameters(0);
             }
             Phase::PropagateParameters(row) => {
-                // A short row of the triangle goes with a long one, so that all slices take the same time.
+                // A short row of the triangle is paired with a long one, so that all slices take
+                // the same time.
                 self.covariance.propagate_parameters(row, &self.transition);
                 self.phase = if row < LAST_ROW / 2 {
                     self.covariance
@@ -205,7 +207,7 @@ impl CovarianceStep {
         Progress::Working
     }
 
-    /// Corrects a short row and a long one; the middle row alone.
+    /// Corrects a short row and a long one, or the middle row alone.
     fn correct_row_pair(&mut self, row: usize) {
         self.covariance
             .correct_parameter(row, &self.column, self.inverse);

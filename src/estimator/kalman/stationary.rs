@@ -1,24 +1,25 @@
-//! The filter's stationary detector: readings that have not changed for a while, at about one g.
+//! Stationary detector of the filter: readings that have not changed for a while, at about one g.
 //!
-//! Steady motion looks the same to the sensor. The filter therefore uses the detector's readings only as far as its
-//! covariance allows.
+//! Steady motion looks the same to the sensor. The filter therefore uses the detector's readings
+//! only as far as its covariance allows.
 
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, Tuning};
 use crate::attitude::Vector3;
 use crate::serialize::StateVisitor;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
-/// Time constant of the average that readings are compared with, s.
+/// Time constant of the average to which readings are compared, s.
 const AVERAGING_TIME_S: f32 = 0.5;
 
-/// Length of the plain average at the start, s. Before it is complete nothing counts as motion, so that the
-/// settling of the sensor's low-pass filter in the first samples does not either.
+/// Length of the plain average at the start, s. Until it is complete no reading counts as motion,
+/// because the sensor's low-pass filter still settles.
 const FIRST_AVERAGE_S: f32 = 0.07;
 
 /// Time without motion after which the sensor is [still](StationaryDetector::is_still), s.
 const STILL_S: f32 = 0.3;
 
-/// Largest error of the measured gravity, as a share of one g: 80 mg of offset and 3 % of scale (product specification §6.2).
+/// Largest error of the measured gravity, as a share of one g: 80 mg of offset and 3 % of scale
+/// (product specification §6.2).
 const GRAVITY_TOLERANCE: f32 = 0.12;
 
 /// Mean readings of a stationary sensor, in body axes.
@@ -30,18 +31,18 @@ pub(super) struct StationaryReadings {
     pub(super) force_m_s2: Vector3,
 }
 
-/// The detector.
+/// Stationary detector: the average readings, and the time without motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct StationaryDetector {
     average_rate_rad_s: Vector3,
     average_force_m_s2: Vector3,
-    /// Time without motion. Negative during the first average: minus its length so far.
+    /// Time without motion, s. During the first average it is minus the average's length so far.
     quiet_s: f32,
 }
 
 impl StationaryDetector {
-    /// A detector without readings.
+    /// Creates a detector without readings.
     pub(super) const fn new() -> Self {
         Self {
             average_rate_rad_s: Vector3::ZERO,
@@ -59,7 +60,7 @@ impl StationaryDetector {
         };
     }
 
-    /// Shifts the average rate, because the readings change by this without any motion.
+    /// Shifts the average rate by a change of the readings without motion, rad/s.
     pub(super) fn shift_rate(&mut self, change_rad_s: Vector3) {
         self.average_rate_rad_s = self.average_rate_rad_s + change_rad_s;
     }
@@ -97,19 +98,19 @@ impl StationaryDetector {
         };
     }
 
-    /// Whether the readings have not changed for a third of a second.
+    /// Returns whether the readings have not changed for a third of a second.
     pub(super) fn is_still(&self) -> bool {
         self.quiet_s > STILL_S
     }
 
-    /// The mean readings, if the sensor is stationary.
+    /// Returns the mean readings, if the sensor is stationary.
     pub(super) fn readings(&self, tuning: &Tuning) -> Option<StationaryReadings> {
         const LEAST: f32 = (1.0 - GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
         const GREATEST: f32 = (1.0 + GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
         let force_m_s2 = self.average_force_m_s2;
         let squared = force_m_s2.dot(force_m_s2);
         let is_gravity = squared > LEAST * LEAST && squared < GREATEST * GREATEST;
-        // A faster steady reading is a turn: no bias is so large.
+        // A faster steady reading is a turn, because it exceeds any bias.
         let is_bias = self
             .average_rate_rad_s
             .is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);

@@ -1,4 +1,5 @@
-//! The filter against simulated sensors, and its covariance step against plain matrices in `f64`.
+//! Tests of the filter on simulated sensors, and of its covariance step against plain matrices in
+//! `f64`.
 
 use super::covariance::Covariance;
 use super::propagation::{DYNAMIC, PARAMETERS, Transition};
@@ -12,11 +13,11 @@ use crate::units::degrees;
 const STATES: usize = DYNAMIC + PARAMETERS;
 type Matrix = [[f64; STATES]; STATES];
 
-/// A small generator (a linear congruence with the multiplier of Numerical Recipes).
+/// Random numbers (a linear congruence with the multiplier of Numerical Recipes).
 struct Random(u64);
 
 impl Random {
-    /// Uniform in ±1.
+    /// Returns a number uniform in ±1.
     fn next(&mut self) -> f32 {
         self.0 = self
             .0
@@ -25,7 +26,7 @@ impl Random {
         (self.0 >> 40) as f32 / (1_u64 << 23) as f32 - 1.0
     }
 
-    /// Nearly normal, σ = 1.
+    /// Returns a nearly normal number, σ = 1.
     fn normal(&mut self) -> f32 {
         (0..12).map(|_| self.next()).sum::<f32>() * 0.5
     }
@@ -92,7 +93,7 @@ fn transposed(a: &Matrix) -> Matrix {
     b
 }
 
-/// Whether it is positive definite: whether Cholesky's square roots exist.
+/// Returns whether a matrix is positive definite: Cholesky's square roots exist.
 fn is_positive(a: &Matrix) -> bool {
     let mut l = [[0.0; STATES]; STATES];
     for row in 0..STATES {
@@ -112,7 +113,7 @@ fn is_positive(a: &Matrix) -> bool {
     true
 }
 
-/// How far apart two covariances are, in units of their σ.
+/// Returns the largest difference of two covariances, in units of their σ.
 fn distance(a: &Matrix, b: &Matrix) -> f64 {
     let mut largest: f64 = 0.0;
     for row in 0..STATES {
@@ -211,10 +212,10 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
     }
 }
 
-/// What the transition says a small error becomes is what it becomes when the mean is propagated.
+/// The transition propagates a small error as the nominal state does.
 #[test]
-fn the_transition_is_the_derivative_of_the_mean() {
-    // About 25 steps of 8 ms with motion about all axes, with one state a little off.
+fn the_transition_is_the_derivative_of_the_nominal_state() {
+    // About 25 steps of 8 ms with motion about all axes, with a small error in one state.
     let propagate = |state: usize, error: f32| {
         let mut mean = NominalState::new();
         mean.attitude = from_degrees(20.0, -35.0, 50.0);
@@ -261,10 +262,10 @@ fn the_transition_is_the_derivative_of_the_mean() {
             _ => constants[state - DYNAMIC] = error,
         }
         transition.apply(&mut moving, &constants);
-        // Corrections of the mean take the error away; here it was put in with the same sign.
+        // A correction removes the error; here it was added with the same sign.
         for (index, (found, expected)) in found.into_iter().zip(moving).enumerate() {
-            // Velocity feels a bias twice integrated within the interval, and the vertical axis of
-            // tilt, which F leaves to the next interval: half of g·T·T/2 at most.
+            // F leaves two effects on velocity to the next interval: a bias, integrated twice, and
+            // the vertical axis of tilt. They are half of g·T·T/2 at most.
             let tolerance = if index < 2 { 0.06 } else { 1.3 };
             assert!(
                 (found - expected).abs() < tolerance * error,
@@ -276,7 +277,7 @@ fn the_transition_is_the_derivative_of_the_mean() {
 
 // ── Simulated sensors ──────────────────────────────────────────────────────────────────────────
 
-/// A body that turns and accelerates smoothly, and its sensors.
+/// Body that turns and accelerates smoothly, with its sensors.
 struct World {
     attitude: Quaternion,
     rate_rad_s: Vector3,
@@ -305,7 +306,7 @@ impl World {
         }
     }
 
-    /// Lets the time pass with the present rate and acceleration (earth axes), and takes a sample.
+    /// Advances the time with the present rate and acceleration (earth axes), and returns a sample.
     fn sample(&mut self, dt_us: u64) -> Sample {
         self.t_us += dt_us;
         let turn = self.rate_rad_s.scale(dt_us as f32 * 1.0e-6);
@@ -336,7 +337,7 @@ impl World {
         degrees(f32::atan2(cross.norm(), cosine))
     }
 
-    /// So many milliseconds at 1 kHz.
+    /// Runs this number of milliseconds at 1 kHz.
     fn run(&mut self, estimator: &mut Estimator, milliseconds: u32) -> Estimate {
         let mut estimate = Estimate::default();
         for _ in 0..milliseconds {
@@ -346,7 +347,7 @@ impl World {
     }
 }
 
-/// The motion of a hand: it returns.
+/// Motion of a hand, which returns to its start.
 #[derive(Default)]
 struct Hand {
     samples: u32,
@@ -397,7 +398,7 @@ fn the_first_sample_sets_the_tilt_in_any_attitude() {
 }
 
 #[test]
-fn a_large_offset_at_rest_is_gone_after_three_seconds() {
+fn a_large_offset_at_rest_is_removed_within_three_seconds() {
     for axis in [
         Vector3::new(1.0, 0.0, 0.0),
         Vector3::new(0.0, -1.0, 0.0),
@@ -418,7 +419,7 @@ fn a_large_offset_at_rest_is_gone_after_three_seconds() {
 }
 
 #[test]
-fn a_start_upside_down_by_mistake_is_found() {
+fn a_wrong_upside_down_start_is_corrected() {
     for roll in [0.0, 25.0] {
         let mut world = World::at_rest(from_degrees(roll, 0.0, 0.0));
         let mut estimator = estimator();
@@ -432,9 +433,10 @@ fn a_start_upside_down_by_mistake_is_found() {
     }
 }
 
-/// A flight of the campaign: 97 ms at full scale made a mean of one g, sideways, and the attitude began again from that, 63° off.
+/// In a flight of the campaign, 97 ms at full scale gave a mean of one g sideways. The attitude
+/// restarted from that mean, 63° off.
 #[test]
-fn full_scale_for_a_moment_is_not_taken_for_gravity() {
+fn short_full_scale_readings_are_not_used_as_gravity() {
     for milliseconds in (60..160).step_by(10) {
         for (x, y) in [(0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0)] {
             let mut world = World::at_rest(from_degrees(30.0 * y, -30.0 * x, 0.0));
@@ -462,7 +464,7 @@ fn full_scale_for_a_moment_is_not_taken_for_gravity() {
 }
 
 #[test]
-fn a_long_acceleration_tilts_little_and_not_for_long() {
+fn a_long_acceleration_tilts_little_and_briefly() {
     let mut world = World::at_rest(Quaternion::IDENTITY);
     let mut estimator = estimator();
     world.run(&mut estimator, 20_000);
@@ -479,9 +481,10 @@ fn a_long_acceleration_tilts_little_and_not_for_long() {
     assert!(error < 1.0, "{error}");
 }
 
-/// It started on the move and was never at rest before; then it flies on at 15 m/s, as if at rest.
+/// The vehicle starts in motion and was never at rest. Then it flies steadily at 15 m/s, which
+/// reads like rest.
 #[test]
-fn after_a_long_acceleration_steady_motion_is_like_rest() {
+fn steady_motion_after_a_long_acceleration_restores_the_tilt() {
     for bias_rad_s in [Vector3::ZERO, Vector3::new(0.04, -0.03, 0.05)] {
         let mut world = World::at_rest(from_degrees(0.0, 20.0, 0.0));
         world.bias_rad_s = bias_rad_s;
@@ -531,7 +534,7 @@ fn a_stored_offset_shortens_the_start() {
 }
 
 #[test]
-fn a_stored_offset_that_no_longer_holds_ends_with_the_first_rest() {
+fn the_first_rest_replaces_a_wrong_stored_offset() {
     for off in [0.3, 1.0, 5.0] {
         let mut world = World::at_rest(from_degrees(10.0, -20.0, 0.0));
         world.bias_rad_s = Vector3::new(radians(off), 0.0, radians(-off));
@@ -545,8 +548,8 @@ fn a_stored_offset_that_no_longer_holds_ends_with_the_first_rest() {
     }
 }
 
-/// The sensor's own filter settles while the first samples come: 17 mg, 59 mg and 32 mg were off in the first one of a flight
-/// whose start took twice as long.
+/// The sensor's own filter settles during the first samples. In one flight the first sample was off
+/// by 17 mg, 59 mg and 32 mg, and the start took twice as long.
 #[test]
 fn samples_that_have_not_settled_do_not_delay_the_start() {
     let mut world = World::at_rest(from_degrees(-24.0, 16.0, 0.0));
@@ -564,9 +567,10 @@ fn samples_that_have_not_settled_do_not_delay_the_start() {
     assert!(error < 1.0, "{error}");
 }
 
-/// An offset of 20 °/s about the vertical, held in a hand and turned: motion fools the filter, and must not make it sure.
+/// With an offset of 20 °/s about the vertical, motion in a hand misleads the filter. The bias must
+/// not become known.
 #[test]
-fn only_a_rest_makes_an_offset_known() {
+fn only_rest_makes_the_bias_known() {
     for seed in 0..8 {
         let mut random = Random(2000 + seed);
         let mut world = World::at_rest(from_degrees(20.0 * random.next(), 0.0, 0.0));
@@ -580,13 +584,14 @@ fn only_a_rest_makes_an_offset_known() {
         }
         world.rate_rad_s = Vector3::ZERO;
         world.acceleration_m_s2 = Vector3::ZERO;
-        // 1.6 s until the average has forgotten 46 °/s, 0.8 s of quiet, and a step of the covariance is due every 0.22 s.
+        // 1.6 s until the average has forgotten 46 °/s, 0.8 s of quiet, and a step of the
+        // covariance is due every 0.22 s.
         let estimate = world.run(&mut estimator, 3_000);
         assert!(estimate.is_bias_known, "seed {seed}");
         let error = world.tilt_error_degrees(estimate.attitude);
         assert!(error < 2.0, "seed {seed}: {error}");
         let left = filter(&estimator).bias_rad_s() - world.bias_rad_s;
-        // What the average has not forgotten yet is in it.
+        // The estimate still contains part of the earlier average.
         assert!(degrees(left.norm()) < 0.4, "seed {seed}: {left:?}");
     }
 }
@@ -597,7 +602,7 @@ fn an_armed_filter_does_not_take_a_steady_turn_for_rest() {
         let mut world = World::at_rest(Quaternion::IDENTITY);
         let mut estimator = estimator();
         estimator.filter_mut().set_armed(armed);
-        // 3 °/s about the vertical: for six sensors it is rest.
+        // 3 °/s about the vertical reads like rest on all six axes.
         world.rate_rad_s = Vector3::new(0.0, 0.0, radians(3.0));
         world.run(&mut estimator, 5_000);
         degrees(filter(&estimator).bias_rad_s().z)
@@ -607,7 +612,7 @@ fn an_armed_filter_does_not_take_a_steady_turn_for_rest() {
 }
 
 #[test]
-fn the_attitude_is_that_of_the_sample_s_time() {
+fn the_attitude_belongs_to_the_time_of_the_sample() {
     let rate = Vector3::new(radians(300.0), radians(-100.0), radians(50.0));
     let delay_us = 4000;
     let mut world = World::at_rest(Quaternion::IDENTITY);
@@ -677,7 +682,7 @@ fn attitude_and_rates_are_continuous_through_every_attitude() {
 }
 
 #[test]
-fn every_sample_brings_its_own_step() {
+fn any_sample_period_gives_the_same_attitude() {
     // The same motion at 1 kHz, and at steps between 0.2 and 40 ms.
     let mut random = Random(5);
     let mut world = World::at_rest(from_degrees(10.0, 5.0, 0.0));
@@ -693,7 +698,7 @@ fn every_sample_brings_its_own_step() {
 }
 
 #[test]
-fn sigma_is_honest() {
+fn three_sigma_hold_99_percent_of_the_errors() {
     let (mut within, mut total) = (0_u32, 0_u32);
     let mut ratios = Vec::new();
     for seed in 0..16 {
@@ -735,7 +740,7 @@ fn sigma_is_honest() {
 }
 
 #[test]
-fn nonsense_leaves_a_sound_filter_that_recovers() {
+fn implausible_readings_leave_a_filter_that_recovers() {
     let mut random = Random(11);
     let mut estimator = estimator();
     let mut t_us = 0_u64;
@@ -790,7 +795,7 @@ fn nonsense_leaves_a_sound_filter_that_recovers() {
 }
 
 #[test]
-fn linear_acceleration_is_what_gravity_leaves() {
+fn linear_acceleration_excludes_gravity() {
     let mut world = World::at_rest(from_degrees(0.0, 30.0, 0.0));
     world.force_noise = 0.0;
     let mut estimator = estimator();
@@ -803,7 +808,8 @@ fn linear_acceleration_is_what_gravity_leaves() {
     assert!((found - expected).norm() < 0.1, "{found:?}");
 }
 
-/// Neither gyroscope nor accelerometer changes in such a turn, as at rest; but no offset is so large.
+/// Neither gyroscope nor accelerometer changes in such a turn, as at rest. But no offset is so
+/// large.
 #[test]
 fn a_steady_turn_faster_than_any_offset_is_no_rest() {
     let mut estimator = Estimator::new();

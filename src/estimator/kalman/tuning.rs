@@ -1,47 +1,50 @@
-//! The filter's numbers: one set for every sensor and every motion.
+//! Tuning of the filter: one set of numbers for every sensor and every motion.
 //!
 //! All are standard deviations (σ) or noise densities in physical units. A density per √Hz is the σ
 //! of the mean over one second.
 //!
-//! Sources. Start values and walks are those of a consumer part as it is mounted and
-//! shaken, which exceed a datasheet's noise at rest. The other numbers were chosen on three sets together,
-//! by a search and then by hand, each rounded to one or two digits: 14 trials of BROAD (Laidig and
-//! others, *Data* 6(7), 2021), 3 rooms of TUM-VI (Schubert and others, IROS 2018), and 12 simulated
-//! quadrotor flights with a gyroscope bias of 4 °/s, each with two sensors. The scores of 12 more
-//! flights were in view. Sensitivity:
+//! Sources. Start values and random walks are those of a consumer part, mounted and shaken. They
+//! exceed a datasheet's noise at rest. The other numbers were chosen on three sets together, by a
+//! search and then by hand, each rounded to one or two digits. The sets are 14 trials of BROAD
+//! (Laidig and others, *Data* 6(7), 2021), 3 rooms of TUM-VI (Schubert and others, IROS 2018), and
+//! 12 simulated quadrotor flights. The flights have a gyroscope bias of 4 °/s, each with two
+//! sensors. The scores of 12 more flights were visible during the search. Sensitivity:
 //!
-//! - Half or twice the value of a noise, of a velocity number, or of the prior of
-//!   scale, misalignment or accelerometer bias changes the mean error of each set by less than a
-//!   tenth, with four exceptions: half of `velocity_noise_per_velocity` (half as much again on TUM-VI), and in
-//!   flight half of `velocity_noise_limit` (15 % more), twice `gyroscope_bias_walk`, and half of
-//!   `gyroscope_scale` (11 % each).
-//! - On 24 flights that were simulated after the choice, and scored once, the error is 0.78° (median)
-//!   and 0.82° (mean); on the twelve that it was chosen on, 0.81° and 0.83°.
+//! - The following were halved and doubled: each noise, each velocity number, and the priors of
+//!   scale, misalignment and accelerometer bias. The mean error of each set changes by less than a
+//!   tenth, with four exceptions. Half of `velocity_noise_per_velocity` adds 50 % on TUM-VI. In
+//!   flight, half of `velocity_noise_limit` adds 15 %; twice `gyroscope_bias_walk` and half of
+//!   `gyroscope_scale` add 11 % each.
+//! - On 24 flights that were simulated after the choice and scored once, the error is 0.78°
+//!   (median) and 0.82° (mean). On the twelve flights of the choice it is 0.81° and 0.83°.
 
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// Largest zero-rate offset of a gyroscope: 20 °/s, and 20 more over temperature (product specification §6.1).
+/// Largest zero-rate offset of a gyroscope: 20 °/s, and 20 more over temperature (product
+/// specification §6.1).
 pub(super) const LARGEST_GYROSCOPE_BIAS_RAD_S: f32 = radians(40.0);
-/// Largest offset of an accelerometer: 80 mg, and 60 more over temperature (product specification §6.2).
+/// Largest offset of an accelerometer: 80 mg, and 60 more over temperature (product specification
+/// §6.2).
 pub(super) const LARGEST_ACCELEROMETER_BIAS_M_S2: f32 = 0.14 * STANDARD_GRAVITY_M_S2;
-/// Largest norm of C − I, with a margin: the gyroscope's scale is within 3 %, its cross-axis terms within 2 %
-/// (product specification §6.1).
+/// Largest norm of C − I, with a margin: the gyroscope's scale is within 3 %, its cross-axis terms
+/// within 2 % (product specification §6.1).
 pub(super) const LARGEST_MATRIX_ERROR: f32 = 0.1;
 
 /// The filter's tuning.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Tuning {
-    /// σ of the tilt from the first sample, per axis, rad. Larger: recovers sooner from a start in motion. Smaller:
-    /// exact sooner after a start at rest.
+    /// σ of the tilt from the first sample, per axis, rad. Larger: recovers sooner from a start in
+    /// motion. Smaller: exact sooner after a start at rest.
     pub start_tilt_rad: f32,
     /// σ of the gyroscope bias at start, per axis, rad/s. Larger: finds a large bias sooner.
-    /// Smaller: a start in motion with a small bias is calmer. The filter widens it when the data contradict it.
+    /// Smaller: a start in motion with a small bias is calmer. The filter widens it when the data
+    /// contradict it.
     pub gyroscope_bias_rad_s: f32,
     /// σ of the horizontal velocity at start, per axis, m/s.
     pub start_velocity_m_s: f32,
-    /// σ of the accelerometer bias at start, per axis, m/s². Larger: turning over reveals more of it. Smaller:
-    /// takes less of a lasting acceleration for a bias.
+    /// σ of the accelerometer bias at start, per axis, m/s². Larger: turning over reveals more of
+    /// it. Smaller: a lasting acceleration disturbs it less.
     pub accelerometer_bias_m_s2: f32,
     /// σ of each scale of the gyroscope, 1. Larger: learned sooner, and wrongly from rough motion.
     pub gyroscope_scale: f32,
@@ -50,7 +53,7 @@ pub struct Tuning {
     /// Gyroscope noise, rad/s/√Hz. Larger: gravity corrects the attitude sooner, and so do
     /// accelerations.
     pub rate_noise: f32,
-    /// Gyroscope noise per rate, 1/√Hz: what scale and misalignment do not explain.
+    /// Gyroscope noise per rate, 1/√Hz, beyond scale and misalignment.
     pub rate_noise_per_rate: f32,
     /// Random walk of the gyroscope bias, rad/s/√s. Larger: follows temperature sooner.
     pub gyroscope_bias_walk: f32,
@@ -60,19 +63,19 @@ pub struct Tuning {
     pub force_noise: f32,
     /// Accelerometer noise per recent velocity, m/s²/√Hz per m/s: a moving vehicle shakes.
     pub force_noise_per_velocity: f32,
-    /// Noise of the measurement "velocity is zero" for a vehicle that stays in place, m/s·√s. Larger: short accelerations tilt
-    /// less, and true tilt errors last longer.
+    /// Noise of the measurement "velocity is zero" for a vehicle that stays in place, m/s·√s.
+    /// Larger: short accelerations tilt less, and true tilt errors last longer.
     pub velocity_noise: f32,
-    /// The same noise per recent velocity, √s: a moving vehicle is allowed to move.
+    /// Addition to `velocity_noise` per recent velocity, √s: a moving vehicle may move.
     pub velocity_noise_per_velocity: f32,
-    /// Upper limit of that noise, m/s·√s.
+    /// Upper limit of the velocity noise, m/s·√s.
     pub velocity_noise_limit: f32,
     /// Averaging time of the recent velocity, s.
     pub velocity_average_s: f32,
     /// Time constant of the velocity's low-pass filter before it is averaged, s.
     pub velocity_smoothing_s: f32,
-    /// Extra tilt noise while tilt and bias are both uncertain, rad/√Hz per rad/s per rad: the product of
-    /// both errors, which the linear model leaves out.
+    /// Extra tilt noise while tilt and bias are both uncertain, rad/√Hz per rad/s per rad. It
+    /// stands for the product of both errors, which the linear model leaves out.
     pub coupling: f32,
     /// Deviation of a bias from its prior, in σ, at which the prior's variance is doubled.
     pub prior_gate_sigma: f32,
@@ -86,9 +89,11 @@ pub struct Tuning {
     pub stationary_velocity_noise: f32,
     /// Noise of the zero-rate update of a stationary sensor, rad/s/√Hz.
     pub stationary_rate_noise: f32,
-    /// Time between two covariance steps, s. Accuracy is the same from 0.01 to 0.25 s.
+    /// Time between two covariance steps, s. The accuracy does not depend on it from 0.01 to 0.25
+    /// s.
     pub covariance_period_s: f32,
-    /// Time between two earth steps, s. Larger: cheaper. More than 10 ms loses accuracy in fast motion.
+    /// Time between two earth steps, s. Larger: cheaper. More than 10 ms loses accuracy in fast
+    /// motion.
     pub earth_period_s: f32,
 }
 

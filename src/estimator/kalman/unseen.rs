@@ -1,21 +1,23 @@
-//! Motion that no sample shows: how much the variances grow in pauses and during full-scale readings.
+//! Unobserved motion: inflates the variances for pauses and full-scale readings.
 
 use super::Kalman;
 use super::tuning::square;
 use crate::estimator::sample::Sample;
 use crate::units::radians;
 
-/// σ per axis of the rate during a pause, in rad/s: six σ, the limit of a valid attitude, are 180 °/s.
+/// σ per axis of the rate during a pause, in rad/s. Six σ, the limit of a valid attitude, are 180
+/// °/s.
 pub const PAUSE_RATE_RAD_S: f32 = radians(30.0);
 /// Sample periods without a sample after which a pause hides motion.
 const PAUSE_PERIODS: f32 = 3.5;
-/// Duration after which a longer pause makes no difference, s: the tilt is unknown.
+/// Longest pause whose length matters, s. After it the tilt is unknown.
 const LONGEST_PAUSE_S: f32 = 60.0;
 
 /// Longest step in which the rate changes linearly, s.
 pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
-/// σ per axis of the rate while the gyroscope reads full scale, in rad/s: six σ exceed the whole scale.
+/// σ per axis of the rate while the gyroscope reads full scale, in rad/s. Six σ exceed the whole
+/// scale.
 const HIDDEN_RATE_RAD_S: f32 = radians(400.0);
 /// Duration of full-scale readings of the gyroscope after which the tilt is lost, s: 20° by then.
 const LONG_SATURATION_S: f32 = 10.0e-3;
@@ -25,13 +27,13 @@ const SATURATED_TILT: f32 = 0.3;
 const SATURATED_VELOCITY: f32 = 100.0;
 
 impl Kalman {
-    /// Sets the sample period, s. A step of more than 3.5 periods is a pause, in which the body may turn unseen.
-    /// Default: no step is a pause.
+    /// Sets the sample period, s. A step of more than 3.5 periods is a pause, in which the body may
+    /// turn unseen. Default: no step is a pause.
     pub const fn set_sample_period(&mut self, period_s: f32) {
         self.longest_step_s = PAUSE_PERIODS * period_s;
     }
 
-    /// Tilt variance per axis that a pause of this length adds, rad².
+    /// Returns the tilt variance per axis that a pause of this length adds, rad².
     pub fn pause_variance_rad2(&self, pause_s: f32) -> f32 {
         if pause_s > self.longest_step_s {
             turn_variance(PAUSE_RATE_RAD_S, pause_s.min(LONGEST_PAUSE_S))
@@ -40,7 +42,8 @@ impl Kalman {
         }
     }
 
-    /// Inflates the variances for what a step of `dt_s` seconds to this sample hides. Returns whether the tilt is lost.
+    /// Inflates the variances for the motion hidden in a step of `dt_s` seconds to this sample.
+    /// Returns whether the tilt is lost.
     #[cold]
     #[inline(never)]
     pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) -> bool {
@@ -68,7 +71,7 @@ impl Kalman {
     }
 }
 
-/// Variance of a turn at a rate with this σ, rad².
+/// Returns the variance of a turn at a rate with this σ, rad².
 fn turn_variance(rate_rad_s: f32, duration_s: f32) -> f32 {
     square(rate_rad_s * duration_s)
 }
