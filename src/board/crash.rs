@@ -1,9 +1,10 @@
-//! Hard faults, panics and a used-up stack: noted in RAM that outlives the reset, and then the reset.
+//! Hard faults, panics and a used-up stack: noted in RAM that outlives the reset, and then the
+//! reset.
 //!
-//! Every fault of the core ends in HardFault, since no other handler is enabled; a panic gets there by
-//! an undefined instruction. The stack lies below all variables, so an overflow faults at the start of
-//! RAM, when there is no room left for a handler's own frame: the entry below takes the whole stack anew
-//! before it calls anything.
+//! Every fault of the core ends in HardFault, since no other handler is enabled; a panic gets there
+//! by an undefined instruction. The stack lies below all variables, so an overflow faults at the
+//! start of RAM, when there is no room left for a handler's own frame: the entry below takes the
+//! whole stack anew before it calls anything.
 
 use core::arch::global_asm;
 

@@ -1,13 +1,16 @@
-//! The two calibration slots in on-chip flash, sectors 1 and 2, as NOR flash that `settings::storage` writes.
+//! The two calibration slots in on-chip flash, sectors 1 and 2, as NOR flash that
+//! `settings::storage` writes.
 //!
-//! Registers and procedures are RM0090 (STM32F405), RM0368 (F401), RM0383 (F411) and RM0390 (F446), chapter 3 each, which agree.
-//! While a sector is erased or a word programmed, every fetch from flash waits, so the whole firmware stands
-//! still: 0.25 s, at most 0.5 s, for a sector; 16 µs, at most 100 µs, for a word (STM32F405 datasheet, table
-//! "Flash memory programming", 32 bits at a time). So the caller stops the bursts first and gives a watchdog
-//! more than the whole of it. A sector endures 10,000 erases (table "Flash memory endurance and data retention"), and saves
+//! Registers and procedures are RM0090 (STM32F405), RM0368 (F401), RM0383 (F411) and RM0390 (F446),
+//! chapter 3 each, which agree. While a sector is erased or a word programmed, every fetch from
+//! flash waits, so the whole firmware stands still: 0.25 s, at most 0.5 s, for a sector; 16 µs, at
+//! most 100 µs, for a word (STM32F405 datasheet, table "Flash memory programming", 32 bits at a
+//! time). So the caller stops the bursts first and gives a watchdog more than the whole of it. A
+//! sector endures 10,000 erases (table "Flash memory endurance and data retention"), and saves
 //! alternate, so there are 20,000 saves.
 //!
-//! The HAL's own flash driver waits without limit, programs bytes, and panics if the unlocking fails.
+//! The HAL's own flash driver waits without limit, programs bytes, and panics if the unlocking
+//! fails.
 
 use core::fmt;
 
@@ -50,7 +53,8 @@ pub enum FlashError {
     Locked,
     /// An option byte protects the sector (WRPERR).
     WriteProtected,
-    /// The interface reports an error of the procedure (PGSERR, PGPERR, PGAERR, OPERR): the bits of its status register.
+    /// The interface reports an error of the procedure (PGSERR, PGPERR, PGAERR, OPERR): the bits of
+    /// its status register.
     Refused(u8),
     /// An operation took far longer than the datasheet allows.
     Timeout,
@@ -98,7 +102,8 @@ impl CalibrationFlash {
         // Flags of an operation before this one are cleared by writing ones.
         // SAFETY: all bits of this register are flags.
         flash.sr().write(|w| unsafe { w.bits(FLAGS) });
-        // A write to the control register would wait for the end of an operation, without limit (RM0090, section 3.6.1).
+        // A write to the control register would wait for the end of an operation, without limit
+        // (RM0090, section 3.6.1).
         self.wait(PROGRAM_DEADLINE_US)?;
         if flash.cr().read().lock().bit_is_set() {
             for key in KEYS {
@@ -135,15 +140,16 @@ impl CalibrationFlash {
                     _ => Err(FlashError::Refused(errors as u8)),
                 };
             }
-            // Asked before the flag was read: an operation that held up this very loop is no timeout.
+            // Asked before the flag was read: an operation that held up this very loop is no
+            // timeout.
             if is_late {
                 return Err(FlashError::Timeout);
             }
         }
     }
 
-    /// Empties the data cache, which does not see that flash changes (RM0090, section 3.5.2). The slots hold no
-    /// code, so the instruction cache can stay.
+    /// Empties the data cache, which does not see that flash changes (RM0090, section 3.5.2). The
+    /// slots hold no code, so the instruction cache can stay.
     fn forget_cached(&self) {
         let access = self.interface.acr();
         let was_on = access.read().dcen().bit_is_set();
@@ -171,8 +177,8 @@ impl ReadNorFlash for CalibrationFlash {
         check_read(self, offset, bytes.len())?;
         let first = (START + offset as usize) as *const u8;
         for (index, byte) in bytes.iter_mut().enumerate() {
-            // SAFETY: `check_read` keeps the address within the slots, which are readable on every chip. Volatile,
-            // because the compiler knows nothing of what changes them.
+            // SAFETY: `check_read` keeps the address within the slots, which are readable on every
+            // chip. Volatile, because the compiler knows nothing of what changes them.
             *byte = unsafe { first.add(index).read_volatile() };
         }
         Ok(())
@@ -221,8 +227,8 @@ impl NorFlash for CalibrationFlash {
             let first = (START + offset as usize) as *mut u32;
             let (words, _) = bytes.as_chunks::<4>();
             for (index, word) in words.iter().enumerate() {
-                // SAFETY: `check_write` keeps the address within the slots and aligned to words. Nothing else
-                // refers to this memory, and the flash interface takes the store.
+                // SAFETY: `check_write` keeps the address within the slots and aligned to words.
+                // Nothing else refers to this memory, and the flash interface takes the store.
                 unsafe { first.add(index).write_volatile(u32::from_le_bytes(*word)) };
                 this.wait(PROGRAM_DEADLINE_US)?;
             }
@@ -231,5 +237,6 @@ impl NorFlash for CalibrationFlash {
     }
 }
 
-/// Programming may be repeated, and clears bits (RM0090, section 3.6.4): this flash has no error correction.
+/// Programming may be repeated, and clears bits (RM0090, section 3.6.4): this flash has no error
+/// correction.
 impl MultiwriteNorFlash for CalibrationFlash {}

@@ -1,7 +1,7 @@
 //! Hands bursts from the burst reader to the attitude task, without copying them.
 //!
-//! There are two slots. DMA fills one while the attitude task reads the other. The reader offers a slot when its burst is
-//! complete; the attitude task takes it, and returns it when it is done.
+//! There are two slots. DMA fills one while the attitude task reads the other. The reader offers a
+//! slot when its burst is complete; the attitude task takes it, and returns it when it is done.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
@@ -43,7 +43,8 @@ impl Slot {
 
 struct Slots([UnsafeCell<ReceivedBurst>; 2]);
 
-// SAFETY: the reader writes a slot, or lets DMA write it, only while `READY` keeps the attitude task away from it.
+// SAFETY: the reader writes a slot, or lets DMA write it, only while `READY` keeps the attitude
+// task away from it.
 unsafe impl Sync for Slots {}
 
 static SLOTS: Slots = Slots([const { UnsafeCell::new(EMPTY) }; 2]);
@@ -61,14 +62,15 @@ const EMPTY: ReceivedBurst = ReceivedBurst {
 static READY: AtomicU8 = AtomicU8::new(NONE_READY);
 const NONE_READY: u8 = 0;
 
-/// Whether the attitude task has returned the slot that it took. Only the reader calls this.
+/// Returns whether the attitude task has returned the slot that it took. Only the reader calls
+/// this.
 #[inline(always)]
 pub(super) fn is_free() -> bool {
     READY.load(Ordering::Relaxed) == NONE_READY
 }
 
-/// Offers a slot, whose bytes DMA has filled, to the attitude task. Only the reader calls this, and only while
-/// [`is_free`] holds.
+/// Offers a slot, whose bytes DMA has filled, to the attitude task. Only the reader calls this, and
+/// only while [`is_free`] holds.
 #[inline(always)]
 pub(super) fn offer(slot: Slot, captured_at_us: u64, missed_before: u8, flags: BoardFlags) {
     // SAFETY: nothing is ready, so the attitude task reads neither slot until the store below.
@@ -80,8 +82,8 @@ pub(super) fn offer(slot: Slot, captured_at_us: u64, missed_before: u8, flags: B
     READY.store(slot as u8 + 1, Ordering::Relaxed);
 }
 
-/// Lends the burst that is ready to `work`, and returns its slot afterwards. `None` if nothing is ready. Only the attitude
-/// task calls this.
+/// Lends the burst that is ready to `work`, and returns its slot afterwards. `None` if nothing is
+/// ready. Only the attitude task calls this.
 #[inline(always)]
 pub(super) fn take<R>(work: impl FnOnce(&ReceivedBurst) -> R) -> Option<R> {
     let slot = match READY.load(Ordering::Relaxed) {

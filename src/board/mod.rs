@@ -1,9 +1,10 @@
-//! The STM32F4 side: clocks, the time base, the sensor's bus, the burst reader and the UART, at register level where timing matters.
+//! The STM32F4 side: clocks, the time base, the sensor's bus, the burst reader and the UART, at
+//! register level where timing matters.
 //!
 //! Pins and DMA streams are the same on every board (see ARCHITECTURE.md); what differs stands in
 //! [`boards`]. This is the only module with `unsafe`: each block says why it is sound. The unit of
-//! ownership is the peripheral, and where two owners share one (DMA1's clear registers, the sensor's
-//! bus) the hand-over rule stands beside the code.
+//! ownership is the peripheral, and where two owners share one (DMA1's clear registers, the
+//! sensor's bus) the hand-over rule stands beside the code.
 //!
 //! | interrupt | priority | does | deadline |
 //! |---|---|---|---|

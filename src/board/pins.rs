@@ -32,7 +32,7 @@ pub fn start(port: GPIOA, routing: SYSCFG, lines: EXTI) {
     lines.rtsr().write(|w| w.tr1().set_bit());
 }
 
-/// Whether the INT pin is high now.
+/// Returns whether the INT pin is high now.
 pub fn interrupt_is_high() -> bool {
     // SAFETY: reading the pins has no side effect.
     unsafe { &*GPIOA::ptr() }.idr().read().idr1().bit()

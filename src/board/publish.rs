@@ -1,8 +1,9 @@
 //! The latest snapshot, for every reader: telemetry, a debugger, the virtual board.
 //!
-//! The attitude task is the only writer. It increments `sequence` last, so a reader of lower priority that
-//! finds the same count before and after its copy holds one whole snapshot. A debugger, which halts the core, finds it
-//! under the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0, the count at 44.
+//! The attitude task is the only writer. It increments `sequence` last, so a reader of lower
+//! priority that finds the same count before and after its copy holds one whole snapshot. A
+//! debugger, which halts the core, finds it under the symbol `APLOMB_SNAPSHOT`: the snapshot at
+//! offset 0, the count at 44.
 
 use core::mem::offset_of;
 use core::sync::atomic::{AtomicU32, Ordering, fence};
@@ -57,7 +58,8 @@ pub fn publish(snapshot: &Snapshot) {
         .store(sequence.wrapping_add(1), Ordering::Release);
 }
 
-/// The latest snapshot and its number; `None` before the first. For tasks of lower priority than the writer.
+/// The latest snapshot and its number; `None` before the first. For tasks of lower priority than
+/// the writer.
 pub fn latest() -> Option<(Snapshot, u32)> {
     loop {
         let before = APLOMB_SNAPSHOT.sequence.load(Ordering::Acquire);

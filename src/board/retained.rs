@@ -1,8 +1,9 @@
-//! What outlives a reset: the fault counters, the cause of the last reset, and the state for a warm start.
+//! What outlives a reset: the fault counters, the cause of the last reset, and the state for a warm
+//! start.
 //!
 //! It lies in RAM that start-up does not clear (`.uninit`). A check word says whether it is from an
-//! earlier run or what RAM holds by chance after power came. A debugger finds the first part under the
-//! symbol `APLOMB_HEALTH`, laid out as `fault::report` says.
+//! earlier run or what RAM holds by chance after power came. A debugger finds the first part under
+//! the symbol `APLOMB_HEALTH`, laid out as `fault::report` says.
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
@@ -47,8 +48,8 @@ static APLOMB_HEALTH: Report = Report {
 /// Changes with the layout, so that another version's report is not taken for this one's.
 const CHECK: u32 = 0x4150_4C4D ^ (report::LENGTH as u32) << 8;
 
-/// State for a warm start, in two copies that are written in turn: a reset while one is written leaves
-/// the other.
+/// State for a warm start, in two copies that are written in turn: a reset while one is written
+/// leaves the other.
 #[unsafe(link_section = ".uninit.APLOMB_WARM_STARTS")]
 static WARM_STARTS: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LENGTH]) }; 2];
 
@@ -61,8 +62,9 @@ struct Words([AtomicU32; LENGTH]);
 const NUMBERS: usize = 9;
 const LENGTH: usize = NUMBERS + 2;
 
-/// The last snapshot's attitude is about as old as this when a warm start goes on from it, in seconds: the time between two savings,
-/// half of it on average, and what the watchdog takes, 0.2 to 0.56 s (at the worst both, with the start itself 0.8 s). After a crash it is half of it.
+/// The last snapshot's attitude is about as old as this when a warm start goes on from it, in
+/// seconds: the time between two savings, half of it on average, and what the watchdog takes, 0.2
+/// to 0.56 s (at the worst both, with the start itself 0.8 s). After a crash it is half of it.
 const USUAL_AGE_S: f32 = 0.5;
 
 /// σ of the turn about one axis in that time, rad.
@@ -86,7 +88,8 @@ pub struct Start {
     pub warm_start: Option<WarmStart>,
 }
 
-/// Reads the cause of the reset and what is left of the run before. Once, in init, before any interrupt.
+/// Reads the cause of the reset and what is left of the run before. Once, in init, before any
+/// interrupt.
 pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     let status = rcc.csr().read();
     rcc.csr().modify(|_, w| w.rmvf().set_bit());

@@ -1,8 +1,10 @@
-//! Bringing the sensor up, and bringing it back: what the idle task does while the burst reader is off.
+//! Bringing the sensor up, and bringing it back: what the idle task does while the burst reader is
+//! off.
 //!
-//! At power-up the sensor gets the datasheet's whole sequence, 230 ms. Later it gets no more than it
-//! needs: nothing if its registers still hold what they should, and 35 ms of waking and setting if it has
-//! reset itself or lost a setting. One attempt takes at most 10 ms where the sensor does not answer.
+//! At power-up the sensor gets the datasheet's whole sequence, 230 ms. Later it gets no more than
+//! it needs: nothing if its registers still hold what they should, and 35 ms of waking and setting
+//! if it has reset itself or lost a setting. One attempt takes at most 10 ms where the sensor does
+//! not answer.
 
 use embedded_hal::i2c::ErrorKind;
 
@@ -44,7 +46,7 @@ pub enum NotReady {
 pub struct Sensor {
     bus: SensorBus,
     config: Config,
-    /// Whether it has had the whole sequence in this run or the one before.
+    /// True if it has had the whole sequence in this run or the one before.
     is_known: bool,
     failures: u8,
     silent_looks: u32,
@@ -113,7 +115,7 @@ impl Sensor {
             .map_err(NotReady::Sensor)
     }
 
-    /// Whether it has been silent for no longer than it takes to start.
+    /// Returns whether it has been silent for no longer than it takes to start.
     pub const fn may_be_starting(&self) -> bool {
         self.silent_looks < LOOKS_WHILE_STARTING
     }

@@ -1,9 +1,9 @@
 //! The sensor's bus as an embedded-hal `I2c` with a deadline on every wait, and its recovery.
 //!
 //! The idle task configures the sensor through this while the burst reader is disabled, and never
-//! touches it otherwise. The HAL's blocking I2C waits without limits, so a bus held low would hang it.
-//! Multi-byte reads follow the stretching method of RM0090, 27.3.3 ("Closing the communication"),
-//! which stays right however long an interrupt delays a step.
+//! touches it otherwise. The HAL's blocking I2C waits without limits, so a bus held low would hang
+//! it. Multi-byte reads follow the stretching method of RM0090, 27.3.3 ("Closing the
+//! communication"), which stays right however long an interrupt delays a step.
 
 use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};
@@ -12,7 +12,8 @@ use super::boards::BOARD;
 use super::clocks;
 use super::timebase;
 
-/// Longest wait for one bus event, in microseconds. A byte takes 22 µs, and the sensor never stretches the clock.
+/// Longest wait for one bus event, in microseconds. A byte takes 22 µs, and the sensor never
+/// stretches the clock.
 const STEP_DEADLINE_US: u32 = 2_000;
 /// Half a clock period while the bus is recovered by hand, in microseconds: 100 kHz.
 const RECOVERY_HALF_PERIOD_US: u32 = 5;
@@ -25,7 +26,8 @@ const SDA: u8 = 9;
 /// The port's input clock in MHz.
 const CLOCK_MHZ: u8 = (BOARD.peripheral_hz / 1_000_000) as u8;
 
-/// Sets the field of CR2 that tells the port its input clock (RM0090, 27.6.2), which every write of CR2 needs.
+/// Sets the field of CR2 that tells the port its input clock (RM0090, 27.6.2), which every write of
+/// CR2 needs.
 pub fn with_clock(w: &mut i2c1::cr2::W) -> &mut i2c1::cr2::W {
     const { assert!(CLOCK_MHZ >= 4 && CLOCK_MHZ <= 50) };
     // SAFETY: the manual allows 2 to 50 MHz, and 4 MHz or more for fast mode.
@@ -41,7 +43,7 @@ pub struct SensorBus {
 /// The bus stayed low after its recovery: SCL or SDA is shorted, unpowered or not connected.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct BusHeldLow {
-    /// Whether SCL is the one that is low; else SDA is.
+    /// True if SCL is the one that is low; else SDA is.
     pub clock: bool,
 }
 
@@ -58,7 +60,8 @@ impl SensorBus {
         }
     }
 
-    /// Frees the bus from a sensor that was interrupted half-way through a byte, then resets and programs the port.
+    /// Frees the bus from a sensor that was interrupted half-way through a byte, then resets and
+    /// programs the port.
     ///
     /// # Errors
     ///
@@ -98,7 +101,8 @@ impl SensorBus {
 
     fn program_port(&self) {
         let i2c = port();
-        // The reset also clears a BUSY flag that the recovery's edges have set (RM0090, 27.6.1, SWRST).
+        // The reset also clears a BUSY flag that the recovery's edges have set (RM0090, 27.6.1,
+        // SWRST).
         i2c.cr1().write(|w| w.swrst().set_bit());
         i2c.cr1().reset();
         i2c.cr2().write(|w| with_clock(w));
@@ -110,7 +114,8 @@ impl SensorBus {
         };
         let divider = BOARD.peripheral_hz.div_ceil(periods * 400_000);
         i2c.ccr()
-            // SAFETY: the divider is 5 or more, far below 12 bits, for every APB1 clock from 2 to 50 MHz.
+            // SAFETY: the divider is 5 or more, far below 12 bits, for every APB1 clock from 2 to
+            // 50 MHz.
             .write(|w| unsafe {
                 w.f_s()
                     .set_bit()
@@ -174,7 +179,8 @@ impl SensorBus {
         self.wait(|status| status.btf().bit(), NoAcknowledgeSource::Data)
     }
 
-    /// Receives as many bytes as `sink` takes, `length` in all, and ends with NACK; with STOP too if `stop`.
+    /// Receives as many bytes as `sink` takes, `length` in all, and ends with NACK; with STOP too
+    /// if `stop`.
     fn read_bytes<'a>(
         &mut self,
         length: usize,
@@ -347,7 +353,8 @@ fn wait_us(microseconds: u32) {
 }
 
 fn port() -> &'static i2c1::RegisterBlock {
-    // SAFETY: the burst reader is disabled while the idle task uses this bus, and owns it otherwise.
+    // SAFETY: the burst reader is disabled while the idle task uses this bus, and owns it
+    // otherwise.
     unsafe { &*I2C1::ptr() }
 }
 

@@ -1,7 +1,10 @@
-//! TIM5, the one clock of the firmware: microseconds since boot, in 32 bits that wrap every 71.6 minutes.
+//! TIM5, the one clock of the firmware: microseconds since boot, in 32 bits that wrap every 71.6
+//! minutes.
 //!
-//! - Channel 2 captures the INT pin's rising edge, so a sample's time does not depend on interrupt latency.
-//! - Channel 1's compare is the burst reader's alarm: a burst that does not end, or an edge that does not come.
+//! - Channel 2 captures the INT pin's rising edge, so a sample's time does not depend on interrupt
+//!   latency.
+//! - Channel 1's compare is the burst reader's alarm: a burst that does not end, or an edge that
+//!   does not come.
 //! - Channel 3's compare paces the telemetry.
 //! - Channel 4's compare wakes the idle task from a delay.
 //!
@@ -29,7 +32,8 @@ pub struct Timebase {
     extender: CounterExtender,
 }
 
-/// The time from one telemetry tick to the next. Written by the telemetry task, read by the interrupt.
+/// The time from one telemetry tick to the next. Written by the telemetry task, read by the
+/// interrupt.
 static TELEMETRY_PERIOD_US: AtomicU32 = AtomicU32::new(20_000);
 
 /// Sets the time between telemetry ticks, from the next tick on.
@@ -83,7 +87,8 @@ impl Timebase {
     /// Serves the interrupt.
     pub fn on_interrupt(&mut self) -> Alarms {
         let status = self.timer.sr().read();
-        // SAFETY: the flags are cleared by writing zero, and ones leave them alone (RM0090, 18.4.5).
+        // SAFETY: the flags are cleared by writing zero, and ones leave them alone (RM0090,
+        // 18.4.5).
         self.timer.sr().write(|w| unsafe { w.bits(!status.bits()) });
         let now = self.timer.cnt().read().cnt().bits();
         self.extender.extend(now);
@@ -92,7 +97,8 @@ impl Timebase {
             let due = self.timer.ccr3().read().ccr().bits();
             let period_us = TELEMETRY_PERIOD_US.load(Ordering::Relaxed);
             let next = due.wrapping_add(period_us);
-            // After a long stall of the core the next one may be past: its compare would come an hour later.
+            // After a long stall of the core the next one may be past: its compare would come an
+            // hour later.
             let next = if has_passed(next, now) {
                 now.wrapping_add(period_us)
             } else {
@@ -109,12 +115,13 @@ impl Timebase {
     }
 }
 
-/// Whether a count has been reached `now`, give or take half a turn of the counter.
+/// Returns whether a count has been reached `now`, give or take half a turn of the counter.
 fn has_passed(count: u32, now: u32) -> bool {
     now.wrapping_sub(count) < 1 << 31
 }
 
-/// Sets the burst reader's alarm to a count. For the reader, and for the idle task while the reader is disabled.
+/// Sets the burst reader's alarm to a count. For the reader, and for the idle task while the reader
+/// is disabled.
 pub fn set_burst_alarm(count: u32) {
     // SAFETY: the time base itself never writes this channel.
     unsafe { &*TIM5::ptr() }
@@ -122,7 +129,8 @@ pub fn set_burst_alarm(count: u32) {
         .write(|w| w.ccr().set(count));
 }
 
-/// Whether the burst reader's alarm was set to now or earlier, and not [raised](raise_burst_alarm).
+/// Returns whether the burst reader's alarm was set to now or earlier, and not
+/// [raised](raise_burst_alarm).
 pub fn burst_alarm_is_due() -> bool {
     // SAFETY: reading these has no side effect.
     let timer = unsafe { &*TIM5::ptr() };
@@ -141,12 +149,14 @@ pub fn now() -> u32 {
     unsafe { &*TIM5::ptr() }.cnt().read().cnt().bits()
 }
 
-/// Whether `limit_us` have passed since the count was `start`. Right for limits up to 71 minutes.
+/// Returns whether `limit_us` have passed since the count was `start`. Right for limits up to 71
+/// minutes.
 pub fn elapsed(start: u32, limit_us: u32) -> bool {
     now().wrapping_sub(start) >= limit_us
 }
 
-/// Delays asleep, for the sensor's configuration by the idle task. Channel 4's compare ends the sleep.
+/// Delays asleep, for the sensor's configuration by the idle task. Channel 4's compare ends the
+/// sleep.
 pub struct Delay;
 
 impl embedded_hal::delay::DelayNs for Delay {

@@ -1,8 +1,9 @@
-//! USART2 on PA2 and PA3, both ways by DMA: the core neither waits for a byte nor is interrupted by one.
+//! USART2 on PA2 and PA3, both ways by DMA: the core neither waits for a byte nor is interrupted by
+//! one.
 //!
-//! DMA1 stream 6 sends a buffer. Stream 5 writes what arrives into a ring and never stops; whoever reads it finds
-//! the writer's place in the stream's counter. A flood at any rate costs no interrupts: what is not read before the
-//! ring comes round is lost, noticed, and counted.
+//! DMA1 stream 6 sends a buffer. Stream 5 writes what arrives into a ring and never stops; whoever
+//! reads it finds the writer's place in the stream's counter. A flood at any rate costs no
+//! interrupts: what is not read before the ring comes round is lost, noticed, and counted.
 
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
 
@@ -15,8 +16,8 @@ use super::timebase;
 /// The longest text that goes out at once.
 pub const CAPACITY: usize = 864;
 
-/// What fits into the ring of received bytes: at 921,600 baud it takes 22 ms to come round, which is longer than
-/// the period at which it is read.
+/// What fits into the ring of received bytes: at 921,600 baud it takes 22 ms to come round, which
+/// is longer than the period at which it is read.
 pub const RECEIVE_CAPACITY: usize = 2048;
 
 /// Bits on the wire for a byte: start, eight, stop.
@@ -53,13 +54,15 @@ pub struct Receiver {
 pub enum Reception {
     /// Bytes, or none, as they were sent.
     Sound,
-    /// Framing, noise or overrun: what arrived since the last look is not to be trusted and is thrown away.
+    /// Framing, noise or overrun: what arrived since the last look is not to be trusted and is
+    /// thrown away.
     Garbled,
     /// More came than the ring holds; the rest of it is thrown away.
     Lost,
 }
 
-/// Sets the port up at `baud`, 8N1. The pins are the caller's to switch to their alternate function 7.
+/// Sets the port up at `baud`, 8N1. The pins are the caller's to switch to their alternate function
+/// 7.
 pub fn start(
     port: USART2,
     baud: u32,
@@ -111,15 +114,16 @@ pub fn start(
 }
 
 impl Receiver {
-    /// Looks at what has arrived since the last look, at this rate. Afterwards [`Self::receive`] gives what is sound.
+    /// Looks at what has arrived since the last look, at this rate. Afterwards [`Self::receive`]
+    /// gives what is sound.
     pub fn look(&mut self, baud: u32) -> Reception {
         let now = timebase::now();
         let elapsed_us = now.wrapping_sub(self.looked_at_us);
         self.looked_at_us = now;
         let is_garbled = usart2().sr().read().bits() & (FRAMING | NOISE | OVERRUN) != 0;
         if is_garbled {
-            // After the status, reading the data clears the flags (RM0090, 30.6.1). Should that take a byte from the DMA, it
-            // is one of those that are thrown away.
+            // After the status, reading the data clears the flags (RM0090, 30.6.1). Should that
+            // take a byte from the DMA, it is one of those that are thrown away.
             usart2().dr().read();
         }
         let is_complete = dma1().hisr().read().tcif5().bit();
@@ -173,7 +177,7 @@ impl Transmitter {
         true
     }
 
-    /// Whether the buffer is free.
+    /// Returns whether the buffer is free.
     pub fn is_idle(&self) -> bool {
         !self.is_sending()
     }
@@ -187,7 +191,8 @@ impl Transmitter {
         Some(self.buffer)
     }
 
-    /// Sends the first `length` bytes of the buffer. Does nothing while the last text is still going out.
+    /// Sends the first `length` bytes of the buffer. Does nothing while the last text is still
+    /// going out.
     pub fn send(&mut self, length: usize) {
         if length == 0 || length > CAPACITY || self.is_sending() {
             return;
@@ -211,7 +216,8 @@ impl Transmitter {
                 .cfeif6()
                 .set_bit()
         });
-        // SAFETY: the buffer lives for ever, and `idle_buffer` does not lend it before the stream is off.
+        // SAFETY: the buffer lives for ever, and `idle_buffer` does not lend it before the stream
+        // is off.
         stream
             .m0ar()
             .write(|w| unsafe { w.m0a().bits(self.buffer.as_ptr() as u32) });
@@ -240,8 +246,8 @@ fn lap_us(baud: u32) -> u32 {
 }
 
 fn usart2() -> &'static usart1::RegisterBlock {
-    // SAFETY: the receiver only reads the status and the data, which clears error flags that the transmitter does not
-    // look at.
+    // SAFETY: the receiver only reads the status and the data, which clears error flags that the
+    // transmitter does not look at.
     unsafe { &*USART2::ptr() }
 }
 
@@ -259,7 +265,7 @@ fn set_divider(port: &usart1::RegisterBlock, baud: u32) {
 }
 
 fn dma1() -> &'static stm32f4xx_hal::pac::dma1::RegisterBlock {
-    // SAFETY: this file writes streams 5 and 6 and their bits of the clear register alone, and the clear
-    // registers ignore zeros, so it never disturbs the burst reader's stream 0.
+    // SAFETY: this file writes streams 5 and 6 and their bits of the clear register alone, and the
+    // clear registers ignore zeros, so it never disturbs the burst reader's stream 0.
     unsafe { &*DMA1::ptr() }
 }

@@ -1,18 +1,20 @@
-//! The independent watchdog: it resets the processor unless samples, attitude and telemetry all go on.
+//! The independent watchdog: it resets the processor unless samples, attitude and telemetry all go
+//! on.
 //!
-//! Each of the three says so in its own task; the telemetry task, of lowest priority of them, feeds the
-//! watchdog only if all have said so since the last time. Where there is no sensor, the idle task's tries
-//! to find it count as samples: a reset would not bring it back.
+//! Each of the three says so in its own task; the telemetry task, of lowest priority of them, feeds
+//! the watchdog only if all have said so since the last time. Where there is no sensor, the idle
+//! task's tries to find it count as samples: a reset would not bring it back.
 //!
-//! The watchdog runs from its own oscillator, whose frequency is anything from 17 to 47 kHz (STM32F405
-//! datasheet, table "LSI oscillator characteristics"), and never stops but for a debugger's halt.
+//! The watchdog runs from its own oscillator, whose frequency is anything from 17 to 47 kHz
+//! (STM32F405 datasheet, table "LSI oscillator characteristics"), and never stops but for a
+//! debugger's halt.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use stm32f4xx_hal::pac::{DBGMCU, IWDG};
 
-/// The shortest time without progress after which the processor is reset, in ms: a hang of any part is
-/// over after this to 2.8 times this. The longest wait of the idle task is 100 ms.
+/// The shortest time without progress after which the processor is reset, in ms: a hang of any part
+/// is over after this to 2.8 times this. The longest wait of the idle task is 100 ms.
 pub const LIMIT_MS: u32 = 200;
 
 /// The fastest that the oscillator may run, in kHz.
@@ -22,8 +24,9 @@ const FASTEST_KHZ: u32 = 47;
 const PRESCALER: u8 = 4;
 const DIVISION: u32 = 64;
 
-/// How often the status is read until a new limit has arrived. At 168 MHz a reading takes at least 4 cycles, so this is 1 ms
-/// or more; five cycles of the slowest oscillator are 0.3 ms (RM0090, 21.4.4).
+/// How often the status is read until a new limit has arrived. At 168 MHz a reading takes at least
+/// 4 cycles, so this is 1 ms or more; five cycles of the slowest oscillator are 0.3 ms (RM0090,
+/// 21.4.4).
 const CROSSING_READINGS: u32 = 50_000;
 
 /// What has to go on.
@@ -40,8 +43,8 @@ pub fn start(watchdog: &IWDG, debugger: &DBGMCU) {
     allow_ms(LIMIT_MS);
 }
 
-/// Changes the limit: at least `limit_ms`, up to 5,000, go by without progress before the reset. For work
-/// that stops everything, such as erasing flash; [`LIMIT_MS`] afterwards.
+/// Changes the limit: at least `limit_ms`, up to 5,000, go by without progress before the reset.
+/// For work that stops everything, such as erasing flash; [`LIMIT_MS`] afterwards.
 pub fn allow_ms(limit_ms: u32) {
     let ticks = limit_ms.saturating_mul(FASTEST_KHZ).div_ceil(DIVISION);
     let watchdog = watchdog();
@@ -53,7 +56,8 @@ pub fn allow_ms(limit_ms: u32) {
             .rlr()
             .write(|w| w.rl().bits(ticks.min(0xFFF) as u16));
     }
-    // The limit reaches the counter within five cycles of its oscillator; fed before that it would reload the old one.
+    // The limit reaches the counter within five cycles of its oscillator; fed before that it would
+    // reload the old one.
     for _ in 0..CROSSING_READINGS {
         let status = watchdog.sr().read();
         if status.pvu().bit_is_clear() && status.rvu().bit_is_clear() {

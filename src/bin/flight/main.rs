@@ -1,5 +1,5 @@
-//! The firmware: which interrupt does what, at which priority. The work is done in `aplomb::board`, in the library, and in
-//! the files beside this one.
+//! The firmware: which interrupt does what, at which priority. The work is done in `aplomb::board`,
+//! in the library, and in the files beside this one.
 //!
 //! | task | priority | started by | must end before |
 //! |---|---|---|---|
@@ -10,7 +10,8 @@
 //! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: it drops a line rather than wait |
 //! | `idle`, the supervisor | 0 | – | nothing |
 //!
-//! Commands run in `telemetry`. A command that changes the pipeline delays `attitude` for the length of one lock.
+//! Commands run in `telemetry`. A command that changes the pipeline delays `attitude` for the
+//! length of one lock.
 
 #![no_std]
 #![no_main]
@@ -25,8 +26,8 @@ mod telemetry;
 
 use defmt_rtt as _;
 
-/// Ends in the hard fault that `aplomb::board::crash` records. The panic's text is left out, because it would take 4 KiB of
-/// flash: a debugger that stops at the fault shows file and line.
+/// Ends in the hard fault that `aplomb::board::crash` records. The panic's text is left out,
+/// because it would take 4 KiB of flash: a debugger that stops at the fault shows file and line.
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
     cortex_m::asm::udf()
@@ -63,7 +64,8 @@ mod app {
     use crate::supervisor;
     use crate::telemetry::Telemetry;
 
-    /// The crystal has stopped. The burst reader, which this starts through its alarm, restores the clock.
+    /// The crystal has stopped. The burst reader, which this starts through its alarm, restores the
+    /// clock.
     #[allow(
         unsafe_code,
         reason = "cortex-m-rt asks for it: an NMI interrupts critical sections, and this one only sets bits"

@@ -1,7 +1,8 @@
-//! The supervisor, which is the idle task: keeps the sensor configured and does what needs the sensor to stop.
+//! The supervisor, which is the idle task: keeps the sensor configured and does what needs the
+//! sensor to stop.
 //!
-//! It configures the sensor at start and after every fault, starts the pipeline, and runs the console's tasks
-//! (save, self-test) while the burst reader is paused.
+//! It configures the sensor at start and after every fault, starts the pipeline, and runs the
+//! console's tasks (save, self-test) while the burst reader is paused.
 
 use aplomb::board::burst_reader;
 use aplomb::board::flash::CalibrationFlash;
@@ -21,11 +22,12 @@ use rtic::Mutex;
 
 use crate::requests::{self, Estimation, Requests};
 
-/// Longest duration of a task, in ms: erasing a 16 KiB sector stalls the core for up to half a second
-/// (STM32F405 datasheet, table "Flash memory programming"), and the sensor's self-test takes a second.
+/// Longest duration of a task, in ms: erasing a 16 KiB sector stalls the core for up to half a
+/// second (STM32F405 datasheet, table "Flash memory programming"), and the sensor's self-test takes
+/// a second.
 const TASK_LIMIT_MS: u32 = 2_000;
-/// Shortest pause in the samples around a task, in µs: longer than the filter bridges, so that the attitude is flagged
-/// [`GAP`](aplomb::health::Flags::GAP) and starts again from gravity.
+/// Shortest pause in the samples around a task, in µs: longer than the filter bridges, so that the
+/// attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and starts again from gravity.
 const PAUSE_US: u32 = 600_000;
 /// Shortest time between two messages about a recovery, in µs: leaves room for other messages.
 const RECOVERY_MESSAGE_PERIOD_US: u32 = 200_000;

@@ -1,7 +1,8 @@
-//! One telemetry tick: polls the console, and sends its answer, messages and the latest snapshot in one buffer.
+//! One telemetry tick: polls the console, and sends its answer, messages and the latest snapshot in
+//! one buffer.
 //!
-//! Deadline: none. The task has the lowest priority of those with interrupts; what does not fit is dropped and counted,
-//! never waited for.
+//! Deadline: none. The task has the lowest priority of those with interrupts; what does not fit is
+//! dropped and counted, never waited for.
 
 use core::fmt::Write;
 use core::sync::atomic::Ordering;
@@ -27,14 +28,16 @@ const HAS_LOG: bool = cfg!(feature = "full");
 /// Room for a tick's answer, with its mark and line end, beside a frame.
 const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
 const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
-/// Room for a text of so many letters in any format: the longest is one MAVLink frame for each 50 of them.
+/// Room for a text of so many letters in any format: the longest is one MAVLink frame for each 50
+/// of them.
 const fn room(letters: usize) -> usize {
     letters.div_ceil(50) * 66
 }
 /// Room for a message.
 const MESSAGE_ROOM: usize = room(message::LINE_CAPACITY);
 const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM && room(ANSWER_CAPACITY) <= uart::CAPACITY);
-/// Longest time from a sample to the copy of the pipeline for the log, in µs, so that no attitude waits for the copy.
+/// Longest time from a sample to the copy of the pipeline for the log, in µs, so that no attitude
+/// waits for the copy.
 const COPY_WINDOW_US: u32 = 900;
 
 /// The telemetry task's state.
@@ -163,7 +166,8 @@ impl Telemetry {
         self.transmitter.send(length);
     }
 
-    /// Posts a message about bursts that failed since the last tick. Returns their number since boot.
+    /// Posts a message about bursts that failed since the last tick. Returns their number since
+    /// boot.
     fn report_failures(&mut self, post: &mut impl FnMut(Message)) -> u16 {
         let (failures, failure) = burst_reader::failures();
         let count = failures.wrapping_sub(self.last_failures);

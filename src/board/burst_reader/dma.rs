@@ -19,8 +19,9 @@ pub(super) fn start() {
     });
 }
 
-/// Prepares a transfer of `length` bytes to this address, which must be the reader's to fill. It moves
-/// nothing until the I2C port asks. The stream must have stopped, as it does at the end of a transfer.
+/// Prepares a transfer of `length` bytes to this address, which must be the reader's to fill. It
+/// moves nothing until the I2C port asks. The stream must have stopped, as it does at the end of a
+/// transfer.
 #[inline(always)]
 pub(super) fn arm(address: u32, length: u16) {
     let stream = stream();
@@ -43,7 +44,7 @@ pub(super) fn arm(address: u32, length: u16) {
     });
 }
 
-/// Whether the transfer is complete. Clears the stream's flags.
+/// Returns whether the transfer is complete. Clears the stream's flags.
 #[inline(always)]
 pub(super) fn take_complete() -> bool {
     let is_complete = dma1().lisr().read().tcif0().bit();
@@ -57,7 +58,8 @@ pub(super) fn take_complete() -> bool {
 pub(super) fn stop() {
     let stream = stream();
     stream.cr().reset();
-    // The stream ends with the byte in flight (RM0090, 10.3, DMA transfer suspension), well within the readings.
+    // The stream ends with the byte in flight (RM0090, 10.3, DMA transfer suspension), well within
+    // the readings.
     for _ in 0..STOP_READINGS {
         if stream.cr().read().en().bit_is_clear() {
             break;

@@ -1,4 +1,5 @@
-//! What the burst reader shares with the supervisor, the attitude task and telemetry: one atomic word each.
+//! What the burst reader shares with the supervisor, the attitude task and telemetry: one atomic
+//! word each.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
@@ -18,7 +19,8 @@ pub(super) const CHECKS: usize = 4;
 
 /// What the reader knows of the sensor.
 pub(super) struct Setup {
-    /// Settings to read back, in turn. The even ones are the full scales, because those scale the attitude.
+    /// Settings to read back, in turn. The even ones are the full scales, because those scale the
+    /// attitude.
     pub(super) checks: [Check; CHECKS],
     /// Sample period.
     pub(super) period_us: u32,
@@ -40,7 +42,8 @@ impl Setup {
 
 struct SetupCell(UnsafeCell<Setup>);
 
-// SAFETY: the supervisor writes it while the reader is disabled, and the reader reads it while it runs.
+// SAFETY: the supervisor writes it while the reader is disabled, and the reader reads it while it
+// runs.
 unsafe impl Sync for SetupCell {}
 
 static SETUP: SetupCell = SetupCell(UnsafeCell::new(Setup::new(
@@ -58,11 +61,12 @@ pub(super) fn setup() -> &'static Setup {
 pub(super) struct Link {
     /// Address of the sensor.
     pub(super) address: AtomicU8,
-    /// Whether the reader runs.
+    /// True if the reader runs.
     pub(super) is_enabled: AtomicBool,
-    /// Whether the supervisor wants the bus.
+    /// True if the supervisor wants the bus.
     pub(super) is_pause_wanted: AtomicBool,
-    /// Count (16 bits), fault and step (8 bits each) of failures in one word, so that no task reads half of it.
+    /// Count (16 bits), fault and step (8 bits each) of failures in one word, so that no task reads
+    /// half of it.
     failures: AtomicU32,
     /// Flags from the supervisor for the next burst.
     notes: AtomicU32,
@@ -94,7 +98,8 @@ impl Link {
         self.failures.store(packed, Ordering::Relaxed);
     }
 
-    /// Takes the supervisor's flags for the next burst. Only the reader calls this, while the supervisor waits.
+    /// Takes the supervisor's flags for the next burst. Only the reader calls this, while the
+    /// supervisor waits.
     pub(super) fn take_notes(&self) -> BoardFlags {
         let notes = BoardFlags::from_bits_truncate(self.notes.load(Ordering::Relaxed));
         self.notes.store(0, Ordering::Relaxed);
@@ -111,8 +116,8 @@ impl Link {
     }
 }
 
-/// Takes the request for a stale snapshot: its time in µs since boot, and the board's conditions. Only the attitude task
-/// calls this.
+/// Takes the request for a stale snapshot: its time in µs since boot, and the board's conditions.
+/// Only the attitude task calls this.
 pub fn take_stale() -> Option<(u64, BoardFlags)> {
     if !LINK.is_stale.load(Ordering::Acquire) {
         return None;
@@ -127,21 +132,23 @@ pub fn take_stale() -> Option<(u64, BoardFlags)> {
     ))
 }
 
-/// Asks the reader to read some settings back now. Only the attitude task calls this, after a burst: then the bus is
-/// free. It pends the interrupt of SPI1, an unused peripheral. The application binds that interrupt, at the
-/// priority of the others that share the reader, to [`on_check_request`](super::BurstReader::on_check_request).
+/// Asks the reader to read some settings back now. Only the attitude task calls this, after a
+/// burst: then the bus is free. It pends the interrupt of SPI1, an unused peripheral. The
+/// application binds that interrupt, at the priority of the others that share the reader, to
+/// [`on_check_request`](super::BurstReader::on_check_request).
 pub fn request_check() {
     cortex_m::peripheral::NVIC::pend(Interrupt::SPI1);
 }
 
-/// Flags the next burst, and stale snapshots until then, with [`BoardFlags::SENSOR_RESET`]: the sensor has lost its settings.
+/// Flags the next burst, and stale snapshots until then, with [`BoardFlags::SENSOR_RESET`]: the
+/// sensor has lost its settings.
 pub fn note_sensor_reset() {
     LINK.notes
         .fetch_or(BoardFlags::SENSOR_RESET.bits(), Ordering::Relaxed);
 }
 
-/// Enables the reader. The supervisor calls this while the reader is disabled, the bus is free, and the sensor runs with
-/// these settings.
+/// Enables the reader. The supervisor calls this while the reader is disabled, the bus is free, and
+/// the sensor runs with these settings.
 pub fn enable(ready: &Ready, config: &Config) {
     let period_us = (1.0e6 / config.sample_rate_hz()) as u32;
     // SAFETY: the reader is disabled, and reads its set-up only while it runs.
@@ -156,7 +163,8 @@ pub fn enable(ready: &Ready, config: &Config) {
     exti().imr().write(|w| w.mr1().set_bit());
 }
 
-/// Stops the reader, so that the supervisor can use the bus or stall the core. A burst under way ends first.
+/// Stops the reader, so that the supervisor can use the bus or stall the core. A burst under way
+/// ends first.
 pub fn pause() {
     exti().imr().reset();
     timebase::Delay.delay_us(BURST_DEADLINE_US);
@@ -165,7 +173,8 @@ pub fn pause() {
     timebase::sleep_until(|| !is_enabled());
 }
 
-/// Whether the reader runs. A fault that needs the bus recovered disables it until the next [`enable`].
+/// Returns whether the reader runs. A fault that needs the bus recovered disables it until the next
+/// [`enable`].
 pub fn is_enabled() -> bool {
     LINK.is_enabled.load(Ordering::Acquire)
 }

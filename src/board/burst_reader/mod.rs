@@ -1,4 +1,5 @@
-//! Reads the sensor's 14 data registers after each data-ready edge: one interrupt per bus event, and no waiting.
+//! Reads the sensor's 14 data registers after each data-ready edge: one interrupt per bus event,
+//! and no waiting.
 //!
 //! ```text
 //! edge ─ START ─ SB: address+W ─ ADDR: pointer ─ BTF: START again ─ SB: address+R ─ ADDR: DMA on ─ transfer complete: STOP
@@ -7,16 +8,18 @@
 //! The order of register accesses is the reference manual's (RM0090, 27.3.3 master transmitter and
 //! receiver, 27.3.7 DMA). A burst takes 384 µs at 400 kHz.
 //!
-//! - **Deadlines.** The alarm bounds each burst: one that has not ended [`BURST_DEADLINE_US`] after its edge is aborted.
-//!   After [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an unknown state, the reader disables itself. The
-//!   supervisor then recovers the bus, and meanwhile the alarm requests stale snapshots.
-//! - **Missing edges.** If no edge comes within [`SILENCE_DEADLINE_US`], the alarm starts the bursts, one per sample period,
-//!   until edges come again. An edge that comes too soon after the last one starts nothing: it is a glitch, or the sensor has
-//!   lost its sample rate.
-//! - **Settings.** Between bursts the attitude task may request a check: the same steps read a few of the sensor's
-//!   settings back. A wrong one disables the reader, and the supervisor configures the sensor again.
-//! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude task busy are
-//!   counted. The next good burst carries the count as `missed_before`.
+//! - **Deadlines.** The alarm bounds each burst: one that has not ended [`BURST_DEADLINE_US`] after
+//!   its edge is aborted. After [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an
+//!   unknown state, the reader disables itself. The supervisor then recovers the bus, and meanwhile
+//!   the alarm requests stale snapshots.
+//! - **Missing edges.** If no edge comes within [`SILENCE_DEADLINE_US`], the alarm starts the
+//!   bursts, one per sample period, until edges come again. An edge that comes too soon after the
+//!   last one starts nothing: it is a glitch, or the sensor has lost its sample rate.
+//! - **Settings.** Between bursts the attitude task may request a check: the same steps read a few
+//!   of the sensor's settings back. A wrong one disables the reader, and the supervisor configures
+//!   the sensor again.
+//! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude
+//!   task busy are counted. The next good burst carries the count as `missed_before`.
 
 mod dma;
 mod link;
@@ -54,7 +57,7 @@ const NO_PERIOD_US: u32 = u32::MAX;
 /// The reader. All of its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
-    /// Whether the steps under way read settings back, instead of a burst.
+    /// True if the steps under way read settings back, instead of a burst.
     is_check: bool,
     /// First register of the steps under way.
     pointer: Register,
@@ -76,7 +79,7 @@ pub struct BurstReader {
     missed: u8,
     mode: Mode,
     failures_in_a_row: u8,
-    /// Whether an edge has come during a check.
+    /// True if an edge has come during a check.
     is_edge_waiting: bool,
     next_check: u8,
 }
@@ -203,7 +206,8 @@ impl BurstReader {
                 self.step = BurstStep::Pointer;
             }
             BurstStep::Pointer if status.btf().bit() => {
-                // This read clears BTF, which would otherwise interrupt again until the start is on the bus.
+                // This read clears BTF, which would otherwise interrupt again until the start is on
+                // the bus.
                 i2c.dr().read();
                 i2c.cr1()
                     .write(|w| w.pe().set_bit().ack().set_bit().start().set_bit());
@@ -235,7 +239,8 @@ impl BurstReader {
         }
     }
 
-    /// DMA1 stream 0: the bytes are in memory. Returns whether a burst is ready for the attitude task.
+    /// DMA1 stream 0: the bytes are in memory. Returns whether a burst is ready for the attitude
+    /// task.
     #[inline(always)]
     pub fn on_transfer_complete(&mut self, timebase: &mut Timebase) -> bool {
         let is_complete = dma::take_complete();
@@ -277,7 +282,8 @@ impl BurstReader {
         retained::count(FaultClass::AttitudeLate);
     }
 
-    /// Compares the settings that were read back, and gives the bus to an edge that has come meanwhile.
+    /// Compares the settings that were read back, and gives the bus to an edge that has come
+    /// meanwhile.
     #[inline(never)]
     fn end_check(&mut self, timebase: &mut Timebase) {
         // SAFETY: the transfer into these bytes is complete.
@@ -356,8 +362,8 @@ impl BurstReader {
         }
     }
 
-    /// The alarm: a burst took too long, no edge came, or a stale snapshot is due. Returns whether the attitude task has to
-    /// publish one.
+    /// The alarm: a burst took too long, no edge came, or a stale snapshot is due. Returns whether
+    /// the attitude task has to publish one.
     pub fn on_alarm(&mut self, timebase: &mut Timebase) -> bool {
         let has_lost_crystal = clocks::have_fallen_back();
         if has_lost_crystal {
@@ -491,6 +497,7 @@ fn send_stop() {
 }
 
 fn i2c1() -> &'static i2c1::RegisterBlock {
-    // SAFETY: while the reader is enabled it alone uses the bus; see `sensor_bus` for the rest of the time.
+    // SAFETY: while the reader is enabled it alone uses the bus; see `sensor_bus` for the rest of
+    // the time.
     unsafe { &*I2C1::ptr() }
 }
