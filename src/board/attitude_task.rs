@@ -1,7 +1,7 @@
-//! The attitude task: one burst becomes one published snapshot, and housekeeping follows.
+//! Attitude task: one burst becomes one published snapshot, and housekeeping follows.
 //!
-//! Deadline: the end of the next burst, 1 ms. The snapshot is out within a few microseconds;
-//! nothing waits for the housekeeping.
+//! Deadline: the end of the next burst, 1 ms. The snapshot is published within a few microseconds;
+//! no task waits for the housekeeping.
 
 use super::handover::{self, ReceivedBurst};
 use super::{burst_reader, clocks, publish, retained, timebase, watchdog};
@@ -51,11 +51,11 @@ impl AttitudeTask {
         }
     }
 
-    /// Publishes the snapshot of the burst that the reader has handed over, or a stale one if no
-    /// sample comes.
+    /// Publishes the snapshot of the burst that the reader offers, or a stale one if no sample
+    /// comes.
     ///
-    /// `after_publication` gets the burst once its snapshot is out. Returns the flags if they have
-    /// changed.
+    /// `after_publication` gets the burst after its snapshot is published. Returns the flags if
+    /// they have changed.
     #[inline]
     pub fn run(
         &mut self,
@@ -97,7 +97,7 @@ impl AttitudeTask {
         watchdog::samples_go_on();
         watchdog::attitude_goes_on();
         burst_reader::request_check();
-        // In case the NMI of a dead crystal has not come.
+        // The NMI of a failed crystal may be missing.
         if clocks::have_fallen_back() {
             timebase::raise_burst_alarm();
         }

@@ -2,7 +2,8 @@
 //! and no waiting.
 //!
 //! ```text
-//! edge ─ START ─ SB: address+W ─ ADDR: pointer ─ BTF: START again ─ SB: address+R ─ ADDR: DMA on ─ transfer complete: STOP
+//! edge ─ START ─ SB: address+W ─ ADDR: pointer ─ BTF: START again
+//!      ─ SB: address+R ─ ADDR: DMA on ─ transfer complete: STOP
 //! ```
 //!
 //! The order of register accesses is the reference manual's (RM0090, 27.3.3 master transmitter and
@@ -51,15 +52,15 @@ pub const FAILURES_IN_A_ROW: u8 = 3;
 const STALE_PERIOD_US: u32 = 5_000;
 /// Time from a check to the next burst while the alarm starts the bursts, in µs.
 const POLL_AFTER_CHECK_US: u32 = 300;
-/// A period that no edge keeps: every edge is examined.
+/// Period longer than any between edges: every edge is examined.
 const NO_PERIOD_US: u32 = u32::MAX;
 
-/// The reader. All of its methods run at one priority, so none interrupts another.
+/// Burst reader. All its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
-    /// True if the steps under way read settings back, instead of a burst.
+    /// True if the present steps read settings back, instead of a burst.
     is_check: bool,
-    /// First register of the steps under way.
+    /// First register of the present steps.
     pointer: Register,
     /// Slot that DMA fills.
     slot: Slot,
@@ -104,7 +105,7 @@ unsafe impl Sync for CheckedBytes {}
 static CHECKED: CheckedBytes = CheckedBytes(UnsafeCell::new([0; Check::LONGEST]));
 
 impl BurstReader {
-    /// A disabled reader with its DMA stream set up. [`enable`] starts it.
+    /// Creates a disabled reader with its DMA stream set up. [`enable`] starts it.
     pub fn start() -> Self {
         dma::start();
         let reader = Self {
@@ -129,7 +130,7 @@ impl BurstReader {
         reader
     }
 
-    /// EXTI1: starts the burst of this edge.
+    /// Handles EXTI1: starts the burst of this edge.
     #[inline(always)]
     pub fn on_data_ready(&mut self, timebase: &mut Timebase) {
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
@@ -142,7 +143,7 @@ impl BurstReader {
         self.start_burst(count, timebase);
     }
 
-    /// Handles an edge that comes too soon, during the steps of a burst or a check, or first.
+    /// Handles an edge that comes too soon, during a burst or a check, or as the first one.
     #[cold]
     #[inline(never)]
     fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {
@@ -190,7 +191,7 @@ impl BurstReader {
         self.step = BurstStep::Start;
     }
 
-    /// I2C1 event: one step of the burst.
+    /// Handles an I2C1 event: one step of the burst.
     #[inline(always)]
     pub fn on_bus_event(&mut self) {
         let i2c = i2c1();
@@ -218,7 +219,7 @@ impl BurstReader {
                 self.step = BurstStep::AddressRead;
             }
             BurstStep::AddressRead if status.addr().bit() => {
-                // From here DMA takes the bytes. LAST answers the last one with NACK.
+                // From here DMA moves the bytes. LAST answers the last one with NACK.
                 i2c.cr2().write(|w| {
                     with_clock(w)
                         .iterren()
@@ -231,7 +232,7 @@ impl BurstReader {
                 i2c.sr2().read();
                 self.step = BurstStep::Data;
             }
-            // No step is under way that the event could belong to: disables the events.
+            // The event belongs to no step: disables the events.
             BurstStep::Idle => {
                 i2c.cr2().write(|w| with_clock(w));
             }
@@ -239,8 +240,8 @@ impl BurstReader {
         }
     }
 
-    /// DMA1 stream 0: the bytes are in memory. Returns whether a burst is ready for the attitude
-    /// task.
+    /// Handles DMA1 stream 0: the bytes are in memory. Returns whether a burst is ready for the
+    /// attitude task.
     #[inline(always)]
     pub fn on_transfer_complete(&mut self, timebase: &mut Timebase) -> bool {
         let is_complete = dma::take_complete();
@@ -282,7 +283,7 @@ impl BurstReader {
         retained::count(FaultClass::AttitudeLate);
     }
 
-    /// Compares the settings that were read back, and gives the bus to an edge that has come
+    /// Compares the settings that were read back, and starts the burst of an edge that has come
     /// meanwhile.
     #[inline(never)]
     fn end_check(&mut self, timebase: &mut Timebase) {
@@ -307,12 +308,12 @@ impl BurstReader {
         };
         timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
         if !is_intact {
-            // The supervisor checks again and counts.
+            // The supervisor checks again, and counts the fault.
             self.disable();
         }
     }
 
-    /// SPI1, which [`request_check`] pends: reads some settings back if the bus is free.
+    /// Handles SPI1, which [`request_check`] pends: reads some settings back if the bus is free.
     pub fn on_check_request(&mut self) {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
@@ -343,7 +344,7 @@ impl BurstReader {
         self.arm_dma();
     }
 
-    /// I2C1 error: the sensor did not acknowledge, or the bus misbehaved.
+    /// Handles an I2C1 error: the sensor did not acknowledge, or the bus failed.
     pub fn on_bus_error(&mut self) {
         let status = i2c1().sr1().read();
         // Writing zero clears the error flags. The other flags ignore writes.
@@ -362,8 +363,8 @@ impl BurstReader {
         }
     }
 
-    /// The alarm: a burst took too long, no edge came, or a stale snapshot is due. Returns whether
-    /// the attitude task has to publish one.
+    /// Handles the alarm: a burst took too long, no edge came, or a stale snapshot is due. Returns
+    /// whether the attitude task has to publish one.
     pub fn on_alarm(&mut self, timebase: &mut Timebase) -> bool {
         let has_lost_crystal = clocks::have_fallen_back();
         if has_lost_crystal {
@@ -400,7 +401,7 @@ impl BurstReader {
         false
     }
 
-    /// Takes over the supervisor's set-up and flags: the reader has just been enabled.
+    /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
@@ -473,7 +474,7 @@ impl BurstReader {
         }
     }
 
-    /// Leaves the bus to the supervisor. The alarm then publishes a stale snapshot immediately.
+    /// Releases the bus to the supervisor. The alarm then publishes a stale snapshot immediately.
     fn disable(&mut self) {
         self.mode = Mode::Starting;
         self.shortest_period_us = NO_PERIOD_US;
