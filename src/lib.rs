@@ -12,8 +12,28 @@
 //! in an emulator and on a computer. Every operation is plain `f32` arithmetic or comes from
 //! `libm`, never from the platform's mathematics library.
 //!
-//! The module [`pipeline`] begins with an example; [`estimator`] has one for samples in SI units,
-//! without an MPU-6050.
+//! The module [`pipeline`] begins with an example.
+//!
+//! # Samples in SI units, without an MPU-6050
+//!
+//! The [`estimator`] alone needs a time, a specific force and an angular rate in body axes. It
+//! returns the attitude with its σ:
+//!
+//! ```
+//! use aplomb::attitude::Vector3;
+//! use aplomb::estimator::{Estimator, Sample};
+//!
+//! # let force_m_s2 = Vector3::new(0.0, -4.903, -8.493);
+//! # let samples = (0..2_000).map(|n| (1_000 * n, force_m_s2, Vector3::ZERO));
+//! let mut estimator = Estimator::new();
+//! for (t_us, force_m_s2, rate_rad_s) in samples {
+//!     let estimate = estimator.update(&Sample::new(t_us, force_m_s2, rate_rad_s));
+//!     println!("{:?} ± {} rad", estimate.euler(), estimate.tilt_sigma_rad());
+//! }
+//! # assert!((estimator.estimate().euler().roll_rad.to_degrees() - 30.0).abs() < 0.1);
+//! ```
+//!
+//! # Programs, features and modules
 //!
 //! Whole programs are in `examples/`: with RTIC and this crate's burst reader, with Embassy and
 //! asynchronous I2C, with any `embedded-hal` bus, and on a computer. [`mpu6050::Mpu6050`] finds,
@@ -22,10 +42,10 @@
 //!
 //! | feature | adds | brings |
 //! |---|---|---|
-//! | none | all modules below but two: `no_std`, no allocation, for any chip | no HAL, no linker script |
+//! | none | all modules below but two: `no_std`, no allocation | no HAL, no linker script |
 //! | `mavlink` | `telemetry::mavlink` | the `mavlink` crate |
 //! | `defmt` | `defmt::Format` on the public types | `defmt` |
-//! | `board-stm32f405` and others | `board` (target alone), and the firmware as a program | `stm32f4xx-hal`, RTIC, both of the above |
+//! | `board-…` | `board` (target only), and the firmware | `stm32f4xx-hal`, RTIC, the above |
 //!
 //! | module | contents |
 //! |---|---|

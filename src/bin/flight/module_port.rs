@@ -14,7 +14,7 @@ use rtic::Mutex;
 
 use crate::requests::{self, BURST_COUNT, Estimation, Requests};
 
-/// The port. It exists for one telemetry tick.
+/// Port to the module, for one telemetry tick.
 pub struct ModulePort<'a, E, R> {
     /// Received bytes.
     pub receiver: &'a mut Receiver,

@@ -1,4 +1,4 @@
-//! What the tasks ask of each other, and the few words that they share without a lock.
+//! Requests between the tasks, and the few words that they share without a lock.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -43,7 +43,7 @@ pub fn take_pending_task() -> bool {
     IS_TASK_PENDING.swap(false, Ordering::Acquire)
 }
 
-/// True if the flight log wants bursts. Written by telemetry, read by the attitude task.
+/// True if the flight log needs bursts. Written by telemetry, read by the attitude task.
 pub static IS_LOGGING: AtomicBool = AtomicBool::new(false);
 
 /// Number of bursts that the pipeline has processed. Changes under the pipeline's lock.
@@ -64,7 +64,7 @@ pub fn log_burst(received: &ReceivedBurst, to_log: &mut Producer<'static, Number
     }
 }
 
-/// What the attitude task works with: the pipeline, and the detector of a calibration under way.
+/// Data of the attitude task: the pipeline, and the stationary detector of a calibration procedure.
 pub struct Estimation {
     /// The pipeline; `None` before the sensor is found.
     pub pipeline: Option<Pipeline>,

@@ -1,8 +1,8 @@
-//! The supervisor, which is the idle task: keeps the sensor configured and does what needs the
-//! sensor to stop.
+//! Supervisor, which runs as the idle task: keeps the sensor configured, and runs the work that
+//! stops the sensor.
 //!
-//! It configures the sensor at start and after every fault, starts the pipeline, and runs the
-//! console's tasks (save, self-test) while the burst reader is paused.
+//! The supervisor configures the sensor at start and after every fault, and starts the pipeline. It
+//! runs the console's tasks (save, self-test) while the burst reader is paused.
 
 use aplomb::board::burst_reader;
 use aplomb::board::flash::CalibrationFlash;
@@ -22,17 +22,17 @@ use rtic::Mutex;
 
 use crate::requests::{self, Estimation, Requests};
 
-/// Longest duration of a task, in ms: erasing a 16 KiB sector stalls the core for up to half a
-/// second (STM32F405 datasheet, table "Flash memory programming"), and the sensor's self-test takes
-/// a second.
+/// Longest duration of a task, in ms. Erasing a 16 KiB sector stalls the core for up to half a
+/// second (STM32F405 datasheet, table "Flash memory programming"). The sensor's self-test takes a
+/// second.
 const TASK_LIMIT_MS: u32 = 2_000;
-/// Shortest pause in the samples around a task, in µs: longer than the filter bridges, so that the
-/// attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and starts again from gravity.
+/// Shortest pause in the samples around a task, in µs. It is longer than the filter bridges, so the
+/// attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and restarts from gravity.
 const PAUSE_US: u32 = 600_000;
 /// Shortest time between two messages about a recovery, in µs: leaves room for other messages.
 const RECOVERY_MESSAGE_PERIOD_US: u32 = 200_000;
 
-/// Runs for ever. `warm_start` is the state that the run before a reset has kept.
+/// Runs the supervisor forever. `warm_start` is the state that the run before a reset has kept.
 pub fn run(
     sensor: &mut Sensor,
     warm_start: &mut Option<WarmStart>,
@@ -120,7 +120,7 @@ pub fn run(
     }
 }
 
-/// A function of its own, because the supervisor's stack frame lives for ever.
+/// Creates the pipeline in place. Not inlined, because the supervisor's stack frame never ends.
 #[inline(never)]
 fn start_pipeline(
     place: &mut Option<Pipeline>,
@@ -142,7 +142,7 @@ fn start_pipeline(
     }
 }
 
-/// The message for the reason why no samples come.
+/// Returns the message for the reason why no samples come.
 fn complaint(reason: NotReady) -> Message {
     match reason {
         NotReady::BusHeldLow(held) => Message::BusHeldLow { clock: held.clock },

@@ -1,8 +1,8 @@
-//! One telemetry tick: polls the console, and sends its answer, messages and the latest snapshot in
-//! one buffer.
+//! Telemetry task: each tick polls the console, and sends its answer, messages and the latest
+//! snapshot in one buffer.
 //!
-//! Deadline: none. The task has the lowest priority of those with interrupts; what does not fit is
-//! dropped and counted, never waited for.
+//! Deadline: none. The task has the lowest priority of those with interrupts. Output that does not
+//! fit is dropped and counted; the task never waits.
 
 use core::fmt::Write;
 use core::sync::atomic::Ordering;
@@ -28,8 +28,8 @@ const HAS_LOG: bool = cfg!(feature = "full");
 /// Room for a tick's answer, with its mark and line end, beside a frame.
 const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
 const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
-/// Room for a text of so many letters in any format: the longest is one MAVLink frame for each 50
-/// of them.
+/// Returns the room in bytes for a text of this many letters in any format. The longest format is
+/// MAVLink, with one frame per 50 letters.
 const fn room(letters: usize) -> usize {
     letters.div_ceil(50) * 66
 }
@@ -55,7 +55,7 @@ pub struct Telemetry {
 }
 
 impl Telemetry {
-    /// Telemetry over this UART. `logged` brings the bursts for the flight log.
+    /// Creates the telemetry over this UART. `logged` delivers the bursts for the flight log.
     pub fn new(
         transmitter: Transmitter,
         commands: Commands,
@@ -178,7 +178,8 @@ impl Telemetry {
         failures
     }
 
-    /// The latest snapshot, if a frame is due with this tick and the snapshot has not been sent.
+    /// Returns the latest snapshot if a frame is due with this tick and the snapshot has not been
+    /// sent.
     fn due_snapshot(&mut self, pace: Pace) -> Option<Snapshot> {
         timebase::set_telemetry_period_us(pace.period_us);
         self.tick += 1;
