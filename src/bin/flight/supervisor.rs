@@ -6,7 +6,7 @@
 
 use aplomb::board::burst_reader;
 use aplomb::board::flash::CalibrationFlash;
-use aplomb::board::sensor::{self, NotReady, Sensor};
+use aplomb::board::sensor::{self, NotReady, Ready, Sensor};
 use aplomb::board::timebase::{self, Delay};
 use aplomb::board::watchdog;
 use aplomb::calibration::Calibration;
@@ -52,24 +52,7 @@ pub fn run(
         match sensor.make_ready() {
             Ok(ready) => {
                 is_reported |= last_complaint.take().is_some();
-                let (calibration, is_armed) = requests.lock(|requests| {
-                    requests.sensor = Some((ready.part, ready.address));
-                    (requests.calibration, requests.is_armed)
-                });
-                // After a fault the filter continues with its state.
-                estimation.lock(|Estimation { pipeline, .. }| {
-                    if pipeline.is_none() {
-                        let warm_start = warm_start.take();
-                        start_pipeline(
-                            pipeline,
-                            settings,
-                            ready.part,
-                            calibration,
-                            is_armed,
-                            warm_start,
-                        );
-                    }
-                });
+                start_estimation(&ready, settings, warm_start, &mut estimation, &mut requests);
                 burst_reader::enable(&ready, &Config::DEFAULT);
                 if is_reported {
                     post(Message::SensorConfigured {
@@ -107,17 +90,55 @@ pub fn run(
             && requests::take_pending_task()
             && let Some(task) = requests.lock(|requests| requests.task.take())
         {
-            let since = timebase::now();
-            watchdog::allow_ms(TASK_LIMIT_MS);
-            let outcome = perform(&task, sensor, flash);
-            watchdog::allow_ms(watchdog::LIMIT_MS);
-            requests.lock(|requests| requests.outcome = Some(outcome));
-            timebase::sleep_until(|| {
-                watchdog::samples_go_on();
-                timebase::elapsed(since, PAUSE_US)
-            });
+            perform_paused(&task, sensor, flash, &mut requests);
         }
     }
+}
+
+/// Publishes the part and address of the sensor, and starts the pipeline if it does not run. After
+/// a fault the filter continues with its state.
+fn start_estimation(
+    ready: &Ready,
+    settings: &Settings,
+    warm_start: &mut Option<WarmStart>,
+    estimation: &mut impl Mutex<T = Estimation>,
+    requests: &mut impl Mutex<T = Requests>,
+) {
+    let (calibration, is_armed) = requests.lock(|requests| {
+        requests.sensor = Some((ready.part, ready.address));
+        (requests.calibration, requests.is_armed)
+    });
+    estimation.lock(|Estimation { pipeline, .. }| {
+        if pipeline.is_none() {
+            let warm_start = warm_start.take();
+            start_pipeline(
+                pipeline,
+                settings,
+                ready.part,
+                calibration,
+                is_armed,
+                warm_start,
+            );
+        }
+    });
+}
+
+/// Performs a task, and publishes its outcome. Returns [`PAUSE_US`] after the start, or later.
+fn perform_paused(
+    task: &Task,
+    sensor: &mut Sensor,
+    flash: &mut CalibrationFlash,
+    requests: &mut impl Mutex<T = Requests>,
+) {
+    let since = timebase::now();
+    watchdog::allow_ms(TASK_LIMIT_MS);
+    let outcome = perform(task, sensor, flash);
+    watchdog::allow_ms(watchdog::LIMIT_MS);
+    requests.lock(|requests| requests.outcome = Some(outcome));
+    timebase::sleep_until(|| {
+        watchdog::samples_go_on();
+        timebase::elapsed(since, PAUSE_US)
+    });
 }
 
 /// Creates the pipeline in place. Not inlined, because the supervisor's stack frame never ends.

@@ -91,10 +91,8 @@ impl Telemetry {
         let preferences = self.commands.preferences();
         let format = preferences.format;
         let snapshot = self.due_snapshot(Pace::new(format, preferences.rate_hz));
-        if let Some(snapshot) = &snapshot
-            && let Some(flags) = self.flag_report.update(snapshot.flags, self.now_us as u32)
-        {
-            post(Message::Attitude(flags));
+        if let Some(snapshot) = &snapshot {
+            self.report_flags(snapshot, &mut post);
         }
         if !self.transmitter.is_idle() {
             if snapshot.is_some() {
@@ -127,20 +125,7 @@ impl Telemetry {
                 output,
             );
         }
-        while output.has_room(MESSAGE_ROOM + FRAME_CAPACITY)
-            && let Some(message) = messages.lock(Mailbox::take)
-        {
-            let mut line = heapless::String::<{ message::LINE_CAPACITY }>::new();
-            // A test holds the longest message to its line.
-            write!(line, "{message}").ok();
-            put_text(
-                format,
-                message.severity(),
-                &line,
-                &mut self.commands,
-                output,
-            );
-        }
+        put_posted(format, &mut messages, &mut self.commands, output);
         let (now_us, snapshot) = (self.now_us, snapshot.as_ref());
         match format {
             OutputFormat::Mavlink => {
@@ -178,6 +163,13 @@ impl Telemetry {
         failures
     }
 
+    /// Posts a message about lasting flags of the attitude.
+    fn report_flags(&mut self, snapshot: &Snapshot, post: &mut impl FnMut(Message)) {
+        if let Some(flags) = self.flag_report.update(snapshot.flags, self.now_us as u32) {
+            post(Message::Attitude(flags));
+        }
+    }
+
     /// Returns the latest snapshot if a frame is due with this tick and the snapshot has not been
     /// sent.
     fn due_snapshot(&mut self, pace: Pace) -> Option<Snapshot> {
@@ -198,6 +190,23 @@ impl Telemetry {
             while self.logged.dequeue().is_some() {}
             self.sender.restart(BURST_COUNT.load(Ordering::Relaxed));
         }
+    }
+}
+
+/// Writes the messages in the mailbox, as many as fit beside a frame.
+fn put_posted(
+    format: OutputFormat,
+    messages: &mut impl Mutex<T = Mailbox>,
+    commands: &mut Commands,
+    output: &mut Output<'_>,
+) {
+    while output.has_room(MESSAGE_ROOM + FRAME_CAPACITY)
+        && let Some(message) = messages.lock(Mailbox::take)
+    {
+        let mut line = heapless::String::<{ message::LINE_CAPACITY }>::new();
+        // A test checks that the longest message fits.
+        write!(line, "{message}").ok();
+        put_text(format, message.severity(), &line, commands, output);
     }
 }
 
