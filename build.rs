@@ -1,9 +1,10 @@
-//! Puts the chosen board's memory sizes where the linker finds them as `board.x`, which the root `memory.x` includes.
+//! Writes the chosen board's memory sizes to `board.x` in the linker's search path. The root
+//! `memory.x` includes that file.
 
 use std::path::Path;
 use std::{env, fs};
 
-/// The boards and the file under `boards/` that holds their memory sizes.
+/// Boards, each with the file under `boards/` that holds its memory sizes.
 const BOARDS: [(&str, &str); 5] = [
     ("CARGO_FEATURE_BOARD_STM32F405", "stm32f405.x"),
     ("CARGO_FEATURE_BOARD_BLACKPILL_F401", "stm32f401.x"),

@@ -1,9 +1,12 @@
-//! Attitude on a computer: from a file of samples, or from a flight of a few seconds that is made up here.
+//! Estimates attitude on a computer, from a file of samples or from a simulated motion of ten
+//! seconds.
 //!
 //! ```sh
-//! cargo run --example host                  # made up: rolls to 30 degrees and back
-//! cargo run --example host -- samples.csv   # lines of t_us,ax,ay,az,gx,gy,gz: m/s² and rad/s in body axes, Z down
+//! cargo run --example host                  # simulated: rolls to 30 degrees and back
+//! cargo run --example host -- samples.csv
 //! ```
+//!
+//! A line of the file is `t_us,ax,ay,az,gx,gy,gz`: m/s² and rad/s in body axes, Z down.
 //!
 //! In a project of your own: `aplomb = { git = "…" }` without features.
 
@@ -33,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// One sample from each line that begins with a number.
+/// Returns one sample for each line that begins with a number.
 fn read(csv: &str) -> Result<Vec<Sample>, Box<dyn Error>> {
     let lines = csv
         .lines()
@@ -58,7 +61,7 @@ fn read(csv: &str) -> Result<Vec<Sample>, Box<dyn Error>> {
     lines.map(sample).collect()
 }
 
-/// Ten seconds at 1 kHz: two of rest, then a roll to 30° and back.
+/// Simulates ten seconds at 1 kHz: two of rest, then a roll to 30° and back.
 fn made_up() -> Vec<Sample> {
     let roll = |t_s: f32| 0.26 * (1.0 - ((t_s - 2.0).max(0.0) * std::f32::consts::FRAC_PI_4).cos());
     let at = |millisecond: u16| {

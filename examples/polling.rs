@@ -1,12 +1,15 @@
-//! Attitude on any microcontroller that has an `embedded-hal` bus: no interrupts, no DMA, nothing of this project's firmware.
+//! Estimates attitude on any microcontroller with an `embedded-hal` bus, without interrupts, DMA or
+//! this project's firmware.
 //!
 //! ```sh
-//! cargo run --profile firmware --target thumbv7em-none-eabihf --features board-stm32f405 --example polling
+//! cargo run --profile firmware --target thumbv7em-none-eabihf \
+//!     --features board-stm32f405 --example polling
 //! ```
 //!
-//! [`show_attitude`] is all there is to it, and knows nothing of the chip; `main` is an STM32F4 with `stm32f4xx-hal`. In a project
-//! of your own: `aplomb = { git = "…" }` without features, and your chip's HAL. A read blocks for 0.4 ms at 400 kHz. At less
-//! than 1000 samples a second, raise `sample_rate_divider` and lower the low-pass filter with it.
+//! [`show_attitude`] does all the work on any chip; `main` is for an STM32F4 with `stm32f4xx-hal`.
+//! In a project of your own: `aplomb = { git = "…" }` without features, and your chip's HAL. A read
+//! blocks for 0.4 ms at 400 kHz. At less than 1000 samples a second, raise `sample_rate_divider`
+//! and lower the low-pass filter with it.
 
 #![no_std]
 #![no_main]
@@ -20,10 +23,10 @@ use embedded_hal::{delay::DelayNs, digital::InputPin, i2c::I2c};
 use stm32f4xx_hal::{i2c::I2c as Bus, pac, prelude::*, rcc};
 use {defmt_rtt as _, panic_probe as _};
 
-/// Failed reads in a row after which the sensor is given up.
+/// Failed reads in a row after which the example stops.
 const MOST_FAILURES: u8 = 100;
 
-/// Reads a sample whenever the sensor's INT pin says that there is one, and shows every hundredth attitude.
+/// Reads a sample at each pulse of the sensor's INT pin, and shows every hundredth attitude.
 fn show_attitude<I2C: I2c>(
     i2c: I2C,
     interrupt: &mut impl InputPin<Error = Infallible>,
@@ -36,7 +39,8 @@ fn show_attitude<I2C: I2c>(
     let mut pipeline = Pipeline::new(&Settings::new(sensor.part()));
     let mut failures = 0_u8;
     for number in 1_u32.. {
-        // The pulse lasts for 50 µs, so this loop has to poll more often than that. A pin interrupt would be better.
+        // The pulse lasts for 50 µs, so this loop has to poll more often than that. A pin interrupt
+        // would be better.
         while let Ok(false) = interrupt.is_high() {}
         let mut burst = match sensor.read_burst(now_us()) {
             Ok(burst) => burst,
@@ -68,7 +72,8 @@ fn main() -> ! {
     let mut delay = device.TIM2.delay_us(&mut rcc);
     let mut counter = device.TIM5.counter_us(&mut rcc);
     counter.start(u32::MAX.micros()).unwrap();
-    // It begins again at zero after 71 minutes, of which the filter makes a pause; `aplomb::units::CounterExtender` goes on.
+    // The count wraps to zero after 71 minutes, which the filter handles as a pause.
+    // `aplomb::units::CounterExtender` avoids that.
     let now_us = || u64::from(counter.now().ticks());
     let Err(error) = show_attitude(i2c, &mut interrupt, &mut delay, now_us);
     panic!("{}", error);

@@ -1,12 +1,14 @@
-//! An RTIC application of your own on the burst reader: interrupts and DMA read the sensor, you get an attitude a
-//! millisecond. Pins and boards are those of the README.
+//! Template of an RTIC application on the burst reader: interrupts and DMA read the sensor, and the
+//! application gets one attitude per millisecond. Pins and boards are those of the README.
 //!
 //! ```sh
-//! cargo run --profile firmware --target thumbv7em-none-eabihf --features board-stm32f405 --example rtic
+//! cargo run --profile firmware --target thumbv7em-none-eabihf \
+//!     --features board-stm32f405 --example rtic
 //! ```
 //!
-//! In a project of your own: `aplomb = { git = "…", features = ["board-stm32f405"] }`, `rtic`, `stm32f4xx-hal`, and this
-//! project's `memory.x` with the board's sizes in it. The interrupts below must share one priority, as they share the reader.
+//! In a project of your own: `aplomb = { git = "…", features = ["board-stm32f405"] }`, `rtic`,
+//! `stm32f4xx-hal`, and this project's `memory.x` with the board's sizes in it. The interrupts
+//! below must share one priority, as they share the reader.
 
 #![no_std]
 #![no_main]
@@ -50,7 +52,8 @@ mod app {
         let bus = SensorBus::new(device.I2C1, device.GPIOB);
         let sensor = Sensor::new(bus, Config::DEFAULT, false);
         let reader = BurstReader::start();
-        // For a clone with another temperature scale: the part that `make_ready` found, in `Ready::part`.
+        // For a clone with another temperature scale: the part that `make_ready` found, in
+        // `Ready::part`.
         let pipeline = Pipeline::new(&Settings {
             verifies_scales: true,
             ..Settings::new(&Part::MPU_6050)
@@ -58,7 +61,7 @@ mod app {
         (Shared { reader, timebase }, Local { sensor, pipeline })
     }
 
-    /// Finds and configures the sensor, and again after every fault.
+    /// Finds and configures the sensor, at start and after every fault.
     #[idle(local = [sensor])]
     fn idle(context: idle::Context) -> ! {
         loop {
@@ -72,16 +75,21 @@ mod app {
         }
     }
 
-    /// Yours: runs for every sample, 0.4 ms after its edge, and has 0.6 ms. `run` publishes the attitude.
-    #[task(binds = SPI3, priority = 3, local = [pipeline, task: AttitudeTask = AttitudeTask::new()])]
+    /// Place for your code that runs for every sample: 0.4 ms after the edge, with 0.6 ms of time.
+    /// `run` publishes the attitude.
+    #[task(
+        binds = SPI3,
+        priority = 3,
+        local = [pipeline, task: AttitudeTask = AttitudeTask::new()]
+    )]
     fn attitude(context: attitude::Context) {
         let attitude::LocalResources { pipeline, task, .. } = context.local;
         task.run(pipeline, |_| {
-            // The attitude is out; here is time for the burst, as for a log.
+            // The attitude is published; your code may use the burst here, for example for a log.
         });
     }
 
-    /// Yours: what is less urgent takes the latest attitude whenever it likes.
+    /// Place for your less urgent code, which may read the latest attitude at any time.
     #[task(priority = 1)]
     async fn show(_: show::Context) {
         if let Some((snapshot, _)) = publish::latest() {
@@ -106,7 +114,8 @@ mod app {
         context.shared.reader.on_bus_error();
     }
 
-    /// SPI1 is not used as a port: its interrupt is how [`AttitudeTask`] asks for the sensor's settings to be read back.
+    /// SPI1 is not used as a port. [`AttitudeTask`] uses its interrupt to request a check of the
+    /// sensor's settings.
     #[task(binds = SPI1, priority = 4, shared = [reader])]
     fn check_settings(context: check_settings::Context) {
         context.shared.reader.on_check_request();

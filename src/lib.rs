@@ -1,4 +1,4 @@
-//! Attitude from an MPU-6050: the part of `aplomb` that runs anywhere.
+//! Estimates attitude from an MPU-6050, on any processor.
 //!
 //! One sample makes one trip, always in the same direction:
 //!
@@ -7,42 +7,64 @@
 //!        (mpu6050)  (calibration)           (estimator)  (health)  (pipeline)
 //! ```
 //!
-//! [`pipeline::Pipeline`] is the whole trip in one call. It has no clock, no bus and no memory of
-//! its own beyond the struct, so the same bytes give the same attitude, to the bit, in the firmware,
-//! in an emulator and on a computer: every operation is either plain `f32` arithmetic or comes from
-//! `libm`, and nothing depends on the platform's mathematics library.
+//! [`pipeline::Pipeline`] is the whole trip in one call. It has no clock, no bus and no memory
+//! beyond the struct. Therefore the same bytes give the same attitude, to the bit, in the firmware,
+//! in an emulator and on a computer. Every operation is plain `f32` arithmetic or comes from
+//! `libm`, never from the platform's mathematics library.
 //!
-//! The module [`pipeline`] begins with an example; [`estimator`] has one for samples in SI units, without an MPU-6050.
+//! The module [`pipeline`] begins with an example.
 //!
-//! Whole programs are in `examples/`: with RTIC and this crate's burst reader, with Embassy and asynchronous I2C, with any
-//! `embedded-hal` bus, and on a computer. [`mpu6050::Mpu6050`] finds, configures and reads the sensor over a blocking bus;
-//! [`mpu6050::Step`] is what any other bus has to write.
+//! # Samples in SI units, without an MPU-6050
+//!
+//! The [`estimator`] alone needs a time, a specific force and an angular rate in body axes. It
+//! returns the attitude with its σ:
+//!
+//! ```
+//! use aplomb::attitude::Vector3;
+//! use aplomb::estimator::{Estimator, Sample};
+//!
+//! # let force_m_s2 = Vector3::new(0.0, -4.903, -8.493);
+//! # let samples = (0..2_000).map(|n| (1_000 * n, force_m_s2, Vector3::ZERO));
+//! let mut estimator = Estimator::new();
+//! for (t_us, force_m_s2, rate_rad_s) in samples {
+//!     let estimate = estimator.update(&Sample::new(t_us, force_m_s2, rate_rad_s));
+//!     println!("{:?} ± {} rad", estimate.euler(), estimate.tilt_sigma_rad());
+//! }
+//! # assert!((estimator.estimate().euler().roll_rad.to_degrees() - 30.0).abs() < 0.1);
+//! ```
+//!
+//! # Programs, features and modules
+//!
+//! Whole programs are in `examples/`: with RTIC and this crate's burst reader, with Embassy and
+//! asynchronous I2C, with any `embedded-hal` bus, and on a computer. [`mpu6050::Mpu6050`] finds,
+//! configures and reads the sensor over a blocking bus; [`mpu6050::Step`] is what any other bus has
+//! to write.
 //!
 //! | feature | adds | brings |
 //! |---|---|---|
-//! | none | all modules below but two: `no_std`, no allocation, for any chip | no HAL, no linker script |
+//! | none | all modules below but two: `no_std`, no allocation | no HAL, no linker script |
 //! | `mavlink` | `telemetry::mavlink` | the `mavlink` crate |
 //! | `defmt` | `defmt::Format` on the public types | `defmt` |
-//! | `board-stm32f405` and others | `board` (target alone), and the firmware as a program | `stm32f4xx-hal`, RTIC, both of the above |
+//! | `board-…` | `board` (target only), and the firmware | `stm32f4xx-hal`, RTIC, the above |
 //!
-//! | module | what it knows |
+//! | module | contents |
 //! |---|---|
 //! | [`units`] | constants, and the extension of a 32-bit microsecond counter to 64 bits |
 //! | [`attitude`] | vectors, quaternions, Euler angles, the two frames |
 //! | [`mpu6050`] | registers, settings, the 14-byte burst, the configuring driver |
-//! | [`calibration`] | rest, and what is made of it: offsets, poses, level, mount, temperature |
-//! | [`settings`] | all that is kept in flash: the calibration and the outputs' preferences |
-//! | [`estimator`] | one file per filter |
-//! | [`fault`] | what can go wrong between the sensor's pins and the pipeline |
-//! | [`health`] | the flags that travel with every attitude |
+//! | [`calibration`] | stationary detector and fits: offsets, poses, level, mount, temperature |
+//! | [`settings`] | content of the flash: the calibration and the outputs' preferences |
+//! | [`estimator`] | the gate, the Kalman filter and the tutorial's filters |
+//! | [`fault`] | faults between the sensor's pins and the pipeline |
+//! | [`health`] | the flags of every attitude, and the monitor that sets them |
 //! | [`pipeline`] | the order of the steps |
 //! | [`serialize`] | visits every field of a state: flight logs that replay to the bit |
 //! | [`telemetry`] | one file per output format, encoder and decoder together |
 //! | [`console`] | commands over a serial line |
 //! | `board` | pins, clocks and DMA of an STM32F4, the burst reader |
 //!
-//! Body axes are forward-right-down, earth axes are north-east-down ("north" being the heading at
-//! start, since nothing here sees a compass). Angles are radians inside and degrees in text.
+//! Body axes are forward-right-down, earth axes are north-east-down. "North" is the heading at
+//! start, because there is no compass. Angles are radians inside and degrees in text.
 
 #![cfg_attr(not(test), no_std)]
 #![deny(missing_docs)]

@@ -1,10 +1,11 @@
 //! Visits every field of a state, to write it as bytes or to read it back.
 //!
-//! A flight log carries the filter's whole state, so that a replay can start in mid-flight. Each type lists its
-//! fields once, in `visit_state`, and hands each of them to a [`StateVisitor`]. The same list serves both directions, so
-//! writing and reading cannot disagree:
+//! A flight log carries the filter's whole state, so that a replay can start in mid-flight. Each
+//! type lists its fields once, in `visit_state`, and passes each of them to a [`StateVisitor`]. The
+//! same list serves both directions, so writing and reading cannot disagree:
 //!
-//! - [`StateWriter`] copies the fields to bytes. It can copy a section only, so that a long state is sent in pieces.
+//! - [`StateWriter`] copies the fields to bytes. It can copy a section only, so that a long state
+//!   is sent in pieces.
 //! - [`StateReader`] sets the fields from bytes.
 //!
 //! Integers are little-endian, floats are their IEEE 754 bits. The layout belongs to one
@@ -36,7 +37,8 @@ pub trait StateVisitor {
     /// Visits raw bytes.
     fn bytes(&mut self, bytes: &mut [u8]);
 
-    /// Marks the state as invalid: a field has no byte form, or the bytes read are no valid value of it.
+    /// Marks the state as invalid: a field has no byte form, or the bytes read are no valid value
+    /// of it.
     fn reject(&mut self);
 
     /// Visits a byte.
@@ -133,7 +135,8 @@ pub trait StateVisitor {
         self.f32(&mut value.z);
     }
 
-    /// Visits an optional value: a boolean, then the value if there is one. Reading starts from `blank`.
+    /// Visits an optional value: a boolean, then the value if there is one. Reading starts from
+    /// `blank`.
     fn optional<T>(
         &mut self,
         value: &mut Option<T>,
@@ -162,7 +165,8 @@ pub struct StateWriter<'a> {
 }
 
 impl<'a> StateWriter<'a> {
-    /// A writer of the bytes from `start` on, as many as `section` holds. An empty section only measures the length.
+    /// Creates a writer of the bytes from `start` on, as many as `section` holds. An empty section
+    /// only measures the length.
     pub fn new(section: &'a mut [u8], start: usize) -> Self {
         Self {
             section,
@@ -172,7 +176,7 @@ impl<'a> StateWriter<'a> {
         }
     }
 
-    /// Length of the whole state in bytes; `None` if the state has no byte form.
+    /// Returns the length of the whole state in bytes; `None` if the state has no byte form.
     pub fn length(&self) -> Option<usize> {
         (!self.is_rejected).then_some(self.position)
     }
@@ -206,7 +210,7 @@ pub struct StateReader<'a> {
 }
 
 impl<'a> StateReader<'a> {
-    /// A reader of all these bytes.
+    /// Creates a reader of all these bytes.
     pub const fn new(bytes: &'a [u8]) -> Self {
         Self {
             rest: bytes,
@@ -214,12 +218,12 @@ impl<'a> StateReader<'a> {
         }
     }
 
-    /// Whether every byte was used and every field was valid. Otherwise discard the state that was read.
+    /// Returns whether every byte was used and every field was valid. If not, discard the state.
     pub const fn is_complete(&self) -> bool {
         self.rest.is_empty() && !self.is_rejected
     }
 
-    /// The unread bytes; `None` after an invalid field.
+    /// Returns the unread bytes; `None` after an invalid field.
     pub const fn rest(&self) -> Option<&'a [u8]> {
         if self.is_rejected {
             None
@@ -288,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_survives_and_pieces_make_the_whole() {
+    fn a_value_survives_a_round_trip_in_one_piece_and_in_many() {
         let whole = written(VALUE);
         assert_eq!(whole.len(), 1 + 1 + 1 + 4 + 5 + 8);
         let mut pieces = Vec::new();
@@ -308,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_value_is_refused() {
+    fn invalid_bytes_are_rejected() {
         let whole = written(VALUE);
         let is_complete = |bytes: &[u8]| {
             let mut reader = StateReader::new(bytes);

@@ -36,9 +36,9 @@ pub const fn degrees(radians: f32) -> f32 {
 
 /// Extends a free-running 32-bit counter to 64 bits.
 ///
-/// At 1 MHz the counter wraps every 71.6 minutes. Each count extends the one before it, so there is no overflow
-/// to be handled; a count must only lie within half a turn (35 minutes at 1 MHz) of the one before. It may be older:
-/// a hardware capture is often read after a later count.
+/// At 1 MHz the counter wraps every 71.6 minutes. Each count extends the previous one, so callers
+/// have no overflow to handle. A count must lie within half a turn (35 minutes at 1 MHz) of the
+/// previous one. It may be older: a hardware capture is often read after a later count.
 ///
 /// ```
 /// use aplomb::units::CounterExtender;
@@ -53,7 +53,7 @@ pub struct CounterExtender {
 }
 
 impl CounterExtender {
-    /// An extender for a counter that stands at this count, and has not wrapped.
+    /// Creates an extender for a counter at this count, which has not wrapped.
     pub const fn new(count: u32) -> Self {
         Self {
             latest: count as u64,

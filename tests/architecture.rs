@@ -1,11 +1,11 @@
-//! The rules of ARCHITECTURE.md that a machine can check: who may import whom, where `unsafe` may
-//! stand, and what a chip's flash map keeps free.
+//! Tests of the rules of ARCHITECTURE.md: allowed imports, allowed places of `unsafe`, and the
+//! reserved part of a chip's flash map.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Each part of the library with those that it may import. `A → [B]` reads "A may import B".
+/// Parts of the library, each with the parts that it may import. `A → [B]` reads "A may import B".
 const MAY_IMPORT: [(&str, &[&str]); 14] = [
     ("units", &[]),
     ("attitude", &["units"]),
@@ -112,11 +112,14 @@ fn only_bins_import_the_board() {
     }
 }
 
-/// The list of `unsafe` for people: each reason with the files that give it.
+/// Compares the list of `unsafe` in the docs with the code: each reason with its files.
 #[test]
 fn unsafe_is_listed_with_its_reasons() {
     let mut list = String::from(
-        "# `unsafe`, and why it is sound\n\nWritten by `APLOMB_BLESS=1 cargo test --test architecture`; the test fails if it is old.\n\n| file | why |\n|---|---|\n",
+        "# `unsafe`, and why it is sound\n\n\
+         Written by `APLOMB_BLESS=1 cargo test --test architecture`; \
+         the test fails if it is old.\n\n\
+         | file | why |\n|---|---|\n",
     );
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let files = ["rigs/src", "src"].map(rust_files).concat();
@@ -147,7 +150,7 @@ fn unsafe_is_listed_with_its_reasons() {
 }
 
 #[test]
-fn unsafe_stands_in_the_board_alone_and_gives_its_reason() {
+fn unsafe_is_only_in_the_board_and_gives_its_reason() {
     let mut blocks = 0;
     for folder in [
         "src",
@@ -194,7 +197,7 @@ fn unsafe_stands_in_the_board_alone_and_gives_its_reason() {
 
 #[test]
 fn writing_firmware_never_erases_the_whole_chip() {
-    // That would take the stored calibration with it.
+    // An erase of the whole chip would erase the stored calibration too.
     for file in ["Embed.toml", ".cargo/config.toml", "xtask/src/main.rs"] {
         let contents = fs::read_to_string(root().join(file)).expect("the file is there");
         assert!(contents.contains("probe-rs") || contents.contains("[default.flashing]"));
@@ -227,7 +230,7 @@ fn every_package_takes_the_lints_of_the_workspace() {
 }
 
 #[test]
-fn every_module_header_says_what_it_is() {
+fn every_module_has_a_header() {
     for folder in [
         "src",
         "bench/src",
@@ -248,7 +251,7 @@ fn every_module_header_says_what_it_is() {
     }
 }
 
-/// The parts named in a line of code after `crate::` or `aplomb::`.
+/// Returns the parts named in a line of code after `crate::` or `aplomb::`.
 fn imports(line: &str) -> Vec<String> {
     let code = line.split("//").next().unwrap_or_default();
     ["crate::", "aplomb::"]
@@ -266,7 +269,7 @@ fn imports(line: &str) -> Vec<String> {
         .collect()
 }
 
-/// The part that a file belongs to: the first name below `src`.
+/// Returns the part of a file: the first name below `src`.
 fn part_of(path: &Path) -> String {
     let below = path.strip_prefix(root().join("src")).unwrap_or(path);
     let first = below.iter().next().unwrap_or_default().to_string_lossy();
@@ -282,7 +285,7 @@ fn rust_files(folder: &str) -> Vec<(PathBuf, String)> {
         for entry in entries {
             let path = entry.expect("the folder can be listed").path();
             if path.is_dir() {
-                // Whoever builds an example in its own folder has one of these there.
+                // A build of an example in its own folder creates this folder.
                 if !path.ends_with("target") {
                     folders.push(path);
                 }

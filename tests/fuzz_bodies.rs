@@ -1,5 +1,5 @@
-//! The fuzz targets' bodies, each with a bounded number of random inputs: noise, and text that is
-//! nearly right.
+//! Runs of the fuzz targets' bodies, each with a bounded number of random inputs: noise, and almost
+//! valid text.
 
 use proptest::prelude::*;
 
@@ -102,7 +102,7 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
     });
     let stream = prop::collection::vec(damaged, 0..40).prop_map(|pieces| pieces.concat());
     // Bodies of frames: a kind, and bytes of about the right length, of which the first are
-    // ordinary.
+    // plausible.
     let body = (
         1_u8..=5,
         prop::sample::select(vec![29_usize, 40, 104, 20, 60]),
@@ -157,7 +157,7 @@ fn nearly_frames() -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
-/// An optional field of this many numbers, most of them ordinary.
+/// An optional field of this many numbers, most of them plausible.
 fn nearly_optional(numbers: usize) -> impl Strategy<Value = Vec<u8>> {
     let number = prop_oneof![
         30 => -1.0e3_f32..1.0e3,
@@ -170,7 +170,7 @@ fn nearly_optional(numbers: usize) -> impl Strategy<Value = Vec<u8>> {
     prop_oneof![10 => present, 10 => Just(vec![0]), 1 => Just(vec![2])]
 }
 
-/// Records, right and nearly right, as the fuzz target's body takes them.
+/// Records, valid and almost valid, as the fuzz target's body takes them.
 fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
     let mounts = [
         &b"\0"[..],
@@ -197,7 +197,7 @@ fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
         .boxed();
     prop_oneof![
         10 => record.clone(),
-        // Laid into the slot whole, with bytes changed here and there.
+        // The whole record is in the slot, with some bytes changed.
         1 => (record, prop::collection::vec((any::<usize>(), any::<u8>()), 0..3)).prop_map(
             |(record, changes)| {
                 let mut slot = stored_record::image(1, &record[1..]);
@@ -258,8 +258,7 @@ fn nearly_text() -> impl Strategy<Value = Vec<u8>> {
         .prop_map(|(attitude, pieces): (Vec<u8>, _)| [attitude, pieces.concat()].concat())
 }
 
-/// Settings, an identity that is known more often than not, and few faults, so that the driver gets
-/// far.
+/// Settings, a mostly known identity, and few faults, so that the driver runs most of its code.
 fn nearly_a_sensor() -> impl Strategy<Value = Vec<u8>> {
     let identity = prop_oneof![
         4 => prop::sample::select(aplomb::mpu6050::PARTS.map(|part| part.who_am_i).to_vec()),
@@ -277,8 +276,7 @@ fn nearly_a_sensor() -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
-/// A filter, changes of its state or the knowledge of an earlier run, and bursts, many like a
-/// sensor's.
+/// A filter, changes of its state or the state of an earlier run, and bursts, many like a sensor's.
 fn nearly_a_state() -> impl Strategy<Value = Vec<u8>> {
     let changes = prop::collection::vec(any::<[u8; 3]>(), 0..30)
         .prop_map(|changes| [vec![changes.len() as u8], changes.concat()].concat());

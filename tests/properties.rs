@@ -1,4 +1,4 @@
-//! Properties of the library, over many generated inputs, against formulas of their own.
+//! Properties of the library over many generated inputs, checked against independent formulas.
 
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3, sine_cosine, wrap_pi};
 use aplomb::calibration::accelerometer::{PoseCollector, fit};
@@ -59,7 +59,8 @@ fn any_rotation() -> impl Strategy<Value = Quaternion> {
         .prop_map(|(w, x, y, z)| Quaternion::new(w, x, y, z).normalize())
 }
 
-/// The largest difference between two rotations' matrices, which knows no sign and no angles.
+/// Returns the largest difference of two rotations' matrices, which depends on neither sign nor
+/// angles.
 fn difference(a: Quaternion, b: Quaternion) -> f32 {
     [
         Vector3::new(1.0, 0.0, 0.0),
@@ -77,7 +78,7 @@ proptest! {
         let wrapped = wrap_pi(angle);
         prop_assert!(wrapped > -PI && wrapped <= PI);
         let turns = (f64::from(angle) - f64::from(wrapped)) / std::f64::consts::TAU;
-        // The turn that is taken off is that of `f32`, which is 2e-7 too long.
+        // The subtracted turn is that of `f32`, which is 2e-7 too long.
         prop_assert!((turns - turns.round()).abs() < 1e-4, "{turns}");
     }
 
@@ -101,7 +102,7 @@ proptest! {
     ) {
         let angles = EulerAngles { roll_rad, pitch_rad, yaw_rad };
         let back = Quaternion::from_euler(angles).to_euler();
-        // Next to the pole roll and yaw are ever less defined.
+        // Close to the pole roll and yaw become undefined.
         let tolerance = 3e-6 / pitch_rad.cos();
         prop_assert!((back.roll_rad - roll_rad).abs() < tolerance, "{back:?}");
         prop_assert!((back.pitch_rad - pitch_rad).abs() < 3e-6, "{back:?}");
@@ -243,11 +244,11 @@ proptest! {
     }
 
     #[test]
-    fn the_average_is_exact_or_motion_is_seen(
+    fn the_average_is_exact_or_motion_is_reported(
         seed in prop::collection::vec(-32_000..32_000i16, 1..8),
         samples in 1..=u16::MAX,
     ) {
-        // Scales at which no count is too fast, too wide or too heavy: arithmetic alone is tested.
+        // Scales at which every count is within the limits: only the arithmetic is tested.
         let noise = NoiseModel {
             gyroscope_sigma_counts: 1.0e6,
             accelerometer_sigma_counts: 1.0e6,
@@ -349,7 +350,7 @@ proptest! {
     }
 
     #[test]
-    fn any_sensor_within_the_datasheet_is_fitted(
+    fn any_sensor_within_the_datasheet_tolerance_is_fitted(
         offset in any_vector(0.08),
         scales in any_vector(0.03),
         cross in any_vector(0.02),
@@ -379,7 +380,7 @@ proptest! {
     }
 
     #[test]
-    fn any_force_levels_mounts_and_any_point_is_learned_or_refused(
+    fn any_force_and_any_temperature_point_is_used_or_refused(
         numbers in prop::collection::vec(
             (any_bits(), any_bits(), any_bits(), any_bits(), any_bits()),
             1..20,
@@ -489,7 +490,7 @@ proptest! {
     }
 
     #[test]
-    fn text_says_its_numbers_to_a_hundredth(
+    fn text_reads_back_to_a_hundredth(
         numbers in prop::array::uniform6(-99_000.0..99_000.0f32),
         is_valid: bool,
     ) {
@@ -522,7 +523,7 @@ proptest! {
             let is_close = error <= tolerance || (error - 360.0).abs() <= tolerance;
             prop_assert!(is_close, "{there} {here}");
         }
-        // A second trip changes nothing any more.
+        // A second round trip changes nothing.
         let mut second = [0; text::LINE_LENGTH];
         prop_assert_eq!(text::encode_line(&back, &mut second), line.as_bytes());
     }

@@ -1,7 +1,7 @@
-//! The public API is as `tests/golden/public-api.txt` lists it, so that no change goes unseen.
+//! Compares the public API with `tests/golden/public-api.txt`, so that every change is visible.
 //!
-//! `cargo xtask api` has rustdoc describe the library and names the files in `APLOMB_RUSTDOC_JSON`;
-//! without that variable the test says that it is skipped.
+//! `cargo xtask api` runs rustdoc on the library and names the files in `APLOMB_RUSTDOC_JSON`.
+//! Without that variable the test reports that it is skipped.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use std::{env, fs};
 
 use public_api::Builder;
 
-/// The format of Rust 1.95 and 1.96. Another compiler may list the same API differently.
+/// Format of Rust 1.95 and 1.96. Another compiler may list the same API differently.
 const FORMAT: &str = "57";
 const GOLDEN: &str = "tests/golden/public-api.txt";
 const EXPLANATION: &str = "\
@@ -50,7 +50,7 @@ fn the_public_api_is_the_one_that_is_committed() {
     compare(&text);
 }
 
-/// The format's version, which rustdoc writes near the end of its file.
+/// Returns the format's version, which rustdoc writes near the end of its file.
 fn format_of(file: &Path) -> String {
     let text = fs::read_to_string(file).expect("rustdoc has written its file");
     let (_, rest) = text
@@ -59,7 +59,7 @@ fn format_of(file: &Path) -> String {
     rest.chars().take_while(char::is_ascii_digit).collect()
 }
 
-/// One line an item, all derived traits of a type in one.
+/// Returns one line per item, with all derived traits of a type in one line.
 fn list(file: &Path) -> Vec<String> {
     let items = |with_derived: bool| -> Vec<String> {
         let api = Builder::from_rustdoc_json(file)
@@ -92,13 +92,13 @@ fn list(file: &Path) -> Vec<String> {
     lines
 }
 
-/// The trait's name and the type of a line such as `impl core::clone::Clone for a::B`.
+/// Returns the trait's name and the type of a line such as `impl core::clone::Clone for a::B`.
 fn derived_trait(line: &str) -> Option<(&str, &str)> {
     let (path, type_name) = line
         .strip_prefix("impl")
         .and_then(|rest| rest.split_once(" for "))?;
     let name = path.rsplit("::").next()?;
-    // The compiler's own mark of a derived `PartialEq`.
+    // The compiler's mark of a derived `PartialEq`.
     (name != "StructuralPartialEq").then_some((name, type_name))
 }
 

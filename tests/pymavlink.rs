@@ -1,4 +1,4 @@
-//! MAVLink with pymavlink at the other end: an independent implementation of the same definitions.
+//! Tests MAVLink against pymavlink, an independent implementation of the same definitions.
 //!
 //! The test installs pymavlink into a folder of its own under `target`. Without Python, or where
 //! the installation fails, it reports that and proves nothing.
@@ -22,11 +22,11 @@ use aplomb::telemetry::message::Severity;
 #[path = "pymavlink/python.rs"]
 mod python;
 
-/// Turns of 20 ms.
+/// Rounds of 20 ms.
 const TURNS: u64 = 500;
 
 #[test]
-fn pymavlink_understands_the_module_and_the_module_understands_it() {
+fn pymavlink_and_the_module_decode_each_other() {
     let Some(python) = python::with_pymavlink(Path::new(env!("CARGO_TARGET_TMPDIR"))) else {
         return;
     };
@@ -80,7 +80,7 @@ fn pymavlink_understands_the_module_and_the_module_understands_it() {
     );
 }
 
-/// A message of the report: its name, and its fields as Python shows them.
+/// Message of the report: its name, and its fields in Python's notation.
 type Seen<'a> = (&'a str, BTreeMap<&'a str, &'a str>);
 
 fn check(report: &str, flown: &BTreeMap<String, Snapshot>) {
@@ -105,7 +105,7 @@ fn check(report: &str, flown: &BTreeMap<String, Snapshot>) {
             ("rollspeed", snapshot.body_rates_rad_s.x),
             ("yawspeed", snapshot.body_rates_rad_s.z),
         ] {
-            // A float in the message, shown as the double that it is.
+            // A float of the message, printed as a double.
             assert_eq!(number(fields[name]) as f32, expected, "{name}");
         }
     }
@@ -174,7 +174,7 @@ fn number(text: &str) -> f64 {
         .unwrap_or_else(|_| panic!("{text} is no number"))
 }
 
-/// A module without hardware: a pipeline that flies, and a session.
+/// Module without hardware: a pipeline in flight, and a session.
 struct Module {
     pipeline: Pipeline,
     session: Session,
@@ -204,7 +204,7 @@ impl Module {
         }
     }
 
-    /// Twenty samples; then what goes out at 115,200 baud.
+    /// Runs twenty samples, then returns the output at 115,200 baud.
     fn turn(&mut self, turn: u64) -> (Vec<u8>, Snapshot) {
         let mut snapshot = Snapshot::default();
         for step in 1..=20_u64 {

@@ -1,4 +1,4 @@
-//! The filters' revision stands for their bits, and a filter's state holds all that its attitudes depend on.
+//! Tests that the filters' revision identifies their bits, and that a filter's state is complete.
 
 use aplomb::estimator::REVISION;
 use aplomb::health::{BoardFlags, Flags};
@@ -8,13 +8,13 @@ use aplomb::mpu6050::{
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::serialize::{StateReader, StateWriter};
 
-/// Hash of all attitudes of the flight below. If this test fails, the filter gives
-/// other attitudes than logs of this revision were made with: raise `REVISION` in `src/estimator/mod.rs`, and put the new
-/// hash here.
+/// Hash of all attitudes of the flight below. If this test fails, the filter's attitudes differ
+/// from those in logs of this revision. Then increase `REVISION` in `src/estimator/mod.rs`, and put
+/// the new hash here.
 const EXPECTED: (u16, u64) = (3, 0xBA08_35BF_99B4_2955);
 
-/// Ten seconds at about 1 kHz: rest, then turns and shaking, with gaps, saturation, free fall, data that freeze, and a sensor that
-/// has lost its settings.
+/// Flight of ten seconds at about 1 kHz: rest, then turns and shaking. It includes gaps,
+/// saturation, free fall, frozen data, and a sensor that has lost its settings.
 fn flight() -> impl Iterator<Item = (Burst, BoardFlags)> {
     let mut random = 12_345_u32;
     let mut t_us = 2_000_000;
@@ -90,7 +90,7 @@ fn step(pipeline: &mut Pipeline, (burst, board): &(Burst, BoardFlags)) -> ([u32;
 }
 
 #[test]
-fn the_revision_stands_for_these_bits() {
+fn attitudes_of_this_revision_have_this_hash() {
     let mut pipeline = pipeline();
     // FNV-1a, 64 bits.
     let found = flight().fold(0xCBF2_9CE4_8422_2325_u64, |hash, burst| {
@@ -110,7 +110,7 @@ fn the_revision_stands_for_these_bits() {
 }
 
 #[test]
-fn a_state_holds_all_that_attitudes_depend_on() {
+fn a_restored_state_gives_the_same_attitudes() {
     let bursts: Vec<_> = flight().collect();
     let mut original = pipeline();
     let mut states = 0;
@@ -121,8 +121,8 @@ fn a_state_holds_all_that_attitudes_depend_on() {
             *attitude = step(restored, burst);
             assert_eq!(*attitude, expected, "burst {index}");
         }
-        // A prime, so that every phase of the filter's work occurs. Each state is followed for 650 samples, longer than
-        // two covariance steps.
+        // A prime, so that every phase of the filter's work occurs. Each state is followed for 650
+        // samples, longer than two covariance steps.
         if index % 13 != 0 {
             continue;
         }
@@ -131,7 +131,7 @@ fn a_state_holds_all_that_attitudes_depend_on() {
         let mut copy = original;
         copy.visit_state(&mut writer);
         let length = writer.length().expect("a state");
-        // A pipeline with another past.
+        // A pipeline with another history.
         let mut restored = Pipeline::new(&Settings::new(&Part::MPU_6050));
         for burst in bursts.iter().rev().take(50) {
             step(&mut restored, burst);

@@ -1,9 +1,9 @@
 //! Random bytes as a flight log: an accepted frame is read back from its own encoding, and the
 //! decoder recovers after any input.
 //!
-//! The first byte selects the form of the rest: as it is, or as bodies of frames, each after a byte
-//! with its length. The harness adds the CRC to bodies, so that they reach the decoder. It builds
-//! frames independently of the library.
+//! The first byte selects the form of the rest: unchanged, or as bodies of frames, each after a
+//! byte with its length. The harness adds the CRC to bodies, so that they reach the decoder. It
+//! builds frames independently of the library.
 
 use aplomb::telemetry::log::{Decoder, FRAME_CAPACITY, Frame, Text, encode};
 

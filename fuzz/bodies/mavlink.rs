@@ -1,8 +1,8 @@
 //! Random bytes from a ground station: answers are whole frames with consecutive numbers.
 //!
-//! The first byte selects the form of the rest: as it is, or as payloads of frames, each after two
-//! bytes with its message and length. The harness adds the checksum to payloads, so that they reach
-//! the decoder. It builds frames independently of the library.
+//! The first byte selects the form of the rest: unchanged, or as payloads of frames. Each payload
+//! follows two bytes with its message and length. The harness adds the checksum to payloads, so
+//! that they reach the decoder. It builds frames independently of the library.
 
 use aplomb::estimator::Sample;
 use aplomb::settings::Record;

@@ -14,8 +14,8 @@ use embedded_hal::i2c::{
 const LONGEST_NS: u64 = 1_500_000_000;
 
 /// Probes, configures and tests a sensor. The first byte selects the configuration, the second the
-/// identity. The others are the fates of the transfers: zero is a sensor that keeps written values,
-/// and so is the end.
+/// identity. Each other byte selects the behaviour of a transfer. Zero, or no byte, is a sensor
+/// that keeps written values.
 ///
 /// # Panics
 ///
@@ -74,7 +74,7 @@ fn use_it(mut sensor: Mpu6050<&mut Bus<'_>>, config: &Config, delay: &mut Delay)
     }
 }
 
-/// Registers, and the fates of the transfers.
+/// Registers, and the behaviour of each transfer.
 struct Bus<'a> {
     registers: [u8; 128],
     fates: std::slice::Iter<'a, u8>,

@@ -1,5 +1,5 @@
-//! Random bytes as a filter's state, from a flight log or from before a reset: later samples still
-//! give attitudes.
+//! Random bytes as a filter's state, from a flight log or from RAM after a reset: later samples
+//! still give attitudes.
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::estimator::kalman::WarmStart;
@@ -56,7 +56,7 @@ pub fn run(bytes: &[u8]) {
         let burst = burst(bytes, t_us);
         let snapshot = pipeline.update(&burst, flags);
         let stale = pipeline.stale(t_us + 5_000, flags);
-        // A state that no filter can reach only has to do no harm.
+        // After a state that no filter can reach, only finite output is required.
         if !is_restored {
             check(&snapshot);
             check(&stale);
@@ -75,7 +75,7 @@ fn restored(pipeline: &mut Pipeline, changes: &[u8]) {
     let Some(mut changed) = read(*pipeline, &state) else {
         return;
     };
-    // Bytes that mean nothing beside others are not kept; what is written once comes back.
+    // Bytes without a meaning are not kept; a state that is written once reads back unchanged.
     let state = written(&mut changed);
     let mut again = read(*pipeline, &state).expect("what was written is read");
     assert!(written(&mut again) == state, "it does not come back");
@@ -97,7 +97,7 @@ fn written(pipeline: &mut Pipeline) -> Vec<u8> {
     bytes
 }
 
-/// Knowledge of an earlier run, as kept in RAM.
+/// State of an earlier run, as kept in RAM.
 fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 36]) {
     let [w, x, y, z, tilt, p, q, r, bias] =
         std::array::from_fn(|place| f32::from_le_bytes(bytes.as_chunks().0[place]));

@@ -1,6 +1,6 @@
 //! Random bytes in the calibration slots: a record that loads is one that was saved whole.
 //!
-//! The first byte selects the form of the rest: as it is, or as the body of a record. The harness
+//! The first byte selects the form of the rest: unchanged, or as the body of a record. The harness
 //! adds a right header to a body, so that it reaches the decoder. It builds the header
 //! independently of the library.
 

@@ -1,4 +1,4 @@
-//! Random bytes as the module's text formats, as a teapot packet, and as a line of `bursts.csv`: an
+//! Random bytes as the module's text formats, as a teapot packet, and as a line of `bursts.csv`. An
 //! accepted input encodes to the same numbers, and every encoder's output is accepted.
 
 use aplomb::attitude::{Quaternion, Vector3};

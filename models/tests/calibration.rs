@@ -1,5 +1,5 @@
-//! The library's calibration on modelled sensors from anywhere within the datasheet's tolerance: 200 chips, each with its own
-//! offsets, scales, cross-axis terms, curved temperature drift and noise.
+//! Tests of the library's calibration on 200 modelled sensors within the datasheet's tolerance.
+//! Each chip has its own offsets, scales, cross-axis terms, curved temperature drift and noise.
 //!
 //! Prints the figures that the README quotes:
 //! `cargo test --profile host -p aplomb-models --test calibration -- --nocapture`.
@@ -25,18 +25,18 @@ use aplomb_models::sensor::identity::Identity;
 use aplomb_models::sensor::signal_path::{self, SignalPath};
 
 const CHIPS: u64 = 200;
-/// The air on the bench, °C.
+/// Temperature of the air on the bench, °C.
 const ROOM_C: f64 = 25.0;
-/// The air before the warm-up, °C.
+/// Temperature of the air before the warm-up, °C.
 const COLD_C: f64 = 10.0;
-/// So long after power-up the chip has warmed up.
+/// Time after power-up at which the chip has warmed up.
 const WARM_S: f64 = 3600.0;
-/// How far poses are off, degrees.
+/// Error of the poses, degrees.
 const POSE_ERROR_DEGREES: f64 = 5.0;
-/// Level, chip face up: which way the specific force points in the sensor's axes.
+/// Direction of the specific force in sensor axes: level, chip face up.
 const FACE_UP: Vector = [0.0, 0.0, 1.0];
 
-/// One chip on a bench, with the firmware's settings and pipeline.
+/// Chip on a bench, with the firmware's settings and pipeline.
 struct Chip {
     errors: SensorErrors,
     path: SignalPath,
@@ -66,7 +66,8 @@ impl Chip {
         }
     }
 
-    /// The next sample of a body whose sensor feels this force (m/s²) and rate (rad/s), in air of so many °C.
+    /// Returns the next sample at this specific force (m/s²) and rate (rad/s), in air of this
+    /// temperature (°C).
     fn sample(&mut self, force: Vector, rate: Vector, air_c: f64, awake_s: f64) -> Burst {
         let truth = Truth {
             // The model turns body axes into the sensor's; face up, y and z are reversed.
@@ -93,7 +94,7 @@ impl Chip {
         }
     }
 
-    /// What the firmware finds of a motion: the first thing that happens to a rest of so many samples.
+    /// Returns the firmware's result for a motion: the first event of a rest of `samples` samples.
     fn watch(
         &mut self,
         samples: u16,
@@ -140,7 +141,7 @@ impl Chip {
         }
     }
 
-    /// A pose of the guide, as well as a hand holds it.
+    /// Returns a pose of the guide, with the error of a hand.
     fn about(&mut self, pose: Pose) -> Vector {
         let up = pose.up();
         let up = [up.x, up.y, up.z].map(f64::from);
@@ -158,7 +159,7 @@ impl Chip {
         self.errors.chip_temperature_c(air_c, awake_s)
     }
 
-    /// The true offset at rest, level, °/s.
+    /// Returns the true offset at rest, level, °/s.
     fn true_offset_dps(&self, chip_c: f64) -> Vector {
         let force = scale(FACE_UP, STANDARD_GRAVITY_M_S2);
         self.errors
@@ -167,7 +168,7 @@ impl Chip {
     }
 }
 
-/// Worst and median of a figure over the chips.
+/// Returns worst and median of a figure over the chips.
 struct Figure(Vec<f64>);
 
 impl Figure {
@@ -200,7 +201,7 @@ fn largest_difference(a: Vector, b: Vector) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// The rotation nearest to a matrix (rows): Q ← (Q + Q⁻ᵀ)/2, Higham's iteration.
+/// Returns the rotation nearest to a matrix (rows): Q ← (Q + Q⁻ᵀ)/2, Higham's iteration.
 fn nearest_rotation(matrix: [Vector; 3]) -> [Vector; 3] {
     let cross = |a: Vector, b: Vector| {
         [
@@ -222,7 +223,7 @@ fn nearest_rotation(matrix: [Vector; 3]) -> [Vector; 3] {
     q
 }
 
-/// Directions all over the sphere, evenly (Fibonacci's spiral).
+/// Returns directions that cover the sphere evenly (Fibonacci's spiral).
 fn directions() -> impl Iterator<Item = Vector> {
     (0..200).map(|index| {
         let z = 1.0 - (2.0 * f64::from(index) + 1.0) / 200.0;
@@ -232,7 +233,7 @@ fn directions() -> impl Iterator<Item = Vector> {
     })
 }
 
-/// What one chip shows.
+/// Errors of one chip, before and after calibration.
 #[derive(Clone, Copy, Default)]
 struct Errors {
     /// °/s: not calibrated, calibrated.
@@ -364,7 +365,8 @@ fn two_hundred_chips_are_calibrated() {
     let levelled = [0, 1].map(|index| of(&|errors| errors.levelled[index]));
     let temperature = [0, 1].map(|index| of(&|errors| errors.temperature[index]));
     println!(
-        "{CHIPS} chips from anywhere within the datasheet's tolerance, poses off by up to {POSE_ERROR_DEGREES}°"
+        "{CHIPS} chips from anywhere within the datasheet's tolerance, \
+         poses off by up to {POSE_ERROR_DEGREES}°"
     );
     offset[0].print("gyroscope offset, not calibrated", " °/s");
     offset[1].print("gyroscope offset, calibrated at rest", " °/s");
@@ -390,13 +392,13 @@ fn two_hundred_chips_are_calibrated() {
     assert!(offset[1].worst() <= 0.05);
     assert!(inclination[2].worst() <= 0.3);
     assert!(temperature[1].worst() <= 0.3);
-    // The checks can fail: without a calibration they would.
+    // The checks can fail: without a calibration the limits are exceeded.
     assert!(
         offset[0].worst() > 15.0 && inclination[0].worst() > 3.0 && temperature[0].worst() > 2.0
     );
 }
 
-/// Every chip's errors; both cores help.
+/// Returns every chip's errors, computed on both cores.
 fn all_errors() -> Vec<Errors> {
     let some = |first: u64| {
         (first..CHIPS)
@@ -413,7 +415,7 @@ fn all_errors() -> Vec<Errors> {
 }
 
 #[test]
-fn what_is_no_rest_is_refused_with_its_reason() {
+fn motion_is_rejected_with_its_reason() {
     let g = STANDARD_GRAVITY_M_S2;
     let level = [0.0, 0.0, g];
     for seed in 0..10 {
@@ -434,7 +436,7 @@ fn what_is_no_rest_is_refused_with_its_reason() {
             (level, [0.0, rate, 0.0])
         }));
         assert_eq!(reason.to_string(), "it turned about y");
-        // A slow tilt of 1 °/s, which an offset could be to the gyroscope.
+        // A slow tilt of 1 °/s, which the gyroscope cannot distinguish from an offset.
         let rate = 1_f64.to_radians();
         let reason = moved(chip.watch(1000, |t| {
             let angle = rate * t;
@@ -457,7 +459,7 @@ fn what_is_no_rest_is_refused_with_its_reason() {
 }
 
 #[test]
-fn the_attitude_goes_on_through_a_calibration_and_a_stored_one_starts_it_better() {
+fn the_attitude_continues_during_a_calibration_and_a_stored_one_improves_the_start() {
     let mut chip = Chip::new(7);
     let force = scale(FACE_UP, STANDARD_GRAVITY_M_S2);
     let at_rest = chip.rest(FACE_UP, 1000);

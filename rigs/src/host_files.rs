@@ -1,5 +1,5 @@
-//! Files of the computer that runs QEMU, by semihosting (Arm, "Semihosting for AArch32 and
-//! AArch64").
+//! Access to files of the computer that runs QEMU, by semihosting (Arm, "Semihosting for AArch32
+//! and AArch64").
 
 use core::fmt;
 
@@ -7,18 +7,18 @@ use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
 use cortex_m_semihosting::{nr, syscall};
 use heapless::{String, Vec};
 
-/// The longest path, in bytes.
+/// Longest path, in bytes.
 const PATH_LENGTH: usize = 256;
 /// Length of one read from the host, in bytes.
 const BLOCK_LENGTH: usize = 512;
 
-/// Returns the three words that QEMU was given as the program's arguments, `None` if there are not
+/// Returns the program's three arguments from QEMU's command line, or `None` if there are not
 /// three.
 pub fn arguments() -> Option<[String<PATH_LENGTH>; 3]> {
     let mut buffer = [0_u8; 3 * PATH_LENGTH];
     let mut block = [buffer.as_mut_ptr() as usize, buffer.len()];
     // SAFETY: the call writes at most `buffer.len()` bytes into the buffer, and the length into the
-    // block's second word; the volatile read below sees what it wrote.
+    // block's second word. The volatile read below sees that length.
     let (failed, length) = unsafe {
         let failed = cortex_m_semihosting::syscall1(nr::GET_CMDLINE, block.as_mut_ptr() as usize);
         (failed, block.as_ptr().add(1).read_volatile())
@@ -44,7 +44,7 @@ pub fn exit(succeeded: bool) -> ! {
     }
 }
 
-/// An open file, read or written in blocks.
+/// Open file, read or written in blocks.
 pub struct HostFile {
     handle: usize,
     buffer: [u8; BLOCK_LENGTH],
@@ -63,8 +63,8 @@ impl HostFile {
         Self::with_mode(path, nr::open::W_TRUNC_BINARY)
     }
 
-    /// Returns the next line without its end, `None` after the last. `line` holds it: a longer line
-    /// is cut off there.
+    /// Returns the next line without its end, `None` after the last. `line` is the buffer; a longer
+    /// line is cut off.
     pub fn read_line<'a>(&mut self, line: &'a mut [u8]) -> Option<&'a str> {
         let mut length = 0;
         loop {
@@ -88,8 +88,8 @@ impl HostFile {
     }
 
     fn refill(&mut self) {
-        // SAFETY: the call writes at most `buffer.len()` bytes into the buffer, and returns how many
-        // it did not.
+        // SAFETY: the call writes at most `buffer.len()` bytes into the buffer, and returns how
+        // many it did not.
         let missing = unsafe {
             syscall!(
                 READ,

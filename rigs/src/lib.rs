@@ -1,6 +1,6 @@
 //! Shared parts of the programs under `bin/`, which run in QEMU or are only linked, never flashed.
 //!
-//! | program | what it shows | who calls it |
+//! | program | proves or measures | called by |
 //! |---|---|---|
 //! | `qemu` | the pipeline under RTIC gives the host's attitudes to the bit | `cargo xtask agree` |
 //! | `cost` | instructions and bytes of each filter's update | `cargo xtask cost` |

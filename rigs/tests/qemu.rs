@@ -1,7 +1,7 @@
-//! The pipeline under RTIC in QEMU agrees with the library on the host, bit for bit.
+//! Tests that the pipeline under RTIC in QEMU agrees with the library on the host, bit for bit.
 //!
 //! `cargo xtask test` builds the application and names it in `APLOMB_QEMU_ELF`; without that
-//! variable the tests here say that they are skipped.
+//! variable the tests report that they are skipped.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use aplomb::mpu6050::{BURST_LENGTH, Burst, Part, RawSample};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::{bursts, text};
 
-/// One line of text for so many samples: what `rigs/src/bin/qemu.rs` promises.
+/// Samples for one line of text, as in `rigs/src/bin/qemu.rs`.
 const SAMPLES_PER_LINE: usize = 20;
 
 #[test]
@@ -55,7 +55,7 @@ fn qemu_agrees_with_the_host_on_whole_flights() {
 }
 
 #[test]
-fn qemu_refuses_what_is_not_a_burst_and_says_where() {
+fn qemu_reports_the_line_of_an_invalid_burst() {
     let Some(elf) = application() else { return };
     let mut contents = csv(&bursts_of_every_kind()[..3]);
     contents.push_str("4000,00,\n");
@@ -80,7 +80,8 @@ fn folder(name: &str) -> PathBuf {
     folder
 }
 
-/// Rest, motion, saturation, lost samples, gaps, time that stands still and goes back, noise, and what a board may say.
+/// Returns bursts with rest, motion, saturation, lost samples, gaps, times that repeat or go back,
+/// noise, and all flags of a board.
 fn bursts_of_every_kind() -> Vec<(Burst, BoardFlags)> {
     let mut random = 0x2545_F491_4F6C_DD1D_u64;
     let mut next = move || {
@@ -195,7 +196,7 @@ fn run(elf: &Path, folder: &Path, contents: &str) -> Run {
     }
 }
 
-/// Holds what QEMU wrote to the library on this computer.
+/// Compares QEMU's output with the library on this computer.
 fn agree(run: &Run, bursts: &[(Burst, BoardFlags)]) {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
     let expected: Vec<Snapshot> = bursts

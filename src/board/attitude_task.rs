@@ -1,7 +1,7 @@
-//! The attitude task: one burst becomes one published snapshot, and housekeeping follows.
+//! Attitude task: one burst becomes one published snapshot, and housekeeping follows.
 //!
-//! Deadline: the end of the next burst, 1 ms. The snapshot is out within a few microseconds; nothing waits for the
-//! housekeeping.
+//! Deadline: the end of the next burst, 1 ms. The snapshot is published within a few microseconds;
+//! no task waits for the housekeeping.
 
 use super::handover::{self, ReceivedBurst};
 use super::{burst_reader, clocks, publish, retained, timebase, watchdog};
@@ -9,7 +9,8 @@ use crate::fault::FaultClass;
 use crate::health::Flags;
 use crate::pipeline::{Pipeline, Snapshot};
 
-/// Samples between two rounds of housekeeping: 22 ms. The settings of the sensor are all read back within 88 ms.
+/// Samples between two rounds of housekeeping: 22 ms. The settings of the sensor are all read back
+/// within 88 ms.
 const HOUSEKEEPING_SAMPLES: u8 = 22;
 /// Rounds between two copies of the warm-start state: 0.2 s.
 const WARM_START_ROUNDS: u8 = 9;
@@ -50,9 +51,11 @@ impl AttitudeTask {
         }
     }
 
-    /// Publishes the snapshot of the burst that the reader has handed over, or a stale one if no sample comes.
+    /// Publishes the snapshot of the burst that the reader offers, or a stale one if no sample
+    /// comes.
     ///
-    /// `after_publication` gets the burst once its snapshot is out. Returns the flags if they have changed.
+    /// `after_publication` gets the burst after its snapshot is published. Returns the flags if
+    /// they have changed.
     #[inline]
     pub fn run(
         &mut self,
@@ -94,7 +97,7 @@ impl AttitudeTask {
         watchdog::samples_go_on();
         watchdog::attitude_goes_on();
         burst_reader::request_check();
-        // In case the NMI of a dead crystal has not come.
+        // The NMI of a failed crystal may be missing.
         if clocks::have_fallen_back() {
             timebase::raise_burst_alarm();
         }

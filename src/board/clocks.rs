@@ -1,6 +1,7 @@
-//! Starts the clocks: from the crystal if it answers, else from the internal oscillator.
+//! Starts the clocks: from the crystal if it starts, else from the internal oscillator.
 //!
-//! The HAL's `freeze` waits for ever for a dead crystal, so the crystal is asked first, with a limit.
+//! The HAL's `freeze` waits forever for a dead crystal, so the crystal is checked first, with a
+//! limit.
 
 use stm32f4xx_hal::pac::rcc::pllcfgr::PLLP;
 use stm32f4xx_hal::pac::{RCC, rcc};
@@ -10,12 +11,12 @@ use stm32f4xx_hal::rcc::{Config, Rcc};
 use super::boards::BOARD;
 use crate::fault::ClockSource;
 
-/// How often the ready flag is read before the crystal counts as absent. At the 16 MHz of reset a
-/// reading takes at least 4 cycles, so this waits for 25 ms or more; crystals start within 2 ms
-/// (STM32F405 datasheet, table "HSE oscillator characteristics").
+/// Readings of the ready flag before the crystal counts as absent. At the 16 MHz of reset a reading
+/// takes at least 4 cycles, so they take 25 ms or more. Crystals start within 2 ms (STM32F405
+/// datasheet, table "HSE oscillator characteristics").
 const CRYSTAL_READINGS: u32 = 100_000;
 
-/// Runs the core at [`BOARD`]'s frequency and says from what.
+/// Runs the core at [`BOARD`]'s frequency, and returns the source of the clock.
 pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
     let source = if crystal_answers(&rcc) {
         ClockSource::Crystal
@@ -37,9 +38,10 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
     (rcc.freeze(config), source)
 }
 
-/// Switches the power controller's clock on, without which [`voltage_is_ready`] never is, and selects the regulator's scale 1 on an
-/// STM32F411, which begins at scale 2, good for 84 MHz (RM0383, 5.4.1); the other chips begin with what their clock
-/// needs. The scale comes with the PLL, and can be selected before it is on: so before `freeze`.
+/// Switches the power controller's clock on, which [`voltage_is_ready`] needs, and selects the
+/// regulator's scale. An STM32F411 starts at scale 2, for up to 84 MHz, and needs scale 1 (RM0383,
+/// 5.4.1). The other chips start with the scale that their clock needs. The scale takes effect with
+/// the PLL, and must be selected while the PLL is off: before `freeze`.
 #[cfg(not(feature = "board-stm32f405"))]
 fn prepare_voltage() {
     enable(|rcc| {
@@ -54,7 +56,8 @@ fn prepare_voltage() {
     }
 }
 
-/// Whether the regulator gives what the core needs with the PLL on. The STM32F405 alone keeps its scale while the PLL is off.
+/// Returns whether the regulator's voltage suffices for the core with the PLL on. Only the
+/// STM32F405 keeps its scale while the PLL is off.
 #[cfg(not(feature = "board-stm32f405"))]
 fn voltage_is_ready() -> bool {
     // SAFETY: reading this register has no side effect.
@@ -65,36 +68,37 @@ fn voltage_is_ready() -> bool {
         .bit_is_set()
 }
 
-/// Has the hardware watch the crystal: if it stops, the core goes on from the internal oscillator, at
-/// 16 MHz, and an NMI comes (RM0090, 6.2.7). [`restore`] then brings the frequencies back.
+/// Enables the hardware's monitor of the crystal (RM0090, 6.2.7). If the crystal stops, the core
+/// continues from the internal oscillator at 16 MHz, and an NMI comes. [`restore`] then restores
+/// the frequencies.
 pub fn watch_crystal() {
-    // SAFETY: only init, before any interrupt, writes this register, and `restore`, which comes later.
+    // SAFETY: only init, before any interrupt, writes this register, and later `restore`.
     let rcc = unsafe { &*RCC::ptr() };
     rcc.cr().modify(|_, w| w.csson().set_bit());
 }
 
-/// Whether the core has lost its crystal and runs from the bare internal oscillator.
+/// Returns whether the core has lost its crystal and runs from the bare internal oscillator.
 #[inline(always)]
 pub fn have_fallen_back() -> bool {
     // SAFETY: reading this register has no side effect.
     !unsafe { &*RCC::ptr() }.cfgr().read().sws().is_pll()
 }
 
-/// Runs the core, and with it every timer and bus, at [`BOARD`]'s frequency again, from the internal
-/// oscillator. Waits for the PLL, 0.3 ms at most (STM32F405 datasheet, table "Main PLL characteristics"):
-/// once, when the crystal has died.
+/// Restores [`BOARD`]'s frequency of the core, timers and buses from the internal oscillator. Waits
+/// for the PLL, 0.3 ms at most (STM32F405 datasheet, table "Main PLL characteristics"). Runs once,
+/// after the crystal has failed.
 #[cold]
 #[inline(never)]
 pub fn restore() {
-    // SAFETY: init is long over, so the only writers are this, which nothing interrupts but the NMI, and
-    // the NMI, which writes another register.
+    // SAFETY: init has ended, so the only writers are this function and the NMI. Only the NMI can
+    // interrupt this function, and it writes another register.
     let rcc = unsafe { &*RCC::ptr() };
     acknowledge_failure();
     super::retained::count(crate::fault::FaultClass::ClockFailed);
     rcc.cr().modify(|_, w| w.pllon().clear_bit());
     // 16 MHz / 16, times N, / P; the division for USB does not matter, but must be 2 or more.
-    // SAFETY: N is 336 to 400, within the 192 to 432 that the manual allows (RM0090, 6.3.2; the same in
-    // RM0368, RM0383 and RM0390).
+    // SAFETY: N is 336 to 400, within the 192 to 432 that the manual allows (RM0090, 6.3.2; the
+    // same in RM0368, RM0383 and RM0390).
     rcc.pllcfgr().write(|w| unsafe {
         w.pllsrc()
             .hsi()
@@ -120,7 +124,8 @@ pub fn restore() {
     }
 }
 
-/// N and P of the PLL at 1 MHz. Slower cores divide by four, so that the multiplied frequency is 192 MHz or more.
+/// N and P of the PLL at 1 MHz. Slower cores divide by four, so that the multiplied frequency is
+/// 192 MHz or more.
 const PLL_MULTIPLIER: u16 = match PLL_DIVISION {
     PLLP::Div2 => 2 * (BOARD.core_hz / 1_000_000) as u16,
     _ => 4 * (BOARD.core_hz / 1_000_000) as u16,
@@ -132,24 +137,25 @@ const PLL_DIVISION: PLLP = if BOARD.core_hz > 108_000_000 {
 };
 const _: () = assert!(PLL_MULTIPLIER >= 192 && PLL_MULTIPLIER <= 432);
 
-/// The PLL is asked so often whether it is ready: 0.3 ms at 16 MHz and 4 cycles each.
+/// Readings of the PLL's ready flag: 0.3 ms at 16 MHz and 4 cycles each.
 const PLL_READINGS: u32 = 1_200;
 
-/// Clears the crystal's failure, so that its NMI ends. For the NMI's handler.
+/// Clears the crystal's failure, so that its NMI ends. Only the NMI's handler calls this.
 pub fn acknowledge_failure() {
-    // SAFETY: the bit clears a flag, and no other of this register is in use.
+    // SAFETY: the bit clears a flag, and no other bit of this register is in use.
     unsafe { &*RCC::ptr() }.cir().write(|w| w.cssc().set_bit());
 }
 
-/// Switches on the clocks that `change` asks for. Only for init, before any interrupt is enabled.
+/// Switches on the clocks that `change` selects. Only for init, before any interrupt is enabled.
 pub(super) fn enable(change: impl FnOnce(&rcc::RegisterBlock)) {
     // SAFETY: nothing else writes RCC at that time.
     change(unsafe { &*RCC::ptr() });
-    // A peripheral answers two cycles after its clock begins (errata sheet ES0182, "Delay after an RCC peripheral clock enabling").
+    // A peripheral answers two cycles after its clock begins (errata sheet ES0182, "Delay after an
+    // RCC peripheral clock enabling").
     cortex_m::asm::dsb();
 }
 
-/// Whether the HSE input becomes ready in time; it is switched off again if not.
+/// Returns whether the HSE input becomes ready in time. If not, switches it off again.
 fn crystal_answers(rcc: &RCC) -> bool {
     rcc.cr()
         .modify(|_, w| w.hsebyp().bit(BOARD.crystal_is_external_clock));

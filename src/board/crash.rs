@@ -1,9 +1,9 @@
-//! Hard faults, panics and a used-up stack: noted in RAM that outlives the reset, and then the reset.
+//! Records hard faults, panics and stack overflows in RAM that survives a reset, and then resets.
 //!
-//! Every fault of the core ends in HardFault, since no other handler is enabled; a panic gets there by
-//! an undefined instruction. The stack lies below all variables, so an overflow faults at the start of
-//! RAM, when there is no room left for a handler's own frame: the entry below takes the whole stack anew
-//! before it calls anything.
+//! Every fault of the core ends in HardFault, because no other handler is enabled. A panic causes
+//! it by an undefined instruction. The stack lies below all variables, so an overflow faults at the
+//! start of RAM. There is no room left for a handler's frame then. Therefore the entry below resets
+//! the stack pointer to the top before it calls anything.
 
 use core::arch::global_asm;
 
@@ -13,11 +13,11 @@ use super::retained;
 use crate::fault::FaultClass;
 
 unsafe extern "C" {
-    /// The lowest address of the stack (memory.x).
+    /// Lowest address of the stack (memory.x).
     static _stack_end: u32;
 }
 
-// Where the processor goes on a hard fault, in place of cortex-m-rt's endless loop.
+// Entry of a hard fault, in place of cortex-m-rt's endless loop.
 global_asm!(
     ".section .HardFault.aplomb, \"ax\"",
     ".global HardFault",
@@ -33,15 +33,16 @@ global_asm!(
     note_and_reset = sym note_and_reset,
 );
 
-/// CFSR: stacking failed, of the memory protection unit or of the bus (PM0214, 4.4.15).
+/// CFSR: stacking failed, by the memory protection unit or the bus (PM0214, 4.4.15).
 const STACKING_FAILED: u32 = 1 << 4 | 1 << 12;
-/// Place of the program counter in the frame that the processor pushes (PM0214, 2.3.7).
+/// Index of the program counter in the frame that the processor pushes (PM0214, 2.3.7).
 const PROGRAM_COUNTER: usize = 6;
 
-/// Notes where it happened and resets. `frame` is what the processor pushed, if it could.
+/// Records the place of the fault, and resets. `frame` is the frame that the processor pushed, if
+/// stacking succeeded.
 extern "C" fn note_and_reset(frame: *const u32) -> ! {
     let bottom = &raw const _stack_end;
-    // SAFETY: reading the fault status has no side effect, and nothing else runs any more.
+    // SAFETY: reading the fault status has no side effect, and no other code runs any more.
     let status = unsafe { (*SCB::PTR).cfsr.read() };
     let is_overflow = frame < bottom || status & STACKING_FAILED != 0;
     let (class, address) = if is_overflow {

@@ -1,13 +1,16 @@
-//! The two calibration slots in on-chip flash, sectors 1 and 2, as NOR flash that `settings::storage` writes.
+//! Driver of the two calibration slots in on-chip flash, sectors 1 and 2: NOR flash for
+//! `settings::storage`.
 //!
-//! Registers and procedures are RM0090 (STM32F405), RM0368 (F401), RM0383 (F411) and RM0390 (F446), chapter 3 each, which agree.
-//! While a sector is erased or a word programmed, every fetch from flash waits, so the whole firmware stands
-//! still: 0.25 s, at most 0.5 s, for a sector; 16 µs, at most 100 µs, for a word (STM32F405 datasheet, table
-//! "Flash memory programming", 32 bits at a time). So the caller stops the bursts first and gives a watchdog
-//! more than the whole of it. A sector endures 10,000 erases (table "Flash memory endurance and data retention"), and saves
+//! Registers and procedures are RM0090 (STM32F405), RM0368 (F401), RM0383 (F411) and RM0390 (F446),
+//! chapter 3 each, which agree. While a sector is erased or a word programmed, every fetch from
+//! flash waits, so the whole firmware stops. A sector takes 0.25 s, at most 0.5 s; a word takes 16
+//! µs, at most 100 µs (STM32F405 datasheet, table "Flash memory programming", 32 bits at a time).
+//! Therefore the caller stops the bursts first, and sets a watchdog limit beyond that time. A
+//! sector endures 10,000 erases (table "Flash memory endurance and data retention"). Saves
 //! alternate, so there are 20,000 saves.
 //!
-//! The HAL's own flash driver waits without limit, programs bytes, and panics if the unlocking fails.
+//! The HAL's own flash driver waits without limit, programs bytes, and panics if the unlocking
+//! fails.
 
 use core::fmt;
 
@@ -19,16 +22,16 @@ use stm32f4xx_hal::pac::FLASH;
 
 use super::timebase;
 
-/// Sector 1, where the first slot begins.
+/// Start address of sector 1, the first slot.
 const START: usize = 0x0800_4000;
-/// The number of the first slot's sector.
+/// Number of the first slot's sector.
 const FIRST_SECTOR: u32 = 1;
-/// A sector (RM0090, table 5).
+/// Size of a sector (RM0090, table 5).
 const SECTOR_BYTES: usize = 16 * 1024;
-/// Both.
+/// Size of both slots.
 const CAPACITY: usize = 2 * SECTOR_BYTES;
 
-/// Unlock the control register, in this order (RM0090, section 3.6.1).
+/// Keys that unlock the control register, in this order (RM0090, section 3.6.1).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
 /// Twice the datasheet's longest erase of a 16 KiB sector, in microseconds.
@@ -36,21 +39,22 @@ const ERASE_DEADLINE_US: u32 = 1_000_000;
 /// Ten times the datasheet's longest programming of a word, in microseconds.
 const PROGRAM_DEADLINE_US: u32 = 1_000;
 
-/// The calibration slots. The time base must run.
+/// Calibration slots. The time base must run.
 pub struct CalibrationFlash {
     interface: FLASH,
 }
 
-/// Why the flash refused.
+/// Error of a flash operation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, defmt::Format)]
 pub enum FlashError {
-    /// Outside of the slots, or not in whole words or sectors.
+    /// The range is outside the slots, or not in whole words or sectors.
     OutOfBounds,
-    /// The control register does not unlock, as after a wrong key: it takes a reset.
+    /// The control register does not unlock, as after a wrong key. Only a reset unlocks it.
     Locked,
     /// An option byte protects the sector (WRPERR).
     WriteProtected,
-    /// The interface reports an error of the procedure (PGSERR, PGPERR, PGAERR, OPERR): the bits of its status register.
+    /// The interface reports an error of the procedure (PGSERR, PGPERR, PGAERR, OPERR): the bits of
+    /// its status register.
     Refused(u8),
     /// An operation took far longer than the datasheet allows.
     Timeout,
@@ -84,25 +88,26 @@ impl From<NorFlashErrorKind> for FlashError {
 }
 
 impl CalibrationFlash {
-    /// Takes the flash interface. The wait states are the clocks' business and stay as they are.
+    /// Takes the flash interface. The wait states belong to the clocks and do not change.
     pub fn new(interface: FLASH) -> Self {
         Self { interface }
     }
 
-    /// Unlocks, works, and locks again, whatever came of it.
+    /// Unlocks, runs `work`, and locks again, after errors too.
     fn unlocked(
         &mut self,
         work: impl FnOnce(&Self) -> Result<(), FlashError>,
     ) -> Result<(), FlashError> {
         let flash = &self.interface;
-        // Flags of an operation before this one are cleared by writing ones.
-        // SAFETY: all bits of this register are flags.
+        // Writing ones clears the flags of an earlier operation. SAFETY: all bits of this register
+        // are flags.
         flash.sr().write(|w| unsafe { w.bits(FLAGS) });
-        // A write to the control register would wait for the end of an operation, without limit (RM0090, section 3.6.1).
+        // A write to the control register would wait for the end of an operation, without limit
+        // (RM0090, section 3.6.1).
         self.wait(PROGRAM_DEADLINE_US)?;
         if flash.cr().read().lock().bit_is_set() {
             for key in KEYS {
-                // SAFETY: the key register takes any value, and these are the two that unlock.
+                // SAFETY: the key register takes any value, and these two values unlock.
                 flash.keyr().write(|w| unsafe { w.bits(key) });
             }
             if flash.cr().read().lock().bit_is_set() {
@@ -113,13 +118,13 @@ impl CalibrationFlash {
         if outcome == Err(FlashError::Timeout) {
             return outcome;
         }
-        // The reset value but for the lock: no operation is selected.
+        // The reset value except for the lock: no operation is selected.
         flash.cr().write(|w| w.lock().set_bit());
         self.forget_cached();
         outcome
     }
 
-    /// Waits for the end of the operation and says what came of it.
+    /// Waits for the end of the operation, and returns its result.
     fn wait(&self, deadline_us: u32) -> Result<(), FlashError> {
         let start = timebase::now();
         // The flag rises at most a cycle after the write that starts an operation.
@@ -135,19 +140,20 @@ impl CalibrationFlash {
                     _ => Err(FlashError::Refused(errors as u8)),
                 };
             }
-            // Asked before the flag was read: an operation that held up this very loop is no timeout.
+            // The time is read before the flag, so an operation that stalls this loop is no
+            // timeout.
             if is_late {
                 return Err(FlashError::Timeout);
             }
         }
     }
 
-    /// Empties the data cache, which does not see that flash changes (RM0090, section 3.5.2). The slots hold no
-    /// code, so the instruction cache can stay.
+    /// Empties the data cache, which does not see that flash changes (RM0090, section 3.5.2). The
+    /// slots hold no code, so the instruction cache can stay.
     fn forget_cached(&self) {
         let access = self.interface.acr();
         let was_on = access.read().dcen().bit_is_set();
-        // It may be reset only while it is off.
+        // The cache may be reset only while it is off.
         access.modify(|_, w| w.dcen().clear_bit());
         access.modify(|_, w| w.dcrst().set_bit());
         access.modify(|_, w| w.dcrst().clear_bit());
@@ -157,7 +163,7 @@ impl CalibrationFlash {
 
 /// OPERR, WRPERR, PGAERR, PGPERR and PGSERR of the status register (RM0090, section 3.9.5).
 const ERRORS: u32 = 0b1111_0010;
-/// Those and EOP.
+/// The error flags and EOP.
 const FLAGS: u32 = ERRORS | 1;
 
 impl ErrorType for CalibrationFlash {
@@ -171,8 +177,8 @@ impl ReadNorFlash for CalibrationFlash {
         check_read(self, offset, bytes.len())?;
         let first = (START + offset as usize) as *const u8;
         for (index, byte) in bytes.iter_mut().enumerate() {
-            // SAFETY: `check_read` keeps the address within the slots, which are readable on every chip. Volatile,
-            // because the compiler knows nothing of what changes them.
+            // SAFETY: `check_read` keeps the address within the slots, which are readable on every
+            // chip. Volatile, because the compiler does not see their changes.
             *byte = unsafe { first.add(index).read_volatile() };
         }
         Ok(())
@@ -193,7 +199,7 @@ impl NorFlash for CalibrationFlash {
             for offset in (from..to).step_by(SECTOR_BYTES) {
                 let sector = FIRST_SECTOR + offset / SECTOR_BYTES as u32;
                 let control = this.interface.cr();
-                // SAFETY: `check_erase` leaves sectors 1 and 2 alone, neither of which holds code.
+                // SAFETY: `check_erase` allows sectors 1 and 2 only, neither of which holds code.
                 control.write(|w| unsafe {
                     w.lock()
                         .clear_bit()
@@ -221,8 +227,8 @@ impl NorFlash for CalibrationFlash {
             let first = (START + offset as usize) as *mut u32;
             let (words, _) = bytes.as_chunks::<4>();
             for (index, word) in words.iter().enumerate() {
-                // SAFETY: `check_write` keeps the address within the slots and aligned to words. Nothing else
-                // refers to this memory, and the flash interface takes the store.
+                // SAFETY: `check_write` keeps the address within the slots and aligned to words.
+                // Nothing else refers to this memory, and the flash interface takes the store.
                 unsafe { first.add(index).write_volatile(u32::from_le_bytes(*word)) };
                 this.wait(PROGRAM_DEADLINE_US)?;
             }
@@ -231,5 +237,6 @@ impl NorFlash for CalibrationFlash {
     }
 }
 
-/// Programming may be repeated, and clears bits (RM0090, section 3.6.4): this flash has no error correction.
+/// Programming may be repeated, and clears bits (RM0090, section 3.6.4): this flash has no error
+/// correction.
 impl MultiwriteNorFlash for CalibrationFlash {}

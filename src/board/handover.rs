@@ -1,7 +1,7 @@
-//! Hands bursts from the burst reader to the attitude task, without copying them.
+//! Passes bursts from the burst reader to the attitude task, without copying them.
 //!
-//! There are two slots. DMA fills one while the attitude task reads the other. The reader offers a slot when its burst is
-//! complete; the attitude task takes it, and returns it when it is done.
+//! There are two slots. DMA fills one while the attitude task reads the other. The reader offers a
+//! slot when its burst is complete. The attitude task takes the slot, and returns it afterwards.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
@@ -9,15 +9,15 @@ use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
 use crate::health::BoardFlags;
 use crate::mpu6050::{BURST_LENGTH, Burst};
 
-/// A burst with the conditions that the board reports.
+/// Burst with the conditions that the board reports.
 pub struct ReceivedBurst {
-    /// The burst.
+    /// Burst from the sensor.
     pub burst: Burst,
-    /// The conditions.
+    /// Conditions that the board reports.
     pub flags: BoardFlags,
 }
 
-/// One of the two slots.
+/// Index of a slot.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Slot {
     First = 0,
@@ -25,7 +25,7 @@ pub(super) enum Slot {
 }
 
 impl Slot {
-    /// The slot that this one alternates with.
+    /// Returns the other slot.
     pub(super) const fn other(self) -> Self {
         match self {
             Self::First => Self::Second,
@@ -33,7 +33,7 @@ impl Slot {
         }
     }
 
-    /// The place that DMA fills with the burst's bytes.
+    /// Returns the memory that DMA fills with the burst's bytes.
     pub(super) fn bytes_address(self) -> u32 {
         let burst = core::mem::offset_of!(ReceivedBurst, burst);
         let bytes = core::mem::offset_of!(Burst, bytes);
@@ -43,7 +43,8 @@ impl Slot {
 
 struct Slots([UnsafeCell<ReceivedBurst>; 2]);
 
-// SAFETY: the reader writes a slot, or lets DMA write it, only while `READY` keeps the attitude task away from it.
+// SAFETY: the reader writes a slot, or lets DMA write it, only while `READY` excludes the attitude
+// task from it.
 unsafe impl Sync for Slots {}
 
 static SLOTS: Slots = Slots([const { UnsafeCell::new(EMPTY) }; 2]);
@@ -57,21 +58,22 @@ const EMPTY: ReceivedBurst = ReceivedBurst {
     flags: BoardFlags::empty(),
 };
 
-/// The slot that is ready for the attitude task, plus one; or [`NONE_READY`].
+/// Slot that is ready for the attitude task, plus one; or [`NONE_READY`].
 static READY: AtomicU8 = AtomicU8::new(NONE_READY);
 const NONE_READY: u8 = 0;
 
-/// Whether the attitude task has returned the slot that it took. Only the reader calls this.
+/// Returns whether the attitude task has returned the slot that it took. Only the reader calls
+/// this.
 #[inline(always)]
 pub(super) fn is_free() -> bool {
     READY.load(Ordering::Relaxed) == NONE_READY
 }
 
-/// Offers a slot, whose bytes DMA has filled, to the attitude task. Only the reader calls this, and only while
-/// [`is_free`] holds.
+/// Offers a slot, whose bytes DMA has filled, to the attitude task. Only the reader calls this, and
+/// only while [`is_free`] holds.
 #[inline(always)]
 pub(super) fn offer(slot: Slot, captured_at_us: u64, missed_before: u8, flags: BoardFlags) {
-    // SAFETY: nothing is ready, so the attitude task reads neither slot until the store below.
+    // SAFETY: no slot is ready, so the attitude task reads neither until the store below.
     let received = unsafe { &mut *SLOTS.0[slot as usize].get() };
     received.burst.captured_at_us = captured_at_us;
     received.burst.missed_before = missed_before;
@@ -80,8 +82,8 @@ pub(super) fn offer(slot: Slot, captured_at_us: u64, missed_before: u8, flags: B
     READY.store(slot as u8 + 1, Ordering::Relaxed);
 }
 
-/// Lends the burst that is ready to `work`, and returns its slot afterwards. `None` if nothing is ready. Only the attitude
-/// task calls this.
+/// Lends the ready burst to `work`, and returns its slot afterwards. `None` if no burst is ready.
+/// Only the attitude task calls this.
 #[inline(always)]
 pub(super) fn take<R>(work: impl FnOnce(&ReceivedBurst) -> R) -> Option<R> {
     let slot = match READY.load(Ordering::Relaxed) {

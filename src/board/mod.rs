@@ -1,15 +1,16 @@
-//! The STM32F4 side: clocks, the time base, the sensor's bus, the burst reader and the UART, at register level where timing matters.
+//! STM32F4 drivers: clocks, time base, sensor bus, burst reader and UART, at register level where
+//! timing matters.
 //!
-//! Pins and DMA streams are the same on every board (see ARCHITECTURE.md); what differs stands in
-//! [`boards`]. This is the only module with `unsafe`: each block says why it is sound. The unit of
-//! ownership is the peripheral, and where two owners share one (DMA1's clear registers, the sensor's
-//! bus) the hand-over rule stands beside the code.
+//! Pins and DMA streams are the same on every board (see ARCHITECTURE.md). [`boards`] holds the
+//! differences. Only this module contains `unsafe`; each block gives the reason why it is sound.
+//! The unit of ownership is the peripheral. Where two owners share one (DMA1's clear registers, the
+//! sensor's bus), a comment beside the code gives the hand-over rule.
 //!
 //! | interrupt | priority | does | deadline |
 //! |---|---|---|---|
-//! | EXTI1, I2C1, DMA1 stream 0, TIM5 | 4 | one step of a burst, or the time base | a step per byte time, 22 µs; none takes 1 µs |
-//! | attitude (SPI3's vector) | 3 | decode, calibrate, filter, publish | before the next burst ends, 1 ms |
-//! | telemetry (software task) | 1 | text and log, 50 times a second | none: it drops lines rather than wait |
+//! | EXTI1, I2C1, DMA1 stream 0, TIM5 | 4 | a burst's step, or the time base | byte time, 22 µs |
+//! | attitude (SPI3's vector) | 3 | decode, calibrate, filter, publish | next burst's end, 1 ms |
+//! | telemetry (software task) | 1 | text and log, 50 times a second | none: drops lines |
 //! | idle | 0 | configures the sensor, and again after a fault | none |
 
 pub mod attitude_task;

@@ -1,10 +1,11 @@
-//! Port A: the sensor's INT pin, which interrupts and is captured at once, and the UART's pins.
+//! Port A: the sensor's INT pin, for interrupt and capture, and the UART's pins.
 
 use stm32f4xx_hal::pac::{EXTI, GPIOA, SYSCFG};
 
 use super::clocks;
 
-/// PA1 to EXTI1 and to TIM5's channel 2, PA2 and PA3 to USART2. The interrupt line stays masked.
+/// Connects PA1 to EXTI1 and to TIM5's channel 2, PA2 and PA3 to USART2. The interrupt line stays
+/// masked.
 pub fn start(port: GPIOA, routing: SYSCFG, lines: EXTI) {
     clocks::enable(|rcc| {
         rcc.ahb1enr().modify(|_, w| w.gpioaen().set_bit());
@@ -32,7 +33,7 @@ pub fn start(port: GPIOA, routing: SYSCFG, lines: EXTI) {
     lines.rtsr().write(|w| w.tr1().set_bit());
 }
 
-/// Whether the INT pin is high now.
+/// Returns whether the INT pin is high now.
 pub fn interrupt_is_high() -> bool {
     // SAFETY: reading the pins has no side effect.
     unsafe { &*GPIOA::ptr() }.idr().read().idr1().bit()

@@ -1,8 +1,9 @@
-//! The latest snapshot, for every reader: telemetry, a debugger, the virtual board.
+//! Publication of the latest snapshot for telemetry, debuggers and the virtual board.
 //!
-//! The attitude task is the only writer. It increments `sequence` last, so a reader of lower priority that
-//! finds the same count before and after its copy holds one whole snapshot. A debugger, which halts the core, finds it
-//! under the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0, the count at 44.
+//! The attitude task is the only writer. It increments `sequence` last, so a reader of lower
+//! priority that finds the same count before and after its copy holds one whole snapshot. A
+//! debugger, which halts the core, reads the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0,
+//! the count at 44.
 
 use core::mem::offset_of;
 use core::sync::atomic::{AtomicU32, Ordering, fence};
@@ -16,7 +17,7 @@ const WORDS: usize = 11;
 
 #[repr(C)]
 struct Published {
-    /// The snapshot, word by word.
+    /// Snapshot, word by word.
     words: [AtomicU32; WORDS],
     sequence: AtomicU32,
 }
@@ -27,7 +28,7 @@ const _: () = assert!(offset_of!(Snapshot, attitude) == 8 && offset_of!(Quaterni
 const _: () = assert!(offset_of!(Snapshot, body_rates_rad_s) == 24 && offset_of!(Vector3, z) == 8);
 const _: () = assert!(offset_of!(Snapshot, tilt_variance_rad2) == 4 * (WORDS - 1));
 
-/// Zero until the first publication.
+/// Number of publications, zero until the first.
 #[unsafe(no_mangle)]
 static APLOMB_SNAPSHOT: Published = Published {
     words: [const { AtomicU32::new(0) }; WORDS],
@@ -57,7 +58,8 @@ pub fn publish(snapshot: &Snapshot) {
         .store(sequence.wrapping_add(1), Ordering::Release);
 }
 
-/// The latest snapshot and its number; `None` before the first. For tasks of lower priority than the writer.
+/// Returns the latest snapshot and its number; `None` before the first. Only for tasks of lower
+/// priority than the writer.
 pub fn latest() -> Option<(Snapshot, u32)> {
     loop {
         let before = APLOMB_SNAPSHOT.sequence.load(Ordering::Acquire);

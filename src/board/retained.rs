@@ -1,8 +1,9 @@
-//! What outlives a reset: the fault counters, the cause of the last reset, and the state for a warm start.
+//! Data that survive a reset: the fault counters, the cause of the last reset, and the state for a
+//! warm start.
 //!
-//! It lies in RAM that start-up does not clear (`.uninit`). A check word says whether it is from an
-//! earlier run or what RAM holds by chance after power came. A debugger finds the first part under the
-//! symbol `APLOMB_HEALTH`, laid out as `fault::report` says.
+//! The data lie in RAM that start-up does not clear (`.uninit`). A check word distinguishes data of
+//! an earlier run from the random content after power-up. A debugger finds the health report under
+//! the symbol `APLOMB_HEALTH`, in the layout of `fault::report`.
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
@@ -12,7 +13,7 @@ use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::kalman::{PAUSE_RATE_RAD_S, WarmStart};
 use crate::fault::{FaultClass, ResetCause, report};
 
-/// The counters and what goes with them, as `fault::report` says.
+/// Health report, in the layout of `fault::report`.
 #[repr(C)]
 struct Report {
     version: AtomicU32,
@@ -31,7 +32,7 @@ const _: () = assert!(core::mem::offset_of!(Report, crash_address) == report::CR
 const _: () = assert!(core::mem::offset_of!(Report, counters) == report::COUNTERS);
 const _: () = assert!(core::mem::offset_of!(Report, check) == report::LENGTH);
 
-// Nothing here relies on the initial value: start-up leaves this section alone.
+// The initial value is not used: start-up does not write this section.
 #[unsafe(no_mangle)]
 #[unsafe(link_section = ".uninit.APLOMB_HEALTH")]
 static APLOMB_HEALTH: Report = Report {
@@ -44,15 +45,15 @@ static APLOMB_HEALTH: Report = Report {
     check: AtomicU32::new(0),
 };
 
-/// Changes with the layout, so that another version's report is not taken for this one's.
+/// Check word. It changes with the layout, so that another version's report is not accepted.
 const CHECK: u32 = 0x4150_4C4D ^ (report::LENGTH as u32) << 8;
 
-/// State for a warm start, in two copies that are written in turn: a reset while one is written leaves
-/// the other.
+/// State for a warm start, in two copies that are written in turn: a reset while one is written
+/// leaves the other.
 #[unsafe(link_section = ".uninit.APLOMB_WARM_STARTS")]
 static WARM_STARTS: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LENGTH]) }; 2];
 
-/// Which copy was written last.
+/// Index of the copy that was written last.
 static NEWEST: AtomicU8 = AtomicU8::new(0);
 
 /// Quaternion, bias, both σ; then their number and their sum.
@@ -61,36 +62,38 @@ struct Words([AtomicU32; LENGTH]);
 const NUMBERS: usize = 9;
 const LENGTH: usize = NUMBERS + 2;
 
-/// The last snapshot's attitude is about as old as this when a warm start goes on from it, in seconds: the time between two savings,
-/// half of it on average, and what the watchdog takes, 0.2 to 0.56 s (at the worst both, with the start itself 0.8 s). After a crash it is half of it.
+/// Typical age of the saved attitude at a warm start, in seconds. It is half the time between two
+/// saves on average, plus the watchdog's limit of 0.2 to 0.56 s. The worst case of both, with the
+/// start itself, is 0.8 s. After a crash the age is half as long.
 const USUAL_AGE_S: f32 = 0.5;
 
-/// σ of the turn about one axis in that time, rad.
+/// σ of the turn about one axis in [`USUAL_AGE_S`], rad.
 const UNSEEN_RAD: f32 = PAUSE_RATE_RAD_S * USUAL_AGE_S;
 
-/// How much a bias is trusted after a reset, at least, in rad/s: 0.2 °/s.
+/// Smallest σ of a bias after a reset, in rad/s: 0.2 °/s.
 const BIAS_SIGMA_RAD_S: f32 = 3.5e-3;
 
-/// What start-up found.
+/// Data found at start-up.
 #[derive(Clone, Copy)]
 pub struct Start {
-    /// What reset the processor.
+    /// Cause of the processor's reset.
     pub cause: ResetCause,
-    /// The last fault before it, if RAM has outlived it.
+    /// Last fault before the reset, if RAM has survived it.
     pub last_fault: Option<FaultClass>,
-    /// How often the firmware has started since power came, this time included.
+    /// Number of starts since power-up, this one included.
     pub starts: u32,
-    /// Where it crashed, if it did.
+    /// Program counter of the crash; 0 without one.
     pub crash_address: u32,
-    /// State to continue from, if RAM has outlived the reset and the reset came in flight.
+    /// State to continue from, if RAM has survived the reset and the reset came in flight.
     pub warm_start: Option<WarmStart>,
 }
 
-/// Reads the cause of the reset and what is left of the run before. Once, in init, before any interrupt.
+/// Reads the cause of the reset, and the data of the previous run. Called once, in init, before any
+/// interrupt.
 pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     let status = rcc.csr().read();
     rcc.csr().modify(|_, w| w.rmvf().set_bit());
-    // The reset pin is pulled by every other cause too (RM0090, 6.1.1).
+    // Every other cause pulls the reset pin too (RM0090, 6.1.1).
     let cause = if status.wdgrstf().bit() || status.wwdgrstf().bit() {
         ResetCause::Watchdog
     } else if status.sftrstf().bit() {
@@ -142,7 +145,7 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     }
 }
 
-/// Counts a fault. From any priority.
+/// Counts a fault. May be called at any priority.
 #[inline(never)]
 pub fn count(class: FaultClass) {
     if let Some(counter) = APLOMB_HEALTH.counters.get(class as usize) {
@@ -153,7 +156,7 @@ pub fn count(class: FaultClass) {
         .store(class as u32, Ordering::Relaxed);
 }
 
-/// How often this fault has been seen since power came.
+/// Returns the number of these faults since power-up.
 pub fn counted(class: FaultClass) -> u32 {
     APLOMB_HEALTH
         .counters
@@ -161,7 +164,7 @@ pub fn counted(class: FaultClass) -> u32 {
         .map_or(0, |counter| counter.load(Ordering::Relaxed))
 }
 
-/// Notes a crash for the next start.
+/// Records a crash for the next start.
 pub fn note_crash(class: FaultClass, address: u32) {
     count(class);
     APLOMB_HEALTH
@@ -169,7 +172,7 @@ pub fn note_crash(class: FaultClass, address: u32) {
         .store(address, Ordering::Relaxed);
 }
 
-/// Keeps the state for a start after a reset. Only the attitude task calls this.
+/// Saves the state for a start after a reset. Only the attitude task calls this.
 #[inline(never)]
 pub fn keep(start: &WarmStart) {
     let newest = NEWEST.load(Ordering::Relaxed);
@@ -179,7 +182,7 @@ pub fn keep(start: &WarmStart) {
     NEWEST.store(next, Ordering::Relaxed);
 }
 
-/// The copy of this number, 0 or 1.
+/// Returns the copy with this sequence number.
 fn copy(number: u8) -> &'static Words {
     &WARM_STARTS[usize::from(number & 1)]
 }
@@ -209,7 +212,7 @@ impl Words {
             bias_rad_s: b,
             bias_sigma_rad_s,
         } = start;
-        // Until its sum is there, too, a copy that is half written fails its check.
+        // A half-written copy fails its check, because its sum is written last.
         let [pw, px, py, pz, pbx, pby, pbz, tilt, bias, place, _] = &self.0;
         let store = |place: &AtomicU32, value: f32| place.store(value.to_bits(), Ordering::Relaxed);
         store(pw, q.w);
@@ -226,7 +229,7 @@ impl Words {
         sum.store(self.sum(), Ordering::Release);
     }
 
-    /// The number and the contents, with the σ that they have by now.
+    /// Returns the number and the contents, with σ inflated for their age.
     fn read(&self) -> Option<(u32, WarmStart)> {
         let [.., sum] = &self.0;
         if sum.load(Ordering::Acquire) != self.sum() {
@@ -236,7 +239,7 @@ impl Words {
         let float = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
         let start = WarmStart {
             attitude: Quaternion::new(float(w), float(x), float(y), float(z)),
-            // About both axes together, and independent of the σ that was kept.
+            // Both axes together, and independent of the saved σ.
             tilt_sigma_rad: libm::sqrtf(float(tilt) * float(tilt) + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
             bias_rad_s: Vector3::new(float(bx), float(by), float(bz)),
             bias_sigma_rad_s: float(bias).max(BIAS_SIGMA_RAD_S),
@@ -247,8 +250,8 @@ impl Words {
     }
 }
 
-/// The register block that [`start`] reads, for whoever has not got it.
+/// Returns the register block that [`start`] reads, for callers without the peripheral.
 pub fn reset_status() -> &'static rcc::RegisterBlock {
-    // SAFETY: init calls this before it hands the peripheral to the HAL; nothing runs beside it.
+    // SAFETY: init calls this before it passes the peripheral to the HAL; no other code runs then.
     unsafe { &*RCC::ptr() }
 }

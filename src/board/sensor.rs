@@ -1,8 +1,9 @@
-//! Bringing the sensor up, and bringing it back: what the idle task does while the burst reader is off.
+//! Configures the sensor at start and after faults, in the idle task, while the burst reader is
+//! off.
 //!
-//! At power-up the sensor gets the datasheet's whole sequence, 230 ms. Later it gets no more than it
-//! needs: nothing if its registers still hold what they should, and 35 ms of waking and setting if it has
-//! reset itself or lost a setting. One attempt takes at most 10 ms where the sensor does not answer.
+//! At power-up the sensor gets the datasheet's whole sequence, 230 ms. Later the registers are read
+//! back first. If all are right, nothing is written. If the sensor has reset itself or lost a
+//! setting, it is reconfigured in 35 ms. An attempt without an answer takes at most 10 ms.
 
 use embedded_hal::i2c::ErrorKind;
 
@@ -15,43 +16,43 @@ use crate::mpu6050::{Condition, Config, Error, Mpu6050, Part, SelfTest};
 /// Pause between two attempts, in ms: recovery is due 20 ms after the end of a fault.
 pub const RETRY_MS: u32 = 5;
 
-/// A sensor that is powered up together with the processor answers 100 ms later at most (product
+/// Probes until a sensor that powers up with the processor must answer: 100 ms (product
 /// specification §6.3).
 const LOOKS_WHILE_STARTING: u32 = 100 / RETRY_MS;
 
-/// So often in a row is setting it again tried before the whole sequence is, reset included.
+/// Reconfigurations in a row before the whole sequence, reset included, is tried.
 const TRIES_WITHOUT_RESET: u8 = 3;
 
-/// A sensor that is ready.
+/// Sensor that is ready.
 #[derive(Clone, Copy)]
 pub struct Ready {
-    /// Which part it is.
+    /// Part, by its identity.
     pub part: &'static Part,
-    /// Its address on the bus, 7 bits.
+    /// Address on the bus, 7 bits.
     pub address: u8,
 }
 
-/// Why there is no sensor.
+/// Reason why no sensor is ready.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum NotReady {
-    /// A line of its bus is low.
+    /// A line of the bus is low.
     BusHeldLow(BusHeldLow),
-    /// It does not answer, or not as it should.
+    /// The sensor does not answer, or not as expected.
     Sensor(Error<ErrorKind>),
 }
 
-/// The sensor, as far as it has been brought up.
+/// Sensor and the state of its configuration.
 pub struct Sensor {
     bus: SensorBus,
     config: Config,
-    /// Whether it has had the whole sequence in this run or the one before.
+    /// True if the sensor has had the whole sequence in this run or the previous one.
     is_known: bool,
     failures: u8,
     silent_looks: u32,
 }
 
 impl Sensor {
-    /// A sensor on this bus. `is_known` says that the run before has brought it up.
+    /// Creates a sensor on this bus. `is_known` is true if the previous run has configured it.
     pub fn new(bus: SensorBus, config: Config, is_known: bool) -> Self {
         Self {
             bus,
@@ -66,7 +67,7 @@ impl Sensor {
     ///
     /// # Errors
     ///
-    /// [`NotReady`] says what stands in the way; try again in [`RETRY_MS`].
+    /// Returns [`NotReady`] with the reason; try again in [`RETRY_MS`].
     pub fn make_ready(&mut self) -> Result<Ready, NotReady> {
         let result = self.attempt();
         match result {
@@ -86,7 +87,7 @@ impl Sensor {
                     retained::count(FaultClass::SensorSilent);
                 }
             }
-            // The bus is at fault, and no reset of the sensor mends it.
+            // The bus is at fault, and no reset of the sensor helps.
             Err(NotReady::Sensor(Error::Bus { .. })) => {}
             Err(NotReady::Sensor(_)) => {
                 self.failures = self.failures.saturating_add(1);
@@ -99,11 +100,11 @@ impl Sensor {
         result
     }
 
-    /// Has the sensor test itself. It is set up from scratch afterwards.
+    /// Runs the sensor's self-test. The next [`make_ready`](Self::make_ready) configures it from
+    /// reset.
     ///
     /// # Errors
-    ///
-    /// [`NotReady`].
+    /// Returns [`NotReady`] if there is no sensor.
     pub fn test(&mut self) -> Result<SelfTest, NotReady> {
         self.is_known = false;
         self.bus.recover().map_err(NotReady::BusHeldLow)?;
@@ -113,7 +114,8 @@ impl Sensor {
             .map_err(NotReady::Sensor)
     }
 
-    /// Whether it has been silent for no longer than it takes to start.
+    /// Returns whether the sensor may still be powering up: it has been silent for less than 100
+    /// ms.
     pub const fn may_be_starting(&self) -> bool {
         self.silent_looks < LOOKS_WHILE_STARTING
     }

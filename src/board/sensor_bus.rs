@@ -1,9 +1,9 @@
-//! The sensor's bus as an embedded-hal `I2c` with a deadline on every wait, and its recovery.
+//! Sensor bus as an embedded-hal `I2c` with a deadline on every wait, and its recovery.
 //!
-//! The idle task configures the sensor through this while the burst reader is disabled, and never
-//! touches it otherwise. The HAL's blocking I2C waits without limits, so a bus held low would hang it.
-//! Multi-byte reads follow the stretching method of RM0090, 27.3.3 ("Closing the communication"),
-//! which stays right however long an interrupt delays a step.
+//! The idle task configures the sensor through this bus while the burst reader is disabled, and
+//! never uses it otherwise. The HAL's blocking I2C waits without limits, so a bus held low would
+//! hang the task. Multi-byte reads follow the stretching method of RM0090, 27.3.3 ("Closing the
+//! communication"), which stays correct for any delay of a step by an interrupt.
 
 use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};
@@ -12,36 +12,39 @@ use super::boards::BOARD;
 use super::clocks;
 use super::timebase;
 
-/// Longest wait for one bus event, in microseconds. A byte takes 22 µs, and the sensor never stretches the clock.
+/// Longest wait for one bus event, in microseconds. A byte takes 22 µs, and the sensor never
+/// stretches the clock.
 const STEP_DEADLINE_US: u32 = 2_000;
-/// Half a clock period while the bus is recovered by hand, in microseconds: 100 kHz.
+/// Half a clock period during the bus recovery, in microseconds: 100 kHz.
 const RECOVERY_HALF_PERIOD_US: u32 = 5;
-/// A reader may hold SDA low for the rest of a byte and its acknowledge (UM10204, 3.1.16).
+/// Clock pulses of a recovery: a device may hold SDA low for the rest of a byte and its acknowledge
+/// (UM10204, 3.1.16).
 const RECOVERY_CLOCKS: u32 = 9;
-/// PB8 is SCL and PB9 is SDA.
+/// Pins: PB8 is SCL, PB9 is SDA.
 const SCL: u8 = 8;
 const SDA: u8 = 9;
 
-/// The port's input clock in MHz.
+/// Input clock of the port in MHz.
 const CLOCK_MHZ: u8 = (BOARD.peripheral_hz / 1_000_000) as u8;
 
-/// Sets the field of CR2 that tells the port its input clock (RM0090, 27.6.2), which every write of CR2 needs.
+/// Sets the field of CR2 with the port's input clock (RM0090, 27.6.2). Every write of CR2 needs it.
 pub fn with_clock(w: &mut i2c1::cr2::W) -> &mut i2c1::cr2::W {
     const { assert!(CLOCK_MHZ >= 4 && CLOCK_MHZ <= 50) };
     // SAFETY: the manual allows 2 to 50 MHz, and 4 MHz or more for fast mode.
     unsafe { w.freq().bits(CLOCK_MHZ) }
 }
 
-/// I2C1 on PB8 and PB9 at 400 kHz.
+/// I2C1 on PB8 and PB9 at 400 kHz, fast mode.
 pub struct SensorBus {
     _port: I2C1,
     _pins: GPIOB,
 }
 
-/// The bus stayed low after its recovery: SCL or SDA is shorted, unpowered or not connected.
+/// Error of a bus that stays low after its recovery: SCL or SDA is shorted, unpowered or not
+/// connected.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct BusHeldLow {
-    /// Whether SCL is the one that is low; else SDA is.
+    /// True if SCL is low; false if SDA is low.
     pub clock: bool,
 }
 
@@ -58,11 +61,13 @@ impl SensorBus {
         }
     }
 
-    /// Frees the bus from a sensor that was interrupted half-way through a byte, then resets and programs the port.
+    /// Frees the bus from a sensor that was interrupted half-way through a byte, then resets and
+    /// programs the port.
     ///
     /// # Errors
     ///
-    /// A line is still low: the wiring or the supply is at fault, and no clocking helps.
+    /// Returns an error if a line is still low. Then the wiring or the supply is at fault, and no
+    /// clocking helps.
     pub fn recover(&mut self) -> Result<(), BusHeldLow> {
         self.set_pin_modes(PinMode::Output);
         self.drive(SCL, true);
@@ -98,7 +103,8 @@ impl SensorBus {
 
     fn program_port(&self) {
         let i2c = port();
-        // The reset also clears a BUSY flag that the recovery's edges have set (RM0090, 27.6.1, SWRST).
+        // The reset also clears a BUSY flag that the recovery's edges have set (RM0090, 27.6.1,
+        // SWRST).
         i2c.cr1().write(|w| w.swrst().set_bit());
         i2c.cr1().reset();
         i2c.cr2().write(|w| with_clock(w));
@@ -110,7 +116,8 @@ impl SensorBus {
         };
         let divider = BOARD.peripheral_hz.div_ceil(periods * 400_000);
         i2c.ccr()
-            // SAFETY: the divider is 5 or more, far below 12 bits, for every APB1 clock from 2 to 50 MHz.
+            // SAFETY: the divider is 5 or more, far below 12 bits, for every APB1 clock from 2 to
+            // 50 MHz.
             .write(|w| unsafe {
                 w.f_s()
                     .set_bit()
@@ -130,7 +137,8 @@ impl SensorBus {
             .modify(|_, w| w.ot8().open_drain().ot9().open_drain());
         pins.ospeedr()
             .modify(|_, w| w.ospeedr8().high_speed().ospeedr9().high_speed());
-        // The breakout boards carry the real pull-ups; these keep an empty connector from floating.
+        // The breakout boards carry the real pull-ups; these define the level of an empty
+        // connector.
         pins.pupdr()
             .modify(|_, w| w.pupdr8().pull_up().pupdr9().pull_up());
         pins.afrh().modify(|_, w| w.afrh8().af4().afrh9().af4());
@@ -174,7 +182,7 @@ impl SensorBus {
         self.wait(|status| status.btf().bit(), NoAcknowledgeSource::Data)
     }
 
-    /// Receives as many bytes as `sink` takes, `length` in all, and ends with NACK; with STOP too if `stop`.
+    /// Receives `length` bytes into `sink`, and ends with NACK; with STOP too if `stop`.
     fn read_bytes<'a>(
         &mut self,
         length: usize,
@@ -283,7 +291,7 @@ impl ErrorType for SensorBus {
 }
 
 impl I2c for SensorBus {
-    /// `ErrorKind::Other` is a deadline that passed.
+    /// Error of the bus; `ErrorKind::Other` is a missed deadline.
     fn transaction(
         &mut self,
         address: u8,
@@ -291,14 +299,14 @@ impl I2c for SensorBus {
     ) -> Result<(), ErrorKind> {
         self.wait_until_free()?;
         let mut rest = operations;
-        // Neighbours of one kind are one transfer, as the trait demands.
+        // Adjacent operations of one kind are one transfer, as the trait requires.
         while let Some(first) = rest.first() {
             let reads = matches!(first, Operation::Read(_));
             let run = rest
                 .iter()
                 .take_while(|operation| matches!(operation, Operation::Read(_)) == reads)
                 .count();
-            // The run is a part of the rest, so there is always something to split.
+            // The run is a part of the rest, so the split never fails.
             let Some((these, others)) = rest.split_at_mut_checked(run) else {
                 return Ok(());
             };
@@ -347,7 +355,8 @@ fn wait_us(microseconds: u32) {
 }
 
 fn port() -> &'static i2c1::RegisterBlock {
-    // SAFETY: the burst reader is disabled while the idle task uses this bus, and owns it otherwise.
+    // SAFETY: the burst reader is disabled while the idle task uses this bus, and owns it
+    // otherwise.
     unsafe { &*I2C1::ptr() }
 }
 

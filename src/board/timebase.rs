@@ -1,7 +1,10 @@
-//! TIM5, the one clock of the firmware: microseconds since boot, in 32 bits that wrap every 71.6 minutes.
+//! Time base of the firmware, TIM5: microseconds since boot, in 32 bits that wrap every 71.6
+//! minutes.
 //!
-//! - Channel 2 captures the INT pin's rising edge, so a sample's time does not depend on interrupt latency.
-//! - Channel 1's compare is the burst reader's alarm: a burst that does not end, or an edge that does not come.
+//! - Channel 2 captures the INT pin's rising edge, so a sample's time does not depend on interrupt
+//!   latency.
+//! - Channel 1's compare is the burst reader's alarm: a burst that does not end, or an edge that
+//!   does not come.
 //! - Channel 3's compare paces the telemetry.
 //! - Channel 4's compare wakes the idle task from a delay.
 //!
@@ -15,26 +18,27 @@ use super::boards::BOARD;
 use super::clocks;
 use crate::units::CounterExtender;
 
-/// What a TIM5 interrupt was for. Several may come at once.
+/// Causes of a TIM5 interrupt. Several may come at once.
 pub struct Alarms {
-    /// The burst reader's alarm went off.
+    /// True if the burst reader's alarm has expired.
     pub burst: bool,
-    /// The telemetry task is due.
+    /// True if the telemetry task is due.
     pub telemetry: bool,
 }
 
-/// The time base. All of its methods run at the burst reader's priority.
+/// Time base. All methods run at the burst reader's priority.
 pub struct Timebase {
     timer: TIM5,
     extender: CounterExtender,
 }
 
-/// The time from one telemetry tick to the next. Written by the telemetry task, read by the interrupt.
+/// Time from one telemetry tick to the next, in µs. Written by the telemetry task, read by the
+/// interrupt.
 static TELEMETRY_PERIOD_US: AtomicU32 = AtomicU32::new(20_000);
 
-/// Sets the time between telemetry ticks, from the next tick on.
+/// Sets the time between telemetry ticks in µs, from the next tick on.
 pub fn set_telemetry_period_us(period_us: u32) {
-    // A thousand ticks a second are the most that any rate asks for.
+    // No rate needs more than a thousand ticks a second.
     TELEMETRY_PERIOD_US.store(period_us.max(1_000), Ordering::Relaxed);
 }
 
@@ -59,7 +63,7 @@ impl Timebase {
             .dier()
             .write(|w| w.cc1ie().set_bit().cc3ie().set_bit().cc4ie().set_bit());
         timer.cr1().write(|w| w.cen().set_bit());
-        // From wherever the count begins, so that tests may begin it just before it wraps.
+        // Relative to the first count, so that tests may start it just before it wraps.
         let count = timer.cnt().read().cnt().bits();
         let first = count.wrapping_add(TELEMETRY_PERIOD_US.load(Ordering::Relaxed));
         timer.ccr3().write(|w| w.ccr().set(first));
@@ -69,12 +73,12 @@ impl Timebase {
         }
     }
 
-    /// The count at the last rising edge of the INT pin.
+    /// Returns the count at the last rising edge of the INT pin.
     pub fn captured(&self) -> u32 {
         self.timer.ccr2().read().ccr().bits()
     }
 
-    /// A recent count as microseconds since boot.
+    /// Returns a recent count as microseconds since boot.
     #[inline(always)]
     pub fn extend(&mut self, count: u32) -> u64 {
         self.extender.extend(count)
@@ -83,7 +87,7 @@ impl Timebase {
     /// Serves the interrupt.
     pub fn on_interrupt(&mut self) -> Alarms {
         let status = self.timer.sr().read();
-        // SAFETY: the flags are cleared by writing zero, and ones leave them alone (RM0090, 18.4.5).
+        // SAFETY: writing zero clears a flag, and writing one has no effect (RM0090, 18.4.5).
         self.timer.sr().write(|w| unsafe { w.bits(!status.bits()) });
         let now = self.timer.cnt().read().cnt().bits();
         self.extender.extend(now);
@@ -92,14 +96,16 @@ impl Timebase {
             let due = self.timer.ccr3().read().ccr().bits();
             let period_us = TELEMETRY_PERIOD_US.load(Ordering::Relaxed);
             let next = due.wrapping_add(period_us);
-            // After a long stall of the core the next one may be past: its compare would come an hour later.
+            // After a long stall of the core the next tick may be in the past. Its compare would
+            // come an hour later.
             let next = if has_passed(next, now) {
                 now.wrapping_add(period_us)
             } else {
                 next
             };
             self.timer.ccr3().write(|w| w.ccr().set(next));
-            // The same may have happened to the burst reader's alarm, which it always sets again.
+            // The burst reader's alarm may be in the past for that reason too; the reader always
+            // sets it again.
             is_burst_alarm |= has_passed(self.timer.ccr1().read().ccr().bits(), now);
         }
         Alarms {
@@ -109,12 +115,14 @@ impl Timebase {
     }
 }
 
-/// Whether a count has been reached `now`, give or take half a turn of the counter.
+/// Returns whether the counter has reached `count` at `now`. The two must lie within half a turn of
+/// each other.
 fn has_passed(count: u32, now: u32) -> bool {
     now.wrapping_sub(count) < 1 << 31
 }
 
-/// Sets the burst reader's alarm to a count. For the reader, and for the idle task while the reader is disabled.
+/// Sets the burst reader's alarm to a count. Called by the reader, and by the idle task while the
+/// reader is disabled.
 pub fn set_burst_alarm(count: u32) {
     // SAFETY: the time base itself never writes this channel.
     unsafe { &*TIM5::ptr() }
@@ -122,37 +130,40 @@ pub fn set_burst_alarm(count: u32) {
         .write(|w| w.ccr().set(count));
 }
 
-/// Whether the burst reader's alarm was set to now or earlier, and not [raised](raise_burst_alarm).
+/// Returns whether the burst reader's alarm was set to now or earlier, and not
+/// [raised](raise_burst_alarm).
 pub fn burst_alarm_is_due() -> bool {
     // SAFETY: reading these has no side effect.
     let timer = unsafe { &*TIM5::ptr() };
     has_passed(timer.ccr1().read().ccr().bits(), now())
 }
 
-/// Sets the burst reader's alarm off at once.
+/// Triggers the burst reader's alarm at once.
 pub fn raise_burst_alarm() {
-    // SAFETY: a store to this register does what its ones say and nothing else (RM0090, 18.4.6).
+    // SAFETY: in a store to this register only the ones have an effect (RM0090, 18.4.6).
     unsafe { &*TIM5::ptr() }.egr().write(|w| w.cc1g().set_bit());
 }
 
-/// The count now, for whoever does not own the time base.
+/// Returns the present count, for callers that do not own the time base.
 pub fn now() -> u32 {
     // SAFETY: reading the count has no side effect.
     unsafe { &*TIM5::ptr() }.cnt().read().cnt().bits()
 }
 
-/// Whether `limit_us` have passed since the count was `start`. Right for limits up to 71 minutes.
+/// Returns whether `limit_us` have passed since the count was `start`. Valid for limits up to 71
+/// minutes.
 pub fn elapsed(start: u32, limit_us: u32) -> bool {
     now().wrapping_sub(start) >= limit_us
 }
 
-/// Delays asleep, for the sensor's configuration by the idle task. Channel 4's compare ends the sleep.
+/// Delay with the core asleep, for the sensor's configuration by the idle task. Channel 4's compare
+/// ends the sleep.
 pub struct Delay;
 
 impl embedded_hal::delay::DelayNs for Delay {
     fn delay_ns(&mut self, nanoseconds: u32) {
         let start = now();
-        // One more than asked for, since the first microsecond may be all but over.
+        // One more than requested, because the first microsecond may be almost over.
         let limit_us = nanoseconds.div_ceil(1_000) + 1;
         // SAFETY: only the idle task writes this channel, through this function.
         let timer = unsafe { &*TIM5::ptr() };
@@ -164,7 +175,7 @@ impl embedded_hal::delay::DelayNs for Delay {
     }
 }
 
-/// Sleeps between interrupts until `condition` holds. For the idle task.
+/// Sleeps between interrupts until `condition` holds. Only the idle task calls this.
 pub fn sleep_until(condition: impl Fn() -> bool) {
     loop {
         // An interrupt that comes between the check and the sleep stays pending and ends the sleep.

@@ -1,8 +1,9 @@
-//! USART2 on PA2 and PA3, both ways by DMA: the core neither waits for a byte nor is interrupted by one.
+//! USART2 on PA2 and PA3, in both directions by DMA, without waits or interrupts of the core.
 //!
-//! DMA1 stream 6 sends a buffer. Stream 5 writes what arrives into a ring and never stops; whoever reads it finds
-//! the writer's place in the stream's counter. A flood at any rate costs no interrupts: what is not read before the
-//! ring comes round is lost, noticed, and counted.
+//! DMA1 stream 6 sends a buffer. Stream 5 writes received bytes into a ring and never stops. The
+//! reader finds the write position in the stream's counter. A flood of bytes at any rate costs no
+//! interrupts. Bytes that are overwritten before they are read are lost; the loss is detected and
+//! counted.
 
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
 
@@ -12,17 +13,17 @@ use super::boards::BOARD;
 use super::clocks;
 use super::timebase;
 
-/// The longest text that goes out at once.
+/// Capacity of the transmit buffer, in bytes.
 pub const CAPACITY: usize = 864;
 
-/// What fits into the ring of received bytes: at 921,600 baud it takes 22 ms to come round, which is longer than
-/// the period at which it is read.
+/// Capacity of the ring of received bytes. At 921,600 baud the ring wraps in 22 ms, which is longer
+/// than the period of the reads.
 pub const RECEIVE_CAPACITY: usize = 2048;
 
-/// Bits on the wire for a byte: start, eight, stop.
+/// Bits on the wire for a byte: start, eight data bits, stop.
 const BITS_PER_BYTE: u32 = 10;
 
-/// The error flags of the status register (RM0090, 30.6.1).
+/// Error flags of the status register (RM0090, 30.6.1).
 const FRAMING: u16 = 1 << 1;
 const NOISE: u16 = 1 << 2;
 const OVERRUN: u16 = 1 << 3;
@@ -31,35 +32,36 @@ const TRANSMISSION_COMPLETE: u16 = 1 << 6;
 /// Memory that the DMA writes.
 pub type ReceiveRing = [AtomicU8; RECEIVE_CAPACITY];
 
-/// The transmitting half, with the buffer that it sends. It owns the port's settings.
+/// Transmitting half, with its buffer. It owns the port's settings.
 pub struct Transmitter {
     port: USART2,
     buffer: &'static mut [u8; CAPACITY],
     baud: u32,
 }
 
-/// The receiving half, with the ring that the DMA writes.
+/// Receiving half, with the ring that the DMA writes.
 pub struct Receiver {
     ring: &'static ReceiveRing,
-    /// The next byte of the ring to read.
+    /// Index of the next byte of the ring to read.
     read_at: usize,
-    /// When and where the ring was looked at last.
+    /// Count of the time base at the last poll.
     looked_at_us: u32,
     written_before: usize,
 }
 
-/// How the reception went since the last look.
+/// State of the reception since the last poll.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Reception {
-    /// Bytes, or none, as they were sent.
+    /// No error.
     Sound,
-    /// Framing, noise or overrun: what arrived since the last look is not to be trusted and is thrown away.
+    /// Framing, noise or overrun: the bytes since the last poll are unreliable and discarded.
     Garbled,
-    /// More came than the ring holds; the rest of it is thrown away.
+    /// More bytes came than the ring holds; its rest is discarded.
     Lost,
 }
 
-/// Sets the port up at `baud`, 8N1. The pins are the caller's to switch to their alternate function 7.
+/// Sets the port up at `baud` bits per second, 8N1. The caller switches the pins to their alternate
+/// function 7.
 pub fn start(
     port: USART2,
     baud: u32,
@@ -76,14 +78,14 @@ pub fn start(
         .write(|w| w.ue().set_bit().te().set_bit().re().set_bit());
     let data = port.dr().as_ptr() as u32;
     for number in [5, 6] {
-        // SAFETY: the data register's address, as the manual asks (RM0090, 10.3.17).
+        // SAFETY: the data register's address, as the manual requires (RM0090, 10.3.17).
         dma1()
             .st(number)
             .par()
             .write(|w| unsafe { w.pa().bits(data) });
     }
     let stream = dma1().st(5);
-    // SAFETY: the ring lives for ever, and is read as atomics only.
+    // SAFETY: the ring is static, and is read as atomics only.
     stream
         .m0ar()
         .write(|w| unsafe { w.m0a().bits(ring.as_ptr() as u32) });
@@ -111,15 +113,16 @@ pub fn start(
 }
 
 impl Receiver {
-    /// Looks at what has arrived since the last look, at this rate. Afterwards [`Self::receive`] gives what is sound.
+    /// Polls for bytes since the last poll, at this baud rate. Afterwards [`Self::receive`] returns
+    /// the sound ones.
     pub fn look(&mut self, baud: u32) -> Reception {
         let now = timebase::now();
         let elapsed_us = now.wrapping_sub(self.looked_at_us);
         self.looked_at_us = now;
         let is_garbled = usart2().sr().read().bits() & (FRAMING | NOISE | OVERRUN) != 0;
         if is_garbled {
-            // After the status, reading the data clears the flags (RM0090, 30.6.1). Should that take a byte from the DMA, it
-            // is one of those that are thrown away.
+            // After the status, reading the data clears the flags (RM0090, 30.6.1). If this takes a
+            // byte from the DMA, that byte is discarded anyway.
             usart2().dr().read();
         }
         let is_complete = dma1().hisr().read().tcif5().bit();
@@ -131,7 +134,7 @@ impl Receiver {
         let lap = if has_wrapped { RECEIVE_CAPACITY } else { 0 };
         let new = lap + written - self.written_before;
         let unread = (self.written_before + RECEIVE_CAPACITY - self.read_at) % RECEIVE_CAPACITY;
-        // A second lap shows in nothing but the time that it takes.
+        // Only the elapsed time reveals a second lap.
         let is_lost = unread + new >= RECEIVE_CAPACITY || has_wrapped && elapsed_us >= lap_us(baud);
         self.written_before = written;
         if is_garbled {
@@ -145,7 +148,7 @@ impl Receiver {
         }
     }
 
-    /// The next byte that had arrived at the last look.
+    /// Returns the next byte that had arrived at the last poll.
     pub fn receive(&mut self) -> Option<u8> {
         if self.read_at == self.written_before {
             return None;
@@ -157,12 +160,12 @@ impl Receiver {
 }
 
 impl Transmitter {
-    /// The rate at which it sends and receives, bits per second.
+    /// Returns the baud rate, bits per second.
     pub fn baud(&self) -> u32 {
         self.baud
     }
 
-    /// Changes the rate. False, and nothing changes, while something is still going out.
+    /// Changes the baud rate. Returns `false`, without a change, while a text is still being sent.
     pub fn set_baud(&mut self, baud: u32) -> bool {
         let is_sent = self.port.sr().read().bits() & TRANSMISSION_COMPLETE != 0;
         if self.is_sending() || !is_sent {
@@ -173,12 +176,12 @@ impl Transmitter {
         true
     }
 
-    /// Whether the buffer is free.
+    /// Returns whether the buffer is free.
     pub fn is_idle(&self) -> bool {
         !self.is_sending()
     }
 
-    /// The buffer to write the next text into, or nothing while the last one is still going out.
+    /// Returns the buffer for the next text, or `None` while the last one is still being sent.
     pub fn idle_buffer(&mut self) -> Option<&mut [u8; CAPACITY]> {
         if self.is_sending() {
             return None;
@@ -187,18 +190,19 @@ impl Transmitter {
         Some(self.buffer)
     }
 
-    /// Sends the first `length` bytes of the buffer. Does nothing while the last text is still going out.
+    /// Sends the first `length` bytes of the buffer. Does nothing while the last text is still
+    /// being sent.
     pub fn send(&mut self, length: usize) {
         if length == 0 || length > CAPACITY || self.is_sending() {
             return;
         }
         let stream = dma1().st(6);
         compiler_fence(Ordering::Release);
-        // SAFETY: flags are cleared by writing zero, and ones leave them alone (RM0090, 30.6.1).
+        // SAFETY: writing zero clears a flag, and writing one has no effect (RM0090, 30.6.1).
         self.port
             .sr()
             .write(|w| unsafe { w.bits(!TRANSMISSION_COMPLETE) });
-        // The flags of the last transfer would keep the stream from starting (RM0090, 10.3.17).
+        // The flags of the last transfer would prevent the stream's start (RM0090, 10.3.17).
         dma1().hifcr().write(|w| {
             w.ctcif6()
                 .set_bit()
@@ -211,7 +215,8 @@ impl Transmitter {
                 .cfeif6()
                 .set_bit()
         });
-        // SAFETY: the buffer lives for ever, and `idle_buffer` does not lend it before the stream is off.
+        // SAFETY: the buffer is static, and `idle_buffer` does not lend it before the stream is
+        // off.
         stream
             .m0ar()
             .write(|w| unsafe { w.m0a().bits(self.buffer.as_ptr() as u32) });
@@ -233,19 +238,19 @@ impl Transmitter {
     }
 }
 
-/// How long the ring takes to come round at full rate.
+/// Returns the time in µs in which the ring wraps at full rate.
 fn lap_us(baud: u32) -> u32 {
     const BITS_PER_LAP: u32 = RECEIVE_CAPACITY as u32 * BITS_PER_BYTE;
     BITS_PER_LAP * 1_000 / (baud / 1_000).max(1)
 }
 
 fn usart2() -> &'static usart1::RegisterBlock {
-    // SAFETY: the receiver only reads the status and the data, which clears error flags that the transmitter does not
-    // look at.
+    // SAFETY: the receiver only reads the status and the data, which clears error flags that the
+    // transmitter does not use.
     unsafe { &*USART2::ptr() }
 }
 
-/// Where in the ring the next byte will be written.
+/// Returns the index in the ring of the next byte to be written.
 fn written() -> usize {
     let left = usize::from(dma1().st(5).ndtr().read().ndt().bits());
     (RECEIVE_CAPACITY - left.min(RECEIVE_CAPACITY)) % RECEIVE_CAPACITY
@@ -259,7 +264,7 @@ fn set_divider(port: &usart1::RegisterBlock, baud: u32) {
 }
 
 fn dma1() -> &'static stm32f4xx_hal::pac::dma1::RegisterBlock {
-    // SAFETY: this file writes streams 5 and 6 and their bits of the clear register alone, and the clear
-    // registers ignore zeros, so it never disturbs the burst reader's stream 0.
+    // SAFETY: this file writes only streams 5 and 6 and their bits of the clear registers. Those
+    // ignore zeros, so the burst reader's stream 0 is never disturbed.
     unsafe { &*DMA1::ptr() }
 }

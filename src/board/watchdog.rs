@@ -1,36 +1,39 @@
-//! The independent watchdog: it resets the processor unless samples, attitude and telemetry all go on.
+//! Independent watchdog: resets the processor unless samples, attitude and telemetry all make
+//! progress.
 //!
-//! Each of the three says so in its own task; the telemetry task, of lowest priority of them, feeds the
-//! watchdog only if all have said so since the last time. Where there is no sensor, the idle task's tries
-//! to find it count as samples: a reset would not bring it back.
+//! Each of the three reports its progress in its own task. The telemetry task has the lowest
+//! priority of them. It feeds the watchdog only if all three have reported since the last time.
+//! Without a sensor, the idle task's attempts to find it count as samples, because a reset would
+//! not help.
 //!
-//! The watchdog runs from its own oscillator, whose frequency is anything from 17 to 47 kHz (STM32F405
-//! datasheet, table "LSI oscillator characteristics"), and never stops but for a debugger's halt.
+//! The watchdog runs from its own oscillator, at 17 to 47 kHz (STM32F405 datasheet, table "LSI
+//! oscillator characteristics"). Only a debugger's halt stops it.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use stm32f4xx_hal::pac::{DBGMCU, IWDG};
 
-/// The shortest time without progress after which the processor is reset, in ms: a hang of any part is
-/// over after this to 2.8 times this. The longest wait of the idle task is 100 ms.
+/// Shortest time without progress after which the processor is reset, in ms. A hang of any part
+/// ends after 1 to 2.8 times this limit. The longest wait of the idle task is 100 ms.
 pub const LIMIT_MS: u32 = 200;
 
-/// The fastest that the oscillator may run, in kHz.
+/// Highest frequency of the oscillator, in kHz.
 const FASTEST_KHZ: u32 = 47;
 
-/// PR for a division by 64 (RM0090, 21.4.2).
+/// Value of PR for a division by 64 (RM0090, 21.4.2).
 const PRESCALER: u8 = 4;
 const DIVISION: u32 = 64;
 
-/// How often the status is read until a new limit has arrived. At 168 MHz a reading takes at least 4 cycles, so this is 1 ms
-/// or more; five cycles of the slowest oscillator are 0.3 ms (RM0090, 21.4.4).
+/// Readings of the status until a new limit must have arrived. At 168 MHz a reading takes at least
+/// 4 cycles, so they take 1 ms or more. Five cycles of the slowest oscillator are 0.3 ms (RM0090,
+/// 21.4.4).
 const CROSSING_READINGS: u32 = 50_000;
 
-/// What has to go on.
+/// Progress since the watchdog was last fed.
 static SAMPLES: AtomicBool = AtomicBool::new(false);
 static ATTITUDE: AtomicBool = AtomicBool::new(false);
 
-/// Starts the watchdog; nothing stops it again.
+/// Starts the watchdog, which cannot be stopped again.
 pub fn start(watchdog: &IWDG, debugger: &DBGMCU) {
     debugger
         .apb1_fz()
@@ -40,8 +43,8 @@ pub fn start(watchdog: &IWDG, debugger: &DBGMCU) {
     allow_ms(LIMIT_MS);
 }
 
-/// Changes the limit: at least `limit_ms`, up to 5,000, go by without progress before the reset. For work
-/// that stops everything, such as erasing flash; [`LIMIT_MS`] afterwards.
+/// Sets the shortest time without progress before a reset, in ms, up to 5,000. Needed around work
+/// that stops everything, such as erasing flash; set [`LIMIT_MS`] afterwards.
 pub fn allow_ms(limit_ms: u32) {
     let ticks = limit_ms.saturating_mul(FASTEST_KHZ).div_ceil(DIVISION);
     let watchdog = watchdog();
@@ -53,7 +56,8 @@ pub fn allow_ms(limit_ms: u32) {
             .rlr()
             .write(|w| w.rl().bits(ticks.min(0xFFF) as u16));
     }
-    // The limit reaches the counter within five cycles of its oscillator; fed before that it would reload the old one.
+    // The limit reaches the counter within five cycles of its oscillator. A feed before that would
+    // reload the old limit.
     for _ in 0..CROSSING_READINGS {
         let status = watchdog.sr().read();
         if status.pvu().bit_is_clear() && status.rvu().bit_is_clear() {
@@ -63,19 +67,19 @@ pub fn allow_ms(limit_ms: u32) {
     feed();
 }
 
-/// Samples come, or the idle task is busy bringing them back.
+/// Reports that samples come, or that the idle task recovers the sensor.
 #[inline(always)]
 pub fn samples_go_on() {
     SAMPLES.store(true, Ordering::Relaxed);
 }
 
-/// The attitude task has published.
+/// Reports that the attitude task has published.
 #[inline(always)]
 pub fn attitude_goes_on() {
     ATTITUDE.store(true, Ordering::Relaxed);
 }
 
-/// The telemetry task runs, and feeds the watchdog if the others have, too.
+/// Reports that the telemetry task runs. Feeds the watchdog if the other two have reported too.
 pub fn telemetry_goes_on() {
     if SAMPLES.load(Ordering::Relaxed) && ATTITUDE.load(Ordering::Relaxed) {
         SAMPLES.store(false, Ordering::Relaxed);
@@ -90,6 +94,6 @@ fn feed() {
 }
 
 fn watchdog() -> &'static stm32f4xx_hal::pac::iwdg::RegisterBlock {
-    // SAFETY: each use is a store that stands for itself, and only this file uses it.
+    // SAFETY: each use is an independent store, and only this file uses the watchdog.
     unsafe { &*IWDG::ptr() }
 }

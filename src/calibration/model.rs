@@ -57,7 +57,8 @@ impl Calibration {
         }
     }
 
-    /// Returns whether the gyroscope's offset is stored, at one temperature or over a range of them.
+    /// Returns whether the gyroscope's offset is stored, at one temperature or over a range of
+    /// them.
     pub(crate) const fn has_gyroscope_offset(&self) -> bool {
         self.gyroscope.is_some() || self.temperature.is_some()
     }

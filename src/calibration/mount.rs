@@ -2,8 +2,8 @@
 //! others.
 //!
 //! The name of a mount gives the sensor axes along which the body's forward and down axes point, in
-//! that order: `+x-z` has forward along the sensor's +X and down along its −Z, a chip that lies
-//! face up. The right axis follows, so that a mount is always a proper rotation.
+//! that order. With `+x-z`, forward is along the sensor's +X and down along its −Z: a chip that
+//! lies face up. The right axis follows, so that a mount is always a proper rotation.
 
 use core::fmt;
 use core::str::FromStr;

@@ -39,7 +39,7 @@ pub struct MountFinder {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum MountStep {
-    /// The finder wants the second pose: nose down by 90°, or as far as it goes.
+    /// The finder needs the second pose: nose down by 90°, or as far as possible.
     NoseDown,
     /// The poses show this mount. The finder starts over.
     Found(Mount),
@@ -118,7 +118,7 @@ impl fmt::Display for MountError {
 
 impl core::error::Error for MountError {}
 
-/// Returns the mount whose axes are nearest to these directions; a zero vector stands for any.
+/// Returns the mount whose axes are nearest to these directions; a zero vector means any.
 fn nearest(forward: Vector3, down: Vector3) -> Result<Mount, MountError> {
     let cosines = |mount: Mount| {
         let forward_cosine = mount.to_sensor(Vector3::new(1.0, 0.0, 0.0)).dot(forward);

@@ -16,15 +16,14 @@
 //! - the mean of an axis differs from the mean of the windows before by more than the standard
 //!   error of the difference. A slow rotation about a level axis shows in the accelerometer long
 //!   before its rate is distinguishable from a gyroscope offset;
-//! - the gyroscope's mean is beyond any zero-rate offset that the datasheet allows (a fast, steady
-//!   rotation about the vertical), or the accelerometer's mean is not about one g (free fall, or a
-//!   sensor that returns zeros).
+//! - the gyroscope's mean is beyond the datasheet's zero-rate offset (a fast, steady rotation about
+//!   the vertical), or the accelerometer's mean is not about one g (free fall, or all zeros).
 //!
 //! At the end the means must not show a trend either. All limits lie at five standard deviations:
 //! white noise exceeds them in less than one of ten thousand averages of 1000 samples.
 //!
-//! One motion looks like rest to these six axes: a steady rotation about the vertical that is
-//! slower than the zero-rate offset that the datasheet allows. It ends up in the offset.
+//! One motion reads like rest on these six axes: a steady rotation about the vertical, slower than
+//! the datasheet's zero-rate offset. It ends up in the offset.
 //!
 //! # Cost
 //!

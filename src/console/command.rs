@@ -23,7 +23,7 @@ use super::nearest::nearest;
 use crate::calibration::Mount;
 use crate::settings::OutputFormat;
 
-/// Command. Its text is the line that asks for it.
+/// Command. Its text is the line that requests it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]

@@ -2,8 +2,8 @@
 
 /// Returns the known word nearest to `word`, if one is near; of equals the first.
 ///
-/// A word is near if one of the two abbreviates the other, or if they differ in one place of at
-/// most a third of the longer word. Case does not count.
+/// A word is near if one abbreviates the other, or if they differ in one place of at most a third
+/// of the longer word. Case does not count.
 pub(super) fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let mut best = None;
     for candidate in known {
@@ -46,7 +46,7 @@ mod tests {
     ];
 
     #[test]
-    fn slips_of_the_finger_find_their_word() {
+    fn typing_errors_find_their_word() {
         for (typed, meant) in [
             ("stauts", "status"),
             ("Save", "save"),
@@ -70,7 +70,7 @@ mod tests {
     proptest! {
         /// One letter more, less or otherwise, in any word, and it is found again.
         #[test]
-        fn one_slip_is_forgiven(
+        fn one_typing_error_is_accepted(
             which in 0..WORDS.len(),
             at in 0_usize..12,
             letter in b'a'..=b'z',

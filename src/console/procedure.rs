@@ -357,8 +357,7 @@ pub(super) fn set_mount(calibration: &mut Calibration, mount: Mount, before: Mou
     }
 }
 
-/// Returns the mean specific force, corrected as far as the calibration knows, m/s² in sensor
-/// axes.
+/// Returns the mean specific force with the stored corrections, m/s² in sensor axes.
 fn corrected_force_m_s2(
     calibration: &Calibration,
     mean: &StationaryMean,

@@ -1,11 +1,11 @@
-//! The flags that travel with every attitude.
+//! Flags of an attitude, and of the board's conditions.
 
 use core::error::Error;
 use core::fmt;
 use core::str::FromStr;
 
 bitflags::bitflags! {
-    /// State of an attitude. [`Flags::VALID`] alone means that all is well.
+    /// State of an attitude. [`Flags::VALID`] alone means no problem.
     ///
     /// As text, the names are joined by `|`; no flag is the empty text.
     ///
@@ -26,9 +26,9 @@ bitflags::bitflags! {
         const MOVED = 1 << 1;
         /// Samples before this one were lost.
         const MISSED = 1 << 2;
-        /// No sample came for more than half a second: roll and pitch started again from gravity.
+        /// No sample came for more than half a second. Roll and pitch restarted from gravity.
         const GAP = 1 << 3;
-        /// The sample's time is not after the one before. The attitude is held.
+        /// The sample's time is not after the previous one. The attitude is held.
         const TIME = 1 << 4;
         /// A gyroscope axis reads full scale.
         const GYROSCOPE_SATURATED = 1 << 5;
@@ -36,27 +36,30 @@ bitflags::bitflags! {
         const ACCELEROMETER_SATURATED = 1 << 6;
         /// The specific force is too small to show where down is. Only the gyroscope was used.
         const FREE_FALL = 1 << 7;
-        /// The sensor repeats itself to the last bit: it sleeps, or the bus returns a stuck level.
+        /// The data repeat to the last bit: the sensor sleeps, or the bus returns a stuck level.
         const FROZEN = 1 << 8;
         /// The sample was not a measurement and was ignored.
         const REJECTED = 1 << 9;
-        /// The tilt is wrong by no more than the larger of 5° and six σ. Only filters that know their σ set it.
+        /// The tilt is wrong by no more than the larger of 5° and six σ. Only filters with a σ set
+        /// it.
         const VALID = 1 << 10;
-        /// The attitude is less certain than usual: σ is above 5°, or one of [`Flags::DEGRADING`] is set.
+        /// The attitude is less certain than usual: σ is above 5°, or one of [`Flags::DEGRADING`]
+        /// is set.
         const DEGRADED = 1 << 11;
         /// No sample came: the attitude is the last one, and its σ grows.
         const STALE = 1 << 12;
-        /// Bursts have failed since the sample before.
+        /// Bursts have failed since the previous sample.
         const BUS_FAULT = 1 << 13;
-        /// The sensor had lost its settings, and has been or is being configured again.
+        /// The sensor had lost its settings, and has been or is being reconfigured.
         const SENSOR_RESET = 1 << 14;
-        /// A sample was lost because the attitude task had not finished the one before.
+        /// A sample was lost because the attitude task had not finished the previous one.
         const LATE = 1 << 15;
-        /// The die is outside −40 °C to 85 °C, where the datasheet promises nothing.
+        /// The die is outside −40 °C to 85 °C, the rated range of the datasheet.
         const TEMPERATURE = 1 << 16;
-        /// No data-ready edges come. Samples are read by timer, and their time is uncertain by one period.
+        /// No data-ready edges come. Samples are read by timer, and their time is uncertain by one
+        /// period.
         const POLLED = 1 << 17;
-        /// The crystal has failed. Times are those of the chip's own oscillator, right to 1 %.
+        /// The crystal has failed. Times are those of the internal oscillator, accurate to 1 %.
         const INTERNAL_CLOCK = 1 << 18;
     }
 }
@@ -76,7 +79,7 @@ impl Flags {
         .union(Self::POLLED)
         .union(Self::INTERNAL_CLOCK);
 
-    /// Flags that last as long as their cause, and so describe an attitude. The others report single events.
+    /// Flags that last as long as their cause. The others report single events.
     pub const LASTING: Self = Self::DEGRADING
         .difference(Self::CALIBRATING)
         .union(Self::ACCELEROMETER_SATURATED)
@@ -85,7 +88,8 @@ impl Flags {
 }
 
 bitflags::bitflags! {
-    /// Conditions that the board reports with a burst. All but the last have the bits and names of their [`Flags`].
+    /// Conditions that the board reports with a burst. All but the last have the bits and names of
+    /// their [`Flags`].
     #[repr(transparent)]
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct BoardFlags: u32 {
@@ -99,7 +103,7 @@ bitflags::bitflags! {
         const POLLED = Flags::POLLED.bits();
         /// [`Flags::INTERNAL_CLOCK`].
         const INTERNAL_CLOCK = Flags::INTERNAL_CLOCK.bits();
-        /// The sensor's full scales have been read back since the burst before, and are right.
+        /// The sensor's full scales have been read back since the previous burst, and are right.
         const SCALES_VERIFIED = 1 << 31;
     }
 }

@@ -10,19 +10,20 @@ pub const DEGRADED_TILT_RAD: f32 = radians(5.0);
 /// σ of the tilt above which an attitude is not valid, in rad: six σ are half a turn.
 pub const LOST_TILT_RAD: f32 = radians(30.0);
 
-/// Range of die temperatures that the part is made for (product specification §6.2).
+/// Rated range of the die temperature, °C (product specification §6.2).
 const COLDEST_CELSIUS: f32 = -40.0;
 const HOTTEST_CELSIUS: f32 = 85.0;
 
 /// Identical samples in a row that mean [`Flags::FROZEN`], for a low-pass filter of 98 Hz and more.
 ///
-/// With that bandwidth, noise alone (product specification §6.1 and §6.2) makes a repetition of all six axes after 11
-/// samples less likely than one in 10,000, and there are two such pairs here.
+/// With that bandwidth, noise alone (product specification §6.1 and §6.2) makes a repetition of all
+/// six axes after 11 samples less likely than one in 10,000, and there are two such pairs here.
 const FROZEN_SAMPLES: u8 = 22;
-/// The same number for narrower low-pass filters, where neighbouring samples are alike.
+/// Identical samples in a row that mean [`Flags::FROZEN`], for narrower low-pass filters. With
+/// these, successive samples often repeat.
 const FROZEN_SAMPLES_NARROW: u8 = 99;
 
-/// Watches over the samples.
+/// Monitor of the samples: sets the flags of an attitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Monitor {
@@ -36,7 +37,8 @@ pub struct Monitor {
 }
 
 impl Monitor {
-    /// A monitor for a sensor with this gyroscope bandwidth and temperature scale.
+    /// Creates a monitor for a sensor with this gyroscope bandwidth (Hz) and temperature scale
+    /// (°C).
     pub fn new(bandwidth_hz: u16, celsius_per_count: f32, celsius_at_zero: f32) -> Self {
         let counts = |celsius: f32| ((celsius - celsius_at_zero) / celsius_per_count) as i16;
         Self {
@@ -54,12 +56,13 @@ impl Monitor {
         }
     }
 
-    /// Number of identical samples in a row after which they are flagged as frozen.
+    /// Returns the number of identical samples in a row after which they are flagged as frozen.
     pub const fn frozen_samples(&self) -> u8 {
         self.frozen_samples
     }
 
-    /// Checks a sample's 14 bytes and its temperature: [`Flags::REJECTED`], [`Flags::FROZEN`], [`Flags::TEMPERATURE`].
+    /// Checks a sample's 14 bytes and its temperature: [`Flags::REJECTED`], [`Flags::FROZEN`],
+    /// [`Flags::TEMPERATURE`].
     #[inline]
     pub fn inspect(&mut self, bytes: &[u8; 14], temperature_counts: i16) -> Flags {
         let mut flags = Flags::empty();
@@ -86,13 +89,13 @@ impl Monitor {
         flags
     }
 
-    /// Requires the sensor's full scales to be read back: the rate has jumped as if they had changed. Until
-    /// [`confirm_scales`](Self::confirm_scales), no attitude is valid.
+    /// Requires the sensor's full scales to be read back: the rate has jumped as if they had
+    /// changed. Until [`confirm_scales`](Self::confirm_scales), no attitude is valid.
     pub const fn require_scale_check(&mut self) {
         self.awaits_scale_check = true;
     }
 
-    /// Whether the full scales have to be read back.
+    /// Returns whether the full scales have to be read back.
     pub const fn awaits_scale_check(&self) -> bool {
         self.awaits_scale_check
     }
@@ -102,12 +105,13 @@ impl Monitor {
         self.awaits_scale_check = false;
     }
 
-    /// Forgets the motion of the calibration phase, which starts again.
+    /// Restarts the calibration phase, and forgets its motion.
     pub const fn restart(&mut self) {
         self.was_still = false;
     }
 
-    /// Adds [`Flags::VALID`] and [`Flags::DEGRADED`] to the flags of an attitude with this tilt variance, in rad².
+    /// Adds [`Flags::VALID`] and [`Flags::DEGRADED`] to the flags of an attitude with this tilt
+    /// variance, in rad².
     #[inline]
     pub fn judge(&self, mut flags: Flags, tilt_variance_rad2: f32) -> Flags {
         let is_uncertain = tilt_variance_rad2 > DEGRADED_TILT_RAD * DEGRADED_TILT_RAD;
@@ -155,8 +159,8 @@ impl Fingerprint {
         }
     }
 
-    /// Whether accelerometer and temperature are all zeros or all ones, which noise never leaves: the bus or the
-    /// sensor is dead.
+    /// Returns whether accelerometer and temperature are all zeros or all ones. Noise excludes
+    /// both, so the bus or the sensor is dead.
     #[inline]
     fn is_blank(self) -> bool {
         self.first == 0 || self.first == u64::MAX
@@ -167,13 +171,13 @@ impl Fingerprint {
 mod tests {
     use super::*;
 
-    /// The MPU-6050's scale: 340 counts per °C, 36.53 °C at zero.
+    /// Creates a monitor with the MPU-6050's scale: 340 counts per °C, 36.53 °C at zero.
     fn monitor(bandwidth_hz: u16) -> Monitor {
         Monitor::new(bandwidth_hz, 1.0 / 340.0, 36.53)
     }
 
     #[test]
-    fn data_freeze_after_repetitions_and_thaw_at_once() {
+    fn data_are_frozen_after_repetitions_until_the_first_change() {
         for (bandwidth_hz, limit) in [(188, 22), (98, 22), (42, 99)] {
             let mut monitor = monitor(bandwidth_hz);
             let mut bytes = [7; 14];
@@ -191,10 +195,11 @@ mod tests {
     }
 
     #[test]
-    fn blank_is_all_zeros_or_all_ones_and_no_measurement() {
+    fn all_zeros_and_all_ones_are_rejected() {
         let is_rejected = |bytes| monitor(98).inspect(&bytes, 0).contains(Flags::REJECTED);
         assert!(is_rejected([0; 14]) && is_rejected([0xFF; 14]));
-        // A burst of a sensor in free fall, at rest about every axis, at 36.53 °C: one count of noise.
+        // A burst of a sensor in free fall, at rest about every axis, at 36.53 °C: one count of
+        // noise.
         for place in 0..8 {
             let mut bytes = [0; 14];
             bytes[place] = 1;
@@ -204,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn temperatures_are_limited_as_the_datasheet_says() {
+    fn temperatures_outside_the_rated_range_are_flagged() {
         let is_extreme = |counts| {
             let flags = monitor(98).inspect(&[7; 14], counts);
             flags.contains(Flags::TEMPERATURE)
@@ -214,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn sigma_decides_on_valid_and_degraded() {
+    fn sigma_determines_valid_and_degraded() {
         let monitor = monitor(98);
         let judged = |flags, sigma_deg| {
             let sigma = radians(sigma_deg);

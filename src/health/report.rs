@@ -1,8 +1,8 @@
-//! Decides which changes of the flags are worth a message.
+//! Selects the changes of the flags that are reported as messages.
 
 use super::flags::Flags;
 
-/// Reports lasting flags once they are steady, and never while they flicker.
+/// Report of lasting flags: once they are steady, never while they flicker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FlagReport {
@@ -12,11 +12,12 @@ pub struct FlagReport {
 }
 
 impl FlagReport {
-    /// Shortest duration of flags that are reported, in µs. Lost bursts and bus recoveries, which are shorter,
-    /// have messages of their own.
+    /// Shortest duration of reported flags, in µs. Lost bursts and bus recoveries, which are
+    /// shorter, have their own messages.
     const STEADY_US: u32 = 200_000;
 
-    /// A report whose last state is a valid attitude. Before that, [`Flags::CALIBRATING`] speaks for itself.
+    /// Creates a report whose last state is a valid attitude. [`Flags::CALIBRATING`] before that
+    /// needs no message.
     pub const fn new() -> Self {
         Self {
             reported: Flags::VALID,
@@ -25,7 +26,8 @@ impl FlagReport {
         }
     }
 
-    /// Takes the flags of an attitude at a time in µs, which may wrap. Returns the lasting flags if they have to be reported.
+    /// Updates with the flags of an attitude at a time in µs, which may wrap. Returns the lasting
+    /// flags if they have to be reported.
     pub fn update(&mut self, flags: Flags, now_us: u32) -> Option<Flags> {
         let lasting = flags & Flags::LASTING;
         if lasting != self.latest || flags.contains(Flags::CALIBRATING) {

@@ -86,8 +86,8 @@ impl<I2C: I2c> Mpu6050<I2C> {
 
     /// Resets and configures the sensor, in 230 ms. Data-ready pulses begin as it returns.
     ///
-    /// The sequence is the datasheet's: reset, 100 ms, verify; wake, reset the signal paths, 100
-    /// ms; clock from the gyroscope, 30 ms for its zero-rate output to settle; then the settings,
+    /// The sequence is the datasheet's. Reset, 100 ms, verify; wake, reset the signal paths, 100
+    /// ms. Clock from the gyroscope, 30 ms for its zero-rate output to settle. Then the settings,
     /// and the data-ready interrupt last. It can be repeated at any time.
     ///
     /// # Errors

@@ -1,4 +1,5 @@
-//! From counts in sensor axes to SI units in body axes: scale, correction, mount and level in one affine map per sensor.
+//! Converts counts in sensor axes to SI units in body axes: scale, correction, mount and level in
+//! one affine map per sensor.
 
 use super::Settings;
 use crate::attitude::Vector3;
@@ -6,7 +7,7 @@ use crate::calibration::AccelerometerCorrection;
 use crate::estimator::Sample;
 use crate::mpu6050::RawSample;
 
-/// The maps of both sensors.
+/// Affine maps of both sensors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Alignment {
     accelerometer: Affine,
@@ -14,7 +15,8 @@ pub(super) struct Alignment {
 }
 
 impl Alignment {
-    /// The maps for these settings, which remove this gyroscope offset (rad/s in sensor axes).
+    /// Creates the maps for these settings, which remove this gyroscope offset (rad/s in sensor
+    /// axes).
     pub(super) fn new(settings: &Settings, gyroscope_offset_rad_s: Vector3) -> Self {
         let sensor = &settings.sensor;
         let mount = settings.mount();
@@ -45,7 +47,7 @@ impl Alignment {
         self.gyroscope.remove(offset_rad_s);
     }
 
-    /// The gyroscope offset that is removed, rad/s in body axes.
+    /// Returns the removed gyroscope offset, rad/s in body axes.
     pub(super) fn gyroscope_offset_rad_s(&self) -> Vector3 {
         -self.gyroscope.offset
     }
@@ -55,7 +57,7 @@ impl Alignment {
         self.accelerometer.offset = force_m_s2 - self.accelerometer.turn(counts);
     }
 
-    /// The sample of these counts.
+    /// Returns the sample of these counts.
     #[inline]
     pub(super) fn apply(&self, raw: &RawSample, t_us: u64) -> Sample {
         Sample {
@@ -68,7 +70,7 @@ impl Alignment {
     }
 }
 
-/// An affine map: units = Σ column · count + offset.
+/// Affine map: units = Σ column · count + offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Affine {
     /// One count along each sensor axis, in units along the body's axes.
@@ -78,7 +80,7 @@ struct Affine {
 }
 
 impl Affine {
-    /// The map of a linear function from units in sensor axes, with this unit per count.
+    /// Creates the map of a linear function from units in sensor axes, with this unit per count.
     fn new(linear: impl Fn(Vector3) -> Vector3, per_count: f32) -> Self {
         Self {
             columns: [

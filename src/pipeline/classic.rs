@@ -1,7 +1,9 @@
-//! The tutorial's pipeline: a start-up average of the offsets, then one of the [classic filters](crate::estimator::classic).
+//! The tutorial's pipeline: a start-up average of the offsets, then one of the [classic
+//! filters](crate::estimator::classic).
 //!
-//! It exists to compare with, and to find the tutorial's numbers. Its snapshots are never [`Flags::VALID`], because these filters
-//! do not know their σ. Nothing in the default pipeline refers to it.
+//! This pipeline serves for comparison, and reproduces the tutorial's numbers. Its snapshots are
+//! never [`Flags::VALID`], because these filters have no σ. The default pipeline does not use this
+//! module.
 //!
 //! ```
 //! use aplomb::estimator::classic::Tutorial;
@@ -33,9 +35,10 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Zero {
-    /// The gyroscope's.
+    /// Offset of the gyroscope.
     Gyroscope,
-    /// Both sensors': the tutorial takes the table for level, so whatever is not one g upwards is offset.
+    /// Offsets of both sensors. The tutorial assumes a level table, so any difference from one g
+    /// upwards is offset.
     BothSensors,
 }
 
@@ -51,7 +54,8 @@ pub struct ClassicPipeline<F> {
 }
 
 impl<F: Filter> ClassicPipeline<F> {
-    /// A pipeline that first averages `averaging_samples` at rest; zero averages nothing and removes no offsets.
+    /// Creates a pipeline that first averages `averaging_samples` at rest. With zero it removes no
+    /// offsets.
     pub fn new(settings: &Settings, filter: F, averaging_samples: u16, zero: Zero) -> Self {
         let sensor = &settings.sensor;
         let temperature = settings.part.temperature;
@@ -74,8 +78,9 @@ impl<F: Filter> ClassicPipeline<F> {
         }
     }
 
-    /// Takes one burst and returns the attitude at its time. It carries [`Flags::CALIBRATING`] until the average is
-    /// complete. With the next sample the filter starts again, and so does yaw.
+    /// Processes one burst, and returns the attitude at its time. The snapshot carries
+    /// [`Flags::CALIBRATING`] until the average is complete. With the next sample filter and yaw
+    /// restart.
     pub fn update(&mut self, burst: &Burst) -> Snapshot {
         let raw = RawSample::decode(&burst.bytes);
         let mut flags = self.monitor.inspect(&burst.bytes, raw.temperature.0);
@@ -89,7 +94,8 @@ impl<F: Filter> ClassicPipeline<F> {
         snapshot
     }
 
-    /// Takes one calibrated sample in body axes, and returns the attitude at its time. No offset is averaged.
+    /// Processes one calibrated sample in body axes, and returns the attitude at its time. No
+    /// offset is averaged.
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
         self.process(sample, Flags::empty())
     }
@@ -113,12 +119,13 @@ impl<F: Filter> ClassicPipeline<F> {
         }
     }
 
-    /// The filter.
+    /// Returns the filter.
     pub const fn filter(&self) -> &F {
         self.estimator.filter()
     }
 
-    /// The gyroscope offset that is removed, rad/s in body axes: zero until the average is complete.
+    /// Returns the removed gyroscope offset, rad/s in body axes. It is zero until the average is
+    /// complete.
     pub fn gyroscope_offset_body_rad_s(&self) -> Vector3 {
         self.alignment.gyroscope_offset_rad_s()
     }
@@ -228,7 +235,7 @@ mod tests {
         assert_eq!(done, Some(1602));
     }
 
-    /// Roll after a start on a table that is tilted by 4°, in degrees.
+    /// Returns roll after a start on a table that is tilted by 4°, in degrees.
     fn roll_on_a_tilted_table<F: Filter>(filter: F, zero: Zero, mount: Mount) -> f32 {
         let mut pipeline = averaging(filter, zero, mount);
         let mut last = Snapshot::default();
@@ -242,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tutorial_takes_the_table_for_level() {
+    fn the_tutorial_assumes_a_level_table() {
         for mount in [Mount::Z_UP, Mount::Z_DOWN] {
             let roll = roll_on_a_tilted_table(Tutorial::new(), Zero::BothSensors, mount);
             assert!(roll.abs() < 0.05, "{mount}: {roll}");

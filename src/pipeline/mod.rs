@@ -1,14 +1,15 @@
-//! One burst in, one snapshot out: the only place that knows the order of the steps.
+//! Processes one burst to one snapshot: the only place that defines the order of the steps.
 //!
 //! ```text
 //! Burst ─► decode ─► correct and align ─► estimate ─► health ─► Snapshot
 //! ```
 //!
-//! Every burst gives a snapshot, from the first one on. It carries [`Flags::CALIBRATING`] until
-//! the gyroscope's offset is known: after a second of rest, or at once with a stored offset.
-//! [`Pipeline::update`] does all the work there is, the periodic part included, so a caller cannot forget any.
+//! Every burst gives a snapshot, from the first one on. The snapshot carries [`Flags::CALIBRATING`]
+//! until the gyroscope's offset is known: after a second of rest, or at once with a stored offset.
+//! [`Pipeline::update`] does all the work, housekeeping included, so a caller cannot forget any.
 //!
-//! Deadline: a fraction of the sample period, 1 ms. No loop's length depends on data, and nothing waits.
+//! Deadline: a fraction of the sample period, 1 ms. No loop's length depends on data, and no step
+//! waits.
 //!
 //! ```
 //! use aplomb::health::BoardFlags;
@@ -61,12 +62,14 @@ const TEMPERATURE_SAMPLES: u8 = 64;
 
 /// All steps from a burst to a snapshot, with their state.
 ///
-/// The fields keep this order in memory, because a core reaches the first kilobyte with shorter code.
+/// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
+/// code.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pipeline {
     alignment: Alignment,
-    /// The gyroscope offset that the alignment removes, rad/s in sensor axes: stored, or by temperature.
+    /// The gyroscope offset that the alignment removes, rad/s in sensor axes: stored, or by
+    /// temperature.
     gyroscope_offset_rad_s: Vector3,
     temperature_celsius: f32,
     /// Samples until the temperature compensation is updated; zero before the first sample.
@@ -79,7 +82,7 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// A pipeline that waits for its first burst.
+    /// Creates a pipeline without a burst.
     pub fn new(settings: &Settings) -> Self {
         let sensor = &settings.sensor;
         let temperature = settings.part.temperature;
@@ -106,7 +109,8 @@ impl Pipeline {
         pipeline
     }
 
-    /// Takes one burst with the conditions that the board reports, and returns the attitude at its time.
+    /// Processes one burst with the conditions that the board reports. Returns the attitude at the
+    /// burst's time.
     #[inline]
     pub fn update(&mut self, burst: &Burst, board: BoardFlags) -> Snapshot {
         let raw = RawSample::decode(&burst.bytes);
@@ -124,9 +128,10 @@ impl Pipeline {
         self.process(&sample, flags)
     }
 
-    /// Takes one calibrated sample in body axes, as from a recording in SI units, and returns the attitude at its time.
+    /// Processes one calibrated sample in body axes, such as from a recording in SI units. Returns
+    /// the attitude at the sample's time.
     ///
-    /// Checks that need the sensor's bytes are left out: blank and frozen data, and the temperature.
+    /// Skips the checks that need the sensor's bytes: blank and frozen data, and the temperature.
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
         self.monitor.confirm_scales();
         self.process(sample, Flags::empty())
@@ -159,12 +164,14 @@ impl Pipeline {
         }
     }
 
-    /// The snapshot at `t_us` while no samples come: the last attitude, flagged [`Flags::STALE`], with a growing σ.
+    /// Returns the snapshot at `t_us` (µs since start) while no samples come: the last attitude,
+    /// flagged [`Flags::STALE`], with a growing σ.
     pub fn stale(&self, t_us: u64, board: BoardFlags) -> Snapshot {
         self.hold(t_us, Flags::from(board) | Flags::STALE)
     }
 
-    /// The snapshot of a moment without a sample: the last attitude, with a σ that grows with its age.
+    /// Returns the snapshot for a time without a sample: the last attitude, with a σ that grows
+    /// with its age.
     #[cold]
     #[inline(never)]
     fn hold(&self, t_us: u64, flags: Flags) -> Snapshot {
@@ -183,10 +190,11 @@ impl Pipeline {
         }
     }
 
-    /// Whether the rate has jumped as if the gyroscope's full scale had changed. The caller should then read the full
-    /// scales back, and report [`BoardFlags::SCALES_VERIFIED`]. Until then no attitude is valid.
+    /// Returns whether the rate has jumped as if the gyroscope's full scale had changed. The caller
+    /// should then read the full scales back, and report [`BoardFlags::SCALES_VERIFIED`]. Until
+    /// then no attitude is valid.
     ///
-    /// Never, unless [`Settings::verifies_scales`] is set.
+    /// Always `false` unless [`Settings::verifies_scales`] is set.
     pub const fn awaits_scale_check(&self) -> bool {
         self.settings.verifies_scales && self.monitor.awaits_scale_check()
     }
@@ -202,7 +210,8 @@ impl Pipeline {
         self.samples_to_temperature = TEMPERATURE_SAMPLES;
     }
 
-    /// The state from which a later run can continue; `None` while the attitude of this snapshot is not worth it.
+    /// Returns the state from which a later run can continue; `None` while this snapshot's attitude
+    /// is not certain enough.
     pub fn warm_start(&self, latest: &Snapshot) -> Option<WarmStart> {
         let filter = self.estimator.filter();
         let is_worth_it = filter.is_bias_known() && latest.flags.contains(Flags::VALID);
@@ -214,15 +223,15 @@ impl Pipeline {
         })
     }
 
-    /// What is known about the sensor.
+    /// Returns the calibration in use.
     pub const fn calibration(&self) -> &Calibration {
         &self.settings.calibration
     }
 
-    /// Replaces what is known about the sensor, from the next sample on.
+    /// Replaces the calibration, from the next sample on.
     ///
-    /// The attitude continues, unless the mount or the level changes: then the body has other axes, and the filter
-    /// restarts.
+    /// The attitude continues, unless the mount or the level changes. Then the body axes change,
+    /// and the filter restarts.
     pub fn set_calibration(&mut self, calibration: &Calibration) {
         let before = self.settings;
         let removed_before = self.alignment.gyroscope_offset_rad_s();
@@ -238,26 +247,28 @@ impl Pipeline {
             let stored = StoredOffset::at(calibration, self.temperature_celsius);
             self.gyroscope_offset_rad_s = stored.offset_rad_s;
             self.alignment = Alignment::new(&self.settings, stored.offset_rad_s);
-            // The filter's estimate is of the offset that the alignment leaves.
+            // The filter estimates the offset that the alignment leaves.
             let change = removed_before - self.alignment.gyroscope_offset_rad_s();
             self.kalman_mut().shift_bias(change);
         }
     }
 
-    /// Arms (`true`) the filter: it then skips the updates that are only safe on the ground. Default: `false`.
+    /// Arms (`true`) the filter. An armed filter skips the updates that are only safe on the
+    /// ground. Default: `false`.
     pub const fn set_armed(&mut self, is_armed: bool) {
         self.kalman_mut().set_armed(is_armed);
     }
 
-    /// A stationary detector for this sensor that wants `samples` at rest, or fewer if they agree with the stored offset.
+    /// Creates a stationary detector for this sensor that needs `samples` at rest, or fewer if they
+    /// agree with the stored offset.
     pub fn stationary_detector(&self, samples: u16) -> StationaryDetector {
         let stored = StoredOffset::at(&self.settings.calibration, self.temperature_celsius);
         StationaryDetector::new(&self.settings.noise_model(), samples)
             .with_expected_offset(stored.offset_rad_s, stored.sigma_rad_s)
     }
 
-    /// Mean specific force at rest, m/s² in mounted axes: corrected and mounted, but not levelled. It is the input of
-    /// [`level`](crate::calibration::level::trim).
+    /// Returns the mean specific force at rest, m/s² in mounted axes: corrected and mounted, but
+    /// not levelled. The result is the input of [`level::trim`](crate::calibration::level::trim).
     pub fn mounted_force_m_s2(&self, at_rest: &StationaryMean) -> Vector3 {
         let reading = at_rest.specific_force_m_s2(&self.settings.noise_model());
         let correction = self.settings.calibration.accelerometer;
@@ -265,12 +276,12 @@ impl Pipeline {
         self.settings.mount().to_body(sensor)
     }
 
-    /// The settings.
+    /// Returns the settings.
     pub const fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The filter, with biases and their σ.
+    /// Returns the filter, with biases and their σ.
     pub const fn kalman(&self) -> &Kalman {
         self.estimator.filter()
     }
@@ -279,17 +290,18 @@ impl Pipeline {
         self.estimator.filter_mut()
     }
 
-    /// The last sample, calibrated, in body axes.
+    /// Returns the last sample, calibrated, in body axes.
     pub const fn sample(&self) -> &Sample {
         &self.sample
     }
 
-    /// Die temperature of the last sample, °C.
+    /// Returns the die temperature of the last sample, °C.
     pub const fn temperature_celsius(&self) -> f32 {
         self.temperature_celsius
     }
 
-    /// The gyroscope's whole offset, rad/s in body axes: stored, and estimated beyond that.
+    /// Returns the gyroscope's whole offset, rad/s in body axes: the stored part plus the estimated
+    /// part.
     pub fn gyroscope_offset_body_rad_s(&self) -> Vector3 {
         self.alignment.gyroscope_offset_rad_s() + self.kalman().bias_rad_s()
     }
@@ -316,8 +328,8 @@ impl Pipeline {
         }
     }
 
-    /// Follows the temperature: applies the stored offset at the first sample, and moves it along the temperature model.
-    /// Outside the model's range the offset stays.
+    /// Compensates the temperature: applies the stored offset at the first sample, and moves it
+    /// along the temperature model. Outside the model's range the offset stays.
     #[inline]
     fn follow_temperature(&mut self, counts: TemperatureCounts) {
         self.temperature_celsius = counts.to_celsius(self.settings.part);
@@ -355,7 +367,7 @@ impl Pipeline {
     }
 }
 
-/// The flags of a sample's issues.
+/// Returns the flags of a sample's issues.
 fn flags_of(issues: Issues) -> Flags {
     let mut flags = Flags::empty();
     flags.set(Flags::TIME, issues.contains(Issues::TIME_WENT_BACK));

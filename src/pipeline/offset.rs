@@ -1,20 +1,21 @@
-//! The stored gyroscope offset at a temperature, and its σ.
+//! Stored gyroscope offset at a temperature, and its σ.
 
 use crate::attitude::Vector3;
 use crate::calibration::Calibration;
 use crate::units::radians;
 
-/// σ of a stored offset at the temperature where it was measured, rad/s: it differs from one
-/// power-up to the next, and with the pose (0.1 °/s per g, product specification §6.1).
+/// σ of a stored offset at the temperature of its measurement, rad/s. The offset changes with each
+/// power-up, and with the pose (0.1 °/s per g, product specification §6.1).
 const STORED_SIGMA_RAD_S: f32 = radians(0.1);
-/// σ that each °C of difference adds, rad/s: ±20 °/s over −40 to 85 °C (product specification §6.1) is 0.16 at most.
+/// σ that each °C of difference adds, rad/s: ±20 °/s over −40 to 85 °C (product specification §6.1)
+/// is 0.16 at most.
 const STORED_SIGMA_PER_CELSIUS: f32 = radians(0.1);
-/// σ of an unknown offset. From here on the filter's own prior is better.
+/// σ of an unknown offset, rad/s. From this value on the filter's own prior is better.
 const UNKNOWN_SIGMA_RAD_S: f32 = radians(3.0);
 /// σ of the temperature model within its range, rad/s.
 const MODEL_SIGMA_RAD_S: f32 = radians(0.15);
 
-/// A gyroscope offset in sensor axes, with its σ per axis.
+/// Gyroscope offset in sensor axes, with its σ per axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct StoredOffset {
     pub(super) offset_rad_s: Vector3,
@@ -22,7 +23,7 @@ pub(super) struct StoredOffset {
 }
 
 impl StoredOffset {
-    /// The offset of a calibration at this die temperature, in °C.
+    /// Returns the offset of a calibration at this die temperature, in °C.
     pub(super) fn at(calibration: &Calibration, celsius: f32) -> Self {
         let stored = Self::measured(calibration, celsius);
         let Some(model) = calibration.temperature else {
@@ -36,7 +37,7 @@ impl StoredOffset {
         }
     }
 
-    /// The offset without the temperature model.
+    /// Returns the offset without the temperature model.
     fn measured(calibration: &Calibration, celsius: f32) -> Self {
         let Some(measured) = calibration.gyroscope else {
             return Self {
@@ -52,7 +53,7 @@ impl StoredOffset {
         }
     }
 
-    /// Whether it is better than the filter's own prior.
+    /// Returns whether the offset is better than the filter's own prior.
     pub(super) fn is_known(&self) -> bool {
         self.sigma_rad_s < UNKNOWN_SIGMA_RAD_S
     }

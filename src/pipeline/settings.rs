@@ -1,31 +1,34 @@
-//! What a pipeline has to know beforehand.
+//! Settings of a pipeline: sensor configuration, part, mount and calibration.
 
 use crate::calibration::{Calibration, Mount, NoiseModel, SensorSetup};
 use crate::mpu6050::{Config, Part};
 use crate::serialize::StateVisitor;
 
-/// The pipeline's settings.
+/// Settings of a [`Pipeline`](super::Pipeline).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Settings {
-    /// Configuration of the sensor. Its full scales give the bytes their meaning.
+    /// Configuration of the sensor. Its full scales are the scales of the bytes.
     pub sensor: Config,
-    /// The part, which decides on the temperature scale.
+    /// Part, which determines the temperature scale.
     pub part: &'static Part,
     /// Mount of the sensor, unless `calibration` has one. Default: chip face up, X forward.
     pub mount: Mount,
-    /// What is known about the sensor. Default: nothing.
+    /// Calibration of the sensor. Default: none.
     pub calibration: Calibration,
-    /// Delay of the sensor in µs: a sample's content is older than its time by this. Default: `None`, the
-    /// gyroscope's delay in the low-pass filter of `sensor`, because the time is that of the data-ready edge.
+    /// Delay of the sensor in µs: age of a sample's content at the sample's time. Default: `None`,
+    /// the gyroscope's delay in the low-pass filter of `sensor`, because the time is that of the
+    /// data-ready edge.
     pub sensor_delay_us: Option<u32>,
-    /// Whether the caller reads the sensor's full scales back when [`Pipeline::awaits_scale_check`](super::Pipeline::awaits_scale_check) asks for it, and
-    /// reports [`BoardFlags::SCALES_VERIFIED`](crate::health::BoardFlags::SCALES_VERIFIED). Default: `false`.
+    /// True if the caller reads the sensor's full scales back while
+    /// [`Pipeline::awaits_scale_check`](super::Pipeline::awaits_scale_check) is true, and then
+    /// reports [`BoardFlags::SCALES_VERIFIED`](crate::health::BoardFlags::SCALES_VERIFIED).
+    /// Default: `false`.
     pub verifies_scales: bool,
 }
 
 impl Settings {
-    /// The defaults for this part.
+    /// Creates the default settings for this part.
     pub const fn new(part: &'static Part) -> Self {
         Self {
             sensor: Config::DEFAULT,
@@ -37,12 +40,12 @@ impl Settings {
         }
     }
 
-    /// The mount in use: the calibration's, or else the one of the settings.
+    /// Returns the mount in use: the calibration's, or else that of the settings.
     pub fn mount(&self) -> Mount {
         self.calibration.mount.unwrap_or(self.mount)
     }
 
-    /// The sensor's scales, and its noise behind the low-pass filter.
+    /// Returns the sensor's scales, and its noise behind the low-pass filter.
     pub fn noise_model(&self) -> NoiseModel {
         let sensor = &self.sensor;
         NoiseModel::new(&SensorSetup {
@@ -54,7 +57,7 @@ impl Settings {
         })
     }
 
-    /// Delay of the sensor in use, in seconds.
+    /// Returns the delay of the sensor in use, in seconds.
     pub(super) fn delay_s(&self) -> f32 {
         let gyroscope_us = self.sensor.low_pass.gyroscope_delay_us().into();
         let delay_us: u32 = self.sensor_delay_us.unwrap_or(gyroscope_us);

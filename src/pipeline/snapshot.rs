@@ -28,12 +28,12 @@ const _: () = assert!(core::mem::offset_of!(Snapshot, flags) == 36);
 const _: () = assert!(core::mem::offset_of!(Snapshot, tilt_variance_rad2) == 40);
 
 impl Snapshot {
-    /// Roll, pitch and yaw. Yaw is relative to the heading at start.
+    /// Returns roll, pitch and yaw in rad. Yaw is relative to the heading at start.
     pub fn euler(&self) -> EulerAngles {
         self.attitude.to_euler()
     }
 
-    /// σ of the direction of down, both axes together, in rad.
+    /// Returns σ of the direction of down, both axes together, in rad.
     pub fn tilt_sigma_rad(&self) -> f32 {
         libm::sqrtf(self.tilt_variance_rad2)
     }

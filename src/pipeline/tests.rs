@@ -1,4 +1,4 @@
-//! The whole pipeline on simulated bursts.
+//! Tests of the whole pipeline on simulated bursts.
 
 use super::*;
 use crate::attitude::{EulerAngles, Quaternion};
@@ -9,8 +9,8 @@ use crate::calibration::{
 use crate::mpu6050::{AccelerometerCounts, Config, GyroscopeCounts, Part};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// A burst of body-axis values (m/s², °/s) as a sensor in this mount delivers it at ±16 g and
-/// ±2000 °/s.
+/// Returns the burst of body-axis values (m/s², °/s) from a sensor in this mount at ±16 g and ±2000
+/// °/s.
 pub(super) fn burst(
     mount: Mount,
     t_us: u64,
@@ -97,7 +97,7 @@ fn the_default_filter_finds_the_offset_without_an_average() {
 }
 
 #[test]
-fn the_delay_of_the_low_pass_filter_is_made_up_for() {
+fn the_delay_of_the_low_pass_filter_is_compensated() {
     let yaw_after = |low_pass, sensor_delay_us| {
         let mut settings = Settings {
             sensor_delay_us,
@@ -115,7 +115,7 @@ fn the_delay_of_the_low_pass_filter_is_made_up_for() {
         }
         last.euler().yaw_rad.to_degrees()
     };
-    // 9 ms at 1000 °/s, and 4.8 ms more; or what the settings say.
+    // 9 ms at 1000 °/s, and 4.8 ms more; or the delay of the settings.
     let delayed = yaw_after(crate::mpu6050::LowPass::Hertz42, None);
     assert!((delayed - 13.8).abs() < 0.05, "{delayed}");
     let told = yaw_after(crate::mpu6050::LowPass::Hertz42, Some(1_000));
@@ -123,7 +123,7 @@ fn the_delay_of_the_low_pass_filter_is_made_up_for() {
 }
 
 #[test]
-fn every_mount_tells_the_same_story() {
+fn every_mount_gives_the_same_attitude() {
     let mut stories = Mount::ALL.map(|mount| {
         let mut pipeline = Pipeline::new(&Settings {
             mount,
@@ -151,7 +151,7 @@ fn every_mount_tells_the_same_story() {
     }
 }
 
-/// Everything that a calibration can hold, with errors that it describes exactly.
+/// Returns a calibration with every field set, which describes the sensor's errors exactly.
 fn calibration() -> Calibration {
     Calibration {
         mount: Some(Mount::Z_DOWN),
@@ -199,7 +199,7 @@ fn a_calibration_is_applied_step_by_step_in_one_map() {
             missed_before: 0,
         },
     );
-    // The same, one step after the other.
+    // Expected values: one step after the other.
     let config = settings().sensor;
     let reading = raw.accelerometer.to_m_s2(config.accelerometer_range);
     let corrected = calibration.accelerometer.expect("set above").apply(reading);
@@ -222,7 +222,7 @@ fn a_calibration_is_applied_step_by_step_in_one_map() {
 }
 
 #[test]
-fn a_new_mount_starts_the_filter_again_and_other_changes_do_not() {
+fn only_a_new_mount_restarts_the_filter() {
     let mut pipeline = Pipeline::new(&settings());
     let tilted = force(10.0, 0.0);
     let turn = Vector3::new(0.0, 0.0, 30.0);
@@ -254,7 +254,7 @@ fn a_new_mount_starts_the_filter_again_and_other_changes_do_not() {
 }
 
 #[test]
-fn the_temperature_model_moves_the_offset_and_stays_where_it_ends() {
+fn the_temperature_model_moves_the_offset_within_its_range() {
     let mut calibration = Calibration::NONE;
     calibration.temperature = Some(TemperatureModel {
         reference_celsius: 25.0,
@@ -295,7 +295,7 @@ fn the_temperature_model_moves_the_offset_and_stays_where_it_ends() {
 }
 
 #[test]
-fn a_stationary_mean_is_collected_beside_the_pipeline() {
+fn a_stationary_mean_is_collected_while_the_pipeline_runs() {
     let mut pipeline = Pipeline::new(&settings());
     let mut detector = pipeline.stationary_detector(500);
     let mut done = None;
@@ -454,7 +454,7 @@ fn faults_are_flagged_on_their_sample_and_nowhere_else() {
         t_us += step_us;
         let mut burst = burst(Mount::Z_UP, t_us as u64, force, rate);
         burst.missed_before = missed;
-        // Neither σ nor the offset matters here.
+        // The flags of σ and offset are not tested here.
         let flags = update(&mut pipeline, &burst).flags;
         flags - (Flags::CALIBRATING | Flags::MOVED | Flags::DEGRADED | Flags::VALID)
     };
@@ -474,7 +474,7 @@ fn faults_are_flagged_on_their_sample_and_nowhere_else() {
     assert_eq!(update(LEVEL, still, 1000, 0), Flags::empty());
 }
 
-/// A pipeline that has been at rest for three seconds, with a count of noise, and the time.
+/// Returns a pipeline after three seconds at rest with one count of noise, and the time in µs.
 fn settled() -> (Pipeline, u64) {
     let mut pipeline = Pipeline::new(&settings());
     for index in 0..3000 {
@@ -487,14 +487,14 @@ fn settled() -> (Pipeline, u64) {
     (pipeline, 3_000_000)
 }
 
-/// At rest about every axis, never the same twice running.
+/// Returns a burst without rotation, never equal to the previous one.
 fn noisy(t_us: u64, force_m_s2: Vector3) -> Burst {
     let noise = 0.06 * (t_us / 1000 % 2) as f32;
     burst(Mount::Z_UP, t_us, force_m_s2, Vector3::new(noise, 0.0, 0.0))
 }
 
 #[test]
-fn what_is_no_measurement_is_not_valid_and_changes_nothing() {
+fn a_rejected_sample_is_not_valid_and_changes_nothing() {
     for byte in [0x00, 0xFF] {
         let (mut pipeline, t_us) = settled();
         let attitude = pipeline.estimator.estimate().attitude;
@@ -511,7 +511,7 @@ fn what_is_no_measurement_is_not_valid_and_changes_nothing() {
             assert!(!snapshot.flags.contains(Flags::VALID));
             assert_eq!(snapshot.attitude, attitude);
         }
-        // The first good sample may still carry that the data had been frozen.
+        // The first good sample may still have the flag of frozen data.
         for step in 301..312 {
             update(&mut pipeline, &noisy(t_us + step * 1000, LEVEL));
         }
@@ -521,7 +521,7 @@ fn what_is_no_measurement_is_not_valid_and_changes_nothing() {
 }
 
 #[test]
-fn sigma_grows_while_samples_are_missing_and_is_kept_by_the_next_one() {
+fn sigma_grows_while_samples_are_missing_and_the_next_one_keeps_it() {
     let (mut pipeline, t_us) = settled();
     let after = |pipeline: &Pipeline, age_us| {
         let stale = pipeline.stale(t_us + age_us, BoardFlags::BUS_FAULT);
@@ -549,7 +549,7 @@ fn sigma_grows_while_samples_are_missing_and_is_kept_by_the_next_one() {
 }
 
 #[test]
-fn a_gyroscope_stuck_at_full_scale_is_not_believed() {
+fn a_gyroscope_stuck_at_full_scale_gives_no_valid_attitude() {
     for milliseconds in [1, 5, 9, 11, 50, 400] {
         let (mut pipeline, t_us) = settled();
         for step in 1..=milliseconds {
@@ -578,7 +578,7 @@ fn a_gyroscope_stuck_at_full_scale_is_not_believed() {
 }
 
 #[test]
-fn while_data_are_frozen_sigma_grows() {
+fn frozen_data_inflate_sigma() {
     let (mut pipeline, t_us) = settled();
     let frozen = burst(Mount::Z_UP, 0, LEVEL, Vector3::new(100.0, 0.0, 0.0));
     for step in 1..=300 {
@@ -602,7 +602,7 @@ fn while_data_are_frozen_sigma_grows() {
 }
 
 #[test]
-fn a_temperature_that_the_part_is_not_made_for_is_not_valid() {
+fn a_temperature_outside_the_rated_range_is_not_valid() {
     for (counts, is_good) in [(-26_000, true), (-26_100, false), (16_500, false)] {
         let (mut pipeline, t_us) = settled();
         let mut flags = Flags::empty();
@@ -625,7 +625,7 @@ fn a_temperature_that_the_part_is_not_made_for_is_not_valid() {
 }
 
 #[test]
-fn rates_that_a_changed_full_scale_would_show_are_valid_once_it_is_read_back() {
+fn a_rate_jump_is_valid_after_the_full_scales_are_read_back() {
     for (before, after, is_jump) in [
         (10.0, 80.0, true),    // ±2000 °/s become ±250 °/s.
         (-10.0, -40.0, false), // ±2000 °/s become ±500 °/s: 30 °/s too much for 40 ms are 1.2°.
@@ -645,7 +645,7 @@ fn rates_that_a_changed_full_scale_would_show_are_valid_once_it_is_read_back() {
             let rate = before * 0.05 * part as f32;
             assert!(turn(&mut pipeline, rate, BoardFlags::empty()));
         }
-        // What was read back before the jump confirms nothing.
+        // A check before the jump does not confirm the scales.
         let board = BoardFlags::SCALES_VERIFIED;
         assert_eq!(turn(&mut pipeline, after, board), !is_jump);
         for _ in 0..3 {
@@ -659,7 +659,7 @@ fn rates_that_a_changed_full_scale_would_show_are_valid_once_it_is_read_back() {
 }
 
 #[test]
-fn lost_settings_cost_certainty_and_not_the_attitude() {
+fn lost_settings_inflate_sigma_and_keep_the_attitude() {
     let (mut pipeline, t_us) = settled();
     let burst = noisy(t_us + 50_000, LEVEL);
     let snapshot = pipeline.update(&burst, BoardFlags::SENSOR_RESET);
@@ -670,7 +670,7 @@ fn lost_settings_cost_certainty_and_not_the_attitude() {
 }
 
 #[test]
-fn what_an_earlier_run_knew_is_gone_on_from() {
+fn a_resumed_pipeline_continues_the_earlier_run() {
     let (mut pipeline, t_us) = settled();
     let latest = update(&mut pipeline, &noisy(t_us + 1_000, LEVEL));
     let mut known = pipeline.warm_start(&latest).expect("it is settled");
@@ -702,14 +702,15 @@ fn a_pause_of_blank_data_counts_once() {
         };
         assert!(!update(&mut pipeline, &burst).flags.contains(Flags::VALID));
     }
-    // 0.4 s at 30 °/s about two axes are 17°; frozen data on top would make 24°, and more with each look at them.
+    // 0.4 s at 30 °/s about two axes are 17°. Frozen data in addition would give 24°, and more with
+    // each check.
     let first = update(&mut pipeline, &noisy(t_us + 401_000, LEVEL));
     let sigma = first.tilt_sigma_rad();
     assert!(sigma < radians(18.0), "{sigma}");
 }
 
 #[test]
-fn a_sensor_that_repeats_itself_is_frozen() {
+fn repeated_samples_are_flagged_as_frozen() {
     let mut pipeline = Pipeline::new(&settings());
     for index in 0..200_u64 {
         let flags = update(

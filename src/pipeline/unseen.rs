@@ -1,17 +1,17 @@
-//! Motion during frozen data and under lost settings: how much it inflates the filter's tilt.
+//! Unobserved motion during frozen data and under lost settings: inflates the filter's tilt.
 
 use crate::estimator::{Estimator, Sample};
 use crate::health::Flags;
 use crate::serialize::StateVisitor;
 use crate::units::{SECONDS_PER_MICROSECOND, radians};
 
-/// σ per axis of the tilt after the sensor lost its settings, until that was noticed, rad.
+/// σ per axis of the tilt from the loss of the sensor's settings until its detection, rad.
 const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);
 
 /// Flags of samples that hide motion from the filter.
 const HIDING: Flags = Flags::FROZEN.union(Flags::SENSOR_RESET);
 
-/// Frozen data, and how long they have lasted.
+/// Frozen data, and their duration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct UnseenMotion {
@@ -21,7 +21,8 @@ pub(super) struct UnseenMotion {
 }
 
 impl UnseenMotion {
-    /// For samples at this rate, which are flagged as frozen after this many repetitions.
+    /// Creates the state for samples at this rate, which are flagged as frozen after this many
+    /// repetitions.
     pub(super) fn new(sample_rate_hz: f32, frozen_samples: u8) -> Self {
         Self {
             frozen_s: 0.0,

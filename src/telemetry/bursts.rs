@@ -8,8 +8,8 @@
 //! ```
 //!
 //! The time is that of the capture, in µs since boot. The bytes are 28 hexadecimal digits. The
-//! flags, joined by `|`, go into the pipeline with the burst: `MISSED` means that samples before
-//! this one were lost, the others are those of [`BoardFlags`]. Files of earlier versions have
+//! flags, joined by `|`, go into the pipeline with the burst. `MISSED` means that samples before
+//! this one were lost; the others are those of [`BoardFlags`]. Files of earlier versions have
 //! `MISSED` alone.
 //!
 //! ```

@@ -1,13 +1,13 @@
-//! A Python that has pymavlink, for the tests that want somebody else's opinion.
+//! Python with pymavlink, for tests against an independent implementation.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The version that the tests are written for.
+/// Version for which the tests are written.
 const PYMAVLINK: &str = "pymavlink==2.4.50";
 
-/// The Python of a virtual environment in this folder that has pymavlink; installs it if need be. Without it, says so and gives
-/// nothing.
+/// Returns the Python of a virtual environment in this folder with pymavlink, and installs it if
+/// necessary. If that fails, reports it and returns `None`.
 pub fn with_pymavlink(folder: &Path) -> Option<PathBuf> {
     let folder = folder.join("pymavlink");
     let python = folder.join("bin/python");
@@ -21,7 +21,8 @@ pub fn with_pymavlink(folder: &Path) -> Option<PathBuf> {
     }
     if !has_it() {
         eprintln!(
-            "SKIPPED: pymavlink cannot be installed here; it needs Python 3 with venv and pip, and the network"
+            "SKIPPED: pymavlink cannot be installed here; \
+             it needs Python 3 with venv and pip, and the network"
         );
         return None;
     }

@@ -1,13 +1,14 @@
-//! Attitude in an Embassy application: the library knows no bus, so what an asynchronous one has to do stands here.
+//! Estimates attitude in an Embassy application, and drives the sensor over an asynchronous bus.
 //!
 //! ```sh
 //! cd examples/embassy
 //! cargo run --release --target thumbv7em-none-eabihf
 //! ```
 //!
-//! [`show_attitude`] works with any `embedded-hal-async` bus and pin; `main` is an STM32F405 (another chip is another feature of
-//! `embassy-stm32`). Pins are those of the README: SCL PB8, SDA PB9, INT PA1. In a project of your own: `aplomb = { git = "…" }`
-//! without features. The time of a sample is taken when the task wakes, so it is as exact as nothing else is in the way.
+//! [`show_attitude`] works with any `embedded-hal-async` bus and pin; `main` is an STM32F405
+//! (another chip is another feature of `embassy-stm32`). Pins are those of the README: SCL PB8, SDA
+//! PB9, INT PA1. In a project of your own: `aplomb = { git = "…" }` without features. The time of a
+//! sample is that of the task's wake-up, so other tasks may delay it.
 
 #![no_std]
 #![no_main]
@@ -27,8 +28,9 @@ use {defmt_rtt as _, panic_probe as _};
 
 const ADDRESS: u8 = ADDRESSES[0];
 
-/// Configures the sensor, then reads a sample at every edge of INT and shows every hundredth attitude. Returns if the bus fails,
-/// if it is no sensor of this family, or if it does not keep its settings.
+/// Configures the sensor, then reads a sample at every edge of INT and shows every hundredth
+/// attitude. Returns if the bus fails, if the device is no sensor of this family, or if the sensor
+/// does not keep its settings.
 async fn show_attitude<I: Bus>(mut i2c: I, mut interrupt: impl Wait) -> Result<(), I::Error> {
     let (config, mut byte) = (Config::default(), [0]);
     i2c.write_read(ADDRESS, &[Register::WhoAmI.address()], &mut byte)

@@ -1,18 +1,19 @@
 //! Measures an update of each filter on the Cortex-M4F: instructions, counted in QEMU, and bytes of
 //! state.
 //!
-//! All filters get the same samples (rest, turns and accelerations at 1 kHz), each in the filter's own
-//! axes and units. The boundary is one for all: sample in, quaternion and body rates out. Each filter
-//! runs twice, and both runs have to agree to the instruction. `APLOMB_COST_FILTER`, set at build time,
-//! leaves one filter in the image, `none` no filter: the images' sizes give the code of a filter.
+//! All filters get the same samples (rest, turns and accelerations at 1 kHz), each in the filter's
+//! own axes and units. The interface is the same for all: sample in, quaternion and body rates out.
+//! Each filter runs twice, and both runs must agree to the instruction. `APLOMB_COST_FILTER`, set
+//! at build time, leaves one filter in the image, or with `none` no filter. The images' sizes give
+//! the code size of a filter.
 //!
 //! ```text
 //! qemu-system-arm -M netduinoplus2 -icount shift=0,sleep=off -kernel cost.elf \
 //!     -semihosting-config enable=on,target=native
 //! ```
 //!
-//! Prints a line `name,mean,maximum,first,bytes` for each filter. Exit status 0: both runs agreed. 1:
-//! they did not, and standard error names the filter. `cargo xtask cost` does all of it.
+//! Prints a line `name,mean,maximum,first,bytes` for each filter. Exit status 0: both runs agreed.
+//! 1: they did not, and standard error names the filter. `cargo xtask cost` runs all steps.
 
 #![no_std]
 #![no_main]
@@ -30,12 +31,12 @@ use aplomb_rigs::instruction_counter::InstructionCounter;
 use cortex_m_semihosting::{heprintln, hprintln};
 use stm32f4xx_hal::pac;
 
-/// Samples at 1 kHz: a minute.
+/// Number of samples: a minute at 1 kHz.
 const SAMPLES: u32 = 60_000;
-/// The first of them are at rest.
+/// Number of samples at rest at the start.
 const REST_SAMPLES: u32 = 3_000;
 const STEP_S: f32 = 1.0e-3;
-/// The default low-pass filter's delay.
+/// Delay of the default low-pass filter.
 const DELAY_US: u32 = 1_900;
 
 #[panic_handler]
@@ -71,7 +72,7 @@ fn main() -> ! {
     host_files::exit(succeeded)
 }
 
-/// A sample in the axes and units of each filter.
+/// Sample in the axes and units of each filter.
 #[derive(Clone, Copy, Default)]
 struct Input {
     /// Forward-right-down.
@@ -86,10 +87,10 @@ struct Input {
     force_g: [f32; 3],
 }
 
-/// Output of every filter: the quaternion and the body's rates.
+/// Output of a filter: the quaternion and the body rates.
 type Output = ([f32; 4], [f32; 3]);
 
-/// A filter under the same boundary as the others.
+/// Interface of all filters.
 trait Subject {
     fn update(&mut self, input: &Input) -> Output;
 }
@@ -101,7 +102,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// Measures a filter twice and prints what it found.
+    /// Measures a filter twice, and prints the result.
     fn run<S: Subject>(&self, name: &str, make: impl Fn() -> S) -> bool {
         let is_chosen = match option_env!("APLOMB_COST_FILTER") {
             None | Some("") => true,
@@ -131,7 +132,7 @@ impl Bench {
         agrees
     }
 
-    /// One run through all samples.
+    /// Runs once through all samples.
     fn pass<S: Subject>(&self, subject: &mut S) -> Pass {
         let mut motion = Motion::new();
         let mut pass = Pass::default();
@@ -155,13 +156,13 @@ impl Bench {
 #[derive(Clone, Copy, Default, PartialEq)]
 struct Pass {
     total: u64,
-    /// Of the first sample, which starts the filter.
+    /// Instructions of the first sample, which starts the filter.
     first: u32,
-    /// Of the others.
+    /// Instructions of the other samples.
     maximum: u32,
 }
 
-/// The instructions between two reads of the counter around one update.
+/// Returns the instructions between two reads of the counter around one update.
 #[inline(never)]
 fn measure<S: Subject>(
     counter: &InstructionCounter,
@@ -179,7 +180,7 @@ fn update<S: Subject>(subject: &mut S, input: &Input) -> Output {
     subject.update(input)
 }
 
-/// String comparison in constants, so that what is not chosen is not in the image.
+/// Compares strings in constants, so that only the chosen filter is in the image.
 const fn is_same(left: &str, right: &str) -> bool {
     let (left, right) = (left.as_bytes(), right.as_bytes());
     if left.len() != right.len() {
@@ -195,8 +196,8 @@ const fn is_same(left: &str, right: &str) -> bool {
     true
 }
 
-/// A body that rests, then turns about all axes and accelerates along them; its sensor is noisy and
-/// offset.
+/// Body that rests, then turns about all axes and accelerates along them. Its sensor has noise and
+/// an offset.
 struct Motion {
     attitude: Quaternion,
     noise: u32,
@@ -277,7 +278,7 @@ impl<F: Filter> Subject for Library<F> {
     }
 }
 
-/// The filter, asked after each sample how sure it is.
+/// Kalman filter whose σ is read after each sample.
 struct WithSigma(Library<Kalman>);
 
 impl Subject for WithSigma {

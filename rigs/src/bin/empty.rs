@@ -1,4 +1,4 @@
-//! Takes a sample and gives an estimate, without a filter: the base that `kalman` is measured from.
+//! Takes a sample and returns an estimate, without a filter: the base for the size of `kalman`.
 
 #![no_std]
 #![no_main]

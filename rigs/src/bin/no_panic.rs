@@ -1,10 +1,10 @@
 //! Proves that nothing in the library panics, by a panic handler that does not link.
 //!
-//! Every function that runs after start-up is called with data unknown to the compiler. A panic that
-//! one of them could reach needs the handler, and with it a symbol that exists nowhere: the linker
-//! then reports `undefined symbol: a_panic_is_reachable`. `cargo xtask test` builds the image; nothing
-//! runs it. Start-up is not called, and neither are the readers of text for programs on a computer,
-//! whose numbers are parsed by `core`.
+//! Every function that runs after start-up is called with data unknown to the compiler. A reachable
+//! panic needs the handler, and with it a symbol that does not exist. The linker then reports
+//! `undefined symbol: a_panic_is_reachable`. `cargo xtask test` builds the image; nothing runs it.
+//! Start-up is not called, and neither are the readers of text for programs on a computer, whose
+//! numbers are parsed by `core`.
 
 #![no_std]
 #![no_main]
@@ -35,7 +35,7 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    // Making the pipeline is start-up, and its settings are constants in a firmware.
+    // The pipeline is created at start-up, from settings that are constants in a firmware.
     let settings = Settings::new(&Part::MPU_6050);
     let mut pipeline = Pipeline::new(&settings);
     let mut extender = CounterExtender::new(0);

@@ -1,15 +1,16 @@
-//! The pipeline under real interrupts in QEMU: `-M netduinoplus2`, an STM32F405 without I2C or DMA.
+//! Runs the pipeline under real interrupts in QEMU: `-M netduinoplus2`, an STM32F405 without I2C or
+//! DMA.
 //!
-//! Bursts come from a `bursts.csv` on the host in place of the bus, and every snapshot goes back as
-//! the bits of its numbers, so that a test can hold them to the library on the host. The priorities
-//! are those of `flight`; TIM2 stands for the sensor's INT pin.
+//! Bursts come from a `bursts.csv` on the host in place of the bus. Every snapshot goes back as the
+//! bits of its numbers, and a test compares them with the library on the host. The priorities are
+//! those of `flight`; TIM2 replaces the sensor's INT pin.
 //!
 //! ```text
 //! qemu-system-arm -M netduinoplus2 -kernel qemu.elf -serial file:TEXT \
 //!     -semihosting-config enable=on,target=native,arg=qemu,arg=BURSTS,arg=SNAPSHOTS
 //! ```
 //!
-//! Exit status 0: every burst gave a snapshot. 1: not, and the reason stands on standard error.
+//! Exit status 0: every burst gave a snapshot. 1: not, and standard error gives the reason.
 
 #![no_std]
 #![no_main]
@@ -40,13 +41,13 @@ mod app {
     use stm32f4xx_hal::prelude::*;
     use stm32f4xx_hal::rcc;
 
-    /// One line of text for so many samples, as 50 Hz is to 1 kHz.
+    /// Samples for one line of text: 50 Hz at 1 kHz.
     const SAMPLES_PER_LINE: u32 = 20;
-    /// The sample rate, in virtual time.
+    /// Sample rate, in virtual time.
     const SAMPLE_HZ: u32 = 1_000;
     const BAUD: u32 = 921_600;
 
-    /// A burst, and what the board said of it.
+    /// Burst, and the board's flags.
     type FlaggedBurst = (Burst, BoardFlags);
 
     #[shared]
@@ -75,7 +76,7 @@ mod app {
     ])]
     fn init(context: init::Context) -> (Shared, Local) {
         let device = context.device;
-        // QEMU has no clock tree: the internal oscillator is all that answers.
+        // QEMU has no clock tree: only the internal oscillator starts.
         let mut rcc = device.RCC.freeze(rcc::Config::hsi());
         let pins = device.GPIOA.split(&mut rcc);
         let port = device
@@ -171,7 +172,8 @@ mod app {
         fed > 0
     }
 
-    /// Writes `t_us,qw,qx,qy,qz,p,q,r,flags`: the time in decimal, the bits of the rest in hexadecimal.
+    /// Writes `t_us,qw,qx,qy,qz,p,q,r,flags`: the time in decimal, the bits of the rest in
+    /// hexadecimal.
     fn write_bits(output: &mut HostFile, snapshot: &Snapshot) -> core::fmt::Result {
         let attitude = snapshot.attitude;
         let rates = snapshot.body_rates_rad_s;
@@ -184,7 +186,7 @@ mod app {
         writeln!(output, ",{:08x}", snapshot.flags.bits())
     }
 
-    /// Stands for the sensor: one sample per period.
+    /// Simulates the sensor: one sample per period.
     #[task(binds = TIM2, priority = 4, local = [timer, bursts_out, ready_in])]
     fn data_ready(context: data_ready::Context) {
         context
@@ -199,11 +201,16 @@ mod app {
         }
     }
 
-    #[task(binds = SPI3, priority = 3, local = [pipeline, ready_out, snapshots_in, lines_in, samples: u32 = 0])]
+    #[task(
+        binds = SPI3,
+        priority = 3,
+        local = [pipeline, ready_out, snapshots_in, lines_in, samples: u32 = 0]
+    )]
     fn attitude(context: attitude::Context) {
         while let Some((burst, flags)) = context.local.ready_out.dequeue() {
             let snapshot = context.local.pipeline.update(&burst, flags);
-            // A full queue loses a snapshot, and `replay` then never counts to its end: the test sees it.
+            // A full queue loses a snapshot. Then `replay` never reaches its end, and the test
+            // fails.
             context.local.snapshots_in.enqueue(snapshot).ok();
             *context.local.samples += 1;
             if context.local.samples.is_multiple_of(SAMPLES_PER_LINE) {
@@ -218,7 +225,7 @@ mod app {
         while let Some(snapshot) = context.local.lines_out.dequeue() {
             let mut line = [0; text::LINE_LENGTH];
             let line = text::encode(&snapshot, &mut line);
-            // The text is ASCII, and the port takes it a byte at a time.
+            // The text is ASCII, and the port takes one byte at a time.
             context
                 .local
                 .port

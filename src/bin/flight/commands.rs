@@ -40,7 +40,8 @@ pub struct Answer {
 }
 
 impl Commands {
-    /// Creates a console with the record from flash. It describes a sensor with this noise and rate.
+    /// Creates a console with the record from flash. It describes a sensor with this noise and
+    /// rate.
     pub fn new(
         stored: Option<Record>,
         noise: NoiseModel,

@@ -1,4 +1,4 @@
-//! Stands in for `commands.rs` in a minimal build, which takes no commands.
+//! Replaces `commands.rs` in a minimal build, which takes no commands.
 //!
 //! The stored record is in use, except that a format which this build lacks becomes labelled text.
 
@@ -38,7 +38,7 @@ impl Commands {
         Self(record)
     }
 
-    /// Leaves received bytes alone.
+    /// Ignores received bytes.
     pub fn listen(&mut self, _: Receiver) {}
 
     /// Returns the record in use.

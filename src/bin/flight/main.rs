@@ -1,16 +1,19 @@
-//! The firmware: which interrupt does what, at which priority. The work is done in `aplomb::board`, in the library, and in
-//! the files beside this one.
+//! Firmware: the tasks and their priorities. The work is done in `aplomb::board`, in the library,
+//! and in the files beside this one.
 //!
 //! | task | priority | started by | must end before |
 //! |---|---|---|---|
-//! | `data_ready`, `bus_event`, `bus_error`, `transfer_complete` | 4 | INT pin, I2C1, DMA1 stream 0 | the next bus event, 22 µs |
+//! | `data_ready` | 4 | INT pin | the next bus event, 22 µs |
+//! | `bus_event`, `bus_error` | 4 | I2C1 | the next bus event, 22 µs |
+//! | `transfer_complete` | 4 | DMA1 stream 0 | the next bus event, 22 µs |
 //! | `check_settings` | 4 | `attitude`, every 22 ms | the next bus event, 22 µs |
 //! | `time` | 4 | TIM5: counter wrap, alarms, telemetry ticks | the next bus event, 22 µs |
 //! | `attitude` | 3 | `transfer_complete` | the end of the next burst, 1 ms |
-//! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: it drops a line rather than wait |
+//! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: drops lines |
 //! | `idle`, the supervisor | 0 | – | nothing |
 //!
-//! Commands run in `telemetry`. A command that changes the pipeline delays `attitude` for the length of one lock.
+//! Commands run in `telemetry`. A command that changes the pipeline delays `attitude` for the
+//! length of one lock.
 
 #![no_std]
 #![no_main]
@@ -25,8 +28,8 @@ mod telemetry;
 
 use defmt_rtt as _;
 
-/// Ends in the hard fault that `aplomb::board::crash` records. The panic's text is left out, because it would take 4 KiB of
-/// flash: a debugger that stops at the fault shows file and line.
+/// Ends in the hard fault that `aplomb::board::crash` records. The panic's text is omitted, because
+/// it would take 4 KiB of flash. A debugger that stops at the fault shows file and line.
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
     cortex_m::asm::udf()
@@ -63,10 +66,10 @@ mod app {
     use crate::supervisor;
     use crate::telemetry::Telemetry;
 
-    /// The crystal has stopped. The burst reader, which this starts through its alarm, restores the clock.
+    /// Handles a stopped crystal: triggers the alarm of the burst reader, which restores the clock.
     #[allow(
         unsafe_code,
-        reason = "cortex-m-rt asks for it: an NMI interrupts critical sections, and this one only sets bits"
+        reason = "cortex-m-rt requires it: an NMI interrupts critical sections; this one sets bits"
     )]
     #[cortex_m_rt::exception]
     unsafe fn NonMaskableInt() {
@@ -76,7 +79,7 @@ mod app {
 
     /// Bursts queued for the flight log: three telemetry ticks' worth.
     const LOG_BURSTS: usize = 32;
-    /// The mount unless a stored one says otherwise; set at build time.
+    /// Mount if none is stored; set at build time.
     const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {
         None => Mount::Z_UP,
         Some(name) => match Mount::parse(name) {
@@ -84,7 +87,7 @@ mod app {
             None => panic!("APLOMB_MOUNT takes forward then down, such as +x-z, or z-up or z-down"),
         },
     };
-    /// The pipeline's settings before the sensor is known.
+    /// Pipeline's settings before the sensor is found.
     const SETTINGS: Settings = {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.mount = MOUNT;
@@ -141,7 +144,7 @@ mod app {
                 crash_address: start.crash_address,
             });
         }
-        // A sensor that the run before has configured is only checked.
+        // A sensor that the previous run has configured is only checked.
         let sensor = Sensor::new(bus, Config::DEFAULT, start.warm_start.is_some());
         let mut flash = CalibrationFlash::new(device.FLASH);
         let storage::Loaded { record, problem } = storage::load(&mut flash);
@@ -248,7 +251,7 @@ mod app {
             rtic::pend(Interrupt::SPI3);
         }
         if alarms.telemetry {
-            // A line that is still being written makes this one come later: none waits for it.
+            // A tick that is still running skips this one; no task waits.
             telemetry::spawn().ok();
         }
     }
@@ -278,7 +281,7 @@ mod app {
         }
     }
 
-    /// The message for a change of the flags.
+    /// Returns the message for a change of the flags.
     fn message_of(FlagChange { before, now }: FlagChange) -> Option<Message> {
         let was_calibrating = before.contains(Flags::CALIBRATING);
         if now.contains(Flags::MOVED) {

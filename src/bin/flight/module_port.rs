@@ -1,4 +1,5 @@
-//! The console's port to the module: implements what commands need with the firmware's shared resources.
+//! The console's port to the module: implements what commands need with the firmware's shared
+//! resources.
 
 use core::sync::atomic::Ordering;
 
@@ -13,7 +14,7 @@ use rtic::Mutex;
 
 use crate::requests::{self, BURST_COUNT, Estimation, Requests};
 
-/// The port. It exists for one telemetry tick.
+/// Port to the module, for one telemetry tick.
 pub struct ModulePort<'a, E, R> {
     /// Received bytes.
     pub receiver: &'a mut Receiver,
@@ -23,11 +24,11 @@ pub struct ModulePort<'a, E, R> {
     pub estimation: E,
     /// Requests to the supervisor.
     pub requests: R,
-    /// Whether bytes were garbled or lost since the last tick.
+    /// True if bytes were garbled or lost since the last tick.
     pub has_reception_error: bool,
     /// The ground station's session.
     pub station: &'a mut GroundStation,
-    /// Whether the received bytes may contain MAVLink frames.
+    /// True if the received bytes may contain MAVLink frames.
     pub is_mavlink: bool,
     /// Time since boot, µs.
     pub now_us: u64,

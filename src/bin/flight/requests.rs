@@ -1,4 +1,4 @@
-//! What the tasks ask of each other, and the few words that they share without a lock.
+//! Requests between the tasks, and the few words that they share without a lock.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -16,7 +16,7 @@ pub struct Requests {
     pub sensor: Option<(&'static Part, u8)>,
     /// The calibration that the pipeline starts with.
     pub calibration: Calibration,
-    /// Whether the pipeline starts armed.
+    /// True if the pipeline starts armed.
     pub is_armed: bool,
     /// The task that needs the sensor to stop.
     pub task: Option<Task>,
@@ -24,7 +24,7 @@ pub struct Requests {
     pub outcome: Option<Outcome>,
 }
 
-/// Whether [`Requests::task`] is set: the supervisor polls this without a lock.
+/// True if [`Requests::task`] is set: the supervisor polls this without a lock.
 static IS_TASK_PENDING: AtomicBool = AtomicBool::new(false);
 
 /// Announces that a task has been requested.
@@ -33,24 +33,24 @@ pub fn announce_task() {
     IS_TASK_PENDING.store(true, Ordering::Release);
 }
 
-/// Whether a task has been requested.
+/// Returns whether a task has been requested.
 pub fn is_task_pending() -> bool {
     IS_TASK_PENDING.load(Ordering::Acquire)
 }
 
-/// Whether a task has been requested since the last call.
+/// Returns whether a task has been requested since the last call.
 pub fn take_pending_task() -> bool {
     IS_TASK_PENDING.swap(false, Ordering::Acquire)
 }
 
-/// Whether the flight log wants bursts. Written by telemetry, read by the attitude task.
+/// True if the flight log needs bursts. Written by telemetry, read by the attitude task.
 pub static IS_LOGGING: AtomicBool = AtomicBool::new(false);
 
 /// Number of bursts that the pipeline has processed. Changes under the pipeline's lock.
 pub static BURST_COUNT: AtomicU32 = AtomicU32::new(0);
 
-/// Counts a burst that the pipeline has processed, and queues it for the flight log. A burst without room in the queue is
-/// missing in the log, where the numbers show it.
+/// Counts a burst that the pipeline has processed, and queues it for the flight log. A burst
+/// without room in the queue is missing in the log, where the numbers show it.
 pub fn log_burst(received: &ReceivedBurst, to_log: &mut Producer<'static, NumberedBurst>) {
     let number = BURST_COUNT.load(Ordering::Relaxed);
     BURST_COUNT.store(number.wrapping_add(1), Ordering::Relaxed);
@@ -64,7 +64,7 @@ pub fn log_burst(received: &ReceivedBurst, to_log: &mut Producer<'static, Number
     }
 }
 
-/// What the attitude task works with: the pipeline, and the detector of a calibration under way.
+/// Data of the attitude task: the pipeline, and the stationary detector of a calibration procedure.
 pub struct Estimation {
     /// The pipeline; `None` before the sensor is found.
     pub pipeline: Option<Pipeline>,

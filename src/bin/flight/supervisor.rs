@@ -1,11 +1,12 @@
-//! The supervisor, which is the idle task: keeps the sensor configured and does what needs the sensor to stop.
+//! Supervisor, which runs as the idle task: keeps the sensor configured, and runs the work that
+//! stops the sensor.
 //!
-//! It configures the sensor at start and after every fault, starts the pipeline, and runs the console's tasks
-//! (save, self-test) while the burst reader is paused.
+//! The supervisor configures the sensor at start and after every fault, and starts the pipeline. It
+//! runs the console's tasks (save, self-test) while the burst reader is paused.
 
 use aplomb::board::burst_reader;
 use aplomb::board::flash::CalibrationFlash;
-use aplomb::board::sensor::{self, NotReady, Sensor};
+use aplomb::board::sensor::{self, NotReady, Ready, Sensor};
 use aplomb::board::timebase::{self, Delay};
 use aplomb::board::watchdog;
 use aplomb::calibration::Calibration;
@@ -21,16 +22,17 @@ use rtic::Mutex;
 
 use crate::requests::{self, Estimation, Requests};
 
-/// Longest duration of a task, in ms: erasing a 16 KiB sector stalls the core for up to half a second
-/// (STM32F405 datasheet, table "Flash memory programming"), and the sensor's self-test takes a second.
+/// Longest duration of a task, in ms. Erasing a 16 KiB sector stalls the core for up to half a
+/// second (STM32F405 datasheet, table "Flash memory programming"). The sensor's self-test takes a
+/// second.
 const TASK_LIMIT_MS: u32 = 2_000;
-/// Shortest pause in the samples around a task, in µs: longer than the filter bridges, so that the attitude is flagged
-/// [`GAP`](aplomb::health::Flags::GAP) and starts again from gravity.
+/// Shortest pause in the samples around a task, in µs. It is longer than the filter bridges, so the
+/// attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and restarts from gravity.
 const PAUSE_US: u32 = 600_000;
 /// Shortest time between two messages about a recovery, in µs: leaves room for other messages.
 const RECOVERY_MESSAGE_PERIOD_US: u32 = 200_000;
 
-/// Runs for ever. `warm_start` is the state that the run before a reset has kept.
+/// Runs the supervisor forever. `warm_start` is the state that the run before a reset has kept.
 pub fn run(
     sensor: &mut Sensor,
     warm_start: &mut Option<WarmStart>,
@@ -50,24 +52,7 @@ pub fn run(
         match sensor.make_ready() {
             Ok(ready) => {
                 is_reported |= last_complaint.take().is_some();
-                let (calibration, is_armed) = requests.lock(|requests| {
-                    requests.sensor = Some((ready.part, ready.address));
-                    (requests.calibration, requests.is_armed)
-                });
-                // After a fault the filter continues with its state.
-                estimation.lock(|Estimation { pipeline, .. }| {
-                    if pipeline.is_none() {
-                        let warm_start = warm_start.take();
-                        start_pipeline(
-                            pipeline,
-                            settings,
-                            ready.part,
-                            calibration,
-                            is_armed,
-                            warm_start,
-                        );
-                    }
-                });
+                start_estimation(&ready, settings, warm_start, &mut estimation, &mut requests);
                 burst_reader::enable(&ready, &Config::DEFAULT);
                 if is_reported {
                     post(Message::SensorConfigured {
@@ -105,20 +90,58 @@ pub fn run(
             && requests::take_pending_task()
             && let Some(task) = requests.lock(|requests| requests.task.take())
         {
-            let since = timebase::now();
-            watchdog::allow_ms(TASK_LIMIT_MS);
-            let outcome = perform(&task, sensor, flash);
-            watchdog::allow_ms(watchdog::LIMIT_MS);
-            requests.lock(|requests| requests.outcome = Some(outcome));
-            timebase::sleep_until(|| {
-                watchdog::samples_go_on();
-                timebase::elapsed(since, PAUSE_US)
-            });
+            perform_paused(&task, sensor, flash, &mut requests);
         }
     }
 }
 
-/// A function of its own, because the supervisor's stack frame lives for ever.
+/// Publishes the part and address of the sensor, and starts the pipeline if it does not run. After
+/// a fault the filter continues with its state.
+fn start_estimation(
+    ready: &Ready,
+    settings: &Settings,
+    warm_start: &mut Option<WarmStart>,
+    estimation: &mut impl Mutex<T = Estimation>,
+    requests: &mut impl Mutex<T = Requests>,
+) {
+    let (calibration, is_armed) = requests.lock(|requests| {
+        requests.sensor = Some((ready.part, ready.address));
+        (requests.calibration, requests.is_armed)
+    });
+    estimation.lock(|Estimation { pipeline, .. }| {
+        if pipeline.is_none() {
+            let warm_start = warm_start.take();
+            start_pipeline(
+                pipeline,
+                settings,
+                ready.part,
+                calibration,
+                is_armed,
+                warm_start,
+            );
+        }
+    });
+}
+
+/// Performs a task, and publishes its outcome. Returns [`PAUSE_US`] after the start, or later.
+fn perform_paused(
+    task: &Task,
+    sensor: &mut Sensor,
+    flash: &mut CalibrationFlash,
+    requests: &mut impl Mutex<T = Requests>,
+) {
+    let since = timebase::now();
+    watchdog::allow_ms(TASK_LIMIT_MS);
+    let outcome = perform(task, sensor, flash);
+    watchdog::allow_ms(watchdog::LIMIT_MS);
+    requests.lock(|requests| requests.outcome = Some(outcome));
+    timebase::sleep_until(|| {
+        watchdog::samples_go_on();
+        timebase::elapsed(since, PAUSE_US)
+    });
+}
+
+/// Creates the pipeline in place. Not inlined, because the supervisor's stack frame never ends.
 #[inline(never)]
 fn start_pipeline(
     place: &mut Option<Pipeline>,
@@ -140,7 +163,7 @@ fn start_pipeline(
     }
 }
 
-/// The message for the reason why no samples come.
+/// Returns the message for the reason why no samples come.
 fn complaint(reason: NotReady) -> Message {
     match reason {
         NotReady::BusHeldLow(held) => Message::BusHeldLow { clock: held.clock },

@@ -1,7 +1,8 @@
-//! One telemetry tick: polls the console, and sends its answer, messages and the latest snapshot in one buffer.
+//! Telemetry task: each tick polls the console, and sends its answer, messages and the latest
+//! snapshot in one buffer.
 //!
-//! Deadline: none. The task has the lowest priority of those with interrupts; what does not fit is dropped and counted,
-//! never waited for.
+//! Deadline: none. The task has the lowest priority of those with interrupts. Output that does not
+//! fit is dropped and counted; the task never waits.
 
 use core::fmt::Write;
 use core::sync::atomic::Ordering;
@@ -27,14 +28,16 @@ const HAS_LOG: bool = cfg!(feature = "full");
 /// Room for a tick's answer, with its mark and line end, beside a frame.
 const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
 const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
-/// Room for a text of so many letters in any format: the longest is one MAVLink frame for each 50 of them.
+/// Returns the room in bytes for a text of this many letters in any format. The longest format is
+/// MAVLink, with one frame per 50 letters.
 const fn room(letters: usize) -> usize {
     letters.div_ceil(50) * 66
 }
 /// Room for a message.
 const MESSAGE_ROOM: usize = room(message::LINE_CAPACITY);
 const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM && room(ANSWER_CAPACITY) <= uart::CAPACITY);
-/// Longest time from a sample to the copy of the pipeline for the log, in µs, so that no attitude waits for the copy.
+/// Longest time from a sample to the copy of the pipeline for the log, in µs, so that no attitude
+/// waits for the copy.
 const COPY_WINDOW_US: u32 = 900;
 
 /// The telemetry task's state.
@@ -52,7 +55,7 @@ pub struct Telemetry {
 }
 
 impl Telemetry {
-    /// Telemetry over this UART. `logged` brings the bursts for the flight log.
+    /// Creates the telemetry over this UART. `logged` delivers the bursts for the flight log.
     pub fn new(
         transmitter: Transmitter,
         commands: Commands,
@@ -88,10 +91,8 @@ impl Telemetry {
         let preferences = self.commands.preferences();
         let format = preferences.format;
         let snapshot = self.due_snapshot(Pace::new(format, preferences.rate_hz));
-        if let Some(snapshot) = &snapshot
-            && let Some(flags) = self.flag_report.update(snapshot.flags, self.now_us as u32)
-        {
-            post(Message::Attitude(flags));
+        if let Some(snapshot) = &snapshot {
+            self.report_flags(snapshot, &mut post);
         }
         if !self.transmitter.is_idle() {
             if snapshot.is_some() {
@@ -124,20 +125,7 @@ impl Telemetry {
                 output,
             );
         }
-        while output.has_room(MESSAGE_ROOM + FRAME_CAPACITY)
-            && let Some(message) = messages.lock(Mailbox::take)
-        {
-            let mut line = heapless::String::<{ message::LINE_CAPACITY }>::new();
-            // A test holds the longest message to its line.
-            write!(line, "{message}").ok();
-            put_text(
-                format,
-                message.severity(),
-                &line,
-                &mut self.commands,
-                output,
-            );
-        }
+        put_posted(format, &mut messages, &mut self.commands, output);
         let (now_us, snapshot) = (self.now_us, snapshot.as_ref());
         match format {
             OutputFormat::Mavlink => {
@@ -163,7 +151,8 @@ impl Telemetry {
         self.transmitter.send(length);
     }
 
-    /// Posts a message about bursts that failed since the last tick. Returns their number since boot.
+    /// Posts a message about bursts that failed since the last tick. Returns their number since
+    /// boot.
     fn report_failures(&mut self, post: &mut impl FnMut(Message)) -> u16 {
         let (failures, failure) = burst_reader::failures();
         let count = failures.wrapping_sub(self.last_failures);
@@ -174,7 +163,15 @@ impl Telemetry {
         failures
     }
 
-    /// The latest snapshot, if a frame is due with this tick and the snapshot has not been sent.
+    /// Posts a message about lasting flags of the attitude.
+    fn report_flags(&mut self, snapshot: &Snapshot, post: &mut impl FnMut(Message)) {
+        if let Some(flags) = self.flag_report.update(snapshot.flags, self.now_us as u32) {
+            post(Message::Attitude(flags));
+        }
+    }
+
+    /// Returns the latest snapshot if a frame is due with this tick and the snapshot has not been
+    /// sent.
     fn due_snapshot(&mut self, pace: Pace) -> Option<Snapshot> {
         timebase::set_telemetry_period_us(pace.period_us);
         self.tick += 1;
@@ -193,6 +190,23 @@ impl Telemetry {
             while self.logged.dequeue().is_some() {}
             self.sender.restart(BURST_COUNT.load(Ordering::Relaxed));
         }
+    }
+}
+
+/// Writes the messages in the mailbox, as many as fit beside a frame.
+fn put_posted(
+    format: OutputFormat,
+    messages: &mut impl Mutex<T = Mailbox>,
+    commands: &mut Commands,
+    output: &mut Output<'_>,
+) {
+    while output.has_room(MESSAGE_ROOM + FRAME_CAPACITY)
+        && let Some(message) = messages.lock(Mailbox::take)
+    {
+        let mut line = heapless::String::<{ message::LINE_CAPACITY }>::new();
+        // A test checks that the longest message fits.
+        write!(line, "{message}").ok();
+        put_text(format, message.severity(), &line, commands, output);
     }
 }
 

@@ -1,5 +1,5 @@
-//! "Black Pill" with an STM32F401CC (or CE) and a 25 MHz crystal: 84 MHz, APB1 42 MHz at most (STM32F401xB/C datasheet, "General operating
-//! conditions").
+//! "Black Pill" with an STM32F401CC (or CE) and a 25 MHz crystal: 84 MHz, APB1 42 MHz at most
+//! (STM32F401xB/C datasheet, "General operating conditions").
 
 use super::Board;
 

@@ -1,5 +1,5 @@
-//! "Black Pill" with an STM32F411CE and a 25 MHz crystal: 100 MHz, APB1 50 MHz at most (STM32F411xC/E datasheet, "General operating
-//! conditions").
+//! "Black Pill" with an STM32F411CE and a 25 MHz crystal: 100 MHz, APB1 50 MHz at most
+//! (STM32F411xC/E datasheet, "General operating conditions").
 
 use super::Board;
 

@@ -1,5 +1,5 @@
-//! Nucleo-F411RE, clocked with 8 MHz by its debugger: 100 MHz, APB1 50 MHz at most (STM32F411xC/E datasheet, "General operating
-//! conditions").
+//! Nucleo-F411RE, clocked with 8 MHz by its debugger: 100 MHz, APB1 50 MHz at most (STM32F411xC/E
+//! datasheet, "General operating conditions").
 
 use super::Board;
 

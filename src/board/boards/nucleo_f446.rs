@@ -1,5 +1,6 @@
-//! Nucleo-F446RE, clocked with 8 MHz by its debugger: 168 MHz, APB1 42 MHz (STM32F446xC/E datasheet, "General operating conditions"). Its
-//! 180 MHz would need the regulator's over-drive, and an APB1 clock that does not divide to 400 kHz on the sensor's bus.
+//! Nucleo-F446RE, clocked with 8 MHz by its debugger: 168 MHz, APB1 42 MHz (STM32F446xC/E
+//! datasheet, "General operating conditions"). Its 180 MHz would need the regulator's over-drive,
+//! and an APB1 clock that does not divide to 400 kHz on the sensor's bus.
 
 use super::Board;
 

@@ -1,4 +1,5 @@
-//! Any board with an STM32F405 and an 8 MHz crystal: 168 MHz, APB1 42 MHz at most (STM32F405 datasheet, "General operating conditions").
+//! Any board with an STM32F405 and an 8 MHz crystal: 168 MHz, APB1 42 MHz at most (STM32F405
+//! datasheet, "General operating conditions").
 
 use super::Board;
 

@@ -4,7 +4,7 @@ use stm32f4xx_hal::pac::{DMA1, I2C1, dma1};
 
 use super::super::clocks;
 
-/// Readings of the stream's status until it must have stopped.
+/// Readings of the stream's status after which it must have stopped.
 const STOP_READINGS: u32 = 1_000;
 
 /// Sets the stream's source. Called once, by init.
@@ -12,15 +12,16 @@ pub(super) fn start() {
     clocks::enable(|rcc| {
         rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
     });
-    // SAFETY: the address of the I2C data register, as the manual asks (RM0090, 10.3.17).
+    // SAFETY: the address of the I2C data register, as the manual requires (RM0090, 10.3.17).
     stream().par().write(|w| unsafe {
         let data = (*I2C1::ptr()).dr().as_ptr();
         w.pa().bits(data as u32)
     });
 }
 
-/// Prepares a transfer of `length` bytes to this address, which must be the reader's to fill. It moves
-/// nothing until the I2C port asks. The stream must have stopped, as it does at the end of a transfer.
+/// Prepares a transfer of `length` bytes to this address, whose memory must belong to the reader.
+/// The transfer starts with the I2C port's first request. The stream must have stopped, as it does
+/// at the end of a transfer.
 #[inline(always)]
 pub(super) fn arm(address: u32, length: u16) {
     let stream = stream();
@@ -43,7 +44,7 @@ pub(super) fn arm(address: u32, length: u16) {
     });
 }
 
-/// Whether the transfer is complete. Clears the stream's flags.
+/// Returns whether the transfer is complete. Clears the stream's flags.
 #[inline(always)]
 pub(super) fn take_complete() -> bool {
     let is_complete = dma1().lisr().read().tcif0().bit();
@@ -57,7 +58,8 @@ pub(super) fn take_complete() -> bool {
 pub(super) fn stop() {
     let stream = stream();
     stream.cr().reset();
-    // The stream ends with the byte in flight (RM0090, 10.3, DMA transfer suspension), well within the readings.
+    // The stream ends with the byte in flight (RM0090, 10.3, DMA transfer suspension), well within
+    // the readings.
     for _ in 0..STOP_READINGS {
         if stream.cr().read().en().bit_is_clear() {
             break;
@@ -89,7 +91,7 @@ fn stream() -> &'static dma1::ST {
 
 #[inline(always)]
 fn dma1() -> &'static dma1::RegisterBlock {
-    // SAFETY: this file alone writes stream 0 and its bits of the clear register. The clear
-    // registers ignore zeros, so this never disturbs the UART's streams.
+    // SAFETY: only this file writes stream 0 and its bits of the clear register. The clear
+    // registers ignore zeros, so the UART's streams are never disturbed.
     unsafe { &*DMA1::ptr() }
 }

@@ -1,4 +1,5 @@
-//! What the burst reader shares with the supervisor, the attitude task and telemetry: one atomic word each.
+//! Words that the burst reader shares with the supervisor, the attitude task and telemetry: one
+//! atomic each.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
@@ -13,17 +14,18 @@ use crate::fault::BurstFailure;
 use crate::health::BoardFlags;
 use crate::mpu6050::{Check, Config, Part};
 
-/// Number of checks in their turn.
+/// Number of checks in a round.
 pub(super) const CHECKS: usize = 4;
 
-/// What the reader knows of the sensor.
+/// Set-up of the reader for the configured sensor.
 pub(super) struct Setup {
-    /// Settings to read back, in turn. The even ones are the full scales, because those scale the attitude.
+    /// Settings to read back, in turn. The even entries are the full scales, because those scale
+    /// the attitude.
     pub(super) checks: [Check; CHECKS],
     /// Sample period.
     pub(super) period_us: u32,
-    /// Shortest time between two edges of the sensor, whose clock is right to 1 %
-    /// (product specification §6.6), and a clone's to 5 %. A sooner edge is a glitch.
+    /// Shortest time between two edges of the sensor. Its clock is accurate to 1 % (product
+    /// specification §6.6), a clone's to 5 %. A sooner edge is a glitch.
     pub(super) shortest_period_us: u32,
 }
 
@@ -40,7 +42,8 @@ impl Setup {
 
 struct SetupCell(UnsafeCell<Setup>);
 
-// SAFETY: the supervisor writes it while the reader is disabled, and the reader reads it while it runs.
+// SAFETY: the supervisor writes the set-up while the reader is disabled, and the reader reads it
+// while enabled.
 unsafe impl Sync for SetupCell {}
 
 static SETUP: SetupCell = SetupCell(UnsafeCell::new(Setup::new(
@@ -58,11 +61,12 @@ pub(super) fn setup() -> &'static Setup {
 pub(super) struct Link {
     /// Address of the sensor.
     pub(super) address: AtomicU8,
-    /// Whether the reader runs.
+    /// True if the reader runs.
     pub(super) is_enabled: AtomicBool,
-    /// Whether the supervisor wants the bus.
+    /// True if the supervisor needs the bus.
     pub(super) is_pause_wanted: AtomicBool,
-    /// Count (16 bits), fault and step (8 bits each) of failures in one word, so that no task reads half of it.
+    /// Count (16 bits), fault and step (8 bits each) of failures in one word, so that no task reads
+    /// half of it.
     failures: AtomicU32,
     /// Flags from the supervisor for the next burst.
     notes: AtomicU32,
@@ -94,7 +98,8 @@ impl Link {
         self.failures.store(packed, Ordering::Relaxed);
     }
 
-    /// Takes the supervisor's flags for the next burst. Only the reader calls this, while the supervisor waits.
+    /// Takes the supervisor's flags for the next burst. Only the reader calls this, while the
+    /// supervisor waits.
     pub(super) fn take_notes(&self) -> BoardFlags {
         let notes = BoardFlags::from_bits_truncate(self.notes.load(Ordering::Relaxed));
         self.notes.store(0, Ordering::Relaxed);
@@ -111,8 +116,8 @@ impl Link {
     }
 }
 
-/// Takes the request for a stale snapshot: its time in µs since boot, and the board's conditions. Only the attitude task
-/// calls this.
+/// Takes the request for a stale snapshot: its time in µs since boot, and the board's conditions.
+/// Only the attitude task calls this.
 pub fn take_stale() -> Option<(u64, BoardFlags)> {
     if !LINK.is_stale.load(Ordering::Acquire) {
         return None;
@@ -127,36 +132,39 @@ pub fn take_stale() -> Option<(u64, BoardFlags)> {
     ))
 }
 
-/// Asks the reader to read some settings back now. Only the attitude task calls this, after a burst: then the bus is
-/// free. It pends the interrupt of SPI1, an unused peripheral. The application binds that interrupt, at the
-/// priority of the others that share the reader, to [`on_check_request`](super::BurstReader::on_check_request).
+/// Requests the reader to read some settings back now. Only the attitude task calls this, after a
+/// burst, when the bus is free. The request pends the interrupt of SPI1, an unused peripheral. The
+/// application binds that interrupt, at the priority of the others that share the reader, to
+/// [`on_check_request`](super::BurstReader::on_check_request).
 pub fn request_check() {
     cortex_m::peripheral::NVIC::pend(Interrupt::SPI1);
 }
 
-/// Flags the next burst, and stale snapshots until then, with [`BoardFlags::SENSOR_RESET`]: the sensor has lost its settings.
+/// Flags the next burst, and stale snapshots until then, with [`BoardFlags::SENSOR_RESET`]: the
+/// sensor has lost its settings.
 pub fn note_sensor_reset() {
     LINK.notes
         .fetch_or(BoardFlags::SENSOR_RESET.bits(), Ordering::Relaxed);
 }
 
-/// Enables the reader. The supervisor calls this while the reader is disabled, the bus is free, and the sensor runs with
-/// these settings.
+/// Enables the reader. The supervisor calls this while the reader is disabled, the bus is free, and
+/// the sensor runs with these settings.
 pub fn enable(ready: &Ready, config: &Config) {
     let period_us = (1.0e6 / config.sample_rate_hz()) as u32;
-    // SAFETY: the reader is disabled, and reads its set-up only while it runs.
+    // SAFETY: the reader is disabled, and reads its set-up only while enabled.
     unsafe {
         *SETUP.0.get() = Setup::new(config, ready.part, period_us);
     }
     LINK.address.store(ready.address, Ordering::Relaxed);
     LINK.is_enabled.store(true, Ordering::Release);
-    // The alarm makes the reader take over the set-up, so that the first edge finds it ready.
+    // The alarm makes the reader load the set-up before the first edge.
     timebase::raise_burst_alarm();
     exti().pr().write(|w| w.pr1().clear_bit_by_one());
     exti().imr().write(|w| w.mr1().set_bit());
 }
 
-/// Stops the reader, so that the supervisor can use the bus or stall the core. A burst under way ends first.
+/// Stops the reader, so that the supervisor can use the bus or stall the core. A burst under way
+/// ends first.
 pub fn pause() {
     exti().imr().reset();
     timebase::Delay.delay_us(BURST_DEADLINE_US);
@@ -165,12 +173,13 @@ pub fn pause() {
     timebase::sleep_until(|| !is_enabled());
 }
 
-/// Whether the reader runs. A fault that needs the bus recovered disables it until the next [`enable`].
+/// Returns whether the reader runs. A fault that needs the bus recovered disables it until the next
+/// [`enable`].
 pub fn is_enabled() -> bool {
     LINK.is_enabled.load(Ordering::Acquire)
 }
 
-/// Number of failed bursts since boot, which wraps at 65,536, and the last failure.
+/// Returns the number of failed bursts since boot, which wraps at 65,536, and the last failure.
 pub fn failures() -> (u16, Option<BurstFailure>) {
     let packed = LINK.failures.load(Ordering::Relaxed);
     let [count_low, count_high, fault, step] = packed.to_le_bytes();

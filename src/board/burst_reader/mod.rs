@@ -1,22 +1,26 @@
-//! Reads the sensor's 14 data registers after each data-ready edge: one interrupt per bus event, and no waiting.
+//! Reads the sensor's 14 data registers after each data-ready edge: one interrupt per bus event,
+//! and no waiting.
 //!
 //! ```text
-//! edge ─ START ─ SB: address+W ─ ADDR: pointer ─ BTF: START again ─ SB: address+R ─ ADDR: DMA on ─ transfer complete: STOP
+//! edge ─ START ─ SB: address+W ─ ADDR: pointer ─ BTF: START again
+//!      ─ SB: address+R ─ ADDR: DMA on ─ transfer complete: STOP
 //! ```
 //!
 //! The order of register accesses is the reference manual's (RM0090, 27.3.3 master transmitter and
 //! receiver, 27.3.7 DMA). A burst takes 384 µs at 400 kHz.
 //!
-//! - **Deadlines.** The alarm bounds each burst: one that has not ended [`BURST_DEADLINE_US`] after its edge is aborted.
-//!   After [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an unknown state, the reader disables itself. The
-//!   supervisor then recovers the bus, and meanwhile the alarm requests stale snapshots.
-//! - **Missing edges.** If no edge comes within [`SILENCE_DEADLINE_US`], the alarm starts the bursts, one per sample period,
-//!   until edges come again. An edge that comes too soon after the last one starts nothing: it is a glitch, or the sensor has
-//!   lost its sample rate.
-//! - **Settings.** Between bursts the attitude task may request a check: the same steps read a few of the sensor's
-//!   settings back. A wrong one disables the reader, and the supervisor configures the sensor again.
-//! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude task busy are
-//!   counted. The next good burst carries the count as `missed_before`.
+//! - **Deadlines.** The alarm bounds each burst: one that has not ended [`BURST_DEADLINE_US`] after
+//!   its edge is aborted. After [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an
+//!   unknown state, the reader disables itself. The supervisor then recovers the bus, and meanwhile
+//!   the alarm requests stale snapshots.
+//! - **Missing edges.** If no edge comes within [`SILENCE_DEADLINE_US`], the alarm starts the
+//!   bursts, one per sample period, until edges come again. An edge that comes too soon after the
+//!   last one starts nothing: it is a glitch, or the sensor has lost its sample rate.
+//! - **Settings.** Between bursts the attitude task may request a check: the same steps read a few
+//!   of the sensor's settings back. A wrong one disables the reader, and the supervisor configures
+//!   the sensor again.
+//! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude
+//!   task busy are counted. The next good burst carries the count as `missed_before`.
 
 mod dma;
 mod link;
@@ -48,15 +52,15 @@ pub const FAILURES_IN_A_ROW: u8 = 3;
 const STALE_PERIOD_US: u32 = 5_000;
 /// Time from a check to the next burst while the alarm starts the bursts, in µs.
 const POLL_AFTER_CHECK_US: u32 = 300;
-/// A period that no edge keeps: every edge is examined.
+/// Period longer than any between edges: every edge is examined.
 const NO_PERIOD_US: u32 = u32::MAX;
 
-/// The reader. All of its methods run at one priority, so none interrupts another.
+/// Burst reader. All its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
-    /// Whether the steps under way read settings back, instead of a burst.
+    /// True if the present steps read settings back, instead of a burst.
     is_check: bool,
-    /// First register of the steps under way.
+    /// First register of the present steps.
     pointer: Register,
     /// Slot that DMA fills.
     slot: Slot,
@@ -76,7 +80,7 @@ pub struct BurstReader {
     missed: u8,
     mode: Mode,
     failures_in_a_row: u8,
-    /// Whether an edge has come during a check.
+    /// True if an edge has come during a check.
     is_edge_waiting: bool,
     next_check: u8,
 }
@@ -101,7 +105,7 @@ unsafe impl Sync for CheckedBytes {}
 static CHECKED: CheckedBytes = CheckedBytes(UnsafeCell::new([0; Check::LONGEST]));
 
 impl BurstReader {
-    /// A disabled reader with its DMA stream set up. [`enable`] starts it.
+    /// Creates a disabled reader with its DMA stream set up. [`enable`] starts it.
     pub fn start() -> Self {
         dma::start();
         let reader = Self {
@@ -126,7 +130,7 @@ impl BurstReader {
         reader
     }
 
-    /// EXTI1: starts the burst of this edge.
+    /// Handles EXTI1: starts the burst of this edge.
     #[inline(always)]
     pub fn on_data_ready(&mut self, timebase: &mut Timebase) {
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
@@ -139,7 +143,7 @@ impl BurstReader {
         self.start_burst(count, timebase);
     }
 
-    /// Handles an edge that comes too soon, during the steps of a burst or a check, or first.
+    /// Handles an edge that comes too soon, during a burst or a check, or as the first one.
     #[cold]
     #[inline(never)]
     fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {
@@ -187,7 +191,7 @@ impl BurstReader {
         self.step = BurstStep::Start;
     }
 
-    /// I2C1 event: one step of the burst.
+    /// Handles an I2C1 event: one step of the burst.
     #[inline(always)]
     pub fn on_bus_event(&mut self) {
         let i2c = i2c1();
@@ -203,7 +207,8 @@ impl BurstReader {
                 self.step = BurstStep::Pointer;
             }
             BurstStep::Pointer if status.btf().bit() => {
-                // This read clears BTF, which would otherwise interrupt again until the start is on the bus.
+                // This read clears BTF, which would otherwise interrupt again until the start is on
+                // the bus.
                 i2c.dr().read();
                 i2c.cr1()
                     .write(|w| w.pe().set_bit().ack().set_bit().start().set_bit());
@@ -214,7 +219,7 @@ impl BurstReader {
                 self.step = BurstStep::AddressRead;
             }
             BurstStep::AddressRead if status.addr().bit() => {
-                // From here DMA takes the bytes. LAST answers the last one with NACK.
+                // From here DMA moves the bytes. LAST answers the last one with NACK.
                 i2c.cr2().write(|w| {
                     with_clock(w)
                         .iterren()
@@ -227,7 +232,7 @@ impl BurstReader {
                 i2c.sr2().read();
                 self.step = BurstStep::Data;
             }
-            // No step is under way that the event could belong to: disables the events.
+            // The event belongs to no step: disables the events.
             BurstStep::Idle => {
                 i2c.cr2().write(|w| with_clock(w));
             }
@@ -235,7 +240,8 @@ impl BurstReader {
         }
     }
 
-    /// DMA1 stream 0: the bytes are in memory. Returns whether a burst is ready for the attitude task.
+    /// Handles DMA1 stream 0: the bytes are in memory. Returns whether a burst is ready for the
+    /// attitude task.
     #[inline(always)]
     pub fn on_transfer_complete(&mut self, timebase: &mut Timebase) -> bool {
         let is_complete = dma::take_complete();
@@ -277,7 +283,8 @@ impl BurstReader {
         retained::count(FaultClass::AttitudeLate);
     }
 
-    /// Compares the settings that were read back, and gives the bus to an edge that has come meanwhile.
+    /// Compares the settings that were read back, and starts the burst of an edge that has come
+    /// meanwhile.
     #[inline(never)]
     fn end_check(&mut self, timebase: &mut Timebase) {
         // SAFETY: the transfer into these bytes is complete.
@@ -301,12 +308,12 @@ impl BurstReader {
         };
         timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
         if !is_intact {
-            // The supervisor checks again and counts.
+            // The supervisor checks again, and counts the fault.
             self.disable();
         }
     }
 
-    /// SPI1, which [`request_check`] pends: reads some settings back if the bus is free.
+    /// Handles SPI1, which [`request_check`] pends: reads some settings back if the bus is free.
     pub fn on_check_request(&mut self) {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
@@ -337,7 +344,7 @@ impl BurstReader {
         self.arm_dma();
     }
 
-    /// I2C1 error: the sensor did not acknowledge, or the bus misbehaved.
+    /// Handles an I2C1 error: the sensor did not acknowledge, or the bus failed.
     pub fn on_bus_error(&mut self) {
         let status = i2c1().sr1().read();
         // Writing zero clears the error flags. The other flags ignore writes.
@@ -356,8 +363,8 @@ impl BurstReader {
         }
     }
 
-    /// The alarm: a burst took too long, no edge came, or a stale snapshot is due. Returns whether the attitude task has to
-    /// publish one.
+    /// Handles the alarm: a burst took too long, no edge came, or a stale snapshot is due. Returns
+    /// whether the attitude task has to publish one.
     pub fn on_alarm(&mut self, timebase: &mut Timebase) -> bool {
         let has_lost_crystal = clocks::have_fallen_back();
         if has_lost_crystal {
@@ -394,7 +401,7 @@ impl BurstReader {
         false
     }
 
-    /// Takes over the supervisor's set-up and flags: the reader has just been enabled.
+    /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
@@ -467,7 +474,7 @@ impl BurstReader {
         }
     }
 
-    /// Leaves the bus to the supervisor. The alarm then publishes a stale snapshot immediately.
+    /// Releases the bus to the supervisor. The alarm then publishes a stale snapshot immediately.
     fn disable(&mut self) {
         self.mode = Mode::Starting;
         self.shortest_period_us = NO_PERIOD_US;
@@ -491,6 +498,7 @@ fn send_stop() {
 }
 
 fn i2c1() -> &'static i2c1::RegisterBlock {
-    // SAFETY: while the reader is enabled it alone uses the bus; see `sensor_bus` for the rest of the time.
+    // SAFETY: while the reader is enabled it alone uses the bus; see `sensor_bus` for the rest of
+    // the time.
     unsafe { &*I2C1::ptr() }
 }

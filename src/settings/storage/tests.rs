@@ -14,9 +14,9 @@ use crate::calibration::{
 
 const SLOT: usize = 512;
 
-/// Model of NOR flash. Programming clears bits, erasing sets them. Power can fail at each programmed
-/// word and each erase. The cut leaves the bits of that step old, new or neither, and weak: they may
-/// read differently next time.
+/// Model of NOR flash. Programming clears bits, erasing sets them. Power can fail at each
+/// programmed word and each erase. The cut leaves the bits of that step old, new or neither, and
+/// weak: they may read differently next time.
 #[derive(Clone)]
 struct Nor {
     bytes: [u8; 2 * SLOT],
@@ -82,8 +82,8 @@ impl Nor {
         Ok(is_cut)
     }
 
-    /// Leaves each changing bit of `range` old with a chance, and weak with another; of an erase,
-    /// which first programs all bits, some are neither old nor new.
+    /// Leaves each changing bit of `range` old with one probability, and weak with another. An
+    /// erase first programs all bits, so some of its bits are neither old nor new.
     fn half_change(&mut self, range: core::ops::Range<usize>, new: &[u8], erases: bool) {
         let (changes, weak, zeros) = (self.random() % 9, self.random() % 9, self.random() % 9);
         for (index, &new) in range.zip(new) {
@@ -360,7 +360,7 @@ fn a_weak_record_is_made_firm_before_the_other_is_erased() {
 }
 
 #[test]
-fn cuts_upon_cuts_never_lose_the_record() {
+fn repeated_power_cuts_never_lose_the_record() {
     for seed in 0..400 {
         let mut flash = Nor::blank().cut_at(usize::MAX, seed);
         let mut possible: Vec<Option<Record>> = vec![None];
@@ -540,7 +540,7 @@ fn a_later_format_is_reported_and_left_alone() {
 }
 
 #[test]
-fn the_format_does_not_change_unnoticed() {
+fn the_stored_format_is_the_documented_one() {
     let mut small = Record::default();
     small.calibration.mount = Mount::parse("+x+z");
     small.calibration.gyroscope = Some(GyroscopeOffset {

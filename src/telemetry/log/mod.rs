@@ -20,7 +20,7 @@
 //! # How a replay is exact
 //!
 //! An attitude depends on every burst since the filter's start. A log may begin in flight and have
-//! holes, so the state itself is in the log:
+//! holes, so it contains the state:
 //! [`Pipeline::visit_state`](crate::pipeline::Pipeline::visit_state) as bytes (1.7 KiB), in pieces
 //! between the bursts. A replay that has all pieces of a state, and every burst from that state's
 //! number on, computes the attitudes of the flight. It stays exact until a burst is lost or the
@@ -29,10 +29,10 @@
 //!
 //! # Load
 //!
-//! At 1 kHz and 50 attitudes a second the log takes 40 kB/s, 44 % of 921,600 baud, and 1.5 % of the
-//! core at 168 MHz ([`BYTES_PER_BURST`] is the size of a burst). [`Sender`] never waits: a burst
-//! without room is left out, and the gap in the numbers shows it. Configurations come first, then
-//! bursts, then pieces of the state.
+//! At 1 kHz and 50 attitudes a second the log takes 40 kB/s, 44 % of 921,600 baud. It takes 1.5 %
+//! of the core at 168 MHz. ([`BYTES_PER_BURST`] is the size of a burst.) [`Sender`] never waits: a
+//! burst without room is left out, and the gap in the numbers shows it. Configurations come first,
+//! then bursts, then pieces of the state.
 //!
 //! ```
 //! use aplomb::telemetry::log::{Decoder, FRAME_CAPACITY, Frame, Text, encode};

@@ -53,13 +53,13 @@ impl Sender {
         }
     }
 
-    /// Restarts the log because the settings change with the burst of this number. The sender wants
+    /// Restarts the log because the settings change with the burst of this number. The sender needs
     /// a state at once, and a configuration follows it.
     pub fn restart(&mut self, next_number: u32) {
         *self = Self::new(next_number);
     }
 
-    /// Returns whether the sender wants a copy of the pipeline now. `now_us` is the time since
+    /// Returns whether the sender needs a copy of the pipeline now. `now_us` is the time since
     /// boot, µs.
     pub fn wants_state(&self, now_us: u64) -> bool {
         now_us >= self.next_state_us

@@ -21,9 +21,9 @@
 //!
 //! # Text commands meanwhile
 //!
-//! The console stays within reach. The `receiver` passes on every byte that belongs to no MAVLink
-//! frame as text, so that `format text`, on a line of its own, always returns to text. The
-//! console's answers come as STATUSTEXT.
+//! The console stays within reach. The `receiver` passes on every byte outside MAVLink frames as
+//! text, so that `format text`, on a line of its own, always returns to text. The console's answers
+//! come as STATUSTEXT.
 //!
 //! # The `mavlink` crate
 //!
@@ -60,8 +60,8 @@
 //! assert!(length > 21);
 //! ```
 
-// The firmware's panic check (`xtask/src/panics.rs`) cannot tell the crate's panics from our own,
-// so this module has none.
+// The firmware's panic check (`xtask/src/panics.rs`) cannot distinguish the crate's panics from our
+// own, so this module has none.
 #![cfg_attr(
     not(test),
     deny(

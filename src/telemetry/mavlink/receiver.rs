@@ -198,7 +198,7 @@ impl Receiver {
     }
 }
 
-/// Returns the extra byte of a message's checksum, which tells its versions apart; `None` for a
+/// Returns the extra byte of a message's checksum, which distinguishes its versions; `None` for a
 /// message that is not read.
 const fn extra_of(message: u32) -> Option<u8> {
     use common::{

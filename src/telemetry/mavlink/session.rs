@@ -93,7 +93,7 @@ impl Session {
         self.inbox.answer(ticket, outcome);
     }
 
-    /// Returns the number of messages that were dropped for want of room.
+    /// Returns the number of messages that were dropped for lack of room.
     pub fn dropped(&self) -> u16 {
         self.dropped.saturating_add(self.inbox.dropped)
     }

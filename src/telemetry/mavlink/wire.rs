@@ -1,8 +1,8 @@
 //! Wire types beyond those of the `mavlink` crate.
 //!
 //! The crate's commands are those of its dialect, but every command needs an answer: [`Command`]
-//! holds any. The crate's option for the fields that version 2 appended pulls its code generator,
-//! which needs the standard library, into the firmware (0.21.0): [`Extended`] appends them.
+//! holds any. [`Extended`] appends the fields of version 2. The crate's own option for them
+//! (0.21.0) pulls its code generator, which needs the standard library, into the firmware.
 
 use ::mavlink::dialects::common::{
     COMMAND_ACK_DATA, COMMAND_INT_DATA, COMMAND_LONG_DATA, MavMessage,
@@ -11,7 +11,7 @@ use ::mavlink::{
     MavlinkVersion, MessageData, bytes::Bytes, bytes_mut::BytesMut, error::ParserError,
 };
 
-/// System of the module's address: the first, since ground stations look for it.
+/// System of the module's address: the first, which ground stations expect.
 pub const SYSTEM: u8 = 1;
 /// Component of the module's address: MAV_COMP_ID_AUTOPILOT1.
 pub const COMPONENT: u8 = 1;

@@ -117,8 +117,8 @@ fn frame(message: &MavMessage) -> MAVLinkV2MessageRaw {
     raw
 }
 
-/// Frames of a stream without other bytes, with their sequence numbers. The crate's own table checks
-/// the checksums.
+/// Frames of a stream without other bytes, with their sequence numbers. The crate's own table
+/// checks the checksums.
 fn messages(mut bytes: &[u8]) -> Vec<(u8, MavMessage)> {
     let mut found = Vec::new();
     while !bytes.is_empty() {
@@ -311,7 +311,7 @@ fn parameters_are_listed_read_and_set() {
 fn every_command_is_answered_known_or_not() {
     let mut bench = Bench::new();
     for known in 0..=u16::MAX {
-        // The crate cannot build a command that it does not know, so the test writes its bytes.
+        // The crate cannot build an unknown command, so the test writes its bytes.
         if known % 97 != 0 && ![241, 245, 400, 512, 520].contains(&known) {
             continue;
         }
