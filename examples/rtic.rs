@@ -22,7 +22,7 @@ mod app {
     use aplomb::board::sensor::{RETRY_MS, Sensor};
     use aplomb::board::sensor_bus::SensorBus;
     use aplomb::board::timebase::{self, Delay, Timebase};
-    use aplomb::board::{clocks, pins, publish, retained};
+    use aplomb::board::{attitude_task, clocks, pins, retained};
     use aplomb::mpu6050::{Config, Part};
     use aplomb::pipeline::{Pipeline, Settings};
     use embedded_hal::delay::DelayNs;
@@ -92,7 +92,7 @@ mod app {
     /// Place for your less urgent code, which may read the latest attitude at any time.
     #[task(priority = 1)]
     async fn show(_: show::Context) {
-        if let Some((snapshot, _)) = publish::latest() {
+        if let Some((snapshot, _)) = attitude_task::latest() {
             let angles = snapshot.euler();
             let (roll, pitch) = (angles.roll_rad.to_degrees(), angles.pitch_rad.to_degrees());
             defmt::info!("roll {} pitch {}", roll, pitch);

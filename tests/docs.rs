@@ -29,7 +29,7 @@ const SENTENCE_WORDS: usize = 25;
 
 /// Largest number of functions and of files on the path of one sample.
 const PATH_FUNCTIONS: usize = 20;
-const PATH_FILES: usize = 13;
+const PATH_FILES: usize = 10;
 
 #[test]
 fn pages_are_short() {

@@ -2,9 +2,22 @@
 //!
 //! Deadline: the end of the next burst, 1 ms. The snapshot is published within a few microseconds;
 //! no task waits for the housekeeping.
+//!
+//! # Publication
+//!
+//! The task publishes the latest snapshot for telemetry, debuggers and the virtual board.
+//!
+//! The attitude task is the only writer. It increments `sequence` last, so a reader of lower
+//! priority that finds the same count before and after its copy holds one whole snapshot. A
+//! debugger, which halts the core, reads the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0,
+//! the count at 44.
 
-use super::handover::{self, ReceivedBurst};
-use super::{burst_reader, clocks, publish, retained, timebase, watchdog};
+use core::mem::offset_of;
+use core::sync::atomic::{AtomicU32, Ordering, fence};
+
+use super::burst_reader::{self, ReceivedBurst};
+use super::{clocks, retained, timebase, watchdog};
+use crate::attitude::{Quaternion, Vector3};
 use crate::fault::FaultClass;
 use crate::health::Flags;
 use crate::pipeline::{Pipeline, Snapshot};
@@ -62,9 +75,9 @@ impl AttitudeTask {
         pipeline: &mut Pipeline,
         after_publication: impl FnOnce(&ReceivedBurst),
     ) -> Option<FlagChange> {
-        let updated = handover::take(|received| {
+        let updated = burst_reader::take(|received| {
             let snapshot = pipeline.update(&received.burst, received.flags);
-            publish::publish(&snapshot);
+            publish(&snapshot);
             after_publication(received);
             snapshot
         });
@@ -74,7 +87,7 @@ impl AttitudeTask {
         }
         let (t_us, board) = burst_reader::take_stale()?;
         let snapshot = pipeline.stale(t_us, board);
-        publish::publish(&snapshot);
+        publish(&snapshot);
         watchdog::attitude_goes_on();
         self.take_flags(snapshot.flags)
     }
@@ -134,5 +147,83 @@ impl AttitudeTask {
 impl Default for AttitudeTask {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+/// Words of a snapshot.
+const WORDS: usize = 11;
+
+#[repr(C)]
+struct Published {
+    /// Snapshot, word by word.
+    words: [AtomicU32; WORDS],
+    sequence: AtomicU32,
+}
+
+const _: () = assert!(offset_of!(Published, sequence) == 44);
+// The order of the words below.
+const _: () = assert!(offset_of!(Snapshot, attitude) == 8 && offset_of!(Quaternion, z) == 12);
+const _: () = assert!(offset_of!(Snapshot, body_rates_rad_s) == 24 && offset_of!(Vector3, z) == 8);
+const _: () = assert!(offset_of!(Snapshot, tilt_variance_rad2) == 4 * (WORDS - 1));
+
+/// Number of publications, zero until the first.
+#[unsafe(no_mangle)]
+static APLOMB_SNAPSHOT: Published = Published {
+    words: [const { AtomicU32::new(0) }; WORDS],
+    sequence: AtomicU32::new(0),
+};
+
+/// Publishes a snapshot. Only the attitude task calls this.
+#[inline(always)]
+fn publish(snapshot: &Snapshot) {
+    let (q, rates) = (&snapshot.attitude, &snapshot.body_rates_rad_s);
+    let [low, high, qw, qx, qy, qz, p, q_rate, r, flags, variance] = &APLOMB_SNAPSHOT.words;
+    let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);
+    store(low, snapshot.t_us as u32);
+    store(high, (snapshot.t_us >> 32) as u32);
+    store(qw, q.w.to_bits());
+    store(qx, q.x.to_bits());
+    store(qy, q.y.to_bits());
+    store(qz, q.z.to_bits());
+    store(p, rates.x.to_bits());
+    store(q_rate, rates.y.to_bits());
+    store(r, rates.z.to_bits());
+    store(flags, snapshot.flags.bits());
+    store(variance, snapshot.tilt_variance_rad2.to_bits());
+    let sequence = APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed);
+    APLOMB_SNAPSHOT
+        .sequence
+        .store(sequence.wrapping_add(1), Ordering::Release);
+}
+
+/// Returns the latest snapshot and its number; `None` before the first. Only for tasks of lower
+/// priority than the writer.
+pub fn latest() -> Option<(Snapshot, u32)> {
+    loop {
+        let before = APLOMB_SNAPSHOT.sequence.load(Ordering::Acquire);
+        if before == 0 {
+            return None;
+        }
+        let words = APLOMB_SNAPSHOT
+            .words
+            .each_ref()
+            .map(|word| word.load(Ordering::Relaxed));
+        // The copy is complete before the count is read again.
+        fence(Ordering::Acquire);
+        if APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed) == before {
+            return Some((snapshot_of(words), before));
+        }
+    }
+}
+
+fn snapshot_of(words: [u32; WORDS]) -> Snapshot {
+    let [low, high, numbers @ .., flags, variance] = words;
+    let [w, x, y, z, p, q, r] = numbers.map(f32::from_bits);
+    Snapshot {
+        t_us: u64::from(high) << 32 | u64::from(low),
+        attitude: Quaternion::new(w, x, y, z),
+        body_rates_rad_s: Vector3::new(p, q, r),
+        flags: Flags::from_bits_truncate(flags),
+        tilt_variance_rad2: f32::from_bits(variance),
     }
 }

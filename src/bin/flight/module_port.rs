@@ -4,7 +4,7 @@
 use core::sync::atomic::Ordering;
 
 use aplomb::board::uart::{Receiver, Transmitter};
-use aplomb::board::{publish, retained};
+use aplomb::board::{attitude_task, retained};
 use aplomb::calibration::{Calibration, StationaryProgress};
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Module, Outcome, State, Task};
@@ -65,7 +65,8 @@ where
             frames_dropped: retained::counted(FaultClass::TelemetryLate),
             ..State::default()
         };
-        state.flags = publish::latest().map_or(Flags::empty(), |(snapshot, _)| snapshot.flags);
+        state.flags =
+            attitude_task::latest().map_or(Flags::empty(), |(snapshot, _)| snapshot.flags);
         state.sensor = self.requests.lock(|requests| requests.sensor);
         let copied = self.estimation.lock(|estimation| {
             let pipeline = estimation.pipeline.as_ref()?;

@@ -2,7 +2,7 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use aplomb::board::handover::ReceivedBurst;
+use aplomb::board::burst_reader::ReceivedBurst;
 use aplomb::calibration::{Calibration, ImuReading, StationaryDetector, StationaryProgress};
 use aplomb::console::{Outcome, Task};
 use aplomb::mpu6050::{Burst, Part, RawSample};

@@ -8,7 +8,7 @@ use core::fmt::Write;
 use core::sync::atomic::Ordering;
 
 use aplomb::board::uart::{self, Transmitter};
-use aplomb::board::{burst_reader, publish, retained, timebase, watchdog};
+use aplomb::board::{attitude_task, burst_reader, retained, timebase, watchdog};
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::fault::FaultClass;
 use aplomb::health::FlagReport;
@@ -179,7 +179,7 @@ impl Telemetry {
             return None;
         }
         self.tick = 0;
-        let (snapshot, number) = publish::latest()?;
+        let (snapshot, number) = attitude_task::latest()?;
         let is_new = number != core::mem::replace(&mut self.last_published, number);
         is_new.then_some(snapshot)
     }
@@ -251,7 +251,7 @@ fn put_log(
     output: &mut Output<'_>,
 ) {
     if sender.wants_state(now_us)
-        && let Some((latest, _)) = publish::latest()
+        && let Some((latest, _)) = attitude_task::latest()
         && timebase::now().wrapping_sub(latest.t_us as u32) < COPY_WINDOW_US
     {
         estimation.lock(|estimation| {

@@ -19,28 +19,30 @@
 //! - **Settings.** Between bursts the attitude task may request a check: the same steps read a few
 //!   of the sensor's settings back. A wrong one disables the reader, and the supervisor configures
 //!   the sensor again.
+//! - **Slots.** Bursts go to the attitude task without being copied. There are two slots: DMA fills
+//!   one while the attitude task reads the other.
 //! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude
 //!   task busy are counted. The next good burst carries the count as `missed_before`.
 
 mod dma;
 mod link;
+mod settings_check;
 
 pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_check, take_stale};
 
 use core::cell::UnsafeCell;
-use core::sync::atomic::Ordering;
+use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
 
 use stm32f4xx_hal::pac::{I2C1, i2c1};
 
-use super::handover::{self, Slot};
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
 use super::{clocks, pins, retained};
 use crate::fault::{BurstFailure, BurstFault, BurstStep, FaultClass};
 use crate::health::BoardFlags;
 use crate::mpu6050::registers::Register;
-use crate::mpu6050::{BURST_LENGTH, Check, Condition};
-use link::{CHECKS, LINK, exti, setup};
+use crate::mpu6050::{BURST_LENGTH, Burst};
+use link::{LINK, exti, setup};
 
 /// Longest time from an edge to the end of its burst, in µs: twice what the bus needs.
 pub const BURST_DEADLINE_US: u32 = 800;
@@ -95,14 +97,6 @@ enum Mode {
     /// The return of the edges, after the alarm has started the bursts.
     Polling,
 }
-
-/// Bytes that a check reads.
-struct CheckedBytes(UnsafeCell<[u8; Check::LONGEST]>);
-
-// SAFETY: DMA writes it during a check, and the reader reads it when that has ended.
-unsafe impl Sync for CheckedBytes {}
-
-static CHECKED: CheckedBytes = CheckedBytes(UnsafeCell::new([0; Check::LONGEST]));
 
 impl BurstReader {
     /// Creates a disabled reader with its DMA stream set up. [`enable`] starts it.
@@ -262,9 +256,9 @@ impl BurstReader {
         self.failures_in_a_row = 0;
         let next_alarm = (self.captured_at_us as u32).wrapping_add(self.silence_us);
         timebase::set_burst_alarm(next_alarm);
-        let is_free = handover::is_free();
+        let is_free = is_free();
         if is_free {
-            handover::offer(self.slot, self.captured_at_us, self.missed, self.flags);
+            offer(self.slot, self.captured_at_us, self.missed, self.flags);
             self.slot = self.slot.other();
             self.missed = 0;
             self.flags = self.latched_flags;
@@ -281,58 +275,6 @@ impl BurstReader {
         self.flags |= BoardFlags::LATE;
         self.count_missed();
         retained::count(FaultClass::AttitudeLate);
-    }
-
-    /// Compares the settings that were read back, and starts the burst of an edge that has come
-    /// meanwhile.
-    #[inline(never)]
-    fn end_check(&mut self, timebase: &mut Timebase) {
-        // SAFETY: the transfer into these bytes is complete.
-        let bytes = unsafe { &*CHECKED.0.get() };
-        let is_intact = self.check().evaluate(bytes) == Condition::Intact;
-        let is_of_scales = self.next_check.is_multiple_of(2);
-        if is_intact && is_of_scales {
-            self.flags |= BoardFlags::SCALES_VERIFIED;
-        }
-        self.next_check = self.next_check.wrapping_add(1);
-        self.return_to_bursts();
-        let is_edge_waiting = core::mem::take(&mut self.is_edge_waiting);
-        if is_edge_waiting && is_intact {
-            self.start_burst(timebase.captured(), timebase);
-            return;
-        }
-        send_stop();
-        let next_us = match self.mode {
-            Mode::Polling => POLL_AFTER_CHECK_US,
-            Mode::Starting | Mode::Edges => SILENCE_DEADLINE_US - BURST_DEADLINE_US,
-        };
-        timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
-        if !is_intact {
-            // The supervisor checks again, and counts the fault.
-            self.disable();
-        }
-    }
-
-    /// Handles SPI1, which [`request_check`] pends: reads some settings back if the bus is free.
-    pub fn on_check_request(&mut self) {
-        let is_free = self.step == BurstStep::Idle
-            && i2c1().sr2().read().busy().bit_is_clear()
-            && i2c1().cr1().read().stop().bit_is_clear();
-        if !is_free || !is_enabled() {
-            return;
-        }
-        let check = self.check();
-        self.is_check = true;
-        self.pointer = check.first;
-        timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
-        dma::stop();
-        dma::arm(CHECKED.0.get() as u32, check.length as u16);
-        self.send_start();
-    }
-
-    #[inline(always)]
-    fn check(&self) -> &'static Check {
-        &setup().checks[usize::from(self.next_check) % CHECKS]
     }
 
     /// Makes the next steps read a burst.
@@ -501,4 +443,94 @@ fn i2c1() -> &'static i2c1::RegisterBlock {
     // SAFETY: while the reader is enabled it alone uses the bus; see `sensor_bus` for the rest of
     // the time.
     unsafe { &*I2C1::ptr() }
+}
+
+/// Burst with the conditions that the board reports.
+pub struct ReceivedBurst {
+    /// Burst from the sensor.
+    pub burst: Burst,
+    /// Conditions that the board reports.
+    pub flags: BoardFlags,
+}
+
+/// Index of a slot.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Slot {
+    First = 0,
+    Second = 1,
+}
+
+impl Slot {
+    /// Returns the other slot.
+    const fn other(self) -> Self {
+        match self {
+            Self::First => Self::Second,
+            Self::Second => Self::First,
+        }
+    }
+
+    /// Returns the memory that DMA fills with the burst's bytes.
+    fn bytes_address(self) -> u32 {
+        let burst = core::mem::offset_of!(ReceivedBurst, burst);
+        let bytes = core::mem::offset_of!(Burst, bytes);
+        SLOTS.0[self as usize].get() as u32 + (burst + bytes) as u32
+    }
+}
+
+struct Slots([UnsafeCell<ReceivedBurst>; 2]);
+
+// SAFETY: the reader writes a slot, or lets DMA write it, only while `READY` excludes the attitude
+// task from it.
+unsafe impl Sync for Slots {}
+
+static SLOTS: Slots = Slots([const { UnsafeCell::new(EMPTY) }; 2]);
+
+const EMPTY: ReceivedBurst = ReceivedBurst {
+    burst: Burst {
+        bytes: [0; BURST_LENGTH],
+        captured_at_us: 0,
+        missed_before: 0,
+    },
+    flags: BoardFlags::empty(),
+};
+
+/// Slot that is ready for the attitude task, plus one; or [`NONE_READY`].
+static READY: AtomicU8 = AtomicU8::new(NONE_READY);
+const NONE_READY: u8 = 0;
+
+/// Returns whether the attitude task has returned the slot that it took. Only the reader calls
+/// this.
+#[inline(always)]
+fn is_free() -> bool {
+    READY.load(Ordering::Relaxed) == NONE_READY
+}
+
+/// Offers a slot, whose bytes DMA has filled, to the attitude task. Only the reader calls this, and
+/// only while [`is_free`] holds.
+#[inline(always)]
+fn offer(slot: Slot, captured_at_us: u64, missed_before: u8, flags: BoardFlags) {
+    // SAFETY: no slot is ready, so the attitude task reads neither until the store below.
+    let received = unsafe { &mut *SLOTS.0[slot as usize].get() };
+    received.burst.captured_at_us = captured_at_us;
+    received.burst.missed_before = missed_before;
+    received.flags = flags;
+    compiler_fence(Ordering::Release);
+    READY.store(slot as u8 + 1, Ordering::Relaxed);
+}
+
+/// Lends the ready burst to `work`, and returns its slot afterwards. `None` if no burst is ready.
+/// Only the attitude task calls this.
+#[inline(always)]
+pub(super) fn take<R>(work: impl FnOnce(&ReceivedBurst) -> R) -> Option<R> {
+    let slot = match READY.load(Ordering::Relaxed) {
+        NONE_READY => return None,
+        1 => Slot::First,
+        _ => Slot::Second,
+    };
+    compiler_fence(Ordering::Acquire);
+    // SAFETY: while a slot is ready the reader neither writes it nor points DMA at it.
+    let result = work(unsafe { &*SLOTS.0[slot as usize].get() });
+    compiler_fence(Ordering::Release);
+    READY.store(NONE_READY, Ordering::Relaxed);
+    Some(result)
 }

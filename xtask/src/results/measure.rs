@@ -33,7 +33,8 @@ const FLIGHT: [&str; 14] = [
 /// Flights of the campaign with faults.
 const CAMPAIGN_RUNS: &str = "2000";
 
-/// Measures everything that is in the file but the figures by hand, and calls `save` after each part.
+/// Measures everything that is in the file but the figures by hand, and calls `save` after each
+/// part.
 ///
 /// `is_long` adds the flight of an hour and the campaign with faults.
 pub fn all(

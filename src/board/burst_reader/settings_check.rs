@@ -1,0 +1,78 @@
+//! Check of the sensor's settings between two bursts: reads a few of them back.
+//!
+//! The check takes the same steps as a burst, but DMA writes elsewhere. A wrong setting disables
+//! the reader, and the supervisor configures the sensor again.
+
+use core::cell::UnsafeCell;
+
+use super::link::{CHECKS, setup};
+use super::{
+    BURST_DEADLINE_US, BurstReader, Mode, POLL_AFTER_CHECK_US, SILENCE_DEADLINE_US, dma, i2c1,
+    is_enabled, send_stop,
+};
+use crate::board::timebase::{self, Timebase};
+use crate::fault::BurstStep;
+use crate::health::BoardFlags;
+use crate::mpu6050::{Check, Condition};
+
+/// Bytes that a check reads.
+struct CheckedBytes(UnsafeCell<[u8; Check::LONGEST]>);
+
+// SAFETY: DMA writes it during a check, and the reader reads it when that has ended.
+unsafe impl Sync for CheckedBytes {}
+
+static CHECKED: CheckedBytes = CheckedBytes(UnsafeCell::new([0; Check::LONGEST]));
+
+impl BurstReader {
+    /// Compares the settings that were read back, and starts the burst of an edge that has come
+    /// meanwhile.
+    #[inline(never)]
+    pub(super) fn end_check(&mut self, timebase: &mut Timebase) {
+        // SAFETY: the transfer into these bytes is complete.
+        let bytes = unsafe { &*CHECKED.0.get() };
+        let is_intact = self.check().evaluate(bytes) == Condition::Intact;
+        let is_of_scales = self.next_check.is_multiple_of(2);
+        if is_intact && is_of_scales {
+            self.flags |= BoardFlags::SCALES_VERIFIED;
+        }
+        self.next_check = self.next_check.wrapping_add(1);
+        self.return_to_bursts();
+        let is_edge_waiting = core::mem::take(&mut self.is_edge_waiting);
+        if is_edge_waiting && is_intact {
+            self.start_burst(timebase.captured(), timebase);
+            return;
+        }
+        send_stop();
+        let next_us = match self.mode {
+            Mode::Polling => POLL_AFTER_CHECK_US,
+            Mode::Starting | Mode::Edges => SILENCE_DEADLINE_US - BURST_DEADLINE_US,
+        };
+        timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
+        if !is_intact {
+            // The supervisor checks again, and counts the fault.
+            self.disable();
+        }
+    }
+
+    /// Handles SPI1, which [`request_check`] pends: reads some settings back if the bus is free.
+    pub fn on_check_request(&mut self) {
+        let is_free = self.step == BurstStep::Idle
+            && i2c1().sr2().read().busy().bit_is_clear()
+            && i2c1().cr1().read().stop().bit_is_clear();
+        if !is_free || !is_enabled() {
+            return;
+        }
+        let check = self.check();
+        self.is_check = true;
+        self.pointer = check.first;
+        timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
+        dma::stop();
+        dma::arm(CHECKED.0.get() as u32, check.length as u16);
+        self.send_start();
+    }
+
+    #[inline(always)]
+    fn check(&self) -> &'static Check {
+        &setup().checks[usize::from(self.next_check) % CHECKS]
+    }
+}
