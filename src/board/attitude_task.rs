@@ -75,7 +75,7 @@ impl AttitudeTask {
         let (t_us, board) = burst_reader::take_stale()?;
         let snapshot = pipeline.stale(t_us, board);
         publish::publish(&snapshot);
-        watchdog::attitude_goes_on();
+        watchdog::report_attitude();
         self.take_flags(snapshot.flags)
     }
 
@@ -94,8 +94,8 @@ impl AttitudeTask {
 
     #[inline(never)]
     fn run_round(&mut self, pipeline: &Pipeline, snapshot: &Snapshot) {
-        watchdog::samples_go_on();
-        watchdog::attitude_goes_on();
+        watchdog::report_samples();
+        watchdog::report_attitude();
         burst_reader::request_check();
         // The NMI of a failed crystal may be missing.
         if clocks::have_fallen_back() {

@@ -76,7 +76,7 @@ impl Commands {
         let Some(receiver) = &mut self.receiver else {
             return;
         };
-        self.has_reception_error = receiver.look(baud) != Reception::Sound;
+        self.has_reception_error = receiver.poll(baud) != Reception::Sound;
         if self.has_reception_error {
             retained::count(FaultClass::UartInput);
         }

@@ -82,7 +82,7 @@ impl Telemetry {
         mut messages: impl Mutex<T = Mailbox>,
         requests: impl Mutex<T = Requests>,
     ) {
-        watchdog::telemetry_goes_on();
+        watchdog::report_telemetry();
         let mut post = |message| messages.lock(|messages| messages.post(message));
         let failures = self.report_failures(&mut post);
         self.commands.check_reception(self.transmitter.baud());
