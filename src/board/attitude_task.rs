@@ -25,16 +25,16 @@ const COUNTED: [(Flags, FaultClass); 6] = [
     (Flags::MISSED, FaultClass::SamplesMissed),
 ];
 
-/// A change of the flags.
+/// Change of the flags.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct FlagChange {
-    /// The flags before.
+    /// Flags before the change.
     pub before: Flags,
-    /// The flags now.
+    /// Flags after the change.
     pub now: Flags,
 }
 
-/// The task's state.
+/// State of the attitude task.
 pub struct AttitudeTask {
     samples_to_housekeeping: u8,
     rounds_to_warm_start: u8,
@@ -42,7 +42,7 @@ pub struct AttitudeTask {
 }
 
 impl AttitudeTask {
-    /// The state before the first sample.
+    /// Creates the state before the first sample.
     pub const fn new() -> Self {
         Self {
             samples_to_housekeeping: HOUSEKEEPING_SAMPLES,

@@ -139,7 +139,7 @@ impl Monitor {
     }
 }
 
-/// A sample's 14 bytes as two numbers, which overlap by two bytes.
+/// The 14 bytes of a sample as two numbers, which overlap by two bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Fingerprint {

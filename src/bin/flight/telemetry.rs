@@ -40,7 +40,7 @@ const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM && room(ANSWER_CAPACITY) <= ua
 /// waits for the copy.
 const COPY_WINDOW_US: u32 = 900;
 
-/// The telemetry task's state.
+/// State of the telemetry task.
 pub struct Telemetry {
     transmitter: Transmitter,
     commands: Commands,
