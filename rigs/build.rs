@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::{env, fs};
 
-/// The STM32F405, which `-M netduinoplus2` has.
+/// Chip of `-M netduinoplus2`: STM32F405.
 const SIZES: &str = "../boards/stm32f405.x";
 
 fn main() {

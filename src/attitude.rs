@@ -534,7 +534,7 @@ mod tests {
     }
 
     #[test]
-    fn sine_and_cosine_take_anything() {
+    fn sine_and_cosine_are_finite_for_any_input() {
         for angle in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             assert_eq!(sine_cosine(angle), (0.0, 1.0));
         }
@@ -590,7 +590,7 @@ mod tests {
     }
 
     #[test]
-    fn at_the_pole_yaw_carries_everything() {
+    fn at_the_pole_yaw_holds_the_whole_angle() {
         for (pitch, sign) in [(90.0, -1.0), (-90.0, 1.0)] {
             let q = Quaternion::from_euler(euler(25.0, pitch, 70.0));
             let angles = q.to_euler();

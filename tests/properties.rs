@@ -83,13 +83,13 @@ proptest! {
     }
 
     #[test]
-    fn wrapping_takes_anything(angle in any_bits()) {
+    fn wrapping_accepts_any_input(angle in any_bits()) {
         let wrapped = wrap_pi(angle);
         prop_assert!(wrapped > -PI && wrapped <= PI, "{wrapped}");
     }
 
     #[test]
-    fn sines_take_anything(angle in any_bits()) {
+    fn sines_accept_any_input(angle in any_bits()) {
         let (sine, cosine) = sine_cosine(angle);
         prop_assert!((sine * sine + cosine * cosine - 1.0).abs() < 1e-5);
     }
@@ -117,7 +117,7 @@ proptest! {
     }
 
     #[test]
-    fn the_poles_survive_too(
+    fn rotations_at_the_poles_survive_the_euler_angles(
         roll_rad in -3.1..3.1f32,
         yaw_rad in -3.1..3.1f32,
         from_pole in -1.0e-3..1.0e-3f32,
@@ -191,7 +191,7 @@ proptest! {
     }
 
     #[test]
-    fn no_text_but_the_26_names_is_a_mount(
+    fn only_the_26_names_are_mounts(
         name in "[+-]?[xyz][+-][xyzw]|[-+xyz]{0,5}|z-up|z-down",
     ) {
         let bytes = name.as_bytes();

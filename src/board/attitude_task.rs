@@ -38,16 +38,16 @@ const COUNTED: [(Flags, FaultClass); 6] = [
     (Flags::MISSED, FaultClass::SamplesMissed),
 ];
 
-/// A change of the flags.
+/// Change of the flags.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct FlagChange {
-    /// The flags before.
+    /// Flags before the change.
     pub before: Flags,
-    /// The flags now.
+    /// Flags after the change.
     pub now: Flags,
 }
 
-/// The task's state.
+/// State of the attitude task.
 pub struct AttitudeTask {
     samples_to_housekeeping: u8,
     rounds_to_warm_start: u8,
@@ -55,7 +55,7 @@ pub struct AttitudeTask {
 }
 
 impl AttitudeTask {
-    /// The state before the first sample.
+    /// Creates the state before the first sample.
     pub const fn new() -> Self {
         Self {
             samples_to_housekeeping: HOUSEKEEPING_SAMPLES,
@@ -88,7 +88,7 @@ impl AttitudeTask {
         let (t_us, board) = burst_reader::take_stale()?;
         let snapshot = pipeline.stale(t_us, board);
         publish(&snapshot);
-        watchdog::attitude_goes_on();
+        watchdog::report_attitude();
         self.take_flags(snapshot.flags)
     }
 
@@ -107,8 +107,8 @@ impl AttitudeTask {
 
     #[inline(never)]
     fn run_round(&mut self, pipeline: &Pipeline, snapshot: &Snapshot) {
-        watchdog::samples_go_on();
-        watchdog::attitude_goes_on();
+        watchdog::report_samples();
+        watchdog::report_attitude();
         burst_reader::request_check();
         // The NMI of a failed crystal may be missing.
         if clocks::have_fallen_back() {

@@ -18,7 +18,7 @@ const CRYSTAL_READINGS: u32 = 100_000;
 
 /// Runs the core at [`BOARD`]'s frequency, and returns the source of the clock.
 pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
-    let source = if crystal_answers(&rcc) {
+    let source = if crystal_starts(&rcc) {
         ClockSource::Crystal
     } else {
         ClockSource::InternalOscillator
@@ -156,7 +156,7 @@ pub(super) fn enable(change: impl FnOnce(&rcc::RegisterBlock)) {
 }
 
 /// Returns whether the HSE input becomes ready in time. If not, switches it off again.
-fn crystal_answers(rcc: &RCC) -> bool {
+fn crystal_starts(rcc: &RCC) -> bool {
     rcc.cr()
         .modify(|_, w| w.hsebyp().bit(BOARD.crystal_is_external_clock));
     rcc.cr().modify(|_, w| w.hseon().set_bit());

@@ -65,10 +65,10 @@ const LENGTH: usize = NUMBERS + 2;
 /// Typical age of the saved attitude at a warm start, in seconds. It is half the time between two
 /// saves on average, plus the watchdog's limit of 0.2 to 0.56 s. The worst case of both, with the
 /// start itself, is 0.8 s. After a crash the age is half as long.
-const USUAL_AGE_S: f32 = 0.5;
+const TYPICAL_AGE_S: f32 = 0.5;
 
-/// σ of the turn about one axis in [`USUAL_AGE_S`], rad.
-const UNSEEN_RAD: f32 = PAUSE_RATE_RAD_S * USUAL_AGE_S;
+/// σ of the turn about one axis in [`TYPICAL_AGE_S`], rad.
+const UNSEEN_RAD: f32 = PAUSE_RATE_RAD_S * TYPICAL_AGE_S;
 
 /// Smallest σ of a bias after a reset, in rad/s: 0.2 °/s.
 const BIAS_SIGMA_RAD_S: f32 = 3.5e-3;

@@ -18,10 +18,10 @@ pub const RETRY_MS: u32 = 5;
 
 /// Probes until a sensor that powers up with the processor must answer: 100 ms (product
 /// specification §6.3).
-const LOOKS_WHILE_STARTING: u32 = 100 / RETRY_MS;
+const PROBES_WHILE_STARTING: u32 = 100 / RETRY_MS;
 
 /// Reconfigurations in a row before the whole sequence, reset included, is tried.
-const TRIES_WITHOUT_RESET: u8 = 3;
+const RECONFIGURATIONS_WITHOUT_RESET: u8 = 3;
 
 /// Sensor that is ready.
 #[derive(Clone, Copy)]
@@ -48,7 +48,7 @@ pub struct Sensor {
     /// True if the sensor has had the whole sequence in this run or the previous one.
     is_known: bool,
     failures: u8,
-    silent_looks: u32,
+    silent_probes: u32,
 }
 
 impl Sensor {
@@ -59,7 +59,7 @@ impl Sensor {
             config,
             is_known,
             failures: 0,
-            silent_looks: 0,
+            silent_probes: 0,
         }
     }
 
@@ -74,7 +74,7 @@ impl Sensor {
             Ok(_) => {
                 self.is_known = true;
                 self.failures = 0;
-                self.silent_looks = 0;
+                self.silent_probes = 0;
             }
             Err(NotReady::BusHeldLow(held)) => retained::count(if held.clock {
                 FaultClass::ClockLineLow
@@ -82,7 +82,7 @@ impl Sensor {
                 FaultClass::DataLineLow
             }),
             Err(NotReady::Sensor(Error::NotFound)) => {
-                self.silent_looks = self.silent_looks.saturating_add(1);
+                self.silent_probes = self.silent_probes.saturating_add(1);
                 if self.is_known || !self.may_be_starting() {
                     retained::count(FaultClass::SensorSilent);
                 }
@@ -91,7 +91,7 @@ impl Sensor {
             Err(NotReady::Sensor(Error::Bus { .. })) => {}
             Err(NotReady::Sensor(_)) => {
                 self.failures = self.failures.saturating_add(1);
-                if self.failures >= TRIES_WITHOUT_RESET {
+                if self.failures >= RECONFIGURATIONS_WITHOUT_RESET {
                     self.is_known = false;
                     self.failures = 0;
                 }
@@ -117,7 +117,7 @@ impl Sensor {
     /// Returns whether the sensor may still be powering up: it has been silent for less than 100
     /// ms.
     pub const fn may_be_starting(&self) -> bool {
-        self.silent_looks < LOOKS_WHILE_STARTING
+        self.silent_probes < PROBES_WHILE_STARTING
     }
 
     fn attempt(&mut self) -> Result<Ready, NotReady> {

@@ -171,7 +171,7 @@ impl embedded_hal::delay::DelayNs for Delay {
             .ccr4()
             .write(|w| w.ccr().set(start.wrapping_add(limit_us)));
         sleep_until(|| elapsed(start, limit_us));
-        super::watchdog::samples_go_on();
+        super::watchdog::report_samples();
     }
 }
 

@@ -45,7 +45,7 @@ pub struct Receiver {
     /// Index of the next byte of the ring to read.
     read_at: usize,
     /// Count of the time base at the last poll.
-    looked_at_us: u32,
+    polled_at_us: u32,
     written_before: usize,
 }
 
@@ -106,7 +106,7 @@ pub fn start(
     let receiver = Receiver {
         ring,
         read_at: 0,
-        looked_at_us: timebase::now(),
+        polled_at_us: timebase::now(),
         written_before: 0,
     };
     (transmitter, receiver)
@@ -115,10 +115,10 @@ pub fn start(
 impl Receiver {
     /// Polls for bytes since the last poll, at this baud rate. Afterwards [`Self::receive`] returns
     /// the sound ones.
-    pub fn look(&mut self, baud: u32) -> Reception {
+    pub fn poll(&mut self, baud: u32) -> Reception {
         let now = timebase::now();
-        let elapsed_us = now.wrapping_sub(self.looked_at_us);
-        self.looked_at_us = now;
+        let elapsed_us = now.wrapping_sub(self.polled_at_us);
+        self.polled_at_us = now;
         let is_garbled = usart2().sr().read().bits() & (FRAMING | NOISE | OVERRUN) != 0;
         if is_garbled {
             // After the status, reading the data clears the flags (RM0090, 30.6.1). If this takes a

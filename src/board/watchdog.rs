@@ -40,12 +40,12 @@ pub fn start(watchdog: &IWDG, debugger: &DBGMCU) {
         .modify(|_, w| w.dbg_iwdg_stop().set_bit());
     // SAFETY: the keys of RM0090, 21.4.1: start, then open the other registers.
     watchdog.kr().write(|w| unsafe { w.key().bits(0xCCCC) });
-    allow_ms(LIMIT_MS);
+    set_limit_ms(LIMIT_MS);
 }
 
 /// Sets the shortest time without progress before a reset, in ms, up to 5,000. Needed around work
 /// that stops everything, such as erasing flash; set [`LIMIT_MS`] afterwards.
-pub fn allow_ms(limit_ms: u32) {
+pub fn set_limit_ms(limit_ms: u32) {
     let ticks = limit_ms.saturating_mul(FASTEST_KHZ).div_ceil(DIVISION);
     let watchdog = watchdog();
     // SAFETY: the key that opens the registers, and values of their widths (RM0090, 21.4).
@@ -69,18 +69,18 @@ pub fn allow_ms(limit_ms: u32) {
 
 /// Reports that samples come, or that the idle task recovers the sensor.
 #[inline(always)]
-pub fn samples_go_on() {
+pub fn report_samples() {
     SAMPLES.store(true, Ordering::Relaxed);
 }
 
 /// Reports that the attitude task has published.
 #[inline(always)]
-pub fn attitude_goes_on() {
+pub fn report_attitude() {
     ATTITUDE.store(true, Ordering::Relaxed);
 }
 
 /// Reports that the telemetry task runs. Feeds the watchdog if the other two have reported too.
-pub fn telemetry_goes_on() {
+pub fn report_telemetry() {
     if SAMPLES.load(Ordering::Relaxed) && ATTITUDE.load(Ordering::Relaxed) {
         SAMPLES.store(false, Ordering::Relaxed);
         ATTITUDE.store(false, Ordering::Relaxed);

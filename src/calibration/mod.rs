@@ -1,4 +1,4 @@
-//! Calibration of one sensor: what is known about it, and the fits that find it.
+//! Calibration of one sensor: its offsets, scales, mount and temperature model, and their fits.
 //!
 //! | module | job |
 //! |---|---|

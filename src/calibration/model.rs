@@ -144,7 +144,7 @@ impl AccelerometerCorrection {
     }
 }
 
-/// Distance from the measured range up to which a [`TemperatureModel`] is trusted fully, °C.
+/// Distance from the measured range up to which a [`TemperatureModel`] has full weight, °C.
 pub(super) const TRUSTED_BEYOND_CELSIUS: f32 = 5.0;
 /// Distance from the measured range at which its weight has fallen to zero, °C.
 const FADED_BEYOND_CELSIUS: f32 = 15.0;

@@ -198,7 +198,7 @@ mod tests {
     const Z: Vector3 = Vector3::new(0.0, 0.0, 1.0);
 
     #[test]
-    fn the_named_mounts_are_what_they_say() {
+    fn the_named_mounts_have_the_documented_axes() {
         let v = Vector3::new(1.0, 2.0, 3.0);
         assert_eq!(Mount::Z_UP.to_body(v), Vector3::new(1.0, -2.0, -3.0));
         assert_eq!(Mount::Z_DOWN.to_body(v), v);
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_says_where_forward_and_down_point() {
+    fn a_name_gives_the_forward_and_down_axes() {
         for mount in Mount::ALL {
             let name = mount.name().as_bytes();
             for (body, sign, axis) in [(X, name[0], name[1]), (Z, name[2], name[3])] {
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_mount_is_refused() {
+    fn invalid_mount_names_are_refused() {
         for name in [
             "", "z", "+x", "+x+x", "+x-x", "-z+z", "+x-w", "x-z", "+X-Z", "+x-z ", " +x-z", "*x-z",
             "+x*z", "z-UP", "+x-y+z",

@@ -1,5 +1,5 @@
-//! Stationary detector: decides by the sensor's own noise that nothing moves, and averages
-//! meanwhile.
+//! Stationary detector: compares the readings with the sensor's own noise, and averages them while
+//! nothing moves.
 //!
 //! # The test
 //!
@@ -9,15 +9,15 @@
 //! samples. A window is motion if
 //!
 //! - an axis reads full scale;
-//! - the variance of an axis is beyond the χ² limit for the sensor's noise. Clones are noisier
-//!   than the datasheet, so at first the limit allows four times its σ. From the first quiet
-//!   window on, each axis is held to the noise it has shown (an F test, as the product of both χ²
-//!   limits);
+//! - the variance of an axis is beyond the χ² limit for the sensor's noise. Clones are noisier than
+//!   the datasheet, so at first the limit allows four times its σ. From the first quiet window on,
+//!   each axis is compared with its own noise (an F test, as the product of both χ² limits);
 //! - the mean of an axis differs from the mean of the windows before by more than the standard
 //!   error of the difference. A slow rotation about a level axis shows in the accelerometer long
 //!   before its rate is distinguishable from a gyroscope offset;
-//! - the gyroscope's mean is beyond the datasheet's zero-rate offset (a fast, steady rotation about
-//!   the vertical), or the accelerometer's mean is not about one g (free fall, or all zeros).
+//! - the gyroscope's mean is beyond the datasheet's zero-rate offset: a fast, steady rotation about
+//!   the vertical;
+//! - the accelerometer's mean is not about one g: free fall, or a sensor that returns zeros.
 //!
 //! At the end the means must not show a trend either. All limits lie at five standard deviations:
 //! white noise exceeds them in less than one of ten thousand averages of 1000 samples.

@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_its_range_it_fades_and_holds_its_value() {
+    fn the_model_fades_beyond_its_range_and_holds_its_value() {
         let model = learned(15.0, 40.0).fit().expect("enough");
         let (edge, _) = model.offset_at(45.0);
         for (celsius, weight) in [(45.0, 1.0), (50.0, 0.5), (55.0, 0.0), (200.0, 0.0)] {
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn few_points_make_no_model() {
+    fn too_few_points_give_no_model() {
         assert!(TemperatureLearner::new().fit().is_err());
         assert_eq!(TemperatureLearner::new().range_celsius(), None);
         let error = learned(25.0, 25.4).fit().unwrap_err();

@@ -91,8 +91,8 @@ impl Console {
         self.working.calibration.mount.unwrap_or(self.default_mount)
     }
 
-    /// Runs what is due and writes at most one line to `output`, without its end. Returns the kind
-    /// of that line.
+    /// Runs the work that is due, and writes at most one line to `output`, without its end. Returns
+    /// the kind of that line.
     ///
     /// Call it at least ten times a second, when there is room for a line of
     /// [`ANSWER_CAPACITY`](super::answer::ANSWER_CAPACITY) bytes. Received bytes wait until their

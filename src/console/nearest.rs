@@ -93,7 +93,7 @@ mod tests {
         }
 
         #[test]
-        fn any_text_has_an_answer(word in "\\PC{0,40}") {
+        fn any_text_gives_an_answer(word in "\\PC{0,40}") {
             if let Some(found) = nearest(&word, WORDS) {
                 prop_assert!(WORDS.contains(&found));
             }

@@ -2,9 +2,12 @@
 //!
 //! [`Flags::VALID`] is a promise: the tilt is wrong by no more than the larger of 5° and six of its
 //! own σ. Therefore σ grows while samples are missing. An attitude loses `VALID` whenever a wrong
-//! sample could pass for a right one: the sample is no measurement, the data are frozen, or the
-//! temperature is outside the part's range. It also loses `VALID` when the rates could come from a
-//! changed full scale that has not been read back, and while the gyroscope's offset is unknown.
+//! sample could pass for a right one:
+//!
+//! - the sample is no measurement, or the data are frozen;
+//! - the temperature is outside the part's range;
+//! - the rates could come from a changed full scale, which has not been read back yet;
+//! - the gyroscope's offset is unknown.
 //!
 //! ```
 //! use aplomb::health::{Flags, Monitor};

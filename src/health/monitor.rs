@@ -16,8 +16,9 @@ const HOTTEST_CELSIUS: f32 = 85.0;
 
 /// Identical samples in a row that mean [`Flags::FROZEN`], for a low-pass filter of 98 Hz and more.
 ///
-/// With that bandwidth, noise alone (product specification §6.1 and §6.2) makes a repetition of all
-/// six axes after 11 samples less likely than one in 10,000, and there are two such pairs here.
+/// With that bandwidth, a repetition of all six axes after 11 samples of noise (product
+/// specification §6.1 and §6.2) has a probability below one in 10,000. There are two such pairs
+/// here.
 const FROZEN_SAMPLES: u8 = 22;
 /// Identical samples in a row that mean [`Flags::FROZEN`], for narrower low-pass filters. With
 /// these, successive samples often repeat.
@@ -138,7 +139,7 @@ impl Monitor {
     }
 }
 
-/// A sample's 14 bytes as two numbers, which overlap by two bytes.
+/// The 14 bytes of a sample as two numbers, which overlap by two bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Fingerprint {

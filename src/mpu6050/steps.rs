@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_configuration_is_the_datasheet_s_sequence() {
+    fn the_default_configuration_follows_the_datasheet() {
         let expected = [
             (0x6B, 0x80, 100),
             (0x6B, 0x00, 0),

@@ -118,8 +118,8 @@ fn the_delay_of_the_low_pass_filter_is_compensated() {
     // 9 ms at 1000 °/s, and 4.8 ms more; or the delay of the settings.
     let delayed = yaw_after(crate::mpu6050::LowPass::Hertz42, None);
     assert!((delayed - 13.8).abs() < 0.05, "{delayed}");
-    let told = yaw_after(crate::mpu6050::LowPass::Hertz42, Some(1_000));
-    assert!((told - 10.0).abs() < 0.05, "{told}");
+    let delayed = yaw_after(crate::mpu6050::LowPass::Hertz42, Some(1_000));
+    assert!((delayed - 10.0).abs() < 0.05, "{delayed}");
 }
 
 #[test]
@@ -327,7 +327,7 @@ fn a_stationary_mean_is_collected_while_the_pipeline_runs() {
 }
 
 #[test]
-fn signs_reach_the_snapshot() {
+fn the_signs_of_the_sensor_reach_the_snapshot() {
     let mut pipeline = Pipeline::new(&settings());
     let rates = Vector3::new(1.0, -2.0, 3.0);
     let snapshot = update(

@@ -89,7 +89,7 @@ mod tests {
     };
 
     #[test]
-    fn the_line_is_the_tutorials_and_reads_back() {
+    fn the_line_has_the_format_of_the_tutorial_and_reads_back() {
         let mut line = [0; LINE_LENGTH];
         let text = core::str::from_utf8(encode(&EXAMPLE, &mut line)).expect("ASCII");
         assert_eq!(text, "Roll:12.34(-5.60),\tPitch:-0.50(0.00)\n");

@@ -119,7 +119,7 @@ mod tests {
 
     /// The table in README.md.
     #[test]
-    fn the_documented_rates_are_these() {
+    fn the_highest_rates_are_the_documented_ones() {
         let rows = OutputFormat::ALL.map(|format| {
             let rate = |baud| largest_rate_hz(format, baud).min(1000);
             (

@@ -1,4 +1,4 @@
-//! Pace of the telemetry task: how often it runs, and how often it sends a frame.
+//! Pace of the telemetry task: the periods of its ticks and of its frames.
 
 use crate::settings::OutputFormat;
 

@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn the_packet_is_the_demos() {
+    fn the_packet_has_the_layout_of_the_demo() {
         let attitude = quaternion([0.5, -0.5, 0.25, 1.0]);
         assert_eq!(
             encode(attitude, 200),

@@ -1,12 +1,12 @@
-//! Teleplot: one line for each variable.
+//! Teleplot format: one line for each variable.
 //!
 //! ```text
 //! >roll:1.00
 //! >pitch:-2.50
 //! ```
 //!
-//! Teleplot wants a line for each variable, begun with `>` on a serial port, and takes a second
-//! colon for a time. An Arduino plotter wants all variables of a moment in one line, as [`text`]
+//! Teleplot needs a line for each variable, begun with `>` on a serial port, and takes a second
+//! colon for a time. An Arduino plotter needs all variables of a moment in one line, as [`text`]
 //! has them. Labels and units are the same.
 //!
 //! ```

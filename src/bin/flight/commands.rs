@@ -21,7 +21,7 @@ use rtic::Mutex;
 use crate::module_port::ModulePort;
 use crate::requests::{Estimation, Requests};
 
-/// The console, the ground station, and the bytes that they receive.
+/// Console and ground station, with the bytes that they receive.
 pub struct Commands {
     console: Console,
     station: GroundStation,
@@ -31,9 +31,9 @@ pub struct Commands {
 
 /// Answer to a command.
 pub struct Answer {
-    /// The line, without its end.
+    /// Text of the line, without its end.
     pub text: heapless::String<ANSWER_CAPACITY>,
-    /// Its kind; `None` if there is no answer.
+    /// Kind of the answer; `None` if there is no answer.
     pub kind: Option<Kind>,
     /// Number of the first burst after a change of settings: the flight log restarts there.
     pub changed_at: Option<u32>,
@@ -76,7 +76,7 @@ impl Commands {
         let Some(receiver) = &mut self.receiver else {
             return;
         };
-        self.has_reception_error = receiver.look(baud) != Reception::Sound;
+        self.has_reception_error = receiver.poll(baud) != Reception::Sound;
         if self.has_reception_error {
             retained::count(FaultClass::UartInput);
         }

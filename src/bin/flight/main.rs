@@ -266,7 +266,7 @@ mod app {
         let attitude::LocalResources { to_log, task, .. } = context.local;
         let change = context.shared.estimation.lock(|estimation| {
             let Some(pipeline) = &mut estimation.pipeline else {
-                watchdog::attitude_goes_on();
+                watchdog::report_attitude();
                 return None;
             };
             let part = pipeline.settings().part;

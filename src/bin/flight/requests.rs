@@ -14,13 +14,13 @@ use heapless::spsc::Producer;
 pub struct Requests {
     /// The sensor and its address, once it is configured.
     pub sensor: Option<(&'static Part, u8)>,
-    /// The calibration that the pipeline starts with.
+    /// Calibration with which the pipeline starts.
     pub calibration: Calibration,
     /// True if the pipeline starts armed.
     pub is_armed: bool,
-    /// The task that needs the sensor to stop.
+    /// Task that needs a pause of the sensor.
     pub task: Option<Task>,
-    /// The result of the last task.
+    /// Outcome of the last task.
     pub outcome: Option<Outcome>,
 }
 

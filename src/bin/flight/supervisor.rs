@@ -48,7 +48,7 @@ pub fn run(
     // The first recovery is reported however early it comes.
     let mut reported_at = timebase::now().wrapping_sub(RECOVERY_MESSAGE_PERIOD_US);
     loop {
-        watchdog::samples_go_on();
+        watchdog::report_samples();
         match sensor.make_ready() {
             Ok(ready) => {
                 is_reported |= last_complaint.take().is_some();
@@ -131,12 +131,12 @@ fn perform_paused(
     requests: &mut impl Mutex<T = Requests>,
 ) {
     let since = timebase::now();
-    watchdog::allow_ms(TASK_LIMIT_MS);
+    watchdog::set_limit_ms(TASK_LIMIT_MS);
     let outcome = perform(task, sensor, flash);
-    watchdog::allow_ms(watchdog::LIMIT_MS);
+    watchdog::set_limit_ms(watchdog::LIMIT_MS);
     requests.lock(|requests| requests.outcome = Some(outcome));
     timebase::sleep_until(|| {
-        watchdog::samples_go_on();
+        watchdog::report_samples();
         timebase::elapsed(since, PAUSE_US)
     });
 }

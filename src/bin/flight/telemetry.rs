@@ -40,7 +40,7 @@ const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM && room(ANSWER_CAPACITY) <= ua
 /// waits for the copy.
 const COPY_WINDOW_US: u32 = 900;
 
-/// The telemetry task's state.
+/// State of the telemetry task.
 pub struct Telemetry {
     transmitter: Transmitter,
     commands: Commands,
@@ -82,7 +82,7 @@ impl Telemetry {
         mut messages: impl Mutex<T = Mailbox>,
         requests: impl Mutex<T = Requests>,
     ) {
-        watchdog::telemetry_goes_on();
+        watchdog::report_telemetry();
         let mut post = |message| messages.lock(|messages| messages.post(message));
         let failures = self.report_failures(&mut post);
         self.commands.check_reception(self.transmitter.baud());

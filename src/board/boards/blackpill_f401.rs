@@ -3,7 +3,7 @@
 
 use super::Board;
 
-/// The board that this image is built for.
+/// Board of this image.
 pub const BOARD: Board = Board {
     name: "blackpill-f401",
     crystal_hz: 25_000_000,

@@ -4,7 +4,7 @@
 
 use super::Board;
 
-/// The board that this image is built for.
+/// Board of this image.
 pub const BOARD: Board = Board {
     name: "nucleo-f446",
     crystal_hz: 8_000_000,

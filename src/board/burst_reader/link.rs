@@ -57,7 +57,7 @@ pub(super) fn setup() -> &'static Setup {
     unsafe { &*SETUP.0.get() }
 }
 
-/// The shared words.
+/// Shared words.
 pub(super) struct Link {
     /// Address of the sensor.
     pub(super) address: AtomicU8,

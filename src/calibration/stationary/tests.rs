@@ -112,7 +112,7 @@ fn the_classic_example_has_the_offset_minus_158_25() {
 }
 
 #[test]
-fn noise_of_the_sensor_is_rest_and_is_averaged_exactly() {
+fn sensor_noise_is_stationary_and_is_averaged_exactly() {
     let mut noise = Noise(1);
     let (mut gyroscope_sum, mut accelerometer_sum) = ([0_i64; 3], [0_i64; 3]);
     let mut detector = StationaryDetector::new(&coarse(), 1000);
@@ -214,7 +214,7 @@ fn a_short_movement_restarts_the_average_at_the_end_of_its_window() {
 }
 
 #[test]
-fn progress_goes_from_nothing_to_everything() {
+fn progress_goes_from_zero_to_complete() {
     let mut detector = StationaryDetector::new(&coarse(), 1000);
     assert_eq!(detector.progress_percent(), 0);
     for _ in 0..500 {
@@ -236,7 +236,7 @@ fn a_movement_in_the_short_last_window_counts_too() {
 }
 
 #[test]
-fn a_knock_shows_in_the_accelerometer() {
+fn a_knock_is_detected_by_the_accelerometer() {
     let mut detector = StationaryDetector::new(&coarse(), 1000);
     let knock = |index: u32| ([0; 3], [0, 0, if index == 10 { 3600 } else { 2048 }]);
     let (index, event) = first_event(&mut detector, knock);
@@ -248,7 +248,7 @@ fn a_knock_shows_in_the_accelerometer() {
 }
 
 #[test]
-fn a_slow_turn_about_a_level_axis_shows_in_the_accelerometer() {
+fn a_slow_turn_about_a_level_axis_is_detected_by_the_accelerometer() {
     let mut noise = Noise(5);
     let scale = coarse();
     for degrees_s in [0.5_f32, 1.0, 3.0, 10.0, 19.0] {
@@ -283,7 +283,7 @@ fn a_turn_that_begins_is_not_an_offset() {
 }
 
 #[test]
-fn a_window_that_differs_from_those_before_is_motion_though_nothing_trends() {
+fn a_window_that_differs_from_the_previous_ones_is_motion_without_a_trend() {
     // Turned about the vertical by a tenth of a degree, in the middle: one window of eleven, still
     // in itself.
     let mut detector = StationaryDetector::new(&coarse(), 946);

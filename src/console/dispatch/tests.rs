@@ -801,7 +801,7 @@ proptest! {
     /// Only whole lines store something: one that changes something, then `save`. The oracle splits
     /// the text at its line ends and searches for those two.
     #[test]
-    fn nothing_is_stored_but_by_a_change_and_save(bytes in nearly_commands()) {
+    fn only_a_change_and_save_store_a_record(bytes in nearly_commands()) {
         let mut harness = Harness::with(Some(full()));
         harness.receive(&bytes);
         for _ in 0..80 {

@@ -124,8 +124,8 @@ impl AxisKalman {
     /// Sets roll and pitch as measured and keeps yaw. At the pole it keeps roll too.
     fn set_tilt(&mut self, measured_down: Vector3) {
         let innovation = self.innovation(measured_down);
-        // Large turns do not add up, so one follows the other: first pitch about its own axis,
-        // which does not change roll, then roll about the forward axis.
+        // Large turns do not add up, so one follows the other. The first is pitch about its own
+        // axis, which does not change roll; the second is roll about the forward axis.
         self.turn(self.in_body(0.0, innovation.pitch));
         if let Some(roll) = innovation.roll {
             self.turn(self.in_body(roll, 0.0));

@@ -192,7 +192,7 @@ mod tests {
     use crate::estimator::tests::{from_degrees, sample};
 
     #[test]
-    fn the_formulas_are_the_tutorials() {
+    fn the_formulas_agree_with_the_tutorial() {
         // Counts at ±2 g, face down, offsets removed; x, y, z, roll, pitch.
         for (x, y, z, roll, pitch) in [
             (0.0, 0.0, -16384.0, 0.0, 0.0),
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn the_filter_and_the_rate_are_the_tutorials() {
+    fn the_filter_and_the_rate_agree_with_the_tutorial() {
         // The same steps in double precision: predict, update, difference.
         let mut estimator = Estimator::with_filter(Tutorial::new());
         let (mut angle, mut bias) = (0.0_f64, 0.0_f64);

@@ -52,8 +52,8 @@
 //!   In motion, a large bias about the vertical can mislead the filter, and its σ too.
 //! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
 //!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
-//! - Unsolved: after a start in motion, a bias of 20 °/s about the vertical takes more than half a
-//!   minute to find, or is not found. Yaw is not observed. The bias stays unknown until the first
+//! - Unsolved: after a start in motion, a bias of 20 °/s about the vertical takes over half a
+//!   minute, or is not found, because yaw is not observed. The bias stays unknown until the first
 //!   rest.
 //!
 //! # Cost
@@ -229,8 +229,8 @@ impl Filter for Kalman {
         }
     }
 
-    /// Returns whether the bias is known: measured at rest, in this run or that of a stored value,
-    /// with σ below 0.5 °/s on every axis.
+    /// Returns whether the bias is known. It must have been measured at rest, in this run or that
+    /// of a stored value, with σ below 0.5 °/s on every axis.
     #[inline]
     fn is_bias_known(&self) -> bool {
         self.is_bias_known

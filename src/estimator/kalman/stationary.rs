@@ -1,6 +1,6 @@
 //! Stationary detector of the filter: readings that have not changed for a while, at about one g.
 //!
-//! Steady motion looks the same to the sensor. The filter therefore uses the detector's readings
+//! Steady motion gives the same readings. The filter therefore uses the detector's readings
 //! only as far as its covariance allows.
 
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, Tuning};

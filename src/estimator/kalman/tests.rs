@@ -597,7 +597,7 @@ fn only_rest_makes_the_bias_known() {
 }
 
 #[test]
-fn an_armed_filter_does_not_take_a_steady_turn_for_rest() {
+fn an_armed_filter_does_not_treat_a_steady_turn_as_rest() {
     let left = |armed: bool| {
         let mut world = World::at_rest(Quaternion::IDENTITY);
         let mut estimator = estimator();
@@ -644,7 +644,7 @@ fn the_attitude_belongs_to_the_time_of_the_sample() {
 }
 
 #[test]
-fn attitude_and_rates_are_continuous_through_every_attitude() {
+fn attitude_and_rates_are_continuous_in_every_attitude() {
     let mut random = Random(3);
     for _ in 0..20 {
         let mut world = World::at_rest(Quaternion::IDENTITY);
@@ -811,7 +811,7 @@ fn linear_acceleration_excludes_gravity() {
 /// Neither gyroscope nor accelerometer changes in such a turn, as at rest. But no offset is so
 /// large.
 #[test]
-fn a_steady_turn_faster_than_any_offset_is_no_rest() {
+fn a_steady_turn_faster_than_any_offset_is_motion() {
     let mut estimator = Estimator::new();
     let rate = Vector3::new(0.0, 0.0, radians(100.0));
     let mut estimate = Estimate::default();

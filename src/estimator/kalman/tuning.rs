@@ -6,8 +6,8 @@
 //! Sources. Start values and random walks are those of a consumer part, mounted and shaken. They
 //! exceed a datasheet's noise at rest. The other numbers were chosen on three sets together, by a
 //! search and then by hand, each rounded to one or two digits. The sets are 14 trials of BROAD
-//! (Laidig and others, *Data* 6(7), 2021), 3 rooms of TUM-VI (Schubert and others, IROS 2018), and
-//! 12 simulated quadrotor flights. The flights have a gyroscope bias of 4 °/s, each with two
+//! (Laidig and others, *Data* 6(7), 2021) and 3 rooms of TUM-VI (Schubert and others, IROS 2018).
+//! The third set has 12 simulated quadrotor flights with a gyroscope bias of 4 °/s, each with two
 //! sensors. The scores of 12 more flights were visible during the search. Sensitivity:
 //!
 //! - The following were halved and doubled: each noise, each velocity number, and the priors of

@@ -205,7 +205,7 @@ const UNUSUAL: Config = Config {
 };
 
 #[test]
-fn the_sequence_is_the_datasheets() {
+fn the_sequence_follows_the_datasheet() {
     let bench = Bench::new(Sensor::new(0x68, 0x68));
     let mut sensor = bench.probe().expect("a sensor");
     assert_eq!(sensor.address(), 0x68);
@@ -272,7 +272,7 @@ fn settings_reach_their_bits_in_every_part() {
 }
 
 #[test]
-fn the_second_address_is_found_past_a_stranger() {
+fn the_second_address_is_found_past_an_unknown_chip() {
     let mut chips = Sensor::new(0x69, 0x68);
     chips.chips.push((0x68, 0x13));
     for sensor in [Sensor::new(0x69, 0x68), chips] {

@@ -336,7 +336,7 @@ fn a_power_cut_at_any_step_leaves_the_old_record_or_the_new_one() {
 }
 
 #[test]
-fn a_weak_record_is_made_firm_before_the_other_is_erased() {
+fn a_weakly_programmed_record_is_refreshed_before_the_other_is_erased() {
     for seed in 0..20 {
         let mut flash = Nor::blank();
         flash.set(0, &image(1, 7, &body_of(&record(1))));

@@ -178,7 +178,7 @@ fn a_long_message_goes_in_several_frames() {
 }
 
 #[test]
-fn another_form_and_other_kinds_are_refused() {
+fn unknown_kinds_are_refused() {
     let mut body = [0; 30];
     body[0] = 9;
     let checksum = CRC.checksum(&body[..20]).to_le_bytes();
@@ -252,7 +252,7 @@ fn a_sender_sends_a_state_in_pieces_and_never_more_than_fits() {
 
 proptest! {
     #[test]
-    fn any_bytes_are_skipped_or_say_what_they_mean(bytes: Vec<u8>) {
+    fn any_bytes_are_skipped_or_decode_to_their_own_encoding(bytes: Vec<u8>) {
         for frame in decoded(&bytes).0 {
             // An accepted frame is read back from its own encoding.
             prop_assert_eq!(decoded(&stream(&[frame])).0, [frame]);

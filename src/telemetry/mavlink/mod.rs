@@ -34,7 +34,7 @@
 //! 150 messages a second, do not outweigh a definition that others maintain and test. The firmware
 //! holds 6.0 KiB of MAVLink: this module, the crate and `console::ground_station`, by the symbols
 //! of the default image (2026-11-21). `wire` adds what the crate's types cannot hold: a command
-//! that its dialect does not know, and the fields that version 2 appended.
+//! that its dialect lacks, and the fields that version 2 appended.
 //!
 //! ```
 //! use aplomb::estimator::Sample;

@@ -1,4 +1,4 @@
-//! Session: passes received frames to the inbox, and sends what is due.
+//! Session: passes received frames to the inbox, and sends the messages that are due.
 
 #[cfg(test)]
 mod tests;
