@@ -27,6 +27,7 @@ const FOLDERS: [(&str, &str); 3] = [("src/", ".rs"), ("examples/", ".rs"), ("boa
 const CRATES_OF_THE_LIBRARY: [&str; 17] = [
     "aplomb",
     "byteorder",
+    "bitflags",
     "cobs",
     "crc",
     "crc-catalog",
