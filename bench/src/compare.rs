@@ -18,7 +18,7 @@ use crate::folders::{Folders, Ranges};
 use crate::recording::{Recording, Reference};
 use crate::results::{Row, Set, summarise};
 use crate::simulated::{self, EVALUATION_SEEDS};
-use crate::{accuracy, gains, leave_one_out, parallel, picture, report, throughput};
+use crate::{accuracy, gains, leave_one_out, long, parallel, picture, report, throughput};
 
 /// Compare the accuracy and the speed of filters on recordings
 ///
@@ -63,17 +63,29 @@ pub struct Options {
     /// (minutes)
     #[arg(long, group = "instead")]
     scan_gains: bool,
+    /// Instead: fly the firmware's pipeline through four simulated flights of this length, in
+    /// seconds, and score each hour (an hour takes half a minute)
+    #[arg(long, value_name = "SECONDS", group = "instead",
+        value_parser = clap::value_parser!(u64).range(120..=1_000_000))]
+    long: Option<u64>,
     /// Instead: draw the default filter, VQF and the classic one through a simulated flight, as a
     /// PNG file
     #[arg(long, value_name = "FILE", group = "instead")]
     picture: Option<PathBuf>,
 }
 
+/// Number of long flights.
+const LONG_FLIGHTS: usize = 4;
+
 /// Runs the program.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(path) = &options.picture {
         let drawn = picture::flight(&simulated::flight(picture::SEED)).png();
         return Ok(write(path, options, &drawn)?);
+    }
+    if let Some(seconds) = options.long {
+        let seeds: Vec<u64> = EVALUATION_SEEDS.take(LONG_FLIGHTS).collect();
+        return Ok(print_line(long::table(&seeds, seconds).trim_end()));
     }
     let folders = Folders {
         paths: &options.folders,

@@ -6,6 +6,7 @@ mod filter;
 mod folders;
 mod gains;
 mod leave_one_out;
+mod long;
 mod parallel;
 mod peers;
 mod picture;

@@ -101,10 +101,11 @@ pub fn check() -> Result<(), String> {
 
 /// Holds what was built and flown to the data file.
 ///
-/// `images` are the boards' ELF files, the default board's first.
+/// `images` are the boards' ELF files, the default board's first. `minimal` is the minimal build.
 pub fn hold(
     virtual_board: &Path,
     images: &[(Board, std::path::PathBuf)],
+    minimal: &Path,
     kalman_flash_bytes: u64,
 ) -> Result<(), String> {
     let data = load()?;
@@ -117,12 +118,13 @@ pub fn hold(
         }
     }
     let size = data.section("size")?;
-    changes.extend(change(
-        size,
-        "kalman_flash_bytes",
-        kalman_flash_bytes as f64,
-        TOLERANCE,
-    )?);
+    let minimal_flash_bytes = size::measure(minimal)?.flash;
+    for (key, bytes) in [
+        ("minimal_flash_bytes", minimal_flash_bytes),
+        ("kalman_flash_bytes", kalman_flash_bytes),
+    ] {
+        changes.extend(change(size, key, bytes as f64, TOLERANCE)?);
+    }
     let Some((board, elf)) = images.first() else {
         return Err("there is no image".into());
     };

@@ -20,7 +20,7 @@ pub fn run() -> Result<(), String> {
     let examples = step::timed("examples", || examples::build(&toolchain))?;
     let virtual_board = build::virtual_board()?;
     step::timed("figures of the firmware", || {
-        results::hold(&virtual_board, &images, kalman_flash_bytes)
+        results::hold(&virtual_board, &images, &minimal, kalman_flash_bytes)
     })?;
     test_virtual_board(&images, &minimal, &examples)?;
     step::timed("random flights with random faults", || {

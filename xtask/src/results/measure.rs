@@ -153,6 +153,8 @@ fn rounded(value: &str) -> Result<f64, String> {
 fn sizes(data: &mut Data, toolchain: &Toolchain) -> Result<(), String> {
     let mut section = Section::new("size", &today()?);
     section.put("kalman_flash_bytes", size::check_kalman(toolchain)?);
+    let minimal = Firmware::minimal(Board::default()).build(toolchain)?;
+    section.put("minimal_flash_bytes", size::measure(&minimal)?.flash);
     let examples = examples::build(toolchain)?;
     let rtic = examples.iter().find(|(name, _)| *name == "RTIC");
     let (_, elf) = rtic.ok_or("there is no example for RTIC")?;
