@@ -24,7 +24,7 @@ const FOLDERS: [(&str, &str); 3] = [("src/", ".rs"), ("examples/", ".rs"), ("boa
 
 /// Every crate that the library alone builds with: the traits it implements, its mathematics, and
 /// their dependencies. The macro crates are those with which `cobs` derives its error.
-const CRATES_OF_THE_LIBRARY: [&str; 17] = [
+const CRATES_OF_THE_LIBRARY: [&str; 18] = [
     "aplomb",
     "byteorder",
     "bitflags",
