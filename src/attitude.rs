@@ -315,7 +315,7 @@ impl Quaternion {
     }
 
     /// Returns the rotation at unit length; the identity if it is none (NaN, infinite or zero).
-    #[inline]
+    #[inline(never)]
     #[must_use]
     pub fn normalize(self) -> Self {
         let squared = self.dot(self);

@@ -40,7 +40,7 @@ const SENSOR: [&str; 8] = [
     "gyroscope_scale",
     "gyroscope_misalignment_rad",
     "gyroscope_bias_walk",
-    "accelerometer_bias_walk",
+    "parameter_memory_s",
 ];
 
 /// Returns the numbers of a tuning that decide on accuracy, without those that only cost time.
@@ -56,7 +56,7 @@ fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 24] {
         rate_noise,
         rate_noise_per_rate,
         gyroscope_bias_walk,
-        accelerometer_bias_walk,
+        parameter_memory_s,
         force_noise,
         force_noise_per_velocity,
         velocity_noise,
@@ -84,7 +84,7 @@ fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 24] {
         ("rate_noise", rate_noise),
         ("rate_noise_per_rate", rate_noise_per_rate),
         ("gyroscope_bias_walk", gyroscope_bias_walk),
-        ("accelerometer_bias_walk", accelerometer_bias_walk),
+        ("parameter_memory_s", parameter_memory_s),
         ("force_noise", force_noise),
         ("force_noise_per_velocity", force_noise_per_velocity),
         ("velocity_noise", velocity_noise),

@@ -42,7 +42,7 @@ use kalman::Kalman;
 /// Revision of the filters' arithmetic. It increases with every change of an attitude, even by one
 /// bit, or of the state's layout. A flight log carries it. `tests/revision.rs` fails when the bits
 /// change and the revision does not.
-pub const REVISION: u16 = 3;
+pub const REVISION: u16 = 4;
 
 /// Longest step that a filter bridges, in µs. After a longer one the motion in between is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
@@ -52,9 +52,9 @@ pub const LONGEST_STEP_US: u64 = 500_000;
 /// more.
 pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
 
-/// Largest increase of the rate from one sample to the next beyond a doubling, in rad/s: 50 °/s. No
-/// airframe gains as much in a millisecond. A changed full scale does, and so does a blow to the
-/// sensor.
+/// Part of the rate limit from one sample to the next, in rad/s: 50 °/s. The limit is
+/// √((2·previous)² + (50 °/s)²). No airframe exceeds it in a millisecond. A changed full scale
+/// does, and so does a blow to the sensor.
 const RATE_JUMP_RAD_S: f32 = radians(50.0);
 
 /// Beyond these limits a sample is no measurement: no sensor of this family reaches a tenth of

@@ -131,6 +131,25 @@ impl Covariance {
         }
     }
 
+    /// Scales the error of a parameter, and adds to its variance.
+    pub(super) fn scale_parameter(&mut self, parameter: usize, factor: f32, added: f32) {
+        if let Some(row) = self.cross.get_mut(parameter) {
+            row.iter_mut().for_each(|entry| *entry *= factor);
+        }
+        let row = self.row_mut(parameter);
+        row.iter_mut().for_each(|entry| *entry *= factor);
+        if let Some(own) = row.last_mut() {
+            *own = *own * factor + added;
+        }
+        let mut index = parameter * (parameter + 1) / 2 + parameter;
+        for other in parameter + 1..PARAMETERS {
+            index += other;
+            if let Some(entry) = self.triangle.get_mut(index) {
+                *entry *= factor;
+            }
+        }
+    }
+
     /// Sets the variance of a dynamic state, and its correlations to zero.
     pub(super) fn reset_dynamic(&mut self, state: usize, variance: f32) {
         for (index, row) in self.dynamic.iter_mut().enumerate() {

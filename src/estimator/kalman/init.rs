@@ -41,6 +41,7 @@ impl Kalman {
     }
 
     /// Resets everything but the settings and the quaternion's sign. Yaw starts at zero again.
+    #[inline(never)]
     pub(super) fn reset(&mut self) {
         let attitude = Quaternion::IDENTITY.with_sign_of(self.nominal.attitude);
         *self = Self {

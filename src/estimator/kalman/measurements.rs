@@ -1,8 +1,8 @@
 //! Measurements of a covariance step: zero velocity, zero rate at rest, and the width of the bias
 //! prior.
 
-use super::prior::BiasPrior;
-use super::propagation::{GYROSCOPE_PARAMETERS, Interval};
+use super::prior::{BiasPrior, parameter_variances};
+use super::propagation::{Interval, PARAMETERS};
 use super::slices::{Measurement, State};
 use super::stationary::StationaryReadings;
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
@@ -162,6 +162,28 @@ impl Kalman {
         }
     }
 
+    /// Lets one parameter return towards its prior, each in turn.
+    ///
+    /// A first-order Gauss-Markov process (Gelb, *Applied Optimal Estimation*, 1974, §3.8): the
+    /// deviation decays by φ, and noise of (1 − φ²) times the prior's variance keeps the prior
+    /// stationary. One parameter a step is cheap, and its turn comes every three seconds.
+    pub(super) fn relax_parameter(&mut self, duration_s: f32) {
+        const FIRST: u8 = 3;
+        const TURNS: f32 = (PARAMETERS - FIRST as usize) as f32;
+        self.next_parameter = match self.next_parameter + 1 {
+            next if next > FIRST && usize::from(next) < PARAMETERS => next,
+            _ => FIRST,
+        };
+        let parameter = usize::from(self.next_parameter);
+        let factor = 1.0 - (TURNS * duration_s / self.tuning.parameter_memory_s).min(1.0);
+        let priors = parameter_variances(self.tuning, &[0.0; 3]);
+        let prior = priors.get(parameter).copied().unwrap_or(0.0);
+        let added = (1.0 - square(factor)) * prior;
+        let covariance = &mut self.step.covariance;
+        covariance.scale_parameter(parameter, factor, added);
+        self.nominal.scale_parameter(parameter, factor);
+    }
+
     /// Closes the interval: adds its velocity, and begins its covariance step with the process
     /// noise.
     pub(super) fn begin_covariance_step(&mut self) {
@@ -174,14 +196,13 @@ impl Kalman {
         if self.recover_from_wrong_gravity() {
             return;
         }
+        self.held_tilt_rad2 = self.conservative_tilt_variance();
         let covariance = &mut self.step.covariance;
         let mut bias = 0.0;
         for axis in 0..3 {
             bias += covariance.parameter_variance(axis);
             let walk = square(tuning.gyroscope_bias_walk) * duration_s;
             covariance.add_to_parameter(axis, walk);
-            let walk = square(tuning.accelerometer_bias_walk) * duration_s;
-            covariance.add_to_parameter(GYROSCOPE_PARAMETERS + axis, walk);
         }
         let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);
         let density = square(tuning.rate_noise) + square(tuning.coupling) * bias * tilt;

@@ -90,7 +90,7 @@ use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 use covariance::Column;
 use nominal::NominalState;
 use prior::{BiasPrior, parameter_variances};
-use propagation::{GYROSCOPE_PARAMETERS, Interval};
+use propagation::{GYROSCOPE_PARAMETERS, Interval, PARAMETERS};
 use recent_velocity::RecentVelocity;
 use slices::{CovarianceStep, Progress};
 use stationary::StationaryDetector;
@@ -138,6 +138,11 @@ pub struct Kalman {
     has_rested: bool,
     /// Well-known axis whose bias is measured next at rest.
     next_axis: u8,
+    /// Parameter that has last returned towards its prior.
+    next_parameter: u8,
+    /// Tilt variance that belongs to the nominal state while a covariance step is under way, both
+    /// axes together, rad²: the step corrects the state last.
+    held_tilt_rad2: f32,
     nominal: NominalState,
     interval: Interval,
     stationary: StationaryDetector,
@@ -263,6 +268,8 @@ impl Kalman {
             prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
             mean_force_m_s2: Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2),
             next_axis: 0,
+            next_parameter: 0,
+            held_tilt_rad2: 0.0,
         };
         let variances = parameter_variances(tuning, &filter.prior.variance);
         filter.step.covariance.reset_parameters(&variances);
@@ -304,7 +311,11 @@ impl Kalman {
             match self.step.slice() {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
-                Progress::Predicted => self.measure(),
+                Progress::Propagated => self.relax_parameter(self.step.duration_s()),
+                Progress::Predicted => {
+                    self.held_tilt_rad2 = self.step.tilt_variance_rad2();
+                    self.measure();
+                }
                 Progress::Corrected => self.correct(),
                 Progress::Unsound => self.restart_from_unusable_numbers(),
             }
@@ -337,10 +348,12 @@ impl Kalman {
     /// Returns the filter's own tilt variance, both axes together, rad².
     #[inline]
     fn conservative_tilt_variance(&self) -> f32 {
-        let covariance = &self.step.covariance;
-        covariance.dynamic_variance(0)
-            + covariance.dynamic_variance(1)
-            + 2.0 * self.interval.unseen_tilt_rad2
+        let tilt_rad2 = if self.step.is_under_way() {
+            self.held_tilt_rad2
+        } else {
+            self.step.tilt_variance_rad2()
+        };
+        tilt_rad2 + 2.0 * self.interval.unseen_tilt_rad2
     }
 
     /// Returns σ of the direction of down, both axes together, rad. Infinite without a tilt.
@@ -437,6 +450,10 @@ impl Kalman {
         let mut next_axis = usize::from(self.next_axis);
         visitor.index(&mut next_axis, 3);
         self.next_axis = next_axis as u8;
+        let mut next_parameter = usize::from(self.next_parameter);
+        visitor.index(&mut next_parameter, PARAMETERS);
+        self.next_parameter = next_parameter as u8;
+        visitor.f32(&mut self.held_tilt_rad2);
     }
 }
 

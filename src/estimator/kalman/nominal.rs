@@ -93,6 +93,27 @@ impl NominalState {
         self.set_gyroscope_bias(self.gyroscope_bias_rad_s);
     }
 
+    /// Scales the deviation of a parameter from that of a perfect sensor. The gyroscope's bias, the
+    /// first three parameters, stays.
+    pub(super) fn scale_parameter(&mut self, parameter: usize, factor: f32) {
+        let Some(index) = parameter.checked_sub(3) else {
+            return;
+        };
+        let (row, column) = (index / 3, index % 3);
+        let (vector, perfect) = match self.gyroscope_matrix.get_mut(row) {
+            Some(vector) if row == column => (vector, 1.0),
+            Some(vector) => (vector, 0.0),
+            None => (&mut self.accelerometer_bias_m_s2, 0.0),
+        };
+        let entry = match column {
+            0 => &mut vector.x,
+            1 => &mut vector.y,
+            _ => &mut vector.z,
+        };
+        *entry = perfect + factor * (*entry - perfect);
+        self.set_gyroscope_bias(self.gyroscope_bias_rad_s);
+    }
+
     /// Starts the integration at the first sample, or the first after a gap.
     pub(super) fn start(&mut self, rate_reading: Vector3, force_m_s2: Vector3) {
         self.rate_rad_s = self.rate_of(rate_reading);
@@ -100,6 +121,21 @@ impl NominalState {
         self.rotation_rad = Vector3::ZERO;
         self.gained_m_s = Vector3::ZERO;
         self.elapsed_s = 0.0;
+    }
+
+    /// Prepares the integration over a pause, so that no single sample counts for all of it: the
+    /// mean rate and force become the shorter vectors of both ends. `rate_rad_s` and `force_m_s2`
+    /// are those of the sample after the pause.
+    pub(super) fn bridge_pause(&mut self, rate_rad_s: Vector3, force_m_s2: Vector3) {
+        for (before, after) in [
+            (&mut self.rate_rad_s, rate_rad_s),
+            (&mut self.force_m_s2, force_m_s2),
+        ] {
+            let is_shorter = before.dot(*before) < after.dot(after);
+            let mean = if is_shorter { *before } else { after };
+            // The trapezoid of the start and the sample after has this mean.
+            *before = mean.scale(2.0) - after;
+        }
     }
 
     /// Integrates from the previous sample to this one by the trapezoid rule. Returns the time

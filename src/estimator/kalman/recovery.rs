@@ -3,8 +3,9 @@
 
 use super::measurements::STATIONARY_FORCE_SHARE;
 use super::prior::{WarmStart, parameter_variances};
+use super::recent_velocity::RecentVelocity;
 use super::stationary::StationaryReadings;
-use super::tuning::square;
+use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
@@ -20,23 +21,37 @@ const STATIONARY_TILT_RAD: f32 = 1.4 * STATIONARY_FORCE_SHARE;
 /// contains.
 const STATIONARY_BIAS_RAD_S: f32 = radians(0.1);
 
+/// σ of a known bias after a restart in the air, per axis, rad/s: it stays known.
+const KEPT_BIAS_RAD_S: f32 = radians(0.4);
+
 impl Kalman {
     /// Restarts from the mean readings at rest: takes bias and tilt from them, and resets the other
     /// parameters.
     pub(super) fn restart_at_rest(&mut self, readings: &StationaryReadings) {
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
         self.level(force);
+        self.restart_with(
+            readings.rate_rad_s,
+            STATIONARY_BIAS_RAD_S,
+            STATIONARY_TILT_RAD,
+        );
+        self.has_rested = true;
+    }
+
+    /// Restarts from the present attitude with this bias, their σ, and the priors of the other
+    /// parameters.
+    #[inline(never)]
+    fn restart_with(&mut self, bias_rad_s: Vector3, bias_sigma_rad_s: f32, tilt_sigma_rad: f32) {
         self.nominal.reset_parameters();
         let variances = parameter_variances(self.tuning, &[0.0; 3]);
         self.step.covariance.reset_parameters(&variances);
         self.resume(&WarmStart {
             attitude: self.nominal.attitude,
-            tilt_sigma_rad: STATIONARY_TILT_RAD,
-            bias_rad_s: readings.rate_rad_s,
-            bias_sigma_rad_s: STATIONARY_BIAS_RAD_S,
+            tilt_sigma_rad,
+            bias_rad_s,
+            bias_sigma_rad_s,
         });
         self.tilt = Tilt::Known;
-        self.has_rested = true;
     }
 
     /// Restarts the tilt when the mean specific force contradicts it: about one g for 1.5 s, over
@@ -76,12 +91,27 @@ impl Kalman {
         self.nominal.attitude = rotation.multiply(self.nominal.attitude).normalize();
     }
 
-    /// Restarts, but keeps the attitude. Only readings that no sensor delivers cause this.
+    /// Restarts from numbers that are no longer usable, and keeps what is still known: the attitude
+    /// with a large σ, and the gyroscope's bias.
+    ///
+    /// Only readings that no sensor delivers lead here. A vehicle in the air would not rest for
+    /// another measurement of the bias.
     pub(super) fn restart_from_unusable_numbers(&mut self) {
         let attitude = self.nominal.attitude;
-        self.reset();
-        self.nominal.attitude = attitude;
-        self.tilt = Tilt::Unknown;
+        let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
+        let is_usable = (attitude.dot(attitude) - 1.0).abs() < 1.0e-3
+            && bias_rad_s.is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);
+        if !is_usable {
+            self.reset();
+            return;
+        }
+        let sigma_rad_s = if self.is_bias_known {
+            KEPT_BIAS_RAD_S
+        } else {
+            self.tuning.gyroscope_bias_rad_s
+        };
+        self.recent = RecentVelocity::NONE;
+        self.restart_with(bias_rad_s, sigma_rad_s, RECOVERED_TILT_RAD);
     }
 }
 

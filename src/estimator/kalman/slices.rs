@@ -33,6 +33,8 @@ enum Phase {
     PropagateParameters(usize),
     /// F·P·Fᵀ: the block X into M.
     CompleteDynamic,
+    /// The caller lets a parameter return towards its prior.
+    Relax,
     /// The measurements are due.
     Measure,
     /// This measurement's column, gain and correction.
@@ -52,6 +54,9 @@ pub(super) enum Progress {
     Idle,
     /// A part of the step is done.
     Working,
+    /// The covariance is propagated to the interval's end. The parameters are still those of its
+    /// beginning.
+    Propagated,
     /// The covariance is propagated to the interval's end: add the measurements now.
     Predicted,
     /// The step and its correction are complete.
@@ -119,6 +124,19 @@ impl CovarianceStep {
         self.duration_s
     }
 
+    /// Returns whether a step has begun and not ended: the covariance is then not that of the
+    /// nominal state.
+    #[inline]
+    pub(super) fn is_under_way(&self) -> bool {
+        self.phase != Phase::Idle
+    }
+
+    /// Returns the tilt variance, both axes together, rad².
+    #[inline]
+    pub(super) fn tilt_variance_rad2(&self) -> f32 {
+        self.covariance.dynamic_variance(0) + self.covariance.dynamic_variance(1)
+    }
+
     /// Drops the rest of a step.
     pub(super) fn abandon(&mut self) {
         self.phase = Phase::Idle;
@@ -176,7 +194,11 @@ impl CovarianceStep {
             }
             Phase::CompleteDynamic => {
                 self.covariance.complete_dynamic(&self.transition);
+                self.phase = Phase::Relax;
+            }
+            Phase::Relax => {
                 self.phase = Phase::Measure;
+                return Progress::Propagated;
             }
             Phase::Measure => {
                 self.phase = Phase::Correct(0);
@@ -298,8 +320,9 @@ impl Phase {
             Self::CorrectRows(index, row) => (6, index, row),
             Self::Check => (7, 0, 0),
             Self::Done => (8, 0, 0),
+            Self::Relax => (9, 0, 0),
         };
-        visitor.index(&mut kind, 9);
+        visitor.index(&mut kind, 10);
         // A row or index out of range does no harm: both are checked where they are used.
         visitor.index(&mut first, PARAMETERS + 1);
         visitor.index(&mut second, PARAMETERS + 1);
@@ -312,6 +335,7 @@ impl Phase {
             6 => Self::CorrectRows(first, second),
             7 => Self::Check,
             8 => Self::Done,
+            9 => Self::Relax,
             _ => Self::Idle,
         };
     }

@@ -169,6 +169,7 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
                         });
                     }
                 }
+                Progress::Propagated => {}
                 Progress::Corrected => break step.correction,
                 progress => panic!("{progress:?}"),
             }
@@ -819,4 +820,123 @@ fn a_steady_turn_faster_than_any_offset_is_motion() {
         estimate = estimator.update(&sample(millisecond * 1_000, Quaternion::IDENTITY, rate));
     }
     assert!((estimate.body_rates_rad_s.z - radians(100.0)).abs() < radians(1.0));
+}
+
+/// A step corrects the covariance in many slices, and the state in its last one.
+#[test]
+fn sigma_falls_only_when_the_state_is_corrected() {
+    let mut world = World::at_rest(from_degrees(10.0, -20.0, 0.0));
+    world.acceleration_m_s2 = Vector3::new(3.0, 1.0, 0.0);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 50);
+    world.acceleration_m_s2 = Vector3::ZERO;
+    let mut falls = 0;
+    for _ in 0..10_000 {
+        let (before, velocity) = {
+            let filter = filter(&estimator);
+            (filter.tilt_variance_rad2(), filter.nominal.velocity_m_s)
+        };
+        world.run(&mut estimator, 1);
+        let filter = filter(&estimator);
+        if filter.tilt_variance_rad2() < before {
+            falls += 1;
+            assert!(!filter.step.is_under_way(), "at {} µs", world.t_us);
+            // A correction moves the velocity too.
+            assert!(filter.nominal.velocity_m_s != velocity);
+        }
+    }
+    assert!(falls > 30, "{falls}");
+}
+
+#[test]
+fn no_single_sample_counts_for_a_whole_pause() {
+    for rate_degrees_s in [112.0, -400.0] {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        let mut estimator = estimator();
+        estimator.filter_mut().set_sample_period(1.0e-3);
+        world.run(&mut estimator, 3000);
+        let mut first = world.sample(250_000);
+        first.angular_rate_rad_s.x = radians(rate_degrees_s);
+        first.specific_force_m_s2.y = 100.0;
+        let estimate = estimator.update(&first);
+        let error = world.tilt_error_degrees(estimate.attitude);
+        assert!(error < 1.0, "{error}");
+        let estimate = world.run(&mut estimator, 2000);
+        let error = world.tilt_error_degrees(estimate.attitude);
+        assert!(error < 1.0, "{error} after it");
+    }
+}
+
+#[test]
+fn a_steady_turn_continues_through_a_pause() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    estimator.filter_mut().set_sample_period(1.0e-3);
+    world.run(&mut estimator, 3000);
+    world.rate_rad_s = Vector3::new(radians(100.0), 0.0, 0.0);
+    world.run(&mut estimator, 200);
+    let estimate = estimator.update(&world.sample(100_000));
+    let error = world.tilt_error_degrees(estimate.attitude);
+    assert!(error < 1.0, "{error}");
+}
+
+/// Scale and accelerometer bias return to their priors while no motion shows them, and so does
+/// their σ.
+#[test]
+fn parameters_return_to_their_priors() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 1000);
+    let filter = estimator.filter_mut();
+    let prior = parameter_variances(filter.tuning, &[0.0; 3]);
+    for (parameter, variance) in prior.iter().enumerate().skip(3) {
+        let variance = 0.01 * variance;
+        filter
+            .step
+            .covariance
+            .scale_parameter(parameter, 0.0, variance);
+    }
+    filter.nominal.scale_parameter(3, 0.0);
+    let mut nominal = filter.nominal;
+    for _ in 0..2 * 4545 {
+        filter.interval.duration_s = 0.22;
+        filter.relax_parameter(0.22);
+    }
+    // Two time constants: exp(−4) of the difference of the variances is left.
+    for (parameter, variance) in prior.iter().enumerate().skip(3) {
+        let share = filter.step.covariance.parameter_variance(parameter) / variance;
+        let expected = 1.0 - 0.99 * (-4.0_f32).exp();
+        assert!((share - expected).abs() < 2.0e-3, "{parameter}: {share}");
+    }
+    assert!(is_positive(&dense(&filter.step.covariance)));
+    nominal.accelerometer_bias_m_s2 = Vector3::new(0.1, -0.2, 0.3);
+    for parameter in 12..PARAMETERS {
+        nominal.scale_parameter(parameter, 0.5);
+    }
+    let halved = Vector3::new(0.05, -0.1, 0.15);
+    assert_eq!(nominal.accelerometer_bias_m_s2, halved);
+}
+
+#[test]
+fn a_restart_in_the_air_keeps_attitude_and_bias() {
+    let mut world = World::at_rest(from_degrees(20.0, 10.0, 0.0));
+    world.bias_rad_s = Vector3::new(0.05, -0.03, 0.02);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 5000);
+    assert!(filter(&estimator).is_bias_known());
+    world.acceleration_m_s2 = Vector3::new(4.0, 0.0, 0.0);
+    estimator.filter_mut().nominal.accelerometer_bias_m_s2.x = 9.0;
+    let mut restarts = 0;
+    for _ in 0..400 {
+        world.run(&mut estimator, 1);
+        let filter = filter(&estimator);
+        restarts += u32::from(filter.nominal.accelerometer_bias_m_s2 == Vector3::ZERO);
+        let error = world.tilt_error_degrees(filter.attitude());
+        let bound = degrees(3.0 * filter.tilt_sigma_rad()).max(5.0);
+        assert!(error < bound, "{error} {bound}");
+    }
+    assert!(restarts > 0);
+    let filter = filter(&estimator);
+    assert!(filter.is_bias_known());
+    assert!((filter.bias_rad_s() - world.bias_rad_s).norm() < radians(0.5));
 }

@@ -57,8 +57,10 @@ pub struct Tuning {
     pub rate_noise_per_rate: f32,
     /// Random walk of the gyroscope bias, rad/s/√s. Larger: follows temperature sooner.
     pub gyroscope_bias_walk: f32,
-    /// Random walk of the accelerometer bias, m/s²/√s.
-    pub accelerometer_bias_walk: f32,
+    /// Time constant with which scale, misalignment and accelerometer bias return to their priors,
+    /// s. Larger: keeps more of what motion has shown. Smaller: drifts less in hours of flight,
+    /// where the velocity model turns accelerations into scale and bias.
+    pub parameter_memory_s: f32,
     /// Accelerometer noise, m/s²/√Hz.
     pub force_noise: f32,
     /// Accelerometer noise per recent velocity, m/s²/√Hz per m/s: a moving vehicle shakes.
@@ -109,7 +111,7 @@ impl Tuning {
         rate_noise: 1.0e-3,
         rate_noise_per_rate: 1.0e-3,
         gyroscope_bias_walk: 1.5e-4,
-        accelerometer_bias_walk: 1.0e-4,
+        parameter_memory_s: 1_000.0,
         force_noise: 0.05,
         force_noise_per_velocity: 0.1,
         velocity_noise: 0.2,

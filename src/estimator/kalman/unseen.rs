@@ -64,8 +64,16 @@ impl Kalman {
             self.interval.unseen_velocity_m2_s2 += SATURATED_VELOCITY * dt_s;
         }
         if dt_s > LONG_STEP_S {
-            let change = self.nominal.rate_of(sample.angular_rate_rad_s) - self.nominal.rate_rad_s;
-            self.interval.unseen_tilt_rad2 += change.dot(change) * square(0.25 * dt_s);
+            let rate_rad_s = self.nominal.rate_of(sample.angular_rate_rad_s);
+            let rate_change = rate_rad_s - self.nominal.rate_rad_s;
+            let force_change = sample.specific_force_m_s2 - self.nominal.force_m_s2;
+            self.interval.unseen_tilt_rad2 += rate_change.dot(rate_change) * square(0.25 * dt_s);
+            if dt_s > self.longest_step_s {
+                self.interval.unseen_velocity_m2_s2 +=
+                    force_change.dot(force_change) * square(0.25 * dt_s);
+                self.nominal
+                    .bridge_pause(rate_rad_s, sample.specific_force_m_s2);
+            }
         }
         false
     }
