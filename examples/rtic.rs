@@ -6,9 +6,8 @@
 //!     --features board-stm32f405 --example rtic
 //! ```
 //!
-//! In a project of your own: `aplomb = { git = "…", features = ["board-stm32f405"] }`, `rtic`,
-//! `stm32f4xx-hal`, and this project's `memory.x` with the board's sizes in it. The interrupts
-//! below must share one priority, as they share the reader.
+//! For a project of your own, `docs/porting.md` has the manifest and the linker settings. The
+//! interrupts below must share one priority, as they share the reader.
 
 #![no_std]
 #![no_main]

@@ -45,7 +45,8 @@
 //! | none | all modules below but two: `no_std`, no allocation | no HAL, no linker script |
 //! | `mavlink` | `telemetry::mavlink` | the `mavlink` crate |
 //! | `defmt` | `defmt::Format` on the public types | `defmt` |
-//! | `board-…` | `board` (target only), and the firmware | `stm32f4xx-hal`, RTIC, the above |
+//! | `board-…` | `board` (target only), and the firmware | `stm32f4xx-hal`, RTIC, `defmt` |
+//! | `full` | commands, MAVLink and flight log in the firmware | `mavlink` |
 //!
 //! | module | contents |
 //! |---|---|

@@ -85,7 +85,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     }
     if let Some(seconds) = options.long {
         let seeds: Vec<u64> = EVALUATION_SEEDS.take(LONG_FLIGHTS).collect();
-        return Ok(print_line(long::table(&seeds, seconds).trim_end()));
+        print_line(long::table(&seeds, seconds).trim_end());
+        return Ok(());
     }
     let folders = Folders {
         paths: &options.folders,

@@ -1,10 +1,11 @@
 //! STM32F4 drivers: clocks, time base, sensor bus, burst reader and UART, at register level where
 //! timing matters.
 //!
-//! Pins and DMA streams are the same on every board (see ARCHITECTURE.md). [`boards`] holds the
-//! differences. Only this module contains `unsafe`; each block gives the reason why it is sound.
-//! The unit of ownership is the peripheral. Where two owners share one (DMA1's clear registers, the
-//! sensor's bus), a comment beside the code gives the hand-over rule.
+//! Pins and DMA streams are the same on every board. The pins are in `src/board/boards.rs` and in
+//! the README. [`boards`] holds the differences. Only this module contains `unsafe`; each block
+//! gives the reason why it is sound. The unit of ownership is the peripheral. Where two owners
+//! share one (DMA1's clear registers, the sensor's bus), a comment beside the code gives the
+//! hand-over rule.
 //!
 //! | interrupt | priority | does | deadline |
 //! |---|---|---|---|

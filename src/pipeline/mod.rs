@@ -5,8 +5,10 @@
 //! ```
 //!
 //! Every burst gives a snapshot, from the first one on. The snapshot carries [`Flags::CALIBRATING`]
-//! until the gyroscope's offset is known: after a second of rest, or at once with a stored offset.
-//! [`Pipeline::update`] does all the work, housekeeping included, so a caller cannot forget any.
+//! until the gyroscope's offset is known: after a second of rest, or with a stored offset a quarter
+//! of a second after the start. A stored offset counts within 4.9 °C of its temperature, or within
+//! the range of a temperature model. [`Pipeline::update`] does all the work, housekeeping included,
+//! so a caller cannot forget any.
 //!
 //! Deadline: a fraction of the sample period, 1 ms. No loop's length depends on data, and no step
 //! waits.

@@ -72,7 +72,8 @@ struct Faults {
 
 #[derive(Args)]
 struct Fly {
-    /// The firmware image; `cargo xtask fly` builds it and gives it.
+    /// The firmware image; `cargo xtask fly` builds it and gives it, with `--minimal` the minimal
+    /// one.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
     /// Replay a recording instead of the simulated flight: CSV, plain or gzip,

@@ -12,6 +12,9 @@
 //! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: drops lines |
 //! | `idle`, the supervisor | 0 | – | nothing |
 //!
+//! Larger numbers are more urgent in RTIC. `attitude` uses the vector of SPI3, an unused
+//! peripheral, which `transfer_complete` pends. SPI2 dispatches `telemetry`.
+//!
 //! Commands run in `telemetry`. A command that changes the pipeline delays `attitude` for the
 //! length of one lock.
 

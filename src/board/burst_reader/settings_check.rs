@@ -54,7 +54,8 @@ impl BurstReader {
         }
     }
 
-    /// Handles SPI1, which [`request_check`] pends: reads some settings back if the bus is free.
+    /// Handles SPI1, which [`request_check`](super::request_check) pends: reads some settings back
+    /// if the bus is free.
     pub fn on_check_request(&mut self) {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
