@@ -7,9 +7,9 @@
 //! ```
 //!
 //! [`show_attitude`] does all the work on any chip; `main` is for an STM32F4 with `stm32f4xx-hal`.
-//! In a project of your own: `aplomb = { git = "…" }` without features, and your chip's HAL. A read
-//! blocks for 0.4 ms at 400 kHz. At less than 1000 samples a second, raise `sample_rate_divider`
-//! and lower the low-pass filter with it.
+//! In a project of your own: `aplomb = { git = "…" }` without features, and your chip's HAL. A
+//! read blocks for 0.4 ms at 400 kHz. At less than 1000 samples a second, raise
+//! `sample_rate_divider` and lower the low-pass filter with it.
 
 #![no_std]
 #![no_main]
@@ -39,8 +39,8 @@ fn show_attitude<I2C: I2c>(
     let mut pipeline = Pipeline::new(&Settings::new(sensor.part()));
     let mut failures = 0_u8;
     for number in 1_u32.. {
-        // The pulse lasts for 50 µs, so this loop has to poll more often than that. A pin interrupt
-        // would be better.
+        // The pulse lasts for 50 µs, so this loop has to poll more often than that. A pin
+        // interrupt would be better.
         while let Ok(false) = interrupt.is_high() {}
         let mut burst = match sensor.read_burst(now_us()) {
             Ok(burst) => burst,

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Parts of the library, each with the parts that it may import. `A → [B]` reads "A may import B".
+/// Parts of the library, each with the parts that it may import. `A → [B]` reads "A may import
+/// B".
 const MAY_IMPORT: [(&str, &[&str]); 14] = [
     ("units", &[]),
     ("attitude", &["units"]),

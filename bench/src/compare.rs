@@ -42,14 +42,14 @@ pub struct Options {
     /// Folders of recordings [default: ../shared/data, if it is there]
     #[arg(value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// By how much the samples of a set are late, in microseconds [known: broad=4000]
+    /// Delay of the samples of a set, in microseconds [known: broad=4000]
     #[arg(long = "sensor-delay-us", value_name = "SET=N", value_parser = parse_delay)]
     delays_us: Vec<(String, u32)>,
     /// A set holds register counts, at this range in g and this one in degrees per second [known:
     /// mpu6050-raw=8,250]
     #[arg(long = "counts", value_name = "SET=G,DPS", value_parser = parse_ranges)]
     ranges: Vec<(String, Ranges)>,
-    /// Where accuracy.csv and accuracy.png go
+    /// Folder of accuracy.csv and accuracy.png
     #[arg(long, value_name = "DIR", default_value = "target/bench")]
     output: PathBuf,
     /// Print the scores as JSON; neither speed nor files

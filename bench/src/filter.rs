@@ -215,7 +215,8 @@ mod tests {
 
     #[test]
     fn every_filter_turns_the_same_way_and_in_time() {
-        // 90 °/s about the right axis for a third of a second: half a step of lead or lag is 0.2°.
+        // 90 °/s about the right axis for a third of a second: half a step of lead or lag is
+        // 0.2°.
         let rate = Vector3::new(0.0, radians(90.0), 0.0);
         for choice in Choice::ALL {
             let error = error_degrees(choice, EulerAngles::default(), rate, 67);

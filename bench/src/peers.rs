@@ -207,7 +207,7 @@ impl Filter for Vqf {
         let filter = &mut self.filter.0;
         let turned = filter.state.gyroscope;
         let bias = filter.state.bias;
-        // This call updates the rest detection; its rotation is replaced.
+        // The call updates the rest detection; its rotation is replaced.
         filter.gyroscope_update(step.rates.into());
         let turn = [0, 1, 2].map(|axis| (step.rates[axis] - bias[axis]) * self.step_s);
         filter.state.gyroscope =
@@ -290,7 +290,7 @@ impl Filter for Fusion {
                 convention: fusion_ahrs::Convention::Nwu,
                 gain,
                 acceleration_rejection,
-                // As in its authors' example.
+                // The settings are those of its authors' example.
                 rejection_timeout: 5.0,
                 ..Default::default()
             },

@@ -187,7 +187,8 @@ impl Recording {
         (squares / f64::from(rows)).sqrt()
     }
 
-    /// Runs a filter, and calls `note` for every row that counts: its "up", the true one, σ in rad.
+    /// Runs a filter, and calls `note` for every row that counts: its "up", the true one, σ in
+    /// rad.
     fn run(&self, mut filter: Filter, mut note: impl FnMut([f64; 3], [f64; 3], Option<f32>)) {
         let start_us = self.start_us();
         for (sample, true_up) in self.samples.iter().zip(&self.true_up) {

@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn slow_turns_short_pauses_and_few_samples_are_no_rest() {
-        // It turns by 3 °/s.
+        // The mount turns by 3 °/s.
         let slow = |index: u64| {
             let turned = 0.05 * 0.01 * index as f32;
             Sample {

@@ -62,7 +62,7 @@ fn check_row(line: &str) {
     );
     match cells[..4] {
         ["still", "a.csv", "truth", "1000"] => assert!(rms < 0.05, "{line}"),
-        // It starts there or comes from level, within ten seconds.
+        // The filter starts there or comes from level, within ten seconds.
         ["wrong", "b.csv", "truth", "0"] => assert!((2.0..3.5).contains(&rms), "{line}"),
         ["unknown" | "counted", "resting.csv", "rest", "0"] => assert!(rms < 0.1, "{line}"),
         _ => panic!("{line}"),
@@ -245,7 +245,7 @@ fn what_is_scored_is_not_replaced() {
 #[test]
 fn without_recordings_flights_are_simulated_and_it_says_so() {
     let output = path("bench-simulated", "");
-    // Where there is no folder of recordings beside it.
+    // The folder has no folder of recordings beside it.
     let result = Command::new(env!("CARGO_BIN_EXE_aplomb-bench"))
         .args(["--output", "."])
         .current_dir(&output)
@@ -260,7 +260,7 @@ fn without_recordings_flights_are_simulated_and_it_says_so() {
         csv.contains("simulated,flight 1000,truth,1900,vqf,"),
         "{csv}"
     );
-    // As a file, the flight has the error of the simulated one.
+    // From a file, the flight has the error of the simulated one.
     let mut log = format!("{LOG_HEADER}\n").into_bytes();
     for sample in samples(Box::new(Quadrotor::by_seed(1_000)), 1_000, 60) {
         sample.write_row(&mut log);

@@ -42,9 +42,9 @@ const LEAST_SLOW_POSES: usize = 24;
 
 /// Find the accelerometer's calibration in a recording that shows the sensor from many sides.
 ///
-/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with --raw) or
-/// a bursts.csv, plain or gzipped. Lay the sensor on each of its six sides for two seconds; a dozen
-/// poses, edges included, show the cross-axis terms too.
+/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with --raw)
+/// or a bursts.csv, plain or gzipped. Lay the sensor on each of its six sides for two seconds; a
+/// dozen poses, edges included, show the cross-axis terms too.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb calibrate poses.csv

@@ -43,7 +43,7 @@ pub struct Options {
     /// Mount of a flight log that is made of bursts or of CSV [default: z-up]
     #[arg(long, allow_hyphen_values = true)]
     mount: Option<Mount>,
-    /// Which flight of a flight log in which the module started several times, counted from 1
+    /// Number of the flight, in a flight log with several starts of the module, counted from 1
     #[arg(long, value_name = "N")]
     flight: Option<usize>,
     /// Print the summary as JSON

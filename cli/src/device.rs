@@ -163,8 +163,8 @@ impl Device {
         }
     }
 
-    /// Returns the σ of a snapshot's tilt, if the filter knows it. Before the first gravity it does
-    /// not.
+    /// Returns the σ of a snapshot's tilt, if the filter knows it. Before the first gravity it
+    /// does not.
     pub fn tilt_sigma_rad(&self, snapshot: &Snapshot) -> Option<f32> {
         let sigma_rad = snapshot.tilt_sigma_rad();
         sigma_rad.is_finite().then_some(sigma_rad)

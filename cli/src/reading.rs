@@ -20,22 +20,21 @@ const LONGEST_DELAY_US: i64 = 1_000_000;
 pub struct Reading {
     /// The recording
     pub input: PathBuf,
-    /// Which filter: kalman, axis-kalman, classic [default: kalman]
+    /// Filter: kalman, axis-kalman, classic [default: kalman]
     #[arg(long, value_name = "NAME")]
     filter: Option<FilterName>,
-    /// Where the body's forward and down axes point in sensor axes, for example +x-z [default:
-    /// z-up]
+    /// Body's forward and down axes in sensor axes, for example +x-z [default: z-up]
     #[arg(long, allow_hyphen_values = true)]
     mount: Option<Mount>,
-    /// By how much samples are late, in microseconds: attitudes are extrapolated by it (logs: 0
-    /// by default; bursts: the delay of the sensor's low-pass filter)
+    /// Delay of the samples, in microseconds: attitudes are extrapolated by it (logs: 0 by
+    /// default; bursts: the delay of the sensor's low-pass filter)
     #[arg(
         long,
         value_name = "N",
         value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US)
     )]
     sensor_delay_us: Option<u32>,
-    /// Which flight of a flight log in which the module started several times, counted from 1
+    /// Number of the flight, in a flight log with several starts of the module, counted from 1
     #[arg(long, value_name = "N")]
     pub flight: Option<usize>,
     #[command(flatten)]

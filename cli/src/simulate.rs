@@ -86,13 +86,13 @@ impl Kind {
   aplomb replay flight.csv.gz --sensor-delay-us 1900
   aplomb simulate --kind poses --seconds 36 --output poses.csv && aplomb calibrate poses.csv")]
 pub struct Options {
-    /// Which motion
+    /// Motion
     #[arg(long, value_enum, default_value_t = Kind::Flight)]
     kind: Kind,
-    /// Which of them, and which sensor
+    /// Seed of the motion and of the sensor
     #[arg(long, value_name = "N", default_value_t = SEED)]
     seed: u64,
-    /// How long
+    /// Duration
     #[arg(
         long,
         value_name = "S",

@@ -9,8 +9,8 @@ use common::{aplomb, file, path};
 
 const GRAVITY: f64 = 9.80665;
 
-/// Returns counts at ±8 g and ±250 °/s of a sensor with known errors: two seconds in each pose and
-/// a turn between them, at 100 Hz.
+/// Returns counts at ±8 g and ±250 °/s of a sensor with known errors: two seconds in each pose
+/// and a turn between them, at 100 Hz.
 fn recording(poses: &[Pose], moving_degrees_s: f64) -> String {
     let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
     let mut noise = 1_u32;

@@ -189,7 +189,7 @@ fn a_log_goes_on_after_a_replug_with_and_without_a_loss_of_power() {
     plug.send(&burst(1));
     expected.extend(burst(1));
     wait_for_length(&output, expected.len());
-    // It has started again by itself: what comes cannot be read at the log's rate.
+    // The module has started again by itself: what comes cannot be read at the log's rate.
     let noise = [0x55; 150];
     for _ in 0..8 {
         plug.send(&noise);
@@ -236,7 +236,7 @@ fn a_log_that_cannot_be_had_leaves_the_module_and_an_older_file_as_they_were() {
     let mut plug = Plug::new("record-log-refused");
     let old = file("record", "old.log", "precious");
     let [port, name] = [plug.name(), old.to_str().expect("a name")].map(str::to_owned);
-    // There is no such folder: the module is not even asked.
+    // The folder does not exist: the module is not even asked.
     let result = record(&["--port", &port, "--output", "none/x", "--log"]).wait_with_output();
     let result = result.expect("it ends");
     assert_eq!(result.status.code(), Some(1));
@@ -352,7 +352,7 @@ fn a_picture_of_a_recording_is_drawn() {
     assert!(result.status.success(), "{}", errors(&result));
     let bytes = std::fs::read(&picture).expect("it is there");
     assert_eq!(&bytes[1..4], b"PNG");
-    // As large as 110 × 32 letters with a margin: the width and height of the header.
+    // The header's width and height: 110 × 32 letters with a margin.
     assert_eq!(bytes[16..24], [0, 0, 4, 96, 0, 0, 2, 148]);
     assert!(bytes.len() < 300_000, "{}", bytes.len());
 }

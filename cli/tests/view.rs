@@ -271,7 +271,7 @@ fn a_signal_or_the_terminals_end_brings_the_terminal_and_the_module_back() {
         assert_eq!(plug.baud(), 921_600);
         view.signal(name);
         if name == "-HUP" {
-            // As when the window is closed.
+            // The terminal goes, as when the window is closed.
             view.terminal = None;
         }
         while plug.hear().expect("the module is brought back") != "format text" {}

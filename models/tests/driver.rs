@@ -35,7 +35,7 @@ impl Bench {
         self.0.borrow_mut().0.take_edges()
     }
 
-    /// When the sample in the last burst was ready, by the model's own account, s.
+    /// Returns the time of the last burst's sample, by the model's own account, s.
     fn time_of_last_burst_s(&self, edges: &[DataReady]) -> f64 {
         let burst = *self.0.borrow_mut().0.take_bursts().last().unwrap();
         let edge = edges
@@ -278,7 +278,7 @@ fn the_self_test_passes_on_every_chip_within_the_datasheet_and_says_its_deviatio
             .map(|axis| axis.deviation().unwrap().abs());
         let largest = deviations.fold(0.0, f32::max);
         assert!((0.001..0.12).contains(&largest), "{seed}: {test}");
-        // It is as usable as before.
+        // The sensor is as usable as before.
         driver
             .configure(&Config::default(), &mut bench.clone())
             .unwrap();

@@ -32,7 +32,7 @@ const FAULT_INK: Color = Color(165, 50, 20);
 /// No panel of angles shows less than so many degrees.
 pub const NARROWEST_DEG: f64 = 2.0;
 
-/// Where the panels are, in pixels.
+/// Margins of the panels, in pixels.
 const LEFT: f32 = 110.0;
 const MARGIN_RIGHT: f32 = 25.0;
 const TOP: f32 = 104.0;
@@ -48,9 +48,9 @@ const NARROWEST_SPAN: f32 = 1.0;
 /// A chart of so many pixels.
 #[derive(Clone, Debug)]
 pub struct Chart {
-    /// Its width, in pixels.
+    /// Width, in pixels.
     pub width: u32,
-    /// Its height, in pixels.
+    /// Height, in pixels.
     pub height: u32,
     /// The first line.
     pub title: String,
@@ -90,7 +90,7 @@ pub struct Panel {
 /// An axis of a panel's own, from zero on.
 #[derive(Clone, Debug)]
 pub struct Axis {
-    /// Where it ends.
+    /// Value at the upper end.
     pub end: f64,
     /// The quantity, and its unit.
     pub name: &'static str,
@@ -99,17 +99,17 @@ pub struct Axis {
 /// A curve.
 #[derive(Clone, Debug)]
 pub struct Curve {
-    /// Its colour.
+    /// Colour of the curve.
     pub color: Color,
-    /// Its parts without interruption: times and values.
+    /// Parts without interruption: times and values.
     pub lines: Vec<Vec<(f64, f64)>>,
     /// The text of the legend. Empty: the legend leaves the curve out.
     pub meaning: String,
-    /// How it is drawn.
+    /// Manner of drawing.
     pub style: Style,
 }
 
-/// How a curve is drawn.
+/// Manner in which a curve is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Style {
     /// A line, so many pixels wide.
@@ -121,22 +121,22 @@ pub enum Style {
 /// A span of time.
 #[derive(Clone, Debug)]
 pub struct Shade {
-    /// From when until when, s.
+    /// Start and end, s.
     pub span_s: (f64, f64),
-    /// Its colour.
+    /// Colour of the shade.
     pub color: Color,
-    /// Its name, which stands in the first panel.
+    /// Name of the shade, printed in the first panel.
     pub name: String,
 }
 
 /// A row of spans of time.
 #[derive(Clone, Debug)]
 pub struct Lane {
-    /// Its name.
+    /// Name of the lane.
     pub name: String,
-    /// Its colour.
+    /// Colour of the spans.
     pub color: Color,
-    /// From when until when, s.
+    /// Start and end of each, s.
     pub spans_s: Vec<(f64, f64)>,
 }
 
@@ -503,7 +503,7 @@ impl Place {
         self.bottom - share as f32 * (self.bottom - self.top)
     }
 
-    /// Where a span begins and ends.
+    /// Returns the start and the end of a span, in pixels.
     fn span(&self, (start_s, end_s): (f64, f64), narrowest: f32) -> (f32, f32) {
         let start = self.x(start_s);
         (start, self.x(end_s).max(start + narrowest).min(self.right))

@@ -71,14 +71,14 @@ impl Font {
     }
 }
 
-/// Which end of a text is at its place.
+/// Part of a text that is at its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Align {
-    /// It begins there.
+    /// The text begins there.
     Left,
-    /// It is centred there.
+    /// The text is centred there.
     Center,
-    /// It ends there.
+    /// The text ends there.
     Right,
 }
 
@@ -148,7 +148,7 @@ impl Picture {
         });
     }
 
-    /// As a PNG file. Empty if there is no memory for it.
+    /// Returns a PNG file. Empty if there is no memory for it.
     #[must_use]
     pub fn png(&self) -> Vec<u8> {
         let Some(mut pixels) = Pixmap::new(self.width, self.height) else {
@@ -161,7 +161,7 @@ impl Picture {
         pixels.encode_png().unwrap_or_default()
     }
 
-    /// As an SVG file.
+    /// Returns an SVG file.
     #[must_use]
     pub fn svg(&self) -> String {
         let (width, height) = (self.width, self.height);
@@ -244,7 +244,7 @@ fn path(points: &[At], is_closed: bool) -> Option<Path> {
     builder.finish()
 }
 
-/// Where letters are drawn, pixel by pixel.
+/// Pixels on which letters are drawn.
 struct Letters<'a>(&'a mut Pixmap);
 
 impl OriginDimensions for Letters<'_> {

@@ -227,7 +227,7 @@ impl Trace {
                 let is_start = lines.is_empty() || (nth == 0 && piece.is_start);
                 let own_turn = turn_of(value);
                 if own_turn != turn && !is_start {
-                    // It leaves on one side and enters on the other.
+                    // The curve leaves on one side and enters on the other.
                     if let Some(line) = lines.last_mut() {
                         line.push((time_s, value - turn));
                     }

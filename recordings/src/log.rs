@@ -9,8 +9,8 @@
 //! ```
 //!
 //! Time is in whole microseconds and increases; specific force in m/s² and rates in rad/s, in
-//! sensor axes; the truth is the quaternion sensor → earth with z up, its four cells empty where it
-//! is not known; `mov` is 1 where a row counts for scores, else 0.
+//! sensor axes; the truth is the quaternion sensor → earth with z up, its four cells empty where
+//! it is not known; `mov` is 1 where a row counts for scores, else 0.
 //!
 //! [`Lines`] and [`parse_row`] read row by row and check the form alone: numbers may have any
 //! value. [`Log::read`] reads a whole log and refuses values that no sensor measures.
@@ -84,7 +84,7 @@ pub enum LogFault {
     /// The compressed data ends too early or is damaged.
     #[error("the gzip data is cut off or damaged: {0}")]
     Gzip(#[source] io::Error),
-    /// There is nothing in the file.
+    /// The file has no contents.
     #[error("the file is empty")]
     Empty,
     /// The line is not text.

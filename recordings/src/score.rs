@@ -43,8 +43,8 @@ pub struct Score {
 pub struct Honesty {
     /// Share of rows with an error of at most 3 σ.
     pub within_3_sigma: f64,
-    /// Median of error/σ. It is 0.83 for two independent normal errors, where σ is the root of the
-    /// sum of their variances.
+    /// Median of error/σ. It is 0.83 for two independent normal errors, where σ is the root of
+    /// the sum of their variances.
     #[serde(rename = "median_error_per_sigma")]
     pub median: f64,
 }

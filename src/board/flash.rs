@@ -4,10 +4,10 @@
 //! Registers and procedures are RM0090 (STM32F405), RM0368 (F401), RM0383 (F411) and RM0390 (F446),
 //! chapter 3 each, which agree. While a sector is erased or a word programmed, every fetch from
 //! flash waits, so the whole firmware stops. A sector takes 0.25 s, at most 0.5 s; a word, 32 bits
-//! at a time, takes 16 µs, at most 100 µs (STM32F405 datasheet, table "Flash memory programming").
-//! Therefore the caller stops the bursts first, and sets a watchdog limit beyond that time. A
-//! sector endures 10,000 erases (table "Flash memory endurance and data retention"). Saves
-//! alternate, so there are 20,000 saves.
+//! at a time, takes 16 µs, at most 100 µs (STM32F405 datasheet, table "Flash memory
+//! programming"). Therefore the caller stops the bursts first, and sets a watchdog limit beyond
+//! that time. A sector endures 10,000 erases (table "Flash memory endurance and data retention").
+//! Saves alternate, so there are 20,000 saves.
 //!
 //! The HAL's own flash driver waits without limit, programs bytes, and panics if the unlocking
 //! fails.

@@ -95,7 +95,7 @@ mod tests {
             let levelled = rotation.rotate(force);
             let up = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
             assert!((levelled - up).norm() < 1e-4, "{levelled:?}");
-            // It is the shortest: no yaw beyond what tilting about one level axis makes.
+            // The turn is the shortest: no yaw beyond what tilting about one level axis makes.
             assert_eq!(rotation.z, 0.0);
         }
     }

@@ -9,9 +9,10 @@
 //! samples. A window is motion if
 //!
 //! - an axis reads full scale;
-//! - the variance of an axis is beyond the χ² limit for the sensor's noise. Clones are noisier than
-//!   the datasheet, so at first the limit allows four times its σ. From the first quiet window on,
-//!   each axis is compared with its own noise (an F test, as the product of both χ² limits);
+//! - the variance of an axis is beyond the χ² limit for the sensor's noise. Clones are noisier
+//!   than the datasheet, so at first the limit allows four times its σ. From the first quiet
+//!   window on, each axis is compared with its own noise (an F test, as the product of both χ²
+//!   limits);
 //! - the mean of an axis differs from the mean of the windows before by more than the standard
 //!   error of the difference. A slow rotation about a level axis shows in the accelerometer long
 //!   before its rate is distinguishable from a gyroscope offset;

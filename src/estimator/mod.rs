@@ -1,8 +1,8 @@
 //! Estimates the attitude from calibrated samples.
 //!
 //! An [`Estimator`] is a gate and a filter. The gate checks each sample and measures the time since
-//! the previous one. A filter therefore gets only finite samples, and steps between 1 µs and 0.5 s.
-//! The filter is a type parameter:
+//! the previous one. A filter therefore gets only finite samples, and steps between 1 µs and
+//! 0.5 s. The filter is a type parameter:
 //!
 //! - [`kalman`], the default: one Kalman filter for tilt, velocity and the sensor's parameters;
 //! - [`classic`]: the filters of the well-known tutorial, for comparison.
@@ -53,8 +53,8 @@ pub const LONGEST_STEP_US: u64 = 500_000;
 pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
 
 /// Part of the rate limit from one sample to the next, in rad/s: 50 °/s. The limit is
-/// √((2·previous)² + (50 °/s)²). No airframe exceeds it in a millisecond. A changed full scale
-/// does, and so does a blow to the sensor.
+/// √((2·previous)² + (50 °/s)²). No airframe exceeds it in a millisecond. A changed full
+/// scale does, and so does a blow to the sensor.
 const RATE_JUMP_RAD_S: f32 = radians(50.0);
 
 /// Beyond these limits a sample is no measurement: no sensor of this family reaches a tenth of

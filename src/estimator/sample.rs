@@ -46,8 +46,8 @@ bitflags::bitflags! {
         /// [`LEAST_SPECIFIC_FORCE_M_S2`](super::LEAST_SPECIFIC_FORCE_M_S2). Only the gyroscope was
         /// used.
         const NO_GRAVITY = 1 << 3;
-        /// The rate is above √((2·previous)² + (50 °/s)²), as if the gyroscope's full scale had
-        /// changed.
+        /// The rate is above √((2·previous)² + (50 °/s)²), as if the gyroscope's full scale
+        /// had changed.
         const RATE_JUMP = 1 << 4;
     }
 }

@@ -40,8 +40,8 @@ bitflags::bitflags! {
         const FROZEN = 1 << 8;
         /// The sample was not a measurement and was ignored.
         const REJECTED = 1 << 9;
-        /// The tilt is wrong by no more than the larger of 5° and six σ. Only filters with a σ set
-        /// it.
+        /// The tilt is wrong by no more than the larger of 5° and six σ. Only filters with a σ
+        /// set it.
         const VALID = 1 << 10;
         /// The attitude is less certain than usual: σ is above 5°, or one of [`Flags::DEGRADING`]
         /// is set.

@@ -1,8 +1,8 @@
 //! Health of an attitude: its flags, and the monitor that sets them.
 //!
-//! [`Flags::VALID`] is a promise: the tilt is wrong by no more than the larger of 5° and six of its
-//! own σ. Therefore σ grows while samples are missing. An attitude loses `VALID` whenever a wrong
-//! sample could pass for a right one:
+//! [`Flags::VALID`] is a promise: the tilt is wrong by no more than the larger of 5° and six of
+//! its own σ. Therefore σ grows while samples are missing. An attitude loses `VALID` whenever a
+//! wrong sample could pass for a right one:
 //!
 //! - the sample is no measurement, or the data are frozen;
 //! - the temperature is outside the part's range;

@@ -63,7 +63,7 @@ pub enum Error<E> {
     NotFound,
     /// A chip answered whose identity is not in [`PARTS`].
     UnknownIdentity {
-        /// Its bus address.
+        /// Bus address of the chip.
         address: u8,
         /// Value of its WHO_AM_I register.
         who_am_i: u8,

@@ -260,7 +260,8 @@ mod tests {
 
     #[test]
     fn the_classic_chip_face_down_at_2_g_reads_its_tutorial_counts() {
-        // Level, face down, ±2 g and ±250 °/s: z reads −16384 and some offset, which is removed.
+        // Level, face down, ±2 g and ±250 °/s: z reads −16384 and some offset, which is
+        // removed.
         let mut settings = Settings {
             mount: Mount::Z_DOWN,
             ..settings()

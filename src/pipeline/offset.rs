@@ -7,8 +7,8 @@ use crate::units::radians;
 /// σ of a stored offset at the temperature of its measurement, rad/s. The offset changes with each
 /// power-up, and with the pose (0.1 °/s per g, product specification §6.1).
 const STORED_SIGMA_RAD_S: f32 = radians(0.1);
-/// σ that each °C of difference adds, rad/s: ±20 °/s over −40 to 85 °C (product specification §6.1)
-/// is 0.16 at most.
+/// σ that each °C of difference adds, rad/s: ±20 °/s over −40 to 85 °C (product
+/// specification §6.1) is 0.16 at most.
 const STORED_SIGMA_PER_CELSIUS: f32 = radians(0.1);
 /// σ of an unknown offset, rad/s. From this value on the filter's own prior is better.
 const UNKNOWN_SIGMA_RAD_S: f32 = radians(3.0);

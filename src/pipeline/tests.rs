@@ -9,8 +9,8 @@ use crate::calibration::{
 use crate::mpu6050::{AccelerometerCounts, Config, GyroscopeCounts, Part};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// Returns the burst of body-axis values (m/s², °/s) from a sensor in this mount at ±16 g and ±2000
-/// °/s.
+/// Returns the burst of body-axis values (m/s², °/s) from a sensor in this mount at ±16 g and
+/// ±2000 °/s.
 pub(super) fn burst(
     mount: Mount,
     t_us: u64,
@@ -702,8 +702,8 @@ fn a_pause_of_blank_data_counts_once() {
         };
         assert!(!update(&mut pipeline, &burst).flags.contains(Flags::VALID));
     }
-    // 0.4 s at 30 °/s about two axes are 17°. Frozen data in addition would give 24°, and more with
-    // each check.
+    // 0.4 s at 30 °/s about two axes are 17°. Frozen data in addition would give 24°, and more
+    // with each check.
     let first = update(&mut pipeline, &noisy(t_us + 401_000, LEVEL));
     let sigma = first.tilt_sigma_rad();
     assert!(sigma < radians(18.0), "{sigma}");

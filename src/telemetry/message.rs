@@ -92,7 +92,7 @@ pub enum Severity {
     Information,
     /// The attitude is degraded, or would be if the cause lasted.
     Warning,
-    /// There is no attitude.
+    /// No attitude is available.
     Error,
 }
 

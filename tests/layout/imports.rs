@@ -1,4 +1,4 @@
-//! Which file of a crate imports which: the paths in a file, resolved to the files of modules.
+//! Imports between the files of a crate: the paths in a file, resolved to the files of modules.
 
 use std::collections::{BTreeMap, BTreeSet};
 

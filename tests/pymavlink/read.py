@@ -1,4 +1,4 @@
-"""Reads a file of what a UART sent, and prints the attitudes and what was wrong, one thing a line."""
+"""Reads a file of what a UART sent. Prints the attitudes and the faults, one a line."""
 
 import sys
 

@@ -1,7 +1,8 @@
 """A ground station made of pymavlink, at the other end of a pipe.
 
-In turns: reads a length (4 bytes, little-endian) and that many bytes of the module, and answers with a length and the
-bytes that the station sends. A length of 0xFFFFFFFF ends it; then it prints what it saw, one thing a line.
+In turns: reads a length (4 bytes, little-endian) and that many bytes of the module, and answers
+with a length and the bytes that the station sends. A length of 0xFFFFFFFF ends it; then it prints
+what it saw, one thing a line.
 """
 
 import struct

@@ -16,7 +16,7 @@ use crate::profile::{Profile, ProfiledProcessor};
 /// A board that the firmware can be built for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BoardModel {
-    /// Its name on the command line, the same as in the firmware's features.
+    /// Name on the command line, the same as in the firmware's features.
     pub name: &'static str,
     /// The clock source of the high-speed oscillator.
     pub input: HighSpeedInput,

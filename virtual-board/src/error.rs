@@ -1,11 +1,11 @@
-//! Why a run could not be made.
+//! Reasons for which a run could not be made.
 
 use std::fmt::Display;
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Why a run could not be made.
+/// Reason for which a run could not be made.
 #[derive(Debug, Error)]
 pub enum Error {
     /// The firmware image cannot be used.

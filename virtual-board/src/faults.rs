@@ -120,7 +120,7 @@ impl Axis {
         (Self::GyroscopeZ, "gz"),
     ];
 
-    /// Its name.
+    /// Name of the axis in a schedule.
     #[must_use]
     pub fn name(self) -> &'static str {
         Self::NAMES[self as usize].1
@@ -128,7 +128,7 @@ impl Axis {
 }
 
 impl FaultKind {
-    /// Its name, which is also its class.
+    /// Name of the kind, which is also its class.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
@@ -195,7 +195,7 @@ impl fmt::Display for FaultKind {
 /// A fault with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScheduledFault {
-    /// When it begins, ns since power-up.
+    /// Start, ns since power-up.
     pub start_ns: u64,
     /// Duration, ns; zero if it happens once or does not end by itself.
     pub duration_ns: u64,
@@ -204,7 +204,7 @@ pub struct ScheduledFault {
 }
 
 impl ScheduledFault {
-    /// When it ends by itself, ns since power-up; `u64::MAX` if it does not.
+    /// Time at which the fault ends by itself, ns since power-up; `u64::MAX` if it does not.
     #[must_use]
     pub fn end_ns(&self) -> u64 {
         let is_endless = matches!(self.kind, FaultKind::CrystalDies | FaultKind::WatchdogHang);
@@ -275,9 +275,9 @@ pub enum Fault {
     Nack {
         /// The kind of byte.
         byte: BusByte,
-        /// Since when.
+        /// Start of the fault, s.
         from_s: f64,
-        /// How many.
+        /// Number of bytes.
         count: u32,
     },
     /// The INT wire is stuck at this level for this long.

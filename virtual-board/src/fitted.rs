@@ -14,7 +14,7 @@ use crate::wires::SharedWires;
 use aplomb_models::sensor::registers::address;
 use aplomb_models::sensor::{Burst, DataReady, OutputFault, Sensor};
 
-/// How long a glitch on the INT wire lasts, ns.
+/// Duration of a glitch on the INT wire, ns.
 const GLITCH_NS: u64 = 1_000;
 
 /// The sensor with its wires and their faults.
@@ -122,7 +122,7 @@ impl FittedSensor {
         changes
     }
 
-    /// When the wire next changes, or a fault comes or goes, at the latest.
+    /// Latest time of the next change of the wire, or of a fault that comes or goes.
     #[must_use]
     pub fn next_event_ns(&self) -> Option<u64> {
         let fault = self.fault_times_ns.first().copied();

@@ -24,7 +24,7 @@ use rigless::time::{EventId, VirtualNanos};
 use crate::delegate::delegate;
 use aplomb_models::random::Random;
 
-/// Where the slots are.
+/// Addresses of the slots.
 pub const SLOTS: Range<u64> = 0x0800_4000..0x0800_C000;
 /// A slot: a sector of 16 KiB.
 pub const SLOT_BYTES: usize = 0x4000;
@@ -49,7 +49,7 @@ pub enum Step {
     },
     /// A word was programmed.
     Program {
-        /// Its place from the first slot's start, in bytes.
+        /// Distance from the first slot's start, in bytes.
         offset: usize,
         /// The requested value. A cell stays set only where both old and new value have a one.
         word: u32,
@@ -143,7 +143,7 @@ pub struct Cells {
     control: u64,
     /// Error flags that stores have raised.
     errors: u64,
-    /// When the operation that runs ends, ns since power-up.
+    /// End of the operation that runs, ns since power-up.
     busy_until_ns: u64,
 }
 
@@ -172,7 +172,7 @@ impl SharedCells {
 }
 
 impl Cells {
-    /// When the operation that was started last ends, ns since power-up.
+    /// Returns the end of the operation that was started last, ns since power-up.
     #[must_use]
     pub fn busy_until_ns(&self) -> u64 {
         self.busy_until_ns

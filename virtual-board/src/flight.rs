@@ -352,7 +352,7 @@ pub struct Outcome {
 /// A line from the UART.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UartLine {
-    /// When the line feed had arrived, ns since power-up.
+    /// Arrival of the line feed, ns since power-up.
     pub at_ns: u64,
     /// The line, without the line feed.
     pub text: String,

@@ -16,7 +16,7 @@ const RAM_START: u64 = 0x2000_0000;
 /// A firmware image.
 #[derive(Clone, Debug)]
 pub struct Firmware {
-    /// Where it was read from.
+    /// File that it was read from.
     pub path: PathBuf,
     /// The ELF file.
     pub bytes: Vec<u8>,

@@ -56,16 +56,16 @@ struct Faults {
     /// The firmware image; `cargo xtask faults` builds it and gives it.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
-    /// How many flights. One alone is also written to the output folder.
+    /// Number of flights. One alone is also written to the output folder.
     #[arg(long, value_name = "NUMBER", default_value_t = 232)]
     runs: u64,
     /// The seed of the first flight; the others count on from it.
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
-    /// How many flights at a time. Default: as many as there are cores.
+    /// Number of flights at a time. Default: the number of cores.
     #[arg(long, value_name = "NUMBER")]
     jobs: Option<usize>,
-    /// Where a single flight's files go.
+    /// Folder for a single flight's files.
     #[arg(long, value_name = "FOLDER", default_value = "target/faults")]
     output: PathBuf,
 }
@@ -80,8 +80,7 @@ struct Fly {
     /// `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
-    /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up,
-    /// z-down.
+    /// Mount of the sensor: forward, then down, in sensor axes, such as +x-z; or z-up, z-down.
     #[arg(long, value_name = "MOUNT", default_value = "z-up", value_parser = mount)]
     #[arg(allow_hyphen_values = true)]
     mount: Mount,
@@ -105,7 +104,7 @@ struct Fly {
     /// end.
     #[arg(long, value_name = "FILE")]
     flash: Option<PathBuf>,
-    /// Where the files go.
+    /// Folder for the files.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
     /// Fly in real time, for a day by default. The UART's bytes go to standard output. Lines from

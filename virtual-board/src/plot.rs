@@ -94,7 +94,7 @@ fn what_went_wrong(outcome: &Outcome) -> (Vec<Shade>, Vec<Lane>) {
     (faults.collect(), lanes)
 }
 
-/// When a flag was set, in seconds: each publication stands until the next one.
+/// Returns the spans in which a flag was set, s. Each publication stands until the next one.
 fn spans(published: &[(u64, Flags)], flag: Flags, end_ns: u64) -> Vec<(f64, f64)> {
     let mut spans: Vec<(f64, f64)> = Vec::new();
     for (nth, &(at_ns, flags)) in published.iter().enumerate() {

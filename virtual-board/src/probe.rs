@@ -22,7 +22,7 @@ const IDENTIFICATION: &[u8; 10] = b"SEGGER RTT";
 /// A line of the firmware's log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLine {
-    /// When the probe read it, ns since power-up.
+    /// Time at which the probe read it, ns since power-up.
     pub at_ns: u64,
     /// Level and message.
     pub text: String,

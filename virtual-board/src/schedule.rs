@@ -78,7 +78,7 @@ const FORMS: [Form; 29] = [
     Form::bare("stack-overflow", FaultKind::StackOverflow),
 ];
 
-/// How a fault is written.
+/// Written form of a fault.
 struct Form {
     name: &'static str,
     parameter: &'static str,
@@ -120,7 +120,7 @@ fn number(text: &str, low: u32, high: u32) -> Option<u32> {
     (low..=high).contains(&value).then_some(value)
 }
 
-/// Why a schedule cannot be used.
+/// Reason for which a schedule cannot be used.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum ScheduleError {
     /// The file cannot be read.
@@ -367,7 +367,7 @@ mod tests {
                     let ScheduleError::Line { line, .. } = &error else {
                         return Err(TestCaseError::fail(error.to_string()));
                     };
-                    // Those before it are right, and it alone is not.
+                    // The entries before it are right, and it alone is not.
                     let before = &lines[..line - 1];
                     prop_assert!(Schedule::parse("f.txt", &before.join("\n")).is_ok());
                     prop_assert!(Schedule::parse("f.txt", &lines[line - 1]).is_err());

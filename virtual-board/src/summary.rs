@@ -48,8 +48,8 @@ pub struct Summary {
     pub inclination_rms_deg: Option<f64>,
     /// The largest inclination error among them.
     pub inclination_max_deg: Option<f64>,
-    /// How many of the published attitudes, those without a sample included, had each flag, by the
-    /// flag's name.
+    /// Number of published attitudes with each flag, by the flag's name. Those without a sample are
+    /// included.
     pub flags: BTreeMap<&'static str, usize>,
     /// Bytes of flash that the image fills.
     pub flash_bytes: u64,

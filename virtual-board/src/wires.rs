@@ -28,9 +28,9 @@ pub struct Wires {
     shorts: Vec<(BusLine, u64, u64)>,
     /// Times at which the sensor stretches the clock, if it is addressed.
     stretches: Vec<(u64, u64)>,
-    /// Until when the sensor holds SCL.
+    /// End of the time in which the sensor holds SCL.
     stretched_until_ns: u64,
-    /// How many falling edges of SCL the sensor still waits for before it lets go of SDA.
+    /// Falling edges of SCL that the sensor still waits for before it lets go of SDA.
     clocks_owed: u8,
     /// True where the firmware pulls a pin low as an output: SCL, SDA.
     driven_low: [bool; 2],
@@ -99,7 +99,7 @@ impl Wires {
             }
     }
 
-    /// When a clock that is held low now will be free, as far as is known.
+    /// Returns the time at which a clock that is held low now will be free, as far as is known.
     #[must_use]
     pub fn clock_free_ns(&self, now_ns: u64) -> Option<u64> {
         let shorts = self
@@ -128,7 +128,7 @@ impl Wires {
         self.clocks_owed = clocks;
     }
 
-    /// How many clocks the sensor still waits for.
+    /// Returns the number of clocks that the sensor still waits for.
     #[must_use]
     pub fn clocks_owed(&self) -> u8 {
         self.clocks_owed

@@ -21,7 +21,7 @@ use virtual_board::schedule::Schedule;
 /// The table.
 const DOCUMENT: &str = include_str!("../../docs/faults.md");
 
-/// When the faults begin, s: the attitude is valid by then.
+/// Start of the faults, s: the attitude is valid by then.
 const START_S: f64 = 1.8;
 
 /// The motion and the sensor of the flights: a swing, so that what is wrong shows.
@@ -96,10 +96,10 @@ fn rows() -> Vec<Row> {
     rows
 }
 
-/// How long a fault lasts in these tests, s.
+/// Duration of a fault in these tests, s.
 fn duration_s(class: &str, fault: &str) -> f64 {
     match class {
-        // It lasts until somebody clocks.
+        // The fault lasts until somebody clocks.
         "sda-low" if fault != class => 0.0,
         "core-stall" => 0.03,
         "attitude-late" => 0.01,

@@ -42,7 +42,7 @@ does not build for this target. Written by `cargo xtask cost --bless`.
 /// One filter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// Its name.
+    /// Name of the filter.
     pub name: String,
     /// Instructions per update, on average.
     pub mean: f64,

@@ -81,7 +81,7 @@ fn check_files(listed: &str) -> Result<(), String> {
             "`{extra}` would be in the package: see `include` in Cargo.toml"
         ));
     }
-    // Where there is no repository there is no first one.
+    // Without a repository there is no first one.
     let mut files = FILES.iter().skip(1);
     let missing = files.find(|file| !listed.lines().any(|line| line == **file));
     let mut folders = FOLDERS.iter().map(|(folder, _)| folder);

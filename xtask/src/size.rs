@@ -1,4 +1,4 @@
-//! How much of the chip the firmware takes, and that it keeps off the calibration slots.
+//! Use of the chip by the firmware, and a check that it keeps off the calibration slots.
 
 use std::ops::Range;
 use std::path::Path;

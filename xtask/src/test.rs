@@ -49,7 +49,7 @@ fn check_on_host() -> Result<(), String> {
     step::timed("host tests", || {
         let mut test = step::host_cargo("test");
         test.args(["--release", "--workspace", "--features", "aplomb/mavlink"]);
-        // It needs the firmware, and runs later.
+        // The test needs the firmware, and runs later.
         step::run(test.args(["--exclude", "virtual-board"]))?;
         examples::run_on_host()
     })?;

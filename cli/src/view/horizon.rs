@@ -2,9 +2,9 @@
 //! roll, and the aircraft.
 //!
 //! A point of the picture, x to the right and y up from its centre, lies at the elevation θ + (y
-//! cos φ − x sin φ) / s, with roll φ (right wing down positive), pitch θ (nose up positive) and s
-//! points to a degree: the body's axes are forward-right-down, so with the right wing down there is
-//! ground to the right, and the horizon rises on the right.
+//! cos φ − x sin φ) / s, with roll φ (right wing down positive), pitch θ (nose up positive)
+//! and s points to a degree: the body's axes are forward-right-down, so with the right wing down
+//! there is ground to the right, and the horizon rises on the right.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -82,7 +82,7 @@ impl View {
     fn ground_in(&self, cell: Rect) -> (&'static str, Color, Color) {
         let x = (f64::from(cell.x - self.area.x) + 0.5) * f64::from(ACROSS) - self.centre.0;
         let y = self.centre.1 - (f64::from(cell.y - self.area.y) + 0.5) * f64::from(DOWN);
-        // How far the cell's centre is above the horizon, in points along the perpendicular.
+        // Height of the cell's centre above the horizon, in points along the perpendicular.
         let above =
             self.pitch_deg * self.points_per_degree + y * self.roll_cosine - x * self.roll_sine;
         let (down, across) = (

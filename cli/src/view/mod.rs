@@ -44,8 +44,8 @@ const PICTURE: Rect = Rect::new(0, 0, 110, 32);
 /// port that is unplugged is waited for.
 ///
 /// Keys command the module (`?` lists them): calibrate, save, change the format, record to a file.
-/// Health and σ are complete in the format `log`; in the others σ and the temperature are asked for
-/// every two seconds.
+/// Health and σ are complete in the format `log`; in the others σ and the temperature are asked
+/// for every two seconds.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb view --port /dev/ttyUSB0
@@ -143,7 +143,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     }
     let ends = end_request()?;
     let mut app = App::new(options.origin()?)?;
-    // This also restores the terminal before a panic is reported.
+    // The hook also restores the terminal before a panic is reported.
     let mut terminal = ratatui::try_init()?;
     let result = app.run(&mut terminal, &ends);
     ratatui::restore();

@@ -44,7 +44,7 @@ pub enum Speaker {
     Module,
     /// The person at the keyboard, by a key or a command.
     Person,
-    /// This program.
+    /// The program that shows the module.
     Program,
 }
 
@@ -64,7 +64,7 @@ pub struct Point {
     pub reading: Reading,
 }
 
-/// How far the attitude can be trusted.
+/// Degree to which the attitude can be trusted.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Trust {
     /// The module flags it as valid.

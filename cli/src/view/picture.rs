@@ -86,7 +86,7 @@ fn draw(picture: &mut Picture, cell: &Cell, (left, top): At) {
         ),
         '▲' => picture.area(vec![(left, y + 5.0), (x, y - 6.0), (right, y + 5.0)], color),
         _ => {
-            // There is no bold font of this size: it is drawn twice.
+            // No bold font of this size exists: the letter is drawn twice.
             let strokes = if cell.modifier.contains(Modifier::BOLD) {
                 2
             } else {

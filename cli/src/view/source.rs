@@ -354,7 +354,7 @@ fn wait_for_baud(
         for item in items {
             match item {
                 Item::Message(text) if text.starts_with(&expected) => return Ok(Ok(baud)),
-                // This may be the answer to an earlier line.
+                // The line may be the answer to an earlier one.
                 Item::Message(text) if text.starts_with("error") => refusal = Some(text),
                 _ => {}
             }

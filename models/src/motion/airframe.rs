@@ -4,8 +4,8 @@
 //! Body axes forward-right-down, earth axes north-east-down, SI units. In body axes:
 //!
 //! - thrust `k_T Ω²` of each rotor along −z, with the rolling and pitching moments of its arm;
-//! - torque of each rotor on the body: aerodynamic `−s k_Q Ω²`, spin-up `−s J Ω'` and gyroscopic, s
-//!   = +1 clockwise from above;
+//! - torque of each rotor on the body: aerodynamic `−s k_Q Ω²`, spin-up `−s J Ω'` and
+//!   gyroscopic, s = +1 clockwise from above;
 //! - rotor drag, linear in the air speed across the rotor (Faessler, Franchi, Scaramuzza, IEEE RA-L
 //!   3(2), 2018);
 //! - drag of the body, quadratic in the air speed;
@@ -51,8 +51,8 @@ pub struct Airframe {
     pub ripple: [f64; ROTORS],
 }
 
-/// Where the rotors are in units of the arm (forward, right), and which way they turn (+1 clockwise
-/// from above).
+/// Position of each rotor in units of the arm (forward, right), and its sense of turning (+1
+/// clockwise from above).
 pub const ROTOR_LAYOUT: [(f64, f64, f64); ROTORS] = [
     (1.0, 1.0, -1.0),
     (-1.0, -1.0, -1.0),
@@ -73,7 +73,7 @@ pub struct State {
     pub body_rates_rad_s: Vector,
     /// Rotor speeds, rad/s.
     pub rotor_speeds_rad_s: [f64; ROTORS],
-    /// How far the rotors have turned, rad.
+    /// Angles that the rotors have turned since the start, rad.
     pub rotor_angles_rad: [f64; ROTORS],
 }
 
@@ -233,8 +233,8 @@ impl Airframe {
     }
 }
 
-/// One step of the classic fourth-order Runge–Kutta method; `rate(state, share)` with the share of
-/// the step done.
+/// One step of the classic fourth-order Runge–Kutta method; `rate(state, share)` with the share
+/// of the step done.
 #[must_use]
 pub fn runge_kutta_step(start: &State, step_s: f64, rate: impl Fn(&State, f64) -> State) -> State {
     let k1 = rate(start, 0.0);

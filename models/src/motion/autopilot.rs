@@ -1,5 +1,5 @@
-//! The simulated vehicle's own control: position → velocity → attitude → rates → rotors, each
-//! inside the next.
+//! The simulated vehicle's own control: position → velocity → attitude → rates → rotors,
+//! each inside the next.
 //!
 //! It steers by the true state. Its business is to fly credibly, not to be examined.
 
@@ -25,7 +25,7 @@ const TILT_RATE_LIMIT_RAD_S: f64 = 4.0;
 const YAW_RATE_LIMIT_RAD_S: f64 = 1.5;
 /// The share of the weight that the rotors always carry, so that the attitude stays under control.
 const LEAST_THRUST_SHARE: f64 = 0.2;
-/// How fast the wanted acceleration builds up.
+/// Time constant with which the wanted acceleration builds up.
 const ACCELERATION_TIME_S: f64 = 0.15;
 
 /// The memory of the control loops.

@@ -1,4 +1,4 @@
-//! How the sensor sits on the body: one of the 24 ways to put one set of right-handed axes on
+//! Orientation of the sensor on the body: one of the 24 ways to put one set of right-handed axes on
 //! another.
 //!
 //! A mount is named by where two body axes point in sensor axes: forward, then down. `+x-z` is

@@ -6,7 +6,7 @@ use super::geometry::Quaternion;
 use super::truth::Truth;
 use super::turn::Turn;
 
-/// How long it takes to lay the body down in its next pose, s.
+/// Time to lay the body down in its next pose, s.
 const TURN_S: f64 = 1.0;
 
 /// Poses with the times at which the body begins to turn into them. It starts level.

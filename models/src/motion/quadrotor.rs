@@ -66,8 +66,8 @@ impl Flight {
             0.0,
         ];
         let mut airframe = Airframe::balanced();
-        // At the hover speed one rotor shakes the body by 0.1 to 1 m/s² once per turn, and by up to
-        // 0.8 m/s² twice per turn.
+        // At the hover speed one rotor shakes the body by 0.1 to 1 m/s² once per turn, and by up
+        // to 0.8 m/s² twice per turn.
         let per_m_s2 =
             airframe.mass_kg / (airframe.hover_speed_rad_s() * airframe.hover_speed_rad_s());
         airframe.unbalance_kg_m = [0; ROTORS].map(|_| random.uniform(0.1, 1.0) * per_m_s2);

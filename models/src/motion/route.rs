@@ -1,4 +1,4 @@
-//! Where the simulated flight goes: way-points without end, drawn in a box above the take-off
+//! Route of the simulated flight: way-points without end, drawn in a box above the take-off
 //! point.
 
 use super::geometry::{Vector, norm, subtract};
@@ -8,7 +8,7 @@ use crate::random::Random;
 /// One leg of the flight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leg {
-    /// Where to go, earth axes, m.
+    /// Destination, earth axes, m.
     pub position_m: Vector,
     /// Heading to arrive with, rad.
     pub yaw_rad: f64,
@@ -16,7 +16,7 @@ pub struct Leg {
     pub speed_limit_m_s: f64,
     /// Greatest horizontal acceleration, m/s².
     pub acceleration_limit_m_s2: f64,
-    /// How long to stay there, s.
+    /// Time of the stay there, s.
     pub hold_s: f64,
 }
 

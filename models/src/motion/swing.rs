@@ -24,8 +24,8 @@ impl Swing {
         let mut random = Random::new(seed, "swing");
         let axis: Vector = [random.normal(), random.normal(), random.normal()];
         let amplitude_rad = random.uniform(20.0, 120.0).to_radians();
-        // The angle is half the amplitude times 1 − cos, so its rate is at most half the amplitude
-        // times this.
+        // The angle is half the amplitude times 1 − cos, so its rate is at most half the
+        // amplitude times this.
         let fastest_rad_s = random.uniform(20.0, 200.0).to_radians();
         Self {
             start: Quaternion::from_euler(
@@ -64,7 +64,7 @@ impl Motion for Swing {
 pub struct Later<M> {
     /// The motion.
     pub motion: M,
-    /// For how long it has been going on, s.
+    /// Time since its start, s.
     pub by_s: f64,
 }
 

@@ -75,8 +75,8 @@ mod tests {
         let yawed = Quaternion::from_euler(0.4, -0.3, -2.0);
         assert!(inclination_error_rad(yawed, truth) < 1e-12);
         let tilted = Quaternion::from_euler(0.45, -0.3, -2.0);
-        // A roll of δ at pitch θ tilts by δ·cos θ to first order; the exact spherical distance is a
-        // little off.
+        // A roll of δ at pitch θ tilts by δ·cos θ to first order; the exact spherical distance
+        // is a little off.
         assert!((inclination_error_rad(tilted, truth) - 0.05 * libm::cos(0.3)).abs() < 1e-4);
         assert!((inclination_error_rad(truth.scaled(-1.0), truth)).abs() < 1e-12);
         let inverted = Quaternion::from_euler(0.4 + std::f64::consts::PI, 0.3, 0.0);

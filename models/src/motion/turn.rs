@@ -1,8 +1,8 @@
 //! A smooth turn from rest in one attitude to rest in another, with its exact rates.
 //!
 //! The body turns about one fixed axis, and the angle follows the minimum-jerk profile of Flash and
-//! Hogan (J. Neuroscience 5, 1985), s(τ) = 10τ³ − 15τ⁴ + 6τ⁵: rate and acceleration are zero at
-//! both ends.
+//! Hogan (J. Neuroscience 5, 1985), s(τ) = 10τ³ − 15τ⁴ + 6τ⁵: rate and acceleration are
+//! zero at both ends.
 
 use super::geometry::{Quaternion, Vector, scale};
 

@@ -1,7 +1,7 @@
 //! Wind: a constant mean and gusts.
 //!
-//! Each component of the gust is a first-order Gauss–Markov process with standard deviation σ and
-//! correlation time L/V. Its spectrum has the shape of the Dryden model's longitudinal one
+//! Each component of the gust is a first-order Gauss–Markov process with standard deviation σ
+//! and correlation time L/V. Its spectrum has the shape of the Dryden model's longitudinal one
 //! (MIL-F-8785C, section 3.7.2) at one fixed air speed.
 
 use super::geometry::Vector;

@@ -19,7 +19,7 @@ pub struct Burst {
     pub edge: Option<u64>,
     /// ACCEL_XOUT_H to GYRO_ZOUT_L.
     pub bytes: [u8; DATA_LENGTH],
-    /// When the last byte was delivered, ns since power-up.
+    /// Time of delivery of the last byte, ns since power-up.
     pub completed_ns: u64,
 }
 

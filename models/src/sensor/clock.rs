@@ -1,8 +1,8 @@
 //! The chip's own clock: when its converters sample, in the world's nanoseconds.
 //!
 //! The internal sampling grid runs at 8 kHz (register map r4.2, sections 4.2 and 4.3). The chip's 8
-//! kHz is as good as its clock source. The tolerance is ±1 % with a gyroscope as reference, and ±5
-//! % with the relaxation oscillator (product specification r3.4, section 6.6). The grid is
+//! kHz is as good as its clock source. The tolerance is ±1 % with a gyroscope as reference, and
+//! ±5 % with the relaxation oscillator (product specification r3.4, section 6.6). The grid is
 //! absolute, an anchor plus a count of ticks, so nothing accumulates.
 
 use crate::random::Random;
@@ -10,7 +10,7 @@ use crate::random::Random;
 /// Internal ticks in a second by the chip's own reckoning.
 pub const TICKS_PER_SECOND: f64 = 8000.0;
 
-/// How far this chip's clock sources are from nominal, as a share: +0.01 runs 1 % fast.
+/// Error of this chip's clock sources from nominal, as a share: +0.01 runs 1 % fast.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockErrors {
     /// CLKSEL 1, 2, 3: locked to a gyroscope's drive oscillator. Within ±0.01.

@@ -20,7 +20,7 @@ pub struct AxisErrors {
     pub offset: Vector,
     /// Change of the offset per °C.
     pub offset_per_c: Vector,
-    /// And how that change changes: the offset's factor of (T − 25 °C)², per °C².
+    /// Change of that change: the offset's factor of (T − 25 °C)², per °C².
     pub offset_per_c2: Vector,
     /// One-sided noise density, per √Hz.
     pub noise_density: f64,
@@ -35,7 +35,7 @@ pub struct SensorErrors {
     pub gyroscope: AxisErrors,
     /// Gyroscope output per specific force along the same axis, rad/s per m/s².
     pub rate_per_specific_force: Vector,
-    /// How much warmer than the air the chip gets, °C.
+    /// Excess of the chip's temperature over the air's, once warm, °C.
     pub self_heating_c: f64,
     /// Time constant of the warm-up, s.
     pub self_heating_time_s: f64,

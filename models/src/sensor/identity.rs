@@ -8,7 +8,7 @@
 use super::low_pass::Response;
 use super::registers::{PWR_MGMT_1_RESET, address};
 
-/// How a part differs from its relatives.
+/// Differences of a part from its relatives.
 #[derive(Clone, Copy, Debug)]
 pub struct Identity {
     /// The value of WHO_AM_I.

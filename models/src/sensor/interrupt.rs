@@ -13,7 +13,7 @@ const READ_CLEARS: u8 = 1 << 4;
 /// Length of the pulse without the latch, in ns (t_INT, product specification r3.4, section 6.4).
 pub const PULSE_NS: u64 = 50_000;
 
-/// How the pin drives its wire.
+/// State in which the pin drives its wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PinLevel {
     /// Driven to ground.
@@ -68,7 +68,7 @@ impl Interrupt {
         self.latched || now_ns < self.pulse_end_ns
     }
 
-    /// When a pulse that is active at `now_ns` ends.
+    /// Returns the end of a pulse that is active at `now_ns`.
     #[must_use]
     pub fn pulse_end_ns(&self, now_ns: u64) -> Option<u64> {
         (now_ns < self.pulse_end_ns).then_some(self.pulse_end_ns)

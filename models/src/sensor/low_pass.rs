@@ -1,5 +1,5 @@
-//! The digital low-pass filter, with both of the datasheet's figures: the bandwidth (−3 dB) and the
-//! delay.
+//! The digital low-pass filter, with both of the datasheet's figures: the bandwidth (−3 dB) and
+//! the delay.
 //!
 //! The datasheet gives no filter structure. Settings 1 to 4 fit a single pole of the stated
 //! bandwidth behind about 1 ms of pure delay. At 10 and 5 Hz the stated delay is *shorter* than
@@ -16,9 +16,9 @@
 //! "Delay" is the group delay at low frequencies. Both forms are made by the bilinear transform,
 //! prewarped so that the bandwidth is exact on the 8 kHz grid.
 //!
-//! Derivation of the second, with Ω = tan(ωT/2), k = Ω at the bandwidth, x = Ω/k and d = 2kτ/T:
-//! H = (1 + jZx) / (1 − a²x² + jbx). Delay d at x = 0 needs b = Z + d. Half power at x = 1 needs
-//! (1 − a²)² = Z² − 2dZ + 2 − d².
+//! Derivation of the second, with Ω = tan(ωT/2), k = Ω at the bandwidth, x = Ω/k and
+//! d = 2kτ/T: H = (1 + jZx) / (1 − a²x² + jbx). Delay d at x = 0 needs b = Z + d. Half power at
+//! x = 1 needs (1 − a²)² = Z² − 2dZ + 2 − d².
 
 use crate::motion::Vector;
 use crate::motion::geometry::{add, interpolate, scale};

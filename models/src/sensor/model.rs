@@ -34,7 +34,7 @@ const DATA_READY: u8 = 1 << 0;
 /// Wake-up frequencies by LP_WAKE_CTRL, Hz (section 4.29).
 const WAKE_UP_HZ: [f64; 4] = [1.25, 5.0, 20.0, 40.0];
 
-/// Which chip it is and how it is mounted.
+/// The chip: its identity, mount and errors.
 #[derive(Clone, Debug)]
 pub struct SensorConfig {
     /// Seeds the noise.
@@ -43,11 +43,11 @@ pub struct SensorConfig {
     pub address: u8,
     /// The value of WHO_AM_I, which decides the part's other traits too; see [`Identity`].
     pub who_am_i: u8,
-    /// How the chip sits on the body.
+    /// Orientation of the chip on the body.
     pub mount: Mount,
     /// The chip's errors.
     pub errors: SensorErrors,
-    /// How far its clocks are from nominal.
+    /// Errors of its clocks.
     pub clock: ClockErrors,
     /// From power-up, or DEVICE_RESET, until the registers can be used; the chip does not
     /// acknowledge before.
@@ -103,13 +103,13 @@ pub struct DataReady {
 /// A fault of the data registers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OutputFault {
-    /// They keep their values.
+    /// All registers keep their values.
     Frozen,
-    /// They all read this.
+    /// All registers read the given byte.
     All(u8),
-    /// This axis reads positive full scale: 0 to 2 are the accelerometer's, 3 to 5 the gyroscope's.
+    /// One axis reads positive full scale: 0 to 2 are the accelerometer's, 3 to 5 the gyroscope's.
     FullScale(usize),
-    /// The temperature reads this, in °C.
+    /// The temperature reads the given value, in °C.
     Temperature(f64),
 }
 
@@ -271,7 +271,7 @@ impl Sensor {
         self.now_ns
     }
 
-    /// Until when the registers cannot be used; `None` if they can.
+    /// End of the time in which the registers cannot be used; `None` if they can.
     #[must_use]
     pub fn ready_at_ns(&self) -> Option<u64> {
         self.ready_at_ns

@@ -21,9 +21,9 @@ pub mod address {
     pub const ACCEL_CONFIG_2: u8 = 0x1D;
     /// Shape of the INT pin's signal.
     pub const INT_PIN_CFG: u8 = 0x37;
-    /// Which events interrupt.
+    /// Events that interrupt.
     pub const INT_ENABLE: u8 = 0x38;
-    /// Which events have interrupted.
+    /// Events that have interrupted.
     pub const INT_STATUS: u8 = 0x3A;
     /// First of the 14 data registers.
     pub const ACCEL_XOUT_H: u8 = 0x3B;

@@ -64,7 +64,7 @@ impl SelfTest {
             let code = f64::from(GYROSCOPE_TRIM_CODES[axis]);
             aged(sign * 25.0_f64.to_radians() * libm::pow(1.046, code - 1.0))
         });
-        // And 0.34·(0.92/0.34)^((c−1)/30) g.
+        // For the accelerometer: 0.34·(0.92/0.34)^((c−1)/30) g.
         let accelerometer = ACCELEROMETER_TRIM_CODES.map(|code| {
             aged(
                 STANDARD_GRAVITY_M_S2

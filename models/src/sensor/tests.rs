@@ -834,8 +834,8 @@ fn what_exceeds_the_range_is_cut_off_before_the_filter() {
 
 #[test]
 fn the_self_test_deflects_every_axis_as_its_trim_promises() {
-    // The procedure of register map r4.2, section 4.1: gyroscope at ±250 °/s, accelerometer at ±8
-    // g, response = on − off.
+    // The procedure of register map r4.2, section 4.1: gyroscope at ±250 °/s, accelerometer at
+    // ±8 g, response = on − off.
     let mut chip = Controller::running(perfect(), level());
     chip.write_all(&[0x1B, 0x00, 0x10]);
     chip.wait(300 * MILLISECOND);

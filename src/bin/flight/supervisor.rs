@@ -26,8 +26,8 @@ use crate::requests::{self, Estimation, Requests};
 /// second (STM32F405 datasheet, table "Flash memory programming"). The sensor's self-test takes a
 /// second.
 const TASK_LIMIT_MS: u32 = 2_000;
-/// Shortest pause in the samples around a task, in µs. It is longer than the filter bridges, so the
-/// attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and restarts from gravity.
+/// Shortest pause in the samples around a task, in µs. It is longer than the filter bridges, so
+/// the attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and restarts from gravity.
 const PAUSE_US: u32 = 600_000;
 /// Shortest time between two messages about a recovery, in µs: leaves room for other messages.
 const RECOVERY_MESSAGE_PERIOD_US: u32 = 200_000;

@@ -201,8 +201,8 @@ impl BurstReader {
                 self.step = BurstStep::Pointer;
             }
             BurstStep::Pointer if status.btf().bit() => {
-                // This read clears BTF, which would otherwise interrupt again until the start is on
-                // the bus.
+                // Reading DR clears BTF, which would otherwise interrupt again until the start is
+                // on the bus.
                 i2c.dr().read();
                 i2c.cr1()
                     .write(|w| w.pe().set_bit().ack().set_bit().start().set_bit());

@@ -76,7 +76,7 @@ impl fmt::Display for AccelerometerFit {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum FitError {
-    /// There are fewer than [`MIN_POSES`] poses.
+    /// Fewer than [`MIN_POSES`] poses were given.
     TooFew {
         /// Number of poses.
         have: usize,

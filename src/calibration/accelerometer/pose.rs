@@ -13,7 +13,7 @@ pub(super) const DIRECTION_COSINE: f32 = 0.866_025_4;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Pose {
-    /// This direction points up.
+    /// The direction points up.
     Side(SignedAxis),
     /// The direction halfway between these two points up.
     Edge(SignedAxis, SignedAxis),

@@ -23,8 +23,8 @@ use crate::units::radians;
 /// specification §6.1). It limits the effect of long accelerations on the bias.
 const LARGEST_BIAS_RAD_S: f32 = radians(40.0);
 
-/// Smallest cos² of pitch at which the measured roll is used: 0.6° from the pole. Nearer to it, the
-/// accelerometer's noise alone turns the measured roll by half a turn.
+/// Smallest cos² of pitch at which the measured roll is used: 0.6° from the pole. Nearer to it,
+/// the accelerometer's noise alone turns the measured roll by half a turn.
 const LEAST_PITCH_COSINE_SQUARED: f32 = 1.0e-4;
 
 /// Filter state.

@@ -1,10 +1,11 @@
 //! The classic tutorial's filter, formula by formula, for readers who want to reproduce its
 //! numbers.
 //!
-//! Roll and pitch come from arccosines with signs and lie within ±90°. Each feeds an angle and bias
-//! Kalman filter, whose rate input is the gyroscope axis itself. The printed rate is the change of
-//! the filtered angle over the time step. In body axes the tutorial's chip lies face down, forward
-//! along X, which is the mount `+x+z`. Any other mount gives the same numbers for the same motion.
+//! Roll and pitch come from arccosines with signs and lie within ±90°. Each feeds an angle and
+//! bias Kalman filter, whose rate input is the gyroscope axis itself. The printed rate is the
+//! change of the filtered angle over the time step. In body axes the tutorial's chip lies face
+//! down, forward along X, which is the mount `+x+z`. Any other mount gives the same numbers for the
+//! same motion.
 //!
 //! Limits: no angle beyond ±90°, and no coupling of the axes when both are tilted. The resolution
 //! near zero is 0.02° (an arccosine of an `f32` near one), and the angle settles slowly at ±90°.

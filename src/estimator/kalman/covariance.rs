@@ -220,7 +220,8 @@ impl Covariance {
         }
     }
 
-    /// Propagates C into X for a row of C: X ← X − C·Bᵀ. Each entry of the row represents two of C.
+    /// Propagates C into X for a row of C: X ← X − C·Bᵀ. Each entry of the row represents
+    /// two of C.
     pub(super) fn propagate_parameters(&mut self, parameter: usize, transition: &Transition) {
         let start = parameter * (parameter + 1) / 2;
         let Some(row) = self.triangle.get(start..start + parameter + 1) else {
@@ -273,7 +274,8 @@ impl Covariance {
         }
     }
 
-    /// Completes the propagation of M from the propagated X: M ← M − X·Bᵀ. M is then symmetric.
+    /// Completes the propagation of M from the propagated X: M ← M − X·Bᵀ. M is then
+    /// symmetric.
     pub(super) fn complete_dynamic(&mut self, transition: &Transition) {
         // Only the lower half, with the terms that `propagate_cross` leaves out.
         let [first, second, third, fourth] = &mut self.dynamic;

@@ -136,8 +136,8 @@ impl Kalman {
     /// Doubles the prior variance of a bias that has turned out to lie outside its prior.
     ///
     /// The prior is a measurement of the bias with variance p. Replacing p by 2p removes a
-    /// measurement of variance 2p, which is the same as adding one of variance −2p. Repeated, this
-    /// maximises the likelihood over the prior's width.
+    /// measurement of variance 2p, which is the same as adding one of variance −2p. Repeated,
+    /// this maximises the likelihood over the prior's width.
     fn widen_prior(&mut self) {
         let BiasPrior {
             mean_rad_s,

@@ -16,9 +16,9 @@
 //!
 //! Samples are values at an instant, so increments are trapezoids. They are summed in body axes and
 //! turned to earth axes every 7 ms by the attitude half-way. This accounts for the rotation in
-//! between (rotation correction: Savage, *Strapdown Analytics*, 2000, §7.1 and §7.2). The attitude
-//! at a sample is q ⊗ exp(rotation since the last earth step + ω·delay). The delay is that of the
-//! sensor, so the attitude belongs to the sample's time.
+//! between (rotation correction: Savage, *Strapdown Analytics*, 2000, §7.1 and §7.2). The
+//! attitude at a sample is q ⊗ exp(rotation since the last earth step + ω·delay). The delay is
+//! that of the sensor, so the attitude belongs to the sample's time.
 //!
 //! # Error state
 //!
@@ -103,8 +103,8 @@ const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
 /// Scale from the filter's σ of tilt, which is conservative, to the reported σ.
 ///
 /// Vehicle velocities are not the white noise that the filter assumes, so its σ is too large on
-/// every set of recordings with truth. The scale is no smaller, so that 3 σ hold 99 % of the errors
-/// of each set. A single recording may have less, such as 98.6 % of one room of TUM-VI.
+/// every set of recordings with truth. The scale is no smaller, so that 3 σ hold 99 % of the
+/// errors of each set. A single recording may have less, such as 98.6 % of one room of TUM-VI.
 const REPORTED_SIGMA_SCALE: f32 = 0.92;
 const REPORTED_VARIANCE_SCALE: f32 = square(REPORTED_SIGMA_SCALE);
 

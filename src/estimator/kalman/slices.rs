@@ -1,9 +1,9 @@
 //! Covariance step in slices, so that no sample takes the time of a whole step.
 //!
 //! A step covers an interval through which the nominal state has been integrated and whose
-//! [`Transition`] is known. The step propagates the covariance over the interval, P ← F·P·Fᵀ + Q.
-//! It then applies scalar measurements z = x_i + noise in sequence (Bierman, *Factorization Methods
-//! for Discrete Sequential Estimation*, 1977, ch. II):
+//! [`Transition`] is known. The step propagates the covariance over the interval,
+//! P ← F·P·Fᵀ + Q. It then applies scalar measurements z = x_i + noise in sequence (Bierman,
+//! *Factorization Methods for Discrete Sequential Estimation*, 1977, ch. II):
 //!
 //! ```text
 //! h = P·e_i    s = h_i + r    δ ← δ + h·(z − x_i − δ_i)/s    P ← P − h·hᵀ/s

@@ -568,8 +568,8 @@ fn samples_that_have_not_settled_do_not_delay_the_start() {
     assert!(error < 1.0, "{error}");
 }
 
-/// With an offset of 20 °/s about the vertical, motion in a hand misleads the filter. The bias must
-/// not become known.
+/// With an offset of 20 °/s about the vertical, motion in a hand misleads the filter. The bias
+/// must not become known.
 #[test]
 fn only_rest_makes_the_bias_known() {
     for seed in 0..8 {

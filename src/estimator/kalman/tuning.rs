@@ -1,7 +1,7 @@
 //! Tuning of the filter: one set of numbers for every sensor and every motion.
 //!
-//! All are standard deviations (σ) or noise densities in physical units. A density per √Hz is the σ
-//! of the mean over one second.
+//! All are standard deviations (σ) or noise densities in physical units. A density per √Hz is
+//! the σ of the mean over one second.
 //!
 //! Sources. Start values and random walks are those of a consumer part, mounted and shaken. They
 //! exceed a datasheet's noise at rest. The other numbers were chosen on three sets together, by a
@@ -26,8 +26,8 @@ pub(super) const LARGEST_GYROSCOPE_BIAS_RAD_S: f32 = radians(40.0);
 /// Largest offset of an accelerometer: 80 mg, and 60 more over temperature (product specification
 /// §6.2).
 pub(super) const LARGEST_ACCELEROMETER_BIAS_M_S2: f32 = 0.14 * STANDARD_GRAVITY_M_S2;
-/// Largest norm of C − I, with a margin: the gyroscope's scale is within 3 %, its cross-axis terms
-/// within 2 % (product specification §6.1).
+/// Largest norm of C − I, with a margin: the gyroscope's scale is within 3 %, its cross-axis
+/// terms within 2 % (product specification §6.1).
 pub(super) const LARGEST_MATRIX_ERROR: f32 = 0.1;
 
 /// The filter's tuning.

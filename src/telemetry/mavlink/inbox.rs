@@ -145,7 +145,7 @@ impl Inbox {
                 } else if first == 0.0 && others_are_zero(0) {
                     Ok(Action::Calibrate(Calibrate::Cancel))
                 } else {
-                    // There is no compass, barometer or radio.
+                    // No compass, barometer or radio is fitted.
                     Err(Outcome::Unsupported)
                 }
             }

@@ -36,9 +36,9 @@ const COVERED_NS: u64 = 2_000_000;
 #[derive(Clone, Debug)]
 struct Episode {
     start_ns: u64,
-    /// When the last of them is over, so that recovery can begin.
+    /// End of the last of them, from which recovery can begin.
     end_ns: u64,
-    /// When the attitude must be valid again.
+    /// Deadline for a valid attitude.
     due_ns: u64,
     faults: Vec<ScheduledFault>,
 }
@@ -93,7 +93,7 @@ struct Judge<'a> {
     record: &'a Record,
     uart_lines: &'a [UartLine],
     published: Vec<Publication>,
-    /// When the published attitude was valid, ns.
+    /// Spans in which the published attitude was valid, ns.
     valid: Vec<(u64, u64)>,
     episodes: Vec<Episode>,
 }
@@ -444,7 +444,7 @@ fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
             first_after(&record.resets_ns, fault.start_ns).unwrap_or(fault.start_ns)
         }
         FaultKind::CrystalDies => fault.start_ns,
-        // These leave no trace.
+        // Such faults leave no trace.
         kind if deadline_ns(kind).is_none() => fault.start_ns,
         _ => fault.end_ns(),
     }

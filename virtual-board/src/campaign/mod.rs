@@ -52,7 +52,7 @@ pub struct Case {
     pub seed: u64,
     /// The faults.
     pub schedule: Schedule,
-    /// How long, s.
+    /// Duration, s.
     pub seconds: f64,
 }
 
@@ -88,7 +88,7 @@ impl Case {
         }
     }
 
-    /// How the board moves: a flight, a swing, or not at all.
+    /// Motion of the board: a flight, a swing, or none at all.
     #[must_use]
     pub fn motion(&self) -> Box<dyn Motion> {
         let mut random = Random::new(self.seed, "motion of a case");
@@ -155,7 +155,7 @@ pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
 /// The outcome of one fault.
 #[derive(Clone, Debug)]
 pub struct FaultReport {
-    /// Its class.
+    /// Class of the fault.
     pub class: &'static str,
     /// True if the firmware noticed it: by a counter, a flag, or a message.
     pub is_detected: bool,

@@ -76,15 +76,15 @@ pub struct Microcontroller {
     is_clock_lost: bool,
     /// True if the UART's line garbles received bytes.
     is_noisy: bool,
-    /// When the last reset was, ns.
+    /// Time of the last reset, ns.
     reset_ns: u64,
 }
 
-/// How many of a million bytes come with noise, and with a framing error, while the UART's line
+/// Bytes of a million that come with noise, and as many with a framing error, while the UART's line
 /// garbles.
 const NOISE_PER_MILLION: u32 = 200_000;
 
-/// Where on the bus the decorated instances are.
+/// Positions of the decorated instances on the bus.
 #[derive(Clone, Copy, Debug)]
 struct Slots {
     rcc: usize,

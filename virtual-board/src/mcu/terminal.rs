@@ -18,14 +18,14 @@ pub struct Terminal {
     script: VecDeque<SentByte>,
     /// The faults during which it sends without a pause.
     floods: Vec<ScheduledFault>,
-    /// How many bytes it has sent.
+    /// Number of bytes sent.
     sent: u64,
 }
 
 /// A byte from the UART.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReceivedByte {
-    /// When its stop bit ended, ns since power-up.
+    /// End of the stop bit, ns since power-up.
     pub at_ns: u64,
     /// The byte.
     pub byte: u8,
@@ -34,7 +34,7 @@ pub struct ReceivedByte {
 /// A byte for the UART.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SentByte {
-    /// When its start bit may begin, ns since power-up. It waits for the bytes before it.
+    /// Earliest start of the start bit, ns since power-up. The byte waits for those before it.
     pub at_ns: u64,
     /// The byte.
     pub byte: u8,
@@ -45,7 +45,7 @@ impl Terminal {
     #[must_use]
     pub fn new(script: &[SentByte]) -> Self {
         let mut script = script.to_vec();
-        // Those of one instant keep their order.
+        // Bytes of one instant keep their order.
         script.sort_by_key(|sent| sent.at_ns);
         Self {
             script: script.into(),
@@ -61,7 +61,7 @@ impl Terminal {
         self.floods = faults.iter().filter(floods).copied().collect();
     }
 
-    /// How many bytes it has sent.
+    /// Returns the number of bytes sent.
     #[must_use]
     pub fn sent(&self) -> u64 {
         self.sent

@@ -52,7 +52,7 @@ pub struct Profile {
 /// A disturbance of the core from outside of its program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Upset {
-    /// It leaves the Thumb state, the only one that it has.
+    /// The core leaves the Thumb state, the only one that it has.
     ThumbStateLost,
     /// The stack pointer is here from now on.
     StackPointer(u32),

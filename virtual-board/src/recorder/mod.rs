@@ -34,7 +34,7 @@ use timer::Timer;
 /// Offset of the count in the published structure; the snapshot is at 0.
 const SEQUENCE: u64 = 44;
 
-/// How often the probe empties the log, in virtual time.
+/// Period with which the probe empties the log, in virtual time.
 const SERVICE_PERIOD_NS: u64 = 1_000_000;
 
 /// The fill pattern of unused stack.
@@ -90,7 +90,7 @@ impl Observer for Nobody {}
 pub struct Recorder {
     end_ns: u64,
     snapshot: Option<u64>,
-    /// Where the firmware's report of its health is, if it has one.
+    /// Address of the firmware's report of its health, if it has one.
     health: Option<u64>,
     /// The faults of the debug probe.
     detachments: Vec<ScheduledFault>,
@@ -107,7 +107,7 @@ pub struct Recorder {
     profile: Arc<Mutex<Profile>>,
     timer: Timer,
     next_service_ns: u64,
-    /// Until when the core waits for the flash.
+    /// End of the core's wait for the flash.
     stalled_until_ns: Option<u64>,
     reported_at: Instant,
     /// The account at the last edge, and the number of samples published before it.

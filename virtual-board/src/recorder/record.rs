@@ -46,13 +46,13 @@ pub struct Record {
     pub last: (u64, u64),
     /// All instructions executed, by exception number; 0 is thread mode.
     pub instructions: Vec<u64>,
-    /// How much of the stack was ever written, in bytes.
+    /// Bytes of the stack that were ever written.
     pub stack_bytes_used: u64,
     /// The firmware's counters, at each change.
     pub health: Vec<HealthReading>,
     /// End of the sensor's start-up after each return of its supply, ns.
     pub sensor_ready_ns: Vec<u64>,
-    /// When the processor was reset, ns.
+    /// Times of the processor's resets, ns.
     pub resets_ns: Vec<u64>,
 }
 
@@ -76,17 +76,17 @@ impl Record {
 pub struct StaleSnapshot {
     /// The published snapshot.
     pub snapshot: Snapshot,
-    /// When, ns since power-up.
+    /// Time of publication, ns since power-up.
     pub published_ns: u64,
 }
 
 /// The firmware's health report at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HealthReading {
-    /// When it was read, ns since power-up.
+    /// Time of the reading, ns since power-up.
     pub at_ns: u64,
     /// The cause of the last reset, by the firmware's number.
     pub reset_cause: u32,
-    /// How often each class of faults has been seen, by the firmware's number of the class.
+    /// Number of faults seen of each class, by the firmware's number of the class.
     pub counters: [u32; FaultClass::COUNT],
 }

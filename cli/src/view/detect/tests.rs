@@ -214,7 +214,7 @@ fn text_says_whether_it_is_valid_and_a_message_why_it_is_not() {
     let items = decode(&mut decoder, lines.as_bytes());
     let flags = Flags::CALIBRATING | Flags::DEGRADED;
     assert_eq!(readings(&items)[0].flags, Some(flags));
-    // It is over when an attitude is valid.
+    // The window is over when an attitude is valid.
     let items = decode(&mut decoder, &frame(OutputFormat::Text, 0));
     assert_eq!(readings(&items)[0].flags, Some(Flags::VALID));
     let items = decode(&mut decoder, b"# attitude: VALID\n");
@@ -345,7 +345,8 @@ fn a_log_gives_attitudes_sigma_and_what_is_missing() {
     let sigma = sigma_of(&items);
     let expected = degrees(sigma_rad);
     assert_eq!(sigma, Some(expected));
-    // Begun in the middle: the module's next state, ten seconds after its start, brings the same σ.
+    // Begun in the middle: the module's next state, ten seconds after its start, brings the same
+    // σ.
     assert_eq!(
         sigma_of(&decode(&mut Decoder::default(), &log[log.len() / 2..])),
         sigma
