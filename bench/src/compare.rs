@@ -18,7 +18,9 @@ use crate::folders::{Folders, Ranges};
 use crate::recording::{Recording, Reference};
 use crate::results::{Row, Set, summarise};
 use crate::simulated::{self, EVALUATION_SEEDS};
-use crate::{accuracy, gains, leave_one_out, long, parallel, picture, report, throughput};
+use crate::{
+    accuracy, gains, leave_one_out, long, parallel, picture, report, throughput, vibration,
+};
 
 /// Compare the accuracy and the speed of filters on recordings
 ///
@@ -68,6 +70,10 @@ pub struct Options {
     #[arg(long, value_name = "SECONDS", group = "instead",
         value_parser = clap::value_parser!(u64).range(120..=1_000_000))]
     long: Option<u64>,
+    /// Instead: the error of the default filter, VQF and Madgwick's against vibration, in simulated
+    /// flights and hovers (minutes)
+    #[arg(long, group = "instead")]
+    vibration: bool,
     /// Instead: draw the default filter, VQF and the classic one through a simulated flight, as a
     /// PNG file
     #[arg(long, value_name = "FILE", group = "instead")]
@@ -86,6 +92,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(seconds) = options.long {
         let seeds: Vec<u64> = EVALUATION_SEEDS.take(LONG_FLIGHTS).collect();
         print_line(long::table(&seeds, seconds).trim_end());
+        return Ok(());
+    }
+    if options.vibration {
+        print_line(vibration::tables().trim_end());
         return Ok(());
     }
     let folders = Folders {

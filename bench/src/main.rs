@@ -18,6 +18,7 @@ mod simulated;
 #[cfg(test)]
 mod starts;
 mod throughput;
+mod vibration;
 
 use std::process::ExitCode;
 

@@ -10,7 +10,7 @@ use aplomb::estimator::Sample;
 use aplomb::mpu6050::LowPass;
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::truth::up_in_body;
-use aplomb_recordings::simulated::{CONFIG, samples};
+use aplomb_recordings::simulated::{CONFIG, Simulated, samples};
 
 use crate::parallel;
 use crate::recording::{Recording, Reference};
@@ -43,15 +43,21 @@ pub fn flight(seed: u64) -> Recording {
 
 /// Simulates the flight of this seed for `seconds`.
 pub fn flight_for(seed: u64, seconds: u64) -> Recording {
+    let flown = samples(Box::new(Quadrotor::by_seed(seed)), seed, seconds);
+    recording("simulated", format!("flight {seed}"), flown)
+}
+
+/// Returns the recording of a simulated sensor.
+pub fn recording(set: &str, name: String, samples: impl Iterator<Item = Simulated>) -> Recording {
     let mut recording = Recording {
-        set: "simulated".to_owned(),
-        name: format!("flight {seed}"),
+        set: set.to_owned(),
+        name,
         delay_us: u32::from(LowPass::gyroscope_delay_us(CONFIG.low_pass)),
         reference: Reference::Truth,
         samples: Vec::new(),
         true_up: Vec::new(),
     };
-    for simulated in samples(Box::new(Quadrotor::by_seed(seed)), seed, seconds) {
+    for simulated in samples {
         let (raw, truth) = (simulated.raw, simulated.truth);
         let force = raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
         let rates = raw.gyroscope.to_rad_s(CONFIG.gyroscope_range);

@@ -62,14 +62,24 @@ impl Simulated {
 
 /// Simulates a motion for `seconds`. The seed decides the sensor's errors and its noise.
 pub fn samples(
+    motion: Box<dyn Motion>,
+    seed: u64,
+    seconds: u64,
+) -> impl Iterator<Item = Simulated> {
+    samples_with(motion, seed, errors(seed), seconds)
+}
+
+/// Simulates a motion for `seconds`, with a sensor of these errors. The seed decides its noise.
+pub fn samples_with(
     mut motion: Box<dyn Motion>,
     seed: u64,
+    errors: SensorErrors,
     seconds: u64,
 ) -> impl Iterator<Item = Simulated> {
     let mut sensor = SignalPath::new(
         seed,
         MOUNT,
-        errors(seed),
+        errors,
         Identity::of(0x68),
         Settings {
             gyroscope_range: CONFIG.gyroscope_range.bits(),

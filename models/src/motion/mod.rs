@@ -4,7 +4,8 @@
 //! - [`quadrotor`]: a simulated flight with physics, by seed;
 //! - [`poses`]: a body that is laid down in one pose after the other, as a calibration asks for it;
 //! - [`rest`]: a body that stands still, or is nudged once: for tests with closed-form answers;
-//! - [`swing`]: a body that swings to and fro, and motions that begin later: for short flights.
+//! - [`swing`]: a body that swings to and fro, and motions that begin later: for short flights;
+//! - [`vibration`]: the vibration of a vehicle, on top of any of them.
 //!
 //! Everything here is in double precision and shares no code with the library that is being judged.
 
@@ -19,6 +20,7 @@ pub mod route;
 pub mod swing;
 pub mod truth;
 pub mod turn;
+pub mod vibration;
 pub mod wind;
 
 pub use geometry::{Quaternion, Vector};
