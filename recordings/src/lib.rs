@@ -6,6 +6,7 @@
 //! - [`flight_log`]: the module's flight log;
 //! - [`attitude_table`]: tables of attitudes;
 //! - [`motion`]: a log as motion; [`simulated`]: simulated sensor data with its truth;
+//! - [`plateau`]: clipping; [`vibration`]: vibration that is too strong;
 //! - [`number`]: numbers as text, fast;
 //! - [`score`]: errors of attitudes against the truth; [`attitude`]: geometry for that;
 //! - `output`, with the feature of this name: files that appear when they are complete;
@@ -24,6 +25,8 @@ pub mod motion;
 pub mod number;
 #[cfg(feature = "output")]
 pub mod output;
+pub mod plateau;
 pub mod score;
 pub mod simulated;
 pub mod terminal;
+pub mod vibration;
