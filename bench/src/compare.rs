@@ -19,7 +19,8 @@ use crate::recording::{Recording, Reference};
 use crate::results::{Row, Set, summarise};
 use crate::simulated::{self, EVALUATION_SEEDS};
 use crate::{
-    accuracy, gains, leave_one_out, long, parallel, picture, report, throughput, vibration,
+    accuracy, clipping, gains, leave_one_out, long, parallel, picture, report, throughput,
+    vibration,
 };
 
 /// Compare the accuracy and the speed of filters on recordings
@@ -70,6 +71,10 @@ pub struct Options {
     #[arg(long, value_name = "SECONDS", group = "instead",
         value_parser = clap::value_parser!(u64).range(120..=1_000_000))]
     long: Option<u64>,
+    /// Instead: the error of the default filter and VQF when the gyroscope of the recordings clips,
+    /// with and without its detection
+    #[arg(long, group = "instead")]
+    clipping: bool,
     /// Instead: the error of the default filter, VQF and Madgwick's against vibration, in simulated
     /// flights and hovers (minutes)
     #[arg(long, group = "instead")]
@@ -111,6 +116,13 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         for not_scored in &not_scored {
             print_line(&format!("not scored: {not_scored}"));
         }
+        for warning in recordings.iter().flat_map(Recording::warnings) {
+            print_line(&warning);
+        }
+    }
+    if options.clipping {
+        print_line(clipping::table(&recordings)?.trim_end());
+        return Ok(());
     }
     if options.leave_one_out || options.scan_gains {
         return search(options, recordings);

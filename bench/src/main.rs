@@ -1,6 +1,7 @@
 //! `aplomb-bench`: the library's filters beside those of other crates, on the same recordings.
 
 mod accuracy;
+mod clipping;
 mod compare;
 mod filter;
 mod folders;

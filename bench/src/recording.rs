@@ -11,7 +11,9 @@ use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::log::{Lines, LogError, LogFault, Row, column_count, parse_row};
+use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
+use aplomb_recordings::vibration::Vibration;
 
 use crate::filter::{Choice, Filter};
 use crate::rest;
@@ -34,6 +36,8 @@ pub struct Recording {
     pub samples: Vec<Sample>,
     /// True "up" in body axes for each sample, where it is known and counts.
     pub true_up: Vec<Option<[f64; 3]>>,
+    /// Message on clipping.
+    pub clipping: Option<String>,
 }
 
 /// Reference that a recording is judged by.
@@ -100,6 +104,7 @@ impl Recording {
             reference: Reference::Truth,
             samples: Vec::new(),
             true_up: Vec::new(),
+            clipping: None,
         };
         let mut start = None;
         let mut is_plausible = true;
@@ -123,6 +128,9 @@ impl Recording {
                 [up.x, up.y, up.z].map(f64::from)
             }));
         }
+        if handling.ranges.is_none() {
+            recording.mark_clipping();
+        }
         if recording.counts() {
             return Ok(Found::Recording(recording));
         }
@@ -140,6 +148,39 @@ impl Recording {
                 "it has no truth, and after its first 5 s it does not lie still for 1.5 s either",
             )
         }
+    }
+
+    /// Marks clipped samples as saturated.
+    pub fn mark_clipping(&mut self) {
+        let mut plateaus = Plateaus::default();
+        for sample in &mut self.samples {
+            let [force, rates] = [sample.specific_force_m_s2, sample.angular_rate_rad_s]
+                .map(|vector| [vector.x, vector.y, vector.z].map(f64::from));
+            let saturation = plateaus.check(force, rates);
+            sample.is_force_saturated |= saturation.force;
+            sample.is_rate_saturated |= saturation.rate;
+        }
+        self.clipping = plateaus.message();
+    }
+
+    /// Returns the vibration.
+    pub fn vibration(&self) -> Vibration {
+        let mut vibration = Vibration::default();
+        for sample in &self.samples {
+            let force = sample.specific_force_m_s2;
+            vibration.add(
+                sample.t_us.cast_signed(),
+                [force.x, force.y, force.z].map(f64::from),
+            );
+        }
+        vibration
+    }
+
+    /// Returns messages on what harms the accuracy.
+    pub fn warnings(&self) -> Vec<String> {
+        let messages = [self.clipping.clone(), self.vibration().message()];
+        let place = |message| format!("{}/{}: {message}", self.set, self.name);
+        messages.into_iter().flatten().map(place).collect()
     }
 
     /// Returns whether any row counts.

@@ -56,6 +56,7 @@ pub fn recording(set: &str, name: String, samples: impl Iterator<Item = Simulate
         reference: Reference::Truth,
         samples: Vec::new(),
         true_up: Vec::new(),
+        clipping: None,
     };
     for simulated in samples {
         let (raw, truth) = (simulated.raw, simulated.truth);

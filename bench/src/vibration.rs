@@ -15,6 +15,7 @@ use aplomb_models::motion::route::Route;
 use aplomb_models::motion::vibration::{Strength, Vibrating};
 use aplomb_models::sensor::SensorErrors;
 use aplomb_recordings::simulated::samples_with;
+use aplomb_recordings::vibration::LIMIT_G;
 
 use crate::filter::Choice;
 use crate::parallel;
@@ -50,122 +51,87 @@ struct Case {
 }
 
 /// Result of one run.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Outcome {
     /// Root mean square of each filter's inclination error, degrees.
     rms_deg: [f64; FILTERS.len()],
-    /// Observables.
-    step: f64,
-    spread: f64,
-    largest: f64,
-    saturated: f64,
+    /// The vibration counts as too strong.
+    is_too_strong: bool,
 }
 
-/// Returns the tables.
+/// Returns the tables, one for flights and one for hovers.
 pub fn tables() -> String {
-    let mut cases = Vec::new();
+    let mut text = format!(
+        "Inclination error in degrees, {} / {} / {}: root mean square of each run of {SECONDS} s \
+         after 5 s, mean of seeds {} to {}.\n*: reported as too strong, above {LIMIT_G} g.\n",
+        FILTERS[0].name(),
+        FILTERS[1].name(),
+        FILTERS[2].name(),
+        EVALUATION_SEEDS.start,
+        EVALUATION_SEEDS.start + SEEDS as u64 - 1,
+    );
     for kind in [Kind::Flight, Kind::Hover] {
-        for strength_g in STRENGTHS_G {
-            for frequency_hz in FREQUENCIES_HZ {
-                // Without vibration all frequencies are one.
-                if strength_g == 0.0 && frequency_hz != FREQUENCIES_HZ[0] {
-                    continue;
-                }
-                let seeds = EVALUATION_SEEDS.take(SEEDS);
-                cases.extend(seeds.map(|seed| Case {
-                    kind,
-                    strength_g,
-                    frequency_hz,
-                    seed,
-                }));
-            }
-        }
-    }
-    let outcomes = parallel::map_with_bar("shaking", &cases, |case| case.run());
-    let mut text = String::new();
-    for (cases, outcomes) in cases.chunks(SEEDS).zip(outcomes.chunks(SEEDS)) {
-        let case = cases[0];
-        let mean = |value: &dyn Fn(&Outcome) -> f64| {
-            outcomes.iter().map(value).sum::<f64>() / outcomes.len() as f64
+        let name = match kind {
+            Kind::Flight => "flight",
+            Kind::Hover => "hover",
         };
-        let _ = writeln!(
-            text,
-            "{:?} {:>4} {:>4}  {:6.2} {:6.2} {:6.2}   step {:6.2} spread {:6.2} largest {:6.1} sat {:.5}",
-            case.kind,
-            case.strength_g,
-            case.frequency_hz,
-            mean(&|o| o.rms_deg[0]),
-            mean(&|o| o.rms_deg[1]),
-            mean(&|o| o.rms_deg[2]),
-            mean(&|o| o.step),
-            mean(&|o| o.spread),
-            mean(&|o| o.largest),
-            mean(&|o| o.saturated)
-        );
+        let _ = write!(text, "\n| {name}: g rms per axis |");
+        for frequency_hz in FREQUENCIES_HZ {
+            let _ = write!(text, " {frequency_hz} Hz |");
+        }
+        let _ = writeln!(text, "\n|---|{}", "---|".repeat(FREQUENCIES_HZ.len()));
+        for strength_g in STRENGTHS_G {
+            let _ = write!(text, "| {strength_g} |");
+            for cell in row(kind, strength_g) {
+                let _ = write!(text, " {cell} |");
+            }
+            text.push('\n');
+        }
     }
     text
 }
 
+/// Returns the cells of one strength, one for each frequency.
+fn row(kind: Kind, strength_g: f64) -> Vec<String> {
+    let mut cases = Vec::new();
+    for frequency_hz in FREQUENCIES_HZ {
+        let seeds = EVALUATION_SEEDS.take(SEEDS);
+        cases.extend(seeds.map(|seed| Case {
+            kind,
+            strength_g,
+            frequency_hz,
+            seed,
+        }));
+    }
+    if strength_g == 0.0 {
+        // Without vibration all frequencies are one.
+        cases.truncate(SEEDS);
+    }
+    let outcomes = parallel::map_with_bar("shaking", &cases, |case| case.run(SECONDS));
+    outcomes.chunks(SEEDS).map(cell).collect()
+}
+
+fn cell(outcomes: &[Outcome]) -> String {
+    let mean = |index: usize| {
+        let sum: f64 = outcomes.iter().map(|outcome| outcome.rms_deg[index]).sum();
+        format!("{:.2}", sum / outcomes.len() as f64)
+    };
+    let is_too_strong = outcomes.iter().any(|outcome| outcome.is_too_strong);
+    let mark = if is_too_strong { " *" } else { "" };
+    format!("{} / {} / {}{mark}", mean(0), mean(1), mean(2))
+}
+
 impl Case {
-    fn run(self) -> Outcome {
-        let recording = self.recording();
-        let mut rms_deg = [0.0; FILTERS.len()];
-        for (rms_deg, filter) in rms_deg.iter_mut().zip(FILTERS) {
-            *rms_deg = recording.score(filter).map_or(f64::NAN, |score| score.rms);
-        }
-        let samples = &recording.samples[6_000..];
-        let n = samples.len() as f64;
-        let g = f64::from(STANDARD_GRAVITY_M_S2);
-        let step = (samples
-            .windows(2)
-            .map(|p| {
-                let d = p[1].specific_force_m_s2 - p[0].specific_force_m_s2;
-                f64::from(d.dot(d))
-            })
-            .sum::<f64>()
-            / n)
-            .sqrt()
-            / g;
-        let spread = (samples
-            .chunks(100)
-            .map(|c| {
-                let mut mean = aplomb::attitude::Vector3::ZERO;
-                for s in c {
-                    mean = mean + s.specific_force_m_s2.scale(1.0 / c.len() as f32);
-                }
-                c.iter()
-                    .map(|s| {
-                        let d = s.specific_force_m_s2 - mean;
-                        f64::from(d.dot(d))
-                    })
-                    .sum::<f64>()
-            })
-            .sum::<f64>()
-            / n)
-            .sqrt()
-            / g;
-        let largest = samples
-            .iter()
-            .map(|s| {
-                let f = s.specific_force_m_s2;
-                f.x.abs().max(f.y.abs()).max(f.z.abs())
-            })
-            .fold(0.0, f32::max);
-        let saturated = samples
-            .iter()
-            .filter(|s| s.is_force_saturated || s.is_rate_saturated)
-            .count() as f64
-            / n;
+    fn run(self, seconds: u64) -> Outcome {
+        let recording = self.recording(seconds);
         Outcome {
-            rms_deg,
-            step,
-            spread,
-            largest: f64::from(largest) / g,
-            saturated,
+            rms_deg: FILTERS
+                .map(|filter| recording.score(filter).map_or(f64::NAN, |score| score.rms)),
+            is_too_strong: recording.vibration().message().is_some(),
         }
     }
 
-    fn recording(self) -> Recording {
+    fn recording(self, seconds: u64) -> Recording {
         let mut flight = Flight::by_seed(self.seed);
         if self.kind == Kind::Hover {
             flight.route = Route::hover();
@@ -188,7 +154,33 @@ impl Case {
         recording(
             "vibration",
             name,
-            samples_with(motion, self.seed, errors, SECONDS),
+            samples_with(motion, self.seed, errors, seconds),
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_vibration_that_harms_is_reported() {
+        let hover = |strength_g, frequency_hz| {
+            let case = Case {
+                kind: Kind::Hover,
+                strength_g,
+                frequency_hz,
+                seed: 1_000,
+            };
+            case.run(25)
+        };
+        for (strength_g, frequency_hz) in [(0.0, 100.0), (2.0, 50.0), (2.0, 250.0)] {
+            let outcome = hover(strength_g, frequency_hz);
+            assert!(outcome.rms_deg[0] < 0.6, "{outcome:?}");
+            assert!(!outcome.is_too_strong, "{outcome:?}");
+        }
+        let outcome = hover(8.0, 50.0);
+        assert!(outcome.rms_deg[0] > 1.5, "{outcome:?}");
+        assert!(outcome.is_too_strong, "{outcome:?}");
     }
 }

@@ -1,0 +1,119 @@
+//! Error of the filters when the gyroscope clips, in copies of the recordings.
+//!
+//! Each axis of a copy stops at a share of the largest rate of the recording. The default filter
+//! runs once on the samples as they are, and once with the clipped samples marked as saturated.
+
+use std::fmt::Write as _;
+
+use aplomb_recordings::score::{mean, median};
+
+use crate::filter::Choice;
+use crate::parallel;
+use crate::recording::{Recording, Reference};
+
+/// Full scales, as shares of a recording's largest rate.
+const SHARES: [f64; 4] = [1.0, 0.6, 0.5, 0.4];
+
+/// Root mean squares of one copy, degrees.
+struct Outcome {
+    unmarked: f64,
+    marked: f64,
+    vqf: f64,
+    is_found: bool,
+}
+
+/// Returns a row for each set and share: median/mean over its recordings.
+pub fn table(recordings: &[Recording]) -> Result<String, String> {
+    let with_truth = |recording: &&Recording| recording.reference == Reference::Truth;
+    let recordings: Vec<&Recording> = recordings.iter().filter(with_truth).collect();
+    if recordings.is_empty() {
+        return Err("there are no recordings with truth: name their folder".into());
+    }
+    let mut text =
+        "| set | full scale / largest rate | clipping found | unmarked | marked | VQF |\n\
+                    |---|---|---|---|---|---|\n"
+            .to_owned();
+    let mut sets: Vec<&str> = recordings.iter().map(|one| one.set.as_str()).collect();
+    sets.dedup();
+    for set in sets {
+        let of_set: Vec<&Recording> = recordings
+            .iter()
+            .copied()
+            .filter(|one| one.set == set)
+            .collect();
+        for share in SHARES {
+            let outcomes = parallel::map_with_bar("clipping", &of_set, |one| run(one, share));
+            let figures = |value: fn(&Outcome) -> f64| {
+                let mut values: Vec<f64> = outcomes.iter().map(value).collect();
+                values.sort_by(f64::total_cmp);
+                format!("{:.2}/{:.2}", median(&values), mean(&values))
+            };
+            let found = outcomes.iter().filter(|outcome| outcome.is_found).count();
+            let _ = writeln!(
+                text,
+                "| {set} | {:.0} % | {found} of {} | {} | {} | {} |",
+                100.0 * share,
+                outcomes.len(),
+                figures(|outcome| outcome.unmarked),
+                figures(|outcome| outcome.marked),
+                figures(|outcome| outcome.vqf),
+            );
+        }
+    }
+    Ok(text)
+}
+
+fn run(recording: &Recording, share: f64) -> Outcome {
+    let mut copy = clipped(recording, share);
+    let rms = |copy: &Recording, filter| copy.score(filter).map_or(f64::NAN, |score| score.rms);
+    let (unmarked, vqf) = (rms(&copy, Choice::Kalman), rms(&copy, Choice::Vqf));
+    copy.mark_clipping();
+    Outcome {
+        unmarked,
+        marked: rms(&copy, Choice::Kalman),
+        vqf,
+        is_found: copy.clipping.is_some(),
+    }
+}
+
+/// Returns a copy with a gyroscope that clips at this share of the largest rate.
+fn clipped(recording: &Recording, share: f64) -> Recording {
+    let mut copy = recording.clone();
+    let rates = copy.samples.iter().map(|sample| sample.angular_rate_rad_s);
+    let largest = rates.fold(0.0_f32, |largest, rate| {
+        let axes = rate.x.abs().max(rate.y.abs()).max(rate.z.abs());
+        largest.max(axes)
+    });
+    let limit = largest * share as f32;
+    for sample in &mut copy.samples {
+        let rate = &mut sample.angular_rate_rad_s;
+        for axis in [&mut rate.x, &mut rate.y, &mut rate.z] {
+            *axis = axis.clamp(-limit, limit);
+        }
+    }
+    copy
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulated::flight_for;
+
+    #[test]
+    fn a_clipped_copy_stops_at_its_share_and_is_found() {
+        let mut recording = flight_for(1_000, 20);
+        // A flight turns slowly: without noise from register counts, as if four times as fast.
+        for sample in &mut recording.samples {
+            sample.angular_rate_rad_s = sample.angular_rate_rad_s.scale(4.0);
+        }
+        recording.mark_clipping();
+        assert_eq!(recording.clipping, None);
+        let mut copy = clipped(&recording, 0.5);
+        copy.mark_clipping();
+        let message = copy.clipping.clone().unwrap();
+        assert!(message.starts_with("clipped: gyroscope g"), "{message}");
+        assert!(copy.samples.iter().any(|sample| sample.is_rate_saturated));
+        assert!(copy.samples.iter().all(|sample| !sample.is_force_saturated));
+        assert!(copy.warnings()[0].starts_with("simulated/flight 1000: clipped: "));
+    }
+}
