@@ -14,25 +14,25 @@ use crate::recording::{Recording, Reference};
 /// Full scales, as shares of a recording's largest rate.
 const SHARES: [f64; 4] = [1.0, 0.6, 0.5, 0.4];
 
-/// Root mean squares of one copy, degrees.
+/// Scores of one copy: the root mean square in degrees, and the share of rows within 3 σ.
 struct Outcome {
-    unmarked: f64,
-    marked: f64,
-    vqf: f64,
+    unmarked: [f64; 2],
+    marked: [f64; 2],
+    vqf: [f64; 2],
     is_found: bool,
 }
 
-/// Returns a row for each set and share: median/mean over its recordings.
+/// Returns a row for each set and share: median/mean over its recordings, and the mean share of
+/// rows within 3 σ.
 pub fn table(recordings: &[Recording]) -> Result<String, String> {
     let with_truth = |recording: &&Recording| recording.reference == Reference::Truth;
     let recordings: Vec<&Recording> = recordings.iter().filter(with_truth).collect();
     if recordings.is_empty() {
         return Err("there are no recordings with truth: name their folder".into());
     }
-    let mut text =
-        "| set | full scale / largest rate | clipping found | unmarked | marked | VQF |\n\
-                    |---|---|---|---|---|---|\n"
-            .to_owned();
+    let mut text = "| set | full scale / largest rate | clipping found | unmarked | within 3 σ | \
+                    marked | within 3 σ | VQF |\n|---|---|---|---|---|---|---|---|\n"
+        .to_owned();
     let mut sets: Vec<&str> = recordings.iter().map(|one| one.set.as_str()).collect();
     sets.dedup();
     for set in sets {
@@ -43,20 +43,27 @@ pub fn table(recordings: &[Recording]) -> Result<String, String> {
             .collect();
         for share in SHARES {
             let outcomes = parallel::map_with_bar("clipping", &of_set, |one| run(one, share));
-            let figures = |value: fn(&Outcome) -> f64| {
+            let all = |value: fn(&Outcome) -> f64| -> Vec<f64> {
                 let mut values: Vec<f64> = outcomes.iter().map(value).collect();
                 values.sort_by(f64::total_cmp);
+                values
+            };
+            let rms = |value: fn(&Outcome) -> f64| {
+                let values = all(value);
                 format!("{:.2}/{:.2}", median(&values), mean(&values))
             };
+            let within = |value: fn(&Outcome) -> f64| format!("{:.0} %", 100.0 * mean(&all(value)));
             let found = outcomes.iter().filter(|outcome| outcome.is_found).count();
             let _ = writeln!(
                 text,
-                "| {set} | {:.0} % | {found} of {} | {} | {} | {} |",
+                "| {set} | {:.0} % | {found} of {} | {} | {} | {} | {} | {} |",
                 100.0 * share,
                 outcomes.len(),
-                figures(|outcome| outcome.unmarked),
-                figures(|outcome| outcome.marked),
-                figures(|outcome| outcome.vqf),
+                rms(|outcome| outcome.unmarked[0]),
+                within(|outcome| outcome.unmarked[1]),
+                rms(|outcome| outcome.marked[0]),
+                within(|outcome| outcome.marked[1]),
+                rms(|outcome| outcome.vqf[0]),
             );
         }
     }
@@ -65,12 +72,16 @@ pub fn table(recordings: &[Recording]) -> Result<String, String> {
 
 fn run(recording: &Recording, share: f64) -> Outcome {
     let mut copy = clipped(recording, share);
-    let rms = |copy: &Recording, filter| copy.score(filter).map_or(f64::NAN, |score| score.rms);
-    let (unmarked, vqf) = (rms(&copy, Choice::Kalman), rms(&copy, Choice::Vqf));
+    let scores = |copy: &Recording, filter| {
+        let score = copy.score(filter);
+        let within = score.and_then(|score| Some(score.honesty?.within_3_sigma));
+        [score.map(|score| score.rms), within].map(|value| value.unwrap_or(f64::NAN))
+    };
+    let (unmarked, vqf) = (scores(&copy, Choice::Kalman), scores(&copy, Choice::Vqf));
     copy.mark_clipping();
     Outcome {
         unmarked,
-        marked: rms(&copy, Choice::Kalman),
+        marked: scores(&copy, Choice::Kalman),
         vqf,
         is_found: copy.clipping.is_some(),
     }
