@@ -108,7 +108,9 @@ fn row(kind: Kind, strength_g: f64) -> Vec<String> {
         cases.truncate(SEEDS);
     }
     let outcomes = parallel::map_with_bar("shaking", &cases, |case| case.run(SECONDS));
-    outcomes.chunks(SEEDS).map(cell).collect()
+    let mut cells: Vec<String> = outcomes.chunks(SEEDS).map(cell).collect();
+    cells.resize(FREQUENCIES_HZ.len(), String::new());
+    cells
 }
 
 fn cell(outcomes: &[Outcome]) -> String {

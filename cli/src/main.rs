@@ -16,6 +16,7 @@ mod replay;
 mod simulate;
 mod source;
 mod view;
+mod watched;
 
 use std::process::ExitCode;
 

@@ -20,6 +20,7 @@ use aplomb_recordings::terminal::print_line;
 use crate::progress;
 use crate::reading::{Kind, Reading};
 use crate::source::Source;
+use crate::watched::Watched;
 use figure::Figure;
 use truth::{Table, TruthFile};
 
@@ -126,6 +127,11 @@ impl Options {
             Some(path) => Some(TruthFile::open(path, mount)?),
             None => None,
         };
-        Figure::read(source, mount, truth.as_mut())
+        let mut source = Watched::new(source);
+        let figure = Figure::read(&mut source, mount, truth.as_mut())?;
+        for warning in source.warnings() {
+            print_line(&warning);
+        }
+        Ok(figure)
     }
 }

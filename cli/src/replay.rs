@@ -26,6 +26,7 @@ use crate::device::FilterName;
 use crate::progress;
 use crate::reading::Reading;
 use crate::source::{Point, Source};
+use crate::watched::Watched;
 
 /// First line of the output.
 const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
@@ -47,7 +48,8 @@ const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
 
 JSON: input, filter, mount, samples, seconds, flags (how many samples have each); with truth
 inclination_samples, inclination_rms_deg, inclination_p95_deg, inclination_max_deg,
-within_3_sigma (a share), median_error_per_sigma; of a flight log also log with bursts_lost,
+within_3_sigma (a share), median_error_per_sigma; warnings (of clipping, and of vibration that is
+too strong), if there are any; of a flight log also log with bursts_lost,
 damaged_pieces, damaged_bytes, cut_off (a gzip file that ends too early), exact, compared,
 different, revision_flown.")]
 pub struct Options {
@@ -84,6 +86,8 @@ struct Summary {
     flags: BTreeMap<&'static str, u64>,
     #[serde(flatten)]
     score: Option<Score>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    warnings: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     log: Option<LogSummary>,
 }
@@ -120,6 +124,9 @@ impl Summary {
             Some(score) => format!("inclination error: {score}"),
             None => "inclination error: unknown, the recording has no truth that counts".to_owned(),
         });
+        for warning in &self.warnings {
+            print_line(warning);
+        }
         let Some(log) = &self.log else {
             return Ok(());
         };
@@ -193,6 +200,7 @@ fn replay(
     source: &mut dyn Source,
 ) -> Result<Summary, Box<dyn Error>> {
     let input = &options.reading.input;
+    let mut source = Watched::new(source);
     let mut output = match &options.output {
         Some(path) => Some(Attitudes::create(path, input)?),
         None => None,
@@ -240,6 +248,7 @@ fn replay(
             .map(|(name, _, count)| (name, count))
             .collect(),
         score: errors.score(),
+        warnings: source.warnings(),
         log: None,
     })
 }

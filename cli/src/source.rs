@@ -17,6 +17,7 @@ use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::flight_log::Flight;
 use aplomb_recordings::log::{Lines, Row, parse_row};
+use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::START_US;
 
 use crate::device::{Device, FilterName};
@@ -75,6 +76,11 @@ pub trait Source {
     fn has_flags(&self) -> bool {
         true
     }
+
+    /// Returns messages on what harms the accuracy of the points so far.
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
 }
 
 /// Options of a log.
@@ -99,6 +105,7 @@ pub struct Log {
     /// Rows that were read ahead.
     ahead: VecDeque<LogRow>,
     device: Device,
+    plateaus: Plateaus,
 }
 
 /// Row of a log.
@@ -121,6 +128,7 @@ impl Log {
             options,
             ahead: VecDeque::new(),
             device: Device::for_samples(options.filter, &settings, options.delay_us),
+            plateaus: Plateaus::default(),
         };
         while log.ahead.len() < ROWS_AHEAD
             && let Some(row) = log.read()?
@@ -151,10 +159,14 @@ impl Log {
         };
         let row =
             parse_row(line, self.options.columns).map_err(|fault| self.lines.refuse(fault))?;
-        let sample = self
+        let mut sample = self
             .options
             .sample(&row)
             .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        if self.options.ranges.is_none() {
+            let clipped = (self.plateaus).check(row.specific_force_m_s2, row.rates_rad_s);
+            (sample.is_force_saturated, sample.is_rate_saturated) = (clipped.force, clipped.rate);
+        }
         Ok(Some(LogRow {
             t_us: row.time_us,
             sample,
@@ -189,6 +201,10 @@ impl LogOptions {
 }
 
 impl Source for Log {
+    fn warnings(&self) -> Vec<String> {
+        self.plateaus.message().into_iter().collect()
+    }
+
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
         let row = match self.ahead.pop_front() {
             Some(row) => Some(row),

@@ -1,0 +1,46 @@
+//! Watch over a recording: messages on what harms its accuracy.
+
+use std::error::Error;
+
+use aplomb_recordings::vibration::Vibration;
+
+use crate::source::{Point, Source};
+
+/// Source that passes its points on, and measures the vibration.
+pub struct Watched<'a> {
+    source: &'a mut dyn Source,
+    vibration: Vibration,
+}
+
+impl<'a> Watched<'a> {
+    /// Starts to watch a source.
+    pub fn new(source: &'a mut dyn Source) -> Self {
+        Self {
+            source,
+            vibration: Vibration::default(),
+        }
+    }
+}
+
+impl Source for Watched<'_> {
+    fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
+        let point = self.source.next()?;
+        if let Some(point) = &point
+            && let Some(force) = point.specific_force_m_s2
+        {
+            let force = [force.x, force.y, force.z].map(f64::from);
+            self.vibration.add(point.t_us, force);
+        }
+        Ok(point)
+    }
+
+    fn has_flags(&self) -> bool {
+        self.source.has_flags()
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        let mut warnings = self.source.warnings();
+        warnings.extend(self.vibration.message());
+        warnings
+    }
+}
