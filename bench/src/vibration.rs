@@ -2,9 +2,9 @@
 //!
 //! The flights and hovers are simulated, with vibration on all axes of both sensors (see
 //! `aplomb_models::motion::vibration`). The sensor is the modelled MPU-6050 at the firmware's
-//! settings: converters at 8 kHz that clip at ±16 g and ±2000 °/s, the low-pass filter, and samples
-//! at 1 kHz. It has noise and its rate error per g, but no offset and no error of scale. So the
-//! errors are those of the vibration.
+//! settings: converters at 8 kHz that clip at ±16 g and ±2000 °/s, the low-pass filter, and
+//! samples at 1 kHz. It has noise and its rate error per g, but no offset and no error of scale.
+//! So the errors are those of the vibration.
 
 use std::fmt::Write as _;
 

@@ -8,8 +8,8 @@ use common::{aplomb, file, path};
 
 const GRAVITY: f64 = 9.80665;
 
-/// Returns the log of a sensor that rolls to and fro by 60° at 200 Hz, with rates of up to 260 °/s
-/// that stop at this limit, and a vibration of this amplitude.
+/// Returns the log of a sensor that rolls to and fro by 60°, sampled at 200 Hz. Its rates reach
+/// 260 °/s but stop at this limit, and it has a vibration of this amplitude.
 fn log(limit_deg_s: f64, vibration_g: f64) -> String {
     let mut text = "t_us,ax,ay,az,gx,gy,gz\n".to_owned();
     for row in 0..2_000 {

@@ -2,22 +2,22 @@
 //!
 //! Register counts show saturation by themselves, values in SI units do not: the full scale is
 //! unknown. A clipped axis reads its largest value again and again, and never a larger one. The
-//! detector works row by row and keeps a few numbers per axis and sign, because offsets make the two
-//! ends differ. A plateau needs evidence:
+//! detector works row by row and keeps a few numbers per axis and sign, because offsets make the
+//! two ends differ. A plateau needs evidence:
 //!
 //! - the value is one that a full scale can have: 100 °/s or 1.8 g at least;
 //! - it repeats exactly, right after a step towards it of at least 0.5 % of it and eight times the
 //!   resolution. The step before counts too, because clipping shortens the last one. A smooth peak
 //!   slows down before it repeats a value;
-//! - the last step comes from more than half of it. A turn at a constant rate, of a turntable or of a
-//!   synthetic recording, starts from rest;
+//! - the last step comes from more than half of it. A turn at a constant rate, of a turntable or of
+//!   a synthetic recording, starts from rest;
 //! - this happens with four equal samples in a row, or twice with two.
 //!
 //! Then all samples at this value count as saturated. The price of working row by row: the samples
 //! of the plateau before its evidence do not count, three at most after a single approach. The
 //! resolution is the smallest difference so far, so a start in fast motion delays the evidence by
-//! about a second. A larger value later withdraws the plateau. Clipping ahead of a filter, a rotation or a misalignment
-//! matrix leaves no equal values, and stays hidden.
+//! about a second. A larger value later withdraws the plateau. Clipping ahead of a filter, a
+//! rotation or a misalignment matrix leaves no equal values, and stays hidden.
 
 use std::fmt::Write as _;
 

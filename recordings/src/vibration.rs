@@ -107,8 +107,8 @@ impl Vibration {
 mod tests {
     use super::*;
 
-    /// Returns the measurement of ten seconds: a sine on one axis from 4 s to 7 s, on top of a swing
-    /// of the gravity.
+    /// Returns the measurement of ten seconds: a sine on one axis from 4 s to 7 s, on top of a
+    /// swing of the gravity.
     fn measure(amplitude_g: f64, hertz: f64, rate_hz: u32) -> Vibration {
         let mut vibration = Vibration::default();
         for row in 0..10 * rate_hz {

@@ -6,7 +6,7 @@
 //!
 //! - `q = q₀ ⊗ exp(θ)`, with the rocking angle θ;
 //! - `ω = exp(−θ)·ω₀ + J(θ)·θ'`, with the right Jacobian J of SO(3);
-//! - `f = exp(−θ)·(f₀ + a)`, with the shaking acceleration a in the axes of the unshaken vehicle.
+//! - `f = exp(−θ)·(f₀ + a)`, with the shaking acceleration a in axes of the unshaken vehicle.
 //!
 //! The mean of a is zero there, so the vehicle flies as before. Force and rocking are correlated,
 //! so what a sensor's filter takes from them leaves coning and sculling errors.
@@ -17,8 +17,8 @@ use super::geometry::{Quaternion, Vector, add, cross, norm, scale};
 use super::{Motion, Truth};
 use crate::random::Random;
 
-/// Amplitudes of the fundamental and its harmonics. The fourth harmonic of 250 Hz is at 1 kHz, where
-/// sampling at 1 kHz turns it into a slowly changing force.
+/// Amplitudes of the fundamental and its harmonics. The fourth harmonic of 250 Hz is at 1 kHz,
+/// where sampling at 1 kHz turns it into a slowly changing force.
 const AMPLITUDES: [f64; 4] = [1.0, 0.5, 0.25, 0.125];
 
 /// Share by which the frequency wanders to both sides.
@@ -132,8 +132,8 @@ impl<M: Motion> Motion for Vibrating<M> {
     }
 }
 
-/// Returns J(θ)·θ', the body rates of exp(θ): the right Jacobian of SO(3) (Chirikjian, *Stochastic
-/// Models, Information Theory, and Lie Groups*, vol. 2, 2012, eq. 10.86).
+/// Returns J(θ)·θ', the body rates of exp(θ), with the right Jacobian of SO(3)
+/// (Chirikjian, *Stochastic Models, Information Theory, and Lie Groups*, vol. 2, 2012).
 fn jacobian(angle: Vector, angle_rate: Vector) -> Vector {
     let length = norm(angle);
     let (first, second) = if length < 1e-4 {
