@@ -108,7 +108,17 @@ fn clipped(recording: &Recording, share: f64) -> Recording {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::folders::Folders;
     use crate::simulated::flight_for;
+    use aplomb::attitude::Vector3;
+    use aplomb::estimator::Sample;
+    use std::path::Path;
+
+    /// Smallest full scale that the detector takes for one, rad/s.
+    const LEAST_RATE_RAD_S: f32 = 100.0 * std::f32::consts::PI / 180.0;
+
+    /// Most clipped samples of a copy that stay unmarked, at all six ends together.
+    const MOST_UNMARKED: usize = 60;
 
     #[test]
     fn a_clipped_copy_stops_at_its_share_and_is_found() {
@@ -126,5 +136,49 @@ mod tests {
         assert!(copy.samples.iter().any(|sample| sample.is_rate_saturated));
         assert!(copy.samples.iter().all(|sample| !sample.is_force_saturated));
         assert!(copy.warnings()[0].starts_with("simulated/flight 1000: clipped: "));
+    }
+
+    #[test]
+    fn recordings_at_hand_are_not_clipped_but_their_clipped_copies_are() {
+        let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
+        let sets = ["broad", "tumvi", "xio"].map(|set| data.join(set));
+        if !sets.iter().all(|set| set.is_dir()) {
+            println!("skipped: there are no recordings of BROAD, TUM-VI and xio");
+            return;
+        }
+        let folders = Folders {
+            paths: &sets,
+            ..Folders::default()
+        };
+        let (recordings, _) = folders.read().unwrap();
+        assert!(recordings.len() >= 18, "{}", recordings.len());
+        let mut found = 0;
+        for recording in &recordings {
+            assert_eq!(recording.warnings(), [""; 0]);
+            for share in SHARES.into_iter().skip(1) {
+                let mut copy = clipped(recording, share);
+                copy.mark_clipping();
+                let components = |rate: Vector3| [rate.x, rate.y, rate.z].map(f32::abs);
+                let rates = copy.samples.iter().map(|sample| sample.angular_rate_rad_s);
+                let limit = rates.flat_map(components).fold(0.0, f32::max);
+                if limit < LEAST_RATE_RAD_S {
+                    continue;
+                }
+                let is_at_limit =
+                    |sample: &&Sample| components(sample.angular_rate_rad_s).contains(&limit);
+                let at_limit = copy.samples.iter().filter(is_at_limit).count();
+                let marked = copy
+                    .samples
+                    .iter()
+                    .filter(|sample| sample.is_rate_saturated);
+                let marked = marked.count();
+                let name = format!("{}/{} {share}", copy.set, copy.name);
+                // The evidence of each end takes a few samples.
+                let range = marked..=marked + MOST_UNMARKED;
+                assert!(range.contains(&at_limit), "{name}: {marked} of {at_limit}");
+                found += usize::from(copy.clipping.is_some());
+            }
+        }
+        assert!(found >= 45, "{found}");
     }
 }

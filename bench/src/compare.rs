@@ -37,8 +37,8 @@ use crate::{
 
 JSON: scores, one for each recording and filter (set, recording, reference, sensor_delay_us, filter,
 inclination_samples, inclination_rms_deg, inclination_p95_deg, inclination_max_deg,
-within_3_sigma (a share), median_error_per_sigma), and not_scored (file, line if one is to blame,
-reason).
+within_3_sigma (a share), median_error_per_sigma), not_scored (file, line if one is to blame,
+reason), and warnings of clipping and vibration, if there are any.
 
 Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage.")]
 pub struct Options {
@@ -112,12 +112,13 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if recordings.is_empty() && !options.folders.is_empty() {
         return Err(folders.nothing_to_score(&not_scored).into());
     }
+    let warnings: Vec<String> = recordings.iter().flat_map(Recording::warnings).collect();
     if !options.json {
         for not_scored in &not_scored {
             print_line(&format!("not scored: {not_scored}"));
         }
-        for warning in recordings.iter().flat_map(Recording::warnings) {
-            print_line(&warning);
+        for warning in &warnings {
+            print_line(warning);
         }
     }
     if options.clipping {
@@ -142,7 +143,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let rows = score(&recordings);
     let names = Choice::ALL.map(Choice::name);
     if options.json {
-        print_line(&report::json(&names, &rows, &not_scored)?);
+        print_line(&report::json(&names, &rows, warnings, &not_scored)?);
         return Ok(());
     }
     print_and_draw(options, &names, &rows)

@@ -123,11 +123,14 @@ pub fn csv(names: &[&str], rows: &[Row<'_>]) -> String {
 pub fn json(
     names: &[&str],
     rows: &[Row<'_>],
+    warnings: Vec<String>,
     not_scored: &[NotScored],
 ) -> serde_json::Result<String> {
     #[derive(serde::Serialize)]
     struct Scores<'a> {
         scores: Vec<Scored<'a>>,
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        warnings: Vec<String>,
         not_scored: &'a [NotScored],
     }
     #[derive(serde::Serialize)]
@@ -153,6 +156,7 @@ pub fn json(
     });
     serde_json::to_string(&Scores {
         scores: scores.collect(),
+        warnings,
         not_scored,
     })
 }

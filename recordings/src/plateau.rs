@@ -325,12 +325,10 @@ mod tests {
     fn constant_and_switched_turns_are_not_clipped() {
         let constant = std::iter::repeat_n(200.0 * DEGREE, 10_000);
         assert_eq!(check(constant), (0, None));
-        let switched = (0..10_000).map(|row| {
-            if row / 500 % 2 == 0 {
-                0.0
-            } else {
-                200.0 * DEGREE
-            }
+        // The noise at rest shows the resolution.
+        let switched = (0..10_000).map(|row| match row / 500 % 2 {
+            0 => f64::from(row % 7) * 1e-3,
+            _ => 200.0 * DEGREE,
         });
         assert_eq!(check(switched), (0, None));
         // No full scale is that small.
