@@ -1,9 +1,14 @@
 //! Tests of the rules of ARCHITECTURE.md: allowed imports, allowed places of `unsafe`, and the
 //! reserved part of a chip's flash map.
 
+#[path = "layout/tree.rs"]
+mod tree;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+
+use tree::{files_below, read, root};
 
 /// Parts of the library, each with the parts that it may import. `A → [B]` reads "A may import
 /// B".
@@ -200,7 +205,7 @@ fn unsafe_is_only_in_the_board_and_gives_its_reason() {
 fn writing_firmware_never_erases_the_whole_chip() {
     // An erase of the whole chip would erase the stored calibration too.
     for file in ["Embed.toml", ".cargo/config.toml", "xtask/src/main.rs"] {
-        let contents = fs::read_to_string(root().join(file)).expect("the file is there");
+        let contents = read(file);
         assert!(contents.contains("probe-rs") || contents.contains("[default.flashing]"));
         for asks in ["chip-erase", "do_chip_erase = true", "probe-rs erase"] {
             assert!(!contents.contains(asks), "{file} asks for `{asks}`");
@@ -210,7 +215,7 @@ fn writing_firmware_never_erases_the_whole_chip() {
 
 #[test]
 fn every_package_takes_the_lints_of_the_workspace() {
-    let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("a manifest");
+    let manifest = read("Cargo.toml");
     let members = manifest
         .lines()
         .find_map(|line| line.strip_prefix("members = ["))
@@ -277,29 +282,12 @@ fn part_of(path: &Path) -> String {
     first.trim_end_matches(".rs").to_owned()
 }
 
+/// Returns the Rust files below a folder, sorted by their paths.
 fn rust_files(folder: &str) -> Vec<(PathBuf, String)> {
-    let mut found = Vec::new();
-    let mut folders = vec![root().join(folder)];
-    while let Some(folder) = folders.pop() {
-        let entries = fs::read_dir(&folder)
-            .unwrap_or_else(|error| panic!("cannot read {}: {error}", folder.display()));
-        for entry in entries {
-            let path = entry.expect("the folder can be listed").path();
-            if path.is_dir() {
-                // A build of an example in its own folder creates this folder.
-                if !path.ends_with("target") {
-                    folders.push(path);
-                }
-            } else if path.extension().is_some_and(|extension| extension == "rs") {
-                let contents = fs::read_to_string(&path).expect("source files are text");
-                found.push((path, contents));
-            }
-        }
-    }
-    found.sort();
-    found
-}
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+    let files = files_below(folder, &["rs"]).into_iter();
+    let mut files: Vec<_> = files
+        .map(|(path, text)| (root().join(path), text))
+        .collect();
+    files.sort();
+    files
 }

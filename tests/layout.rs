@@ -7,12 +7,13 @@
 mod imports;
 #[path = "layout/source.rs"]
 mod source;
+#[path = "layout/tree.rs"]
+mod tree;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::path::{Path, PathBuf};
 
 use imports::Crate;
+use tree::{files_below, read, root};
 
 const MOST_COLUMNS: usize = 100;
 const MOST_LINES_OF_A_FILE: usize = 600;
@@ -194,7 +195,7 @@ fn doc_comments_open_with_a_verb_or_a_noun() {
 #[test]
 fn no_two_files_import_each_other() {
     let mut crates: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
-    let files = files(&["rs"]);
+    let files = files_below("", &["rs"]);
     let roots: BTreeSet<&str> = files
         .keys()
         .filter_map(|path| {
@@ -443,7 +444,7 @@ fn paths_in_backticks(page: &str) -> Vec<&str> {
 
 /// Applies a rule to all files with one of these endings, and fails with the list of findings.
 fn check(endings: &[&str], rule: impl Fn(&str, &str) -> Vec<Finding>) {
-    let files = files(endings);
+    let files = files_below("", endings);
     assert!(
         files.len() > 200,
         "the search finds files at all: {}",
@@ -484,42 +485,4 @@ fn is_test(path: &str) -> bool {
 fn is_below(path: &str, folder: &str) -> bool {
     path.strip_prefix(folder)
         .is_some_and(|rest| rest.starts_with('/'))
-}
-
-/// The workspace's files with one of these endings: path from its root, and contents.
-fn files(endings: &[&str]) -> BTreeMap<String, String> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![root()];
-    while let Some(folder) = folders.pop() {
-        let entries = fs::read_dir(&folder)
-            .unwrap_or_else(|error| panic!("cannot read {}: {error}", folder.display()));
-        for entry in entries {
-            let path = entry.expect("the folder can be listed").path();
-            if path.is_dir() {
-                // Built files, and folders that git keeps or ignores.
-                let kept_out = ["target", ".git", "artifacts", "corpus", "coverage"];
-                if !kept_out.iter().any(|name| path.ends_with(name)) {
-                    folders.push(path);
-                }
-                continue;
-            }
-            let ending = path.extension().and_then(|ending| ending.to_str());
-            if ending.is_some_and(|ending| endings.contains(&ending)) {
-                let text = fs::read_to_string(&path)
-                    .unwrap_or_else(|error| panic!("cannot read {}: {error}", path.display()));
-                let path = path.strip_prefix(root()).expect("it is below the root");
-                let path = path.to_str().expect("names are ASCII").replace('\\', "/");
-                found.insert(path, text);
-            }
-        }
-    }
-    found
-}
-
-fn read(file: &str) -> String {
-    fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"))
-}
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).to_owned()
 }
