@@ -23,3 +23,17 @@ pub(super) fn direction(force_m_s2: Vector3) -> Option<Vector3> {
 pub(super) fn whole_degrees(degrees: f32) -> i32 {
     (degrees + 0.5) as i32
 }
+
+/// Returns the specific force of a body at rest, in body axes, m/s².
+#[cfg(test)]
+pub(super) fn gravity_in(roll_degrees: f32, pitch_degrees: f32) -> Vector3 {
+    use crate::attitude::{EulerAngles, Quaternion};
+    use crate::units::radians;
+
+    let attitude = Quaternion::from_euler(EulerAngles {
+        roll_rad: radians(roll_degrees),
+        pitch_rad: radians(pitch_degrees),
+        yaw_rad: 0.0,
+    });
+    -attitude.down_in_body().scale(STANDARD_GRAVITY_M_S2)
+}

@@ -152,17 +152,8 @@ fn nearest(forward: Vector3, down: Vector3) -> Result<Mount, MountError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::attitude::{EulerAngles, Quaternion};
+    use crate::calibration::gravity::gravity_in;
     use crate::units::STANDARD_GRAVITY_M_S2;
-
-    fn gravity_in(roll_degrees: f32, pitch_degrees: f32) -> Vector3 {
-        let attitude = Quaternion::from_euler(EulerAngles {
-            roll_rad: radians(roll_degrees),
-            pitch_rad: radians(pitch_degrees),
-            yaw_rad: 0.0,
-        });
-        -attitude.down_in_body().scale(STANDARD_GRAVITY_M_S2)
-    }
 
     #[test]
     fn every_mount_is_found_from_two_poses_held_roughly() {
