@@ -16,11 +16,10 @@ const LONGEST_PAUSE_S: f32 = 60.0;
 /// Longest step in which the rate changes linearly, s.
 pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
-/// σ per axis of the rate while the gyroscope reads full scale, in rad/s. Six σ exceed the whole
-/// scale.
-const HIDDEN_RATE_RAD_S: f32 = radians(400.0);
-/// Duration of full-scale readings of the gyroscope after which the tilt is lost, s: 20° by then.
-const LONG_SATURATION_S: f32 = 10.0e-3;
+/// σ of the tilt, both axes together, from which on full-scale readings have lost it, rad.
+const LOST_TILT_RAD: f32 = radians(30.0);
+/// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
+const HIDDEN_SHARE: f32 = 0.2;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
 const SATURATED_TILT: f32 = 0.3;
 /// Velocity variance per second of full-scale accelerometer readings, (m/s)²/s.
@@ -51,12 +50,13 @@ impl Kalman {
         let saturated_s = self.saturated_s;
         if sample.is_rate_saturated {
             self.saturated_s = saturated_s + dt_s;
-            let hidden = |duration_s| turn_variance(HIDDEN_RATE_RAD_S, duration_s);
-            self.inflate_tilt(hidden(self.saturated_s) - hidden(saturated_s));
+            let reading = sample.angular_rate_rad_s;
+            let hidden = square(HIDDEN_SHARE) * reading.dot(reading);
+            self.inflate_tilt(hidden * (square(self.saturated_s) - square(saturated_s)));
             self.interval.unseen_tilt_rad2 += SATURATED_TILT * dt_s;
         } else {
             self.saturated_s = 0.0;
-            if saturated_s >= LONG_SATURATION_S {
+            if saturated_s > 0.0 && self.conservative_tilt_variance() > square(LOST_TILT_RAD) {
                 return true;
             }
         }
