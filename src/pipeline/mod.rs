@@ -49,7 +49,7 @@ pub use snapshot::Snapshot;
 
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, StationaryDetector, StationaryMean};
-use crate::estimator::kalman::{Kalman, WarmStart};
+use crate::estimator::kalman::{AccelerometerKnowledge, Kalman, WarmStart};
 use crate::estimator::{Estimator, Filter, Issues, Sample};
 use crate::health::{BoardFlags, Flags, Monitor};
 use crate::mpu6050::{Burst, RawSample, TemperatureCounts};
@@ -107,6 +107,7 @@ impl Pipeline {
         let filter = pipeline.estimator.filter_mut();
         filter.set_delay(settings.delay_s());
         filter.set_sample_period(1.0 / sensor.sample_rate_hz());
+        filter.set_accelerometer_knowledge(settings.accelerometer_knowledge());
         pipeline.apply_stored_offset();
         pipeline
     }
@@ -238,6 +239,10 @@ impl Pipeline {
         let before = self.settings;
         let removed_before = self.alignment.gyroscope_offset_rad_s();
         self.settings.calibration = *calibration;
+        if before.calibration.accelerometer != calibration.accelerometer {
+            let knowledge = self.settings.accelerometer_knowledge();
+            self.kalman_mut().set_accelerometer_knowledge(knowledge);
+        }
         let has_other_axes = before.mount() != self.settings.mount()
             || before.calibration.level != calibration.level;
         if has_other_axes {
@@ -253,6 +258,12 @@ impl Pipeline {
             let change = removed_before - self.alignment.gyroscope_offset_rad_s();
             self.kalman_mut().shift_bias(change);
         }
+    }
+
+    /// Sets what is known of the accelerometer's offset, for samples that are calibrated elsewhere:
+    /// those of a recording in SI units. Default: by the calibration of the settings.
+    pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
+        self.kalman_mut().set_accelerometer_knowledge(knowledge);
     }
 
     /// Arms (`true`) the filter. An armed filter skips the updates that are only safe on the

@@ -1,6 +1,7 @@
 //! Settings of a pipeline: sensor configuration, part, mount and calibration.
 
-use crate::calibration::{Calibration, Mount, NoiseModel, SensorSetup};
+use crate::calibration::{AccelerometerCorrection, Calibration, Mount, NoiseModel, SensorSetup};
+use crate::estimator::kalman::AccelerometerKnowledge;
 use crate::mpu6050::{Config, Part};
 use crate::serialize::StateVisitor;
 
@@ -43,6 +44,20 @@ impl Settings {
     /// Returns the mount in use: the calibration's, or else that of the settings.
     pub fn mount(&self) -> Mount {
         self.calibration.mount.unwrap_or(self.mount)
+    }
+
+    /// Returns what the calibration tells of the accelerometer's offset.
+    pub(super) fn accelerometer_knowledge(&self) -> AccelerometerKnowledge {
+        let Some(AccelerometerCorrection { matrix, .. }) = self.calibration.accelerometer else {
+            return AccelerometerKnowledge::Factory;
+        };
+        // Six poses do not show the cross-axis terms.
+        let has_cross_axis_terms = [matrix.xy, matrix.xz, matrix.yz] != [0.0; 3];
+        if has_cross_axis_terms {
+            AccelerometerKnowledge::Calibrated
+        } else {
+            AccelerometerKnowledge::SixPoses
+        }
     }
 
     /// Returns the sensor's scales, and its noise behind the low-pass filter.

@@ -577,6 +577,17 @@ fn a_gyroscope_stuck_at_full_scale_gives_no_valid_attitude() {
     }
 }
 
+/// A sensor that repeats its registers for seconds, and then shows another offset.
+#[test]
+fn frozen_data_measure_no_offset() {
+    let mut pipeline = Pipeline::new(&settings());
+    for step in 1..=3_000 {
+        let frozen = burst(Mount::Z_UP, step * 1_000, LEVEL, Vector3::ZERO);
+        let flags = update(&mut pipeline, &frozen).flags;
+        assert!(!flags.contains(Flags::VALID), "{step}");
+    }
+}
+
 #[test]
 fn frozen_data_inflate_sigma() {
     let (mut pipeline, t_us) = settled();

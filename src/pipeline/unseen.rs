@@ -44,6 +44,7 @@ impl UnseenMotion {
         let last_t_us = estimator.last_t_us().unwrap_or(sample.t_us);
         let filter = estimator.filter_mut();
         if flags.contains(Flags::FROZEN) {
+            filter.interrupt_rest();
             let step_us = sample.t_us.saturating_sub(last_t_us);
             let step_us = u32::try_from(step_us).unwrap_or(u32::MAX);
             let step_s = if self.frozen_s > 0.0 {

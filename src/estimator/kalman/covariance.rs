@@ -14,6 +14,7 @@
 //! half. Operations on X and C work on one row each, so that a caller can spread them over several
 //! samples.
 
+use super::prior::ParameterPriors;
 use super::propagation::{DYNAMIC, Effect, GYROSCOPE_PARAMETERS, PARAMETERS, Transition};
 use crate::serialize::StateVisitor;
 
@@ -76,15 +77,11 @@ impl Covariance {
     };
 
     /// Sets the parameters' variances, and all correlations between them to zero.
-    pub(super) fn reset_parameters(&mut self, variances: &[f32; PARAMETERS]) {
+    #[inline(never)]
+    pub(super) fn reset_parameters(&mut self, priors: &ParameterPriors<'_>) {
         self.triangle.fill(0.0);
-        let mut end = 0;
-        for (parameter, variance) in variances.iter().enumerate() {
-            end += parameter;
-            if let Some(own) = self.triangle.get_mut(end) {
-                *own = *variance;
-            }
-            end += 1;
+        for parameter in 0..PARAMETERS {
+            self.set_parameter_variance(parameter, priors.variance(parameter));
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
+use super::rest_watch::RestWatch;
 use super::tuning::square;
 use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, Tilt};
 use crate::attitude::{Quaternion, Vector3};
@@ -48,7 +49,7 @@ impl Kalman {
             delay_s: self.delay_s,
             longest_step_s: self.longest_step_s,
             is_armed: self.is_armed,
-            ..Self::with_tuning(self.tuning)
+            ..Self::fresh(self.tuning, self.accelerometer_m_s2)
         };
         self.nominal.attitude = attitude;
     }
@@ -80,12 +81,14 @@ impl Kalman {
 
     /// Resets tilt (variance per axis, rad²) and velocity, and abandons the covariance step under
     /// way.
+    #[inline(never)]
     pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;
         covariance.reset_motion(tilt_variance, velocity_variance);
         self.step.abandon();
         self.has_work = false;
+        self.rest_watch = RestWatch::NONE;
         self.interval = Interval::EMPTY;
         self.nominal.velocity_m_s = [0.0; 2];
         self.mean_force_m_s2 = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);

@@ -1,8 +1,9 @@
 //! Measurements of a covariance step: zero velocity, zero rate at rest, and the width of the bias
 //! prior.
 
-use super::prior::{BiasPrior, parameter_variances};
+use super::prior::BiasPrior;
 use super::propagation::{Interval, PARAMETERS};
+use super::rest_watch::NewRest;
 use super::slices::{Measurement, State};
 use super::stationary::StationaryReadings;
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
@@ -60,20 +61,24 @@ impl Kalman {
         }
     }
 
-    /// Adds zero-rate and zero-velocity updates, each only if it passes its gate. A first rest that
-    /// contradicts the state reached in motion makes the next sample restart the filter.
+    /// Adds zero-rate and zero-velocity updates, each only if it passes its gate. Readings that
+    /// contradict the bias make the next sample restart the filter: those of the first rest at
+    /// once, later ones when no motion can explain them.
     fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) {
         let tuning = self.tuning;
         let difference = readings.rate_rad_s - self.nominal.gyroscope_bias_rad_s;
         if !self.has_rested && !self.passes_gate(difference, FIRST_REST_GATE_SIGMA) {
-            self.tilt = Tilt::Restarting;
-            self.is_bias_known = false;
+            self.await_restart_at_rest();
             return;
         }
         self.has_rested = true;
         if self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
             let variance = square(tuning.stationary_rate_noise) / duration_s;
             self.measure_bias(difference, variance);
+            self.rest_watch.begins = true;
+        } else if self.is_offset_wrong(readings, difference, duration_s) {
+            self.await_restart_at_rest();
+            return;
         }
         let mut velocity_noise = self.velocity_noise();
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
@@ -86,6 +91,34 @@ impl Kalman {
             self.reset_coasting(velocity_noise / duration_s);
         }
         self.measure_velocity(velocity_noise / duration_s);
+    }
+
+    /// Compares the present readings with those of the last rest, twice in each covariance step.
+    #[inline(never)]
+    pub(super) fn watch_rest(&mut self) {
+        self.rest_watch
+            .update(&self.nominal, &self.stationary, self.tuning);
+    }
+
+    fn is_offset_wrong(
+        &mut self,
+        readings: &StationaryReadings,
+        difference_rad_s: Vector3,
+        duration_s: f32,
+    ) -> bool {
+        let rest = NewRest {
+            mean_rate_rad_s: difference_rad_s,
+            rate_rad_s: self.nominal.rate_rad_s,
+            force_m_s2: readings.force_m_s2,
+            quiet_s: self.stationary.quiet_s(),
+        };
+        self.rest_watch.is_offset_wrong(&rest, duration_s)
+    }
+
+    /// Makes the next sample restart the filter from the readings at rest.
+    fn await_restart_at_rest(&mut self) {
+        self.tilt = Tilt::Restarting;
+        self.is_bias_known = false;
     }
 
     /// Resets a velocity that the tilt's error cannot explain: the vehicle moves steadily, and the
@@ -176,9 +209,7 @@ impl Kalman {
         };
         let parameter = usize::from(self.next_parameter);
         let factor = 1.0 - (TURNS * duration_s / self.tuning.parameter_memory_s).min(1.0);
-        let priors = parameter_variances(self.tuning, &[0.0; 3]);
-        let prior = priors.get(parameter).copied().unwrap_or(0.0);
-        let added = (1.0 - square(factor)) * prior;
+        let added = (1.0 - square(factor)) * self.parameter_priors().variance(parameter);
         let covariance = &mut self.step.covariance;
         covariance.scale_parameter(parameter, factor, added);
         self.nominal.scale_parameter(parameter, factor);
@@ -196,7 +227,7 @@ impl Kalman {
         if self.recover_from_wrong_gravity() {
             return;
         }
-        self.held_tilt_rad2 = self.conservative_tilt_variance();
+        self.held_tilt_rad2 = self.covariance_tilt_variance();
         let covariance = &mut self.step.covariance;
         let mut bias = 0.0;
         for axis in 0..3 {

@@ -48,6 +48,10 @@
 //! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and
 //!   neither runs while armed. If the first rest contradicts the state reached in motion, the
 //!   filter restarts at that rest.
+//! - An offset that changes at rest is found again: readings that no motion explains restart the
+//!   filter. Until then σ includes the turn that the specific force does not show.
+//! - An offset that changes in motion is not noticed at once: in flight a tilt error of some
+//!   degrees looks like an acceleration.
 //! - Only a rest, of this run or an earlier one, makes the bias known ([`Filter::is_bias_known`]).
 //!   In motion, a large bias about the vertical can mislead the filter, and its σ too.
 //! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
@@ -58,8 +62,8 @@
 //!
 //! # Cost
 //!
-//! Deadline: one sample. At 1 kHz a sample costs about 335 instructions on a Cortex-M4F on average,
-//! covariance included, and below 800 at worst. At 100 Hz the worst case is 1,100. No loop's length
+//! Deadline: one sample. At 1 kHz a sample costs about 310 instructions on a Cortex-M4F on average,
+//! covariance included, and 750 at worst. At 100 Hz the worst case is 1,100. No loop's length
 //! depends on data.
 
 mod covariance;
@@ -70,6 +74,7 @@ mod prior;
 mod propagation;
 mod recent_velocity;
 mod recovery;
+mod rest_watch;
 mod slices;
 mod stationary;
 mod tuning;
@@ -78,7 +83,7 @@ mod unseen;
 #[cfg(test)]
 mod tests;
 
-pub use prior::WarmStart;
+pub use prior::{AccelerometerKnowledge, WarmStart};
 pub use tuning::Tuning;
 pub use unseen::PAUSE_RATE_RAD_S;
 
@@ -89,9 +94,10 @@ use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 use covariance::Column;
 use nominal::NominalState;
-use prior::{BiasPrior, parameter_variances};
+use prior::{BiasPrior, ParameterPriors};
 use propagation::{GYROSCOPE_PARAMETERS, Interval, PARAMETERS};
 use recent_velocity::RecentVelocity;
+use rest_watch::RestWatch;
 use slices::{CovarianceStep, Progress};
 use stationary::StationaryDetector;
 use tuning::square;
@@ -151,6 +157,9 @@ pub struct Kalman {
     /// Mean specific force in earth axes over the recovery time, m/s².
     mean_force_m_s2: Vector3,
     step: CovarianceStep,
+    rest_watch: RestWatch,
+    /// σ of the accelerometer's bias before the first sample, m/s².
+    accelerometer_m_s2: f32,
 }
 
 /// Source of the tilt, now or with the next sample.
@@ -250,6 +259,10 @@ impl Kalman {
 
     /// Creates a filter with this tuning.
     pub fn with_tuning(tuning: &'static Tuning) -> Self {
+        Self::fresh(tuning, tuning.accelerometer_bias_m_s2)
+    }
+
+    fn fresh(tuning: &'static Tuning, accelerometer_m_s2: f32) -> Self {
         let mut filter = Self {
             tuning,
             delay_s: 0.0,
@@ -265,14 +278,16 @@ impl Kalman {
             interval: Interval::EMPTY,
             stationary: StationaryDetector::new(),
             recent: RecentVelocity::NONE,
+            rest_watch: RestWatch::NONE,
+            accelerometer_m_s2,
             prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
             mean_force_m_s2: Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2),
             next_axis: 0,
             next_parameter: 0,
             held_tilt_rad2: 0.0,
         };
-        let variances = parameter_variances(tuning, &filter.prior.variance);
-        filter.step.covariance.reset_parameters(&variances);
+        let priors = filter.parameter_priors();
+        filter.step.covariance.reset_parameters(&priors);
         filter.reset_motion(square(tuning.start_tilt_rad));
         filter
     }
@@ -280,6 +295,28 @@ impl Kalman {
     /// Sets the delay of the sensor, s. The attitude is extrapolated by it to the sample's time.
     pub const fn set_delay(&mut self, delay_s: f32) {
         self.delay_s = delay_s;
+    }
+
+    /// Sets what is known of the accelerometer's offset, and forgets what motion has shown of it.
+    /// Default: calibrated.
+    pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
+        self.accelerometer_m_s2 = knowledge.sigma_m_s2();
+        if self.tilt == Tilt::Known {
+            self.reset_motion(0.5 * self.conservative_tilt_variance());
+        }
+        let variance = square(self.accelerometer_m_s2);
+        for parameter in GYROSCOPE_PARAMETERS..PARAMETERS {
+            let covariance = &mut self.step.covariance;
+            covariance.scale_parameter(parameter, 0.0, variance);
+            self.nominal.scale_parameter(parameter, 0.0);
+        }
+    }
+
+    fn parameter_priors(&self) -> ParameterPriors<'static> {
+        ParameterPriors {
+            tuning: self.tuning,
+            accelerometer_m_s2: self.accelerometer_m_s2,
+        }
     }
 
     /// Disables (`true`) the zero-rate and zero-velocity updates, which are only safe on the
@@ -311,7 +348,8 @@ impl Kalman {
             match self.step.slice() {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
-                Progress::Propagated => self.relax_parameter(self.step.duration_s()),
+                Progress::Propagated | Progress::Checked => self.watch_rest(),
+                Progress::Relaxing => self.relax_parameter(self.step.duration_s()),
                 Progress::Predicted => {
                     self.held_tilt_rad2 = self.step.tilt_variance_rad2();
                     self.measure();
@@ -348,6 +386,12 @@ impl Kalman {
     /// Returns the filter's own tilt variance, both axes together, rad².
     #[inline]
     fn conservative_tilt_variance(&self) -> f32 {
+        self.covariance_tilt_variance() + self.rest_watch.variance_rad2
+    }
+
+    /// Returns the tilt variance that belongs to the nominal state, both axes together, rad².
+    #[inline]
+    fn covariance_tilt_variance(&self) -> f32 {
         let tilt_rad2 = if self.step.is_under_way() {
             self.held_tilt_rad2
         } else {
@@ -407,6 +451,11 @@ impl Kalman {
         self.stationary.is_still()
     }
 
+    /// Forgets how long the sensor has been stationary, because its readings were no measurements.
+    pub(crate) const fn interrupt_rest(&mut self) {
+        self.stationary.interrupt();
+    }
+
     /// Inflates the tilt by this variance per axis, rad²: motion that no sample shows.
     pub fn inflate_tilt(&mut self, variance: f32) {
         if self.tilt != Tilt::Unknown {
@@ -445,6 +494,8 @@ impl Kalman {
         self.interval.visit_state(visitor);
         self.stationary.visit_state(visitor);
         self.recent.visit_state(visitor);
+        self.rest_watch.visit_state(visitor);
+        visitor.f32(&mut self.accelerometer_m_s2);
         self.prior.visit_state(visitor);
         visitor.vector(&mut self.mean_force_m_s2);
         let mut next_axis = usize::from(self.next_axis);

@@ -1,9 +1,10 @@
 //! Information before the first sample: priors of the parameters, and the state of an earlier run.
 
-use super::propagation::PARAMETERS;
+use super::propagation::GYROSCOPE_PARAMETERS;
 use super::tuning::{Tuning, square};
 use crate::attitude::{Quaternion, Vector3};
 use crate::serialize::StateVisitor;
+use crate::units::STANDARD_GRAVITY_M_S2;
 
 /// State of an earlier run, from which the filter continues.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,28 +44,60 @@ impl BiasPrior {
     }
 }
 
-/// Returns the variances of all parameters before the first sample, from the bias prior and the
-/// tuning.
-pub(super) fn parameter_variances(tuning: &Tuning, bias: &[f32; 3]) -> [f32; PARAMETERS] {
-    let [x, y, z] = *bias;
-    let scale = square(tuning.gyroscope_scale);
-    let skew = square(tuning.gyroscope_misalignment_rad);
-    let accelerometer = square(tuning.accelerometer_bias_m_s2);
-    [
-        x,
-        y,
-        z, // gyroscope bias
-        scale,
-        skew,
-        skew, // gyroscope matrix, by rows
-        skew,
-        scale,
-        skew, //
-        skew,
-        skew,
-        scale, //
-        accelerometer,
-        accelerometer,
-        accelerometer,
-    ]
+/// Knowledge of the accelerometer's offset, which decides its prior.
+///
+/// | knowledge | σ per axis | source |
+/// |---|---|---|
+/// | factory | 18 mg | ±50 mg x and y, ±80 mg z (product specification §6.2) as 2.8 to 4.4 σ |
+/// | six poses | 12 mg | cross-axis terms of ±2 % (§6.2), which six poses leave, and drift |
+/// | calibrated | 7 mg | drift of up to 0.86 mg/°C (§6.2) over 8 °C |
+///
+/// A wide prior keeps σ honest for a sensor with a large offset. A narrow one is more accurate for a
+/// calibrated sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum AccelerometerKnowledge {
+    /// Nothing but the datasheet.
+    Factory,
+    /// Calibrated in six poses: offset and scale.
+    SixPoses,
+    /// Calibrated in twelve poses, or by its maker: offset, scale and cross-axis terms.
+    #[default]
+    Calibrated,
+}
+
+impl AccelerometerKnowledge {
+    /// Returns σ of the offset per axis, m/s².
+    pub const fn sigma_m_s2(self) -> f32 {
+        let sigma_g = match self {
+            Self::Factory => 0.018,
+            Self::SixPoses => 0.012,
+            Self::Calibrated => 0.007,
+        };
+        sigma_g * STANDARD_GRAVITY_M_S2
+    }
+}
+
+/// Priors of the parameters: those of the tuning, and of what is known of this sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct ParameterPriors<'a> {
+    /// Tuning, for the gyroscope's matrix.
+    pub(super) tuning: &'a Tuning,
+    /// σ of the accelerometer's bias, m/s².
+    pub(super) accelerometer_m_s2: f32,
+}
+
+impl ParameterPriors<'_> {
+    /// Returns the variance of a parameter before the first sample. A stored bias of the gyroscope
+    /// has a prior of its own.
+    #[inline]
+    pub(super) fn variance(&self, parameter: usize) -> f32 {
+        // The matrix by rows, with scales on its diagonal, and then the accelerometer's bias.
+        square(match parameter {
+            0..3 => self.tuning.gyroscope_bias_rad_s,
+            3 | 7 | 11 => self.tuning.gyroscope_scale,
+            ..GYROSCOPE_PARAMETERS => self.tuning.gyroscope_misalignment_rad,
+            _ => self.accelerometer_m_s2,
+        })
+    }
 }

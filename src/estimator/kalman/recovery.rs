@@ -2,7 +2,7 @@
 //! correct, from unusable numbers.
 
 use super::measurements::STATIONARY_FORCE_SHARE;
-use super::prior::{WarmStart, parameter_variances};
+use super::prior::WarmStart;
 use super::recent_velocity::RecentVelocity;
 use super::stationary::StationaryReadings;
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
@@ -43,8 +43,8 @@ impl Kalman {
     #[inline(never)]
     fn restart_with(&mut self, bias_rad_s: Vector3, bias_sigma_rad_s: f32, tilt_sigma_rad: f32) {
         self.nominal.reset_parameters();
-        let variances = parameter_variances(self.tuning, &[0.0; 3]);
-        self.step.covariance.reset_parameters(&variances);
+        let priors = self.parameter_priors();
+        self.step.covariance.reset_parameters(&priors);
         self.resume(&WarmStart {
             attitude: self.nominal.attitude,
             tilt_sigma_rad,

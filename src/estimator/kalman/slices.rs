@@ -37,7 +37,7 @@ enum Phase {
     Relax,
     /// The measurements are due.
     Measure,
-    /// This measurement's column, gain and correction.
+    /// Column, gain and correction of this measurement.
     Correct(usize),
     /// P by this measurement, from this row on.
     CorrectRows(usize, usize),
@@ -54,11 +54,14 @@ pub(super) enum Progress {
     Idle,
     /// A part of the step is done.
     Working,
-    /// The covariance is propagated to the interval's end. The parameters are still those of its
-    /// beginning.
+    /// The covariance is propagated to the interval's end.
     Propagated,
+    /// A parameter may return towards its prior now.
+    Relaxing,
     /// The covariance is propagated to the interval's end: add the measurements now.
     Predicted,
+    /// The covariance is complete, and its numbers are usable.
+    Checked,
     /// The step and its correction are complete.
     Corrected,
     /// The step is complete, and its numbers are unusable.
@@ -195,10 +198,11 @@ impl CovarianceStep {
             Phase::CompleteDynamic => {
                 self.covariance.complete_dynamic(&self.transition);
                 self.phase = Phase::Relax;
+                return Progress::Propagated;
             }
             Phase::Relax => {
                 self.phase = Phase::Measure;
-                return Progress::Propagated;
+                return Progress::Relaxing;
             }
             Phase::Measure => {
                 self.phase = Phase::Correct(0);
@@ -220,6 +224,7 @@ impl CovarianceStep {
                     return Progress::Unsound;
                 }
                 self.phase = Phase::Done;
+                return Progress::Checked;
             }
             Phase::Done => {
                 self.phase = Phase::Idle;

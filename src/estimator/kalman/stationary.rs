@@ -98,6 +98,21 @@ impl StationaryDetector {
         };
     }
 
+    /// Returns the mean specific force, m/s² in body axes.
+    pub(super) const fn average_force_m_s2(&self) -> Vector3 {
+        self.average_force_m_s2
+    }
+
+    /// Returns the time without motion, s.
+    pub(super) const fn quiet_s(&self) -> f32 {
+        self.quiet_s
+    }
+
+    /// Forgets the time without motion: the readings were no measurements.
+    pub(super) const fn interrupt(&mut self) {
+        self.quiet_s = self.quiet_s.min(0.0);
+    }
+
     /// Returns whether the readings have not changed for a third of a second.
     pub(super) fn is_still(&self) -> bool {
         self.quiet_s > STILL_S

@@ -139,8 +139,11 @@ fn random_transition(random: &mut Random) -> Transition {
 fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
     let mut random = Random(1);
     let mut step = CovarianceStep::new();
-    let variances = parameter_variances(&Tuning::DEFAULT, &[0.01, 0.02, 0.03]);
-    step.covariance.reset_parameters(&variances);
+    step.covariance
+        .reset_parameters(&Kalman::new().parameter_priors());
+    for (axis, variance) in [0.01, 0.02, 0.03].into_iter().enumerate() {
+        step.covariance.set_parameter_variance(axis, variance);
+    }
     for (state, variance) in [0.04, 0.04, 0.01, 0.01].into_iter().enumerate() {
         step.covariance.reset_dynamic(state, variance);
     }
@@ -159,7 +162,10 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
         step.begin(&transition, noise[0], noise[1], 0.2);
         let corrected = loop {
             match step.slice() {
-                Progress::Working => {}
+                Progress::Working
+                | Progress::Propagated
+                | Progress::Relaxing
+                | Progress::Checked => {}
                 Progress::Predicted => {
                     for (state, innovation, variance) in &measurements {
                         step.measure(Measurement {
@@ -169,7 +175,6 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
                         });
                     }
                 }
-                Progress::Propagated => {}
                 Progress::Corrected => break step.correction,
                 progress => panic!("{progress:?}"),
             }
@@ -834,11 +839,14 @@ fn sigma_falls_only_when_the_state_is_corrected() {
     for _ in 0..10_000 {
         let (before, velocity) = {
             let filter = filter(&estimator);
-            (filter.tilt_variance_rad2(), filter.nominal.velocity_m_s)
+            (
+                filter.covariance_tilt_variance(),
+                filter.nominal.velocity_m_s,
+            )
         };
         world.run(&mut estimator, 1);
         let filter = filter(&estimator);
-        if filter.tilt_variance_rad2() < before {
+        if filter.covariance_tilt_variance() < before {
             falls += 1;
             assert!(!filter.step.is_under_way(), "at {} µs", world.t_us);
             // A correction moves the velocity too.
@@ -888,9 +896,9 @@ fn parameters_return_to_their_priors() {
     let mut estimator = estimator();
     world.run(&mut estimator, 1000);
     let filter = estimator.filter_mut();
-    let prior = parameter_variances(filter.tuning, &[0.0; 3]);
-    for (parameter, variance) in prior.iter().enumerate().skip(3) {
-        let variance = 0.01 * variance;
+    let priors = filter.parameter_priors();
+    for parameter in 3..PARAMETERS {
+        let variance = 0.01 * priors.variance(parameter);
         filter
             .step
             .covariance
@@ -903,7 +911,8 @@ fn parameters_return_to_their_priors() {
         filter.relax_parameter(0.22);
     }
     // Two time constants: exp(−4) of the difference of the variances is left.
-    for (parameter, variance) in prior.iter().enumerate().skip(3) {
+    for parameter in 3..PARAMETERS {
+        let variance = priors.variance(parameter);
         let share = filter.step.covariance.parameter_variance(parameter) / variance;
         let expected = 1.0 - 0.99 * (-4.0_f32).exp();
         assert!((share - expected).abs() < 2.0e-3, "{parameter}: {share}");
@@ -939,4 +948,112 @@ fn a_restart_in_the_air_keeps_attitude_and_bias() {
     let filter = filter(&estimator);
     assert!(filter.is_bias_known());
     assert!((filter.bias_rad_s() - world.bias_rad_s).norm() < radians(0.5));
+}
+
+/// At rest an offset that changes is found within 5 s, whichever its axis. Until then the attitude
+/// is not valid, or as wrong as σ allows.
+#[test]
+fn a_changed_offset_is_found_at_rest_and_sigma_covers_the_error() {
+    let axes = [
+        Vector3::new(1.0, 0.0, 0.0),
+        Vector3::new(0.0, -1.0, 0.0),
+        Vector3::new(0.0, 0.0, 1.0),
+        Vector3::new(-0.6, 0.6, -0.5),
+    ];
+    for (seed, axis) in (40..).zip(axes) {
+        for size in [1.0, 2.0, 4.0, 8.0, 20.0] {
+            let mut random = Random(seed);
+            let pose = from_degrees(40.0 * random.next(), 40.0 * random.next(), 0.0);
+            let mut world = World::at_rest(pose);
+            world.bias_rad_s = random.vector(radians(3.0));
+            let mut estimator = estimator();
+            world.run(&mut estimator, 5_000);
+            world.bias_rad_s = world.bias_rad_s + axis.scale(radians(size));
+            for millisecond in 0..5_000 {
+                let estimate = world.run(&mut estimator, 1);
+                let error = world.tilt_error_degrees(estimate.attitude);
+                let allowed = degrees(6.0 * estimate.tilt_sigma_rad()).max(5.0);
+                let is_told = !estimate.is_bias_known || error < allowed;
+                assert!(is_told, "{axis:?} {size}: {error} at {millisecond} ms");
+            }
+            assert!(world.run(&mut estimator, 1).is_bias_known);
+            let left = filter(&estimator).bias_rad_s() - world.bias_rad_s;
+            assert!(degrees(left.norm()) < 0.3, "{axis:?} {size}: {left:?}");
+        }
+    }
+}
+
+/// A person turns a level body by hand, about the vertical, for two seconds. The offset must not
+/// change.
+#[test]
+fn a_turn_about_the_vertical_is_no_offset() {
+    let mut random = Random(7);
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 4_000);
+    for _ in 0..60 {
+        // A hand trembles by a few degrees per second.
+        world.rate_rad_s = Vector3::new(0.0, 0.0, radians(8.0 + 1.2 * random.normal()));
+        world.run(&mut estimator, 100);
+        let bias = filter(&estimator).bias_rad_s();
+        assert!(degrees(bias.norm()) < 0.3, "{bias:?}");
+    }
+}
+
+#[test]
+fn an_unknown_accelerometer_has_a_larger_sigma_at_rest() {
+    let sigma = |knowledge| {
+        let mut world = World::at_rest(from_degrees(10.0, 5.0, 0.0));
+        let mut estimator = estimator();
+        estimator
+            .filter_mut()
+            .set_accelerometer_knowledge(knowledge);
+        world.run(&mut estimator, 20_000).tilt_sigma_rad()
+    };
+    let knowledge = [
+        AccelerometerKnowledge::Factory,
+        AccelerometerKnowledge::SixPoses,
+        AccelerometerKnowledge::Calibrated,
+    ];
+    for knowledge in knowledge {
+        // Two axes of tilt, and the reported share.
+        let expected =
+            1.414 * REPORTED_SIGMA_SCALE * knowledge.sigma_m_s2() / STANDARD_GRAVITY_M_S2;
+        let found = sigma(knowledge);
+        assert!(
+            (found / expected - 1.0).abs() < 0.15,
+            "{knowledge:?}: {found}"
+        );
+    }
+    // New knowledge counts at once, and keeps the attitude.
+    let mut world = World::at_rest(from_degrees(10.0, 5.0, 0.0));
+    let mut estimator = estimator();
+    let before = world.run(&mut estimator, 5_000);
+    estimator
+        .filter_mut()
+        .set_accelerometer_knowledge(AccelerometerKnowledge::Factory);
+    let sigmas = filter(&estimator).accelerometer_bias_sigma_m_s2();
+    assert!((sigmas.x - AccelerometerKnowledge::Factory.sigma_m_s2()).abs() < 1.0e-4);
+    let after = world.run(&mut estimator, 1);
+    assert!(angle_between(before.attitude, after.attitude) < radians(0.1));
+}
+
+/// A gyroscope that clips for a moment keeps the attitude: gravity alone would know less in motion.
+#[test]
+fn a_short_full_scale_reading_does_not_restart_the_filter() {
+    let mut world = World::at_rest(from_degrees(30.0, 0.0, 90.0));
+    let mut estimator = estimator();
+    world.run(&mut estimator, 4_000);
+    // An acceleration from now on would set a wrong tilt.
+    world.acceleration_m_s2 = Vector3::new(0.0, 6.0, 0.0);
+    for _ in 0..60 {
+        let mut sample = world.sample(1_000);
+        sample.is_rate_saturated = true;
+        sample.angular_rate_rad_s.z = radians(400.0);
+        estimator.update(&sample);
+    }
+    let estimate = world.run(&mut estimator, 1);
+    let error = world.tilt_error_degrees(estimate.attitude);
+    assert!(error < 20.0, "{error}");
+    assert!(error < degrees(6.0 * estimate.tilt_sigma_rad()), "{error}");
 }

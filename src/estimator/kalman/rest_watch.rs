@@ -1,0 +1,123 @@
+//! Watch over a sensor that has rested: has it really turned, if the gyroscope says so?
+//!
+//! While the specific force in body axes stays that of the rest, gravity has not turned. If the
+//! filter's attitude turns meanwhile, the gyroscope's offset has changed, and the turn is an error.
+//! Its size is known, so the reported σ includes it until a new rest is established.
+//!
+//! A new rest contradicts the offset. The filter believes it when no motion can explain the
+//! readings: gravity would have turned, or no hand and no vehicle turns so steadily.
+
+use super::nominal::NominalState;
+use super::stationary::StationaryDetector;
+use super::tuning::{Tuning, square};
+use crate::attitude::Vector3;
+use crate::serialize::StateVisitor;
+use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+
+/// Variance of a turn that the specific force does not show, as a share of its square: the turn is
+/// 2.5 σ.
+const TURN_SHARE: f32 = square(1.0 / 2.5);
+
+/// Longest time between two updates, s: two in each covariance step.
+const UPDATE_PERIOD_S: f32 = 0.22;
+
+/// Largest turn of gravity that a stationary sensor's specific force may hide, rad: more than
+/// [`Tuning::stationary_force_m_s2`] changes its direction.
+const HIDDEN_TURN_RAD: f32 = radians(4.0);
+/// Largest change of the rate that is noise, rad/s: 5 σ of a sensor with a bandwidth of 188 Hz
+/// (product specification §6.1), and less than a hand's tremor.
+const NOISE_RATE_RAD_S: f32 = radians(0.8);
+/// Time of so steady a rate after which the sensor does not turn, s.
+const CERTAIN_S: f32 = 2.6;
+
+/// Watch over a sensor that has rested.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct RestWatch {
+    /// True if a rest has just been established: the next update begins to watch it.
+    pub(super) begins: bool,
+    /// Specific force at rest, m/s² in body axes; zero without a rest.
+    force_m_s2: Vector3,
+    /// Down at rest by the filter, body axes.
+    down: Vector3,
+    /// Time for which steady readings have contradicted the offset, s.
+    contradicted_s: f32,
+    /// Variance of the tilt that the watch adds, both axes together, rad².
+    pub(super) variance_rad2: f32,
+}
+
+/// Readings of a new rest that contradict the offset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct NewRest {
+    /// Mean rate, rad/s without the filter's bias.
+    pub(super) mean_rate_rad_s: Vector3,
+    /// Present rate, rad/s without the filter's bias.
+    pub(super) rate_rad_s: Vector3,
+    /// Mean specific force, m/s².
+    pub(super) force_m_s2: Vector3,
+    /// Time without motion, s.
+    pub(super) quiet_s: f32,
+}
+
+impl RestWatch {
+    /// No rest to watch.
+    pub(super) const NONE: Self = Self {
+        begins: false,
+        force_m_s2: Vector3::ZERO,
+        down: Vector3::ZERO,
+        contradicted_s: 0.0,
+        variance_rad2: 0.0,
+    };
+
+    /// Compares the present specific force and attitude with those of the rest. The watch ends when
+    /// the specific force changes.
+    pub(super) fn update(
+        &mut self,
+        nominal: &NominalState,
+        stationary: &StationaryDetector,
+        tuning: &Tuning,
+    ) {
+        let down = nominal.attitude.down_in_body();
+        if self.begins {
+            *self = Self {
+                force_m_s2: stationary.average_force_m_s2(),
+                down,
+                ..Self::NONE
+            };
+        }
+        let change = nominal.force_m_s2 - self.force_m_s2;
+        if change.dot(change) > square(tuning.stationary_force_m_s2) {
+            self.force_m_s2 = Vector3::ZERO;
+            self.variance_rad2 = 0.0;
+            return;
+        }
+        // The turn goes on until the next update.
+        let later = down.cross(nominal.rate_rad_s).scale(UPDATE_PERIOD_S);
+        let turn = down - self.down + later;
+        self.variance_rad2 = TURN_SHARE * turn.dot(turn);
+    }
+
+    /// Adds a covariance step of a new rest whose readings contradict the offset. Returns
+    /// whether no motion explains them.
+    pub(super) fn is_offset_wrong(&mut self, rest: &NewRest, duration_s: f32) -> bool {
+        const HIDDEN: f32 = HIDDEN_TURN_RAD * STANDARD_GRAVITY_M_S2;
+        let change = rest.rate_rad_s - rest.mean_rate_rad_s;
+        self.contradicted_s = if change.dot(change) < square(NOISE_RATE_RAD_S) {
+            self.contradicted_s + duration_s
+        } else {
+            0.0
+        };
+        let moment = rest.mean_rate_rad_s.cross(rest.force_m_s2);
+        moment.dot(moment) * square(rest.quiet_s) > square(HIDDEN)
+            || self.contradicted_s > CERTAIN_S
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.bool(&mut self.begins);
+        visitor.vector(&mut self.force_m_s2);
+        visitor.vector(&mut self.down);
+        visitor.f32(&mut self.contradicted_s);
+        visitor.f32(&mut self.variance_rad2);
+    }
+}
