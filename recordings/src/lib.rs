@@ -17,13 +17,16 @@
 pub mod attitude;
 pub mod attitude_table;
 pub mod counts;
+mod fault;
 pub mod flight_log;
 pub mod form;
+mod lines;
 pub mod log;
 pub mod motion;
 pub mod number;
 #[cfg(feature = "output")]
 pub mod output;
+mod row;
 pub mod score;
 pub mod simulated;
 pub mod terminal;
