@@ -13,10 +13,11 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb_recordings::flight_log::{self, Recorder};
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{LogFault, Row, parse_row};
+use aplomb_recordings::log::{Lines, LogFault, Row, Rows};
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
+use aplomb_recordings::units::RowOptions;
 
 use crate::progress;
 
@@ -46,6 +47,8 @@ pub struct Options {
     /// Which flight of a flight log in which the module started several times, counted from 1
     #[arg(long, value_name = "N")]
     flight: Option<usize>,
+    #[command(flatten)]
+    rows: RowOptions,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
@@ -98,6 +101,17 @@ impl Kind {
         if options.flight.is_some() && self != Self::FlightLog {
             return Err(format!(
                 "{input}: --flight would change nothing: it is {}",
+                self.name()
+            ));
+        }
+        let unused = options
+            .rows
+            .given()
+            .into_iter()
+            .find(|(_, is_given)| *is_given);
+        if let Some((name, _)) = unused.filter(|_| self != Self::Csv) {
+            return Err(format!(
+                "{input}: {name} would change nothing: it is {}",
                 self.name()
             ));
         }
@@ -226,37 +240,46 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         Form::Log(_) => Kind::Csv,
     };
     kind.check(options, into)?;
-    let mut found = Vec::new();
-    let mut clipped_values = 0;
-    while let Some(line) = lines.next_line()? {
-        let burst = match form {
-            Form::Bursts => bursts::decode(line).map_err(|error| error.to_string()),
-            Form::Log(columns) => match parse_row(line, columns) {
-                Err(fault) => return Err(lines.refuse(fault).into()),
-                Ok(row) => {
-                    let (raw, clipped) = counts_of(&row).map_err(|fault| lines.refuse(fault))?;
-                    clipped_values += clipped;
-                    let burst = Burst {
-                        bytes: raw.encode(),
-                        captured_at_us: u64::try_from(row.time_us)
-                            .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
-                        missed_before: 0,
-                    };
-                    Ok((burst, BoardFlags::empty()))
-                }
-            },
-        };
-        found.push(burst.map_err(|reason| format!("{}: {reason}", lines.place()))?);
-    }
+    let (bursts, clipped_values) = match form {
+        Form::Bursts => (read_bursts(lines)?, 0),
+        Form::Log(columns) => read_rows(Rows::new(lines, columns, options.rows, false)?)?,
+    };
     Ok(Found {
         config: Config::DEFAULT,
         mount: None,
         part: &Part::MPU_6050,
-        bursts: found,
+        bursts,
         bursts_lost: 0,
         damaged_pieces: 0,
         clipped_values,
     })
+}
+
+fn read_bursts(mut lines: Lines) -> Result<Vec<FlaggedBurst>, Box<dyn Error>> {
+    let mut found = Vec::new();
+    while let Some(line) = lines.next_line()? {
+        let burst = bursts::decode(line);
+        found.push(burst.map_err(|reason| format!("{}: {reason}", lines.place()))?);
+    }
+    Ok(found)
+}
+
+/// Returns a log's rows as bursts, and the number of clipped values.
+fn read_rows(mut rows: Rows) -> Result<(Vec<FlaggedBurst>, usize), Box<dyn Error>> {
+    let mut found = Vec::new();
+    let mut clipped_values = 0;
+    while let Some(row) = rows.next_row()? {
+        let (raw, clipped) = counts_of(&row).map_err(|fault| rows.refuse(fault))?;
+        clipped_values += clipped;
+        let burst = Burst {
+            bytes: raw.encode(),
+            captured_at_us: u64::try_from(row.time_us)
+                .map_err(|_| format!("{}: t_us is negative", rows.place()))?,
+            missed_before: 0,
+        };
+        found.push((burst, BoardFlags::empty()));
+    }
+    Ok((found, clipped_values))
 }
 
 /// Converts a row to counts at the default full scales. Returns the number of clipped values too.

@@ -16,8 +16,9 @@ use aplomb::telemetry::bursts;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::flight_log::Flight;
-use aplomb_recordings::log::{Lines, Row, parse_row};
+use aplomb_recordings::log::{Lines, Row, Rows};
 use aplomb_recordings::score::START_US;
+use aplomb_recordings::units::RowOptions;
 
 use crate::device::{Device, FilterName};
 use crate::flight_replay::{Agreement, Replay};
@@ -90,11 +91,13 @@ pub struct LogOptions {
     pub delay_us: u32,
     /// Ranges of the register counts, if the log holds counts.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+    /// Units of the rows, and the rule for bad ones.
+    pub rows: RowOptions,
 }
 
 /// Rows of a log through the pipeline, as samples in SI units.
 pub struct Log {
-    lines: Lines,
+    rows: Rows,
     options: LogOptions,
     /// Rows that were read ahead.
     ahead: VecDeque<LogRow>,
@@ -116,8 +119,14 @@ impl Log {
     pub fn new(lines: Lines, options: LogOptions) -> Result<Self, Box<dyn Error>> {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor_delay_us = Some(options.delay_us);
-        let mut log = Self {
+        let rows = Rows::new(
             lines,
+            options.columns,
+            options.rows,
+            options.ranges.is_some(),
+        )?;
+        let mut log = Self {
+            rows,
             options,
             ahead: VecDeque::new(),
             device: Device::for_samples(options.filter, &settings, options.delay_us),
@@ -146,15 +155,13 @@ impl Log {
     }
 
     fn read(&mut self) -> Result<Option<LogRow>, Box<dyn Error>> {
-        let Some(line) = self.lines.next_line()? else {
+        let Some(row) = self.rows.next_row()? else {
             return Ok(None);
         };
-        let row =
-            parse_row(line, self.options.columns).map_err(|fault| self.lines.refuse(fault))?;
         let sample = self
             .options
             .sample(&row)
-            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+            .map_err(|reason| format!("{}: {reason}", self.rows.place()))?;
         Ok(Some(LogRow {
             t_us: row.time_us,
             sample,

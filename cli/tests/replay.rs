@@ -194,7 +194,8 @@ fn every_row_gives_one_whatever_it_holds() {
     }
     let input = file("total", "input.csv", text);
     for filter in ["kalman", "axis-kalman", "classic"] {
-        let (printed, output) = replay("total", &input, &["--filter", filter]);
+        let (printed, output) =
+            replay("total", &input, &["--filter", filter, "--bad-rows", "keep"]);
         let flags = column(&output, "flags");
         assert_eq!(flags.len(), 10);
         let expected = ["TIME", "TIME", "REJECTED", "REJECTED"];
@@ -670,7 +671,7 @@ fn times_may_be_as_far_apart_as_they_like() {
             i64::MIN
         ),
     );
-    let (printed, output) = replay("far", &input, &[]);
+    let (printed, output) = replay("far", &input, &["--bad-rows", "keep"]);
     assert!(printed.contains("GAP: 1 rows") && printed.contains("TIME: 1 rows"));
     assert_eq!(column(&output, "t_us")[1], i64::MAX.to_string());
 }

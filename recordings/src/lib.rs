@@ -2,6 +2,7 @@
 //! from a recording.
 //!
 //! - [`log`]: logs in SI units, plain or gzipped; [`counts`]: logs of register counts;
+//! - [`units`]: units of a log's columns, and the rule for bad rows;
 //! - [`form`]: logs and bursts apart, by their header;
 //! - [`flight_log`]: the module's flight log;
 //! - [`attitude_table`]: tables of attitudes;
@@ -9,6 +10,7 @@
 //! - [`number`]: numbers as text, fast;
 //! - [`score`]: errors of attitudes against the truth; [`attitude`]: geometry for that;
 //! - `output`, with the feature of this name: files that appear when they are complete;
+//! - [`quote`]: quotations of input in messages;
 //! - [`terminal`]: standard output.
 
 #![forbid(unsafe_code)]
@@ -26,7 +28,11 @@ pub mod motion;
 pub mod number;
 #[cfg(feature = "output")]
 pub mod output;
+mod plausibility;
+pub mod quote;
 mod row;
+mod rows;
 pub mod score;
 pub mod simulated;
 pub mod terminal;
+pub mod units;

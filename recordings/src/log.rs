@@ -12,22 +12,18 @@
 //! sensor axes; the truth is the quaternion sensor → earth with z up, its four cells empty where it
 //! is not known; `mov` is 1 where a row counts for scores, else 0.
 //!
-//! [`Lines`] and [`parse_row`] read row by row and check the form alone: numbers may have any
-//! value. [`Log::read`] reads a whole log and refuses values that no sensor measures.
+//! Lines that begin with `#` before the header, and blank lines, are no rows. [`Rows`] reads row by
+//! row, in any unit, and refuses what no sensor measures; [`Log::read`] reads a whole log with it.
+//! [`parse_row`] checks the form alone: numbers may have any value.
 
 use std::path::Path;
 
-use aplomb_models::motion::geometry::{Vector, norm};
-
 pub use crate::fault::{LogError, LogFault};
+use crate::form::header;
 pub use crate::lines::Lines;
-use crate::row::COLUMNS;
 pub use crate::row::{Row, column_count, parse_row};
-
-/// Largest plausible force (100 g). A larger one means that the columns are not in m/s².
-const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f64 = 1000.0;
-/// Largest plausible rate (11,000 °/s). A larger one means that the columns are not in rad/s.
-const IMPLAUSIBLE_RATE_RAD_S: f64 = 200.0;
+pub use crate::rows::Rows;
+use crate::units::{BadRows, RowOptions};
 
 /// Whole log, of at least two rows.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,7 +38,17 @@ impl Log {
     ///
     /// Returns an error with the file, the line and the fault.
     pub fn read(path: &Path) -> Result<Self, LogError> {
-        Self::parse(Lines::open(path, |file| file)?)
+        Self::read_with(path, RowOptions::default())
+    }
+
+    /// Reads a file like [`read`](Self::read), with these units and this rule for bad rows. A log
+    /// never keeps them.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error with the file, the line and the fault.
+    pub fn read_with(path: &Path, options: RowOptions) -> Result<Self, LogError> {
+        Self::parse(Lines::open(path, |file| file)?, options)
     }
 
     /// Returns the rows, at least two, with increasing times.
@@ -51,74 +57,25 @@ impl Log {
         &self.rows
     }
 
-    fn parse(mut lines: Lines) -> Result<Self, LogError> {
-        let header = match lines.next_line()? {
-            Some(header) => header.to_owned(),
-            None => return Err(lines.refuse_file(LogFault::Empty)),
-        };
+    fn parse(mut lines: Lines, mut options: RowOptions) -> Result<Self, LogError> {
+        if options.bad_rows == Some(BadRows::Keep) {
+            options.bad_rows = Some(BadRows::Refuse);
+        }
+        let header = header(&mut lines)?;
         let Some(columns) = column_count(&header) else {
             return Err(lines.refuse(LogFault::Header(header)));
         };
+        let whole = lines.refuse_file(LogFault::TooShort);
+        let mut reader = Rows::new(lines, columns, options, false)?;
         let mut rows: Vec<Row> = Vec::new();
-        while let Some(line) = lines.next_line()? {
-            let before = rows.last().map(|row| row.time_us);
-            let row = parse_row(line, columns)
-                .and_then(|row| check(&row, before).map(|()| row))
-                .map_err(|reason| lines.refuse(reason))?;
+        while let Some(row) = reader.next_row()? {
             rows.push(row);
         }
         if rows.len() < 2 {
-            return Err(lines.refuse_file(LogFault::TooShort));
+            return Err(whole);
         }
         Ok(Self { rows })
     }
-}
-
-/// Checks that a sensor can have measured this row, after the one at `before_us`.
-fn check(row: &Row, before_us: Option<i64>) -> Result<(), LogFault> {
-    let values = row.specific_force_m_s2.into_iter().chain(row.rates_rad_s);
-    for (value, column) in values.zip(&COLUMNS[1..]) {
-        if !value.is_finite() {
-            return Err(LogFault::NotFinite { column, value });
-        }
-    }
-    plausible(
-        row.specific_force_m_s2,
-        1,
-        IMPLAUSIBLE_SPECIFIC_FORCE_M_S2,
-        "m/s²",
-    )?;
-    plausible(row.rates_rad_s, 4, IMPLAUSIBLE_RATE_RAD_S, "rad/s")?;
-    match before_us {
-        Some(before) if before >= row.time_us => Err(LogFault::NotIncreasing {
-            before,
-            now: row.time_us,
-        }),
-        _ => Ok(()),
-    }
-}
-
-fn plausible(
-    vector: Vector,
-    first_column: usize,
-    limit: f64,
-    unit: &'static str,
-) -> Result<(), LogFault> {
-    if norm(vector) <= limit {
-        return Ok(());
-    }
-    let largest = (0..3).fold(0, |best, axis| {
-        if vector[axis].abs() > vector[best].abs() {
-            axis
-        } else {
-            best
-        }
-    });
-    Err(LogFault::Implausible {
-        column: COLUMNS[first_column + largest],
-        value: vector[largest],
-        unit,
-    })
 }
 
 #[cfg(test)]
@@ -140,7 +97,9 @@ mod tests {
         let bytes = io::Cursor::new(text.as_ref().to_vec());
         Lines::new(Path::new("test.csv"), bytes)
             .map_err(|error| (None, LogFault::Read(error)))
-            .and_then(|lines| Log::parse(lines).map_err(|error| (error.line, error.reason)))
+            .and_then(|lines| {
+                Log::parse(lines, RowOptions::default()).map_err(|error| (error.line, error.reason))
+            })
     }
 
     /// Returns the line and the reason of the refusal of a log whose third line is `row`.
@@ -222,12 +181,16 @@ mod tests {
     fn every_fault_names_its_line_and_its_reason() {
         let cases = [
             ("1,0,0,9.81,0,0,0,1,0,0,0", "11 columns"),
-            ("", "1 columns"),
+            ("x", "1 columns"),
             ("1,0,0,up,0,0,0,1,0,0,0,1", "az is \"up\""),
             ("1,0,0,,0,0,0,1,0,0,0,1", "az is \"\""),
             ("1,0,0,9.81,NaN,0,0,1,0,0,0,1", "gx is NaN"),
             ("1,0,0,9.81,0,inf,0,1,0,0,0,1", "gy is inf"),
-            ("1.5,0,0,9.81,0,0,0,1,0,0,0,1", "t_us is \"1.5\""),
+            (
+                "1.5,0,0,9.81,0,0,0,1,0,0,0,1",
+                "t_us is \"1.5\", which is not a whole number of microseconds: \
+                 did you mean seconds (--time-unit s), milli",
+            ),
             (
                 "0,0,0,9.81,0,0,0,1,0,0,0,1",
                 "t_us is 0, not after the row before, 0",
@@ -235,9 +198,17 @@ mod tests {
             ("-1,0,0,9.81,0,0,0,1,0,0,0,1", "not after"),
             (
                 "1,0,0,4096,0,0,0,1,0,0,0,1",
-                "az is 4096, which no such sensor reports; m/s²",
+                "az is 4096, which no such sensor reports; m/s² is expected: did you mean mg",
             ),
-            ("1,0,0,9.81,0,0,-827,1,0,0,0,1", "gz is -827"),
+            (
+                "1,0,0,9.81,0,0,-827,1,0,0,0,1",
+                "gz is -827, which no such sensor reports; rad/s is expected: did you mean °/s \
+                 (--rate-unit deg/s)",
+            ),
+            (
+                "3000000000000000,0,0,9.81,0,0,0,1,0,0,0,1",
+                "t_us is 3000000000000000, which is 95.1 years after the row before, 0",
+            ),
             ("1,0,0,9.81,0,0,0,1,,0,0,1", "give all four"),
             ("1,0,0,9.81,0,0,0,1,0.2,0,0,1", "length 1.0198"),
             ("1,0,0,9.81,0,0,0,0,0,0,0,1", "length 0.0000"),
@@ -253,7 +224,9 @@ mod tests {
 
     #[test]
     fn the_file_as_a_whole_is_checked_too() {
-        assert!(matches!(parse(""), Err((None, LogFault::Empty))));
+        for empty in ["", "\n", "# a comment\n\n"] {
+            assert!(matches!(parse(empty), Err((None, LogFault::Empty))));
+        }
         assert!(matches!(
             parse(format!("{HEADER}\n{GOOD}\n")),
             Err((None, LogFault::TooShort))
@@ -262,7 +235,7 @@ mod tests {
             "t_us,ax,ay,az,gx,gy",
             "time,ax,ay,az,gx,gy,gz",
             "t_us,ax,ay,az,gx,gy,gz,mov",
-            "",
+            "0,0,0,9.81,0,0,0",
         ] {
             assert!(
                 matches!(
@@ -272,6 +245,11 @@ mod tests {
                 "{header}"
             );
         }
+        let led = format!(
+            "# 2026-11-22\n# a logger\n{HEADER}\n{GOOD}\n1{}\n",
+            &GOOD[1..]
+        );
+        assert_eq!(parse(led).unwrap().rows().len(), 2);
         let binary = [HEADER.as_bytes(), b"\n\xFF\xFE\n"].concat();
         assert!(matches!(parse(binary), Err((Some(2), LogFault::NotText))));
     }
@@ -344,7 +322,8 @@ mod tests {
         assert_eq!(
             message,
             format!(
-                "{}:3: the row has 1 columns, but the header has 12",
+                "{}:3: the row has 1 columns, but the header has 12; \
+                 --bad-rows skip leaves such rows out",
                 file.0.display()
             )
         );

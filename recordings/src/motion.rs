@@ -11,6 +11,7 @@
 use std::path::Path;
 
 use crate::log::{Log, LogError, Row};
+use crate::units::RowOptions;
 use aplomb_models::motion::geometry::{Quaternion, Vector, add, interpolate, norm, scale};
 use aplomb_models::motion::truth::{ROOM_TEMPERATURE_C, Truth};
 use aplomb_models::motion::turn::Turn;
@@ -75,6 +76,15 @@ impl Recording {
     /// See [`Log::read`].
     pub fn open(path: &Path, mount: Mount) -> Result<Self, LogError> {
         Ok(Self::new(&Log::read(path)?, mount))
+    }
+
+    /// Reads the log of a sensor with this mount, in these units.
+    ///
+    /// # Errors
+    ///
+    /// See [`Log::read_with`].
+    pub fn open_with(path: &Path, mount: Mount, options: RowOptions) -> Result<Self, LogError> {
+        Ok(Self::new(&Log::read_with(path, options)?, mount))
     }
 
     /// Creates the recording of a log, of a sensor with this mount.
@@ -459,7 +469,10 @@ mod tests {
         for file in recordings("mpu6050-raw") {
             let error = Recording::open(&file, Mount::Z_UP).unwrap_err();
             assert_eq!(error.line, Some(2), "{error}");
-            assert!(error.to_string().contains("not raw counts"), "{error}");
+            assert!(
+                error.to_string().contains("did you mean register counts"),
+                "{error}"
+            );
         }
     }
 }

@@ -41,6 +41,15 @@ pub fn column_count(header: &str) -> Option<usize> {
 ///
 /// Returns the fault of the row.
 pub fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
+    parse_row_with(line, columns, |cell| cell.parse().ok())
+}
+
+/// Reads a row whose time, µs, this function reads.
+pub(crate) fn parse_row_with(
+    line: &str,
+    columns: usize,
+    time: impl Fn(&str) -> Option<i64>,
+) -> Result<Row, LogFault> {
     let mut cells = [""; COLUMNS.len()];
     let mut found = 0;
     for cell in line.split(',') {
@@ -64,9 +73,7 @@ pub fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
     let vector = |first: usize| -> Result<Vector, LogFault> {
         Ok([number(first)?, number(first + 1)?, number(first + 2)?])
     };
-    let time_us = cells[0]
-        .parse()
-        .map_err(|_| LogFault::Time(cells[0].to_owned()))?;
+    let time_us = time(cells[0]).ok_or_else(|| LogFault::Time(cells[0].to_owned()))?;
     let (specific_force_m_s2, rates_rad_s) = (vector(1)?, vector(4)?);
     let truth = &cells[7..11];
     let attitude = if truth.iter().all(|cell| cell.is_empty()) {

@@ -4,9 +4,9 @@
 mod live;
 
 use std::fmt::Write as _;
-use std::fs;
-use std::io::{self, IsTerminal, Write as _};
-use std::path::PathBuf;
+use std::fs::{self, File};
+use std::io::{self, IsTerminal, Read as _, Write as _};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -14,6 +14,7 @@ use std::time::Instant;
 
 use aplomb_models::motion::Mount;
 use aplomb_recordings::motion::Recording;
+use aplomb_recordings::units::{BadRows, RowOptions};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use virtual_board::board::{BOARDS, BoardModel};
@@ -80,6 +81,8 @@ struct Fly {
     /// `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
+    #[command(flatten)]
+    rows: RowOptions,
     /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up,
     /// z-down.
     #[arg(long, value_name = "MOUNT", default_value = "z-up", value_parser = mount)]
@@ -171,23 +174,13 @@ fn fly(options: &Fly) -> Result<(), String> {
     };
     run = run.schedule(&schedule);
     if let Some(path) = options.flash.as_ref().filter(|path| path.exists()) {
-        let bytes =
-            fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
-        if bytes.len() != 2 * SLOT_BYTES {
-            return Err(format!(
-                "{} has {} bytes: two calibration slots have {}",
-                path.display(),
-                bytes.len(),
-                2 * SLOT_BYTES
-            ));
-        }
-        run = run.flash(bytes);
+        run = run.flash(slots(path)?);
     }
+    check_rows(options)?;
     let motion;
     match &options.log {
         Some(path) => {
-            let recording =
-                Recording::open(path, options.mount).map_err(|error| error.to_string())?;
+            let recording = recording(options, path)?;
             run = run
                 .seconds(
                     options
@@ -233,6 +226,57 @@ fn fly(options: &Fly) -> Result<(), String> {
     }
     if outcome.samples().is_empty() {
         return Err("the firmware published no attitude".into());
+    }
+    Ok(())
+}
+
+/// Reads the recording to fly.
+fn recording(options: &Fly, path: &Path) -> Result<Recording, String> {
+    let recording = Recording::open_with(path, options.mount, options.rows)
+        .map_err(|error| error.to_string())?;
+    if recording.end_s() > DAY_S && options.seconds.is_none() {
+        return Err(format!(
+            "{}: it lasts {:.1} hours: choose the length with --seconds, 86400 at most",
+            path.display(),
+            recording.end_s() / 3_600.0
+        ));
+    }
+    Ok(recording)
+}
+
+/// Reads the calibration slots.
+fn slots(path: &Path) -> Result<Vec<u8>, String> {
+    let bytes = File::open(path).and_then(|file| {
+        let mut bytes = Vec::new();
+        // One byte more shows that a file is too long, however long it is.
+        file.take(2 * SLOT_BYTES as u64 + 1)
+            .read_to_end(&mut bytes)?;
+        Ok(bytes)
+    });
+    let bytes = bytes.map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+    if bytes.len() == 2 * SLOT_BYTES {
+        return Ok(bytes);
+    }
+    Err(format!(
+        "{} has not {} bytes, as two calibration slots have",
+        path.display(),
+        2 * SLOT_BYTES
+    ))
+}
+
+/// Refuses options for a recording's rows that would change nothing.
+fn check_rows(options: &Fly) -> Result<(), String> {
+    let given = options.rows.given();
+    let unused = given
+        .iter()
+        .find(|(_, is_given)| *is_given && options.log.is_none());
+    if let Some((name, _)) = unused {
+        return Err(format!("{name} is for a recording: add --log FILE"));
+    }
+    if options.rows.bad_rows == Some(BadRows::Keep) {
+        return Err(
+            "a sensor cannot move by bad rows: --bad-rows takes refuse or skip here".into(),
+        );
     }
     Ok(())
 }
