@@ -239,3 +239,68 @@ fn lines_without_end_are_refused_in_little_memory() {
         }
     }
 }
+
+#[test]
+fn a_hyphen_as_output_is_standard_output_and_nothing_else_is_printed_there() {
+    let folder = path("hyphen", "");
+    let run = |arguments: &[&str]| {
+        let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+            .args(arguments)
+            .current_dir(&folder)
+            .output()
+            .unwrap();
+        assert!(
+            result.status.success(),
+            "{}",
+            String::from_utf8_lossy(&result.stderr)
+        );
+        result
+    };
+    let simulated = run(&["simulate", "--seconds", "1", "--output", "-"]);
+    let text = String::from_utf8(simulated.stdout).unwrap();
+    assert!(
+        text.starts_with("t_us,ax") && text.lines().count() == 1_001,
+        "{text}"
+    );
+    assert!(text.lines().all(|line| line.split(',').count() == 12));
+    assert!(String::from_utf8_lossy(&simulated.stderr).contains("1000 rows"));
+    let log = file("hyphen", "log.csv", &text);
+    let replayed = run(&["replay", log.to_str().unwrap(), "--output", "-"]);
+    let text = String::from_utf8(replayed.stdout).unwrap();
+    assert!(text.starts_with("t_us,qw") && text.lines().count() == 1_001);
+    assert!(!folder.join("-").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_read_only_output_is_kept_by_every_command() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let log = file("read-only", "log.csv", turned(1.0, 1.0, 1.0));
+    for (command, more) in [
+        ("replay", ["--output", "kept.csv"]),
+        ("plot", ["--output", "kept.svg"]),
+        ("convert", ["", "kept.log"]),
+        ("simulate", ["--output", "kept.csv"]),
+    ] {
+        let kept = path("read-only", more[1]);
+        std::fs::remove_file(&kept).ok();
+        std::fs::write(&kept, "kept").unwrap();
+        std::fs::set_permissions(&kept, std::fs::Permissions::from_mode(0o444)).unwrap();
+        let mut arguments = vec![command.to_owned()];
+        if command != "simulate" {
+            arguments.push(log.to_str().unwrap().to_owned());
+        }
+        if !more[0].is_empty() {
+            arguments.push(more[0].to_owned());
+        }
+        arguments.push(kept.to_str().unwrap().to_owned());
+        let result = aplomb(&arguments);
+        let message = String::from_utf8_lossy(&result.stderr).into_owned();
+        assert_eq!(result.status.code(), Some(1), "{command}: {message}");
+        assert!(
+            message.contains("the file is read-only"),
+            "{command}: {message}"
+        );
+        assert_eq!(std::fs::read_to_string(&kept).unwrap(), "kept", "{command}");
+    }
+}

@@ -11,6 +11,7 @@
 //! - [`score`]: errors of attitudes against the truth; [`attitude`]: geometry for that;
 //! - `output`, with the feature of this name: files that appear when they are complete;
 //! - [`quote`]: quotations of input in messages;
+//! - [`text`]: small text files;
 //! - [`terminal`]: standard output.
 
 #![forbid(unsafe_code)]
@@ -35,4 +36,5 @@ mod rows;
 pub mod score;
 pub mod simulated;
 pub mod terminal;
+pub mod text;
 pub mod units;

@@ -18,7 +18,7 @@ bitflags::bitflags! {
     /// # Ok::<(), aplomb::health::UnknownFlag>(())
     /// ```
     #[repr(transparent)]
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+    #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct Flags: u32 {
         /// The gyroscope's offset is not known yet.
         const CALIBRATING = 1 << 0;
@@ -91,7 +91,7 @@ bitflags::bitflags! {
     /// Conditions that the board reports with a burst. All but the last have the bits and names of
     /// their [`Flags`].
     #[repr(transparent)]
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+    #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct BoardFlags: u32 {
         /// [`Flags::BUS_FAULT`].
         const BUS_FAULT = Flags::BUS_FAULT.bits();
@@ -138,6 +138,13 @@ macro_rules! text_form {
             }
         }
 
+        /// The names, as `Flags(CALIBRATING|DEGRADED)`.
+        impl fmt::Debug for $flags {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(formatter, "{}({self})", stringify!($flags))
+            }
+        }
+
         impl FromStr for $flags {
             type Err = UnknownFlag;
 
@@ -180,6 +187,8 @@ mod tests {
                 assert_eq!(flags.to_string().parse(), Ok(flags));
             }
         }
+        assert_eq!(format!("{flags:?}"), "Flags(CALIBRATING|MOVED)");
+        assert_eq!(format!("{:?}", BoardFlags::LATE), "BoardFlags(LATE)");
         assert_eq!("MOVED|".parse::<Flags>(), Err(UnknownFlag));
         assert_eq!("moved".parse::<Flags>(), Err(UnknownFlag));
     }

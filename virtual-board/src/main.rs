@@ -2,10 +2,11 @@
 //! folder.
 
 mod live;
+mod screen;
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
-use std::io::{self, IsTerminal, Read as _, Write as _};
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,6 +15,8 @@ use std::time::Instant;
 
 use aplomb_models::motion::Mount;
 use aplomb_recordings::motion::Recording;
+use aplomb_recordings::output::check_writable;
+use aplomb_recordings::quote::quote;
 use aplomb_recordings::units::{BadRows, RowOptions};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -23,12 +26,11 @@ use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
-use virtual_board::probe::LogLine;
-use virtual_board::recorder::{Observer, Progress};
 use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
 use live::Live;
+use screen::Screen;
 
 /// Default length of the simulated flight, s.
 const SECONDS: f64 = 30.0;
@@ -86,6 +88,7 @@ struct Fly {
     /// How the sensor is mounted: forward, then down, in sensor axes, such as +x-z; or z-up,
     /// z-down.
     #[arg(long, value_name = "MOUNT", default_value = "z-up", value_parser = mount)]
+    #[arg(env = "APLOMB_MOUNT", hide_env_values = true)]
     #[arg(allow_hyphen_values = true)]
     mount: Mount,
     /// Virtual seconds from power-up. Default: 30, or the whole recording.
@@ -165,9 +168,11 @@ fn fly(options: &Fly) -> Result<(), String> {
         .board(options.board)
         .mount(options.mount)
         .seed(options.seed);
-    if let Some(path) = &options.commands {
-        run = run.commands(&Script::open(path).map_err(|error| error.to_string())?);
-    }
+    let script = match &options.commands {
+        Some(path) => Script::open(path).map_err(|error| error.to_string())?,
+        None => Script::default(),
+    };
+    run = run.commands(&script);
     let schedule = match &options.faults {
         Some(argument) => Schedule::from_argument(argument).map_err(|error| error.to_string())?,
         None => Schedule::default(),
@@ -177,27 +182,24 @@ fn fly(options: &Fly) -> Result<(), String> {
         run = run.flash(slots(path)?);
     }
     check_rows(options)?;
-    let motion;
+    let (motion, seconds);
     match &options.log {
         Some(path) => {
             let recording = recording(options, path)?;
-            run = run
-                .seconds(
-                    options
-                        .seconds
-                        .unwrap_or(recording.end_s())
-                        .min(recording.end_s()),
-                )
-                .recording(recording);
+            let end_s = recording.end_s();
+            seconds = options.seconds.unwrap_or(end_s).min(end_s);
+            run = run.recording(recording.with_noise(options.seed));
             let name = path.file_name().unwrap_or(path.as_os_str());
             motion = format!("recording {}", name.display());
         }
         None => {
-            let seconds = if options.live { DAY_S } else { SECONDS };
-            run = run.seconds(options.seconds.unwrap_or(seconds));
+            let usual = if options.live { DAY_S } else { SECONDS };
+            seconds = options.seconds.unwrap_or(usual);
             motion = format!("simulated flight, seed {}", options.seed);
         }
     }
+    check_ends(options, &script, &schedule, seconds)?;
+    run = run.seconds(seconds);
     if options.live {
         let run = run.without_account().observer(Live::new()).run();
         return run.map(|_| ()).map_err(|error| error.to_string());
@@ -216,7 +218,8 @@ fn fly(options: &Fly) -> Result<(), String> {
     };
     outputs::write(&options.output, &outcome, &labels).map_err(|error| error.to_string())?;
     if let Some(path) = &options.flash {
-        fs::write(path, &outcome.flash.bytes)
+        check_writable(path)
+            .and_then(|()| fs::write(path, &outcome.flash.bytes))
             .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
     }
     println!("\n{}", table(&outcome));
@@ -262,6 +265,37 @@ fn slots(path: &Path) -> Result<Vec<u8>, String> {
         path.display(),
         2 * SLOT_BYTES
     ))
+}
+
+/// Refuses commands and faults of a file that come after the end of the flight.
+fn check_ends(
+    options: &Fly,
+    script: &Script,
+    schedule: &Schedule,
+    seconds: f64,
+) -> Result<(), String> {
+    let commands = script
+        .lines()
+        .iter()
+        .map(|(at_s, line)| (*at_s, line.clone()));
+    let faults = schedule.faults.iter();
+    let faults = faults.map(|fault| (fault.start_ns as f64 * 1e-9, fault.kind.to_string()));
+    // Faults by chance are drawn for 30 s, whatever is flown.
+    let by_chance = options
+        .faults
+        .as_deref()
+        .is_some_and(|name| name.starts_with("seed:"));
+    let late = commands
+        .chain(faults.filter(|_| !by_chance))
+        .find(|(at_s, _)| *at_s >= seconds);
+    match late {
+        Some((at_s, entry)) => Err(format!(
+            "`{}` at {at_s} s comes after the end of the flight, {seconds} s: \
+             fly longer with --seconds, or remove it",
+            quote(&entry)
+        )),
+        None => Ok(()),
+    }
 }
 
 /// Refuses options for a recording's rows that would change nothing.
@@ -396,58 +430,6 @@ fn one_case(options: &Faults) -> Result<(), String> {
         Ok(())
     } else {
         Err(report.failures.join("\n       "))
-    }
-}
-
-/// Shows the run while it goes on: the firmware's log, and how far it is.
-struct Screen {
-    started: Instant,
-    is_terminal: bool,
-    /// Virtual seconds at which a line of progress is due, where it cannot be overwritten.
-    next_line_s: f64,
-}
-
-impl Screen {
-    fn new() -> Self {
-        Self {
-            started: Instant::now(),
-            is_terminal: io::stderr().is_terminal(),
-            next_line_s: 0.0,
-        }
-    }
-
-    fn clear_line(&self) {
-        if self.is_terminal {
-            eprint!("\r\x1b[K");
-        }
-    }
-}
-
-impl Observer for Screen {
-    fn log(&mut self, line: &LogLine) {
-        self.clear_line();
-        println!("{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text);
-    }
-
-    fn progress(&mut self, progress: Progress) {
-        let now_s = progress.now_ns as f64 * 1e-9;
-        let speed = now_s / self.started.elapsed().as_secs_f64();
-        let percent = 100.0 * progress.now_ns as f64 / progress.end_ns as f64;
-        let text = format!("{percent:3.0} %, {now_s:.1} s flown, {speed:.1} times real time");
-        if self.is_terminal {
-            self.clear_line();
-            eprint!("{text}");
-            io::stderr().flush().ok();
-        } else if now_s >= self.next_line_s {
-            self.next_line_s = now_s + 10.0;
-            eprintln!("{text}");
-        }
-    }
-}
-
-impl Drop for Screen {
-    fn drop(&mut self) {
-        self.clear_line();
     }
 }
 
