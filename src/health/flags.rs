@@ -26,7 +26,8 @@ bitflags::bitflags! {
         const MOVED = 1 << 1;
         /// Samples before this one were lost.
         const MISSED = 1 << 2;
-        /// No sample came for more than half a second. Roll and pitch restarted from gravity.
+        /// No sample came for more than half a second. Roll and pitch restarted from gravity. At
+        /// less than 2 samples a second each attitude has this flag, and none is [`Flags::VALID`].
         const GAP = 1 << 3;
         /// The sample's time is not after the previous one. The attitude is held.
         const TIME = 1 << 4;
@@ -45,6 +46,10 @@ bitflags::bitflags! {
         const VALID = 1 << 10;
         /// The attitude is less certain than usual: σ is above 5°, or one of [`Flags::DEGRADING`]
         /// is set.
+        ///
+        /// Alone and for long, it means that samples come more slowly than
+        /// [`Config`](crate::mpu6050::Config) says: each step is a pause, in which σ grows. At the
+        /// configured rate 20 samples a second are enough, also in flight.
         const DEGRADED = 1 << 11;
         /// No sample came: the attitude is the last one, and its σ grows.
         const STALE = 1 << 12;
