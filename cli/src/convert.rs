@@ -35,7 +35,8 @@ use crate::progress;
   aplomb convert recording.csv.gz recording.log
 
 JSON: input, output, bursts, bursts_lost, damaged_pieces,
-clipped_values (of a log in SI units, beyond the ranges).")]
+clipped_values (of a log in SI units, beyond the ranges), left_out (what the output has no place
+for: temperature, flags, truth).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
@@ -53,6 +54,9 @@ pub struct Options {
     #[arg(long)]
     json: bool,
 }
+
+/// Columns of a log without truth.
+const SHORTEST_LOG: usize = 7;
 
 /// Kind of a recording.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -145,6 +149,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let mut file = OutputFile::create(output, &[&options.input])?;
     write(&mut file, &settings, &found.bursts).map_err(|error| file.failed(&error))?;
     file.finish()?;
+    let left_out = found.left_out(into);
     let summary = Summary {
         input: options.input.display().to_string(),
         output: output.display().to_string(),
@@ -152,6 +157,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         bursts_lost: found.bursts_lost,
         damaged_pieces: found.damaged_pieces,
         clipped_values: found.clipped_values,
+        left_out,
     };
     if options.json {
         print_line(&serde_json::to_string(&summary)?);
@@ -170,6 +176,13 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         ));
     }
     print_line(&format!("{}: {} bursts", summary.output, summary.bursts));
+    if !summary.left_out.is_empty() {
+        let left_out = summary.left_out.join(" and ");
+        print_line(&format!(
+            "left out, as {} has no place for it: {left_out}",
+            into.name()
+        ));
+    }
     if let Some(mount) = found.mount {
         let mut replay_with = format!("--mount {}", mount.name());
         if into == Kind::Bursts {
@@ -195,6 +208,7 @@ struct Summary {
     bursts_lost: u64,
     damaged_pieces: u64,
     clipped_values: usize,
+    left_out: Vec<&'static str>,
 }
 
 /// Contents of a recording.
@@ -207,6 +221,27 @@ struct Found {
     bursts_lost: u64,
     damaged_pieces: u64,
     clipped_values: usize,
+    /// The recording has a truth.
+    has_truth: bool,
+    /// The recording has no temperature: 25 °C stands for it.
+    is_csv: bool,
+}
+
+impl Found {
+    /// Returns what this kind of output has no place for.
+    fn left_out(&self, into: Kind) -> Vec<&'static str> {
+        let has_flags = self
+            .bursts
+            .iter()
+            .any(|(burst, flags)| burst.missed_before > 0 || !flags.is_empty());
+        let lost = [
+            ("the temperature", into == Kind::Csv && !self.is_csv),
+            ("the board's flags", into == Kind::Csv && has_flags),
+            ("the truth", self.has_truth),
+        ];
+        let lost = lost.into_iter().filter(|(_, is_lost)| *is_lost);
+        lost.map(|(name, _)| name).collect()
+    }
 }
 
 fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
@@ -231,6 +266,8 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
             bursts_lost: flight.lost(),
             damaged_pieces: log.counts.damaged,
             clipped_values: 0,
+            has_truth: false,
+            is_csv: false,
         });
     }
     let mut lines = progress::lines(path)?;
@@ -240,9 +277,12 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         Form::Log(_) => Kind::Csv,
     };
     kind.check(options, into)?;
-    let (bursts, clipped_values) = match form {
-        Form::Bursts => (read_bursts(lines)?, 0),
-        Form::Log(columns) => read_rows(Rows::new(lines, columns, options.rows, false)?)?,
+    let ((bursts, clipped_values), is_csv, has_truth) = match form {
+        Form::Bursts => ((read_bursts(lines)?, 0), false, false),
+        Form::Log(columns) => {
+            let rows = Rows::new(lines, columns, options.rows, false)?;
+            (read_rows(rows)?, true, columns > SHORTEST_LOG)
+        }
     };
     Ok(Found {
         config: Config::DEFAULT,
@@ -252,6 +292,8 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         bursts_lost: 0,
         damaged_pieces: 0,
         clipped_values,
+        has_truth,
+        is_csv,
     })
 }
 

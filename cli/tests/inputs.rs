@@ -304,3 +304,46 @@ fn a_read_only_output_is_kept_by_every_command() {
         assert_eq!(std::fs::read_to_string(&kept).unwrap(), "kept", "{command}");
     }
 }
+
+#[test]
+fn convert_names_what_the_output_has_no_place_for() {
+    let simulated = path("left-out", "simulated.csv");
+    let name = |name: &str| path("left-out", name).to_str().unwrap().to_owned();
+    let run = |arguments: &[&str]| {
+        let result = aplomb(arguments);
+        assert!(
+            result.status.success(),
+            "{}",
+            String::from_utf8_lossy(&result.stderr)
+        );
+        String::from_utf8(result.stdout).unwrap()
+    };
+    let csv = simulated.to_str().unwrap();
+    run(&["simulate", "--seconds", "1", "--output", csv]);
+    let bursts = name("made-bursts.csv");
+    let printed = run(&["convert", csv, &bursts]);
+    assert!(
+        printed.contains("no place for it: the truth\n"),
+        "{printed}"
+    );
+    let printed = run(&["convert", &bursts, &name("made.csv")]);
+    assert!(
+        printed.contains("no place for it: the temperature\n"),
+        "{printed}"
+    );
+    let text = std::fs::read_to_string(&bursts)
+        .unwrap()
+        .replacen(",\n", ",BUS_FAULT\n", 2);
+    let flagged = file("left-out", "flagged-bursts.csv", text);
+    let arguments = [
+        "convert",
+        flagged.to_str().unwrap(),
+        &name("flagged.csv"),
+        "--json",
+    ];
+    let summary: serde_json::Value = serde_json::from_str(&run(&arguments)).unwrap();
+    let expected = serde_json::json!(["the temperature", "the board's flags"]);
+    assert_eq!(summary["left_out"], expected);
+    let printed = run(&["convert", &bursts, &name("made.log")]);
+    assert!(!printed.contains("left out"), "{printed}");
+}

@@ -230,6 +230,46 @@ fn a_flood_of_commands_costs_no_sample_either() {
     assert!(answered > 20, "{answered}");
 }
 
+/// The bound that docs/commands.md states, also while commands change the calibration.
+#[test]
+fn commands_by_chance_delay_no_attitude_by_much() {
+    const COMMANDS: [&str; 16] = [
+        "mount +x-z",
+        "mount -x-z",
+        "mount +y-z",
+        "mount find",
+        "calibrate gyro",
+        "calibrate level",
+        "calibrate accel",
+        "calibrate temperature",
+        "calibrate done",
+        "calibrate stop",
+        "show",
+        "status",
+        "rate 50",
+        "rate 10",
+        "arm",
+        "disarm",
+    ];
+    for seed in 0..4 {
+        let mut random = Random::new(seed, "commands");
+        let mut run = Run::new(firmware())
+            .seconds(20.0)
+            .seed(seed)
+            .motion(Rest::level());
+        let mut at_s = 1.5;
+        while at_s < 19.0 {
+            let index = random.uniform(0.0, COMMANDS.len() as f64) as usize;
+            run = run.command(at_s, COMMANDS[index]);
+            at_s += random.uniform(0.02, 0.3);
+        }
+        let outcome = fly(run);
+        assert_eq!(outcome.summary.missed, 0, "{seed}");
+        let latest_us = outcome.summary.edge_to_attitude_us_max;
+        assert!(latest_us <= Some(430.0), "{seed}: {latest_us:?}");
+    }
+}
+
 #[test]
 fn a_noisy_line_is_counted_and_its_commands_dropped() {
     let garbled = Fault::ReceptionGarbled {
