@@ -2,11 +2,13 @@
 //! folder.
 
 mod live;
+mod port;
 mod screen;
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
 use std::io::Read as _;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -30,6 +32,7 @@ use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
 use live::Live;
+use port::Port;
 use screen::Screen;
 
 /// Default length of the simulated flight, s.
@@ -114,10 +117,40 @@ struct Fly {
     /// Where the files go.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
-    /// Fly in real time, for a day by default. The UART's bytes go to standard output. Lines from
+    /// Fly in real time, for a day by default. The UART's bytes go to standard output. Bytes from
     /// standard input go to the UART, until that ends. No files are written.
     #[arg(long, conflicts_with_all = ["output", "flash"])]
     live: bool,
+    /// Like --live, with the UART at a pseudo-terminal, whose name is printed: for `aplomb view
+    /// --port`, pymavlink or QGroundControl.
+    #[cfg(unix)]
+    #[arg(long, conflicts_with_all = ["output", "flash", "live"])]
+    pty: bool,
+    /// Like --live, with the UART at this TCP port, for one program at a time.
+    #[arg(long, value_name = "127.0.0.1:PORT", conflicts_with_all = ["output", "flash", "live"])]
+    #[cfg_attr(unix, arg(conflicts_with = "pty"))]
+    tcp: Option<SocketAddr>,
+}
+
+impl Fly {
+    /// Opens the port of a flight in real time; `None` for a flight that writes files.
+    fn port(&self) -> Result<Option<Port>, String> {
+        #[cfg(unix)]
+        if self.pty {
+            let opened = Port::pseudo_terminal();
+            let (port, name) = opened.map_err(|error| format!("no pseudo-terminal: {error}"))?;
+            eprintln!("serial port: {name}");
+            return Ok(Some(port));
+        }
+        if let Some(address) = self.tcp {
+            let opened = Port::tcp(address);
+            let (port, address) =
+                opened.map_err(|error| format!("cannot listen on {address}: {error}"))?;
+            eprintln!("serial port: tcp:{address}");
+            return Ok(Some(port));
+        }
+        Ok(self.live.then(Port::standard))
+    }
 }
 
 fn mount(name: &str) -> Result<Mount, String> {
@@ -182,6 +215,7 @@ fn fly(options: &Fly) -> Result<(), String> {
         run = run.flash(slots(path)?);
     }
     check_rows(options)?;
+    let port = options.port()?;
     let (motion, seconds);
     match &options.log {
         Some(path) => {
@@ -193,15 +227,15 @@ fn fly(options: &Fly) -> Result<(), String> {
             motion = format!("recording {}", name.display());
         }
         None => {
-            let usual = if options.live { DAY_S } else { SECONDS };
+            let usual = if port.is_some() { DAY_S } else { SECONDS };
             seconds = options.seconds.unwrap_or(usual);
             motion = format!("simulated flight, seed {}", options.seed);
         }
     }
     check_ends(options, &script, &schedule, seconds)?;
     run = run.seconds(seconds);
-    if options.live {
-        let run = run.without_account().observer(Live::new()).run();
+    if let Some(port) = port {
+        let run = run.without_account().observer(Live::new(port)).run();
         return run.map(|_| ()).map_err(|error| error.to_string());
     }
     eprintln!("{motion}, on {}", options.board.name);
