@@ -252,16 +252,16 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         let at = |reason: String| format!("{}: {reason}", path.display());
         let flight = log.flight(options.flight).map_err(at)?;
         let first = flight
-            .configurations
-            .first()
+            .configuration
+            .as_ref()
             .ok_or_else(|| at("there is no configuration in it".to_owned()))?;
-        let bursts = flight.bursts.iter();
+        let steps = log.steps(flight)?;
         return Ok(Found {
             config: first.settings.sensor,
             mount: Some(first.settings.mount()),
             part: first.settings.part,
-            bursts: bursts
-                .map(|numbered| (numbered.burst, numbered.flags))
+            bursts: steps
+                .map(|step| (step.numbered.burst, step.numbered.flags))
                 .collect(),
             bursts_lost: flight.lost(),
             damaged_pieces: log.counts.damaged,

@@ -4,7 +4,7 @@ use std::error::Error;
 use std::path::PathBuf;
 
 use aplomb::calibration::Mount;
-use aplomb_recordings::flight_log::Flight;
+use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
 use aplomb_recordings::log::Lines;
 use aplomb_recordings::units::RowOptions;
@@ -143,9 +143,9 @@ impl Reading {
     }
 
     /// Opens a flight of a flight log.
-    pub fn open_flight<'a>(&self, flight: &'a Flight) -> Result<Logged<'a>, String> {
+    pub fn open_flight(&self, log: &FlightLog, flight: &Flight) -> Result<Logged, String> {
         self.check(Kind::FlightLog)?;
-        Logged::new(flight, self.filter())
+        Logged::new(log, flight, self.filter())
             .map_err(|reason| format!("{}: {reason}", self.input.display()))
     }
 

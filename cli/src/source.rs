@@ -15,7 +15,7 @@ use aplomb::pipeline::{Settings, Snapshot};
 use aplomb::telemetry::bursts;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::counts::counts;
-use aplomb_recordings::flight_log::Flight;
+use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::log::{Lines, Row, Rows};
 use aplomb_recordings::score::START_US;
 use aplomb_recordings::units::RowOptions;
@@ -253,14 +253,14 @@ impl Source for Bursts {
 }
 
 /// Flight of a flight log through the whole pipeline.
-pub struct Logged<'a> {
-    replay: Replay<'a>,
+pub struct Logged {
+    replay: Replay,
 }
 
-impl<'a> Logged<'a> {
+impl Logged {
     /// Starts the replay of a flight.
-    pub fn new(flight: &'a Flight, filter: FilterName) -> Result<Self, &'static str> {
-        let replay = Replay::new(flight, filter)?;
+    pub fn new(log: &FlightLog, flight: &Flight, filter: FilterName) -> Result<Self, String> {
+        let replay = Replay::new(log, flight, filter)?;
         Ok(Self { replay })
     }
 
@@ -275,7 +275,7 @@ impl<'a> Logged<'a> {
     }
 }
 
-impl Source for Logged<'_> {
+impl Source for Logged {
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
         let Some(snapshot) = self.replay.next() else {
             return Ok(None);

@@ -197,19 +197,24 @@ fn a_message_quotes_at_most_80_characters() {
     }
 }
 
-/// Runs a command within a limit of memory, and returns its message.
+/// Runs a command within a limit of memory.
 #[cfg(target_os = "linux")]
-fn refusal_in_little_memory(arguments: &[&str]) -> String {
+fn in_little_memory(arguments: &[&str], memory_kib: u64) -> std::process::Output {
     let quoted: Vec<String> = arguments.iter().map(|word| format!("'{word}'")).collect();
     let program = env!("CARGO_BIN_EXE_aplomb");
-    let script = format!(
-        "ulimit -d {MOST_MEMORY_KIB}; exec '{program}' {}",
-        quoted.join(" ")
-    );
-    let result = Command::new("sh")
+    let words = quoted.join(" ");
+    let script = format!("ulimit -d {memory_kib}; exec '{program}' {words}");
+    let mut shell = Command::new("sh");
+    shell
         .args(["-c", &script])
         .output()
-        .expect("there is a shell");
+        .expect("there is a shell")
+}
+
+/// Runs a command that has to fail in little memory, and returns its message.
+#[cfg(target_os = "linux")]
+fn refusal_in_little_memory(arguments: &[&str]) -> String {
+    let result = in_little_memory(arguments, MOST_MEMORY_KIB);
     let message = String::from_utf8_lossy(&result.stderr).into_owned();
     assert_eq!(result.status.code(), Some(1), "{arguments:?}: {message}");
     message
@@ -346,4 +351,31 @@ fn convert_names_what_the_output_has_no_place_for() {
     assert_eq!(summary["left_out"], expected);
     let printed = run(&["convert", &bursts, &name("made.log")]);
     assert!(!printed.contains("left out"), "{printed}");
+}
+
+/// An hour's log has twelve times these five minutes; all of them in memory would take 24 MB.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_long_recording_takes_no_more_memory_than_a_short_one() {
+    let names = ["long.csv", "long.log"].map(|name| path("long", name));
+    let [csv, log] = names.each_ref().map(|path| path.to_str().unwrap());
+    let simulate = [
+        "simulate",
+        "--kind",
+        "swing",
+        "--seconds",
+        "300",
+        "--output",
+        csv,
+    ];
+    assert!(aplomb(&simulate).status.success());
+    assert!(aplomb(&["convert", csv, log]).status.success());
+    for input in [csv, log] {
+        let result = in_little_memory(&["replay", input], 20_000);
+        let errors = String::from_utf8_lossy(&result.stderr);
+        assert!(result.status.success(), "{input}: {errors}");
+        let printed = String::from_utf8_lossy(&result.stdout);
+        assert!(printed.contains("300000 rows"), "{printed}");
+    }
+    std::fs::remove_file(csv).ok();
 }

@@ -8,6 +8,7 @@
 //! - [`attitude_table`]: tables of attitudes;
 //! - [`motion`]: a log as motion; [`simulated`]: simulated sensor data with its truth;
 //! - [`number`]: numbers as text, fast;
+//! - [`distribution`]: quantiles in bounded memory;
 //! - [`score`]: errors of attitudes against the truth; [`attitude`]: geometry for that;
 //! - `output`, with the feature of this name: files that appear when they are complete;
 //! - [`quote`]: quotations of input in messages;
@@ -20,6 +21,7 @@
 pub mod attitude;
 pub mod attitude_table;
 pub mod counts;
+pub mod distribution;
 mod fault;
 pub mod flight_log;
 pub mod form;
