@@ -271,6 +271,66 @@ fn commands_by_chance_delay_no_attitude_by_much() {
 }
 
 #[test]
+fn a_thousand_lines_by_chance_leave_the_module_alive() {
+    const PIECES: [&str; 28] = [
+        "help",
+        "status",
+        "show",
+        "save",
+        "forget",
+        "self-test",
+        "arm",
+        "disarm",
+        "calibrate ",
+        "gyro",
+        "accel",
+        "level",
+        "temperature",
+        "mount ",
+        "+x-z",
+        "-y+x",
+        "find",
+        "rate ",
+        "format ",
+        "text",
+        "50",
+        "-1",
+        "99999999999999999999",
+        " ",
+        "\u{0}",
+        "é",
+        "\x08",
+        "\x7f",
+    ];
+    let mut random = Random::new(1, "lines");
+    let mut run = Run::new(firmware()).seconds(46.0).motion(Rest::level());
+    for index in 0..1_000_u32 {
+        let count = 1 + random.uniform(0.0, 5.0) as usize;
+        let mut line = Vec::new();
+        for _ in 0..count {
+            let piece = PIECES[random.uniform(0.0, PIECES.len() as f64) as usize];
+            line.extend(piece.as_bytes());
+            if random.uniform(0.0, 1.0) < 0.1 {
+                line.push(random.uniform(0.0, 256.0) as u8);
+            }
+        }
+        line.push(b'\n');
+        run = run.send(1.5 + 0.04 * f64::from(index), &line);
+    }
+    let outcome = fly(run.command(44.0, "").command(44.5, "status"));
+    assert_eq!(outcome.issues, Vec::<String>::new());
+    let last = answers(&outcome)
+        .into_iter()
+        .rfind(|(at_s, _)| *at_s > 44.5);
+    assert!(
+        last.is_some_and(|(_, text)| text.starts_with("ok status")),
+        "{last:?}"
+    );
+    let after = outcome.samples().last().expect("there are samples");
+    assert!(after.snapshot.t_us > 45_900_000, "{}", after.snapshot.t_us);
+}
+
+#[test]
 fn a_noisy_line_is_counted_and_its_commands_dropped() {
     let garbled = Fault::ReceptionGarbled {
         noise_per_million: 10_000,
