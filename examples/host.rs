@@ -4,22 +4,36 @@
 //! ```sh
 //! cargo run --example host                  # simulated: rolls to 30 degrees and back
 //! cargo run --example host -- samples.csv
+//! cargo run --example host -- samples.csv z-down
 //! ```
 //!
-//! A line of the file is `t_us,ax,ay,az,gx,gy,gz`: m/s² and rad/s in body axes, Z down.
+//! A line of the file is `t_us,ax,ay,az,gx,gy,gz`: m/s² and rad/s in the sensor's axes, as in the
+//! project's own logs. The second argument says how the sensor is mounted: `z-up` (the default) has
+//! its Z axis up, so that it reads +9.81 along Z at rest. The filter takes body axes, with Z down,
+//! where a level body at rest reads −9.81. [`Mount::to_body`] converts.
 //!
 //! In a project of your own: `aplomb = { git = "…" }` without features.
 
 use std::error::Error;
 
 use aplomb::attitude::Vector3;
+use aplomb::calibration::Mount;
 use aplomb::estimator::{Estimator, Sample};
 
 fn main() -> Result<(), Box<dyn Error>> {
+    let mount: Mount = match std::env::args().nth(2) {
+        Some(name) => name
+            .parse()
+            .map_err(|_| "a mount is z-up, z-down, or such as +x-z")?,
+        None => Mount::Z_UP,
+    };
     let samples = match std::env::args().nth(1) {
-        Some(path) => read(&std::fs::read_to_string(path)?)?,
+        Some(path) => read(&std::fs::read_to_string(path)?, mount)?,
         None => made_up(),
     };
+    if let Some(warning) = samples.first().and_then(upside_down) {
+        eprintln!("{warning}");
+    }
     let mut estimator = Estimator::new();
     for (number, sample) in samples.iter().enumerate() {
         let estimate = estimator.update(sample);
@@ -36,8 +50,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Returns one sample for each line that begins with a number.
-fn read(csv: &str) -> Result<Vec<Sample>, Box<dyn Error>> {
+/// Returns a warning if the body is upside down at first, which is rarely meant.
+fn upside_down(first: &Sample) -> Option<&'static str> {
+    let is_upside_down = first.specific_force_m_s2.z > 5.0;
+    is_upside_down.then_some(
+        "warning: by the first sample the body is upside down. \
+         Does the sensor's Z axis point down? Then give the mount z-down",
+    )
+}
+
+/// Returns one sample in body axes for each line that begins with a number.
+fn read(csv: &str, mount: Mount) -> Result<Vec<Sample>, Box<dyn Error>> {
     let lines = csv
         .lines()
         .filter(|line| line.starts_with(|c: char| c.is_ascii_digit()));
@@ -54,14 +77,14 @@ fn read(csv: &str) -> Result<Vec<Sample>, Box<dyn Error>> {
         };
         Ok(Sample::new(
             t_us.trim().parse()?,
-            Vector3::new(ax, ay, az),
-            Vector3::new(gx, gy, gz),
+            mount.to_body(Vector3::new(ax, ay, az)),
+            mount.to_body(Vector3::new(gx, gy, gz)),
         ))
     };
     lines.map(sample).collect()
 }
 
-/// Simulates ten seconds at 1 kHz: two of rest, then a roll to 30° and back.
+/// Simulates ten seconds at 1 kHz in body axes: two of rest, then a roll to 30° and back.
 fn made_up() -> Vec<Sample> {
     let roll = |t_s: f32| 0.26 * (1.0 - ((t_s - 2.0).max(0.0) * std::f32::consts::FRAC_PI_4).cos());
     let at = |millisecond: u16| {

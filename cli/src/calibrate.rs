@@ -21,10 +21,12 @@ use aplomb::pipeline::Settings;
 use aplomb::telemetry::bursts;
 use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
 use aplomb_recordings::counts::counts;
+use aplomb_recordings::flight_log;
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{Lines, Row, parse_row};
+use aplomb_recordings::log::{Lines, Row, Rows};
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
+use aplomb_recordings::units::RowOptions;
 
 use crate::input::Counts;
 use crate::progress;
@@ -60,6 +62,8 @@ pub struct Options {
     input: Option<PathBuf>,
     #[command(flatten)]
     counts: Counts,
+    #[command(flatten)]
+    rows: RowOptions,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -137,15 +141,23 @@ struct Sample {
 
 impl Recording {
     fn read(path: &Path, options: &Options) -> Result<Self, Box<dyn Error>> {
+        if flight_log::is_flight_log(path) {
+            let name = path.display();
+            return Err(format!(
+                "{name}: it is a flight log. Make bursts of it, and calibrate from them with the \
+                 options that `convert` prints: aplomb convert {name} poses-bursts.csv"
+            )
+            .into());
+        }
         let mut lines = progress::lines(path)?;
         let form = Form::read(&mut lines)?;
-        options.counts.check(form)?;
+        options.counts.check(form, &options.rows)?;
         let mut config = options.counts.config();
         let samples = match form {
             Form::Bursts => read_bursts(&mut lines)?,
             Form::Log(columns) => {
-                let rows = read_rows(&mut lines, columns)?;
                 let is_raw = options.counts.raw;
+                let rows = read_rows(Rows::new(lines, columns, options.rows, is_raw)?)?;
                 if !is_raw {
                     config = finest_config(&rows)
                         .map_err(|reason| format!("{}: {reason}", path.display()))?;
@@ -258,19 +270,20 @@ fn read_bursts(lines: &mut Lines) -> Result<Vec<Sample>, Box<dyn Error>> {
     Ok(samples)
 }
 
-fn read_rows(lines: &mut Lines, columns: usize) -> Result<Vec<Row>, Box<dyn Error>> {
+/// Returns the rows with the numbers of their lines.
+fn read_rows(mut reader: Rows) -> Result<Vec<(u64, Row)>, Box<dyn Error>> {
     let mut rows = Vec::new();
-    while let Some(line) = lines.next_line()? {
-        rows.push(parse_row(line, columns).map_err(|fault| lines.refuse(fault))?);
+    while let Some(row) = reader.next_row()? {
+        rows.push((reader.line(), row));
     }
     Ok(rows)
 }
 
 /// Returns the smallest ranges that hold a log's values.
-fn finest_config(rows: &[Row]) -> Result<Config, String> {
+fn finest_config(rows: &[(u64, Row)]) -> Result<Config, String> {
     let largest = |values: fn(&Row) -> [f64; 3]| {
         rows.iter()
-            .flat_map(values)
+            .flat_map(|(_, row)| values(row))
             .fold(0.0_f64, |largest, value| largest.max(value.abs()))
     };
     let g = largest(|row| row.specific_force_m_s2) / f64::from(STANDARD_GRAVITY_M_S2);
@@ -299,15 +312,18 @@ fn finest_config(rows: &[Row]) -> Result<Config, String> {
 }
 
 /// Converts rows to counts. The error has the line of the fault.
-fn to_samples(rows: &[Row], config: &Config, is_raw: bool) -> Result<Vec<Sample>, (usize, String)> {
+fn to_samples(
+    rows: &[(u64, Row)],
+    config: &Config,
+    is_raw: bool,
+) -> Result<Vec<Sample>, (u64, String)> {
     let per_m_s2 =
         f64::from(config.accelerometer_range.counts_per_g()) / f64::from(STANDARD_GRAVITY_M_S2);
     let per_rad_s =
         f64::from(config.gyroscope_range.counts_per_degree_s()) * f64::from(DEGREES_PER_RADIAN);
-    let to_sample = |(index, row): (usize, &Row)| {
+    let to_sample = |(line, row): &(u64, Row)| {
         let [accelerometer, gyroscope] = if is_raw {
-            // The header is line 1.
-            counts(row).map_err(|reason| (index + 2, reason))?
+            counts(row).map_err(|reason| (*line, reason))?
         } else {
             [
                 row.specific_force_m_s2
@@ -324,7 +340,7 @@ fn to_samples(rows: &[Row], config: &Config, is_raw: bool) -> Result<Vec<Sample>
             raw,
         })
     };
-    rows.iter().enumerate().map(to_sample).collect()
+    rows.iter().map(to_sample).collect()
 }
 
 struct Statistics {

@@ -13,10 +13,11 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb_recordings::flight_log::{self, Recorder};
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{LogFault, Row, parse_row};
+use aplomb_recordings::log::{Lines, LogFault, Row, Rows};
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
+use aplomb_recordings::units::RowOptions;
 
 use crate::progress;
 
@@ -34,7 +35,8 @@ use crate::progress;
   aplomb convert recording.csv.gz recording.log
 
 JSON: input, output, bursts, bursts_lost, damaged_pieces,
-clipped_values (of a log in SI units, beyond the ranges).")]
+clipped_values (of a log in SI units, beyond the ranges), left_out (what the output has no place
+for: temperature, flags, truth).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
@@ -46,10 +48,15 @@ pub struct Options {
     /// Number of the flight, in a flight log with several starts of the module, counted from 1
     #[arg(long, value_name = "N")]
     flight: Option<usize>,
+    #[command(flatten)]
+    rows: RowOptions,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
 }
+
+/// Columns of a log without truth.
+const SHORTEST_LOG: usize = 7;
 
 /// Kind of a recording.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -101,6 +108,17 @@ impl Kind {
                 self.name()
             ));
         }
+        let unused = options
+            .rows
+            .given()
+            .into_iter()
+            .find(|(_, is_given)| *is_given);
+        if let Some((name, _)) = unused.filter(|_| self != Self::Csv) {
+            return Err(format!(
+                "{input}: {name} would change nothing: it is {}",
+                self.name()
+            ));
+        }
         Ok(())
     }
 }
@@ -131,6 +149,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let mut file = OutputFile::create(output, &[&options.input])?;
     write(&mut file, &settings, &found.bursts).map_err(|error| file.failed(&error))?;
     file.finish()?;
+    let left_out = found.left_out(into);
     let summary = Summary {
         input: options.input.display().to_string(),
         output: output.display().to_string(),
@@ -138,6 +157,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         bursts_lost: found.bursts_lost,
         damaged_pieces: found.damaged_pieces,
         clipped_values: found.clipped_values,
+        left_out,
     };
     if options.json {
         print_line(&serde_json::to_string(&summary)?);
@@ -156,6 +176,13 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         ));
     }
     print_line(&format!("{}: {} bursts", summary.output, summary.bursts));
+    if !summary.left_out.is_empty() {
+        let left_out = summary.left_out.join(" and ");
+        print_line(&format!(
+            "left out, as {} has no place for it: {left_out}",
+            into.name()
+        ));
+    }
     if let Some(mount) = found.mount {
         let mut replay_with = format!("--mount {}", mount.name());
         if into == Kind::Bursts {
@@ -181,6 +208,7 @@ struct Summary {
     bursts_lost: u64,
     damaged_pieces: u64,
     clipped_values: usize,
+    left_out: Vec<&'static str>,
 }
 
 /// Contents of a recording.
@@ -193,6 +221,27 @@ struct Found {
     bursts_lost: u64,
     damaged_pieces: u64,
     clipped_values: usize,
+    /// The recording has a truth.
+    has_truth: bool,
+    /// The recording has no temperature: 25 °C stands for it.
+    is_csv: bool,
+}
+
+impl Found {
+    /// Returns what this kind of output has no place for.
+    fn left_out(&self, into: Kind) -> Vec<&'static str> {
+        let has_flags = self
+            .bursts
+            .iter()
+            .any(|(burst, flags)| burst.missed_before > 0 || !flags.is_empty());
+        let lost = [
+            ("the temperature", into == Kind::Csv && !self.is_csv),
+            ("the board's flags", into == Kind::Csv && has_flags),
+            ("the truth", self.has_truth),
+        ];
+        let lost = lost.into_iter().filter(|(_, is_lost)| *is_lost);
+        lost.map(|(name, _)| name).collect()
+    }
 }
 
 fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
@@ -203,20 +252,22 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         let at = |reason: String| format!("{}: {reason}", path.display());
         let flight = log.flight(options.flight).map_err(at)?;
         let first = flight
-            .configurations
-            .first()
+            .configuration
+            .as_ref()
             .ok_or_else(|| at("there is no configuration in it".to_owned()))?;
-        let bursts = flight.bursts.iter();
+        let steps = log.steps(flight)?;
         return Ok(Found {
             config: first.settings.sensor,
             mount: Some(first.settings.mount()),
             part: first.settings.part,
-            bursts: bursts
-                .map(|numbered| (numbered.burst, numbered.flags))
+            bursts: steps
+                .map(|step| (step.numbered.burst, step.numbered.flags))
                 .collect(),
             bursts_lost: flight.lost(),
             damaged_pieces: log.counts.damaged,
             clipped_values: 0,
+            has_truth: false,
+            is_csv: false,
         });
     }
     let mut lines = progress::lines(path)?;
@@ -226,37 +277,51 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         Form::Log(_) => Kind::Csv,
     };
     kind.check(options, into)?;
-    let mut found = Vec::new();
-    let mut clipped_values = 0;
-    while let Some(line) = lines.next_line()? {
-        let burst = match form {
-            Form::Bursts => bursts::decode(line).map_err(|error| error.to_string()),
-            Form::Log(columns) => match parse_row(line, columns) {
-                Err(fault) => return Err(lines.refuse(fault).into()),
-                Ok(row) => {
-                    let (raw, clipped) = counts_of(&row).map_err(|fault| lines.refuse(fault))?;
-                    clipped_values += clipped;
-                    let burst = Burst {
-                        bytes: raw.encode(),
-                        captured_at_us: u64::try_from(row.time_us)
-                            .map_err(|_| format!("{}: t_us is negative", lines.place()))?,
-                        missed_before: 0,
-                    };
-                    Ok((burst, BoardFlags::empty()))
-                }
-            },
-        };
-        found.push(burst.map_err(|reason| format!("{}: {reason}", lines.place()))?);
-    }
+    let ((bursts, clipped_values), is_csv, has_truth) = match form {
+        Form::Bursts => ((read_bursts(lines)?, 0), false, false),
+        Form::Log(columns) => {
+            let rows = Rows::new(lines, columns, options.rows, false)?;
+            (read_rows(rows)?, true, columns > SHORTEST_LOG)
+        }
+    };
     Ok(Found {
         config: Config::DEFAULT,
         mount: None,
         part: &Part::MPU_6050,
-        bursts: found,
+        bursts,
         bursts_lost: 0,
         damaged_pieces: 0,
         clipped_values,
+        has_truth,
+        is_csv,
     })
+}
+
+fn read_bursts(mut lines: Lines) -> Result<Vec<FlaggedBurst>, Box<dyn Error>> {
+    let mut found = Vec::new();
+    while let Some(line) = lines.next_line()? {
+        let burst = bursts::decode(line);
+        found.push(burst.map_err(|reason| format!("{}: {reason}", lines.place()))?);
+    }
+    Ok(found)
+}
+
+/// Returns a log's rows as bursts, and the number of clipped values.
+fn read_rows(mut rows: Rows) -> Result<(Vec<FlaggedBurst>, usize), Box<dyn Error>> {
+    let mut found = Vec::new();
+    let mut clipped_values = 0;
+    while let Some(row) = rows.next_row()? {
+        let (raw, clipped) = counts_of(&row).map_err(|fault| rows.refuse(fault))?;
+        clipped_values += clipped;
+        let burst = Burst {
+            bytes: raw.encode(),
+            captured_at_us: u64::try_from(row.time_us)
+                .map_err(|_| format!("{}: t_us is negative", rows.place()))?,
+            missed_before: 0,
+        };
+        found.push((burst, BoardFlags::empty()));
+    }
+    Ok((found, clipped_values))
 }
 
 /// Converts a row to counts at the default full scales. Returns the number of clipped values too.

@@ -2,10 +2,10 @@
 
 use aplomb::attitude::Quaternion;
 use aplomb::estimator::REVISION;
-use aplomb::pipeline::Snapshot;
+use aplomb::pipeline::{Settings, Snapshot};
 use aplomb::serialize::StateReader;
 use aplomb::telemetry::log::NumberedBurst;
-use aplomb_recordings::flight_log::Flight;
+use aplomb_recordings::flight_log::{Flight, FlightLog, Steps};
 
 use crate::device::{Device, FilterName};
 
@@ -27,33 +27,34 @@ pub struct Agreement {
 }
 
 /// Replay of a flight, burst by burst.
-pub struct Replay<'a> {
-    flight: &'a Flight,
-    next: usize,
+pub struct Replay {
+    steps: Steps,
     device: Device,
-    /// Index of the present configuration.
-    configuration: usize,
+    settings: Settings,
+    /// Number of the last burst.
+    last: Option<u32>,
     is_exact: bool,
     /// Flown with these filters, so that its states apply.
     is_revision: bool,
     agreement: Agreement,
 }
 
-impl<'a> Replay<'a> {
+impl Replay {
     /// Creates a replay with the flight's settings. Only the Kalman filter can be exact.
-    pub fn new(flight: &'a Flight, filter: FilterName) -> Result<Self, &'static str> {
-        let Some(first) = flight.configurations.first() else {
+    pub fn new(log: &FlightLog, flight: &Flight, filter: FilterName) -> Result<Self, String> {
+        let Some(first) = &flight.configuration else {
             return Err(
                 "there is no configuration in it, so that the bytes have no meaning: \
-                 record a second or more",
+                 record a second or more"
+                    .into(),
             );
         };
         let is_revision = first.revision == REVISION;
         Ok(Self {
-            flight,
-            next: 0,
+            steps: log.steps(flight)?,
             device: Device::for_bursts(filter, &first.settings),
-            configuration: 0,
+            settings: first.settings,
+            last: None,
             is_exact: false,
             is_revision,
             agreement: Agreement {
@@ -65,18 +66,19 @@ impl<'a> Replay<'a> {
 
     /// Replays the next burst, and returns its snapshot.
     pub fn next(&mut self) -> Option<Snapshot> {
+        let step = self.steps.next()?;
         let NumberedBurst {
             number,
             flags,
             burst,
-        } = *self.flight.bursts.get(self.next)?;
-        let before = self.next.checked_sub(1);
-        let follows = before.is_some_and(|before| self.flight.bursts[before].number + 1 == number);
-        self.is_exact &= follows;
-        self.next += 1;
-        self.change_settings(number);
+        } = step.numbered;
+        let before = self.last.replace(number);
+        self.is_exact &= before.is_some_and(|before| before.checked_add(1) == Some(number));
+        if let Some(next) = &step.configuration {
+            self.change_settings(&next.settings);
+        }
         if self.is_revision
-            && let Some(state) = self.flight.state(number)
+            && let Some(state) = &step.state
             && let Some(pipeline) = self.device.kalman_mut()
         {
             let mut restored = *pipeline;
@@ -92,7 +94,9 @@ impl<'a> Replay<'a> {
         self.agreement.bursts += 1;
         if self.is_exact {
             self.agreement.exact += 1;
-            self.compare(&snapshot);
+            if let Some(flown) = &step.attitude {
+                self.compare(&snapshot, flown);
+            }
         }
         Some(snapshot)
     }
@@ -107,26 +111,16 @@ impl<'a> Replay<'a> {
         &self.agreement
     }
 
-    fn change_settings(&mut self, number: u32) {
-        let Some(next) = self.flight.configurations.get(self.configuration + 1) else {
-            return;
-        };
-        if number < next.from_number {
-            return;
-        }
-        let before = &self.flight.configurations[self.configuration].settings;
-        if next.settings != *before {
+    fn change_settings(&mut self, settings: &Settings) {
+        if *settings != self.settings {
             // The log does not say between which two samples the settings changed.
             self.is_exact = false;
-            self.device.set_calibration(&next.settings);
+            self.device.set_calibration(settings);
+            self.settings = *settings;
         }
-        self.configuration += 1;
     }
 
-    fn compare(&mut self, snapshot: &Snapshot) {
-        let Some(flown) = self.flight.attitude(snapshot.t_us) else {
-            return;
-        };
+    fn compare(&mut self, snapshot: &Snapshot, flown: &Snapshot) {
         self.agreement.compared += 1;
         let bits = |snapshot: &Snapshot| {
             let Quaternion { w, x, y, z } = snapshot.attitude;

@@ -2,6 +2,7 @@
 
 use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange};
 use aplomb_recordings::form::Form;
+use aplomb_recordings::units::RowOptions;
 
 /// Options that give register counts their meaning.
 #[derive(clap::Args)]
@@ -20,10 +21,19 @@ pub struct Counts {
 
 impl Counts {
     /// Refuses options that mean nothing for this form.
-    pub fn check(&self, form: Form) -> Result<(), &'static str> {
+    pub fn check(&self, form: Form, rows: &RowOptions) -> Result<(), &'static str> {
+        let has_units = rows.force_unit.is_some() || rows.rate_unit.is_some();
+        let has_row_options = rows.given().iter().any(|(_, is_given)| *is_given);
         let has_ranges = self.accel_range.is_some() || self.gyro_range.is_some();
         match form {
             Form::Bursts if self.raw => Err("--raw is for logs: bursts are raw in any case"),
+            Form::Bursts if has_row_options => Err(
+                "--time-unit, --force-unit, --rate-unit and --bad-rows are for logs, \
+                     not for bursts",
+            ),
+            Form::Log(_) if self.raw && has_units => {
+                Err("--raw gives the values their units: leave out --force-unit and --rate-unit")
+            }
             Form::Log(_) if has_ranges && !self.raw => {
                 Err("--accel-range and --gyro-range give counts their meaning: \
                  add --raw, if the log holds counts")

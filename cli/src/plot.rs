@@ -1,7 +1,7 @@
 //! `aplomb plot`: a recording, or the attitudes that came of one, as a picture.
 //!
 //! Every row is read once and merged into traces of fixed length, so an hour takes no more memory
-//! than a minute. Only a flight log is read as a whole.
+//! than a minute.
 
 mod figure;
 mod spectrum;
@@ -72,13 +72,13 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
                 input.display()
             ));
             log.flown()
-                .max_by_key(|flight| flight.bursts.len())
+                .max_by_key(|flight| flight.bursts)
                 .ok_or("there is no flight in it")?
         } else {
             log.flight(options.reading.flight)
                 .map_err(|reason| format!("{}: {reason}", input.display()))?
         };
-        let mut source = options.reading.open_flight(flight)?;
+        let mut source = options.reading.open_flight(&log, flight)?;
         let mount = source.mount();
         options.figure(&mut source, mount)?
     } else {

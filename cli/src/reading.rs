@@ -4,9 +4,10 @@ use std::error::Error;
 use std::path::PathBuf;
 
 use aplomb::calibration::Mount;
-use aplomb_recordings::flight_log::Flight;
+use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
 use aplomb_recordings::log::Lines;
+use aplomb_recordings::units::RowOptions;
 
 use crate::device::FilterName;
 use crate::input::Counts;
@@ -39,6 +40,8 @@ pub struct Reading {
     pub flight: Option<usize>,
     #[command(flatten)]
     counts: Counts,
+    #[command(flatten)]
+    rows: RowOptions,
 }
 
 /// Kind of input, as far as it decides on options.
@@ -66,6 +69,10 @@ impl Kind {
                 "--raw",
                 "--accel-range",
                 "--gyro-range",
+                "--time-unit",
+                "--force-unit",
+                "--rate-unit",
+                "--bad-rows",
             ],
             Self::FlightLog => &["--filter", "--flight"],
             Self::Attitudes { has_truth: true } => &["--mount"],
@@ -92,7 +99,10 @@ impl Reading {
             ("--sensor-delay-us", self.sensor_delay_us.is_some()),
             ("--flight", self.flight.is_some()),
         ];
-        let given = own.into_iter().chain(self.counts.given());
+        let given = own
+            .into_iter()
+            .chain(self.counts.given())
+            .chain(self.rows.given());
         let unused = given.filter(|(name, is_given)| *is_given && !kind.takes().contains(name));
         let unused: Vec<&str> = unused.map(|(name, _)| name).collect();
         if unused.is_empty() {
@@ -110,7 +120,7 @@ impl Reading {
     pub fn open(&self, mut lines: Lines) -> Result<Box<dyn Source>, Box<dyn Error>> {
         self.check(Kind::Recording)?;
         let form = Form::read(&mut lines)?;
-        self.counts.check(form)?;
+        self.counts.check(form, &self.rows)?;
         Ok(match form {
             Form::Bursts => {
                 let (mount, config) = (self.mount(), self.counts.config());
@@ -124,6 +134,7 @@ impl Reading {
                     mount: self.mount(),
                     delay_us: self.sensor_delay_us.unwrap_or(0),
                     ranges: self.counts.ranges(),
+                    rows: self.rows,
                 };
                 Box::new(Log::new(lines, options)?)
             }
@@ -131,9 +142,9 @@ impl Reading {
     }
 
     /// Opens a flight of a flight log.
-    pub fn open_flight<'a>(&self, flight: &'a Flight) -> Result<Logged<'a>, String> {
+    pub fn open_flight(&self, log: &FlightLog, flight: &Flight) -> Result<Logged, String> {
         self.check(Kind::FlightLog)?;
-        Logged::new(flight, self.filter())
+        Logged::new(log, flight, self.filter())
             .map_err(|reason| format!("{}: {reason}", self.input.display()))
     }
 

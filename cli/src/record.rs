@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use aplomb_recordings::output::cannot_write;
+use aplomb_recordings::output::{cannot_write, check_writable};
 
 use crate::view::{BAUD, Decoder, Item, LOG_BAUD, Link, Report, end_request, which_port};
 
@@ -73,6 +73,9 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         return Err(which_port().into());
     };
     // A name that is in use is refused before the flight, not after it.
+    if options.output == Path::new("-") {
+        return Err("record keeps what it hears in a file: give its name with --output".into());
+    }
     let was_there = options.output.exists();
     if was_there && !options.force {
         return Err(exists(&options.output).into());
@@ -134,6 +137,7 @@ fn exists(path: &Path) -> String {
 
 /// Opens the file to write. Its contents stay until the first byte comes.
 fn open(path: &Path, may_replace: bool) -> Result<File, String> {
+    check_writable(path).map_err(|error| cannot_write(path, &error))?;
     let mut options = OpenOptions::new();
     options.write(true);
     if may_replace {

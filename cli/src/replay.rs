@@ -168,7 +168,7 @@ fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
         log.flown().collect()
     };
     for flight in flights {
-        let mut source = reading.open_flight(flight)?;
+        let mut source = reading.open_flight(&log, flight)?;
         let mut summary = replay(options, source.mount(), reading.filter(), &mut source)?;
         let agreement = source.agreement();
         summary.log = Some(LogSummary {

@@ -15,10 +15,11 @@ use aplomb::pipeline::{Settings, Snapshot};
 use aplomb::telemetry::bursts;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::counts::counts;
-use aplomb_recordings::flight_log::Flight;
-use aplomb_recordings::log::{Lines, Row, parse_row};
+use aplomb_recordings::flight_log::{Flight, FlightLog};
+use aplomb_recordings::log::{Lines, Row, Rows};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::START_US;
+use aplomb_recordings::units::RowOptions;
 
 use crate::device::{Device, FilterName};
 use crate::flight_replay::{Agreement, Replay};
@@ -96,11 +97,13 @@ pub struct LogOptions {
     pub delay_us: u32,
     /// Ranges of the register counts, if the log holds counts.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+    /// Units of the rows, and the rule for bad ones.
+    pub rows: RowOptions,
 }
 
 /// Rows of a log through the pipeline, as samples in SI units.
 pub struct Log {
-    lines: Lines,
+    rows: Rows,
     options: LogOptions,
     /// Rows that were read ahead.
     ahead: VecDeque<LogRow>,
@@ -123,8 +126,14 @@ impl Log {
     pub fn new(lines: Lines, options: LogOptions) -> Result<Self, Box<dyn Error>> {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor_delay_us = Some(options.delay_us);
-        let mut log = Self {
+        let rows = Rows::new(
             lines,
+            options.columns,
+            options.rows,
+            options.ranges.is_some(),
+        )?;
+        let mut log = Self {
+            rows,
             options,
             ahead: VecDeque::new(),
             device: Device::for_samples(options.filter, &settings, options.delay_us),
@@ -154,15 +163,13 @@ impl Log {
     }
 
     fn read(&mut self) -> Result<Option<LogRow>, Box<dyn Error>> {
-        let Some(line) = self.lines.next_line()? else {
+        let Some(row) = self.rows.next_row()? else {
             return Ok(None);
         };
-        let row =
-            parse_row(line, self.options.columns).map_err(|fault| self.lines.refuse(fault))?;
         let mut sample = self
             .options
             .sample(&row)
-            .map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+            .map_err(|reason| format!("{}: {reason}", self.rows.place()))?;
         if self.options.ranges.is_none() {
             let clipped = (self.plateaus).check(row.specific_force_m_s2, row.rates_rad_s);
             (sample.is_force_saturated, sample.is_rate_saturated) = (clipped.force, clipped.rate);
@@ -262,14 +269,14 @@ impl Source for Bursts {
 }
 
 /// Flight of a flight log through the whole pipeline.
-pub struct Logged<'a> {
-    replay: Replay<'a>,
+pub struct Logged {
+    replay: Replay,
 }
 
-impl<'a> Logged<'a> {
+impl Logged {
     /// Starts the replay of a flight.
-    pub fn new(flight: &'a Flight, filter: FilterName) -> Result<Self, &'static str> {
-        let replay = Replay::new(flight, filter)?;
+    pub fn new(log: &FlightLog, flight: &Flight, filter: FilterName) -> Result<Self, String> {
+        let replay = Replay::new(log, flight, filter)?;
         Ok(Self { replay })
     }
 
@@ -284,7 +291,7 @@ impl<'a> Logged<'a> {
     }
 }
 
-impl Source for Logged<'_> {
+impl Source for Logged {
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
         let Some(snapshot) = self.replay.next() else {
             return Ok(None);

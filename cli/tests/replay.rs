@@ -9,7 +9,7 @@ use std::path::Path;
 use aplomb::attitude::Vector3;
 use aplomb::calibration::Mount;
 use aplomb::estimator::{Estimator, Sample};
-use aplomb::health::BoardFlags;
+use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{BURST_LENGTH, Burst, Part};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts;
@@ -194,7 +194,8 @@ fn every_row_gives_one_whatever_it_holds() {
     }
     let input = file("total", "input.csv", text);
     for filter in ["kalman", "axis-kalman", "classic"] {
-        let (printed, output) = replay("total", &input, &["--filter", filter]);
+        let (printed, output) =
+            replay("total", &input, &["--filter", filter, "--bad-rows", "keep"]);
         let flags = column(&output, "flags");
         assert_eq!(flags.len(), 10);
         let expected = ["TIME", "TIME", "REJECTED", "REJECTED"];
@@ -670,7 +671,7 @@ fn times_may_be_as_far_apart_as_they_like() {
             i64::MIN
         ),
     );
-    let (printed, output) = replay("far", &input, &[]);
+    let (printed, output) = replay("far", &input, &["--bad-rows", "keep"]);
     assert!(printed.contains("GAP: 1 rows") && printed.contains("TIME: 1 rows"));
     assert_eq!(column(&output, "t_us")[1], i64::MAX.to_string());
 }
@@ -785,6 +786,51 @@ fn a_simulated_flight_has_the_error_of_the_librarys_own_filter() {
         assert!(
             (value - expected).abs() < 1e-6,
             "{name}: {value} and {expected}"
+        );
+    }
+}
+
+#[test]
+fn slow_polling_is_degraded_and_very_slow_polling_never_valid() {
+    let simulated = path("slow", "flight.csv");
+    let name = simulated.to_str().unwrap();
+    let result = aplomb(&["simulate", "--seconds", "30", "--output", name]);
+    assert!(result.status.success());
+    let log = std::fs::read_to_string(&simulated).unwrap();
+    // Samples a second, whether the pipeline knows that rate, and shares of VALID and DEGRADED.
+    for (rate, is_known, valid, degraded) in [
+        (200, false, 0.9..1.0, 0.5..1.0),
+        (20, true, 0.9..1.0, 0.0..0.1),
+        (5, true, 0.5..1.0, 0.5..1.0),
+        (1, true, 0.0..0.01, 0.9..1.01),
+    ] {
+        let rows = log.lines().skip(1).step_by(1_000 / rate);
+        let mut pipeline = {
+            let mut settings = Settings::new(&Part::MPU_6050);
+            if is_known {
+                settings.sensor.sample_rate_divider = (1_000 / rate - 1).min(255) as u8;
+            }
+            Pipeline::new(&settings)
+        };
+        let (mut flags, mut count) = ([0.0; 2], 0.0);
+        for row in rows {
+            let cells: Vec<f32> = row.split(',').map(|cell| cell.parse().unwrap()).collect();
+            let vector = |first: usize| {
+                let [x, y, z] = [0, 1, 2].map(|axis| cells[first + axis]);
+                Mount::Z_UP.to_body(Vector3::new(x, y, z))
+            };
+            let t_us = row.split(',').next().unwrap().parse().unwrap();
+            let snapshot = pipeline.update_sample(&Sample::new(t_us, vector(1), vector(4)));
+            for (sum, flag) in flags.iter_mut().zip([Flags::VALID, Flags::DEGRADED]) {
+                *sum += f64::from(u8::from(snapshot.flags.contains(flag)));
+            }
+            count += 1.0;
+        }
+        let [is_valid, is_degraded] = flags.map(|sum| sum / count);
+        assert!(valid.contains(&is_valid), "{rate} Hz: {is_valid} VALID");
+        assert!(
+            degraded.contains(&is_degraded),
+            "{rate} Hz: {is_degraded} DEGRADED"
         );
     }
 }

@@ -11,6 +11,7 @@ use aplomb::mpu6050::{
     AccelerometerRange, Config, Error, GyroscopeRange, LowPass, Mpu6050, PARTS, RawSample,
 };
 use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::swing::Swing;
 use aplomb_models::motion::{Motion, Quaternion, Truth};
 use aplomb_models::sensor::{ClockErrors, DataReady, Sensor, SensorConfig, SensorErrors};
 use embedded_hal::delay::DelayNs;
@@ -270,6 +271,7 @@ fn the_self_test_passes_on_every_chip_within_the_datasheet_and_says_its_deviatio
         let mut driver = configured(&bench, &Config::default());
         let test = driver.self_test(&mut bench.clone()).unwrap();
         assert_eq!(test.has_passed(), Some(true), "{seed}: {test}");
+        assert!(!test.has_moved, "{seed}: {test}");
         // The model ages each axis by up to 10 %, and has its own table of the trims.
         let deviations = test
             .gyroscope
@@ -289,6 +291,26 @@ fn the_self_test_passes_on_every_chip_within_the_datasheet_and_says_its_deviatio
             "{sample:?}"
         );
     }
+}
+
+#[test]
+fn a_self_test_in_motion_names_the_motion() {
+    let mut failures = 0;
+    for seed in 0..10 {
+        let bench = Bench::new(SensorConfig::new(seed), Swing::by_seed(seed, 0.0));
+        let mut driver = configured(&bench, &Config::default());
+        let test = driver.self_test(&mut bench.clone()).unwrap();
+        assert!(test.has_moved, "{seed}: {test}");
+        if test.has_passed() == Some(false) {
+            failures += 1;
+            assert!(
+                test.to_string()
+                    .starts_with("FAILED: it moved, keep it still"),
+                "{test}"
+            );
+        }
+    }
+    assert!(failures > 0, "the motion disturbs the test");
 }
 
 #[test]

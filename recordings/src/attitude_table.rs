@@ -4,6 +4,8 @@ use aplomb::attitude::{EulerAngles, Quaternion};
 use aplomb::health::Flags;
 use aplomb::units::{degrees, radians};
 
+use crate::quote::quote;
+
 /// Largest deviation of a quaternion's length from 1.
 const LENGTH_TOLERANCE: f32 = 0.01;
 
@@ -131,7 +133,7 @@ impl Columns {
         let number = |index: usize| -> Result<f32, String> {
             let cell = cell(index)?;
             let number = cell.parse().ok().filter(|number: &f32| number.is_finite());
-            number.ok_or_else(|| format!("\"{cell}\" is not a number"))
+            number.ok_or_else(|| format!("\"{}\" is not a number", quote(cell)))
         };
         let numbers = |[a, b, c]: [usize; 3]| Ok::<_, String>([number(a)?, number(b)?, number(c)?]);
         let attitude = match self.attitude {
@@ -156,16 +158,20 @@ impl Columns {
         let flags = |index| {
             let cell = cell(index)?;
             cell.parse::<Flags>()
-                .map_err(|_| format!("\"{cell}\" are no flags"))
+                .map_err(|_| format!("\"{}\" are no flags", quote(cell)))
         };
         let counts = match self.scored.map(cell).transpose()? {
             None | Some("1") => true,
             Some("0") => false,
-            Some(other) => return Err(format!("scored is \"{other}\", but must be 0 or 1")),
+            Some(other) => {
+                let other = quote(other);
+                return Err(format!("scored is \"{other}\", but must be 0 or 1"));
+            }
         };
         let time = cell(self.time)?;
         Ok(Row {
             t_us: time.parse().map_err(|_| {
+                let time = quote(time);
                 format!("t_us is \"{time}\", which is not a whole number of microseconds")
             })?,
             attitude,

@@ -4,7 +4,9 @@ use std::error::Error;
 
 use aplomb::telemetry::bursts;
 
-use crate::log::{Lines, LogError, LogFault, column_count};
+use crate::fault::{LogError, LogFault};
+use crate::lines::Lines;
+use crate::row::column_count;
 
 /// Form of a text with sensor data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,29 +36,23 @@ impl Form {
     }
 }
 
-/// Reads the header of a table, which is the next line.
+/// Reads the header of a table: the next line that is no comment.
 ///
 /// # Errors
 ///
 /// Returns an error with the place if the file is empty, cannot be read, or is no table.
-pub fn header(lines: &mut Lines) -> Result<String, Box<dyn Error>> {
-    match lines.next_line() {
-        // Before its first frame a module sends messages.
-        Ok(Some(header)) if !header.contains('\0') && !header.starts_with('#') => {
-            return Ok(header.to_owned());
+pub fn header(lines: &mut Lines) -> Result<String, LogError> {
+    loop {
+        match lines.next_line() {
+            // A table has no zero bytes, but a flight log has.
+            Ok(Some(line)) if line.contains('\0') => break,
+            Ok(Some(line)) if line.starts_with('#') => {}
+            Ok(Some(header)) => return Ok(header.to_owned()),
+            Ok(None) => return Err(lines.refuse_file(LogFault::Empty)),
+            Err(error) if matches!(error.reason, LogFault::NotText) => break,
+            Err(error) => return Err(error),
         }
-        Ok(None) => return Err(lines.refuse_file(LogFault::Empty).into()),
-        Ok(Some(_))
-        | Err(LogError {
-            reason: LogFault::NotText,
-            ..
-        }) => {}
-        Err(error) => return Err(error.into()),
     }
-    Err(format!(
-        "{}: it is no table. A flight log has to be a file, not standard input; \
-         `replay` and `plot` take it, and `convert` makes a table of it",
-        lines.place()
-    )
-    .into())
+    let is_stream = lines.is_stream();
+    Err(lines.refuse(LogFault::NoTable { is_stream }))
 }

@@ -2,14 +2,18 @@
 //! from a recording.
 //!
 //! - [`log`]: logs in SI units, plain or gzipped; [`counts`]: logs of register counts;
+//! - [`units`]: units of a log's columns, and the rule for bad rows;
 //! - [`form`]: logs and bursts apart, by their header;
 //! - [`flight_log`]: the module's flight log;
 //! - [`attitude_table`]: tables of attitudes;
 //! - [`motion`]: a log as motion; [`simulated`]: simulated sensor data with its truth;
 //! - [`plateau`]: clipping; [`vibration`]: vibration that is too strong;
 //! - [`number`]: numbers as text, fast;
+//! - [`distribution`]: quantiles in bounded memory;
 //! - [`score`]: errors of attitudes against the truth; [`attitude`]: geometry for that;
 //! - `output`, with the feature of this name: files that appear when they are complete;
+//! - [`quote`]: quotations of input in messages;
+//! - [`text`]: small text files;
 //! - [`terminal`]: standard output.
 
 #![forbid(unsafe_code)]
@@ -18,15 +22,24 @@
 pub mod attitude;
 pub mod attitude_table;
 pub mod counts;
+pub mod distribution;
+mod fault;
 pub mod flight_log;
 pub mod form;
+mod lines;
 pub mod log;
 pub mod motion;
 pub mod number;
 #[cfg(feature = "output")]
 pub mod output;
 pub mod plateau;
+mod plausibility;
+pub mod quote;
+mod row;
+mod rows;
 pub mod score;
 pub mod simulated;
 pub mod terminal;
+pub mod text;
+pub mod units;
 pub mod vibration;

@@ -12,293 +12,23 @@
 //! sensor axes; the truth is the quaternion sensor → earth with z up, its four cells empty where
 //! it is not known; `mov` is 1 where a row counts for scores, else 0.
 //!
-//! [`Lines`] and [`parse_row`] read row by row and check the form alone: numbers may have any
-//! value. [`Log::read`] reads a whole log and refuses values that no sensor measures.
+//! Lines that begin with `#` before the header, and blank lines, are no rows. [`Rows`] reads row by
+//! row, in any unit, and refuses what no sensor measures; [`Log::read`] reads a whole log with it.
+//! [`parse_row`] checks the form alone: numbers may have any value.
 
-use std::fmt;
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use flate2::bufread::MultiGzDecoder;
-
-use aplomb_models::motion::geometry::{Quaternion, Vector, norm};
-
-/// Columns in their order. A log has the first 7, 11 or 12 of them.
-const COLUMNS: [&str; 12] = [
-    "t_us", "ax", "ay", "az", "gx", "gy", "gz", "qw", "qx", "qy", "qz", "mov",
-];
-
-/// Largest plausible force (100 g). A larger one means that the columns are not in m/s².
-const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f64 = 1000.0;
-/// Largest plausible rate (11,000 °/s). A larger one means that the columns are not in rad/s.
-const IMPLAUSIBLE_RATE_RAD_S: f64 = 200.0;
-/// Largest deviation of a quaternion's length from 1: the truth is often printed with few digits.
-const QUATERNION_TOLERANCE: f64 = 0.01;
-/// Byte order mark: U+FEFF in UTF-8.
-const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
-/// Bytes that are read and unpacked at once.
-const BUFFER_LENGTH: usize = 256 * 1024;
-
-/// Row of a log.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
-    /// Time, µs.
-    pub time_us: i64,
-    /// Specific force in sensor axes, m/s².
-    pub specific_force_m_s2: Vector,
-    /// Rates in sensor axes, rad/s.
-    pub rates_rad_s: Vector,
-    /// True attitude, sensor → earth with z up, of length 1.
-    pub attitude: Option<Quaternion>,
-    /// The row counts for scores; true if the log has no such column.
-    pub moving: bool,
-}
+pub use crate::fault::{LogError, LogFault};
+use crate::form::header;
+pub use crate::lines::Lines;
+pub use crate::row::{Row, column_count, parse_row};
+pub use crate::rows::Rows;
+use crate::units::{BadRows, RowOptions};
 
 /// Whole log, of at least two rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
     rows: Vec<Row>,
-}
-
-/// Error of a log: the reason and the place.
-#[derive(Debug)]
-pub struct LogError {
-    /// File.
-    pub file: PathBuf,
-    /// Line, counted from 1; `None` for the whole file.
-    pub line: Option<u64>,
-    /// Fault of the line or file.
-    pub reason: LogFault,
-}
-
-/// Faults of a log.
-#[derive(Debug, thiserror::Error)]
-pub enum LogFault {
-    /// The file cannot be opened.
-    #[error("the file cannot be opened: {0}")]
-    Open(#[source] io::Error),
-    /// Reading stopped with an error.
-    #[error("the file cannot be read on: {0}")]
-    Read(#[source] io::Error),
-    /// The compressed data ends too early or is damaged.
-    #[error("the gzip data is cut off or damaged: {0}")]
-    Gzip(#[source] io::Error),
-    /// The file has no contents.
-    #[error("the file is empty")]
-    Empty,
-    /// The line is not text.
-    #[error("the line is not UTF-8 text")]
-    NotText,
-    /// The header is not one of the three.
-    #[error("the header is \"{0}\", but must be t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]")]
-    Header(String),
-    /// The row has more or fewer cells than the header.
-    #[error("the row has {found} columns, but the header has {expected}")]
-    ColumnCount {
-        /// Cells in the row.
-        found: usize,
-        /// Cells in the header.
-        expected: usize,
-    },
-    /// A cell is not a number.
-    #[error("{column} is \"{text}\", which is not a number")]
-    NotANumber {
-        /// Name of the column.
-        column: &'static str,
-        /// Contents of the cell.
-        text: String,
-    },
-    /// The time is not a whole number of microseconds.
-    #[error("t_us is \"{0}\", which is not a whole number of microseconds")]
-    Time(String),
-    /// A cell is infinite or not a number.
-    #[error("{column} is {value}, which is not finite")]
-    NotFinite {
-        /// Name of the column.
-        column: &'static str,
-        /// Contents of the cell.
-        value: f64,
-    },
-    /// Time does not go on.
-    #[error("t_us is {now}, not after the row before, {before}")]
-    NotIncreasing {
-        /// The time of the row before.
-        before: i64,
-        /// The time of this row.
-        now: i64,
-    },
-    /// A value that no sensor of this kind reports in SI units.
-    #[error(
-        "{column} is {value}, which no such sensor reports; {unit} is expected, not raw counts"
-    )]
-    Implausible {
-        /// Name of the column.
-        column: &'static str,
-        /// Contents of the cell.
-        value: f64,
-        /// The unit of the column.
-        unit: &'static str,
-    },
-    /// Some but not all of the truth's cells are empty.
-    #[error("some of qw,qx,qy,qz are empty: give all four, or none")]
-    PartialTruth,
-    /// The truth is not a rotation.
-    #[error("qw,qx,qy,qz has the length {0:.4}, but a rotation's is 1")]
-    NotARotation(f64),
-    /// `mov` is neither 0 nor 1.
-    #[error("mov is \"{0}\", but must be 0 or 1")]
-    Moving(String),
-    /// Motion needs two points in time.
-    #[error("the log has fewer than two rows")]
-    TooShort,
-}
-
-impl fmt::Display for LogError {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}", self.file.display())?;
-        if let Some(line) = self.line {
-            write!(formatter, ":{line}")?;
-        }
-        write!(formatter, ": {}", self.reason)
-    }
-}
-
-impl std::error::Error for LogError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        std::error::Error::source(&self.reason)
-    }
-}
-
-/// Lines of a file, which is gzipped if it begins as gzip files do.
-pub struct Lines {
-    path: PathBuf,
-    text: Box<dyn BufRead>,
-    is_zipped: bool,
-    line: Vec<u8>,
-    /// The last line is the next one again.
-    is_unread: bool,
-    /// Number of the last line, counted from 1.
-    number: u64,
-}
-
-impl Lines {
-    /// Opens a file. All bytes pass through `wrap`, still zipped.
-    ///
-    /// # Errors
-    ///
-    /// Returns an error if the file cannot be opened or read.
-    pub fn open<R: Read + 'static>(
-        path: &Path,
-        wrap: impl FnOnce(File) -> R,
-    ) -> Result<Self, LogError> {
-        let at = |reason: LogFault| LogError {
-            file: path.to_owned(),
-            line: None,
-            reason,
-        };
-        let file = File::open(path).map_err(|error| at(LogFault::Open(error)))?;
-        Self::new(path, wrap(file)).map_err(|error| at(LogFault::Read(error)))
-    }
-
-    /// Returns the lines of an open input; messages call it `name`.
-    ///
-    /// # Errors
-    ///
-    /// Returns an error if the input cannot be read.
-    pub fn read_from(name: &Path, bytes: impl Read + 'static) -> Result<Self, LogError> {
-        Self::new(name, bytes).map_err(|error| LogError {
-            file: name.to_owned(),
-            line: None,
-            reason: LogFault::Read(error),
-        })
-    }
-
-    fn new(path: &Path, bytes: impl Read + 'static) -> io::Result<Self> {
-        let mut bytes = BufReader::with_capacity(BUFFER_LENGTH, bytes);
-        let is_zipped = bytes.fill_buf()?.starts_with(&[0x1F, 0x8B]);
-        let text: Box<dyn BufRead> = if is_zipped {
-            let unzipped = MultiGzDecoder::new(bytes);
-            Box::new(BufReader::with_capacity(BUFFER_LENGTH, unzipped))
-        } else {
-            Box::new(bytes)
-        };
-        Ok(Self {
-            path: path.to_owned(),
-            text,
-            is_zipped,
-            line: Vec::new(),
-            is_unread: false,
-            number: 0,
-        })
-    }
-
-    /// Returns the next line, without its end; `None` after the last.
-    ///
-    /// # Errors
-    ///
-    /// Returns an error if the file cannot be read on, is damaged, or is not text.
-    pub fn next_line(&mut self) -> Result<Option<&str>, LogError> {
-        if !std::mem::take(&mut self.is_unread) {
-            self.line.clear();
-            self.number += 1;
-            match self.text.read_until(b'\n', &mut self.line) {
-                Ok(0) => return Ok(None),
-                Ok(_) => {}
-                Err(error) if self.is_zipped => return Err(self.refuse(LogFault::Gzip(error))),
-                Err(error) => return Err(self.refuse(LogFault::Read(error))),
-            }
-        }
-        if self.line.ends_with(b"\n") {
-            self.line.pop();
-            if self.line.ends_with(b"\r") {
-                self.line.pop();
-            }
-        }
-        // Some programs begin a text with the byte order mark, which is invisible.
-        let line = match self.line.strip_prefix(BYTE_ORDER_MARK) {
-            Some(rest) if self.number == 1 => rest,
-            _ => &self.line,
-        };
-        match std::str::from_utf8(line) {
-            Ok(line) => Ok(Some(line)),
-            Err(_) => Err(LogError {
-                file: self.path.clone(),
-                line: Some(self.number),
-                reason: LogFault::NotText,
-            }),
-        }
-    }
-
-    /// Makes the last line the next one again.
-    pub fn unread(&mut self) {
-        self.is_unread = true;
-    }
-
-    /// Returns the place of the last line: the file and the number.
-    #[must_use]
-    pub fn place(&self) -> String {
-        format!("{}:{}", self.path.display(), self.number)
-    }
-
-    /// Returns the error of the last line, for this reason.
-    #[must_use]
-    pub fn refuse(&self, reason: LogFault) -> LogError {
-        LogError {
-            line: Some(self.number),
-            ..self.refuse_file(reason)
-        }
-    }
-
-    /// Returns the error of the whole file, for this reason.
-    #[must_use]
-    pub fn refuse_file(&self, reason: LogFault) -> LogError {
-        LogError {
-            file: self.path.clone(),
-            line: None,
-            reason,
-        }
-    }
 }
 
 impl Log {
@@ -308,7 +38,17 @@ impl Log {
     ///
     /// Returns an error with the file, the line and the fault.
     pub fn read(path: &Path) -> Result<Self, LogError> {
-        Self::parse(Lines::open(path, |file| file)?)
+        Self::read_with(path, RowOptions::default())
+    }
+
+    /// Reads a file like [`read`](Self::read), with these units and this rule for bad rows. A log
+    /// never keeps them.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error with the file, the line and the fault.
+    pub fn read_with(path: &Path, options: RowOptions) -> Result<Self, LogError> {
+        Self::parse(Lines::open(path, |file| file)?, options)
     }
 
     /// Returns the rows, at least two, with increasing times.
@@ -317,150 +57,35 @@ impl Log {
         &self.rows
     }
 
-    fn parse(mut lines: Lines) -> Result<Self, LogError> {
-        let header = match lines.next_line()? {
-            Some(header) => header.to_owned(),
-            None => return Err(lines.refuse_file(LogFault::Empty)),
-        };
+    fn parse(mut lines: Lines, mut options: RowOptions) -> Result<Self, LogError> {
+        if options.bad_rows == Some(BadRows::Keep) {
+            options.bad_rows = Some(BadRows::Refuse);
+        }
+        let header = header(&mut lines)?;
         let Some(columns) = column_count(&header) else {
             return Err(lines.refuse(LogFault::Header(header)));
         };
+        let whole = lines.refuse_file(LogFault::TooShort);
+        let mut reader = Rows::new(lines, columns, options, false)?;
         let mut rows: Vec<Row> = Vec::new();
-        while let Some(line) = lines.next_line()? {
-            let before = rows.last().map(|row| row.time_us);
-            let row = parse_row(line, columns)
-                .and_then(|row| check(&row, before).map(|()| row))
-                .map_err(|reason| lines.refuse(reason))?;
+        while let Some(row) = reader.next_row()? {
             rows.push(row);
         }
         if rows.len() < 2 {
-            return Err(lines.refuse_file(LogFault::TooShort));
+            return Err(whole);
         }
         Ok(Self { rows })
     }
 }
 
-/// Returns the number of columns of a log with this header; `None` for another header.
-#[must_use]
-pub fn column_count(header: &str) -> Option<usize> {
-    [7, 11, 12]
-        .into_iter()
-        .find(|&count| header == COLUMNS[..count].join(","))
-}
-
-/// Reads a row with this number of columns. Numbers may have any value, also infinite or NaN.
-///
-/// # Errors
-///
-/// Returns the fault of the row.
-pub fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
-    let mut cells = [""; COLUMNS.len()];
-    let mut found = 0;
-    for cell in line.split(',') {
-        if let Some(place) = cells.get_mut(found) {
-            *place = cell;
-        }
-        found += 1;
-    }
-    if found != columns {
-        return Err(LogFault::ColumnCount {
-            found,
-            expected: columns,
-        });
-    }
-    let number = |index: usize| -> Result<f64, LogFault> {
-        cells[index].parse().map_err(|_| LogFault::NotANumber {
-            column: COLUMNS[index],
-            text: cells[index].to_owned(),
-        })
-    };
-    let vector = |first: usize| -> Result<Vector, LogFault> {
-        Ok([number(first)?, number(first + 1)?, number(first + 2)?])
-    };
-    let time_us = cells[0]
-        .parse()
-        .map_err(|_| LogFault::Time(cells[0].to_owned()))?;
-    let (specific_force_m_s2, rates_rad_s) = (vector(1)?, vector(4)?);
-    let truth = &cells[7..11];
-    let attitude = if truth.iter().all(|cell| cell.is_empty()) {
-        None
-    } else if truth.iter().any(|cell| cell.is_empty()) {
-        return Err(LogFault::PartialTruth);
-    } else {
-        let quaternion = Quaternion::new(number(7)?, number(8)?, number(9)?, number(10)?);
-        let length = quaternion.norm();
-        if (length - 1.0).abs() > QUATERNION_TOLERANCE || length.is_nan() {
-            return Err(LogFault::NotARotation(length));
-        }
-        Some(quaternion.normalized())
-    };
-    let moving = match cells[11] {
-        "1" => true,
-        "" if columns < COLUMNS.len() => true,
-        "0" => false,
-        other => return Err(LogFault::Moving(other.to_owned())),
-    };
-    Ok(Row {
-        time_us,
-        specific_force_m_s2,
-        rates_rad_s,
-        attitude,
-        moving,
-    })
-}
-
-/// Checks that a sensor can have measured this row, after the one at `before_us`.
-fn check(row: &Row, before_us: Option<i64>) -> Result<(), LogFault> {
-    let values = row.specific_force_m_s2.into_iter().chain(row.rates_rad_s);
-    for (value, column) in values.zip(&COLUMNS[1..]) {
-        if !value.is_finite() {
-            return Err(LogFault::NotFinite { column, value });
-        }
-    }
-    plausible(
-        row.specific_force_m_s2,
-        1,
-        IMPLAUSIBLE_SPECIFIC_FORCE_M_S2,
-        "m/s²",
-    )?;
-    plausible(row.rates_rad_s, 4, IMPLAUSIBLE_RATE_RAD_S, "rad/s")?;
-    match before_us {
-        Some(before) if before >= row.time_us => Err(LogFault::NotIncreasing {
-            before,
-            now: row.time_us,
-        }),
-        _ => Ok(()),
-    }
-}
-
-fn plausible(
-    vector: Vector,
-    first_column: usize,
-    limit: f64,
-    unit: &'static str,
-) -> Result<(), LogFault> {
-    if norm(vector) <= limit {
-        return Ok(());
-    }
-    let largest = (0..3).fold(0, |best, axis| {
-        if vector[axis].abs() > vector[best].abs() {
-            axis
-        } else {
-            best
-        }
-    });
-    Err(LogFault::Implausible {
-        column: COLUMNS[first_column + largest],
-        value: vector[largest],
-        unit,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use aplomb_models::motion::geometry::Quaternion;
     use proptest::prelude::*;
-    use std::io::Write;
+    use std::fs::File;
+    use std::io::{self, Write};
+    use std::path::PathBuf;
 
     const HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
     const GOOD: &str = "0,0,0,9.81,0.1,0.2,0.3,1,0,0,0,1";
@@ -472,7 +97,9 @@ mod tests {
         let bytes = io::Cursor::new(text.as_ref().to_vec());
         Lines::new(Path::new("test.csv"), bytes)
             .map_err(|error| (None, LogFault::Read(error)))
-            .and_then(|lines| Log::parse(lines).map_err(|error| (error.line, error.reason)))
+            .and_then(|lines| {
+                Log::parse(lines, RowOptions::default()).map_err(|error| (error.line, error.reason))
+            })
     }
 
     /// Returns the line and the reason of the refusal of a log whose third line is `row`.
@@ -554,12 +181,16 @@ mod tests {
     fn every_fault_names_its_line_and_its_reason() {
         let cases = [
             ("1,0,0,9.81,0,0,0,1,0,0,0", "11 columns"),
-            ("", "1 columns"),
+            ("x", "1 columns"),
             ("1,0,0,up,0,0,0,1,0,0,0,1", "az is \"up\""),
             ("1,0,0,,0,0,0,1,0,0,0,1", "az is \"\""),
             ("1,0,0,9.81,NaN,0,0,1,0,0,0,1", "gx is NaN"),
             ("1,0,0,9.81,0,inf,0,1,0,0,0,1", "gy is inf"),
-            ("1.5,0,0,9.81,0,0,0,1,0,0,0,1", "t_us is \"1.5\""),
+            (
+                "1.5,0,0,9.81,0,0,0,1,0,0,0,1",
+                "t_us is \"1.5\", which is not a whole number of microseconds: \
+                 did you mean seconds (--time-unit s), milli",
+            ),
             (
                 "0,0,0,9.81,0,0,0,1,0,0,0,1",
                 "t_us is 0, not after the row before, 0",
@@ -567,9 +198,17 @@ mod tests {
             ("-1,0,0,9.81,0,0,0,1,0,0,0,1", "not after"),
             (
                 "1,0,0,4096,0,0,0,1,0,0,0,1",
-                "az is 4096, which no such sensor reports; m/s²",
+                "az is 4096, which no such sensor reports; m/s² is expected: did you mean mg",
             ),
-            ("1,0,0,9.81,0,0,-827,1,0,0,0,1", "gz is -827"),
+            (
+                "1,0,0,9.81,0,0,-827,1,0,0,0,1",
+                "gz is -827, which no such sensor reports; rad/s is expected: did you mean °/s \
+                 (--rate-unit deg/s)",
+            ),
+            (
+                "3000000000000000,0,0,9.81,0,0,0,1,0,0,0,1",
+                "t_us is 3000000000000000, which is 95.1 years after the row before, 0",
+            ),
             ("1,0,0,9.81,0,0,0,1,,0,0,1", "give all four"),
             ("1,0,0,9.81,0,0,0,1,0.2,0,0,1", "length 1.0198"),
             ("1,0,0,9.81,0,0,0,0,0,0,0,1", "length 0.0000"),
@@ -585,7 +224,9 @@ mod tests {
 
     #[test]
     fn the_file_as_a_whole_is_checked_too() {
-        assert!(matches!(parse(""), Err((None, LogFault::Empty))));
+        for empty in ["", "\n", "# a comment\n\n"] {
+            assert!(matches!(parse(empty), Err((None, LogFault::Empty))));
+        }
         assert!(matches!(
             parse(format!("{HEADER}\n{GOOD}\n")),
             Err((None, LogFault::TooShort))
@@ -594,7 +235,7 @@ mod tests {
             "t_us,ax,ay,az,gx,gy",
             "time,ax,ay,az,gx,gy,gz",
             "t_us,ax,ay,az,gx,gy,gz,mov",
-            "",
+            "0,0,0,9.81,0,0,0",
         ] {
             assert!(
                 matches!(
@@ -604,6 +245,11 @@ mod tests {
                 "{header}"
             );
         }
+        let led = format!(
+            "# 2026-11-22\n# a logger\n{HEADER}\n{GOOD}\n1{}\n",
+            &GOOD[1..]
+        );
+        assert_eq!(parse(led).unwrap().rows().len(), 2);
         let binary = [HEADER.as_bytes(), b"\n\xFF\xFE\n"].concat();
         assert!(matches!(parse(binary), Err((Some(2), LogFault::NotText))));
     }
@@ -676,7 +322,8 @@ mod tests {
         assert_eq!(
             message,
             format!(
-                "{}:3: the row has 1 columns, but the header has 12",
+                "{}:3: the row has 1 columns, but the header has 12; \
+                 --bad-rows skip leaves such rows out",
                 file.0.display()
             )
         );

@@ -11,15 +11,22 @@
 use std::path::Path;
 
 use crate::log::{Log, LogError, Row};
+use crate::units::RowOptions;
 use aplomb_models::motion::geometry::{Quaternion, Vector, add, interpolate, norm, scale};
 use aplomb_models::motion::truth::{ROOM_TEMPERATURE_C, Truth};
 use aplomb_models::motion::turn::Turn;
 use aplomb_models::motion::{Motion, Mount};
+use aplomb_models::random::Random;
 
 /// Level rest at the start, s.
 pub const REST_S: f64 = 3.0;
 /// Turn into the first pose, s.
 pub const TURN_S: f64 = 1.0;
+
+/// σ of an MPU-6050's rates, rad/s: 0.005 °/s/√Hz in 100 Hz (product specification §6.1).
+const RATE_NOISE_RAD_S: f64 = 0.05 / 57.295_779_513;
+/// σ of an MPU-6050's specific force, m/s²: 400 µg/√Hz in 100 Hz (product specification §6.2).
+const FORCE_NOISE_M_S2: f64 = 4e-3 * 9.806_65;
 
 /// Length of the part of the recording that shows the first pose, s.
 const FIRST_POSE_S: f64 = 0.3;
@@ -54,6 +61,8 @@ pub struct Recording {
     turn: Turn,
     /// Sample at or before the last requested time.
     cursor: usize,
+    /// Noise of the sensor before the recording begins, which brings its own.
+    noise: Option<Random>,
 }
 
 /// Row in body axes and north-east-down.
@@ -77,6 +86,15 @@ impl Recording {
         Ok(Self::new(&Log::read(path)?, mount))
     }
 
+    /// Reads the log of a sensor with this mount, in these units.
+    ///
+    /// # Errors
+    ///
+    /// See [`Log::read_with`].
+    pub fn open_with(path: &Path, mount: Mount, options: RowOptions) -> Result<Self, LogError> {
+        Ok(Self::new(&Log::read_with(path, options)?, mount))
+    }
+
     /// Creates the recording of a log, of a sensor with this mount.
     #[must_use]
     pub fn new(log: &Log, mount: Mount) -> Self {
@@ -90,7 +108,16 @@ impl Recording {
             turn: Turn::new(Quaternion::IDENTITY, first_pose(&samples), TURN_S),
             samples,
             cursor: 0,
+            noise: None,
         }
+    }
+
+    /// Adds the noise of an MPU-6050 to the rest and the turn before the recording. Without noise
+    /// a sensor at rest repeats its data to the bit, as a broken one does.
+    #[must_use]
+    pub fn with_noise(mut self, seed: u64) -> Self {
+        self.noise = Some(Random::new(seed, "noise before a recording"));
+        self
     }
 
     /// Returns the end of the recording, s after power-up. Later the last row stays, without truth.
@@ -104,9 +131,18 @@ impl Motion for Recording {
     fn at(&mut self, time_s: f64) -> Truth {
         if time_s < REST_S + TURN_S {
             let (attitude, body_rates_rad_s) = self.turn.at(time_s - REST_S);
+            let at_rest = Truth::at_rest(attitude);
+            let Some(random) = &mut self.noise else {
+                return Truth {
+                    body_rates_rad_s,
+                    ..at_rest
+                };
+            };
+            let mut noisy = |value: Vector, sigma: f64| value.map(|v| v + sigma * random.normal());
             return Truth {
-                body_rates_rad_s,
-                ..Truth::at_rest(attitude)
+                body_rates_rad_s: noisy(body_rates_rad_s, RATE_NOISE_RAD_S),
+                specific_force_m_s2: noisy(at_rest.specific_force_m_s2, FORCE_NOISE_M_S2),
+                ..at_rest
             };
         }
         while self
@@ -318,6 +354,27 @@ mod tests {
     }
 
     #[test]
+    fn the_time_before_the_recording_has_the_noise_of_a_sensor_and_the_recording_none_added() {
+        let log = "t_us,ax,ay,az,gx,gy,gz\n0,0,0,9.81,0,0,0\n1000000,0,0,9.81,0,0,0\n";
+        let mut recording = recording("noise", log, Mount::Z_UP).with_noise(1);
+        let mut squares = [0.0; 2];
+        for index in 0..3_000 {
+            let truth = recording.at(f64::from(index) * 1e-3);
+            squares[0] += truth.body_rates_rad_s[1].powi(2) / 3e3;
+            squares[1] += truth.specific_force_m_s2[0].powi(2) / 3e3;
+        }
+        // An LSB of the gyroscope at 2,000 °/s is 0.06 °/s: bits change.
+        let [rate, force] = squares.map(f64::sqrt);
+        assert!((0.04..0.06).contains(&rate.to_degrees()), "{rate}");
+        assert!((0.03..0.05).contains(&force), "{force}");
+        let truth = recording.at(LEAD_IN_S + 0.5);
+        assert_eq!(
+            (truth.body_rates_rad_s, truth.specific_force_m_s2[0]),
+            ([0.0; 3], 0.0)
+        );
+    }
+
+    #[test]
     fn without_truth_the_first_pose_is_found_from_the_specific_force_in_any_attitude() {
         for (name, mount) in
             ["+x-z", "+x+z", "-y+x"].map(|name| (name, Mount::parse(name).unwrap()))
@@ -459,7 +516,10 @@ mod tests {
         for file in recordings("mpu6050-raw") {
             let error = Recording::open(&file, Mount::Z_UP).unwrap_err();
             assert_eq!(error.line, Some(2), "{error}");
-            assert!(error.to_string().contains("not raw counts"), "{error}");
+            assert!(
+                error.to_string().contains("did you mean register counts"),
+                "{error}"
+            );
         }
     }
 }

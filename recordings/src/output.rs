@@ -1,6 +1,7 @@
 //! Output files. A file appears under its name when it is complete.
 //!
-//! A device or a pipe is written at once. Through a link its target is written, so the link stays.
+//! `-` is standard output; then other text goes to standard error. A device or a pipe is written at
+//! once. Through a link its target is written, so the link stays.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -10,6 +11,8 @@ use std::sync::{LazyLock, Mutex, MutexGuard};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
+/// Name of an output that is standard output.
+const STANDARD_OUTPUT: &str = "-";
 /// Links in a row that are followed; Linux follows 40.
 const MOST_LINKS: usize = 64;
 /// Exit code after Ctrl-C, by the custom of shells: 128 and the signal's number.
@@ -34,6 +37,7 @@ struct Unfinished {
 enum Sink {
     Plain(BufWriter<File>),
     Zipped(Box<GzEncoder<BufWriter<File>>>),
+    Standard(BufWriter<io::Stdout>),
 }
 
 impl OutputFile {
@@ -50,6 +54,14 @@ impl OutputFile {
             ));
         }
         let failed = |error: io::Error| cannot_write(path, &error);
+        if path == Path::new(STANDARD_OUTPUT) {
+            crate::terminal::use_standard_error();
+            return Ok(Self {
+                path: PathBuf::from("standard output"),
+                unfinished: None,
+                sink: Sink::Standard(BufWriter::with_capacity(256 * 1024, io::stdout())),
+            });
+        }
         let (unfinished, file) = match target(path).map_err(failed)? {
             None => (None, open(path).map_err(failed)?),
             Some(target) => {
@@ -91,6 +103,7 @@ impl OutputFile {
     pub fn finish(mut self) -> Result<(), String> {
         let written = match &mut self.sink {
             Sink::Plain(file) => file.flush(),
+            Sink::Standard(output) => end_if_closed(output.flush()),
             Sink::Zipped(file) => file.try_finish().and_then(|()| file.get_mut().flush()),
         };
         written
@@ -113,6 +126,7 @@ impl Write for OutputFile {
         match &mut self.sink {
             Sink::Plain(file) => file.write(bytes),
             Sink::Zipped(file) => file.write(bytes),
+            Sink::Standard(output) => end_if_closed(output.write(bytes)),
         }
     }
 
@@ -120,8 +134,19 @@ impl Write for OutputFile {
         match &mut self.sink {
             Sink::Plain(file) => file.flush(),
             Sink::Zipped(file) => file.flush(),
+            Sink::Standard(output) => end_if_closed(output.flush()),
         }
     }
+}
+
+/// Ends the program without an error if the reader of standard output has enough, as `head` has.
+fn end_if_closed<T>(written: io::Result<T>) -> io::Result<T> {
+    if let Err(error) = &written
+        && error.kind() == io::ErrorKind::BrokenPipe
+    {
+        std::process::exit(0);
+    }
+    written
 }
 
 impl Unfinished {
@@ -178,6 +203,7 @@ fn all_unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
 fn target(path: &Path) -> io::Result<Option<PathBuf>> {
     match path.metadata() {
         Ok(data) if data.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+        Ok(data) if data.is_file() => check_writable(path)?,
         Ok(data) if !data.is_file() => return Ok(None),
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}
@@ -211,6 +237,22 @@ fn open(path: &Path) -> io::Result<File> {
         return Ok(io::stdout().as_fd().try_clone_to_owned()?.into());
     }
     File::options().append(true).open(path)
+}
+
+/// Refuses an existing file that is read-only. A new file in its place would need the folder's
+/// permission alone, and the administrator may write any file.
+///
+/// # Errors
+///
+/// Returns an error that says so.
+pub fn check_writable(path: &Path) -> io::Result<()> {
+    match path.metadata() {
+        Ok(data) if data.is_file() && data.permissions().readonly() => Err(io::Error::new(
+            io::ErrorKind::PermissionDenied,
+            "the file is read-only",
+        )),
+        _ => Ok(()),
+    }
 }
 
 fn is_same_file(one: &Path, other: &Path) -> bool {

@@ -4,6 +4,8 @@ use std::fmt;
 
 use aplomb_models::motion::geometry::{Quaternion, angle_between};
 
+use crate::distribution::Distribution;
+
 /// Start of a recording whose rows do not count, µs: a filter may take time to start.
 pub const START_US: i64 = 5_000_000;
 
@@ -12,9 +14,10 @@ pub const START_US: i64 = 5_000_000;
 /// The measure of Laidig and others, *BROAD*, Data 6(7), 2021.
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
-    degrees: Vec<f64>,
-    /// Errors as multiples of the reported σ.
-    per_sigma: Vec<f64>,
+    degrees: Distribution,
+    /// Errors as multiples of the reported σ, and how many are at most 3.
+    per_sigma: Distribution,
+    within_3_sigma: usize,
 }
 
 /// Statistics of the errors, degrees. The names in JSON are those of a virtual flight's
@@ -53,10 +56,11 @@ impl Errors {
     /// Adds the angle between an estimated "up" and the true one, with the reported σ.
     pub fn add(&mut self, estimated_up: [f64; 3], true_up: [f64; 3], sigma_rad: Option<f32>) {
         let error_rad = angle_between(estimated_up, true_up);
-        self.degrees.push(error_rad.to_degrees());
+        self.degrees.add(error_rad.to_degrees());
         if let Some(sigma_rad) = sigma_rad {
             let multiple = error_rad / f64::from(sigma_rad);
-            self.per_sigma.push(if multiple.is_nan() {
+            self.within_3_sigma += usize::from(multiple <= 3.0);
+            self.per_sigma.add(if multiple.is_nan() {
                 f64::INFINITY
             } else {
                 multiple
@@ -66,26 +70,22 @@ impl Errors {
 
     /// Returns the score; `None` if no row counted.
     pub fn score(&mut self) -> Option<Score> {
-        self.degrees.sort_by(f64::total_cmp);
-        let rows = self.degrees.len();
-        let &maximum = self.degrees.last()?;
-        let squares: f64 = self.degrees.iter().map(|error| error * error).sum();
+        let rows = self.degrees.count();
+        let maximum = self.degrees.maximum()?;
         Some(Score {
             rows,
-            rms: (squares / rows as f64).sqrt(),
-            p95: self.degrees[(rows * 95).div_ceil(100) - 1],
+            rms: (self.degrees.squares() / rows as f64).sqrt(),
+            p95: self.degrees.nth((rows * 95).div_ceil(100) - 1)?,
             maximum,
             honesty: self.honesty(),
         })
     }
 
     fn honesty(&mut self) -> Option<Honesty> {
-        self.per_sigma.sort_by(f64::total_cmp);
-        let rows = self.per_sigma.len();
-        let within = self.per_sigma.partition_point(|multiple| *multiple <= 3.0);
+        let rows = self.per_sigma.count();
         (rows > 0).then(|| Honesty {
-            within_3_sigma: within as f64 / rows as f64,
-            median: median(&self.per_sigma),
+            within_3_sigma: self.within_3_sigma as f64 / rows as f64,
+            median: self.per_sigma.median(),
         })
     }
 }

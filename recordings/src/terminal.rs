@@ -1,7 +1,13 @@
 //! Standard output of the programs.
+//!
+//! If a program writes its output file there, its messages go to standard error.
 
 use std::io::{self, ErrorKind, Write};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Standard output is taken by an output file.
+static IS_TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// First error of [`print_line`].
 static LOST: OnceLock<io::Error> = OnceLock::new();
@@ -9,12 +15,21 @@ static LOST: OnceLock<io::Error> = OnceLock::new();
 /// Prints a line. A closed pipe, as behind `head`, is no error; any other error is kept for
 /// [`finish`].
 pub fn print_line(text: &str) {
+    if IS_TAKEN.load(Ordering::Relaxed) {
+        eprintln!("{text}");
+        return;
+    }
     let mut output = io::stdout();
     if let Err(error) = writeln!(output, "{text}").and_then(|()| output.flush())
         && error.kind() != ErrorKind::BrokenPipe
     {
         LOST.get_or_init(|| error);
     }
+}
+
+/// Prints to standard error from now on, because standard output is an output file.
+pub fn use_standard_error() {
+    IS_TAKEN.store(true, Ordering::Relaxed);
 }
 
 /// Returns whether every line was printed.

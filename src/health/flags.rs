@@ -18,7 +18,7 @@ bitflags::bitflags! {
     /// # Ok::<(), aplomb::health::UnknownFlag>(())
     /// ```
     #[repr(transparent)]
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+    #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct Flags: u32 {
         /// The gyroscope's offset is not known yet.
         const CALIBRATING = 1 << 0;
@@ -26,7 +26,8 @@ bitflags::bitflags! {
         const MOVED = 1 << 1;
         /// Samples before this one were lost.
         const MISSED = 1 << 2;
-        /// No sample came for more than half a second. Roll and pitch restarted from gravity.
+        /// No sample came for more than half a second. Roll and pitch restarted from gravity. At
+        /// less than 2 samples a second each attitude has this flag, and none is [`Flags::VALID`].
         const GAP = 1 << 3;
         /// The sample's time is not after the previous one. The attitude is held.
         const TIME = 1 << 4;
@@ -45,6 +46,10 @@ bitflags::bitflags! {
         const VALID = 1 << 10;
         /// The attitude is less certain than usual: σ is above 5°, or one of [`Flags::DEGRADING`]
         /// is set.
+        ///
+        /// Alone and for long, it means that samples come more slowly than
+        /// [`Config`](crate::mpu6050::Config) says: each step is a pause, in which σ grows. At the
+        /// configured rate 20 samples a second are enough, also in flight.
         const DEGRADED = 1 << 11;
         /// No sample came: the attitude is the last one, and its σ grows.
         const STALE = 1 << 12;
@@ -91,7 +96,7 @@ bitflags::bitflags! {
     /// Conditions that the board reports with a burst. All but the last have the bits and names of
     /// their [`Flags`].
     #[repr(transparent)]
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+    #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct BoardFlags: u32 {
         /// [`Flags::BUS_FAULT`].
         const BUS_FAULT = Flags::BUS_FAULT.bits();
@@ -138,6 +143,13 @@ macro_rules! text_form {
             }
         }
 
+        /// The names, as `Flags(CALIBRATING|DEGRADED)`.
+        impl fmt::Debug for $flags {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(formatter, "{}({self})", stringify!($flags))
+            }
+        }
+
         impl FromStr for $flags {
             type Err = UnknownFlag;
 
@@ -180,6 +192,8 @@ mod tests {
                 assert_eq!(flags.to_string().parse(), Ok(flags));
             }
         }
+        assert_eq!(format!("{flags:?}"), "Flags(CALIBRATING|MOVED)");
+        assert_eq!(format!("{:?}", BoardFlags::LATE), "BoardFlags(LATE)");
         assert_eq!("MOVED|".parse::<Flags>(), Err(UnknownFlag));
         assert_eq!("moved".parse::<Flags>(), Err(UnknownFlag));
     }

@@ -27,6 +27,11 @@ const POWER_UP_PROBES: u32 = 10;
 const POWER_UP_INTERVAL_MS: u32 = 10;
 /// Samples of each of the self-test's two means, 1 ms apart.
 const SELF_TEST_SAMPLES: u16 = 200;
+/// Means of the gyroscope and the accelerometer, counts.
+type MeanCounts = [[f32; 3]; 2];
+/// Largest spread of the gyroscope's samples in a mean of a sensor that is kept still, counts:
+/// 3 °/s. The noise spreads by 0.5 °/s.
+const SELF_TEST_SPREAD_COUNTS: u16 = 3 * 131;
 /// Wait before a self-test's mean, ms: much longer than the filter of [`SELF_TEST_CONFIG`] and the
 /// deflection take to settle.
 const SELF_TEST_SETTLING_MS: u32 = 100;
@@ -168,10 +173,10 @@ impl<I2C: I2c> Mpu6050<I2C> {
             read(&mut self.i2c, self.address, Register::SelfTestX, &mut codes)?;
         }
         delay.delay_ms(SELF_TEST_SETTLING_MS);
-        let off = self.mean_counts(delay)?;
+        let (off, moved_before) = self.mean_counts(delay)?;
         self.run(Step::self_test(&SELF_TEST_CONFIG, self.part), delay)?;
         delay.delay_ms(SELF_TEST_SETTLING_MS);
-        let on = self.mean_counts(delay)?;
+        let (on, moved_after) = self.mean_counts(delay)?;
         let mut axes =
             on.into_iter()
                 .zip(off)
@@ -194,6 +199,7 @@ impl<I2C: I2c> Mpu6050<I2C> {
         Ok(SelfTest {
             gyroscope: axes.next().unwrap_or(none),
             accelerometer: axes.next().unwrap_or(none),
+            has_moved: moved_before || moved_after,
         })
     }
 
@@ -233,12 +239,14 @@ impl<I2C: I2c> Mpu6050<I2C> {
         self.i2c
     }
 
-    /// Returns the mean of [`SELF_TEST_SAMPLES`] samples, counts: gyroscope, accelerometer.
+    /// Returns the mean of [`SELF_TEST_SAMPLES`] samples, counts: gyroscope, accelerometer. The
+    /// second value is true if the sensor moved meanwhile.
     fn mean_counts(
         &mut self,
         delay: &mut impl DelayNs,
-    ) -> Result<[[f32; 3]; 2], Error<I2C::Error>> {
+    ) -> Result<(MeanCounts, bool), Error<I2C::Error>> {
         let mut sums = [[0_i32; 3]; 2];
+        let (mut least, mut most) = ([i16::MAX; 3], [i16::MIN; 3]);
         for _ in 0..SELF_TEST_SAMPLES {
             let sample = RawSample::decode(&self.read_burst(0)?.bytes);
             for (sum, counts) in sums
@@ -249,9 +257,18 @@ impl<I2C: I2c> Mpu6050<I2C> {
                     *sum += i32::from(count);
                 }
             }
+            for ((least, most), count) in least.iter_mut().zip(&mut most).zip(sample.gyroscope.0) {
+                *least = (*least).min(count);
+                *most = (*most).max(count);
+            }
             delay.delay_ms(1);
         }
-        Ok(sums.map(|sum| sum.map(|sum| sum as f32 / f32::from(SELF_TEST_SAMPLES))))
+        let has_moved = least
+            .into_iter()
+            .zip(most)
+            .any(|(least, most)| most.abs_diff(least) > SELF_TEST_SPREAD_COUNTS);
+        let means = sums.map(|sum| sum.map(|sum| sum as f32 / f32::from(SELF_TEST_SAMPLES)));
+        Ok((means, has_moved))
     }
 
     /// Runs steps, and reads back every register that keeps its value.

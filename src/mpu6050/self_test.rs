@@ -21,7 +21,7 @@ pub const TOLERANCE: f32 = 0.14;
 /// use aplomb::mpu6050::{AxisTest, SelfTest};
 ///
 /// let axis = AxisTest { response_counts: 2200.0, trim_counts: Some(2000.0) };
-/// let test = SelfTest { gyroscope: [axis; 3], accelerometer: [axis; 3] };
+/// let test = SelfTest { gyroscope: [axis; 3], accelerometer: [axis; 3], has_moved: false };
 /// assert_eq!(test.has_passed(), Some(true));
 /// assert!(test.to_string().starts_with("passed; gyroscope x +10 %"));
 /// ```
@@ -32,6 +32,8 @@ pub struct SelfTest {
     pub gyroscope: [AxisTest; 3],
     /// Accelerometer along x, y, z.
     pub accelerometer: [AxisTest; 3],
+    /// The sensor moved during the test, so that the responses mean little.
+    pub has_moved: bool,
 }
 
 /// Result of one axis.
@@ -94,6 +96,7 @@ impl fmt::Display for SelfTest {
                 );
             }
             Some(true) => "passed",
+            Some(false) if self.has_moved => "FAILED: it moved, keep it still and repeat",
             Some(false) => "FAILED",
         };
         formatter.write_str(verdict)?;
@@ -175,6 +178,7 @@ mod tests {
                 axis(4400.0, 5000.0),
             ],
             accelerometer: [axis(2000.0, 2000.0); 3],
+            has_moved: false,
         };
         assert_eq!(test.has_passed(), Some(true));
         assert_eq!(
@@ -184,7 +188,10 @@ mod tests {
         );
         test.accelerometer[1] = axis(0.0, 2000.0);
         assert_eq!(test.has_passed(), Some(false));
-        assert!(test.to_string().starts_with("FAILED"));
+        assert!(test.to_string().starts_with("FAILED; gyroscope"));
+        test.has_moved = true;
+        let moved = "FAILED: it moved, keep it still and repeat; gyroscope";
+        assert!(test.to_string().starts_with(moved));
         test.gyroscope[1] = axis(5000.0, -5000.0);
         assert_eq!(
             test.gyroscope[1].has_passed(),
@@ -198,6 +205,7 @@ mod tests {
         let test = SelfTest {
             gyroscope: [none; 3],
             accelerometer: [none; 3],
+            has_moved: false,
         };
         assert_eq!(test.has_passed(), None);
         assert!(test.to_string().contains("no factory trim"));

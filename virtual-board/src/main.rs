@@ -2,11 +2,14 @@
 //! folder.
 
 mod live;
+mod port;
+mod screen;
 
 use std::fmt::Write as _;
-use std::fs;
-use std::io::{self, IsTerminal, Write as _};
-use std::path::PathBuf;
+use std::fs::{self, File};
+use std::io::Read as _;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -14,6 +17,9 @@ use std::time::Instant;
 
 use aplomb_models::motion::Mount;
 use aplomb_recordings::motion::Recording;
+use aplomb_recordings::output::check_writable;
+use aplomb_recordings::quote::quote;
+use aplomb_recordings::units::{BadRows, RowOptions};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use virtual_board::board::{BOARDS, BoardModel};
@@ -22,12 +28,12 @@ use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
-use virtual_board::probe::LogLine;
-use virtual_board::recorder::{Observer, Progress};
 use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
 use live::Live;
+use port::Port;
+use screen::Screen;
 
 /// Default length of the simulated flight, s.
 const SECONDS: f64 = 30.0;
@@ -80,8 +86,11 @@ struct Fly {
     /// `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
+    #[command(flatten)]
+    rows: RowOptions,
     /// Mount of the sensor: forward, then down, in sensor axes, such as +x-z; or z-up, z-down.
     #[arg(long, value_name = "MOUNT", default_value = "z-up", value_parser = mount)]
+    #[arg(env = "APLOMB_MOUNT", hide_env_values = true)]
     #[arg(allow_hyphen_values = true)]
     mount: Mount,
     /// Virtual seconds from power-up. Default: 30, or the whole recording.
@@ -107,10 +116,40 @@ struct Fly {
     /// Folder for the files.
     #[arg(long, value_name = "FOLDER", default_value = "target/fly")]
     output: PathBuf,
-    /// Fly in real time, for a day by default. The UART's bytes go to standard output. Lines from
+    /// Fly in real time, for a day by default. The UART's bytes go to standard output. Bytes from
     /// standard input go to the UART, until that ends. No files are written.
     #[arg(long, conflicts_with_all = ["output", "flash"])]
     live: bool,
+    /// Like --live, with the UART at a pseudo-terminal, whose name is printed: for `aplomb view
+    /// --port`, pymavlink or QGroundControl.
+    #[cfg(unix)]
+    #[arg(long, conflicts_with_all = ["output", "flash", "live"])]
+    pty: bool,
+    /// Like --live, with the UART at this TCP port, for one program at a time.
+    #[arg(long, value_name = "127.0.0.1:PORT", conflicts_with_all = ["output", "flash", "live"])]
+    #[cfg_attr(unix, arg(conflicts_with = "pty"))]
+    tcp: Option<SocketAddr>,
+}
+
+impl Fly {
+    /// Opens the port of a flight in real time; `None` for a flight that writes files.
+    fn port(&self) -> Result<Option<Port>, String> {
+        #[cfg(unix)]
+        if self.pty {
+            let opened = Port::pseudo_terminal();
+            let (port, name) = opened.map_err(|error| format!("no pseudo-terminal: {error}"))?;
+            eprintln!("serial port: {name}");
+            return Ok(Some(port));
+        }
+        if let Some(address) = self.tcp {
+            let opened = Port::tcp(address);
+            let (port, address) =
+                opened.map_err(|error| format!("cannot listen on {address}: {error}"))?;
+            eprintln!("serial port: tcp:{address}");
+            return Ok(Some(port));
+        }
+        Ok(self.live.then(Port::standard))
+    }
 }
 
 fn mount(name: &str) -> Result<Mount, String> {
@@ -161,51 +200,41 @@ fn fly(options: &Fly) -> Result<(), String> {
         .board(options.board)
         .mount(options.mount)
         .seed(options.seed);
-    if let Some(path) = &options.commands {
-        run = run.commands(&Script::open(path).map_err(|error| error.to_string())?);
-    }
+    let script = match &options.commands {
+        Some(path) => Script::open(path).map_err(|error| error.to_string())?,
+        None => Script::default(),
+    };
+    run = run.commands(&script);
     let schedule = match &options.faults {
         Some(argument) => Schedule::from_argument(argument).map_err(|error| error.to_string())?,
         None => Schedule::default(),
     };
     run = run.schedule(&schedule);
     if let Some(path) = options.flash.as_ref().filter(|path| path.exists()) {
-        let bytes =
-            fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
-        if bytes.len() != 2 * SLOT_BYTES {
-            return Err(format!(
-                "{} has {} bytes: two calibration slots have {}",
-                path.display(),
-                bytes.len(),
-                2 * SLOT_BYTES
-            ));
-        }
-        run = run.flash(bytes);
+        run = run.flash(slots(path)?);
     }
-    let motion;
+    check_rows(options)?;
+    let port = options.port()?;
+    let (motion, seconds);
     match &options.log {
         Some(path) => {
-            let recording =
-                Recording::open(path, options.mount).map_err(|error| error.to_string())?;
-            run = run
-                .seconds(
-                    options
-                        .seconds
-                        .unwrap_or(recording.end_s())
-                        .min(recording.end_s()),
-                )
-                .recording(recording);
+            let recording = recording(options, path)?;
+            let end_s = recording.end_s();
+            seconds = options.seconds.unwrap_or(end_s).min(end_s);
+            run = run.recording(recording.with_noise(options.seed));
             let name = path.file_name().unwrap_or(path.as_os_str());
             motion = format!("recording {}", name.display());
         }
         None => {
-            let seconds = if options.live { DAY_S } else { SECONDS };
-            run = run.seconds(options.seconds.unwrap_or(seconds));
+            let usual = if port.is_some() { DAY_S } else { SECONDS };
+            seconds = options.seconds.unwrap_or(usual);
             motion = format!("simulated flight, seed {}", options.seed);
         }
     }
-    if options.live {
-        let run = run.without_account().observer(Live::new()).run();
+    check_ends(options, &script, &schedule, seconds)?;
+    run = run.seconds(seconds);
+    if let Some(port) = port {
+        let run = run.without_account().observer(Live::new(port)).run();
         return run.map(|_| ()).map_err(|error| error.to_string());
     }
     eprintln!("{motion}, on {}", options.board.name);
@@ -222,7 +251,8 @@ fn fly(options: &Fly) -> Result<(), String> {
     };
     outputs::write(&options.output, &outcome, &labels).map_err(|error| error.to_string())?;
     if let Some(path) = &options.flash {
-        fs::write(path, &outcome.flash.bytes)
+        check_writable(path)
+            .and_then(|()| fs::write(path, &outcome.flash.bytes))
             .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
     }
     println!("\n{}", table(&outcome));
@@ -232,6 +262,88 @@ fn fly(options: &Fly) -> Result<(), String> {
     }
     if outcome.samples().is_empty() {
         return Err("the firmware published no attitude".into());
+    }
+    Ok(())
+}
+
+/// Reads the recording to fly.
+fn recording(options: &Fly, path: &Path) -> Result<Recording, String> {
+    let recording = Recording::open_with(path, options.mount, options.rows)
+        .map_err(|error| error.to_string())?;
+    if recording.end_s() > DAY_S && options.seconds.is_none() {
+        return Err(format!(
+            "{}: it lasts {:.1} hours: choose the length with --seconds, 86400 at most",
+            path.display(),
+            recording.end_s() / 3_600.0
+        ));
+    }
+    Ok(recording)
+}
+
+/// Reads the calibration slots.
+fn slots(path: &Path) -> Result<Vec<u8>, String> {
+    let bytes = File::open(path).and_then(|file| {
+        let mut bytes = Vec::new();
+        // One byte more shows that a file is too long, however long it is.
+        file.take(2 * SLOT_BYTES as u64 + 1)
+            .read_to_end(&mut bytes)?;
+        Ok(bytes)
+    });
+    let bytes = bytes.map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+    if bytes.len() == 2 * SLOT_BYTES {
+        return Ok(bytes);
+    }
+    Err(format!(
+        "{} has not {} bytes, as two calibration slots have",
+        path.display(),
+        2 * SLOT_BYTES
+    ))
+}
+
+/// Refuses commands and faults of a file that come after the end of the flight.
+fn check_ends(
+    options: &Fly,
+    script: &Script,
+    schedule: &Schedule,
+    seconds: f64,
+) -> Result<(), String> {
+    let commands = script
+        .lines()
+        .iter()
+        .map(|(at_s, line)| (*at_s, line.clone()));
+    let faults = schedule.faults.iter();
+    let faults = faults.map(|fault| (fault.start_ns as f64 * 1e-9, fault.kind.to_string()));
+    // Faults by chance are drawn for 30 s, whatever is flown.
+    let by_chance = options
+        .faults
+        .as_deref()
+        .is_some_and(|name| name.starts_with("seed:"));
+    let late = commands
+        .chain(faults.filter(|_| !by_chance))
+        .find(|(at_s, _)| *at_s >= seconds);
+    match late {
+        Some((at_s, entry)) => Err(format!(
+            "`{}` at {at_s} s comes after the end of the flight, {seconds} s: \
+             fly longer with --seconds, or remove it",
+            quote(&entry)
+        )),
+        None => Ok(()),
+    }
+}
+
+/// Refuses options for a recording's rows that would change nothing.
+fn check_rows(options: &Fly) -> Result<(), String> {
+    let given = options.rows.given();
+    let unused = given
+        .iter()
+        .find(|(_, is_given)| *is_given && options.log.is_none());
+    if let Some((name, _)) = unused {
+        return Err(format!("{name} is for a recording: add --log FILE"));
+    }
+    if options.rows.bad_rows == Some(BadRows::Keep) {
+        return Err(
+            "a sensor cannot move by bad rows: --bad-rows takes refuse or skip here".into(),
+        );
     }
     Ok(())
 }
@@ -351,58 +463,6 @@ fn one_case(options: &Faults) -> Result<(), String> {
         Ok(())
     } else {
         Err(report.failures.join("\n       "))
-    }
-}
-
-/// Shows the run while it goes on: the firmware's log, and how far it is.
-struct Screen {
-    started: Instant,
-    is_terminal: bool,
-    /// Virtual seconds at which a line of progress is due, where it cannot be overwritten.
-    next_line_s: f64,
-}
-
-impl Screen {
-    fn new() -> Self {
-        Self {
-            started: Instant::now(),
-            is_terminal: io::stderr().is_terminal(),
-            next_line_s: 0.0,
-        }
-    }
-
-    fn clear_line(&self) {
-        if self.is_terminal {
-            eprint!("\r\x1b[K");
-        }
-    }
-}
-
-impl Observer for Screen {
-    fn log(&mut self, line: &LogLine) {
-        self.clear_line();
-        println!("{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text);
-    }
-
-    fn progress(&mut self, progress: Progress) {
-        let now_s = progress.now_ns as f64 * 1e-9;
-        let speed = now_s / self.started.elapsed().as_secs_f64();
-        let percent = 100.0 * progress.now_ns as f64 / progress.end_ns as f64;
-        let text = format!("{percent:3.0} %, {now_s:.1} s flown, {speed:.1} times real time");
-        if self.is_terminal {
-            self.clear_line();
-            eprint!("{text}");
-            io::stderr().flush().ok();
-        } else if now_s >= self.next_line_s {
-            self.next_line_s = now_s + 10.0;
-            eprintln!("{text}");
-        }
-    }
-}
-
-impl Drop for Screen {
-    fn drop(&mut self) {
-        self.clear_line();
     }
 }
 

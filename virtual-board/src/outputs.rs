@@ -6,6 +6,7 @@
 //! | `bursts.csv` | a row per published sample: its bytes from the bus, and the board's flags |
 //! | `truth.csv` | a row per published sample: the true motion at its edge, where it is known |
 //! | `uart.log` | the UART's bytes |
+//! | `firmware.log` | the lines of the debug probe, each with its time |
 //! | `attitude.png` | estimate against truth, and the error |
 //! | `summary.json` | the figures |
 //!
@@ -20,6 +21,8 @@ use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::Burst;
 use aplomb::telemetry::bursts;
 use aplomb::units::degrees;
+
+use aplomb_recordings::output::check_writable;
 
 use crate::Error;
 use crate::flight::Outcome;
@@ -46,6 +49,11 @@ pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Er
             .collect();
         file.write_all(&bytes)
     })?;
+    in_file(folder, "firmware.log", |file| {
+        outcome.log().iter().try_for_each(|line| {
+            writeln!(file, "{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text)
+        })
+    })?;
     in_file(folder, "attitude.png", |file| {
         file.write_all(&plot::png(outcome, labels))
     })?;
@@ -61,11 +69,13 @@ fn in_file(
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), Error> {
     let path = folder.join(name);
-    let written = File::create(&path).and_then(|file| {
-        let mut file = BufWriter::new(file);
-        content(&mut file)?;
-        file.flush()
-    });
+    let written = check_writable(&path)
+        .and_then(|()| File::create(&path))
+        .and_then(|file| {
+            let mut file = BufWriter::new(file);
+            content(&mut file)?;
+            file.flush()
+        });
     written.map_err(|cause| Error::Output(path, cause.to_string()))
 }
 

@@ -4,8 +4,10 @@
 //! comment.
 
 use std::fmt;
-use std::fs;
 use std::path::Path;
+
+use aplomb_recordings::quote::quote;
+use aplomb_recordings::text::read_small;
 
 use thiserror::Error;
 
@@ -154,7 +156,7 @@ impl Schedule {
                 .map_err(|_| ScheduleError::Seed(argument.into()))?;
             return Ok(Self::by_seed(seed));
         }
-        let text = fs::read_to_string(Path::new(argument))
+        let text = read_small(Path::new(argument))
             .map_err(|cause| ScheduleError::Unreadable(argument.into(), cause.to_string()))?;
         Self::parse(argument, &text)
     }
@@ -306,7 +308,8 @@ fn fault(words: &[&str]) -> Result<ScheduledFault, String> {
     let seconds = |text: &str, what: &str| match text.parse::<f64>() {
         Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(nanoseconds(seconds)),
         _ => Err(format!(
-            "`{text}` is not a {what}: it is in seconds, from 0 to 86400"
+            "`{}` is not a {what}: it is in seconds, from 0 to 86400",
+            quote(text)
         )),
     };
     Ok(ScheduledFault {
@@ -322,7 +325,8 @@ fn kind(text: &str) -> Result<FaultKind, String> {
     let Some(form) = FORMS.iter().find(|form| form.name == name) else {
         let names: Vec<&str> = Schedule::classes().collect();
         return Err(format!(
-            "there is no fault `{name}`; there are {}",
+            "there is no fault `{}`; there are {}",
+            quote(name),
             names.join(", ")
         ));
     };
@@ -330,7 +334,8 @@ fn kind(text: &str) -> Result<FaultKind, String> {
         Some(kind) if text == name => Ok(kind),
         Some(_) => Err(format!("`{name}` takes no parameter")),
         None => (form.read)(parameter).ok_or(format!(
-            "`{parameter}` is not a parameter of `{name}`: it is written {name}{}",
+            "`{}` is not a parameter of `{name}`: it is written {name}{}",
+            quote(parameter),
             form.parameter
         )),
     }

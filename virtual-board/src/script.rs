@@ -3,8 +3,10 @@
 //!
 //! Empty lines and lines that begin with `#` are comments.
 
-use std::fs;
 use std::path::Path;
+
+use aplomb_recordings::quote::quote;
+use aplomb_recordings::text::read_small;
 
 use crate::Error;
 
@@ -20,7 +22,7 @@ impl Script {
     /// When it cannot be read, or a line does not begin with a time; the error names the line.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let refuse = |reason: String| Error::Script(path.to_owned(), reason);
-        let text = fs::read_to_string(path).map_err(|error| refuse(error.to_string()))?;
+        let text = read_small(path).map_err(|error| refuse(error.to_string()))?;
         Self::parse(&text).map_err(refuse)
     }
 
@@ -36,17 +38,19 @@ impl Script {
             if line.is_empty() || line.starts_with('#') {
                 continue;
             }
-            let (seconds, command) = line
-                .split_once(char::is_whitespace)
-                .ok_or_else(|| format!("line {}: `{line}` is not `seconds command`", index + 1))?;
+            let (seconds, command) = line.split_once(char::is_whitespace).ok_or_else(|| {
+                let line = quote(line);
+                format!("line {}: `{line}` is not `seconds command`", index + 1)
+            })?;
             let at_s: f64 = seconds
                 .parse()
                 .ok()
                 .filter(|at_s| (0.0..=86_400.0).contains(at_s))
                 .ok_or_else(|| {
                     format!(
-                        "line {}: `{seconds}` is no time from 0 to 86400 s",
-                        index + 1
+                        "line {}: `{}` is no time from 0 to 86400 s",
+                        index + 1,
+                        quote(seconds)
                     )
                 })?;
             lines.push((at_s, command.trim_start().to_owned()));

@@ -242,3 +242,100 @@ fn live_it_keeps_to_real_time_answers_lines_and_ends_with_its_input() {
     drop(input);
     assert!(child.wait().unwrap().success());
 }
+
+/// Returns the message of a flight that has to be refused, with a file as the value of an option.
+fn refusal(name: &str, option: &str, contents: &str, more: &[&str]) -> String {
+    let folder = folder(name);
+    let file = folder.join("input");
+    fs::write(&file, contents).unwrap();
+    let output = folder.join("output");
+    let mut arguments = vec![option, file.to_str().unwrap()];
+    arguments.extend(["--output", output.to_str().unwrap()]);
+    arguments.extend(more);
+    let refused = fly(&arguments);
+    assert!(!refused.status.success(), "{option} {contents}");
+    assert!(!output.exists());
+    String::from_utf8_lossy(&refused.stderr).into_owned()
+}
+
+#[test]
+fn a_recording_in_other_units_is_refused_as_replay_refuses_it() {
+    let log = |row: &dyn Fn(u32) -> String| {
+        let rows: String = (0..50).map(|index| row(index) + "\n").collect();
+        format!("t_us,ax,ay,az,gx,gy,gz\n{rows}")
+    };
+    let in_g = log(&|index| format!("{},0,0,1.0,0,0,0", index * 5000));
+    let message = refusal("units", "--log", &in_g, &[]);
+    assert!(
+        message.contains("did you mean g (--force-unit g)"),
+        "{message}"
+    );
+    let with_gap = log(&|index| {
+        format!(
+            "{},0,0,9.8,0,0,0",
+            u64::from(index / 49) * 3e15 as u64 + u64::from(index) * 5000
+        )
+    });
+    let message = refusal("gap", "--log", &with_gap, &[]);
+    assert!(
+        message.contains("95.1 years after the row before"),
+        "{message}"
+    );
+    let message = refusal("keep", "--log", &in_g, &["--bad-rows", "keep"]);
+    assert!(message.contains("refuse or skip"), "{message}");
+}
+
+#[test]
+fn entries_after_the_end_of_the_flight_are_refused() {
+    let commands = refusal(
+        "late-command",
+        "--commands",
+        "1 help\n40 status\n",
+        &["--seconds", "2"],
+    );
+    assert!(
+        commands.contains("`status` at 40 s comes after the end of the flight, 2 s"),
+        "{commands}"
+    );
+    let faults = refusal(
+        "late-fault",
+        "--faults",
+        "1 0.1 frozen\n3 1 sda-low\n",
+        &["--seconds", "2"],
+    );
+    assert!(
+        faults.contains("`sda-low` at 3 s comes after the end"),
+        "{faults}"
+    );
+}
+
+#[test]
+fn the_rest_before_a_recording_has_noise_and_a_pipe_gets_an_attitude_a_second() {
+    let (shown, summary) = fly_recording("noise", "t_us,ax,ay,az,gx,gy,gz", "0,0,9.80665,0,0,0", 2);
+    assert!(!summary.contains("FROZEN"), "{summary}");
+    let attitudes = |text: &str| text.lines().filter(|line| line.contains("roll:")).count();
+    assert!((3..=5).contains(&attitudes(&shown)), "{shown}");
+    let whole = fs::read_to_string(folder("noise").join("firmware.log")).unwrap();
+    assert!(attitudes(&whole) > 150, "{whole}");
+    for line in shown.lines().filter(|line| line.contains("INFO")) {
+        assert!(whole.contains(line), "{line}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_read_only_file_is_not_replaced() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = folder("read-only");
+    let kept = folder.join("uart.log");
+    fs::remove_file(&kept).ok();
+    fs::write(&kept, "kept").unwrap();
+    fs::set_permissions(&kept, fs::Permissions::from_mode(0o444)).unwrap();
+    let refused = fly(&["--seconds", "0.5", "--output", folder.to_str().unwrap()]);
+    let message = String::from_utf8_lossy(&refused.stderr);
+    assert!(
+        message.contains("uart.log") && message.contains("read-only"),
+        "{message}"
+    );
+    assert_eq!(fs::read_to_string(&kept).unwrap(), "kept");
+}

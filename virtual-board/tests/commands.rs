@@ -230,6 +230,106 @@ fn a_flood_of_commands_costs_no_sample_either() {
     assert!(answered > 20, "{answered}");
 }
 
+/// The bound that docs/commands.md states, also while commands change the calibration.
+#[test]
+fn commands_by_chance_delay_no_attitude_by_much() {
+    const COMMANDS: [&str; 16] = [
+        "mount +x-z",
+        "mount -x-z",
+        "mount +y-z",
+        "mount find",
+        "calibrate gyro",
+        "calibrate level",
+        "calibrate accel",
+        "calibrate temperature",
+        "calibrate done",
+        "calibrate stop",
+        "show",
+        "status",
+        "rate 50",
+        "rate 10",
+        "arm",
+        "disarm",
+    ];
+    for seed in 0..4 {
+        let mut random = Random::new(seed, "commands");
+        let mut run = Run::new(firmware())
+            .seconds(20.0)
+            .seed(seed)
+            .motion(Rest::level());
+        let mut at_s = 1.5;
+        while at_s < 19.0 {
+            let index = random.uniform(0.0, COMMANDS.len() as f64) as usize;
+            run = run.command(at_s, COMMANDS[index]);
+            at_s += random.uniform(0.02, 0.3);
+        }
+        let outcome = fly(run);
+        assert_eq!(outcome.summary.missed, 0, "{seed}");
+        let latest_us = outcome.summary.edge_to_attitude_us_max;
+        assert!(latest_us <= Some(430.0), "{seed}: {latest_us:?}");
+    }
+}
+
+#[test]
+fn a_thousand_lines_by_chance_leave_the_module_alive() {
+    const PIECES: [&str; 28] = [
+        "help",
+        "status",
+        "show",
+        "save",
+        "forget",
+        "self-test",
+        "arm",
+        "disarm",
+        "calibrate ",
+        "gyro",
+        "accel",
+        "level",
+        "temperature",
+        "mount ",
+        "+x-z",
+        "-y+x",
+        "find",
+        "rate ",
+        "format ",
+        "text",
+        "50",
+        "-1",
+        "99999999999999999999",
+        " ",
+        "\u{0}",
+        "é",
+        "\x08",
+        "\x7f",
+    ];
+    let mut random = Random::new(1, "lines");
+    let mut run = Run::new(firmware()).seconds(46.0).motion(Rest::level());
+    for index in 0..1_000_u32 {
+        let count = 1 + random.uniform(0.0, 5.0) as usize;
+        let mut line = Vec::new();
+        for _ in 0..count {
+            let piece = PIECES[random.uniform(0.0, PIECES.len() as f64) as usize];
+            line.extend(piece.as_bytes());
+            if random.uniform(0.0, 1.0) < 0.1 {
+                line.push(random.uniform(0.0, 256.0) as u8);
+            }
+        }
+        line.push(b'\n');
+        run = run.send(1.5 + 0.04 * f64::from(index), &line);
+    }
+    let outcome = fly(run.command(44.0, "").command(44.5, "status"));
+    assert_eq!(outcome.issues, Vec::<String>::new());
+    let last = answers(&outcome)
+        .into_iter()
+        .rfind(|(at_s, _)| *at_s > 44.5);
+    assert!(
+        last.is_some_and(|(_, text)| text.starts_with("ok status")),
+        "{last:?}"
+    );
+    let after = outcome.samples().last().expect("there are samples");
+    assert!(after.snapshot.t_us > 45_900_000, "{}", after.snapshot.t_us);
+}
+
 #[test]
 fn a_noisy_line_is_counted_and_its_commands_dropped() {
     let garbled = Fault::ReceptionGarbled {

@@ -70,8 +70,15 @@ fn fly(name: &str, commands: &str, seconds: &str) -> Flight {
 fn a_flight_log_has_every_burst_and_replays_to_the_bit() {
     let flight = fly(
         "flight-log",
-        "1.0 baud 921600\n1.5 status\n2.0 format log\n12.5 format text\n",
+        "1.0 baud 921600\n1.5 status\n2.0 format log\n12.5 format text\n12.7 status\n",
         "13",
+    );
+    // An attitude waits while a state is being sent.
+    let text = String::from_utf8_lossy(&flight.uart);
+    assert!(
+        text.contains(" frames_dropped=0"),
+        "{}",
+        &text[text.len() - 600..]
     );
     let mut decoder = Decoder::new();
     let mut logged = Vec::new();

@@ -13,6 +13,9 @@ const EMBASSY: &str = "examples/embassy";
 /// The line of the example `host` for the largest roll of its motion, 29.8 degrees.
 const HOST_LINE: &str = "  6.0 s  roll  29.7";
 
+/// The first line of the example `host` on the log of a sensor that lies face up.
+const LEVEL_LINE: &str = "  0.0 s  roll   0.00  pitch   0.00";
+
 /// Builds RTIC's, the polling one and Embassy's. Returns the names and the ELF files of those that
 /// are flown. The polling one is not: it polls a bus and a pin, so its emulation takes fifty times
 /// the flown time.
@@ -48,11 +51,25 @@ pub fn run_on_host() -> Result<(), String> {
     let mut cargo = step::host_cargo("run");
     cargo.args(["--quiet", "--example", "host"]);
     let output = step::output(&mut cargo).ok_or("the example `host` failed")?;
-    if output.contains(HOST_LINE) {
-        Ok(())
-    } else {
-        Err(format!(
+    if !output.contains(HOST_LINE) {
+        return Err(format!(
             "the example `host` does not print `{HOST_LINE}`:\n{output}"
-        ))
+        ));
     }
+    // A log of the project has the sensor's Z axis up.
+    let mut cargo = step::host_cargo("run");
+    cargo.args([
+        "--quiet",
+        "--example",
+        "host",
+        "--",
+        "cli/tests/data/roll.csv",
+    ]);
+    let output = step::output(&mut cargo).ok_or("the example `host` failed on a log")?;
+    if output.contains(LEVEL_LINE) {
+        return Ok(());
+    }
+    Err(format!(
+        "the example `host` does not begin with `{LEVEL_LINE}` on a log:\n{output}"
+    ))
 }

@@ -110,13 +110,7 @@ fn fly(arguments: &[String]) -> Result<(), String> {
         Some(name) => Board::from_name(name)?,
         None => Board::default(),
     };
-    let mount = value_of(arguments, "--mount")?;
-    if let Some(name) = mount.filter(|name| !build::is_mount(name)) {
-        return Err(format!(
-            "there is no mount `{name}`: \
-             forward axis, then down axis, such as +x-z, or z-up or z-down"
-        ));
-    }
+    let mount = mount(arguments, mount_of_environment())?;
     let is_minimal = arguments.iter().any(|argument| argument == MINIMAL);
     let virtual_board = build::virtual_board()?;
     let mut flight = step::command(&virtual_board);
@@ -127,7 +121,7 @@ fn fly(arguments: &[String]) -> Result<(), String> {
     }
     let elf = Firmware {
         board,
-        mount: mount.map(str::to_owned),
+        mount,
         is_minimal,
     }
     .build(&setup::Toolchain::for_target()?)?;
@@ -146,7 +140,12 @@ fn view(arguments: &[String]) -> Result<(), String> {
         return step::run(view.arg("--help"));
     }
     build::virtual_board()?;
-    let elf = Firmware::full(Board::default()).build(&setup::Toolchain::for_target()?)?;
+    // The virtual board takes the mount from the environment too.
+    let firmware = Firmware {
+        mount: mount(&[], mount_of_environment())?,
+        ..Firmware::full(Board::default())
+    };
+    let elf = firmware.build(&setup::Toolchain::for_target()?)?;
     step::run(view.args(["--virtual", "--elf"]).arg(elf).args(arguments))
 }
 
@@ -157,13 +156,30 @@ fn flash(board: Board) -> Result<(), String> {
             .into());
     }
     let firmware = Firmware {
-        mount: std::env::var("APLOMB_MOUNT").ok(),
+        mount: mount(&[], mount_of_environment())?,
         ..Firmware::full(board)
     };
     let elf = firmware.build(&setup::Toolchain::for_target()?)?;
     let mut probe = step::command(Path::new("probe-rs"));
     probe.args(["run", "--chip", board.chip]).arg(elf);
     step::run(&mut probe)
+}
+
+/// The mount in `APLOMB_MOUNT`, which every command that builds a firmware takes.
+fn mount_of_environment() -> Option<String> {
+    std::env::var("APLOMB_MOUNT").ok()
+}
+
+/// The mount of the option, or else of the environment.
+fn mount(arguments: &[String], environment: Option<String>) -> Result<Option<String>, String> {
+    let option = value_of(arguments, "--mount")?.map(str::to_owned);
+    match option.or(environment) {
+        Some(name) if !build::is_mount(&name) => Err(format!(
+            "there is no mount `{name}`: \
+             forward axis, then down axis, such as +x-z, or z-up or z-down"
+        )),
+        mount => Ok(mount),
+    }
 }
 
 /// The value of an option given as `--name value` or `--name=value`.
@@ -217,4 +233,23 @@ fn root() -> PathBuf {
         .parent()
         .expect("xtask lies in the workspace")
         .to_path_buf()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::mount;
+
+    #[test]
+    fn the_mount_is_that_of_the_option_or_else_of_the_environment() {
+        let given = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        let environment = || Some("+y-z".to_owned());
+        assert_eq!(mount(&[], None), Ok(None));
+        assert_eq!(mount(&[], environment()), Ok(environment()));
+        for option in ["--mount z-down", "--mount=z-down"] {
+            let found = mount(&given(option), environment());
+            assert_eq!(found, Ok(Some("z-down".to_owned())));
+        }
+        assert!(mount(&[], Some("+x-x".to_owned())).is_err());
+        assert!(mount(&given("--mount up"), environment()).is_err());
+    }
 }

@@ -270,9 +270,9 @@ fn colour_of(name: &str) -> Color {
     }
 }
 
+/// Draws the rates and the counts of losses in a row. A narrow row leaves out the rates first, so
+/// that no count is cut.
 fn draw_counts(model: &Model, area: Rect, y: u16, buffer: &mut Buffer) {
-    let mut x = 0;
-    let mut word = |text: &str, style: Style| x = put(buffer, area, x, y, text, style);
     let (plain, faint) = (Style::new().fg(TEXT), Style::new().fg(FAINT));
     let bad = Style::new()
         .fg(Color::Indexed(203))
@@ -281,23 +281,56 @@ fn draw_counts(model: &Model, area: Rect, y: u16, buffer: &mut Buffer) {
         Some((hertz, bursts)) => (format!("{hertz:.0}"), (bursts > 0.0).then_some(bursts)),
         None => ("-".into(), None),
     };
-    word(&hertz, plain);
-    word("/s", faint);
+    let mut rates = vec![(hertz, plain), ("/s ".to_owned(), faint)];
     if let Some(bursts) = bursts_hertz {
-        word(&format!(" {bursts:.0}"), plain);
-        word(" samples/s", faint);
+        rates.extend([
+            (format!("{bursts:.0}"), plain),
+            (" samples/s ".to_owned(), faint),
+        ]);
     }
-    let counts = model.counts;
-    for (name, count) in [
-        ("lost", counts.lost),
-        ("bad", counts.damaged),
+    let losses = [
+        ("lost", model.counts.lost),
+        ("bad", model.counts.damaged),
         ("dropped", model.frames_dropped.unwrap_or_default()),
         ("failed", model.bursts_failed.unwrap_or_default()),
-    ] {
-        if count > 0 || name == "lost" {
-            word(&format!(" {name} "), faint);
-            word(&count.to_string(), if count > 0 { bad } else { plain });
+    ];
+    let shown = losses
+        .into_iter()
+        .filter(|(name, count)| *count > 0 || *name == "lost");
+    let losses: Vec<_> = shown
+        .flat_map(|(name, count)| {
+            let style = if count > 0 { bad } else { plain };
+            [(format!("{name} "), faint), (short(count) + " ", style)]
+        })
+        .collect();
+    let length = |words: &[(String, Style)]| -> usize {
+        words.iter().map(|(word, _)| word.chars().count()).sum()
+    };
+    // The last space may be cut.
+    let room = usize::from(area.width) + 1;
+    let mut x = 0;
+    if length(&rates) + length(&losses) <= room {
+        for (word, style) in &rates {
+            x = put(buffer, area, x, y, word, *style);
         }
+    }
+    for pair in losses.chunks(2) {
+        if usize::from(x) + length(pair) > room {
+            put(buffer, area, area.width - 1, y, "…", bad);
+            return;
+        }
+        for (word, style) in pair {
+            x = put(buffer, area, x, y, word, *style);
+        }
+    }
+}
+
+/// Formats a count in at most five letters: thousands and millions with their sign.
+fn short(count: u64) -> String {
+    match count {
+        0..10_000 => count.to_string(),
+        10_000..10_000_000 => format!("{}k", count / 1_000),
+        10_000_000.. => format!("{}M", (count / 1_000_000).min(9_999)),
     }
 }
 

@@ -220,3 +220,35 @@ fn every_baud_rate_is_tried_once_in_a_round() {
     tried.sort_unstable();
     assert_eq!(tried, aplomb::console::command::BAUD_RATES);
 }
+
+#[test]
+fn no_count_is_cut_on_a_narrow_screen() {
+    for counts in [
+        [0; 4],
+        [1, 0, 12, 0],
+        [12, 3, 456, 7],
+        [99_999, 99_999, 99_999, 99_999],
+    ] {
+        let [lost, damaged, dropped, failed] = counts;
+        let mut model = swinging(Flags::VALID);
+        (model.counts.lost, model.counts.damaged) = (lost, damaged);
+        (model.frames_dropped, model.bursts_failed) = (Some(dropped), Some(failed));
+        let buffer = drawn(&model, 80, 24);
+        let row: String = (0..80)
+            .map(|x| buffer[(x, 12)].symbol().to_owned())
+            .collect::<String>();
+        let row = row[row.find("lost").expect(&row)..].trim_end().to_owned();
+        let words: Vec<&str> = row.split(' ').collect();
+        for (name, count) in ["lost", "bad", "dropped", "failed"].iter().zip(counts) {
+            let Some(at) = words.iter().position(|word| word == name) else {
+                assert!(count == 0 || row.ends_with('…'), "{name}: {row}");
+                continue;
+            };
+            let expected = match count {
+                99_999 => "99k".to_owned(),
+                _ => count.to_string(),
+            };
+            assert_eq!(words.get(at + 1), Some(&expected.as_str()), "{row}");
+        }
+    }
+}

@@ -1,55 +1,62 @@
-//! Flight logs of the module: read as a whole, and [recorded](Recorder) from bursts.
+//! Flight logs of the module: read step by step, and [recorded](Recorder) from bursts.
 //!
-//! A log is read as a whole because the pieces of a filter's state come after the bursts that
-//! follow that state.
+//! A log is read twice, each time from its beginning and in little memory: once for a summary of
+//! its flights, and once for the [steps](Steps) of a flight. The pieces of a filter's state come
+//! after the bursts that follow that state, so the second reading looks ahead by some seconds.
 
 mod recorder;
+mod steps;
 
 pub use recorder::Recorder;
+pub use steps::{Step, Steps};
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
+use std::sync::Arc;
 
-use aplomb::pipeline::Snapshot;
-use aplomb::telemetry::log::{Configuration, Counts, Decoder, Frame, NumberedBurst, StatePiece};
+use aplomb::telemetry::log::{Configuration, Counts, Frame, NumberedBurst, StatePiece};
+
+use steps::Frames;
 
 /// Bytes at a file's start in which [`is_flight_log`] searches a frame.
 const INSPECTED_BYTES: usize = 64 * 1024;
+/// Most flights of a log, and most of its messages that are kept.
+const MOST_FLIGHTS: usize = 10_000;
 
-/// A flight log.
-#[derive(Debug, Default)]
+/// Opens the bytes of a log, from the beginning.
+type Open = dyn Fn() -> Result<Box<dyn Read>, String>;
+
+/// Summary of a flight log.
 pub struct FlightLog {
+    open: Box<Open>,
     /// Flights, one for each start of the module.
     pub flights: Vec<Flight>,
     /// Counts of the decoder.
     pub counts: Counts,
-    /// Messages of the module, in order.
+    /// Messages of the module, in order; of very many, the first.
     pub messages: Vec<String>,
     /// Reading stopped before the end of the file.
     pub is_cut_off: bool,
 }
 
-/// Log of one flight: from a start of the module to the next.
-#[derive(Debug, Default)]
+/// Summary of one flight: from a start of the module to the next.
+#[derive(Clone, Debug, Default)]
 pub struct Flight {
-    /// Changes of the settings, in order; the first is where the log begins.
-    pub configurations: Vec<Configuration>,
-    /// Bursts, in order.
-    pub bursts: Vec<NumberedBurst>,
-    /// Attitudes by their time.
-    attitudes: BTreeMap<u64, Snapshot>,
-    /// Whole states by the number of the burst that comes next.
-    states: BTreeMap<u32, Vec<u8>>,
+    /// Place among the flights.
+    index: usize,
+    /// First settings; `None` if there are none in the log.
+    pub configuration: Option<Configuration>,
+    /// Number of bursts.
+    pub bursts: u64,
+    /// Numbers of the first and the last burst.
+    numbers: Option<(u32, u32)>,
 }
 
 impl FlightLog {
     /// Returns the flights that have bursts.
     pub fn flown(&self) -> impl Iterator<Item = &Flight> {
-        self.flights
-            .iter()
-            .filter(|flight| !flight.bursts.is_empty())
+        self.flights.iter().filter(|flight| flight.bursts > 0)
     }
 
     /// Returns the flight of this number, counted from 1. Without a number, returns the only
@@ -74,45 +81,81 @@ impl FlightLog {
             .and_then(|index| self.flown().nth(index))
             .ok_or_else(|| format!("there is no such flight in it: it has 1 to {count}"))
     }
+
+    /// Returns the steps of a flight, read anew.
+    ///
+    /// # Errors
+    ///
+    /// Returns a message if the file cannot be opened again.
+    pub fn steps(&self, flight: &Flight) -> Result<Steps, String> {
+        Ok(Steps::new(Frames::new((self.open)()?), flight.index))
+    }
+
+    /// Reads a log once, for its summary.
+    fn scan(open: Box<Open>) -> Result<(Self, Option<std::io::Error>), String> {
+        let mut frames = Frames::new(open()?);
+        let mut flights = Vec::new();
+        let mut messages = Vec::new();
+        let mut flight = Flight::default();
+        // Settings after the last burst belong to the next one, perhaps of another flight.
+        let mut upcoming = None;
+        for frame in frames.by_ref() {
+            match frame {
+                Frame::Burst(burst) => {
+                    if flight.numbers.is_some_and(|(_, last)| burst.number <= last) {
+                        let index = flight.index + 1;
+                        flights.push(std::mem::take(&mut flight));
+                        flight.index = index;
+                        if index >= MOST_FLIGHTS {
+                            return Err(format!("the module started over {index} times in it"));
+                        }
+                    }
+                    flight.take(upcoming.take());
+                    flight.count(&burst);
+                }
+                Frame::Configuration(configuration) => {
+                    upcoming.get_or_insert(configuration);
+                }
+                Frame::Text(text) if messages.len() < MOST_FLIGHTS => {
+                    messages.push(text.as_str().to_owned());
+                }
+                _ => {}
+            }
+        }
+        flight.take(upcoming);
+        flights.push(flight);
+        let (counts, error) = frames.end();
+        let log = Self {
+            open,
+            flights,
+            counts,
+            messages,
+            is_cut_off: error.is_some(),
+        };
+        Ok((log, error))
+    }
 }
 
 impl Flight {
     /// Returns how many bursts are missing between the first and the last.
     #[must_use]
     pub fn lost(&self) -> u64 {
-        match (self.bursts.first(), self.bursts.last()) {
-            (Some(first), Some(last)) => {
-                u64::from(last.number - first.number) + 1 - self.bursts.len() as u64
-            }
-            _ => 0,
+        match self.numbers {
+            Some((first, last)) => u64::from(last - first) + 1 - self.bursts,
+            None => 0,
         }
     }
 
-    /// Returns the logged attitude of this time.
-    #[must_use]
-    pub fn attitude(&self, t_us: u64) -> Option<&Snapshot> {
-        self.attitudes.get(&t_us)
-    }
-
-    /// Returns the logged state of the pipeline before the burst of this number, as bytes.
-    #[must_use]
-    pub fn state(&self, next_number: u32) -> Option<&[u8]> {
-        self.states.get(&next_number).map(Vec::as_slice)
-    }
-
-    fn add(&mut self, frame: Frame, collector: &mut StateCollector) {
-        match frame {
-            Frame::Configuration(configuration)
-                if self.configurations.last() != Some(&configuration) =>
-            {
-                self.configurations.push(configuration);
-            }
-            Frame::Attitude(snapshot) => {
-                self.attitudes.insert(snapshot.t_us, snapshot);
-            }
-            Frame::StatePiece(piece) => self.states.extend(collector.add(&piece)),
-            _ => {}
+    fn take(&mut self, configuration: Option<Configuration>) {
+        if self.configuration.is_none() {
+            self.configuration = configuration;
         }
+    }
+
+    fn count(&mut self, burst: &NumberedBurst) {
+        self.bursts += 1;
+        let first = self.numbers.map_or(burst.number, |(first, _)| first);
+        self.numbers = Some((first, burst.number));
     }
 }
 
@@ -131,28 +174,26 @@ pub fn is_flight_log(path: &Path) -> bool {
     bytes.contains(&0)
 }
 
-/// Reads a log, plain or gzipped. If it cannot be read to its end, warns on standard error and uses
-/// the part before.
+/// Reads a log, plain or gzipped, for its summary. If it cannot be read to its end, warns on
+/// standard error and uses the part before.
 ///
 /// # Errors
 ///
 /// Returns a message with the path if the file cannot be opened or has no burst.
 pub fn read(path: &Path) -> Result<FlightLog, String> {
     let at = |error: String| format!("{}: {error}", path.display());
-    let mut bytes = Vec::new();
-    let end = open(path)?.read_to_end(&mut bytes);
-    if let Err(error) = &end {
+    let name = path.to_owned();
+    let (log, error) = FlightLog::scan(Box::new(move || open(&name))).map_err(|error| {
+        let is_of_opening = error.starts_with(&path.display().to_string());
+        if is_of_opening { error } else { at(error) }
+    })?;
+    if let Some(error) = &error {
         eprintln!(
-            "warning: {}: cut off or damaged after {} bytes ({error}): this is what came before",
-            path.display(),
-            bytes.len()
+            "warning: {}: cut off or damaged ({error}): this is what came before",
+            path.display()
         );
     }
-    let log = FlightLog {
-        is_cut_off: end.is_err(),
-        ..decode(&bytes)
-    };
-    if log.flights.iter().all(|flight| flight.bursts.is_empty()) {
+    if log.flown().next().is_none() {
         return Err(at(format!(
             "there is no burst in it: {} frames, {} pieces that are none. \
              Was it recorded with `format log`, at the module's baud rate?",
@@ -183,42 +224,15 @@ pub fn open(path: &Path) -> Result<Box<dyn Read>, String> {
     })
 }
 
-/// Decodes the bytes of a log.
-#[must_use]
-pub fn decode(bytes: &[u8]) -> FlightLog {
-    let mut decoder = Decoder::new();
-    let mut log = FlightLog::default();
-    let mut flight = Flight::default();
-    // Frames after the last burst belong to the next one, which may be the first of another flight.
-    let mut upcoming = Vec::new();
-    let mut collector = StateCollector::default();
-    // A log that was cut off may end with a whole frame whose last zero is missing.
-    for byte in bytes.iter().chain(&[0]) {
-        let Some(frame) = decoder.push(*byte) else {
-            continue;
-        };
-        match frame {
-            Frame::Burst(burst) => {
-                let last = flight.bursts.last();
-                if last.is_some_and(|last| burst.number <= last.number) {
-                    log.flights.push(std::mem::take(&mut flight));
-                    collector = StateCollector::default();
-                }
-                for frame in upcoming.drain(..) {
-                    flight.add(frame, &mut collector);
-                }
-                flight.bursts.push(burst);
-            }
-            Frame::Text(text) => log.messages.push(text.as_str().to_owned()),
-            other => upcoming.push(other),
-        }
-    }
-    for frame in upcoming {
-        flight.add(frame, &mut collector);
-    }
-    log.flights.push(flight);
-    log.counts = decoder.counts();
-    log
+/// Reads the bytes of a log for its summary.
+///
+/// # Errors
+///
+/// Returns a message if there are too many flights in it.
+pub fn decode(bytes: &[u8]) -> Result<FlightLog, String> {
+    let bytes: Arc<[u8]> = bytes.into();
+    let open: Box<Open> = Box::new(move || Ok(Box::new(std::io::Cursor::new(Arc::clone(&bytes)))));
+    Ok(FlightLog::scan(open)?.0)
 }
 
 /// Collector of a state's pieces.

@@ -178,7 +178,12 @@ impl Telemetry {
         if self.tick < pace.ticks {
             return None;
         }
-        self.tick = 0;
+        // While the last output is being sent, the frame waits for the next tick, unless the next
+        // frame is due then.
+        if !self.transmitter.is_idle() && self.tick + 1 < 2 * pace.ticks {
+            return None;
+        }
+        self.tick %= pace.ticks;
         let (snapshot, number) = attitude_task::latest()?;
         let is_new = number != core::mem::replace(&mut self.last_published, number);
         is_new.then_some(snapshot)

@@ -52,8 +52,8 @@ impl BiasPrior {
 /// | six poses | 12 mg | cross-axis terms of ±2 % (§6.2), which six poses leave, and drift |
 /// | calibrated | 7 mg | drift of up to 0.86 mg/°C (§6.2) over 8 °C |
 ///
-/// A wide prior keeps σ honest for a sensor with a large offset. A narrow one is more accurate for a
-/// calibrated sensor.
+/// A wide prior keeps σ honest for a sensor with a large offset. A narrow one is more accurate for
+/// a calibrated sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum AccelerometerKnowledge {

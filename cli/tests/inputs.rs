@@ -1,0 +1,381 @@
+//! Inputs that are no recording, or one in other units: every program that reads logs names the
+//! fault and the option that helps, in bounded memory and time.
+
+mod common;
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::Path;
+use std::process::Command;
+
+use common::{aplomb, file, path};
+
+/// Most memory of a refusal, KiB. The program and its libraries take a few thousand.
+#[cfg(target_os = "linux")]
+const MOST_MEMORY_KIB: u64 = 64 * 1024;
+
+/// Commands that read a log, with what follows the input.
+fn readers(test: &str) -> Vec<(&'static str, Vec<String>)> {
+    let output = |name: &str| path(test, name).to_str().unwrap().to_owned();
+    vec![
+        ("replay", vec![]),
+        ("calibrate", vec![]),
+        ("plot", vec!["--output".to_owned(), output("plot.svg")]),
+        ("convert", vec![output("out.log")]),
+    ]
+}
+
+/// Returns the message of a command that has to fail.
+fn refusal(command: &str, input: &Path, more: &[String]) -> String {
+    let mut arguments = vec![command.to_owned(), input.to_str().unwrap().to_owned()];
+    arguments.extend_from_slice(more);
+    let result = aplomb(&arguments);
+    assert_eq!(result.status.code(), Some(1), "{arguments:?}");
+    String::from_utf8(result.stderr).unwrap()
+}
+
+/// Returns 20 s at 100 Hz of a sensor that rests, then turns.
+fn turned(time: f64, force: f64, rate: f64) -> String {
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    for index in 0..2_000_u32 {
+        let now_s = f64::from(index) * 0.01;
+        let angle = (now_s - 5.0).max(0.0);
+        let turn = if now_s > 5.0 { rate } else { 0.0 };
+        let (y, z) = (9.81 * angle.sin() * force, 9.81 * angle.cos() * force);
+        writeln!(
+            text,
+            "{},0,{y:.5},{z:.5},{turn},0,0",
+            f64::from(index * 10_000) * time
+        )
+        .unwrap();
+    }
+    text
+}
+
+#[test]
+fn every_reader_names_the_wrong_unit_and_takes_the_option_that_converts() {
+    for (name, time, force, rate, option) in [
+        ("ms", 1e-3, 1.0, 1.0, "--time-unit ms"),
+        ("g", 1.0, 0.101_972, 1.0, "--force-unit g"),
+        ("degrees", 1.0, 1.0, 57.295_78, "--rate-unit deg/s"),
+    ] {
+        let text = turned(time, force, rate);
+        let input = file("units", &format!("{name}.csv"), text);
+        for (command, more) in readers("units") {
+            let message = refusal(command, &input, &more);
+            let expected = format!("({option})");
+            assert!(message.contains("did you mean"), "{command}: {message}");
+            assert!(message.contains(&expected), "{command}: {message}");
+            // Calibrating needs more poses than these.
+            if command != "calibrate" {
+                let (flag, unit) = option.split_once(' ').unwrap();
+                let mut arguments = vec![command.to_owned(), input.to_str().unwrap().to_owned()];
+                arguments.extend(more);
+                arguments.extend([flag.to_owned(), unit.to_owned()]);
+                let result = aplomb(&arguments);
+                let errors = String::from_utf8_lossy(&result.stderr);
+                assert!(result.status.success(), "{arguments:?}: {errors}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_converted_log_gives_the_attitudes_of_one_in_si_units() {
+    let si = file("converted", "si.csv", turned(1.0, 1.0, 1.0));
+    let other = file("converted", "other.csv", turned(1e-3, 1.0, 57.295_779_513));
+    let output = path("converted", "attitude.csv");
+    let last = |arguments: &[&str]| {
+        let mut all = vec!["replay", arguments[0], "--output", output.to_str().unwrap()];
+        all.extend(&arguments[1..]);
+        let result = aplomb(&all);
+        let errors = String::from_utf8_lossy(&result.stderr);
+        assert!(result.status.success(), "{errors}");
+        let text = std::fs::read_to_string(&output).unwrap();
+        let cells = text.lines().last().unwrap().split(',').skip(1).take(4);
+        cells
+            .map(|cell| cell.parse().unwrap())
+            .collect::<Vec<f64>>()
+    };
+    let expected = last(&[si.to_str().unwrap()]);
+    let options = ["--time-unit", "ms", "--rate-unit", "deg/s"];
+    let found = last(&[&[other.to_str().unwrap()][..], &options].concat());
+    for (found, expected) in found.iter().zip(&expected) {
+        assert!((found - expected).abs() < 1e-4, "{found} {expected}");
+    }
+}
+
+#[test]
+fn bad_rows_are_left_out_on_request_and_counted() {
+    let mut text = turned(1.0, 1.0, 1.0);
+    text = text
+        .replacen("\n40000,", "\n30000,", 1)
+        .replacen("\n60000,0,", "\n60000,nan,", 1);
+    // A logger that lost its supply within a row.
+    text.truncate(text.len() - 12);
+    text.push_str("\n\n\n");
+    let input = file("bad-rows", "input.csv", text);
+    let message = refusal("replay", &input, &[]);
+    assert!(message.contains("input.csv:6: t_us is 30000"), "{message}");
+    assert!(message.contains("--bad-rows skip"), "{message}");
+    let result = aplomb(&["replay", input.to_str().unwrap(), "--bad-rows", "skip"]);
+    let warning = String::from_utf8_lossy(&result.stderr);
+    assert!(result.status.success(), "{warning}");
+    assert!(
+        warning.contains("3 bad rows are left out; the first: "),
+        "{warning}"
+    );
+    assert!(warning.contains("input.csv:6: t_us is 30000"), "{warning}");
+    let printed = String::from_utf8_lossy(&result.stdout);
+    assert!(printed.contains("1997 rows"), "{printed}");
+}
+
+#[test]
+fn an_option_that_would_change_nothing_is_refused() {
+    let bursts = file("nothing", "bursts.csv", "t_us,bytes,flags\n");
+    let message = refusal("replay", &bursts, &["--time-unit".into(), "ms".into()]);
+    assert!(message.contains("--time-unit"), "{message}");
+    let log = file("nothing", "log.csv", turned(1.0, 1.0, 1.0));
+    let raw = [
+        "--raw",
+        "--accel-range",
+        "2",
+        "--gyro-range",
+        "250",
+        "--force-unit",
+        "g",
+    ];
+    let message = refusal("replay", &log, &raw.map(str::to_owned));
+    assert!(
+        message.contains("--raw gives the values their units"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_flight_log_for_calibrate_is_named_with_the_way_out() {
+    let csv = file("flight", "log.csv", turned(1.0, 1.0, 1.0));
+    let log = path("flight", "flight.log");
+    let convert = ["convert", csv.to_str().unwrap(), log.to_str().unwrap()];
+    assert!(aplomb(&convert).status.success());
+    let message = refusal("calibrate", &log, &[]);
+    assert!(message.contains("it is a flight log"), "{message}");
+    assert!(message.contains("aplomb convert"), "{message}");
+    assert!(!message.contains("standard input"), "{message}");
+}
+
+#[test]
+fn comments_before_the_header_are_passed_over() {
+    let text = format!("# 2026-11-22, a logger\n#\n{}", turned(1.0, 1.0, 1.0));
+    let input = file("comments", "input.csv", text);
+    let result = aplomb(&["replay", input.to_str().unwrap()]);
+    assert!(
+        result.status.success(),
+        "{}",
+        String::from_utf8_lossy(&result.stderr)
+    );
+}
+
+#[test]
+fn a_message_quotes_at_most_80_characters() {
+    let header = file("quote", "header.csv", "x".repeat(15_000));
+    let escape = file("quote", "escape.csv", "t_us,\u{1b}]0;title\u{7}\n");
+    let cell = format!(
+        "t_us,ax,ay,az,gx,gy,gz\n0,{},0,0,0,0,0\n",
+        "9".repeat(300) + "x"
+    );
+    let cell = file("quote", "cell.csv", cell);
+    for input in [header, escape, cell] {
+        for (command, more) in readers("quote") {
+            let message = refusal(command, &input, &more);
+            let longest = message.split('"').map(|part| part.chars().count()).max();
+            // What is not a quotation names the columns.
+            assert!(longest < Some(250), "{command}: {message}");
+            assert!(message.lines().count() < 4, "{command}: {message}");
+            assert!(!message.contains('\u{1b}'), "{command}: {message}");
+        }
+    }
+}
+
+/// Runs a command within a limit of memory.
+#[cfg(target_os = "linux")]
+fn in_little_memory(arguments: &[&str], memory_kib: u64) -> std::process::Output {
+    let quoted: Vec<String> = arguments.iter().map(|word| format!("'{word}'")).collect();
+    let program = env!("CARGO_BIN_EXE_aplomb");
+    let words = quoted.join(" ");
+    let script = format!("ulimit -d {memory_kib}; exec '{program}' {words}");
+    let mut shell = Command::new("sh");
+    shell
+        .args(["-c", &script])
+        .output()
+        .expect("there is a shell")
+}
+
+/// Runs a command that has to fail in little memory, and returns its message.
+#[cfg(target_os = "linux")]
+fn refusal_in_little_memory(arguments: &[&str]) -> String {
+    let result = in_little_memory(arguments, MOST_MEMORY_KIB);
+    let message = String::from_utf8_lossy(&result.stderr).into_owned();
+    assert_eq!(result.status.code(), Some(1), "{arguments:?}: {message}");
+    message
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn lines_without_end_are_refused_in_little_memory() {
+    let mut zipped = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+    for _ in 0..400 {
+        zipped.write_all(&[b'a'; 1 << 20]).unwrap();
+    }
+    let bomb = file("endless", "bomb.csv.gz", zipped.finish().unwrap());
+    assert!(bomb.metadata().unwrap().len() < 1 << 20);
+    let wide = file("endless", "wide.csv", vec![b'x'; 50 << 20]);
+    let inputs = [bomb.to_str().unwrap(), wide.to_str().unwrap(), "/dev/zero"];
+    for input in inputs {
+        for (command, more) in readers("endless") {
+            let mut arguments = vec![command, input];
+            arguments.extend(more.iter().map(String::as_str));
+            let message = refusal_in_little_memory(&arguments);
+            assert!(
+                message.contains("more than 16384 bytes"),
+                "{command} {input}: {message}"
+            );
+            assert!(message.len() < 500, "{command} {input}: {message}");
+        }
+    }
+}
+
+#[test]
+fn a_hyphen_as_output_is_standard_output_and_nothing_else_is_printed_there() {
+    let folder = path("hyphen", "");
+    let run = |arguments: &[&str]| {
+        let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+            .args(arguments)
+            .current_dir(&folder)
+            .output()
+            .unwrap();
+        assert!(
+            result.status.success(),
+            "{}",
+            String::from_utf8_lossy(&result.stderr)
+        );
+        result
+    };
+    let simulated = run(&["simulate", "--seconds", "1", "--output", "-"]);
+    let text = String::from_utf8(simulated.stdout).unwrap();
+    assert!(
+        text.starts_with("t_us,ax") && text.lines().count() == 1_001,
+        "{text}"
+    );
+    assert!(text.lines().all(|line| line.split(',').count() == 12));
+    assert!(String::from_utf8_lossy(&simulated.stderr).contains("1000 rows"));
+    let log = file("hyphen", "log.csv", &text);
+    let replayed = run(&["replay", log.to_str().unwrap(), "--output", "-"]);
+    let text = String::from_utf8(replayed.stdout).unwrap();
+    assert!(text.starts_with("t_us,qw") && text.lines().count() == 1_001);
+    assert!(!folder.join("-").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_read_only_output_is_kept_by_every_command() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let log = file("read-only", "log.csv", turned(1.0, 1.0, 1.0));
+    for (command, more) in [
+        ("replay", ["--output", "kept.csv"]),
+        ("plot", ["--output", "kept.svg"]),
+        ("convert", ["", "kept.log"]),
+        ("simulate", ["--output", "kept.csv"]),
+    ] {
+        let kept = path("read-only", more[1]);
+        std::fs::remove_file(&kept).ok();
+        std::fs::write(&kept, "kept").unwrap();
+        std::fs::set_permissions(&kept, std::fs::Permissions::from_mode(0o444)).unwrap();
+        let mut arguments = vec![command.to_owned()];
+        if command != "simulate" {
+            arguments.push(log.to_str().unwrap().to_owned());
+        }
+        if !more[0].is_empty() {
+            arguments.push(more[0].to_owned());
+        }
+        arguments.push(kept.to_str().unwrap().to_owned());
+        let result = aplomb(&arguments);
+        let message = String::from_utf8_lossy(&result.stderr).into_owned();
+        assert_eq!(result.status.code(), Some(1), "{command}: {message}");
+        assert!(
+            message.contains("the file is read-only"),
+            "{command}: {message}"
+        );
+        assert_eq!(std::fs::read_to_string(&kept).unwrap(), "kept", "{command}");
+    }
+}
+
+#[test]
+fn convert_names_what_the_output_has_no_place_for() {
+    let simulated = path("left-out", "simulated.csv");
+    let name = |name: &str| path("left-out", name).to_str().unwrap().to_owned();
+    let run = |arguments: &[&str]| {
+        let result = aplomb(arguments);
+        assert!(
+            result.status.success(),
+            "{}",
+            String::from_utf8_lossy(&result.stderr)
+        );
+        String::from_utf8(result.stdout).unwrap()
+    };
+    let csv = simulated.to_str().unwrap();
+    run(&["simulate", "--seconds", "1", "--output", csv]);
+    let bursts = name("made-bursts.csv");
+    let printed = run(&["convert", csv, &bursts]);
+    assert!(
+        printed.contains("no place for it: the truth\n"),
+        "{printed}"
+    );
+    let printed = run(&["convert", &bursts, &name("made.csv")]);
+    assert!(
+        printed.contains("no place for it: the temperature\n"),
+        "{printed}"
+    );
+    let text = std::fs::read_to_string(&bursts)
+        .unwrap()
+        .replacen(",\n", ",BUS_FAULT\n", 2);
+    let flagged = file("left-out", "flagged-bursts.csv", text);
+    let arguments = [
+        "convert",
+        flagged.to_str().unwrap(),
+        &name("flagged.csv"),
+        "--json",
+    ];
+    let summary: serde_json::Value = serde_json::from_str(&run(&arguments)).unwrap();
+    let expected = serde_json::json!(["the temperature", "the board's flags"]);
+    assert_eq!(summary["left_out"], expected);
+    let printed = run(&["convert", &bursts, &name("made.log")]);
+    assert!(!printed.contains("left out"), "{printed}");
+}
+
+/// An hour's log has twelve times these five minutes; all of them in memory would take 24 MB.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_long_recording_takes_no_more_memory_than_a_short_one() {
+    let names = ["long.csv", "long.log"].map(|name| path("long", name));
+    let [csv, log] = names.each_ref().map(|path| path.to_str().unwrap());
+    let simulate = [
+        "simulate",
+        "--kind",
+        "swing",
+        "--seconds",
+        "300",
+        "--output",
+        csv,
+    ];
+    assert!(aplomb(&simulate).status.success());
+    assert!(aplomb(&["convert", csv, log]).status.success());
+    for input in [csv, log] {
+        let result = in_little_memory(&["replay", input], 20_000);
+        let errors = String::from_utf8_lossy(&result.stderr);
+        assert!(result.status.success(), "{input}: {errors}");
+        let printed = String::from_utf8_lossy(&result.stdout);
+        assert!(printed.contains("300000 rows"), "{printed}");
+    }
+    std::fs::remove_file(csv).ok();
+}

@@ -1,0 +1,236 @@
+//! Lines of a file, plain or gzipped.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use flate2::bufread::MultiGzDecoder;
+
+use crate::fault::{LONGEST_LINE, LogError, LogFault};
+
+/// Byte order mark: U+FEFF in UTF-8.
+const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
+/// Bytes that are read and unpacked at once.
+const BUFFER_LENGTH: usize = 256 * 1024;
+
+/// Lines of a file, which is gzipped if it begins as gzip files do.
+pub struct Lines {
+    path: PathBuf,
+    text: Box<dyn BufRead>,
+    is_zipped: bool,
+    is_stream: bool,
+    line: Vec<u8>,
+    /// The last line is the next one again.
+    is_unread: bool,
+    /// Number of the last line, counted from 1.
+    number: u64,
+}
+
+impl Lines {
+    /// Opens a file. All bytes pass through `wrap`, still zipped.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the file cannot be opened or read.
+    pub fn open<R: Read + 'static>(
+        path: &Path,
+        wrap: impl FnOnce(File) -> R,
+    ) -> Result<Self, LogError> {
+        let at = |reason: LogFault| LogError {
+            file: path.to_owned(),
+            line: None,
+            reason,
+            can_be_skipped: false,
+        };
+        let file = File::open(path).map_err(|error| at(LogFault::Open(error)))?;
+        Self::new(path, wrap(file)).map_err(|error| at(LogFault::Read(error)))
+    }
+
+    /// Returns the lines of an open input; messages call it `name`.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the input cannot be read.
+    pub fn read_from(name: &Path, bytes: impl Read + 'static) -> Result<Self, LogError> {
+        let lines = Self::new(name, bytes).map(|lines| Self {
+            is_stream: true,
+            ..lines
+        });
+        lines.map_err(|error| LogError {
+            file: name.to_owned(),
+            line: None,
+            reason: LogFault::Read(error),
+            can_be_skipped: false,
+        })
+    }
+
+    pub(crate) fn new(path: &Path, bytes: impl Read + 'static) -> io::Result<Self> {
+        let mut bytes = BufReader::with_capacity(BUFFER_LENGTH, bytes);
+        let is_zipped = bytes.fill_buf()?.starts_with(&[0x1F, 0x8B]);
+        let text: Box<dyn BufRead> = if is_zipped {
+            let unzipped = MultiGzDecoder::new(bytes);
+            Box::new(BufReader::with_capacity(BUFFER_LENGTH, unzipped))
+        } else {
+            Box::new(bytes)
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            text,
+            is_zipped,
+            is_stream: false,
+            line: Vec::new(),
+            is_unread: false,
+            number: 0,
+        })
+    }
+
+    /// Returns the next line that is not blank, without its end; `None` after the last.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the file cannot be read on, is damaged, or is not text, or if the line
+    /// has more than 16,384 bytes.
+    pub fn next_line(&mut self) -> Result<Option<&str>, LogError> {
+        if !std::mem::take(&mut self.is_unread) {
+            loop {
+                self.number += 1;
+                if !self.read_line().map_err(|fault| self.refuse(fault))? {
+                    return Ok(None);
+                }
+                if !self.line.trim_ascii().is_empty() {
+                    break;
+                }
+            }
+        }
+        // Some programs begin a text with the byte order mark, which is invisible.
+        let line = match self.line.strip_prefix(BYTE_ORDER_MARK) {
+            Some(rest) if self.number == 1 => rest,
+            _ => &self.line,
+        };
+        match std::str::from_utf8(line) {
+            Ok(line) => Ok(Some(line)),
+            Err(_) => Err(self.refuse(LogFault::NotText)),
+        }
+    }
+
+    /// Reads a line, without its end. Returns false at the end of the file.
+    fn read_line(&mut self) -> Result<bool, LogFault> {
+        self.line.clear();
+        let mut is_end = true;
+        loop {
+            let buffer = match self.text.fill_buf() {
+                Ok(buffer) => buffer,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) if self.is_zipped => return Err(LogFault::Gzip(error)),
+                Err(error) => return Err(LogFault::Read(error)),
+            };
+            if buffer.is_empty() {
+                break;
+            }
+            is_end = false;
+            let end = memchr::memchr(b'\n', buffer);
+            let part = &buffer[..end.unwrap_or(buffer.len())];
+            // Refused before it is stored: a line without end would fill the memory.
+            if self.line.len() + part.len() > LONGEST_LINE {
+                return Err(LogFault::LineTooLong);
+            }
+            self.line.extend_from_slice(part);
+            let used = part.len() + usize::from(end.is_some());
+            self.text.consume(used);
+            if end.is_some() {
+                break;
+            }
+        }
+        if self.line.ends_with(b"\r") {
+            self.line.pop();
+        }
+        Ok(!is_end)
+    }
+
+    /// Makes the last line the next one again.
+    pub fn unread(&mut self) {
+        self.is_unread = true;
+    }
+
+    /// Returns the name of the input, for messages.
+    #[must_use]
+    pub fn name(&self) -> String {
+        self.path.display().to_string()
+    }
+
+    /// Returns whether the input is no file, but for example standard input.
+    #[must_use]
+    pub fn is_stream(&self) -> bool {
+        self.is_stream
+    }
+
+    /// Returns the number of the last line, counted from 1.
+    #[must_use]
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// Returns the place of the last line: the file and the number.
+    #[must_use]
+    pub fn place(&self) -> String {
+        format!("{}:{}", self.path.display(), self.number)
+    }
+
+    /// Returns the error of the last line, for this reason.
+    #[must_use]
+    pub fn refuse(&self, reason: LogFault) -> LogError {
+        LogError {
+            line: Some(self.number),
+            ..self.refuse_file(reason)
+        }
+    }
+
+    /// Returns the error of the whole file, for this reason.
+    #[must_use]
+    pub fn refuse_file(&self, reason: LogFault) -> LogError {
+        LogError {
+            file: self.path.clone(),
+            line: None,
+            reason,
+            can_be_skipped: false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lines(bytes: impl Read + 'static) -> Lines {
+        Lines::new(Path::new("test.csv"), bytes).expect("memory is read")
+    }
+
+    #[test]
+    fn a_line_without_end_is_refused_before_it_fills_the_memory() {
+        // Endless: it would hang, if it were read on.
+        let mut endless = lines(io::repeat(b'0'));
+        let error = endless.next_line().expect_err("it has no end");
+        assert!(matches!(error.reason, LogFault::LineTooLong), "{error}");
+        assert_eq!(error.line, Some(1));
+        assert!(endless.line.capacity() <= 2 * LONGEST_LINE);
+        let longest = format!("{}\nb\n", "a".repeat(LONGEST_LINE));
+        let mut at_most = lines(io::Cursor::new(longest.into_bytes()));
+        assert_eq!(
+            at_most.next_line().unwrap().map(str::len),
+            Some(LONGEST_LINE)
+        );
+        assert_eq!(at_most.next_line().unwrap(), Some("b"));
+        assert_eq!(at_most.next_line().unwrap(), None);
+    }
+
+    #[test]
+    fn blank_lines_are_passed_over_and_counted() {
+        let mut lines = lines(io::Cursor::new("\u{FEFF}a\r\n\r\n \t\nb\n\n\n"));
+        assert_eq!(lines.next_line().unwrap(), Some("a"));
+        assert_eq!(lines.next_line().unwrap(), Some("b"));
+        assert_eq!(lines.place(), "test.csv:4");
+        lines.unread();
+        assert_eq!(lines.next_line().unwrap(), Some("b"));
+        assert_eq!(lines.next_line().unwrap(), None);
+    }
+}

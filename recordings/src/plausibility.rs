@@ -1,0 +1,221 @@
+//! Plausibility of a log: its units by the size of the numbers, and rows that no sensor gave.
+//!
+//! The first rows are judged together, by their medians, which a few odd rows do not move. Each
+//! row is then judged alone. Numbers can tell units apart where they differ enough: gravity is
+//! 9.8 m/s² or 1 g, and nothing turns at 1,000 rad/s. A sensor at rest measures no rate in any
+//! unit, so rates in °/s are found when it moves.
+
+use aplomb_models::motion::geometry::{Vector, norm};
+
+use crate::fault::{LogFault, UnitGuess};
+use crate::row::{COLUMNS, Row};
+use crate::units::RowOptions;
+
+/// Rows that are judged together.
+pub const JUDGED_ROWS: usize = 256;
+/// Fewest rows that are judged together.
+const FEWEST_JUDGED_ROWS: usize = 8;
+
+/// Largest plausible force, m/s² (100 g).
+const LARGEST_FORCE_M_S2: f64 = 1000.0;
+/// Largest plausible rate, rad/s (4,100 °/s): sensors end at 4,000 °/s.
+const LARGEST_RATE_RAD_S: f64 = 72.0;
+/// Largest plausible rate in a log whose unit is given, rad/s (11,000 °/s).
+const LARGEST_GIVEN_RATE_RAD_S: f64 = 200.0;
+/// Largest plausible mean rate over [`MEAN_RATE_US`], rad/s: three turns a second. A person who
+/// spins a sensor reaches 14 rad/s.
+const LARGEST_MEAN_RATE_RAD_S: f64 = 20.0;
+/// Time over which the mean rate is taken, µs.
+const MEAN_RATE_US: u64 = 2_000_000;
+/// Longest pause of a logger, µs: an hour.
+const LONGEST_GAP_US: u64 = 3_600_000_000;
+/// Shortest plausible time between rows, µs: the fastest sensors give 32,000 samples a second.
+const SHORTEST_STEP_US: f64 = 31.0;
+/// Longest plausible time between rows, µs: 5 rows a second are of no use to a filter.
+const LONGEST_STEP_US: f64 = 200_000.0;
+
+/// Judge of a log's rows, in their order.
+#[derive(Clone, Debug)]
+pub struct Judge {
+    options: RowOptions,
+    /// The values are register counts.
+    is_raw: bool,
+    before_us: Option<i64>,
+    /// Start, sum and number of the rates whose mean is being taken.
+    mean: (i64, f64, u32),
+}
+
+impl Judge {
+    /// Creates the judge of a log with these options; `is_raw` if its values are register counts.
+    #[must_use]
+    pub fn new(options: RowOptions, is_raw: bool) -> Self {
+        Self {
+            options,
+            is_raw,
+            before_us: None,
+            mean: (0, 0.0, 0),
+        }
+    }
+
+    /// Checks the units by the first rows. A unit that is given is taken as it is.
+    ///
+    /// # Errors
+    ///
+    /// Returns the fault, with the unit that the numbers suggest.
+    pub fn units<'a>(&self, rows: impl Iterator<Item = &'a Row> + Clone) -> Result<(), LogFault> {
+        let forces: Vec<f64> = rows
+            .clone()
+            .map(|row| norm(row.specific_force_m_s2))
+            .filter(|force| force.is_finite())
+            .collect();
+        let times: Vec<i64> = rows.map(|row| row.time_us).collect();
+        if times.len() < FEWEST_JUDGED_ROWS {
+            return Ok(());
+        }
+        if self.options.time_unit.is_none() {
+            let steps = times.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
+            time_unit(median(
+                steps
+                    .filter(|step| *step > 0)
+                    .map(|step| step as f64)
+                    .collect(),
+            ))?;
+        }
+        if self.options.force_unit.is_none() && !self.is_raw {
+            force_unit(median(forces))?;
+        }
+        Ok(())
+    }
+
+    /// Checks that a sensor can have measured this row, after the accepted rows before it.
+    ///
+    /// # Errors
+    ///
+    /// Returns the fault.
+    pub fn row(&mut self, row: &Row) -> Result<(), LogFault> {
+        let values = row.specific_force_m_s2.into_iter().chain(row.rates_rad_s);
+        for (value, column) in values.zip(&COLUMNS[1..]) {
+            if !value.is_finite() {
+                return Err(LogFault::NotFinite { column, value });
+            }
+        }
+        let now = row.time_us;
+        if let Some(before) = self.before_us {
+            if before >= now {
+                return Err(LogFault::NotIncreasing { before, now });
+            }
+            if now.abs_diff(before) > LONGEST_GAP_US {
+                return Err(LogFault::Gap { before, now });
+            }
+        }
+        if !self.is_raw {
+            self.size(row)?;
+        }
+        self.before_us = Some(now);
+        Ok(())
+    }
+
+    /// Checks the size of a row's values, which are in SI units.
+    fn size(&mut self, row: &Row) -> Result<(), LogFault> {
+        let force = row.specific_force_m_s2;
+        if norm(force) > LARGEST_FORCE_M_S2 {
+            return Err(implausible(
+                force,
+                1,
+                "m/s²",
+                "mg (--force-unit mg) or register counts (--raw)",
+            ));
+        }
+        let rate = norm(row.rates_rad_s);
+        let is_given = self.options.rate_unit.is_some();
+        let meant = "°/s (--rate-unit deg/s) or register counts (--raw)";
+        let largest = if is_given {
+            LARGEST_GIVEN_RATE_RAD_S
+        } else {
+            LARGEST_RATE_RAD_S
+        };
+        if rate > largest {
+            return Err(implausible(row.rates_rad_s, 4, "rad/s", meant));
+        }
+        let (start_us, sum, number) = &mut self.mean;
+        if row.time_us.abs_diff(*start_us) > MEAN_RATE_US || *number == 0 {
+            (*start_us, *sum, *number) = (row.time_us, 0.0, 0);
+        }
+        *sum += rate;
+        *number += 1;
+        let mean = *sum / f64::from(*number);
+        let is_long = row.time_us.abs_diff(*start_us) > MEAN_RATE_US / 2 && *number > 20;
+        if is_long && mean > LARGEST_MEAN_RATE_RAD_S && !is_given {
+            return Err(LogFault::Unit(Box::new(UnitGuess {
+                quantity: "the rate",
+                value: mean,
+                usual: "up to 20 rad/s",
+                meant,
+                option: "--rate-unit rad/s",
+            })));
+        }
+        Ok(())
+    }
+}
+
+/// Checks the time between rows, µs.
+fn time_unit(step_us: Option<f64>) -> Result<(), LogFault> {
+    let meant = match step_us {
+        Some(step) if step < SHORTEST_STEP_US => "ms (--time-unit ms)",
+        Some(step) if step > LONGEST_STEP_US => "ns (--time-unit ns)",
+        _ => return Ok(()),
+    };
+    Err(LogFault::Unit(Box::new(UnitGuess {
+        quantity: "the time between rows",
+        value: step_us.unwrap_or_default(),
+        usual: "31 to 200,000 µs",
+        meant,
+        option: "--time-unit us",
+    })))
+}
+
+/// Checks the size of the specific force.
+fn force_unit(force: Option<f64>) -> Result<(), LogFault> {
+    let meant = match force {
+        Some(force) if (0.6..1.8).contains(&force) => "g (--force-unit g)",
+        Some(force) if (600.0..1_500.0).contains(&force) => "mg (--force-unit mg)",
+        Some(force) if force >= 1_500.0 => {
+            "register counts (add --raw and both ranges, for replay, plot and calibrate)"
+        }
+        _ => return Ok(()),
+    };
+    Err(LogFault::Unit(Box::new(UnitGuess {
+        quantity: "the specific force",
+        value: force.unwrap_or_default(),
+        usual: "about 9.8 m/s²",
+        meant,
+        option: "--force-unit m/s2",
+    })))
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// Returns the fault of the largest of these values.
+fn implausible(
+    vector: Vector,
+    first_column: usize,
+    unit: &'static str,
+    meant: &'static str,
+) -> LogFault {
+    let largest = (0..3).fold(0, |best, axis| {
+        if vector[axis].abs() > vector[best].abs() {
+            axis
+        } else {
+            best
+        }
+    });
+    LogFault::Implausible {
+        column: COLUMNS[first_column + largest],
+        value: vector[largest],
+        unit,
+        meant,
+    }
+}

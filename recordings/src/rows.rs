@@ -1,0 +1,387 @@
+//! Reader of a log's rows, for every program: units, order and plausibility in one place.
+
+use std::collections::VecDeque;
+
+use crate::fault::{LogError, LogFault};
+use crate::lines::Lines;
+use crate::plausibility::{JUDGED_ROWS, Judge};
+use crate::row::{Row, parse_row_with};
+use crate::units::{BadRows, RowOptions};
+
+/// Rows of a log in SI units, or counts, one after the other. Needs the same memory for any log.
+pub struct Rows {
+    lines: Lines,
+    columns: usize,
+    options: RowOptions,
+    judge: Judge,
+    /// First rows, which were judged together, with the numbers of their lines.
+    ahead: VecDeque<(u64, Row)>,
+    /// Number of the line of the last row.
+    line: u64,
+    skipped: u64,
+    /// Place and fault of the first row that was left out.
+    first_skipped: Option<LogError>,
+    has_warned: bool,
+}
+
+impl Rows {
+    /// Starts a log after its header, which has this number of columns. `is_raw` if the values are
+    /// register counts: their force and rate have no unit.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the file cannot be read, or its first rows suggest another unit.
+    pub fn new(
+        lines: Lines,
+        columns: usize,
+        options: RowOptions,
+        is_raw: bool,
+    ) -> Result<Self, LogError> {
+        let mut rows = Self {
+            lines,
+            columns,
+            options,
+            judge: Judge::new(options, is_raw),
+            ahead: VecDeque::new(),
+            line: 0,
+            skipped: 0,
+            first_skipped: None,
+            has_warned: false,
+        };
+        let mut early_fault = None;
+        while rows.ahead.len() < JUDGED_ROWS {
+            match rows.read() {
+                Ok(Some(row)) => rows.ahead.push_back(row),
+                Ok(None) => break,
+                // The units explain a fault better than the fault itself.
+                Err(error) => {
+                    early_fault = Some(error);
+                    break;
+                }
+            }
+        }
+        let first = rows.ahead.iter().map(|(_, row)| row);
+        if let Err(fault) = rows.judge.units(first) {
+            rows.line = rows.ahead.front().map_or(0, |(line, _)| *line);
+            return Err(rows.refuse(fault));
+        }
+        match early_fault {
+            Some(error) => Err(error),
+            None => Ok(rows),
+        }
+    }
+
+    /// Returns the next row; `None` after the last.
+    ///
+    /// # Errors
+    ///
+    /// Returns the place and the fault of a bad row, unless the options leave it out or keep it.
+    pub fn next_row(&mut self) -> Result<Option<Row>, LogError> {
+        loop {
+            let next = match self.ahead.pop_front() {
+                Some(row) => Some(row),
+                None => self.read()?,
+            };
+            let Some((line, row)) = next else {
+                return Ok(None);
+            };
+            self.line = line;
+            if self.rule() == BadRows::Keep {
+                return Ok(Some(row));
+            }
+            match self.judge.row(&row) {
+                Ok(()) => return Ok(Some(row)),
+                Err(fault) => {
+                    let error = self.refuse(fault);
+                    self.skip_or_refuse(error)?;
+                }
+            }
+        }
+    }
+
+    /// Returns the error of the last row, for this reason.
+    #[must_use]
+    pub fn refuse(&self, reason: LogFault) -> LogError {
+        LogError {
+            line: Some(self.line),
+            ..self.lines.refuse_file(reason)
+        }
+    }
+
+    /// Returns the place of the last row: the file and the number of the line.
+    #[must_use]
+    pub fn place(&self) -> String {
+        format!("{}:{}", self.lines.name(), self.line)
+    }
+
+    /// Returns the number of the last row's line, counted from 1.
+    #[must_use]
+    pub fn line(&self) -> u64 {
+        self.line
+    }
+
+    /// Returns the number of rows that were left out, and the first of them.
+    #[must_use]
+    pub fn skipped(&self) -> (u64, Option<&LogError>) {
+        (self.skipped, self.first_skipped.as_ref())
+    }
+
+    fn rule(&self) -> BadRows {
+        self.options.bad_rows.unwrap_or_default()
+    }
+
+    /// Reads the next row that has the form of one, with the number of its line.
+    fn read(&mut self) -> Result<Option<(u64, Row)>, LogError> {
+        loop {
+            let error = match self.lines.next_line() {
+                Ok(Some(line)) => {
+                    let time = |cell: &str| self.options.time_us(cell);
+                    match parse_row_with(line, self.columns, time) {
+                        Ok(mut row) => {
+                            self.options.convert(&mut row);
+                            return Ok(Some((self.lines.number(), row)));
+                        }
+                        Err(fault) => self.lines.refuse(fault),
+                    }
+                }
+                Ok(None) => {
+                    self.warn();
+                    return Ok(None);
+                }
+                Err(error) => error,
+            };
+            self.skip_or_refuse(error)?;
+        }
+    }
+
+    fn skip_or_refuse(&mut self, mut error: LogError) -> Result<(), LogError> {
+        let is_of_a_row = error.reason.is_of_a_row();
+        if !is_of_a_row || self.rule() != BadRows::Skip {
+            error.can_be_skipped = is_of_a_row;
+            return Err(error);
+        }
+        // A line without end cannot be left out.
+        if matches!(error.reason, LogFault::LineTooLong) {
+            return Err(error);
+        }
+        self.skipped += 1;
+        self.first_skipped.get_or_insert(error);
+        Ok(())
+    }
+
+    /// Reports once, on standard error, what was left out.
+    fn warn(&mut self) {
+        if let Some(first) = &self.first_skipped
+            && self.ahead.is_empty()
+            && !std::mem::replace(&mut self.has_warned, true)
+        {
+            eprintln!(
+                "warning: {} bad rows are left out; the first: {first}",
+                self.skipped
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fmt::Write as _;
+    use std::path::Path;
+
+    use super::*;
+    use crate::units::{ForceUnit, RateUnit, TimeUnit};
+
+    const SI: RowOptions = RowOptions {
+        time_unit: None,
+        force_unit: None,
+        rate_unit: None,
+        bad_rows: None,
+    };
+    const SKIP: RowOptions = RowOptions {
+        bad_rows: Some(BadRows::Skip),
+        ..SI
+    };
+
+    /// Returns the rows, and how many were left out.
+    fn read(text: &str, options: RowOptions, is_raw: bool) -> Result<(Vec<Row>, u64), String> {
+        let bytes = std::io::Cursor::new(text.to_owned().into_bytes());
+        let lines = Lines::new(Path::new("test.csv"), bytes).expect("memory is read");
+        let mut reader = Rows::new(lines, 7, options, is_raw).map_err(|error| error.to_string())?;
+        let mut rows = Vec::new();
+        while let Some(row) = reader.next_row().map_err(|error| error.to_string())? {
+            rows.push(row);
+        }
+        Ok((rows, reader.skipped().0))
+    }
+
+    /// Returns 20 s at 100 Hz of a sensor that is turned by hand, in these units of time, force and
+    /// rate: 1 for µs, m/s² and rad/s.
+    fn turned(time: f64, force: f64, rate: f64) -> String {
+        (0..2_000).fold(String::new(), |mut text, index| {
+            let angle = f64::from(index) * 0.01;
+            let (y, z) = (9.81 * angle.sin() * force, 9.81 * angle.cos() * force);
+            let t = f64::from(index) * 10_000.0 * time;
+            writeln!(text, "{t},0,{y:.5},{z:.5},{:.5},0,0", rate).expect("memory");
+            text
+        })
+    }
+
+    #[test]
+    fn each_wrong_unit_is_named_with_the_option_that_converts_it() {
+        let (expected, _) = read(&turned(1.0, 1.0, 1.0), SI, false).expect("SI units");
+        let degrees = 57.295_78;
+        let g = 1.0 / 9.806_65;
+        let cases = [
+            (
+                (1e-3, 1.0, 1.0),
+                "--time-unit ms",
+                RowOptions {
+                    time_unit: Some(TimeUnit::Milliseconds),
+                    ..SI
+                },
+            ),
+            (
+                (1e-6, 1.0, 1.0),
+                "--time-unit s",
+                RowOptions {
+                    time_unit: Some(TimeUnit::Seconds),
+                    ..SI
+                },
+            ),
+            (
+                (1e3, 1.0, 1.0),
+                "--time-unit ns",
+                RowOptions {
+                    time_unit: Some(TimeUnit::Nanoseconds),
+                    ..SI
+                },
+            ),
+            (
+                (1.0, g, 1.0),
+                "--force-unit g",
+                RowOptions {
+                    force_unit: Some(ForceUnit::G),
+                    ..SI
+                },
+            ),
+            (
+                (1.0, 1e3 * g, 1.0),
+                "--force-unit mg",
+                RowOptions {
+                    force_unit: Some(ForceUnit::MilliG),
+                    ..SI
+                },
+            ),
+            (
+                (1.0, 1.0, degrees),
+                "--rate-unit deg/s",
+                RowOptions {
+                    rate_unit: Some(RateUnit::DegreesPerSecond),
+                    ..SI
+                },
+            ),
+        ];
+        for ((time, force, rate), option, options) in cases {
+            let text = turned(time, force, rate);
+            let refusal = read(&text, SI, false).expect_err(option);
+            assert!(refusal.contains("did you mean"), "{refusal}");
+            assert!(
+                refusal.contains(&format!("({option})")),
+                "{option}: {refusal}"
+            );
+            // No rule for bad rows makes the right units of them.
+            assert!(read(&text, SKIP, false).is_err(), "{option}");
+            let (rows, _) = read(&text, options, false).expect(option);
+            for (row, expected) in rows.iter().zip(&expected) {
+                assert_eq!(row.time_us, expected.time_us, "{option}");
+                let values = row.specific_force_m_s2.iter().chain(&row.rates_rad_s);
+                let expected = expected
+                    .specific_force_m_s2
+                    .iter()
+                    .chain(&expected.rates_rad_s);
+                for (value, expected) in values.zip(expected) {
+                    assert!(
+                        (value - expected).abs() < 2e-4,
+                        "{option}: {value} {expected}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn counts_are_told_from_si_units_and_units_that_are_given_are_believed() {
+        let counts: String = (0..50).fold(String::new(), |mut text, index| {
+            writeln!(text, "{},12,-30,2048,1,-2,3", index * 1_000).expect("memory");
+            text
+        });
+        let refusal = read(&counts, SI, false).expect_err("counts");
+        assert!(refusal.contains("register counts (add --raw"), "{refusal}");
+        assert_eq!(read(&counts, SI, true).expect("counts").0.len(), 50);
+        // A drop tower, in m/s².
+        let falling = turned(1.0, 0.1, 1.0);
+        assert!(read(&falling, SI, false).is_err());
+        let given = RowOptions {
+            force_unit: Some(ForceUnit::MetresPerSecondSquared),
+            ..SI
+        };
+        assert_eq!(read(&falling, given, false).expect("given").0.len(), 2_000);
+    }
+
+    #[test]
+    fn a_bad_row_is_refused_or_left_out_or_kept() {
+        let good = |time: u32| format!("{time},0,0,9.81,0,0,0");
+        for (bad, can_be_kept) in [
+            ("1000,0,0,9.81,0,0,0", true),
+            ("3000,0,0,nan,0,0,0", true),
+            ("3000,0,inf,9.81,0,0,0", true),
+            ("3000,0,0,1e30,0,0,0", true),
+            ("3000000000000000,0,0,9.81,0,0,0", true),
+            ("3000,0,0", false),
+            ("3000,0,0,9.8l,0,0,0", false),
+            ("\u{0}", false),
+        ] {
+            let text = format!("{}\n{bad}\n{}\n{}\n", good(1000), good(2000), good(4000));
+            let refusal = read(&text, SI, false).expect_err(bad);
+            assert!(refusal.starts_with("test.csv:2: "), "{bad}: {refusal}");
+            assert!(
+                refusal.ends_with("; --bad-rows skip leaves such rows out"),
+                "{refusal}"
+            );
+            let (rows, skipped) = read(&text, SKIP, false).expect(bad);
+            let times: Vec<i64> = rows.iter().map(|row| row.time_us).collect();
+            assert_eq!((times, skipped), (vec![1000, 2000, 4000], 1), "{bad}");
+            let keep = RowOptions {
+                bad_rows: Some(BadRows::Keep),
+                ..SI
+            };
+            assert_eq!(read(&text, keep, false).is_ok(), can_be_kept, "{bad}");
+        }
+    }
+
+    #[test]
+    fn times_keep_their_microseconds_in_every_unit() {
+        for (unit, cell, expected) in [
+            (TimeUnit::Seconds, "1700000000", Some(1_700_000_000_000_000)),
+            (TimeUnit::Seconds, "0.0000015", Some(2)),
+            (TimeUnit::Milliseconds, "-2.5", Some(-2_500)),
+            (
+                TimeUnit::Nanoseconds,
+                "1700000000123456789",
+                Some(1_700_000_000_123_456),
+            ),
+            (TimeUnit::Microseconds, "1.5", Some(2)),
+            (TimeUnit::Seconds, "9223372036854775807", None),
+            (TimeUnit::Seconds, "1e300", None),
+            (TimeUnit::Seconds, "nan", None),
+            (TimeUnit::Seconds, "", None),
+        ] {
+            let options = RowOptions {
+                time_unit: Some(unit),
+                ..SI
+            };
+            assert_eq!(options.time_us(cell), expected, "{cell}");
+        }
+        assert_eq!(SI.time_us("1.0"), None);
+    }
+}

@@ -1,0 +1,194 @@
+//! Units of a log's columns, and how rows that no sensor gave are treated: the options of every
+//! program that reads logs.
+
+use std::fmt;
+use std::str::FromStr;
+
+use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
+
+use crate::row::Row;
+
+/// Options for reading a log. Nothing given: µs, m/s² and rad/s, guarded against other units, and
+/// a bad row is an error.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "options", derive(clap::Args))]
+pub struct RowOptions {
+    /// The log's times are in this unit: us, ms, s or ns [default: us]
+    #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
+    pub time_unit: Option<TimeUnit>,
+    /// The log's specific force is in this unit: m/s2, g or mg [default: m/s2]
+    #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
+    pub force_unit: Option<ForceUnit>,
+    /// The log's rates are in this unit: rad/s, deg/s or mdeg/s [default: rad/s]
+    #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
+    pub rate_unit: Option<RateUnit>,
+    /// Rows of the log that are damaged, or that no sensor gave (time that goes back, gaps of
+    /// more than an hour, NaN): refuse, skip, or keep those with numbers [default: refuse]
+    #[cfg_attr(feature = "options", arg(long, value_name = "RULE"))]
+    pub bad_rows: Option<BadRows>,
+}
+
+/// Rule for rows that no sensor gave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BadRows {
+    /// A bad row is an error.
+    #[default]
+    Refuse,
+    /// Bad rows are left out and counted.
+    Skip,
+    /// Numbers may have any value, and times any order. A row that cannot be read is an error.
+    Keep,
+}
+
+/// Unit of times.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeUnit {
+    /// µs.
+    Microseconds,
+    /// ms.
+    Milliseconds,
+    /// s.
+    Seconds,
+    /// ns.
+    Nanoseconds,
+}
+
+/// Unit of the specific force.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ForceUnit {
+    /// m/s².
+    MetresPerSecondSquared,
+    /// g.
+    G,
+    /// 1/1000 g.
+    MilliG,
+}
+
+/// Unit of rates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RateUnit {
+    /// rad/s.
+    RadiansPerSecond,
+    /// °/s.
+    DegreesPerSecond,
+    /// 1/1000 °/s.
+    MillidegreesPerSecond,
+}
+
+impl RowOptions {
+    /// Returns the options, and whether they were given.
+    #[must_use]
+    pub fn given(&self) -> [(&'static str, bool); 4] {
+        [
+            ("--time-unit", self.time_unit.is_some()),
+            ("--force-unit", self.force_unit.is_some()),
+            ("--rate-unit", self.rate_unit.is_some()),
+            ("--bad-rows", self.bad_rows.is_some()),
+        ]
+    }
+
+    /// Reads a time, µs. Without a unit it is a whole number of microseconds.
+    pub(crate) fn time_us(&self, cell: &str) -> Option<i64> {
+        let whole: Option<i64> = cell.parse().ok();
+        let per_unit = match (self.time_unit, whole) {
+            (None | Some(TimeUnit::Microseconds), Some(_)) => return whole,
+            (None, None) => return None,
+            (Some(TimeUnit::Milliseconds), Some(whole)) => return whole.checked_mul(1_000),
+            (Some(TimeUnit::Seconds), Some(whole)) => return whole.checked_mul(1_000_000),
+            (Some(TimeUnit::Nanoseconds), Some(whole)) => return Some(whole.div_euclid(1_000)),
+            (Some(TimeUnit::Microseconds), None) => 1.0,
+            (Some(TimeUnit::Milliseconds), None) => 1e3,
+            (Some(TimeUnit::Seconds), None) => 1e6,
+            (Some(TimeUnit::Nanoseconds), None) => 1e-3,
+        };
+        let time_us: f64 = cell.parse::<f64>().ok()? * per_unit;
+        // Whole numbers beyond ±2⁶² would lose more than microseconds.
+        (time_us.abs() < 4.6e18).then(|| time_us.round() as i64)
+    }
+
+    /// Converts the values of a row to m/s² and rad/s.
+    pub(crate) fn convert(&self, row: &mut Row) {
+        let gravity = f64::from(STANDARD_GRAVITY_M_S2);
+        let force = match self.force_unit {
+            None | Some(ForceUnit::MetresPerSecondSquared) => 1.0,
+            Some(ForceUnit::G) => gravity,
+            Some(ForceUnit::MilliG) => gravity * 1e-3,
+        };
+        let rate = match self.rate_unit {
+            None | Some(RateUnit::RadiansPerSecond) => 1.0,
+            Some(RateUnit::DegreesPerSecond) => 1.0 / f64::from(DEGREES_PER_RADIAN),
+            Some(RateUnit::MillidegreesPerSecond) => 1e-3 / f64::from(DEGREES_PER_RADIAN),
+        };
+        if force != 1.0 {
+            row.specific_force_m_s2 = row.specific_force_m_s2.map(|value| value * force);
+        }
+        if rate != 1.0 {
+            row.rates_rad_s = row.rates_rad_s.map(|value| value * rate);
+        }
+    }
+}
+
+/// Error of a name that is none of the choices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoSuchChoice(&'static str);
+
+impl fmt::Display for NoSuchChoice {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "choose one of {}", self.0)
+    }
+}
+
+impl std::error::Error for NoSuchChoice {}
+
+impl FromStr for TimeUnit {
+    type Err = NoSuchChoice;
+
+    fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
+        Ok(match name {
+            "us" | "µs" => Self::Microseconds,
+            "ms" => Self::Milliseconds,
+            "s" => Self::Seconds,
+            "ns" => Self::Nanoseconds,
+            _ => return Err(NoSuchChoice("us, ms, s, ns")),
+        })
+    }
+}
+
+impl FromStr for ForceUnit {
+    type Err = NoSuchChoice;
+
+    fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
+        Ok(match name {
+            "m/s2" | "m/s²" => Self::MetresPerSecondSquared,
+            "g" => Self::G,
+            "mg" => Self::MilliG,
+            _ => return Err(NoSuchChoice("m/s2, g, mg")),
+        })
+    }
+}
+
+impl FromStr for RateUnit {
+    type Err = NoSuchChoice;
+
+    fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
+        Ok(match name {
+            "rad/s" => Self::RadiansPerSecond,
+            "deg/s" | "°/s" | "dps" => Self::DegreesPerSecond,
+            "mdeg/s" | "mdps" => Self::MillidegreesPerSecond,
+            _ => return Err(NoSuchChoice("rad/s, deg/s, mdeg/s")),
+        })
+    }
+}
+
+impl FromStr for BadRows {
+    type Err = NoSuchChoice;
+
+    fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
+        Ok(match name {
+            "refuse" => Self::Refuse,
+            "skip" => Self::Skip,
+            "keep" => Self::Keep,
+            _ => return Err(NoSuchChoice("refuse, skip, keep")),
+        })
+    }
+}
