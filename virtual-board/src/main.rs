@@ -9,7 +9,7 @@ use std::io::{self, IsTerminal, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use aplomb_models::motion::Mount;
@@ -56,7 +56,7 @@ struct Faults {
     /// The firmware image; `cargo xtask faults` builds it and gives it.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
-    /// How many flights. One alone is also written to the output folder.
+    /// How many flights.
     #[arg(long, value_name = "NUMBER", default_value_t = 232)]
     runs: u64,
     /// The seed of the first flight; the others count on from it.
@@ -65,7 +65,8 @@ struct Faults {
     /// How many flights at a time. Default: as many as there are cores.
     #[arg(long, value_name = "NUMBER")]
     jobs: Option<usize>,
-    /// Where a single flight's files go.
+    /// Where the files of a failed flight go: into a folder of its seed. A single flight's go there
+    /// too.
     #[arg(long, value_name = "FOLDER", default_value = "target/faults")]
     output: PathBuf,
 }
@@ -237,13 +238,28 @@ fn fly(options: &Fly) -> Result<(), String> {
     Ok(())
 }
 
-/// Prints the failures of a case, and the command that repeats it.
-fn print_failure(case: &Case, report: &Report) {
+/// Prints the failures of a case, where its picture is, and the command that repeats it.
+fn print_failure(case: &Case, report: &Report, written: &Result<PathBuf, String>) {
     println!("seed {}:", case.seed);
     for failure in &report.failures {
         println!("  {failure}");
     }
+    match written {
+        Ok(folder) => println!("  picture: {}", folder.join(outputs::PICTURE).display()),
+        Err(error) => println!("  no picture: {error}"),
+    }
     println!("  again: cargo xtask faults --runs 1 --seed {}", case.seed);
+}
+
+/// Writes the files of a case into the folder of its seed. Returns the folder.
+fn write_case(options: &Faults, case: &Case, outcome: &Outcome) -> Result<PathBuf, String> {
+    let labels = Labels {
+        title: format!("flight of seed {} with faults", case.seed),
+        subtitle: subtitle(outcome),
+    };
+    let folder = options.output.join(case.seed.to_string());
+    outputs::write(&folder, outcome, &labels).map_err(|error| error.to_string())?;
+    Ok(folder)
 }
 
 /// Flies a campaign, or one flight of it.
@@ -262,7 +278,7 @@ fn faults(options: &Faults) -> Result<(), String> {
     {
         bar.set_style(style);
     }
-    let next = AtomicU64::new(0);
+    let (next, garage) = (AtomicU64::new(0), Arc::default());
     let results = Mutex::new((Table::default(), 0_u64));
     std::thread::scope(|scope| {
         for _ in 0..jobs.max(1) {
@@ -273,14 +289,19 @@ fn faults(options: &Faults) -> Result<(), String> {
                         return;
                     }
                     let case = Case::by_seed(options.seed.wrapping_add(number));
-                    let report = campaign::run(&case, &options.elf);
+                    let (report, outcome) = campaign::run(&case, &garage, &options.elf);
+                    let written = || {
+                        let outcome = outcome.ok_or("the flight did not come to its end")?;
+                        write_case(options, &case, &outcome)
+                    };
                     let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
                     let (table, failed) = &mut *results;
                     table.add(&report);
                     if !report.failures.is_empty() {
                         *failed += 1;
                         bar.set_message(format!("{failed} failed,"));
-                        bar.suspend(|| print_failure(&case, &report));
+                        let written = written();
+                        bar.suspend(|| print_failure(&case, &report, &written));
                     }
                     bar.inc(1);
                     let flown = bar.position();
@@ -325,12 +346,8 @@ fn one_case(options: &Faults) -> Result<(), String> {
     {
         println!("{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text);
     }
-    let labels = Labels {
-        title: format!("flight of seed {} with faults", options.seed),
-        subtitle: subtitle(&outcome),
-    };
-    outputs::write(&options.output, &outcome, &labels).map_err(|error| error.to_string())?;
-    println!("\nwritten to {}", options.output.display());
+    let folder = write_case(options, &case, &outcome)?;
+    println!("\nwritten to {}", folder.display());
     for fault in &report.faults {
         println!(
             "{}: {}, {}",

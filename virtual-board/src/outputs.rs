@@ -26,6 +26,9 @@ use crate::flight::Outcome;
 use crate::plot::{self, Labels};
 use crate::recorder::Sample;
 
+/// The name of the picture.
+pub const PICTURE: &str = "attitude.png";
+
 /// Writes all files into a folder, which is made if need be.
 ///
 /// # Errors
@@ -46,7 +49,7 @@ pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Er
             .collect();
         file.write_all(&bytes)
     })?;
-    in_file(folder, "attitude.png", |file| {
+    in_file(folder, PICTURE, |file| {
         file.write_all(&plot::png(outcome, labels))
     })?;
     in_file(folder, "summary.json", |file| {
