@@ -33,9 +33,8 @@ pub type Request = (Arc<Garage>, Purpose);
 struct Spares {
     /// The state of a new processor.
     fresh: Vec<u8>,
-    /// A processor without translated code. It computes the state after a reset, which would drop
-    /// the code.
-    resetter: Box<dyn Processor>,
+    /// A processor without code. It computes the states after changes that would drop the code.
+    bench: Box<dyn Processor>,
     /// Memory to be mapped to between two flights: that of the last flight is gone.
     parking: Vec<u8>,
 }
@@ -87,7 +86,7 @@ impl Rented {
                 let processor = make()?;
                 let spares = Spares {
                     fresh: processor.save(),
-                    resetter: make()?,
+                    bench: make()?,
                     parking: Vec::new(),
                 };
                 (processor, spares)
@@ -102,19 +101,26 @@ impl Rented {
 
     /// Resets the processor.
     pub fn reset(&mut self) {
-        let (Some(processor), Some((_, spares))) = (&mut self.processor, &mut self.returns) else {
-            DerefMut::deref_mut(self).reset();
-            return;
-        };
-        processor.take_reset_request();
-        let resetter = &mut spares.resetter;
-        let is_loaded = resetter.load(&processor.save()).is_ok() && {
-            resetter.reset();
-            processor.load(&resetter.save()).is_ok()
-        };
-        if !is_loaded {
-            processor.reset();
+        self.take_reset_request();
+        self.change_state(|processor| processor.reset());
+    }
+
+    /// Writes a register, as [`Processor::set_gdb_register`].
+    pub fn set_gdb_register(&mut self, number: usize, bytes: &[u8]) -> bool {
+        self.change_state(|processor| processor.set_gdb_register(number, bytes))
+    }
+
+    /// Makes a change that drops all translated code: if there is a bench, on the state alone.
+    fn change_state<T>(&mut self, change: impl Fn(&mut dyn Processor) -> T) -> T {
+        if let (Some(processor), Some((_, spares))) = (&mut self.processor, &mut self.returns)
+            && spares.bench.load(&processor.save()).is_ok()
+        {
+            let result = change(&mut *spares.bench);
+            if processor.load(&spares.bench.save()).is_ok() {
+                return result;
+            }
         }
+        change(&mut **self)
     }
 
     /// Passes a request on, unless it drops translated code for an image that is the same.
@@ -124,7 +130,7 @@ impl Rented {
             && self.returns.is_some()
             && self.retired() == 0;
         if !is_same {
-            DerefMut::deref_mut(self).ask(queued);
+            (**self).ask(queued);
         }
     }
 
@@ -141,7 +147,7 @@ impl Rented {
         self.regions.push((start, length, writable));
         // SAFETY: the caller's promise. A processor that outlives this value is mapped elsewhere
         // before.
-        unsafe { DerefMut::deref_mut(self).map(start, length, host, writable) };
+        unsafe { (**self).map(start, length, host, writable) };
     }
 }
 
