@@ -13,8 +13,11 @@ use rigless::emulator::{Error, Processor, Queued};
 /// The processors between two flights.
 #[derive(Debug, Default)]
 pub struct Garage {
-    idle: Mutex<Vec<(Purpose, Box<dyn Processor>, Spares)>>,
+    idle: Mutex<Vec<Idle>>,
 }
+
+/// A processor with its purpose and its spares.
+type Idle = (Purpose, Box<dyn Processor>, Spares);
 
 /// The conditions under which the translated code of one flight is right for another.
 #[derive(Clone, Debug, PartialEq, Eq)]
