@@ -149,6 +149,12 @@ impl FittedSensor {
         std::mem::take(&mut self.bursts)
     }
 
+    /// Returns how many bytes the bus has delivered since the last address.
+    #[must_use]
+    pub fn delivered(&self) -> usize {
+        self.delivered.len()
+    }
+
     /// Processes a STOP on the bus that the controller has not made.
     pub fn receive_stop(&mut self, now_ns: u64) {
         self.is_addressed = false;

@@ -43,6 +43,55 @@ const ERROR_INTERRUPT: usize = 1;
 /// From a clock that is let go to the end of the byte that waited for it: one bit at 400 kHz, ns.
 const REST_OF_BYTE_NS: u64 = 2_500;
 
+/// A step of a transfer on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum BusStep {
+    /// No transfer.
+    Idle,
+    /// The controller has requested or made a START.
+    Start,
+    /// The address for writing is on the wire.
+    AddressWrite,
+    /// A byte for the sensor is on the wire, or has been acknowledged.
+    Written,
+    /// The address for reading is on the wire.
+    AddressRead,
+    /// The byte of this number is on the wire, from 1 on; 14 is also all that follows.
+    Read(u8),
+}
+
+impl BusStep {
+    /// The number of the last byte of a burst.
+    const LAST_BYTE: u8 = 14;
+
+    /// All steps.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let first = [
+            Self::Idle,
+            Self::Start,
+            Self::AddressWrite,
+            Self::Written,
+            Self::AddressRead,
+        ];
+        first
+            .into_iter()
+            .chain((1..=Self::LAST_BYTE).map(Self::Read))
+    }
+
+    /// Its name in five letters.
+    #[must_use]
+    pub fn name(self) -> String {
+        match self {
+            Self::Idle => "idle".into(),
+            Self::Start => "start".into(),
+            Self::AddressWrite => "adr+w".into(),
+            Self::Written => "write".into(),
+            Self::AddressRead => "adr+r".into(),
+            Self::Read(byte) => format!("rd{byte}"),
+        }
+    }
+}
+
 /// The items that the enabled stream has left to move for I2C1's receiver, from DMA1's registers.
 #[must_use]
 pub fn items_left(dma1: &RegisterFile) -> Option<u64> {
@@ -129,6 +178,28 @@ impl WiredI2c {
                 self.pass_control(control | waiting, registers, context);
             }
             self.refresh_errors(registers, context);
+        }
+    }
+
+    /// Returns the present step of the bus.
+    pub fn step(&mut self, registers: &RegisterFile) -> BusStep {
+        let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
+        let is_starting = cr1::START.is_set(registers.get(Register::Cr1))
+            || sr1::SB.is_set(registers.get(Register::Sr1));
+        let delivered = self
+            .model
+            .chip_mut::<FittedSensor>(0)
+            .map_or(0, |sensor| sensor.delivered());
+        match (self.is_addressing, self.is_reading) {
+            _ if is_starting && !self.is_addressing => BusStep::Start,
+            _ if !is_controller => BusStep::Idle,
+            (true, false) => BusStep::AddressWrite,
+            (true, true) => BusStep::AddressRead,
+            (false, false) => BusStep::Written,
+            (false, true) => {
+                let next = u8::try_from(delivered + 1).unwrap_or(u8::MAX);
+                BusStep::Read(next.min(BusStep::LAST_BYTE))
+            }
         }
     }
 

@@ -17,7 +17,7 @@ use aplomb_recordings::motion::Recording;
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use virtual_board::board::{BOARDS, BoardModel};
-use virtual_board::campaign::{self, Case, Report, Table};
+use virtual_board::campaign::{self, Case, Coverage, Report, Table};
 use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
@@ -279,7 +279,7 @@ fn faults(options: &Faults) -> Result<(), String> {
         bar.set_style(style);
     }
     let (next, garage) = (AtomicU64::new(0), Arc::default());
-    let results = Mutex::new((Table::default(), 0_u64));
+    let results = Mutex::new((Table::default(), Coverage::default(), 0_u64));
     std::thread::scope(|scope| {
         for _ in 0..jobs.max(1) {
             scope.spawn(|| {
@@ -290,13 +290,18 @@ fn faults(options: &Faults) -> Result<(), String> {
                     }
                     let case = Case::by_seed(options.seed.wrapping_add(number));
                     let (report, outcome) = campaign::run(&case, &garage, &options.elf);
+                    let steps = outcome
+                        .as_ref()
+                        .map(|outcome| &outcome.record.steps_at_faults);
+                    let steps = steps.cloned().unwrap_or_default();
                     let written = || {
                         let outcome = outcome.ok_or("the flight did not come to its end")?;
                         write_case(options, &case, &outcome)
                     };
                     let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
-                    let (table, failed) = &mut *results;
+                    let (table, coverage, failed) = &mut *results;
                     table.add(&report);
+                    coverage.add(&case, &steps);
                     if !report.failures.is_empty() {
                         *failed += 1;
                         bar.set_message(format!("{failed} failed,"));
@@ -315,8 +320,8 @@ fn faults(options: &Faults) -> Result<(), String> {
         }
     });
     bar.finish_and_clear();
-    let (table, failed) = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    println!("{table}");
+    let (table, coverage, failed) = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    println!("{table}\n{coverage}");
     println!(
         "{} flights from seed {} on in {:.0} s, {failed} failed",
         options.runs,

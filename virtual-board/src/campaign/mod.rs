@@ -12,6 +12,7 @@
 //! - Without a fault no data-ready edge is without its sample, and times are right to a
 //!   microsecond.
 
+mod coverage;
 mod judge;
 mod table;
 #[cfg(test)]
@@ -27,6 +28,7 @@ use aplomb_models::motion::swing::{Later, Swing};
 use aplomb_models::motion::{Motion, Quaternion};
 use aplomb_models::random::Random;
 
+pub use coverage::Coverage;
 pub use judge::judge;
 pub use table::Table;
 

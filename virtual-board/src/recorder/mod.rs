@@ -435,6 +435,8 @@ impl Recorder {
         self.follow_sensor(session, stop.instruction_count);
         self.close_window(stop.instruction_count);
         self.serve(session, host, stop.at.0);
+        let steps = session.board_mut().controller.steps_at_faults();
+        self.record.steps_at_faults = steps.to_vec();
         self.record.last = (stop.instruction_count, stop.at.0);
         self.record.instructions = self.counts(stop.instruction_count).to_vec();
         let untouched = self.stack.clone().step_by(4).find(|&address| {

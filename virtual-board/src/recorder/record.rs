@@ -4,6 +4,7 @@ use aplomb::fault::FaultClass;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::sensor::{Burst, DataReady};
 
+use crate::i2c::BusStep;
 use crate::mcu::ReceivedByte;
 use crate::probe::LogLine;
 
@@ -54,6 +55,8 @@ pub struct Record {
     pub sensor_ready_ns: Vec<u64>,
     /// When the processor was reset, ns.
     pub resets_ns: Vec<u64>,
+    /// The steps of the bus in which the scheduled faults began, in the order of the faults.
+    pub steps_at_faults: Vec<BusStep>,
 }
 
 impl Record {
