@@ -4,6 +4,9 @@
 //!
 //! - With CR2.LAST set, the last byte that the DMA takes is not acknowledged. The sensor then lets
 //!   go of the bus, and the STOP that follows is clean (27.3.7).
+//! - After that byte the controller goes on to clock, unless STOP or START is requested within a
+//!   bit: a released bus reads 0xFF. That byte sets RXNE, or BTF if DR is full, and requests DMA. A
+//!   STOP that comes within it waits for its end (27.3.3: STOP ends the current byte).
 //! - While SCL is held low no byte ends: it ends once SCL is free (27.3.3).
 //! - SDA low where a one is sent is ARLO: the transfer ends, MSL is cleared, BUSY stays (27.3.4).
 //! - A START or STOP of another device within a byte is BERR. The transfer continues, whatever the
@@ -20,7 +23,7 @@
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
 use rigless::soc::stm32f427::generated::dma2;
-use rigless::soc::stm32f427::generated::i2c3::{Register, cr1, cr2, sr1, sr2};
+use rigless::soc::stm32f427::generated::i2c3::{Register, ccr, cr1, cr2, sr1, sr2};
 use rigless::soc::stm32f427::peripherals::i2c::I2c;
 use rigless::time::{EventId, VirtualNanos};
 
@@ -92,6 +95,23 @@ impl BusStep {
     }
 }
 
+/// Periods of SCL in a byte with its acknowledge.
+const PERIODS_OF_BYTE: u64 = 9;
+
+/// The data on a bus that no device pulls low.
+const RELEASED: u64 = 0xFF;
+
+/// The clocks after a byte that was not acknowledged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Overrun {
+    #[default]
+    Nothing,
+    /// The controller clocks another byte at this event, unless it is to make a STOP or START.
+    Due(EventId),
+    /// A byte is on the wire until this event.
+    OnWire(EventId),
+}
+
 /// The items that the enabled stream has left to move for I2C1's receiver, from DMA1's registers.
 #[must_use]
 pub fn items_left(dma1: &RegisterFile) -> Option<u64> {
@@ -128,6 +148,11 @@ pub struct WiredI2c {
     sent: u8,
     /// True if SDA was high at the last check.
     was_data_high: bool,
+    overrun: Overrun,
+    /// The bytes of the released bus that wait to be read: in DR, and behind it.
+    released: u8,
+    /// True if a byte of the sensor is in DR, in front of these.
+    is_behind: bool,
     /// True if one of the errors of this layer interrupts.
     interrupts: bool,
 }
@@ -151,6 +176,9 @@ impl WiredI2c {
             is_reading: false,
             sent: 0,
             was_data_high: true,
+            overrun: Overrun::Nothing,
+            released: 0,
+            is_behind: false,
             interrupts: false,
         }
     }
@@ -169,7 +197,9 @@ impl WiredI2c {
                 registers.set(Register::Sr2, sr2::BUSY.set(status, 0));
             }
         }
-        if is_data_high && is_clock_high && self.waiting != 0 {
+        let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
+        if is_data_high && is_clock_high && self.waiting != 0 && !is_byte_on_wire {
+            self.overrun = Overrun::Nothing;
             let waiting = std::mem::take(&mut self.waiting);
             let control = registers.get(Register::Cr1) & !waiting;
             registers.set(Register::Cr1, control);
@@ -240,6 +270,7 @@ impl WiredI2c {
         if is_reset || !cr1::PE.is_set(value) {
             self.waiting = 0;
             self.delayed = None;
+            self.drop_released(registers);
             Device::write(&mut self.model, Register::Cr1, value, registers, context);
             if !is_reset {
                 let status = registers.get(Register::Sr1);
@@ -248,7 +279,13 @@ impl WiredI2c {
             return;
         }
         let asked = value & (cr1::START.mask() | cr1::STOP.mask());
-        let is_held = self.is_low(BusLine::Clock, context) || self.is_low(BusLine::Data, context);
+        let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
+        let is_held = is_byte_on_wire
+            || self.is_low(BusLine::Clock, context)
+            || self.is_low(BusLine::Data, context);
+        if asked != 0 && !is_held {
+            self.overrun = Overrun::Nothing;
+        }
         if asked != 0 && is_held && self.is_connected {
             self.waiting = asked;
             let passed = value & !asked;
@@ -321,7 +358,97 @@ impl WiredI2c {
         Device::on_event(&mut self.model, event, registers, context);
         if is_last {
             registers.restore(Register::Cr1, acknowledge, before);
+            let due_ns = now_ns + Self::period_ns(registers);
+            self.overrun = Overrun::Due(context.schedule(VirtualNanos(due_ns)));
         }
+    }
+
+    /// A period of SCL, ns (27.6.8).
+    fn period_ns(registers: &RegisterFile) -> u64 {
+        let control = registers.get(Register::Ccr);
+        let periods = match (ccr::F_S.is_set(control), ccr::DUTY.is_set(control)) {
+            (false, _) => 2,
+            (true, false) => 3,
+            (true, true) => 25,
+        };
+        let clock_mhz = cr2::FREQ.get(registers.get(Register::Cr2)).max(1);
+        1_000 * periods * ccr::CCR.get(control) / clock_mhz
+    }
+
+    /// Clocks on after a byte that was not acknowledged. Returns false if the event is another.
+    fn clock_on(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> bool {
+        match self.overrun {
+            Overrun::Due(due) if due == event => {}
+            Overrun::OnWire(end) if end == event => {
+                self.overrun = Overrun::Nothing;
+                let status = registers.get(Register::Sr1);
+                let is_full = sr1::RXNE.is_set(status);
+                self.is_behind |= is_full && self.released == 0;
+                self.released += 1;
+                let flag = if is_full { sr1::BTF } else { sr1::RXNE };
+                registers.set(Register::Sr1, flag.set(status, 1));
+                self.refresh_model(registers, context);
+                if self.waiting != 0 {
+                    // `follow_lines` carries STOP or START out.
+                    return true;
+                }
+            }
+            _ => return false,
+        }
+        self.overrun = Overrun::Nothing;
+        let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
+        // With DR and the shift register full the clock is held.
+        if is_controller && !sr1::BTF.is_set(registers.get(Register::Sr1)) {
+            let byte_ns = PERIODS_OF_BYTE * Self::period_ns(registers);
+            let end = context.schedule(VirtualNanos(context.now().0 + byte_ns));
+            self.overrun = Overrun::OnWire(end);
+        }
+        true
+    }
+
+    /// Makes the model drive its interrupts and requests from the flags.
+    fn refresh_model(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let control = registers.get(Register::Cr2);
+        Device::write(&mut self.model, Register::Cr2, control, registers, context);
+    }
+
+    /// Forgets the bytes of the released bus.
+    fn drop_released(&mut self, registers: &mut RegisterFile) {
+        self.overrun = Overrun::Nothing;
+        self.is_behind = false;
+        if std::mem::take(&mut self.released) > 0 {
+            let status = registers.get(Register::Sr1);
+            registers.set(Register::Sr1, sr1::RXNE.set(sr1::BTF.set(status, 0), 0));
+        }
+    }
+
+    /// Reads DR, if bytes of the released bus are in it or behind it.
+    fn read_released(
+        &mut self,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        let value = if std::mem::take(&mut self.is_behind) {
+            Device::read(&mut self.model, Register::Dr, registers, context)
+        } else {
+            self.released = self.released.checked_sub(1)?;
+            Some(RELEASED)
+        };
+        let status = registers.get(Register::Sr1);
+        let is_held = sr1::BTF.is_set(status);
+        let status = sr1::RXNE.set(sr1::BTF.set(status, 0), u64::from(self.released > 0));
+        registers.set(Register::Sr1, status);
+        self.refresh_model(registers, context);
+        if is_held {
+            // The clock goes on.
+            self.overrun = Overrun::Due(context.schedule(context.now()));
+        }
+        value
     }
 
     /// Drives the error interrupt for the errors that the model does not know.
@@ -351,7 +478,12 @@ impl Device for WiredI2c {
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
         self.follow_lines(registers, context);
-        let value = Device::read(&mut self.model, register, registers, context);
+        let released = match register {
+            Register::Dr => self.read_released(registers, context),
+            _ => None,
+        };
+        let value =
+            released.or_else(|| Device::read(&mut self.model, register, registers, context));
         self.refresh_errors(registers, context);
         value
     }
@@ -367,6 +499,8 @@ impl Device for WiredI2c {
         match register {
             Register::Cr1 => self.write_control(value, registers, context),
             Register::Dr => {
+                // A write of DR clears RXNE and BTF (27.6.6).
+                self.drop_released(registers);
                 self.sent = value.to_le_bytes()[0];
                 if sr1::SB.is_set(registers.get(Register::Sr1)) {
                     self.is_addressing = true;
@@ -391,7 +525,11 @@ impl Device for WiredI2c {
                 self.delayed = None;
                 self.byte_ends(byte, registers, context);
             }
-            _ => self.byte_ends(event, registers, context),
+            _ => {
+                if !self.clock_on(event, registers, context) {
+                    self.byte_ends(event, registers, context);
+                }
+            }
         }
         self.follow_lines(registers, context);
         self.refresh_errors(registers, context);
@@ -415,6 +553,9 @@ impl WiredI2c {
         self.waiting = 0;
         self.is_addressing = false;
         self.is_reading = false;
+        self.overrun = Overrun::Nothing;
+        self.released = 0;
+        self.is_behind = false;
         self.interrupts = false;
     }
 }
