@@ -119,7 +119,7 @@ impl BurstReader {
             is_edge_waiting: false,
             next_check: 0,
         };
-        reader.arm_dma();
+        reader.prepare_dma();
         timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
         reader
     }
@@ -177,9 +177,6 @@ impl BurstReader {
     #[inline(always)]
     fn send_start(&mut self) {
         i2c1()
-            .cr2()
-            .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
-        i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().ack().set_bit().start().set_bit());
         self.step = BurstStep::Start;
@@ -223,12 +220,13 @@ impl BurstReader {
                         .last()
                         .set_bit()
                 });
+                dma::enable();
                 i2c.sr2().read();
                 self.step = BurstStep::Data;
             }
-            // The event belongs to no step: disables the events.
+            // Bytes that came before a late STOP. This read clears BTF.
             BurstStep::Idle => {
-                i2c.cr2().write(|w| with_clock(w));
+                i2c.dr().read();
             }
             _ => {}
         }
@@ -247,6 +245,9 @@ impl BurstReader {
             self.fail(BurstFault::Dma);
             return false;
         }
+        // Ends the DMA requests. The port clocks on until STOP, and such a byte must not become the
+        // first one of the next burst.
+        await_events();
         if self.is_check {
             self.end_check(timebase);
             return false;
@@ -265,7 +266,7 @@ impl BurstReader {
         } else {
             self.report_late();
         }
-        self.arm_dma();
+        self.prepare_dma();
         is_free
     }
 
@@ -282,8 +283,7 @@ impl BurstReader {
         self.is_check = false;
         self.pointer = Register::AccelerometerXHigh;
         self.step = BurstStep::Idle;
-        dma::stop();
-        self.arm_dma();
+        self.prepare_dma();
     }
 
     /// Handles an I2C1 error: the sensor did not acknowledge, or the bus failed.
@@ -346,6 +346,7 @@ impl BurstReader {
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
+        await_events();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.flags.remove(BoardFlags::SCALES_VERIFIED);
         self.flags |= self.latched_flags | LINK.take_notes();
@@ -398,13 +399,14 @@ impl BurstReader {
         LINK.record(failure);
         retained::count(failure.class());
         self.flags |= BoardFlags::BUS_FAULT;
-        i2c1().cr2().write(|w| with_clock(w));
+        await_events();
         i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().stop().bit(self.step != BurstStep::Idle));
         if !self.is_check {
             self.count_missed();
         }
+        dma::stop();
         self.return_to_bursts();
         self.is_edge_waiting = false;
         self.failures_in_a_row = self.failures_in_a_row.saturating_add(1);
@@ -421,15 +423,24 @@ impl BurstReader {
         self.mode = Mode::Starting;
         self.shortest_period_us = NO_PERIOD_US;
         exti().imr().reset();
+        i2c1().cr2().write(|w| with_clock(w));
         LINK.is_enabled.store(false, Ordering::Release);
         timebase::raise_burst_alarm();
     }
 
-    /// Arms the stopped DMA for the next burst. The attitude task reads the other slot.
+    /// Prepares the stopped DMA for the next burst. The attitude task reads the other slot.
     #[inline(always)]
-    fn arm_dma(&self) {
-        dma::arm(self.slot.bytes_address(), BURST_LENGTH as u16);
+    fn prepare_dma(&self) {
+        dma::prepare(self.slot.bytes_address(), BURST_LENGTH as u16);
     }
+}
+
+/// Enables the interrupts of the port, and disables its DMA requests.
+#[inline(always)]
+fn await_events() {
+    i2c1()
+        .cr2()
+        .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
 }
 
 #[inline(always)]

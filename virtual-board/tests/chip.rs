@@ -1,0 +1,74 @@
+//! The chip's behaviours that a forgiving model hides. docs/chip.md has the table of them.
+
+mod common;
+
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::telemetry::bursts;
+use common::firmware;
+use virtual_board::flight::{Outcome, Run};
+use virtual_board::outputs;
+use virtual_board::schedule::Schedule;
+
+fn fly(seconds: f64, schedule: &str) -> Outcome {
+    let schedule = Schedule::parse("test", schedule).unwrap();
+    let run = Run::new(firmware()).seconds(seconds).schedule(&schedule);
+    run.without_account().run().unwrap()
+}
+
+/// The number of samples whose attitude does not follow from the bytes that the bus delivered.
+fn samples_of_other_bytes(outcome: &Outcome) -> usize {
+    let mut file = Vec::new();
+    outputs::write_bursts(&mut file, outcome.samples()).unwrap();
+    let text = String::from_utf8(file).unwrap();
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let lines = text.lines().skip(1);
+    lines
+        .zip(outcome.samples())
+        .filter(|(line, sample)| {
+            let (burst, board) = bursts::decode(line).unwrap();
+            let replayed = pipeline.update(&burst, board).attitude;
+            let flown = sample.snapshot.attitude;
+            let bits = |q: aplomb::attitude::Quaternion| [q.w, q.x, q.y, q.z].map(f32::to_bits);
+            bits(replayed) != bits(flown)
+        })
+        .count()
+}
+
+#[test]
+fn a_core_that_stalls_when_the_transfer_is_complete_never_shifts_a_burst() {
+    const FROM_NS: u64 = 1_500_000_000;
+    let calm = fly(2.1, "");
+    assert_eq!(samples_of_other_bytes(&calm), 0);
+    // Every other burst: a stall of 2 to 60 us, from 1 us before the end of the transfer.
+    let ends_ns = calm
+        .samples()
+        .iter()
+        .map(|sample| sample.burst.completed_ns);
+    let ends_ns = ends_ns.filter(|&end_ns| end_ns > FROM_NS);
+    let stalls: Vec<String> = (0_u64..)
+        .zip(ends_ns.step_by(4))
+        .map(|(nth, end_ns)| {
+            let start_ns = end_ns - 1_000;
+            let stall_ns = 3_000 + 500 * (nth % 116);
+            format!(
+                "{} {} core-stall",
+                start_ns as f64 * 1e-9,
+                stall_ns as f64 * 1e-9
+            )
+        })
+        .collect();
+    assert!(stalls.len() > 116, "each length: {}", stalls.len());
+    let stalled = fly(2.1, &stalls.join("\n"));
+    assert_eq!(
+        samples_of_other_bytes(&stalled),
+        0,
+        "attitudes from other bytes"
+    );
+    assert_eq!(stalled.samples().len(), calm.samples().len(), "samples");
+    let failures = stalled.record.health.last().map(|reading| reading.counters);
+    assert_eq!(
+        failures,
+        calm.record.health.last().map(|reading| reading.counters)
+    );
+}
