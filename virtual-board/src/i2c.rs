@@ -14,6 +14,9 @@
 //! - BUSY is set while a line is low. Only SWRST or a STOP on the lines clears it; SDA rising with
 //!   SCL high is a STOP (27.6.7).
 //! - START and STOP are not carried out while a line is low, and read back set (27.6.1).
+//! - A STOP takes a period of SCL. Until then it reads back set, and the bus is busy.
+//! - A write of CR1 while START or STOP reads back set leaves that bit set, and nothing comes of it
+//!   until SWRST (27.6.1, note on STOP and START; bugs of other drivers). A START takes no time.
 //! - A STOP requested while the peripheral is not the controller changes nothing (27.6.1).
 //! - BERR and ARLO raise the error interrupt under ITERREN. A written zero or PE = 0 clears them
 //!   (27.4, 27.6.6).
@@ -149,6 +152,12 @@ pub struct WiredI2c {
     /// True if SDA was high at the last check.
     was_data_high: bool,
     overrun: Overrun,
+    /// The event at which the STOP on the lines is over.
+    stopping: Option<EventId>,
+    /// START and STOP as CR1 last read back.
+    requested: u64,
+    /// True if a write of CR1 came while one of them was set.
+    is_stuck: bool,
     /// The bytes of the released bus that wait to be read: in DR, and behind it.
     released: u8,
     /// True if a byte of the sensor is in DR, in front of these.
@@ -177,6 +186,9 @@ impl WiredI2c {
             sent: 0,
             was_data_high: true,
             overrun: Overrun::Nothing,
+            stopping: None,
+            requested: 0,
+            is_stuck: false,
             released: 0,
             is_behind: false,
             interrupts: false,
@@ -201,12 +213,14 @@ impl WiredI2c {
         if is_data_high && is_clock_high && self.waiting != 0 && !is_byte_on_wire {
             self.overrun = Overrun::Nothing;
             let waiting = std::mem::take(&mut self.waiting);
+            let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
             let control = registers.get(Register::Cr1) & !waiting;
             registers.set(Register::Cr1, control);
             Device::write(&mut self.model, Register::Cr1, control, registers, context);
             if cr1::PE.is_set(control) {
                 self.pass_control(control | waiting, registers, context);
             }
+            self.follow_requests(was_controller, registers, context);
             self.refresh_errors(registers, context);
         }
     }
@@ -243,6 +257,45 @@ impl WiredI2c {
             .any(|fault| fault.kind == kind && fault.lasts(context.now().0))
     }
 
+    /// Holds a STOP that the model has made on the lines for its time, and notes the requests that
+    /// CR1 shows. `was_controller` is MSL before.
+    fn follow_requests(
+        &mut self,
+        was_controller: bool,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let (control, status) = (registers.get(Register::Cr1), registers.get(Register::Sr2));
+        let has_stopped = was_controller
+            && !sr2::MSL.is_set(status)
+            && !sr2::BUSY.is_set(status)
+            && cr1::PE.is_set(control);
+        if has_stopped && !self.is_stuck {
+            let end_ns = context.now().0 + Self::period_ns(registers);
+            self.stopping = Some(context.schedule(VirtualNanos(end_ns)));
+        }
+        if self.stopping.is_some() {
+            registers.set(Register::Cr1, cr1::STOP.set(control, 1));
+            registers.set(Register::Sr2, sr2::BUSY.set(status, 1));
+        }
+        let requests = cr1::START.mask() | cr1::STOP.mask();
+        self.requested = registers.get(Register::Cr1) & requests;
+    }
+
+    /// Ends a STOP on the lines. Returns false if the event is another.
+    fn end_stop(&mut self, event: EventId, registers: &mut RegisterFile) -> bool {
+        if self.stopping != Some(event) {
+            return false;
+        }
+        if !self.is_stuck {
+            self.stopping = None;
+            let (control, status) = (registers.get(Register::Cr1), registers.get(Register::Sr2));
+            registers.set(Register::Cr1, cr1::STOP.set(control, 0));
+            registers.set(Register::Sr2, sr2::BUSY.set(status, 0));
+        }
+        true
+    }
+
     /// Passes a value of CR1 to the model, without the bits that the model would misunderstand.
     fn pass_control(
         &mut self,
@@ -267,6 +320,15 @@ impl WiredI2c {
         context: &mut DeviceContext<'_>,
     ) {
         let is_reset = cr1::SWRST.is_set(value);
+        if is_reset {
+            self.is_stuck = false;
+            self.stopping = None;
+        } else if self.is_stuck || self.requested != 0 {
+            self.is_stuck = true;
+            self.waiting = 0;
+            registers.set(Register::Cr1, value | self.requested);
+            return;
+        }
         if is_reset || !cr1::PE.is_set(value) {
             self.waiting = 0;
             self.delayed = None;
@@ -495,6 +557,7 @@ impl Device for WiredI2c {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         self.follow_lines(registers, context);
         match register {
             Register::Cr1 => self.write_control(value, registers, context),
@@ -511,6 +574,7 @@ impl Device for WiredI2c {
             _ => Device::write(&mut self.model, register, value, registers, context),
         }
         self.follow_lines(registers, context);
+        self.follow_requests(was_controller, registers, context);
         self.refresh_errors(registers, context);
     }
 
@@ -520,18 +584,20 @@ impl Device for WiredI2c {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         match self.delayed {
             Some((wait, byte)) if wait == event => {
                 self.delayed = None;
                 self.byte_ends(byte, registers, context);
             }
             _ => {
-                if !self.clock_on(event, registers, context) {
+                if !self.end_stop(event, registers) && !self.clock_on(event, registers, context) {
                     self.byte_ends(event, registers, context);
                 }
             }
         }
         self.follow_lines(registers, context);
+        self.follow_requests(was_controller, registers, context);
         self.refresh_errors(registers, context);
     }
 
@@ -554,6 +620,9 @@ impl WiredI2c {
         self.is_addressing = false;
         self.is_reading = false;
         self.overrun = Overrun::Nothing;
+        self.stopping = None;
+        self.requested = 0;
+        self.is_stuck = false;
         self.released = 0;
         self.is_behind = false;
         self.interrupts = false;

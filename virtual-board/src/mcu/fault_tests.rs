@@ -128,7 +128,7 @@ fn read_registers(bench: &mut Bench, register: u64, count: usize) -> Option<Vec<
     }
     bench.write(&I2C1, SR1, 0);
     bench.write(&I2C1, CR1, PE | ACK | STOP);
-    bench.write(&I2C1, CR1, PE | ACK);
+    bench.run_for(BYTE_NS);
     bytes
 }
 
@@ -615,4 +615,32 @@ fn bytes_come_in_without_a_pause_and_garbled_if_asked_for() {
     let (bytes, errors) = listen(FaultKind::UartNoise);
     assert!((105..=118).contains(&bytes), "{bytes}");
     assert!((15..=70).contains(&errors), "{errors} of {bytes}");
+}
+
+#[test]
+fn a_stop_takes_a_period_and_a_write_in_the_meantime_makes_it_stick() {
+    let mut bench = bench(FaultKind::SensorSilent);
+    let stop = |bench: &mut Bench, wait_ns: u64| {
+        assert_ne!(address(bench, 0xD0) & ADDR, 0);
+        bench.read(&I2C1, SR2);
+        bench.write(&I2C1, CR1, PE | ACK | STOP);
+        assert_ne!(bench.read(&I2C1, CR1) & STOP, 0, "not yet made");
+        bench.run_for(wait_ns);
+        bench.write(&I2C1, CR1, PE | ACK);
+        bench.run_for(BYTE_NS);
+        let is_stuck = bench.read(&I2C1, CR1) & STOP != 0;
+        let is_busy = bench.read(&I2C1, SR2) & BUSY != 0;
+        (is_stuck, is_busy)
+    };
+    assert_eq!(stop(&mut bench, 3_000), (false, false));
+    assert_eq!(stop(&mut bench, 1_000), (true, true));
+    bench.write(&I2C1, CR1, PE | ACK | START);
+    assert_eq!(bench.read(&I2C1, SR1) & SB, 0, "no START either");
+    bench.write(&I2C1, CR1, 0);
+    bench.write(&I2C1, CR1, PE);
+    assert_ne!(bench.read(&I2C1, CR1) & STOP, 0, "only SWRST helps");
+    bench.write(&I2C1, CR1, SWRST);
+    bench.write(&I2C1, CR1, 0);
+    program(&mut bench);
+    assert_eq!(who_am_i(&mut bench), Some(0x68));
 }
