@@ -400,9 +400,11 @@ impl BurstReader {
         retained::count(failure.class());
         self.flags |= BoardFlags::BUS_FAULT;
         await_events();
-        i2c1()
-            .cr1()
-            .write(|w| w.pe().set_bit().stop().bit(self.step != BurstStep::Idle));
+        // After any other fault a START may be pending. The recovery then resets the port.
+        let is_bus_known = fault == BurstFault::NotAcknowledged;
+        if is_bus_known {
+            send_stop();
+        }
         if !self.is_check {
             self.count_missed();
         }
@@ -411,7 +413,6 @@ impl BurstReader {
         self.is_edge_waiting = false;
         self.failures_in_a_row = self.failures_in_a_row.saturating_add(1);
         timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
-        let is_bus_known = fault == BurstFault::NotAcknowledged;
         if !is_bus_known || self.failures_in_a_row >= FAILURES_IN_A_ROW {
             self.failures_in_a_row = 0;
             self.disable();
