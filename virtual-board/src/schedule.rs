@@ -9,7 +9,7 @@ use std::path::Path;
 
 use thiserror::Error;
 
-use crate::faults::{Axis, Direction, FaultKind, ScheduledFault, nanoseconds};
+use crate::faults::{Axis, Direction, FaultKind, RestOfByte, ScheduledFault, nanoseconds};
 use aplomb_models::random::Random;
 
 /// Faults with their times.
@@ -31,10 +31,20 @@ const FORMS: [Form; 29] = [
         number(text, 0, 15).map(|byte| FaultKind::DataNack(byte as u8))
     }),
     Form::bare("burst-stall", FaultKind::BurstStall),
-    Form::new("sda-low", "[:CLOCKS] (1 to 9)", |text| match text {
-        "" => Some(FaultKind::SdaLow(None)),
-        _ => number(text, 1, 9).map(|clocks| FaultKind::SdaLow(Some(clocks as u8))),
-    }),
+    Form::new(
+        "sda-low",
+        "[:CLOCKS[:BITS]] (1 to 9, 0x00 to 0x7f)",
+        |text| {
+            let (clocks, bits) = match text.split_once(':') {
+                _ if text.is_empty() => return Some(FaultKind::SdaLow(None)),
+                Some((clocks, bits)) => (clocks, number(bits, 0, 0x7F)?),
+                None => (text, 0),
+            };
+            let clocks = number(clocks, 1, 9)? as u8;
+            let bits = bits as u8;
+            Some(FaultKind::SdaLow(Some(RestOfByte { clocks, bits })))
+        },
+    ),
     Form::bare("scl-low", FaultKind::SclLow),
     Form::bare("bus-error", FaultKind::BusError),
     Form::bare("arbitration-lost", FaultKind::ArbitrationLost),
@@ -257,7 +267,10 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         }
         "data-nack" => FaultKind::DataNack(u8::from(pick.is_multiple_of(8))),
         // Half of them are a sensor that has lost count.
-        "sda-low" if pick.is_multiple_of(2) => FaultKind::SdaLow(Some((1 + pick / 2 % 9) as u8)),
+        "sda-low" if pick.is_multiple_of(2) => FaultKind::SdaLow(Some(RestOfByte {
+            clocks: (1 + pick / 2 % 9) as u8,
+            bits: (pick / 18 % 128) as u8,
+        })),
         "sda-low" => FaultKind::SdaLow(None),
         "int-glitch" => FaultKind::IntGlitch([200, 700, 1_900, 8_000][pick % 4]),
         "register-flip" => {
@@ -470,7 +483,7 @@ mod tests {
         assert_eq!(
             refusal("1 1 sda-low:10"),
             "f.txt, line 1: `10` is not a parameter of `sda-low`: \
-             it is written sda-low[:CLOCKS] (1 to 9)"
+             it is written sda-low[:CLOCKS[:BITS]] (1 to 9, 0x00 to 0x7f)"
         );
         for text in [
             "data-nack",

@@ -7,7 +7,7 @@ use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, RCC, US
 
 use super::tests::Bench;
 use super::*;
-use crate::faults::{Axis, Direction, Fault};
+use crate::faults::{Axis, Direction, Fault, RestOfByte};
 
 /// Offsets of registers (RM0090).
 const CR1: u64 = 0x00;
@@ -269,7 +269,7 @@ fn clock(bench: &mut Bench) {
 #[test]
 fn a_sensor_that_has_lost_count_lets_go_after_its_clocks_and_no_sooner() {
     for clocks in 1..=9 {
-        let mut bench = bench(FaultKind::SdaLow(Some(clocks)));
+        let mut bench = bench(FaultKind::SdaLow(Some(RestOfByte { clocks, bits: 0 })));
         bench.run_until(BEGIN + 100 * MILLISECOND);
         assert_eq!(
             lines(&mut bench),
@@ -643,4 +643,51 @@ fn a_stop_takes_a_period_and_a_write_in_the_meantime_makes_it_stick() {
     bench.write(&I2C1, CR1, 0);
     program(&mut bench);
     assert_eq!(who_am_i(&mut bench), Some(0x68));
+}
+
+#[test]
+fn a_sensor_that_has_lost_count_shows_its_bits_and_obeys_start_and_stop() {
+    // Zero, one, one, zero; then the sensor waits for the acknowledge.
+    let rest = RestOfByte {
+        clocks: 4,
+        bits: 0x60,
+    };
+    let lost = || {
+        let mut bench = bench(FaultKind::SdaLow(Some(rest)));
+        bench.run_until(BEGIN + MILLISECOND);
+        take_pins(&mut bench);
+        bench
+    };
+    let mut bench = lost();
+    for is_high in [false, true, true, false, true] {
+        assert_eq!(lines(&mut bench), (true, is_high));
+        clock(&mut bench);
+    }
+    assert_eq!(
+        lines(&mut bench),
+        (true, true),
+        "not acknowledged: no other byte"
+    );
+
+    // A START while a one is on the line.
+    let mut bench = lost();
+    clock(&mut bench);
+    bench.write(&GPIOB, BSRR, SDA << 16);
+    bench.write(&GPIOB, BSRR, SDA);
+    clock(&mut bench);
+    clock(&mut bench);
+    assert_eq!(lines(&mut bench), (true, true), "the zero never comes");
+
+    // An acknowledge, and another byte follows.
+    let mut bench = lost();
+    for _ in 0..3 {
+        clock(&mut bench);
+    }
+    bench.write(&GPIOB, BSRR, SCL << 16);
+    bench.write(&GPIOB, BSRR, SDA << 16);
+    bench.write(&GPIOB, BSRR, SCL);
+    bench.write(&GPIOB, BSRR, SCL << 16);
+    bench.write(&GPIOB, BSRR, SDA);
+    bench.write(&GPIOB, BSRR, SCL);
+    assert_eq!(lines(&mut bench), (true, false), "a zero of another byte");
 }
