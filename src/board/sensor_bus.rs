@@ -72,25 +72,21 @@ impl SensorBus {
     /// Returns an error if a line is still low. Then the wiring or the supply is at fault, and no
     /// clocking helps.
     pub fn recover(&mut self) -> Result<(), BusHeldLow> {
-        self.set_pin_modes(PinMode::Output);
+        // High before the pins become outputs, so that no edge comes of it.
         self.drive(SCL, true);
         self.drive(SDA, true);
+        self.set_pin_modes(PinMode::Output);
         wait_us(RECOVERY_HALF_PERIOD_US);
+        // All clocks, whatever SDA shows: the bits of the byte are ones too. The sensor finds its
+        // acknowledge missing, and sends no other byte.
         for _ in 0..RECOVERY_CLOCKS {
-            if self.is_high(SDA) {
-                break;
-            }
             self.drive(SCL, false);
             wait_us(RECOVERY_HALF_PERIOD_US);
             self.drive(SCL, true);
             wait_us(RECOVERY_HALF_PERIOD_US);
         }
-        // STOP: SDA rises while SCL is high.
-        self.drive(SCL, false);
-        wait_us(RECOVERY_HALF_PERIOD_US);
+        // START and STOP: SDA falls and rises while SCL is high.
         self.drive(SDA, false);
-        wait_us(RECOVERY_HALF_PERIOD_US);
-        self.drive(SCL, true);
         wait_us(RECOVERY_HALF_PERIOD_US);
         self.drive(SDA, true);
         wait_us(RECOVERY_HALF_PERIOD_US);

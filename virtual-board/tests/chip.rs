@@ -2,6 +2,7 @@
 
 mod common;
 
+use aplomb::fault::FaultClass;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
@@ -71,4 +72,32 @@ fn a_core_that_stalls_when_the_transfer_is_complete_never_shifts_a_burst() {
         failures,
         calm.record.health.last().map(|reading| reading.counters)
     );
+}
+
+#[test]
+fn a_sensor_in_the_middle_of_a_byte_is_freed_at_the_first_try() {
+    // Every rest of a byte that begins with a zero, in flights of a second and a half.
+    let mut failed = Vec::new();
+    for clocks in 1_u32..=8 {
+        let rests: Vec<u32> = (0..1_u32 << (clocks - 1)).collect();
+        let line = |(nth, rest): (usize, &u32)| {
+            let bits = rest << (8 - clocks);
+            let start_s = 1.5 + 0.02 * nth as f64;
+            format!("{start_s:.3} 0 sda-low:{clocks}:{bits:#04x}")
+        };
+        let lines: Vec<String> = rests.iter().enumerate().map(line).collect();
+        let outcome = fly(1.6 + 0.02 * rests.len() as f64, &lines.join("\n"));
+        let counters = outcome.record.health.last().map(|reading| reading.counters);
+        let held = counters.map_or(u32::MAX, |counters| {
+            counters[FaultClass::DataLineLow as usize]
+        });
+        if held > 0 {
+            failed.push(format!("{clocks} clocks: SDA stayed low {held} times"));
+        }
+        let resets = outcome.record.health.last().map_or(0, |reading| {
+            reading.counters[FaultClass::BurstDeadline as usize]
+        });
+        assert!(resets > 0, "the line was never held");
+    }
+    assert_eq!(failed, Vec::<String>::new());
 }
