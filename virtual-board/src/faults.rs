@@ -25,8 +25,9 @@ pub enum FaultKind {
     /// SCL is short-circuited to ground.
     SclLow,
     /// A STOP lies in the middle of every byte: BERR, and the sensor is no longer addressed
-    /// (RM0090, 27.3.4).
-    BusError,
+    /// (RM0090, 27.3.4). As a flag alone, BERR is set without a STOP, and the transfer goes on
+    /// (STM32F405 errata, "Spurious bus error detection in master mode").
+    BusError(IsFlagAlone),
     /// SDA is pulled low while the controller sends a one: ARLO, and the controller is one no
     /// longer (RM0090, 27.3.4).
     ArbitrationLost,
@@ -82,6 +83,9 @@ pub enum FaultKind {
     /// The core hangs until a reset, at the longest until the end, if the duration is not zero.
     WatchdogHang,
 }
+
+/// True if a bus error is a flag without a STOP on the lines.
+pub type IsFlagAlone = bool;
 
 /// The rest of a byte that a sensor sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,7 +150,7 @@ impl FaultKind {
             Self::BurstStall => "burst-stall",
             Self::SdaLow(_) => "sda-low",
             Self::SclLow => "scl-low",
-            Self::BusError => "bus-error",
+            Self::BusError(_) => "bus-error",
             Self::ArbitrationLost => "arbitration-lost",
             Self::DmaError => "dma-error",
             Self::IntMissing => "int-missing",
@@ -193,6 +197,7 @@ impl fmt::Display for FaultKind {
             Self::SdaLow(Some(RestOfByte { clocks, bits })) => {
                 write!(formatter, ":{clocks}:{bits:#04x}")
             }
+            Self::BusError(true) => formatter.write_str(":flag"),
             Self::IntGlitch(hz) => write!(formatter, ":{hz}"),
             Self::RegisterFlip(register, value) => {
                 write!(formatter, ":{register:#04x}:{value:#04x}")

@@ -171,7 +171,10 @@ impl WiredI2c {
     #[must_use]
     pub fn new(model: I2c, wires: SharedWires, faults: &[Fault]) -> Self {
         let is_own = |fault: &&ScheduledFault| {
-            matches!(fault.kind, FaultKind::BusError | FaultKind::ArbitrationLost)
+            matches!(
+                fault.kind,
+                FaultKind::BusError(_) | FaultKind::ArbitrationLost
+            )
         };
         Self {
             model,
@@ -401,10 +404,11 @@ impl WiredI2c {
             self.lose_arbitration(registers, context);
             return;
         }
-        if self.lasts(FaultKind::BusError, context) {
+        let has_stop = self.lasts(FaultKind::BusError(false), context);
+        if has_stop || self.lasts(FaultKind::BusError(true), context) {
             let status = registers.get(Register::Sr1);
             registers.set(Register::Sr1, sr1::BERR.set(status, 1));
-            if let Some(sensor) = self.model.chip_mut::<FittedSensor>(0) {
+            if has_stop && let Some(sensor) = self.model.chip_mut::<FittedSensor>(0) {
                 sensor.receive_stop(now_ns);
             }
         }

@@ -46,7 +46,11 @@ const FORMS: [Form; 29] = [
         },
     ),
     Form::bare("scl-low", FaultKind::SclLow),
-    Form::bare("bus-error", FaultKind::BusError),
+    Form::new("bus-error", "[:flag]", |text| match text {
+        "" => Some(FaultKind::BusError(false)),
+        "flag" => Some(FaultKind::BusError(true)),
+        _ => None,
+    }),
     Form::bare("arbitration-lost", FaultKind::ArbitrationLost),
     Form::bare("dma-error", FaultKind::DmaError),
     Form::bare("int-missing", FaultKind::IntMissing),
@@ -272,6 +276,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
             bits: (pick / 18 % 128) as u8,
         })),
         "sda-low" => FaultKind::SdaLow(None),
+        "bus-error" => FaultKind::BusError(pick.is_multiple_of(2)),
         "int-glitch" => FaultKind::IntGlitch([200, 700, 1_900, 8_000][pick % 4]),
         "register-flip" => {
             let registers = [0x19, 0x1A, 0x1B, 0x1C, 0x37, 0x38, 0x6B];
@@ -290,7 +295,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         FaultKind::ProbeDetach => (0.3, 0.8),
         FaultKind::CoreStall => (0.0015, 0.03),
         FaultKind::AddressNack(_) | FaultKind::DataNack(_) => (0.0015, 0.03),
-        FaultKind::BusError | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),
+        FaultKind::BusError(_) | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),
         FaultKind::BurstStall | FaultKind::SdaLow(None) | FaultKind::SclLow => (0.0015, 0.08),
         FaultKind::IntMissing | FaultKind::IntHigh | FaultKind::IntLow => (0.004, 0.1),
         FaultKind::SensorSilent | FaultKind::SensorBrownout => (0.002, 0.15),

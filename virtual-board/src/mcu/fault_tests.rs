@@ -331,7 +331,7 @@ fn a_byte_waits_for_a_clock_line_that_is_low_and_busy_stays_until_a_reset() {
 
 #[test]
 fn a_stop_within_a_byte_is_a_bus_error_and_the_sensor_is_gone() {
-    let mut bench = bench(FaultKind::BusError);
+    let mut bench = bench(FaultKind::BusError(false));
     bench.write(&I2C1, CR2, 16 | ITERREN);
     bench.run_until(BEGIN - 40_000);
     assert_eq!(address(&mut bench, 0xD0) & (ADDR | BERR), ADDR);
@@ -690,4 +690,18 @@ fn a_sensor_that_has_lost_count_shows_its_bits_and_obeys_start_and_stop() {
     bench.write(&GPIOB, BSRR, SDA);
     bench.write(&GPIOB, BSRR, SCL);
     assert_eq!(lines(&mut bench), (true, false), "a zero of another byte");
+}
+
+#[test]
+fn a_bus_error_that_is_a_flag_alone_disturbs_nothing() {
+    let mut bench = bench(FaultKind::BusError(true));
+    bench.write(&I2C1, CR2, 16 | ITERREN);
+    bench.run_until(BEGIN);
+    assert_ne!(address(&mut bench, 0xD0) & BERR, 0);
+    assert!(bench.interrupts_on(I2C1_ER));
+    bench.write(&I2C1, SR1, 0);
+    assert!(!bench.interrupts_on(I2C1_ER));
+    bench.write(&I2C1, CR1, PE | ACK | STOP);
+    bench.run_for(BYTE_NS);
+    assert_eq!(who_am_i(&mut bench), Some(0x68));
 }
