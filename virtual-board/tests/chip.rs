@@ -101,3 +101,20 @@ fn a_sensor_in_the_middle_of_a_byte_is_freed_at_the_first_try() {
     }
     assert_eq!(failed, Vec::<String>::new());
 }
+
+#[test]
+fn a_bus_error_that_is_a_flag_alone_loses_no_sample() {
+    let (calm, flagged) = (fly(2.1, ""), fly(2.1, "1.6 0.3 bus-error:flag"));
+    let times = |outcome: &Outcome| -> Vec<u64> {
+        let samples = outcome.samples().iter();
+        samples.map(|sample| sample.snapshot.t_us).collect()
+    };
+    assert!(times(&calm) == times(&flagged), "samples are missing");
+    let seen = |outcome: &Outcome| {
+        let counters = outcome.record.health.last().map(|reading| reading.counters);
+        counters.map_or(0, |counters| counters[FaultClass::BusError as usize])
+    };
+    assert_eq!(seen(&calm), 0);
+    // Each byte of 300 bursts, but two flags may be one interrupt.
+    assert!(seen(&flagged) > 300 * 10, "{}", seen(&flagged));
+}

@@ -62,6 +62,8 @@ pub struct BurstReader {
     step: BurstStep,
     /// True if the present steps read settings back, instead of a burst.
     is_check: bool,
+    /// True if a bus error has been flagged while the sensor sent.
+    is_suspect: bool,
     /// First register of the present steps.
     pointer: Register,
     /// Slot that DMA fills.
@@ -105,6 +107,7 @@ impl BurstReader {
         let reader = Self {
             step: BurstStep::Idle,
             is_check: false,
+            is_suspect: false,
             pointer: Register::AccelerometerXHigh,
             slot: Slot::First,
             captured_at_us: 0,
@@ -252,6 +255,10 @@ impl BurstReader {
             self.end_check(timebase);
             return false;
         }
+        if self.is_suspect && self.has_lost_sensor() {
+            self.fail(BurstFault::BusError);
+            return false;
+        }
         send_stop();
         self.step = BurstStep::Idle;
         self.failures_in_a_row = 0;
@@ -278,6 +285,17 @@ impl BurstReader {
         retained::count(FaultClass::AttitudeLate);
     }
 
+    /// Returns whether the sensor may have let go of the bus before the end of a suspect burst: its
+    /// last two bytes are those of a released bus.
+    #[cold]
+    #[inline(never)]
+    fn has_lost_sensor(&mut self) -> bool {
+        self.is_suspect = false;
+        // SAFETY: the transfer into this slot is complete, and the slot is not offered yet.
+        let received = unsafe { &*SLOTS.0[self.slot as usize].get() };
+        received.burst.bytes.ends_with(&[0xFF; 2])
+    }
+
     /// Makes the next steps read a burst.
     fn return_to_bursts(&mut self) {
         self.is_check = false;
@@ -296,7 +314,11 @@ impl BurstReader {
         } else if status.arlo().bit() {
             BurstFault::ArbitrationLost
         } else if status.berr().bit() {
-            BurstFault::BusError
+            // The chip flags bus errors that are none (errata). The transfer goes on. After a real
+            // one the sensor acknowledges nothing more, or lets go of the bus.
+            retained::count(FaultClass::BusError);
+            self.is_suspect = self.step == BurstStep::Data;
+            return;
         } else {
             BurstFault::Overrun
         };
@@ -400,8 +422,9 @@ impl BurstReader {
         retained::count(failure.class());
         self.flags |= BoardFlags::BUS_FAULT;
         await_events();
+        self.is_suspect = false;
         // After any other fault a START may be pending. The recovery then resets the port.
-        let is_bus_known = fault == BurstFault::NotAcknowledged;
+        let is_bus_known = matches!(fault, BurstFault::NotAcknowledged | BurstFault::BusError);
         if is_bus_known {
             send_stop();
         }
