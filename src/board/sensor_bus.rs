@@ -5,8 +5,8 @@
 //! hang the task. Multi-byte reads follow the stretching method of RM0090, 27.3.3 ("Closing the
 //! communication"), which stays correct for any delay of a step by an interrupt.
 //!
-//! No write of CR1 comes while a START or STOP is pending. The port would keep the bit pending until
-//! its reset (RM0090, 27.6.1, note on STOP and START).
+//! No write of CR1 comes while a START or STOP is pending. The port would keep the bit pending
+//! until its reset (RM0090, 27.6.1, note on STOP and START).
 
 use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};

@@ -30,6 +30,7 @@ use rigless::soc::stm32f427::generated::i2c3::{Register, ccr, cr1, cr2, sr1, sr2
 use rigless::soc::stm32f427::peripherals::i2c::I2c;
 use rigless::time::{EventId, VirtualNanos};
 
+use crate::bus_step::BusStep;
 use crate::delegate::delegate;
 use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
@@ -48,55 +49,6 @@ const ERROR_INTERRUPT: usize = 1;
 
 /// From a clock that is let go to the end of the byte that waited for it: one bit at 400 kHz, ns.
 const REST_OF_BYTE_NS: u64 = 2_500;
-
-/// A step of a transfer on the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum BusStep {
-    /// No transfer.
-    Idle,
-    /// The controller has requested or made a START.
-    Start,
-    /// The address for writing is on the wire.
-    AddressWrite,
-    /// A byte for the sensor is on the wire, or has been acknowledged.
-    Written,
-    /// The address for reading is on the wire.
-    AddressRead,
-    /// The byte of this number is on the wire, from 1 on; 14 is also all that follows.
-    Read(u8),
-}
-
-impl BusStep {
-    /// The number of the last byte of a burst.
-    const LAST_BYTE: u8 = 14;
-
-    /// All steps.
-    pub fn all() -> impl Iterator<Item = Self> {
-        let first = [
-            Self::Idle,
-            Self::Start,
-            Self::AddressWrite,
-            Self::Written,
-            Self::AddressRead,
-        ];
-        first
-            .into_iter()
-            .chain((1..=Self::LAST_BYTE).map(Self::Read))
-    }
-
-    /// Its name in five letters.
-    #[must_use]
-    pub fn name(self) -> String {
-        match self {
-            Self::Idle => "idle".into(),
-            Self::Start => "start".into(),
-            Self::AddressWrite => "adr+w".into(),
-            Self::Written => "write".into(),
-            Self::AddressRead => "adr+r".into(),
-            Self::Read(byte) => format!("rd{byte}"),
-        }
-    }
-}
 
 /// Periods of SCL in a byte with its acknowledge.
 const PERIODS_OF_BYTE: u64 = 9;

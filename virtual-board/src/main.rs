@@ -481,6 +481,14 @@ fn table(outcome: &Outcome) -> String {
             ),
         ),
         (
+            "cycles on a chip",
+            format!(
+                "{} per sample and {} us from edge to attitude at most, by estimate",
+                number(summary.cycles_per_sample_estimate, 0),
+                number(summary.edge_to_attitude_us_estimate, 0)
+            ),
+        ),
+        (
             "load of the core",
             format!("{} %", number(summary.cpu_load_percent, 2)),
         ),

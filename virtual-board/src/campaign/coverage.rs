@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Write as _};
 
 use super::Case;
+use crate::bus_step::BusStep;
 use crate::faults::ScheduledFault;
-use crate::i2c::BusStep;
 use crate::schedule::Schedule;
 
 /// Two faults belong together if one begins at most this long after the other has ended, ns.

@@ -7,8 +7,8 @@ use aplomb_models::sensor::{Burst, DataReady};
 use rigless::time::VirtualNanos;
 
 use super::*;
+use crate::bus_step::BusStep;
 use crate::flight::UartLine;
-use crate::i2c::BusStep;
 use crate::recorder::{Record, Sample, StaleSnapshot};
 
 const MILLISECOND: u64 = 1_000_000;

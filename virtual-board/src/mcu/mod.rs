@@ -26,13 +26,14 @@ use rigless::time::VirtualNanos;
 
 pub use terminal::{ReceivedByte, SentByte, Terminal};
 
+use crate::bus_step::BusStep;
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
 use crate::faults::{FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashInterface, SharedCells};
-use crate::i2c::{BusStep, WiredI2c, items_left};
+use crate::i2c::{WiredI2c, items_left};
 use crate::wires::PortB;
 
 /// Port A's number, as SYSCFG_EXTICR counts them.

@@ -38,6 +38,8 @@ pub type Counts = [u64; EXCEPTIONS];
 #[derive(Debug)]
 pub struct Profile {
     counts: Counts,
+    /// How often each exception was entered.
+    entries: Counts,
     /// The exception that runs, and the count of all instructions when it was last credited.
     current: usize,
     credited_at: u64,
@@ -71,6 +73,7 @@ impl Default for Profile {
     fn default() -> Self {
         Self {
             counts: [0; EXCEPTIONS],
+            entries: [0; EXCEPTIONS],
             current: THREAD,
             credited_at: 0,
             unexplained: 0,
@@ -120,6 +123,12 @@ impl Profile {
         }
         counts[self.current] += retired.saturating_sub(self.credited_at);
         counts
+    }
+
+    /// How often each exception was entered, if an account is kept.
+    #[must_use]
+    pub fn entries(&self) -> &Counts {
+        &self.entries
     }
 
     /// The exception that runs.

@@ -180,6 +180,7 @@ impl ProfiledProcessor {
                 self.activations.clear();
                 return;
             }
+            profile.entries[exception] += u64::from(is_entry);
             profile.unexplained += u64::from(!is_explained);
             profile.switch(retired, exception);
         }

@@ -4,7 +4,7 @@ use aplomb::fault::FaultClass;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::sensor::{Burst, DataReady};
 
-use crate::i2c::BusStep;
+use crate::bus_step::BusStep;
 use crate::mcu::ReceivedByte;
 use crate::probe::LogLine;
 
@@ -45,6 +45,10 @@ pub struct Record {
     pub first: Option<(u64, u64)>,
     /// Instructions executed and virtual time at the end.
     pub last: (u64, u64),
+    /// Accesses of peripherals from the first sample on.
+    pub accesses: u64,
+    /// Exceptions entered for the samples, from the first sample on.
+    pub sample_exceptions: u64,
     /// All instructions executed, by exception number; 0 is thread mode.
     pub instructions: Vec<u64>,
     /// How much of the stack was ever written, in bytes.
