@@ -38,7 +38,7 @@ use stm32f4xx_hal::pac::{I2C1, i2c1};
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
 use super::{clocks, pins, retained};
-use crate::fault::{BurstFailure, BurstFault, BurstStep, FaultClass};
+use crate::fault::{BurstFailure, BurstFault, BurstStep, ClockSource, FaultClass};
 use crate::health::BoardFlags;
 use crate::mpu6050::registers::Register;
 use crate::mpu6050::{BURST_LENGTH, Burst};
@@ -101,9 +101,14 @@ enum Mode {
 }
 
 impl BurstReader {
-    /// Creates a disabled reader with its DMA stream set up. [`enable`] starts it.
-    pub fn start() -> Self {
+    /// Creates a disabled reader with its DMA stream set up. [`enable`] starts it. Times by the
+    /// internal oscillator are flagged with every burst.
+    pub fn start(clock: ClockSource) -> Self {
         dma::start();
+        let latched_flags = match clock {
+            ClockSource::Crystal => BoardFlags::empty(),
+            ClockSource::InternalOscillator => BoardFlags::INTERNAL_CLOCK,
+        };
         let reader = Self {
             step: BurstStep::Idle,
             is_check: false,
@@ -114,8 +119,8 @@ impl BurstReader {
             shortest_period_us: NO_PERIOD_US,
             silence_us: SILENCE_DEADLINE_US,
             address_byte: 0,
-            flags: BoardFlags::empty(),
-            latched_flags: BoardFlags::empty(),
+            flags: latched_flags,
+            latched_flags,
             missed: 0,
             mode: Mode::Starting,
             failures_in_a_row: 0,
