@@ -45,12 +45,12 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         let device = context.device;
         retained::start(&device.RCC);
-        clocks::start(device.RCC);
+        let (_, clock) = clocks::start(device.RCC);
         pins::start(device.GPIOA, device.SYSCFG, device.EXTI);
         let timebase = Timebase::start(device.TIM5);
         let bus = SensorBus::new(device.I2C1, device.GPIOB);
         let sensor = Sensor::new(bus, Config::DEFAULT, false);
-        let reader = BurstReader::start();
+        let reader = BurstReader::start(clock);
         // For a clone with another temperature scale: the part that `make_ready` found, in
         // `Ready::part`.
         let pipeline = Pipeline::new(&Settings {

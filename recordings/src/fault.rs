@@ -27,7 +27,7 @@ pub struct LogError {
 pub struct UnitGuess {
     /// Quantity.
     pub quantity: &'static str,
-    /// Its median or mean.
+    /// Median or mean of the column.
     pub value: f64,
     /// Usual value.
     pub usual: &'static str,
@@ -59,7 +59,7 @@ pub enum LogFault {
     /// The compressed data ends too early or is damaged.
     #[error("the gzip data is cut off or damaged: {0}")]
     Gzip(#[source] io::Error),
-    /// There is nothing in the file.
+    /// The file has no contents.
     #[error("the file is empty")]
     Empty,
     /// The line has more bytes than any row.
@@ -79,7 +79,7 @@ pub enum LogFault {
         }
     )]
     NoTable {
-        /// It is standard input.
+        /// True for standard input.
         is_stream: bool,
     },
     /// The header is not one of the three.

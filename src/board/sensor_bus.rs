@@ -4,6 +4,9 @@
 //! never uses it otherwise. The HAL's blocking I2C waits without limits, so a bus held low would
 //! hang the task. Multi-byte reads follow the stretching method of RM0090, 27.3.3 ("Closing the
 //! communication"), which stays correct for any delay of a step by an interrupt.
+//!
+//! No write of CR1 comes while a START or STOP is pending. The port would keep the bit pending
+//! until its reset (RM0090, 27.6.1, note on STOP and START).
 
 use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};
@@ -69,25 +72,21 @@ impl SensorBus {
     /// Returns an error if a line is still low. Then the wiring or the supply is at fault, and no
     /// clocking helps.
     pub fn recover(&mut self) -> Result<(), BusHeldLow> {
-        self.set_pin_modes(PinMode::Output);
+        // High before the pins become outputs, so that no edge comes of it.
         self.drive(SCL, true);
         self.drive(SDA, true);
+        self.set_pin_modes(PinMode::Output);
         wait_us(RECOVERY_HALF_PERIOD_US);
+        // All clocks, whatever SDA shows: the bits of the byte are ones too. The sensor finds its
+        // acknowledge missing, and sends no other byte.
         for _ in 0..RECOVERY_CLOCKS {
-            if self.is_high(SDA) {
-                break;
-            }
             self.drive(SCL, false);
             wait_us(RECOVERY_HALF_PERIOD_US);
             self.drive(SCL, true);
             wait_us(RECOVERY_HALF_PERIOD_US);
         }
-        // STOP: SDA rises while SCL is high.
-        self.drive(SCL, false);
-        wait_us(RECOVERY_HALF_PERIOD_US);
+        // START and STOP: SDA falls and rises while SCL is high.
         self.drive(SDA, false);
-        wait_us(RECOVERY_HALF_PERIOD_US);
-        self.drive(SCL, true);
         wait_us(RECOVERY_HALF_PERIOD_US);
         self.drive(SDA, true);
         wait_us(RECOVERY_HALF_PERIOD_US);
@@ -164,7 +163,12 @@ impl SensorBus {
 
     fn start(&mut self, address: u8, read: bool) -> Result<(), ErrorKind> {
         let i2c = port();
-        i2c.cr1().modify(|_, w| w.start().set_bit().ack().set_bit());
+        // A repeated start after a read is under way already. The write also clears POS.
+        let is_started = i2c.cr1().read().start().bit() || i2c.sr1().read().sb().bit();
+        if !is_started {
+            i2c.cr1()
+                .write(|w| w.pe().set_bit().start().set_bit().ack().set_bit());
+        }
         self.wait(|status| status.sb().bit(), NoAcknowledgeSource::Address)?;
         i2c.dr()
             .write(|w| w.dr().set(address << 1 | u8::from(read)));
@@ -222,7 +226,7 @@ impl SensorBus {
                 close();
                 take();
                 take();
-                i2c.cr1().modify(|_, w| w.pos().clear_bit());
+                // The next start clears POS: STOP or START is pending here.
             }
             _ => {
                 i2c.sr2().read();
@@ -269,7 +273,9 @@ impl SensorBus {
             if let Some(error) = error {
                 // The error flags are cleared by writing zero; the other flags ignore writes.
                 port().sr1().reset();
-                port().cr1().modify(|_, w| w.stop().set_bit());
+                if port().cr1().read().start().bit_is_clear() {
+                    port().cr1().modify(|_, w| w.stop().set_bit());
+                }
                 return Err(error);
             }
         }
@@ -277,7 +283,7 @@ impl SensorBus {
 
     fn wait_until_free(&self) -> Result<(), ErrorKind> {
         let start = timebase::now();
-        while port().sr2().read().busy().bit() {
+        while port().sr2().read().busy().bit() || port().cr1().read().stop().bit() {
             if timebase::elapsed(start, STEP_DEADLINE_US) {
                 return Err(ErrorKind::Bus);
             }

@@ -11,7 +11,7 @@ use rigless::snapshot::Store;
 use crate::crystal::HighSpeedInput;
 use crate::flash::SharedCells;
 use crate::mcu::Microcontroller;
-use crate::profile::{Profile, ProfiledProcessor};
+use crate::profile::{Profile, ProfiledProcessor, Rented, Request};
 
 /// A board that the firmware can be built for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,6 +72,8 @@ pub struct Board {
     handlers: Vec<u32>,
     profile: Arc<Mutex<Profile>>,
     cells: SharedCells,
+    /// The garage that the processor comes from, if any.
+    garage: Option<Request>,
 }
 
 impl Board {
@@ -91,7 +93,16 @@ impl Board {
             handlers,
             profile,
             cells,
+            garage: None,
         }
+    }
+
+    /// Takes the processor from a garage. Only for runs without an account of instructions: its
+    /// breakpoints would stay.
+    #[must_use]
+    pub fn garage(mut self, garage: Option<Request>) -> Self {
+        self.garage = garage;
+        self
     }
 }
 
@@ -133,10 +144,14 @@ impl machine::Board for Board {
             core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, armv7m::MpuRegions::Eight);
         let make = Arc::clone(&spec.processor);
         let (handlers, profile) = (self.handlers.clone(), Arc::clone(&self.profile));
-        let cells = self.cells.clone();
+        let (cells, garage) = (self.cells.clone(), self.garage.clone());
         spec.processor = Arc::new(move |endian| {
+            let processor = match &garage {
+                Some(request) => Rented::from_garage(request.clone(), || make(endian))?,
+                None => Rented::once(make(endian)?),
+            };
             Ok(Box::new(ProfiledProcessor::new(
-                make(endian)?,
+                processor,
                 handlers.clone(),
                 Arc::clone(&profile),
                 cells.clone(),

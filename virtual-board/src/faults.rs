@@ -19,14 +19,15 @@ pub enum FaultKind {
     /// The sensor holds SCL low from the end of the byte on the wire (clock stretching, UM10204,
     /// 3.1.9). The controller waits for as long as that takes (RM0090, 27.3.3).
     BurstStall,
-    /// SDA is short-circuited to ground. With a number: the sensor has lost count in the middle of
-    /// a byte. It lets go of SDA after so many clocks, however long that takes (UM10204, 3.1.16).
-    SdaLow(Option<u8>),
+    /// SDA is short-circuited to ground. With a rest: the sensor has lost count in the middle of a
+    /// byte that it sends. It goes on with each clock, however long that takes (UM10204, 3.1.16).
+    SdaLow(Option<RestOfByte>),
     /// SCL is short-circuited to ground.
     SclLow,
     /// A STOP lies in the middle of every byte: BERR, and the sensor is no longer addressed
-    /// (RM0090, 27.3.4).
-    BusError,
+    /// (RM0090, 27.3.4). As a flag alone, BERR is set without a STOP, and the transfer goes on
+    /// (STM32F405 errata, "Spurious bus error detection in master mode").
+    BusError(IsFlagAlone),
     /// SDA is pulled low while the controller sends a one: ARLO, and the controller is one no
     /// longer (RM0090, 27.3.4).
     ArbitrationLost,
@@ -83,6 +84,18 @@ pub enum FaultKind {
     WatchdogHang,
 }
 
+/// True if a bus error is a flag without a STOP on the lines.
+pub type IsFlagAlone = bool;
+
+/// The rest of a byte that a sensor sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RestOfByte {
+    /// Clocks until the sensor waits for the acknowledge, 1 to 9.
+    pub clocks: u8,
+    /// Bits of the byte, the present one first, which is a zero.
+    pub bits: u8,
+}
+
 /// The direction of a transaction, from the address byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
@@ -137,7 +150,7 @@ impl FaultKind {
             Self::BurstStall => "burst-stall",
             Self::SdaLow(_) => "sda-low",
             Self::SclLow => "scl-low",
-            Self::BusError => "bus-error",
+            Self::BusError(_) => "bus-error",
             Self::ArbitrationLost => "arbitration-lost",
             Self::DmaError => "dma-error",
             Self::IntMissing => "int-missing",
@@ -180,7 +193,11 @@ impl fmt::Display for FaultKind {
             Self::AddressNack(Some(Direction::Write)) => formatter.write_str(":write"),
             Self::AddressNack(Some(Direction::Read)) => formatter.write_str(":read"),
             Self::DataNack(byte) => write!(formatter, ":{byte}"),
-            Self::SdaLow(Some(clocks)) => write!(formatter, ":{clocks}"),
+            Self::SdaLow(Some(RestOfByte { clocks, bits: 0 })) => write!(formatter, ":{clocks}"),
+            Self::SdaLow(Some(RestOfByte { clocks, bits })) => {
+                write!(formatter, ":{clocks}:{bits:#04x}")
+            }
+            Self::BusError(true) => formatter.write_str(":flag"),
             Self::IntGlitch(hz) => write!(formatter, ":{hz}"),
             Self::RegisterFlip(register, value) => {
                 write!(formatter, ":{register:#04x}:{value:#04x}")

@@ -149,6 +149,12 @@ impl FittedSensor {
         std::mem::take(&mut self.bursts)
     }
 
+    /// Returns how many bytes the bus has delivered since the last address.
+    #[must_use]
+    pub fn delivered(&self) -> usize {
+        self.delivered.len()
+    }
+
     /// Processes a STOP on the bus that the controller has not made.
     pub fn receive_stop(&mut self, now_ns: u64) {
         self.is_addressed = false;
@@ -161,7 +167,9 @@ impl FittedSensor {
     pub fn controller_restarts(&mut self, now_ns: u64) {
         if self.is_addressed && self.is_sending {
             let clocks = 1 + now_ns / 2_500 % 8;
-            self.wires.lock().lose_count(clocks as u8);
+            // The bits of the byte before stand for those of this one. The first holds the line.
+            let bits = self.delivered.last().copied().unwrap_or(0) & 0x7F;
+            self.wires.lock().lose_count(clocks as u8, bits);
         }
         self.receive_stop(now_ns);
     }
@@ -178,7 +186,7 @@ impl FittedSensor {
         });
         if restarts {
             self.receive_stop(at_ns);
-            self.wires.lock().lose_count(0);
+            self.wires.lock().lose_count(0, 0);
             self.sensor.power_up(at_ns);
         }
         for nth in 0..self.scheduled.len() {
@@ -190,9 +198,9 @@ impl FittedSensor {
                 FaultKind::RegisterFlip(register, value) => {
                     self.sensor.corrupt_register(at_ns, register, value);
                 }
-                FaultKind::SdaLow(Some(clocks)) => {
+                FaultKind::SdaLow(Some(rest)) => {
                     self.receive_stop(at_ns);
-                    self.wires.lock().lose_count(clocks);
+                    self.wires.lock().lose_count(rest.clocks, rest.bits);
                 }
                 _ => {}
             }
@@ -359,6 +367,8 @@ impl Peer for FittedSensor {
         }
         self.written = 0;
         self.delivered.clear();
+        // A START ends any byte.
+        self.wires.lock().lose_count(0, 0);
         if self.wires.lock().take_stop() {
             self.receive_stop(now_ns);
         }

@@ -27,7 +27,7 @@ use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
 use crate::mcu::{Microcontroller, SentByte, Terminal};
 use crate::probe::{LogLine, Probe};
-use crate::profile::Profile;
+use crate::profile::{Garage, Profile, Purpose};
 use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
 use crate::schedule::Schedule;
 use crate::script::Script;
@@ -52,6 +52,7 @@ pub struct Run {
     has_probe: bool,
     steps_everything: bool,
     has_account: bool,
+    garage: Option<Arc<Garage>>,
     observer: Box<dyn Observer>,
 }
 
@@ -74,6 +75,7 @@ impl Run {
             has_probe: true,
             steps_everything: false,
             has_account: true,
+            garage: None,
             observer: Box::new(Nobody),
         }
     }
@@ -201,6 +203,16 @@ impl Run {
         self
     }
 
+    /// Flies with a processor from this garage, so that the image is not translated again. Keeps no
+    /// account of instructions.
+    #[must_use]
+    pub fn garage(mut self, garage: &Arc<Garage>) -> Self {
+        self.garage = Some(Arc::clone(garage));
+        self.has_account = false;
+        self.steps_everything = false;
+        self
+    }
+
     /// Reports the run to an observer while it goes on.
     #[must_use]
     pub fn observer(mut self, observer: impl Observer + 'static) -> Self {
@@ -222,13 +234,19 @@ impl Run {
         });
         let profile = Arc::new(Mutex::new(self.profile()));
         let cells = SharedCells::new(self.flash.clone());
+        let garage = self.garage.take().map(|garage| {
+            let image = Arc::from(firmware.bytes.as_slice());
+            let core_hz = self.board.core_hz;
+            (garage, Purpose { core_hz, image })
+        });
         let board = Board::new(
             self.board,
             self.controller(cells.clone())?,
             firmware.handlers.clone(),
             Arc::clone(&profile),
             cells.clone(),
-        );
+        )
+        .garage(garage);
         let probe = firmware
             .log_channel
             .filter(|_| self.has_probe)

@@ -4,6 +4,9 @@
 //!
 //! - With CR2.LAST set, the last byte that the DMA takes is not acknowledged. The sensor then lets
 //!   go of the bus, and the STOP that follows is clean (27.3.7).
+//! - After that byte the controller goes on to clock, unless STOP or START is requested within a
+//!   bit: a released bus reads 0xFF. That byte sets RXNE, or BTF if DR is full, and requests DMA. A
+//!   STOP that comes within it waits for its end (27.3.3: STOP ends the current byte).
 //! - While SCL is held low no byte ends: it ends once SCL is free (27.3.3).
 //! - SDA low where a one is sent is ARLO: the transfer ends, MSL is cleared, BUSY stays (27.3.4).
 //! - A START or STOP of another device within a byte is BERR. The transfer continues, whatever the
@@ -11,6 +14,9 @@
 //! - BUSY is set while a line is low. Only SWRST or a STOP on the lines clears it; SDA rising with
 //!   SCL high is a STOP (27.6.7).
 //! - START and STOP are not carried out while a line is low, and read back set (27.6.1).
+//! - A STOP takes a period of SCL. Until then it reads back set, and the bus is busy.
+//! - A write of CR1 while START or STOP reads back set leaves that bit set, and nothing comes of it
+//!   until SWRST (27.6.1, note on STOP and START; bugs of other drivers). A START takes no time.
 //! - A STOP requested while the peripheral is not the controller changes nothing (27.6.1).
 //! - BERR and ARLO raise the error interrupt under ITERREN. A written zero or PE = 0 clears them
 //!   (27.4, 27.6.6).
@@ -20,10 +26,11 @@
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
 use rigless::soc::stm32f427::generated::dma2;
-use rigless::soc::stm32f427::generated::i2c3::{Register, cr1, cr2, sr1, sr2};
+use rigless::soc::stm32f427::generated::i2c3::{Register, ccr, cr1, cr2, sr1, sr2};
 use rigless::soc::stm32f427::peripherals::i2c::I2c;
 use rigless::time::{EventId, VirtualNanos};
 
+use crate::bus_step::BusStep;
 use crate::delegate::delegate;
 use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
@@ -42,6 +49,23 @@ const ERROR_INTERRUPT: usize = 1;
 
 /// From a clock that is let go to the end of the byte that waited for it: one bit at 400 kHz, ns.
 const REST_OF_BYTE_NS: u64 = 2_500;
+
+/// Periods of SCL in a byte with its acknowledge.
+const PERIODS_OF_BYTE: u64 = 9;
+
+/// The data on a bus that no device pulls low.
+const RELEASED: u64 = 0xFF;
+
+/// The clocks after a byte that was not acknowledged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Overrun {
+    #[default]
+    Nothing,
+    /// The controller clocks another byte at this event, unless it is to make a STOP or START.
+    Due(EventId),
+    /// A byte is on the wire until this event.
+    OnWire(EventId),
+}
 
 /// The items that the enabled stream has left to move for I2C1's receiver, from DMA1's registers.
 #[must_use]
@@ -79,6 +103,17 @@ pub struct WiredI2c {
     sent: u8,
     /// True if SDA was high at the last check.
     was_data_high: bool,
+    overrun: Overrun,
+    /// The event at which the STOP on the lines is over.
+    stopping: Option<EventId>,
+    /// START and STOP as CR1 last read back.
+    requested: u64,
+    /// True if a write of CR1 came while one of them was set.
+    is_stuck: bool,
+    /// The bytes of the released bus that wait to be read: in DR, and behind it.
+    released: u8,
+    /// True if a byte of the sensor is in DR, in front of these.
+    is_behind: bool,
     /// True if one of the errors of this layer interrupts.
     interrupts: bool,
 }
@@ -88,7 +123,10 @@ impl WiredI2c {
     #[must_use]
     pub fn new(model: I2c, wires: SharedWires, faults: &[Fault]) -> Self {
         let is_own = |fault: &&ScheduledFault| {
-            matches!(fault.kind, FaultKind::BusError | FaultKind::ArbitrationLost)
+            matches!(
+                fault.kind,
+                FaultKind::BusError(_) | FaultKind::ArbitrationLost
+            )
         };
         Self {
             model,
@@ -102,6 +140,12 @@ impl WiredI2c {
             is_reading: false,
             sent: 0,
             was_data_high: true,
+            overrun: Overrun::Nothing,
+            stopping: None,
+            requested: 0,
+            is_stuck: false,
+            released: 0,
+            is_behind: false,
             interrupts: false,
         }
     }
@@ -120,15 +164,41 @@ impl WiredI2c {
                 registers.set(Register::Sr2, sr2::BUSY.set(status, 0));
             }
         }
-        if is_data_high && is_clock_high && self.waiting != 0 {
+        let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
+        if is_data_high && is_clock_high && self.waiting != 0 && !is_byte_on_wire {
+            self.overrun = Overrun::Nothing;
             let waiting = std::mem::take(&mut self.waiting);
+            let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
             let control = registers.get(Register::Cr1) & !waiting;
             registers.set(Register::Cr1, control);
             Device::write(&mut self.model, Register::Cr1, control, registers, context);
             if cr1::PE.is_set(control) {
                 self.pass_control(control | waiting, registers, context);
             }
+            self.follow_requests(was_controller, registers, context);
             self.refresh_errors(registers, context);
+        }
+    }
+
+    /// Returns the present step of the bus.
+    pub fn step(&mut self, registers: &RegisterFile) -> BusStep {
+        let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
+        let is_starting = cr1::START.is_set(registers.get(Register::Cr1))
+            || sr1::SB.is_set(registers.get(Register::Sr1));
+        let delivered = self
+            .model
+            .chip_mut::<FittedSensor>(0)
+            .map_or(0, |sensor| sensor.delivered());
+        match (self.is_addressing, self.is_reading) {
+            _ if is_starting && !self.is_addressing => BusStep::Start,
+            _ if !is_controller => BusStep::Idle,
+            (true, false) => BusStep::AddressWrite,
+            (true, true) => BusStep::AddressRead,
+            (false, false) => BusStep::Written,
+            (false, true) => {
+                let next = u8::try_from(delivered + 1).unwrap_or(u8::MAX);
+                BusStep::Read(next.min(BusStep::LAST_BYTE))
+            }
         }
     }
 
@@ -140,6 +210,45 @@ impl WiredI2c {
         self.faults
             .iter()
             .any(|fault| fault.kind == kind && fault.lasts(context.now().0))
+    }
+
+    /// Holds a STOP that the model has made on the lines for its time, and notes the requests that
+    /// CR1 shows. `was_controller` is MSL before.
+    fn follow_requests(
+        &mut self,
+        was_controller: bool,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let (control, status) = (registers.get(Register::Cr1), registers.get(Register::Sr2));
+        let has_stopped = was_controller
+            && !sr2::MSL.is_set(status)
+            && !sr2::BUSY.is_set(status)
+            && cr1::PE.is_set(control);
+        if has_stopped && !self.is_stuck {
+            let end_ns = context.now().0 + Self::period_ns(registers);
+            self.stopping = Some(context.schedule(VirtualNanos(end_ns)));
+        }
+        if self.stopping.is_some() {
+            registers.set(Register::Cr1, cr1::STOP.set(control, 1));
+            registers.set(Register::Sr2, sr2::BUSY.set(status, 1));
+        }
+        let requests = cr1::START.mask() | cr1::STOP.mask();
+        self.requested = registers.get(Register::Cr1) & requests;
+    }
+
+    /// Ends a STOP on the lines. Returns false if the event is another.
+    fn end_stop(&mut self, event: EventId, registers: &mut RegisterFile) -> bool {
+        if self.stopping != Some(event) {
+            return false;
+        }
+        if !self.is_stuck {
+            self.stopping = None;
+            let (control, status) = (registers.get(Register::Cr1), registers.get(Register::Sr2));
+            registers.set(Register::Cr1, cr1::STOP.set(control, 0));
+            registers.set(Register::Sr2, sr2::BUSY.set(status, 0));
+        }
+        true
     }
 
     /// Passes a value of CR1 to the model, without the bits that the model would misunderstand.
@@ -166,9 +275,19 @@ impl WiredI2c {
         context: &mut DeviceContext<'_>,
     ) {
         let is_reset = cr1::SWRST.is_set(value);
+        if is_reset {
+            self.is_stuck = false;
+            self.stopping = None;
+        } else if self.is_stuck || self.requested != 0 {
+            self.is_stuck = true;
+            self.waiting = 0;
+            registers.set(Register::Cr1, value | self.requested);
+            return;
+        }
         if is_reset || !cr1::PE.is_set(value) {
             self.waiting = 0;
             self.delayed = None;
+            self.drop_released(registers);
             Device::write(&mut self.model, Register::Cr1, value, registers, context);
             if !is_reset {
                 let status = registers.get(Register::Sr1);
@@ -177,7 +296,13 @@ impl WiredI2c {
             return;
         }
         let asked = value & (cr1::START.mask() | cr1::STOP.mask());
-        let is_held = self.is_low(BusLine::Clock, context) || self.is_low(BusLine::Data, context);
+        let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
+        let is_held = is_byte_on_wire
+            || self.is_low(BusLine::Clock, context)
+            || self.is_low(BusLine::Data, context);
+        if asked != 0 && !is_held {
+            self.overrun = Overrun::Nothing;
+        }
         if asked != 0 && is_held && self.is_connected {
             self.waiting = asked;
             let passed = value & !asked;
@@ -231,10 +356,11 @@ impl WiredI2c {
             self.lose_arbitration(registers, context);
             return;
         }
-        if self.lasts(FaultKind::BusError, context) {
+        let has_stop = self.lasts(FaultKind::BusError(false), context);
+        if has_stop || self.lasts(FaultKind::BusError(true), context) {
             let status = registers.get(Register::Sr1);
             registers.set(Register::Sr1, sr1::BERR.set(status, 1));
-            if let Some(sensor) = self.model.chip_mut::<FittedSensor>(0) {
+            if has_stop && let Some(sensor) = self.model.chip_mut::<FittedSensor>(0) {
                 sensor.receive_stop(now_ns);
             }
         }
@@ -250,7 +376,97 @@ impl WiredI2c {
         Device::on_event(&mut self.model, event, registers, context);
         if is_last {
             registers.restore(Register::Cr1, acknowledge, before);
+            let due_ns = now_ns + Self::period_ns(registers);
+            self.overrun = Overrun::Due(context.schedule(VirtualNanos(due_ns)));
         }
+    }
+
+    /// A period of SCL, ns (27.6.8).
+    fn period_ns(registers: &RegisterFile) -> u64 {
+        let control = registers.get(Register::Ccr);
+        let periods = match (ccr::F_S.is_set(control), ccr::DUTY.is_set(control)) {
+            (false, _) => 2,
+            (true, false) => 3,
+            (true, true) => 25,
+        };
+        let clock_mhz = cr2::FREQ.get(registers.get(Register::Cr2)).max(1);
+        1_000 * periods * ccr::CCR.get(control) / clock_mhz
+    }
+
+    /// Clocks on after a byte that was not acknowledged. Returns false if the event is another.
+    fn clock_on(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> bool {
+        match self.overrun {
+            Overrun::Due(due) if due == event => {}
+            Overrun::OnWire(end) if end == event => {
+                self.overrun = Overrun::Nothing;
+                let status = registers.get(Register::Sr1);
+                let is_full = sr1::RXNE.is_set(status);
+                self.is_behind |= is_full && self.released == 0;
+                self.released += 1;
+                let flag = if is_full { sr1::BTF } else { sr1::RXNE };
+                registers.set(Register::Sr1, flag.set(status, 1));
+                self.refresh_model(registers, context);
+                if self.waiting != 0 {
+                    // `follow_lines` carries STOP or START out.
+                    return true;
+                }
+            }
+            _ => return false,
+        }
+        self.overrun = Overrun::Nothing;
+        let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
+        // With DR and the shift register full the clock is held.
+        if is_controller && !sr1::BTF.is_set(registers.get(Register::Sr1)) {
+            let byte_ns = PERIODS_OF_BYTE * Self::period_ns(registers);
+            let end = context.schedule(VirtualNanos(context.now().0 + byte_ns));
+            self.overrun = Overrun::OnWire(end);
+        }
+        true
+    }
+
+    /// Makes the model drive its interrupts and requests from the flags.
+    fn refresh_model(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let control = registers.get(Register::Cr2);
+        Device::write(&mut self.model, Register::Cr2, control, registers, context);
+    }
+
+    /// Forgets the bytes of the released bus.
+    fn drop_released(&mut self, registers: &mut RegisterFile) {
+        self.overrun = Overrun::Nothing;
+        self.is_behind = false;
+        if std::mem::take(&mut self.released) > 0 {
+            let status = registers.get(Register::Sr1);
+            registers.set(Register::Sr1, sr1::RXNE.set(sr1::BTF.set(status, 0), 0));
+        }
+    }
+
+    /// Reads DR, if bytes of the released bus are in it or behind it.
+    fn read_released(
+        &mut self,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        let value = if std::mem::take(&mut self.is_behind) {
+            Device::read(&mut self.model, Register::Dr, registers, context)
+        } else {
+            self.released = self.released.checked_sub(1)?;
+            Some(RELEASED)
+        };
+        let status = registers.get(Register::Sr1);
+        let is_held = sr1::BTF.is_set(status);
+        let status = sr1::RXNE.set(sr1::BTF.set(status, 0), u64::from(self.released > 0));
+        registers.set(Register::Sr1, status);
+        self.refresh_model(registers, context);
+        if is_held {
+            // The clock goes on.
+            self.overrun = Overrun::Due(context.schedule(context.now()));
+        }
+        value
     }
 
     /// Drives the error interrupt for the errors that the model does not know.
@@ -280,7 +496,12 @@ impl Device for WiredI2c {
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
         self.follow_lines(registers, context);
-        let value = Device::read(&mut self.model, register, registers, context);
+        let released = match register {
+            Register::Dr => self.read_released(registers, context),
+            _ => None,
+        };
+        let value =
+            released.or_else(|| Device::read(&mut self.model, register, registers, context));
         self.refresh_errors(registers, context);
         value
     }
@@ -292,10 +513,13 @@ impl Device for WiredI2c {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         self.follow_lines(registers, context);
         match register {
             Register::Cr1 => self.write_control(value, registers, context),
             Register::Dr => {
+                // A write of DR clears RXNE and BTF (27.6.6).
+                self.drop_released(registers);
                 self.sent = value.to_le_bytes()[0];
                 if sr1::SB.is_set(registers.get(Register::Sr1)) {
                     self.is_addressing = true;
@@ -306,6 +530,7 @@ impl Device for WiredI2c {
             _ => Device::write(&mut self.model, register, value, registers, context),
         }
         self.follow_lines(registers, context);
+        self.follow_requests(was_controller, registers, context);
         self.refresh_errors(registers, context);
     }
 
@@ -315,14 +540,20 @@ impl Device for WiredI2c {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         match self.delayed {
             Some((wait, byte)) if wait == event => {
                 self.delayed = None;
                 self.byte_ends(byte, registers, context);
             }
-            _ => self.byte_ends(event, registers, context),
+            _ => {
+                if !self.end_stop(event, registers) && !self.clock_on(event, registers, context) {
+                    self.byte_ends(event, registers, context);
+                }
+            }
         }
         self.follow_lines(registers, context);
+        self.follow_requests(was_controller, registers, context);
         self.refresh_errors(registers, context);
     }
 
@@ -344,6 +575,12 @@ impl WiredI2c {
         self.waiting = 0;
         self.is_addressing = false;
         self.is_reading = false;
+        self.overrun = Overrun::Nothing;
+        self.stopping = None;
+        self.requested = 0;
+        self.is_stuck = false;
+        self.released = 0;
+        self.is_behind = false;
         self.interrupts = false;
     }
 }

@@ -5,21 +5,23 @@
 //! |---|---|
 //! | [`fitted`], [`wires`] | the sensor on its wires |
 //! | [`faults`], [`schedule`] | the faults, and their times |
-//! | [`mcu`], [`exti`], [`i2c`], [`dma`], [`crystal`] | the microcontroller |
+//! | [`mcu`], [`exti`], [`i2c`], [`bus_step`], [`dma`], [`crystal`] | the microcontroller |
 //! | [`board`] | the boards and their cores |
 //! | [`image`] | the firmware image |
 //! | [`profile`] | the number of instructions that each interrupt executes |
 //! | [`probe`] | a debug probe that reads the log |
 //! | [`recorder`] | the record of a run |
-//! | [`flight`], [`summary`] | a run, and its figures |
+//! | [`flight`], [`summary`], [`cycles`] | a run, its figures, and an estimate in cycles |
 //! | [`campaign`] | random flights with random faults, and their rules |
 //! | [`outputs`], [`plot`] | the files that a flight leaves |
 //!
 //! The sensor and the motion are those of `aplomb-models`.
 
 pub mod board;
+pub mod bus_step;
 pub mod campaign;
 pub mod crystal;
+pub mod cycles;
 mod delegate;
 pub mod dma;
 pub mod error;

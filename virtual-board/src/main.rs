@@ -12,7 +12,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use aplomb_models::motion::Mount;
@@ -23,7 +23,7 @@ use aplomb_recordings::units::{BadRows, RowOptions};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use virtual_board::board::{BOARDS, BoardModel};
-use virtual_board::campaign::{self, Case, Report, Table};
+use virtual_board::campaign::{self, Case, Coverage, Report, Table};
 use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
@@ -62,7 +62,7 @@ struct Faults {
     /// The firmware image; `cargo xtask faults` builds it and gives it.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
-    /// Number of flights. One alone is also written to the output folder.
+    /// Number of flights.
     #[arg(long, value_name = "NUMBER", default_value_t = 232)]
     runs: u64,
     /// The seed of the first flight; the others count on from it.
@@ -71,7 +71,7 @@ struct Faults {
     /// Number of flights at a time. Default: the number of cores.
     #[arg(long, value_name = "NUMBER")]
     jobs: Option<usize>,
-    /// Folder for a single flight's files.
+    /// Folder for the files of a failed flight, in a folder of its seed, or of a single one.
     #[arg(long, value_name = "FOLDER", default_value = "target/faults")]
     output: PathBuf,
 }
@@ -348,13 +348,28 @@ fn check_rows(options: &Fly) -> Result<(), String> {
     Ok(())
 }
 
-/// Prints the failures of a case, and the command that repeats it.
-fn print_failure(case: &Case, report: &Report) {
+/// Prints the failures of a case, where its picture is, and the command that repeats it.
+fn print_failure(case: &Case, report: &Report, written: &Result<PathBuf, String>) {
     println!("seed {}:", case.seed);
     for failure in &report.failures {
         println!("  {failure}");
     }
+    match written {
+        Ok(folder) => println!("  picture: {}", folder.join(outputs::PICTURE).display()),
+        Err(error) => println!("  no picture: {error}"),
+    }
     println!("  again: cargo xtask faults --runs 1 --seed {}", case.seed);
+}
+
+/// Writes the files of a case into the folder of its seed. Returns the folder.
+fn write_case(options: &Faults, case: &Case, outcome: &Outcome) -> Result<PathBuf, String> {
+    let labels = Labels {
+        title: format!("flight of seed {} with faults", case.seed),
+        subtitle: subtitle(outcome),
+    };
+    let folder = options.output.join(case.seed.to_string());
+    outputs::write(&folder, outcome, &labels).map_err(|error| error.to_string())?;
+    Ok(folder)
 }
 
 /// Flies a campaign, or one flight of it.
@@ -373,8 +388,8 @@ fn faults(options: &Faults) -> Result<(), String> {
     {
         bar.set_style(style);
     }
-    let next = AtomicU64::new(0);
-    let results = Mutex::new((Table::default(), 0_u64));
+    let (next, garage) = (AtomicU64::new(0), Arc::default());
+    let results = Mutex::new((Table::default(), Coverage::default(), 0_u64));
     std::thread::scope(|scope| {
         for _ in 0..jobs.max(1) {
             scope.spawn(|| {
@@ -384,14 +399,24 @@ fn faults(options: &Faults) -> Result<(), String> {
                         return;
                     }
                     let case = Case::by_seed(options.seed.wrapping_add(number));
-                    let report = campaign::run(&case, &options.elf);
+                    let (report, outcome) = campaign::run(&case, &garage, &options.elf);
+                    let steps = outcome
+                        .as_ref()
+                        .map(|outcome| &outcome.record.steps_at_faults);
+                    let steps = steps.cloned().unwrap_or_default();
+                    let written = || {
+                        let outcome = outcome.ok_or("the flight did not come to its end")?;
+                        write_case(options, &case, &outcome)
+                    };
                     let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
-                    let (table, failed) = &mut *results;
+                    let (table, coverage, failed) = &mut *results;
                     table.add(&report);
+                    coverage.add(&case, &steps);
                     if !report.failures.is_empty() {
                         *failed += 1;
                         bar.set_message(format!("{failed} failed,"));
-                        bar.suspend(|| print_failure(&case, &report));
+                        let written = written();
+                        bar.suspend(|| print_failure(&case, &report, &written));
                     }
                     bar.inc(1);
                     let flown = bar.position();
@@ -405,8 +430,8 @@ fn faults(options: &Faults) -> Result<(), String> {
         }
     });
     bar.finish_and_clear();
-    let (table, failed) = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    println!("{table}");
+    let (table, coverage, failed) = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    println!("{table}\n{coverage}");
     println!(
         "{} flights from seed {} on in {:.0} s, {failed} failed",
         options.runs,
@@ -436,12 +461,8 @@ fn one_case(options: &Faults) -> Result<(), String> {
     {
         println!("{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text);
     }
-    let labels = Labels {
-        title: format!("flight of seed {} with faults", options.seed),
-        subtitle: subtitle(&outcome),
-    };
-    outputs::write(&options.output, &outcome, &labels).map_err(|error| error.to_string())?;
-    println!("\nwritten to {}", options.output.display());
+    let folder = write_case(options, &case, &outcome)?;
+    println!("\nwritten to {}", folder.display());
     for fault in &report.faults {
         println!(
             "{}: {}, {}",
@@ -515,6 +536,14 @@ fn table(outcome: &Outcome) -> String {
                 number(summary.instructions_per_sample_mean, 0),
                 count(summary.instructions_per_sample_max),
                 number(summary.io_instructions_per_sample_mean, 0)
+            ),
+        ),
+        (
+            "cycles on a chip",
+            format!(
+                "{} per sample and {} us from edge to attitude at most, by estimate",
+                number(summary.cycles_per_sample_estimate, 0),
+                number(summary.edge_to_attitude_us_estimate, 0)
             ),
         ),
         (

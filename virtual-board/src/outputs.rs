@@ -29,6 +29,9 @@ use crate::flight::Outcome;
 use crate::plot::{self, Labels};
 use crate::recorder::Sample;
 
+/// The name of the picture.
+pub const PICTURE: &str = "attitude.png";
+
 /// Writes all files into a folder, which is made if need be.
 ///
 /// # Errors
@@ -54,7 +57,7 @@ pub fn write(folder: &Path, outcome: &Outcome, labels: &Labels) -> Result<(), Er
             writeln!(file, "{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text)
         })
     })?;
-    in_file(folder, "attitude.png", |file| {
+    in_file(folder, PICTURE, |file| {
         file.write_all(&plot::png(outcome, labels))
     })?;
     in_file(folder, "summary.json", |file| {

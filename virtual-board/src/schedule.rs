@@ -11,7 +11,7 @@ use aplomb_recordings::text::read_small;
 
 use thiserror::Error;
 
-use crate::faults::{Axis, Direction, FaultKind, ScheduledFault, nanoseconds};
+use crate::faults::{Axis, Direction, FaultKind, RestOfByte, ScheduledFault, nanoseconds};
 use aplomb_models::random::Random;
 
 /// Faults with their times.
@@ -33,12 +33,26 @@ const FORMS: [Form; 29] = [
         number(text, 0, 15).map(|byte| FaultKind::DataNack(byte as u8))
     }),
     Form::bare("burst-stall", FaultKind::BurstStall),
-    Form::new("sda-low", "[:CLOCKS] (1 to 9)", |text| match text {
-        "" => Some(FaultKind::SdaLow(None)),
-        _ => number(text, 1, 9).map(|clocks| FaultKind::SdaLow(Some(clocks as u8))),
-    }),
+    Form::new(
+        "sda-low",
+        "[:CLOCKS[:BITS]] (1 to 9, 0x00 to 0x7f)",
+        |text| {
+            let (clocks, bits) = match text.split_once(':') {
+                _ if text.is_empty() => return Some(FaultKind::SdaLow(None)),
+                Some((clocks, bits)) => (clocks, number(bits, 0, 0x7F)?),
+                None => (text, 0),
+            };
+            let clocks = number(clocks, 1, 9)? as u8;
+            let bits = bits as u8;
+            Some(FaultKind::SdaLow(Some(RestOfByte { clocks, bits })))
+        },
+    ),
     Form::bare("scl-low", FaultKind::SclLow),
-    Form::bare("bus-error", FaultKind::BusError),
+    Form::new("bus-error", "[:flag]", |text| match text {
+        "" => Some(FaultKind::BusError(false)),
+        "flag" => Some(FaultKind::BusError(true)),
+        _ => None,
+    }),
     Form::bare("arbitration-lost", FaultKind::ArbitrationLost),
     Form::bare("dma-error", FaultKind::DmaError),
     Form::bare("int-missing", FaultKind::IntMissing),
@@ -259,8 +273,12 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         }
         "data-nack" => FaultKind::DataNack(u8::from(pick.is_multiple_of(8))),
         // Half of them are a sensor that has lost count.
-        "sda-low" if pick.is_multiple_of(2) => FaultKind::SdaLow(Some((1 + pick / 2 % 9) as u8)),
+        "sda-low" if pick.is_multiple_of(2) => FaultKind::SdaLow(Some(RestOfByte {
+            clocks: (1 + pick / 2 % 9) as u8,
+            bits: (pick / 18 % 128) as u8,
+        })),
         "sda-low" => FaultKind::SdaLow(None),
+        "bus-error" => FaultKind::BusError(pick.is_multiple_of(2)),
         "int-glitch" => FaultKind::IntGlitch([200, 700, 1_900, 8_000][pick % 4]),
         "register-flip" => {
             let registers = [0x19, 0x1A, 0x1B, 0x1C, 0x37, 0x38, 0x6B];
@@ -279,7 +297,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         FaultKind::ProbeDetach => (0.3, 0.8),
         FaultKind::CoreStall => (0.0015, 0.03),
         FaultKind::AddressNack(_) | FaultKind::DataNack(_) => (0.0015, 0.03),
-        FaultKind::BusError | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),
+        FaultKind::BusError(_) | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),
         FaultKind::BurstStall | FaultKind::SdaLow(None) | FaultKind::SclLow => (0.0015, 0.08),
         FaultKind::IntMissing | FaultKind::IntHigh | FaultKind::IntLow => (0.004, 0.1),
         FaultKind::SensorSilent | FaultKind::SensorBrownout => (0.002, 0.15),
@@ -475,7 +493,7 @@ mod tests {
         assert_eq!(
             refusal("1 1 sda-low:10"),
             "f.txt, line 1: `10` is not a parameter of `sda-low`: \
-             it is written sda-low[:CLOCKS] (1 to 9)"
+             it is written sda-low[:CLOCKS[:BITS]] (1 to 9, 0x00 to 0x7f)"
         );
         for text in [
             "data-nack",

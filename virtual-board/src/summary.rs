@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use aplomb::health::Flags;
 use serde::Serialize;
 
+use crate::cycles::Work;
 use crate::image::Firmware;
 use crate::recorder::{Record, Sample};
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
@@ -33,6 +34,9 @@ pub struct Summary {
     pub instructions_per_sample_max: Option<u64>,
     /// Instructions per sample of all interrupts, without the attitude task.
     pub io_instructions_per_sample_mean: Option<f64>,
+    /// Upper estimate of the cycles of a sample on a chip, telemetry's accesses included (see
+    /// [`crate::cycles`]).
+    pub cycles_per_sample_estimate: Option<f64>,
     /// Instructions executed of those the core could have executed, from the first sample on, in
     /// percent.
     pub cpu_load_percent: Option<f64>,
@@ -40,6 +44,8 @@ pub struct Summary {
     pub edge_to_attitude_us_mean: Option<f64>,
     /// The longest of these.
     pub edge_to_attitude_us_max: Option<f64>,
+    /// Upper estimate of the longest on a chip.
+    pub edge_to_attitude_us_estimate: Option<f64>,
     /// The largest difference between a sample's published time and its edge's true time on the
     /// firmware's clock.
     pub timestamp_error_us_max: Option<f64>,
@@ -86,6 +92,7 @@ impl Summary {
             .collect();
         let inclinations_deg: Vec<f64> =
             samples.iter().filter_map(scored_inclination_deg).collect();
+        let work = work(record);
         let squares: Vec<f64> = inclinations_deg.iter().map(|error| error * error).collect();
         Self {
             samples: samples.len(),
@@ -100,6 +107,7 @@ impl Summary {
             ),
             instructions_per_sample_max: instructions.iter().copied().max(),
             io_instructions_per_sample_mean: mean(&input),
+            cycles_per_sample_estimate: work.map(|work| work.cycles()),
             cpu_load_percent: record
                 .first
                 .filter(|&(_, first_ns)| last_ns > first_ns)
@@ -109,6 +117,9 @@ impl Summary {
                 }),
             edge_to_attitude_us_mean: mean(&latencies_us),
             edge_to_attitude_us_max: maximum(&latencies_us),
+            edge_to_attitude_us_estimate: work
+                .zip(maximum(&latencies_us))
+                .map(|(work, longest_us)| work.edge_to_attitude_us(longest_us, core_hz)),
             timestamp_error_us_max: maximum(&time_errors_us),
             inclination_rms_deg: mean(&squares).map(f64::sqrt),
             inclination_max_deg: maximum(&inclinations_deg),
@@ -118,6 +129,21 @@ impl Summary {
             stack_bytes_used: record.stack_bytes_used,
         }
     }
+}
+
+/// The counts of an average sample, if an account was kept.
+fn work(record: &Record) -> Option<Work> {
+    let counts = record
+        .samples
+        .iter()
+        .filter_map(|sample| sample.instructions);
+    let counts: Vec<f64> = counts.map(|count| count as f64).collect();
+    let samples = record.samples.len() as f64;
+    Some(Work {
+        instructions: mean(&counts)?,
+        exceptions: record.sample_exceptions as f64 / samples,
+        accesses: record.accesses as f64 / samples,
+    })
 }
 
 /// The inclination error of a sample in degrees, if the truth is known.

@@ -21,6 +21,46 @@ pub const BUS_PINS: [(BusLine, u8); 2] = [(BusLine::Clock, 8), (BusLine::Data, 9
 /// The alternate function of I2C1 (STM32F405 datasheet, table 9).
 const I2C_FUNCTION: u8 = 4;
 
+/// The rest of a byte that the sensor sends, after its controller has gone away (UM10204, 3.1.16).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum LostByte {
+    #[default]
+    Nothing,
+    /// The bits on SDA, the present one first, and how many they are.
+    Sending { bits: u16, left: u8 },
+    /// All bits are sent. With SDA low at the next rising edge of SCL another byte follows.
+    Acknowledge,
+    /// Another byte follows after the falling edge of SCL.
+    Acknowledged,
+}
+
+impl LostByte {
+    /// Returns true if the sensor pulls SDA low.
+    fn is_low(self) -> bool {
+        matches!(self, Self::Sending { bits, .. } if bits >> 15 == 0)
+    }
+
+    fn clock_falls(self) -> Self {
+        match self {
+            Self::Sending { left: 1, .. } => Self::Acknowledge,
+            Self::Sending { bits, left } => Self::Sending {
+                bits: bits << 1,
+                left: left - 1,
+            },
+            Self::Acknowledged => Self::Sending { bits: 0, left: 8 },
+            Self::Acknowledge | Self::Nothing => self,
+        }
+    }
+
+    fn clock_rises(self, is_data_high: bool) -> Self {
+        match self {
+            Self::Acknowledge if is_data_high => Self::Nothing,
+            Self::Acknowledge => Self::Acknowledged,
+            _ => self,
+        }
+    }
+}
+
 /// The state of the lines.
 #[derive(Debug, Default)]
 pub struct Wires {
@@ -30,8 +70,8 @@ pub struct Wires {
     stretches: Vec<(u64, u64)>,
     /// End of the time in which the sensor holds SCL.
     stretched_until_ns: u64,
-    /// Falling edges of SCL that the sensor still waits for before it lets go of SDA.
-    clocks_owed: u8,
+    /// The byte that the sensor has been left in.
+    lost: LostByte,
     /// True where the firmware pulls a pin low as an output: SCL, SDA.
     driven_low: [bool; 2],
     /// The levels of the lines at the last check: SCL, SDA.
@@ -95,7 +135,7 @@ impl Wires {
         is_shorted
             || match line {
                 BusLine::Clock => now_ns < self.stretched_until_ns,
-                BusLine::Data => self.clocks_owed > 0,
+                BusLine::Data => self.lost.is_low(),
             }
     }
 
@@ -122,16 +162,27 @@ impl Wires {
         }
     }
 
-    /// Makes the sensor lose count within a byte whose rest is all zeros: it holds SDA for so many
-    /// clocks.
-    pub fn lose_count(&mut self, clocks: u8) {
-        self.clocks_owed = clocks;
+    /// Leaves the sensor in a byte that it sends: so many clocks are left of it, with these bits,
+    /// the present one first. With no clock left the sensor is in no byte.
+    pub fn lose_count(&mut self, clocks: u8, bits: u8) {
+        self.lost = match clocks {
+            0 => LostByte::Nothing,
+            left => LostByte::Sending {
+                bits: u16::from(bits) << 8,
+                left,
+            },
+        };
+        // The line went low with a clock of the byte, not by a START.
+        self.levels[1] &= !self.lost.is_low();
     }
 
-    /// Returns the number of clocks that the sensor still waits for.
+    /// Returns the number of clocks that the sensor still waits for in its byte.
     #[must_use]
     pub fn clocks_owed(&self) -> u8 {
-        self.clocks_owed
+        match self.lost {
+            LostByte::Sending { left, .. } => left,
+            _ => 0,
+        }
     }
 
     /// Falling edges of SCL that the firmware has made by hand.
@@ -152,13 +203,18 @@ impl Wires {
             let level = |nth: usize, line| !self.driven_low[nth] && !self.holds_low(line, now_ns);
             let now = [level(0, BusLine::Clock), level(1, BusLine::Data)];
             self.levels = now;
-            if before[0] && now[0] && !before[1] && now[1] && self.clocks_owed == 0 {
-                self.has_stopped = true;
+            if before[0] && now[0] && before[1] != now[1] {
+                // START or STOP: the sensor is in no byte any more.
+                self.lost = LostByte::Nothing;
+                self.has_stopped |= now[1];
             }
             if before[0] && !now[0] && self.driven_low[0] {
                 self.clocks_made += 1;
-                // The sensor may let go of SDA here, which is another edge.
-                self.clocks_owed = self.clocks_owed.saturating_sub(1);
+                // The next bit may be another edge.
+                self.lost = self.lost.clock_falls();
+            }
+            if !before[0] && now[0] {
+                self.lost = self.lost.clock_rises(now[1]);
             }
             if before == now {
                 return;

@@ -256,6 +256,12 @@ fn no_crystal() {
         outcome.summary.timestamp_error_us_max <= Some(1.0),
         "the emulated internal oscillator is exact"
     );
+    let flags = |outcome: &Outcome| {
+        let flags = outcome.samples().iter().map(|sample| sample.snapshot.flags);
+        flags.fold(Flags::all(), |common, flags| common & flags)
+    };
+    let expected = Flags::INTERNAL_CLOCK | Flags::DEGRADED;
+    assert!(flags(&outcome).contains(expected), "{}", flags(&outcome));
 }
 
 #[test]

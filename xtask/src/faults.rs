@@ -6,9 +6,9 @@ use crate::build::{self, Board, Firmware};
 use crate::setup::Toolchain;
 use crate::step;
 
-/// Flights of the short campaign that `cargo xtask test` flies: four that begin with each class of
+/// Flights of the short campaign that `cargo xtask test` flies: 20 that begin with each class of
 /// faults.
-const SHORT_RUNS: &str = "116";
+const SHORT_RUNS: &str = "580";
 
 /// Builds the programs and passes the arguments on.
 pub fn run(arguments: &[String]) -> Result<(), String> {

@@ -177,7 +177,7 @@ mod app {
         };
         (
             Shared {
-                reader: BurstReader::start(),
+                reader: BurstReader::start(clock),
                 timebase,
                 estimation: Estimation {
                     pipeline: None,

@@ -20,15 +20,19 @@ pub(super) fn start() {
 }
 
 /// Prepares a transfer of `length` bytes to this address, whose memory must belong to the reader.
-/// The transfer starts with the I2C port's first request. The stream must have stopped, as it does
-/// at the end of a transfer.
+/// The stream must have stopped, as it does at the end of a transfer.
 #[inline(always)]
-pub(super) fn arm(address: u32, length: u16) {
+pub(super) fn prepare(address: u32, length: u16) {
     let stream = stream();
     // SAFETY: the callers own the memory at this address until the transfer is complete.
     stream.m0ar().write(|w| unsafe { w.m0a().bits(address) });
     stream.ndtr().write(|w| w.ndt().set(length));
-    stream.cr().write(|w| {
+}
+
+/// Starts the prepared transfer, with the I2C port's first request.
+#[inline(always)]
+pub(super) fn enable() {
+    stream().cr().write(|w| {
         w.chsel()
             .set(1)
             .pl()

@@ -38,7 +38,7 @@ use stm32f4xx_hal::pac::{I2C1, i2c1};
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
 use super::{clocks, pins, retained};
-use crate::fault::{BurstFailure, BurstFault, BurstStep, FaultClass};
+use crate::fault::{BurstFailure, BurstFault, BurstStep, ClockSource, FaultClass};
 use crate::health::BoardFlags;
 use crate::mpu6050::registers::Register;
 use crate::mpu6050::{BURST_LENGTH, Burst};
@@ -62,6 +62,8 @@ pub struct BurstReader {
     step: BurstStep,
     /// True if the present steps read settings back, instead of a burst.
     is_check: bool,
+    /// True if a bus error has been flagged while the sensor sent.
+    is_suspect: bool,
     /// First register of the present steps.
     pointer: Register,
     /// Slot that DMA fills.
@@ -99,27 +101,33 @@ enum Mode {
 }
 
 impl BurstReader {
-    /// Creates a disabled reader with its DMA stream set up. [`enable`] starts it.
-    pub fn start() -> Self {
+    /// Creates a disabled reader with its DMA stream set up. [`enable`] starts it. Times by the
+    /// internal oscillator are flagged with every burst.
+    pub fn start(clock: ClockSource) -> Self {
         dma::start();
+        let latched_flags = match clock {
+            ClockSource::Crystal => BoardFlags::empty(),
+            ClockSource::InternalOscillator => BoardFlags::INTERNAL_CLOCK,
+        };
         let reader = Self {
             step: BurstStep::Idle,
             is_check: false,
+            is_suspect: false,
             pointer: Register::AccelerometerXHigh,
             slot: Slot::First,
             captured_at_us: 0,
             shortest_period_us: NO_PERIOD_US,
             silence_us: SILENCE_DEADLINE_US,
             address_byte: 0,
-            flags: BoardFlags::empty(),
-            latched_flags: BoardFlags::empty(),
+            flags: latched_flags,
+            latched_flags,
             missed: 0,
             mode: Mode::Starting,
             failures_in_a_row: 0,
             is_edge_waiting: false,
             next_check: 0,
         };
-        reader.arm_dma();
+        reader.prepare_dma();
         timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
         reader
     }
@@ -177,9 +185,6 @@ impl BurstReader {
     #[inline(always)]
     fn send_start(&mut self) {
         i2c1()
-            .cr2()
-            .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
-        i2c1()
             .cr1()
             .write(|w| w.pe().set_bit().ack().set_bit().start().set_bit());
         self.step = BurstStep::Start;
@@ -223,12 +228,13 @@ impl BurstReader {
                         .last()
                         .set_bit()
                 });
+                dma::enable();
                 i2c.sr2().read();
                 self.step = BurstStep::Data;
             }
-            // The event belongs to no step: disables the events.
+            // Bytes that came before a late STOP. This read clears BTF.
             BurstStep::Idle => {
-                i2c.cr2().write(|w| with_clock(w));
+                i2c.dr().read();
             }
             _ => {}
         }
@@ -247,8 +253,15 @@ impl BurstReader {
             self.fail(BurstFault::Dma);
             return false;
         }
+        // Ends the DMA requests. The port clocks on until STOP, and such a byte must not become the
+        // first one of the next burst.
+        await_events();
         if self.is_check {
             self.end_check(timebase);
+            return false;
+        }
+        if self.is_suspect && self.has_lost_sensor() {
+            self.fail(BurstFault::BusError);
             return false;
         }
         send_stop();
@@ -265,7 +278,7 @@ impl BurstReader {
         } else {
             self.report_late();
         }
-        self.arm_dma();
+        self.prepare_dma();
         is_free
     }
 
@@ -277,13 +290,23 @@ impl BurstReader {
         retained::count(FaultClass::AttitudeLate);
     }
 
+    /// Returns whether the sensor may have let go of the bus before the end of a suspect burst: its
+    /// last two bytes are those of a released bus.
+    #[cold]
+    #[inline(never)]
+    fn has_lost_sensor(&mut self) -> bool {
+        self.is_suspect = false;
+        // SAFETY: the transfer into this slot is complete, and the slot is not offered yet.
+        let received = unsafe { &*SLOTS.0[self.slot as usize].get() };
+        received.burst.bytes.ends_with(&[0xFF; 2])
+    }
+
     /// Makes the next steps read a burst.
     fn return_to_bursts(&mut self) {
         self.is_check = false;
         self.pointer = Register::AccelerometerXHigh;
         self.step = BurstStep::Idle;
-        dma::stop();
-        self.arm_dma();
+        self.prepare_dma();
     }
 
     /// Handles an I2C1 error: the sensor did not acknowledge, or the bus failed.
@@ -296,7 +319,11 @@ impl BurstReader {
         } else if status.arlo().bit() {
             BurstFault::ArbitrationLost
         } else if status.berr().bit() {
-            BurstFault::BusError
+            // The chip flags bus errors that are none (errata). The transfer goes on. After a real
+            // one the sensor acknowledges nothing more, or lets go of the bus.
+            retained::count(FaultClass::BusError);
+            self.is_suspect = self.step == BurstStep::Data;
+            return;
         } else {
             BurstFault::Overrun
         };
@@ -346,6 +373,7 @@ impl BurstReader {
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
+        await_events();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.flags.remove(BoardFlags::SCALES_VERIFIED);
         self.flags |= self.latched_flags | LINK.take_notes();
@@ -398,18 +426,21 @@ impl BurstReader {
         LINK.record(failure);
         retained::count(failure.class());
         self.flags |= BoardFlags::BUS_FAULT;
-        i2c1().cr2().write(|w| with_clock(w));
-        i2c1()
-            .cr1()
-            .write(|w| w.pe().set_bit().stop().bit(self.step != BurstStep::Idle));
+        await_events();
+        self.is_suspect = false;
+        // After any other fault a START may be pending. The recovery then resets the port.
+        let is_bus_known = matches!(fault, BurstFault::NotAcknowledged | BurstFault::BusError);
+        if is_bus_known {
+            send_stop();
+        }
         if !self.is_check {
             self.count_missed();
         }
+        dma::stop();
         self.return_to_bursts();
         self.is_edge_waiting = false;
         self.failures_in_a_row = self.failures_in_a_row.saturating_add(1);
         timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
-        let is_bus_known = fault == BurstFault::NotAcknowledged;
         if !is_bus_known || self.failures_in_a_row >= FAILURES_IN_A_ROW {
             self.failures_in_a_row = 0;
             self.disable();
@@ -421,15 +452,24 @@ impl BurstReader {
         self.mode = Mode::Starting;
         self.shortest_period_us = NO_PERIOD_US;
         exti().imr().reset();
+        i2c1().cr2().write(|w| with_clock(w));
         LINK.is_enabled.store(false, Ordering::Release);
         timebase::raise_burst_alarm();
     }
 
-    /// Arms the stopped DMA for the next burst. The attitude task reads the other slot.
+    /// Prepares the stopped DMA for the next burst. The attitude task reads the other slot.
     #[inline(always)]
-    fn arm_dma(&self) {
-        dma::arm(self.slot.bytes_address(), BURST_LENGTH as u16);
+    fn prepare_dma(&self) {
+        dma::prepare(self.slot.bytes_address(), BURST_LENGTH as u16);
     }
+}
+
+/// Enables the interrupts of the port, and disables its DMA requests.
+#[inline(always)]
+fn await_events() {
+    i2c1()
+        .cr2()
+        .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
 }
 
 #[inline(always)]

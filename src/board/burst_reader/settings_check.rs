@@ -67,8 +67,7 @@ impl BurstReader {
         self.is_check = true;
         self.pointer = check.first;
         timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
-        dma::stop();
-        dma::arm(CHECKED.0.get() as u32, check.length as u16);
+        dma::prepare(CHECKED.0.get() as u32, check.length as u16);
         self.send_start();
     }
 

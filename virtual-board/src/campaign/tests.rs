@@ -7,6 +7,7 @@ use aplomb_models::sensor::{Burst, DataReady};
 use rigless::time::VirtualNanos;
 
 use super::*;
+use crate::bus_step::BusStep;
 use crate::flight::UartLine;
 use crate::recorder::{Record, Sample, StaleSnapshot};
 
@@ -271,4 +272,37 @@ fn the_table_counts_by_class() {
     let cells: Vec<&str> = row.split_whitespace().collect();
     assert_eq!(cells, ["sda-low", "1", "1", "1", "10.4"]);
     assert_eq!(text.lines().count(), 30);
+}
+
+#[test]
+fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
+    let mut coverage = Coverage::default();
+    let (_, all_pairs) = coverage.pairs();
+    let all_steps = 9 * 19;
+    assert_eq!(all_pairs, 29 * 30 / 2 - 6);
+    assert_eq!(coverage.steps(), (0, all_steps));
+
+    // 49 ms after the end, and 51 ms after it.
+    let flown = case("1.0 0.010 sda-low\n1.059 0.01 frozen\n1.120 0.01 bus-error");
+    coverage.add(&flown, &[BusStep::Read(3), BusStep::Idle, BusStep::Start]);
+    assert_eq!(coverage.pairs(), (1, all_pairs));
+    assert_eq!(coverage.steps(), (2, all_steps), "frozen is not of the bus");
+
+    // Known combinations, in the other order.
+    coverage.add(
+        &case("1.0 0.010 frozen\n1.0 0.01 sda-low"),
+        &[BusStep::Idle, BusStep::Read(3)],
+    );
+    assert_eq!(coverage.pairs(), (1, all_pairs));
+    assert_eq!(coverage.steps(), (2, all_steps));
+    let text = coverage.to_string();
+    assert!(
+        text.contains("pairs of faults within 50 ms: 1 of 429"),
+        "{text}"
+    );
+    assert!(
+        text.lines()
+            .any(|row| row.starts_with("sda-low") && row.contains(" 2 ")),
+        "{text}"
+    );
 }

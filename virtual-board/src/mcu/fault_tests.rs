@@ -7,7 +7,7 @@ use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, RCC, US
 
 use super::tests::Bench;
 use super::*;
-use crate::faults::{Axis, Direction, Fault};
+use crate::faults::{Axis, Direction, Fault, RestOfByte};
 
 /// Offsets of registers (RM0090).
 const CR1: u64 = 0x00;
@@ -128,7 +128,7 @@ fn read_registers(bench: &mut Bench, register: u64, count: usize) -> Option<Vec<
     }
     bench.write(&I2C1, SR1, 0);
     bench.write(&I2C1, CR1, PE | ACK | STOP);
-    bench.write(&I2C1, CR1, PE | ACK);
+    bench.run_for(BYTE_NS);
     bytes
 }
 
@@ -269,7 +269,7 @@ fn clock(bench: &mut Bench) {
 #[test]
 fn a_sensor_that_has_lost_count_lets_go_after_its_clocks_and_no_sooner() {
     for clocks in 1..=9 {
-        let mut bench = bench(FaultKind::SdaLow(Some(clocks)));
+        let mut bench = bench(FaultKind::SdaLow(Some(RestOfByte { clocks, bits: 0 })));
         bench.run_until(BEGIN + 100 * MILLISECOND);
         assert_eq!(
             lines(&mut bench),
@@ -331,7 +331,7 @@ fn a_byte_waits_for_a_clock_line_that_is_low_and_busy_stays_until_a_reset() {
 
 #[test]
 fn a_stop_within_a_byte_is_a_bus_error_and_the_sensor_is_gone() {
-    let mut bench = bench(FaultKind::BusError);
+    let mut bench = bench(FaultKind::BusError(false));
     bench.write(&I2C1, CR2, 16 | ITERREN);
     bench.run_until(BEGIN - 40_000);
     assert_eq!(address(&mut bench, 0xD0) & (ADDR | BERR), ADDR);
@@ -615,4 +615,93 @@ fn bytes_come_in_without_a_pause_and_garbled_if_asked_for() {
     let (bytes, errors) = listen(FaultKind::UartNoise);
     assert!((105..=118).contains(&bytes), "{bytes}");
     assert!((15..=70).contains(&errors), "{errors} of {bytes}");
+}
+
+#[test]
+fn a_stop_takes_a_period_and_a_write_in_the_meantime_makes_it_stick() {
+    let mut bench = bench(FaultKind::SensorSilent);
+    let stop = |bench: &mut Bench, wait_ns: u64| {
+        assert_ne!(address(bench, 0xD0) & ADDR, 0);
+        bench.read(&I2C1, SR2);
+        bench.write(&I2C1, CR1, PE | ACK | STOP);
+        assert_ne!(bench.read(&I2C1, CR1) & STOP, 0, "not yet made");
+        bench.run_for(wait_ns);
+        bench.write(&I2C1, CR1, PE | ACK);
+        bench.run_for(BYTE_NS);
+        let is_stuck = bench.read(&I2C1, CR1) & STOP != 0;
+        let is_busy = bench.read(&I2C1, SR2) & BUSY != 0;
+        (is_stuck, is_busy)
+    };
+    assert_eq!(stop(&mut bench, 3_000), (false, false));
+    assert_eq!(stop(&mut bench, 1_000), (true, true));
+    bench.write(&I2C1, CR1, PE | ACK | START);
+    assert_eq!(bench.read(&I2C1, SR1) & SB, 0, "no START either");
+    bench.write(&I2C1, CR1, 0);
+    bench.write(&I2C1, CR1, PE);
+    assert_ne!(bench.read(&I2C1, CR1) & STOP, 0, "only SWRST helps");
+    bench.write(&I2C1, CR1, SWRST);
+    bench.write(&I2C1, CR1, 0);
+    program(&mut bench);
+    assert_eq!(who_am_i(&mut bench), Some(0x68));
+}
+
+#[test]
+fn a_sensor_that_has_lost_count_shows_its_bits_and_obeys_start_and_stop() {
+    // Zero, one, one, zero; then the sensor waits for the acknowledge.
+    let rest = RestOfByte {
+        clocks: 4,
+        bits: 0x60,
+    };
+    let lost = || {
+        let mut bench = bench(FaultKind::SdaLow(Some(rest)));
+        bench.run_until(BEGIN + MILLISECOND);
+        take_pins(&mut bench);
+        bench
+    };
+    let mut bench = lost();
+    for is_high in [false, true, true, false, true] {
+        assert_eq!(lines(&mut bench), (true, is_high));
+        clock(&mut bench);
+    }
+    assert_eq!(
+        lines(&mut bench),
+        (true, true),
+        "not acknowledged: no other byte"
+    );
+
+    // A START while a one is on the line.
+    let mut bench = lost();
+    clock(&mut bench);
+    bench.write(&GPIOB, BSRR, SDA << 16);
+    bench.write(&GPIOB, BSRR, SDA);
+    clock(&mut bench);
+    clock(&mut bench);
+    assert_eq!(lines(&mut bench), (true, true), "the zero never comes");
+
+    // An acknowledge, and another byte follows.
+    let mut bench = lost();
+    for _ in 0..3 {
+        clock(&mut bench);
+    }
+    bench.write(&GPIOB, BSRR, SCL << 16);
+    bench.write(&GPIOB, BSRR, SDA << 16);
+    bench.write(&GPIOB, BSRR, SCL);
+    bench.write(&GPIOB, BSRR, SCL << 16);
+    bench.write(&GPIOB, BSRR, SDA);
+    bench.write(&GPIOB, BSRR, SCL);
+    assert_eq!(lines(&mut bench), (true, false), "a zero of another byte");
+}
+
+#[test]
+fn a_bus_error_that_is_a_flag_alone_disturbs_nothing() {
+    let mut bench = bench(FaultKind::BusError(true));
+    bench.write(&I2C1, CR2, 16 | ITERREN);
+    bench.run_until(BEGIN);
+    assert_ne!(address(&mut bench, 0xD0) & BERR, 0);
+    assert!(bench.interrupts_on(I2C1_ER));
+    bench.write(&I2C1, SR1, 0);
+    assert!(!bench.interrupts_on(I2C1_ER));
+    bench.write(&I2C1, CR1, PE | ACK | STOP);
+    bench.run_for(BYTE_NS);
+    assert_eq!(who_am_i(&mut bench), Some(0x68));
 }

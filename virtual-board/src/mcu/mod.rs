@@ -26,6 +26,7 @@ use rigless::time::VirtualNanos;
 
 pub use terminal::{ReceivedByte, SentByte, Terminal};
 
+use crate::bus_step::BusStep;
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
@@ -70,6 +71,8 @@ pub struct Microcontroller {
     awaited_ns: Option<u64>,
     /// The faults of a schedule.
     faults: Vec<ScheduledFault>,
+    /// The steps of the bus in which the faults began, as far as they have.
+    steps_at_faults: Vec<BusStep>,
     /// True if the crystal has stopped.
     is_crystal_dead: bool,
     /// True if the crystal stopped without a replacement, so that the core has no clock.
@@ -160,6 +163,7 @@ impl Microcontroller {
             slots,
             awaited_ns: None,
             faults,
+            steps_at_faults: Vec::new(),
             is_crystal_dead: false,
             is_clock_lost: false,
             is_noisy: false,
@@ -185,6 +189,13 @@ impl Microcontroller {
     #[must_use]
     pub fn flash_busy_until_ns(&self) -> u64 {
         self.flash.cells.with(|cells| cells.busy_until_ns())
+    }
+
+    /// The steps of the bus in which the scheduled faults began, in the order of the faults, as far
+    /// as they have begun.
+    #[must_use]
+    pub fn steps_at_faults(&self) -> &[BusStep] {
+        &self.steps_at_faults
     }
 
     /// The far end of the UART.
@@ -259,6 +270,15 @@ impl Microcontroller {
             .drive_port(at, usize::from(PORT_A), |gpio, registers, context| {
                 gpio.drive(pin, Some(Level::from(high)), registers, context);
             });
+    }
+
+    /// Notes the step of the bus for each fault that has begun.
+    fn note_steps(&mut self, now: VirtualNanos) {
+        let begins = |fault: &ScheduledFault| fault.start_ns <= now.0;
+        while (self.faults.get(self.steps_at_faults.len())).is_some_and(begins) {
+            let registers = self.part.bus().slots()[self.slots.i2c1].registers();
+            self.steps_at_faults.push(self.sensor_bus.step(registers));
+        }
     }
 
     /// Begins and ends the faults of the microcontroller itself.
@@ -366,6 +386,7 @@ impl Mcu for Microcontroller {
     }
 
     fn poll(&mut self, now: VirtualNanos) {
+        self.note_steps(now);
         self.part.poll(now);
         self.follow_sensor(now);
     }

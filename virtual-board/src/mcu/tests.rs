@@ -322,9 +322,9 @@ fn the_oscillator_starts_only_with_what_the_board_has() {
     assert!(!starts(HighSpeedInput::Nothing, true));
 }
 
-/// Reads WHO_AM_I and what follows by DMA, `count` bytes, and returns true if the controller has
-/// stopped asking the sensor for more without a STOP.
-fn ends_after(count: u64, cr2: u64) -> bool {
+/// Reads WHO_AM_I and what follows by DMA, `count` bytes. Requests STOP so many ns after the last
+/// byte, if at all. Returns the byte that comes after the last one, if any does.
+fn byte_after(count: u64, cr2: u64, stop_after_ns: Option<u64>) -> Option<u64> {
     const BUFFER: u64 = 0x2000_0000;
     const SR1: u64 = 0x14;
     const SR2: u64 = 0x18;
@@ -361,21 +361,49 @@ fn ends_after(count: u64, cr2: u64) -> bool {
         bench.write(&DMA1, offset, value);
     }
     bench.read(&I2C1, SR2);
-    bench.run_for((count + 4) * byte_ns);
+    while bench.read(&DMA1, 0x14) > 0 {
+        bench.run_for(100);
+    }
     assert_eq!(bench.ram.read(BUFFER, Width::W8).unwrap(), 0x68);
-    assert_eq!(bench.read(&DMA1, 0x14), 0, "the DMA is done");
-    bench.read(&I2C1, SR1) & 0x44 == 0
+    if let Some(stop_after_ns) = stop_after_ns {
+        bench.run_for(stop_after_ns);
+        bench.write(&I2C1, 0x00, 0x601);
+    }
+    bench.run_for(2 * byte_ns);
+    let is_controller = bench.read(&I2C1, SR2) & 1 != 0;
+    assert_eq!(is_controller, stop_after_ns.is_none(), "STOP is made");
+    let is_there = bench.read(&I2C1, SR1) & 0x40 != 0;
+    is_there.then(|| bench.read(&I2C1, DR))
 }
+
+const DMAEN: u64 = 1 << 11;
+const LAST: u64 = 1 << 12;
 
 #[test]
 fn with_last_set_the_last_byte_of_the_dma_is_not_acknowledged() {
-    const DMAEN: u64 = 1 << 11;
-    const LAST: u64 = 1 << 12;
     for count in [2, 14] {
-        assert!(ends_after(count, DMAEN | LAST), "{count} bytes");
-        assert!(
-            !ends_after(count, DMAEN),
-            "{count} bytes, LAST clear: the sensor goes on sending"
+        // The sensor lets go of the bus, or sends its next register, a zero.
+        assert_eq!(
+            byte_after(count, DMAEN | LAST, None),
+            Some(0xFF),
+            "{count} bytes"
+        );
+        assert_eq!(
+            byte_after(count, DMAEN, None),
+            Some(0),
+            "{count} bytes, LAST clear"
+        );
+    }
+}
+
+#[test]
+fn a_late_stop_lets_the_controller_clock_another_byte() {
+    assert_eq!(byte_after(14, DMAEN | LAST, Some(1_000)), None);
+    for late_ns in [3_000, 10_000, 20_000] {
+        assert_eq!(
+            byte_after(14, DMAEN | LAST, Some(late_ns)),
+            Some(0xFF),
+            "{late_ns} ns"
         );
     }
 }

@@ -11,9 +11,11 @@
 //!
 //! Handlers are expected on the main stack, as RTIC and cortex-m-rt have them.
 
+mod garage;
 mod processor;
 mod stretch;
 
+pub use garage::{Garage, Purpose, Rented, Request};
 pub use processor::ProfiledProcessor;
 
 /// One more than the highest exception number of the part: 16 of the core, 91 of the STM32F427, and
@@ -36,6 +38,8 @@ pub type Counts = [u64; EXCEPTIONS];
 #[derive(Debug)]
 pub struct Profile {
     counts: Counts,
+    /// Number of entries of each exception.
+    entries: Counts,
     /// The exception that runs, and the count of all instructions when it was last credited.
     current: usize,
     credited_at: u64,
@@ -69,6 +73,7 @@ impl Default for Profile {
     fn default() -> Self {
         Self {
             counts: [0; EXCEPTIONS],
+            entries: [0; EXCEPTIONS],
             current: THREAD,
             credited_at: 0,
             unexplained: 0,
@@ -118,6 +123,12 @@ impl Profile {
         }
         counts[self.current] += retired.saturating_sub(self.credited_at);
         counts
+    }
+
+    /// Returns the number of entries of each exception, if an account is kept.
+    #[must_use]
+    pub fn entries(&self) -> &Counts {
+        &self.entries
     }
 
     /// The exception that runs.

@@ -10,6 +10,7 @@ use rigless::emulator::{
 use rigless::soc::{Endian, Width};
 use rigless::time::VirtualNanos;
 
+use super::garage::Rented;
 use super::stretch::Stretch;
 use super::{CRASHES, EXCEPTIONS, Profile, THREAD, Upset};
 use crate::flash::{SLOTS, SharedCells};
@@ -17,7 +18,7 @@ use crate::flash::{SLOTS, SharedCells};
 /// A processor that keeps a [`Profile`] and otherwise does what the one inside does.
 #[derive(Debug)]
 pub struct ProfiledProcessor {
-    inner: Box<dyn Processor>,
+    inner: Rented,
     profile: Arc<Mutex<Profile>>,
     /// The part of the flash that the inner processor does not map.
     cells: SharedCells,
@@ -70,7 +71,7 @@ impl ProfiledProcessor {
     /// Wraps a processor. `handlers` are the vector table's entries by exception number.
     #[must_use]
     pub fn new(
-        inner: Box<dyn Processor>,
+        inner: Rented,
         handlers: Vec<u32>,
         profile: Arc<Mutex<Profile>>,
         cells: SharedCells,
@@ -179,6 +180,7 @@ impl ProfiledProcessor {
                 self.activations.clear();
                 return;
             }
+            profile.entries[exception] += u64::from(is_entry);
             profile.unexplained += u64::from(!is_explained);
             profile.switch(retired, exception);
         }
@@ -266,7 +268,8 @@ impl Processor for ProfiledProcessor {
             match self.inner.run(budget, &mut stretch) {
                 (Exit::Breakpoint, _) => {
                     self.look(stretch.bus);
-                    self.inner.pass_breakpoint(self.inner.pc());
+                    let here = self.inner.pc();
+                    self.inner.pass_breakpoint(here);
                 }
                 (Exit::Budget, _) if stretch.is_stepped => self.look_again(stretch.bus),
                 (exit, _) => break exit,

@@ -114,6 +114,8 @@ pub struct Recorder {
     window: Option<(Box<Counts>, usize)>,
     /// The exception that publishes.
     attitude: Option<usize>,
+    /// Exceptions entered for the samples before the first one was published.
+    exceptions_before: u64,
     last_burst: Option<Burst>,
     /// The bursts without a published snapshot, in order.
     unpublished: Vec<Burst>,
@@ -162,6 +164,7 @@ impl Recorder {
             reported_at: Instant::now(),
             window: None,
             attitude: None,
+            exceptions_before: 0,
             last_burst: None,
             unpublished: Vec::new(),
             record: Record::default(),
@@ -177,6 +180,16 @@ impl Recorder {
     fn counts(&self, retired: u64) -> Box<Counts> {
         let counts = self.profile.lock().map(|profile| profile.counts(retired));
         Box::new(counts.unwrap_or([0; EXCEPTIONS]))
+    }
+
+    /// Exceptions that were entered for the samples.
+    fn sample_exceptions(&self) -> u64 {
+        let own = INPUT_INTERRUPTS.into_iter().map(exception_of);
+        let entered = |profile: std::sync::MutexGuard<'_, Profile>| {
+            let exceptions = own.chain(self.attitude);
+            exceptions.map(|number| profile.entries()[number]).sum()
+        };
+        self.profile.lock().map_or(0, entered)
     }
 
     /// Records the edges and bursts up to now.
@@ -236,9 +249,10 @@ impl Recorder {
             return;
         };
         self.attitude = self.profile.lock().ok().map(|profile| profile.current());
-        self.record
-            .first
-            .get_or_insert((hit.instruction_count, hit.at.0));
+        if self.record.first.is_none() {
+            self.record.first = Some((hit.instruction_count, hit.at.0));
+            self.exceptions_before = self.sample_exceptions();
+        }
         let edge = burst.edge.and_then(|index| {
             let place = self
                 .record
@@ -435,7 +449,10 @@ impl Recorder {
         self.follow_sensor(session, stop.instruction_count);
         self.close_window(stop.instruction_count);
         self.serve(session, host, stop.at.0);
+        let steps = session.board_mut().controller.steps_at_faults();
+        self.record.steps_at_faults = steps.to_vec();
         self.record.last = (stop.instruction_count, stop.at.0);
+        self.record.sample_exceptions = self.sample_exceptions() - self.exceptions_before;
         self.record.instructions = self.counts(stop.instruction_count).to_vec();
         let untouched = self.stack.clone().step_by(4).find(|&address| {
             host.read(address, Width::W32)
@@ -449,6 +466,7 @@ impl Driver<Board> for Recorder {
     fn on_settled(&mut self, session: &mut Session<Board>, host: &mut dyn Host, settled: Settled) {
         match settled {
             Settled::Access { access, .. } => {
+                self.record.accesses += u64::from(self.record.first.is_some());
                 let is_timer = (TIM5.base..TIM5.base + TIM5.size).contains(&access.address);
                 if is_timer && access.kind == AccessKind::Write {
                     self.timer.written(

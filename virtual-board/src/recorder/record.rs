@@ -4,6 +4,7 @@ use aplomb::fault::FaultClass;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::sensor::{Burst, DataReady};
 
+use crate::bus_step::BusStep;
 use crate::mcu::ReceivedByte;
 use crate::probe::LogLine;
 
@@ -44,6 +45,10 @@ pub struct Record {
     pub first: Option<(u64, u64)>,
     /// Instructions executed and virtual time at the end.
     pub last: (u64, u64),
+    /// Accesses of peripherals from the first sample on.
+    pub accesses: u64,
+    /// Exceptions entered for the samples, from the first sample on.
+    pub sample_exceptions: u64,
     /// All instructions executed, by exception number; 0 is thread mode.
     pub instructions: Vec<u64>,
     /// Bytes of the stack that were ever written.
@@ -54,6 +59,8 @@ pub struct Record {
     pub sensor_ready_ns: Vec<u64>,
     /// Times of the processor's resets, ns.
     pub resets_ns: Vec<u64>,
+    /// The steps of the bus in which the scheduled faults began, in the order of the faults.
+    pub steps_at_faults: Vec<BusStep>,
 }
 
 impl Record {

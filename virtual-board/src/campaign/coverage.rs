@@ -1,0 +1,105 @@
+//! The combinations that a campaign has flown: pairs of faults, and faults of the bus by its step.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::{self, Write as _};
+
+use super::Case;
+use crate::bus_step::BusStep;
+use crate::faults::ScheduledFault;
+use crate::schedule::Schedule;
+
+/// Two faults belong together if one begins at most this long after the other has ended, ns.
+const TOGETHER_NS: u64 = 50_000_000;
+
+/// The classes of faults of the bus.
+const BUS_CLASSES: [&str; 9] = [
+    "address-nack",
+    "data-nack",
+    "burst-stall",
+    "sda-low",
+    "scl-low",
+    "bus-error",
+    "arbitration-lost",
+    "dma-error",
+    "sensor-silent",
+];
+
+/// The classes of faults that end in a reset of the processor.
+const RESETTING_CLASSES: [&str; 3] = ["watchdog-hang", "crash", "stack-overflow"];
+
+/// The combinations that have been flown.
+#[derive(Clone, Debug, Default)]
+pub struct Coverage {
+    /// Pairs of classes, each in the order of the alphabet.
+    pairs: BTreeSet<(&'static str, &'static str)>,
+    /// Number of times that a fault of the bus began in a step.
+    steps: BTreeMap<(&'static str, BusStep), u32>,
+}
+
+impl Coverage {
+    /// Adds a flight. `steps` are the steps of the bus in which its faults began, in their order.
+    pub fn add(&mut self, case: &Case, steps: &[BusStep]) {
+        let faults = &case.schedule.faults;
+        for (nth, first) in faults.iter().enumerate() {
+            for second in faults.iter().skip(nth + 1) {
+                if is_together(first, second) {
+                    let (first, second) = (first.kind.name(), second.kind.name());
+                    self.pairs.insert((first.min(second), first.max(second)));
+                }
+            }
+        }
+        for (fault, &step) in faults.iter().zip(steps) {
+            let class = fault.kind.name();
+            if BUS_CLASSES.contains(&class) {
+                *self.steps.entry((class, step)).or_default() += 1;
+            }
+        }
+    }
+
+    /// Pairs of classes that have been flown, and all that there are.
+    #[must_use]
+    pub fn pairs(&self) -> (usize, usize) {
+        let classes = Schedule::classes().count();
+        // A fault that resets the processor is the last of its flight.
+        let resets = RESETTING_CLASSES.len();
+        let impossible = resets * (resets + 1) / 2;
+        (self.pairs.len(), classes * (classes + 1) / 2 - impossible)
+    }
+
+    /// Combinations of a fault of the bus and a step that have been flown, and all that there are.
+    #[must_use]
+    pub fn steps(&self) -> (usize, usize) {
+        let all = BUS_CLASSES.len() * BusStep::all().count();
+        (self.steps.len(), all)
+    }
+}
+
+fn is_together(first: &ScheduledFault, second: &ScheduledFault) -> bool {
+    second.start_ns <= first.end_ns().saturating_add(TOGETHER_NS)
+}
+
+impl fmt::Display for Coverage {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (flown, all) = self.pairs();
+        let (flown_steps, all_steps) = self.steps();
+        writeln!(
+            formatter,
+            "pairs of faults within 50 ms: {flown} of {all}\n\
+             faults of the bus by the step in which they began: {flown_steps} of {all_steps}"
+        )?;
+        let mut head = format!("{:<17}", "");
+        for step in BusStep::all() {
+            write!(head, " {:>5}", step.name())?;
+        }
+        writeln!(formatter, "{head}")?;
+        for class in BUS_CLASSES {
+            let mut row = format!("{class:<17}");
+            for step in BusStep::all() {
+                let count = self.steps.get(&(class, step)).copied().unwrap_or(0);
+                write!(row, " {count:>5}")?;
+            }
+            writeln!(formatter, "{row}")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,120 @@
+//! The chip's behaviours that a forgiving model hides. docs/chip.md has the table of them.
+
+mod common;
+
+use aplomb::fault::FaultClass;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::telemetry::bursts;
+use common::firmware;
+use virtual_board::flight::{Outcome, Run};
+use virtual_board::outputs;
+use virtual_board::schedule::Schedule;
+
+fn fly(seconds: f64, schedule: &str) -> Outcome {
+    let schedule = Schedule::parse("test", schedule).unwrap();
+    let run = Run::new(firmware()).seconds(seconds).schedule(&schedule);
+    run.without_account().run().unwrap()
+}
+
+/// The number of samples whose attitude does not follow from the bytes that the bus delivered.
+fn samples_of_other_bytes(outcome: &Outcome) -> usize {
+    let mut file = Vec::new();
+    outputs::write_bursts(&mut file, outcome.samples()).unwrap();
+    let text = String::from_utf8(file).unwrap();
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let lines = text.lines().skip(1);
+    lines
+        .zip(outcome.samples())
+        .filter(|(line, sample)| {
+            let (burst, board) = bursts::decode(line).unwrap();
+            let replayed = pipeline.update(&burst, board).attitude;
+            let flown = sample.snapshot.attitude;
+            let bits = |q: aplomb::attitude::Quaternion| [q.w, q.x, q.y, q.z].map(f32::to_bits);
+            bits(replayed) != bits(flown)
+        })
+        .count()
+}
+
+#[test]
+fn a_core_that_stalls_when_the_transfer_is_complete_never_shifts_a_burst() {
+    const FROM_NS: u64 = 1_500_000_000;
+    let calm = fly(2.1, "");
+    assert_eq!(samples_of_other_bytes(&calm), 0);
+    // Every other burst: a stall of 2 to 60 us, from 1 us before the end of the transfer.
+    let ends_ns = calm
+        .samples()
+        .iter()
+        .map(|sample| sample.burst.completed_ns);
+    let ends_ns = ends_ns.filter(|&end_ns| end_ns > FROM_NS);
+    let stalls: Vec<String> = (0_u64..)
+        .zip(ends_ns.step_by(4))
+        .map(|(nth, end_ns)| {
+            let start_ns = end_ns - 1_000;
+            let stall_ns = 3_000 + 500 * (nth % 116);
+            format!(
+                "{} {} core-stall",
+                start_ns as f64 * 1e-9,
+                stall_ns as f64 * 1e-9
+            )
+        })
+        .collect();
+    assert!(stalls.len() > 116, "each length: {}", stalls.len());
+    let stalled = fly(2.1, &stalls.join("\n"));
+    assert_eq!(
+        samples_of_other_bytes(&stalled),
+        0,
+        "attitudes from other bytes"
+    );
+    assert_eq!(stalled.samples().len(), calm.samples().len(), "samples");
+    let failures = stalled.record.health.last().map(|reading| reading.counters);
+    assert_eq!(
+        failures,
+        calm.record.health.last().map(|reading| reading.counters)
+    );
+}
+
+#[test]
+fn a_sensor_in_the_middle_of_a_byte_is_freed_at_the_first_try() {
+    // Every rest of a byte that begins with a zero, in flights of a second and a half.
+    let mut failed = Vec::new();
+    for clocks in 1_u32..=8 {
+        let rests: Vec<u32> = (0..1_u32 << (clocks - 1)).collect();
+        let line = |(nth, rest): (usize, &u32)| {
+            let bits = rest << (8 - clocks);
+            let start_s = 1.5 + 0.02 * nth as f64;
+            format!("{start_s:.3} 0 sda-low:{clocks}:{bits:#04x}")
+        };
+        let lines: Vec<String> = rests.iter().enumerate().map(line).collect();
+        let outcome = fly(1.6 + 0.02 * rests.len() as f64, &lines.join("\n"));
+        let counters = outcome.record.health.last().map(|reading| reading.counters);
+        let held = counters.map_or(u32::MAX, |counters| {
+            counters[FaultClass::DataLineLow as usize]
+        });
+        if held > 0 {
+            failed.push(format!("{clocks} clocks: SDA stayed low {held} times"));
+        }
+        let resets = outcome.record.health.last().map_or(0, |reading| {
+            reading.counters[FaultClass::BurstDeadline as usize]
+        });
+        assert!(resets > 0, "the line was never held");
+    }
+    assert_eq!(failed, Vec::<String>::new());
+}
+
+#[test]
+fn a_bus_error_that_is_a_flag_alone_loses_no_sample() {
+    let (calm, flagged) = (fly(2.1, ""), fly(2.1, "1.6 0.3 bus-error:flag"));
+    let times = |outcome: &Outcome| -> Vec<u64> {
+        let samples = outcome.samples().iter();
+        samples.map(|sample| sample.snapshot.t_us).collect()
+    };
+    assert!(times(&calm) == times(&flagged), "samples are missing");
+    let seen = |outcome: &Outcome| {
+        let counters = outcome.record.health.last().map(|reading| reading.counters);
+        counters.map_or(0, |counters| counters[FaultClass::BusError as usize])
+    };
+    assert_eq!(seen(&calm), 0);
+    // Each byte of 300 bursts, but two flags may be one interrupt.
+    assert!(seen(&flagged) > 300 * 10, "{}", seen(&flagged));
+}
