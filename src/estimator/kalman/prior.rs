@@ -94,9 +94,9 @@ impl ParameterPriors<'_> {
     pub(super) fn variance(&self, parameter: usize) -> f32 {
         // The matrix by rows, with scales on its diagonal, and then the accelerometer's bias.
         square(match parameter {
-            0..3 => self.tuning.gyroscope_bias_rad_s,
+            ..3 => self.tuning.gyroscope_bias_rad_s,
             3 | 7 | 11 => self.tuning.gyroscope_scale,
-            ..GYROSCOPE_PARAMETERS => self.tuning.gyroscope_misalignment_rad,
+            4..GYROSCOPE_PARAMETERS => self.tuning.gyroscope_misalignment_rad,
             _ => self.accelerometer_m_s2,
         })
     }
