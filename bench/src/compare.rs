@@ -9,6 +9,7 @@
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::score::Score;
 use aplomb_recordings::terminal::print_line;
@@ -52,6 +53,10 @@ pub struct Options {
     /// mpu6050-raw=8,250]
     #[arg(long = "counts", value_name = "SET=G,DPS", value_parser = parse_ranges)]
     ranges: Vec<(String, Ranges)>,
+    /// Knowledge of the accelerometers' offsets: factory, six-poses, calibrated [default: calibrated
+    /// for SI units, factory for counts and simulated flights]
+    #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
+    accelerometer: Option<AccelerometerKnowledge>,
     /// Folder of accuracy.csv and accuracy.png
     #[arg(long, value_name = "DIR", default_value = "target/bench")]
     output: PathBuf,
@@ -140,6 +145,11 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         }
         recordings = simulated::flights(EVALUATION_SEEDS);
     }
+    if let Some(knowledge) = options.accelerometer {
+        for recording in &mut recordings {
+            recording.accelerometer = knowledge;
+        }
+    }
     let rows = score(&recordings);
     let names = Choice::ALL.map(Choice::name);
     if options.json {
@@ -214,6 +224,10 @@ fn print_and_draw(
         options.output.display()
     ));
     Ok(())
+}
+
+fn knowledge(name: &str) -> Result<AccelerometerKnowledge, &'static str> {
+    AccelerometerKnowledge::from_name(name).ok_or("it is factory, six-poses or calibrated")
 }
 
 fn parse_delay(text: &str) -> Result<(String, u32), String> {

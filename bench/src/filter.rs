@@ -1,7 +1,7 @@
 //! The filters to compare, the library's own and others, behind one interface.
 
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
-use aplomb::estimator::kalman::{Kalman, Tuning};
+use aplomb::estimator::kalman::{AccelerometerKnowledge, Kalman, Tuning};
 use aplomb::estimator::{Estimate, Estimator, Sample};
 use aplomb_recordings::attitude::extrapolate;
 
@@ -102,6 +102,16 @@ impl Filter {
     /// Creates a filter for samples that are about `step_s` apart, and `delay_us` late.
     pub fn new(choice: Choice, step_s: f32, delay_us: u32) -> Self {
         Self::with_gains(choice, step_s, delay_us, None)
+    }
+
+    /// Sets what is known of the accelerometer's offset. Only the Kalman filter uses it.
+    pub fn with_accelerometer_knowledge(mut self, knowledge: AccelerometerKnowledge) -> Self {
+        if let Variant::Kalman(estimator) = &mut self.variant {
+            estimator
+                .filter_mut()
+                .set_accelerometer_knowledge(knowledge);
+        }
+        self
     }
 
     /// Creates a filter, with other gains than those in use if it is another crate's.

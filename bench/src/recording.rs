@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use aplomb::attitude::Vector3;
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
 use aplomb::units::STANDARD_GRAVITY_M_S2;
 use aplomb_models::motion::geometry::angle_between;
@@ -32,6 +33,8 @@ pub struct Recording {
     pub delay_us: u32,
     /// Reference.
     pub reference: Reference,
+    /// Knowledge of the accelerometer's offset.
+    pub accelerometer: AccelerometerKnowledge,
     /// Samples.
     pub samples: Vec<Sample>,
     /// True "up" in body axes for each sample, where it is known and counts.
@@ -102,6 +105,10 @@ impl Recording {
             name: name_of(Some(path)),
             delay_us: handling.delay_us,
             reference: Reference::Truth,
+            accelerometer: match handling.ranges {
+                Some(_) => AccelerometerKnowledge::Factory,
+                None => AccelerometerKnowledge::Calibrated,
+            },
             samples: Vec::new(),
             true_up: Vec::new(),
             clipping: None,
@@ -210,7 +217,8 @@ impl Recording {
     pub fn score(&self, choice: Choice) -> Option<Score> {
         let mut errors = Errors::default();
         let has_sigma = self.reference == Reference::Truth;
-        let filter = Filter::new(choice, self.step_s(), self.delay_us);
+        let filter = Filter::new(choice, self.step_s(), self.delay_us)
+            .with_accelerometer_knowledge(self.accelerometer);
         self.run(filter, |estimated, true_up, sigma_rad| {
             errors.add(estimated, true_up, sigma_rad.filter(|_| has_sigma));
         });

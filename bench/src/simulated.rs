@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::LowPass;
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::truth::up_in_body;
@@ -54,6 +55,7 @@ pub fn recording(set: &str, name: String, samples: impl Iterator<Item = Simulate
         name,
         delay_us: u32::from(LowPass::gyroscope_delay_us(CONFIG.low_pass)),
         reference: Reference::Truth,
+        accelerometer: AccelerometerKnowledge::Factory,
         samples: Vec::new(),
         true_up: Vec::new(),
         clipping: None,

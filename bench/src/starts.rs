@@ -59,6 +59,7 @@ fn start(recording: &Recording, start_s: u64, offset_degrees_s: [f32; 3]) -> Out
     let period_us = steps_us[steps_us.len() / 2];
     settings.sensor.sample_rate_divider = (period_us.div_ceil(1_000) - 1) as u8;
     let mut pipeline = Pipeline::new(&settings);
+    pipeline.set_accelerometer_knowledge(recording.accelerometer);
     let mut outcome = Outcome {
         name: format!(
             "{}/{} from {start_s} s with {offset_degrees_s:?} °/s",

@@ -267,7 +267,8 @@ fn without_recordings_flights_are_simulated_and_it_says_so() {
     }
     let log = file("bench-simulated/file", "flight.csv", log);
     let delay = "--sensor-delay-us=file=1900".as_ref();
-    let scored = bench(&[log.as_os_str(), delay, "--json".as_ref()]);
+    let accelerometer = "--accelerometer=factory".as_ref();
+    let scored = bench(&[log.as_os_str(), delay, accelerometer, "--json".as_ref()]);
     let scored: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
     let start = "simulated,flight 1000,truth,1900,kalman,";
     let row = csv.lines().find(|row| row.starts_with(start)).unwrap();

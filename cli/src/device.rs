@@ -7,6 +7,7 @@ use aplomb::attitude::Vector3;
 use aplomb::calibration::AccelerometerCorrection;
 use aplomb::estimator::Sample;
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, RawSample};
 use aplomb::pipeline::classic::{ClassicPipeline, Zero};
@@ -128,6 +129,13 @@ impl Device {
             snapshot.flags |= Flags::DEGRADED;
         }
         snapshot
+    }
+
+    /// Sets what is known of the accelerometer's offset. Only the Kalman filter uses it.
+    pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
+        if let Variant::Kalman(pipeline) = &mut self.pipeline {
+            pipeline.set_accelerometer_knowledge(knowledge);
+        }
     }
 
     /// Takes a sample in SI units, and returns the attitude at its time.

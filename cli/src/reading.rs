@@ -4,6 +4,7 @@ use std::error::Error;
 use std::path::PathBuf;
 
 use aplomb::calibration::Mount;
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
 use aplomb_recordings::log::Lines;
@@ -35,6 +36,10 @@ pub struct Reading {
         value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US)
     )]
     sensor_delay_us: Option<u32>,
+    /// Knowledge of the accelerometer's offset: factory, six-poses, calibrated [default:
+    /// calibrated for SI units, factory for bursts and register counts]
+    #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
+    accelerometer: Option<AccelerometerKnowledge>,
     /// Number of the flight, in a flight log with several starts of the module, counted from 1
     #[arg(long, value_name = "N")]
     pub flight: Option<usize>,
@@ -42,6 +47,10 @@ pub struct Reading {
     counts: Counts,
     #[command(flatten)]
     rows: RowOptions,
+}
+
+fn knowledge(name: &str) -> Result<AccelerometerKnowledge, &'static str> {
+    AccelerometerKnowledge::from_name(name).ok_or("it is factory, six-poses or calibrated")
 }
 
 /// Kind of input, as far as it decides on options.
@@ -66,6 +75,7 @@ impl Kind {
                 "--filter",
                 "--mount",
                 "--sensor-delay-us",
+                "--accelerometer",
                 "--raw",
                 "--accel-range",
                 "--gyro-range",
@@ -97,6 +107,7 @@ impl Reading {
             ("--filter", self.filter.is_some()),
             ("--mount", self.mount.is_some()),
             ("--sensor-delay-us", self.sensor_delay_us.is_some()),
+            ("--accelerometer", self.accelerometer.is_some()),
             ("--flight", self.flight.is_some()),
         ];
         let given = own
@@ -125,7 +136,11 @@ impl Reading {
             Form::Bursts => {
                 let (mount, config) = (self.mount(), self.counts.config());
                 let delay_us = self.sensor_delay_us;
-                Box::new(Bursts::new(lines, self.filter(), mount, config, delay_us))
+                let mut bursts = Bursts::new(lines, self.filter(), mount, config, delay_us);
+                if let Some(knowledge) = self.accelerometer {
+                    bursts.set_accelerometer_knowledge(knowledge);
+                }
+                Box::new(bursts)
             }
             Form::Log(columns) => {
                 let options = LogOptions {
@@ -134,6 +149,7 @@ impl Reading {
                     mount: self.mount(),
                     delay_us: self.sensor_delay_us.unwrap_or(0),
                     ranges: self.counts.ranges(),
+                    accelerometer: self.accelerometer,
                     rows: self.rows,
                 };
                 Box::new(Log::new(lines, options)?)

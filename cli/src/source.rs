@@ -7,6 +7,7 @@ use std::error::Error;
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::health::Flags;
 use aplomb::mpu6050::{
     AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
@@ -97,6 +98,8 @@ pub struct LogOptions {
     pub delay_us: u32,
     /// Ranges of the register counts, if the log holds counts.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+    /// Knowledge of the accelerometer's offset; `None` for the default of the kind.
+    pub accelerometer: Option<AccelerometerKnowledge>,
     /// Units of the rows, and the rule for bad ones.
     pub rows: RowOptions,
 }
@@ -146,6 +149,11 @@ impl Log {
         }
         settings.sensor.sample_rate_divider = log.sample_rate_divider();
         log.device = Device::for_samples(options.filter, &settings, options.delay_us);
+        let knowledge = options.accelerometer.unwrap_or(match options.ranges {
+            Some(_) => AccelerometerKnowledge::Factory,
+            None => AccelerometerKnowledge::Calibrated,
+        });
+        log.device.set_accelerometer_knowledge(knowledge);
         Ok(log)
     }
 
@@ -251,6 +259,11 @@ impl Bursts {
             lines,
             device: Device::for_bursts(filter, &settings),
         }
+    }
+
+    /// Sets what is known of the accelerometer's offset. Default: nothing.
+    pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
+        self.device.set_accelerometer_knowledge(knowledge);
     }
 }
 

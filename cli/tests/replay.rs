@@ -242,7 +242,8 @@ fn counts_and_si_values_give_the_same() {
     writeln!(counts, "5000000,0,0,4096,32768,0,-32768").unwrap();
     let raw = ["--raw", "--accel-range", "8", "--gyro-range", "250"];
     let (printed, of_counts) = replay("raw", &file("raw", "counts.csv", counts), &raw);
-    let (_, of_values) = replay("raw", &file("raw", "values.csv", values), &[]);
+    let factory = ["--accelerometer", "factory"];
+    let (_, of_values) = replay("raw", &file("raw", "values.csv", values), &factory);
     assert!(printed.contains("GYROSCOPE_SATURATED: 1 rows"), "{printed}");
     for name in ["roll_deg", "up_x", "yaw_rate_dps"] {
         for (left, right) in column(&of_counts, name)

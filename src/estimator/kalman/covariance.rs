@@ -80,8 +80,31 @@ impl Covariance {
     #[inline(never)]
     pub(super) fn reset_parameters(&mut self, priors: &ParameterPriors<'_>) {
         self.triangle.fill(0.0);
-        for parameter in 0..PARAMETERS {
-            self.set_parameter_variance(parameter, priors.variance(parameter));
+        let [bias, scale, skew, accelerometer] = priors.variances();
+        let variances = [
+            bias,
+            bias,
+            bias, // gyroscope bias
+            scale,
+            skew,
+            skew, // gyroscope matrix, by rows
+            skew,
+            scale,
+            skew, //
+            skew,
+            skew,
+            scale, //
+            accelerometer,
+            accelerometer,
+            accelerometer,
+        ];
+        let mut end = 0;
+        for (parameter, variance) in variances.into_iter().enumerate() {
+            end += parameter;
+            if let Some(own) = self.triangle.get_mut(end) {
+                *own = variance;
+            }
+            end += 1;
         }
     }
 

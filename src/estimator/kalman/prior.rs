@@ -67,6 +67,23 @@ pub enum AccelerometerKnowledge {
 }
 
 impl AccelerometerKnowledge {
+    /// Returns the knowledge of this name: `factory`, `six-poses` or `calibrated`.
+    ///
+    /// ```
+    /// use aplomb::estimator::kalman::AccelerometerKnowledge;
+    ///
+    /// let knowledge = AccelerometerKnowledge::from_name("six-poses");
+    /// assert_eq!(knowledge, Some(AccelerometerKnowledge::SixPoses));
+    /// ```
+    pub fn from_name(name: &str) -> Option<Self> {
+        match name {
+            "factory" => Some(Self::Factory),
+            "six-poses" => Some(Self::SixPoses),
+            "calibrated" => Some(Self::Calibrated),
+            _ => None,
+        }
+    }
+
     /// Returns σ of the offset per axis, m/s².
     pub const fn sigma_m_s2(self) -> f32 {
         let sigma_g = match self {
@@ -88,15 +105,23 @@ pub(super) struct ParameterPriors<'a> {
 }
 
 impl ParameterPriors<'_> {
-    /// Returns the variance of a parameter before the first sample. A stored bias of the gyroscope
-    /// has a prior of its own.
+    /// Returns the variances before the first sample of a bias of the gyroscope, a scale, a
+    /// misalignment, and a bias of the accelerometer.
+    pub(super) fn variances(&self) -> [f32; 4] {
+        [
+            square(self.tuning.gyroscope_bias_rad_s),
+            square(self.tuning.gyroscope_scale),
+            square(self.tuning.gyroscope_misalignment_rad),
+            square(self.accelerometer_m_s2),
+        ]
+    }
+
+    /// Returns the variance before the first sample of a parameter that is no bias of the gyroscope.
     #[inline]
     pub(super) fn variance(&self, parameter: usize) -> f32 {
-        // The matrix by rows, with scales on its diagonal, and then the accelerometer's bias.
         square(match parameter {
-            ..3 => self.tuning.gyroscope_bias_rad_s,
             3 | 7 | 11 => self.tuning.gyroscope_scale,
-            4..GYROSCOPE_PARAMETERS => self.tuning.gyroscope_misalignment_rad,
+            ..GYROSCOPE_PARAMETERS => self.tuning.gyroscope_misalignment_rad,
             _ => self.accelerometer_m_s2,
         })
     }
