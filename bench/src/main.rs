@@ -18,6 +18,8 @@ mod results;
 mod simulated;
 #[cfg(test)]
 mod starts;
+#[cfg(test)]
+mod steps;
 mod throughput;
 mod vibration;
 

@@ -1,0 +1,97 @@
+//! Offsets that change at rest: the rule of the flag `VALID`, and the time until the offset is
+//! known again.
+//!
+//! The sensor is the modelled one, as it leaves the factory. The truth is that of the simulation.
+
+use aplomb::attitude::Vector3;
+use aplomb::estimator::Sample;
+use aplomb::health::Flags;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb_models::motion::geometry::{Quaternion, angle_between};
+use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::truth::up_in_body as true_up;
+use aplomb_recordings::attitude::up_in_body;
+use aplomb_recordings::simulated::samples;
+
+use crate::parallel;
+use crate::simulated;
+
+/// Time of the step, µs. The offset before is known since about 1.3 s.
+const STEP_US: u64 = 3_000_000;
+/// Length of the rest, s.
+const SECONDS: u64 = 12;
+/// Time in which the offset has to be found, s.
+const FOUND_S: f64 = 5.0;
+/// Largest error of a valid attitude: the larger of this angle and six σ.
+const ALLOWED_DEGREES: f64 = 5.0;
+const ALLOWED_SIGMAS: f64 = 6.0;
+/// Milliseconds that a case may be wrong while the next update of σ is awaited: a step of 20 °/s
+/// adds 0.02° in each.
+const TOLERATED_MS: u32 = 5;
+
+/// Sizes of the steps, °/s.
+const SIZES: [f32; 5] = [1.0, 2.0, 4.0, 8.0, 20.0];
+/// Directions of the steps.
+const AXES: [[f32; 3]; 7] = [
+    [1.0, 0.0, 0.0],
+    [-1.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0],
+    [0.0, -1.0, 0.0],
+    [0.0, 0.0, 1.0],
+    [0.0, 0.0, -1.0],
+    [0.6, 0.6, 0.52],
+];
+/// Poses: roll, pitch and yaw, rad.
+const POSES: [[f64; 3]; 2] = [[0.0, 0.0, 0.0], [0.5, -0.9, 1.0]];
+
+/// Outcome of a step: time until the offset was known, s, and samples that were wrong and `VALID`.
+fn step(samples: &[Sample], attitude: Quaternion, step_rad_s: Vector3) -> (f64, u32) {
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let (mut before, mut found_s, mut wrong) = (Vector3::ZERO, 0.0, 0);
+    let up = true_up(attitude);
+    for sample in samples {
+        let mut sample = *sample;
+        let has_changed = sample.t_us >= STEP_US;
+        if has_changed {
+            sample.angular_rate_rad_s = sample.angular_rate_rad_s + step_rad_s;
+        }
+        let snapshot = pipeline.update_sample(&sample);
+        let bias = pipeline.kalman().bias_rad_s();
+        if !has_changed {
+            before = bias;
+            continue;
+        }
+        if (bias - before - step_rad_s).norm() > 0.5_f32.to_radians() {
+            found_s = (sample.t_us - STEP_US) as f64 * 1.0e-6;
+        }
+        let found = up_in_body(snapshot.attitude);
+        let error = angle_between([found.x, found.y, found.z].map(f64::from), up).to_degrees();
+        let sigma = f64::from(snapshot.tilt_sigma_rad()).to_degrees();
+        let is_wrong = error > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * sigma);
+        wrong += u32::from(is_wrong && snapshot.flags.contains(Flags::VALID));
+    }
+    (found_s, wrong)
+}
+
+#[test]
+fn an_offset_that_changes_at_rest_is_found_and_never_wrong_and_valid() {
+    for (seed, [roll, pitch, yaw]) in (71_u64..).zip(POSES) {
+        let attitude = Quaternion::from_euler(roll, pitch, yaw);
+        let motion = Box::new(Rest::new(attitude));
+        let flown = samples(motion, seed, SECONDS);
+        let rest = simulated::recording("rest", seed.to_string(), flown).samples;
+        let cases: Vec<(f32, [f32; 3])> = SIZES
+            .into_iter()
+            .flat_map(|size| AXES.map(|axis| (size, axis)))
+            .collect();
+        let outcomes = parallel::map(&cases, |(size, [x, y, z])| {
+            let step_rad_s = Vector3::new(*x, *y, *z).scale(size.to_radians());
+            step(&rest, attitude, step_rad_s)
+        });
+        for (case, (found_s, wrong)) in cases.iter().zip(outcomes) {
+            assert!(found_s < FOUND_S, "{case:?}: found after {found_s} s");
+            assert!(wrong <= TOLERATED_MS, "{case:?}: {wrong} samples");
+        }
+    }
+}
