@@ -577,7 +577,7 @@ fn a_gyroscope_stuck_at_full_scale_gives_no_valid_attitude() {
     }
 }
 
-/// A sensor that repeats its registers for seconds, and then shows another offset.
+/// A sensor that repeats its registers for three seconds.
 #[test]
 fn frozen_data_measure_no_offset() {
     let mut pipeline = Pipeline::new(&settings());
@@ -586,6 +586,8 @@ fn frozen_data_measure_no_offset() {
         let flags = update(&mut pipeline, &frozen).flags;
         assert!(!flags.contains(Flags::VALID), "{step}");
     }
+    let flags = update(&mut pipeline, &noisy(3_001_000, LEVEL)).flags;
+    assert!(flags.contains(Flags::CALIBRATING), "{flags:?}");
 }
 
 #[test]

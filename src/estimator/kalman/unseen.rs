@@ -18,6 +18,8 @@ pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
 /// σ of the tilt, both axes together, from which on full-scale readings have lost it, rad.
 const LOST_TILT_RAD: f32 = radians(30.0);
+/// Largest rate after full-scale readings at which the body is calm, rad/s: they were a glitch.
+const CALM_RATE_RAD_S: f32 = radians(30.0);
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
 const HIDDEN_SHARE: f32 = 0.2;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
@@ -56,7 +58,11 @@ impl Kalman {
             self.interval.unseen_tilt_rad2 += SATURATED_TILT * dt_s;
         } else {
             self.saturated_s = 0.0;
-            if saturated_s > 0.0 && self.conservative_tilt_variance() > square(LOST_TILT_RAD) {
+            // In motion gravity knows less than a lost attitude.
+            let reading = sample.angular_rate_rad_s;
+            let is_calm = reading.dot(reading) < square(CALM_RATE_RAD_S);
+            let is_lost = self.conservative_tilt_variance() > square(LOST_TILT_RAD);
+            if saturated_s > 0.0 && is_calm && is_lost {
                 return true;
             }
         }
