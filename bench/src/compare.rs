@@ -53,8 +53,8 @@ pub struct Options {
     /// mpu6050-raw=8,250]
     #[arg(long = "counts", value_name = "SET=G,DPS", value_parser = parse_ranges)]
     ranges: Vec<(String, Ranges)>,
-    /// Knowledge of the accelerometers' offsets: factory, six-poses, calibrated [default: calibrated
-    /// for SI units, factory for counts and simulated flights]
+    /// Knowledge of the accelerometers' offsets: factory, six-poses, calibrated [default:
+    /// calibrated for SI units, factory for counts and simulated flights]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
     accelerometer: Option<AccelerometerKnowledge>,
     /// Folder of accuracy.csv and accuracy.png

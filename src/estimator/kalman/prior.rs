@@ -116,7 +116,7 @@ impl ParameterPriors<'_> {
         ]
     }
 
-    /// Returns the variance before the first sample of a parameter that is no bias of the gyroscope.
+    /// Returns the variance before the first sample of a parameter that is no gyroscope bias.
     #[inline]
     pub(super) fn variance(&self, parameter: usize) -> f32 {
         square(match parameter {

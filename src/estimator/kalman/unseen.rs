@@ -16,8 +16,8 @@ const LONGEST_PAUSE_S: f32 = 60.0;
 /// Longest step in which the rate changes linearly, s.
 pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
-/// σ of the tilt, both axes together, from which on full-scale readings have lost it, rad.
-const LOST_TILT_RAD: f32 = radians(30.0);
+/// Duration of full-scale readings after which the tilt is lost, s: σ is 25° by then at 2,000 °/s.
+const LONG_SATURATION_S: f32 = 40.0e-3;
 /// Largest rate after full-scale readings at which the body is calm, rad/s: they were a glitch.
 const CALM_RATE_RAD_S: f32 = radians(30.0);
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
@@ -61,8 +61,7 @@ impl Kalman {
             // In motion gravity knows less than a lost attitude.
             let reading = sample.angular_rate_rad_s;
             let is_calm = reading.dot(reading) < square(CALM_RATE_RAD_S);
-            let is_lost = self.conservative_tilt_variance() > square(LOST_TILT_RAD);
-            if saturated_s > 0.0 && is_calm && is_lost {
+            if saturated_s > LONG_SATURATION_S && is_calm {
                 return true;
             }
         }
