@@ -1046,7 +1046,7 @@ fn a_short_full_scale_reading_does_not_restart_the_filter() {
     world.run(&mut estimator, 4_000);
     // An acceleration from now on would set a wrong tilt.
     world.acceleration_m_s2 = Vector3::new(0.0, 6.0, 0.0);
-    for _ in 0..60 {
+    for _ in 0..35 {
         let mut sample = world.sample(1_000);
         sample.is_rate_saturated = true;
         sample.angular_rate_rad_s.z = radians(400.0);
