@@ -14,7 +14,7 @@ const EMBASSY: &str = "examples/embassy";
 const HOST_LINE: &str = "  6.0 s  roll  29.7";
 
 /// The first line of the example `host` on the log of a sensor that lies face up.
-const LEVEL_LINE: &str = "  0.0 s  roll   0.00  pitch   0.00";
+const LEVEL_LINE: &str = "0.0 s  roll   0.00  pitch   0.00";
 
 /// Builds RTIC's, the polling one and Embassy's. Returns the names and the ELF files of those that
 /// are flown. The polling one is not: it polls a bus and a pin, so its emulation takes fifty times
