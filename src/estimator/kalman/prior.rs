@@ -49,7 +49,7 @@ impl BiasPrior {
 /// | knowledge | σ per axis | source |
 /// |---|---|---|
 /// | factory | 18 mg | ±50 mg x and y, ±80 mg z (product specification §6.2) as 2.8 to 4.4 σ |
-/// | six poses | 10 mg | cross-axis terms of ±2 % (§6.2) as 2.8 σ, which six poses leave; and drift |
+/// | six poses | 10 mg | cross-axis terms of ±2 % as 2.8 σ, which six poses leave; drift |
 /// | calibrated | 7 mg | drift of up to 0.86 mg/°C (§6.2) over 8 °C |
 ///
 /// A wide prior keeps σ honest for a sensor with a large offset. A narrow one is more accurate for
