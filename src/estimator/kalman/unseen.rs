@@ -16,10 +16,10 @@ const LONGEST_PAUSE_S: f32 = 60.0;
 /// Longest step in which the rate changes linearly, s.
 pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
-/// Duration of full-scale readings after which the tilt is lost, s: σ is 25° by then at 2,000 °/s.
-const LONG_SATURATION_S: f32 = 40.0e-3;
-/// Largest rate after full-scale readings at which the body is calm, rad/s: they were a glitch.
-const CALM_RATE_RAD_S: f32 = radians(30.0);
+/// Duration of false full-scale readings after which the tilt is lost, s: 20° by then.
+const LONG_SATURATION_S: f32 = 10.0e-3;
+/// Change of the rate after full-scale readings that shows a fault, as a share of the rate.
+const GLITCH_SHARE: f32 = 0.5;
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
 const HIDDEN_SHARE: f32 = 0.2;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
@@ -58,10 +58,11 @@ impl Kalman {
             self.interval.unseen_tilt_rad2 += SATURATED_TILT * dt_s;
         } else {
             self.saturated_s = 0.0;
-            // In motion gravity knows less than a lost attitude.
-            let reading = sample.angular_rate_rad_s;
-            let is_calm = reading.dot(reading) < square(CALM_RATE_RAD_S);
-            if saturated_s > LONG_SATURATION_S && is_calm {
+            // A body slows down in steps. A faulty sensor jumps, and its readings were no rates.
+            let last = self.nominal.rate_rad_s;
+            let change = self.nominal.rate_of(sample.angular_rate_rad_s) - last;
+            let is_jump = change.dot(change) > square(GLITCH_SHARE) * last.dot(last);
+            if saturated_s > LONG_SATURATION_S && is_jump {
                 return true;
             }
         }
