@@ -18,7 +18,7 @@ pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
 /// Duration of false full-scale readings after which the tilt is lost, s: 20° by then.
 const LONG_SATURATION_S: f32 = 10.0e-3;
-/// Change of the rate after full-scale readings that shows a fault, as a share of the rate.
+/// Largest rate after full-scale readings that were a fault, as a share of them.
 const GLITCH_SHARE: f32 = 0.5;
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
 const HIDDEN_SHARE: f32 = 0.2;
@@ -60,8 +60,8 @@ impl Kalman {
             self.saturated_s = 0.0;
             // A body slows down in steps. A faulty sensor jumps, and its readings were no rates.
             let last = self.nominal.rate_rad_s;
-            let change = self.nominal.rate_of(sample.angular_rate_rad_s) - last;
-            let is_jump = change.dot(change) > square(GLITCH_SHARE) * last.dot(last);
+            let rate = sample.angular_rate_rad_s;
+            let is_jump = rate.dot(rate) < square(GLITCH_SHARE) * last.dot(last);
             if saturated_s > LONG_SATURATION_S && is_jump {
                 return true;
             }
