@@ -28,6 +28,10 @@ use {defmt_rtt as _, panic_probe as _};
 
 const ADDRESS: u8 = ADDRESSES[0];
 
+/// Time for a STOP on the bus, µs. Embassy's driver does not wait for its end, and a START that is
+/// requested before may never be made (RM0090, 27.6.1).
+const STOP_US: u64 = 10;
+
 /// Configures the sensor, then reads a sample at every edge of INT and shows every hundredth
 /// attitude. Returns if the bus fails, if the device is no sensor of this family, or if the sensor
 /// does not keep its settings.
@@ -38,10 +42,11 @@ async fn show_attitude<I: Bus>(mut i2c: I, mut interrupt: impl Wait) -> Result<(
     let Some(part) = Part::from_who_am_i(byte[0]) else {
         return Ok(());
     };
+    Timer::after_micros(STOP_US).await;
     for step in Step::configuration(&config, part) {
         i2c.write(ADDRESS, &[step.register.address(), step.value])
             .await?;
-        Timer::after_millis(step.wait_ms.into()).await;
+        Timer::after_micros(STOP_US + 1_000 * u64::from(step.wait_ms)).await;
     }
     for check in Check::all(&config, part) {
         let mut bytes = [0; Check::LONGEST];
@@ -54,6 +59,7 @@ async fn show_attitude<I: Bus>(mut i2c: I, mut interrupt: impl Wait) -> Result<(
         if check.evaluate(&bytes) != Condition::Intact {
             return Ok(());
         }
+        Timer::after_micros(STOP_US).await;
     }
     let mut pipeline = Pipeline::new(&Settings::new(part));
     for number in 1_u32.. {
