@@ -48,13 +48,13 @@ impl Kalman {
     #[cold]
     #[inline(never)]
     pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) -> bool {
-        self.inflate_tilt(self.pause_variance_rad2(dt_s));
+        let mut hidden_rad2 = self.pause_variance_rad2(dt_s);
         let saturated_s = self.saturated_s;
         if sample.is_rate_saturated {
             self.saturated_s = saturated_s + dt_s;
             let reading = sample.angular_rate_rad_s;
             let hidden = square(HIDDEN_SHARE) * reading.dot(reading);
-            self.inflate_tilt(hidden * (square(self.saturated_s) - square(saturated_s)));
+            hidden_rad2 += hidden * (square(self.saturated_s) - square(saturated_s));
             self.interval.unseen_tilt_rad2 += SATURATED_TILT * dt_s;
         } else {
             self.saturated_s = 0.0;
@@ -66,6 +66,7 @@ impl Kalman {
                 return true;
             }
         }
+        self.inflate_tilt(hidden_rad2);
         if sample.is_force_saturated {
             self.interval.unseen_velocity_m2_s2 += SATURATED_VELOCITY * dt_s;
         }
