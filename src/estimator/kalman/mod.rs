@@ -173,6 +173,8 @@ enum Tilt {
     /// From the mean readings at rest, which contradict the state: the next sample restarts the
     /// filter.
     Restarting,
+    /// Hidden by a pause or by readings that were a fault: the next sample sets it.
+    Lost,
     /// Known.
     Known,
 }
@@ -201,11 +203,8 @@ impl Filter for Kalman {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let is_saturated = sample.is_rate_saturated || sample.is_force_saturated;
         let is_long = dt_s > self.longest_step_s || dt_s > LONG_STEP_S;
-        if (is_long || is_saturated || self.saturated_s > 0.0)
-            && self.inflate_for_unseen_motion(sample, dt_s)
-        {
-            self.start(sample, shows_gravity);
-            return;
+        if is_long || is_saturated || self.saturated_s > 0.0 {
+            self.inflate_for_unseen_motion(sample, dt_s);
         }
         let elapsed_s = self.nominal.integrate(rate, force, dt_s);
         let is_earth_step = elapsed_s >= self.tuning.earth_period_s;
@@ -236,7 +235,7 @@ impl Filter for Kalman {
     #[inline]
     fn tilt_variance_rad2(&self) -> f32 {
         match self.tilt {
-            Tilt::Unknown => f32::INFINITY,
+            Tilt::Unknown | Tilt::Lost => f32::INFINITY,
             Tilt::Resumed | Tilt::Restarting | Tilt::Known => {
                 REPORTED_VARIANCE_SCALE * self.conservative_tilt_variance()
             }
@@ -479,11 +478,12 @@ impl Kalman {
         visitor.f32(&mut self.saturated_s);
         visitor.bool(&mut self.is_armed);
         let mut tilt = self.tilt as usize;
-        visitor.index(&mut tilt, 4);
+        visitor.index(&mut tilt, 5);
         self.tilt = match tilt {
             0 => Tilt::Unknown,
             1 => Tilt::Resumed,
             2 => Tilt::Restarting,
+            3 => Tilt::Lost,
             _ => Tilt::Known,
         };
         visitor.bool(&mut self.has_work);

@@ -36,7 +36,7 @@ impl Random {
     }
 }
 
-// ── The covariance step ────────────────────────────────────────────────────────────────────────
+// The covariance step
 
 /// The covariance as one matrix.
 fn dense(covariance: &Covariance) -> Matrix {
@@ -281,7 +281,7 @@ fn the_transition_is_the_derivative_of_the_nominal_state() {
     }
 }
 
-// ── Simulated sensors ──────────────────────────────────────────────────────────────────────────
+// Simulated sensors
 
 /// Body that turns and accelerates smoothly, with its sensors.
 struct World {
@@ -873,6 +873,28 @@ fn no_single_sample_counts_for_a_whole_pause() {
         let error = world.tilt_error_degrees(estimate.attitude);
         assert!(error < 1.0, "{error} after it");
     }
+}
+
+#[test]
+fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    estimator.filter_mut().set_sample_period(1.0e-3);
+    world.run(&mut estimator, 3000);
+    world.rate_rad_s = Vector3::new(radians(250.0), 0.0, 0.0);
+    world.run(&mut estimator, 200);
+    // It turns by 75° more, and stops, while nothing is read.
+    world.sample(300_000);
+    world.rate_rad_s = Vector3::ZERO;
+    let estimate = estimator.update(&world.sample(50_000));
+    assert_eq!(estimate.tilt_variance_rad2, f32::INFINITY);
+    let estimate = world.run(&mut estimator, 1);
+    let error = world.tilt_error_degrees(estimate.attitude);
+    let sigma = estimate.tilt_sigma_rad().to_degrees();
+    assert!(
+        error < 1.0 && (10.0..20.0).contains(&sigma),
+        "{error}, {sigma}"
+    );
 }
 
 #[test]
