@@ -14,11 +14,11 @@
 //! ω = C·(g − b)      q ← q ⊗ exp(ω·dt)      v ← v + [R(q)·(f − a)·dt] north and east
 //! ```
 //!
-//! Samples are values at an instant, so increments are trapezoids. They are summed in body axes and
-//! turned to earth axes every 7 ms by the attitude half-way. This accounts for the rotation in
-//! between (rotation correction: Savage, *Strapdown Analytics*, 2000, §7.1 and §7.2). The
-//! attitude at a sample is q ⊗ exp(rotation since the last earth step + ω·delay). The delay is
-//! that of the sensor, so the attitude belongs to the sample's time.
+//! Samples are values at an instant, so increments are trapezoids. They are summed in body axes,
+//! with the terms for coning and sculling: the axes turn between two increments (Savage,
+//! *Strapdown Analytics*, 2000, §7.1 and §7.2). Every 20 ms the sums are turned to earth axes by
+//! the attitude half-way. The attitude at a sample is q ⊗ exp(rotation since the last earth step +
+//! ω·delay). The delay is that of the sensor, so the attitude belongs to the sample's time.
 //!
 //! # Error state
 //!
@@ -62,7 +62,7 @@
 //!
 //! # Cost
 //!
-//! Deadline: one sample. At 1 kHz a sample costs about 310 instructions on a Cortex-M4F on average,
+//! Deadline: one sample. At 1 kHz a sample costs about 320 instructions on a Cortex-M4F on average,
 //! covariance included, and 750 at worst. At 100 Hz the worst case is 1,100. No loop's length
 //! depends on data.
 
