@@ -320,7 +320,7 @@ fn calibration(data: &Data) -> Result<String, String> {
     let section = data.section("calibration")?;
     let mut text = heading("Calibration of two hundred simulated chips", section)?;
     text.push_str(
-        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off \
+        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off\n\
          (`models/tests/calibration.rs`).\n\n",
     );
     text.push_str(&table(["figure", "measured"], section.figures()));
