@@ -1,4 +1,4 @@
-//! `aplomb simulate`: a simulated motion with its truth, as a log.
+//! `aplomb simulate`: a simulated motion with its truth, as a recording.
 
 use std::error::Error;
 use std::io::Write;
@@ -72,7 +72,7 @@ impl Kind {
     }
 }
 
-/// Write a simulated motion with its truth as a log.
+/// Write a simulated motion with its truth as a recording.
 ///
 /// The sensor has the errors of a typical one: noise, and a gyroscope offset of 4 degrees per
 /// second, not calibrated. It lies face up, X forward. One seed is one motion, to the last bit. The

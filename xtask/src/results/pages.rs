@@ -138,7 +138,7 @@ fn flight(data: &Data) -> Result<String, String> {
          an\n\
          STM32F405 at 168 MHz with 1,000 samples a second, a bus of 400 kHz, and text at 50 Hz \
          on UART\n\
-         and log. Two runs with one seed write identical files.\n\n",
+         and in the firmware log. Two runs with one seed write identical files.\n\n",
     );
     let rows = [
         ("samples", count(fly, "samples")?),
