@@ -67,8 +67,9 @@ const BANNED_OPENINGS: [&str; 27] = [
 ];
 
 /// Each package's folder with the folders of the workspace's packages that it may depend on.
-const MAY_DEPEND: [(&str, &[&str]); 9] = [
+const MAY_DEPEND: [(&str, &[&str]); 10] = [
     (".", &[]),
+    ("c", &["."]),
     ("models", &[]),
     ("plot", &[]),
     ("recordings", &[".", "models"]),
