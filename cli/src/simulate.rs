@@ -1,4 +1,4 @@
-//! `aplomb simulate`: a simulated motion with its truth, as a log.
+//! `aplomb simulate`: a simulated motion with its truth, as a recording.
 
 use std::error::Error;
 use std::io::Write;
@@ -16,7 +16,7 @@ use aplomb_recordings::simulated::{LOG_HEADER, errors, samples_with};
 use aplomb_recordings::terminal::print_line;
 
 use crate::progress;
-use crate::reading::knowledge;
+use aplomb_recordings::units::knowledge;
 
 /// Seed without `--seed`. The filter was tuned on smaller seeds.
 const SEED: u64 = 1_000;
@@ -74,7 +74,7 @@ impl Kind {
     }
 }
 
-/// Write a simulated motion with its truth as a log.
+/// Write a simulated motion with its truth as a recording.
 ///
 /// The sensor has the errors of a typical one: noise, and a gyroscope offset of 4 degrees per
 /// second, and an accelerometer that is not calibrated, or as --accelerometer states. It lies face up, X forward. One seed is one motion, to the last bit. The
