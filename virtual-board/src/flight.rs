@@ -21,7 +21,7 @@ use rigless::time::VirtualNanos;
 use crate::Error;
 use crate::board::{BOARDS, Board, BoardModel};
 use crate::crystal::HighSpeedInput;
-use crate::faults::{Fault, ScheduledFault, nanoseconds, scheduled};
+use crate::faults::{Fault, ScheduledFault, internal_time, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
@@ -33,6 +33,7 @@ use crate::schedule::Schedule;
 use crate::script::Script;
 use crate::summary::Summary;
 use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::swing::ByOtherClock;
 use aplomb_models::motion::{Motion, Mount};
 use aplomb_models::sensor::{Sensor, SensorConfig, SensorErrors};
 
@@ -293,6 +294,14 @@ impl Run {
                 false,
             ),
         };
+        let motion: Box<dyn Motion> = match internal_time(&self.faults) {
+            Some((error, from_ns)) => Box::new(ByOtherClock {
+                motion,
+                from_s: from_ns as f64 * 1e-9,
+                error,
+            }),
+            None => motion,
+        };
         let config = if is_recording {
             SensorConfig::for_recording(self.seed)
         } else {
@@ -323,6 +332,10 @@ impl Run {
             } => Some((*noise_per_million, *framing_per_million)),
             _ => None,
         });
+        let watchdog_hz = self.faults.iter().find_map(|fault| match fault {
+            Fault::WatchdogClock(hz) => Some(*hz),
+            _ => None,
+        });
         let sensor = self.sensor();
         let mut controller = Microcontroller::new(
             FittedSensor::new(sensor, std::mem::take(&mut self.faults)),
@@ -331,6 +344,9 @@ impl Run {
             cells,
         )
         .map_err(Error::emulator)?;
+        if let Some(hz) = watchdog_hz {
+            controller.calibrate_watchdog(hz);
+        }
         if let Some((noise, framing)) = garbled {
             controller.garble_reception(self.seed, noise, framing);
         }

@@ -3,10 +3,14 @@
 mod common;
 
 use aplomb::fault::FaultClass;
+use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
+use aplomb_models::motion::swing::Swing;
+use aplomb_models::motion::{Quaternion, inclination_error_rad};
 use common::firmware;
+use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
 use virtual_board::schedule::Schedule;
@@ -117,4 +121,63 @@ fn a_bus_error_that_is_a_flag_alone_loses_no_sample() {
     assert_eq!(seen(&calm), 0);
     // Each byte of 300 bursts, but two flags may be one interrupt.
     assert!(seen(&flagged) > 300 * 10, "{}", seen(&flagged));
+}
+
+/// Flies by an internal oscillator that is off by a share, started without a crystal or with one
+/// that dies in flight.
+fn fly_by_internal_oscillator(error: f64, crystal_dies: &str) -> Outcome {
+    let schedule = Schedule::parse("test", crystal_dies).unwrap();
+    let mut run = Run::new(firmware())
+        .seconds(4.0)
+        .fault(Fault::InternalOscillator(error))
+        .schedule(&schedule)
+        .motion(Swing::by_seed(2, 1.8));
+    if crystal_dies.is_empty() {
+        run = run.fault(Fault::NoCrystal);
+    }
+    run.without_account().run().unwrap()
+}
+
+/// The largest error of a valid tilt by the larger of 5° and six σ, of which it must be below 1.
+fn worst_broken_promise(outcome: &Outcome) -> f64 {
+    let ratios = outcome.samples().iter().filter_map(|sample| {
+        let (snapshot, truth) = (sample.snapshot, sample.edge?.truth.attitude?);
+        let q = snapshot.attitude;
+        let [w, x, y, z] = [q.w, q.x, q.y, q.z].map(f64::from);
+        let error_rad = inclination_error_rad(Quaternion { w, x, y, z }, truth);
+        let allowed_rad = 5_f64
+            .to_radians()
+            .max(6.0 * f64::from(snapshot.tilt_sigma_rad()));
+        let is_valid = snapshot.flags.contains(Flags::VALID);
+        is_valid.then_some(error_rad / allowed_rad)
+    });
+    ratios.fold(0.0, f64::max)
+}
+
+#[test]
+fn an_internal_oscillator_at_its_limits_loses_no_edge() {
+    for error in [-0.08, -0.04, 0.045] {
+        for crystal_dies in ["", "2.5 0 crystal-dies"] {
+            let outcome = fly_by_internal_oscillator(error, crystal_dies);
+            let case = format!("{error} {crystal_dies}");
+            let counters = outcome.record.health.last().map(|reading| reading.counters);
+            let counters = counters.unwrap();
+            let classes = [
+                FaultClass::InterruptGlitch,
+                FaultClass::InterruptMissing,
+                FaultClass::InterruptStuckHigh,
+            ];
+            for class in classes {
+                assert_eq!(counters[class as usize], 0, "{case}: {class:?}");
+            }
+            // The crystal's end may cost the sample of that moment.
+            let missed = usize::from(!crystal_dies.is_empty());
+            assert!(outcome.summary.missed <= missed, "{case}");
+            let last = outcome.samples().last().unwrap().snapshot.flags;
+            let expected = Flags::VALID | Flags::INTERNAL_CLOCK | Flags::DEGRADED;
+            assert_eq!(last, expected, "{case}: {last}");
+            let broken = worst_broken_promise(&outcome);
+            assert!(broken < 1.0, "{case}: {broken}");
+        }
+    }
 }

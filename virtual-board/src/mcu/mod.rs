@@ -209,6 +209,11 @@ impl Microcontroller {
             .expect("the terminal is at the end of this line")
     }
 
+    /// Sets the frequency of the watchdog's oscillator, Hz. Call it before the first instruction.
+    pub fn calibrate_watchdog(&mut self, hz: u64) {
+        self.clocks.model.calibrate_lsi(hz);
+    }
+
     /// Garbles what the firmware receives: so many bytes in a million arrive with noise, and so
     /// many with a framing error.
     pub fn garble_reception(
