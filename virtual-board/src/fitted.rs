@@ -57,7 +57,8 @@ impl FittedSensor {
                 Fault::SensorAbsent(range)
                 | Fault::SensorSilent(range)
                 | Fault::BusHeldLow(_, range)
-                | Fault::InterruptStuck(_, range) => {
+                | Fault::InterruptStuck(_, range)
+                | Fault::Supply(_, range) => {
                     vec![nanoseconds(range.start), nanoseconds(range.end)]
                 }
                 Fault::SensorReset(at_s) => vec![nanoseconds(*at_s)],

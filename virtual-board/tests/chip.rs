@@ -7,6 +7,7 @@ use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
+use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::swing::Swing;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
 use common::firmware;
@@ -179,5 +180,30 @@ fn an_internal_oscillator_at_its_limits_loses_no_edge() {
             let broken = worst_broken_promise(&outcome);
             assert!(broken < 1.0, "{case}: {broken}");
         }
+    }
+}
+
+#[test]
+fn the_watchdog_keeps_its_limits_at_both_ends_of_its_oscillator() {
+    for (hz, latest_ms) in [(17_000, 600.0), (32_000, 350.0), (47_000, 250.0)] {
+        let run = Run::new(firmware())
+            .fault(Fault::WatchdogClock(hz))
+            .motion(Rest::level())
+            .command(1.3, "rate 20")
+            .command(1.4, "save");
+        // Three seconds with the longest erase: no reset. Then a hang.
+        let schedule = Schedule::parse("test", "3.0 0 watchdog-hang").unwrap();
+        let outcome = run.schedule(&schedule).seconds(4.0).without_account().run();
+        let outcome = outcome.unwrap();
+        assert!(outcome.uart_reports("stored"), "{:?}", outcome.uart_lines);
+        let [reset_ns] = outcome.record.resets_ns[..] else {
+            panic!("{hz} Hz: resets at {:?}", outcome.record.resets_ns);
+        };
+        let after_ms = (reset_ns as f64 - 3.0e9) * 1e-6;
+        // The last feed may be a tick of 20 ms before the hang.
+        assert!(
+            (178.0..latest_ms).contains(&after_ms),
+            "{hz}: {after_ms} ms"
+        );
     }
 }

@@ -30,7 +30,7 @@ use crate::bus_step::BusStep;
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
-use crate::faults::{FaultKind, ScheduledFault, scheduled};
+use crate::faults::{Fault, FaultKind, ScheduledFault, scheduled, within};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{WiredI2c, items_left};
@@ -55,6 +55,9 @@ const TIM5: usize = 3;
 /// The board's supply.
 const SUPPLY_MILLIVOLTS: u32 = 3300;
 
+/// A time in which the supply is lower, s, and the voltage then, mV.
+type Sag = (std::ops::Range<f64>, u32);
+
 /// The microcontroller and what hangs on its pins.
 #[derive(Debug)]
 pub struct Microcontroller {
@@ -71,6 +74,8 @@ pub struct Microcontroller {
     awaited_ns: Option<u64>,
     /// The faults of a schedule.
     faults: Vec<ScheduledFault>,
+    sags: Vec<Sag>,
+    supply_millivolts: u32,
     /// The steps of the bus in which the faults began, as far as they have.
     steps_at_faults: Vec<BusStep>,
     /// True if the crystal has stopped.
@@ -163,6 +168,8 @@ impl Microcontroller {
             slots,
             awaited_ns: None,
             faults,
+            sags: all_faults.iter().filter_map(sag).collect(),
+            supply_millivolts: SUPPLY_MILLIVOLTS,
             steps_at_faults: Vec::new(),
             is_crystal_dead: false,
             is_clock_lost: false,
@@ -304,6 +311,17 @@ impl Microcontroller {
                 self.clocks.restart_crystal();
             }
         }
+        let sag = self.sags.iter().find(|(range, _)| within(now.0, range));
+        let millivolts = sag.map_or(SUPPLY_MILLIVOLTS, |&(_, millivolts)| millivolts);
+        if millivolts != self.supply_millivolts {
+            self.supply_millivolts = millivolts;
+            self.lend_models();
+            self.part.set_supply(millivolts);
+            self.lend_models();
+            self.flash
+                .cells
+                .with(|cells| cells.set_supply(now.0, millivolts));
+        }
         if is_noisy != self.is_noisy {
             self.is_noisy = is_noisy;
             let errors = self.part.usart[USART2].errors_mut();
@@ -364,6 +382,13 @@ impl Microcontroller {
         std::mem::swap(&mut self.sensor_bus.model, &mut self.part.i2c[I2C1]);
         std::mem::swap(&mut self.port_b.model, &mut self.part.gpio[PORT_B]);
         std::mem::swap(&mut self.dma.model, &mut self.part.dma[DMA1]);
+    }
+}
+
+fn sag(fault: &Fault) -> Option<Sag> {
+    match fault {
+        Fault::Supply(millivolts, range) => Some((range.clone(), *millivolts)),
+        _ => None,
     }
 }
 
