@@ -140,8 +140,14 @@ impl machine::Board for Board {
             boot: "flash",
         };
         let windows = windows(self.controller.bus());
-        let mut spec =
-            core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, armv7m::MpuRegions::Eight);
+        // A set-up of the memory protection unit drops all translated code. A core from a garage
+        // has no such unit, and ignores it.
+        let regions = if self.garage.is_none() {
+            armv7m::MpuRegions::Eight
+        } else {
+            armv7m::MpuRegions::None
+        };
+        let mut spec = core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, regions);
         let make = Arc::clone(&spec.processor);
         let (handlers, profile) = (self.handlers.clone(), Arc::clone(&self.profile));
         let (cells, garage) = (self.cells.clone(), self.garage.clone());

@@ -207,3 +207,14 @@ fn the_watchdog_keeps_its_limits_at_both_ends_of_its_oscillator() {
         );
     }
 }
+
+#[test]
+fn the_guard_below_the_stack_stops_an_overflow_before_the_bus_does() {
+    let outcome = fly(2.4, "2.0 0 stack-overflow");
+    assert_eq!(outcome.record.resets_ns.len(), 1);
+    assert!(outcome.uart_reports("last fault: stack-overflow"));
+    // A store that passes the guard comes to the bus, which has nothing there.
+    let passed = |issue: &&String| issue.starts_with("no such address");
+    let passed: Vec<&String> = outcome.issues.iter().filter(passed).collect();
+    assert_eq!(passed, Vec::<&String>::new());
+}
