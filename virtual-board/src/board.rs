@@ -8,6 +8,7 @@ use rigless::machine::{self, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::Store;
 
+use crate::checks::Reserved;
 use crate::crystal::HighSpeedInput;
 use crate::flash::SharedCells;
 use crate::mcu::Microcontroller;
@@ -151,6 +152,8 @@ impl machine::Board for Board {
         let make = Arc::clone(&spec.processor);
         let (handlers, profile) = (self.handlers.clone(), Arc::clone(&self.profile));
         let (cells, garage) = (self.cells.clone(), self.garage.clone());
+        let checks = self.controller.checks().clone();
+        let reserved = Reserved::of(self.controller.bus());
         spec.processor = Arc::new(move |endian| {
             let processor = match &garage {
                 Some(request) => Rented::from_garage(request.clone(), || make(endian))?,
@@ -161,6 +164,7 @@ impl machine::Board for Board {
                 handlers.clone(),
                 Arc::clone(&profile),
                 cells.clone(),
+                (checks.clone(), reserved.clone()),
             )))
         });
         vec![Target::new(CORE, &mut self.controller, spec)]

@@ -274,13 +274,15 @@ impl Run {
             return Err(Error::emulator(error));
         }
         let record = finished.driver.into_record();
-        let issues = issues(&finished.session, &profile);
+        let violations = violations(&finished.session);
+        let issues = issues(&finished.session, &violations, &profile);
         Ok(Outcome {
             summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
             uart_lines: lines(&record),
             record,
             faults: scheduled,
             flash: cells.record(),
+            violations,
             issues,
         })
     }
@@ -378,7 +380,9 @@ pub struct Outcome {
     pub faults: Vec<ScheduledFault>,
     /// The calibration slots, and what was done to them.
     pub flash: FlashRecord,
-    /// Accesses that the board does not model, resets, and gaps in the account of instructions.
+    /// Rules of [`checks`](crate::checks) that the firmware has broken, with their places.
+    pub violations: Vec<String>,
+    /// Violations, accesses that the board does not model, resets, and gaps in the account of instructions.
     /// Empty in a sound run.
     pub issues: Vec<String>,
 }
@@ -434,8 +438,22 @@ fn lines(record: &Record) -> Vec<UartLine> {
         .collect()
 }
 
+/// Lists the rules for accesses to registers that the firmware has broken.
+fn violations(session: &Session<Board>) -> Vec<String> {
+    // Wait states too few for the clock, above all (RM0090, 3.5.1).
+    let told = session
+        .told()
+        .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason));
+    let own = session.board().controller.checks().violations();
+    told.chain(own.iter().map(ToString::to_string)).collect()
+}
+
 /// Lists the events that a sound run does not have.
-fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
+fn issues(
+    session: &Session<Board>,
+    violations: &[String],
+    profile: &Mutex<Profile>,
+) -> Vec<String> {
     let mut issues: Vec<String> = session
         .unmapped()
         .iter()
@@ -467,15 +485,11 @@ fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
     );
     issues.extend(
         session
-            .told()
-            .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason)),
-    );
-    issues.extend(
-        session
             .resets()
             .iter()
             .map(|reset| format!("reset at {} ns: {:?}", reset.at.0, reset.cause)),
     );
+    issues.extend_from_slice(violations);
     let unexplained = profile.lock().map_or(1, |profile| profile.unexplained());
     if unexplained > 0 {
         issues.push(format!(

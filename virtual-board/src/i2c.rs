@@ -25,12 +25,14 @@
 //! bits are not modelled.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
+use rigless::soc::FieldSpec;
 use rigless::soc::stm32f427::generated::dma2;
 use rigless::soc::stm32f427::generated::i2c3::{Register, ccr, cr1, cr2, sr1, sr2};
 use rigless::soc::stm32f427::peripherals::i2c::I2c;
 use rigless::time::{EventId, VirtualNanos};
 
 use crate::bus_step::BusStep;
+use crate::checks::{Checks, Rule};
 use crate::delegate::delegate;
 use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
@@ -116,12 +118,19 @@ pub struct WiredI2c {
     is_behind: bool,
     /// True if one of the errors of this layer interrupts.
     interrupts: bool,
+    checks: Checks,
+    /// SR1 as the core has read it last.
+    seen: u64,
+    /// The clock of APB1, Hz; zero while the port has none.
+    clock_hz: u64,
+    /// True if the port was enabled before the present write.
+    was_enabled: bool,
 }
 
 impl WiredI2c {
     /// The controller on these wires with these faults.
     #[must_use]
-    pub fn new(model: I2c, wires: SharedWires, faults: &[Fault]) -> Self {
+    pub fn new(model: I2c, wires: SharedWires, faults: &[Fault], checks: Checks) -> Self {
         let is_own = |fault: &&ScheduledFault| {
             matches!(
                 fault.kind,
@@ -147,6 +156,10 @@ impl WiredI2c {
             released: 0,
             is_behind: false,
             interrupts: false,
+            checks,
+            seen: 0,
+            clock_hz: 0,
+            was_enabled: false,
         }
     }
 
@@ -487,7 +500,12 @@ impl WiredI2c {
 impl Device for WiredI2c {
     type Register = Register;
 
-    delegate!(layout peek on_request on_access on_refused on_clock);
+    delegate!(layout peek on_request on_access on_refused);
+
+    fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.clock_hz = hz;
+        Device::on_clock(&mut self.model, hz, registers, context);
+    }
 
     fn read(
         &mut self,
@@ -496,6 +514,9 @@ impl Device for WiredI2c {
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
         self.follow_lines(registers, context);
+        if register == Register::Sr2 {
+            self.check_seen(sr1::ADDR, Rule::AddressSeen, registers);
+        }
         let released = match register {
             Register::Dr => self.read_released(registers, context),
             _ => None,
@@ -503,6 +524,9 @@ impl Device for WiredI2c {
         let value =
             released.or_else(|| Device::read(&mut self.model, register, registers, context));
         self.refresh_errors(registers, context);
+        if register == Register::Sr1 {
+            self.seen = value.unwrap_or_else(|| registers.get(Register::Sr1));
+        }
         value
     }
 
@@ -515,9 +539,13 @@ impl Device for WiredI2c {
     ) {
         let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         self.follow_lines(registers, context);
+        if register == Register::Cr1 {
+            self.check_clock(cr1::PE.is_set(value), registers);
+        }
         match register {
             Register::Cr1 => self.write_control(value, registers, context),
             Register::Dr => {
+                self.check_seen(sr1::SB, Rule::StartSeen, registers);
                 // A write of DR clears RXNE and BTF (27.6.6).
                 self.drop_released(registers);
                 self.sent = value.to_le_bytes()[0];
@@ -569,6 +597,36 @@ impl Device for WiredI2c {
 }
 
 impl WiredI2c {
+    /// Checks that the core has seen a flag of SR1, if it is set.
+    fn check_seen(&self, flag: &FieldSpec, rule: Rule, registers: &RegisterFile) {
+        if flag.is_set(registers.get(Register::Sr1)) && !flag.is_set(self.seen) {
+            self.checks.note(rule);
+        }
+    }
+
+    /// Checks the port's clocks when it is enabled: SCL is at most 400 kHz, and the rise time that
+    /// of the mode, 300 ns or 1,000 ns.
+    fn check_clock(&mut self, is_enabled: bool, registers: &RegisterFile) {
+        let was_enabled = std::mem::replace(&mut self.was_enabled, is_enabled);
+        if was_enabled || !is_enabled {
+            return;
+        }
+        let clock_mhz = cr2::FREQ.get(registers.get(Register::Cr2));
+        let is_fast = ccr::F_S.is_set(registers.get(Register::Ccr));
+        let (shortest_ns, rise_ns) = if is_fast {
+            (2_500, 300)
+        } else {
+            (10_000, 1_000)
+        };
+        let fits = clock_mhz * 1_000_000 == self.clock_hz
+            && clock_mhz > 0
+            && Self::period_ns(registers) >= shortest_ns
+            && registers.get(Register::Trise) == clock_mhz * rise_ns / 1_000 + 1;
+        if !fits {
+            self.checks.note(Rule::PortClock);
+        }
+    }
+
     /// Resets this layer.
     pub fn forget(&mut self) {
         self.delayed = None;
@@ -582,5 +640,7 @@ impl WiredI2c {
         self.released = 0;
         self.is_behind = false;
         self.interrupts = false;
+        self.seen = 0;
+        self.was_enabled = false;
     }
 }

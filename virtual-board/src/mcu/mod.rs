@@ -27,6 +27,7 @@ use rigless::time::VirtualNanos;
 pub use terminal::{ReceivedByte, SentByte, Terminal};
 
 use crate::bus_step::BusStep;
+use crate::checks::Checks;
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
@@ -69,6 +70,7 @@ pub struct Microcontroller {
     exti: Exti,
     syscfg: Syscfg,
     flash: FlashInterface,
+    checks: Checks,
     slots: Slots,
     /// The next change of the sensor's wire, for which an event is scheduled.
     awaited_ns: Option<u64>,
@@ -146,6 +148,7 @@ impl Microcontroller {
         let [i2c1, ..] = spare.i2c;
         let [_, port_b, ..] = spare.gpio;
         let [dma1, ..] = spare.dma;
+        let checks = Checks::default();
         let mut controller = Self {
             part,
             clocks: CrystalAware {
@@ -153,18 +156,19 @@ impl Microcontroller {
                 input,
                 stopped: None,
             },
-            sensor_bus: WiredI2c::new(i2c1, wires.clone(), &all_faults),
+            sensor_bus: WiredI2c::new(i2c1, wires.clone(), &all_faults, checks.clone()),
             port_b: PortB {
                 model: port_b,
                 wires,
             },
-            dma: RefusedDma::new(dma1, &all_faults),
+            dma: RefusedDma::new(dma1, &all_faults, checks.clone()),
             exti: Exti::default(),
             syscfg: Syscfg,
             flash: FlashInterface {
                 model: spare.flash,
                 cells,
             },
+            checks,
             slots,
             awaited_ns: None,
             faults,
@@ -190,6 +194,12 @@ impl Microcontroller {
             .model
             .chip_mut(0)
             .expect("the sensor is the one chip on this bus")
+    }
+
+    /// The checks of the core's accesses.
+    #[must_use]
+    pub fn checks(&self) -> &Checks {
+        &self.checks
     }
 
     /// Returns the end of the flash operation that was started last, ns since power-up.
@@ -407,6 +417,7 @@ impl Mcu for Microcontroller {
         self.part.reset(at, cause);
         self.lend_models();
         self.sensor_bus.forget();
+        self.dma.forget();
         self.exti = Exti::default();
         self.flash.restart();
         self.awaited_ns = None;
