@@ -3,9 +3,10 @@
 //! A chip does not report a broken rule; it behaves as no model says. Here each is noted once for
 //! each instruction, with the address and the section of RM0090. Decorated devices note what they
 //! see in their registers, and the bus adds address and program counter. The bus itself checks
-//! reserved bits and missing answers. Wait states are checked by rigless.
+//! reserved bits. Wait states and clocks are checked by rigless; the place of an access without a
+//! clock is that of the first access to the address.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -82,7 +83,9 @@ struct Shared {
     /// True if a device has noted something since the last access.
     has_notes: AtomicBool,
     notes: Mutex<Vec<Rule>>,
-    violations: Mutex<BTreeMap<Violation, u64>>,
+    violations: Mutex<BTreeSet<Violation>>,
+    /// The instruction of the first access to each address.
+    first: Mutex<BTreeMap<u64, u64>>,
 }
 
 impl Checks {
@@ -102,14 +105,25 @@ impl Checks {
     /// Returns the broken rules.
     #[must_use]
     pub fn violations(&self) -> Vec<Violation> {
-        lock(&self.0.violations).keys().copied().collect()
+        lock(&self.0.violations).iter().copied().collect()
     }
 
-    /// Checks an access of the core and its answer, and gives the devices' notes their place.
-    pub fn complete(&self, access: &Access, is_answered: bool, reserved: &Reserved) {
-        if !is_answered && PERIPHERALS.contains(&access.address) {
-            self.note(Rule::Clocked);
-        }
+    /// Notes that a peripheral had no clock when the core accessed this address.
+    pub fn note_without_clock(&self, address: u64) {
+        let first = lock(&self.0.first).get(&address).copied();
+        lock(&self.0.violations).insert(Violation {
+            rule: Rule::Clocked,
+            address,
+            program_counter: first.unwrap_or(0),
+        });
+    }
+
+    /// Checks an access of the core, and gives the devices' notes their place.
+    pub fn complete(&self, access: &Access, reserved: &Reserved) {
+        let program_counter = access.program_counter.unwrap_or(0);
+        lock(&self.0.first)
+            .entry(access.address)
+            .or_insert(program_counter);
         if access.kind == AccessKind::Write && reserved.is_set_by(access) {
             self.note(Rule::Reserved);
         }
@@ -119,9 +133,9 @@ impl Checks {
                 let violation = Violation {
                     rule,
                     address: access.address,
-                    program_counter: access.program_counter.unwrap_or(0),
+                    program_counter,
                 };
-                *violations.entry(violation).or_insert(0) += 1;
+                violations.insert(violation);
             }
         }
     }

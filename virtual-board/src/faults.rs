@@ -317,6 +317,8 @@ pub enum Fault {
     /// The run's time is that of the core's clock. While the core runs by this oscillator, motion
     /// and sensor pass it by as much faster or slower.
     InternalOscillator(f64),
+    /// A START of the sensor's bus takes 0.6 µs, and 1.2 µs in a transfer, instead of no time.
+    SlowStart,
     /// The supply is this low for this long, in millivolts. The sensor works down to 2,375.
     Supply(u32, Range<f64>),
     /// The watchdog's oscillator runs at this frequency, Hz, of 17,000 to 47,000 (STM32F405

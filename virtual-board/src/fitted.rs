@@ -68,6 +68,7 @@ impl FittedSensor {
                 | Fault::ReceptionGarbled { .. }
                 | Fault::NoCrystal
                 | Fault::InternalOscillator(_)
+                | Fault::SlowStart
                 | Fault::WatchdogClock(_)
                 | Fault::TimerStartsAt(_) => vec![],
             })

@@ -338,6 +338,7 @@ impl Run {
             Fault::WatchdogClock(hz) => Some(*hz),
             _ => None,
         });
+        let has_slow_starts = self.faults.contains(&Fault::SlowStart);
         let sensor = self.sensor();
         let mut controller = Microcontroller::new(
             FittedSensor::new(sensor, std::mem::take(&mut self.faults)),
@@ -346,6 +347,9 @@ impl Run {
             cells,
         )
         .map_err(Error::emulator)?;
+        if has_slow_starts {
+            controller.let_starts_take_time();
+        }
         if let Some(hz) = watchdog_hz {
             controller.calibrate_watchdog(hz);
         }
@@ -444,7 +448,12 @@ fn violations(session: &Session<Board>) -> Vec<String> {
     let told = session
         .told()
         .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason));
-    let own = session.board().controller.checks().violations();
+    let checks = session.board().controller.checks();
+    let gated = session.refused().iter();
+    for (&address, _) in gated.filter(|(_, fault)| fault.is_shut_gate()) {
+        checks.note_without_clock(address);
+    }
+    let own = checks.violations();
     told.chain(own.iter().map(ToString::to_string)).collect()
 }
 
@@ -463,6 +472,7 @@ fn issues(
         session
             .refused()
             .iter()
+            .filter(|(_, fault)| !fault.is_shut_gate())
             .map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")),
     );
     issues.extend(

@@ -16,7 +16,8 @@
 //! - START and STOP are not carried out while a line is low, and read back set (27.6.1).
 //! - A STOP takes a period of SCL. Until then it reads back set, and the bus is busy.
 //! - A write of CR1 while START or STOP reads back set leaves that bit set, and nothing comes of it
-//!   until SWRST (27.6.1, note on STOP and START; bugs of other drivers). A START takes no time.
+//!   until SWRST (27.6.1, note on STOP and START; bugs of other drivers).
+//! - A START takes no time, or 0.6 µs and 1.2 µs if asked for.
 //! - A STOP requested while the peripheral is not the controller changes nothing (27.6.1).
 //! - BERR and ARLO raise the error interrupt under ITERREN. A written zero or PE = 0 clears them
 //!   (27.4, 27.6.6).
@@ -51,6 +52,11 @@ const ERROR_INTERRUPT: usize = 1;
 
 /// From a clock that is let go to the end of the byte that waited for it: one bit at 400 kHz, ns.
 const REST_OF_BYTE_NS: u64 = 2_500;
+
+/// From the request of a START on a free bus to SB, ns: the hold time of fast mode. A START in a
+/// transfer has the set-up time before it (UM10204, table 11).
+const FIRST_START_NS: u64 = 600;
+const NEXT_START_NS: u64 = 600 + 600;
 
 /// Periods of SCL in a byte with its acknowledge.
 const PERIODS_OF_BYTE: u64 = 9;
@@ -125,6 +131,10 @@ pub struct WiredI2c {
     clock_hz: u64,
     /// True if the port was enabled before the present write.
     was_enabled: bool,
+    /// True if a START takes the time that [`FIRST_START_NS`] and [`NEXT_START_NS`] say.
+    pub start_takes_time: bool,
+    /// The event at which the START on the lines is over.
+    starting: Option<EventId>,
 }
 
 impl WiredI2c {
@@ -160,6 +170,8 @@ impl WiredI2c {
             seen: 0,
             clock_hz: 0,
             was_enabled: false,
+            start_takes_time: false,
+            starting: None,
         }
     }
 
@@ -178,7 +190,8 @@ impl WiredI2c {
             }
         }
         let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
-        if is_data_high && is_clock_high && self.waiting != 0 && !is_byte_on_wire {
+        let is_free = !is_byte_on_wire && self.starting.is_none();
+        if is_data_high && is_clock_high && self.waiting != 0 && is_free {
             self.overrun = Overrun::Nothing;
             let waiting = std::mem::take(&mut self.waiting);
             let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
@@ -299,6 +312,7 @@ impl WiredI2c {
         }
         if is_reset || !cr1::PE.is_set(value) {
             self.waiting = 0;
+            self.starting = None;
             self.delayed = None;
             self.drop_released(registers);
             Device::write(&mut self.model, Register::Cr1, value, registers, context);
@@ -310,7 +324,18 @@ impl WiredI2c {
         }
         let asked = value & (cr1::START.mask() | cr1::STOP.mask());
         let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
+        if self.start_takes_time && cr1::START.is_set(value) {
+            let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
+            let takes_ns = if is_controller {
+                NEXT_START_NS
+            } else {
+                FIRST_START_NS
+            };
+            let end_ns = context.now().0 + takes_ns;
+            self.starting = Some(context.schedule(VirtualNanos(end_ns)));
+        }
         let is_held = is_byte_on_wire
+            || self.starting.is_some()
             || self.is_low(BusLine::Clock, context)
             || self.is_low(BusLine::Data, context);
         if asked != 0 && !is_held {
@@ -570,6 +595,7 @@ impl Device for WiredI2c {
     ) {
         let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         match self.delayed {
+            _ if self.starting == Some(event) => self.starting = None,
             Some((wait, byte)) if wait == event => {
                 self.delayed = None;
                 self.byte_ends(byte, registers, context);
@@ -641,6 +667,7 @@ impl WiredI2c {
         self.is_behind = false;
         self.interrupts = false;
         self.seen = 0;
+        self.starting = None;
         self.was_enabled = false;
     }
 }

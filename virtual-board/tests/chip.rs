@@ -218,3 +218,19 @@ fn the_guard_below_the_stack_stops_an_overflow_before_the_bus_does() {
     let passed: Vec<&String> = outcome.issues.iter().filter(passed).collect();
     assert_eq!(passed, Vec::<&String>::new());
 }
+
+#[test]
+fn a_start_that_takes_time_delays_each_attitude_by_that_time() {
+    let flight = || Run::new(firmware()).seconds(2.1);
+    let [calm, slow] = [flight(), flight().fault(Fault::SlowStart)].map(|run| run.run().unwrap());
+    assert_eq!(slow.samples().len(), calm.samples().len());
+    assert_eq!(slow.summary.missed, 0);
+    assert_eq!(slow.issues, Vec::<String>::new());
+    let [calm_us, slow_us] = [calm, slow].map(|outcome| {
+        let latency = outcome.summary.edge_to_attitude_us_mean;
+        latency.expect("attitudes")
+    });
+    // A START and one in the transfer.
+    let cost_us = slow_us - calm_us;
+    assert!((1.7..1.9).contains(&cost_us), "{cost_us}");
+}

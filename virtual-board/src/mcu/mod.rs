@@ -231,6 +231,11 @@ impl Microcontroller {
         self.clocks.model.calibrate_lsi(hz);
     }
 
+    /// Makes a START of the sensor's bus take time.
+    pub fn let_starts_take_time(&mut self) {
+        self.sensor_bus.start_takes_time = true;
+    }
+
     /// Garbles what the firmware receives: so many bytes in a million arrive with noise, and so
     /// many with a framing error.
     pub fn garble_reception(

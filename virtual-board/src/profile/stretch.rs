@@ -43,7 +43,7 @@ impl CoreBus for Stretch<'_> {
         let answer = self.bus.access(access, from_code);
         if from_code {
             let (checks, reserved) = &self.checks;
-            checks.complete(&access, answer.is_some(), reserved);
+            checks.complete(&access, reserved);
         }
         answer
     }
