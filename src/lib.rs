@@ -20,11 +20,11 @@
 //! returns the attitude with its σ:
 //!
 //! ```
-//! use aplomb::attitude::Vector3;
+//! use aplomb::attitude::BodyVector;
 //! use aplomb::estimator::{Estimator, Sample};
 //!
-//! # let force_m_s2 = Vector3::new(0.0, -4.903, -8.493);
-//! # let samples = (0..2_000).map(|n| (1_000 * n, force_m_s2, Vector3::ZERO));
+//! # let force_m_s2 = BodyVector::new(0.0, -4.903, -8.493);
+//! # let samples = (0..2_000).map(|n| (1_000 * n, force_m_s2, BodyVector::ZERO));
 //! let mut estimator = Estimator::new();
 //! for (t_us, force_m_s2, rate_rad_s) in samples {
 //!     let estimate = estimator.update(&Sample::new(t_us, force_m_s2, rate_rad_s));

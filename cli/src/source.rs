@@ -196,22 +196,22 @@ impl LogOptions {
     fn sample(&self, row: &Row) -> Result<Sample, String> {
         let t_us = unsigned(row.time_us);
         let Some((accelerometer_range, gyroscope_range)) = self.ranges else {
-            return Ok(Sample {
+            return Ok(Sample::new(
                 t_us,
-                specific_force_m_s2: self.mount.to_body(vector(row.specific_force_m_s2)),
-                angular_rate_rad_s: self.mount.to_body(vector(row.rates_rad_s)),
-                ..Sample::default()
-            });
+                self.mount.to_body(vector(row.specific_force_m_s2)),
+                self.mount.to_body(vector(row.rates_rad_s)),
+            ));
         };
         let [force, rates] = counts(row)?;
         let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
-        Ok(Sample {
+        let mut sample = Sample::new(
             t_us,
-            specific_force_m_s2: self.mount.to_body(force.to_m_s2(accelerometer_range)),
-            angular_rate_rad_s: self.mount.to_body(rates.to_rad_s(gyroscope_range)),
-            is_force_saturated: force.is_saturated(),
-            is_rate_saturated: rates.is_saturated(),
-        })
+            self.mount.to_body(force.to_m_s2(accelerometer_range)),
+            self.mount.to_body(rates.to_rad_s(gyroscope_range)),
+        );
+        sample.is_force_saturated = force.is_saturated();
+        sample.is_rate_saturated = rates.is_saturated();
+        Ok(sample)
     }
 }
 

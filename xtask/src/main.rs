@@ -3,6 +3,7 @@
 mod agree;
 mod api;
 mod build;
+mod c_library;
 mod cost;
 mod examples;
 mod faults;
@@ -46,6 +47,8 @@ usage: cargo xtask COMMAND
                       --long adds the flight of an hour and 2000 flights with faults
                       --render writes the pages from docs/results.toml
                       --check fails if a page disagrees with it, and is a part of `test`
+  c                   build the C library for this computer and three Cortex-M cores, and run its
+                      programs; a part of `test`
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
@@ -91,6 +94,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
             Some(mode) => results::run(mode),
             None => Err(format!("`results` takes one option\n\n{USAGE}")),
         },
+        "c" => no_more(rest).and_then(|()| c_library::run()),
         "flash" => flash(board_alone(rest)?),
         "setup" => no_more(rest).and_then(|()| {
             setup::Toolchain::for_target()?;

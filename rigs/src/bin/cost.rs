@@ -21,7 +21,7 @@
 use core::hint::black_box;
 use core::panic::PanicInfo;
 
-use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::attitude::{BodyVector, Quaternion, Vector3};
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
 use aplomb::estimator::kalman::Kalman;
 use aplomb::estimator::{Estimator, Filter, Sample};
@@ -227,12 +227,11 @@ impl Motion {
         let rates = rates + offset + self.noise(0.003);
         let flip = |v: Vector3| [v.x, -v.y, -v.z];
         Input {
-            sample: Sample {
-                t_us: 1_000 * u64::from(index),
-                specific_force_m_s2: force,
-                angular_rate_rad_s: rates,
-                ..Sample::default()
-            },
+            sample: Sample::new(
+                1_000 * u64::from(index),
+                BodyVector(force),
+                BodyVector(rates),
+            ),
             rates: flip(rates),
             rates_degrees: flip(rates).map(degrees),
             force: flip(force),

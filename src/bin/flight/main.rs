@@ -52,6 +52,7 @@ mod app {
     use aplomb::board::uart::{self, ReceiveRing};
     use aplomb::board::{clocks, pins, retained, stack_guard, watchdog};
     use aplomb::calibration::Mount;
+    use aplomb::console::usable_preferences;
     use aplomb::estimator::kalman::WarmStart;
     use aplomb::fault::{ClockSource, ResetCause};
     use aplomb::health::Flags;
@@ -158,16 +159,16 @@ mod app {
         if record.is_some() {
             messages.post(Message::RecordLoaded);
         }
-        let mut commands = Commands::new(
+        let baud = usable_preferences(record.unwrap_or_default().preferences).baud;
+        let (transmitter, receiver) =
+            uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
+        let commands = Commands::new(
+            receiver,
             record,
             SETTINGS.noise_model(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
         );
-        let baud = commands.preferences().baud;
-        let (transmitter, receiver) =
-            uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
-        commands.listen(receiver);
         let (to_log, logged) = context.local.log_queue.split();
         let requests = Requests {
             sensor: None,

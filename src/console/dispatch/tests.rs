@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::super::answer::ANSWER_CAPACITY;
 use super::super::module::State;
 use super::*;
-use crate::attitude::{Quaternion, Vector3};
+use crate::attitude::{BodyVector, Quaternion, Vector3};
 use crate::calibration::accelerometer::Pose;
 use crate::calibration::{
     AccelerometerCorrection, Axis, Calibration, GyroscopeOffset, MotionReason, StationaryMean,
@@ -588,7 +588,7 @@ fn two_poses_find_the_mount() {
         "ok mount find: keep it still for 2 s with the vehicle level, then with its nose down"
     );
     let mount = Mount::parse("-y+z").expect("a name");
-    let up_when = |body: Vector3| at_rest([0.0; 3], mount.to_sensor(body));
+    let up_when = |body: Vector3| at_rest([0.0; 3], mount.to_sensor(BodyVector(body)));
     let level = up_when(Vector3::new(0.0, 0.0, -1.0));
     let nose_down = up_when(Vector3::new(-1.0, 0.0, 0.0));
     harness.detector([level, level, MOVED, level, nose_down]);
