@@ -24,6 +24,8 @@ pub mod pins;
 pub mod retained;
 pub mod sensor;
 pub mod sensor_bus;
+pub mod stack_guard;
+mod supply;
 pub mod timebase;
 pub mod uart;
 pub mod watchdog;

@@ -311,6 +311,19 @@ pub enum Fault {
     },
     /// The crystal does not start, or the other chip's clock does not come.
     NoCrystal,
+    /// The internal oscillator is off by this share from nominal: +0.01 runs 1 % fast (STM32F405
+    /// datasheet, "HSI oscillator characteristics": −0.08 to +0.045 from −40 °C to 105 °C).
+    ///
+    /// The run's time is that of the core's clock. While the core runs by this oscillator, motion
+    /// and sensor pass it by as much faster or slower.
+    InternalOscillator(f64),
+    /// A START of the sensor's bus takes 0.6 µs, and 1.2 µs in a transfer, instead of no time.
+    SlowStart,
+    /// The supply is this low for this long, in millivolts. The sensor works down to 2,375.
+    Supply(u32, Range<f64>),
+    /// The watchdog's oscillator runs at this frequency, Hz, of 17,000 to 47,000 (STM32F405
+    /// datasheet, "LSI oscillator characteristics"). The typical one is 32,000.
+    WatchdogClock(u64),
     /// The firmware's microsecond timer starts at this count instead of zero.
     TimerStartsAt(u32),
     /// A fault of a schedule.
@@ -323,6 +336,23 @@ pub fn scheduled(faults: &[Fault]) -> impl Iterator<Item = &ScheduledFault> {
         Fault::Scheduled(scheduled) => Some(scheduled),
         _ => None,
     })
+}
+
+/// The error of the internal oscillator and the time from which the core runs by it, ns, if it does
+/// and there is an error.
+#[must_use]
+pub fn internal_time(faults: &[Fault]) -> Option<(f64, u64)> {
+    let error = faults.iter().find_map(|fault| match fault {
+        Fault::InternalOscillator(error) => Some(*error),
+        _ => None,
+    })?;
+    let mut dies = scheduled(faults).filter(|fault| fault.kind == FaultKind::CrystalDies);
+    let from_ns = if faults.contains(&Fault::NoCrystal) {
+        0
+    } else {
+        dies.next()?.start_ns
+    };
+    Some((error, from_ns))
 }
 
 /// Seconds as nanoseconds since power-up.

@@ -8,7 +8,8 @@ use rigless::chip::i2c::Peer;
 use rigless::snapshot::Store;
 
 use crate::faults::{
-    BusByte, BusLine, Direction, Fault, FaultKind, ScheduledFault, nanoseconds, scheduled, within,
+    BusByte, BusLine, Direction, Fault, FaultKind, ScheduledFault, internal_time, nanoseconds,
+    scheduled, within,
 };
 use crate::wires::SharedWires;
 use aplomb_models::sensor::registers::address;
@@ -26,6 +27,8 @@ pub struct FittedSensor {
     scheduled: Vec<ScheduledFault>,
     /// Instants at which a fault begins or ends, in order; those that have passed are gone.
     fault_times_ns: Vec<u64>,
+    /// The error of the core's time, and its beginning, ns.
+    internal_time: Option<(f64, u64)>,
     /// The level that the board saw last.
     wire_high: bool,
     /// True if the microcontroller pulls the INT pin up.
@@ -54,7 +57,8 @@ impl FittedSensor {
                 Fault::SensorAbsent(range)
                 | Fault::SensorSilent(range)
                 | Fault::BusHeldLow(_, range)
-                | Fault::InterruptStuck(_, range) => {
+                | Fault::InterruptStuck(_, range)
+                | Fault::Supply(_, range) => {
                     vec![nanoseconds(range.start), nanoseconds(range.end)]
                 }
                 Fault::SensorReset(at_s) => vec![nanoseconds(*at_s)],
@@ -63,9 +67,14 @@ impl FittedSensor {
                 | Fault::Nack { .. }
                 | Fault::ReceptionGarbled { .. }
                 | Fault::NoCrystal
+                | Fault::InternalOscillator(_)
+                | Fault::SlowStart
+                | Fault::WatchdogClock(_)
                 | Fault::TimerStartsAt(_) => vec![],
             })
             .collect();
+        let internal_time = internal_time(&faults);
+        fault_times_ns.extend(internal_time.map(|(_, from_ns)| from_ns));
         fault_times_ns.sort_unstable();
         fault_times_ns.dedup();
         fault_times_ns.retain(|&at_ns| at_ns != u64::MAX);
@@ -75,6 +84,7 @@ impl FittedSensor {
             scheduled: scheduled(&faults).copied().collect(),
             faults,
             fault_times_ns,
+            internal_time,
             wire_high: false,
             is_pulled_up: false,
             is_addressed: false,
@@ -188,6 +198,11 @@ impl FittedSensor {
             self.receive_stop(at_ns);
             self.wires.lock().lose_count(0, 0);
             self.sensor.power_up(at_ns);
+        }
+        if let Some((error, from_ns)) = self.internal_time
+            && from_ns == at_ns
+        {
+            self.sensor.change_time(at_ns, error);
         }
         for nth in 0..self.scheduled.len() {
             let fault = self.scheduled[nth];

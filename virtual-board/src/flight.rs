@@ -21,7 +21,7 @@ use rigless::time::VirtualNanos;
 use crate::Error;
 use crate::board::{BOARDS, Board, BoardModel};
 use crate::crystal::HighSpeedInput;
-use crate::faults::{Fault, ScheduledFault, nanoseconds, scheduled};
+use crate::faults::{Fault, ScheduledFault, internal_time, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
@@ -33,6 +33,7 @@ use crate::schedule::Schedule;
 use crate::script::Script;
 use crate::summary::Summary;
 use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::swing::ByOtherClock;
 use aplomb_models::motion::{Motion, Mount};
 use aplomb_models::sensor::{Sensor, SensorConfig, SensorErrors};
 
@@ -273,13 +274,15 @@ impl Run {
             return Err(Error::emulator(error));
         }
         let record = finished.driver.into_record();
-        let issues = issues(&finished.session, &profile);
+        let violations = violations(&finished.session);
+        let issues = issues(&finished.session, &violations, &profile);
         Ok(Outcome {
             summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
             uart_lines: lines(&record),
             record,
             faults: scheduled,
             flash: cells.record(),
+            violations,
             issues,
         })
     }
@@ -292,6 +295,14 @@ impl Run {
                 Box::new(Quadrotor::by_seed(self.seed)) as Box<dyn Motion>,
                 false,
             ),
+        };
+        let motion: Box<dyn Motion> = match internal_time(&self.faults) {
+            Some((error, from_ns)) => Box::new(ByOtherClock {
+                motion,
+                from_s: from_ns as f64 * 1e-9,
+                error,
+            }),
+            None => motion,
         };
         let config = if is_recording {
             SensorConfig::for_recording(self.seed)
@@ -323,6 +334,11 @@ impl Run {
             } => Some((*noise_per_million, *framing_per_million)),
             _ => None,
         });
+        let watchdog_hz = self.faults.iter().find_map(|fault| match fault {
+            Fault::WatchdogClock(hz) => Some(*hz),
+            _ => None,
+        });
+        let has_slow_starts = self.faults.contains(&Fault::SlowStart);
         let sensor = self.sensor();
         let mut controller = Microcontroller::new(
             FittedSensor::new(sensor, std::mem::take(&mut self.faults)),
@@ -331,6 +347,12 @@ impl Run {
             cells,
         )
         .map_err(Error::emulator)?;
+        if has_slow_starts {
+            controller.let_starts_take_time();
+        }
+        if let Some(hz) = watchdog_hz {
+            controller.calibrate_watchdog(hz);
+        }
         if let Some((noise, framing)) = garbled {
             controller.garble_reception(self.seed, noise, framing);
         }
@@ -362,7 +384,9 @@ pub struct Outcome {
     pub faults: Vec<ScheduledFault>,
     /// The calibration slots, and what was done to them.
     pub flash: FlashRecord,
-    /// Accesses that the board does not model, resets, and gaps in the account of instructions.
+    /// Rules of [`checks`](crate::checks) that the firmware has broken, with their places.
+    pub violations: Vec<String>,
+    /// Violations, accesses that the board does not model, resets, and gaps in the account of instructions.
     /// Empty in a sound run.
     pub issues: Vec<String>,
 }
@@ -418,8 +442,27 @@ fn lines(record: &Record) -> Vec<UartLine> {
         .collect()
 }
 
+/// Lists the rules for accesses to registers that the firmware has broken.
+fn violations(session: &Session<Board>) -> Vec<String> {
+    // Wait states too few for the clock, above all (RM0090, 3.5.1).
+    let told = session
+        .told()
+        .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason));
+    let checks = session.board().controller.checks();
+    let gated = session.refused().iter();
+    for (&address, _) in gated.filter(|(_, fault)| fault.is_shut_gate()) {
+        checks.note_without_clock(address);
+    }
+    let own = checks.violations();
+    told.chain(own.iter().map(ToString::to_string)).collect()
+}
+
 /// Lists the events that a sound run does not have.
-fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
+fn issues(
+    session: &Session<Board>,
+    violations: &[String],
+    profile: &Mutex<Profile>,
+) -> Vec<String> {
     let mut issues: Vec<String> = session
         .unmapped()
         .iter()
@@ -429,6 +472,7 @@ fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
         session
             .refused()
             .iter()
+            .filter(|(_, fault)| !fault.is_shut_gate())
             .map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")),
     );
     issues.extend(
@@ -451,15 +495,11 @@ fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
     );
     issues.extend(
         session
-            .told()
-            .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason)),
-    );
-    issues.extend(
-        session
             .resets()
             .iter()
             .map(|reset| format!("reset at {} ns: {:?}", reset.at.0, reset.cause)),
     );
+    issues.extend_from_slice(violations);
     let unexplained = profile.lock().map_or(1, |profile| profile.unexplained());
     if unexplained > 0 {
         issues.push(format!(

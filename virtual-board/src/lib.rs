@@ -20,6 +20,7 @@
 pub mod board;
 pub mod bus_step;
 pub mod campaign;
+pub mod checks;
 pub mod crystal;
 pub mod cycles;
 mod delegate;

@@ -263,6 +263,9 @@ fn fly(options: &Fly) -> Result<(), String> {
     if outcome.samples().is_empty() {
         return Err("the firmware published no attitude".into());
     }
+    if !outcome.violations.is_empty() {
+        return Err("the firmware broke rules of the manual: see the warnings above".into());
+    }
     Ok(())
 }
 

@@ -50,7 +50,7 @@ mod app {
     use aplomb::board::sensor_bus::SensorBus;
     use aplomb::board::timebase::{self, Timebase};
     use aplomb::board::uart::{self, ReceiveRing};
-    use aplomb::board::{clocks, pins, retained, watchdog};
+    use aplomb::board::{clocks, pins, retained, stack_guard, watchdog};
     use aplomb::calibration::Mount;
     use aplomb::console::usable_preferences;
     use aplomb::estimator::kalman::WarmStart;
@@ -125,6 +125,7 @@ mod app {
     ])]
     fn init(context: init::Context) -> (Shared, Local) {
         static RING: ReceiveRing = [const { AtomicU8::new(0) }; uart::RECEIVE_CAPACITY];
+        stack_guard::start(&context.core.MPU);
         let device = context.device;
         let start = retained::start(&device.RCC);
         watchdog::start(&device.IWDG, &device.DBGMCU);

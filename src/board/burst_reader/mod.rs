@@ -339,6 +339,9 @@ impl BurstReader {
         if has_lost_crystal {
             clocks::restore();
             self.latch(BoardFlags::INTERNAL_CLOCK);
+            if self.mode == Mode::Edges {
+                self.shortest_period_us = self.shortest_period_us();
+            }
         }
         if !is_enabled() {
             timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
@@ -381,13 +384,18 @@ impl BurstReader {
 
     fn return_to_edges(&mut self) {
         self.mode = Mode::Edges;
-        self.shortest_period_us = setup().shortest_period_us;
+        self.shortest_period_us = self.shortest_period_us();
         self.silence_us = SILENCE_DEADLINE_US;
         self.latched_flags.remove(BoardFlags::POLLED);
         // A burst under way was still started by the timer.
         if self.step == BurstStep::Idle {
             self.flags.remove(BoardFlags::POLLED);
         }
+    }
+
+    fn shortest_period_us(&self) -> u32 {
+        let flags = self.latched_flags;
+        setup().shortest_period_us(flags.contains(BoardFlags::INTERNAL_CLOCK))
     }
 
     fn poll_instead_of_edges(&mut self) {

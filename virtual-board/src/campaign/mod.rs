@@ -9,6 +9,7 @@
 //!   sensor's data.
 //! - A snapshot is published every 20 ms while the core runs; without data it is flagged stale. A
 //!   line of telemetry comes every 100 ms.
+//! - No access to a register breaks a rule of [`checks`](crate::checks).
 //! - Without a fault no data-ready edge is without its sample, and times are right to a
 //!   microsecond.
 
@@ -200,7 +201,8 @@ pub struct Report {
 pub fn run(case: &Case, garage: &Arc<Garage>, firmware: &Path) -> (Report, Option<Outcome>) {
     match case.fly_from(garage, firmware) {
         Ok(outcome) => {
-            let report = judge(case, &outcome.record, &outcome.uart_lines);
+            let mut report = judge(case, &outcome.record, &outcome.uart_lines);
+            report.failures.extend_from_slice(&outcome.violations);
             (report, Some(outcome))
         }
         Err(error) => {
