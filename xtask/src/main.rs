@@ -9,6 +9,7 @@ mod examples;
 mod faults;
 mod package;
 mod panics;
+mod python;
 mod results;
 mod rigs;
 mod setup;
@@ -49,6 +50,7 @@ usage: cargo xtask COMMAND
                       --check fails if a page disagrees with it, and is a part of `test`
   c                   build the C library for this computer and three Cortex-M cores, and run its
                       programs; a part of `test`
+  python              install the Python package into target/ and test it; a part of `test`
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
@@ -95,6 +97,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
             None => Err(format!("`results` takes one option\n\n{USAGE}")),
         },
         "c" => no_more(rest).and_then(|()| c_library::run()),
+        "python" => no_more(rest).and_then(|()| python::run()),
         "flash" => flash(board_alone(rest)?),
         "setup" => no_more(rest).and_then(|()| {
             setup::Toolchain::for_target()?;

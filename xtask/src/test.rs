@@ -6,7 +6,8 @@ use std::time::Instant;
 use crate::build::{self, BOARDS, Board, Firmware};
 use crate::setup::{self, Toolchain};
 use crate::{
-    agree, api, c_library, cost, examples, faults, package, panics, results, rigs, size, step,
+    agree, api, c_library, cost, examples, faults, package, panics, python, results, rigs, size,
+    step,
 };
 
 /// Runs all checks and tests.
@@ -31,6 +32,7 @@ pub fn run() -> Result<(), String> {
     agree::run(&toolchain, &virtual_board, &images[0].1)?;
     cost::run()?;
     c_library::run_for_cores()?;
+    python::run()?;
     eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
     Ok(())
 }
