@@ -7,15 +7,17 @@ use core::fmt;
 
 use super::answer::{Kind, Reply};
 use super::baud::{BaudChange, BaudPoll};
-use super::command::{Calibrate, Command, CommandForms, MountChoice, ParseError};
+use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, ParseError};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
+use super::measurement::MeasurementText;
 use super::module::{Module, Outcome, Task};
 use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
 use crate::calibration::{Mount, NoiseModel};
+use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record};
 use crate::telemetry;
 
@@ -161,6 +163,7 @@ impl Console {
                 module.begin(Task::SelfTest);
                 reply.ok(format_args!("self-test: the sensor stops for a second"))
             }
+            Command::Measure(what) => measure(what, module, reply),
             Command::Arm => self.arm(module, reply),
             Command::Disarm => {
                 self.is_armed = false;
@@ -235,19 +238,21 @@ impl Console {
     /// Refuses a command that must not run while armed, or while a procedure is running.
     fn refusal(&self, command: Command, reply: &mut Reply<'_>) -> Option<Kind> {
         use Command::{Arm, Disarm, Format, Help, Rate, Show, Status};
-        if self.is_armed && !matches!(command, Help | Status | Show | Arm | Disarm) {
+        let is_safe = matches!(
+            command,
+            Help | Status | Show | Arm | Disarm | Command::Measure(Measure::Show | Measure::Off)
+        );
+        if self.is_armed && !is_safe {
             return Some(reply.error(format_args!("refused while armed: \"disarm\" first")));
         }
-        let is_compatible = matches!(
-            command,
-            Help | Status
-                | Show
-                | Arm
-                | Disarm
-                | Rate(_)
-                | Format(_)
-                | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
-        );
+        let is_compatible = is_safe
+            || matches!(
+                command,
+                Rate(_)
+                    | Format(_)
+                    | Command::Measure(_)
+                    | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
+            );
         match self.procedures.current() {
             Some(procedure) if !is_compatible => Some(reply.error(format_args!(
                 "refused while \"{}\" goes on: \"calibrate stop\" ends it",
@@ -426,5 +431,29 @@ impl Console {
             procedure: self.procedures.current(),
         };
         reply.ok(format_args!("status: {status}"))
+    }
+}
+
+/// Runs `measure`.
+fn measure(what: Measure, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+    match what {
+        Measure::On => {
+            module.set_measuring(true);
+            reply.ok(format_args!(
+                "measure: on; \"measure show\" prints the figures, \"measure off\" ends it"
+            ))
+        }
+        Measure::Show => {
+            let part = module
+                .state()
+                .sensor
+                .map_or(&Part::MPU_6050, |(part, _)| part);
+            let text = MeasurementText(&module.measurement(), part);
+            reply.ok(format_args!("measure: {text}"))
+        }
+        Measure::Off => {
+            module.set_measuring(false);
+            reply.ok(format_args!("measure: off"))
+        }
     }
 }
