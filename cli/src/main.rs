@@ -7,6 +7,7 @@ mod convert;
 mod device;
 mod flight_replay;
 mod input;
+mod measure;
 mod plot;
 mod poses;
 mod progress;
@@ -15,6 +16,7 @@ mod record;
 mod replay;
 mod simulate;
 mod source;
+mod talk;
 mod view;
 mod watched;
 
@@ -39,6 +41,7 @@ enum Command {
     Convert(convert::Options),
     View(view::Options),
     Record(record::Options),
+    Measure(measure::Options),
     Plot(plot::Options),
     Simulate(simulate::Options),
     Completions(completions::Options),
@@ -51,6 +54,7 @@ fn main() -> ExitCode {
         Command::Convert(options) => convert::run(&options),
         Command::View(options) => view::run(&options),
         Command::Record(options) => record::run(&options),
+        Command::Measure(options) => measure::run(&options),
         Command::Plot(options) => plot::run(&options),
         Command::Simulate(options) => simulate::run(&options),
         Command::Completions(options) => {

@@ -40,6 +40,8 @@ pub enum Command {
     Forget,
     /// Tests the sensor against its factory trim.
     SelfTest,
+    /// Reads the sensor's settings back.
+    Registers,
     /// Measures the module's own work.
     Measure(Measure),
     /// Arms: from now on nothing is done that is only safe on the ground.
@@ -146,6 +148,7 @@ impl fmt::Display for Command {
             Self::Save => formatter.write_str("save"),
             Self::Forget => formatter.write_str("forget"),
             Self::SelfTest => formatter.write_str("self-test"),
+            Self::Registers => formatter.write_str("registers"),
             Self::Measure(argument) => write!(formatter, "measure {}", argument.name()),
             Self::Arm => formatter.write_str("arm"),
             Self::Disarm => formatter.write_str("disarm"),
@@ -195,13 +198,14 @@ const CALIBRATIONS: [&str; 6] = {
 
 /// Forms of every command, in the order of `help`. Of two equally near ones, suggestions prefer the
 /// first.
-static FORMS: [Form; 14] = [
+static FORMS: [Form; 15] = [
     Form::alone("help"),
     Form::alone("status"),
     Form::alone("show"),
     Form::new("calibrate", Argument::Word(&CALIBRATIONS)),
     Form::new("mount", Argument::Mount),
     Form::alone("self-test"),
+    Form::alone("registers"),
     Form::new("measure", Argument::Word(&Measure::NAMES)),
     Form::new("rate", Argument::Hertz),
     Form::new("format", Argument::Word(&OutputFormat::NAMES)),
@@ -422,6 +426,7 @@ impl FromStr for Command {
             "save" => Self::Save,
             "forget" => Self::Forget,
             "self-test" => Self::SelfTest,
+            "registers" => Self::Registers,
             "arm" => Self::Arm,
             "disarm" => Self::Disarm,
             _ => return parse_argument(form, argument),
@@ -502,6 +507,7 @@ mod tests {
             ("save", Command::Save),
             ("forget", Command::Forget),
             ("self-test", Command::SelfTest),
+            ("registers", Command::Registers),
             ("measure on", Command::Measure(Measure::On)),
             ("measure show", Command::Measure(Measure::Show)),
             ("measure off", Command::Measure(Measure::Off)),

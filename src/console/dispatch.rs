@@ -158,11 +158,8 @@ impl Console {
             Command::Show => reply.ok(format_args!("show: {}", RecordText(&self.working))),
             Command::Save => self.save(module, reply),
             Command::Forget => self.forget(module, reply),
-            Command::SelfTest => {
-                self.task = Some(Task::SelfTest);
-                module.begin(Task::SelfTest);
-                reply.ok(format_args!("self-test: the sensor stops for a second"))
-            }
+            Command::SelfTest => self.begin(Task::SelfTest, module, reply),
+            Command::Registers => self.begin(Task::ReadBack, module, reply),
             Command::Measure(what) => measure(what, module, reply),
             Command::Arm => self.arm(module, reply),
             Command::Disarm => {
@@ -269,23 +266,25 @@ impl Console {
                 "save: nothing has changed, nothing is written"
             ));
         }
-        let task = Task::Save(self.working);
+        self.begin(Task::Save(self.working), module, reply)
+    }
+
+    /// Begins a task.
+    fn begin(&mut self, task: Task, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         self.task = Some(task);
         module.begin(task);
-        reply.ok(format_args!("save: the sensor stops for a second"))
+        let name = task_name(&task);
+        reply.ok(format_args!("{name}: the sensor stops for a second"))
     }
 
     /// Reports the result of a task.
     fn finish_task(&mut self, task: Task, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
-        let name = match task {
-            Task::Save(record) => {
-                if outcome.is_ok {
-                    self.stored = record;
-                }
-                "save"
-            }
-            Task::SelfTest => "self-test",
-        };
+        if let Task::Save(record) = task
+            && outcome.is_ok
+        {
+            self.stored = record;
+        }
+        let name = task_name(&task);
         let kind = if outcome.is_ok {
             Kind::Done
         } else {
@@ -431,6 +430,15 @@ impl Console {
             procedure: self.procedures.current(),
         };
         reply.ok(format_args!("status: {status}"))
+    }
+}
+
+/// Returns the command that starts a task.
+const fn task_name(task: &Task) -> &'static str {
+    match task {
+        Task::Save(_) => "save",
+        Task::SelfTest => "self-test",
+        Task::ReadBack => "registers",
     }
 }
 

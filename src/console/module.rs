@@ -62,6 +62,8 @@ pub enum Task {
     Save(Record),
     /// Runs the sensor's self-test.
     SelfTest,
+    /// Reads the sensor's settings back.
+    ReadBack,
 }
 
 /// Result of a [`Task`].

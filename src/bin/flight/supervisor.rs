@@ -14,7 +14,7 @@ use aplomb::board::watchdog;
 use aplomb::calibration::Calibration;
 use aplomb::console::{Outcome, Task};
 use aplomb::estimator::kalman::WarmStart;
-use aplomb::mpu6050::{self, Config, Part};
+use aplomb::mpu6050::{self, Condition, Config, Part};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::settings::storage;
 use aplomb::telemetry::Mailbox;
@@ -197,6 +197,10 @@ fn perform(task: &Task, sensor: &mut Sensor, flash: &mut CalibrationFlash) -> Ou
         Task::Save(record) => match storage::save(flash, record) {
             Ok(()) => Outcome::new(true, "stored"),
             Err(error) => Outcome::new(false, error),
+        },
+        Task::ReadBack => match sensor.read_back() {
+            Ok(read) => Outcome::new(read.condition == Condition::Intact, read),
+            Err(reason) => Outcome::new(false, complaint(reason)),
         },
         Task::SelfTest => match sensor.test() {
             Ok(result) => Outcome::new(result.has_passed() != Some(false), result),
