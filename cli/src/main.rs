@@ -1,6 +1,7 @@
 //! `aplomb`: shows and records a module, replays recordings through the library, draws, converts
 //! and simulates them, and finds calibrations.
 
+mod bring_up;
 mod calibrate;
 mod completions;
 mod convert;
@@ -42,6 +43,7 @@ enum Command {
     View(view::Options),
     Record(record::Options),
     Measure(measure::Options),
+    BringUp(bring_up::Options),
     Plot(plot::Options),
     Simulate(simulate::Options),
     Completions(completions::Options),
@@ -55,6 +57,7 @@ fn main() -> ExitCode {
         Command::View(options) => view::run(&options),
         Command::Record(options) => record::run(&options),
         Command::Measure(options) => measure::run(&options),
+        Command::BringUp(options) => bring_up::run(&options),
         Command::Plot(options) => plot::run(&options),
         Command::Simulate(options) => simulate::run(&options),
         Command::Completions(options) => {

@@ -319,10 +319,11 @@ pub fn measure(talk: &mut Talk, seconds: u32) -> Result<Figures, String> {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
 
-    const ANSWER: &str = "measure: seconds=10.0 samples=9931 missed=2 cycles=1023.25,2238 \
+    /// Answer to `measure show`.
+    pub const ANSWER: &str = "measure: seconds=10.0 samples=9931 missed=2 cycles=1023.25,2238 \
         interrupt_cycles=235.73,542 edge_to_attitude_us=390.92,397 load_percent=0.910 \
         period_us=1006.984,1006,1007 period_sigma_us=0.13 core_mhz=168 stack_bytes=7800,12288 \
         accel_mg=73.0,-81.6,1018.9 accel_sigma_mg=6.0,6.1,6.2 gyro_dps=7.9,1.8,18.4 \

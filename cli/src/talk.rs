@@ -94,6 +94,33 @@ impl Talk {
              leave a binary format with `format text`"
         ))
     }
+
+    /// Sends a command that takes a while. Returns the text of `done`, or of `failed` as the error.
+    /// `show` gets the progress.
+    pub fn perform(
+        &mut self,
+        command: &str,
+        within: Duration,
+        mut show: impl FnMut(&str),
+    ) -> Result<Result<String, String>, String> {
+        show(&self.ask(command)?);
+        let ending = |text: &str, kind: &str| {
+            let text = text
+                .strip_prefix(kind)?
+                .trim_start()
+                .strip_prefix(command)?;
+            Some(text.trim_start_matches(':').trim().to_owned())
+        };
+        let ended = self.message(within, |text| {
+            if let Some(progress) = text.strip_prefix("progress ") {
+                show(progress);
+            }
+            let done = ending(text, "done").map(Ok);
+            done.or_else(|| ending(text, "failed").map(Err))
+        })?;
+        let seconds = within.as_secs();
+        Ok(ended.unwrap_or_else(|| Err(format!("no end of `{command}` within {seconds} s"))))
+    }
 }
 
 /// Returns the value of a field `name=value` in an answer.

@@ -249,8 +249,9 @@ fn every_command_is_answered_with_one_line() {
         (
             "help",
             "ok help: help, status, show, calibrate gyro|accel|level|temperature|done|stop, \
-             mount find|<forward><down>, self-test, registers, measure on|show|off, rate <hz>, \
-             format text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, forget, arm, disarm",
+             mount find|<forward><down>, self-test, registers, measure on|show|off, \
+             rate <hz>, format text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, \
+             forget, arm, disarm",
         ),
         (
             "status",
