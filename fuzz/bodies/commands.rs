@@ -6,6 +6,7 @@ use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::console::answer::ANSWER_CAPACITY;
 use aplomb::console::command::{BAUD_RATES, Command, RATES_HZ};
 use aplomb::console::{Console, Module, Outcome, State, Task};
+use aplomb::health::Measurement;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::Settings;
 use aplomb::telemetry;
@@ -96,6 +97,14 @@ impl Module for Wire {
 
     fn set_armed(&mut self, is_armed: bool) {
         self.is_armed = is_armed;
+    }
+
+    fn set_measuring(&mut self, is_on: bool) {
+        assert!(!self.is_armed || !is_on);
+    }
+
+    fn measurement(&mut self) -> Measurement {
+        Measurement::default()
     }
 
     fn set_baud(&mut self, _baud: u32) -> bool {

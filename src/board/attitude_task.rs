@@ -196,6 +196,11 @@ fn publish(snapshot: &Snapshot) {
         .store(sequence.wrapping_add(1), Ordering::Release);
 }
 
+/// Returns the number of publications since start, which may wrap.
+pub(super) fn publications() -> u32 {
+    APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed)
+}
+
 /// Returns the latest snapshot and its number; `None` before the first. Only for tasks of lower
 /// priority than the writer.
 pub fn latest() -> Option<(Snapshot, u32)> {

@@ -20,6 +20,7 @@ pub mod burst_reader;
 pub mod clocks;
 pub mod crash;
 pub mod flash;
+pub mod measure;
 pub mod pins;
 pub mod retained;
 pub mod sensor;

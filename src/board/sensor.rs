@@ -11,7 +11,7 @@ use super::sensor_bus::{BusHeldLow, SensorBus};
 use super::timebase::Delay;
 use super::{burst_reader, retained};
 use crate::fault::FaultClass;
-use crate::mpu6050::{Condition, Config, Error, Mpu6050, Part, SelfTest};
+use crate::mpu6050::{Condition, Config, Error, Mpu6050, Part, ReadBack, SelfTest};
 
 /// Pause between two attempts, in ms: recovery is due 20 ms after the end of a fault.
 pub const RETRY_MS: u32 = 5;
@@ -111,6 +111,18 @@ impl Sensor {
         Mpu6050::probe_once(&mut self.bus)
             .map_err(|failure| NotReady::Sensor(failure.error))?
             .self_test(&mut Delay)
+            .map_err(NotReady::Sensor)
+    }
+
+    /// Reads the sensor's settings back.
+    ///
+    /// # Errors
+    /// Returns [`NotReady`] if there is no sensor.
+    pub fn read_back(&mut self) -> Result<ReadBack, NotReady> {
+        self.bus.recover().map_err(NotReady::BusHeldLow)?;
+        Mpu6050::probe_once(&mut self.bus)
+            .map_err(|failure| NotReady::Sensor(failure.error))?
+            .read_back(&self.config)
             .map_err(NotReady::Sensor)
     }
 

@@ -40,6 +40,10 @@ pub enum Command {
     Forget,
     /// Tests the sensor against its factory trim.
     SelfTest,
+    /// Reads the sensor's settings back.
+    Registers,
+    /// Measures the module's own work.
+    Measure(Measure),
     /// Arms: from now on nothing is done that is only safe on the ground.
     Arm,
     /// Disarms.
@@ -98,6 +102,33 @@ impl Calibrate {
     }
 }
 
+/// Argument of `measure`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Measure {
+    /// Starts without figures.
+    On,
+    /// Prints the figures so far.
+    Show,
+    /// Ends the measurement.
+    Off,
+}
+
+impl Measure {
+    const ALL: [Self; 3] = [Self::On, Self::Show, Self::Off];
+    const NAMES: [&str; 3] = [Self::On.name(), Self::Show.name(), Self::Off.name()];
+
+    /// Returns the word after `measure`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::On => "on",
+            Self::Show => "show",
+            Self::Off => "off",
+        }
+    }
+}
+
 /// Argument of `mount`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -117,6 +148,8 @@ impl fmt::Display for Command {
             Self::Save => formatter.write_str("save"),
             Self::Forget => formatter.write_str("forget"),
             Self::SelfTest => formatter.write_str("self-test"),
+            Self::Registers => formatter.write_str("registers"),
+            Self::Measure(argument) => write!(formatter, "measure {}", argument.name()),
             Self::Arm => formatter.write_str("arm"),
             Self::Disarm => formatter.write_str("disarm"),
             Self::Calibrate(argument) => write!(formatter, "calibrate {}", argument.name()),
@@ -165,13 +198,15 @@ const CALIBRATIONS: [&str; 6] = {
 
 /// Forms of every command, in the order of `help`. Of two equally near ones, suggestions prefer the
 /// first.
-static FORMS: [Form; 13] = [
+static FORMS: [Form; 15] = [
     Form::alone("help"),
     Form::alone("status"),
     Form::alone("show"),
     Form::new("calibrate", Argument::Word(&CALIBRATIONS)),
     Form::new("mount", Argument::Mount),
     Form::alone("self-test"),
+    Form::alone("registers"),
+    Form::new("measure", Argument::Word(&Measure::NAMES)),
     Form::new("rate", Argument::Hertz),
     Form::new("format", Argument::Word(&OutputFormat::NAMES)),
     Form::new("baud", Argument::Baud),
@@ -391,6 +426,7 @@ impl FromStr for Command {
             "save" => Self::Save,
             "forget" => Self::Forget,
             "self-test" => Self::SelfTest,
+            "registers" => Self::Registers,
             "arm" => Self::Arm,
             "disarm" => Self::Disarm,
             _ => return parse_argument(form, argument),
@@ -411,6 +447,11 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
             .find(|known| known.name() == argument)
             .map(Command::Calibrate)
             .ok_or_else(|| unknown(&CALIBRATIONS)),
+        "measure" => Measure::ALL
+            .into_iter()
+            .find(|known| known.name() == argument)
+            .map(Command::Measure)
+            .ok_or_else(|| unknown(&Measure::NAMES)),
         "mount" if argument == "find" => Ok(Command::Mount(MountChoice::Find)),
         "mount" => match Mount::parse(argument) {
             Some(mount) => Ok(Command::Mount(MountChoice::Named(mount))),
@@ -466,6 +507,10 @@ mod tests {
             ("save", Command::Save),
             ("forget", Command::Forget),
             ("self-test", Command::SelfTest),
+            ("registers", Command::Registers),
+            ("measure on", Command::Measure(Measure::On)),
+            ("measure show", Command::Measure(Measure::Show)),
+            ("measure off", Command::Measure(Measure::Off)),
             ("arm", Command::Arm),
             ("disarm", Command::Disarm),
             ("calibrate gyro", Command::Calibrate(Calibrate::Gyroscope)),

@@ -7,15 +7,17 @@ use core::fmt;
 
 use super::answer::{Kind, Reply};
 use super::baud::{BaudChange, BaudPoll};
-use super::command::{Calibrate, Command, CommandForms, MountChoice, ParseError};
+use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, ParseError};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
+use super::measurement::MeasurementText;
 use super::module::{Module, Outcome, Task};
 use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
 use crate::calibration::{Mount, NoiseModel};
+use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record};
 use crate::telemetry;
 
@@ -156,11 +158,9 @@ impl Console {
             Command::Show => reply.ok(format_args!("show: {}", RecordText(&self.working))),
             Command::Save => self.save(module, reply),
             Command::Forget => self.forget(module, reply),
-            Command::SelfTest => {
-                self.task = Some(Task::SelfTest);
-                module.begin(Task::SelfTest);
-                reply.ok(format_args!("self-test: the sensor stops for a second"))
-            }
+            Command::SelfTest => self.begin(Task::SelfTest, module, reply),
+            Command::Registers => self.begin(Task::ReadBack, module, reply),
+            Command::Measure(what) => measure(what, module, reply),
             Command::Arm => self.arm(module, reply),
             Command::Disarm => {
                 self.is_armed = false;
@@ -235,19 +235,21 @@ impl Console {
     /// Refuses a command that must not run while armed, or while a procedure is running.
     fn refusal(&self, command: Command, reply: &mut Reply<'_>) -> Option<Kind> {
         use Command::{Arm, Disarm, Format, Help, Rate, Show, Status};
-        if self.is_armed && !matches!(command, Help | Status | Show | Arm | Disarm) {
+        let is_safe = matches!(
+            command,
+            Help | Status | Show | Arm | Disarm | Command::Measure(Measure::Show | Measure::Off)
+        );
+        if self.is_armed && !is_safe {
             return Some(reply.error(format_args!("refused while armed: \"disarm\" first")));
         }
-        let is_compatible = matches!(
-            command,
-            Help | Status
-                | Show
-                | Arm
-                | Disarm
-                | Rate(_)
-                | Format(_)
-                | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
-        );
+        let is_compatible = is_safe
+            || matches!(
+                command,
+                Rate(_)
+                    | Format(_)
+                    | Command::Measure(_)
+                    | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
+            );
         match self.procedures.current() {
             Some(procedure) if !is_compatible => Some(reply.error(format_args!(
                 "refused while \"{}\" goes on: \"calibrate stop\" ends it",
@@ -264,23 +266,25 @@ impl Console {
                 "save: nothing has changed, nothing is written"
             ));
         }
-        let task = Task::Save(self.working);
+        self.begin(Task::Save(self.working), module, reply)
+    }
+
+    /// Begins a task.
+    fn begin(&mut self, task: Task, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         self.task = Some(task);
         module.begin(task);
-        reply.ok(format_args!("save: the sensor stops for a second"))
+        let name = task_name(&task);
+        reply.ok(format_args!("{name}: the sensor stops for a second"))
     }
 
     /// Reports the result of a task.
     fn finish_task(&mut self, task: Task, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
-        let name = match task {
-            Task::Save(record) => {
-                if outcome.is_ok {
-                    self.stored = record;
-                }
-                "save"
-            }
-            Task::SelfTest => "self-test",
-        };
+        if let Task::Save(record) = task
+            && outcome.is_ok
+        {
+            self.stored = record;
+        }
+        let name = task_name(&task);
         let kind = if outcome.is_ok {
             Kind::Done
         } else {
@@ -426,5 +430,38 @@ impl Console {
             procedure: self.procedures.current(),
         };
         reply.ok(format_args!("status: {status}"))
+    }
+}
+
+/// Returns the command that starts a task.
+const fn task_name(task: &Task) -> &'static str {
+    match task {
+        Task::Save(_) => "save",
+        Task::SelfTest => "self-test",
+        Task::ReadBack => "registers",
+    }
+}
+
+/// Runs `measure`.
+fn measure(what: Measure, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+    match what {
+        Measure::On => {
+            module.set_measuring(true);
+            reply.ok(format_args!(
+                "measure: on; \"measure show\" prints the figures, \"measure off\" ends it"
+            ))
+        }
+        Measure::Show => {
+            let part = module
+                .state()
+                .sensor
+                .map_or(&Part::MPU_6050, |(part, _)| part);
+            let text = MeasurementText(&module.measurement(), part);
+            reply.ok(format_args!("measure: {text}"))
+        }
+        Measure::Off => {
+            module.set_measuring(false);
+            reply.ok(format_args!("measure: off"))
+        }
     }
 }

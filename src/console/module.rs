@@ -4,7 +4,7 @@ use core::fmt::{self, Write};
 
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, StationaryProgress};
-use crate::health::Flags;
+use crate::health::{Flags, Measurement};
 use crate::mpu6050::Part;
 use crate::settings::Record;
 
@@ -37,6 +37,12 @@ pub trait Module {
     /// Arms or disarms. While armed, the module does nothing that is only safe on the ground.
     fn set_armed(&mut self, is_armed: bool);
 
+    /// Starts a measurement of the module's own work without figures, or ends it.
+    fn set_measuring(&mut self, is_on: bool);
+
+    /// Returns the figures of the last measurement.
+    fn measurement(&mut self) -> Measurement;
+
     /// Sends and receives at this baud rate. Returns false, and changes nothing, while bytes are
     /// still being sent.
     fn set_baud(&mut self, baud: u32) -> bool;
@@ -56,6 +62,8 @@ pub enum Task {
     Save(Record),
     /// Runs the sensor's self-test.
     SelfTest,
+    /// Reads the sensor's settings back.
+    ReadBack,
 }
 
 /// Result of a [`Task`].

@@ -4,6 +4,8 @@
 //! scale then scales the attitude. Three short reads cover every setting, and each fits between two
 //! bursts.
 
+use core::fmt;
+
 use super::config::Config;
 use super::part::Part;
 use super::registers::{
@@ -118,6 +120,37 @@ impl Check {
     }
 }
 
+/// Settings that were read back, byte by byte.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ReadBack {
+    /// Part that was read.
+    pub part: &'static Part,
+    /// Condition of the settings.
+    pub condition: Condition,
+    /// Registers of each check: the first one, their number, and their bytes.
+    pub registers: [(Register, usize, [u8; Check::LONGEST]); 3],
+}
+
+impl fmt::Display for ReadBack {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self.condition {
+            Condition::Intact => "as configured",
+            Condition::Reset => "the sensor has reset itself",
+            Condition::Changed => "a setting differs",
+        })?;
+        write!(formatter, "; 0x75={:02x}", self.part.who_am_i)?;
+        for (first, length, bytes) in &self.registers {
+            write!(formatter, " 0x{:02x}", *first as u8)?;
+            for (place, byte) in bytes.iter().take(*length).enumerate() {
+                let separator = if place == 0 { '=' } else { ',' };
+                write!(formatter, "{separator}{byte:02x}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -157,6 +190,24 @@ mod tests {
         assert_eq!(power.evaluate(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
         assert_eq!(power.evaluate(&[0x01, 0x08, 0, 0, 0]), Condition::Changed);
         assert_eq!(power.evaluate(&[0x40, 0x00, 0, 0, 0]), Condition::Reset);
+    }
+
+    #[test]
+    fn what_was_read_back_is_printed_byte_by_byte() {
+        let bytes = [0x00, 0x01, 0x18, 0x18, 0x00];
+        let read = ReadBack {
+            part: &Part::MPU_6050,
+            condition: Condition::Intact,
+            registers: [
+                (Register::SampleRateDivider, 5, bytes),
+                (Register::InterruptPinConfiguration, 2, bytes),
+                (Register::PowerManagement1, 2, [0x01, 0x00, 0, 0, 0]),
+            ],
+        };
+        assert_eq!(
+            std::string::ToString::to_string(&read),
+            "as configured; 0x75=68 0x19=00,01,18,18,00 0x37=00,01 0x6b=01,00"
+        );
     }
 
     #[test]

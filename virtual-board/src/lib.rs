@@ -13,6 +13,7 @@
 //! | [`recorder`] | the record of a run |
 //! | [`flight`], [`summary`], [`cycles`] | a run, its figures, and an estimate in cycles |
 //! | [`campaign`] | random flights with random faults, and their rules |
+//! | [`port`] | the UART for other programs: standard streams, pseudo-terminal, TCP |
 //! | [`outputs`], [`plot`] | the files that a flight leaves |
 //!
 //! The sensor and the motion are those of `aplomb-models`.
@@ -36,6 +37,7 @@ pub mod image;
 pub mod mcu;
 pub mod outputs;
 pub mod plot;
+pub mod port;
 pub mod probe;
 pub mod profile;
 pub mod recorder;

@@ -2,7 +2,6 @@
 //! folder.
 
 mod live;
-mod port;
 mod screen;
 
 use std::fmt::Write as _;
@@ -28,11 +27,11 @@ use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
+use virtual_board::port::Port;
 use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
 use live::Live;
-use port::Port;
 use screen::Screen;
 
 /// Default length of the simulated flight, s.

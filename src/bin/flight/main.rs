@@ -126,6 +126,8 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         static RING: ReceiveRing = [const { AtomicU8::new(0) }; uart::RECEIVE_CAPACITY];
         stack_guard::start(&context.core.MPU);
+        #[cfg(feature = "full")]
+        aplomb::board::measure::fill_stack();
         let device = context.device;
         let start = retained::start(&device.RCC);
         watchdog::start(&device.IWDG, &device.DBGMCU);
@@ -276,8 +278,7 @@ mod app {
             };
             let part = pipeline.settings().part;
             task.run(pipeline, |received| {
-                estimation.measurement.update(&received.burst, part);
-                requests::log_burst(received, to_log);
+                requests::after_publication(received, part, &mut estimation.measurement, to_log);
             })
         });
         if let Some(message) = change.and_then(message_of) {

@@ -4,15 +4,17 @@
 use core::sync::atomic::Ordering;
 
 use aplomb::board::uart::{Receiver, Transmitter};
-use aplomb::board::{attitude_task, retained};
+use aplomb::board::{attitude_task, measure, retained};
 use aplomb::calibration::{Calibration, StationaryProgress};
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Module, Outcome, State, Task};
 use aplomb::fault::FaultClass;
-use aplomb::health::Flags;
+use aplomb::health::{Flags, Measurement};
 use rtic::Mutex;
 
-use crate::requests::{self, BURST_COUNT, Estimation, Requests};
+use crate::requests::{
+    BURST_COUNT, Estimation, MEASUREMENT, NEW_MEASUREMENT, Requests, TASK, TO_SUPERVISOR,
+};
 
 /// Port to the module, for one telemetry tick.
 pub struct ModulePort<'a, E, R> {
@@ -135,7 +137,15 @@ where
 
     fn begin(&mut self, task: Task) {
         self.requests.lock(|requests| requests.task = Some(task));
-        requests::announce_task();
+        TO_SUPERVISOR.set(TASK, true);
+    }
+
+    fn set_measuring(&mut self, is_on: bool) {
+        TO_SUPERVISOR.set(MEASUREMENT | NEW_MEASUREMENT, is_on);
+    }
+
+    fn measurement(&mut self) -> Measurement {
+        measure::figures()
     }
 
     fn take_outcome(&mut self) -> Option<Outcome> {

@@ -21,7 +21,7 @@ use heapless::spsc::Consumer;
 use rtic::Mutex;
 
 use crate::commands::Commands;
-use crate::requests::{BURST_COUNT, Estimation, IS_LOGGING, Requests};
+use crate::requests::{AFTER_PUBLICATION, BURST_COUNT, Estimation, LOG, Requests};
 
 /// True if this build sends the flight log.
 const HAS_LOG: bool = cfg!(feature = "full");
@@ -191,7 +191,7 @@ impl Telemetry {
 
     /// Starts or ends the flow of bursts to the log.
     fn follow_log_format(&mut self, is_log: bool) {
-        if is_log != IS_LOGGING.swap(is_log, Ordering::Relaxed) {
+        if HAS_LOG && is_log != AFTER_PUBLICATION.set(LOG, is_log) {
             while self.logged.dequeue().is_some() {}
             self.sender.restart(BURST_COUNT.load(Ordering::Relaxed));
         }

@@ -13,7 +13,7 @@ use crate::calibration::{
     AccelerometerCorrection, Axis, Calibration, GyroscopeOffset, MotionReason, StationaryMean,
     StationaryProgress, SymmetricMatrix, TemperatureModel,
 };
-use crate::health::Flags;
+use crate::health::{CoreFigures, Flags, Measurement, SampleFigures};
 use crate::mpu6050::Part;
 use crate::pipeline::Settings;
 use crate::settings::OutputFormat;
@@ -26,6 +26,7 @@ enum Call {
     StartDetector(u16),
     StopDetector,
     Armed(bool),
+    Measuring(bool),
     Baud(u32),
     Begin(Task),
 }
@@ -39,6 +40,7 @@ struct FakeModule {
     is_sending: bool,
     has_no_sensor: bool,
     state: Option<State>,
+    measurement: Measurement,
     calls: Vec<Call>,
 }
 
@@ -84,6 +86,14 @@ impl Module for FakeModule {
 
     fn detector_percent(&mut self) -> u8 {
         40
+    }
+
+    fn set_measuring(&mut self, is_on: bool) {
+        self.calls.push(Call::Measuring(is_on));
+    }
+
+    fn measurement(&mut self) -> Measurement {
+        self.measurement
     }
 
     fn set_armed(&mut self, is_armed: bool) {
@@ -239,8 +249,9 @@ fn every_command_is_answered_with_one_line() {
         (
             "help",
             "ok help: help, status, show, calibrate gyro|accel|level|temperature|done|stop, \
-             mount find|<forward><down>, self-test, rate <hz>, format \
-             text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, forget, arm, disarm",
+             mount find|<forward><down>, self-test, registers, measure on|show|off, \
+             rate <hz>, format text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, \
+             forget, arm, disarm",
         ),
         (
             "status",
@@ -402,6 +413,7 @@ fn commands_change_nothing_while_armed() {
         "calibrate temperature",
         "calibrate done",
         "calibrate stop",
+        "measure on",
     ] {
         assert_eq!(
             harness.ask(line),
@@ -409,7 +421,7 @@ fn commands_change_nothing_while_armed() {
             "{line}"
         );
     }
-    for line in ["help", "status", "show", "arm"] {
+    for line in ["help", "status", "show", "measure show", "arm"] {
         assert!(harness.ask(line).starts_with("ok "), "{line}");
     }
     assert_eq!(harness.calls(), [Call::Armed(true)]);
@@ -757,9 +769,76 @@ fn the_longest_answers_fit() {
         status.ends_with("doing=\"calibrate temperature, nothing seen yet\""),
         "{status}"
     );
-    for line in [&show, &status] {
+    harness.module.measurement = largest_measurement();
+    let figures = harness.ask("measure show");
+    assert!(figures.contains(" temperature_c="), "{figures}");
+    for line in [&show, &status, &figures] {
         assert!(line.len() + 60 <= ANSWER_CAPACITY, "{}", line.len());
     }
+}
+
+/// Returns the figures with the longest numbers.
+fn largest_measurement() -> Measurement {
+    let mut samples = SampleFigures::new();
+    samples.add(0, u32::MAX >> 1, u8::MAX, &[0x80; 14]);
+    samples.add(99_999, u32::MAX >> 1, 0, &[0x80; 14]);
+    samples.missed = u32::MAX;
+    let mut core = CoreFigures {
+        busy_cycles: u64::MAX,
+        elapsed_us: u64::MAX,
+        ..CoreFigures::new()
+    };
+    core.sample_cycles.add(i32::MAX);
+    core.interrupt_cycles.add(i32::MAX);
+    Measurement {
+        core,
+        samples,
+        core_mhz: 1,
+        stack_used_bytes: u32::MAX,
+        stack_bytes: u32::MAX,
+    }
+}
+
+#[test]
+fn a_measurement_is_started_shown_and_ended() {
+    let mut harness = Harness::with(None);
+    let mut samples = SampleFigures::new();
+    // 2048 counts are 1 g, and 164 are 10 deg/s.
+    let bytes = |x: i16| {
+        let [high, low] = x.to_be_bytes();
+        [high, low, 0, 0, 0, 0, 0, 0, 0, 164, 0, 0, 0, 0]
+    };
+    for (edge_us, x) in [(0, 2_047), (1_001, 2_049), (2_000, 2_047), (3_001, 2_049)] {
+        samples.add(edge_us, 388, 0, &bytes(x));
+    }
+    let mut core = CoreFigures {
+        busy_cycles: 1_680,
+        elapsed_us: 1_000,
+        ..CoreFigures::new()
+    };
+    core.sample_cycles.add(1_000);
+    core.sample_cycles.add(1_025);
+    core.interrupt_cycles.add(236);
+    harness.module.measurement = Measurement {
+        core,
+        samples,
+        core_mhz: 168,
+        stack_used_bytes: 7_800,
+        stack_bytes: 12_288,
+    };
+    let started = harness.ask("measure on");
+    assert!(started.starts_with("ok measure: on; "), "{started}");
+    assert_eq!(
+        harness.ask("measure show"),
+        "ok measure: seconds=0.0 samples=4 missed=0 cycles=1012.50,1025 \
+         interrupt_cycles=236.00,236 edge_to_attitude_us=388.00,388 load_percent=1.000 \
+         period_us=1000.333,999,1001 period_sigma_us=0.94 core_mhz=168 stack_bytes=7800,12288 \
+         accel_mg=1000.000,0.000,0.000 accel_sigma_mg=0.488,0.000,0.000 \
+         gyro_dps=10.000,0.000,0.000 gyro_sigma_dps=0.000,0.000,0.000 temperature_c=36.5"
+    );
+    assert_eq!(harness.ask("measure off"), "ok measure: off");
+    let calls = [Call::Measuring(true), Call::Measuring(false)];
+    assert_eq!(harness.calls(), calls);
 }
 
 /// Returns whether a command changes something while disarmed and without a procedure.

@@ -24,7 +24,7 @@ pub struct ProfiledProcessor {
     /// The part of the flash that the inner processor does not map.
     cells: SharedCells,
     checks: (Checks, Reserved),
-    /// The handlers' first instructions, by exception number.
+    /// The handlers' first instructions, by exception number; at 0 that of a measurement.
     handlers: Vec<u64>,
     is_armed: bool,
     /// The exceptions that run or are interrupted, the outermost first.
@@ -169,14 +169,13 @@ impl ProfiledProcessor {
     /// Determines the running exception, and credits the instructions since the last time.
     fn look(&mut self, bus: &mut dyn CoreBus) {
         let exception = self.exception();
-        let is_entry =
-            exception != THREAD && self.handlers.get(exception) == Some(&self.inner.pc());
-        let is_explained = if is_entry {
-            self.enter(exception, bus);
-            true
-        } else {
-            self.leave_to(exception)
-        };
+        let pc = self.inner.pc();
+        // The entry at 0 handles all exceptions while the firmware measures itself.
+        let is_handler = [exception, THREAD]
+            .iter()
+            .any(|&number| self.handlers.get(number) == Some(&pc));
+        let is_entry = exception != THREAD && is_handler && self.enter(exception, bus);
+        let is_explained = is_entry || self.leave_to(exception);
         let retired = self.inner.retired();
         if let Ok(mut profile) = self.profile.lock() {
             if profile.crashes_only {
@@ -201,14 +200,19 @@ impl ProfiledProcessor {
         }
     }
 
-    /// The core is at the first instruction of an exception's handler.
-    fn enter(&mut self, exception: usize, bus: &mut dyn CoreBus) {
+    /// The core is at the first instruction of an exception's handler. Returns false if the
+    /// exception runs already, and has called the handler.
+    fn enter(&mut self, exception: usize, bus: &mut dyn CoreBus) -> bool {
         let frame = self.register(STACK_POINTER);
+        let is_call = |last: &Activation| last.exception == exception && frame < last.frame;
+        if self.activations.last().is_some_and(is_call) {
+            return false;
+        }
         if let Some(last) = self.activations.last_mut()
             && last.frame == frame
         {
             last.exception = exception;
-            return;
+            return true;
         }
         let is_awake_for = self.inner.retired() - self.slept_at;
         let will_wake = is_awake_for <= WAKE_UP_INSTRUCTIONS && self.activations.is_empty();
@@ -224,6 +228,7 @@ impl ProfiledProcessor {
             frame,
             is_stepped: !will_wake,
         });
+        true
     }
 
     /// Drops the activations that have ended, if `exception` runs now. Returns true if that
