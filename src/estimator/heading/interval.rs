@@ -1,0 +1,103 @@
+//! Sums of one interval: from the begin of a covariance step of the tilt filter to that of the
+//! next.
+
+use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::kalman::Kalman;
+use crate::estimator::kalman::follow::GYROSCOPE;
+use crate::units::{MagneticField, STANDARD_GRAVITY_M_S2};
+
+/// Sums of an interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct Interval {
+    /// Sum of the readings in level axes, µT.
+    pub(super) field_ut: [f32; 3],
+    /// Sum of the rotation matrices at the readings, by rows.
+    pub(super) turn: [[f32; 3]; 3],
+    /// Number of readings.
+    pub(super) readings: f32,
+    /// Effect of each gyroscope parameter on yaw: ∫R_down dt, and ∫R_down,j·ω_l dt.
+    pub(super) yaw: [f32; GYROSCOPE],
+    /// Length, s.
+    pub(super) duration_s: f32,
+    /// ∫|ω|² dt, rad²/s.
+    pub(super) squared_rate: f32,
+    /// ∫|acceleration|² dt, m²/s³.
+    pub(super) squared_acceleration: f32,
+    /// Yaw variance of unobserved motion, rad².
+    pub(super) unseen_rad2: f32,
+}
+
+impl Interval {
+    /// Interval of no length.
+    pub(super) const EMPTY: Self = Self {
+        field_ut: [0.0; 3],
+        turn: [[0.0; 3]; 3],
+        readings: 0.0,
+        yaw: [0.0; GYROSCOPE],
+        duration_s: 0.0,
+        squared_rate: 0.0,
+        squared_acceleration: 0.0,
+        unseen_rad2: 0.0,
+    };
+
+    /// Adds an earth step of this length, which has just ended.
+    pub(super) fn add_earth_step(&mut self, kalman: &Kalman, t: f32) {
+        let down = kalman.attitude_at_earth_step().down_in_body();
+        let rate = kalman.rate_rad_s();
+        let force = kalman.force_m_s2();
+        self.duration_s += t;
+        self.squared_rate += rate.dot(rate) * t;
+        // |R·f + g|² without the rotation.
+        let g = STANDARD_GRAVITY_M_S2;
+        let squared = force.dot(force) + 2.0 * g * down.dot(force) + g * g;
+        self.squared_acceleration += squared.max(0.0) * t;
+        let [x, y, z, matrix @ ..] = &mut self.yaw;
+        let (rows, _) = matrix.as_chunks_mut::<3>();
+        for ((bias, row), down) in [x, y, z]
+            .into_iter()
+            .zip(rows)
+            .zip([down.x, down.y, down.z])
+        {
+            let share = down * t;
+            *bias += share;
+            row[0] += share * rate.x;
+            row[1] += share * rate.y;
+            row[2] += share * rate.z;
+        }
+    }
+
+    /// Adds a reading, whose motion was `age_s` before that of the last sample.
+    pub(super) fn add_reading(&mut self, kalman: &Kalman, field: MagneticField, age_s: f32) {
+        let turn = kalman.rotation_since_earth_step(age_s);
+        let attitude = kalman
+            .attitude_at_earth_step()
+            .multiply(Quaternion::from_rotation_vector(turn));
+        let Quaternion { w, x, y, z } = attitude;
+        let rows = [
+            Vector3::new(
+                1.0 - 2.0 * (y * y + z * z),
+                2.0 * (x * y - w * z),
+                2.0 * (x * z + w * y),
+            ),
+            Vector3::new(
+                2.0 * (x * y + w * z),
+                1.0 - 2.0 * (x * x + z * z),
+                2.0 * (y * z - w * x),
+            ),
+            Vector3::new(
+                2.0 * (x * z - w * y),
+                2.0 * (y * z + w * x),
+                1.0 - 2.0 * (x * x + y * y),
+            ),
+        ];
+        let [mx, my, mz] = field.ut;
+        for ((sum, turn), row) in self.field_ut.iter_mut().zip(&mut self.turn).zip(rows) {
+            *sum += row.x * mx + row.y * my + row.z * mz;
+            turn[0] += row.x;
+            turn[1] += row.y;
+            turn[2] += row.z;
+        }
+        self.readings += 1.0;
+    }
+}
