@@ -1,9 +1,11 @@
 //! Sums of one interval: from the begin of a covariance step of the tilt filter to that of the
 //! next.
 
+use super::tuning::{Tuning, square};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::GYROSCOPE;
+use crate::serialize::StateVisitor;
 use crate::units::{MagneticField, STANDARD_GRAVITY_M_S2};
 
 /// Sums of an interval.
@@ -99,5 +101,42 @@ impl Interval {
             turn[2] += row.z;
         }
         self.readings += 1.0;
+    }
+
+    /// Closes the interval: the sums of the readings become means.
+    pub(super) fn close(&mut self) {
+        if self.readings > 0.0 {
+            let share = 1.0 / self.readings;
+            let sums = self.turn.as_flattened_mut().iter_mut();
+            for sum in sums.chain(&mut self.field_ut) {
+                *sum *= share;
+            }
+        }
+    }
+
+    /// Returns whether there was a reading.
+    pub(super) fn has_readings(&self) -> bool {
+        self.readings > 0.0
+    }
+
+    /// Returns how much the body moved: 0 at rest, at most 1.
+    pub(super) fn motion(&self, tuning: &Tuning) -> f32 {
+        let inverse = 1.0 / self.duration_s;
+        let rate = self.squared_rate * inverse / square(tuning.moving_rate_rad_s);
+        let acceleration =
+            self.squared_acceleration * inverse / square(tuning.moving_acceleration_m_s2);
+        (libm::sqrtf(rate) + libm::sqrtf(acceleration)).min(1.0)
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.f32s(&mut self.field_ut);
+        visitor.f32s(self.turn.as_flattened_mut());
+        visitor.f32(&mut self.readings);
+        visitor.f32s(&mut self.yaw);
+        visitor.f32(&mut self.duration_s);
+        visitor.f32(&mut self.squared_rate);
+        visitor.f32(&mut self.squared_acceleration);
+        visitor.f32(&mut self.unseen_rad2);
     }
 }

@@ -54,9 +54,16 @@ pub struct Tuning {
     pub restart_floor_ut: f32,
     /// σ of the hard iron after a restart, beyond that at start, µT.
     pub restart_hard_iron_ut: f32,
-    /// Noise of the field per tilt's σ: rad/√s per rad. It stands for the products of errors that
-    /// the linear model leaves out.
-    pub coupling: f32,
+    /// Averaging time of the innovation's consistency, s.
+    pub consistency_s: f32,
+    /// σ of the heading below which it is reported, rad.
+    pub known_rad: f32,
+    /// σ of the heading below which it may be valid, rad.
+    pub valid_rad: f32,
+    /// σ of the tilt below which the heading may be valid, rad.
+    pub valid_tilt_rad: f32,
+    /// Mean squared innovation per expected one below which the heading may be valid.
+    pub valid_inconsistency: f32,
 }
 
 impl Tuning {
@@ -86,7 +93,11 @@ impl Tuning {
         restart_ratio: 10.0,
         restart_floor_ut: 6.0,
         restart_hard_iron_ut: 10.0,
-        coupling: 0.0,
+        consistency_s: 5.0,
+        known_rad: 0.5,
+        valid_rad: 0.26,
+        valid_tilt_rad: 0.1,
+        valid_inconsistency: 3.0,
     };
 }
 
@@ -94,4 +105,9 @@ impl Default for Tuning {
     fn default() -> Self {
         Self::DEFAULT
     }
+}
+
+#[inline]
+pub(super) const fn square(number: f32) -> f32 {
+    number * number
 }

@@ -18,13 +18,15 @@ use super::{Kalman, Tilt};
 use super::covariance::Column;
 use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS};
 use super::slices::{MOST_MEASUREMENTS, State};
-use super::tuning::{Tuning, square};
+use super::tuning::square;
 use crate::attitude::{Quaternion, Vector3};
 
 /// Number of error states: tilt (2), velocity (2), gyroscope bias (3) and matrix (9), accelerometer
 /// bias (3).
 pub(in crate::estimator) const ERROR_STATES: usize = DYNAMIC + PARAMETERS;
 
+/// Error states of the velocity.
+pub(in crate::estimator) const VELOCITY: core::ops::Range<usize> = 2..DYNAMIC;
 /// First of the gyroscope's parameters among the error states.
 pub(in crate::estimator) const FIRST_GYROSCOPE: usize = DYNAMIC;
 /// Number of the gyroscope's parameters.
@@ -122,10 +124,29 @@ impl Kalman {
         self.nominal.force_m_s2 - self.nominal.accelerometer_bias_m_s2
     }
 
-    /// Returns the tuning.
-    #[inline]
-    pub(in crate::estimator) fn tuning(&self) -> &'static Tuning {
-        self.tuning
+    /// Returns the covariance of the tilt in rad²: north, north with east, east.
+    pub(in crate::estimator) fn tilt_covariance(&self) -> [f32; 3] {
+        let covariance = &self.step.covariance;
+        let [north, east, ..] = covariance.dynamic_column(0).dynamic;
+        [north, east, covariance.dynamic_variance(1)]
+    }
+
+    /// Adds the columns of the tilt, north and east, times these factors.
+    pub(in crate::estimator) fn add_tilt_columns(
+        &self,
+        [north, east]: [f32; 2],
+        column: &mut [f32; ERROR_STATES],
+    ) {
+        let covariance = &self.step.covariance;
+        for (state, factor) in [(0, north), (1, east)] {
+            if factor != 0.0 {
+                let own = covariance.dynamic_column(state);
+                let entries = own.dynamic.iter().chain(&own.parameters);
+                for (sum, entry) in column.iter_mut().zip(entries) {
+                    *sum += factor * entry;
+                }
+            }
+        }
     }
 
     /// Propagates a row of the cross-covariance through the last covariance step.
