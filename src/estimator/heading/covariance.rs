@@ -60,6 +60,16 @@ impl Covariance {
         }
     }
 
+    /// Returns an entry of X, or zero.
+    #[inline]
+    pub(super) fn cross_entry(&self, row: usize, error_state: usize) -> f32 {
+        let entry = self.cross.get(row).and_then(|row| row.get(error_state));
+        match entry {
+            Some(entry) => *entry,
+            None => 0.0,
+        }
+    }
+
     /// Adds to an entry of O.
     #[inline]
     pub(super) fn add(&mut self, row: usize, column: usize, amount: f32) {

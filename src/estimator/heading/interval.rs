@@ -125,7 +125,7 @@ impl Interval {
         let rate = self.squared_rate * inverse / square(tuning.moving_rate_rad_s);
         let acceleration =
             self.squared_acceleration * inverse / square(tuning.moving_acceleration_m_s2);
-        (libm::sqrtf(rate) + libm::sqrtf(acceleration)).min(1.0)
+        libm::sqrtf((rate + acceleration).min(1.0))
     }
 
     /// Visits every field.

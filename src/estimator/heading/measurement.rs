@@ -9,16 +9,18 @@
 //! State-Space Methods to Navigation Problems*, 1966): their errors widen the innovation and shape
 //! the gains, but no gain moves them.
 
-use super::covariance::{CrossRow, DEVIATION, FIELD, IRON, STATES};
+use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
 use super::step::Phase;
 use super::tuning::square;
 use super::{Heading, HeadingEstimate};
 use crate::attitude::wrap_pi;
+use crate::estimator::filter::Filter as _;
 use crate::estimator::kalman::Kalman;
-use crate::estimator::kalman::follow::ERROR_STATES;
 
-/// Rows of O and X that a slice corrects.
+/// States of O·hᵀ that a slice computes.
 const ROWS: usize = 3;
+/// Limit of a squared innovation per expected one, so that no single one counts for long.
+const LARGEST_INCONSISTENCY: f32 = 100.0;
 
 /// Row h of the measurement, without its two ones at field and local deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,8 +35,8 @@ impl Heading {
     /// Returns the measured field in level axes without hard iron, µT.
     fn measured(&self) -> [f32; 3] {
         let [.., bx, by, bz, _, _, _] = self.state;
-        let mut measured = self.closed.field_ut;
-        for (sum, [x, y, z]) in measured.iter_mut().zip(&self.closed.turn) {
+        let mut measured = self.closed().field_ut;
+        for (sum, [x, y, z]) in measured.iter_mut().zip(&self.closed().turn) {
             *sum -= x * bx + y * by + z * bz;
         }
         measured
@@ -50,7 +52,7 @@ impl Heading {
     /// Returns the measurement's row of an axis.
     fn row(&self, axis: usize) -> Row {
         let [x, y, z] = self.measured();
-        let [first, second, third] = self.closed.turn;
+        let [first, second, third] = self.closed().turn;
         match axis {
             0 => Row {
                 iron: first,
@@ -86,27 +88,32 @@ impl Heading {
     }
 
     /// Adds the expected squared innovation of an axis without noise: h·P·hᵀ.
-    pub(super) fn expect(&mut self, kalman: &Kalman, axis: usize) -> Phase {
-        let row = self.row(axis);
-        let [wx, wy, wz] = row.iron;
+    pub(super) fn expect(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+        let place = usize::from(axis);
+        let row = self.row(place);
         let [north, east] = row.tilt;
         let [nn, ne, ee] = kalman.tilt_covariance();
-        let mut expected = square(north) * nn + 2.0 * north * east * ne + square(east) * ee;
-        let states = [
-            (FIELD + axis, 1.0),
-            (DEVIATION + axis, 1.0),
-            (IRON, wx),
-            (IRON + 1, wy),
-            (IRON + 2, wz),
-        ];
-        for (state, factor) in states {
-            let crossed = match self.covariance.cross.get(state) {
-                Some([to_north, to_east, ..]) => north * to_north + east * to_east,
-                None => 0.0,
-            };
-            expected += factor * (self.project(&row, axis, state) + crossed);
+        let tilt = square(north) * nn + 2.0 * north * east * ne + square(east) * ee;
+        let covariance = &self.covariance;
+        let (c, d) = (FIELD + place, DEVIATION + place);
+        let mut linear = north * covariance.cross_entry(c, 0)
+            + east * covariance.cross_entry(c, 1)
+            + covariance.entry(d, c);
+        let mut iron = 0.0;
+        for (index, factor) in row.iron.into_iter().enumerate() {
+            let state = IRON + index;
+            linear += factor
+                * (covariance.entry(state, c)
+                    + covariance.entry(d, state)
+                    + north * covariance.cross_entry(state, 0)
+                    + east * covariance.cross_entry(state, 1));
+            for (other, other_factor) in row.iron.into_iter().enumerate().take(index) {
+                iron += 2.0 * factor * other_factor * covariance.entry(state, IRON + other);
+            }
+            iron += square(factor) * covariance.entry(state, state);
         }
-        self.expected += expected;
+        let own = covariance.entry(c, c) + covariance.entry(d, d);
+        self.noise += own + iron + 2.0 * linear + tilt;
         if axis < 2 {
             Phase::Expect(axis + 1)
         } else {
@@ -114,46 +121,42 @@ impl Heading {
         }
     }
 
-    /// Compares the innovation with the expected one: adds what exceeds it to the noise, and
-    /// restarts after a lasting contradiction.
+    /// Compares the innovation with the expected one, and adds what exceeds it to the noise.
     pub(super) fn gate(&mut self) -> Phase {
         let tuning = self.tuning;
-        let duration_s = self.closed.duration_s;
-        let mean_square_rate = self.closed.squared_rate / duration_s;
+        let duration_s = self.closed().duration_s;
+        let mean_square_rate = self.closed().squared_rate / duration_s;
         let noise = square(tuning.noise_ut) + square(tuning.noise_per_rate) * mean_square_rate;
         let [x, y, z] = self.innovation();
         let squared = square(x) + square(y) + square(z);
-        let expected = self.expected + 3.0 * noise;
-        let excess = (squared - tuning.gate * expected) / 3.0;
+        let expected = self.noise + 3.0 * noise;
+        let excess = (squared - tuning.gate * expected) * (1.0 / 3.0);
         let excess = excess.clamp(0.0, 1.0e6);
         let decay = (duration_s / tuning.excess_s).min(1.0);
         let limit = square(tuning.largest_excess_ut);
         self.excess = (self.excess * (1.0 - decay)).max(excess.min(limit));
         self.noise = noise + tuning.excess_to_noise * excess;
-        if self.watch(squared, squared / expected) {
-            self.restarts = self.restarts.saturating_add(1);
-            self.restart();
-            return Phase::Idle;
-        }
-        Phase::Project(0)
-    }
-
-    /// Watches the innovation. Returns whether it contradicts the field for so long that the filter
-    /// must restart: the innovation is large, though the field's length fits.
-    fn watch(&mut self, squared: f32, per_expected: f32) -> bool {
-        let tuning = self.tuning;
-        let duration_s = self.closed.duration_s;
-        let [cx, cy, cz, bx, by, bz, ..] = self.state;
-        let [mx, my, mz] = self.reading_ut;
-        let body = square(mx - bx) + square(my - by) + square(mz - bz);
-        let level = square(cx) + square(cy) + square(cz);
-        let length = libm::sqrtf(body) - libm::sqrtf(level);
-        self.age_s += duration_s;
+        let share = (duration_s / tuning.consistency_s).min(1.0);
+        let ratio = (squared / expected).min(LARGEST_INCONSISTENCY);
+        self.inconsistency += share * (ratio - self.inconsistency);
         let share = (duration_s / tuning.restart_average_s).min(1.0);
         self.mean_innovation += share * (squared - self.mean_innovation);
+        Phase::Watch
+    }
+
+    /// Watches the innovation, and restarts the filter when it has contradicted the field for long:
+    /// the innovation is large, though the field's length fits.
+    pub(super) fn watch(&mut self) -> Phase {
+        let tuning = self.tuning;
+        let duration_s = self.closed().duration_s;
+        let [cx, cy, cz, ..] = self.state;
+        let [mx, my, mz] = self.measured();
+        let measured = square(mx) + square(my) + square(mz);
+        let level = square(cx) + square(cy) + square(cz);
+        let length = libm::sqrtf(measured) - libm::sqrtf(level);
+        self.age_s += duration_s;
+        let share = (duration_s / tuning.restart_average_s).min(1.0);
         self.mean_length += share * (square(length) - self.mean_length);
-        let share = (duration_s / tuning.consistency_s).min(1.0);
-        self.inconsistency += share * (per_expected.min(100.0) - self.inconsistency);
         let limit = tuning.restart_ratio * self.mean_length + square(tuning.restart_floor_ut);
         let contradicts = self.age_s > tuning.restart_after_s && self.mean_innovation > limit;
         self.contradicted_s = if contradicts {
@@ -161,36 +164,52 @@ impl Heading {
         } else {
             0.0
         };
-        self.contradicted_s > tuning.restart_after_s
+        if self.contradicted_s > tuning.restart_after_s {
+            self.restart();
+            return Phase::Check;
+        }
+        Phase::Project(0, 0)
     }
 
-    /// Computes O·hᵀ of an axis.
-    pub(super) fn project_own(&mut self, axis: usize) -> Phase {
-        let row = self.row(axis);
-        let mut own = [0.0; STATES];
-        for (state, entry) in own.iter_mut().enumerate() {
-            *entry = self.project(&row, axis, state);
+    /// Computes O·hᵀ of an axis, from this state on.
+    pub(super) fn project_own(&mut self, axis: u8, first: u8) -> Phase {
+        let (axis_place, start) = (usize::from(axis), usize::from(first));
+        let row = self.row(axis_place);
+        for state in start..start + ROWS {
+            let entry = self.project(&row, axis_place, state);
+            if let Some(own) = self.own.get_mut(state) {
+                *own = entry;
+            }
         }
-        self.own = own;
-        Phase::ProjectCross(axis)
+        if start + ROWS < STATES {
+            Phase::Project(axis, first + ROWS as u8)
+        } else {
+            Phase::ProjectCross(axis)
+        }
     }
 
     /// Computes X·hᵀ of an axis and the inverse of the innovation's variance, and corrects the
     /// states.
-    pub(super) fn project_cross(&mut self, kalman: &Kalman, axis: usize) -> Phase {
-        let row = self.row(axis);
-        let mut column = [0.0; ERROR_STATES];
-        kalman.add_tilt_columns(row.tilt, &mut column);
+    pub(super) fn project_cross(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+        let place = usize::from(axis);
+        let row = self.row(place);
         let [first, second, third, bx, by, bz] = &self.covariance.cross;
-        let field = [first, second, third].into_iter().nth(axis);
+        let field = match axis {
+            0 => first,
+            1 => second,
+            _ => third,
+        };
         let [wx, wy, wz] = row.iron;
-        for (source, factor) in [(field, 1.0), (Some(bx), wx), (Some(by), wy), (Some(bz), wz)] {
-            add(&mut column, source, factor);
+        let mut column = *field;
+        let sources = bx.iter().zip(by).zip(bz);
+        for (sum, ((x, y), z)) in column.iter_mut().zip(sources) {
+            *sum += wx * x + wy * y + wz * z;
         }
+        kalman.add_tilt_columns(row.tilt, &mut column);
         let own = |state: usize| self.own.get(state).copied().unwrap_or(0.0);
         let [to_north, to_east, ..] = column;
-        let variance = own(FIELD + axis)
-            + own(DEVIATION + axis)
+        let variance = own(FIELD + place)
+            + own(DEVIATION + place)
             + wx * own(IRON)
             + wy * own(IRON + 1)
             + wz * own(IRON + 2)
@@ -199,7 +218,7 @@ impl Heading {
             + self.noise;
         self.column = column;
         self.inverse = 1.0 / variance;
-        let innovation = self.innovation().into_iter().nth(axis).unwrap_or(0.0);
+        let innovation = self.innovation().into_iter().nth(place).unwrap_or(0.0);
         let gain = innovation * self.inverse;
         for (state, entry) in self.state.iter_mut().zip(&self.own) {
             *state += gain * entry;
@@ -208,30 +227,37 @@ impl Heading {
     }
 
     /// Corrects rows of O and X: P ← P − P·hᵀ·h·P/s.
-    pub(super) fn correct(&mut self, axis: usize, first: usize) -> Phase {
-        let rows = self.own.iter().enumerate().skip(first).take(ROWS);
-        for (row, own) in rows {
+    pub(super) fn correct(&mut self, axis: u8, first: u8) -> Phase {
+        let start = usize::from(first);
+        // The last rows have no row of X.
+        let rows = if start < CORRELATED { 2 } else { 3 };
+        for (row, own) in self.own.iter().enumerate().skip(start).take(rows) {
             let gain = own * self.inverse;
             self.covariance.subtract(row, gain, &self.own);
             self.covariance.subtract_cross(row, gain, &self.column);
         }
-        if first + ROWS < STATES {
-            Phase::Correct(axis, first + ROWS)
+        if start + rows < STATES {
+            Phase::Correct(axis, first + rows as u8)
         } else if axis < 2 {
-            Phase::Project(axis + 1)
+            Phase::Project(axis + 1, 0)
         } else {
-            Phase::Finish
+            Phase::Check
         }
+    }
+
+    /// Checks the numbers. Readings that no compass delivers may make them unusable.
+    pub(super) fn check(&mut self) -> Phase {
+        let sum: f32 = self.state.iter().map(|state| state.abs()).sum();
+        // A NaN fails the comparison.
+        if self.covariance.is_sound() && sum < 1.0e5 {
+            return Phase::Finish;
+        }
+        self.restart();
+        Phase::Idle
     }
 
     /// Updates the heading and its σ.
     pub(super) fn finish(&mut self, kalman: &Kalman) -> Phase {
-        let sum: f32 = self.state.iter().map(|state| state.abs()).sum();
-        // A NaN fails the comparison.
-        if !(self.covariance.is_sound() && sum < 1.0e5) {
-            self.restart();
-            return Phase::Idle;
-        }
         let [cx, cy, ..] = self.state;
         let covariance = &self.covariance;
         let variance = square(cy) * covariance.entry(0, 0) + square(cx) * covariance.entry(1, 1)
@@ -243,16 +269,9 @@ impl Heading {
             yaw_offset_rad: wrap_pi(self.declination_rad - libm::atan2f(cy, cx)),
             sigma_rad,
             is_valid: sigma_rad < tuning.valid_rad
-                && kalman.tilt_sigma_rad() < tuning.valid_tilt_rad
+                && kalman.tilt_variance_rad2() < square(tuning.valid_tilt_rad)
                 && self.inconsistency < tuning.valid_inconsistency,
         });
         Phase::Idle
-    }
-}
-
-/// Adds a multiple of a row.
-fn add(column: &mut CrossRow, source: Option<&CrossRow>, factor: f32) {
-    for (sum, entry) in column.iter_mut().zip(source.into_iter().flatten()) {
-        *sum += factor * entry;
     }
 }

@@ -8,7 +8,7 @@ mod tuning;
 pub use tuning::Tuning;
 
 use super::kalman::Kalman;
-use super::kalman::follow::{ERROR_STATES, FIRST_GYROSCOPE, MEASUREMENTS};
+use super::kalman::follow::{ERROR_STATES, FIRST_GYROSCOPE};
 use crate::attitude::wrap_pi;
 use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
 use covariance::{Covariance, CrossRow, DEVIATION, FIELD, IRON, STATES};
@@ -20,8 +20,11 @@ use tuning::square;
 const SLICE_PERIOD_S: f32 = 1.7e-3;
 /// Sample period from which on slices run beside earth steps, s.
 const LONG_SAMPLE_PERIOD_S: f32 = 1.7e-3;
+/// Sample period above which a step runs at once, s: the tilt filter's next step may follow with
+/// the next sample.
+const LONGEST_SLICED_S: f32 = 4.0e-3;
 /// Upper limit of the slices per sample: more than a step has.
-const MOST_SLICES: u32 = 120;
+const MOST_SLICES: u32 = 160;
 
 /// Knowledge of the compass's hard iron before the first reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -66,14 +69,16 @@ pub struct Heading {
     declination_rad: f32,
     state: [f32; STATES],
     elapsed_s: f32,
-    interval: Interval,
-    closed: Interval,
+    /// Sums of the present interval, and of the one before, whose step is under way.
+    intervals: [Interval; 2],
+    /// Place of the present interval.
+    present: u8,
+    /// True if the present interval has an earth step.
+    has_interval: bool,
     covariance: Covariance,
     column: CrossRow,
     own: [f32; STATES],
-    gains: [f32; MEASUREMENTS],
     inverse: f32,
-    expected: f32,
     noise: f32,
     motion: f32,
     excess: f32,
@@ -82,9 +87,7 @@ pub struct Heading {
     inconsistency: f32,
     contradicted_s: f32,
     age_s: f32,
-    reading_ut: [f32; 3],
     estimate: Option<HeadingEstimate>,
-    restarts: u16,
 }
 
 impl Heading {
@@ -103,13 +106,12 @@ impl Heading {
             covariance: Covariance::ZERO,
             phase: Phase::Idle,
             elapsed_s: 0.0,
-            interval: Interval::EMPTY,
-            closed: Interval::EMPTY,
+            intervals: [Interval::EMPTY; 2],
+            present: 0,
+            has_interval: false,
             column: [0.0; ERROR_STATES],
             own: [0.0; STATES],
-            gains: [0.0; MEASUREMENTS],
             inverse: 0.0,
-            expected: 0.0,
             motion: 0.0,
             excess: 0.0,
             noise: 0.0,
@@ -118,9 +120,7 @@ impl Heading {
             inconsistency: 0.0,
             contradicted_s: 0.0,
             age_s: 0.0,
-            reading_ut: [0.0; 3],
             estimate: None,
-            restarts: 0,
         };
         filter.reset_field();
         filter.reset_iron(square(knowledge.sigma_ut()));
@@ -181,8 +181,7 @@ impl Heading {
         // A NaN fails the comparison.
         if size < 1.0e4 && kalman.has_tilt() {
             let age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
-            self.reading_ut = field.ut;
-            self.interval.add_reading(kalman, field, age_s);
+            self.interval().add_reading(kalman, field, age_s);
         }
     }
 
@@ -194,7 +193,7 @@ impl Heading {
         if is_earth_step {
             self.add_earth_step(kalman);
         }
-        if kalman.interval_s() == 0.0 && self.interval.duration_s > 0.0 {
+        if kalman.interval_s() == 0.0 && self.has_interval {
             self.close(kalman);
         }
         match self.phase {
@@ -202,16 +201,42 @@ impl Heading {
             Phase::Waiting => {
                 if !kalman.is_step_under_way() {
                     self.phase = Phase::Propagate(0);
+                    if dt_s > LONGEST_SLICED_S {
+                        self.run_slices(kalman, dt_s, false);
+                    }
                 }
             }
             _ => self.run_slices(kalman, dt_s, is_earth_step),
         }
     }
 
+    /// Returns the present interval.
+    #[inline]
+    fn interval(&mut self) -> &mut Interval {
+        let [first, second] = &mut self.intervals;
+        if self.present == 0 { first } else { second }
+    }
+
+    /// Returns the interval of the step under way.
+    #[inline]
+    fn closed(&self) -> &Interval {
+        let [first, second] = &self.intervals;
+        if self.present == 0 { second } else { first }
+    }
+
+    /// Returns the interval of the step under way, for changes.
+    #[inline]
+    fn closed_mut(&mut self) -> &mut Interval {
+        let [first, second] = &mut self.intervals;
+        if self.present == 0 { second } else { first }
+    }
+
     #[inline(never)]
     fn add_earth_step(&mut self, kalman: &Kalman) {
-        self.interval.add_earth_step(kalman, self.elapsed_s);
+        let elapsed_s = self.elapsed_s;
+        self.interval().add_earth_step(kalman, elapsed_s);
         self.elapsed_s = 0.0;
+        self.has_interval = true;
     }
 
     /// Runs slices of the step: one a sample at 1 kHz, beside neither an earth step nor a slice of
@@ -219,7 +244,7 @@ impl Heading {
     /// filter is about to begin its next step.
     #[inline(never)]
     fn run_slices(&mut self, kalman: &Kalman, dt_s: f32, is_earth_step: bool) {
-        let slices = if kalman.has_work() {
+        let slices = if kalman.has_work() || dt_s > LONGEST_SLICED_S {
             MOST_SLICES
         } else if is_earth_step && dt_s < LONG_SAMPLE_PERIOD_S {
             0
@@ -234,24 +259,34 @@ impl Heading {
         }
     }
 
+    /// Closes the interval: its step follows that of the tilt filter.
     #[inline(never)]
     fn close(&mut self, kalman: &Kalman) {
-        self.interval.close();
-        self.closed = self.interval;
-        self.interval = Interval::EMPTY;
-        self.phase = Phase::Waiting;
+        self.has_interval = false;
         if kalman.is_motion_reset() {
-            for state in 0..FIRST_GYROSCOPE {
-                self.covariance.scale_cross(state, 0.0);
-            }
-            if kalman.are_parameters_reset() {
-                for state in FIRST_GYROSCOPE..ERROR_STATES {
-                    self.covariance.scale_cross(state, 0.0);
-                }
-            }
-            self.reset_field();
-            self.phase = Phase::Idle;
+            self.follow_reset(kalman);
+            return;
         }
+        *self.closed_mut() = Interval::EMPTY;
+        self.present ^= 1;
+        self.phase = Phase::Waiting;
+    }
+
+    /// Forgets the field after a reset of the tilt.
+    #[cold]
+    #[inline(never)]
+    fn follow_reset(&mut self, kalman: &Kalman) {
+        let known = if kalman.are_parameters_reset() {
+            ERROR_STATES
+        } else {
+            FIRST_GYROSCOPE
+        };
+        for state in 0..known {
+            self.covariance.scale_cross(state, 0.0);
+        }
+        self.reset_field();
+        self.intervals = [Interval::EMPTY; 2];
+        self.phase = Phase::Idle;
     }
 
     /// Sets the declination, rad: the heading is then that from true north. Default: 0.

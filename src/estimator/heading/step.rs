@@ -12,7 +12,7 @@
 //! [`follow`]: crate::estimator::kalman
 
 use super::Heading;
-use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
+use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
 use super::tuning::square;
 use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::{
@@ -20,9 +20,7 @@ use crate::estimator::kalman::follow::{
 };
 
 /// Rows of X that a slice propagates.
-const ROWS: usize = 3;
-/// Parameters of the gyroscope whose drift a slice adds.
-const PARAMETERS: usize = 2;
+const ROWS: usize = 2;
 
 /// The next slice of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,31 +31,37 @@ pub(super) enum Phase {
     /// Waits for the tilt filter to end its step.
     Waiting,
     /// X over the interval, from this row on.
-    Propagate(usize),
+    Propagate(u8),
     /// X by what the tilt filter resets and lets return to its prior.
     Relax,
     /// A row of X, and of O, by the tilt filter's measurement of this index.
-    Follow(usize, usize),
+    Follow(u8, u8),
     /// Covariance of the drift of yaw with the error states, from this parameter on.
-    Drift(usize),
+    Drift(u8),
     /// Covariance of the drift of yaw with the field states.
     Turn,
-    /// The field by the drift of yaw.
-    Turned,
+    /// Field and O by the drift of yaw.
+    TurnField,
+    /// X by the drift of yaw.
+    TurnCross,
     /// Process noise of field and hard iron.
     Walk,
     /// This state of the local deviation.
-    Forget(usize),
+    Forget(u8),
     /// Expected innovation of this axis.
-    Expect(usize),
+    Expect(u8),
     /// The gate.
     Gate,
-    /// O·hᵀ and the innovation of this axis.
-    Project(usize),
-    /// X·hᵀ of this axis.
-    ProjectCross(usize),
-    /// Gain of this axis, and O and X from this row on.
-    Correct(usize, usize),
+    /// The watch over lasting contradictions.
+    Watch,
+    /// O·hᵀ of this axis, from this state on.
+    Project(u8, u8),
+    /// X·hᵀ of this axis, and its correction of the states.
+    ProjectCross(u8),
+    /// O and X by this axis, from this row on.
+    Correct(u8, u8),
+    /// The check of the numbers.
+    Check,
     /// The result.
     Finish,
 }
@@ -73,30 +77,35 @@ impl Heading {
             Phase::Follow(row, index) => self.follow_measurement(kalman, row, index),
             Phase::Drift(parameter) => self.drift(kalman, parameter),
             Phase::Turn => self.project_drift(),
-            Phase::Turned => self.turn_field(kalman),
+            Phase::TurnField => self.turn_field(kalman),
+            Phase::TurnCross => self.turn_cross(kalman),
             Phase::Walk => self.walk(kalman),
             Phase::Forget(state) => self.forget(state),
             Phase::Expect(axis) => self.expect(kalman, axis),
             Phase::Gate => self.gate(),
-            Phase::Project(axis) => self.project_own(axis),
+            Phase::Watch => self.watch(),
+            Phase::Project(axis, state) => self.project_own(axis, state),
             Phase::ProjectCross(axis) => self.project_cross(kalman, axis),
             Phase::Correct(axis, row) => self.correct(axis, row),
+            Phase::Check => self.check(),
             Phase::Finish => self.finish(kalman),
         };
     }
 
-    fn propagate(&mut self, kalman: &Kalman, first: usize) -> Phase {
-        for row in self.covariance.cross.iter_mut().skip(first).take(ROWS) {
+    fn propagate(&mut self, kalman: &Kalman, first: u8) -> Phase {
+        for row in self.covariance.cross.iter_mut().skip(first.into()).take(ROWS) {
             kalman.propagate_row(row);
         }
-        if first + ROWS < CORRELATED {
-            Phase::Propagate(first + ROWS)
+        let next = first + ROWS as u8;
+        if usize::from(next) < CORRELATED {
+            Phase::Propagate(next)
         } else {
             Phase::Relax
         }
     }
 
     fn relax(&mut self, kalman: &Kalman) -> Phase {
+        self.closed_mut().close();
         let (relaxed, factor) = kalman.relaxed();
         self.covariance.scale_cross(relaxed, factor);
         if kalman.is_velocity_reset() {
@@ -107,45 +116,43 @@ impl Heading {
         Phase::Follow(0, 0)
     }
 
-    /// Repeats a measurement of the tilt filter on a row of X and O.
+    /// Repeats a measurement of the tilt filter on a row of X, and after the last one on O.
     ///
-    /// A row needs its own p before the step, and X·e of the rows above after the step.
-    fn follow_measurement(&mut self, kalman: &Kalman, row: usize, index: usize) -> Phase {
-        let Some(own) = self.covariance.cross.get(row) else {
+    /// A row needs its own p from before the step, and X·e of the rows above from after it.
+    fn follow_measurement(&mut self, kalman: &Kalman, row: u8, index: u8) -> Phase {
+        let (place, measurement) = (usize::from(row), usize::from(index));
+        let Some(entries) = self.covariance.cross.get(place) else {
             self.column = [0.0; ERROR_STATES];
             return Phase::Drift(0);
         };
         if index == 0 {
-            for (place, gain) in self.gains.iter_mut().enumerate() {
-                *gain = match kalman.followed(place) {
+            for (number, gain) in self.own.iter_mut().enumerate().take(MEASUREMENTS) {
+                *gain = match kalman.followed(number) {
                     Some(followed) => {
-                        let p = own.get(followed.state).copied().unwrap_or(0.0);
+                        let p = entries.get(followed.state).copied().unwrap_or(0.0);
                         p * followed.weight
                     }
-                    None => 0.0,
+                    None => break,
                 };
             }
         }
-        if let (Some(followed), Some(gain)) = (kalman.followed(index), self.gains.get(index)) {
-            let gain = *gain;
-            kalman.copy_column(followed.state, &mut self.column);
-            self.covariance.subtract_cross(row, gain, &self.column);
-            if let Some(state) = self.state.get_mut(row) {
-                *state += gain * followed.residual;
-            }
-            if index + 1 < MEASUREMENTS && kalman.followed(index + 1).is_some() {
-                return Phase::Follow(row, index + 1);
-            }
+        let gain = self.own.get(measurement).copied().unwrap_or(0.0);
+        let Some(followed) = kalman.followed(measurement) else {
+            return self.follow_own(kalman, place);
+        };
+        let column = kalman.column(followed.state);
+        self.covariance.subtract_cross(place, gain, &column);
+        if let Some(state) = self.state.get_mut(place) {
+            *state += gain * followed.residual;
         }
-        self.follow_own(kalman, row);
-        Phase::Follow(row + 1, 0)
+        Phase::Follow(row, index + 1)
     }
 
     /// Repeats the tilt filter's measurements on a row of O, from the rows of X so far.
-    fn follow_own(&mut self, kalman: &Kalman, row: usize) {
-        for (index, gain) in self.gains.iter().enumerate() {
+    fn follow_own(&mut self, kalman: &Kalman, row: usize) -> Phase {
+        for (index, gain) in self.own.iter().enumerate().take(MEASUREMENTS) {
             let Some(followed) = kalman.followed(index) else {
-                return;
+                break;
             };
             let mut column = [0.0; CORRELATED];
             for (entry, row) in column.iter_mut().zip(&self.covariance.cross) {
@@ -153,56 +160,55 @@ impl Heading {
             }
             self.covariance.subtract(row, *gain, &column);
         }
+        Phase::Follow(row as u8 + 1, 0)
     }
 
     /// Adds to the covariance of the drift of yaw with the error states: P·Wᵀ.
-    fn drift(&mut self, kalman: &Kalman, first: usize) -> Phase {
-        let effects = self.closed.yaw.iter().enumerate();
-        for (parameter, effect) in effects.skip(first).take(PARAMETERS) {
-            let mut column = [0.0; ERROR_STATES];
-            kalman.copy_column(FIRST_GYROSCOPE + parameter, &mut column);
-            for (sum, entry) in self.column.iter_mut().zip(&column) {
-                *sum += effect * entry;
-            }
-        }
-        if first + PARAMETERS < GYROSCOPE {
-            Phase::Drift(first + PARAMETERS)
-        } else {
-            Phase::Turn
-        }
+    fn drift(&mut self, kalman: &Kalman, parameter: u8) -> Phase {
+        let place = usize::from(parameter);
+        let Some(effect) = self.closed().yaw.get(place).copied() else {
+            return Phase::Turn;
+        };
+        kalman.add_column(place, effect, &mut self.column);
+        Phase::Drift(parameter + 1)
     }
 
     /// Computes the covariance of the drift of yaw with the field states: X·Wᵀ.
     fn project_drift(&mut self) -> Phase {
-        self.own = [0.0; STATES];
-        for (entry, row) in self.own.iter_mut().zip(&self.covariance.cross) {
-            let parameters = row.iter().skip(FIRST_GYROSCOPE);
-            *entry = dot(&self.closed.yaw, parameters);
+        let mut own = [0.0; STATES];
+        let yaw = &self.closed().yaw;
+        for (entry, row) in own.iter_mut().zip(&self.covariance.cross) {
+            *entry = dot(yaw, gyroscope(row));
         }
-        Phase::Turned
+        self.own = own;
+        Phase::TurnField
     }
 
-    /// Turns the field by the drift of yaw.
+    /// Turns the field by the drift of yaw, and O with it.
     fn turn_field(&mut self, kalman: &Kalman) -> Phase {
-        let yaw = &self.closed.yaw;
+        let known = dot(&self.closed().yaw, gyroscope(&self.column));
+        let variance = known + self.yaw_noise_rad2(kalman);
         let [x, y, ..] = self.state;
         let (gx, gy) = (-y, x);
-        let known = dot(yaw, self.column.iter().skip(FIRST_GYROSCOPE));
-        let variance = known + self.yaw_noise_rad2(kalman);
-        let own = self.own;
+        let [wx, wy, rest @ ..] = self.own;
         let covariance = &mut self.covariance;
-        let [wx, wy, rest @ ..] = own;
         covariance.add(0, 0, 2.0 * gx * wx + square(gx) * variance);
         covariance.add(1, 0, gy * wx + gx * wy + gx * gy * variance);
         covariance.add(1, 1, 2.0 * gy * wy + square(gy) * variance);
-        for (row, entry) in rest.into_iter().enumerate() {
+        for (row, entry) in rest.into_iter().enumerate().take(CORRELATED - 2) {
             covariance.add(row + 2, 0, gx * entry);
             covariance.add(row + 2, 1, gy * entry);
         }
-        covariance.subtract_cross(0, -gx, &self.column);
-        covariance.subtract_cross(1, -gy, &self.column);
-        let turn_rad = dot(yaw, kalman.gyroscope_correction().iter());
+        Phase::TurnCross
+    }
+
+    /// Turns X by the drift of yaw.
+    fn turn_cross(&mut self, kalman: &Kalman) -> Phase {
+        let turn_rad = dot(&self.closed().yaw, kalman.gyroscope_correction());
         let [x, y, ..] = &mut self.state;
+        let (gx, gy) = (-*y, *x);
+        self.covariance.subtract_cross(0, -gx, &self.column);
+        self.covariance.subtract_cross(1, -gy, &self.column);
         *x += gx * turn_rad;
         *y += gy * turn_rad;
         Phase::Walk
@@ -210,7 +216,7 @@ impl Heading {
 
     /// Returns the variance of yaw that the interval adds beside the gyroscope's errors, rad².
     fn yaw_noise_rad2(&self, kalman: &Kalman) -> f32 {
-        let interval = &self.closed;
+        let interval = self.closed();
         kalman.turn_noise_rad2(interval.duration_s, interval.squared_rate)
             + square(self.tuning.yaw_walk) * interval.duration_s
             + interval.unseen_rad2
@@ -219,7 +225,7 @@ impl Heading {
     /// Adds the process noise of field and hard iron, and updates how much the body moves.
     fn walk(&mut self, kalman: &Kalman) -> Phase {
         let tuning = self.tuning;
-        let duration_s = self.closed.duration_s;
+        let duration_s = self.closed().duration_s;
         let iron = square(tuning.hard_iron_walk) + tuning.excess_to_hard_iron * self.excess;
         for axis in 0..3 {
             let field = square(tuning.field_walk) * duration_s;
@@ -230,42 +236,50 @@ impl Heading {
         let motion = if kalman.is_still() {
             0.0
         } else {
-            self.closed.motion(tuning)
+            self.closed().motion(tuning)
         };
         let decay = (duration_s / tuning.moving_hold_s).min(1.0);
         self.motion = motion.max(self.motion * (1.0 - decay));
-        Phase::Forget(DEVIATION)
+        Phase::Forget(DEVIATION as u8)
     }
 
     /// Lets a state of the local deviation return to zero: a first-order Gauss-Markov process
     /// (Gelb, *Applied Optimal Estimation*, 1974, §3.8).
-    fn forget(&mut self, state: usize) -> Phase {
+    fn forget(&mut self, state: u8) -> Phase {
         let tuning = self.tuning;
         let moving = if self.motion < tuning.least_motion {
             0.0
         } else {
             self.motion / tuning.deviation_moving_s
         };
-        let decays = self.closed.duration_s * (1.0 / tuning.deviation_still_s + moving);
+        let decays = self.closed().duration_s * (1.0 / tuning.deviation_still_s + moving);
         let keep = 1.0 / (1.0 + decays);
         let variance = square(tuning.deviation_ut) + tuning.excess_to_deviation * self.excess;
-        self.covariance.scale(state, keep);
+        let place = usize::from(state);
+        self.covariance.scale(place, keep);
         let added = variance * (1.0 - square(keep));
-        self.covariance.add(state, state, added);
-        if let Some(deviation) = self.state.get_mut(state) {
+        self.covariance.add(place, place, added);
+        if let Some(deviation) = self.state.get_mut(place) {
             *deviation *= keep;
         }
-        if state + 1 < STATES {
+        if place + 1 < STATES {
             Phase::Forget(state + 1)
-        } else if self.closed.has_readings() {
-            self.expected = 0.0;
+        } else if self.closed().has_readings() {
+            self.noise = 0.0;
             Phase::Expect(0)
         } else {
-            Phase::Finish
+            Phase::Check
         }
     }
 }
 
-fn dot<'a>(left: &[f32], right: impl Iterator<Item = &'a f32>) -> f32 {
+/// Returns the entries of the gyroscope's parameters.
+#[inline]
+fn gyroscope(row: &CrossRow) -> &[f32] {
+    row.get(FIRST_GYROSCOPE..FIRST_GYROSCOPE + GYROSCOPE)
+        .unwrap_or(&[])
+}
+
+fn dot(left: &[f32; GYROSCOPE], right: &[f32]) -> f32 {
     left.iter().zip(right).map(|(a, b)| a * b).sum()
 }

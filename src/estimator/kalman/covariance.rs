@@ -355,6 +355,64 @@ impl Covariance {
         column
     }
 
+    /// Returns an entry of X, or zero.
+    #[inline(always)]
+    pub(super) fn cross_entry(&self, parameter: usize, state: usize) -> f32 {
+        let row = self.cross.get(parameter);
+        match row.and_then(|row| row.get(state)) {
+            Some(entry) => *entry,
+            None => 0.0,
+        }
+    }
+
+    /// Returns the covariance of the tilt: north, north with east, east.
+    pub(super) fn tilt(&self) -> [f32; 3] {
+        let [[north, ..], [both, east, ..], ..] = self.dynamic;
+        [north, both, east]
+    }
+
+    /// Adds the columns of the tilt, north and east, times these factors.
+    pub(super) fn add_tilt_columns(
+        &self,
+        [north, east]: [f32; 2],
+        dynamic: &mut [f32; DYNAMIC],
+        parameters: &mut [f32; PARAMETERS],
+    ) {
+        let [to_north, to_east, ..] = &self.dynamic;
+        for ((sum, n), e) in dynamic.iter_mut().zip(to_north).zip(to_east) {
+            *sum += north * n + east * e;
+        }
+        for (sum, [n, e, ..]) in parameters.iter_mut().zip(&self.cross) {
+            *sum += north * n + east * e;
+        }
+    }
+
+    /// Adds the column of a parameter times a factor.
+    pub(super) fn add_parameter_column(
+        &self,
+        parameter: usize,
+        factor: f32,
+        dynamic: &mut [f32; DYNAMIC],
+        parameters: &mut [f32; PARAMETERS],
+    ) {
+        if let Some(row) = self.cross.get(parameter) {
+            for (sum, entry) in dynamic.iter_mut().zip(row) {
+                *sum += factor * entry;
+            }
+        }
+        let (before, after) = parameters.split_at_mut(PARAMETERS.min(parameter + 1));
+        for (sum, entry) in before.iter_mut().zip(self.row(parameter)) {
+            *sum += factor * entry;
+        }
+        let mut index = (parameter + 1) * (parameter + 2) / 2 + parameter;
+        for (other, sum) in after.iter_mut().enumerate() {
+            if let Some(entry) = self.triangle.get(index) {
+                *sum += factor * entry;
+            }
+            index += parameter + 2 + other;
+        }
+    }
+
     /// Applies a measurement to M: P ← P − h·hᵀ/s, with the column h and `inverse` = 1/s.
     pub(super) fn correct_dynamic(&mut self, h: &Column, inverse: f32) {
         for row in 0..DYNAMIC {

@@ -15,7 +15,6 @@
 //! afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
 
 use super::{Kalman, Tilt};
-use super::covariance::Column;
 use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS};
 use super::slices::{MOST_MEASUREMENTS, State};
 use super::tuning::square;
@@ -83,14 +82,15 @@ impl Kalman {
 
     /// Returns whether tilt and velocity have just been reset: they correlate with nothing.
     pub(in crate::estimator) fn is_motion_reset(&self) -> bool {
-        let [north, east, ..] = self.step.covariance.parameter_column(0).dynamic;
-        !self.step.is_under_way() && north == 0.0 && east == 0.0
+        let covariance = &self.step.covariance;
+        let is_reset = |state| covariance.cross_entry(0, state) == 0.0;
+        !self.step.is_under_way() && is_reset(0) && is_reset(1)
     }
 
     /// Returns whether the velocity has been reset alone: it correlates with no parameter.
     pub(in crate::estimator) fn is_velocity_reset(&self) -> bool {
-        let [_, _, north, east] = self.step.covariance.parameter_column(0).dynamic;
-        north == 0.0 && east == 0.0
+        let covariance = &self.step.covariance;
+        covariance.cross_entry(0, 2) == 0.0 && covariance.cross_entry(0, 3) == 0.0
     }
 
     /// Returns whether the parameters have just been reset: they do not correlate.
@@ -126,26 +126,21 @@ impl Kalman {
 
     /// Returns the covariance of the tilt in rad²: north, north with east, east.
     pub(in crate::estimator) fn tilt_covariance(&self) -> [f32; 3] {
-        let covariance = &self.step.covariance;
-        let [north, east, ..] = covariance.dynamic_column(0).dynamic;
-        [north, east, covariance.dynamic_variance(1)]
+        self.step.covariance.tilt()
     }
 
     /// Adds the columns of the tilt, north and east, times these factors.
+    #[inline(never)]
     pub(in crate::estimator) fn add_tilt_columns(
         &self,
-        [north, east]: [f32; 2],
+        factors: [f32; 2],
         column: &mut [f32; ERROR_STATES],
     ) {
-        let covariance = &self.step.covariance;
-        for (state, factor) in [(0, north), (1, east)] {
-            if factor != 0.0 {
-                let own = covariance.dynamic_column(state);
-                let entries = own.dynamic.iter().chain(&own.parameters);
-                for (sum, entry) in column.iter_mut().zip(entries) {
-                    *sum += factor * entry;
-                }
-            }
+        if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
+            && let Some(parameters) = rest.first_chunk_mut::<PARAMETERS>()
+        {
+            let covariance = &self.step.covariance;
+            covariance.add_tilt_columns(factors, dynamic, parameters);
         }
     }
 
@@ -183,19 +178,36 @@ impl Kalman {
         })
     }
 
-    /// Returns a column of the covariance. Writes it to `column`.
-    pub(in crate::estimator) fn copy_column(&self, state: usize, column: &mut [f32; ERROR_STATES]) {
-        let covariance = &self.step.covariance;
-        let Column {
-            dynamic,
-            parameters,
-        } = match state.checked_sub(DYNAMIC) {
-            None => covariance.dynamic_column(state),
-            Some(parameter) => covariance.parameter_column(parameter),
-        };
-        let entries = dynamic.iter().chain(&parameters);
-        for (entry, value) in column.iter_mut().zip(entries) {
-            *entry = *value;
+    /// Returns a column of the covariance.
+    #[inline(never)]
+    pub(in crate::estimator) fn column(&self, state: usize) -> [f32; ERROR_STATES] {
+        let mut column = [0.0; ERROR_STATES];
+        match state.checked_sub(DYNAMIC) {
+            Some(parameter) => self.add_column(parameter, 1.0, &mut column),
+            None => {
+                let own = self.step.covariance.dynamic_column(state);
+                let entries = own.dynamic.iter().chain(&own.parameters);
+                for (entry, value) in column.iter_mut().zip(entries) {
+                    *entry = *value;
+                }
+            }
+        }
+        column
+    }
+
+    /// Adds the column of a parameter times a factor.
+    #[inline(never)]
+    pub(in crate::estimator) fn add_column(
+        &self,
+        parameter: usize,
+        factor: f32,
+        column: &mut [f32; ERROR_STATES],
+    ) {
+        if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
+            && let Some(parameters) = rest.first_chunk_mut::<PARAMETERS>()
+        {
+            let covariance = &self.step.covariance;
+            covariance.add_parameter_column(parameter, factor, dynamic, parameters);
         }
     }
 
@@ -206,6 +218,7 @@ impl Kalman {
     }
 
     /// Returns the factor with which a parameter's error decays in its turn.
+    #[inline(always)]
     pub(super) fn relaxation(&self, duration_s: f32) -> f32 {
         const TURNS: f32 = (PARAMETERS - 3) as f32;
         1.0 - (TURNS * duration_s / self.tuning.parameter_memory_s).min(1.0)

@@ -47,6 +47,7 @@ impl Transition {
     }
 
     /// Propagates an error: `dynamic ← A·dynamic − B·parameters`.
+    #[inline(always)]
     pub(super) fn apply(&self, dynamic: &mut [f32; DYNAMIC], parameters: &[f32; PARAMETERS]) {
         let [mut north, mut east] = [0.0; 2];
         for (b, parameter) in self.tilt.iter().zip(parameters) {
