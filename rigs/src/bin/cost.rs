@@ -320,7 +320,7 @@ impl Subject for WithHeading {
         let kalman = self.estimator.filter();
         self.heading.follow(kalman, STEP_S);
         if let Some(field) = input.field {
-            self.heading.add_field(kalman, field, FIELD_AGE_US);
+            self.heading.add_field(field, FIELD_AGE_US);
         }
         let (q, rates) = (estimate.attitude, estimate.body_rates_rad_s);
         ([q.w, q.x, q.y, q.z], [rates.x, rates.y, rates.z])

@@ -1,7 +1,7 @@
 //! Covariance of the field states, and their cross-covariance with the tilt filter's error states.
 //!
 //! ```text
-//! O: 9 × 9, lower triangle by rows      X: 6 × 19, field and hard iron with the error states
+//! O: 9 × 9, lower triangle by rows      X: 6 × 16, field and hard iron with the error states
 //! ```
 //!
 //! The local deviation forgets within seconds. Its correlation with the error states changes no
@@ -106,6 +106,24 @@ impl Covariance {
             if let Some(entry) = row.get_mut(error_state) {
                 *entry *= factor;
             }
+        }
+    }
+
+    /// Adds a column of O times a factor.
+    #[inline]
+    pub(super) fn add_column(&self, state: usize, factor: f32, column: &mut [f32; STATES]) {
+        let start = state * (state + 1) / 2;
+        let (before, after) = column.split_at_mut(STATES.min(state + 1));
+        let row = self.triangle.get(start..).unwrap_or(&[]);
+        for (sum, entry) in before.iter_mut().zip(row) {
+            *sum += factor * entry;
+        }
+        let mut index = start + 2 * state + 1;
+        for (other, sum) in after.iter_mut().enumerate() {
+            if let Some(entry) = self.triangle.get(index) {
+                *sum += factor * entry;
+            }
+            index += state + 2 + other;
         }
     }
 

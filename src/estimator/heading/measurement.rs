@@ -17,8 +17,6 @@ use crate::attitude::wrap_pi;
 use crate::estimator::filter::Filter as _;
 use crate::estimator::kalman::Kalman;
 
-/// States of O·hᵀ that a slice computes.
-const ROWS: usize = 3;
 /// Limit of a squared innovation per expected one, so that no single one counts for long.
 const LARGEST_INCONSISTENCY: f32 = 100.0;
 
@@ -67,24 +65,6 @@ impl Heading {
                 tilt: [-y, x],
             },
         }
-    }
-
-    /// Returns P·hᵀ at a field state.
-    #[inline]
-    fn project(&self, row: &Row, axis: usize, state: usize) -> f32 {
-        let covariance = &self.covariance;
-        let [wx, wy, wz] = row.iron;
-        let [north, east] = row.tilt;
-        let tilt = match covariance.cross.get(state) {
-            Some([to_north, to_east, ..]) => north * to_north + east * to_east,
-            None => 0.0,
-        };
-        covariance.entry(state, FIELD + axis)
-            + covariance.entry(state, DEVIATION + axis)
-            + wx * covariance.entry(state, IRON)
-            + wy * covariance.entry(state, IRON + 1)
-            + wz * covariance.entry(state, IRON + 2)
-            + tilt
     }
 
     /// Adds the expected squared innovation of an axis without noise: h·P·hᵀ.
@@ -139,8 +119,7 @@ impl Heading {
         let share = (duration_s / tuning.consistency_s).min(1.0);
         let ratio = (squared / expected).min(LARGEST_INCONSISTENCY);
         self.inconsistency += share * (ratio - self.inconsistency);
-        let share = (duration_s / tuning.restart_average_s).min(1.0);
-        self.mean_innovation += share * (squared - self.mean_innovation);
+        self.inverse = squared;
         Phase::Watch
     }
 
@@ -154,12 +133,11 @@ impl Heading {
         let measured = square(mx) + square(my) + square(mz);
         let level = square(cx) + square(cy) + square(cz);
         let length = libm::sqrtf(measured) - libm::sqrtf(level);
-        self.age_s += duration_s;
+        let contradiction = self.inverse - tuning.restart_ratio * square(length);
         let share = (duration_s / tuning.restart_average_s).min(1.0);
-        self.mean_length += share * (square(length) - self.mean_length);
-        let limit = tuning.restart_ratio * self.mean_length + square(tuning.restart_floor_ut);
-        let contradicts = self.age_s > tuning.restart_after_s && self.mean_innovation > limit;
-        self.contradicted_s = if contradicts {
+        self.contradiction += share * (contradiction - self.contradiction);
+        let is_lasting = self.contradiction > square(tuning.restart_floor_ut);
+        self.contradicted_s = if is_lasting {
             self.contradicted_s + duration_s
         } else {
             0.0
@@ -168,46 +146,56 @@ impl Heading {
             self.restart();
             return Phase::Check;
         }
-        Phase::Project(0, 0)
+        Phase::Project(0)
     }
 
-    /// Computes O·hᵀ of an axis, from this state on.
-    pub(super) fn project_own(&mut self, axis: u8, first: u8) -> Phase {
-        let (axis_place, start) = (usize::from(axis), usize::from(first));
-        let row = self.row(axis_place);
-        for state in start..start + ROWS {
-            let entry = self.project(&row, axis_place, state);
-            if let Some(own) = self.own.get_mut(state) {
-                *own = entry;
-            }
-        }
-        if start + ROWS < STATES {
-            Phase::Project(axis, first + ROWS as u8)
-        } else {
-            Phase::ProjectCross(axis)
-        }
-    }
-
-    /// Computes X·hᵀ of an axis and the inverse of the innovation's variance, and corrects the
-    /// states.
-    pub(super) fn project_cross(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+    /// Computes O·hᵀ of an axis, but for the hard iron's part.
+    pub(super) fn project_own(&mut self, axis: u8) -> Phase {
         let place = usize::from(axis);
-        let row = self.row(place);
+        let [north, east] = self.row(place).tilt;
+        let covariance = &self.covariance;
+        self.own = [0.0; STATES];
+        for (entry, [to_north, to_east, ..]) in self.own.iter_mut().zip(&covariance.cross) {
+            *entry = north * to_north + east * to_east;
+        }
+        covariance.add_column(FIELD + place, 1.0, &mut self.own);
+        covariance.add_column(DEVIATION + place, 1.0, &mut self.own);
+        Phase::ProjectIron(axis)
+    }
+
+    /// Completes O·hᵀ of an axis.
+    pub(super) fn project_iron(&mut self, axis: u8) -> Phase {
+        let [wx, wy, wz] = self.row(axis.into()).iron;
+        for (state, factor) in [(IRON, wx), (IRON + 1, wy), (IRON + 2, wz)] {
+            self.covariance.add_column(state, factor, &mut self.own);
+        }
+        Phase::ProjectCross(axis)
+    }
+
+    /// Computes X·hᵀ of an axis, but for the tilt's part.
+    pub(super) fn project_cross(&mut self, axis: u8) -> Phase {
         let [first, second, third, bx, by, bz] = &self.covariance.cross;
         let field = match axis {
             0 => first,
             1 => second,
             _ => third,
         };
-        let [wx, wy, wz] = row.iron;
-        let mut column = *field;
-        let sources = bx.iter().zip(by).zip(bz);
-        for (sum, ((x, y), z)) in column.iter_mut().zip(sources) {
-            *sum += wx * x + wy * y + wz * z;
+        let [wx, wy, wz] = self.row(axis.into()).iron;
+        let sources = field.iter().zip(bx).zip(by).zip(bz);
+        for (sum, (((c, x), y), z)) in self.column.iter_mut().zip(sources) {
+            *sum = c + wx * x + wy * y + wz * z;
         }
-        kalman.add_tilt_columns(row.tilt, &mut column);
+        Phase::CorrectStates(axis)
+    }
+
+    /// Completes X·hᵀ of an axis, and corrects the states.
+    pub(super) fn correct_states(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+        let place = usize::from(axis);
+        let row = self.row(place);
+        let [wx, wy, wz] = row.iron;
+        kalman.add_tilt_columns(row.tilt, &mut self.column);
         let own = |state: usize| self.own.get(state).copied().unwrap_or(0.0);
-        let [to_north, to_east, ..] = column;
+        let [to_north, to_east, ..] = self.column;
         let variance = own(FIELD + place)
             + own(DEVIATION + place)
             + wx * own(IRON)
@@ -216,7 +204,6 @@ impl Heading {
             + row.tilt[0] * to_north
             + row.tilt[1] * to_east
             + self.noise;
-        self.column = column;
         self.inverse = 1.0 / variance;
         let innovation = self.innovation().into_iter().nth(place).unwrap_or(0.0);
         let gain = innovation * self.inverse;
@@ -230,7 +217,11 @@ impl Heading {
     pub(super) fn correct(&mut self, axis: u8, first: u8) -> Phase {
         let start = usize::from(first);
         // The last rows have no row of X.
-        let rows = if start < CORRELATED { 2 } else { 3 };
+        let rows = match start {
+            0..4 => 2,
+            4..CORRELATED => 1,
+            _ => 3,
+        };
         for (row, own) in self.own.iter().enumerate().skip(start).take(rows) {
             let gain = own * self.inverse;
             self.covariance.subtract(row, gain, &self.own);
@@ -239,7 +230,7 @@ impl Heading {
         if start + rows < STATES {
             Phase::Correct(axis, first + rows as u8)
         } else if axis < 2 {
-            Phase::Project(axis + 1, 0)
+            Phase::Project(axis + 1)
         } else {
             Phase::Check
         }

@@ -16,6 +16,8 @@ use interval::Interval;
 use step::Phase;
 use tuning::square;
 
+/// Shortest time between two earth steps that are added, s. Their sums serve the covariance alone.
+const EARTH_PERIOD_S: f32 = 10.0e-3;
 /// Period of the slices, s: a step is complete before the next one is due.
 const SLICE_PERIOD_S: f32 = 1.7e-3;
 /// Sample period from which on slices run beside earth steps, s.
@@ -25,6 +27,9 @@ const LONG_SAMPLE_PERIOD_S: f32 = 1.7e-3;
 const LONGEST_SLICED_S: f32 = 4.0e-3;
 /// Upper limit of the slices per sample: more than a step has.
 const MOST_SLICES: u32 = 160;
+
+/// Largest sum of a reading's components, µT: no compass of this kind reaches it.
+const LARGEST_FIELD_UT: f32 = 15_000.0;
 
 /// Knowledge of the compass's hard iron before the first reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -75,6 +80,10 @@ pub struct Heading {
     present: u8,
     /// True if the present interval has an earth step.
     has_interval: bool,
+    /// True if a reading waits for the next sample.
+    has_reading: bool,
+    reading_ut: [f32; 3],
+    reading_age_s: f32,
     covariance: Covariance,
     column: CrossRow,
     own: [f32; STATES],
@@ -82,11 +91,9 @@ pub struct Heading {
     noise: f32,
     motion: f32,
     excess: f32,
-    mean_innovation: f32,
-    mean_length: f32,
+    contradiction: f32,
     inconsistency: f32,
     contradicted_s: f32,
-    age_s: f32,
     estimate: Option<HeadingEstimate>,
 }
 
@@ -109,17 +116,18 @@ impl Heading {
             intervals: [Interval::EMPTY; 2],
             present: 0,
             has_interval: false,
+            has_reading: false,
+            reading_ut: [0.0; 3],
+            reading_age_s: 0.0,
             column: [0.0; ERROR_STATES],
             own: [0.0; STATES],
             inverse: 0.0,
             motion: 0.0,
             excess: 0.0,
             noise: 0.0,
-            mean_innovation: 0.0,
-            mean_length: 0.0,
+            contradiction: 0.0,
             inconsistency: 0.0,
             contradicted_s: 0.0,
-            age_s: 0.0,
             estimate: None,
         };
         filter.reset_field();
@@ -151,12 +159,10 @@ impl Heading {
             *state = 0.0;
         }
         self.estimate = None;
-        self.mean_innovation = 0.0;
-        self.mean_length = 0.0;
+        self.contradiction = 0.0;
         self.inconsistency = 0.0;
         self.contradicted_s = 0.0;
         self.excess = 0.0;
-        self.age_s = 0.0;
     }
 
     fn reset_iron(&mut self, variance: f32) {
@@ -174,27 +180,39 @@ impl Heading {
         }
     }
 
-    /// Adds a reading.
-    pub fn add_field(&mut self, kalman: &Kalman, field: MagneticField, age_us: u32) {
+    /// Adds a reading of the compass, in body axes. Its motion was `age_us` before that of the last
+    /// sample that the filter has followed. Readings that no compass delivers are ignored.
+    ///
+    /// The reading takes effect with the next sample.
+    pub fn add_field(&mut self, field: MagneticField, age_us: u32) {
         let [x, y, z] = field.ut;
         let size = x.abs() + y.abs() + z.abs();
         // A NaN fails the comparison.
-        if size < 1.0e4 && kalman.has_tilt() {
-            let age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
-            self.interval().add_reading(kalman, field, age_s);
-        }
+        self.has_reading = size < LARGEST_FIELD_UT;
+        self.reading_ut = field.ut;
+        self.reading_age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
     }
 
-    /// Follows the tilt filter, after each of its samples.
+    /// Follows the tilt filter, after each of its samples, `dt_s` seconds after the previous one.
     #[inline]
     pub fn follow(&mut self, kalman: &Kalman, dt_s: f32) {
         self.elapsed_s += dt_s;
         let is_earth_step = kalman.is_at_earth_step();
-        if is_earth_step {
+        if is_earth_step && self.elapsed_s > EARTH_PERIOD_S {
             self.add_earth_step(kalman);
         }
         if kalman.interval_s() == 0.0 && self.has_interval {
             self.close(kalman);
+            // The tilt filter has just begun a step: the reading can wait.
+            self.reading_age_s += dt_s;
+            return;
+        }
+        if self.has_reading {
+            self.add_reading(kalman, dt_s);
+            // A slice can wait, unless samples are rare.
+            if dt_s < LONG_SAMPLE_PERIOD_S && self.phase != Phase::Waiting {
+                return;
+            }
         }
         match self.phase {
             Phase::Idle => {}
@@ -207,6 +225,15 @@ impl Heading {
                 }
             }
             _ => self.run_slices(kalman, dt_s, is_earth_step),
+        }
+    }
+
+    #[inline(never)]
+    fn add_reading(&mut self, kalman: &Kalman, dt_s: f32) {
+        self.has_reading = false;
+        if kalman.has_tilt() {
+            let (field_ut, age_s) = (self.reading_ut, self.reading_age_s + dt_s);
+            self.interval().add_reading(kalman, field_ut, age_s);
         }
     }
 

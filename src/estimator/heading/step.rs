@@ -16,11 +16,13 @@ use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
 use super::tuning::square;
 use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::{
-    ERROR_STATES, FIRST_GYROSCOPE, GYROSCOPE, MEASUREMENTS, VELOCITY,
+    ERROR_STATES, FIRST_GYROSCOPE, Followed, GYROSCOPE, MEASUREMENTS, VELOCITY,
 };
 
 /// Rows of X that a slice propagates.
 const ROWS: usize = 2;
+/// Measurements of the tilt filter that a slice repeats on a row of O.
+const OWN_MEASUREMENTS: usize = 3;
 
 /// The next slice of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,8 +36,10 @@ pub(super) enum Phase {
     Propagate(u8),
     /// X by what the tilt filter resets and lets return to its prior.
     Relax,
-    /// A row of X, and of O, by the tilt filter's measurement of this index.
+    /// This row of X by the tilt filter's measurement of this index.
     Follow(u8, u8),
+    /// This row of O by the tilt filter's measurements, from this index on.
+    FollowOwn(u8, u8),
     /// Covariance of the drift of yaw with the error states, from this parameter on.
     Drift(u8),
     /// Covariance of the drift of yaw with the field states.
@@ -54,10 +58,14 @@ pub(super) enum Phase {
     Gate,
     /// The watch over lasting contradictions.
     Watch,
-    /// O·hᵀ of this axis, from this state on.
-    Project(u8, u8),
-    /// X·hᵀ of this axis, and its correction of the states.
+    /// O·hᵀ of this axis, but for the hard iron.
+    Project(u8),
+    /// O·hᵀ of this axis by the hard iron.
+    ProjectIron(u8),
+    /// X·hᵀ of this axis, but for the tilt.
     ProjectCross(u8),
+    /// The states by this axis.
+    CorrectStates(u8),
     /// O and X by this axis, from this row on.
     Correct(u8, u8),
     /// The check of the numbers.
@@ -75,6 +83,7 @@ impl Heading {
             Phase::Propagate(row) => self.propagate(kalman, row),
             Phase::Relax => self.relax(kalman),
             Phase::Follow(row, index) => self.follow_measurement(kalman, row, index),
+            Phase::FollowOwn(row, index) => self.follow_own(kalman, row, index),
             Phase::Drift(parameter) => self.drift(kalman, parameter),
             Phase::Turn => self.project_drift(),
             Phase::TurnField => self.turn_field(kalman),
@@ -84,8 +93,10 @@ impl Heading {
             Phase::Expect(axis) => self.expect(kalman, axis),
             Phase::Gate => self.gate(),
             Phase::Watch => self.watch(),
-            Phase::Project(axis, state) => self.project_own(axis, state),
-            Phase::ProjectCross(axis) => self.project_cross(kalman, axis),
+            Phase::Project(axis) => self.project_own(axis),
+            Phase::ProjectIron(axis) => self.project_iron(axis),
+            Phase::ProjectCross(axis) => self.project_cross(axis),
+            Phase::CorrectStates(axis) => self.correct_states(kalman, axis),
             Phase::Correct(axis, row) => self.correct(axis, row),
             Phase::Check => self.check(),
             Phase::Finish => self.finish(kalman),
@@ -116,61 +127,72 @@ impl Heading {
         Phase::Follow(0, 0)
     }
 
-    /// Repeats a measurement of the tilt filter on a row of X, and after the last one on O.
+    /// Repeats the tilt filter's measurements on a row of X and O: those of the velocity together
+    /// with index 0, then those of each parameter.
     ///
     /// A row needs its own p from before the step, and X·e of the rows above from after it.
     fn follow_measurement(&mut self, kalman: &Kalman, row: u8, index: u8) -> Phase {
-        let (place, measurement) = (usize::from(row), usize::from(index));
-        let Some(entries) = self.covariance.cross.get(place) else {
+        let place = usize::from(row);
+        let Some(entries) = self.covariance.cross.get_mut(place) else {
             self.column = [0.0; ERROR_STATES];
             return Phase::Drift(0);
         };
-        if index == 0 {
+        let Some(measurement) = usize::from(index).checked_sub(1) else {
+            let mut change = 0.0;
+            let mut velocity = [0.0; 2];
             for (number, gain) in self.own.iter_mut().enumerate().take(MEASUREMENTS) {
-                *gain = match kalman.followed(number) {
-                    Some(followed) => {
-                        let p = entries.get(followed.state).copied().unwrap_or(0.0);
-                        p * followed.weight
-                    }
-                    None => break,
+                let Some(followed) = kalman.followed(number) else {
+                    break;
                 };
+                let p = entries.get(followed.state).copied().unwrap_or(0.0);
+                *gain = p * followed.weight;
+                change += *gain * followed.residual;
+                let is_velocity = followed.state.wrapping_sub(VELOCITY.start);
+                if let Some(factor) = velocity.get_mut(is_velocity) {
+                    *factor = -*gain;
+                }
             }
-        }
-        let gain = self.own.get(measurement).copied().unwrap_or(0.0);
-        let Some(followed) = kalman.followed(measurement) else {
-            return self.follow_own(kalman, place);
+            kalman.add_velocity_columns(velocity, entries);
+            if let Some(state) = self.state.get_mut(place) {
+                *state += change;
+            }
+            return Phase::Follow(row, 1);
         };
-        let column = kalman.column(followed.state);
-        self.covariance.subtract_cross(place, gain, &column);
-        if let Some(state) = self.state.get_mut(place) {
-            *state += gain * followed.residual;
+        let parameter = kalman.followed(measurement).and_then(Followed::parameter);
+        let gain = self.own.get(measurement).copied().unwrap_or(0.0);
+        match parameter {
+            Some(parameter) => kalman.add_parameter_column(parameter, -gain, entries),
+            None => return Phase::FollowOwn(row, 0),
         }
         Phase::Follow(row, index + 1)
     }
 
     /// Repeats the tilt filter's measurements on a row of O, from the rows of X so far.
-    fn follow_own(&mut self, kalman: &Kalman, row: usize) -> Phase {
-        for (index, gain) in self.own.iter().enumerate().take(MEASUREMENTS) {
-            let Some(followed) = kalman.followed(index) else {
-                break;
+    fn follow_own(&mut self, kalman: &Kalman, row: u8, first: u8) -> Phase {
+        let start = usize::from(first);
+        for index in start..start + OWN_MEASUREMENTS {
+            let (Some(followed), Some(gain)) = (kalman.followed(index), self.own.get(index)) else {
+                return Phase::Follow(row + 1, 0);
             };
             let mut column = [0.0; CORRELATED];
             for (entry, row) in column.iter_mut().zip(&self.covariance.cross) {
                 *entry = row.get(followed.state).copied().unwrap_or(0.0);
             }
-            self.covariance.subtract(row, *gain, &column);
+            self.covariance.subtract(row.into(), *gain, &column);
         }
-        Phase::Follow(row as u8 + 1, 0)
+        Phase::FollowOwn(row, first + OWN_MEASUREMENTS as u8)
     }
 
     /// Adds to the covariance of the drift of yaw with the error states: P·Wᵀ.
-    fn drift(&mut self, kalman: &Kalman, parameter: u8) -> Phase {
-        let place = usize::from(parameter);
-        let Some(effect) = self.closed().yaw.get(place).copied() else {
-            return Phase::Turn;
-        };
-        kalman.add_column(place, effect, &mut self.column);
-        Phase::Drift(parameter + 1)
+    fn drift(&mut self, kalman: &Kalman, part: u8) -> Phase {
+        let [first, second] = &self.intervals;
+        let closed = if self.present == 0 { second } else { first };
+        let is_more = kalman.add_product(part.into(), &closed.yaw, &mut self.column);
+        if is_more {
+            Phase::Drift(part + 1)
+        } else {
+            Phase::Turn
+        }
     }
 
     /// Computes the covariance of the drift of yaw with the field states: X·Wᵀ.

@@ -20,9 +20,9 @@ use super::slices::{MOST_MEASUREMENTS, State};
 use super::tuning::square;
 use crate::attitude::{Quaternion, Vector3};
 
-/// Number of error states: tilt (2), velocity (2), gyroscope bias (3) and matrix (9), accelerometer
-/// bias (3).
-pub(in crate::estimator) const ERROR_STATES: usize = DYNAMIC + PARAMETERS;
+/// Number of error states that a follower sees: tilt (2), velocity (2), gyroscope bias (3) and
+/// matrix (9). The accelerometer's bias is left out: its correlation with a field changes no score.
+pub(in crate::estimator) const ERROR_STATES: usize = DYNAMIC + GYROSCOPE_PARAMETERS;
 
 /// Error states of the velocity.
 pub(in crate::estimator) const VELOCITY: core::ops::Range<usize> = 2..DYNAMIC;
@@ -42,6 +42,13 @@ pub(in crate::estimator) struct Followed {
     pub(in crate::estimator) weight: f32,
     /// z − x − δ, what the step has left of the innovation.
     pub(in crate::estimator) residual: f32,
+}
+
+impl Followed {
+    /// Returns the measured parameter; `None` for the velocity.
+    pub(in crate::estimator) fn parameter(self) -> Option<usize> {
+        self.state.checked_sub(DYNAMIC)
+    }
 }
 
 impl Kalman {
@@ -130,26 +137,65 @@ impl Kalman {
     }
 
     /// Adds the columns of the tilt, north and east, times these factors.
-    #[inline(never)]
     pub(in crate::estimator) fn add_tilt_columns(
         &self,
         factors: [f32; 2],
         column: &mut [f32; ERROR_STATES],
     ) {
+        self.add_dynamic_columns(0, factors, column);
+    }
+
+    /// Adds the columns of the velocity, north and east, times these factors.
+    pub(in crate::estimator) fn add_velocity_columns(
+        &self,
+        factors: [f32; 2],
+        column: &mut [f32; ERROR_STATES],
+    ) {
+        self.add_dynamic_columns(VELOCITY.start, factors, column);
+    }
+
+    #[inline(never)]
+    fn add_dynamic_columns(
+        &self,
+        first: usize,
+        factors: [f32; 2],
+        column: &mut [f32; ERROR_STATES],
+    ) {
         if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
-            && let Some(parameters) = rest.first_chunk_mut::<PARAMETERS>()
+            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
         {
             let covariance = &self.step.covariance;
-            covariance.add_tilt_columns(factors, dynamic, parameters);
+            covariance.add_dynamic_columns(first, factors, dynamic, parameters);
         }
+    }
+
+    /// Adds two rows of the covariance, a short and a long one, to its product with a vector that
+    /// has entries at the gyroscope's parameters only. Returns false after the last rows.
+    pub(in crate::estimator) fn add_product(
+        &self,
+        part: usize,
+        vector: &[f32; GYROSCOPE_PARAMETERS],
+        column: &mut [f32; ERROR_STATES],
+    ) -> bool {
+        let last = (GYROSCOPE_PARAMETERS - 1).saturating_sub(part);
+        if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
+            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
+        {
+            let covariance = &self.step.covariance;
+            covariance.add_row_product(last, vector, dynamic, parameters);
+            if part < last {
+                covariance.add_row_product(part, vector, dynamic, parameters);
+            }
+        }
+        part + 1 < last
     }
 
     /// Propagates a row of the cross-covariance through the last covariance step.
     pub(in crate::estimator) fn propagate_row(&self, row: &mut [f32; ERROR_STATES]) {
         if let Some((dynamic, rest)) = row.split_first_chunk_mut::<DYNAMIC>()
-            && let Some(parameters) = rest.first_chunk::<PARAMETERS>()
+            && let Some(parameters) = rest.first_chunk::<GYROSCOPE_PARAMETERS>()
         {
-            self.step.transition().apply(dynamic, parameters);
+            self.step.transition().apply_to_tilt(dynamic, parameters);
         }
     }
 
@@ -178,33 +224,15 @@ impl Kalman {
         })
     }
 
-    /// Returns a column of the covariance.
-    #[inline(never)]
-    pub(in crate::estimator) fn column(&self, state: usize) -> [f32; ERROR_STATES] {
-        let mut column = [0.0; ERROR_STATES];
-        match state.checked_sub(DYNAMIC) {
-            Some(parameter) => self.add_column(parameter, 1.0, &mut column),
-            None => {
-                let own = self.step.covariance.dynamic_column(state);
-                let entries = own.dynamic.iter().chain(&own.parameters);
-                for (entry, value) in column.iter_mut().zip(entries) {
-                    *entry = *value;
-                }
-            }
-        }
-        column
-    }
-
     /// Adds the column of a parameter times a factor.
-    #[inline(never)]
-    pub(in crate::estimator) fn add_column(
+    pub(in crate::estimator) fn add_parameter_column(
         &self,
         parameter: usize,
         factor: f32,
         column: &mut [f32; ERROR_STATES],
     ) {
         if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
-            && let Some(parameters) = rest.first_chunk_mut::<PARAMETERS>()
+            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
         {
             let covariance = &self.step.covariance;
             covariance.add_parameter_column(parameter, factor, dynamic, parameters);
