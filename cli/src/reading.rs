@@ -49,7 +49,8 @@ pub struct Reading {
     rows: RowOptions,
 }
 
-fn knowledge(name: &str) -> Result<AccelerometerKnowledge, &'static str> {
+/// Parses what is known of an accelerometer's offset.
+pub fn knowledge(name: &str) -> Result<AccelerometerKnowledge, &'static str> {
     AccelerometerKnowledge::from_name(name).ok_or("it is factory, six-poses or calibrated")
 }
 
