@@ -22,7 +22,7 @@ use crate::estimator::kalman::follow::{
 /// Rows of X that a slice propagates.
 const ROWS: usize = 2;
 /// Measurements of the tilt filter that a slice repeats on a row of O.
-const OWN_MEASUREMENTS: usize = 3;
+const OWN_MEASUREMENTS: usize = 2;
 
 /// The next slice of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -180,7 +180,12 @@ impl Heading {
             }
             self.covariance.subtract(row.into(), *gain, &column);
         }
-        Phase::FollowOwn(row, first + OWN_MEASUREMENTS as u8)
+        let next = first + OWN_MEASUREMENTS as u8;
+        if kalman.followed(next.into()).is_some() {
+            Phase::FollowOwn(row, next)
+        } else {
+            Phase::Follow(row + 1, 0)
+        }
     }
 
     /// Adds to the covariance of the drift of yaw with the error states: P·Wᵀ.
