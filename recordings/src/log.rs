@@ -244,7 +244,10 @@ mod tests {
         for (cells, expected) in [
             ("1,,3", "some of mx,my,mz are empty"),
             ("1,2,north", "mz is \"north\""),
-            ("1,NaN,3", "my is NaN, which no compass measures; microtesla"),
+            (
+                "1,NaN,3",
+                "my is NaN, which no compass measures; microtesla",
+            ),
             ("30000,2,3", "mx is 30000, which no compass measures"),
             ("1,2,3,4", "11 columns, but the header has 10"),
         ] {

@@ -73,7 +73,11 @@ pub(crate) fn parse_row_with(
 ) -> Result<Row, LogFault> {
     let mut cells = [""; COLUMNS.len()];
     let mut field_cells = [""; COMPASS.len()];
-    let compass = if has_compass(columns) { COMPASS.len() } else { 0 };
+    let compass = if has_compass(columns) {
+        COMPASS.len()
+    } else {
+        0
+    };
     let mut found: usize = 0;
     for cell in line.split(',') {
         let place = match found.checked_sub(SENSOR_COLUMNS) {

@@ -22,8 +22,8 @@ use core::hint::black_box;
 use core::panic::PanicInfo;
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::estimator::heading::{CompassKnowledge, Heading};
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
+use aplomb::estimator::heading::{CompassKnowledge, Heading};
 use aplomb::estimator::kalman::Kalman;
 use aplomb::estimator::{Estimator, Filter, Sample};
 use aplomb::units::{MagneticField, STANDARD_GRAVITY_M_S2, degrees, radians};

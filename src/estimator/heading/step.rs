@@ -1,15 +1,13 @@
 //! Steps of the heading filter, in slices: one step after each covariance step of the tilt filter,
 //! over the same interval.
 //!
-//! 1. *Repeat* the tilt filter's step on the cross-covariance ([`follow`](follow)).
+//! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/follow.rs`).
 //! 2. *Turn* the field by the drift of yaw. The gyroscope's errors e turn the level frame by
 //!    W·e about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
 //!    over an interval, so those after the tilt filter's correction δ serve: c moves by δ, and its
 //!    covariance by what is left.
 //! 3. *Forget* the local deviation, and add the process noise.
-//! 4. *Measure*: three rows, each by [`measurement`](super::measurement).
-//!
-//! [`follow`]: crate::estimator::kalman
+//! 4. *Measure*: three rows, each by `measurement.rs`.
 
 use super::Heading;
 use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
@@ -18,6 +16,7 @@ use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::{
     ERROR_STATES, FIRST_GYROSCOPE, Followed, GYROSCOPE, MEASUREMENTS, VELOCITY,
 };
+use crate::serialize::StateVisitor;
 
 /// Rows of X that a slice propagates.
 const ROWS: usize = 2;
@@ -104,7 +103,13 @@ impl Heading {
     }
 
     fn propagate(&mut self, kalman: &Kalman, first: u8) -> Phase {
-        for row in self.covariance.cross.iter_mut().skip(first.into()).take(ROWS) {
+        for row in self
+            .covariance
+            .cross
+            .iter_mut()
+            .skip(first.into())
+            .take(ROWS)
+        {
             kalman.propagate_row(row);
         }
         let next = first + ROWS as u8;
@@ -309,4 +314,64 @@ fn gyroscope(row: &CrossRow) -> &[f32] {
 
 fn dot(left: &[f32; GYROSCOPE], right: &[f32]) -> f32 {
     left.iter().zip(right).map(|(a, b)| a * b).sum()
+}
+
+impl Phase {
+    /// Visits the phase.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        let (mut kind, first, second) = match *self {
+            Self::Idle => (0, 0, 0),
+            Self::Waiting => (1, 0, 0),
+            Self::Propagate(row) => (2, row, 0),
+            Self::Relax => (3, 0, 0),
+            Self::Follow(row, index) => (4, row, index),
+            Self::FollowOwn(row, index) => (5, row, index),
+            Self::Drift(part) => (6, part, 0),
+            Self::Turn => (7, 0, 0),
+            Self::TurnField => (8, 0, 0),
+            Self::TurnCross => (9, 0, 0),
+            Self::Walk => (10, 0, 0),
+            Self::Forget(state) => (11, state, 0),
+            Self::Expect(axis) => (12, axis, 0),
+            Self::Gate => (13, 0, 0),
+            Self::Watch => (14, 0, 0),
+            Self::Project(axis) => (15, axis, 0),
+            Self::ProjectIron(axis) => (16, axis, 0),
+            Self::ProjectCross(axis) => (17, axis, 0),
+            Self::CorrectStates(axis) => (18, axis, 0),
+            Self::Correct(axis, row) => (19, axis, row),
+            Self::Check => (20, 0, 0),
+            Self::Finish => (21, 0, 0),
+        };
+        // A place out of range does no harm: each slice checks it.
+        let (mut place, mut other) = (usize::from(first), usize::from(second));
+        visitor.index(&mut kind, 22);
+        visitor.index(&mut place, ERROR_STATES);
+        visitor.index(&mut other, ERROR_STATES);
+        let (first, second) = (place as u8, other as u8);
+        *self = match kind {
+            1 => Self::Waiting,
+            2 => Self::Propagate(first),
+            3 => Self::Relax,
+            4 => Self::Follow(first, second),
+            5 => Self::FollowOwn(first, second),
+            6 => Self::Drift(first),
+            7 => Self::Turn,
+            8 => Self::TurnField,
+            9 => Self::TurnCross,
+            10 => Self::Walk,
+            11 => Self::Forget(first),
+            12 => Self::Expect(first),
+            13 => Self::Gate,
+            14 => Self::Watch,
+            15 => Self::Project(first),
+            16 => Self::ProjectIron(first),
+            17 => Self::ProjectCross(first),
+            18 => Self::CorrectStates(first),
+            19 => Self::Correct(first, second),
+            20 => Self::Check,
+            21 => Self::Finish,
+            _ => Self::Idle,
+        };
+    }
 }

@@ -14,10 +14,10 @@
 //! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in terms of the covariance
 //! afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
 
-use super::{Kalman, Tilt};
 use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS};
 use super::slices::{MOST_MEASUREMENTS, State};
 use super::tuning::square;
+use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
 
 /// Number of error states that a follower sees: tilt (2), velocity (2), gyroscope bias (3) and
