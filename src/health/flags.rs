@@ -66,6 +66,8 @@ bitflags::bitflags! {
         const POLLED = 1 << 17;
         /// The crystal has failed. Times are those of the internal oscillator, accurate to 1 %.
         const INTERNAL_CLOCK = 1 << 18;
+        /// The heading from a compass is wrong by no more than the larger of 15° and six σ.
+        const HEADING_VALID = 1 << 19;
     }
 }
 
@@ -89,7 +91,8 @@ impl Flags {
         .difference(Self::CALIBRATING)
         .union(Self::ACCELEROMETER_SATURATED)
         .union(Self::VALID)
-        .union(Self::DEGRADED);
+        .union(Self::DEGRADED)
+        .union(Self::HEADING_VALID);
 }
 
 bitflags::bitflags! {

@@ -98,7 +98,7 @@ impl TruthFile {
                     }
                 }))
             })
-        } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 7) {
+        } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 10) {
             Self::new(move || {
                 let Some(line) = lines.next_line()? else {
                     return Ok(None);

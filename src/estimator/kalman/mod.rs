@@ -67,6 +67,7 @@
 //! depends on data.
 
 mod covariance;
+pub(super) mod follow;
 mod init;
 mod measurements;
 mod nominal;

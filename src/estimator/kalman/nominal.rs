@@ -38,11 +38,11 @@ pub(super) struct NominalState {
     /// The last sample's specific force, bias included.
     pub(super) force_m_s2: Vector3,
     /// Rotation since the last earth step, body axes.
-    rotation_rad: Vector3,
+    pub(super) rotation_rad: Vector3,
     /// Velocity gained since the last earth step, body axes, bias included.
     gained_m_s: Vector3,
     /// Time since the last earth step, s.
-    elapsed_s: f32,
+    pub(super) elapsed_s: f32,
 }
 
 /// Increments of one earth step.

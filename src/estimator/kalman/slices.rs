@@ -17,7 +17,7 @@ use super::propagation::{DYNAMIC, PARAMETERS, Transition};
 use crate::serialize::StateVisitor;
 
 /// Most measurements of a step: two of the velocity, three of the gyroscope's bias.
-const MOST_MEASUREMENTS: usize = 5;
+pub(super) const MOST_MEASUREMENTS: usize = 5;
 
 const LAST_ROW: usize = PARAMETERS - 1;
 
@@ -128,6 +128,16 @@ impl CovarianceStep {
     /// Returns the length of the interval, s.
     pub(super) fn duration_s(&self) -> f32 {
         self.duration_s
+    }
+
+    /// Returns the transition of the interval.
+    pub(super) fn transition(&self) -> &Transition {
+        &self.transition
+    }
+
+    /// Returns a measurement of the step.
+    pub(super) fn measurement(&self, index: usize) -> Option<Measurement> {
+        *self.measurements.get(index)?
     }
 
     /// Returns whether a step has begun and not ended: the covariance is then not that of the
