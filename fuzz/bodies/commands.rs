@@ -8,6 +8,7 @@ use aplomb::console::command::{BAUD_RATES, Command, RATES_HZ};
 use aplomb::console::{Console, Module, Outcome, State, Task};
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::Settings;
+use aplomb::settings::CompassSettings;
 use aplomb::telemetry;
 
 /// Runs the bytes through a console.
@@ -77,6 +78,10 @@ impl Module for Wire {
     }
 
     fn set_calibration(&mut self, _calibration: &Calibration) {
+        assert!(!self.is_armed);
+    }
+
+    fn set_compass(&mut self, _settings: &CompassSettings, _imu_mount: Mount) {
         assert!(!self.is_armed);
     }
 

@@ -105,6 +105,10 @@ impl Part for Ak8963 {
         }
     }
 
+    fn mean_age_us(&self) -> u32 {
+        8_600
+    }
+
     fn counts(&self, bytes: &Bytes) -> [i16; 3] {
         let &[_, xl, xh, yl, yh, zl, zh, _, _] = bytes;
         little_endian([xl, xh, yl, yh, zl, zh])

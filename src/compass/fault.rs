@@ -56,6 +56,8 @@ pub enum Fault {
     Overflow,
     /// The bytes are none that the part can send.
     Garbled,
+    /// The bus stopped during a transfer with the compass.
+    HoldsBus,
 }
 
 impl Fault {
@@ -73,6 +75,7 @@ impl Fault {
             Self::Blank => "blank",
             Self::Overflow => "overflow",
             Self::Garbled => "garbled",
+            Self::HoldsBus => "holds-bus",
         }
     }
 }
@@ -134,6 +137,10 @@ impl fmt::Display for Fault {
             ),
             Self::Overflow => formatter.write_str(
                 "the field exceeds its range: move it away from the magnet or the motor",
+            ),
+            Self::HoldsBus => formatter.write_str(
+                "it has stopped the bus, and is left alone for a while: check its wiring and \
+                 supply, or \"compass off\"",
             ),
             Self::Garbled => formatter.write_str(
                 "its bytes are impossible: check the wiring and the pull-ups; configuring it again",

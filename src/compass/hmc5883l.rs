@@ -102,6 +102,10 @@ impl Part for Hmc5883l {
         }
     }
 
+    fn mean_age_us(&self) -> u32 {
+        13_300
+    }
+
     fn counts(&self, bytes: &Bytes) -> [i16; 3] {
         let &[xh, xl, zh, zl, yh, yl, ..] = bytes;
         [

@@ -26,6 +26,7 @@
 
 mod ak8963;
 mod choice;
+mod condition;
 mod driver;
 mod fault;
 mod hmc5883l;
@@ -39,6 +40,7 @@ mod session;
 mod tests;
 
 pub use choice::{Choice, ParseChoiceError};
+pub use condition::Condition;
 pub use driver::Compass;
 pub use fault::Fault;
 pub use part::{Bytes, LONGEST_READ};

@@ -82,6 +82,10 @@ pub(super) trait Part: Sync {
     /// Returns the condition of a reading.
     fn status(&self, bytes: &Bytes) -> Status;
 
+    /// Returns the mean age of the field in a reading, µs: half a period of the chip, and half a
+    /// measurement.
+    fn mean_age_us(&self) -> u32;
+
     /// Decodes a reading: counts along the registers' X, Y and Z.
     fn counts(&self, bytes: &Bytes) -> [i16; 3];
 

@@ -74,6 +74,10 @@ impl Part for Qmc5883l {
         status_of(status, STATUS_RESERVED)
     }
 
+    fn mean_age_us(&self) -> u32 {
+        10_000
+    }
+
     fn counts(&self, bytes: &Bytes) -> [i16; 3] {
         let &[_, xl, xh, yl, yh, zl, zh, ..] = bytes;
         little_endian([xl, xh, yl, yh, zl, zh])

@@ -14,6 +14,7 @@
 //! |---|---|
 //! | absent, wrong identity, another part | [`SEARCHES`] passes: 0.16 s after the first turn |
 //! | lost | three silent turns: 60 ms |
+//! | holds the bus | at once; it is left alone for 0.1 s, then twice as long each time |
 //! | blank, garbled | three readings: 60 ms |
 //! | settings lost | [`CHECK_TURNS`]: 0.32 s |
 //! | never ready, overflow | ten readings: 0.2 s |
@@ -35,7 +36,9 @@ pub const READING_PERIOD_US: u32 = 2 * TURN_MS * 1_000;
 /// identity.
 const SEARCHES: u8 = 4;
 /// Turns between two passes of the search for a part that was named or lost.
-const PAUSE_TURNS: u8 = 10;
+const PAUSE_TURNS: u16 = 10;
+/// Longest pause of a compass that has stopped the bus: 10 s. Each stop doubles the pause.
+const LONGEST_PAUSE_TURNS: u16 = 1_000;
 /// Turns between two looks at the settings.
 const CHECK_TURNS: u8 = 32;
 /// Bad outcomes in a row that make a fault.
@@ -80,8 +83,10 @@ pub enum Outcome<'a> {
     Read(&'a Bytes),
     /// The register was written.
     Written,
-    /// The chip did not acknowledge, or the bus failed.
+    /// The chip did not acknowledge.
     NoAnswer,
+    /// The bus stopped during the transfer, and had to be recovered.
+    Hung,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,7 +96,7 @@ enum State {
     /// Asks the parts for their identity, one after the other.
     Searching { index: u8, pass: u8 },
     /// Waits between two passes.
-    Pausing { turns: u8 },
+    Pausing { turns: u16 },
     /// Takes the steps of a configuration.
     Configuring { part: PartId, step: u8, trials: u8 },
     /// Takes readings.
@@ -118,6 +123,8 @@ pub struct Session {
     bad: u8,
     equal: u8,
     good: u8,
+    /// Pause after the next stop of the bus.
+    pause_turns: u16,
 }
 
 impl Session {
@@ -140,6 +147,7 @@ impl Session {
             bad: 0,
             equal: 0,
             good: 0,
+            pause_turns: PAUSE_TURNS,
         }
     }
 
@@ -198,6 +206,10 @@ impl Session {
     /// Takes the outcome of the last transfer. Returns the field if it was a good reading, µT along
     /// the chip's axes.
     pub fn finish(&mut self, outcome: &Outcome<'_>) -> Option<Vector3> {
+        if *outcome == Outcome::Hung {
+            self.finish_hung();
+            return None;
+        }
         match self.state {
             State::Idle | State::Pausing { .. } => {}
             State::Searching { index, pass } => self.finish_search(index, pass, outcome),
@@ -215,7 +227,7 @@ impl Session {
                             None
                         }
                     }
-                    Outcome::Written | Outcome::NoAnswer => {
+                    Outcome::Written | Outcome::NoAnswer | Outcome::Hung => {
                         self.silent += 1;
                         if self.silent >= FEW {
                             self.fault = Some(Fault::Lost(part));
@@ -229,6 +241,11 @@ impl Session {
         None
     }
 
+    /// Returns the choice.
+    pub const fn choice(&self) -> Choice {
+        self.choice
+    }
+
     /// Returns the compass that has shown its identity.
     pub const fn part(&self) -> Option<PartId> {
         self.known
@@ -237,7 +254,7 @@ impl Session {
     /// Returns the part's name; a clone's name tells so.
     pub const fn name(&self) -> Option<&'static str> {
         match self.known {
-            Some(PartId::Hmc5883l) if self.is_clone => Some("HMC5883L clone DA5883"),
+            Some(PartId::Hmc5883l) if self.is_clone => Some("HMC5883L/DA5883"),
             Some(part) => Some(part.name()),
             None => None,
         }
@@ -258,6 +275,11 @@ impl Session {
         matches!(self.state, State::Idle)
     }
 
+    /// Returns the mean age of a reading's field when the reading begins, µs.
+    pub fn mean_age_us(&self) -> u32 {
+        self.known.map_or(0, |part| part.part().mean_age_us())
+    }
+
     /// Returns the factory's sensitivity adjustments, 128 without.
     pub(super) const fn trims(&self) -> [u8; 3] {
         self.trims
@@ -268,6 +290,15 @@ impl Session {
         if let Some(part) = self.known {
             self.configure(part);
         }
+    }
+
+    /// Leaves the bus alone for a while.
+    fn finish_hung(&mut self) {
+        self.fault = Some(Fault::HoldsBus);
+        self.state = State::Pausing {
+            turns: self.pause_turns,
+        };
+        self.pause_turns = (2 * self.pause_turns).min(LONGEST_PAUSE_TURNS);
     }
 
     fn finish_search(&mut self, index: u8, pass: u8, outcome: &Outcome<'_>) {
@@ -453,6 +484,7 @@ impl Session {
                 return None;
             }
             self.fault = None;
+            self.pause_turns = PAUSE_TURNS;
         }
         let part = id.part();
         Some(part.field_ut(part.adjust(counts, self.trims)))

@@ -267,7 +267,7 @@ fn a_mislabelled_board_is_named() {
     // The clone marked DA5883 has the HMC5883L's registers and a dead status.
     let bus = Bus::with([Chip::hmc5883l(0, hmc5883l_bytes)]);
     let mut compass = find(bus, Choice::Auto).expect("it is there");
-    assert_eq!(compass.session().name(), Some("HMC5883L clone DA5883"));
+    assert_eq!(compass.session().name(), Some("HMC5883L/DA5883"));
     assert!((0..2).any(|_| compass.turn().is_some()), "it works");
 }
 
@@ -370,6 +370,25 @@ fn a_compass_that_disappears_is_lost_and_found_again() {
             settings.1
         );
     }
+}
+
+#[test]
+fn a_compass_that_stops_the_bus_is_left_alone_for_longer_and_longer() {
+    let [_, _, (_, bus), _] = every_part();
+    let mut compass = find(bus, Choice::Auto).unwrap();
+    let mut session = compass.session().clone();
+    let mut transfers = Vec::new();
+    for turn in 0..3_000 {
+        if session.next_transfer().is_some() {
+            transfers.push(turn);
+            assert_eq!(session.finish(&Outcome::Hung), None);
+            assert_eq!(session.fault(), Some(Fault::HoldsBus));
+        }
+    }
+    let pauses: Vec<i32> = transfers.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    assert!(pauses.starts_with(&[11, 21, 41, 81]), "{pauses:?}");
+    assert_eq!(pauses.last(), Some(&1_001), "{pauses:?}");
+    assert!(turns(&mut compass, 4).1.is_none());
 }
 
 #[test]
@@ -521,6 +540,7 @@ fn every_message_of_a_fault_fits_a_line() {
         Fault::Blank,
         Fault::Overflow,
         Fault::Garbled,
+        Fault::HoldsBus,
     ];
     for fault in faults {
         let text = fault.to_string();

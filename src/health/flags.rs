@@ -66,6 +66,9 @@ bitflags::bitflags! {
         const POLLED = 1 << 17;
         /// The crystal has failed. Times are those of the internal oscillator, accurate to 1 %.
         const INTERNAL_CLOCK = 1 << 18;
+        /// A compass was found or named, and gives no usable readings. The attitude does not
+        /// depend on it.
+        const COMPASS_FAULT = 1 << 20;
     }
 }
 
@@ -88,6 +91,7 @@ impl Flags {
     pub const LASTING: Self = Self::DEGRADING
         .difference(Self::CALIBRATING)
         .union(Self::ACCELEROMETER_SATURATED)
+        .union(Self::COMPASS_FAULT)
         .union(Self::VALID)
         .union(Self::DEGRADED);
 }
@@ -108,6 +112,8 @@ bitflags::bitflags! {
         const POLLED = Flags::POLLED.bits();
         /// [`Flags::INTERNAL_CLOCK`].
         const INTERNAL_CLOCK = Flags::INTERNAL_CLOCK.bits();
+        /// [`Flags::COMPASS_FAULT`].
+        const COMPASS_FAULT = Flags::COMPASS_FAULT.bits();
         /// The sensor's full scales have been read back since the previous burst, and are right.
         const SCALES_VERIFIED = 1 << 31;
     }

@@ -3,6 +3,7 @@
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use aplomb::board::burst_reader::ReceivedBurst;
+use aplomb::board::compass::CompassTask;
 use aplomb::calibration::{Calibration, ImuReading, StationaryDetector, StationaryProgress};
 use aplomb::console::{Outcome, Task};
 use aplomb::mpu6050::{Burst, Part, RawSample};
@@ -70,6 +71,8 @@ pub struct Estimation {
     pub pipeline: Option<Pipeline>,
     /// The stationary measurement that a calibration procedure has started.
     pub measurement: StationaryMeasurement,
+    /// The compass.
+    pub compass: CompassTask,
 }
 
 /// Mean readings of a stationary sensor, as a calibration procedure collects them.
