@@ -312,10 +312,14 @@ impl Session {
             if !chip.is_identity(bytes) {
                 let &&[a, b, c, ..] = bytes;
                 let kept = if chip.identity().length > 2 { c } else { 0 };
-                self.fault.get_or_insert(Fault::WrongIdentity {
+                let fault = Fault::WrongIdentity {
                     address: chip.address(),
                     identity: [a, b, kept],
-                });
+                };
+                if self.known == Some(part) {
+                    self.fault = Some(fault);
+                }
+                self.fault.get_or_insert(fault);
             } else if self.is_wanted(part) {
                 self.configure(part);
                 return;
@@ -367,6 +371,14 @@ impl Session {
             },
         });
         State::Pausing { turns: PAUSE_TURNS }
+    }
+
+    /// Configures the part again, if it still has its identity.
+    fn start_over(&mut self, part: PartId) {
+        self.state = State::Searching {
+            index: part as u8,
+            pass: SEARCHES - 1,
+        };
     }
 
     fn configure(&mut self, part: PartId) {
@@ -422,7 +434,7 @@ impl Session {
         };
         if let Some(fault) = failed {
             self.fault = Some(fault);
-            self.configure(part);
+            self.start_over(part);
             return;
         }
         let next = step + 1;
@@ -469,7 +481,7 @@ impl Session {
             *counter = 0;
             self.fault = Some(fault);
             if fault != Fault::Overflow {
-                self.configure(id);
+                self.start_over(id);
             }
         }
         None
@@ -500,7 +512,7 @@ impl Session {
                 written,
                 read,
             });
-            self.configure(id);
+            self.start_over(id);
         }
     }
 }

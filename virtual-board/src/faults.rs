@@ -94,7 +94,7 @@ pub enum FaultKind {
     CompassGarbled,
     /// The compass never reports a measurement.
     CompassNeverReady,
-    /// The compass's identity registers read this.
+    /// Another chip is in the compass's place: not configured, with this identity.
     CompassIdentity(u8),
     /// The compass holds SCL low whenever it is addressed, until the end of the fault.
     CompassStall,

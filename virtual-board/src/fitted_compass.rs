@@ -13,6 +13,7 @@ pub struct FittedCompass {
     faults: Vec<ScheduledFault>,
     is_addressed: bool,
     was_absent: bool,
+    had_other: bool,
 }
 
 impl FittedCompass {
@@ -26,6 +27,7 @@ impl FittedCompass {
             faults: faults.iter().filter(is_own).copied().collect(),
             is_addressed: false,
             was_absent: false,
+            had_other: false,
         }
     }
 
@@ -46,6 +48,15 @@ impl FittedCompass {
 
     /// Advances the compass to `now_ns`, on the body of this sensor.
     pub fn advance_to(&mut self, now_ns: u64, sensor: &Sensor) {
+        // Another chip in the compass's place has not been configured.
+        let is_other = |fault: &ScheduledFault| {
+            matches!(fault.kind, FaultKind::CompassIdentity(_)) && fault.lasts(now_ns)
+        };
+        let has_other = self.faults.iter().any(is_other);
+        if has_other && !self.had_other {
+            self.compass.power_up(now_ns);
+        }
+        self.had_other = has_other;
         let is_absent = self.lasts(now_ns, FaultKind::CompassSilent);
         if self.was_absent && !is_absent {
             self.compass.power_up(now_ns);
