@@ -18,6 +18,7 @@ pub mod attitude_task;
 pub mod boards;
 pub mod burst_reader;
 pub mod clocks;
+pub mod compass;
 pub mod crash;
 pub mod flash;
 pub mod measure;

@@ -82,6 +82,22 @@ pub enum FaultKind {
     StackOverflow,
     /// The core hangs until a reset, at the longest until the end, if the duration is not zero.
     WatchdogHang,
+    /// The compass has no supply; it comes back with all registers at reset.
+    CompassSilent,
+    /// The compass's data registers keep their values, and are reported as new.
+    CompassFrozen,
+    /// The compass's data and status registers read zero.
+    CompassZeros,
+    /// A magnet lies on the compass.
+    CompassOverflow,
+    /// The compass's data and status registers read random bits.
+    CompassGarbled,
+    /// The compass never reports a measurement.
+    CompassNeverReady,
+    /// Another chip is in the compass's place: not configured, with this identity.
+    CompassIdentity(u8),
+    /// The compass holds SCL low whenever it is addressed, until the end of the fault.
+    CompassStall,
 }
 
 /// True if a bus error is a flag without a STOP on the lines.
@@ -174,11 +190,25 @@ impl FaultKind {
             Self::Crash => "crash",
             Self::StackOverflow => "stack-overflow",
             Self::WatchdogHang => "watchdog-hang",
+            Self::CompassSilent => "compass-silent",
+            Self::CompassFrozen => "compass-frozen",
+            Self::CompassZeros => "compass-zeros",
+            Self::CompassOverflow => "compass-overflow",
+            Self::CompassGarbled => "compass-garbled",
+            Self::CompassNeverReady => "compass-never-ready",
+            Self::CompassIdentity(_) => "compass-identity",
+            Self::CompassStall => "compass-stall",
         }
     }
 }
 
 impl FaultKind {
+    /// Returns true if the fault is one of the compass.
+    #[must_use]
+    pub fn is_of_compass(&self) -> bool {
+        self.name().starts_with("compass-")
+    }
+
     /// Returns true if the fault ends in a reset of the processor.
     #[must_use]
     pub fn resets(&self) -> bool {
@@ -204,6 +234,7 @@ impl fmt::Display for FaultKind {
             }
             Self::Saturated(axis) => write!(formatter, ":{}", axis.name()),
             Self::Temperature(celsius) => write!(formatter, ":{celsius}"),
+            Self::CompassIdentity(identity) => write!(formatter, ":{identity:#04x}"),
             _ => Ok(()),
         }
     }

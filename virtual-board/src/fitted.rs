@@ -11,7 +11,9 @@ use crate::faults::{
     BusByte, BusLine, Direction, Fault, FaultKind, ScheduledFault, internal_time, nanoseconds,
     scheduled, within,
 };
+use crate::fitted_compass::FittedCompass;
 use crate::wires::SharedWires;
+use aplomb_models::compass::{Compass, CompassConfig};
 use aplomb_models::sensor::registers::address;
 use aplomb_models::sensor::{Burst, DataReady, OutputFault, Sensor};
 
@@ -21,6 +23,7 @@ const GLITCH_NS: u64 = 1_000;
 /// The sensor with its wires and their faults.
 pub struct FittedSensor {
     sensor: Sensor,
+    compass: Option<FittedCompass>,
     wires: SharedWires,
     faults: Vec<Fault>,
     /// The faults of a schedule.
@@ -80,6 +83,7 @@ impl FittedSensor {
         fault_times_ns.retain(|&at_ns| at_ns != u64::MAX);
         Self {
             sensor,
+            compass: None,
             wires: SharedWires::new(&faults),
             scheduled: scheduled(&faults).copied().collect(),
             faults,
@@ -95,6 +99,19 @@ impl FittedSensor {
             edges: Vec::new(),
             bursts: Vec::new(),
         }
+    }
+
+    /// Fits a compass beside the sensor.
+    #[must_use]
+    pub fn with_compass(mut self, config: Option<CompassConfig>) -> Self {
+        self.compass = config.map(|config| FittedCompass::new(config, &self.scheduled));
+        self
+    }
+
+    /// The compass, if there is one.
+    #[must_use]
+    pub fn compass(&self) -> Option<&Compass> {
+        self.compass.as_ref().map(FittedCompass::compass)
     }
 
     /// The lines of its bus.
@@ -137,7 +154,8 @@ impl FittedSensor {
     pub fn next_event_ns(&self) -> Option<u64> {
         let fault = self.fault_times_ns.first().copied();
         let glitch = self.next_glitch_ns(self.sensor.now_ns());
-        [fault, glitch, self.sensor.next_event_ns()]
+        let compass = self.compass.as_ref().and_then(FittedCompass::next_event_ns);
+        [fault, glitch, compass, self.sensor.next_event_ns()]
             .into_iter()
             .flatten()
             .min()
@@ -170,6 +188,9 @@ impl FittedSensor {
         self.is_addressed = false;
         self.is_sending = false;
         self.sensor.stop(now_ns);
+        if let Some(compass) = &mut self.compass {
+            compass.stop();
+        }
     }
 
     /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte. It
@@ -252,6 +273,9 @@ impl FittedSensor {
             self.show(event_ns, changes);
         }
         self.sensor.advance_to(now_ns);
+        if let Some(compass) = &mut self.compass {
+            compass.advance_to(now_ns, &self.sensor);
+        }
         self.show(now_ns, changes);
         let mut edges = self.sensor.take_edges();
         edges.retain(|edge| !self.is_absent(edge.time_ns));
@@ -300,6 +324,12 @@ impl FittedSensor {
             (next_ns < fault.end_ns()).then_some(next_ns)
         };
         self.scheduled.iter().filter_map(of).min()
+    }
+
+    fn addressed_compass(&mut self) -> Option<&mut FittedCompass> {
+        self.compass
+            .as_mut()
+            .filter(|compass| compass.is_addressed())
     }
 
     fn is_absent(&self, now_ns: u64) -> bool {
@@ -390,12 +420,19 @@ impl Peer for FittedSensor {
         self.is_addressed = !self.is_deaf(now_ns)
             && !self.refuses(now_ns, kind)
             && self.sensor.start(now_ns, address, read);
-        self.is_sending = self.is_addressed && read;
-        self.is_addressed
+        let is_compass = self
+            .compass
+            .as_mut()
+            .is_some_and(|compass| compass.start(now_ns, address, read, &self.sensor, &self.wires));
+        self.is_sending = (self.is_addressed || is_compass) && read;
+        self.is_addressed || is_compass
     }
 
     fn write(&mut self, byte: u8, context: &mut Timeline<'_, '_>) -> bool {
         let now_ns = context.now().0;
+        if let Some(compass) = self.addressed_compass() {
+            return compass.write(now_ns, byte);
+        }
         let kind = if self.pointer.is_none() {
             BusByte::Pointer
         } else {
@@ -412,6 +449,12 @@ impl Peer for FittedSensor {
 
     fn read(&mut self, _last: bool, context: &mut Timeline<'_, '_>) -> u8 {
         let now_ns = context.now().0;
+        if let Some(compass) = self.addressed_compass() {
+            let value = compass.read(now_ns);
+            let is_low = self.wires.lock().holds_low(BusLine::Data, now_ns);
+            self.delivered.push(if is_low { 0x00 } else { value });
+            return if is_low { 0x00 } else { value };
+        }
         let value = if self.is_addressed {
             self.sensor.read(now_ns)
         } else {

@@ -25,6 +25,7 @@ use crate::faults::{Fault, ScheduledFault, internal_time, nanoseconds, scheduled
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
+use crate::kit::Kit;
 use crate::mcu::{Microcontroller, SentByte, Terminal};
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Garage, Profile, Purpose};
@@ -32,6 +33,7 @@ use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
 use crate::schedule::Schedule;
 use crate::script::Script;
 use crate::summary::Summary;
+use aplomb_models::compass::CompassConfig;
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::swing::ByOtherClock;
 use aplomb_models::motion::{Motion, Mount};
@@ -44,6 +46,9 @@ pub struct Run {
     seed: u64,
     seconds: f64,
     mount: Mount,
+    kit: Kit,
+    /// A compass instead of the kit's.
+    compass: Option<CompassConfig>,
     /// The motion, and true if it is a recording: then the sensor adds no errors of its own.
     motion: Option<(Box<dyn Motion>, bool)>,
     faults: Vec<Fault>,
@@ -68,6 +73,8 @@ impl Run {
             seed: 1,
             seconds: 30.0,
             mount: Mount::default(),
+            kit: Kit::default(),
+            compass: None,
             motion: None,
             faults: Vec::new(),
             script: Vec::new(),
@@ -106,6 +113,20 @@ impl Run {
     #[must_use]
     pub fn mount(mut self, mount: Mount) -> Self {
         self.mount = mount;
+        self
+    }
+
+    /// Selects the sensor board.
+    #[must_use]
+    pub fn kit(mut self, kit: Kit) -> Self {
+        self.kit = kit;
+        self
+    }
+
+    /// Fits this compass instead of the kit's.
+    #[must_use]
+    pub fn compass(mut self, config: CompassConfig) -> Self {
+        self.compass = Some(config);
         self
     }
 
@@ -312,6 +333,7 @@ impl Run {
         Sensor::new(
             SensorConfig {
                 mount: self.mount,
+                who_am_i: self.kit.who_am_i(),
                 errors: self.errors.take().unwrap_or(config.errors),
                 ..config
             },
@@ -340,8 +362,10 @@ impl Run {
         });
         let has_slow_starts = self.faults.contains(&Fault::SlowStart);
         let sensor = self.sensor();
+        let compass = self.compass.take();
+        let compass = compass.or_else(|| self.kit.compass(self.seed, self.mount));
         let mut controller = Microcontroller::new(
-            FittedSensor::new(sensor, std::mem::take(&mut self.faults)),
+            FittedSensor::new(sensor, std::mem::take(&mut self.faults)).with_compass(compass),
             input,
             Terminal::new(&self.script),
             cells,

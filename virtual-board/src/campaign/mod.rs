@@ -35,6 +35,7 @@ pub use table::Table;
 
 use crate::faults::{FaultKind, ScheduledFault};
 use crate::flight::{Outcome, Run};
+use crate::kit::Kit;
 use crate::profile::Garage;
 use crate::schedule::Schedule;
 
@@ -136,7 +137,10 @@ impl Case {
             .faults
             .iter()
             .any(|fault| fault.kind == FaultKind::ProbeDetach);
+        let faults = &self.schedule.faults;
+        let has_compass = faults.iter().any(|fault| fault.kind.is_of_compass());
         let mut run = Run::new(firmware)
+            .kit(if has_compass { Kit::Gy87 } else { Kit::Mpu6050 })
             .seed(self.seed)
             .seconds(self.seconds)
             .boxed_motion(self.motion())
@@ -161,6 +165,8 @@ impl Case {
 pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
     match kind {
         FaultKind::UartFlood | FaultKind::UartNoise | FaultKind::ProbeDetach => None,
+        FaultKind::CompassStall => Some(BUS_DEADLINE_NS),
+        kind if kind.is_of_compass() => None,
         FaultKind::SensorBrownout
         | FaultKind::RegisterFlip(..)
         | FaultKind::Frozen
