@@ -410,8 +410,8 @@ pub struct Outcome {
     pub flash: FlashRecord,
     /// Rules of [`checks`](crate::checks) that the firmware has broken, with their places.
     pub violations: Vec<String>,
-    /// Violations, accesses that the board does not model, resets, and gaps in the account of instructions.
-    /// Empty in a sound run.
+    /// Violations, accesses that the board does not model, resets, and gaps in the account of
+    /// instructions. Empty in a sound run.
     pub issues: Vec<String>,
 }
 
@@ -471,7 +471,7 @@ fn violations(session: &Session<Board>) -> Vec<String> {
     // Wait states too few for the clock, above all (RM0090, 3.5.1).
     let told = session
         .told()
-        .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason));
+        .map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason));
     let checks = session.board().controller.checks();
     let gated = session.refused().iter();
     for (&address, _) in gated.filter(|(_, fault)| fault.is_shut_gate()) {

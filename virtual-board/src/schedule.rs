@@ -239,6 +239,16 @@ impl Schedule {
         Self { faults }
     }
 
+    /// Returns the schedule with all faults later, to the microsecond.
+    #[must_use]
+    pub fn later(mut self, by_s: f64) -> Self {
+        let by_ns = (by_s * 1e6).round() as u64 * 1_000;
+        for fault in &mut self.faults {
+            fault.start_ns += by_ns;
+        }
+        self
+    }
+
     /// One fault of a class, its parameter and its times drawn from a seed. `None` if there is no
     /// such class.
     #[must_use]
