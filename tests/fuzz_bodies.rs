@@ -5,6 +5,8 @@ use proptest::prelude::*;
 
 #[path = "../fuzz/bodies/checksums.rs"]
 mod checksums;
+#[path = "../fuzz/bodies/command_words.rs"]
+mod command_words;
 #[path = "../fuzz/bodies/commands.rs"]
 mod commands;
 #[path = "../fuzz/bodies/flight_log.rs"]
@@ -23,45 +25,12 @@ mod text_formats;
 
 /// Bytes, pieces of commands and line ends.
 fn nearly_commands() -> impl Strategy<Value = Vec<u8>> {
-    let words = [
-        "help",
-        "status",
-        "show",
-        "save",
-        "forget",
-        "self-test",
-        "arm",
-        "disarm",
-        "calibrate ",
-        "gyro",
-        "accel",
-        "level",
-        "temperature",
-        "done",
-        "stop",
-        "mount ",
-        "find",
-        "+x-z",
-        "z-up",
-        "rate ",
-        "baud ",
-        "format ",
-        "text",
-        "classic",
-        "9600",
-        "921600",
-        "50",
-        "1",
-        " ",
-        "\n",
-        "\n",
-        "\n",
-        "\r",
-        "\r\n",
-        "\x08",
-    ];
+    let mut words = command_words::WORDS.to_vec();
+    words.extend(["baud ", "921600", "1", "\r", "\r\n"]);
+    // A line is short.
+    words.extend(["\n"; 3]);
     let piece = prop_oneof![
-        8 => prop::sample::select(words.to_vec()).prop_map(|word| word.as_bytes().to_vec()),
+        8 => prop::sample::select(words).prop_map(|word| word.as_bytes().to_vec()),
         1 => prop::collection::vec(any::<u8>(), 0..20),
     ];
     prop::collection::vec(piece, 0..200).prop_map(|pieces| pieces.concat())

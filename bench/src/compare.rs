@@ -13,6 +13,7 @@ use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::score::Score;
 use aplomb_recordings::terminal::print_line;
+use aplomb_recordings::units::knowledge;
 
 use crate::filter::Choice;
 use crate::folders::{Folders, Ranges};
@@ -54,7 +55,8 @@ pub struct Options {
     #[arg(long = "counts", value_name = "SET=G,DPS", value_parser = parse_ranges)]
     ranges: Vec<(String, Ranges)>,
     /// Knowledge of the accelerometers' offsets: factory, six-poses, calibrated [default:
-    /// calibrated for SI units, factory for counts and simulated flights]
+    /// calibrated for SI units, factory for counts and simulated flights, whose sensors are then
+    /// calibrated so]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
     accelerometer: Option<AccelerometerKnowledge>,
     /// Folder of accuracy.csv and accuracy.png
@@ -138,12 +140,15 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             print_line(&format!(
                 "There are no recordings to score here, so these are {} simulated flights of one \
                  minute: seeds {} and up, which nothing was tuned on; gyroscope offset 4 °/s, not \
-                 calibrated.",
+                 calibrated; accelerometer as --accelerometer states.",
                 EVALUATION_SEEDS.count(),
                 EVALUATION_SEEDS.start
             ));
         }
-        recordings = simulated::flights(EVALUATION_SEEDS);
+        let knowledge = options
+            .accelerometer
+            .unwrap_or(AccelerometerKnowledge::Factory);
+        recordings = simulated::flights(EVALUATION_SEEDS, knowledge);
     }
     if let Some(knowledge) = options.accelerometer {
         for recording in &mut recordings {
@@ -224,10 +229,6 @@ fn print_and_draw(
         options.output.display()
     ));
     Ok(())
-}
-
-fn knowledge(name: &str) -> Result<AccelerometerKnowledge, &'static str> {
-    AccelerometerKnowledge::from_name(name).ok_or("it is factory, six-poses or calibrated")
 }
 
 fn parse_delay(text: &str) -> Result<(String, u32), String> {

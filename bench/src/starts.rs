@@ -7,7 +7,6 @@
 use std::path::Path;
 
 use aplomb::attitude::Vector3;
-use aplomb::estimator::Sample;
 use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
@@ -73,10 +72,9 @@ fn start(recording: &Recording, start_s: u64, offset_degrees_s: [f32; 3]) -> Out
         if sample.t_us < start_s * 1_000_000 {
             continue;
         }
-        let snapshot = pipeline.update_sample(&Sample {
-            angular_rate_rad_s: sample.angular_rate_rad_s + offset,
-            ..*sample
-        });
+        let mut shifted = *sample;
+        shifted.angular_rate_rad_s = sample.angular_rate_rad_s + offset;
+        let snapshot = pipeline.update_sample(&shifted);
         outcome.samples += 1;
         if !snapshot.flags.contains(Flags::VALID) {
             continue;

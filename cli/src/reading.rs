@@ -8,7 +8,7 @@ use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
 use aplomb_recordings::log::Lines;
-use aplomb_recordings::units::RowOptions;
+use aplomb_recordings::units::{RowOptions, knowledge};
 
 use crate::device::FilterName;
 use crate::input::Counts;
@@ -47,10 +47,6 @@ pub struct Reading {
     counts: Counts,
     #[command(flatten)]
     rows: RowOptions,
-}
-
-fn knowledge(name: &str) -> Result<AccelerometerKnowledge, &'static str> {
-    AccelerometerKnowledge::from_name(name).ok_or("it is factory, six-poses or calibrated")
 }
 
 /// Kind of input, as far as it decides on options.

@@ -9,6 +9,7 @@ use aplomb::console::{Console, Module, Outcome, State, Task};
 use aplomb::health::Measurement;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::Settings;
+use aplomb::settings::CompassSettings;
 use aplomb::telemetry;
 
 /// Runs the bytes through a console.
@@ -78,6 +79,10 @@ impl Module for Wire {
     }
 
     fn set_calibration(&mut self, _calibration: &Calibration) {
+        assert!(!self.is_armed);
+    }
+
+    fn set_compass(&mut self, _settings: &CompassSettings, _imu_mount: Mount) {
         assert!(!self.is_armed);
     }
 

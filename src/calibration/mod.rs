@@ -47,6 +47,7 @@
 
 pub mod accelerometer;
 mod axis;
+mod compass;
 mod gravity;
 pub mod level;
 mod matrix;
@@ -58,6 +59,7 @@ pub mod stationary;
 pub mod temperature;
 
 pub use axis::{Axis, ParseAxisError, SignedAxis};
+pub use compass::{CompassAlignment, CompassCorrection};
 pub use matrix::SymmetricMatrix;
 pub use model::{AccelerometerCorrection, Calibration, GyroscopeOffset, TemperatureModel};
 pub use mount::{Mount, ParseMountError};

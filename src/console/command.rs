@@ -21,6 +21,7 @@ use core::str::FromStr;
 use super::line::LINE_CAPACITY;
 use super::nearest::nearest;
 use crate::calibration::Mount;
+use crate::compass::Choice;
 use crate::settings::OutputFormat;
 
 /// Command. Its text is the line that requests it.
@@ -52,6 +53,8 @@ pub enum Command {
     Calibrate(Calibrate),
     /// Sets or finds the mount.
     Mount(MountChoice),
+    /// Sets the compass, or its mount.
+    Compass(CompassChoice),
     /// Sets the telemetry rate, frames per second in [`RATES_HZ`].
     Rate(u16),
     /// Sets the UART's baud rate, one of [`BAUD_RATES`].
@@ -139,6 +142,16 @@ pub enum MountChoice {
     Find,
 }
 
+/// Argument of `compass`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum CompassChoice {
+    /// Uses this part.
+    Part(Choice),
+    /// Sets the mount of the compass.
+    Mount(Mount),
+}
+
 impl fmt::Display for Command {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -155,6 +168,8 @@ impl fmt::Display for Command {
             Self::Calibrate(argument) => write!(formatter, "calibrate {}", argument.name()),
             Self::Mount(MountChoice::Find) => formatter.write_str("mount find"),
             Self::Mount(MountChoice::Named(mount)) => write!(formatter, "mount {mount}"),
+            Self::Compass(CompassChoice::Part(choice)) => write!(formatter, "compass {choice}"),
+            Self::Compass(CompassChoice::Mount(mount)) => write!(formatter, "compass {mount}"),
             Self::Rate(rate_hz) => write!(formatter, "rate {rate_hz}"),
             Self::Baud(baud) => write!(formatter, "baud {baud}"),
             Self::Format(format) => write!(formatter, "format {format}"),
@@ -182,6 +197,7 @@ enum Argument {
     Nothing,
     Word(&'static [&'static str]),
     Mount,
+    Compass,
     Hertz,
     Baud,
 }
@@ -198,12 +214,13 @@ const CALIBRATIONS: [&str; 6] = {
 
 /// Forms of every command, in the order of `help`. Of two equally near ones, suggestions prefer the
 /// first.
-static FORMS: [Form; 15] = [
+static FORMS: [Form; 16] = [
     Form::alone("help"),
     Form::alone("status"),
     Form::alone("show"),
     Form::new("calibrate", Argument::Word(&CALIBRATIONS)),
     Form::new("mount", Argument::Mount),
+    Form::new("compass", Argument::Compass),
     Form::alone("self-test"),
     Form::alone("registers"),
     Form::new("measure", Argument::Word(&Measure::NAMES)),
@@ -236,15 +253,24 @@ impl fmt::Display for Form {
         formatter.write_str(self.name)?;
         match self.argument {
             Argument::Nothing => Ok(()),
-            Argument::Word(words) => words.iter().enumerate().try_for_each(|(index, word)| {
-                formatter.write_str(if index == 0 { " " } else { "|" })?;
-                formatter.write_str(word)
-            }),
+            Argument::Word(words) => write_words(formatter, words),
+            Argument::Compass => {
+                write_words(formatter, &Choice::WORDS)?;
+                formatter.write_str("|<forward><down>")
+            }
             Argument::Mount => formatter.write_str(" find|<forward><down>"),
             Argument::Hertz => formatter.write_str(" <hz>"),
             Argument::Baud => formatter.write_str(" <bps>"),
         }
     }
+}
+
+/// Writes a blank, and the words with bars between them.
+fn write_words(formatter: &mut fmt::Formatter<'_>, words: &[&str]) -> fmt::Result {
+    words.iter().enumerate().try_for_each(|(index, word)| {
+        formatter.write_str(if index == 0 { " " } else { "|" })?;
+        formatter.write_str(word)
+    })
 }
 
 /// Forms of every command, separated by commas.
@@ -457,6 +483,11 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
             Some(mount) => Ok(Command::Mount(MountChoice::Named(mount))),
             None => Err(unknown(&["find", "z-up", "z-down"])),
         },
+        "compass" => match (Choice::parse(argument), Mount::parse(argument)) {
+            (Some(choice), _) => Ok(Command::Compass(CompassChoice::Part(choice))),
+            (None, Some(mount)) => Ok(Command::Compass(CompassChoice::Mount(mount))),
+            (None, None) => Err(unknown(&Choice::WORDS)),
+        },
         "rate" => match number(argument).and_then(|rate| u16::try_from(rate).ok()) {
             Some(rate) if RATES_HZ.contains(&rate) => Ok(Command::Rate(rate)),
             _ => Err(ParseError::NotARate(Word::new(argument))),
@@ -493,6 +524,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::compass::PartId;
 
     fn parse(line: &str) -> Result<Command, ParseError> {
         line.parse()
@@ -533,6 +565,18 @@ mod tests {
             (
                 "  mount   +x-z ",
                 Command::Mount(MountChoice::Named(Mount::Z_UP)),
+            ),
+            (
+                "compass auto",
+                Command::Compass(CompassChoice::Part(Choice::Auto)),
+            ),
+            (
+                "compass qmc5883l",
+                Command::Compass(CompassChoice::Part(Choice::Named(PartId::Qmc5883l))),
+            ),
+            (
+                "compass +y-z",
+                Command::Compass(CompassChoice::Mount(Mount::parse("+y-z").expect("a mount"))),
             ),
             ("rate 1", Command::Rate(1)),
             ("rate 1000", Command::Rate(1000)),
@@ -602,6 +646,15 @@ mod tests {
                 "mount does not take \"+x+x\"; it takes \"find\", or the sensor's axes that point \
                  forward and down, \
                  such as \"mount +x-z\"",
+            ),
+            (
+                "compass qmc5883",
+                "compass does not take \"qmc5883\", did you mean \"compass qmc5883l\"?",
+            ),
+            (
+                "compass",
+                "compass needs a word more: \
+                 \"compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>\"",
             ),
             ("save now", "\"now\" is too much, the form is \"save\""),
             (

@@ -7,7 +7,9 @@ use core::fmt;
 
 use super::answer::{Kind, Reply};
 use super::baud::{BaudChange, BaudPoll};
-use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, ParseError};
+use super::command::{
+    Calibrate, Command, CommandForms, CompassChoice, Measure, MountChoice, ParseError,
+};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
 use super::measurement::MeasurementText;
@@ -189,6 +191,7 @@ impl Console {
                 self.start(Procedure::mount(), now_us, module, reply)
             }
             Command::Mount(MountChoice::Named(mount)) => self.set_mount(mount, module, reply),
+            Command::Compass(choice) => self.set_compass(choice, module, reply),
             Command::Rate(rate_hz) => {
                 let preferences = Preferences {
                     rate_hz,
@@ -223,6 +226,7 @@ impl Console {
         let had_level = self.working.calibration.level.is_some();
         procedure::set_mount(&mut self.working.calibration, mount, before);
         module.set_calibration(&self.working.calibration);
+        module.set_compass(&self.working.compass, mount);
         let has_lost = had_level && self.working.calibration.level.is_none();
         let lost = if has_lost {
             ", its level is to be calibrated again"
@@ -230,6 +234,35 @@ impl Console {
             ""
         };
         reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
+    }
+
+    /// Sets the compass or its mount. A correction that belongs to another one is lost.
+    fn set_compass(
+        &mut self,
+        choice: CompassChoice,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        let mut settings = self.working.compass;
+        match choice {
+            CompassChoice::Part(choice) => settings.choice = choice,
+            CompassChoice::Mount(mount) => settings.mount = Some(mount),
+        }
+        let before = self.working.compass;
+        if settings != before {
+            settings.correction = None;
+        }
+        self.working.compass = settings;
+        module.set_compass(&settings, self.mount());
+        let lost = if before.correction.is_some() && settings.correction.is_none() {
+            ", it is to be calibrated again"
+        } else {
+            ""
+        };
+        reply.ok(format_args!(
+            "{}{lost}; \"save\" keeps it",
+            Command::Compass(choice)
+        ))
     }
 
     /// Refuses a command that must not run while armed, or while a procedure is running.
@@ -304,6 +337,7 @@ impl Console {
             ..Record::default()
         };
         module.set_calibration(&self.working.calibration);
+        module.set_compass(&self.working.compass, self.mount());
         reply.ok(format_args!(
             "forget: nothing is calibrated, mount {}; \
              \"save\" makes it permanent, a restart undoes it",
@@ -423,6 +457,7 @@ impl Console {
         let status = Status {
             state: &module.state(),
             calibration: &self.working.calibration,
+            has_compass_correction: self.working.compass.correction.is_some(),
             mount: self.mount(),
             is_armed: self.is_armed,
             has_unsaved: self.has_unsaved(),

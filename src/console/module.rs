@@ -3,10 +3,11 @@
 use core::fmt::{self, Write};
 
 use crate::attitude::Vector3;
-use crate::calibration::{Calibration, StationaryProgress};
+use crate::calibration::{Calibration, Mount, StationaryProgress};
+use crate::compass::Condition;
 use crate::health::{Flags, Measurement};
 use crate::mpu6050::Part;
-use crate::settings::Record;
+use crate::settings::{CompassSettings, Record};
 
 /// Services that the console needs from the module it commands.
 pub trait Module {
@@ -21,6 +22,9 @@ pub trait Module {
 
     /// Uses this calibration from the next sample on.
     fn set_calibration(&mut self, calibration: &Calibration);
+
+    /// Uses these settings of the compass from now on. `imu_mount` is the mount in use of the IMU.
+    fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount);
 
     /// Starts the stationary detector, for an average of this many samples.
     fn start_detector(&mut self, samples: u16);
@@ -57,6 +61,10 @@ pub trait Module {
 
 /// Task for which the sensor stops for a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "without allocation, and there is one"
+)]
 pub enum Task {
     /// Stores this record in flash.
     Save(Record),
@@ -94,6 +102,8 @@ pub struct State {
     pub flags: Flags,
     /// Sensor and its bus address, once it is configured.
     pub sensor: Option<(&'static Part, u8)>,
+    /// Compass.
+    pub compass: Condition,
     /// Die temperature, °C.
     pub temperature_celsius: f32,
     /// Gyroscope offset that the filter estimates, rad/s in body axes.

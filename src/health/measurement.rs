@@ -220,7 +220,7 @@ mod tests {
     #[test]
     fn a_small_spread_about_a_large_value_is_not_lost() {
         // A one-count square wave about 2^30, where f32 has steps of 128.
-        let values: std::vec::Vec<i32> = (0..10_000).map(|n| (1 << 30) + n % 2).collect();
+        let values: Vec<i32> = (0..10_000).map(|n| (1 << 30) + n % 2).collect();
         let deviation = statistics(&values).deviation();
         assert!((deviation - 0.5).abs() < 1e-4, "{deviation}");
         let extremes = statistics(&[i32::MIN, i32::MAX]);

@@ -9,9 +9,9 @@ use core::fmt;
 use super::config::Config;
 use super::part::Part;
 use super::registers::{
-    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, INTERRUPT_ACTIVE_HIGH_PULSE,
-    INTERRUPT_DATA_READY, LOW_PASS_MASK, POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON,
-    POWER_SLEEP, Register, SELF_TEST_MASK,
+    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT,
+    INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY, LOW_PASS_MASK,
+    POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, POWER_SLEEP, Register, SELF_TEST_MASK,
 };
 
 /// Condition of the sensor's settings, by its registers.
@@ -83,7 +83,7 @@ impl Check {
             },
             Self::pair(
                 Register::InterruptPinConfiguration,
-                [INTERRUPT_ACTIVE_HIGH_PULSE, INTERRUPT_DATA_READY],
+                [INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY],
             ),
             Self::pair(
                 Register::PowerManagement1,
@@ -175,15 +175,15 @@ mod tests {
             }
         }
         assert_eq!(
-            interrupt.evaluate(&[0x00, 0x01, 9, 9, 9]),
+            interrupt.evaluate(&[0x02, 0x01, 9, 9, 9]),
             Condition::Intact
         );
         assert_eq!(
-            interrupt.evaluate(&[0x00, 0x00, 0, 0, 0]),
+            interrupt.evaluate(&[0x02, 0x00, 0, 0, 0]),
             Condition::Changed
         );
         assert_eq!(
-            interrupt.evaluate(&[0x80, 0x01, 0, 0, 0]),
+            interrupt.evaluate(&[0x82, 0x01, 0, 0, 0]),
             Condition::Changed
         );
         assert_eq!(power.evaluate(&[0x01, 0x00, 0, 0, 0]), Condition::Intact);
@@ -205,7 +205,7 @@ mod tests {
             ],
         };
         assert_eq!(
-            std::string::ToString::to_string(&read),
+            ToString::to_string(&read),
             "as configured; 0x75=68 0x19=00,01,18,18,00 0x37=00,01 0x6b=01,00"
         );
     }

@@ -36,6 +36,7 @@
 
 mod alignment;
 pub mod classic;
+mod compass;
 mod offset;
 mod settings;
 mod snapshot;
@@ -44,6 +45,7 @@ mod unseen;
 #[cfg(test)]
 mod tests;
 
+pub use compass::CompassPipeline;
 pub use settings::Settings;
 pub use snapshot::Snapshot;
 
@@ -286,7 +288,7 @@ impl Pipeline {
         let reading = at_rest.specific_force_m_s2(&self.settings.noise_model());
         let correction = self.settings.calibration.accelerometer;
         let sensor = correction.map_or(reading, |correction| correction.apply(reading));
-        self.settings.mount().to_body(sensor)
+        self.settings.mount().to_body(sensor).0
     }
 
     /// Returns the settings.

@@ -3,7 +3,7 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`fitted`], [`wires`] | the sensor on its wires |
+//! | [`kit`], [`fitted`], [`wires`] | the sensor and the compass on their wires |
 //! | [`faults`], [`schedule`] | the faults, and their times |
 //! | [`mcu`], [`exti`], [`i2c`], [`bus_step`], [`dma`], [`crystal`] | the microcontroller |
 //! | [`board`] | the boards and their cores |
@@ -21,6 +21,7 @@
 pub mod board;
 pub mod bus_step;
 pub mod campaign;
+pub mod checks;
 pub mod crystal;
 pub mod cycles;
 mod delegate;
@@ -29,10 +30,12 @@ pub mod error;
 pub mod exti;
 pub mod faults;
 pub mod fitted;
+mod fitted_compass;
 pub mod flash;
 pub mod flight;
 pub mod i2c;
 pub mod image;
+pub mod kit;
 pub mod mcu;
 pub mod outputs;
 pub mod plot;

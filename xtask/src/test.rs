@@ -5,7 +5,10 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Board, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{agree, api, cost, examples, faults, package, panics, results, rigs, size, step};
+use crate::{
+    agree, api, c_library, cost, examples, faults, package, panics, python, results, rigs, size,
+    step,
+};
 
 /// Runs all checks and tests.
 pub fn run() -> Result<(), String> {
@@ -28,6 +31,8 @@ pub fn run() -> Result<(), String> {
     })?;
     agree::run(&toolchain, &virtual_board, &images[0].1)?;
     cost::run()?;
+    c_library::run_for_cores()?;
+    python::run()?;
     eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
     Ok(())
 }

@@ -98,7 +98,7 @@ impl TruthFile {
                     }
                 }))
             })
-        } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 7) {
+        } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 10) {
             Self::new(move || {
                 let Some(line) = lines.next_line()? else {
                     return Ok(None);
@@ -113,7 +113,8 @@ impl TruthFile {
         } else {
             let refused = lines.refuse(LogFault::Header(header));
             return Err(format!(
-                "{refused}; or t_us,qw,qx,qy,qz,… or t_us,roll_deg,pitch_deg,yaw_deg,… for truth"
+                "{refused}; \
+                 or t_us,qw,qx,qy,qz,… or t_us,roll_deg,pitch_deg,yaw_deg,… for truth"
             )
             .into());
         };

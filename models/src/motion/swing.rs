@@ -1,5 +1,5 @@
 //! Motions for flights that have no time to lose: a body that swings about an axis, and a motion
-//! that begins later in itself.
+//! that begins later in itself, or passes by another clock.
 
 use super::geometry::{Quaternion, Vector, scale};
 use super::truth::{STANDARD_GRAVITY_M_S2, Truth};
@@ -74,6 +74,24 @@ impl<M: Motion> Motion for Later<M> {
     }
 }
 
+/// A motion by the time of a clock that is wrong.
+pub struct ByOtherClock {
+    /// The motion.
+    pub motion: Box<dyn Motion>,
+    /// Time from which the clock is wrong, s.
+    pub from_s: f64,
+    /// Error of the clock, as a share: +0.01 runs 1 % fast.
+    pub error: f64,
+}
+
+impl Motion for ByOtherClock {
+    fn at(&mut self, time_s: f64) -> Truth {
+        let wrong_s = (time_s - self.from_s).max(0.0);
+        self.motion
+            .at(time_s - wrong_s + wrong_s / (1.0 + self.error))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -117,5 +135,22 @@ mod tests {
             inclination_error_rad(later.at(2.0).attitude.unwrap(), expected),
             0.0
         );
+    }
+
+    #[test]
+    fn a_clock_that_runs_slow_shows_more_of_the_motion_in_its_second() {
+        let swing = Swing::by_seed(3, 1.5);
+        let mut slow = ByOtherClock {
+            motion: Box::new(swing.clone()),
+            from_s: 2.0,
+            error: -0.08,
+        };
+        for (shown_s, true_s) in [(1.9, 1.9), (2.92, 3.0)] {
+            let expected = swing.clone().at(true_s).body_rates_rad_s;
+            let shown = slow.at(shown_s).body_rates_rad_s;
+            for (shown, expected) in shown.into_iter().zip(expected) {
+                assert!((shown - expected).abs() < 1e-9, "{shown_s}");
+            }
+        }
     }
 }

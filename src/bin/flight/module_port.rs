@@ -5,11 +5,12 @@ use core::sync::atomic::Ordering;
 
 use aplomb::board::uart::{Receiver, Transmitter};
 use aplomb::board::{attitude_task, measure, retained};
-use aplomb::calibration::{Calibration, StationaryProgress};
+use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Module, Outcome, State, Task};
 use aplomb::fault::FaultClass;
 use aplomb::health::{Flags, Measurement};
+use aplomb::settings::CompassSettings;
 use rtic::Mutex;
 
 use crate::requests::{
@@ -70,7 +71,9 @@ where
         state.flags =
             attitude_task::latest().map_or(Flags::empty(), |(snapshot, _)| snapshot.flags);
         state.sensor = self.requests.lock(|requests| requests.sensor);
+        let compass = &mut state.compass;
         let copied = self.estimation.lock(|estimation| {
+            *compass = estimation.compass.condition();
             let pipeline = estimation.pipeline.as_ref()?;
             let filter = pipeline.kalman();
             Some((
@@ -95,6 +98,17 @@ where
         self.changed_at = self.estimation.lock(|estimation| {
             estimation.pipeline.as_mut()?.set_calibration(calibration);
             Some(BURST_COUNT.load(Ordering::Relaxed))
+        });
+    }
+
+    fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount) {
+        let alignment = settings.alignment(imu_mount);
+        self.estimation.lock(|estimation| {
+            let compass = &mut estimation.compass;
+            if compass.choice() != settings.choice {
+                compass.choose(settings.choice);
+            }
+            compass.set_alignment(alignment);
         });
     }
 

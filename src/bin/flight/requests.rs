@@ -3,6 +3,7 @@
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use aplomb::board::burst_reader::ReceivedBurst;
+use aplomb::board::compass::CompassTask;
 #[cfg(feature = "full")]
 use aplomb::board::measure;
 use aplomb::calibration::{Calibration, ImuReading, StationaryDetector, StationaryProgress};
@@ -133,6 +134,8 @@ pub struct Estimation {
     pub pipeline: Option<Pipeline>,
     /// The stationary measurement that a calibration procedure has started.
     pub measurement: StationaryMeasurement,
+    /// The compass.
+    pub compass: CompassTask,
 }
 
 /// Mean readings of a stationary sensor, as a calibration procedure collects them.

@@ -7,22 +7,24 @@ use proptest::prelude::*;
 use super::super::answer::ANSWER_CAPACITY;
 use super::super::module::State;
 use super::*;
-use crate::attitude::{Quaternion, Vector3};
+use crate::attitude::{BodyVector, Quaternion, Vector3};
 use crate::calibration::accelerometer::Pose;
 use crate::calibration::{
-    AccelerometerCorrection, Axis, Calibration, GyroscopeOffset, MotionReason, StationaryMean,
-    StationaryProgress, SymmetricMatrix, TemperatureModel,
+    AccelerometerCorrection, Axis, Calibration, CompassCorrection, GyroscopeOffset, MotionReason,
+    StationaryMean, StationaryProgress, SymmetricMatrix, TemperatureModel,
 };
+use crate::compass::{Choice, Condition, PartId};
 use crate::health::{CoreFigures, Flags, Measurement, SampleFigures};
 use crate::mpu6050::Part;
 use crate::pipeline::Settings;
-use crate::settings::OutputFormat;
-use crate::units::radians;
+use crate::settings::{CompassSettings, OutputFormat};
+use crate::units::{MagneticField, radians};
 
 /// Request to the module.
 #[derive(Debug, Clone, PartialEq)]
 enum Call {
     Calibration(Calibration),
+    Compass(CompassSettings, Mount),
     StartDetector(u16),
     StopDetector,
     Armed(bool),
@@ -70,6 +72,10 @@ impl Module for FakeModule {
 
     fn set_calibration(&mut self, calibration: &Calibration) {
         self.calls.push(Call::Calibration(*calibration));
+    }
+
+    fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount) {
+        self.calls.push(Call::Compass(*settings, imu_mount));
     }
 
     fn start_detector(&mut self, samples: u16) {
@@ -239,6 +245,14 @@ fn full() -> Record {
             rate_hz: 1000,
             baud: 921_600,
         },
+        compass: CompassSettings {
+            choice: Choice::Named(PartId::Qmc5883l),
+            mount: Mount::parse("-x-y"),
+            correction: Some(CompassCorrection {
+                hard_iron_ut: Vector3::new(-1234.5, -1234.5, -1234.5),
+                ..CompassCorrection::NONE
+            }),
+        },
     }
 }
 
@@ -249,9 +263,10 @@ fn every_command_is_answered_with_one_line() {
         (
             "help",
             "ok help: help, status, show, calibrate gyro|accel|level|temperature|done|stop, \
-             mount find|<forward><down>, self-test, registers, measure on|show|off, \
-             rate <hz>, format text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, \
-             forget, arm, disarm",
+             mount find|<forward><down>, \
+             compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>, \
+             self-test, registers, measure on|show|off, rate <hz>, format \
+             text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, forget, arm, disarm",
         ),
         (
             "status",
@@ -600,7 +615,7 @@ fn two_poses_find_the_mount() {
         "ok mount find: keep it still for 2 s with the vehicle level, then with its nose down"
     );
     let mount = Mount::parse("-y+z").expect("a name");
-    let up_when = |body: Vector3| at_rest([0.0; 3], mount.to_sensor(body));
+    let up_when = |body: Vector3| at_rest([0.0; 3], mount.to_sensor(BodyVector(body)));
     let level = up_when(Vector3::new(0.0, 0.0, -1.0));
     let nose_down = up_when(Vector3::new(-1.0, 0.0, 0.0));
     harness.detector([level, level, MOVED, level, nose_down]);
@@ -742,11 +757,58 @@ fn an_error_of_the_receiver_drops_the_line() {
 }
 
 #[test]
+fn the_compass_is_named_mounted_and_shown() {
+    let mut harness = Harness::new();
+    let part = Choice::Named(PartId::Qmc5883l);
+    assert_eq!(
+        harness.ask("compass qmc5883l"),
+        "ok compass qmc5883l; \"save\" keeps it"
+    );
+    let mut expected = CompassSettings::new(part);
+    assert_eq!(harness.calls(), [Call::Compass(expected, Mount::Z_UP)]);
+    assert_eq!(
+        harness.ask("compass +y-z"),
+        "ok compass +y-z; \"save\" keeps it"
+    );
+    expected.mount = Mount::parse("+y-z");
+    assert_eq!(harness.calls(), [Call::Compass(expected, Mount::Z_UP)]);
+    // The IMU's mount counts for a compass without its own.
+    harness.ask("mount z-down");
+    assert_eq!(
+        harness.calls().last(),
+        Some(&Call::Compass(expected, Mount::Z_DOWN))
+    );
+    let shown = harness.ask("show");
+    assert!(
+        shown.ends_with(" compass=qmc5883l compass_mount=+y-z"),
+        "{shown}"
+    );
+    // A correction belongs to one part and one mount.
+    let mut harness = Harness::with(Some(full()));
+    assert_eq!(
+        harness.ask("compass +y-z"),
+        "ok compass +y-z, it is to be calibrated again; \"save\" keeps it"
+    );
+    assert_eq!(harness.console.working().compass.correction, None);
+    harness.ask("forget");
+    let defaults = CompassSettings::default();
+    assert_eq!(harness.console.working().compass, defaults);
+    assert!(
+        harness
+            .calls()
+            .contains(&Call::Compass(defaults, Mount::Z_UP))
+    );
+}
+
+#[test]
 fn the_longest_answers_fit() {
     let mut harness = Harness::with(Some(full()));
     let show = harness.ask("show");
     assert!(
-        show.ends_with(" format=classic rate=1000 baud=921600"),
+        show.ends_with(
+            " format=classic rate=1000 baud=921600 compass=qmc5883l compass_mount=-x-y \
+             compass_iron=-1234.5,-1234.5,-1234.5"
+        ),
         "{show}"
     );
     harness.ask("calibrate temperature");
@@ -754,6 +816,12 @@ fn the_longest_answers_fit() {
     let state = State {
         flags: Flags::all(),
         sensor: Some((&Part::MPU_6050, 0x69)),
+        compass: Condition {
+            part: Some(("HMC5883L/DA5883", 0x1E)),
+            // There is no field during a fault.
+            fault: None,
+            field: Some(MagneticField { ut: [-1234.5; 3] }),
+        },
         temperature_celsius: -39.99,
         bias_rad_s: long,
         bias_sigma_rad_s: -39.99,
@@ -773,7 +841,7 @@ fn the_longest_answers_fit() {
     let figures = harness.ask("measure show");
     assert!(figures.contains(" temperature_c="), "{figures}");
     for line in [&show, &status, &figures] {
-        assert!(line.len() + 60 <= ANSWER_CAPACITY, "{}", line.len());
+        assert!(line.len() + 60 <= ANSWER_CAPACITY, "{} {line}", line.len());
     }
 }
 

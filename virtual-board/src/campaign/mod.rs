@@ -9,6 +9,7 @@
 //!   sensor's data.
 //! - A snapshot is published every 20 ms while the core runs; without data it is flagged stale. A
 //!   line of telemetry comes every 100 ms.
+//! - No access to a register breaks a rule of [`checks`](crate::checks).
 //! - Without a fault no data-ready edge is without its sample, and times are right to a
 //!   microsecond.
 
@@ -34,6 +35,7 @@ pub use table::Table;
 
 use crate::faults::{FaultKind, ScheduledFault};
 use crate::flight::{Outcome, Run};
+use crate::kit::Kit;
 use crate::profile::Garage;
 use crate::schedule::Schedule;
 
@@ -135,7 +137,10 @@ impl Case {
             .faults
             .iter()
             .any(|fault| fault.kind == FaultKind::ProbeDetach);
+        let faults = &self.schedule.faults;
+        let has_compass = faults.iter().any(|fault| fault.kind.is_of_compass());
         let mut run = Run::new(firmware)
+            .kit(if has_compass { Kit::Gy87 } else { Kit::Mpu6050 })
             .seed(self.seed)
             .seconds(self.seconds)
             .boxed_motion(self.motion())
@@ -160,6 +165,8 @@ impl Case {
 pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
     match kind {
         FaultKind::UartFlood | FaultKind::UartNoise | FaultKind::ProbeDetach => None,
+        FaultKind::CompassStall => Some(BUS_DEADLINE_NS),
+        kind if kind.is_of_compass() => None,
         FaultKind::SensorBrownout
         | FaultKind::RegisterFlip(..)
         | FaultKind::Frozen
@@ -200,7 +207,8 @@ pub struct Report {
 pub fn run(case: &Case, garage: &Arc<Garage>, firmware: &Path) -> (Report, Option<Outcome>) {
     match case.fly_from(garage, firmware) {
         Ok(outcome) => {
-            let report = judge(case, &outcome.record, &outcome.uart_lines);
+            let mut report = judge(case, &outcome.record, &outcome.uart_lines);
+            report.failures.extend_from_slice(&outcome.violations);
             (report, Some(outcome))
         }
         Err(error) => {

@@ -13,6 +13,7 @@ use rigless::time::VirtualNanos;
 use super::garage::Rented;
 use super::stretch::Stretch;
 use super::{CRASHES, EXCEPTIONS, Profile, THREAD, Upset};
+use crate::checks::{Checks, Reserved};
 use crate::flash::{SLOTS, SharedCells};
 
 /// A processor that keeps a [`Profile`] and otherwise does what the one inside does.
@@ -22,6 +23,7 @@ pub struct ProfiledProcessor {
     profile: Arc<Mutex<Profile>>,
     /// The part of the flash that the inner processor does not map.
     cells: SharedCells,
+    checks: (Checks, Reserved),
     /// The handlers' first instructions, by exception number; at 0 that of a measurement.
     handlers: Vec<u64>,
     is_armed: bool,
@@ -75,11 +77,13 @@ impl ProfiledProcessor {
         handlers: Vec<u32>,
         profile: Arc<Mutex<Profile>>,
         cells: SharedCells,
+        checks: (Checks, Reserved),
     ) -> Self {
         Self {
             inner,
             profile,
             cells,
+            checks,
             handlers: handlers
                 .into_iter()
                 .map(|handler| u64::from(handler & !1))
@@ -258,6 +262,7 @@ impl Processor for ProfiledProcessor {
         let mut stretch = Stretch {
             bus,
             cells: self.cells.clone(),
+            checks: self.checks.clone(),
             until: start + u64::from(budget),
             is_stepped: false,
         };

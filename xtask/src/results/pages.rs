@@ -21,10 +21,11 @@ const FILTERS: [(&str, &str); 4] = [
 ];
 
 /// Sets of recordings: key and title.
-const SETS: [(&str, &str); 3] = [
+const SETS: [(&str, &str); 4] = [
     ("broad", "BROAD"),
     ("tumvi", "TUM-VI"),
     ("simulated", "simulated flights"),
+    ("calibrated", "the same flights, accelerometer calibrated"),
 ];
 
 /// Returns README.md with the table that belongs there.
@@ -38,7 +39,7 @@ pub fn readme(before: &str, data: &Data) -> Result<String, String> {
 /// The table of README.md.
 fn summary(data: &Data) -> Result<String, String> {
     let fly = data.section("fly")?;
-    let [broad, tumvi, simulated] = SETS.map(|(set, _)| data.section(&format!("filters.{set}")));
+    let [broad, tumvi, simulated, _] = SETS.map(|(set, _)| data.section(&format!("filters.{set}")));
     let (broad, tumvi, simulated) = (broad?, tumvi?, simulated?);
     let median = |section: &Section, filter: &str| {
         let pair = section.text(filter)?;
@@ -138,7 +139,7 @@ fn flight(data: &Data) -> Result<String, String> {
          an\n\
          STM32F405 at 168 MHz with 1,000 samples a second, a bus of 400 kHz, and text at 50 Hz \
          on UART\n\
-         and log. Two runs with one seed write identical files.\n\n",
+         and in the firmware log. Two runs with one seed write identical files.\n\n",
     );
     let rows = [
         ("samples", count(fly, "samples")?),
@@ -271,7 +272,9 @@ fn filters(data: &Data) -> Result<String, String> {
         let section = data.section(&format!("filters.{set}"))?;
         let _ = write!(text, " {title}, {} |", section.text("recordings")?);
     }
-    text.push_str("\n|---|---|---|---|\n");
+    text.push('\n');
+    text.push_str(&"|---".repeat(1 + SETS.len()));
+    text.push_str("|\n");
     for (filter, title) in FILTERS {
         let _ = write!(text, "| {title} |");
         for (set, _) in SETS {
@@ -320,7 +323,7 @@ fn calibration(data: &Data) -> Result<String, String> {
     let section = data.section("calibration")?;
     let mut text = heading("Calibration of two hundred simulated chips", section)?;
     text.push_str(
-        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off \
+        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off\n\
          (`models/tests/calibration.rs`).\n\n",
     );
     text.push_str(&table(["figure", "measured"], section.figures()));
