@@ -23,9 +23,9 @@ use stm32f4xx_hal::pac::Interrupt;
 
 use super::attitude_task;
 use super::boards::BOARD;
-use super::burst_reader::ReceivedBurst;
 use super::timebase;
 use crate::health::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures};
+use crate::mpu6050::{BURST_LENGTH, Burst};
 
 /// Exceptions of the core, before the first interrupt.
 const CORE_EXCEPTIONS: u32 = 16;
@@ -41,6 +41,13 @@ const COUNTER_ENABLED: u32 = 1;
 
 /// Vectors of the core and of the interrupts, as many as the largest chip has.
 const VECTORS: usize = 16 + 97;
+
+/// Burst of the calibration.
+const NO_BURST: Burst = Burst {
+    bytes: [0; BURST_LENGTH],
+    captured_at_us: 0,
+    missed_before: 0,
+};
 
 type Handler = unsafe extern "C" fn();
 
@@ -270,9 +277,8 @@ impl CoreFigures {
 /// Adds a published sample. The attitude task calls this right after the publication.
 #[cold]
 #[inline(never)]
-pub fn on_published(received: &ReceivedBurst) {
+pub fn on_published(burst: &Burst) {
     let start = Instant::now();
-    let burst = &received.burst;
     let since_edge_us = timebase::now().wrapping_sub(burst.captured_at_us as u32);
     // SAFETY: see `Owned`; all interrupts are masked.
     let edge = interrupt::free(|_| unsafe { *EDGE.0.get() });
@@ -358,7 +364,7 @@ fn calibrate() {
     let reading = sum(|| interrupt::free(|_| timed(|| {})));
     READING_COST.store(reading, Ordering::Relaxed);
     // The new measurement drops this sample.
-    let publication = sum(|| interrupt::free(|_| timed(|| on_published(&ReceivedBurst::EMPTY))));
+    let publication = sum(|| interrupt::free(|_| timed(|| on_published(&NO_BURST))));
     PUBLICATION_COST.store(mean_difference(publication, reading), Ordering::Relaxed);
     NVIC::mask(CALIBRATION);
     let without = sum(|| alone(|| timed(request)));

@@ -107,9 +107,7 @@ impl Sensor {
     /// Returns [`NotReady`] if there is no sensor.
     pub fn test(&mut self) -> Result<SelfTest, NotReady> {
         self.is_known = false;
-        self.bus.recover().map_err(NotReady::BusHeldLow)?;
-        Mpu6050::probe_once(&mut self.bus)
-            .map_err(|failure| NotReady::Sensor(failure.error))?
+        Self::probe(&mut self.bus)?
             .self_test(&mut Delay)
             .map_err(NotReady::Sensor)
     }
@@ -119,9 +117,7 @@ impl Sensor {
     /// # Errors
     /// Returns [`NotReady`] if there is no sensor.
     pub fn read_back(&mut self) -> Result<ReadBack, NotReady> {
-        self.bus.recover().map_err(NotReady::BusHeldLow)?;
-        Mpu6050::probe_once(&mut self.bus)
-            .map_err(|failure| NotReady::Sensor(failure.error))?
+        Self::probe(&mut self.bus)?
             .read_back(&self.config)
             .map_err(NotReady::Sensor)
     }
@@ -132,10 +128,15 @@ impl Sensor {
         self.silent_probes < PROBES_WHILE_STARTING
     }
 
+    /// Frees the bus and searches it for the sensor.
+    #[inline(never)]
+    fn probe(bus: &mut SensorBus) -> Result<Mpu6050<&mut SensorBus>, NotReady> {
+        bus.recover().map_err(NotReady::BusHeldLow)?;
+        Mpu6050::probe_once(bus).map_err(|failure| NotReady::Sensor(failure.error))
+    }
+
     fn attempt(&mut self) -> Result<Ready, NotReady> {
-        self.bus.recover().map_err(NotReady::BusHeldLow)?;
-        let mut sensor = Mpu6050::probe_once(&mut self.bus)
-            .map_err(|failure| NotReady::Sensor(failure.error))?;
+        let mut sensor = Self::probe(&mut self.bus)?;
         if self.is_known {
             let condition = sensor
                 .verify_config(&self.config)

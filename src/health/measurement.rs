@@ -16,12 +16,12 @@
 /// Pattern with which the unused stack is filled at start.
 pub const STACK_PATTERN: u32 = 0xA5A5_A5A5;
 
-/// Longest time between two samples that counts as a period, in µs. A longer one is a pause, as for
-/// a save.
+/// Longest time between two samples that counts as a period, in µs. A longer one is a pause, as
+/// for a save.
 const LONGEST_PERIOD_US: u32 = 100_000;
 
 /// Count, mean, extremes and spread of a quantity.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Statistics {
     count: u32,
     /// First value. The sums are relative to it, so that they stay small and exact.
@@ -40,15 +40,15 @@ impl Statistics {
             first: 0,
             sum: 0,
             squares: 0,
-            least: i32::MAX,
-            most: i32::MIN,
+            least: 0,
+            most: 0,
         }
     }
 
     /// Adds a value.
     pub fn add(&mut self, value: i32) {
         if self.count == 0 {
-            self.first = value;
+            (self.first, self.least, self.most) = (value, value, value);
         }
         let relative = i64::from(value) - i64::from(self.first);
         self.count = self.count.saturating_add(1);
@@ -73,12 +73,12 @@ impl Statistics {
 
     /// Returns the least value; zero without values.
     pub const fn least(&self) -> i32 {
-        if self.count == 0 { 0 } else { self.least }
+        self.least
     }
 
     /// Returns the largest value; zero without values.
     pub const fn most(&self) -> i32 {
-        if self.count == 0 { 0 } else { self.most }
+        self.most
     }
 
     /// Returns the standard deviation; zero without values.
@@ -90,12 +90,6 @@ impl Statistics {
 
     fn relative_mean(&self) -> f32 {
         self.sum as f32 / self.count.max(1) as f32
-    }
-}
-
-impl Default for Statistics {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

@@ -64,10 +64,15 @@ struct Wire {
     port: Arc<Mutex<Port>>,
     started: Instant,
     is_hurried: Arc<AtomicBool>,
+    is_over: Arc<AtomicBool>,
 }
 
 impl Observer for Wire {
     fn uart(&mut self, now_ns: u64, received: &[ReceivedByte]) -> Vec<u8> {
+        // A flight has no other end than its time.
+        while self.is_over.load(Ordering::Relaxed) {
+            thread::park();
+        }
         let due = Duration::from_secs_f64(now_ns as f64 * 1e-9 / PACE);
         let ahead = due.saturating_sub(self.started.elapsed());
         if ahead > Duration::from_millis(5) && !self.is_hurried.load(Ordering::Relaxed) {
@@ -83,11 +88,18 @@ impl Observer for Wire {
     }
 }
 
-/// A board on the table, with the person's hands.
+/// A board on the table, with a person who moves it.
 struct Table {
     port: String,
     orders: Sender<Quaternion>,
     is_hurried: Arc<AtomicBool>,
+    is_over: Arc<AtomicBool>,
+}
+
+impl Drop for Table {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+    }
 }
 
 impl Table {
@@ -97,12 +109,14 @@ impl Table {
         let port = Arc::new(Mutex::new(port));
         let (orders, ordered) = channel();
         let is_hurried = Arc::new(AtomicBool::new(false));
-        let hurry = Arc::clone(&is_hurried);
+        let is_over = Arc::new(AtomicBool::new(false));
+        let (hurry, over) = (Arc::clone(&is_hurried), Arc::clone(&is_over));
         thread::spawn(move || {
             let wire = || Wire {
                 port: Arc::clone(&port),
                 started: Instant::now(),
                 is_hurried: Arc::clone(&hurry),
+                is_over: Arc::clone(&over),
             };
             let hand = Hand {
                 orders: ordered,
@@ -125,6 +139,7 @@ impl Table {
             port: name,
             orders,
             is_hurried,
+            is_over,
         }
     }
 
@@ -145,16 +160,16 @@ impl Table {
             Some("x down") => Some(Quaternion::from_euler(0.0, -FRAC_PI_2, 0.0)),
             Some("y up") => Some(Quaternion::from_euler(FRAC_PI_2, 0.0, 0.0)),
             Some("y down") => Some(Quaternion::from_euler(-FRAC_PI_2, 0.0, 0.0)),
-            _ if line.contains("hands: lay it level") => Some(Quaternion::IDENTITY),
-            _ if line.contains("hands: tip its right side down") => Some(tilted(40.0, 0.0, 0.0)),
-            _ if line.contains("hands: lift its nose") => Some(tilted(0.0, 40.0, 0.0)),
-            _ if line.contains("hands: turn it level") => Some(tilted(0.0, 0.0, 60.0)),
+            _ if line.contains("you: lay it level") => Some(Quaternion::IDENTITY),
+            _ if line.contains("you: tip its right side down") => Some(tilted(40.0, 0.0, 0.0)),
+            _ if line.contains("you: lift its nose") => Some(tilted(0.0, 40.0, 0.0)),
+            _ if line.contains("you: turn it level") => Some(tilted(0.0, 0.0, 60.0)),
             _ => None,
         };
         if let Some(pose) = pose {
             self.orders.send(pose).ok();
         }
-        if line.contains("hands: disconnect the board's supply") {
+        if line.contains("you: disconnect the board's supply") {
             self.is_hurried.store(true, Ordering::Relaxed);
         }
     }
@@ -220,7 +235,7 @@ fn wired_wrong(kind: FaultKind) -> impl Fn(Run) -> Run + Send + 'static {
     }
 }
 
-/// Steps without hands, quickly.
+/// Steps without movement, quickly.
 const QUICK: [&str; 8] = [
     "--skip", "noise", "--skip", "poses", "--skip", "turns", "--skip", "power",
 ];

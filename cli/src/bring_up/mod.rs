@@ -3,7 +3,7 @@
 //! Each step prints what it expects, what it saw, and what to do. The steps go on by themselves as
 //! soon as the module reports the right thing. At the end there is one report.
 
-mod hands;
+mod movements;
 mod noise;
 mod report;
 mod wiring;
@@ -168,8 +168,8 @@ fn take(step: Step, talk: &mut Talk, patience: Duration) -> Result<Finding, Stri
         Step::Edges => wiring::edges(talk),
         Step::SelfTest => wiring::self_test(talk),
         Step::Temperature => wiring::temperature(talk),
-        Step::Poses => hands::poses(talk, patience),
-        Step::Turns => hands::turns(talk, patience),
+        Step::Poses => movements::poses(talk, patience),
+        Step::Turns => movements::turns(talk, patience),
         Step::Power => wiring::power_cycle(talk, patience),
         Step::Noise => Ok(Finding::skipped("it is recorded")),
     }

@@ -1,8 +1,8 @@
 //! Noise of the sensor at rest: Allan deviation and noise density, from a flight log.
 //!
 //! The overlapping estimator is that of IEEE Std 952-1997, annex C. White noise of the one-sided
-//! density n has the Allan deviation n/√(2τ). So the density is read at 0.1 s, near the datasheet's
-//! 10 Hz.
+//! density n has the Allan deviation n/√(2τ). So the density is read at 0.1 s, near the 10 Hz of
+//! the datasheet.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Steps that need nobody's hands: port, bus, registers, INT pin, self-test, temperature, and the
+//! Steps that need no movement: port, bus, registers, INT pin, self-test, temperature, and the
 //! stored record.
 
 use std::ops::RangeInclusive;
@@ -57,12 +57,13 @@ pub fn bus(talk: &mut Talk) -> Result<Finding, String> {
 /// Returns what to do if the bus does not work.
 fn advice_on_bus(reason: &str) -> &'static str {
     if reason.contains("stays low") {
-        "look for a short of the named line to ground and for SCL and SDA exchanged; both need a \
-         pull-up to 3.3 V; then switch the sensor's supply off and on"
+        "look for a short of the named line to ground; both lines need a pull-up to 3.3 V; then \
+         switch the sensor's supply off and on"
     } else if reason.contains("WHO_AM_I") {
         "report the byte in an issue: this version does not know the part"
     } else if reason.contains("no sensor answers") {
-        "measure 3.3 V at VCC; check GND, SCL to PB8 and SDA to PB9; AD0 must be at GND or 3.3 V"
+        "measure 3.3 V at VCC; check GND, SCL to PB8 and SDA to PB9, which may be exchanged; AD0 \
+         must be at GND or 3.3 V"
     } else {
         "shorten the wires of SCL and SDA, and add pull-ups of 2.2 to 4.7 kilohm"
     }
@@ -186,7 +187,7 @@ pub fn power_cycle(talk: &mut Talk, patience: Duration) -> Result<Finding, Strin
         }
     }
     let before = talk.ask("show")?;
-    print_line("   hands: disconnect the board's supply, wait a second, connect it again");
+    print_line("   you: disconnect the board's supply, wait a second, connect it again");
     let started = talk.message(patience, |text| {
         text.starts_with("aplomb ").then(|| text.to_owned())
     })?;

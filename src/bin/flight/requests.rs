@@ -98,7 +98,7 @@ pub fn after_publication(
     // First, because it takes the time of the publication.
     #[cfg(feature = "full")]
     if work & FIGURES != 0 {
-        measure::on_published(received);
+        measure::on_published(&received.burst);
     }
     if work & (STATIONARY | LOG) != 0 {
         pass_on(number, received, part, measurement, to_log);

@@ -517,18 +517,6 @@ pub struct ReceivedBurst {
     pub flags: BoardFlags,
 }
 
-impl ReceivedBurst {
-    /// Burst of zeros.
-    pub(super) const EMPTY: Self = Self {
-        burst: Burst {
-            bytes: [0; BURST_LENGTH],
-            captured_at_us: 0,
-            missed_before: 0,
-        },
-        flags: BoardFlags::empty(),
-    };
-}
-
 /// Index of a slot.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Slot {
@@ -559,7 +547,16 @@ struct Slots([UnsafeCell<ReceivedBurst>; 2]);
 // task from it.
 unsafe impl Sync for Slots {}
 
-static SLOTS: Slots = Slots([const { UnsafeCell::new(ReceivedBurst::EMPTY) }; 2]);
+static SLOTS: Slots = Slots([const { UnsafeCell::new(EMPTY) }; 2]);
+
+const EMPTY: ReceivedBurst = ReceivedBurst {
+    burst: Burst {
+        bytes: [0; BURST_LENGTH],
+        captured_at_us: 0,
+        missed_before: 0,
+    },
+    flags: BoardFlags::empty(),
+};
 
 /// Slot that is ready for the attitude task, plus one; or [`NONE_READY`].
 static READY: AtomicU8 = AtomicU8::new(NONE_READY);

@@ -112,7 +112,7 @@ pub fn turns(talk: &mut Talk, patience: Duration) -> Result<Finding, String> {
     const ADVICE: &str =
         "the mount is wrong: `mount find`, then `save`; or name it with `mount`, see `status`";
     for turn in Turn::ALL {
-        print_line(&format!("   hands: {}", turn.instruction()));
+        print_line(&format!("   you: {}", turn.instruction()));
         let (mut start, mut last) = (None, None);
         let until = Instant::now() + patience;
         let judged = loop {
