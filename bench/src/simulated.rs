@@ -68,6 +68,7 @@ pub fn recording(set: &str, name: String, samples: impl Iterator<Item = Simulate
         accelerometer: AccelerometerKnowledge::Factory,
         samples: Vec::new(),
         true_up: Vec::new(),
+        compass: None,
         clipping: None,
     };
     for simulated in samples {

@@ -63,6 +63,9 @@ mod measurement;
 mod step;
 mod tuning;
 
+#[cfg(test)]
+mod tests;
+
 pub use tuning::Tuning;
 
 use super::kalman::Kalman;

@@ -95,9 +95,9 @@ impl Tuning {
         restart_hard_iron_ut: 10.0,
         consistency_s: 5.0,
         known_rad: 0.5,
-        valid_rad: 0.26,
-        valid_tilt_rad: 0.1,
-        valid_inconsistency: 3.0,
+        valid_rad: 0.22,
+        valid_tilt_rad: 0.07,
+        valid_inconsistency: 2.5,
     };
 }
 
