@@ -270,7 +270,8 @@ fn every_command_is_answered_with_one_line() {
     for (line, answer) in [
         (
             "help",
-            "ok help: help, status, show, calibrate gyro|accel|level|temperature|compass|done|stop, \
+            "ok help: help, status, show, \
+             calibrate gyro|accel|level|temperature|compass|done|stop, \
              mount find|<forward><down>, \
              compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>, \
              self-test, rate <hz>, format \
