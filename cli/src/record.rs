@@ -149,6 +149,7 @@ pub fn record_log(
         seconds: Some(seconds.into()),
         log: true,
         force: true,
+        sensor: I2cOptions::default(),
     })
 }
 

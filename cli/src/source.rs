@@ -203,7 +203,7 @@ impl Log {
             t_us: row.time_us,
             sample,
             field: row.field_ut.map(|field| {
-                let Vector3 { x, y, z } = self.options.mount.to_body(vector(field));
+                let Vector3 { x, y, z } = self.options.mount.to_body(vector(field)).0;
                 MagneticField { ut: [x, y, z] }
             }),
             truth: row.attitude,

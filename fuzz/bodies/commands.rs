@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use aplomb::calibration::compass::CompassFitter;
 use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::console::answer::ANSWER_CAPACITY;
 use aplomb::console::command::{BAUD_RATES, Command, RATES_HZ};
@@ -84,6 +85,16 @@ impl Module for Wire {
 
     fn set_compass(&mut self, _settings: &CompassSettings, _imu_mount: Mount) {
         assert!(!self.is_armed);
+    }
+
+    fn start_compass_fitter(&mut self) {
+        assert!(!self.is_armed);
+    }
+
+    fn stop_compass_fitter(&mut self) {}
+
+    fn compass_fitter(&mut self) -> Option<CompassFitter> {
+        None
     }
 
     fn start_detector(&mut self, samples: u16) {

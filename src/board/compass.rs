@@ -8,7 +8,9 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 use super::burst_reader::{self, CompassTransfers};
 use super::retained;
+use crate::attitude::{BodyVector, Quaternion};
 use crate::calibration::CompassAlignment;
+use crate::calibration::compass::CompassFitter;
 use crate::compass::{Choice, Condition, Fault, PartId, Session};
 use crate::fault::FaultClass;
 use crate::pipeline::Snapshot;
@@ -43,6 +45,8 @@ pub struct CompassTask {
     alignment: CompassAlignment,
     phase: u8,
     field: Option<MagneticField>,
+    /// Readings for a fit, while a calibration collects them.
+    fitter: Option<CompassFitter>,
     reported: (bool, Option<Fault>),
 }
 
@@ -55,6 +59,7 @@ impl CompassTask {
             alignment,
             phase: 0,
             field: None,
+            fitter: None,
             reported: (false, None),
         }
     }
@@ -97,9 +102,24 @@ impl CompassTask {
         }
     }
 
+    /// Collects readings for a fit from now on.
+    pub const fn start_fitter(&mut self) {
+        self.fitter = Some(CompassFitter::new());
+    }
+
+    /// Stops collecting.
+    pub const fn stop_fitter(&mut self) {
+        self.fitter = None;
+    }
+
+    /// Returns the readings so far.
+    pub const fn fitter(&self) -> Option<CompassFitter> {
+        self.fitter
+    }
+
     /// Performs a round. `without` is the number of samples between two rounds of housekeeping
     /// without a compass.
-    pub fn round(&mut self, without: u8, _snapshot: &Snapshot) -> Round {
+    pub fn round(&mut self, without: u8, snapshot: &Snapshot) -> Round {
         let mut round = Round {
             samples: without,
             keeps_house: true,
@@ -115,7 +135,7 @@ impl CompassTask {
                     self.transfers.request(transfer);
                 }
             }
-            1 => round.reading = self.take_reading(),
+            1 => round.reading = self.take_reading(snapshot),
             _ => {}
         }
         round.keeps_house = self.phase == 2;
@@ -126,16 +146,26 @@ impl CompassTask {
         round
     }
 
-    fn take_reading(&mut self) -> Option<(MagneticField, u32)> {
+    #[inline(never)]
+    fn take_reading(&mut self, snapshot: &Snapshot) -> Option<(MagneticField, u32)> {
         let Self {
             session, transfers, ..
         } = self;
         let (reading, started_us) =
             transfers.take(|outcome, started_us| (session.finish(outcome), started_us))?;
         self.report_change();
-        let field = self.alignment.apply(reading?);
+        let reading_ut = reading?;
+        let measured_us = started_us.wrapping_sub(self.session.mean_age_us());
+        if let Some(fitter) = &mut self.fitter {
+            // The attitude of the snapshot, turned back to the time of the measurement.
+            let age_s = (snapshot.t_us as u32).wrapping_sub(measured_us) as i32 as f32 * 1.0e-6;
+            let back = Quaternion::from_rotation_vector(snapshot.body_rates_rad_s.scale(-age_s));
+            let BodyVector(body_ut) = self.alignment.mount.to_body(reading_ut);
+            fitter.add(snapshot.attitude.multiply(back), body_ut);
+        }
+        let field = self.alignment.apply(reading_ut);
         self.field = Some(field);
-        Some((field, started_us.wrapping_sub(self.session.mean_age_us())))
+        Some((field, measured_us))
     }
 
     /// Counts and flags a fault that begins, and announces any change.

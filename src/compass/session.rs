@@ -153,6 +153,7 @@ impl Session {
 
     /// Returns the transfer of this turn, if there is one. [`finish`](Self::finish) takes its
     /// outcome.
+    #[inline(never)]
     pub fn next_transfer(&mut self) -> Option<Transfer> {
         match &mut self.state {
             State::Idle => None,
@@ -205,6 +206,7 @@ impl Session {
 
     /// Takes the outcome of the last transfer. Returns the field if it was a good reading, µT along
     /// the chip's axes.
+    #[inline(never)]
     pub fn finish(&mut self, outcome: &Outcome<'_>) -> Option<Vector3> {
         if *outcome == Outcome::Hung {
             self.finish_hung();
@@ -395,6 +397,7 @@ impl Session {
         };
     }
 
+    #[inline(never)]
     fn finish_step(&mut self, part: PartId, step: u8, trials: u8, outcome: &Outcome<'_>) {
         let steps = part.part().configuration();
         let failed = match (steps.get(usize::from(step)), *outcome) {
@@ -452,6 +455,7 @@ impl Session {
     }
 
     /// Decodes a reading, and supervises it.
+    #[inline(never)]
     fn take_reading(&mut self, id: PartId, bytes: &Bytes) -> Option<Vector3> {
         let part = id.part();
         let length = usize::from(part.reading().length);

@@ -76,6 +76,8 @@ pub enum Calibrate {
     Level,
     /// Measures the gyroscope's offset over temperature, at rest while the temperature changes.
     Temperature,
+    /// Fits the compass's hard and soft iron, while the vehicle is turned about all axes.
+    Compass,
     /// Ends the running calibration with the data so far.
     Done,
     /// Aborts the running calibration.
@@ -83,11 +85,12 @@ pub enum Calibrate {
 }
 
 impl Calibrate {
-    const ALL: [Self; 6] = [
+    const ALL: [Self; 7] = [
         Self::Gyroscope,
         Self::Accelerometer,
         Self::Level,
         Self::Temperature,
+        Self::Compass,
         Self::Done,
         Self::Stop,
     ];
@@ -99,6 +102,7 @@ impl Calibrate {
             Self::Accelerometer => "accel",
             Self::Level => "level",
             Self::Temperature => "temperature",
+            Self::Compass => "compass",
             Self::Done => "done",
             Self::Stop => "stop",
         }
@@ -202,8 +206,8 @@ enum Argument {
     Baud,
 }
 
-const CALIBRATIONS: [&str; 6] = {
-    let mut names = [""; 6];
+const CALIBRATIONS: [&str; 7] = {
+    let mut names = [""; 7];
     let mut index = 0;
     while index < names.len() {
         names[index] = Calibrate::ALL[index].name();
@@ -555,6 +559,7 @@ mod tests {
                 "calibrate temperature",
                 Command::Calibrate(Calibrate::Temperature),
             ),
+            ("calibrate compass", Command::Calibrate(Calibrate::Compass)),
             ("calibrate done", Command::Calibrate(Calibrate::Done)),
             ("calibrate stop", Command::Calibrate(Calibrate::Stop)),
             ("mount find", Command::Mount(MountChoice::Find)),
@@ -610,7 +615,7 @@ mod tests {
 
     #[test]
     fn an_error_has_the_reason_and_the_nearest_right_form() {
-        let forms = "calibrate gyro|accel|level|temperature|done|stop";
+        let forms = "calibrate gyro|accel|level|temperature|compass|done|stop";
         for (text, answer) in [
             (
                 "stauts",

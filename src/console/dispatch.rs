@@ -10,6 +10,7 @@ use super::baud::{BaudChange, BaudPoll};
 use super::command::{
     Calibrate, Command, CommandForms, CompassChoice, Measure, MountChoice, ParseError,
 };
+use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
 use super::measurement::MeasurementText;
@@ -36,6 +37,7 @@ pub struct Console {
     default_mount: Mount,
     is_armed: bool,
     procedures: ProcedureRunner,
+    compass: CompassProcedure,
     /// Task under way; other input waits for its end.
     task: Option<Task>,
     baud: BaudChange,
@@ -65,6 +67,7 @@ impl Console {
             default_mount,
             is_armed: false,
             procedures: ProcedureRunner::new(noise, sample_rate_hz),
+            compass: CompassProcedure::new(),
             task: None,
             baud: BaudChange::Steady,
         }
@@ -125,6 +128,10 @@ impl Console {
         let mount = self.mount();
         self.procedures
             .poll(now_us, &mut self.working.calibration, mount, module, reply)
+            .or_else(|| {
+                let settings = &mut self.working.compass;
+                self.compass.poll(now_us, settings, mount, module, reply)
+            })
             .or_else(|| self.errors.report_dropped(now_us, reply))
             .or_else(|| self.read(now_us, module, reply))
     }
@@ -170,6 +177,12 @@ impl Console {
                 reply.ok(format_args!("disarm"))
             }
             Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),
+            Command::Calibrate(Calibrate::Done) if self.compass.is_running() => {
+                let mount = self.mount();
+                let settings = &mut self.working.compass;
+                self.compass.finish(settings, mount, module, reply)
+            }
+            Command::Calibrate(Calibrate::Compass) => self.compass.start(now_us, module, reply),
             Command::Calibrate(Calibrate::Done) => {
                 self.procedures
                     .finish(&mut self.working.calibration, module, reply)
@@ -283,13 +296,29 @@ impl Console {
                     | Command::Measure(_)
                     | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
             );
-        match self.procedures.current() {
-            Some(procedure) if !is_compatible => Some(reply.error(format_args!(
-                "refused while \"{}\" goes on: \"calibrate stop\" ends it",
-                procedure.name()
+        match self.running() {
+            Some(name) if !is_compatible => Some(reply.error(format_args!(
+                "refused while \"{name}\" goes on: \"calibrate stop\" ends it"
             ))),
             _ => None,
         }
+    }
+
+    /// Returns the name of the running procedure.
+    fn running(&self) -> Option<&'static str> {
+        if self.compass.is_running() {
+            return Some(compass_procedure::NAME);
+        }
+        self.procedures.current().map(Procedure::name)
+    }
+
+    /// Aborts the running procedure, and returns its name.
+    fn abort(&mut self, module: &mut dyn Module) -> Option<&'static str> {
+        if self.compass.abort(module) {
+            return Some(compass_procedure::NAME);
+        }
+        let procedure = self.procedures.abort(module)?;
+        Some(procedure.name())
     }
 
     /// Starts to store the working record, if it has changed.
@@ -348,21 +377,18 @@ impl Console {
     /// Arms, and aborts a running procedure.
     fn arm(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         self.is_armed = true;
-        let aborted = self.procedures.abort(module);
+        let aborted = self.abort(module);
         module.set_armed(true);
         match aborted {
-            Some(procedure) => reply.ok(format_args!("arm: \"{}\" is given up", procedure.name())),
+            Some(name) => reply.ok(format_args!("arm: \"{name}\" is given up")),
             None => reply.ok(format_args!("arm")),
         }
     }
 
     /// Aborts the running procedure.
     fn stop(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
-        match self.procedures.abort(module) {
-            Some(procedure) => reply.ok(format_args!(
-                "calibrate stop: \"{}\" is given up",
-                procedure.name()
-            )),
+        match self.abort(module) {
+            Some(name) => reply.ok(format_args!("calibrate stop: \"{name}\" is given up")),
             None => reply.ok(format_args!("calibrate stop: nothing went on")),
         }
     }

@@ -43,6 +43,7 @@
 pub mod answer;
 mod baud;
 pub mod command;
+mod compass_procedure;
 mod dispatch;
 #[cfg(feature = "mavlink")]
 pub mod ground_station;

@@ -3,6 +3,7 @@
 use core::fmt::{self, Write};
 
 use crate::attitude::Vector3;
+use crate::calibration::compass::CompassFitter;
 use crate::calibration::{Calibration, Mount, StationaryProgress};
 use crate::compass::Condition;
 use crate::health::{Flags, Measurement};
@@ -25,6 +26,15 @@ pub trait Module {
 
     /// Uses these settings of the compass from now on. `imu_mount` is the mount in use of the IMU.
     fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount);
+
+    /// Collects readings of the compass from now on, for a fit.
+    fn start_compass_fitter(&mut self);
+
+    /// Stops collecting readings of the compass.
+    fn stop_compass_fitter(&mut self);
+
+    /// Returns the readings of the compass so far; `None` if none are collected.
+    fn compass_fitter(&mut self) -> Option<CompassFitter>;
 
     /// Starts the stationary detector, for an average of this many samples.
     fn start_detector(&mut self, samples: u16);

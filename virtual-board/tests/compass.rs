@@ -7,8 +7,8 @@ mod common;
 
 use aplomb::health::Flags;
 use aplomb_models::compass::{CompassConfig, EarthField, Magnetism, Part};
-use aplomb_models::motion::Mount;
 use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::{Motion, Mount, Quaternion, Truth};
 use common::firmware;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
@@ -86,6 +86,93 @@ fn the_field_comes_through_in_body_axes() {
         let is_right = (x - 18.6).abs() < 2.5 && y.abs() < 2.5 && (z - 46.1).abs() < 2.5;
         assert!(is_right, "{part:?}: {x} {y} {z}");
     }
+}
+
+/// A person turns the board to and fro about all axes, after a rest of 3 s.
+struct HandTurn;
+
+impl HandTurn {
+    fn attitude(time_s: f64) -> Quaternion {
+        let t = (time_s - 3.0).max(0.0);
+        let swing = |amplitude: f64, rate: f64| amplitude * (rate * t).sin() * (t / 2.0).min(1.0);
+        Quaternion::from_euler(swing(3.0, 0.9), swing(1.5, 0.53), swing(2.8, 0.31))
+    }
+}
+
+impl Motion for HandTurn {
+    fn at(&mut self, time_s: f64) -> Truth {
+        let step_s = 1e-4;
+        let attitude = Self::attitude(time_s);
+        let next = Self::attitude(time_s + step_s);
+        let turn = attitude.conjugate().multiply(next).to_rotation_vector();
+        Truth {
+            body_rates_rad_s: turn.map(|angle| angle / step_s),
+            ..Truth::at_rest(attitude)
+        }
+    }
+}
+
+/// The calibration finds strong hard iron and a mount that nobody named, and the field in body axes
+/// is right afterwards: after `save` and a restart too.
+#[test]
+fn a_calibration_finds_iron_and_mount() {
+    let mut magnetism = Magnetism::clean(EarthField::default());
+    magnetism.hard_iron_ut = [40.0, -60.0, 25.0];
+    magnetism.soft_iron = [[1.1, 0.02, 0.0], [0.0, 0.92, 0.03], [-0.02, 0.0, 0.99]];
+    let config = CompassConfig {
+        mount: Mount::parse("+y-z").unwrap(),
+        magnetism,
+        ..CompassConfig::new(1, Part::Qmc5883l)
+    };
+    let outcome = Run::new(firmware())
+        .kit(Kit::Gy87)
+        .compass(config.clone())
+        .motion(HandTurn)
+        .seconds(42.0)
+        .command(2.5, "calibrate compass")
+        .command(39.0, "save")
+        .without_account()
+        .without_probe()
+        .run()
+        .unwrap();
+    let lines: Vec<&str> = outcome
+        .uart_lines
+        .iter()
+        .map(|line| line.text.as_str())
+        .collect();
+    let console: Vec<&&str> = lines
+        .iter()
+        .filter(|line| line.contains("compass"))
+        .collect();
+    let done = console.iter().find(|line| line.contains("done calibrate"));
+    let done = done.unwrap_or_else(|| panic!("{console:?}"));
+    assert!(done.contains("mount +y-z, hard iron"), "{done}");
+    assert!(
+        console.iter().any(|line| line.contains("%, next: ")),
+        "{console:?}"
+    );
+    assert!(outcome.uart_reports("done save: stored"));
+    // The next flight has the correction from flash: level and heading north.
+    let outcome = Run::new(firmware())
+        .kit(Kit::Gy87)
+        .compass(config)
+        .motion(Rest::level())
+        .flash(outcome.flash.bytes.clone())
+        .seconds(1.5)
+        .command(1.2, "status")
+        .without_account()
+        .without_probe()
+        .run()
+        .unwrap();
+    let [[x, y, z]] = fields(&outcome)[..] else {
+        panic!("a field: {:?}", outcome.uart_lines);
+    };
+    let heading_deg = (-y).atan2(x).to_degrees();
+    let dip_deg = z.atan2(x.hypot(y)).to_degrees();
+    assert!(
+        heading_deg.abs() < 6.0 && (dip_deg - 68.0).abs() < 3.0,
+        "{x} {y} {z}"
+    );
 }
 
 /// A compass in a GPS module: on the main bus, and mounted otherwise than the IMU.

@@ -5,6 +5,7 @@ use core::sync::atomic::Ordering;
 
 use aplomb::board::uart::{Receiver, Transmitter};
 use aplomb::board::{attitude_task, measure, retained};
+use aplomb::calibration::compass::CompassFitter;
 use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Module, Outcome, State, Task};
@@ -110,6 +111,21 @@ where
             }
             compass.set_alignment(alignment);
         });
+    }
+
+    fn start_compass_fitter(&mut self) {
+        self.estimation
+            .lock(|estimation| estimation.compass.start_fitter());
+    }
+
+    fn stop_compass_fitter(&mut self) {
+        self.estimation
+            .lock(|estimation| estimation.compass.stop_fitter());
+    }
+
+    fn compass_fitter(&mut self) -> Option<CompassFitter> {
+        self.estimation
+            .lock(|estimation| estimation.compass.fitter())
     }
 
     fn start_detector(&mut self, samples: u16) {

@@ -7,8 +7,9 @@ use proptest::prelude::*;
 use super::super::answer::ANSWER_CAPACITY;
 use super::super::module::State;
 use super::*;
-use crate::attitude::{BodyVector, Quaternion, Vector3};
+use crate::attitude::{BodyVector, EulerAngles, Quaternion, Vector3};
 use crate::calibration::accelerometer::Pose;
+use crate::calibration::compass::CompassFitter;
 use crate::calibration::{
     AccelerometerCorrection, Axis, Calibration, CompassCorrection, GyroscopeOffset, MotionReason,
     StationaryMean, StationaryProgress, SymmetricMatrix, TemperatureModel,
@@ -25,6 +26,8 @@ use crate::units::{MagneticField, radians};
 enum Call {
     Calibration(Calibration),
     Compass(CompassSettings, Mount),
+    StartFitter,
+    StopFitter,
     StartDetector(u16),
     StopDetector,
     Armed(bool),
@@ -43,6 +46,7 @@ struct FakeModule {
     has_no_sensor: bool,
     state: Option<State>,
     measurement: Measurement,
+    fitter: Option<CompassFitter>,
     calls: Vec<Call>,
 }
 
@@ -76,6 +80,20 @@ impl Module for FakeModule {
 
     fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount) {
         self.calls.push(Call::Compass(*settings, imu_mount));
+    }
+
+    fn start_compass_fitter(&mut self) {
+        self.calls.push(Call::StartFitter);
+        self.fitter = Some(CompassFitter::new());
+    }
+
+    fn stop_compass_fitter(&mut self) {
+        self.calls.push(Call::StopFitter);
+        self.fitter = None;
+    }
+
+    fn compass_fitter(&mut self) -> Option<CompassFitter> {
+        self.fitter
     }
 
     fn start_detector(&mut self, samples: u16) {
@@ -262,7 +280,8 @@ fn every_command_is_answered_with_one_line() {
     for (line, answer) in [
         (
             "help",
-            "ok help: help, status, show, calibrate gyro|accel|level|temperature|done|stop, \
+            "ok help: help, status, show, \
+             calibrate gyro|accel|level|temperature|compass|done|stop, \
              mount find|<forward><down>, \
              compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>, \
              self-test, registers, measure on|show|off, rate <hz>, format \
@@ -798,6 +817,83 @@ fn the_compass_is_named_mounted_and_shown() {
             .calls()
             .contains(&Call::Compass(defaults, Mount::Z_UP))
     );
+}
+
+/// Readings of a vehicle that is turned about all axes, in a field with hard iron.
+fn turned(readings: u16) -> CompassFitter {
+    let mut fitter = CompassFitter::new();
+    for nth in 0..readings {
+        let t_s = f32::from(nth) * 0.02;
+        let attitude = Quaternion::from_euler(EulerAngles {
+            roll_rad: 3.0 * (0.9 * t_s).sin(),
+            pitch_rad: 1.5 * (0.53 * t_s + 0.4).sin(),
+            yaw_rad: 2.8 * (0.31 * t_s).sin(),
+        });
+        let field = attitude.conjugate().rotate(Vector3::new(20.0, 0.0, 44.0));
+        fitter.add(attitude, field + Vector3::new(30.0, -20.0, 10.0));
+    }
+    fitter
+}
+
+#[test]
+fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
+    let mut harness = Harness::new();
+    assert_eq!(
+        harness.ask("calibrate compass"),
+        "error calibrate compass: there are no readings of a compass (none answers)"
+    );
+    harness.module.state = Some(State {
+        compass: Condition {
+            part: Some(("AK8963", 0x0C)),
+            fault: None,
+            field: Some(MagneticField { ut: [1.0; 3] }),
+        },
+        ..State::default()
+    });
+    let started = harness.ask("calibrate compass");
+    assert!(
+        started.starts_with("ok calibrate compass: turn it"),
+        "{started}"
+    );
+    assert_eq!(harness.calls(), [Call::StartFitter]);
+    assert_eq!(
+        harness.ask("save"),
+        "error refused while \"calibrate compass\" goes on: \"calibrate stop\" ends it"
+    );
+    let waited = harness.wait(2.1);
+    assert!(
+        waited.contains(&"progress calibrate compass: 0 %, next: nose down".into()),
+        "{waited:?}"
+    );
+    assert_eq!(
+        harness.ask("calibrate done"),
+        "error calibrate compass: 0 of at least 500 readings"
+    );
+    harness.module.fitter = Some(turned(1_500));
+    let waited = harness.wait(29.0).concat();
+    assert!(
+        waited.contains("100 %, go on turning")
+            && waited.contains("done calibrate compass: mount +x-z, hard iron 30.0,-20.0,10.0 uT"),
+        "{waited}"
+    );
+    let correction = harness.console.working().compass.correction;
+    let expected = correction.map(|correction| correction.hard_iron_ut);
+    assert!(
+        expected.is_some_and(|iron| (iron - Vector3::new(30.0, -20.0, 10.0)).norm() < 0.1),
+        "{expected:?}"
+    );
+    assert!(harness.console.has_unsaved());
+    // Arming gives it up, and so does nothing for two minutes.
+    harness.ask("calibrate compass");
+    assert_eq!(
+        harness.ask("arm"),
+        "ok arm: \"calibrate compass\" is given up"
+    );
+    harness.ask("disarm");
+    harness.ask("calibrate compass");
+    let waited = harness.wait(125.0);
+    let last = "failed calibrate compass: 0 of at least 500 readings";
+    assert_eq!(waited.last().map(String::as_str), Some(last));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Correction of a compass: hard iron, soft iron, and the compass's place in the vehicle.
 
-use super::mount::Mount;
+use super::super::mount::Mount;
 use crate::attitude::{BodyVector, Vector3};
 use crate::units::MagneticField;
 
