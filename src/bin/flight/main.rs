@@ -53,7 +53,7 @@ mod app {
     use aplomb::board::uart::{self, ReceiveRing};
     use aplomb::board::{clocks, pins, retained, stack_guard, watchdog};
     use aplomb::calibration::Mount;
-    use aplomb::compass::Choice;
+    use aplomb::compass::{self, Choice};
     use aplomb::console::usable_preferences;
     use aplomb::estimator::kalman::WarmStart;
     use aplomb::fault::{ClockSource, ResetCause};
@@ -303,7 +303,7 @@ mod app {
                 return None;
             };
             let part = pipeline.settings().part;
-            let compass = cfg!(feature = "full").then_some(&mut estimation.compass);
+            let compass = compass::IS_BUILT_IN.then_some(&mut estimation.compass);
             task.run(pipeline, compass, |received| {
                 requests::after_publication(received, part, &mut estimation.measurement, to_log);
             })
