@@ -184,6 +184,7 @@ impl Case {
             .seconds(self.seconds)
             .boxed_motion(self.motion())
             .schedule(&self.schedule)
+            .without_memory_protection()
             .without_account();
         if !needs_probe {
             run = run.without_probe();
