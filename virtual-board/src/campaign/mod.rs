@@ -81,7 +81,7 @@ impl Case {
         let schedule = Schedule::by_seed(seed);
         let mut random = Random::new(seed, "course of a case");
         let course = random.uniform(0.0, 1.0);
-        // Some seconds after a warm start in motion the offset may be unknown again: docs/faults.md.
+        // Seconds after a warm start in motion the offset may be unknown again (docs/faults.md).
         let is_reset = schedule.faults.iter().any(|fault| fault.kind.resets());
         if course < LONG_SHARE && !is_reset {
             let later_s = random.uniform(0.0, LATEST_S);
