@@ -196,8 +196,8 @@ impl Quaternion {
     pub fn from_rotation_vector(rotation_rad: Vector3) -> Self {
         let half = rotation_rad.scale(0.5);
         let squared = half.dot(half);
-        if squared < 0.0625 {
-            // The series of cos(h) and sin(h)/h to h⁶: below h = 1/4 the rest is under 1e-9.
+        if squared < 0.16 {
+            // The series of cos(h) and sin(h)/h to h⁶: below h = 0.4 the rest is under 2e-8.
             let w = 1.0 - squared * (1.0 / 2.0 - squared * (1.0 / 24.0 - squared * (1.0 / 720.0)));
             let s =
                 1.0 - squared * (1.0 / 6.0 - squared * (1.0 / 120.0 - squared * (1.0 / 5040.0)));
@@ -300,22 +300,31 @@ impl Quaternion {
         )
     }
 
-    /// Returns the rotation with this yaw, and with roll and pitch such that `down` points down.
+    /// Returns the rotation without yaw in which `down` points down.
     ///
-    /// `down` is in body axes, of any length but zero. Next to the poles, where roll is not
-    /// defined, the rotation keeps its roll.
-    #[must_use]
-    pub fn with_down(self, down: Vector3) -> Self {
+    /// `down` is in body axes, of any length but zero. Next to the poles, where the direction does
+    /// not show roll, roll is zero.
+    ///
+    /// ```
+    /// use aplomb::attitude::{Quaternion, Vector3};
+    ///
+    /// // Gravity pulls to the right: the right wing is down.
+    /// let angles = Quaternion::from_down(Vector3::new(0.0, 0.5, 0.5)).to_euler();
+    /// assert!((angles.roll_rad.to_degrees() - 45.0).abs() < 1e-3);
+    /// assert!(angles.pitch_rad.abs() < 1e-6 && angles.yaw_rad.abs() < 1e-6);
+    /// ```
+    pub fn from_down(down: Vector3) -> Self {
         /// Within 0.6° of a pole the direction does not show roll.
         const MIN_PITCH_COSINE_SQUARED: f32 = 1.0e-4;
 
-        let mut angles = self.to_euler();
         let across_squared = down.y * down.y + down.z * down.z;
-        if across_squared > MIN_PITCH_COSINE_SQUARED * down.dot(down) {
-            angles.roll_rad = libm::atan2f(down.y, down.z);
-        }
-        angles.pitch_rad = libm::atan2f(-down.x, libm::sqrtf(across_squared));
-        Self::from_euler(angles).with_sign_of(self)
+        let (cr, sr) = if across_squared > MIN_PITCH_COSINE_SQUARED * down.dot(down) {
+            half_angle(down.z, down.y)
+        } else {
+            (1.0, 0.0)
+        };
+        let (cp, sp) = half_angle(libm::sqrtf(across_squared), -down.x);
+        Self::new(cr * cp, sr * cp, cr * sp, -sr * sp).normalize()
     }
 
     /// Returns the four-dimensional scalar product, near ±1 for nearly equal rotations.
@@ -458,6 +467,16 @@ pub fn sine_cosine(angle_rad: f32) -> (f32, f32) {
     }
 }
 
+/// Returns cosine and sine of half the angle of this direction, times a common factor.
+fn half_angle(cosine: f32, sine: f32) -> (f32, f32) {
+    let length = libm::sqrtf(cosine * cosine + sine * sine);
+    if cosine < 0.0 {
+        (sine.abs(), (length - cosine).copysign(sine))
+    } else {
+        (length + cosine, sine)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -538,6 +557,28 @@ mod tests {
     fn down_in_body_is_the_inverse_rotation_of_down() {
         let q = Quaternion::from_euler(euler(-50.0, 25.0, 130.0));
         assert_close(q.down_in_body(), q.conjugate().rotate(DOWN));
+    }
+
+    #[test]
+    fn the_rotation_from_down_has_roll_and_pitch_and_no_yaw() {
+        for roll in (-175..=180).step_by(5) {
+            for pitch in (-85..=85).step_by(5) {
+                let expected = Quaternion::from_euler(euler(roll as f32, pitch as f32, 0.0));
+                for length in [1e-3, 9.8, 160.0] {
+                    let down = expected.down_in_body().scale(length);
+                    let found = Quaternion::from_down(down);
+                    assert!(angle_between(found, expected) < 1e-2, "{roll} {pitch}");
+                    assert!((found.dot(found) - 1.0).abs() < 1e-6);
+                }
+            }
+        }
+        for (x, pitch) in [(1.0, -90.0), (-1.0, 90.0)] {
+            for y in [-1e-9, 0.0, 5e-3] {
+                let found = Quaternion::from_down(Vector3::new(x, y, 0.0));
+                let expected = Quaternion::from_euler(euler(0.0, pitch, 0.0));
+                assert!(angle_between(found, expected) < 0.6, "{x} {y}");
+            }
+        }
     }
 
     #[test]
@@ -625,8 +666,8 @@ mod tests {
 
     #[test]
     fn small_and_large_rotation_vectors_meet() {
-        // On both sides of the series' limit, half an angle of 1/4.
-        for angle in [0.499_99_f32, 0.500_01] {
+        // On both sides of the series' limit, half an angle of 0.4.
+        for angle in [0.799_99_f32, 0.800_01] {
             let q = Quaternion::from_rotation_vector(FORWARD.scale(angle));
             assert!((f64::from(q.w) - (f64::from(angle) / 2.0).cos()).abs() < 1e-7);
             assert!((f64::from(q.x) - (f64::from(angle) / 2.0).sin()).abs() < 1e-7);

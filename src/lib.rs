@@ -53,6 +53,7 @@
 //! | [`units`] | constants, and the extension of a 32-bit microsecond counter to 64 bits |
 //! | [`attitude`] | vectors, quaternions, Euler angles, the two frames |
 //! | [`mpu6050`] | registers, settings, the 14-byte burst, the configuring driver |
+//! | [`compass`] | drivers of four compass parts, and the session that supervises them |
 //! | [`calibration`] | stationary detector and fits: offsets, poses, level, mount, temperature |
 //! | [`settings`] | content of the flash: the calibration and the outputs' preferences |
 //! | [`estimator`] | the gate, the Kalman filter and the tutorial's filters |
@@ -77,6 +78,7 @@
 
 pub mod attitude;
 pub mod calibration;
+pub mod compass;
 pub mod console;
 pub mod estimator;
 pub mod fault;

@@ -34,6 +34,22 @@ pub const fn degrees(radians: f32) -> f32 {
     radians * DEGREES_PER_RADIAN
 }
 
+/// Magnetic field in microtesla, in body axes: forward, right, down. The earth's field is 25 to 65
+/// µT.
+///
+/// ```
+/// use aplomb::units::MagneticField;
+///
+/// let level_and_north = MagneticField { ut: [20.0, 0.0, 45.0] };
+/// assert!(level_and_north.ut[2] > 0.0, "north of the equator the field points down");
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MagneticField {
+    /// Components along forward, right and down, µT.
+    pub ut: [f32; 3],
+}
+
 /// Extends a free-running 32-bit counter to 64 bits.
 ///
 /// At 1 MHz the counter wraps every 71.6 minutes. Each count extends the previous one, so callers

@@ -21,14 +21,14 @@ use crate::recording::{Recording, Reference};
 use crate::results::{Row, Set, summarise};
 use crate::simulated::{self, EVALUATION_SEEDS};
 use crate::{
-    accuracy, clipping, gains, leave_one_out, long, parallel, picture, report, throughput,
+    accuracy, clipping, gains, heading, leave_one_out, long, parallel, picture, report, throughput,
     vibration,
 };
 
 /// Compare the accuracy and the speed of filters on recordings
 ///
 /// Every log below DIR counts, plain or gzipped; its folder is its set. One with truth is scored by
-/// it, one without is checked where it rests. What cannot be scored is named with the reason. If no
+/// it, one without is checked where it rests; one with a compass is scored by its heading. What cannot be scored is named with the reason. If no
 /// DIR is named and there are no recordings, simulated flights take their place.
 #[derive(clap::Parser)]
 #[command(version, name = "aplomb-bench")]
@@ -39,7 +39,9 @@ use crate::{
 
 JSON: scores, one for each recording and filter (set, recording, reference, sensor_delay_us, filter,
 inclination_samples, inclination_rms_deg, inclination_p95_deg, inclination_max_deg,
-within_3_sigma (a share), median_error_per_sigma), not_scored (file, line if one is to blame,
+within_3_sigma (a share), median_error_per_sigma); headings of recordings with a compass, if there
+are any (set, recording, filter, heading_known, heading_rms_deg, heading_rms_without_offset_deg,
+heading_offset_deg, heading_within_3_sigma, median_heading_error_per_sigma); not_scored (file, line if one is to blame,
 reason), and warnings of clipping and vibration, if there are any.
 
 Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage.")]
@@ -47,15 +49,21 @@ pub struct Options {
     /// Folders of recordings [default: ../shared/data, if it is there]
     #[arg(value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// Delay of the samples of a set, in microseconds [known: broad=4000]
+    /// Delay of the samples of a set, in microseconds [known: broad=4000,
+    /// broad-mag=4000]
     #[arg(long = "sensor-delay-us", value_name = "SET=N", value_parser = parse_delay)]
     delays_us: Vec<(String, u32)>,
+    /// How much older a set's compass readings are than the samples of their rows, in microseconds
+    /// [known: broad-mag=10000]
+    #[arg(long = "compass-delay-us", value_name = "SET=N", value_parser = parse_delay)]
+    compass_delays_us: Vec<(String, u32)>,
     /// A set holds register counts, at this range in g and this one in degrees per second [known:
     /// mpu6050-raw=8,250]
     #[arg(long = "counts", value_name = "SET=G,DPS", value_parser = parse_ranges)]
     ranges: Vec<(String, Ranges)>,
     /// Knowledge of the accelerometers' offsets: factory, six-poses, calibrated [default:
-    /// calibrated for SI units, factory for counts and simulated flights]
+    /// calibrated for SI units, factory for counts and simulated flights, whose sensors are then
+    /// calibrated so]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
     accelerometer: Option<AccelerometerKnowledge>,
     /// Folder of accuracy.csv and accuracy.png
@@ -112,9 +120,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let folders = Folders {
         paths: &options.folders,
         delays_us: &options.delays_us,
+        compass_delays_us: &options.compass_delays_us,
         ranges: &options.ranges,
     };
-    let (mut recordings, not_scored) = folders.read()?;
+    let (recordings, not_scored) = folders.read()?;
     if recordings.is_empty() && !options.folders.is_empty() {
         return Err(folders.nothing_to_score(&not_scored).into());
     }
@@ -127,6 +136,9 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             print_line(warning);
         }
     }
+    let (with_compass, mut recordings): (Vec<Recording>, Vec<Recording>) = recordings
+        .into_iter()
+        .partition(|recording| recording.compass.is_some());
     if options.clipping {
         print_line(clipping::table(&recordings)?.trim_end());
         return Ok(());
@@ -134,17 +146,21 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if options.leave_one_out || options.scan_gains {
         return search(options, recordings);
     }
-    if recordings.is_empty() {
+    let headings = heading::score(&with_compass);
+    if recordings.is_empty() && headings.is_empty() {
         if !options.json {
             print_line(&format!(
                 "There are no recordings to score here, so these are {} simulated flights of one \
                  minute: seeds {} and up, which nothing was tuned on; gyroscope offset 4 °/s, not \
-                 calibrated.",
+                 calibrated; accelerometer as --accelerometer states.",
                 EVALUATION_SEEDS.count(),
                 EVALUATION_SEEDS.start
             ));
         }
-        recordings = simulated::flights(EVALUATION_SEEDS);
+        let knowledge = options
+            .accelerometer
+            .unwrap_or(AccelerometerKnowledge::Factory);
+        recordings = simulated::flights(EVALUATION_SEEDS, knowledge);
     }
     if let Some(knowledge) = options.accelerometer {
         for recording in &mut recordings {
@@ -154,7 +170,19 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let rows = score(&recordings);
     let names = Choice::ALL.map(Choice::name);
     if options.json {
-        print_line(&report::json(&names, &rows, warnings, &not_scored)?);
+        print_line(&report::json(
+            &names,
+            &rows,
+            &headings,
+            warnings,
+            &not_scored,
+        )?);
+        return Ok(());
+    }
+    if !headings.is_empty() {
+        print_line(heading::table(&headings).trim_end());
+    }
+    if rows.is_empty() {
         return Ok(());
     }
     print_and_draw(options, &names, &rows)

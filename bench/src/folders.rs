@@ -4,6 +4,7 @@ use std::error::Error;
 use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::mpu6050::{AccelerometerRange, GyroscopeRange};
 
 use crate::parallel;
@@ -12,7 +13,11 @@ use crate::recording::{Found, Handling, Recording, files, is_table};
 /// Default folder of recordings.
 const DEFAULT_FOLDER: &str = "../shared/data";
 /// Known delays of sets. BROAD's inertial data lag its optical truth, by their correlation.
-const KNOWN_DELAYS_US: [(&str, u32); 1] = [("broad", 4_000)];
+const KNOWN_DELAYS_US: [(&str, u32); 2] = [("broad", 4_000), ("broad-mag", 4_000)];
+/// Known delays of sets' compasses against their inertial data, and what is known of their hard
+/// iron. BROAD's magnetometer was calibrated, and lags its truth by 14 ms.
+const KNOWN_COMPASSES: [(&str, u32, CompassKnowledge); 1] =
+    [("broad-mag", 10_000, CompassKnowledge::Calibrated)];
 /// Known ranges of sets that hold register counts, by their publisher.
 const KNOWN_RANGES: [(&str, AccelerometerRange, GyroscopeRange); 1] = [(
     "mpu6050-raw",
@@ -30,6 +35,8 @@ pub struct Folders<'a> {
     pub paths: &'a [PathBuf],
     /// Stated delays of sets, µs.
     pub delays_us: &'a [(String, u32)],
+    /// Stated delays of sets' compasses, µs.
+    pub compass_delays_us: &'a [(String, u32)],
     /// Stated ranges of sets.
     pub ranges: &'a [(String, Ranges)],
 }
@@ -115,7 +122,13 @@ impl Folders<'_> {
         let delay_us = stated.map(|(_, delay)| *delay);
         let ranges = self.ranges.iter().find(|(name, _)| name == set);
         let known_ranges = KNOWN_RANGES.iter().find(|(name, ..)| *name == set);
+        let known_compass = KNOWN_COMPASSES.iter().find(|(name, ..)| *name == set);
+        let (compass_delay_us, compass) =
+            known_compass.map_or_else(Default::default, |&(_, delay, compass)| (delay, compass));
+        let stated = self.compass_delays_us.iter().find(|(name, _)| name == set);
         Handling {
+            compass_delay_us: stated.map_or(compass_delay_us, |(_, delay)| *delay),
+            compass,
             delay_us: delay_us.or(known.map(|(_, delay)| *delay)).unwrap_or(0),
             ranges: ranges
                 .map(|(_, ranges)| *ranges)
@@ -139,10 +152,13 @@ mod tests {
         let some = Folders {
             paths: &[],
             delays_us: &[("broad".to_owned(), 1_000), ("x".to_owned(), 7)],
+            compass_delays_us: &[("x".to_owned(), 9)],
             ranges: &[("mpu6050-raw".to_owned(), two)],
         };
         assert_eq!(some.handling("broad").delay_us, 1_000);
         assert_eq!(some.handling("x").delay_us, 7);
+        assert_eq!(some.handling("x").compass_delay_us, 9);
+        assert_eq!(some.handling("broad-mag").compass_delay_us, 10_000);
         assert_eq!(some.handling("mpu6050-raw").ranges, Some(two));
     }
 }

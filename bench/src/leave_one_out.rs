@@ -5,7 +5,8 @@
 //! at random. It changes one number at a time by a factor, in both directions, and keeps
 //! improvements. Without an improvement it takes a smaller factor. The cost is the product of the
 //! sets' mean errors, so every set has an equal weight. Simulated flights for tuning and for
-//! judging have different seeds.
+//! judging have different seeds. Their accelerometers are calibrated, as those of the recordings
+//! are: the prior of an accelerometer that is not calibrated is no number of the tuning.
 //!
 //! The search runs twice. The first run keeps the numbers of the sensor's known errors, because the
 //! default has them from datasheets and not from recordings. The second run searches every number:
@@ -13,7 +14,7 @@
 
 use std::fmt::Write as _;
 
-use aplomb::estimator::kalman::Tuning;
+use aplomb::estimator::kalman::{AccelerometerKnowledge, Tuning};
 use aplomb_models::random::Random;
 use aplomb_recordings::score::{mean, median};
 
@@ -130,8 +131,11 @@ pub fn run(recordings: Vec<Recording>) -> String {
     }
     sets.push(Set {
         name: "simulated".to_owned(),
-        to_tune: simulated::flights(TUNING_SEEDS),
-        to_judge: Some(simulated::flights(EVALUATION_SEEDS)),
+        to_tune: simulated::flights(TUNING_SEEDS, AccelerometerKnowledge::Calibrated),
+        to_judge: Some(simulated::flights(
+            EVALUATION_SEEDS,
+            AccelerometerKnowledge::Calibrated,
+        )),
     });
     let before: Vec<Vec<f64>> = sets
         .iter()

@@ -31,6 +31,8 @@ pub struct Step {
     pub force: [f32; 3],
     /// Length, s.
     pub dt_s: f32,
+    /// Magnetic field at the end, if there is a new reading, µT.
+    pub field: Option<[f32; 3]>,
 }
 
 impl Step {
@@ -42,6 +44,7 @@ impl Step {
             force_before: flip(before.specific_force_m_s2),
             force: flip(after.specific_force_m_s2),
             dt_s: after.t_us.saturating_sub(before.t_us) as f32 * 1e-6,
+            field: None,
         }
     }
 }
@@ -129,7 +132,7 @@ impl Peer {
 }
 
 /// Converts forward-right-down to forward-left-up.
-fn flip(vector: Vector3) -> [f32; 3] {
+pub fn flip(vector: Vector3) -> [f32; 3] {
     [vector.x, -vector.y, -vector.z]
 }
 
@@ -235,7 +238,11 @@ impl Filter for Madgwick {
         let (rates, force) = (step.rates.into(), step.force_before.into());
         *self.0.sample_period_mut() = step.dt_s;
         // A zero force gives no correction.
-        if self.0.update_imu(&rates, &force).is_err() {
+        let corrected = match step.field {
+            Some(field) => self.0.update(&rates, &force, &field.into()),
+            None => self.0.update_imu(&rates, &force),
+        };
+        if corrected.is_err() {
             self.0.update_gyro(&rates);
         }
     }
@@ -265,7 +272,11 @@ impl Filter for Mahony {
     fn step(&mut self, step: &Step) {
         let (rates, force) = (step.rates.into(), step.force_before.into());
         *self.0.sample_period_mut() = step.dt_s;
-        if self.0.update_imu(&rates, &force).is_err() {
+        let corrected = match step.field {
+            Some(field) => self.0.update(&rates, &force, &field.into()),
+            None => self.0.update_imu(&rates, &force),
+        };
+        if corrected.is_err() {
             self.0.update_gyro(&rates);
         }
     }
@@ -299,10 +310,12 @@ impl Filter for Fusion {
 
     fn step(&mut self, step: &Step) {
         self.0.set_sample_period(step.dt_s);
-        self.0.update_no_magnetometer(
-            step.rates.map(degrees),
-            step.force_before.map(|part| part / STANDARD_GRAVITY_M_S2),
-        );
+        let rates = step.rates.map(degrees);
+        let force = step.force_before.map(|part| part / STANDARD_GRAVITY_M_S2);
+        match step.field {
+            Some(field) => self.0.update(rates, force, field),
+            None => self.0.update_no_magnetometer(rates, force),
+        }
     }
 
     fn attitude(&self) -> [f32; 4] {

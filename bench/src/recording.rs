@@ -5,18 +5,21 @@ use std::path::{Path, PathBuf};
 use aplomb::attitude::Vector3;
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
+use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
+use aplomb::units::MagneticField;
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
-use aplomb_recordings::log::{Lines, LogError, LogFault, Row, Rows, column_count};
+use aplomb_recordings::log::{Lines, LogError, LogFault, Row, Rows, column_count, has_compass};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
 use aplomb_recordings::units::{BadRows, RowOptions};
 use aplomb_recordings::vibration::Vibration;
 
 use crate::filter::{Choice, Filter};
+use crate::heading::Compass;
 use crate::rest;
 
 /// Recording in body axes.
@@ -36,6 +39,8 @@ pub struct Recording {
     pub samples: Vec<Sample>,
     /// True "up" in body axes for each sample, where it is known and counts.
     pub true_up: Vec<Option<[f64; 3]>>,
+    /// Compass, if the recording has one: its heading is scored then, not its tilt.
+    pub compass: Option<Compass>,
     /// Message on clipping.
     pub clipping: Option<String>,
 }
@@ -64,6 +69,10 @@ impl Reference {
 pub struct Handling {
     /// Delay of the samples, µs.
     pub delay_us: u32,
+    /// How much older a reading of the compass is than its row's sample, µs.
+    pub compass_delay_us: u32,
+    /// Knowledge of the compass's hard iron.
+    pub compass: CompassKnowledge,
     /// Ranges of register counts; `None` for SI units.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
 }
@@ -108,6 +117,11 @@ impl Recording {
             },
             samples: Vec::new(),
             true_up: Vec::new(),
+            compass: has_compass(columns).then(|| Compass {
+                delay_us: handling.compass_delay_us,
+                knowledge: handling.compass,
+                ..Compass::default()
+            }),
             clipping: None,
         };
         let mut rows = match rows_of(lines, columns, handling)? {
@@ -127,6 +141,14 @@ impl Recording {
                 );
             };
             recording.samples.push(sample);
+            if let Some(compass) = &mut recording.compass {
+                compass.mount = mount;
+                compass.fields.push(row.field_ut.map(|field| {
+                    let Vector3 { x, y, z } = mount.to_body(vector(field)).0;
+                    MagneticField { ut: [x, y, z] }
+                }));
+                compass.truth.push(row.attitude.filter(|_| row.moving));
+            }
             let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
             recording.true_up.push(up.map(|up| {
                 let up = mount.to_body(vector(up)).0;
@@ -191,7 +213,7 @@ impl Recording {
     }
 
     /// Returns the time from which on rows count, µs.
-    fn start_us(&self) -> u64 {
+    pub fn start_us(&self) -> u64 {
         self.samples.first().map_or(0, |first| first.t_us) + START_US.unsigned_abs()
     }
 

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use aplomb_recordings::score::{Honesty, Score, mean, median};
 
 use crate::folders::NotScored;
+use crate::heading;
 use crate::recording::{Recording, Reference};
 use crate::results::{Row, Set};
 
@@ -123,12 +124,15 @@ pub fn csv(names: &[&str], rows: &[Row<'_>]) -> String {
 pub fn json(
     names: &[&str],
     rows: &[Row<'_>],
+    headings: &[heading::Row<'_>],
     warnings: Vec<String>,
     not_scored: &[NotScored],
 ) -> serde_json::Result<String> {
     #[derive(serde::Serialize)]
     struct Scores<'a> {
         scores: Vec<Scored<'a>>,
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        headings: Vec<heading::Scored<'a>>,
         #[serde(skip_serializing_if = "Vec::is_empty")]
         warnings: Vec<String>,
         not_scored: &'a [NotScored],
@@ -156,6 +160,7 @@ pub fn json(
     });
     serde_json::to_string(&Scores {
         scores: scores.collect(),
+        headings: heading::scored(headings),
         warnings,
         not_scored,
     })

@@ -11,7 +11,7 @@ use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::LowPass;
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::truth::up_in_body;
-use aplomb_recordings::simulated::{CONFIG, Simulated, samples};
+use aplomb_recordings::simulated::{CONFIG, Simulated, errors, samples_with};
 
 use crate::parallel;
 use crate::recording::{Recording, Reference};
@@ -31,10 +31,12 @@ const _: () = assert!(TUNING_SEEDS.end <= FIRST_EVALUATION_SEED);
 /// Length of a flight, s.
 const SECONDS: u64 = 60;
 
-/// Simulates the flights of these seeds.
-pub fn flights(seeds: Range<u64>) -> Vec<Recording> {
+/// Simulates the flights of these seeds, with accelerometers that are calibrated this well.
+pub fn flights(seeds: Range<u64>, accelerometer: AccelerometerKnowledge) -> Vec<Recording> {
     let seeds: Vec<u64> = seeds.collect();
-    parallel::map_with_bar("simulating", &seeds, |seed| flight(*seed))
+    parallel::map_with_bar("simulating", &seeds, |seed| {
+        flight_with(*seed, SECONDS, accelerometer)
+    })
 }
 
 /// Simulates the flight of this seed.
@@ -44,8 +46,16 @@ pub fn flight(seed: u64) -> Recording {
 
 /// Simulates the flight of this seed for `seconds`.
 pub fn flight_for(seed: u64, seconds: u64) -> Recording {
-    let flown = samples(Box::new(Quadrotor::by_seed(seed)), seed, seconds);
-    recording("simulated", format!("flight {seed}"), flown)
+    flight_with(seed, seconds, AccelerometerKnowledge::Factory)
+}
+
+fn flight_with(seed: u64, seconds: u64, accelerometer: AccelerometerKnowledge) -> Recording {
+    let motion = Box::new(Quadrotor::by_seed(seed));
+    let flown = samples_with(motion, seed, errors(seed, accelerometer), seconds);
+    Recording {
+        accelerometer,
+        ..recording("simulated", format!("flight {seed}"), flown)
+    }
 }
 
 /// Returns the recording of a simulated sensor.
@@ -58,6 +68,7 @@ pub fn recording(set: &str, name: String, samples: impl Iterator<Item = Simulate
         accelerometer: AccelerometerKnowledge::Factory,
         samples: Vec::new(),
         true_up: Vec::new(),
+        compass: None,
         clipping: None,
     };
     for simulated in samples {

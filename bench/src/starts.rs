@@ -145,7 +145,7 @@ fn a_start_in_a_recording_is_never_wrong_and_valid() {
             let path = file.expect("a folder that can be read").path();
             let handling = Handling {
                 delay_us,
-                ranges: None,
+                ..Handling::default()
             };
             match Recording::read(&path, handling) {
                 Ok(Found::Recording(recording)) => recordings.push(recording),

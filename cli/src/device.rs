@@ -7,11 +7,13 @@ use aplomb::attitude::Vector3;
 use aplomb::calibration::AccelerometerCorrection;
 use aplomb::estimator::Sample;
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
+use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, RawSample};
 use aplomb::pipeline::classic::{ClassicPipeline, Zero};
-use aplomb::pipeline::{Pipeline, Settings, Snapshot};
+use aplomb::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
+use aplomb::units::MagneticField;
 use aplomb_recordings::attitude::extrapolate;
 
 /// Samples at rest that the tutorial's pipelines average at first, as the tutorial does.
@@ -73,6 +75,7 @@ pub struct Device {
 )]
 enum Variant {
     Kalman(Pipeline),
+    WithCompass(CompassPipeline),
     AxisKalman(ClassicPipeline<AxisKalman>),
     Classic(ClassicPipeline<Tutorial>),
 }
@@ -120,6 +123,11 @@ impl Device {
                 self.specific_force_m_s2 = pipeline.sample().specific_force_m_s2;
                 return snapshot;
             }
+            Variant::WithCompass(pipeline) => {
+                let snapshot = pipeline.update(burst, board);
+                self.specific_force_m_s2 = pipeline.pipeline().sample().specific_force_m_s2;
+                return snapshot;
+            }
             Variant::AxisKalman(pipeline) => pipeline.update(burst),
             Variant::Classic(pipeline) => pipeline.update(burst),
         };
@@ -133,8 +141,33 @@ impl Device {
 
     /// Sets what is known of the accelerometer's offset. Only the Kalman filter uses it.
     pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
-        if let Variant::Kalman(pipeline) = &mut self.pipeline {
+        if let Some(pipeline) = self.kalman_mut() {
             pipeline.set_accelerometer_knowledge(knowledge);
+        }
+    }
+
+    /// Adds a compass of which this is known. Only the Kalman filter uses it.
+    pub fn add_compass(&mut self, knowledge: CompassKnowledge, declination_rad: f32) {
+        if let Variant::Kalman(pipeline) = self.pipeline {
+            let mut pipeline = CompassPipeline::with_pipeline(pipeline, knowledge);
+            let heading = pipeline.heading_filter_mut();
+            heading.set_declination(declination_rad);
+            self.pipeline = Variant::WithCompass(pipeline);
+        }
+    }
+
+    /// Takes a reading of the compass in body axes, `age_us` older than the last sample.
+    pub fn update_field(&mut self, field: MagneticField, age_us: u32) {
+        if let Variant::WithCompass(pipeline) = &mut self.pipeline {
+            pipeline.update_field(field, age_us);
+        }
+    }
+
+    /// Returns the heading, if a compass shows it.
+    pub const fn heading(&self) -> Option<HeadingEstimate> {
+        match &self.pipeline {
+            Variant::WithCompass(pipeline) => pipeline.heading(),
+            Variant::Kalman(_) | Variant::AxisKalman(_) | Variant::Classic(_) => None,
         }
     }
 
@@ -143,6 +176,7 @@ impl Device {
         self.specific_force_m_s2 = sample.specific_force_m_s2;
         let mut snapshot = match &mut self.pipeline {
             Variant::Kalman(pipeline) => return pipeline.update_sample(sample),
+            Variant::WithCompass(pipeline) => return pipeline.update_sample(sample),
             Variant::AxisKalman(pipeline) => pipeline.update_sample(sample),
             Variant::Classic(pipeline) => pipeline.update_sample(sample),
         };
@@ -158,6 +192,11 @@ impl Device {
         self.settings.calibration = settings.calibration;
         match &mut self.pipeline {
             Variant::Kalman(pipeline) => pipeline.set_calibration(&settings.calibration),
+            Variant::WithCompass(pipeline) => {
+                pipeline
+                    .pipeline_mut()
+                    .set_calibration(&settings.calibration);
+            }
             Variant::AxisKalman(_) => *self = Self::for_bursts(FilterName::AxisKalman, settings),
             Variant::Classic(_) => *self = Self::for_bursts(FilterName::Classic, settings),
         }
@@ -167,6 +206,7 @@ impl Device {
     pub const fn kalman_mut(&mut self) -> Option<&mut Pipeline> {
         match &mut self.pipeline {
             Variant::Kalman(pipeline) => Some(pipeline),
+            Variant::WithCompass(pipeline) => Some(pipeline.pipeline_mut()),
             Variant::AxisKalman(_) | Variant::Classic(_) => None,
         }
     }

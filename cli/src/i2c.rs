@@ -13,6 +13,9 @@ use aplomb_recordings::text::read_small;
 
 use crate::sampler::SensorSettings;
 
+/// Samples a second without `--rate-hz`.
+const RATE_HZ: u16 = 200;
+
 /// Options for a sensor on a bus.
 #[derive(clap::Args, Clone, Debug)]
 pub struct I2cOptions {
@@ -31,7 +34,7 @@ pub struct I2cOptions {
         long,
         requires = "i2c",
         value_name = "N",
-        default_value_t = 200,
+        default_value_t = RATE_HZ,
         value_parser = clap::value_parser!(u16).range(4..=1000)
     )]
     rate_hz: u16,
@@ -41,6 +44,19 @@ pub struct I2cOptions {
     /// The accelerometer's calibration: what `aplomb calibrate` prints as JSON
     #[arg(long, requires = "i2c", value_name = "FILE")]
     calibration: Option<PathBuf>,
+}
+
+impl Default for I2cOptions {
+    fn default() -> Self {
+        Self {
+            i2c: None,
+            address: None,
+            interrupt: None,
+            rate_hz: RATE_HZ,
+            mount: None,
+            calibration: None,
+        }
+    }
 }
 
 fn parse_address(text: &str) -> Result<u8, &'static str> {

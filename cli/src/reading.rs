@@ -4,15 +4,17 @@ use std::error::Error;
 use std::path::PathBuf;
 
 use aplomb::calibration::Mount;
+use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
+use aplomb::units::radians;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::Lines;
+use aplomb_recordings::log::{Lines, has_compass};
 use aplomb_recordings::units::{RowOptions, knowledge};
 
 use crate::device::FilterName;
 use crate::input::Counts;
-use crate::source::{Bursts, Log, LogOptions, Logged, Source};
+use crate::source::{Bursts, CompassOptions, Log, LogOptions, Logged, Source};
 
 /// Largest delay: no low-pass filter or bus is slower, and no turn lasts longer.
 const LONGEST_DELAY_US: i64 = 1_000_000;
@@ -40,6 +42,20 @@ pub struct Reading {
     /// calibrated for SI units, factory for bursts and register counts]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
     accelerometer: Option<AccelerometerKnowledge>,
+    /// Knowledge of the compass's hard iron: factory, calibrated [default: factory]
+    #[arg(long, value_name = "KNOWLEDGE", value_parser = compass_knowledge)]
+    compass: Option<CompassKnowledge>,
+    /// How much older a reading of the compass is than the sample of its row, in microseconds
+    /// [default: 0]
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US)
+    )]
+    compass_delay_us: Option<u32>,
+    /// Declination, in degrees, east positive: the heading is then from true north [default: 0]
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, value_parser = declination)]
+    declination: Option<f32>,
     /// Number of the flight, in a flight log with several starts of the module, counted from 1
     #[arg(long, value_name = "N")]
     pub flight: Option<usize>,
@@ -47,6 +63,19 @@ pub struct Reading {
     counts: Counts,
     #[command(flatten)]
     rows: RowOptions,
+}
+
+/// Parses what is known of a compass's hard iron.
+fn compass_knowledge(name: &str) -> Result<CompassKnowledge, &'static str> {
+    CompassKnowledge::from_name(name).ok_or("it is factory or calibrated")
+}
+
+/// Parses a declination in degrees.
+fn declination(text: &str) -> Result<f32, &'static str> {
+    match text.parse::<f32>() {
+        Ok(degrees) if degrees.abs() <= 180.0 => Ok(degrees),
+        _ => Err("it is a number of degrees from -180 to 180"),
+    }
 }
 
 /// Kind of input, as far as it decides on options.
@@ -72,6 +101,9 @@ impl Kind {
                 "--mount",
                 "--sensor-delay-us",
                 "--accelerometer",
+                "--compass",
+                "--compass-delay-us",
+                "--declination",
                 "--raw",
                 "--accel-range",
                 "--gyro-range",
@@ -104,6 +136,9 @@ impl Reading {
             ("--mount", self.mount.is_some()),
             ("--sensor-delay-us", self.sensor_delay_us.is_some()),
             ("--accelerometer", self.accelerometer.is_some()),
+            ("--compass", self.compass.is_some()),
+            ("--compass-delay-us", self.compass_delay_us.is_some()),
+            ("--declination", self.declination.is_some()),
             ("--flight", self.flight.is_some()),
         ];
         let given = own
@@ -128,6 +163,7 @@ impl Reading {
         self.check(Kind::Recording)?;
         let form = Form::read(&mut lines)?;
         self.counts.check(form, &self.rows)?;
+        self.check_compass(form)?;
         Ok(match form {
             Form::Bursts => {
                 let (mount, config) = (self.mount(), self.counts.config());
@@ -146,11 +182,40 @@ impl Reading {
                     delay_us: self.sensor_delay_us.unwrap_or(0),
                     ranges: self.counts.ranges(),
                     accelerometer: self.accelerometer,
+                    compass: CompassOptions {
+                        knowledge: self.compass.unwrap_or_default(),
+                        delay_us: self.compass_delay_us.unwrap_or(0),
+                        declination_rad: radians(self.declination.unwrap_or(0.0)),
+                    },
                     rows: self.rows,
                 };
                 Box::new(Log::new(lines, options)?)
             }
         })
+    }
+
+    /// Refuses the options of a compass where there is none, or for a filter that has none.
+    fn check_compass(&self, form: Form) -> Result<(), String> {
+        let is_given =
+            self.compass.is_some() || self.compass_delay_us.is_some() || self.declination.is_some();
+        let reason = match form {
+            Form::Log(columns) if has_compass(columns) => {
+                if self.filter() == FilterName::Kalman {
+                    return Ok(());
+                }
+                "this filter has no heading: leave --filter out"
+            }
+            Form::Log(_) => "the log has no compass: its header lacks mx,my,mz",
+            Form::Bursts => "bursts have no compass",
+        };
+        if is_given {
+            let input = self.input.display();
+            return Err(format!(
+                "{input}: --compass, --compass-delay-us and --declination would change nothing: \
+                 {reason}"
+            ));
+        }
+        Ok(())
     }
 
     /// Opens a flight of a flight log.

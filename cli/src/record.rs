@@ -135,6 +135,24 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+/// Records the flight log of a module for so many seconds. Replaces the file.
+pub fn record_log(
+    port: &str,
+    baud: u32,
+    seconds: u32,
+    output: &Path,
+) -> Result<(), Box<dyn Error>> {
+    run(&Options {
+        port: Some(port.to_owned()),
+        baud,
+        output: output.to_owned(),
+        seconds: Some(seconds.into()),
+        log: true,
+        force: true,
+        sensor: I2cOptions::default(),
+    })
+}
+
 fn exists(path: &Path) -> String {
     format!(
         "{} is there already: choose another name, or --force to replace it",

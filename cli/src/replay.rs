@@ -17,6 +17,7 @@ use aplomb::health::Flags;
 use aplomb::units::degrees;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::flight_log::{self, Flight};
+use aplomb_recordings::heading::{self, HeadingErrors, HeadingScore};
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::score::{Errors, Score, up_in_sensor};
@@ -30,25 +31,30 @@ use crate::watched::Watched;
 
 /// First line of the output.
 const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
-    roll_rate_dps,pitch_rate_dps,yaw_rate_dps,up_x,up_y,up_z,tilt_sigma_deg,flags";
+    roll_rate_dps,pitch_rate_dps,yaw_rate_dps,up_x,up_y,up_z,tilt_sigma_deg,flags,\
+    heading_deg,heading_sigma_deg,yaw_offset_deg";
 
 /// Run a recording through a filter: one attitude for each row.
 ///
-/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]; microseconds, m/s², rad/s; truth
-/// sensor to earth with z up), a bursts.csv (t_us,bytes,flags) or a flight log (what the module
+/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]; microseconds, m/s²,
+/// rad/s, µT; truth sensor to earth with x east, y north, z up), a bursts.csv (t_us,bytes,flags) or a flight log (what the module
 /// sends with `format log`), plain or gzipped; - is standard input, for all but flight logs. A
 /// flight log brings its own settings, and its attitudes are compared with those of the flight: of
 /// the options for reading it takes --filter and --flight alone. With truth in it, the inclination
-/// error is printed, over the rows with mov 1 after 5 s.
+/// error is printed, over the rows with mov 1 after 5 s; with a compass in it also the heading
+/// error.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb replay recording.csv.gz --output attitude.csv
   aplomb replay flight.log --json
+  aplomb replay compass.csv --compass calibrated --compass-delay-us 10000 --sensor-delay-us 4000
   aplomb replay counts.csv --raw --accel-range 8 --gyro-range 250 --mount z-down
 
 JSON: input, filter, mount, samples, seconds, flags (how many samples have each); with truth
 inclination_samples, inclination_rms_deg, inclination_p95_deg, inclination_max_deg,
-within_3_sigma (a share), median_error_per_sigma; warnings (of clipping, and of vibration that is
+within_3_sigma (a share), median_error_per_sigma; with a compass and truth heading_known (a share),
+heading_rms_deg, heading_rms_without_offset_deg, heading_offset_deg, heading_within_3_sigma,
+median_heading_error_per_sigma; warnings (of clipping, and of vibration that is
 too strong), if there are any; of a flight log also log with bursts_lost,
 damaged_pieces, damaged_bytes, cut_off (a gzip file that ends too early), exact, compared,
 different, revision_flown.")]
@@ -86,6 +92,8 @@ struct Summary {
     flags: BTreeMap<&'static str, u64>,
     #[serde(flatten)]
     score: Option<Score>,
+    #[serde(flatten)]
+    heading: Option<HeadingScore>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     warnings: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -124,6 +132,9 @@ impl Summary {
             Some(score) => format!("inclination error: {score}"),
             None => "inclination error: unknown, the recording has no truth that counts".to_owned(),
         });
+        if let Some(heading) = &self.heading {
+            print_line(&format!("heading error: {heading}"));
+        }
         for warning in &self.warnings {
             print_line(warning);
         }
@@ -205,7 +216,7 @@ fn replay(
         Some(path) => Some(Attitudes::create(path, input)?),
         None => None,
     };
-    let mut errors = Errors::default();
+    let (mut errors, mut headings) = (Errors::default(), HeadingErrors::default());
     let mut flagged: Vec<_> = Flags::all()
         .iter_names()
         .map(|(name, flag)| (name, flag, 0))
@@ -222,6 +233,10 @@ fn replay(
                 up_in_sensor(truth),
                 point.tilt_sigma_rad,
             );
+            headings.add(point.heading.map(|heading| {
+                let error = heading::error_deg(point.absolute_attitude(&heading), truth, mount);
+                (error, Some(degrees(heading.sigma_rad).into()))
+            }));
         }
         for (_, flag, count) in &mut flagged {
             *count += u64::from(point.flags.contains(*flag));
@@ -248,6 +263,7 @@ fn replay(
             .map(|(name, _, count)| (name, count))
             .collect(),
         score: errors.score(),
+        heading: headings.score(),
         warnings: source.warnings(),
         log: None,
     })
@@ -304,6 +320,19 @@ impl Attitudes {
         self.line.push(b',');
         if !point.flags.is_empty() {
             written = written.and_then(|()| write!(self.line, "{}", point.flags));
+        }
+        match point.heading {
+            Some(heading) => {
+                for angle_rad in [
+                    heading.heading_rad(yaw_rad),
+                    heading.sigma_rad,
+                    heading.yaw_offset_rad,
+                ] {
+                    self.line.push(b',');
+                    number::append(&mut self.line, degrees(angle_rad));
+                }
+            }
+            None => self.line.extend_from_slice(b",,,"),
         }
         self.line.push(b'\n');
         written

@@ -4,6 +4,7 @@ use std::error::Error;
 use std::io::Write;
 use std::path::PathBuf;
 
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb_models::motion::Motion;
 use aplomb_models::motion::geometry::Quaternion;
 use aplomb_models::motion::poses::Poses;
@@ -11,10 +12,11 @@ use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::swing::Swing;
 use aplomb_recordings::output::OutputFile;
-use aplomb_recordings::simulated::{LOG_HEADER, samples};
+use aplomb_recordings::simulated::{LOG_HEADER, errors, samples_with};
 use aplomb_recordings::terminal::print_line;
 
 use crate::progress;
+use aplomb_recordings::units::knowledge;
 
 /// Seed without `--seed`. The filter was tuned on smaller seeds.
 const SEED: u64 = 1_000;
@@ -75,15 +77,16 @@ impl Kind {
 /// Write a simulated motion with its truth as a recording.
 ///
 /// The sensor has the errors of a typical one: noise, and a gyroscope offset of 4 degrees per
-/// second, not calibrated. It lies face up, X forward. One seed is one motion, to the last bit. The
-/// log has 1000 rows a second (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s;
-/// truth sensor to earth with z up; mov 1 where rows count), as `replay`, `plot`, `aplomb-bench`
-/// and `cargo xtask fly --log` read it. Samples are 1900 microseconds late, as a real sensor's are:
-/// --sensor-delay-us 1900.
+/// second, and an accelerometer that is not calibrated, or as --accelerometer states. It lies face
+/// up, X forward. One seed is one motion, to the last bit. The log has 1000 rows a second
+/// (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s; truth sensor to earth with
+/// z up; mov 1 where rows count), as `replay`, `plot`, `aplomb-bench` and `cargo xtask fly --log`
+/// read it. Samples are 1900 microseconds late, as a real sensor's are: --sensor-delay-us 1900.
+/// Give `replay` and `plot` the same --accelerometer.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb simulate --seed 7 --output flight.csv.gz
-  aplomb replay flight.csv.gz --sensor-delay-us 1900
+  aplomb replay flight.csv.gz --sensor-delay-us 1900 --accelerometer factory
   aplomb simulate --kind poses --seconds 36 --output poses.csv && aplomb calibrate poses.csv")]
 pub struct Options {
     /// Motion
@@ -100,6 +103,9 @@ pub struct Options {
         value_parser = clap::value_parser!(u64).range(1..=86_400)
     )]
     seconds: u64,
+    /// Calibration of the simulated accelerometer: factory, six-poses, calibrated
+    #[arg(long, value_name = "KNOWLEDGE", default_value = "factory", value_parser = knowledge)]
+    accelerometer: AccelerometerKnowledge,
     /// The log to write; zipped if its name ends with .gz
     #[arg(long, value_name = "OUT.csv[.gz]")]
     output: PathBuf,
@@ -112,7 +118,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let bar = progress::bar("simulating", rows);
     let mut line = format!("{LOG_HEADER}\n").into_bytes();
     let motion = options.kind.motion(options.seed);
-    for sample in samples(motion, options.seed, options.seconds) {
+    let errors = errors(options.seed, options.accelerometer);
+    for sample in samples_with(motion, options.seed, errors, options.seconds) {
         file.write_all(&line).map_err(|error| file.failed(&error))?;
         line.clear();
         sample.write_row(&mut line);

@@ -7,6 +7,7 @@ use std::error::Error;
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
+use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::health::Flags;
 use aplomb::mpu6050::{
@@ -14,10 +15,11 @@ use aplomb::mpu6050::{
 };
 use aplomb::pipeline::{Settings, Snapshot};
 use aplomb::telemetry::bursts;
+use aplomb::units::MagneticField;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
-use aplomb_recordings::log::{Lines, Row, Rows};
+use aplomb_recordings::log::{Lines, Row, Rows, has_compass};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, sample_rate_divider, unsigned};
 use aplomb_recordings::score::START_US;
@@ -36,6 +38,8 @@ pub struct Point {
     pub body_rates_rad_s: Vector3,
     /// σ of the tilt, if the filter knows it.
     pub tilt_sigma_rad: Option<f32>,
+    /// Heading, if a compass shows it.
+    pub heading: Option<HeadingEstimate>,
     /// Flags of the pipeline.
     pub flags: Flags,
     /// Specific force in body axes, if it is known.
@@ -52,6 +56,12 @@ impl Point {
         self.counts && self.t_us.saturating_sub(first_us) >= START_US
     }
 
+    /// Returns the attitude turned to this heading: body to magnetic or true north, east, down.
+    pub fn absolute_attitude(&self, heading: &HeadingEstimate) -> Quaternion {
+        let turn = Vector3::new(0.0, 0.0, heading.yaw_offset_rad);
+        Quaternion::from_rotation_vector(turn).multiply(self.attitude)
+    }
+
     /// Returns the point of a snapshot, without its truth.
     fn new(device: &Device, snapshot: &Snapshot, t_us: i64) -> Self {
         Self {
@@ -59,6 +69,7 @@ impl Point {
             attitude: snapshot.attitude,
             body_rates_rad_s: snapshot.body_rates_rad_s,
             tilt_sigma_rad: device.tilt_sigma_rad(snapshot),
+            heading: device.heading(),
             flags: snapshot.flags,
             specific_force_m_s2: Some(device.specific_force_m_s2()),
             truth: None,
@@ -98,8 +109,21 @@ pub struct LogOptions {
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
     /// Knowledge of the accelerometer's offset; `None` for the default of the kind.
     pub accelerometer: Option<AccelerometerKnowledge>,
+    /// Compass, if the log has its columns.
+    pub compass: CompassOptions,
     /// Units of the rows, and the rule for bad ones.
     pub rows: RowOptions,
+}
+
+/// Options of a log's compass.
+#[derive(Clone, Copy, Default)]
+pub struct CompassOptions {
+    /// Knowledge of its hard iron.
+    pub knowledge: CompassKnowledge,
+    /// How much older a reading is than the sample of its row, µs.
+    pub delay_us: u32,
+    /// Declination, rad.
+    pub declination_rad: f32,
 }
 
 /// Rows of a log through the pipeline, as samples in SI units.
@@ -117,6 +141,8 @@ struct LogRow {
     t_us: i64,
     /// In body axes.
     sample: Sample,
+    /// In body axes.
+    field: Option<MagneticField>,
     truth: Option<Truth>,
     counts: bool,
 }
@@ -153,6 +179,11 @@ impl Log {
             None => AccelerometerKnowledge::Calibrated,
         });
         log.device.set_accelerometer_knowledge(knowledge);
+        if has_compass(options.columns) {
+            let compass = options.compass;
+            let device = &mut log.device;
+            device.add_compass(compass.knowledge, compass.declination_rad);
+        }
         Ok(log)
     }
 
@@ -171,6 +202,10 @@ impl Log {
         Ok(Some(LogRow {
             t_us: row.time_us,
             sample,
+            field: row.field_ut.map(|field| {
+                let Vector3 { x, y, z } = self.options.mount.to_body(vector(field)).0;
+                MagneticField { ut: [x, y, z] }
+            }),
             truth: row.attitude,
             counts: row.moving,
         }))
@@ -213,6 +248,10 @@ impl Source for Log {
         };
         Ok(row.map(|row| {
             let snapshot = self.device.update_sample(&row.sample);
+            if let Some(field) = row.field {
+                let delay_us = self.options.compass.delay_us;
+                self.device.update_field(field, delay_us);
+            }
             Point {
                 truth: row.truth,
                 counts: row.counts,

@@ -94,6 +94,25 @@ fn what_is_simulated_flies_and_is_replayed() {
 }
 
 #[test]
+fn a_simulated_accelerometer_is_as_good_as_its_calibration() {
+    let error_deg = |knowledge: &str| {
+        let accelerometer = ["--accelerometer", knowledge];
+        let options = [&["--kind", "rest", "--seconds", "10"][..], &accelerometer].concat();
+        let log = simulate("knowledge", &format!("{knowledge}.csv"), &options);
+        let replay = ["replay", text(&log), "--json", "--sensor-delay-us", "1900"];
+        let printed = run(&[&replay[..], &accelerometer].concat());
+        let summary: serde_json::Value = serde_json::from_str(&printed).unwrap();
+        summary["inclination_rms_deg"].as_f64().unwrap()
+    };
+    // At rest the tilt errs by the accelerometer's offset, and six poses leave cross-axis terms.
+    let [factory, six, twelve] = ["factory", "six-poses", "calibrated"].map(error_deg);
+    assert!(
+        factory > 2.0 * six && six > 4.0 * twelve,
+        "{factory} {six} {twelve}"
+    );
+}
+
+#[test]
 fn a_picture_of_a_flight_has_everything() {
     let log = simulate("plot", "flight.csv", &["--seconds", "20"]);
     let delay = ["--sensor-delay-us", "1900"];

@@ -82,9 +82,10 @@ pub enum LogFault {
         /// True for standard input.
         is_stream: bool,
     },
-    /// The header is not one of the three.
+    /// The header is not that of a log.
     #[error(
-        "the header is \"{}\", but must be t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]",
+        "the header is \"{}\", but must be \
+         t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]",
         quote(.0)
     )]
     Header(String),
@@ -152,6 +153,17 @@ pub enum LogFault {
     /// The first rows, taken together, suggest another unit.
     #[error("{0}")]
     Unit(Box<UnitGuess>),
+    /// Some but not all of the compass's cells are empty.
+    #[error("some of mx,my,mz are empty: give all three, or none where there is no new reading")]
+    PartialField,
+    /// A magnetic field that no compass measures.
+    #[error("{column} is {value}, which no compass measures; microtesla are expected")]
+    ImplausibleField {
+        /// Name of the column.
+        column: &'static str,
+        /// Contents of the cell.
+        value: f64,
+    },
     /// Some but not all of the truth's cells are empty.
     #[error("some of qw,qx,qy,qz are empty: give all four, or none")]
     PartialTruth,
@@ -188,6 +200,8 @@ impl LogFault {
             | Self::NotIncreasing { .. }
             | Self::Gap { .. }
             | Self::Implausible { .. }
+            | Self::PartialField
+            | Self::ImplausibleField { .. }
             | Self::PartialTruth
             | Self::NotARotation(_)
             | Self::Moving(_) => true,

@@ -11,7 +11,8 @@
 //! - [`plateau`]: clipping; [`vibration`]: vibration that is too strong;
 //! - [`number`]: numbers as text, fast;
 //! - [`distribution`]: quantiles in bounded memory;
-//! - [`score`]: errors of attitudes against the truth; [`attitude`]: geometry for that;
+//! - [`score`]: errors of attitudes against the truth, [`heading`]: those of headings;
+//!   [`attitude`]: geometry for that;
 //! - `output`, with the feature of this name: files that appear when they are complete;
 //! - [`quote`]: quotations of input in messages;
 //! - [`text`]: small text files;
@@ -27,6 +28,7 @@ pub mod distribution;
 mod fault;
 pub mod flight_log;
 pub mod form;
+pub mod heading;
 mod lines;
 pub mod log;
 pub mod motion;

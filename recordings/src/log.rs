@@ -1,15 +1,16 @@
 //! Recorded logs: CSV, plain or gzipped, checked strictly before anything runs.
 //!
-//! The header is one of
+//! The header is one of these, each with or without a compass:
 //!
 //! ```text
-//! t_us,ax,ay,az,gx,gy,gz
-//! t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz
-//! t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov
+//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz]
+//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz],qw,qx,qy,qz
+//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz],qw,qx,qy,qz,mov
 //! ```
 //!
-//! Time is in whole microseconds and increases; specific force in m/s² and rates in rad/s, in
-//! sensor axes; the truth is the quaternion sensor → earth with z up, its four cells empty where
+//! Time is in whole microseconds and increases; specific force in m/s², rates in rad/s and
+//! magnetic field in µT, in sensor axes, the field's three cells empty where there is no new
+//! reading; the truth is the quaternion sensor → earth with z up, its four cells empty where
 //! it is not known; `mov` is 1 where a row counts for scores, else 0.
 //!
 //! Lines that begin with `#` before the header, and blank lines, are no rows. [`Rows`] reads row by
@@ -21,7 +22,7 @@ use std::path::Path;
 pub use crate::fault::{LogError, LogFault};
 use crate::form::header;
 pub use crate::lines::Lines;
-pub use crate::row::{Row, column_count, parse_row};
+pub use crate::row::{Row, column_count, has_compass, parse_row};
 pub use crate::rows::Rows;
 use crate::units::{BadRows, RowOptions};
 
@@ -125,6 +126,21 @@ mod tests {
         );
         assert_eq!(with_truth.rows()[1].attitude, None);
         assert!(with_truth.rows()[1].moving);
+        let with_compass =
+            parse("t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n0,1,2,3,4,5,6,-7.5,8,9\n1,1,2,3,4,5,6,,,\n")
+                .unwrap();
+        assert_eq!(with_compass.rows()[0].field_ut, Some([-7.5, 8.0, 9.0]));
+        assert_eq!(with_compass.rows()[1].field_ut, None);
+        assert!(with_compass.rows()[1].moving);
+        let with_both = parse(
+            "t_us,ax,ay,az,gx,gy,gz,mx,my,mz,qw,qx,qy,qz,mov\n\
+             0,1,2,3,4,5,6,7,8,9,0,1,0,0,0\n1,1,2,3,4,5,6,,,,,,,,1\n",
+        )
+        .unwrap();
+        let (first, second) = (&with_both.rows()[0], &with_both.rows()[1]);
+        assert_eq!(first.field_ut, Some([7.0, 8.0, 9.0]));
+        assert_eq!(first.attitude, Some(Quaternion::new(0.0, 1.0, 0.0, 0.0)));
+        assert!(!first.moving && second.moving && second.attitude.is_none());
         let full = parse(format!("{HEADER}\n{GOOD}\n1,0,0,9.81,0,0,0,,,,,0\n")).unwrap();
         assert!(full.rows()[0].moving && !full.rows()[1].moving);
     }
@@ -219,6 +235,26 @@ mod tests {
             let (line, reason) = refusal(row);
             assert_eq!(line, Some(3), "{row}");
             assert!(reason.contains(expected), "{row}: {reason}");
+        }
+    }
+
+    #[test]
+    fn faults_of_a_compass_name_their_column() {
+        let header = "t_us,ax,ay,az,gx,gy,gz,mx,my,mz";
+        for (cells, expected) in [
+            ("1,,3", "some of mx,my,mz are empty"),
+            ("1,2,north", "mz is \"north\""),
+            (
+                "1,NaN,3",
+                "my is NaN, which no compass measures; microtesla",
+            ),
+            ("30000,2,3", "mx is 30000, which no compass measures"),
+            ("1,2,3,4", "11 columns, but the header has 10"),
+        ] {
+            let text = format!("{header}\n0,0,0,9.81,0,0,0,1,2,3\n1,0,0,9.81,0,0,0,{cells}\n");
+            let (line, reason) = parse(text).unwrap_err();
+            assert_eq!(line, Some(3), "{cells}");
+            assert!(reason.to_string().contains(expected), "{cells}: {reason}");
         }
     }
 

@@ -4,10 +4,19 @@ use aplomb_models::motion::geometry::{Quaternion, Vector};
 
 use crate::fault::LogFault;
 
-/// Columns in their order. A log has the first 7, 11 or 12 of them.
+/// Columns of a log without a compass, in their order. A log has the first 7, 11 or 12 of them.
 pub(crate) const COLUMNS: [&str; 12] = [
     "t_us", "ax", "ay", "az", "gx", "gy", "gz", "qw", "qx", "qy", "qz", "mov",
 ];
+
+/// Columns of a compass, which stand before `qw`.
+const COMPASS: [&str; 3] = ["mx", "my", "mz"];
+
+/// Columns before those of a compass.
+const SENSOR_COLUMNS: usize = 7;
+
+/// Largest plausible magnetic field, µT: the compasses of this kind end at 4,912 µT.
+const LARGEST_FIELD_UT: f64 = 10_000.0;
 
 /// Largest deviation of a quaternion's length from 1: the truth is often printed with few digits.
 const QUATERNION_TOLERANCE: f64 = 0.01;
@@ -21,6 +30,8 @@ pub struct Row {
     pub specific_force_m_s2: Vector,
     /// Rates in sensor axes, rad/s.
     pub rates_rad_s: Vector,
+    /// Magnetic field in sensor axes, µT; `None` where there is no new reading.
+    pub field_ut: Option<Vector>,
     /// True attitude, sensor → earth with z up, of length 1.
     pub attitude: Option<Quaternion>,
     /// The row counts for scores; true if the log has no such column.
@@ -30,9 +41,19 @@ pub struct Row {
 /// Returns the number of columns of a log with this header; `None` for another header.
 #[must_use]
 pub fn column_count(header: &str) -> Option<usize> {
-    [7, 11, 12]
-        .into_iter()
-        .find(|&count| header == COLUMNS[..count].join(","))
+    let (sensor, truth) = COLUMNS.split_at(SENSOR_COLUMNS);
+    [0, 4, 5].into_iter().find_map(|length| {
+        let truth = &truth[..length];
+        let forms = [[sensor, truth].concat(), [sensor, &COMPASS, truth].concat()];
+        let form = forms.iter().find(|form| header == form.join(","))?;
+        Some(form.len())
+    })
+}
+
+/// Returns whether a log with this number of columns has those of a compass.
+#[must_use]
+pub fn has_compass(columns: usize) -> bool {
+    matches!(columns, 10 | 14 | 15)
 }
 
 /// Reads a row with this number of columns. Numbers may have any value, also infinite or NaN.
@@ -51,9 +72,20 @@ pub(crate) fn parse_row_with(
     time: impl Fn(&str) -> Option<i64>,
 ) -> Result<Row, LogFault> {
     let mut cells = [""; COLUMNS.len()];
-    let mut found = 0;
+    let mut field_cells = [""; COMPASS.len()];
+    let compass = if has_compass(columns) {
+        COMPASS.len()
+    } else {
+        0
+    };
+    let mut found: usize = 0;
     for cell in line.split(',') {
-        if let Some(place) = cells.get_mut(found) {
+        let place = match found.checked_sub(SENSOR_COLUMNS) {
+            Some(index) if index < compass => field_cells.get_mut(index),
+            Some(_) => cells.get_mut(found - compass),
+            None => cells.get_mut(found),
+        };
+        if let Some(place) = place {
             *place = cell;
         }
         found += 1;
@@ -75,6 +107,7 @@ pub(crate) fn parse_row_with(
     };
     let time_us = time(cells[0]).ok_or_else(|| LogFault::Time(cells[0].to_owned()))?;
     let (specific_force_m_s2, rates_rad_s) = (vector(1)?, vector(4)?);
+    let field_ut = field(field_cells)?;
     let truth = &cells[7..11];
     let attitude = if truth.iter().all(|cell| cell.is_empty()) {
         None
@@ -90,7 +123,7 @@ pub(crate) fn parse_row_with(
     };
     let moving = match cells[11] {
         "1" => true,
-        "" if columns < COLUMNS.len() => true,
+        "" if columns - compass < COLUMNS.len() => true,
         "0" => false,
         other => return Err(LogFault::Moving(other.to_owned())),
     };
@@ -98,7 +131,32 @@ pub(crate) fn parse_row_with(
         time_us,
         specific_force_m_s2,
         rates_rad_s,
+        field_ut,
         attitude,
         moving,
     })
+}
+
+/// Reads the cells of a compass; `None` if all are empty.
+fn field(cells: [&str; 3]) -> Result<Option<Vector>, LogFault> {
+    if cells.iter().all(|cell| cell.is_empty()) {
+        return Ok(None);
+    }
+    if cells.iter().any(|cell| cell.is_empty()) {
+        return Err(LogFault::PartialField);
+    }
+    let mut field: Vector = [0.0; 3];
+    for ((value, cell), column) in field.iter_mut().zip(cells).zip(COMPASS) {
+        *value = cell.parse().map_err(|_| LogFault::NotANumber {
+            column,
+            text: cell.to_owned(),
+        })?;
+        if value.is_nan() || value.abs() > LARGEST_FIELD_UT {
+            return Err(LogFault::ImplausibleField {
+                column,
+                value: *value,
+            });
+        }
+    }
+    Ok(Some(field))
 }

@@ -1,12 +1,14 @@
 //! Simulated sensor data: a motion, as an MPU-6050 with the default settings and an uncalibrated
 //! gyroscope measures it at 1 kHz.
 
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerCounts, Config, GyroscopeCounts, RawSample};
 use aplomb_models::motion::geometry::{Quaternion, scale};
 use aplomb_models::motion::{self, Motion, Truth};
 use aplomb_models::random::Random;
 use aplomb_models::sensor::SensorErrors;
 use aplomb_models::sensor::clock::TICKS_PER_SECOND;
+use aplomb_models::sensor::errors::Poses;
 use aplomb_models::sensor::identity::Identity;
 use aplomb_models::sensor::signal_path::{Settings, SignalPath};
 
@@ -60,13 +62,19 @@ impl Simulated {
     }
 }
 
-/// Simulates a motion for `seconds`. The seed decides the sensor's errors and its noise.
+/// Simulates a motion for `seconds`, with a sensor that is not calibrated. The seed decides its
+/// errors and its noise.
 pub fn samples(
     motion: Box<dyn Motion>,
     seed: u64,
     seconds: u64,
 ) -> impl Iterator<Item = Simulated> {
-    samples_with(motion, seed, errors(seed), seconds)
+    samples_with(
+        motion,
+        seed,
+        errors(seed, AccelerometerKnowledge::Factory),
+        seconds,
+    )
 }
 
 /// Simulates a motion for `seconds`, with a sensor of these errors. The seed decides its noise.
@@ -108,11 +116,17 @@ pub fn samples_with(
     })
 }
 
-fn errors(seed: u64) -> SensorErrors {
+/// Returns the errors of the sensor of this seed, whose accelerometer is calibrated this well. Its
+/// gyroscope has an offset of [`BIAS_DEGREES_S`].
+pub fn errors(seed: u64, accelerometer: AccelerometerKnowledge) -> SensorErrors {
     let mut random = Random::new(seed, "uncalibrated gyroscope");
     let direction = [0; 3].map(|_| random.normal());
     let length = direction.iter().map(|part| part * part).sum::<f64>().sqrt();
     let mut errors = SensorErrors::typical(seed);
     errors.gyroscope.offset = scale(direction, BIAS_DEGREES_S.to_radians() / length);
-    errors
+    match accelerometer {
+        AccelerometerKnowledge::Factory => errors,
+        AccelerometerKnowledge::SixPoses => errors.with_accelerometer_calibrated(Poses::Six),
+        AccelerometerKnowledge::Calibrated => errors.with_accelerometer_calibrated(Poses::Twelve),
+    }
 }

@@ -29,6 +29,7 @@
 
 pub mod classic;
 mod filter;
+pub mod heading;
 pub mod kalman;
 mod sample;
 

@@ -36,6 +36,7 @@
 
 mod alignment;
 pub mod classic;
+mod compass;
 mod offset;
 mod settings;
 mod snapshot;
@@ -44,6 +45,7 @@ mod unseen;
 #[cfg(test)]
 mod tests;
 
+pub use compass::CompassPipeline;
 pub use settings::Settings;
 pub use snapshot::Snapshot;
 

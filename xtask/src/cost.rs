@@ -17,10 +17,11 @@ const TOLERANCE: f64 = 0.02;
 const OURS: &str = "kalman";
 
 /// The names that the application knows.
-const FILTERS: [&str; 8] = [
+const FILTERS: [&str; 9] = [
     OURS,
     "kalman + extrapolation",
     "kalman + sigma",
+    "kalman + heading",
     "axis-kalman",
     "classic",
     "fusion",

@@ -18,7 +18,7 @@ const MINIMAL_FLASH_BUDGET: u64 = 64 * 1024;
 /// Budget of its variables; the stack has a region of its own.
 const RAM_BUDGET: u64 = 16 * 1024;
 /// The most flash that the default filter alone may add to an empty image.
-const KALMAN_BUDGET: u64 = 16_448;
+const KALMAN_BUDGET: u64 = 16 * 1024;
 /// Flash sectors 1 and 2, which hold calibrations (see `memory.x`).
 const CALIBRATION_SLOTS: Range<u64> = 0x0800_4000..0x0800_C000;
 const FLASH: Range<u64> = 0x0800_0000..0x0810_0000;

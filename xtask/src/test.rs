@@ -144,6 +144,9 @@ fn test_virtual_board(
     examples: &[(&str, PathBuf)],
 ) -> Result<(), String> {
     step::timed("virtual board tests", || {
+        // One of them walks through a bring-up with the program.
+        let mut program = step::host_cargo("build");
+        step::run(program.args(["--release", "-p", "aplomb-cli"]))?;
         let mut test = step::host_cargo("test");
         test.args(["--release", "-p", "virtual-board"]);
         for (board, elf) in images {

@@ -346,6 +346,7 @@ mod tests {
                 }),
                 body_rates_rad_s: Vector3::ZERO,
                 tilt_sigma_rad: Some(0.01),
+                heading: None,
                 flags: if is_ready {
                     Flags::VALID
                 } else {

@@ -45,6 +45,7 @@ impl Source for Table {
             attitude: row.attitude.quaternion(),
             body_rates_rad_s: Vector3::new(p, q, r),
             tilt_sigma_rad: row.tilt_sigma_deg.map(radians),
+            heading: None,
             flags: row.flags.unwrap_or_default(),
             specific_force_m_s2: None,
             truth: None,
@@ -98,7 +99,7 @@ impl TruthFile {
                     }
                 }))
             })
-        } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 7) {
+        } else if let Some(columns) = column_count(&header).filter(|columns| *columns > 10) {
             Self::new(move || {
                 let Some(line) = lines.next_line()? else {
                     return Ok(None);

@@ -23,9 +23,10 @@ use core::panic::PanicInfo;
 
 use aplomb::attitude::{BodyVector, Quaternion, Vector3};
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
+use aplomb::estimator::heading::{CompassKnowledge, Heading};
 use aplomb::estimator::kalman::Kalman;
 use aplomb::estimator::{Estimator, Filter, Sample};
-use aplomb::units::{STANDARD_GRAVITY_M_S2, degrees, radians};
+use aplomb::units::{MagneticField, STANDARD_GRAVITY_M_S2, degrees, radians};
 use aplomb_rigs::host_files;
 use aplomb_rigs::instruction_counter::InstructionCounter;
 use cortex_m_semihosting::{heprintln, hprintln};
@@ -36,6 +37,12 @@ const SAMPLES: u32 = 60_000;
 /// Number of samples at rest at the start.
 const REST_SAMPLES: u32 = 3_000;
 const STEP_S: f32 = 1.0e-3;
+/// Samples between two readings of the compass.
+const COMPASS_SAMPLES: u32 = 10;
+/// Age of a reading of the compass, µs.
+const FIELD_AGE_US: u32 = 5_000;
+/// Earth's field, µT.
+const FIELD_UT: Vector3 = Vector3::new(20.0, 0.0, 45.0);
 /// Delay of the default low-pass filter.
 const DELAY_US: u32 = 1_900;
 
@@ -60,6 +67,10 @@ fn main() -> ! {
     succeeded &= bench.run("kalman", || kalman(0));
     succeeded &= bench.run("kalman + extrapolation", || kalman(DELAY_US));
     succeeded &= bench.run("kalman + sigma", || WithSigma(kalman(0)));
+    succeeded &= bench.run("kalman + heading", || WithHeading {
+        estimator: kalman(0).0,
+        heading: Heading::new(CompassKnowledge::Factory),
+    });
     succeeded &= bench.run("axis-kalman", || {
         Library(Estimator::with_filter(AxisKalman::new()))
     });
@@ -73,6 +84,7 @@ fn main() -> ! {
 }
 
 /// Sample in the axes and units of each filter.
+#[repr(C)]
 #[derive(Clone, Copy, Default)]
 struct Input {
     /// Forward-right-down.
@@ -85,6 +97,8 @@ struct Input {
     force: [f32; 3],
     /// Forward-left-up, g.
     force_g: [f32; 3],
+    /// Reading of a compass at 100 Hz, in body axes.
+    field: Option<MagneticField>,
 }
 
 /// Output of a filter: the quaternion and the body rates.
@@ -225,6 +239,10 @@ impl Motion {
         let offset = Vector3::new(radians(1.0), radians(-0.5), radians(0.7));
         let force = force + self.noise(0.1);
         let rates = rates + offset + self.noise(0.003);
+        let field = self.attitude.conjugate().rotate(FIELD_UT);
+        let field = MagneticField {
+            ut: [field.x + 30.0, field.y, field.z],
+        };
         let flip = |v: Vector3| [v.x, -v.y, -v.z];
         Input {
             sample: Sample::new(
@@ -232,6 +250,7 @@ impl Motion {
                 BodyVector(force),
                 BodyVector(rates),
             ),
+            field: index.is_multiple_of(COMPASS_SAMPLES).then_some(field),
             rates: flip(rates),
             rates_degrees: flip(rates).map(degrees),
             force: flip(force),
@@ -285,6 +304,25 @@ impl Subject for WithSigma {
         let output = self.0.update(input);
         black_box(self.0.0.filter().tilt_sigma_rad());
         output
+    }
+}
+
+/// Kalman filter with the heading filter beside it.
+struct WithHeading {
+    estimator: Estimator,
+    heading: Heading,
+}
+
+impl Subject for WithHeading {
+    fn update(&mut self, input: &Input) -> Output {
+        let estimate = self.estimator.update(&input.sample);
+        let kalman = self.estimator.filter();
+        self.heading.follow(kalman, STEP_S);
+        if let Some(field) = input.field {
+            self.heading.add_field(field, FIELD_AGE_US);
+        }
+        let (q, rates) = (estimate.attitude, estimate.body_rates_rad_s);
+        ([q.w, q.x, q.y, q.z], [rates.x, rates.y, rates.z])
     }
 }
 

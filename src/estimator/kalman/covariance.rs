@@ -355,6 +355,103 @@ impl Covariance {
         column
     }
 
+    /// Returns an entry of X, or zero.
+    pub(super) fn cross_entry(&self, parameter: usize, state: usize) -> f32 {
+        let row = self.cross.get(parameter);
+        match row.and_then(|row| row.get(state)) {
+            Some(entry) => *entry,
+            None => 0.0,
+        }
+    }
+
+    /// Returns the covariance of the tilt: north, north with east, east.
+    pub(super) fn tilt(&self) -> [f32; 3] {
+        let [[north, ..], [both, east, ..], ..] = self.dynamic;
+        [north, both, east]
+    }
+
+    /// Adds the columns of tilt or velocity, north and east, times these factors, without the
+    /// accelerometer's bias. `first` is the first of the two states.
+    pub(super) fn add_dynamic_columns(
+        &self,
+        first: usize,
+        [north, east]: [f32; 2],
+        dynamic: &mut [f32; DYNAMIC],
+        gyroscope: &mut [f32; GYROSCOPE_PARAMETERS],
+    ) {
+        // M is symmetric.
+        let rows = (self.dynamic.get(first), self.dynamic.get(first + 1));
+        if let (Some(to_north), Some(to_east)) = rows {
+            for ((sum, n), e) in dynamic.iter_mut().zip(to_north).zip(to_east) {
+                *sum += north * n + east * e;
+            }
+        }
+        if first == 0 {
+            for (sum, [n, e, _, _]) in gyroscope.iter_mut().zip(&self.cross) {
+                *sum += north * n + east * e;
+            }
+        } else {
+            for (sum, [_, _, n, e]) in gyroscope.iter_mut().zip(&self.cross) {
+                *sum += north * n + east * e;
+            }
+        }
+    }
+
+    /// Adds the column of a gyroscope parameter times a factor, without the accelerometer's bias.
+    pub(super) fn add_parameter_column(
+        &self,
+        parameter: usize,
+        factor: f32,
+        dynamic: &mut [f32; DYNAMIC],
+        gyroscope: &mut [f32; GYROSCOPE_PARAMETERS],
+    ) {
+        if let Some(row) = self.cross.get(parameter) {
+            for (sum, entry) in dynamic.iter_mut().zip(row) {
+                *sum += factor * entry;
+            }
+        }
+        let (before, after) = gyroscope.split_at_mut(GYROSCOPE_PARAMETERS.min(parameter + 1));
+        for (sum, entry) in before.iter_mut().zip(self.row(parameter)) {
+            *sum += factor * entry;
+        }
+        let mut index = (parameter + 1) * (parameter + 2) / 2 + parameter;
+        for (other, sum) in after.iter_mut().enumerate() {
+            if let Some(entry) = self.triangle.get(index) {
+                *sum += factor * entry;
+            }
+            index += parameter + 2 + other;
+        }
+    }
+
+    /// Adds a row of X and C to the product of the gyroscope's part of the covariance with a
+    /// vector. All rows make the whole product.
+    pub(super) fn add_row_product(
+        &self,
+        parameter: usize,
+        vector: &[f32; GYROSCOPE_PARAMETERS],
+        dynamic: &mut [f32; DYNAMIC],
+        gyroscope: &mut [f32; GYROSCOPE_PARAMETERS],
+    ) {
+        let Some((variance, row)) = self.row(parameter).split_last() else {
+            return;
+        };
+        let Some((before, [own, ..])) = gyroscope.split_at_mut_checked(parameter) else {
+            return;
+        };
+        let (Some(factor), Some(cross)) = (vector.get(parameter), self.cross.get(parameter)) else {
+            return;
+        };
+        for (sum, entry) in dynamic.iter_mut().zip(cross) {
+            *sum += factor * entry;
+        }
+        let mut sum = factor * variance;
+        for ((other, entry), value) in before.iter_mut().zip(row).zip(vector) {
+            *other += factor * entry;
+            sum += value * entry;
+        }
+        *own += sum;
+    }
+
     /// Applies a measurement to M: P ← P − h·hᵀ/s, with the column h and `inverse` = 1/s.
     pub(super) fn correct_dynamic(&mut self, h: &Column, inverse: f32) {
         for row in 0..DYNAMIC {

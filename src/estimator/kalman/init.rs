@@ -64,19 +64,30 @@ impl Kalman {
             (Tilt::Restarting, Some(readings)) => self.restart_at_rest(&readings),
             _ => {
                 // Before the first tilt the covariance is still at its prior.
-                if self.tilt == Tilt::Known {
-                    self.reset_motion(square(self.tuning.start_tilt_rad));
-                } else {
+                if self.tilt == Tilt::Unknown {
                     self.interval = Interval::EMPTY;
+                } else {
+                    self.reset_motion(square(self.tuning.start_tilt_rad));
                 }
                 if shows_gravity {
-                    self.nominal.attitude = self.nominal.attitude.with_down(-force);
-                    self.tilt = Tilt::Known;
+                    self.take_tilt_from(force);
                 }
             }
         }
         self.stationary.start(rate, force);
         self.nominal.start(rate, force);
+    }
+
+    /// Makes this specific force, body axes, point up. The first tilt has no yaw; a later one is
+    /// the nearest to the present attitude.
+    fn take_tilt_from(&mut self, force: Vector3) {
+        let attitude = self.nominal.attitude;
+        if self.tilt == Tilt::Unknown {
+            self.nominal.attitude = Quaternion::from_down(-force).with_sign_of(attitude);
+        } else {
+            self.level(attitude.rotate(force));
+        }
+        self.tilt = Tilt::Known;
     }
 
     /// Resets tilt (variance per axis, rad²) and velocity, and abandons the covariance step under

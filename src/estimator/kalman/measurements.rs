@@ -202,13 +202,12 @@ impl Kalman {
     /// stationary. One parameter a step is cheap, and its turn comes every three seconds.
     pub(super) fn relax_parameter(&mut self, duration_s: f32) {
         const FIRST: u8 = 3;
-        const TURNS: f32 = (PARAMETERS - FIRST as usize) as f32;
         self.next_parameter = match self.next_parameter + 1 {
             next if next > FIRST && usize::from(next) < PARAMETERS => next,
             _ => FIRST,
         };
         let parameter = usize::from(self.next_parameter);
-        let factor = 1.0 - (TURNS * duration_s / self.tuning.parameter_memory_s).min(1.0);
+        let factor = self.relaxation(duration_s);
         let added = (1.0 - square(factor)) * self.parameter_priors().variance(parameter);
         let covariance = &mut self.step.covariance;
         covariance.scale_parameter(parameter, factor, added);

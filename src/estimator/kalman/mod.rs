@@ -14,11 +14,11 @@
 //! ω = C·(g − b)      q ← q ⊗ exp(ω·dt)      v ← v + [R(q)·(f − a)·dt] north and east
 //! ```
 //!
-//! Samples are values at an instant, so increments are trapezoids. They are summed in body axes and
-//! turned to earth axes every 7 ms by the attitude half-way. This accounts for the rotation in
-//! between (rotation correction: Savage, *Strapdown Analytics*, 2000, §7.1 and §7.2). The
-//! attitude at a sample is q ⊗ exp(rotation since the last earth step + ω·delay). The delay is
-//! that of the sensor, so the attitude belongs to the sample's time.
+//! Samples are values at an instant, so increments are trapezoids. They are summed in body axes,
+//! with the terms for coning and sculling: the axes turn between two increments (Savage,
+//! *Strapdown Analytics*, 2000, §7.1 and §7.2). Every 20 ms the sums are turned to earth axes by
+//! the attitude half-way. The attitude at a sample is q ⊗ exp(rotation since the last earth step
+//! + ω·delay). The delay is that of the sensor, so the attitude belongs to the sample's time.
 //!
 //! # Error state
 //!
@@ -62,11 +62,12 @@
 //!
 //! # Cost
 //!
-//! Deadline: one sample. At 1 kHz a sample costs about 310 instructions on a Cortex-M4F on average,
+//! Deadline: one sample. At 1 kHz a sample costs about 320 instructions on a Cortex-M4F on average,
 //! covariance included, and 750 at worst. At 100 Hz the worst case is 1,100. No loop's length
 //! depends on data.
 
 mod covariance;
+pub(super) mod follow;
 mod init;
 mod measurements;
 mod nominal;
@@ -173,6 +174,8 @@ enum Tilt {
     /// From the mean readings at rest, which contradict the state: the next sample restarts the
     /// filter.
     Restarting,
+    /// Hidden by a pause or by readings that were a fault: the next sample sets it.
+    Lost,
     /// Known.
     Known,
 }
@@ -201,11 +204,8 @@ impl Filter for Kalman {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let is_saturated = sample.is_rate_saturated || sample.is_force_saturated;
         let is_long = dt_s > self.longest_step_s || dt_s > LONG_STEP_S;
-        if (is_long || is_saturated || self.saturated_s > 0.0)
-            && self.inflate_for_unseen_motion(sample, dt_s)
-        {
-            self.start(sample, shows_gravity);
-            return;
+        if is_long || is_saturated || self.saturated_s > 0.0 {
+            self.inflate_for_unseen_motion(sample, dt_s);
         }
         let elapsed_s = self.nominal.integrate(rate, force, dt_s);
         let is_earth_step = elapsed_s >= self.tuning.earth_period_s;
@@ -236,7 +236,7 @@ impl Filter for Kalman {
     #[inline]
     fn tilt_variance_rad2(&self) -> f32 {
         match self.tilt {
-            Tilt::Unknown => f32::INFINITY,
+            Tilt::Unknown | Tilt::Lost => f32::INFINITY,
             Tilt::Resumed | Tilt::Restarting | Tilt::Known => {
                 REPORTED_VARIANCE_SCALE * self.conservative_tilt_variance()
             }
@@ -479,11 +479,12 @@ impl Kalman {
         visitor.f32(&mut self.saturated_s);
         visitor.bool(&mut self.is_armed);
         let mut tilt = self.tilt as usize;
-        visitor.index(&mut tilt, 4);
+        visitor.index(&mut tilt, 5);
         self.tilt = match tilt {
             0 => Tilt::Unknown,
             1 => Tilt::Resumed,
             2 => Tilt::Restarting,
+            3 => Tilt::Lost,
             _ => Tilt::Known,
         };
         visitor.bool(&mut self.has_work);

@@ -38,11 +38,11 @@ pub(super) struct NominalState {
     /// The last sample's specific force, bias included.
     pub(super) force_m_s2: Vector3,
     /// Rotation since the last earth step, body axes.
-    rotation_rad: Vector3,
+    pub(super) rotation_rad: Vector3,
     /// Velocity gained since the last earth step, body axes, bias included.
     gained_m_s: Vector3,
     /// Time since the last earth step, s.
-    elapsed_s: f32,
+    pub(super) elapsed_s: f32,
 }
 
 /// Increments of one earth step.
@@ -138,8 +138,10 @@ impl NominalState {
         }
     }
 
-    /// Integrates from the previous sample to this one by the trapezoid rule. Returns the time
-    /// since the last earth step, s.
+    /// Integrates from the previous sample to this one by the trapezoid rule.
+    ///
+    /// Adds the terms for coning (½·θ×Δθ) and sculling (½·(θ×Δv + v×Δθ)).
+    /// Returns the time since the last earth step, s.
     #[inline]
     pub(super) fn integrate(
         &mut self,
@@ -148,9 +150,13 @@ impl NominalState {
         dt_s: f32,
     ) -> f32 {
         let rate_rad_s = self.rate_of(rate_reading);
-        let half_s = 0.5 * dt_s;
-        self.rotation_rad = self.rotation_rad + (self.rate_rad_s + rate_rad_s).scale(half_s);
-        self.gained_m_s = self.gained_m_s + (self.force_m_s2 + force_m_s2).scale(half_s);
+        let quarter_s = 0.25 * dt_s;
+        // Halves of Δθ and Δv.
+        let turn = (self.rate_rad_s + rate_rad_s).scale(quarter_s);
+        let gain = (self.force_m_s2 + force_m_s2).scale(quarter_s);
+        let (rotation, gained) = (self.rotation_rad, self.gained_m_s);
+        self.rotation_rad = rotation + turn + turn + rotation.cross(turn);
+        self.gained_m_s = gained + gain + gain + rotation.cross(gain) + gained.cross(turn);
         self.rate_rad_s = rate_rad_s;
         self.force_m_s2 = force_m_s2;
         self.elapsed_s += dt_s;

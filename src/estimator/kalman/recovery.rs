@@ -86,7 +86,7 @@ impl Kalman {
 
     /// Turns the attitude by the shortest rotation that makes this force, which is given in earth
     /// axes, point up.
-    fn level(&mut self, force: Vector3) {
+    pub(super) fn level(&mut self, force: Vector3) {
         let rotation = shortest_to_up(force);
         self.nominal.attitude = rotation.multiply(self.nominal.attitude).normalize();
     }

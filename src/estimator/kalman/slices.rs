@@ -17,9 +17,12 @@ use super::propagation::{DYNAMIC, PARAMETERS, Transition};
 use crate::serialize::StateVisitor;
 
 /// Most measurements of a step: two of the velocity, three of the gyroscope's bias.
-const MOST_MEASUREMENTS: usize = 5;
+pub(super) const MOST_MEASUREMENTS: usize = 5;
 
 const LAST_ROW: usize = PARAMETERS - 1;
+
+/// Rows of the block X in a slice.
+const CROSS_ROWS: usize = 8;
 
 /// The next slice.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,8 +30,8 @@ const LAST_ROW: usize = PARAMETERS - 1;
 enum Phase {
     /// No step is under way.
     Idle,
-    /// F·P·Fᵀ: the block X by A.
-    PropagateCross,
+    /// F·P·Fᵀ: the block X by A, from this row on.
+    PropagateCross(usize),
     /// F·P·Fᵀ: the block C into X, from this row of C on.
     PropagateParameters(usize),
     /// F·P·Fᵀ: the block X into M.
@@ -127,6 +130,16 @@ impl CovarianceStep {
         self.duration_s
     }
 
+    /// Returns the transition of the interval.
+    pub(super) fn transition(&self) -> &Transition {
+        &self.transition
+    }
+
+    /// Returns a measurement of the step.
+    pub(super) fn measurement(&self, index: usize) -> Option<Measurement> {
+        *self.measurements.get(index)?
+    }
+
     /// Returns whether a step has begun and not ended: the covariance is then not that of the
     /// nominal state.
     #[inline]
@@ -163,7 +176,7 @@ impl CovarianceStep {
         for (state, variance) in noise.into_iter().enumerate() {
             self.covariance.add_to_dynamic(state, variance);
         }
-        self.phase = Phase::PropagateCross;
+        self.phase = Phase::PropagateCross(0);
     }
 
     /// Adds a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`].
@@ -177,11 +190,16 @@ impl CovarianceStep {
     pub(super) fn slice(&mut self) -> Progress {
         match self.phase {
             Phase::Idle => return Progress::Idle,
-            Phase::PropagateCross => {
-                for row in 0..PARAMETERS {
+            Phase::PropagateCross(row) => {
+                let end = row + CROSS_ROWS;
+                for row in row..end {
                     self.covariance.propagate_cross(row, &self.transition);
                 }
-                self.phase = Phase::PropagateParameters(0);
+                self.phase = if end < PARAMETERS {
+                    Phase::PropagateCross(end)
+                } else {
+                    Phase::PropagateParameters(0)
+                };
             }
             Phase::PropagateParameters(row) => {
                 // A short row of the triangle is paired with a long one, so that all slices take
@@ -317,7 +335,7 @@ impl Phase {
     fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         let (mut kind, mut first, mut second) = match *self {
             Self::Idle => (0, 0, 0),
-            Self::PropagateCross => (1, 0, 0),
+            Self::PropagateCross(row) => (1, row, 0),
             Self::PropagateParameters(row) => (2, row, 0),
             Self::CompleteDynamic => (3, 0, 0),
             Self::Measure => (4, 0, 0),
@@ -332,7 +350,7 @@ impl Phase {
         visitor.index(&mut first, PARAMETERS + 1);
         visitor.index(&mut second, PARAMETERS + 1);
         *self = match kind {
-            1 => Self::PropagateCross,
+            1 => Self::PropagateCross(first),
             2 => Self::PropagateParameters(first),
             3 => Self::CompleteDynamic,
             4 => Self::Measure,

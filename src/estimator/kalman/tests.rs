@@ -36,7 +36,7 @@ impl Random {
     }
 }
 
-// ── The covariance step ────────────────────────────────────────────────────────────────────────
+// The covariance step
 
 /// The covariance as one matrix.
 fn dense(covariance: &Covariance) -> Matrix {
@@ -281,7 +281,7 @@ fn the_transition_is_the_derivative_of_the_nominal_state() {
     }
 }
 
-// ── Simulated sensors ──────────────────────────────────────────────────────────────────────────
+// Simulated sensors
 
 /// Body that turns and accelerates smoothly, with its sensors.
 struct World {
@@ -873,6 +873,63 @@ fn no_single_sample_counts_for_a_whole_pause() {
         let error = world.tilt_error_degrees(estimate.attitude);
         assert!(error < 1.0, "{error} after it");
     }
+}
+
+#[test]
+fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    estimator.filter_mut().set_sample_period(1.0e-3);
+    world.run(&mut estimator, 3000);
+    world.rate_rad_s = Vector3::new(radians(250.0), 0.0, 0.0);
+    world.run(&mut estimator, 200);
+    // It turns by 75° more, and stops, while nothing is read.
+    world.sample(300_000);
+    world.rate_rad_s = Vector3::ZERO;
+    let estimate = estimator.update(&world.sample(50_000));
+    assert_eq!(estimate.tilt_variance_rad2, f32::INFINITY);
+    let estimate = world.run(&mut estimator, 1);
+    let error = world.tilt_error_degrees(estimate.attitude);
+    let sigma = estimate.tilt_sigma_rad().to_degrees();
+    assert!(
+        error < 1.0 && (10.0..20.0).contains(&sigma),
+        "{error}, {sigma}"
+    );
+}
+
+/// A body whose axis goes round on a cone reads a steady rate about it, although it does not turn
+/// about it. For a rotation by φ about u it is sin φ·du − (1 − cos φ)·u × du.
+#[test]
+fn rotation_and_velocity_of_a_cone_are_integrated_between_earth_steps() {
+    const STEP_S: f32 = 1.0e-3;
+    const ROUND_RAD_S: f32 = core::f32::consts::TAU * 50.0;
+    let cone = radians(1.5);
+    let attitude = |seconds: f32| {
+        let (sine, cosine) = (ROUND_RAD_S * seconds).sin_cos();
+        Quaternion::from_rotation_vector(Vector3::new(cosine, sine, 0.0).scale(cone))
+    };
+    let force_earth = Vector3::new(3.0, -2.0, -STANDARD_GRAVITY_M_S2);
+    let mut nominal = NominalState::new();
+    nominal.attitude = attitude(0.0);
+    let mut transition = Transition::IDENTITY;
+    let mut gained = Vector3::ZERO;
+    for index in 0..=1_000 {
+        let seconds = index as f32 * STEP_S;
+        let (sine, cosine) = (ROUND_RAD_S * seconds).sin_cos();
+        let across = ROUND_RAD_S * cone.sin();
+        let along = -ROUND_RAD_S * (1.0 - cone.cos());
+        let rate = Vector3::new(-sine * across, cosine * across, along);
+        let force = attitude(seconds).conjugate().rotate(force_earth);
+        if index == 0 {
+            nominal.start(rate, force);
+        } else if nominal.integrate(rate, force, STEP_S) > 0.0199 {
+            gained = gained + nominal.step_in_earth_axes(&mut transition).gained_m_s;
+        }
+    }
+    let turned = attitude(1.0).conjugate().multiply(nominal.attitude);
+    let error = 2.0 * turned.x.hypot(turned.y).hypot(turned.z);
+    assert!(error.to_degrees() < 0.25, "{}", error.to_degrees());
+    assert!((gained - force_earth).norm() < 0.02, "{gained:?}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Unobserved motion: inflates the variances for pauses and full-scale readings.
 
-use super::Kalman;
 use super::tuning::square;
+use super::{Kalman, Tilt};
 use crate::estimator::sample::Sample;
 use crate::units::radians;
 
@@ -12,6 +12,10 @@ pub const PAUSE_RATE_RAD_S: f32 = radians(30.0);
 const PAUSE_PERIODS: f32 = 3.5;
 /// Longest pause whose length matters, s. After it the tilt is unknown.
 const LONGEST_PAUSE_S: f32 = 60.0;
+
+/// Largest σ per axis of the tilt after a pause, as a multiple of that of a start: beyond it,
+/// gravity shows the tilt better. A pause of up to half a second exceeds it if the rate changes.
+const LOST_START_SIGMAS: f32 = 1.5;
 
 /// Longest step in which the rate changes linearly, s.
 pub(super) const LONG_STEP_S: f32 = 15.0e-3;
@@ -43,18 +47,18 @@ impl Kalman {
         }
     }
 
-    /// Inflates the variances for the motion hidden in a step of `dt_s` seconds to this sample.
-    /// Returns whether the tilt is lost.
+    /// Inflates the variances for the motion hidden in a step of `dt_s` seconds to this sample. If
+    /// they hide the tilt, the next sample restarts it: one sample alone is not believed.
     #[cold]
     #[inline(never)]
-    pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) -> bool {
-        self.inflate_tilt(self.pause_variance_rad2(dt_s));
+    pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) {
+        let mut hidden_rad2 = self.pause_variance_rad2(dt_s);
         let saturated_s = self.saturated_s;
         if sample.is_rate_saturated {
             self.saturated_s = saturated_s + dt_s;
             let reading = sample.angular_rate_rad_s;
             let hidden = square(HIDDEN_SHARE) * reading.dot(reading);
-            self.inflate_tilt(hidden * (square(self.saturated_s) - square(saturated_s)));
+            hidden_rad2 += hidden * (square(self.saturated_s) - square(saturated_s));
             self.interval.unseen_tilt_rad2 += SATURATED_TILT * dt_s;
         } else {
             self.saturated_s = 0.0;
@@ -63,9 +67,10 @@ impl Kalman {
             let rate = sample.angular_rate_rad_s;
             let is_jump = rate.dot(rate) < square(GLITCH_SHARE) * last.dot(last);
             if saturated_s > LONG_SATURATION_S && is_jump {
-                return true;
+                self.tilt = Tilt::Lost;
             }
         }
+        self.inflate_tilt(hidden_rad2);
         if sample.is_force_saturated {
             self.interval.unseen_velocity_m2_s2 += SATURATED_VELOCITY * dt_s;
         }
@@ -79,9 +84,12 @@ impl Kalman {
                     force_change.dot(force_change) * square(0.25 * dt_s);
                 self.nominal
                     .bridge_pause(rate_rad_s, sample.specific_force_m_s2);
+                let lost_rad2 = square(LOST_START_SIGMAS * self.tuning.start_tilt_rad);
+                if 0.5 * self.conservative_tilt_variance() > lost_rad2 {
+                    self.tilt = Tilt::Lost;
+                }
             }
         }
-        false
     }
 }
 

@@ -185,15 +185,18 @@ fn recorded(data: &mut Data, virtual_board: &Path, elf: &Path) -> Result<(), Str
 /// Compares the filters on the recordings, if they are at hand, and on simulated flights.
 fn filters(data: &mut Data) -> Result<(), String> {
     let bench = build::bench()?;
-    for set in ["broad", "tumvi", "simulated"] {
+    for set in ["broad", "tumvi", "simulated", "calibrated"] {
         let mut command = step::command(&bench);
         command.arg("--json");
-        if set == "simulated" {
+        if ["simulated", "calibrated"].contains(&set) {
             // Without recordings it takes simulated flights, and there are none beside this folder.
             let folder = step::target_folder().join("results");
             std::fs::create_dir_all(&folder)
                 .map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
             command.current_dir(folder);
+            if set == "calibrated" {
+                command.args(["--accelerometer", "calibrated"]);
+            }
         } else {
             let folder = agree::recordings().join(set);
             if !folder.is_dir() {

@@ -21,10 +21,11 @@ const FILTERS: [(&str, &str); 4] = [
 ];
 
 /// Sets of recordings: key and title.
-const SETS: [(&str, &str); 3] = [
+const SETS: [(&str, &str); 4] = [
     ("broad", "BROAD"),
     ("tumvi", "TUM-VI"),
     ("simulated", "simulated flights"),
+    ("calibrated", "the same flights, accelerometer calibrated"),
 ];
 
 /// Returns README.md with the table that belongs there.
@@ -38,7 +39,7 @@ pub fn readme(before: &str, data: &Data) -> Result<String, String> {
 /// The table of README.md.
 fn summary(data: &Data) -> Result<String, String> {
     let fly = data.section("fly")?;
-    let [broad, tumvi, simulated] = SETS.map(|(set, _)| data.section(&format!("filters.{set}")));
+    let [broad, tumvi, simulated, _] = SETS.map(|(set, _)| data.section(&format!("filters.{set}")));
     let (broad, tumvi, simulated) = (broad?, tumvi?, simulated?);
     let median = |section: &Section, filter: &str| {
         let pair = section.text(filter)?;
@@ -271,7 +272,9 @@ fn filters(data: &Data) -> Result<String, String> {
         let section = data.section(&format!("filters.{set}"))?;
         let _ = write!(text, " {title}, {} |", section.text("recordings")?);
     }
-    text.push_str("\n|---|---|---|---|\n");
+    text.push('\n');
+    text.push_str(&"|---".repeat(1 + SETS.len()));
+    text.push_str("|\n");
     for (filter, title) in FILTERS {
         let _ = write!(text, "| {title} |");
         for (set, _) in SETS {

@@ -1,0 +1,173 @@
+//! Comparison of headings on recordings with a compass.
+
+use std::fmt::Write as _;
+
+use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::calibration::Mount;
+use aplomb::estimator::heading::CompassKnowledge;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{CompassPipeline, Settings};
+use aplomb::units::{MagneticField, degrees};
+use aplomb_models::motion::geometry::Quaternion as Truth;
+use aplomb_recordings::heading::{HeadingErrors, HeadingScore, error_deg};
+use aplomb_recordings::score::{mean, median};
+
+use crate::marg::{self, Choice};
+use crate::parallel;
+use crate::recording::Recording;
+
+/// Compass of a recording, with the truth of the heading.
+#[derive(Clone, Debug, Default)]
+pub struct Compass {
+    /// Reading in body axes for each sample, if it has one.
+    pub fields: Vec<Option<MagneticField>>,
+    /// True attitude, sensor to east, north, up, for each sample, where it is known and counts.
+    pub truth: Vec<Option<Truth>>,
+    /// Mount of the sensors.
+    pub mount: Mount,
+    /// How much older a reading is than its row's sample, µs.
+    pub delay_us: u32,
+    /// Knowledge of the hard iron.
+    pub knowledge: CompassKnowledge,
+}
+
+/// Name of the library's filter.
+const OURS: &str = "kalman";
+
+/// Scores of all filters on one recording, the library's first.
+pub struct Row<'a> {
+    recording: &'a Recording,
+    scores: Vec<(&'static str, HeadingScore)>,
+}
+
+/// Scores every filter on every recording with a compass.
+pub fn score(recordings: &[Recording]) -> Vec<Row<'_>> {
+    let scores = parallel::map(recordings, |recording| {
+        let compass = recording.compass.as_ref()?;
+        let mut scores = vec![(OURS, ours(recording, compass)?)];
+        for choice in Choice::ALL {
+            scores.push((choice.name(), peer(choice, recording, compass)?));
+        }
+        Some(scores)
+    });
+    let rows = recordings.iter().zip(scores);
+    rows.filter_map(|(recording, scores)| {
+        let scores = scores?;
+        Some(Row { recording, scores })
+    })
+    .collect()
+}
+
+fn ours(recording: &Recording, compass: &Compass) -> Option<HeadingScore> {
+    let mut settings = Settings::new(&Part::MPU_6050);
+    settings.sensor_delay_us = Some(recording.delay_us);
+    settings.sensor.sample_rate_divider = (recording.step_s() * 1_000.0).ceil() as u8 - 1;
+    let mut pipeline = CompassPipeline::new(&settings, compass.knowledge);
+    let knowledge = recording.accelerometer;
+    pipeline
+        .pipeline_mut()
+        .set_accelerometer_knowledge(knowledge);
+    let mut errors = HeadingErrors::default();
+    for (index, sample) in recording.samples.iter().enumerate() {
+        let snapshot = pipeline.update_sample(sample);
+        if let Some(Some(field)) = compass.fields.get(index) {
+            pipeline.update_field(*field, compass.delay_us);
+        }
+        if let Some(truth) = compass.truth_at(recording, index) {
+            errors.add(pipeline.heading().map(|heading| {
+                let turn = Vector3::new(0.0, 0.0, heading.yaw_offset_rad);
+                let turn = Quaternion::from_rotation_vector(turn);
+                let absolute = turn.multiply(snapshot.attitude);
+                let sigma_deg = f64::from(degrees(heading.sigma_rad));
+                (error_deg(absolute, truth, compass.mount), Some(sigma_deg))
+            }));
+        }
+    }
+    errors.score()
+}
+
+fn peer(choice: Choice, recording: &Recording, compass: &Compass) -> Option<HeadingScore> {
+    let mut errors = HeadingErrors::default();
+    let delays_s = [recording.delay_us, compass.delay_us].map(|delay| delay as f32 * 1e-6);
+    let fields = compass.fields.iter().copied();
+    let rows = recording.samples.iter().copied().zip(fields);
+    marg::run(
+        choice,
+        recording.step_s(),
+        delays_s,
+        rows,
+        |index, attitude| {
+            if let Some(truth) = compass.truth_at(recording, index) {
+                errors.add(Some((error_deg(attitude, truth, compass.mount), None)));
+            }
+        },
+    );
+    errors.score()
+}
+
+impl Compass {
+    /// Returns the truth of a row that counts.
+    fn truth_at(&self, recording: &Recording, index: usize) -> Option<Truth> {
+        let sample = recording.samples.get(index)?;
+        let truth = *self.truth.get(index)?;
+        truth.filter(|_| sample.t_us >= recording.start_us())
+    }
+}
+
+/// Returns the table of the sets, and that of the recordings.
+pub fn table(rows: &[Row<'_>]) -> String {
+    let mut text = String::from(
+        "\nHeading error, root mean square in degrees: median/mean over recordings, \
+         as it is and without its mean\n",
+    );
+    let mut sets: Vec<&str> = rows.iter().map(|row| row.recording.set.as_str()).collect();
+    sets.dedup();
+    for set in sets {
+        let rows = rows.iter().filter(|row| row.recording.set == set);
+        let rows: Vec<&Row<'_>> = rows.collect();
+        let _ = writeln!(text, "\n{set} ({})", rows.len());
+        let filters = rows.first().map_or(0, |row| row.scores.len());
+        for filter in 0..filters {
+            let all = |figure: fn(&HeadingScore) -> f64| {
+                let figures = rows.iter().map(|row| figure(&row.scores[filter].1));
+                let mut figures: Vec<f64> = figures.collect();
+                figures.sort_by(f64::total_cmp);
+                format!("{:.2}/{:.2}", median(&figures), mean(&figures))
+            };
+            let (raw, free) = (
+                all(|score| score.rms),
+                all(|score| score.rms_without_offset),
+            );
+            let _ = writeln!(text, "{:<12}{raw:>17}{free:>17}", rows[0].scores[filter].0);
+        }
+    }
+    let _ = writeln!(text, "\n{OURS}, recording by recording");
+    for row in rows {
+        let (set, name) = (&row.recording.set, &row.recording.name);
+        let _ = writeln!(text, "{set}/{name}: {}", row.scores[0].1);
+    }
+    text
+}
+
+/// Score of one filter on one recording, for JSON.
+#[derive(serde::Serialize)]
+pub struct Scored<'a> {
+    set: &'a str,
+    recording: &'a str,
+    filter: &'static str,
+    #[serde(flatten)]
+    score: HeadingScore,
+}
+
+/// Returns all scores for JSON.
+pub fn scored<'a>(rows: &'a [Row<'a>]) -> Vec<Scored<'a>> {
+    let scored = rows.iter().flat_map(|row| {
+        row.scores.iter().map(|(filter, score)| Scored {
+            set: &row.recording.set,
+            recording: &row.recording.name,
+            filter,
+            score: *score,
+        })
+    });
+    scored.collect()
+}

@@ -1,0 +1,131 @@
+//! Sums of one interval: from the begin of a covariance step of the tilt filter to that of the
+//! next.
+
+use super::tuning::{Tuning, square};
+use crate::attitude::Quaternion;
+use crate::estimator::kalman::Kalman;
+use crate::estimator::kalman::follow::GYROSCOPE;
+use crate::serialize::StateVisitor;
+use crate::units::STANDARD_GRAVITY_M_S2;
+
+/// Sums of an interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct Interval {
+    /// Sum of the readings in level axes, µT.
+    pub(super) field_ut: [f32; 3],
+    /// Sum of the rotation matrices at the readings, by rows.
+    pub(super) turn: [[f32; 3]; 3],
+    /// Number of readings.
+    pub(super) readings: f32,
+    /// Effect of each gyroscope parameter on yaw: ∫R_down dt, and ∫R_down,j·ω_l dt.
+    pub(super) yaw: [f32; GYROSCOPE],
+    /// Length, s.
+    pub(super) duration_s: f32,
+    /// ∫|ω|² dt, rad²/s.
+    pub(super) squared_rate: f32,
+    /// ∫|acceleration|² dt, m²/s³.
+    pub(super) squared_acceleration: f32,
+    /// Yaw variance of unobserved motion, rad².
+    pub(super) unseen_rad2: f32,
+}
+
+impl Interval {
+    /// Interval of no length.
+    pub(super) const EMPTY: Self = Self {
+        field_ut: [0.0; 3],
+        turn: [[0.0; 3]; 3],
+        readings: 0.0,
+        yaw: [0.0; GYROSCOPE],
+        duration_s: 0.0,
+        squared_rate: 0.0,
+        squared_acceleration: 0.0,
+        unseen_rad2: 0.0,
+    };
+
+    /// Adds an earth step of this length, which has just ended.
+    pub(super) fn add_earth_step(&mut self, kalman: &Kalman, t: f32) {
+        let down = kalman.attitude_at_earth_step().down_in_body();
+        let rate = kalman.rate_rad_s();
+        let force = kalman.force_m_s2();
+        self.duration_s += t;
+        self.squared_rate += rate.dot(rate) * t;
+        // |R·f + g|² without the rotation.
+        let g = STANDARD_GRAVITY_M_S2;
+        let squared = force.dot(force) + 2.0 * g * down.dot(force) + g * g;
+        self.squared_acceleration += squared.max(0.0) * t;
+        let [x, y, z, matrix @ ..] = &mut self.yaw;
+        let (rows, _) = matrix.as_chunks_mut::<3>();
+        for ((bias, row), down) in [x, y, z]
+            .into_iter()
+            .zip(rows)
+            .zip([down.x, down.y, down.z])
+        {
+            let share = down * t;
+            *bias += share;
+            row[0] += share * rate.x;
+            row[1] += share * rate.y;
+            row[2] += share * rate.z;
+        }
+    }
+
+    /// Adds a reading, whose motion was `age_s` before that of the last sample.
+    pub(super) fn add_reading(&mut self, kalman: &Kalman, [mx, my, mz]: [f32; 3], age_s: f32) {
+        // A turn of 2·atan(φ/2): for φ = 0.2 rad it is short by 0.04°.
+        let half = kalman.rotation_since_earth_step(age_s).scale(0.5);
+        let turn = Quaternion::new(1.0, half.x, half.y, half.z);
+        let Quaternion { w, x, y, z } = kalman.attitude_at_earth_step().multiply(turn);
+        let s = 2.0 / (1.0 + half.dot(half));
+        let (sx, sy, sz) = (s * x, s * y, s * z);
+        let rows = [
+            [1.0 - (y * sy + z * sz), x * sy - w * sz, x * sz + w * sy],
+            [x * sy + w * sz, 1.0 - (x * sx + z * sz), y * sz - w * sx],
+            [x * sz - w * sy, y * sz + w * sx, 1.0 - (x * sx + y * sy)],
+        ];
+        for ((sum, turn), row) in self.field_ut.iter_mut().zip(&mut self.turn).zip(rows) {
+            let [rx, ry, rz] = row;
+            *sum += rx * mx + ry * my + rz * mz;
+            turn[0] += rx;
+            turn[1] += ry;
+            turn[2] += rz;
+        }
+        self.readings += 1.0;
+    }
+
+    /// Closes the interval: the sums of the readings become means.
+    pub(super) fn close(&mut self) {
+        if self.readings > 0.0 {
+            let share = 1.0 / self.readings;
+            let sums = self.turn.as_flattened_mut().iter_mut();
+            for sum in sums.chain(&mut self.field_ut) {
+                *sum *= share;
+            }
+        }
+    }
+
+    /// Returns whether there was a reading.
+    pub(super) fn has_readings(&self) -> bool {
+        self.readings > 0.0
+    }
+
+    /// Returns how much the body moved: 0 at rest, at most 1.
+    pub(super) fn motion(&self, tuning: &Tuning) -> f32 {
+        let inverse = 1.0 / self.duration_s;
+        let rate = self.squared_rate * inverse / square(tuning.moving_rate_rad_s);
+        let acceleration =
+            self.squared_acceleration * inverse / square(tuning.moving_acceleration_m_s2);
+        libm::sqrtf((rate + acceleration).min(1.0))
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.f32s(&mut self.field_ut);
+        visitor.f32s(self.turn.as_flattened_mut());
+        visitor.f32(&mut self.readings);
+        visitor.f32s(&mut self.yaw);
+        visitor.f32(&mut self.duration_s);
+        visitor.f32(&mut self.squared_rate);
+        visitor.f32(&mut self.squared_acceleration);
+        visitor.f32(&mut self.unseen_rad2);
+    }
+}

@@ -1,0 +1,268 @@
+//! Measurement of a step: the mean field of the interval in level axes.
+//!
+//! ```text
+//! s = c + d + W·b + n      s = mean of R·m      W = mean of R
+//! ```
+//!
+//! It is linear in field c, hard iron b and local deviation d. A tilt error θ moves s by −θ × c.
+//! Tilt and all other states of the tilt filter are *considered* (Schmidt, *Application of
+//! State-Space Methods to Navigation Problems*, 1966): their errors widen the innovation and shape
+//! the gains, but no gain moves them.
+
+use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
+use super::step::Phase;
+use super::tuning::square;
+use super::{Heading, HeadingEstimate};
+use crate::attitude::wrap_pi;
+use crate::estimator::filter::Filter as _;
+use crate::estimator::kalman::Kalman;
+
+/// Limit of a squared innovation per expected one, so that no single one counts for long.
+const LARGEST_INCONSISTENCY: f32 = 100.0;
+
+/// Row h of the measurement, without its two ones at field and local deviation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Row {
+    /// Entries at the hard iron.
+    iron: [f32; 3],
+    /// Entries at the tilt, north and east.
+    tilt: [f32; 2],
+}
+
+impl Heading {
+    /// Returns the measured field in level axes without hard iron, µT.
+    fn measured(&self) -> [f32; 3] {
+        let [.., bx, by, bz, _, _, _] = self.state;
+        let mut measured = self.closed().field_ut;
+        for (sum, [x, y, z]) in measured.iter_mut().zip(&self.closed().turn) {
+            *sum -= x * bx + y * by + z * bz;
+        }
+        measured
+    }
+
+    /// Returns the innovation of each axis, µT.
+    fn innovation(&self) -> [f32; 3] {
+        let [mx, my, mz] = self.measured();
+        let [cx, cy, cz, _, _, _, dx, dy, dz] = self.state;
+        [mx - cx - dx, my - cy - dy, mz - cz - dz]
+    }
+
+    /// Returns the measurement's row of an axis.
+    fn row(&self, axis: usize) -> Row {
+        let [x, y, z] = self.measured();
+        let [first, second, third] = self.closed().turn;
+        match axis {
+            0 => Row {
+                iron: first,
+                tilt: [0.0, -z],
+            },
+            1 => Row {
+                iron: second,
+                tilt: [z, 0.0],
+            },
+            _ => Row {
+                iron: third,
+                tilt: [-y, x],
+            },
+        }
+    }
+
+    /// Adds the expected squared innovation of an axis without noise: h·P·hᵀ.
+    pub(super) fn expect(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+        let place = usize::from(axis);
+        let row = self.row(place);
+        let [north, east] = row.tilt;
+        let [nn, ne, ee] = kalman.tilt_covariance();
+        let tilt = square(north) * nn + 2.0 * north * east * ne + square(east) * ee;
+        let covariance = &self.covariance;
+        let (c, d) = (FIELD + place, DEVIATION + place);
+        let mut linear = north * covariance.cross_entry(c, 0)
+            + east * covariance.cross_entry(c, 1)
+            + covariance.entry(d, c);
+        let mut iron = 0.0;
+        for (index, factor) in row.iron.into_iter().enumerate() {
+            let state = IRON + index;
+            linear += factor
+                * (covariance.entry(state, c)
+                    + covariance.entry(d, state)
+                    + north * covariance.cross_entry(state, 0)
+                    + east * covariance.cross_entry(state, 1));
+            for (other, other_factor) in row.iron.into_iter().enumerate().take(index) {
+                iron += 2.0 * factor * other_factor * covariance.entry(state, IRON + other);
+            }
+            iron += square(factor) * covariance.entry(state, state);
+        }
+        let own = covariance.entry(c, c) + covariance.entry(d, d);
+        self.noise += own + iron + 2.0 * linear + tilt;
+        if axis < 2 {
+            Phase::Expect(axis + 1)
+        } else {
+            Phase::Gate
+        }
+    }
+
+    /// Compares the innovation with the expected one, and adds what exceeds it to the noise.
+    pub(super) fn gate(&mut self) -> Phase {
+        let tuning = self.tuning;
+        let duration_s = self.closed().duration_s;
+        let mean_square_rate = self.closed().squared_rate / duration_s;
+        let noise = square(tuning.noise_ut) + square(tuning.noise_per_rate) * mean_square_rate;
+        let [x, y, z] = self.innovation();
+        let squared = square(x) + square(y) + square(z);
+        let expected = self.noise + 3.0 * noise;
+        let excess = (squared - tuning.gate * expected) * (1.0 / 3.0);
+        let excess = excess.clamp(0.0, 1.0e6);
+        let decay = (duration_s / tuning.excess_s).min(1.0);
+        let limit = square(tuning.largest_excess_ut);
+        self.excess = (self.excess * (1.0 - decay)).max(excess.min(limit));
+        self.noise = noise + tuning.excess_to_noise * excess;
+        let share = (duration_s / tuning.consistency_s).min(1.0);
+        let ratio = (squared / expected).min(LARGEST_INCONSISTENCY);
+        self.inconsistency += share * (ratio - self.inconsistency);
+        self.inverse = squared;
+        Phase::Watch
+    }
+
+    /// Watches the innovation, and restarts the filter when it has contradicted the field for long:
+    /// the innovation is large, though the field's length fits.
+    pub(super) fn watch(&mut self) -> Phase {
+        let tuning = self.tuning;
+        let duration_s = self.closed().duration_s;
+        let [cx, cy, cz, ..] = self.state;
+        let [mx, my, mz] = self.measured();
+        let measured = square(mx) + square(my) + square(mz);
+        let level = square(cx) + square(cy) + square(cz);
+        let length = libm::sqrtf(measured) - libm::sqrtf(level);
+        let contradiction = self.inverse - tuning.restart_ratio * square(length);
+        let share = (duration_s / tuning.restart_average_s).min(1.0);
+        self.contradiction += share * (contradiction - self.contradiction);
+        let is_lasting = self.contradiction > square(tuning.restart_floor_ut);
+        self.contradicted_s = if is_lasting {
+            self.contradicted_s + duration_s
+        } else {
+            0.0
+        };
+        if self.contradicted_s > tuning.restart_after_s {
+            self.restart();
+            return Phase::Check;
+        }
+        Phase::Project(0)
+    }
+
+    /// Computes O·hᵀ of an axis, but for the hard iron's part.
+    pub(super) fn project_own(&mut self, axis: u8) -> Phase {
+        let place = usize::from(axis);
+        let [north, east] = self.row(place).tilt;
+        let covariance = &self.covariance;
+        self.own = [0.0; STATES];
+        for (entry, [to_north, to_east, ..]) in self.own.iter_mut().zip(&covariance.cross) {
+            *entry = north * to_north + east * to_east;
+        }
+        covariance.add_column(FIELD + place, 1.0, &mut self.own);
+        covariance.add_column(DEVIATION + place, 1.0, &mut self.own);
+        Phase::ProjectIron(axis)
+    }
+
+    /// Completes O·hᵀ of an axis.
+    pub(super) fn project_iron(&mut self, axis: u8) -> Phase {
+        let [wx, wy, wz] = self.row(axis.into()).iron;
+        for (state, factor) in [(IRON, wx), (IRON + 1, wy), (IRON + 2, wz)] {
+            self.covariance.add_column(state, factor, &mut self.own);
+        }
+        Phase::ProjectCross(axis)
+    }
+
+    /// Computes X·hᵀ of an axis, but for the tilt's part.
+    pub(super) fn project_cross(&mut self, axis: u8) -> Phase {
+        let [first, second, third, bx, by, bz] = &self.covariance.cross;
+        let field = match axis {
+            0 => first,
+            1 => second,
+            _ => third,
+        };
+        let [wx, wy, wz] = self.row(axis.into()).iron;
+        let sources = field.iter().zip(bx).zip(by).zip(bz);
+        for (sum, (((c, x), y), z)) in self.column.iter_mut().zip(sources) {
+            *sum = c + wx * x + wy * y + wz * z;
+        }
+        Phase::CorrectStates(axis)
+    }
+
+    /// Completes X·hᵀ of an axis, and corrects the states.
+    pub(super) fn correct_states(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+        let place = usize::from(axis);
+        let row = self.row(place);
+        let [wx, wy, wz] = row.iron;
+        kalman.add_tilt_columns(row.tilt, &mut self.column);
+        let own = |state: usize| self.own.get(state).copied().unwrap_or(0.0);
+        let [to_north, to_east, ..] = self.column;
+        let variance = own(FIELD + place)
+            + own(DEVIATION + place)
+            + wx * own(IRON)
+            + wy * own(IRON + 1)
+            + wz * own(IRON + 2)
+            + row.tilt[0] * to_north
+            + row.tilt[1] * to_east
+            + self.noise;
+        self.inverse = 1.0 / variance;
+        let innovation = self.innovation().into_iter().nth(place).unwrap_or(0.0);
+        let gain = innovation * self.inverse;
+        for (state, entry) in self.state.iter_mut().zip(&self.own) {
+            *state += gain * entry;
+        }
+        Phase::Correct(axis, 0)
+    }
+
+    /// Corrects rows of O and X: P ← P − P·hᵀ·h·P/s.
+    pub(super) fn correct(&mut self, axis: u8, first: u8) -> Phase {
+        let start = usize::from(first);
+        // The last rows have no row of X.
+        let rows = match start {
+            0..4 => 2,
+            4..CORRELATED => 1,
+            _ => 3,
+        };
+        for (row, own) in self.own.iter().enumerate().skip(start).take(rows) {
+            let gain = own * self.inverse;
+            self.covariance.subtract(row, gain, &self.own);
+            self.covariance.subtract_cross(row, gain, &self.column);
+        }
+        if start + rows < STATES {
+            Phase::Correct(axis, first + rows as u8)
+        } else if axis < 2 {
+            Phase::Project(axis + 1)
+        } else {
+            Phase::Check
+        }
+    }
+
+    /// Checks the numbers. Readings that no compass delivers may make them unusable.
+    pub(super) fn check(&mut self) -> Phase {
+        let sum: f32 = self.state.iter().map(|state| state.abs()).sum();
+        // A NaN fails the comparison.
+        if self.covariance.is_sound() && sum < 1.0e5 {
+            return Phase::Finish;
+        }
+        self.restart();
+        Phase::Idle
+    }
+
+    /// Updates the heading and its σ.
+    pub(super) fn finish(&mut self, kalman: &Kalman) -> Phase {
+        let [cx, cy, ..] = self.state;
+        let covariance = &self.covariance;
+        let variance = square(cy) * covariance.entry(0, 0) + square(cx) * covariance.entry(1, 1)
+            - 2.0 * cx * cy * covariance.entry(1, 0);
+        let horizontal = square(cx) + square(cy) + 1.0e-3;
+        let sigma_rad = libm::sqrtf(variance.max(0.0)) / horizontal;
+        let tuning = self.tuning;
+        self.estimate = (sigma_rad < tuning.known_rad).then(|| HeadingEstimate {
+            yaw_offset_rad: wrap_pi(self.declination_rad - libm::atan2f(cy, cx)),
+            sigma_rad,
+            is_valid: sigma_rad < tuning.valid_rad
+                && kalman.tilt_variance_rad2() < square(tuning.valid_tilt_rad)
+                && self.inconsistency < tuning.valid_inconsistency,
+        });
+        Phase::Idle
+    }
+}

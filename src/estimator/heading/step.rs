@@ -1,0 +1,377 @@
+//! Steps of the heading filter, in slices: one step after each covariance step of the tilt filter,
+//! over the same interval.
+//!
+//! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/follow.rs`).
+//! 2. *Turn* the field by the drift of yaw. The gyroscope's errors e turn the level frame by
+//!    W·e about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
+//!    over an interval, so those after the tilt filter's correction δ serve: c moves by δ, and its
+//!    covariance by what is left.
+//! 3. *Forget* the local deviation, and add the process noise.
+//! 4. *Measure*: three rows, each by `measurement.rs`.
+
+use super::Heading;
+use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
+use super::tuning::square;
+use crate::estimator::kalman::Kalman;
+use crate::estimator::kalman::follow::{
+    ERROR_STATES, FIRST_GYROSCOPE, Followed, GYROSCOPE, MEASUREMENTS, VELOCITY,
+};
+use crate::serialize::StateVisitor;
+
+/// Rows of X that a slice propagates.
+const ROWS: usize = 2;
+/// Measurements of the tilt filter that a slice repeats on a row of O.
+const OWN_MEASUREMENTS: usize = 2;
+
+/// The next slice of a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) enum Phase {
+    /// No step.
+    Idle,
+    /// Waits for the tilt filter to end its step.
+    Waiting,
+    /// X over the interval, from this row on.
+    Propagate(u8),
+    /// X by what the tilt filter resets and lets return to its prior.
+    Relax,
+    /// This row of X by the tilt filter's measurement of this index.
+    Follow(u8, u8),
+    /// This row of O by the tilt filter's measurements, from this index on.
+    FollowOwn(u8, u8),
+    /// Covariance of the drift of yaw with the error states, from this parameter on.
+    Drift(u8),
+    /// Covariance of the drift of yaw with the field states.
+    Turn,
+    /// Field and O by the drift of yaw.
+    TurnField,
+    /// X by the drift of yaw.
+    TurnCross,
+    /// Process noise of field and hard iron.
+    Walk,
+    /// This state of the local deviation.
+    Forget(u8),
+    /// Expected innovation of this axis.
+    Expect(u8),
+    /// The gate.
+    Gate,
+    /// The watch over lasting contradictions.
+    Watch,
+    /// O·hᵀ of this axis, but for the hard iron.
+    Project(u8),
+    /// O·hᵀ of this axis by the hard iron.
+    ProjectIron(u8),
+    /// X·hᵀ of this axis, but for the tilt.
+    ProjectCross(u8),
+    /// The states by this axis.
+    CorrectStates(u8),
+    /// O and X by this axis, from this row on.
+    Correct(u8, u8),
+    /// The check of the numbers.
+    Check,
+    /// The result.
+    Finish,
+}
+
+impl Heading {
+    /// Runs a slice.
+    pub(super) fn slice(&mut self, kalman: &Kalman) {
+        self.phase = match self.phase {
+            Phase::Idle => Phase::Idle,
+            Phase::Waiting => Phase::Waiting,
+            Phase::Propagate(row) => self.propagate(kalman, row),
+            Phase::Relax => self.relax(kalman),
+            Phase::Follow(row, index) => self.follow_measurement(kalman, row, index),
+            Phase::FollowOwn(row, index) => self.follow_own(kalman, row, index),
+            Phase::Drift(parameter) => self.drift(kalman, parameter),
+            Phase::Turn => self.project_drift(),
+            Phase::TurnField => self.turn_field(kalman),
+            Phase::TurnCross => self.turn_cross(kalman),
+            Phase::Walk => self.walk(kalman),
+            Phase::Forget(state) => self.forget(state),
+            Phase::Expect(axis) => self.expect(kalman, axis),
+            Phase::Gate => self.gate(),
+            Phase::Watch => self.watch(),
+            Phase::Project(axis) => self.project_own(axis),
+            Phase::ProjectIron(axis) => self.project_iron(axis),
+            Phase::ProjectCross(axis) => self.project_cross(axis),
+            Phase::CorrectStates(axis) => self.correct_states(kalman, axis),
+            Phase::Correct(axis, row) => self.correct(axis, row),
+            Phase::Check => self.check(),
+            Phase::Finish => self.finish(kalman),
+        };
+    }
+
+    fn propagate(&mut self, kalman: &Kalman, first: u8) -> Phase {
+        for row in self
+            .covariance
+            .cross
+            .iter_mut()
+            .skip(first.into())
+            .take(ROWS)
+        {
+            kalman.propagate_row(row);
+        }
+        let next = first + ROWS as u8;
+        if usize::from(next) < CORRELATED {
+            Phase::Propagate(next)
+        } else {
+            Phase::Relax
+        }
+    }
+
+    fn relax(&mut self, kalman: &Kalman) -> Phase {
+        self.closed_mut().close();
+        let (relaxed, factor) = kalman.relaxed();
+        self.covariance.scale_cross(relaxed, factor);
+        if kalman.is_velocity_reset() {
+            for state in VELOCITY {
+                self.covariance.scale_cross(state, 0.0);
+            }
+        }
+        Phase::Follow(0, 0)
+    }
+
+    /// Repeats the tilt filter's measurements on a row of X and O: those of the velocity together
+    /// with index 0, then those of each parameter.
+    ///
+    /// A row needs its own p from before the step, and X·e of the rows above from after it.
+    fn follow_measurement(&mut self, kalman: &Kalman, row: u8, index: u8) -> Phase {
+        let place = usize::from(row);
+        let Some(entries) = self.covariance.cross.get_mut(place) else {
+            self.column = [0.0; ERROR_STATES];
+            return Phase::Drift(0);
+        };
+        let Some(measurement) = usize::from(index).checked_sub(1) else {
+            let mut change = 0.0;
+            let mut velocity = [0.0; 2];
+            for (number, gain) in self.own.iter_mut().enumerate().take(MEASUREMENTS) {
+                let Some(followed) = kalman.followed(number) else {
+                    break;
+                };
+                let p = entries.get(followed.state).copied().unwrap_or(0.0);
+                *gain = p * followed.weight;
+                change += *gain * followed.residual;
+                let is_velocity = followed.state.wrapping_sub(VELOCITY.start);
+                if let Some(factor) = velocity.get_mut(is_velocity) {
+                    *factor = -*gain;
+                }
+            }
+            kalman.add_velocity_columns(velocity, entries);
+            if let Some(state) = self.state.get_mut(place) {
+                *state += change;
+            }
+            return Phase::Follow(row, 1);
+        };
+        let parameter = kalman.followed(measurement).and_then(Followed::parameter);
+        let gain = self.own.get(measurement).copied().unwrap_or(0.0);
+        match parameter {
+            Some(parameter) => kalman.add_parameter_column(parameter, -gain, entries),
+            None => return Phase::FollowOwn(row, 0),
+        }
+        Phase::Follow(row, index + 1)
+    }
+
+    /// Repeats the tilt filter's measurements on a row of O, from the rows of X so far.
+    fn follow_own(&mut self, kalman: &Kalman, row: u8, first: u8) -> Phase {
+        let start = usize::from(first);
+        for index in start..start + OWN_MEASUREMENTS {
+            let (Some(followed), Some(gain)) = (kalman.followed(index), self.own.get(index)) else {
+                return Phase::Follow(row + 1, 0);
+            };
+            let mut column = [0.0; CORRELATED];
+            for (entry, row) in column.iter_mut().zip(&self.covariance.cross) {
+                *entry = row.get(followed.state).copied().unwrap_or(0.0);
+            }
+            self.covariance.subtract(row.into(), *gain, &column);
+        }
+        let next = first + OWN_MEASUREMENTS as u8;
+        if kalman.followed(next.into()).is_some() {
+            Phase::FollowOwn(row, next)
+        } else {
+            Phase::Follow(row + 1, 0)
+        }
+    }
+
+    /// Adds to the covariance of the drift of yaw with the error states: P·Wᵀ.
+    fn drift(&mut self, kalman: &Kalman, part: u8) -> Phase {
+        let [first, second] = &self.intervals;
+        let closed = if self.present == 0 { second } else { first };
+        let is_more = kalman.add_product(part.into(), &closed.yaw, &mut self.column);
+        if is_more {
+            Phase::Drift(part + 1)
+        } else {
+            Phase::Turn
+        }
+    }
+
+    /// Computes the covariance of the drift of yaw with the field states: X·Wᵀ.
+    fn project_drift(&mut self) -> Phase {
+        let mut own = [0.0; STATES];
+        let yaw = &self.closed().yaw;
+        for (entry, row) in own.iter_mut().zip(&self.covariance.cross) {
+            *entry = dot(yaw, gyroscope(row));
+        }
+        self.own = own;
+        Phase::TurnField
+    }
+
+    /// Turns the field by the drift of yaw, and O with it.
+    fn turn_field(&mut self, kalman: &Kalman) -> Phase {
+        let known = dot(&self.closed().yaw, gyroscope(&self.column));
+        let variance = known + self.yaw_noise_rad2(kalman);
+        let [x, y, ..] = self.state;
+        let (gx, gy) = (-y, x);
+        let [wx, wy, rest @ ..] = self.own;
+        let covariance = &mut self.covariance;
+        covariance.add(0, 0, 2.0 * gx * wx + square(gx) * variance);
+        covariance.add(1, 0, gy * wx + gx * wy + gx * gy * variance);
+        covariance.add(1, 1, 2.0 * gy * wy + square(gy) * variance);
+        for (row, entry) in rest.into_iter().enumerate().take(CORRELATED - 2) {
+            covariance.add(row + 2, 0, gx * entry);
+            covariance.add(row + 2, 1, gy * entry);
+        }
+        Phase::TurnCross
+    }
+
+    /// Turns X by the drift of yaw.
+    fn turn_cross(&mut self, kalman: &Kalman) -> Phase {
+        let turn_rad = dot(&self.closed().yaw, kalman.gyroscope_correction());
+        let [x, y, ..] = &mut self.state;
+        let (gx, gy) = (-*y, *x);
+        self.covariance.subtract_cross(0, -gx, &self.column);
+        self.covariance.subtract_cross(1, -gy, &self.column);
+        *x += gx * turn_rad;
+        *y += gy * turn_rad;
+        Phase::Walk
+    }
+
+    /// Returns the variance of yaw that the interval adds beside the gyroscope's errors, rad².
+    fn yaw_noise_rad2(&self, kalman: &Kalman) -> f32 {
+        let interval = self.closed();
+        kalman.turn_noise_rad2(interval.duration_s, interval.squared_rate)
+            + square(self.tuning.yaw_walk) * interval.duration_s
+            + interval.unseen_rad2
+    }
+
+    /// Adds the process noise of field and hard iron, and updates how much the body moves.
+    fn walk(&mut self, kalman: &Kalman) -> Phase {
+        let tuning = self.tuning;
+        let duration_s = self.closed().duration_s;
+        let iron = square(tuning.hard_iron_walk) + tuning.excess_to_hard_iron * self.excess;
+        for axis in 0..3 {
+            let field = square(tuning.field_walk) * duration_s;
+            self.covariance.add(FIELD + axis, FIELD + axis, field);
+            self.covariance
+                .add(IRON + axis, IRON + axis, iron * duration_s);
+        }
+        let motion = if kalman.is_still() {
+            0.0
+        } else {
+            self.closed().motion(tuning)
+        };
+        let decay = (duration_s / tuning.moving_hold_s).min(1.0);
+        self.motion = motion.max(self.motion * (1.0 - decay));
+        Phase::Forget(DEVIATION as u8)
+    }
+
+    /// Lets a state of the local deviation return to zero: a first-order Gauss-Markov process
+    /// (Gelb, *Applied Optimal Estimation*, 1974, §3.8).
+    fn forget(&mut self, state: u8) -> Phase {
+        let tuning = self.tuning;
+        let moving = if self.motion < tuning.least_motion {
+            0.0
+        } else {
+            self.motion / tuning.deviation_moving_s
+        };
+        let decays = self.closed().duration_s * (1.0 / tuning.deviation_still_s + moving);
+        let keep = 1.0 / (1.0 + decays);
+        let variance = square(tuning.deviation_ut) + tuning.excess_to_deviation * self.excess;
+        let place = usize::from(state);
+        self.covariance.scale(place, keep);
+        let added = variance * (1.0 - square(keep));
+        self.covariance.add(place, place, added);
+        if let Some(deviation) = self.state.get_mut(place) {
+            *deviation *= keep;
+        }
+        if place + 1 < STATES {
+            Phase::Forget(state + 1)
+        } else if self.closed().has_readings() {
+            self.noise = 0.0;
+            Phase::Expect(0)
+        } else {
+            Phase::Check
+        }
+    }
+}
+
+/// Returns the entries of the gyroscope's parameters.
+#[inline]
+fn gyroscope(row: &CrossRow) -> &[f32] {
+    row.get(FIRST_GYROSCOPE..FIRST_GYROSCOPE + GYROSCOPE)
+        .unwrap_or(&[])
+}
+
+fn dot(left: &[f32; GYROSCOPE], right: &[f32]) -> f32 {
+    left.iter().zip(right).map(|(a, b)| a * b).sum()
+}
+
+impl Phase {
+    /// Visits the phase.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        let (mut kind, first, second) = match *self {
+            Self::Idle => (0, 0, 0),
+            Self::Waiting => (1, 0, 0),
+            Self::Propagate(row) => (2, row, 0),
+            Self::Relax => (3, 0, 0),
+            Self::Follow(row, index) => (4, row, index),
+            Self::FollowOwn(row, index) => (5, row, index),
+            Self::Drift(part) => (6, part, 0),
+            Self::Turn => (7, 0, 0),
+            Self::TurnField => (8, 0, 0),
+            Self::TurnCross => (9, 0, 0),
+            Self::Walk => (10, 0, 0),
+            Self::Forget(state) => (11, state, 0),
+            Self::Expect(axis) => (12, axis, 0),
+            Self::Gate => (13, 0, 0),
+            Self::Watch => (14, 0, 0),
+            Self::Project(axis) => (15, axis, 0),
+            Self::ProjectIron(axis) => (16, axis, 0),
+            Self::ProjectCross(axis) => (17, axis, 0),
+            Self::CorrectStates(axis) => (18, axis, 0),
+            Self::Correct(axis, row) => (19, axis, row),
+            Self::Check => (20, 0, 0),
+            Self::Finish => (21, 0, 0),
+        };
+        // A place out of range does no harm: each slice checks it.
+        let (mut place, mut other) = (usize::from(first), usize::from(second));
+        visitor.index(&mut kind, 22);
+        visitor.index(&mut place, ERROR_STATES);
+        visitor.index(&mut other, ERROR_STATES);
+        let (first, second) = (place as u8, other as u8);
+        *self = match kind {
+            1 => Self::Waiting,
+            2 => Self::Propagate(first),
+            3 => Self::Relax,
+            4 => Self::Follow(first, second),
+            5 => Self::FollowOwn(first, second),
+            6 => Self::Drift(first),
+            7 => Self::Turn,
+            8 => Self::TurnField,
+            9 => Self::TurnCross,
+            10 => Self::Walk,
+            11 => Self::Forget(first),
+            12 => Self::Expect(first),
+            13 => Self::Gate,
+            14 => Self::Watch,
+            15 => Self::Project(first),
+            16 => Self::ProjectIron(first),
+            17 => Self::ProjectCross(first),
+            18 => Self::CorrectStates(first),
+            19 => Self::Correct(first, second),
+            20 => Self::Check,
+            21 => Self::Finish,
+            _ => Self::Idle,
+        };
+    }
+}

@@ -1,0 +1,317 @@
+//! Tests of the heading filter on simulated motion, with a truth that shares no code with it.
+
+use super::*;
+use crate::attitude::{BodyVector, EulerAngles, Quaternion};
+use crate::estimator::{Estimator, Sample};
+use crate::serialize::{StateReader, StateWriter};
+use crate::units::{STANDARD_GRAVITY_M_S2, degrees, radians};
+
+/// Earth's field in north, east, down, µT: that of central Europe.
+const EARTH_UT: Vector3 = Vector3::new(20.0, 0.0, 44.0);
+
+/// Body with an IMU and a compass, and the filters that follow it.
+struct Flight {
+    truth: Quaternion,
+    estimator: Estimator,
+    heading: Heading,
+    /// Field beside that of the earth: in body axes, and in earth axes, µT.
+    iron_ut: Vector3,
+    disturbance_ut: Vector3,
+    /// Offset of the gyroscope, rad/s.
+    offset_rad_s: Vector3,
+    step_us: u64,
+    t_us: u64,
+    reading_us: u64,
+    noise: u32,
+}
+
+impl Flight {
+    fn new(heading_deg: f32, knowledge: CompassKnowledge) -> Self {
+        Self {
+            truth: Quaternion::from_euler(EulerAngles {
+                yaw_rad: radians(heading_deg),
+                ..EulerAngles::default()
+            }),
+            estimator: Estimator::new(),
+            heading: Heading::new(knowledge),
+            iron_ut: Vector3::ZERO,
+            disturbance_ut: Vector3::ZERO,
+            offset_rad_s: Vector3::ZERO,
+            step_us: 2_000,
+            t_us: 0,
+            reading_us: 0,
+            noise: 1,
+        }
+    }
+
+    fn noise(&mut self, amplitude: f32) -> Vector3 {
+        let mut next = || {
+            // Numerical Recipes' linear congruential generator.
+            self.noise = self.noise.wrapping_mul(1_664_525);
+            self.noise = self.noise.wrapping_add(1_013_904_223);
+            amplitude * (self.noise >> 8) as f32 / (1 << 23) as f32 - amplitude
+        };
+        Vector3::new(next(), next(), next())
+    }
+
+    /// Takes one sample, after a step at these rates.
+    fn step(&mut self, rate_rad_s: Vector3) {
+        let dt_s = self.step_us as f32 * SECONDS_PER_MICROSECOND;
+        let turn = Quaternion::from_rotation_vector(rate_rad_s.scale(dt_s));
+        self.truth = self.truth.multiply(turn).normalize();
+        self.t_us += self.step_us;
+        let to_body = self.truth.conjugate();
+        let up = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+        let force = to_body.rotate(up) + self.noise(0.05);
+        let rate = rate_rad_s + self.offset_rad_s + self.noise(0.002);
+        self.estimator
+            .update(&Sample::new(self.t_us, BodyVector(force), BodyVector(rate)));
+        self.heading.follow(self.estimator.filter(), dt_s);
+        if self.t_us >= self.reading_us {
+            self.reading_us += 10_000;
+            let field = to_body.rotate(EARTH_UT + self.disturbance_ut) + self.iron_ut;
+            let Vector3 { x, y, z } = field + self.noise(0.5);
+            self.heading.add_field(MagneticField { ut: [x, y, z] }, 0);
+        }
+    }
+
+    fn rest(&mut self, seconds: f32) {
+        self.run(seconds, |_| Vector3::ZERO);
+    }
+
+    /// Turns about all axes.
+    fn tumble(&mut self, seconds: f32) {
+        self.run(seconds, |t_s| {
+            let swing = |amplitude, rad_s: f32| amplitude * libm::sinf(rad_s * t_s);
+            Vector3::new(swing(1.5, 1.1), swing(1.2, 1.7), swing(1.3, 0.6))
+        });
+    }
+
+    fn run(&mut self, seconds: f32, rate_rad_s: impl Fn(f32) -> Vector3) {
+        let steps = (seconds * 1.0e6 / self.step_us as f32) as u64;
+        for _ in 0..steps {
+            let t_s = self.t_us as f32 * SECONDS_PER_MICROSECOND;
+            self.step(rate_rad_s(t_s));
+            self.check_promise();
+        }
+    }
+
+    /// Checks the promise of a valid heading.
+    fn check_promise(&self) {
+        if let Some(estimate) = self.heading.estimate().filter(|it| it.is_valid) {
+            let error = self.error_deg().unwrap_or(f32::NAN).abs();
+            let promised = (6.0 * degrees(estimate.sigma_rad)).max(15.0);
+            assert!(error <= promised, "{} s: {error}", self.t_us / 1_000_000);
+        }
+    }
+
+    /// Returns the error of the heading, degrees: the twist about down.
+    fn error_deg(&self) -> Option<f32> {
+        let estimate = self.heading.estimate()?;
+        let turn = Vector3::new(0.0, 0.0, estimate.yaw_offset_rad);
+        let absolute =
+            Quaternion::from_rotation_vector(turn).multiply(self.estimator.estimate().attitude);
+        let error = absolute.multiply(self.truth.conjugate());
+        Some(degrees(wrap_pi(2.0 * libm::atan2f(error.z, error.w))))
+    }
+
+    fn assert_error_below(&self, limit_deg: f32) {
+        let error = self.error_deg().expect("a heading");
+        assert!(error.abs() < limit_deg, "{error}");
+    }
+}
+
+#[test]
+fn heading_is_clockwise_from_north_at_rest() {
+    for heading_deg in [0.0, 90.0, 179.0, -90.0, -37.0] {
+        let mut flight = Flight::new(heading_deg, CompassKnowledge::Calibrated);
+        flight.rest(3.0);
+        let estimate = flight.heading.estimate().expect("a heading");
+        let yaw_rad = flight.estimator.estimate().euler().yaw_rad;
+        let error = degrees(estimate.heading_rad(yaw_rad)) - heading_deg;
+        assert!(error.abs() < 1.5, "{heading_deg}: {error}");
+        assert!(estimate.is_valid, "{heading_deg}: {estimate:?}");
+    }
+}
+
+#[test]
+fn a_declination_turns_the_heading_to_true_north() {
+    let mut flight = Flight::new(20.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    let magnetic = flight.heading.estimate().expect("a heading");
+    flight.heading.set_declination(radians(12.0));
+    let at_once = flight.heading.estimate().expect("a heading");
+    let turned = degrees(at_once.yaw_offset_rad - magnetic.yaw_offset_rad);
+    assert!((turned - 12.0).abs() < 1e-4, "{turned}");
+    flight.rest(2.0);
+    let later = flight.heading.estimate().expect("a heading");
+    let turned = degrees(later.yaw_offset_rad - magnetic.yaw_offset_rad);
+    assert!((turned - 12.0).abs() < 1.0, "{turned}");
+}
+
+#[test]
+fn hard_iron_that_nobody_calibrated_is_found_in_motion() {
+    let mut flight = Flight::new(70.0, CompassKnowledge::Factory);
+    flight.iron_ut = Vector3::new(120.0, -130.0, 95.0);
+    flight.rest(2.0);
+    // At rest nothing tells hard iron from the earth's field.
+    let is_valid = |flight: &Flight| flight.heading.estimate().is_some_and(|it| it.is_valid);
+    assert!(!is_valid(&flight));
+    flight.tumble(20.0);
+    flight.assert_error_below(3.0);
+    assert!(is_valid(&flight));
+    let found = flight.heading.hard_iron_ut() - flight.iron_ut;
+    assert!(found.norm() < 4.0, "{found:?}");
+    let sigma = flight.heading.hard_iron_sigma_ut();
+    assert!(
+        found.is_within(4.0 * sigma.x.max(sigma.y).max(sigma.z)),
+        "{sigma:?}"
+    );
+}
+
+#[test]
+fn the_heading_survives_a_passing_magnet() {
+    let mut flight = Flight::new(-120.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    flight.tumble(10.0);
+    flight.disturbance_ut = Vector3::new(-15.0, 25.0, -10.0);
+    flight.tumble(3.0);
+    flight.assert_error_below(15.0);
+    flight.disturbance_ut = Vector3::ZERO;
+    flight.tumble(10.0);
+    flight.assert_error_below(3.0);
+}
+
+#[test]
+fn a_magnet_that_stays_on_the_body_is_learned() {
+    let mut flight = Flight::new(10.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    flight.tumble(10.0);
+    flight.iron_ut = Vector3::new(12.0, -9.0, 5.0);
+    flight.tumble(30.0);
+    flight.assert_error_below(4.0);
+    let found = flight.heading.hard_iron_ut() - flight.iron_ut;
+    assert!(found.norm() < 5.0, "{found:?}");
+}
+
+#[test]
+fn any_sample_rate_gives_the_heading() {
+    // Above 250 Hz the step runs in slices, below at once. Beyond 20 ms an interval has few
+    // samples.
+    for step_us in [1_000, 2_000, 3_500, 5_000, 10_000, 20_000] {
+        let mut flight = Flight::new(140.0, CompassKnowledge::Factory);
+        flight.step_us = step_us;
+        flight.iron_ut = Vector3::new(30.0, 10.0, -20.0);
+        flight.rest(2.0);
+        flight.tumble(20.0);
+        flight.assert_error_below(3.0);
+    }
+}
+
+#[test]
+fn the_gyroscopes_offset_does_not_turn_the_heading() {
+    let mut flight = Flight::new(30.0, CompassKnowledge::Calibrated);
+    flight.offset_rad_s = Vector3::new(radians(2.0), radians(-3.0), radians(4.0));
+    flight.rest(5.0);
+    flight.tumble(20.0);
+    flight.assert_error_below(3.0);
+    flight.rest(20.0);
+    flight.assert_error_below(3.0);
+}
+
+#[test]
+fn a_gap_forgets_the_heading_and_finds_it_again() {
+    let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    assert!(flight.heading.estimate().is_some());
+    // Unseen: a turn by 90°.
+    let turn = Vector3::new(0.0, 0.0, radians(90.0));
+    flight.truth = Quaternion::from_rotation_vector(turn).multiply(flight.truth);
+    flight.t_us += 2_000_000;
+    flight.reading_us = flight.t_us;
+    flight.step(Vector3::ZERO);
+    assert_eq!(flight.heading.estimate(), None);
+    flight.rest(3.0);
+    flight.assert_error_below(1.5);
+}
+
+#[test]
+fn a_pause_widens_the_heading() {
+    let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
+    flight.estimator.filter_mut().set_sample_period(0.002);
+    flight.tumble(20.0);
+    flight.rest(3.0);
+    let sigma = |flight: &Flight| flight.heading.estimate().expect("a heading").sigma_rad;
+    let before = sigma(&flight);
+    flight.heading.has_reading = false;
+    flight.reading_us = u64::MAX;
+    flight.step_us = 400_000;
+    flight.step(Vector3::ZERO);
+    flight.step_us = 2_000;
+    flight.rest(0.5);
+    assert!(
+        sigma(&flight) > before + radians(5.0),
+        "{} {before}",
+        sigma(&flight)
+    );
+}
+
+#[test]
+fn readings_that_no_compass_delivers_do_no_harm() {
+    let mut flight = Flight::new(80.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    for bad in [f32::NAN, f32::INFINITY, -1.0e30, 9_000.0, 0.0] {
+        for _ in 0..500 {
+            flight.step(Vector3::ZERO);
+            let field = MagneticField {
+                ut: [bad, -bad, bad],
+            };
+            flight.heading.add_field(field, u32::MAX);
+            if let Some(estimate) = flight.heading.estimate() {
+                assert!(estimate.yaw_offset_rad.abs() < 3.2 && estimate.sigma_rad > 0.0);
+            }
+        }
+    }
+    assert!(flight.heading.state.iter().all(|state| state.is_finite()));
+    flight.tumble(20.0);
+    flight.assert_error_below(3.0);
+}
+
+#[test]
+fn a_restored_state_continues_to_the_bit() {
+    let mut flight = Flight::new(80.0, CompassKnowledge::Factory);
+    flight.step_us = 1_000;
+    flight.tumble(3.0);
+    let mut phases = 0;
+    // Every phase of a step, and more than a step.
+    for _ in 0..400 {
+        flight.step(Vector3::new(0.5, -0.3, 0.2));
+        let mut bytes = [0; 2_048];
+        let mut copy = flight.heading;
+        let mut writer = StateWriter::new(&mut bytes, 0);
+        copy.visit_state(&mut writer);
+        let length = writer.length().expect("a byte form");
+        let mut restored = Heading::new(CompassKnowledge::Calibrated);
+        let mut reader = StateReader::new(&bytes[..length]);
+        restored.visit_state(&mut reader);
+        assert!(reader.is_complete());
+        assert_eq!(restored, flight.heading);
+        phases += u32::from(restored.phase != Phase::Idle);
+    }
+    assert!(phases > 100, "{phases}");
+}
+
+#[test]
+fn a_step_is_complete_before_the_tilt_filter_begins_its_next() {
+    let mut flight = Flight::new(0.0, CompassKnowledge::Factory);
+    for step_us in [1_000, 1_250, 2_000, 4_000] {
+        flight.step_us = step_us;
+        for index in 0..3_000 {
+            let was_idle = matches!(flight.heading.phase, Phase::Idle | Phase::Waiting);
+            let before = flight.heading.present;
+            flight.step(Vector3::new(0.4, 0.1, -0.2));
+            let has_closed = flight.heading.present != before;
+            assert!(!has_closed || was_idle, "{step_us} µs, step {index}");
+        }
+    }
+}

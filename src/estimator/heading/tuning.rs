@@ -1,0 +1,113 @@
+//! Tuning of the heading filter: one set of numbers for every compass.
+//!
+//! All are standard deviations (σ) or noise densities, in µT, rad and s.
+
+/// The heading filter's tuning.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Tuning {
+    /// σ of the field at start, per axis, µT.
+    pub start_field_ut: f32,
+    /// Random walk of the field, µT/√s.
+    pub field_walk: f32,
+    /// Random walk of yaw beyond the gyroscope's noise, rad/√s.
+    pub yaw_walk: f32,
+    /// Random walk of the hard iron, µT/√s. Larger: follows a change sooner.
+    pub hard_iron_walk: f32,
+    /// σ of the slow local deviation, per axis, µT.
+    pub deviation_ut: f32,
+    /// Memory of the local deviation in motion, s: a new place has another deviation.
+    pub deviation_moving_s: f32,
+    /// Memory of the local deviation at rest, s. Larger: a wrong field at rest is averaged less.
+    pub deviation_still_s: f32,
+    /// Rate that counts as full motion, rad/s.
+    pub moving_rate_rad_s: f32,
+    /// Acceleration that counts as full motion, m/s².
+    pub moving_acceleration_m_s2: f32,
+    /// Time for which motion counts after its end, s.
+    pub moving_hold_s: f32,
+    /// Share of full motion below which nothing moves.
+    pub least_motion: f32,
+    /// σ of the mean field of one interval, per axis, µT.
+    pub noise_ut: f32,
+    /// Noise per rate, µT per rad/s: errors of time and of the axes.
+    pub noise_per_rate: f32,
+    /// Share of the expected squared innovation from which on the rest is a disturbance.
+    pub gate: f32,
+    /// Noise per excess of the squared innovation.
+    pub excess_to_noise: f32,
+    /// Time for which an excess opens the models, s.
+    pub excess_s: f32,
+    /// Variance of the local deviation per excess.
+    pub excess_to_deviation: f32,
+    /// Noise of the hard iron per excess, 1/s: a magnet may have been attached.
+    pub excess_to_hard_iron: f32,
+    /// Largest excess, µT.
+    pub largest_excess_ut: f32,
+    /// Averaging time of the innovation that restarts the filter, s.
+    pub restart_average_s: f32,
+    /// Time of contradiction after which the filter restarts, s.
+    pub restart_after_s: f32,
+    /// Squared innovation per squared error of the field's length that is a contradiction.
+    pub restart_ratio: f32,
+    /// Least innovation that is a contradiction, µT.
+    pub restart_floor_ut: f32,
+    /// σ of the hard iron after a restart, beyond that at start, µT.
+    pub restart_hard_iron_ut: f32,
+    /// Averaging time of the innovation's consistency, s.
+    pub consistency_s: f32,
+    /// σ of the heading below which it is reported, rad.
+    pub known_rad: f32,
+    /// σ of the heading below which it may be valid, rad.
+    pub valid_rad: f32,
+    /// σ of the tilt below which the heading may be valid, rad.
+    pub valid_tilt_rad: f32,
+    /// Mean squared innovation per expected one below which the heading may be valid.
+    pub valid_inconsistency: f32,
+}
+
+impl Tuning {
+    /// The default tuning.
+    pub const DEFAULT: Self = Self {
+        start_field_ut: 60.0,
+        field_walk: 0.02,
+        yaw_walk: 0.007,
+        hard_iron_walk: 0.005,
+        deviation_ut: 3.5,
+        deviation_moving_s: 0.2,
+        deviation_still_s: 10.0,
+        moving_rate_rad_s: 0.5,
+        moving_acceleration_m_s2: 2.0,
+        moving_hold_s: 0.5,
+        least_motion: 0.15,
+        noise_ut: 2.0,
+        noise_per_rate: 1.0,
+        gate: 0.2,
+        excess_to_noise: 20.0,
+        excess_s: 1.0,
+        excess_to_deviation: 0.02,
+        excess_to_hard_iron: 0.05,
+        largest_excess_ut: 60.0,
+        restart_average_s: 10.0,
+        restart_after_s: 5.0,
+        restart_ratio: 10.0,
+        restart_floor_ut: 6.0,
+        restart_hard_iron_ut: 10.0,
+        consistency_s: 5.0,
+        known_rad: 0.5,
+        valid_rad: 0.22,
+        valid_tilt_rad: 0.07,
+        valid_inconsistency: 2.5,
+    };
+}
+
+impl Default for Tuning {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+#[inline]
+pub(super) const fn square(number: f32) -> f32 {
+    number * number
+}

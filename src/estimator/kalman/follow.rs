@@ -1,0 +1,260 @@
+//! Read access for a filter that follows this one, such as [`heading`](crate::estimator::heading).
+//!
+//! A follower has states of its own, and their cross-covariance with the error state of this
+//! filter. It repeats on the cross-covariance what a covariance step does to the covariance. It
+//! changes nothing here, so the attitude does not depend on it.
+//!
+//! Measurements of a step are repeated after the step, from its result P⁺. With the variances r of
+//! its measurements, and p_i = P_hx·e_i before the step,
+//!
+//! ```text
+//! P_hx ← P_hx − Σ_i p_i·(P⁺·e_i)ᵀ/r_i        x_h ← x_h + Σ_i p_i·(z_i − x_i − δ_i)/r_i
+//! ```
+//!
+//! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in terms of the covariance
+//! afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
+
+use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS};
+use super::slices::{MOST_MEASUREMENTS, State};
+use super::tuning::square;
+use super::{Kalman, Tilt};
+use crate::attitude::{Quaternion, Vector3};
+
+/// Number of error states that a follower sees: tilt (2), velocity (2), gyroscope bias (3) and
+/// matrix (9). The accelerometer's bias is left out: its correlation with a field changes no score.
+pub(in crate::estimator) const ERROR_STATES: usize = DYNAMIC + GYROSCOPE_PARAMETERS;
+
+/// Error states of the velocity.
+pub(in crate::estimator) const VELOCITY: core::ops::Range<usize> = 2..DYNAMIC;
+/// First of the gyroscope's parameters among the error states.
+pub(in crate::estimator) const FIRST_GYROSCOPE: usize = DYNAMIC;
+/// Number of the gyroscope's parameters.
+pub(in crate::estimator) const GYROSCOPE: usize = GYROSCOPE_PARAMETERS;
+/// Most measurements of a covariance step.
+pub(in crate::estimator) const MEASUREMENTS: usize = MOST_MEASUREMENTS;
+
+/// Measurement of the last covariance step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::estimator) struct Followed {
+    /// The measured error state.
+    pub(in crate::estimator) state: usize,
+    /// 1/r, the inverse of the measurement's variance.
+    pub(in crate::estimator) weight: f32,
+    /// z − x − δ, what the step has left of the innovation.
+    pub(in crate::estimator) residual: f32,
+}
+
+impl Followed {
+    /// Returns the measured parameter; `None` for the velocity.
+    pub(in crate::estimator) fn parameter(self) -> Option<usize> {
+        self.state.checked_sub(DYNAMIC)
+    }
+}
+
+impl Kalman {
+    /// Returns whether an attitude is known.
+    #[inline]
+    pub(in crate::estimator) fn has_tilt(&self) -> bool {
+        self.tilt != Tilt::Unknown
+    }
+
+    /// Returns whether a covariance step is due or under way.
+    #[inline]
+    pub(in crate::estimator) fn has_work(&self) -> bool {
+        self.has_work
+    }
+
+    /// Returns whether a covariance step is under way. Its result is not that of the state then.
+    #[inline]
+    pub(in crate::estimator) fn is_step_under_way(&self) -> bool {
+        self.step.is_under_way()
+    }
+
+    /// Returns whether the last sample ended an earth step.
+    #[inline]
+    pub(in crate::estimator) fn is_at_earth_step(&self) -> bool {
+        self.nominal.elapsed_s == 0.0
+    }
+
+    /// Returns the time since the last covariance step began, s.
+    #[inline]
+    pub(in crate::estimator) fn interval_s(&self) -> f32 {
+        self.interval.duration_s
+    }
+
+    /// Returns the tilt variance of unobserved motion in the interval, per axis, rad².
+    pub(in crate::estimator) fn unseen_tilt_rad2(&self) -> f32 {
+        self.interval.unseen_tilt_rad2
+    }
+
+    /// Returns whether tilt and velocity have just been reset: they correlate with nothing.
+    pub(in crate::estimator) fn is_motion_reset(&self) -> bool {
+        let covariance = &self.step.covariance;
+        let is_reset = |state| covariance.cross_entry(0, state) == 0.0;
+        !self.step.is_under_way() && is_reset(0) && is_reset(1)
+    }
+
+    /// Returns whether the velocity has been reset alone: it correlates with no parameter.
+    pub(in crate::estimator) fn is_velocity_reset(&self) -> bool {
+        let covariance = &self.step.covariance;
+        covariance.cross_entry(0, 2) == 0.0 && covariance.cross_entry(0, 3) == 0.0
+    }
+
+    /// Returns whether the parameters have just been reset: they do not correlate.
+    pub(in crate::estimator) fn are_parameters_reset(&self) -> bool {
+        let [_, y, z, ..] = self.step.covariance.parameter_column(0).parameters;
+        y == 0.0 && z == 0.0
+    }
+
+    /// Returns the attitude at the last earth step.
+    #[inline]
+    pub(in crate::estimator) fn attitude_at_earth_step(&self) -> Quaternion {
+        self.nominal.attitude
+    }
+
+    /// Returns the rotation from the last earth step to `age_s` before the last sample, rad in body
+    /// axes.
+    #[inline]
+    pub(in crate::estimator) fn rotation_since_earth_step(&self, age_s: f32) -> Vector3 {
+        self.nominal.rotation_rad - self.nominal.rate_rad_s.scale(age_s)
+    }
+
+    /// Returns the last rate, rad/s.
+    #[inline]
+    pub(in crate::estimator) fn rate_rad_s(&self) -> Vector3 {
+        self.nominal.rate_rad_s
+    }
+
+    /// Returns the last specific force without bias, m/s² in body axes.
+    #[inline]
+    pub(in crate::estimator) fn force_m_s2(&self) -> Vector3 {
+        self.nominal.force_m_s2 - self.nominal.accelerometer_bias_m_s2
+    }
+
+    /// Returns the covariance of the tilt in rad²: north, north with east, east.
+    pub(in crate::estimator) fn tilt_covariance(&self) -> [f32; 3] {
+        self.step.covariance.tilt()
+    }
+
+    /// Adds the columns of the tilt, north and east, times these factors.
+    pub(in crate::estimator) fn add_tilt_columns(
+        &self,
+        factors: [f32; 2],
+        column: &mut [f32; ERROR_STATES],
+    ) {
+        self.add_dynamic_columns(0, factors, column);
+    }
+
+    /// Adds the columns of the velocity, north and east, times these factors.
+    pub(in crate::estimator) fn add_velocity_columns(
+        &self,
+        factors: [f32; 2],
+        column: &mut [f32; ERROR_STATES],
+    ) {
+        self.add_dynamic_columns(VELOCITY.start, factors, column);
+    }
+
+    #[inline(never)]
+    fn add_dynamic_columns(
+        &self,
+        first: usize,
+        factors: [f32; 2],
+        column: &mut [f32; ERROR_STATES],
+    ) {
+        if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
+            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
+        {
+            let covariance = &self.step.covariance;
+            covariance.add_dynamic_columns(first, factors, dynamic, parameters);
+        }
+    }
+
+    /// Adds two rows of the covariance, a short and a long one, to its product with a vector that
+    /// has entries at the gyroscope's parameters only. Returns false after the last rows.
+    pub(in crate::estimator) fn add_product(
+        &self,
+        part: usize,
+        vector: &[f32; GYROSCOPE_PARAMETERS],
+        column: &mut [f32; ERROR_STATES],
+    ) -> bool {
+        let last = (GYROSCOPE_PARAMETERS - 1).saturating_sub(part);
+        if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
+            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
+        {
+            let covariance = &self.step.covariance;
+            covariance.add_row_product(last, vector, dynamic, parameters);
+            if part < last {
+                covariance.add_row_product(part, vector, dynamic, parameters);
+            }
+        }
+        part + 1 < last
+    }
+
+    /// Propagates a row of the cross-covariance through the last covariance step.
+    pub(in crate::estimator) fn propagate_row(&self, row: &mut [f32; ERROR_STATES]) {
+        if let Some((dynamic, rest)) = row.split_first_chunk_mut::<DYNAMIC>()
+            && let Some(parameters) = rest.first_chunk::<GYROSCOPE_PARAMETERS>()
+        {
+            self.step.transition().apply_to_tilt(dynamic, parameters);
+        }
+    }
+
+    /// Returns the error state that the last covariance step has let return towards its prior, and
+    /// the factor of its error.
+    pub(in crate::estimator) fn relaxed(&self) -> (usize, f32) {
+        let factor = self.relaxation(self.step.duration_s());
+        (DYNAMIC + usize::from(self.next_parameter), factor)
+    }
+
+    /// Returns a measurement of the last covariance step.
+    pub(in crate::estimator) fn followed(&self, index: usize) -> Option<Followed> {
+        let measurement = self.step.measurement(index)?;
+        let correction = &self.step.correction;
+        let (state, correction) = match measurement.state {
+            State::Dynamic(state) => (state, correction.dynamic.get(state)?),
+            State::Parameter(parameter) => {
+                let correction = correction.parameters.get(parameter)?;
+                (DYNAMIC + parameter, correction)
+            }
+        };
+        Some(Followed {
+            state,
+            weight: 1.0 / measurement.variance,
+            residual: measurement.innovation - correction,
+        })
+    }
+
+    /// Adds the column of a parameter times a factor.
+    pub(in crate::estimator) fn add_parameter_column(
+        &self,
+        parameter: usize,
+        factor: f32,
+        column: &mut [f32; ERROR_STATES],
+    ) {
+        if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
+            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
+        {
+            let covariance = &self.step.covariance;
+            covariance.add_parameter_column(parameter, factor, dynamic, parameters);
+        }
+    }
+
+    /// Returns the correction of the gyroscope's parameters by the last covariance step.
+    pub(in crate::estimator) fn gyroscope_correction(&self) -> &[f32] {
+        let parameters = &self.step.correction.parameters;
+        parameters.get(..GYROSCOPE_PARAMETERS).unwrap_or(&[])
+    }
+
+    /// Returns the factor with which a parameter's error decays in its turn.
+    #[inline(always)]
+    pub(super) fn relaxation(&self, duration_s: f32) -> f32 {
+        const TURNS: f32 = (PARAMETERS - 3) as f32;
+        1.0 - (TURNS * duration_s / self.tuning.parameter_memory_s).min(1.0)
+    }
+
+    /// Returns the yaw noise of the interval like that of the tilt, rad², for ∫|ω|² dt in rad²/s.
+    pub(in crate::estimator) fn turn_noise_rad2(&self, duration_s: f32, squared_rate: f32) -> f32 {
+        square(self.tuning.rate_noise) * duration_s
+            + square(self.tuning.rate_noise_per_rate) * squared_rate
+    }
+}
