@@ -3,6 +3,8 @@
 //! The test installs pymavlink into a folder of its own under `target`. Without Python, or where
 //! the installation fails, it reports that and proves nothing.
 
+#![cfg(feature = "mavlink")]
+
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::Path;

@@ -78,6 +78,21 @@ pub fn run_for_cores() -> Result<(), String> {
     })
 }
 
+/// Builds the library for this computer, whose target is `host`, and for the cores. Returns each
+/// target with its library.
+pub fn build(host: &str) -> Result<Vec<(String, PathBuf)>, String> {
+    let mut cargo = step::host_cargo("build");
+    step::run(cargo.args(["--quiet", "--release", "-p", "aplomb-c"]))?;
+    let here = step::target_folder().join("release/libaplomb_c.a");
+    let mut found = vec![(host.to_owned(), here)];
+    for core in &CORES {
+        if found.iter().all(|(target, _)| target != core.target) {
+            found.push((core.target.to_owned(), library(core)?));
+        }
+    }
+    Ok(found)
+}
+
 /// Builds the library for a core.
 fn library(core: &Core) -> Result<PathBuf, String> {
     let mut cargo = Toolchain::for_any(core.target)?.cargo_for(core.target, "build");

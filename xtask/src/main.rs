@@ -10,6 +10,7 @@ mod faults;
 mod package;
 mod panics;
 mod python;
+mod release;
 mod results;
 mod rigs;
 mod setup;
@@ -52,6 +53,7 @@ usage: cargo xtask COMMAND
   c                   build the C library for this computer and three Cortex-M cores, and run its
                       programs; a part of `test`
   python              install the Python package into target/ and test it; a part of `test`
+  release --dry-run   make and check the archives, the wheel and the package of a release
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
@@ -101,6 +103,8 @@ fn run(arguments: &[String]) -> Result<(), String> {
         },
         "c" => no_more(rest).and_then(|()| c_library::run()),
         "python" => no_more(rest).and_then(|()| python::run()),
+        "release" if rest == ["--dry-run"] => release::dry_run(),
+        "release" => Err(format!("`release` only knows --dry-run\n\n{USAGE}")),
         "flash" => flash(board_alone(rest)?),
         "setup" => no_more(rest).and_then(|()| {
             setup::Toolchain::for_target()?;

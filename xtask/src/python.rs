@@ -69,6 +69,35 @@ fn lint() -> Result<(), String> {
     step::run(clippy.args(["--", "-D", "warnings"]))
 }
 
+/// Makes the wheel and the archive of its sources in this folder. Without Python it says so.
+pub fn package(folder: &Path) -> Result<(), String> {
+    step::timed("the Python wheel and its sources", || {
+        let Some(python) = python() else {
+            eprintln!("   skipped: python3 of version 3.10 or later, with venv, is not installed");
+            return Ok(());
+        };
+        let tools = step::target_folder().join("python-tests");
+        step::run(step::command(&python).args(["-m", "venv"]).arg(&tools))?;
+        let python = tools.join("bin/python");
+        let mut pip = step::command(&python);
+        pip.args([
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            "maturin",
+        ]);
+        step::run(&mut pip)?;
+        // The wheel is built from the archive of the sources, which shows that it is whole.
+        let mut maturin = step::command(&python);
+        maturin.args(["-m", "maturin", "build", "--release", "--sdist"]);
+        maturin.args(["--manifest-path", "python/Cargo.toml", "--out"]);
+        maturin.arg(folder).arg("--target-dir");
+        step::run(maturin.arg(step::target_folder().join("python")))
+    })
+}
+
 /// Returns the first Python that is new enough.
 fn python() -> Option<PathBuf> {
     let names = [

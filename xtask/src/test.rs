@@ -172,7 +172,7 @@ fn test_virtual_board(
 }
 
 /// Runs cargo-deny where it is installed: to build it takes five minutes of CPU.
-fn check_dependencies() -> Result<(), String> {
+pub fn check_dependencies() -> Result<(), String> {
     if step::is_installed("cargo-deny") {
         return cargo(&[
             "deny",
