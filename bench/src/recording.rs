@@ -8,7 +8,7 @@ use aplomb::estimator::Sample;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
-use aplomb::units::{MagneticField, STANDARD_GRAVITY_M_S2};
+use aplomb::units::STANDARD_GRAVITY_M_S2;
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
@@ -19,8 +19,9 @@ use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
 use aplomb_recordings::vibration::Vibration;
 
+use crate::compass::Compass;
 use crate::filter::{Choice, Filter};
-use crate::heading::Compass;
+
 use crate::rest;
 
 /// Largest plausible force. A larger one means that the columns are not in m/s².
@@ -73,12 +74,23 @@ impl Reference {
 pub struct Handling {
     /// Delay of the samples, µs.
     pub delay_us: u32,
-    /// How much older a reading of the compass is than its row's sample, µs.
+    /// Age of a reading of the compass against its row's sample, µs.
     pub compass_delay_us: u32,
     /// Knowledge of the compass's hard iron.
     pub compass: CompassKnowledge,
     /// Ranges of register counts; `None` for SI units.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+}
+
+impl Handling {
+    /// Returns the compass without a reading.
+    fn compass(self) -> Compass {
+        Compass {
+            delay_us: self.compass_delay_us,
+            knowledge: self.compass,
+            ..Compass::default()
+        }
+    }
 }
 
 /// Result of reading a file.
@@ -121,11 +133,7 @@ impl Recording {
             },
             samples: Vec::new(),
             true_up: Vec::new(),
-            compass: has_compass(columns).then(|| Compass {
-                delay_us: handling.compass_delay_us,
-                knowledge: handling.compass,
-                ..Compass::default()
-            }),
+            compass: has_compass(columns).then(|| handling.compass()),
             clipping: None,
         };
         let mut start = None;
@@ -145,12 +153,7 @@ impl Recording {
             is_plausible &= sample.specific_force_m_s2.is_within(IMPLAUSIBLE_FORCE_M_S2);
             recording.samples.push(sample);
             if let Some(compass) = &mut recording.compass {
-                compass.mount = mount;
-                compass.fields.push(row.field_ut.map(|field| {
-                    let Vector3 { x, y, z } = mount.to_body(vector(field));
-                    MagneticField { ut: [x, y, z] }
-                }));
-                compass.truth.push(row.attitude.filter(|_| row.moving));
+                compass.add(&row, mount);
             }
             let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
             recording.true_up.push(up.map(|up| {

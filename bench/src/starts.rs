@@ -148,6 +148,7 @@ fn a_start_in_a_recording_is_never_wrong_and_valid() {
             let handling = Handling {
                 delay_us,
                 ranges: None,
+                ..Handling::default()
             };
             match Recording::read(&path, handling) {
                 Ok(Found::Recording(recording)) => recordings.push(recording),
