@@ -3,33 +3,17 @@
 use std::fmt::Write as _;
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::calibration::Mount;
-use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{CompassPipeline, Settings};
-use aplomb::units::{MagneticField, degrees};
+use aplomb::units::degrees;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::heading::{HeadingErrors, HeadingScore, error_deg};
 use aplomb_recordings::score::{mean, median};
 
+use crate::compass::Compass;
 use crate::marg::{self, Choice};
 use crate::parallel;
 use crate::recording::Recording;
-
-/// Compass of a recording, with the truth of the heading.
-#[derive(Clone, Debug, Default)]
-pub struct Compass {
-    /// Reading in body axes for each sample, if it has one.
-    pub fields: Vec<Option<MagneticField>>,
-    /// True attitude, sensor to east, north, up, for each sample, where it is known and counts.
-    pub truth: Vec<Option<Truth>>,
-    /// Mount of the sensors.
-    pub mount: Mount,
-    /// How much older a reading is than its row's sample, µs.
-    pub delay_us: u32,
-    /// Knowledge of the hard iron.
-    pub knowledge: CompassKnowledge,
-}
 
 /// Name of the library's filter.
 const OURS: &str = "kalman";
@@ -73,7 +57,7 @@ fn ours(recording: &Recording, compass: &Compass) -> Option<HeadingScore> {
         if let Some(Some(field)) = compass.fields.get(index) {
             pipeline.update_field(*field, compass.delay_us);
         }
-        if let Some(truth) = compass.truth_at(recording, index) {
+        if let Some(truth) = truth_at(recording, index) {
             errors.add(pipeline.heading().map(|heading| {
                 let turn = Vector3::new(0.0, 0.0, heading.yaw_offset_rad);
                 let turn = Quaternion::from_rotation_vector(turn);
@@ -97,7 +81,7 @@ fn peer(choice: Choice, recording: &Recording, compass: &Compass) -> Option<Head
         delays_s,
         rows,
         |index, attitude| {
-            if let Some(truth) = compass.truth_at(recording, index) {
+            if let Some(truth) = truth_at(recording, index) {
                 errors.add(Some((error_deg(attitude, truth, compass.mount), None)));
             }
         },
@@ -105,17 +89,18 @@ fn peer(choice: Choice, recording: &Recording, compass: &Compass) -> Option<Head
     errors.score()
 }
 
-impl Compass {
-    /// Returns the truth of a row that counts.
-    fn truth_at(&self, recording: &Recording, index: usize) -> Option<Truth> {
-        let sample = recording.samples.get(index)?;
-        let truth = *self.truth.get(index)?;
-        truth.filter(|_| sample.t_us >= recording.start_us())
-    }
+/// Returns the truth of a row that counts.
+fn truth_at(recording: &Recording, index: usize) -> Option<Truth> {
+    let sample = recording.samples.get(index)?;
+    let truth = *recording.compass.as_ref()?.truth.get(index)?;
+    truth.filter(|_| sample.t_us >= recording.start_us())
 }
 
-/// Returns the table of the sets, and that of the recordings.
+/// Returns the table of the sets, and that of the recordings; nothing without recordings.
 pub fn table(rows: &[Row<'_>]) -> String {
+    if rows.is_empty() {
+        return String::new();
+    }
     let mut text = String::from(
         "\nHeading error, root mean square in degrees: median/mean over recordings, \
          as it is and without its mean\n",

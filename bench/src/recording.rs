@@ -8,7 +8,6 @@ use aplomb::estimator::Sample;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
-use aplomb::units::MagneticField;
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
@@ -18,8 +17,9 @@ use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
 use aplomb_recordings::units::{BadRows, RowOptions};
 use aplomb_recordings::vibration::Vibration;
 
+use crate::compass::Compass;
 use crate::filter::{Choice, Filter};
-use crate::heading::Compass;
+
 use crate::rest;
 
 /// Recording in body axes.
@@ -69,12 +69,23 @@ impl Reference {
 pub struct Handling {
     /// Delay of the samples, µs.
     pub delay_us: u32,
-    /// How much older a reading of the compass is than its row's sample, µs.
+    /// Age of a reading of the compass against its row's sample, µs.
     pub compass_delay_us: u32,
     /// Knowledge of the compass's hard iron.
     pub compass: CompassKnowledge,
     /// Ranges of register counts; `None` for SI units.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+}
+
+impl Handling {
+    /// Returns the compass without a reading.
+    fn compass(self) -> Compass {
+        Compass {
+            delay_us: self.compass_delay_us,
+            knowledge: self.compass,
+            ..Compass::default()
+        }
+    }
 }
 
 /// Result of reading a file.
@@ -117,11 +128,7 @@ impl Recording {
             },
             samples: Vec::new(),
             true_up: Vec::new(),
-            compass: has_compass(columns).then(|| Compass {
-                delay_us: handling.compass_delay_us,
-                knowledge: handling.compass,
-                ..Compass::default()
-            }),
+            compass: has_compass(columns).then(|| handling.compass()),
             clipping: None,
         };
         let mut rows = match rows_of(lines, columns, handling)? {
@@ -142,12 +149,7 @@ impl Recording {
             };
             recording.samples.push(sample);
             if let Some(compass) = &mut recording.compass {
-                compass.mount = mount;
-                compass.fields.push(row.field_ut.map(|field| {
-                    let Vector3 { x, y, z } = mount.to_body(vector(field)).0;
-                    MagneticField { ut: [x, y, z] }
-                }));
-                compass.truth.push(row.attitude.filter(|_| row.moving));
+                compass.add(&row, mount);
             }
             let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
             recording.true_up.push(up.map(|up| {
