@@ -119,7 +119,10 @@ impl AttitudeTask {
         snapshot: &Snapshot,
     ) {
         self.samples_to_housekeeping = HOUSEKEEPING_SAMPLES;
-        if let Some(compass) = compass {
+        // The minimal build has no compass, and none of its code.
+        if cfg!(feature = "full")
+            && let Some(compass) = compass
+        {
             let round = compass.round(HOUSEKEEPING_SAMPLES, snapshot);
             self.samples_to_housekeeping = round.samples;
             if !round.keeps_house {

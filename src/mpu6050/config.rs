@@ -199,7 +199,7 @@ impl core::error::Error for ParseRangeError {}
 /// Digital low-pass filter, named by the gyroscope's bandwidth in hertz.
 ///
 /// Bandwidths and delays are the MPU-6050's (register map §4.3). The MPU-6500 family takes the
-/// same settings with bandwidths within 6 Hz. [`Part`](super::Part) has its delays, which are longer.
+/// same settings with bandwidths within 6 Hz. [`Part`](super::Part) has its longer delays.
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -18,8 +18,8 @@ pub struct Settings {
     /// Calibration of the sensor. Default: none.
     pub calibration: Calibration,
     /// Delay of the sensor in µs: age of a sample's content at the sample's time. Default: `None`,
-    /// the gyroscope's delay in the low-pass filter of `sensor` in `part`, because the time is that of the
-    /// data-ready edge.
+    /// the gyroscope's delay in the low-pass filter of `sensor` in `part`, because the time is that
+    /// of the data-ready edge.
     pub sensor_delay_us: Option<u32>,
     /// True if the caller reads the sensor's full scales back while
     /// [`Pipeline::awaits_scale_check`](super::Pipeline::awaits_scale_check) is true, and then

@@ -246,7 +246,7 @@ impl BurstReader {
             BurstStep::Idle => {
                 i2c.dr().read();
             }
-            BurstStep::Setting => self.on_write_event(),
+            BurstStep::Setting if cfg!(feature = "full") => self.on_write_event(),
             _ => {}
         }
     }
@@ -432,7 +432,7 @@ impl BurstReader {
     #[cold]
     #[inline(never)]
     fn fail(&mut self, fault: BurstFault) {
-        if self.is_compass && self.fail_transfer(fault) {
+        if cfg!(feature = "full") && self.is_compass && self.fail_transfer(fault) {
             return;
         }
         let failure = BurstFailure {

@@ -28,7 +28,7 @@ impl BurstReader {
     /// meanwhile.
     #[inline(never)]
     pub(super) fn end_check(&mut self, timebase: &mut Timebase) {
-        if self.is_compass {
+        if cfg!(feature = "full") && self.is_compass {
             self.end_read();
             self.end_errand(true, timebase);
             return;
