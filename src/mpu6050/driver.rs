@@ -150,17 +150,12 @@ impl<I2C: I2c> Mpu6050<I2C> {
     /// Returns [`Error::Bus`] if a transfer fails.
     pub fn read_back(&mut self, config: &Config) -> Result<ReadBack, Error<I2C::Error>> {
         let mut condition = Condition::Intact;
-        let mut registers = Check::all(config, self.part).map(|check| {
-            (
-                check.first,
-                check.length.min(Check::LONGEST),
-                [0; Check::LONGEST],
-            )
-        });
+        let mut registers = Check::all(config, self.part)
+            .map(|check| (check.first, check.length, [0; Check::LONGEST]));
         for (check, (first, length, bytes)) in
             Check::all(config, self.part).iter().zip(&mut registers)
         {
-            let (read, _) = bytes.split_at_mut(*length);
+            let (read, _) = bytes.split_at_mut((*length).min(Check::LONGEST));
             self::read(&mut self.i2c, self.address, *first, read)?;
             match check.evaluate(bytes) {
                 Condition::Intact => {}
