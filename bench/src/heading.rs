@@ -3,33 +3,16 @@
 use std::fmt::Write as _;
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::calibration::Mount;
-use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{CompassPipeline, Settings};
-use aplomb::units::{MagneticField, degrees};
+use aplomb::units::degrees;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::heading::{HeadingErrors, HeadingScore, error_deg};
 use aplomb_recordings::score::{mean, median};
 
 use crate::marg::{self, Choice};
 use crate::parallel;
-use crate::recording::Recording;
-
-/// Compass of a recording, with the truth of the heading.
-#[derive(Clone, Debug, Default)]
-pub struct Compass {
-    /// Reading in body axes for each sample, if it has one.
-    pub fields: Vec<Option<MagneticField>>,
-    /// True attitude, sensor to east, north, up, for each sample, where it is known and counts.
-    pub truth: Vec<Option<Truth>>,
-    /// Mount of the sensors.
-    pub mount: Mount,
-    /// How much older a reading is than its row's sample, µs.
-    pub delay_us: u32,
-    /// Knowledge of the hard iron.
-    pub knowledge: CompassKnowledge,
-}
+use crate::recording::{Compass, Recording};
 
 /// Name of the library's filter.
 const OURS: &str = "kalman";

@@ -9,7 +9,7 @@ use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
 use aplomb::units::MagneticField;
-use aplomb_models::motion::geometry::angle_between;
+use aplomb_models::motion::geometry::{Quaternion as Truth, angle_between};
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::log::{Lines, LogError, LogFault, Row, Rows, column_count, has_compass};
@@ -19,7 +19,6 @@ use aplomb_recordings::units::{BadRows, RowOptions};
 use aplomb_recordings::vibration::Vibration;
 
 use crate::filter::{Choice, Filter};
-use crate::heading::Compass;
 use crate::rest;
 
 /// Recording in body axes.
@@ -43,6 +42,21 @@ pub struct Recording {
     pub compass: Option<Compass>,
     /// Message on clipping.
     pub clipping: Option<String>,
+}
+
+/// Compass of a recording, with the truth of the heading.
+#[derive(Clone, Debug, Default)]
+pub struct Compass {
+    /// Reading in body axes for each sample, if it has one.
+    pub fields: Vec<Option<MagneticField>>,
+    /// True attitude, sensor to east, north, up, for each sample, where it is known and counts.
+    pub truth: Vec<Option<Truth>>,
+    /// Mount of the sensors.
+    pub mount: Mount,
+    /// Extra age of a reading over its row's sample, µs.
+    pub delay_us: u32,
+    /// Knowledge of the hard iron.
+    pub knowledge: CompassKnowledge,
 }
 
 /// Reference that a recording is judged by.
@@ -69,7 +83,7 @@ impl Reference {
 pub struct Handling {
     /// Delay of the samples, µs.
     pub delay_us: u32,
-    /// How much older a reading of the compass is than its row's sample, µs.
+    /// Extra age of a compass reading over its row's sample, µs.
     pub compass_delay_us: u32,
     /// Knowledge of the compass's hard iron.
     pub compass: CompassKnowledge,
@@ -158,18 +172,23 @@ impl Recording {
         if handling.ranges.is_none() {
             recording.mark_clipping();
         }
-        if recording.counts() {
-            return Ok(Found::Recording(recording));
+        Ok(recording.judged_by_truth_or_rest())
+    }
+
+    /// Returns the recording with the reference that it has.
+    fn judged_by_truth_or_rest(mut self) -> Found {
+        if self.counts() {
+            return Found::Recording(self);
         }
-        recording.reference = Reference::Rest;
-        recording.true_up = rest::up_at_rest(&recording.samples);
-        if recording.counts() {
-            Ok(Found::Recording(recording))
-        } else {
-            unusable(
-                "it has no truth, and after its first 5 s it does not lie still for 1.5 s either",
-            )
+        self.reference = Reference::Rest;
+        self.true_up = rest::up_at_rest(&self.samples);
+        if self.counts() {
+            return Found::Recording(self);
         }
+        Found::Unusable(
+            "it has no truth, and after its first 5 s it does not lie still for 1.5 s either"
+                .to_owned(),
+        )
     }
 
     /// Marks clipped samples as saturated.

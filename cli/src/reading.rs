@@ -45,7 +45,7 @@ pub struct Reading {
     /// Knowledge of the compass's hard iron: factory, calibrated [default: factory]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = compass_knowledge)]
     compass: Option<CompassKnowledge>,
-    /// How much older a reading of the compass is than the sample of its row, in microseconds
+    /// Extra age of a compass reading over the sample of its row, in microseconds
     /// [default: 0]
     #[arg(
         long,

@@ -120,7 +120,7 @@ pub struct LogOptions {
 pub struct CompassOptions {
     /// Knowledge of its hard iron.
     pub knowledge: CompassKnowledge,
-    /// How much older a reading is than the sample of its row, µs.
+    /// Extra age of a reading over the sample of its row, µs.
     pub delay_us: u32,
     /// Declination, rad.
     pub declination_rad: f32,

@@ -156,12 +156,9 @@ impl Fly {
 }
 
 fn mount(name: &str) -> Result<Mount, String> {
-    Mount::parse(name).ok_or_else(|| {
-        format!(
-            "there is no such mount; there are z-up, z-down, {}",
-            Mount::names().join(", ")
-        )
-    })
+    let names = Mount::names().join(", ");
+    Mount::parse(name)
+        .ok_or_else(|| format!("there is no such mount; there are z-up, z-down, {names}"))
 }
 
 fn kit_names() -> String {

@@ -144,8 +144,8 @@ pub struct HeadingEstimate {
     pub yaw_offset_rad: f32,
     /// σ of the heading, rad.
     pub sigma_rad: f32,
-    /// True if the heading is wrong by no more than the larger of 15° and six σ, provided that the
-    /// tilt is valid.
+    /// True if the heading is wrong by no more than the larger of 15° and six σ, provided that
+    /// the tilt is valid.
     pub is_valid: bool,
 }
 
@@ -188,7 +188,7 @@ pub struct Heading {
     inverse: f32,
     /// Variance of the measurement's noise; before that, the expected squared innovation.
     noise: f32,
-    /// How much the body moves: 0 at rest, at most 1.
+    /// Share of motion: 0 at rest, at most 1.
     motion: f32,
     /// Recent excess of the squared innovation, µT².
     excess: f32,

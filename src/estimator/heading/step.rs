@@ -3,9 +3,9 @@
 //!
 //! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/follow.rs`).
 //! 2. *Turn* the field by the drift of yaw. The gyroscope's errors e turn the level frame by
-//!    W·e about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
-//!    over an interval, so those after the tilt filter's correction δ serve: c moves by δ, and its
-//!    covariance by what is left.
+//!    W·e about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are
+//!    constant over an interval, so those after the tilt filter's correction δ serve: c moves by
+//!    δ, and its covariance by what is left.
 //! 3. *Forget* the local deviation, and add the process noise.
 //! 4. *Measure*: three rows, each by `measurement.rs`.
 
@@ -35,9 +35,9 @@ pub(super) enum Phase {
     Propagate(u8),
     /// X by what the tilt filter resets and lets return to its prior.
     Relax,
-    /// This row of X by the tilt filter's measurement of this index.
+    /// Row of X by the tilt filter's measurement of this index.
     Follow(u8, u8),
-    /// This row of O by the tilt filter's measurements, from this index on.
+    /// Row of O by the tilt filter's measurements, from this index on.
     FollowOwn(u8, u8),
     /// Covariance of the drift of yaw with the error states, from this parameter on.
     Drift(u8),
@@ -49,7 +49,7 @@ pub(super) enum Phase {
     TurnCross,
     /// Process noise of field and hard iron.
     Walk,
-    /// This state of the local deviation.
+    /// State of the local deviation.
     Forget(u8),
     /// Expected innovation of this axis.
     Expect(u8),
