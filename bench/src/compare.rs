@@ -42,8 +42,8 @@ JSON: scores, one for each recording and filter (set, recording, reference, sens
 inclination_samples, inclination_rms_deg, inclination_p95_deg, inclination_max_deg,
 within_3_sigma (a share), median_error_per_sigma); headings of recordings with a compass, if there
 are any (set, recording, filter, heading_known, heading_rms_deg, heading_rms_without_offset_deg,
-heading_offset_deg, heading_within_3_sigma, median_heading_error_per_sigma); not_scored (file,
-line if one is to blame, reason), and warnings of clipping and vibration, if there are any.
+heading_offset_deg, heading_within_3_sigma, median_heading_error_per_sigma); not_scored
+(file, line if one is to blame, reason), and warnings of clipping and vibration, if there are any.
 
 Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage.")]
 pub struct Options {
@@ -54,7 +54,7 @@ pub struct Options {
     /// broad-mag=4000]
     #[arg(long = "sensor-delay-us", value_name = "SET=N", value_parser = parse_delay)]
     delays_us: Vec<(String, u32)>,
-    /// Extra age of a set's compass readings over the samples of their rows, in microseconds
+    /// Age of a set's compass readings against the samples of their rows, in microseconds
     /// [known: broad-mag=10000]
     #[arg(long = "compass-delay-us", value_name = "SET=N", value_parser = parse_delay)]
     compass_delays_us: Vec<(String, u32)>,
@@ -149,7 +149,19 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     }
     let headings = heading::score(&with_compass);
     if recordings.is_empty() && headings.is_empty() {
-        recordings = simulated_flights(options);
+        if !options.json {
+            print_line(&format!(
+                "There are no recordings to score here, so these are {} simulated flights of one \
+                 minute: seeds {} and up, which nothing was tuned on; gyroscope offset 4 °/s, not \
+                 calibrated; accelerometer as --accelerometer states.",
+                EVALUATION_SEEDS.count(),
+                EVALUATION_SEEDS.start
+            ));
+        }
+        let knowledge = options
+            .accelerometer
+            .unwrap_or(AccelerometerKnowledge::Factory);
+        recordings = simulated::flights(EVALUATION_SEEDS, knowledge);
     }
     if let Some(knowledge) = options.accelerometer {
         for recording in &mut recordings {
@@ -159,39 +171,12 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let rows = score(&recordings);
     let names = Choice::ALL.map(Choice::name);
     if options.json {
-        print_line(&report::json(
-            &names,
-            &rows,
-            &headings,
-            warnings,
-            &not_scored,
-        )?);
+        let all = report::json(&names, &rows, &headings, warnings, &not_scored)?;
+        print_line(&all);
         return Ok(());
     }
-    if !headings.is_empty() {
-        print_line(heading::table(&headings).trim_end());
-    }
-    if rows.is_empty() {
-        return Ok(());
-    }
+    print_line(&heading::table(&headings));
     print_and_draw(options, &names, &rows)
-}
-
-/// Returns the simulated flights that take the place of recordings.
-fn simulated_flights(options: &Options) -> Vec<Recording> {
-    if !options.json {
-        print_line(&format!(
-            "There are no recordings to score here, so these are {} simulated flights of one \
-             minute: seeds {} and up, which nothing was tuned on; gyroscope offset 4 °/s, not \
-             calibrated; accelerometer as --accelerometer states.",
-            EVALUATION_SEEDS.count(),
-            EVALUATION_SEEDS.start
-        ));
-    }
-    let knowledge = options
-        .accelerometer
-        .unwrap_or(AccelerometerKnowledge::Factory);
-    simulated::flights(EVALUATION_SEEDS, knowledge)
 }
 
 /// Searches a tuning or gains on the recordings with truth.
@@ -230,6 +215,9 @@ fn print_and_draw(
     names: &[&str],
     rows: &[Row<'_>],
 ) -> Result<(), Box<dyn Error>> {
+    if rows.is_empty() {
+        return Ok(());
+    }
     let sets = summarise(rows, names.len());
     for reference in [Reference::Truth, Reference::Rest] {
         let sets: Vec<&Set> = sets

@@ -10,9 +10,10 @@ use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::heading::{HeadingErrors, HeadingScore, error_deg};
 use aplomb_recordings::score::{mean, median};
 
+use crate::compass::Compass;
 use crate::marg::{self, Choice};
 use crate::parallel;
-use crate::recording::{Compass, Recording};
+use crate::recording::Recording;
 
 /// Name of the library's filter.
 const OURS: &str = "kalman";
@@ -56,7 +57,7 @@ fn ours(recording: &Recording, compass: &Compass) -> Option<HeadingScore> {
         if let Some(Some(field)) = compass.fields.get(index) {
             pipeline.update_field(*field, compass.delay_us);
         }
-        if let Some(truth) = compass.truth_at(recording, index) {
+        if let Some(truth) = truth_at(recording, index) {
             errors.add(pipeline.heading().map(|heading| {
                 let turn = Vector3::new(0.0, 0.0, heading.yaw_offset_rad);
                 let turn = Quaternion::from_rotation_vector(turn);
@@ -80,7 +81,7 @@ fn peer(choice: Choice, recording: &Recording, compass: &Compass) -> Option<Head
         delays_s,
         rows,
         |index, attitude| {
-            if let Some(truth) = compass.truth_at(recording, index) {
+            if let Some(truth) = truth_at(recording, index) {
                 errors.add(Some((error_deg(attitude, truth, compass.mount), None)));
             }
         },
@@ -88,17 +89,18 @@ fn peer(choice: Choice, recording: &Recording, compass: &Compass) -> Option<Head
     errors.score()
 }
 
-impl Compass {
-    /// Returns the truth of a row that counts.
-    fn truth_at(&self, recording: &Recording, index: usize) -> Option<Truth> {
-        let sample = recording.samples.get(index)?;
-        let truth = *self.truth.get(index)?;
-        truth.filter(|_| sample.t_us >= recording.start_us())
-    }
+/// Returns the truth of a row that counts.
+fn truth_at(recording: &Recording, index: usize) -> Option<Truth> {
+    let sample = recording.samples.get(index)?;
+    let truth = *recording.compass.as_ref()?.truth.get(index)?;
+    truth.filter(|_| sample.t_us >= recording.start_us())
 }
 
-/// Returns the table of the sets, and that of the recordings.
+/// Returns the table of the sets, and that of the recordings; nothing without recordings.
 pub fn table(rows: &[Row<'_>]) -> String {
+    if rows.is_empty() {
+        return String::new();
+    }
     let mut text = String::from(
         "\nHeading error, root mean square in degrees: median/mean over recordings, \
          as it is and without its mean\n",

@@ -3,6 +3,7 @@
 mod accuracy;
 mod clipping;
 mod compare;
+mod compass;
 mod filter;
 mod folders;
 mod gains;

@@ -8,8 +8,7 @@ use aplomb::estimator::Sample;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
-use aplomb::units::MagneticField;
-use aplomb_models::motion::geometry::{Quaternion as Truth, angle_between};
+use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::log::{Lines, LogError, LogFault, Row, Rows, column_count, has_compass};
@@ -18,7 +17,9 @@ use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
 use aplomb_recordings::units::{BadRows, RowOptions};
 use aplomb_recordings::vibration::Vibration;
 
+use crate::compass::Compass;
 use crate::filter::{Choice, Filter};
+
 use crate::rest;
 
 /// Recording in body axes.
@@ -42,21 +43,6 @@ pub struct Recording {
     pub compass: Option<Compass>,
     /// Message on clipping.
     pub clipping: Option<String>,
-}
-
-/// Compass of a recording, with the truth of the heading.
-#[derive(Clone, Debug, Default)]
-pub struct Compass {
-    /// Reading in body axes for each sample, if it has one.
-    pub fields: Vec<Option<MagneticField>>,
-    /// True attitude, sensor to east, north, up, for each sample, where it is known and counts.
-    pub truth: Vec<Option<Truth>>,
-    /// Mount of the sensors.
-    pub mount: Mount,
-    /// Extra age of a reading over its row's sample, µs.
-    pub delay_us: u32,
-    /// Knowledge of the hard iron.
-    pub knowledge: CompassKnowledge,
 }
 
 /// Reference that a recording is judged by.
@@ -83,12 +69,23 @@ impl Reference {
 pub struct Handling {
     /// Delay of the samples, µs.
     pub delay_us: u32,
-    /// Extra age of a compass reading over its row's sample, µs.
+    /// Age of a reading of the compass against its row's sample, µs.
     pub compass_delay_us: u32,
     /// Knowledge of the compass's hard iron.
     pub compass: CompassKnowledge,
     /// Ranges of register counts; `None` for SI units.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
+}
+
+impl Handling {
+    /// Returns the compass without a reading.
+    fn compass(self) -> Compass {
+        Compass {
+            delay_us: self.compass_delay_us,
+            knowledge: self.compass,
+            ..Compass::default()
+        }
+    }
 }
 
 /// Result of reading a file.
@@ -131,11 +128,7 @@ impl Recording {
             },
             samples: Vec::new(),
             true_up: Vec::new(),
-            compass: has_compass(columns).then(|| Compass {
-                delay_us: handling.compass_delay_us,
-                knowledge: handling.compass,
-                ..Compass::default()
-            }),
+            compass: has_compass(columns).then(|| handling.compass()),
             clipping: None,
         };
         let mut rows = match rows_of(lines, columns, handling)? {
@@ -156,12 +149,7 @@ impl Recording {
             };
             recording.samples.push(sample);
             if let Some(compass) = &mut recording.compass {
-                compass.mount = mount;
-                compass.fields.push(row.field_ut.map(|field| {
-                    let Vector3 { x, y, z } = mount.to_body(vector(field)).0;
-                    MagneticField { ut: [x, y, z] }
-                }));
-                compass.truth.push(row.attitude.filter(|_| row.moving));
+                compass.add(&row, mount);
             }
             let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
             recording.true_up.push(up.map(|up| {
@@ -172,23 +160,18 @@ impl Recording {
         if handling.ranges.is_none() {
             recording.mark_clipping();
         }
-        Ok(recording.judged_by_truth_or_rest())
-    }
-
-    /// Returns the recording with the reference that it has.
-    fn judged_by_truth_or_rest(mut self) -> Found {
-        if self.counts() {
-            return Found::Recording(self);
+        if recording.counts() {
+            return Ok(Found::Recording(recording));
         }
-        self.reference = Reference::Rest;
-        self.true_up = rest::up_at_rest(&self.samples);
-        if self.counts() {
-            return Found::Recording(self);
+        recording.reference = Reference::Rest;
+        recording.true_up = rest::up_at_rest(&recording.samples);
+        if recording.counts() {
+            Ok(Found::Recording(recording))
+        } else {
+            unusable(
+                "it has no truth, and after its first 5 s it does not lie still for 1.5 s either",
+            )
         }
-        Found::Unusable(
-            "it has no truth, and after its first 5 s it does not lie still for 1.5 s either"
-                .to_owned(),
-        )
     }
 
     /// Marks clipped samples as saturated.

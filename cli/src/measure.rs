@@ -25,7 +25,10 @@ const NOMINAL_HZ: f64 = 1_000.0;
   aplomb measure --port /dev/ttyUSB0
   aplomb measure --port /dev/ttyUSB0 --seconds 60 --json
 
-The virtual board counts instructions. A chip takes up to four times as many cycles.")]
+The virtual board counts instructions. A chip takes up to four times as many cycles.
+
+JSON: module, with the figures of the table, names with units; and virtual_board, with its name and
+those figures that were measured there.")]
 pub struct Options {
     /// The module's serial port; without one the ports of this computer are listed
     #[arg(long)]

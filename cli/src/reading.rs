@@ -45,8 +45,8 @@ pub struct Reading {
     /// Knowledge of the compass's hard iron: factory, calibrated [default: factory]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = compass_knowledge)]
     compass: Option<CompassKnowledge>,
-    /// Extra age of a compass reading over the sample of its row, in microseconds
-    /// [default: 0]
+    /// Age of the compass's readings against the samples of their rows, in microseconds [default:
+    /// 0]
     #[arg(
         long,
         value_name = "N",

@@ -120,7 +120,7 @@ pub struct LogOptions {
 pub struct CompassOptions {
     /// Knowledge of its hard iron.
     pub knowledge: CompassKnowledge,
-    /// Extra age of a reading over the sample of its row, µs.
+    /// Age of a reading against the sample of its row, µs.
     pub delay_us: u32,
     /// Declination, rad.
     pub declination_rad: f32,

@@ -73,6 +73,77 @@ fn column<'a>(output: &'a str, name: &str) -> Vec<&'a str> {
         .collect()
 }
 
+/// Returns a log of a sensor that lies face up with its x axis to the east, for five seconds. Every
+/// fourth row has a reading of the compass.
+fn compass_log() -> String {
+    let mut log = "t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n".to_owned();
+    for index in 0..1_000 {
+        // North is to the left of x; the field points down.
+        let field = if index % 4 == 0 { "0.1,20,-44" } else { ",," };
+        writeln!(
+            log,
+            "{},0,0.0{},9.8,0,0,0,{field}",
+            5_000 * index,
+            index % 3
+        )
+        .unwrap();
+    }
+    log
+}
+
+#[test]
+fn a_log_with_a_compass_gives_the_heading() {
+    let input = file("compass", "compass.csv", compass_log().into_bytes());
+    let options = ["--compass", "calibrated", "--declination", "3"];
+    let (printed, output) = replay("compass", &input, &options);
+    assert!(printed.contains("HEADING_VALID: "), "{printed}");
+    let last = |name| -> f64 { column(&output, name).last().unwrap().parse().unwrap() };
+    assert!((last("heading_deg") - 93.0).abs() < 1.0, "{printed}");
+    assert!((last("heading_deg") - last("yaw_deg") - last("yaw_offset_deg")).abs() < 1e-3);
+    assert!((1.0..20.0).contains(&last("heading_sigma_deg")));
+    assert_eq!(column(&output, "heading_deg").first(), Some(&""));
+    let flags = column(&output, "flags");
+    assert!(
+        flags.last().unwrap().contains("VALID|HEADING_VALID"),
+        "{flags:?}"
+    );
+    // Hard iron of which nothing is known: at rest there is no heading.
+    let (_, output) = replay("compass", &input, &[]);
+    assert_eq!(column(&output, "heading_deg").last(), Some(&""));
+}
+
+#[test]
+fn options_of_a_compass_are_refused_where_there_is_none() {
+    let with = file("refused", "with.csv", compass_log().into_bytes());
+    let without = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/roll.csv");
+    let cases: [(&Path, &[&str], &str); 3] = [
+        (
+            &without,
+            &["--compass", "factory"],
+            "its header lacks mx,my,mz",
+        ),
+        (
+            &without,
+            &["--compass-delay-us", "10000"],
+            "its header lacks mx,my,mz",
+        ),
+        (
+            &with,
+            &["--declination", "3", "--filter", "classic"],
+            "leave --filter out",
+        ),
+    ];
+    for (input, options, expected) in cases {
+        let arguments = [&["replay", input.to_str().unwrap()], options].concat();
+        let result = aplomb(&arguments);
+        let errors = String::from_utf8_lossy(&result.stderr);
+        assert!(
+            !result.status.success() && errors.contains(expected),
+            "{errors}"
+        );
+    }
+}
+
 #[test]
 fn the_output_is_the_golden_one() {
     let input = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/roll.csv");
@@ -412,7 +483,8 @@ fn bursts_go_through_the_whole_pipeline_to_the_bit() {
     assert_eq!(output.lines().count(), 1 + expected.len());
     for (line, (start, flags)) in output.lines().skip(1).zip(&expected) {
         assert!(line.starts_with(start), "{line} is not {start}");
-        assert!(line.ends_with(&format!(",{flags}")), "{line}: {flags}");
+        // Bursts have no compass, so the columns of the heading are empty.
+        assert!(line.ends_with(&format!(",{flags},,,")), "{line}: {flags}");
     }
     assert!(
         column(&output, "tilt_sigma_deg")

@@ -19,6 +19,7 @@ use super::burst_reader::{self, ReceivedBurst};
 use super::compass::CompassTask;
 use super::{clocks, retained, timebase, watchdog};
 use crate::attitude::{Quaternion, Vector3};
+use crate::compass;
 use crate::fault::FaultClass;
 use crate::health::Flags;
 use crate::pipeline::{Pipeline, Snapshot};
@@ -119,7 +120,10 @@ impl AttitudeTask {
         snapshot: &Snapshot,
     ) {
         self.samples_to_housekeeping = HOUSEKEEPING_SAMPLES;
-        if let Some(compass) = compass {
+        // Without the feature the firmware has no code of the compass.
+        if compass::IS_BUILT_IN
+            && let Some(compass) = compass
+        {
             let round = compass.round(HOUSEKEEPING_SAMPLES, snapshot);
             self.samples_to_housekeeping = round.samples;
             if !round.keeps_house {

@@ -11,7 +11,7 @@ use super::part::{Bytes, Part, Registers, SelfTestPlan, Status, Step, little_end
 use crate::attitude::Vector3;
 
 /// Bus address with CAD0 and CAD1 low, as inside the MPU-9250.
-const ADDRESS: u8 = 0x0C;
+pub(super) const ADDRESS: u8 = 0x0C;
 /// WIA, the identity (§8.3.1).
 const WIA: u8 = 0x00;
 const IDENTITY: u8 = 0x48;
@@ -67,10 +67,6 @@ static SELF_TEST: SelfTestPlan = SelfTestPlan {
 pub(super) struct Ak8963;
 
 impl Part for Ak8963 {
-    fn address(&self) -> u8 {
-        ADDRESS
-    }
-
     fn identity(&self) -> Registers {
         Registers::new(WIA, 2)
     }

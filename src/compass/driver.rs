@@ -114,7 +114,7 @@ pub(crate) fn self_test<I2C: I2c>(
             response: None,
         });
     };
-    let address = chip.address();
+    let address = part.address();
     let mut bytes = [0; LONGEST_READ];
     for step in plan.steps {
         let transfer = match *step {

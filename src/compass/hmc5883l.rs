@@ -10,7 +10,7 @@ use super::part::{Bytes, Part, Registers, SelfTestPlan, Status, Step};
 use crate::attitude::Vector3;
 
 /// Bus address.
-const ADDRESS: u8 = 0x1E;
+pub(super) const ADDRESS: u8 = 0x1E;
 /// Configuration register A: samples per output, rate, bias.
 const CONFIG_A: u8 = 0x00;
 /// Mean of eight samples, 75 Hz, no bias.
@@ -67,10 +67,6 @@ static SELF_TEST: SelfTestPlan = SelfTestPlan {
 pub(super) struct Hmc5883l;
 
 impl Part for Hmc5883l {
-    fn address(&self) -> u8 {
-        ADDRESS
-    }
-
     fn identity(&self) -> Registers {
         IDENTIFICATION
     }

@@ -24,6 +24,10 @@
 //! assert_eq!(session.finish(&Outcome::NoAnswer), None);
 //! ```
 
+/// Whether this build searches, reads and calibrates a compass. Firmware needs the feature
+/// `compass` for it.
+pub const IS_BUILT_IN: bool = cfg!(any(feature = "compass", not(feature = "firmware")));
+
 mod ak8963;
 mod choice;
 mod condition;

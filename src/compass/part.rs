@@ -61,9 +61,6 @@ pub(super) struct SelfTestPlan {
 
 /// Compass chip.
 pub(super) trait Part: Sync {
-    /// Returns the bus address, 7 bits.
-    fn address(&self) -> u8;
-
     /// Returns the registers that identify the part.
     fn identity(&self) -> Registers;
 

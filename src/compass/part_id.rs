@@ -1,10 +1,10 @@
 //! Table of the supported chips.
 
-use super::ak8963::Ak8963;
-use super::hmc5883l::Hmc5883l;
+use super::ak8963::{self, Ak8963};
+use super::hmc5883l::{self, Hmc5883l};
 use super::part::Part;
-use super::qmc5883l::Qmc5883l;
-use super::qmc5883p::Qmc5883p;
+use super::qmc5883l::{self, Qmc5883l};
+use super::qmc5883p::{self, Qmc5883p};
 
 /// Supported chip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,8 +47,13 @@ impl PartId {
     }
 
     /// Returns the bus address, 7 bits.
-    pub fn address(self) -> u8 {
-        self.part().address()
+    pub const fn address(self) -> u8 {
+        match self {
+            Self::Ak8963 => ak8963::ADDRESS,
+            Self::Qmc5883l => qmc5883l::ADDRESS,
+            Self::Qmc5883p => qmc5883p::ADDRESS,
+            Self::Hmc5883l => hmc5883l::ADDRESS,
+        }
     }
 
     pub(super) const fn part(self) -> &'static dyn Part {

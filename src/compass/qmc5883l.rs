@@ -9,7 +9,7 @@ use super::part::{Bytes, Part, Registers, Status, Step, little_endian};
 use crate::attitude::Vector3;
 
 /// Bus address.
-const ADDRESS: u8 = 0x0D;
+pub(super) const ADDRESS: u8 = 0x0D;
 /// Status, then by roll-over the data, X, Y, Z, little-endian (§9.2.1, §9.2.2).
 const READING: Registers = Registers::new(0x06, 7);
 const STATUS_READY: u8 = 1 << 0;
@@ -45,10 +45,6 @@ const CONFIGURATION: [Step; 7] = [
 pub(super) struct Qmc5883l;
 
 impl Part for Qmc5883l {
-    fn address(&self) -> u8 {
-        ADDRESS
-    }
-
     fn identity(&self) -> Registers {
         IDENTIFICATION
     }

@@ -9,7 +9,7 @@ use super::qmc5883l::status_of;
 use crate::attitude::Vector3;
 
 /// Bus address.
-const ADDRESS: u8 = 0x2C;
+pub(super) const ADDRESS: u8 = 0x2C;
 /// Chip identity (§9.2.1).
 const IDENTIFICATION: Registers = Registers::new(0x00, 2);
 const IDENTITY: u8 = 0x80;
@@ -44,10 +44,6 @@ const CONFIGURATION: [Step; 6] = [
 pub(super) struct Qmc5883p;
 
 impl Part for Qmc5883p {
-    fn address(&self) -> u8 {
-        ADDRESS
-    }
-
     fn identity(&self) -> Registers {
         IDENTIFICATION
     }

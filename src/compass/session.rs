@@ -168,8 +168,8 @@ impl Session {
                 None
             }
             State::Searching { index, pass } => {
-                let part = PartId::ALL.get(usize::from(*index))?.part();
-                let identity = part.identity();
+                let part = PartId::ALL.get(usize::from(*index))?;
+                let identity = part.part().identity();
                 let first = if *pass == 0 { 0 } else { identity.first };
                 Some(read(part.address(), Registers::new(first, identity.length)))
             }
@@ -191,12 +191,12 @@ impl Session {
             }
             State::Running { part, turn } => {
                 *turn = (*turn + 1) % CHECK_TURNS;
-                let (part, turn) = (part.part(), *turn);
+                let (address, part, turn) = (part.address(), part.part(), *turn);
                 if turn.is_multiple_of(2) {
-                    Some(read(part.address(), part.reading()))
+                    Some(read(address, part.reading()))
                 } else if turn == 1 {
                     let (register, _) = part.setting();
-                    Some(read(part.address(), Registers::new(register, 2)))
+                    Some(read(address, Registers::new(register, 2)))
                 } else {
                     None
                 }
@@ -315,7 +315,7 @@ impl Session {
                 let &&[a, b, c, ..] = bytes;
                 let kept = if chip.identity().length > 2 { c } else { 0 };
                 let fault = Fault::WrongIdentity {
-                    address: chip.address(),
+                    address: part.address(),
                     identity: [a, b, kept],
                 };
                 if self.known == Some(part) {

@@ -20,6 +20,7 @@ use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
 use crate::calibration::{Mount, NoiseModel};
+use crate::compass;
 use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record};
 use crate::telemetry;
@@ -129,6 +130,9 @@ impl Console {
         self.procedures
             .poll(now_us, &mut self.working.calibration, mount, module, reply)
             .or_else(|| {
+                if !compass::IS_BUILT_IN {
+                    return None;
+                }
                 let settings = &mut self.working.compass;
                 self.compass.poll(now_us, settings, mount, module, reply)
             })
@@ -162,6 +166,13 @@ impl Console {
             return refusal;
         }
         match command {
+            Command::Compass(_) | Command::Calibrate(Calibrate::Compass)
+                if !compass::IS_BUILT_IN =>
+            {
+                reply.error(format_args!(
+                    "this firmware has no compass: build it with the feature \"compass\""
+                ))
+            }
             Command::Help => reply.ok(format_args!("help: {CommandForms}")),
             Command::Status => self.status(module, reply),
             Command::Show => reply.ok(format_args!("show: {}", RecordText(&self.working))),
@@ -177,7 +188,7 @@ impl Console {
                 reply.ok(format_args!("disarm"))
             }
             Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),
-            Command::Calibrate(Calibrate::Done) if self.compass.is_running() => {
+            Command::Calibrate(Calibrate::Done) if self.is_compass_running() => {
                 let mount = self.mount();
                 let settings = &mut self.working.compass;
                 self.compass.finish(settings, mount, module, reply)
@@ -304,9 +315,13 @@ impl Console {
         }
     }
 
+    fn is_compass_running(&self) -> bool {
+        compass::IS_BUILT_IN && self.compass.is_running()
+    }
+
     /// Returns the name of the running procedure.
     fn running(&self) -> Option<&'static str> {
-        if self.compass.is_running() {
+        if self.is_compass_running() {
             return Some(compass_procedure::NAME);
         }
         self.procedures.current().map(Procedure::name)
@@ -314,7 +329,7 @@ impl Console {
 
     /// Aborts the running procedure, and returns its name.
     fn abort(&mut self, module: &mut dyn Module) -> Option<&'static str> {
-        if self.compass.abort(module) {
+        if compass::IS_BUILT_IN && self.compass.abort(module) {
             return Some(compass_procedure::NAME);
         }
         let procedure = self.procedures.abort(module)?;

@@ -7,7 +7,8 @@
 //! - [`kalman`], the default: one Kalman filter for tilt, velocity and the sensor's parameters;
 //! - [`classic`]: the filters of the well-known tutorial, for comparison.
 //!
-//! No filter here has a compass: yaw starts at zero and is relative.
+//! Yaw starts at zero and is relative. [`heading`] adds the heading from a compass, beside the
+//! default filter.
 //!
 //! Samples in SI units, in body axes (forward, right, down), need nothing else:
 //!

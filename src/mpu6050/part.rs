@@ -4,6 +4,8 @@
 //! the temperature formula, the accelerometer's own low-pass filter, and the value of PWR_MGMT_1
 //! after a reset.
 
+use super::config::LowPass;
+
 /// Linear temperature scale: °C = counts · `celsius_per_count` + `celsius_at_zero`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -50,6 +52,40 @@ impl Part {
         has_self_test_trim: true,
         power_after_reset: &[ASLEEP],
     };
+
+    /// Returns the gyroscope's delay in this low-pass filter, µs.
+    pub const fn gyroscope_delay_us(&self, low_pass: LowPass) -> u16 {
+        if !self.has_accelerometer_low_pass {
+            return low_pass.gyroscope_delay_us();
+        }
+        // MPU-6500 register map r2.1 §4.5, MPU-9250 register map r1.4 §4.4.
+        match low_pass {
+            LowPass::Hertz256 => 970,
+            LowPass::Hertz188 => 2_900,
+            LowPass::Hertz98 => 3_900,
+            LowPass::Hertz42 => 5_900,
+            LowPass::Hertz20 => 9_900,
+            LowPass::Hertz10 => 17_850,
+            LowPass::Hertz5 => 33_480,
+        }
+    }
+
+    /// Returns the accelerometer's delay in this low-pass filter, µs.
+    pub const fn accelerometer_delay_us(&self, low_pass: LowPass) -> u32 {
+        if !self.has_accelerometer_low_pass {
+            return low_pass.accelerometer_delay_us() as u32;
+        }
+        // MPU-6500 register map r2.1 §4.8, MPU-9250 register map r1.4 §4.9.
+        match low_pass {
+            LowPass::Hertz256 => 1_940,
+            LowPass::Hertz188 => 5_800,
+            LowPass::Hertz98 => 7_800,
+            LowPass::Hertz42 => 11_800,
+            LowPass::Hertz20 => 19_800,
+            LowPass::Hertz10 => 35_700,
+            LowPass::Hertz5 => 66_960,
+        }
+    }
 
     /// Returns the part with this identity.
     pub fn from_who_am_i(who_am_i: u8) -> Option<&'static Self> {
@@ -130,6 +166,19 @@ pub static PARTS: [Part; 6] = [
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The delays of the register maps, in the order of the settings.
+    #[test]
+    fn each_family_has_its_own_delays() {
+        let mpu_9250 = Part::from_who_am_i(0x71).expect("in the table");
+        let gyroscope = LowPass::ALL.map(|low_pass| mpu_9250.gyroscope_delay_us(low_pass));
+        assert_eq!(gyroscope, [970, 2900, 3900, 5900, 9900, 17850, 33480]);
+        let force = LowPass::ALL.map(|low_pass| mpu_9250.accelerometer_delay_us(low_pass));
+        assert_eq!(force, [1940, 5800, 7800, 11800, 19800, 35700, 66960]);
+        let mpu_6050 = Part::MPU_6050;
+        let gyroscope = LowPass::ALL.map(|low_pass| mpu_6050.gyroscope_delay_us(low_pass));
+        assert_eq!(gyroscope, [980, 1900, 2800, 4800, 8300, 13400, 18600]);
+    }
 
     #[test]
     fn identities_are_distinct_and_found() {

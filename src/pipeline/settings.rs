@@ -18,8 +18,8 @@ pub struct Settings {
     /// Calibration of the sensor. Default: none.
     pub calibration: Calibration,
     /// Delay of the sensor in µs: age of a sample's content at the sample's time. Default: `None`,
-    /// the gyroscope's delay in the low-pass filter of `sensor`, because the time is that of the
-    /// data-ready edge.
+    /// the gyroscope's delay in the low-pass filter of `sensor` in `part`, because the time is that
+    /// of the data-ready edge.
     pub sensor_delay_us: Option<u32>,
     /// True if the caller reads the sensor's full scales back while
     /// [`Pipeline::awaits_scale_check`](super::Pipeline::awaits_scale_check) is true, and then
@@ -74,13 +74,8 @@ impl Settings {
 
     /// Returns the delay of the sensor in use, in seconds.
     pub(super) fn delay_s(&self) -> f32 {
-        let low_pass = self.sensor.low_pass;
-        let gyroscope_us = if self.part.has_accelerometer_low_pass {
-            low_pass.mpu_6500_gyroscope_delay_us()
-        } else {
-            low_pass.gyroscope_delay_us()
-        };
-        let delay_us: u32 = self.sensor_delay_us.unwrap_or(gyroscope_us.into());
+        let gyroscope_us = self.part.gyroscope_delay_us(self.sensor.low_pass).into();
+        let delay_us: u32 = self.sensor_delay_us.unwrap_or(gyroscope_us);
         delay_us as f32 * crate::units::SECONDS_PER_MICROSECOND
     }
 

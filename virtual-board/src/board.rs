@@ -75,6 +75,7 @@ pub struct Board {
     cells: SharedCells,
     /// The garage that the processor comes from, if any.
     garage: Option<Request>,
+    has_memory_protection: bool,
 }
 
 impl Board {
@@ -95,7 +96,16 @@ impl Board {
             profile,
             cells,
             garage: None,
+            has_memory_protection: true,
         }
+    }
+
+    /// Fits the memory protection unit if `is_fitted`. A core without it ignores its set-up, which
+    /// would drop all translated code of a garage.
+    #[must_use]
+    pub fn memory_protection(mut self, is_fitted: bool) -> Self {
+        self.has_memory_protection = is_fitted;
+        self
     }
 
     /// Takes the processor from a garage. Only for runs without an account of instructions: its
@@ -141,9 +151,7 @@ impl machine::Board for Board {
             boot: "flash",
         };
         let windows = windows(self.controller.bus());
-        // A set-up of the memory protection unit drops all translated code. A core from a garage
-        // has no such unit, and ignores it.
-        let regions = if self.garage.is_none() {
+        let regions = if self.has_memory_protection {
             armv7m::MpuRegions::Eight
         } else {
             armv7m::MpuRegions::None

@@ -59,6 +59,7 @@ pub struct Run {
     steps_everything: bool,
     has_account: bool,
     garage: Option<Arc<Garage>>,
+    has_memory_protection: bool,
     observer: Box<dyn Observer>,
 }
 
@@ -84,6 +85,7 @@ impl Run {
             steps_everything: false,
             has_account: true,
             garage: None,
+            has_memory_protection: true,
             observer: Box::new(Nobody),
         }
     }
@@ -225,11 +227,19 @@ impl Run {
         self
     }
 
+    /// Flies on a core without the memory protection unit, as from a garage.
+    #[must_use]
+    pub fn without_memory_protection(mut self) -> Self {
+        self.has_memory_protection = false;
+        self
+    }
+
     /// Flies with a processor from this garage, so that the image is not translated again. Keeps no
-    /// account of instructions.
+    /// account of instructions. The core has no memory protection unit.
     #[must_use]
     pub fn garage(mut self, garage: &Arc<Garage>) -> Self {
         self.garage = Some(Arc::clone(garage));
+        self.has_memory_protection = false;
         self.has_account = false;
         self.steps_everything = false;
         self
@@ -268,7 +278,8 @@ impl Run {
             Arc::clone(&profile),
             cells.clone(),
         )
-        .garage(garage);
+        .garage(garage)
+        .memory_protection(self.has_memory_protection);
         let probe = firmware
             .log_channel
             .filter(|_| self.has_probe)

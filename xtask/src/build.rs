@@ -64,9 +64,9 @@ impl Board {
         format!("board-{}", self.name)
     }
 
-    /// The cargo features of the full firmware.
+    /// The cargo features of the full firmware with compass.
     pub fn features(self) -> String {
-        format!("full,board-{}", self.name)
+        format!("compass,board-{}", self.name)
     }
 }
 
@@ -88,8 +88,39 @@ pub struct Firmware {
     pub board: Board,
     /// The mount that is compiled in, or the default.
     pub mount: Option<String>,
-    /// True for the build without commands, MAVLink and flight log.
-    pub is_minimal: bool,
+    /// What it has.
+    pub kind: Kind,
+}
+
+/// What a build of the firmware has.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Everything.
+    Full,
+    /// Everything but the compass.
+    WithoutCompass,
+    /// Neither commands nor MAVLink, flight log and compass.
+    Minimal,
+}
+
+impl Kind {
+    /// The cargo features for a board.
+    fn features(self, board: Board) -> String {
+        match self {
+            Self::Full => board.features(),
+            Self::WithoutCompass => format!("full,{}", board.feature()),
+            Self::Minimal => board.feature(),
+        }
+    }
+
+    /// The name for messages, and the end of the file's name.
+    fn names(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Full => ("firmware", ""),
+            Self::WithoutCompass => ("firmware without compass", "-without-compass"),
+            Self::Minimal => ("minimal firmware", "-minimal"),
+        }
+    }
 }
 
 impl Firmware {
@@ -98,14 +129,22 @@ impl Firmware {
         Self {
             board,
             mount: None,
-            is_minimal: false,
+            kind: Kind::Full,
+        }
+    }
+
+    /// The firmware without compass for a board, with the default mount.
+    pub fn without_compass(board: Board) -> Self {
+        Self {
+            kind: Kind::WithoutCompass,
+            ..Self::full(board)
         }
     }
 
     /// The minimal firmware for a board, with the default mount.
     pub fn minimal(board: Board) -> Self {
         Self {
-            is_minimal: true,
+            kind: Kind::Minimal,
             ..Self::full(board)
         }
     }
@@ -113,11 +152,8 @@ impl Firmware {
     /// Builds it and returns the ELF file, which a build for another board or mount does not
     /// replace.
     pub fn build(&self, toolchain: &Toolchain) -> Result<PathBuf, String> {
-        let (kind, features) = if self.is_minimal {
-            ("minimal firmware", self.board.feature())
-        } else {
-            ("firmware", self.board.features())
-        };
+        let (kind, end) = self.kind.names();
+        let features = self.kind.features(self.board);
         step::timed(
             &format!("building the {kind} for {}", self.board.name),
             || {
@@ -136,11 +172,10 @@ impl Firmware {
                 };
                 step::run(&mut cargo)?;
                 let mount = self.mount.as_deref().unwrap_or("default");
-                let size = if self.is_minimal { "-minimal" } else { "" };
                 keep(
                     "firmware",
                     "flight",
-                    &format!("flight-{}{size}-{mount}", self.board.name),
+                    &format!("flight-{}{end}-{mount}", self.board.name),
                 )
             },
         )

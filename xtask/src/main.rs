@@ -21,14 +21,15 @@ mod test;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use build::{Board, Firmware};
+use build::{Board, Firmware, Kind};
 
 const USAGE: &str = "\
 usage: cargo xtask COMMAND
 
   fly [--log FILE] [--mount M] [--seconds S] [--seed N] [--board B] [--output DIR]
                       fly the firmware on the virtual board (more: `cargo xtask fly --help`)
-                      --minimal flies the build without commands, MAVLink and flight log
+                      --minimal flies the build without commands, MAVLink, flight log and
+                      compass; --without-compass that without a compass
                       --faults FILE|seed:N adds faults
   view                fly it in real time and watch it on a terminal, with keys for commands
                       (more: `cargo xtask view --help`)
@@ -58,8 +59,10 @@ usage: cargo xtask COMMAND
 
 boards: stm32f405 (default), blackpill-f401, blackpill-f411, nucleo-f411, nucleo-f446";
 
-/// Option of `fly` for the build without commands, MAVLink and flight log.
+/// Option of `fly` for the build without commands, MAVLink, flight log and compass.
 const MINIMAL: &str = "--minimal";
+/// Option of `fly` for the build without compass.
+const WITHOUT_COMPASS: &str = "--without-compass";
 
 fn main() -> ExitCode {
     if let Some(code) = api::run_as_rustdoc() {
@@ -122,20 +125,21 @@ fn fly(arguments: &[String]) -> Result<(), String> {
         None => Board::default(),
     };
     let mount = mount(arguments, mount_of_environment())?;
-    let is_minimal = arguments.iter().any(|argument| argument == MINIMAL);
+    let has = |option: &str| arguments.iter().any(|argument| argument == option);
+    let kind = match (has(MINIMAL), has(WITHOUT_COMPASS)) {
+        (true, _) => Kind::Minimal,
+        (false, true) => Kind::WithoutCompass,
+        (false, false) => Kind::Full,
+    };
     let virtual_board = build::virtual_board()?;
     let mut flight = step::command(&virtual_board);
     flight.arg("fly");
-    flight.args(arguments.iter().filter(|argument| *argument != MINIMAL));
+    let is_own = |argument: &&String| [MINIMAL, WITHOUT_COMPASS].contains(&argument.as_str());
+    flight.args(arguments.iter().filter(|argument| !is_own(argument)));
     if arguments.iter().any(|a| a == "--help" || a == "-h") {
         return step::run(&mut flight);
     }
-    let elf = Firmware {
-        board,
-        mount,
-        is_minimal,
-    }
-    .build(&setup::Toolchain::for_target()?)?;
+    let elf = Firmware { board, mount, kind }.build(&setup::Toolchain::for_target()?)?;
     flight.arg("--elf").arg(elf);
     // A failed flight has printed the reason already.
     step::run(&mut flight)

@@ -19,6 +19,7 @@ pub fn run() -> Result<(), String> {
     eprintln!("   for the target: {}", toolchain.compiler());
     let kalman_flash_bytes = check_for_target(&toolchain)?;
     let images = build_images(&toolchain)?;
+    build_without_compass(&toolchain)?;
     let minimal = build_minimal(&toolchain)?;
     let examples = step::timed("examples", || examples::build(&toolchain))?;
     let virtual_board = build::virtual_board()?;
@@ -126,6 +127,14 @@ fn build_images(toolchain: &Toolchain) -> Result<Vec<(Board, PathBuf)>, String> 
         images.push((board, elf));
     }
     Ok(images)
+}
+
+/// Builds the firmware without compass of the default board and checks its size.
+fn build_without_compass(toolchain: &Toolchain) -> Result<(), String> {
+    let elf = Firmware::without_compass(Board::default()).build(toolchain)?;
+    let sizes = size::check_without_compass(&elf)?;
+    eprintln!("   {} bytes of flash, {} of RAM", sizes.flash, sizes.ram);
+    Ok(())
 }
 
 /// Builds the minimal firmware of the default board and checks its size and its panics.

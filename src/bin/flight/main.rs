@@ -53,7 +53,7 @@ mod app {
     use aplomb::board::uart::{self, ReceiveRing};
     use aplomb::board::{clocks, pins, retained, stack_guard, watchdog};
     use aplomb::calibration::Mount;
-    use aplomb::compass::Choice;
+    use aplomb::compass::{self, Choice};
     use aplomb::console::usable_preferences;
     use aplomb::estimator::kalman::WarmStart;
     use aplomb::fault::{ClockSource, ResetCause};
@@ -176,7 +176,10 @@ mod app {
             uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
         let commands = Commands::new(
             receiver,
-            record.or(default_record()),
+            match COMPASS {
+                Choice::Auto => record,
+                Choice::Off | Choice::Named(_) => record.or_else(default_record),
+            },
             SETTINGS.noise_model(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
@@ -211,12 +214,9 @@ mod app {
         )
     }
 
-    /// Returns the record without a stored one, if it differs from the library's default.
+    /// Returns the record without a stored one, if the build names a compass.
     fn default_record() -> Option<Record> {
-        match COMPASS {
-            Choice::Auto => None,
-            Choice::Off | Choice::Named(_) => Some(Record::with_compass(COMPASS)),
-        }
+        Some(Record::with_compass(COMPASS))
     }
 
     /// Creates the compass task of a record.
@@ -303,7 +303,7 @@ mod app {
                 return None;
             };
             let part = pipeline.settings().part;
-            let compass = cfg!(feature = "full").then_some(&mut estimation.compass);
+            let compass = compass::IS_BUILT_IN.then_some(&mut estimation.compass);
             task.run(pipeline, compass, |received| {
                 requests::after_publication(received, part, &mut estimation.measurement, to_log);
             })

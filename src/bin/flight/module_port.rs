@@ -7,6 +7,7 @@ use aplomb::board::uart::{Receiver, Transmitter};
 use aplomb::board::{attitude_task, measure, retained};
 use aplomb::calibration::compass::CompassFitter;
 use aplomb::calibration::{Calibration, Mount, StationaryProgress};
+use aplomb::compass;
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Module, Outcome, State, Task};
 use aplomb::fault::FaultClass;
@@ -103,6 +104,9 @@ where
     }
 
     fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount) {
+        if !compass::IS_BUILT_IN {
+            return;
+        }
         let alignment = settings.alignment(imu_mount);
         self.estimation.lock(|estimation| {
             let compass = &mut estimation.compass;
@@ -124,6 +128,9 @@ where
     }
 
     fn compass_fitter(&mut self) -> Option<CompassFitter> {
+        if !compass::IS_BUILT_IN {
+            return None;
+        }
         self.estimation
             .lock(|estimation| estimation.compass.fitter())
     }

@@ -10,7 +10,7 @@ use core::sync::atomic::Ordering;
 use aplomb::board::compass::take_change;
 use aplomb::board::uart::{self, Transmitter};
 use aplomb::board::{attitude_task, burst_reader, retained, timebase, watchdog};
-use aplomb::compass::Condition;
+use aplomb::compass::{self, Condition};
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::fault::FaultClass;
 use aplomb::health::FlagReport;
@@ -102,7 +102,7 @@ impl Telemetry {
             }
             return;
         }
-        if cfg!(feature = "full") && take_change() {
+        if compass::IS_BUILT_IN && take_change() {
             let condition = estimation.lock(|estimation| estimation.compass.condition());
             report_compass(&condition, &mut messages);
         }

@@ -42,6 +42,7 @@ use stm32f4xx_hal::pac::{I2C1, i2c1};
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
 use super::{clocks, pins, retained};
+use crate::compass;
 use crate::fault::{BurstFailure, BurstFault, BurstStep, ClockSource, FaultClass};
 use crate::health::BoardFlags;
 use crate::mpu6050::registers::Register;
@@ -246,7 +247,7 @@ impl BurstReader {
             BurstStep::Idle => {
                 i2c.dr().read();
             }
-            BurstStep::Setting => self.on_write_event(),
+            BurstStep::Setting if compass::IS_BUILT_IN => self.on_write_event(),
             _ => {}
         }
     }
@@ -440,7 +441,7 @@ impl BurstReader {
     #[cold]
     #[inline(never)]
     fn fail(&mut self, fault: BurstFault) {
-        if self.is_compass && self.fail_transfer(fault) {
+        if compass::IS_BUILT_IN && self.is_compass && self.fail_transfer(fault) {
             return;
         }
         let failure = BurstFailure {

@@ -11,6 +11,7 @@ use super::{
     is_enabled, send_stop,
 };
 use crate::board::timebase::{self, Timebase};
+use crate::compass;
 use crate::fault::BurstStep;
 use crate::health::BoardFlags;
 use crate::mpu6050::{Check, Condition};
@@ -28,7 +29,7 @@ impl BurstReader {
     /// meanwhile.
     #[inline(never)]
     pub(super) fn end_check(&mut self, timebase: &mut Timebase) {
-        if self.is_compass {
+        if compass::IS_BUILT_IN && self.is_compass {
             self.end_read();
             self.end_errand(true, timebase);
             return;
@@ -78,7 +79,7 @@ impl BurstReader {
         if !is_free || !is_enabled() {
             return;
         }
-        if cfg!(feature = "full") && self.start_transfer() {
+        if compass::IS_BUILT_IN && self.start_transfer() {
             return;
         }
         let check = self.check();

@@ -188,7 +188,7 @@ pub struct Heading {
     inverse: f32,
     /// Variance of the measurement's noise; before that, the expected squared innovation.
     noise: f32,
-    /// Share of motion: 0 at rest, at most 1.
+    /// Motion of the body: 0 at rest, at most 1.
     motion: f32,
     /// Recent excess of the squared innovation, µT².
     excess: f32,

@@ -35,9 +35,9 @@ pub(super) enum Phase {
     Propagate(u8),
     /// X by what the tilt filter resets and lets return to its prior.
     Relax,
-    /// Row of X by the tilt filter's measurement of this index.
+    /// A row of X by the tilt filter's measurement of this index.
     Follow(u8, u8),
-    /// Row of O by the tilt filter's measurements, from this index on.
+    /// A row of O by the tilt filter's measurements, from this index on.
     FollowOwn(u8, u8),
     /// Covariance of the drift of yaw with the error states, from this parameter on.
     Drift(u8),
@@ -49,7 +49,7 @@ pub(super) enum Phase {
     TurnCross,
     /// Process noise of field and hard iron.
     Walk,
-    /// State of the local deviation.
+    /// A state of the local deviation.
     Forget(u8),
     /// Expected innovation of this axis.
     Expect(u8),
