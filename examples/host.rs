@@ -16,7 +16,7 @@
 
 use std::error::Error;
 
-use aplomb::attitude::Vector3;
+use aplomb::attitude::{BodyVector, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::{Estimator, Sample};
 
@@ -92,11 +92,11 @@ fn made_up() -> Vec<Sample> {
         let (sine, cosine) = roll(t_s).sin_cos();
         let rate = (roll(t_s + 5e-4) - roll(t_s - 5e-4)) * 1e3;
         // At rest the specific force is one g upwards.
-        let force = Vector3::new(0.0, -9.81 * sine, -9.81 * cosine);
+        let force = BodyVector::new(0.0, -9.81 * sine, -9.81 * cosine);
         Sample::new(
             u64::from(millisecond) * 1000,
             force,
-            Vector3::new(rate, 0.0, 0.0),
+            BodyVector::new(rate, 0.0, 0.0),
         )
     };
     (0..10_000).map(at).collect()

@@ -35,6 +35,27 @@ pub struct Vector3 {
     pub z: f32,
 }
 
+/// Vector in body axes: forward, right, down. An estimator takes no other.
+///
+/// A sensor's axes are rarely those of the body, and a wrong sign passes every check: a level body
+/// that reports +9.81 m/s² along `down` is upside down, with a roll of 180°.
+/// [`Mount::to_body`](crate::calibration::Mount::to_body) converts what a sensor reports.
+#[repr(transparent)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BodyVector(pub Vector3);
+
+impl BodyVector {
+    /// Zero vector.
+    pub const ZERO: Self = Self(Vector3::ZERO);
+
+    /// Creates a vector from its components. Level and at rest, the specific force is
+    /// `new(0.0, 0.0, -9.81)` in m/s².
+    pub const fn new(forward: f32, right: f32, down: f32) -> Self {
+        Self(Vector3::new(forward, right, down))
+    }
+}
+
 impl Vector3 {
     /// Zero vector.
     pub const ZERO: Self = Self::new(0.0, 0.0, 0.0);

@@ -76,6 +76,8 @@ pub enum FaultClass {
     Crash = 25,
     /// A hard fault with the stack exhausted; the processor was reset.
     StackOverflow = 26,
+    /// A compass that was found or named gave no usable readings.
+    Compass = 27,
 }
 
 impl fmt::Display for FaultClass {
@@ -89,7 +91,7 @@ impl FaultClass {
     pub const COUNT: usize = Self::ALL.len();
 
     /// Every class, in the order of the numbers.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 28] = [
         Self::AddressNotAcknowledged,
         Self::DataNotAcknowledged,
         Self::BurstDeadline,
@@ -117,6 +119,7 @@ impl FaultClass {
         Self::Watchdog,
         Self::Crash,
         Self::StackOverflow,
+        Self::Compass,
     ];
 
     /// Returns the class with this number.
@@ -162,6 +165,7 @@ impl FaultClass {
             Self::Watchdog => "watchdog",
             Self::Crash => "crash",
             Self::StackOverflow => "stack-overflow",
+            Self::Compass => "compass",
         }
     }
 }
@@ -184,7 +188,7 @@ pub mod report {
     /// Offset of the layout's version.
     pub const VERSION_OFFSET: usize = 0;
     /// Version of the layout.
-    pub const VERSION: u32 = 2;
+    pub const VERSION: u32 = 3;
     /// Offset of the cause of the last reset: a [`ResetCause`](super::ResetCause) as a number.
     pub const RESET_CAUSE: usize = 4;
     /// Offset of the last fault: number of its class, or [`NO_FAULT`].
@@ -273,6 +277,8 @@ pub enum BurstStep {
     AddressRead = 5,
     /// DMA receives the 14 data bytes.
     Data = 6,
+    /// A setting of the compass is being sent.
+    Setting = 7,
 }
 
 /// Reason why a burst failed. The numbers are stable: one word holds step and fault.
@@ -344,6 +350,7 @@ impl BurstFailure {
             4 => BurstStep::RepeatedStart,
             5 => BurstStep::AddressRead,
             6 => BurstStep::Data,
+            7 => BurstStep::Setting,
             _ => return None,
         };
         Some(Self { fault, step })
@@ -375,6 +382,7 @@ impl fmt::Display for BurstFailure {
             BurstStep::RepeatedStart => " at the repeated start",
             BurstStep::AddressRead => " at its address (read)",
             BurstStep::Data => " in the data",
+            BurstStep::Setting => " in a setting of the compass",
         })
     }
 }
@@ -406,6 +414,6 @@ mod tests {
                 }
             }
         }
-        assert_eq!(known, 7 * 7);
+        assert_eq!(known, 7 * 8);
     }
 }

@@ -20,11 +20,11 @@
 //! returns the attitude with its σ:
 //!
 //! ```
-//! use aplomb::attitude::Vector3;
+//! use aplomb::attitude::BodyVector;
 //! use aplomb::estimator::{Estimator, Sample};
 //!
-//! # let force_m_s2 = Vector3::new(0.0, -4.903, -8.493);
-//! # let samples = (0..2_000).map(|n| (1_000 * n, force_m_s2, Vector3::ZERO));
+//! # let force_m_s2 = BodyVector::new(0.0, -4.903, -8.493);
+//! # let samples = (0..2_000).map(|n| (1_000 * n, force_m_s2, BodyVector::ZERO));
 //! let mut estimator = Estimator::new();
 //! for (t_us, force_m_s2, rate_rad_s) in samples {
 //!     let estimate = estimator.update(&Sample::new(t_us, force_m_s2, rate_rad_s));
@@ -53,6 +53,7 @@
 //! | [`units`] | constants, and the extension of a 32-bit microsecond counter to 64 bits |
 //! | [`attitude`] | vectors, quaternions, Euler angles, the two frames |
 //! | [`mpu6050`] | registers, settings, the 14-byte burst, the configuring driver |
+//! | [`compass`] | drivers of four compass parts, and the session that supervises them |
 //! | [`calibration`] | stationary detector and fits: offsets, poses, level, mount, temperature |
 //! | [`settings`] | content of the flash: the calibration and the outputs' preferences |
 //! | [`estimator`] | the gate, the Kalman filter and the tutorial's filters |
@@ -77,6 +78,7 @@
 
 pub mod attitude;
 pub mod calibration;
+pub mod compass;
 pub mod console;
 pub mod estimator;
 pub mod fault;

@@ -140,7 +140,9 @@ fn commands_of_the_program_exist() {
                 continue;
             }
             seen += 1;
-            let variant = format!("    {}{}(", verb[..1].to_uppercase(), &verb[1..]);
+            let words_of_verb = verb.split('-').filter(|word| !word.is_empty());
+            let names = words_of_verb.map(|word| word[..1].to_uppercase() + &word[1..]);
+            let variant = format!("    {}(", names.collect::<String>());
             assert!(
                 main.contains(&variant),
                 "{name}: there is no `aplomb {verb}`"

@@ -5,6 +5,8 @@ use proptest::prelude::*;
 
 #[path = "../fuzz/bodies/checksums.rs"]
 mod checksums;
+#[path = "../fuzz/bodies/command_words.rs"]
+mod command_words;
 #[path = "../fuzz/bodies/commands.rs"]
 mod commands;
 #[path = "../fuzz/bodies/flight_log.rs"]
@@ -23,45 +25,12 @@ mod text_formats;
 
 /// Bytes, pieces of commands and line ends.
 fn nearly_commands() -> impl Strategy<Value = Vec<u8>> {
-    let words = [
-        "help",
-        "status",
-        "show",
-        "save",
-        "forget",
-        "self-test",
-        "arm",
-        "disarm",
-        "calibrate ",
-        "gyro",
-        "accel",
-        "level",
-        "temperature",
-        "done",
-        "stop",
-        "mount ",
-        "find",
-        "+x-z",
-        "z-up",
-        "rate ",
-        "baud ",
-        "format ",
-        "text",
-        "classic",
-        "9600",
-        "921600",
-        "50",
-        "1",
-        " ",
-        "\n",
-        "\n",
-        "\n",
-        "\r",
-        "\r\n",
-        "\x08",
-    ];
+    let mut words = command_words::WORDS.to_vec();
+    words.extend(["baud ", "921600", "1", "\r", "\r\n"]);
+    // A line is short.
+    words.extend(["\n"; 3]);
     let piece = prop_oneof![
-        8 => prop::sample::select(words.to_vec()).prop_map(|word| word.as_bytes().to_vec()),
+        8 => prop::sample::select(words).prop_map(|word| word.as_bytes().to_vec()),
         1 => prop::collection::vec(any::<u8>(), 0..20),
     ];
     prop::collection::vec(piece, 0..200).prop_map(|pieces| pieces.concat())
@@ -170,6 +139,13 @@ fn nearly_optional(numbers: usize) -> impl Strategy<Value = Vec<u8>> {
     prop_oneof![10 => present, 10 => Just(vec![0]), 1 => Just(vec![2])]
 }
 
+/// Settings of a compass as a record has them: choice, mount, correction.
+fn compasses() -> Vec<Vec<u8>> {
+    let mut corrected = vec![1, 0, 1];
+    corrected.extend((1..=12_u8).flat_map(|nth| f32::from(nth).to_le_bytes()));
+    vec![vec![0; 3], [&[5, 1][..], b"+y-z", &[0]].concat(), corrected]
+}
+
 /// Records, valid and almost valid, as the fuzz target's body takes them.
 fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
     let mounts = [
@@ -187,20 +163,26 @@ fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
         nearly_optional(9),
         nearly_optional(4),
         (0_u8..4, 0_u16..3, 0_u32..3),
-        prop::sample::select(ends.to_vec()),
+        (
+            prop::sample::select(compasses()),
+            prop::sample::select(ends.to_vec()),
+        ),
     );
     let record = body
-        .prop_map(|(mount, a, b, c, d, (format, rate, baud), end)| {
-            let preferences = [&[format][..], &rate.to_le_bytes(), &baud.to_le_bytes()].concat();
-            [&[1], mount, &a, &b, &c, &d, &preferences, end].concat()
-        })
+        .prop_map(
+            |(mount, a, b, c, d, (format, rate, baud), (compass, end))| {
+                let preferences =
+                    [&[format][..], &rate.to_le_bytes(), &baud.to_le_bytes()].concat();
+                [&[1], mount, &a, &b, &c, &d, &preferences, &compass, end].concat()
+            },
+        )
         .boxed();
     prop_oneof![
         10 => record.clone(),
         // The whole record is in the slot, with some bytes changed.
         1 => (record, prop::collection::vec((any::<usize>(), any::<u8>()), 0..3)).prop_map(
             |(record, changes)| {
-                let mut slot = stored_record::image(1, &record[1..]);
+                let mut slot = stored_record::image(2, &record[1..]);
                 for (place, byte) in changes {
                     let place = place % slot.len();
                     slot[place] = byte;

@@ -13,6 +13,7 @@ use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::score::Score;
 use aplomb_recordings::terminal::print_line;
+use aplomb_recordings::units::knowledge;
 
 use crate::filter::Choice;
 use crate::folders::{Folders, Ranges};
@@ -246,10 +247,6 @@ fn print_and_draw(
         options.output.display()
     ));
     Ok(())
-}
-
-fn knowledge(name: &str) -> Result<AccelerometerKnowledge, &'static str> {
-    AccelerometerKnowledge::from_name(name).ok_or("it is factory, six-poses or calibrated")
 }
 
 fn parse_delay(text: &str) -> Result<(String, u32), String> {

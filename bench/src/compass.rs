@@ -27,7 +27,7 @@ impl Compass {
     pub fn add(&mut self, row: &Row, mount: Mount) {
         self.mount = mount;
         self.fields.push(row.field_ut.map(|[x, y, z]| {
-            let Vector3 { x, y, z } = mount.to_body(Vector3::new(x as f32, y as f32, z as f32));
+            let Vector3 { x, y, z } = mount.to_body(Vector3::new(x as f32, y as f32, z as f32)).0;
             MagneticField { ut: [x, y, z] }
         }));
         self.truth.push(row.attitude.filter(|_| row.moving));

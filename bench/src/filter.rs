@@ -169,7 +169,7 @@ impl Filter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
+    use aplomb::attitude::{BodyVector, EulerAngles, Quaternion, Vector3};
     use aplomb::units::{STANDARD_GRAVITY_M_S2, radians};
     use aplomb_recordings::attitude::up_in_body;
 
@@ -182,12 +182,11 @@ mod tests {
         let mut truth = Quaternion::from_euler(start);
         let mut estimate = Estimate::default();
         for step in 0..steps {
-            estimate = filter.update(&Sample {
-                t_us: u64::from(step) * 5_000,
-                specific_force_m_s2: up_in_body(truth).scale(STANDARD_GRAVITY_M_S2),
-                angular_rate_rad_s: rate_rad_s,
-                ..Sample::default()
-            });
+            estimate = filter.update(&Sample::new(
+                u64::from(step) * 5_000,
+                BodyVector(up_in_body(truth).scale(STANDARD_GRAVITY_M_S2)),
+                BodyVector(rate_rad_s),
+            ));
             if step + 1 < steps {
                 let turn = Quaternion::from_rotation_vector(rate_rad_s.scale(STEP_S));
                 truth = truth.multiply(turn).normalize();

@@ -8,24 +8,18 @@ use aplomb::estimator::Sample;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, GyroscopeRange};
-use aplomb::units::STANDARD_GRAVITY_M_S2;
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
-use aplomb_recordings::log::{
-    Lines, LogError, LogFault, Row, column_count, has_compass, parse_row,
-};
+use aplomb_recordings::log::{Lines, LogError, LogFault, Row, Rows, column_count, has_compass};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
+use aplomb_recordings::units::{BadRows, RowOptions};
 use aplomb_recordings::vibration::Vibration;
 
 use crate::compass::Compass;
 use crate::filter::{Choice, Filter};
-
 use crate::rest;
-
-/// Largest plausible force. A larger one means that the columns are not in m/s².
-const IMPLAUSIBLE_FORCE_M_S2: f32 = 100.0 * STANDARD_GRAVITY_M_S2;
 
 /// Recording in body axes.
 #[derive(Clone, Debug)]
@@ -136,28 +130,29 @@ impl Recording {
             compass: has_compass(columns).then(|| handling.compass()),
             clipping: None,
         };
+        let mut rows = match rows_of(lines, columns, handling)? {
+            Ok(rows) => rows,
+            Err(reason) => return unusable(&reason),
+        };
         let mut start = None;
-        let mut is_plausible = true;
-        while let Some(line) = lines.next_line()? {
-            let row = parse_row(line, columns).map_err(|fault| lines.refuse(fault))?;
+        while let Some(row) = rows.next_row()? {
             let (first_us, mount) = *start.get_or_insert((row.time_us, mount(&row)));
             let since_us = row.time_us.checked_sub(first_us);
             let t_us = since_us
                 .and_then(|since| u64::try_from(since).ok())
-                .ok_or_else(|| lines.refuse(LogFault::Time(row.time_us.to_string())))?;
+                .ok_or_else(|| rows.refuse(LogFault::Time(row.time_us.to_string())))?;
             let Ok(sample) = sample(&row, t_us, mount, handling) else {
                 return unusable(
                     "its values are no register counts, though its set is said to hold them",
                 );
             };
-            is_plausible &= sample.specific_force_m_s2.is_within(IMPLAUSIBLE_FORCE_M_S2);
             recording.samples.push(sample);
             if let Some(compass) = &mut recording.compass {
                 compass.add(&row, mount);
             }
             let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
             recording.true_up.push(up.map(|up| {
-                let up = mount.to_body(vector(up));
+                let up = mount.to_body(vector(up)).0;
                 [up.x, up.y, up.z].map(f64::from)
             }));
         }
@@ -166,11 +161,6 @@ impl Recording {
         }
         if recording.counts() {
             return Ok(Found::Recording(recording));
-        }
-        if !is_plausible && handling.ranges.is_none() {
-            return unusable(
-                "its values are beyond SI units: if they are counts, say --counts SET=G,DPS",
-            );
         }
         recording.reference = Reference::Rest;
         recording.true_up = rest::up_at_rest(&recording.samples);
@@ -279,6 +269,31 @@ impl Recording {
     }
 }
 
+/// Starts the rows of a file after its header. Returns a reason if their numbers suggest another
+/// unit.
+fn rows_of(
+    lines: Lines,
+    columns: usize,
+    handling: Handling,
+) -> Result<Result<Rows, String>, LogError> {
+    let keep = RowOptions {
+        bad_rows: Some(BadRows::Keep),
+        ..RowOptions::default()
+    };
+    match Rows::new(lines, columns, keep, handling.ranges.is_some()) {
+        Ok(rows) => Ok(Ok(rows)),
+        Err(LogError {
+            reason: LogFault::Unit(guess),
+            ..
+        }) => Ok(Err(format!(
+            "{} is mostly {:.3}, where {} is usual: convert it to µs, m/s² and rad/s, or say \
+             --counts SET=G,DPS if these are counts",
+            guess.quantity, guess.value, guess.usual
+        ))),
+        Err(error) => Err(error),
+    }
+}
+
 /// Returns every file below a folder, in order; or the file itself.
 pub fn files(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     if !path.is_dir() {
@@ -309,22 +324,22 @@ fn mount(row: &Row) -> Mount {
 
 fn sample(row: &Row, t_us: u64, mount: Mount, handling: Handling) -> Result<Sample, String> {
     let Some((accelerometer_range, gyroscope_range)) = handling.ranges else {
-        return Ok(Sample {
+        return Ok(Sample::new(
             t_us,
-            specific_force_m_s2: mount.to_body(vector(row.specific_force_m_s2)),
-            angular_rate_rad_s: mount.to_body(vector(row.rates_rad_s)),
-            ..Sample::default()
-        });
+            mount.to_body(vector(row.specific_force_m_s2)),
+            mount.to_body(vector(row.rates_rad_s)),
+        ));
     };
     let [force, rates] = counts(row)?;
     let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
-    Ok(Sample {
+    let mut sample = Sample::new(
         t_us,
-        specific_force_m_s2: mount.to_body(force.to_m_s2(accelerometer_range)),
-        angular_rate_rad_s: mount.to_body(rates.to_rad_s(gyroscope_range)),
-        is_force_saturated: force.is_saturated(),
-        is_rate_saturated: rates.is_saturated(),
-    })
+        mount.to_body(force.to_m_s2(accelerometer_range)),
+        mount.to_body(rates.to_rad_s(gyroscope_range)),
+    );
+    sample.is_force_saturated = force.is_saturated();
+    sample.is_rate_saturated = rates.is_saturated();
+    Ok(sample)
 }
 
 fn vector([x, y, z]: [f64; 3]) -> Vector3 {

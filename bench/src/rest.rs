@@ -116,6 +116,8 @@ fn mean(samples: &[Sample], of: fn(&Sample) -> Vector3) -> [f64; 3] {
 
 #[cfg(test)]
 mod tests {
+    use aplomb::attitude::BodyVector;
+
     use super::*;
 
     /// Returns samples at 100 Hz: rest on one side until 3 s, a turn until 5 s, rest on another
@@ -126,12 +128,11 @@ mod tests {
             let turned = (time_s - 3.0).clamp(0.0, 2.0);
             let noise = 0.01 * (index % 5) as f32;
             let turning = (0.0..2.0).contains(&(time_s - 3.0));
-            Sample {
-                t_us: index * 10_000,
-                specific_force_m_s2: Vector3::new(noise, -9.8 * turned.sin(), -9.8 * turned.cos()),
-                angular_rate_rad_s: Vector3::new(f32::from(u8::from(turning)) + 0.3, noise, 0.0),
-                ..Sample::default()
-            }
+            Sample::new(
+                index * 10_000,
+                BodyVector::new(noise, -9.8 * turned.sin(), -9.8 * turned.cos()),
+                BodyVector::new(f32::from(u8::from(turning)) + 0.3, noise, 0.0),
+            )
         };
         (0..1_000).map(sample).collect()
     }
@@ -153,11 +154,11 @@ mod tests {
         // The mount turns by 3 °/s.
         let slow = |index: u64| {
             let turned = 0.05 * 0.01 * index as f32;
-            Sample {
-                t_us: index * 10_000,
-                specific_force_m_s2: Vector3::new(0.0, 9.8 * turned.sin(), -9.8 * turned.cos()),
-                ..Sample::default()
-            }
+            Sample::new(
+                index * 10_000,
+                BodyVector::new(0.0, 9.8 * turned.sin(), -9.8 * turned.cos()),
+                BodyVector::ZERO,
+            )
         };
         let slow: Vec<Sample> = (0..3_000).map(slow).collect();
         assert!(rests(&slow).is_empty());

@@ -75,13 +75,11 @@ pub fn recording(set: &str, name: String, samples: impl Iterator<Item = Simulate
         let (raw, truth) = (simulated.raw, simulated.truth);
         let force = raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
         let rates = raw.gyroscope.to_rad_s(CONFIG.gyroscope_range);
-        recording.samples.push(Sample {
-            t_us: simulated.t_us,
-            specific_force_m_s2: Mount::Z_UP.to_body(force),
-            angular_rate_rad_s: Mount::Z_UP.to_body(rates),
-            is_rate_saturated: raw.gyroscope.is_saturated(),
-            is_force_saturated: raw.accelerometer.is_saturated(),
-        });
+        let mount = Mount::Z_UP;
+        let mut sample = Sample::new(simulated.t_us, mount.to_body(force), mount.to_body(rates));
+        sample.is_rate_saturated = raw.gyroscope.is_saturated();
+        sample.is_force_saturated = raw.accelerometer.is_saturated();
+        recording.samples.push(sample);
         let up = truth.attitude.filter(|_| truth.scored).map(up_in_body);
         recording.true_up.push(up);
     }

@@ -7,7 +7,6 @@
 use std::path::Path;
 
 use aplomb::attitude::Vector3;
-use aplomb::estimator::Sample;
 use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
@@ -73,10 +72,9 @@ fn start(recording: &Recording, start_s: u64, offset_degrees_s: [f32; 3]) -> Out
         if sample.t_us < start_s * 1_000_000 {
             continue;
         }
-        let snapshot = pipeline.update_sample(&Sample {
-            angular_rate_rad_s: sample.angular_rate_rad_s + offset,
-            ..*sample
-        });
+        let mut shifted = *sample;
+        shifted.angular_rate_rad_s = sample.angular_rate_rad_s + offset;
+        let snapshot = pipeline.update_sample(&shifted);
         outcome.samples += 1;
         if !snapshot.flags.contains(Flags::VALID) {
             continue;
@@ -147,7 +145,6 @@ fn a_start_in_a_recording_is_never_wrong_and_valid() {
             let path = file.expect("a folder that can be read").path();
             let handling = Handling {
                 delay_us,
-                ranges: None,
                 ..Handling::default()
             };
             match Recording::read(&path, handling) {

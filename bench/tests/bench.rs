@@ -133,6 +133,11 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     file("bench/unknown", "resting.csv", resting(9.8));
     file("bench/counted", "resting.csv", resting(4_096.0));
     file("bench/uncounted", "resting.csv", resting(-4_096.0));
+    // Truth does not make up for wrong units.
+    let in_g = log(0.0, 0.0).replace("9.80665", "1");
+    file("bench/units", "g.csv", in_g);
+    let in_milliseconds = log(0.0, 0.0).replace("000,0,0,", ",0,0,");
+    file("bench/units", "ms.csv", in_milliseconds);
     let (folder, output) = (path("bench", ""), path("bench-output", ""));
     let result = bench(&[
         folder.as_os_str(),
@@ -150,6 +155,11 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
         ("wrong/other.csv", "it is no log"),
         ("unknown/turning.csv", "does not lie still"),
         ("uncounted/resting.csv", "--counts SET=G,DPS"),
+        (
+            "units/g.csv",
+            "the specific force is mostly 1.000, where about 9.8",
+        ),
+        ("units/ms.csv", "the time between rows is mostly 5.000"),
     ];
     for (name, reason) in reasons {
         let line = printed.lines().find(|line| line.contains(name));

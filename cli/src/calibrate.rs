@@ -28,6 +28,7 @@ use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
 use aplomb_recordings::units::RowOptions;
 
+use crate::i2c::I2cOptions;
 use crate::input::Counts;
 use crate::progress;
 
@@ -52,14 +53,26 @@ const LEAST_SLOW_POSES: usize = 24;
   aplomb calibrate poses.csv
   aplomb calibrate counts.csv --raw --accel-range 2 --gyro-range 250 --json
   aplomb calibrate --draw-poses poses.png
+  aplomb calibrate --i2c /dev/i2c-1 --json > calibration.json
 
 JSON: rule (rest or slow), poses, offset_m_s2, matrix (what corrects: times reading less offset),
 cross_axis_fitted, residual_before_g, residual_after_g, and held_out: fitted and held_out poses,
 residual_before_g and residual_after_g of those held out.")]
 pub struct Options {
     /// The recording
-    #[arg(required_unless_present = "draw_poses")]
+    #[arg(required_unless_present_any = ["draw_poses", "i2c"], conflicts_with = "i2c")]
     input: Option<PathBuf>,
+    #[command(flatten)]
+    sensor: I2cOptions,
+    /// Time to show that sensor from its six sides
+    #[arg(
+        long,
+        value_name = "S",
+        requires = "i2c",
+        default_value_t = 60,
+        value_parser = clap::value_parser!(u64).range(10..=3_600)
+    )]
+    seconds: u64,
     #[command(flatten)]
     counts: Counts,
     #[command(flatten)]
@@ -78,10 +91,17 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         let inputs: Vec<&Path> = options.input.iter().map(PathBuf::as_path).collect();
         OutputFile::write(path, &inputs, &crate::poses::draw().png())?;
     }
-    let Some(input) = &options.input else {
+    let Some(input) = options.input.as_ref().or(options.sensor.i2c.as_ref()) else {
         return Ok(());
     };
-    let recording = Recording::read(input, options)?;
+    let recording = match &options.input {
+        Some(input) => Recording::read(input, options)?,
+        None => {
+            let (samples, config) = options.sensor.collect(options.seconds)?;
+            let to_sample = |(t_us, raw)| Sample { t_us, raw };
+            Recording::new(config, samples.into_iter().map(to_sample).collect())
+        }
+    };
     let rested = recording.rests();
     let mut report = format!(
         "{}: {} rows, {:.1} s\n",
@@ -174,9 +194,13 @@ impl Recording {
             )
             .into());
         }
+        Ok(Self::new(config, samples))
+    }
+
+    fn new(config: Config, samples: Vec<Sample>) -> Self {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor = config;
-        Ok(Self { settings, samples })
+        Self { settings, samples }
     }
 
     fn duration_s(&self) -> f64 {

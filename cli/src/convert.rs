@@ -1,4 +1,4 @@
-//! `aplomb convert`: flight logs, bursts and CSV logs into each other.
+//! `aplomb convert`: flight logs, bursts and CSV logs into each other, burst by burst.
 
 use std::error::Error;
 use std::io::Write;
@@ -123,8 +123,33 @@ impl Kind {
     }
 }
 
-/// Burst with the conditions that the board reported.
-type FlaggedBurst = (Burst, BoardFlags);
+/// Burst of a recording, with the conditions that the board reported.
+struct Recorded {
+    burst: Burst,
+    flags: BoardFlags,
+    /// Values beyond the ranges, which were clipped.
+    clipped_values: usize,
+}
+
+/// Bursts of a recording, in order.
+type Bursts = Box<dyn Iterator<Item = Result<Recorded, Box<dyn Error>>>>;
+
+/// Sums over the bursts that were written.
+#[derive(Default)]
+struct Written {
+    bursts: usize,
+    clipped_values: usize,
+    /// A burst has flags, or samples before it are missing.
+    has_flags: bool,
+}
+
+impl Written {
+    fn count(&mut self, recorded: &Recorded) {
+        self.bursts += 1;
+        self.clipped_values += recorded.clipped_values;
+        self.has_flags |= recorded.burst.missed_before > 0 || !recorded.flags.is_empty();
+    }
+}
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
@@ -135,7 +160,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             output.display()
         )
     })?;
-    let found = read(options, into)?;
+    let mut found = read(options, into)?;
     let settings = Settings {
         sensor: found.config,
         mount: options.mount.unwrap_or(Mount::Z_UP),
@@ -147,16 +172,40 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         Kind::Csv => write_csv,
     };
     let mut file = OutputFile::create(output, &[&options.input])?;
-    write(&mut file, &settings, &found.bursts).map_err(|error| file.failed(&error))?;
+    let (mut written, mut failure) = (Written::default(), None);
+    let mut bursts = found.bursts.by_ref().map_while(|recorded| match recorded {
+        Ok(recorded) => {
+            written.count(&recorded);
+            Some(recorded)
+        }
+        Err(error) => {
+            failure = Some(error);
+            None
+        }
+    });
+    write(&mut file, &settings, &mut bursts).map_err(|error| file.failed(&error))?;
+    if let Some(failure) = failure {
+        return Err(failure);
+    }
     file.finish()?;
-    let left_out = found.left_out(into);
+    report(options, into, &found, &written)
+}
+
+/// Prints what was written, and what was left out.
+fn report(
+    options: &Options,
+    into: Kind,
+    found: &Found,
+    written: &Written,
+) -> Result<(), Box<dyn Error>> {
+    let left_out = found.left_out(into, written.has_flags);
     let summary = Summary {
         input: options.input.display().to_string(),
-        output: output.display().to_string(),
-        bursts: found.bursts.len(),
+        output: options.output.display().to_string(),
+        bursts: written.bursts,
         bursts_lost: found.bursts_lost,
         damaged_pieces: found.damaged_pieces,
-        clipped_values: found.clipped_values,
+        clipped_values: written.clipped_values,
         left_out,
     };
     if options.json {
@@ -169,10 +218,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             summary.input, found.bursts_lost, found.damaged_pieces
         ));
     }
-    if found.clipped_values > 0 {
+    if written.clipped_values > 0 {
         print_line(&format!(
             "{}: {} values are beyond 16 g or 2000 degrees per second and were clipped",
-            summary.input, found.clipped_values
+            summary.input, written.clipped_values
         ));
     }
     print_line(&format!("{}: {} bursts", summary.output, summary.bursts));
@@ -211,16 +260,15 @@ struct Summary {
     left_out: Vec<&'static str>,
 }
 
-/// Contents of a recording.
+/// Recording whose bursts are still to be read.
 struct Found {
     config: Config,
     /// Mount of the sensor, if it is known.
     mount: Option<Mount>,
     part: &'static Part,
-    bursts: Vec<FlaggedBurst>,
+    bursts: Bursts,
     bursts_lost: u64,
     damaged_pieces: u64,
-    clipped_values: usize,
     /// The recording has a truth.
     has_truth: bool,
     /// The recording has no temperature: 25 °C stands for it.
@@ -229,11 +277,7 @@ struct Found {
 
 impl Found {
     /// Returns what this kind of output has no place for.
-    fn left_out(&self, into: Kind) -> Vec<&'static str> {
-        let has_flags = self
-            .bursts
-            .iter()
-            .any(|(burst, flags)| burst.missed_before > 0 || !flags.is_empty());
+    fn left_out(&self, into: Kind, has_flags: bool) -> Vec<&'static str> {
         let lost = [
             ("the temperature", into == Kind::Csv && !self.is_csv),
             ("the board's flags", into == Kind::Csv && has_flags),
@@ -260,12 +304,15 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
             config: first.settings.sensor,
             mount: Some(first.settings.mount()),
             part: first.settings.part,
-            bursts: steps
-                .map(|step| (step.numbered.burst, step.numbered.flags))
-                .collect(),
+            bursts: Box::new(steps.map(|step| {
+                Ok(Recorded {
+                    burst: step.numbered.burst,
+                    flags: step.numbered.flags,
+                    clipped_values: 0,
+                })
+            })),
             bursts_lost: flight.lost(),
             damaged_pieces: log.counts.damaged,
-            clipped_values: 0,
             has_truth: false,
             is_csv: false,
         });
@@ -277,11 +324,16 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         Form::Log(_) => Kind::Csv,
     };
     kind.check(options, into)?;
-    let ((bursts, clipped_values), is_csv, has_truth) = match form {
-        Form::Bursts => ((read_bursts(lines)?, 0), false, false),
+    let (bursts, is_csv, has_truth): (Bursts, _, _) = match form {
+        Form::Bursts => {
+            let next = move || next_burst(&mut lines).transpose();
+            (Box::new(std::iter::from_fn(next)), false, false)
+        }
         Form::Log(columns) => {
-            let rows = Rows::new(lines, columns, options.rows, false)?;
-            (read_rows(rows)?, true, columns > SHORTEST_LOG)
+            let mut rows = Rows::new(lines, columns, options.rows, false)?;
+            let next = move || next_row(&mut rows).transpose();
+            let has_truth = columns > SHORTEST_LOG;
+            (Box::new(std::iter::from_fn(next)), true, has_truth)
         }
     };
     Ok(Found {
@@ -291,37 +343,42 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         bursts,
         bursts_lost: 0,
         damaged_pieces: 0,
-        clipped_values,
         has_truth,
         is_csv,
     })
 }
 
-fn read_bursts(mut lines: Lines) -> Result<Vec<FlaggedBurst>, Box<dyn Error>> {
-    let mut found = Vec::new();
-    while let Some(line) = lines.next_line()? {
-        let burst = bursts::decode(line);
-        found.push(burst.map_err(|reason| format!("{}: {reason}", lines.place()))?);
-    }
-    Ok(found)
+/// Returns the next burst of a table of bursts.
+fn next_burst(lines: &mut Lines) -> Result<Option<Recorded>, Box<dyn Error>> {
+    let Some(line) = lines.next_line()? else {
+        return Ok(None);
+    };
+    let decoded = bursts::decode(line);
+    let (burst, flags) = decoded.map_err(|reason| format!("{}: {reason}", lines.place()))?;
+    Ok(Some(Recorded {
+        burst,
+        flags,
+        clipped_values: 0,
+    }))
 }
 
-/// Returns a log's rows as bursts, and the number of clipped values.
-fn read_rows(mut rows: Rows) -> Result<(Vec<FlaggedBurst>, usize), Box<dyn Error>> {
-    let mut found = Vec::new();
-    let mut clipped_values = 0;
-    while let Some(row) = rows.next_row()? {
-        let (raw, clipped) = counts_of(&row).map_err(|fault| rows.refuse(fault))?;
-        clipped_values += clipped;
-        let burst = Burst {
-            bytes: raw.encode(),
-            captured_at_us: u64::try_from(row.time_us)
-                .map_err(|_| format!("{}: t_us is negative", rows.place()))?,
-            missed_before: 0,
-        };
-        found.push((burst, BoardFlags::empty()));
-    }
-    Ok((found, clipped_values))
+/// Returns the next row of a log as a burst.
+fn next_row(rows: &mut Rows) -> Result<Option<Recorded>, Box<dyn Error>> {
+    let Some(row) = rows.next_row()? else {
+        return Ok(None);
+    };
+    let (raw, clipped_values) = counts_of(&row).map_err(|fault| rows.refuse(fault))?;
+    let burst = Burst {
+        bytes: raw.encode(),
+        captured_at_us: u64::try_from(row.time_us)
+            .map_err(|_| format!("{}: t_us is negative", rows.place()))?,
+        missed_before: 0,
+    };
+    Ok(Some(Recorded {
+        burst,
+        flags: BoardFlags::empty(),
+        clipped_values,
+    }))
 }
 
 /// Converts a row to counts at the default full scales. Returns the number of clipped values too.
@@ -360,33 +417,35 @@ fn counts_of(row: &Row) -> Result<(RawSample, usize), LogFault> {
 fn write_log(
     file: &mut OutputFile,
     settings: &Settings,
-    bursts: &[FlaggedBurst],
+    bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
     let mut recorder = Recorder::new(file, Pipeline::new(settings), 0);
-    bursts
-        .iter()
-        .try_for_each(|(burst, flags)| recorder.add(burst, *flags).map(|_| ()))
+    for Recorded { burst, flags, .. } in bursts {
+        recorder.add(&burst, flags)?;
+    }
+    Ok(())
 }
 
 fn write_bursts(
     file: &mut OutputFile,
     _: &Settings,
-    bursts: &[FlaggedBurst],
+    bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
     writeln!(file, "{}", bursts::HEADER)?;
-    bursts
-        .iter()
-        .try_for_each(|(burst, flags)| writeln!(file, "{}", bursts::Line(burst, *flags)))
+    for Recorded { burst, flags, .. } in bursts {
+        writeln!(file, "{}", bursts::Line(&burst, flags))?;
+    }
+    Ok(())
 }
 
 fn write_csv(
     file: &mut OutputFile,
     settings: &Settings,
-    bursts: &[FlaggedBurst],
+    bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
     writeln!(file, "t_us,ax,ay,az,gx,gy,gz")?;
     let mut line = Vec::new();
-    for (burst, _) in bursts {
+    for Recorded { burst, .. } in bursts {
         let raw = RawSample::decode(&burst.bytes);
         let force = raw
             .accelerometer

@@ -236,7 +236,7 @@ impl Device {
             .unwrap_or(AccelerometerCorrection::NONE);
         let range = self.settings.sensor.accelerometer_range;
         let force = RawSample::decode(&burst.bytes).accelerometer.to_m_s2(range);
-        let mounted = self.settings.mount().to_body(correction.apply(force));
+        let mounted = self.settings.mount().to_body(correction.apply(force)).0;
         calibration
             .level
             .map_or(mounted, |level| level.rotate(mounted))

@@ -1,20 +1,25 @@
 //! `aplomb`: shows and records a module, replays recordings through the library, draws, converts
 //! and simulates them, and finds calibrations.
 
+mod bring_up;
 mod calibrate;
 mod completions;
 mod convert;
 mod device;
 mod flight_replay;
+mod i2c;
 mod input;
+mod measure;
 mod plot;
 mod poses;
 mod progress;
 mod reading;
 mod record;
 mod replay;
+mod sampler;
 mod simulate;
 mod source;
+mod talk;
 mod view;
 mod watched;
 
@@ -39,6 +44,8 @@ enum Command {
     Convert(convert::Options),
     View(view::Options),
     Record(record::Options),
+    Measure(measure::Options),
+    BringUp(bring_up::Options),
     Plot(plot::Options),
     Simulate(simulate::Options),
     Completions(completions::Options),
@@ -51,6 +58,8 @@ fn main() -> ExitCode {
         Command::Convert(options) => convert::run(&options),
         Command::View(options) => view::run(&options),
         Command::Record(options) => record::run(&options),
+        Command::Measure(options) => measure::run(&options),
+        Command::BringUp(options) => bring_up::run(&options),
         Command::Plot(options) => plot::run(&options),
         Command::Simulate(options) => simulate::run(&options),
         Command::Completions(options) => {

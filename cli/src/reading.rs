@@ -10,7 +10,7 @@ use aplomb::units::radians;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
 use aplomb_recordings::log::{Lines, has_compass};
-use aplomb_recordings::units::RowOptions;
+use aplomb_recordings::units::{RowOptions, knowledge};
 
 use crate::device::FilterName;
 use crate::input::Counts;
@@ -63,11 +63,6 @@ pub struct Reading {
     counts: Counts,
     #[command(flatten)]
     rows: RowOptions,
-}
-
-/// Parses what is known of an accelerometer's offset.
-pub fn knowledge(name: &str) -> Result<AccelerometerKnowledge, &'static str> {
-    AccelerometerKnowledge::from_name(name).ok_or("it is factory, six-poses or calibrated")
 }
 
 /// Parses what is known of a compass's hard iron.

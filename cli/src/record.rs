@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use aplomb_recordings::output::{cannot_write, check_writable};
 
+use crate::i2c::I2cOptions;
 use crate::view::{BAUD, Decoder, Item, LOG_BAUD, Link, Report, end_request, which_port};
 
 /// Longest time until the module answers a command.
@@ -35,13 +36,16 @@ const DRAIN: Duration = Duration::from_secs(2);
 #[command(after_help = "Examples:
   aplomb record --port /dev/ttyUSB0 --output flight.log --log
   aplomb record --port /dev/ttyUSB0 --output text.uart --seconds 60
+  aplomb record --i2c /dev/i2c-1 --output flight.log --seconds 60
 
 Exit code: 0 if attitudes or bursts were recorded, 1 if not, or if the log did not go on after the
 port had been gone.")]
 pub struct Options {
     /// The module's serial port; without one the ports of this computer are listed
-    #[arg(long)]
+    #[arg(long, conflicts_with = "i2c")]
     port: Option<String>,
+    #[command(flatten)]
+    sensor: I2cOptions,
     /// The module's baud rate
     #[arg(long, default_value_t = BAUD)]
     baud: u32,
@@ -52,8 +56,8 @@ pub struct Options {
     #[arg(long, allow_negative_numbers = true, value_parser = parse_seconds)]
     seconds: Option<f64>,
     /// Have the module send its flight log at 921,600 baud, and what it sent before when the
-    /// recording ends
-    #[arg(long)]
+    /// recording ends. A sensor on a bus always gives a flight log
+    #[arg(long, conflicts_with = "i2c")]
     log: bool,
     /// Replace the file if it is there
     #[arg(long)]
@@ -69,9 +73,9 @@ fn parse_seconds(text: &str) -> Result<f64, &'static str> {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
-    let Some(port) = &options.port else {
+    if options.port.is_none() && options.sensor.i2c.is_none() {
         return Err(which_port().into());
-    };
+    }
     // A name that is in use is refused before the flight, not after it.
     if options.output == Path::new("-") {
         return Err("record keeps what it hears in a file: give its name with --output".into());
@@ -81,7 +85,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         return Err(exists(&options.output).into());
     }
     let ends = end_request()?;
-    let link = Link::port(port, options.baud)?;
+    let link = match &options.port {
+        Some(port) => Link::port(port, options.baud)?,
+        None => Link::sensor(options.sensor.open()?.0),
+    };
     let mut recorder = Recorder {
         options,
         // Opened before any command, so that a failure does not change the module.
@@ -126,6 +133,24 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         .into());
     }
     Ok(())
+}
+
+/// Records the flight log of a module for so many seconds. Replaces the file.
+pub fn record_log(
+    port: &str,
+    baud: u32,
+    seconds: u32,
+    output: &Path,
+) -> Result<(), Box<dyn Error>> {
+    run(&Options {
+        port: Some(port.to_owned()),
+        baud,
+        output: output.to_owned(),
+        seconds: Some(seconds.into()),
+        log: true,
+        force: true,
+        sensor: I2cOptions::default(),
+    })
 }
 
 fn exists(path: &Path) -> String {

@@ -10,7 +10,7 @@ use std::error::Error;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use aplomb::attitude::{EulerAngles, Vector3};
+use aplomb::attitude::{BodyVector, EulerAngles, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::REVISION;
 use aplomb::health::Flags;
@@ -226,7 +226,7 @@ fn replay(
         let first_us = *first_us.get_or_insert(point.t_us);
         last_us = point.t_us;
         samples += 1;
-        let up = mount.to_sensor(up_in_body(point.attitude));
+        let up = mount.to_sensor(BodyVector(up_in_body(point.attitude)));
         if let Some(truth) = point.truth.filter(|_| point.is_scored(first_us)) {
             errors.add(
                 [up.x, up.y, up.z].map(f64::from),

@@ -1,4 +1,4 @@
-//! `aplomb simulate`: a simulated motion with its truth, as a log.
+//! `aplomb simulate`: a simulated motion with its truth, as a recording.
 
 use std::error::Error;
 use std::io::Write;
@@ -16,7 +16,7 @@ use aplomb_recordings::simulated::{LOG_HEADER, errors, samples_with};
 use aplomb_recordings::terminal::print_line;
 
 use crate::progress;
-use crate::reading::knowledge;
+use aplomb_recordings::units::knowledge;
 
 /// Seed without `--seed`. The filter was tuned on smaller seeds.
 const SEED: u64 = 1_000;
@@ -74,14 +74,15 @@ impl Kind {
     }
 }
 
-/// Write a simulated motion with its truth as a log.
+/// Write a simulated motion with its truth as a recording.
 ///
 /// The sensor has the errors of a typical one: noise, and a gyroscope offset of 4 degrees per
-/// second, and an accelerometer that is not calibrated, or as --accelerometer states. It lies face up, X forward. One seed is one motion, to the last bit. The
-/// log has 1000 rows a second (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s;
-/// truth sensor to earth with z up; mov 1 where rows count), as `replay`, `plot`, `aplomb-bench`
-/// and `cargo xtask fly --log` read it. Samples are 1900 microseconds late, as a real sensor's are:
-/// --sensor-delay-us 1900. Give `replay` and `plot` the same --accelerometer.
+/// second, and an accelerometer that is not calibrated, or as --accelerometer states. It lies face
+/// up, X forward. One seed is one motion, to the last bit. The log has 1000 rows a second
+/// (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s; truth sensor to earth with
+/// z up; mov 1 where rows count), as `replay`, `plot`, `aplomb-bench` and `cargo xtask fly --log`
+/// read it. Samples are 1900 microseconds late, as a real sensor's are: --sensor-delay-us 1900.
+/// Give `replay` and `plot` the same --accelerometer.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb simulate --seed 7 --output flight.csv.gz

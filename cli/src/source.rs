@@ -21,14 +21,12 @@ use aplomb_recordings::counts::counts;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::log::{Lines, Row, Rows, has_compass};
 use aplomb_recordings::plateau::Plateaus;
+use aplomb_recordings::rate::{ROWS_AHEAD, sample_rate_divider, unsigned};
 use aplomb_recordings::score::START_US;
 use aplomb_recordings::units::RowOptions;
 
 use crate::device::{Device, FilterName};
 use crate::flight_replay::{Agreement, Replay};
-
-/// Rows of a log that are read ahead, to measure the time between rows.
-const ROWS_AHEAD: usize = 101;
 
 /// Attitude at one row, with its truth.
 pub struct Point {
@@ -173,7 +171,8 @@ impl Log {
         {
             log.ahead.push_back(row);
         }
-        settings.sensor.sample_rate_divider = log.sample_rate_divider();
+        let times_us: Vec<i64> = log.ahead.iter().map(|row| row.t_us).collect();
+        settings.sensor.sample_rate_divider = sample_rate_divider(&times_us);
         log.device = Device::for_samples(options.filter, &settings, options.delay_us);
         let knowledge = options.accelerometer.unwrap_or(match options.ranges {
             Some(_) => AccelerometerKnowledge::Factory,
@@ -186,19 +185,6 @@ impl Log {
             device.add_compass(compass.knowledge, compass.declination_rad);
         }
         Ok(log)
-    }
-
-    /// Returns the divider of a sensor with the log's sample rate. Rows may come irregularly, so
-    /// the period is rounded up.
-    fn sample_rate_divider(&self) -> u8 {
-        let pairs = self.ahead.iter().zip(self.ahead.iter().skip(1));
-        let mut steps_us: Vec<u64> = pairs
-            .map(|(before, after)| before.t_us.abs_diff(after.t_us))
-            .collect();
-        steps_us.sort_unstable();
-        let median_us = steps_us.get(steps_us.len() / 2).copied().unwrap_or(0);
-        let periods = median_us.div_ceil(1_000).saturating_sub(1);
-        periods.try_into().unwrap_or(u8::MAX)
     }
 
     fn read(&mut self) -> Result<Option<LogRow>, Box<dyn Error>> {
@@ -217,7 +203,7 @@ impl Log {
             t_us: row.time_us,
             sample,
             field: row.field_ut.map(|field| {
-                let Vector3 { x, y, z } = self.options.mount.to_body(vector(field));
+                let Vector3 { x, y, z } = self.options.mount.to_body(vector(field)).0;
                 MagneticField { ut: [x, y, z] }
             }),
             truth: row.attitude,
@@ -231,22 +217,22 @@ impl LogOptions {
     fn sample(&self, row: &Row) -> Result<Sample, String> {
         let t_us = unsigned(row.time_us);
         let Some((accelerometer_range, gyroscope_range)) = self.ranges else {
-            return Ok(Sample {
+            return Ok(Sample::new(
                 t_us,
-                specific_force_m_s2: self.mount.to_body(vector(row.specific_force_m_s2)),
-                angular_rate_rad_s: self.mount.to_body(vector(row.rates_rad_s)),
-                ..Sample::default()
-            });
+                self.mount.to_body(vector(row.specific_force_m_s2)),
+                self.mount.to_body(vector(row.rates_rad_s)),
+            ));
         };
         let [force, rates] = counts(row)?;
         let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
-        Ok(Sample {
+        let mut sample = Sample::new(
             t_us,
-            specific_force_m_s2: self.mount.to_body(force.to_m_s2(accelerometer_range)),
-            angular_rate_rad_s: self.mount.to_body(rates.to_rad_s(gyroscope_range)),
-            is_force_saturated: force.is_saturated(),
-            is_rate_saturated: rates.is_saturated(),
-        })
+            self.mount.to_body(force.to_m_s2(accelerometer_range)),
+            self.mount.to_body(rates.to_rad_s(gyroscope_range)),
+        );
+        sample.is_force_saturated = force.is_saturated();
+        sample.is_rate_saturated = rates.is_saturated();
+        Ok(sample)
     }
 }
 
@@ -351,11 +337,6 @@ impl Source for Logged {
         let t_us = i64::try_from(snapshot.t_us)?;
         Ok(Some(Point::new(self.replay.device(), &snapshot, t_us)))
     }
-}
-
-/// Shifts times to a scale without a sign. Only their differences matter to a filter.
-fn unsigned(time_us: i64) -> u64 {
-    time_us.cast_unsigned() ^ (1 << 63)
 }
 
 fn vector([x, y, z]: [f64; 3]) -> Vector3 {

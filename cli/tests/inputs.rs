@@ -245,6 +245,27 @@ fn lines_without_end_are_refused_in_little_memory() {
     }
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_long_recording_is_converted_in_little_memory() {
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    for index in 0..600_000 {
+        text.push_str(&format!("{index}000,0,0,9.8,0,0,0\n"));
+    }
+    let csv = file("long", "log.csv", text);
+    let (bursts, log) = (path("long", "bursts.csv"), path("long", "made.log"));
+    let [csv, bursts, log] = [&csv, &bursts, &log].map(|path| path.to_str().unwrap());
+    let back = path("long", "back.csv");
+    let back = back.to_str().unwrap();
+    for (input, output) in [(csv, bursts), (bursts, log), (log, back)] {
+        let result = in_little_memory(&["convert", input, output], 12 * 1024);
+        let message = String::from_utf8_lossy(&result.stderr);
+        assert!(result.status.success(), "{input} {output}: {message}");
+    }
+    let rows = std::fs::read_to_string(back).unwrap().lines().count();
+    assert_eq!(rows, 600_001);
+}
+
 #[test]
 fn a_hyphen_as_output_is_standard_output_and_nothing_else_is_printed_there() {
     let folder = path("hyphen", "");

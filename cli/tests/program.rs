@@ -458,3 +458,30 @@ fn what_cannot_be_said_is_a_failure_but_a_closed_pipe_is_none() {
     assert!(result.status.success());
     assert!(result.stderr.is_empty());
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_bus_that_cannot_be_used_is_named_with_what_helps() {
+    let output = path("bus", "flight.log");
+    let output = output.to_str().unwrap();
+    let file = file("bus", "no-bus", "");
+    let broken = self::file("bus", "calibration.json", "{\"offset_m_s2\": 1}");
+    let (file, broken) = (file.to_str().unwrap(), broken.to_str().unwrap());
+    for (arguments, reason) in [
+        (
+            vec!["--i2c", "/dev/i2c-none"],
+            "do_i2c 0` enables /dev/i2c-1",
+        ),
+        (vec!["--i2c", file], "is it an I2C bus?"),
+        (
+            vec!["--i2c", file, "--calibration", broken],
+            "write it with `aplomb calibrate --json`",
+        ),
+    ] {
+        let message = refusal(&[&["record", "--output", output][..], &arguments].concat());
+        assert!(message.contains(reason), "{message}");
+        let message = refusal(&[&["calibrate"][..], &arguments].concat());
+        assert!(message.contains(reason), "{message}");
+    }
+    assert!(!std::path::Path::new(output).exists());
+}

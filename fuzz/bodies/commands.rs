@@ -2,12 +2,15 @@
 
 use std::collections::VecDeque;
 
+use aplomb::calibration::compass::CompassFitter;
 use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::console::answer::ANSWER_CAPACITY;
 use aplomb::console::command::{BAUD_RATES, Command, RATES_HZ};
 use aplomb::console::{Console, Module, Outcome, State, Task};
+use aplomb::health::Measurement;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::Settings;
+use aplomb::settings::CompassSettings;
 use aplomb::telemetry;
 
 /// Runs the bytes through a console.
@@ -80,6 +83,20 @@ impl Module for Wire {
         assert!(!self.is_armed);
     }
 
+    fn set_compass(&mut self, _settings: &CompassSettings, _imu_mount: Mount) {
+        assert!(!self.is_armed);
+    }
+
+    fn start_compass_fitter(&mut self) {
+        assert!(!self.is_armed);
+    }
+
+    fn stop_compass_fitter(&mut self) {}
+
+    fn compass_fitter(&mut self) -> Option<CompassFitter> {
+        None
+    }
+
     fn start_detector(&mut self, samples: u16) {
         assert!(!self.is_armed && samples > 0);
     }
@@ -96,6 +113,14 @@ impl Module for Wire {
 
     fn set_armed(&mut self, is_armed: bool) {
         self.is_armed = is_armed;
+    }
+
+    fn set_measuring(&mut self, is_on: bool) {
+        assert!(!self.is_armed || !is_on);
+    }
+
+    fn measurement(&mut self) -> Measurement {
+        Measurement::default()
     }
 
     fn set_baud(&mut self, _baud: u32) -> bool {

@@ -12,6 +12,9 @@ use embedded_storage::nor_flash::{
 /// Length of the longest record: the library reads no more of a slot.
 const SLOT: usize = storage::LONGEST_RECORD;
 
+/// Version of the encoding.
+const VERSION: u16 = 2;
+
 /// Writes the bytes to the first slot and loads.
 ///
 /// # Panics
@@ -22,7 +25,7 @@ pub fn run(bytes: &[u8]) {
     let rest = &rest[..rest.len().min(SLOT - 16)];
     let slot = match layout % 3 {
         0 => rest.to_vec(),
-        1 => image(1, rest),
+        1 => image(VERSION, rest),
         _ => image(u16::from(*layout), rest),
     };
     let mut flash = Memory([0xFF; 2 * SLOT]);
@@ -37,7 +40,12 @@ pub fn run(bytes: &[u8]) {
     let mut again = Memory([0xFF; 2 * SLOT]);
     storage::save(&mut again, &record).expect("what was read can be saved");
     let length = 16 + usize::from(u16::from_le_bytes([slot[6], slot[7]]));
-    let expected = image(1, &slot[16..length]);
+    let mut body = slot[16..length].to_vec();
+    if slot[4] == 1 {
+        // Version 1 had no compass: found by itself, no mount, no correction.
+        body.extend([0; 3]);
+    }
+    let expected = image(VERSION, &body);
     assert_eq!(again.0[..expected.len()], expected);
     assert_eq!(storage::load(&mut again).record, Some(record));
 }

@@ -2,6 +2,7 @@
 //!
 //! | module | contents |
 //! |---|---|
+//! | [`compass`] | four compasses: registers, noise, and the field by place, iron and magnets |
 //! | [`motion`] | motions with exact truth: a simulated quadrotor, swings, rests, poses |
 //! | [`sensor`] | the MPU-6050: registers, clock, signal path with errors and noise, INT pin, I2C |
 //! | [`random`] | seeded random numbers |
@@ -12,6 +13,7 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+pub mod compass;
 pub mod motion;
 pub mod random;
 pub mod sensor;

@@ -4,8 +4,7 @@
 //! Neither shares code with the other, so a wrong register, bit, scale, rate or delay in one of
 //! them shows here.
 
-use std::cell::RefCell;
-use std::rc::Rc;
+mod bench;
 
 use aplomb::mpu6050::{
     AccelerometerRange, Config, Error, GyroscopeRange, LowPass, Mpu6050, PARTS, RawSample,
@@ -13,92 +12,19 @@ use aplomb::mpu6050::{
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::swing::Swing;
 use aplomb_models::motion::{Motion, Quaternion, Truth};
-use aplomb_models::sensor::{ClockErrors, DataReady, Sensor, SensorConfig, SensorErrors};
+use aplomb_models::sensor::{ClockErrors, DataReady, SensorConfig, SensorErrors};
+use bench::Bench;
 use embedded_hal::delay::DelayNs;
-use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
+use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, Operation};
 
-/// Nine bits at 400 kHz.
-const BYTE_NS: u64 = 22_500;
-
-/// The sensor and the time, shared by the bus and the delay.
-#[derive(Clone)]
-struct Bench(Rc<RefCell<(Sensor, u64)>>);
-
-impl Bench {
-    fn new(config: SensorConfig, motion: impl Motion + 'static) -> Self {
-        Self(Rc::new(RefCell::new((
-            Sensor::new(config, Box::new(motion)),
-            0,
-        ))))
-    }
-
-    fn take_edges(&self) -> Vec<DataReady> {
-        self.0.borrow_mut().0.take_edges()
-    }
-
-    /// Returns the time of the last burst's sample, by the model's own account, s.
-    fn time_of_last_burst_s(&self, edges: &[DataReady]) -> f64 {
-        let burst = *self.0.borrow_mut().0.take_bursts().last().unwrap();
-        let edge = edges
-            .iter()
-            .find(|edge| Some(edge.index) == burst.edge)
-            .unwrap();
-        edge.time_ns as f64 * 1e-9
-    }
-
-    /// Lets one byte's time pass, then does something with the sensor.
-    fn after_a_byte<T>(&self, action: impl FnOnce(&mut Sensor, u64) -> T) -> T {
-        let (sensor, now_ns) = &mut *self.0.borrow_mut();
-        *now_ns += BYTE_NS;
-        action(sensor, *now_ns)
-    }
-}
-
-impl DelayNs for Bench {
-    fn delay_ns(&mut self, duration_ns: u32) {
-        let (sensor, now_ns) = &mut *self.0.borrow_mut();
-        *now_ns += u64::from(duration_ns);
-        sensor.advance_to(*now_ns);
-    }
-}
-
-impl ErrorType for Bench {
-    type Error = ErrorKind;
-}
-
-impl I2c for Bench {
-    fn transaction(
-        &mut self,
-        address: u8,
-        operations: &mut [Operation<'_>],
-    ) -> Result<(), ErrorKind> {
-        let mut result = Ok(());
-        for operation in operations {
-            let read = matches!(operation, Operation::Read(_));
-            let mut acknowledged =
-                self.after_a_byte(|sensor, now_ns| sensor.start(now_ns, address, read));
-            match operation {
-                _ if !acknowledged => {}
-                Operation::Read(bytes) => {
-                    for byte in bytes.iter_mut() {
-                        *byte = self.after_a_byte(Sensor::read);
-                    }
-                }
-                Operation::Write(bytes) => {
-                    for &byte in *bytes {
-                        acknowledged &=
-                            self.after_a_byte(|sensor, now_ns| sensor.write(now_ns, byte));
-                    }
-                }
-            }
-            if !acknowledged {
-                result = Err(ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown));
-                break;
-            }
-        }
-        self.after_a_byte(Sensor::stop);
-        result
-    }
+/// Returns the time of the last burst's sample, by the model's own account, s.
+fn time_of_last_burst_s(bench: &Bench, edges: &[DataReady]) -> f64 {
+    let burst = *bench.0.borrow_mut().0.take_bursts().last().unwrap();
+    let edge = edges
+        .iter()
+        .find(|edge| Some(edge.index) == burst.edge)
+        .unwrap();
+    edge.time_ns as f64 * 1e-9
 }
 
 /// Rotation and specific force that grow steadily about and along every axis.
@@ -193,7 +119,7 @@ fn every_setting_has_the_scale_the_rate_and_the_delay_that_the_driver_says() {
             let sample = RawSample::decode(&burst.bytes);
             let rates = sample.gyroscope.to_rad_s(config.gyroscope_range);
             let force = sample.accelerometer.to_m_s2(config.accelerometer_range);
-            let elapsed_s = bench.time_of_last_burst_s(&edges) - ZERO_S;
+            let elapsed_s = time_of_last_burst_s(&bench, &edges) - ZERO_S;
             // Chip face up: the sensor's y and z are the body's, reversed.
             let signs = [1.0, -1.0, -1.0];
             let check = |measured: [f32; 3], slopes: [f64; 3], delay_us: u16, resolution: f64| {

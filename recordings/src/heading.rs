@@ -1,6 +1,6 @@
 //! Errors of headings against the truth.
 
-use aplomb::attitude::{Quaternion as Attitude, Vector3};
+use aplomb::attitude::{BodyVector, Quaternion as Attitude};
 use aplomb::calibration::Mount;
 use aplomb_models::motion::geometry::Quaternion;
 
@@ -120,7 +120,7 @@ pub fn error_deg(estimated: Attitude, truth: Quaternion, mount: Mount) -> f64 {
         let mut unit = [0.0; 3];
         unit[axis] = 1.0;
         let [x, y, z] = unit;
-        let sensor = mount.to_sensor(Vector3::new(x, y, z));
+        let sensor = mount.to_sensor(BodyVector::new(x, y, z));
         let sensor = [sensor.x, sensor.y, sensor.z].map(f64::from);
         let [east, north, up] = truth.rotate(sensor);
         (estimated.rotate(unit.map(f64::from)), [north, east, -up])

@@ -7,6 +7,7 @@
 //! - [`flight_log`]: the module's flight log;
 //! - [`attitude_table`]: tables of attitudes;
 //! - [`motion`]: a log as motion; [`simulated`]: simulated sensor data with its truth;
+//! - [`rate`]: the sample rate of a log;
 //! - [`plateau`]: clipping; [`vibration`]: vibration that is too strong;
 //! - [`number`]: numbers as text, fast;
 //! - [`distribution`]: quantiles in bounded memory;
@@ -37,6 +38,7 @@ pub mod output;
 pub mod plateau;
 mod plausibility;
 pub mod quote;
+pub mod rate;
 mod row;
 mod rows;
 pub mod score;

@@ -25,7 +25,7 @@ pub const TURN_S: f64 = 1.0;
 
 /// σ of an MPU-6050's rates, rad/s: 0.005 °/s/√Hz in 100 Hz (product specification §6.1).
 const RATE_NOISE_RAD_S: f64 = 0.05 / 57.295_779_513;
-/// σ of an MPU-6050's specific force, m/s²: 400 µg/√Hz in 100 Hz (product specification §6.2).
+/// σ of an MPU-6050's force, m/s²: 400 µg/√Hz in 100 Hz (product specification §6.2).
 const FORCE_NOISE_M_S2: f64 = 4e-3 * 9.806_65;
 
 /// Length of the part of the recording that shows the first pose, s.

@@ -4,6 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
 
 use crate::row::Row;
@@ -140,17 +141,28 @@ impl fmt::Display for NoSuchChoice {
 
 impl std::error::Error for NoSuchChoice {}
 
+/// Returns the choice of this name. `names` lists all names in the message of an error.
+fn choose<T: Copy>(
+    name: &str,
+    choices: &[(&str, T)],
+    names: &'static str,
+) -> Result<T, NoSuchChoice> {
+    let found = choices.iter().find(|(known, _)| *known == name);
+    found.map(|(_, choice)| *choice).ok_or(NoSuchChoice(names))
+}
+
 impl FromStr for TimeUnit {
     type Err = NoSuchChoice;
 
     fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
-        Ok(match name {
-            "us" | "µs" => Self::Microseconds,
-            "ms" => Self::Milliseconds,
-            "s" => Self::Seconds,
-            "ns" => Self::Nanoseconds,
-            _ => return Err(NoSuchChoice("us, ms, s, ns")),
-        })
+        let choices = [
+            ("us", Self::Microseconds),
+            ("µs", Self::Microseconds),
+            ("ms", Self::Milliseconds),
+            ("s", Self::Seconds),
+            ("ns", Self::Nanoseconds),
+        ];
+        choose(name, &choices, "us, ms, s, ns")
     }
 }
 
@@ -158,12 +170,13 @@ impl FromStr for ForceUnit {
     type Err = NoSuchChoice;
 
     fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
-        Ok(match name {
-            "m/s2" | "m/s²" => Self::MetresPerSecondSquared,
-            "g" => Self::G,
-            "mg" => Self::MilliG,
-            _ => return Err(NoSuchChoice("m/s2, g, mg")),
-        })
+        let choices = [
+            ("m/s2", Self::MetresPerSecondSquared),
+            ("m/s²", Self::MetresPerSecondSquared),
+            ("g", Self::G),
+            ("mg", Self::MilliG),
+        ];
+        choose(name, &choices, "m/s2, g, mg")
     }
 }
 
@@ -171,12 +184,15 @@ impl FromStr for RateUnit {
     type Err = NoSuchChoice;
 
     fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
-        Ok(match name {
-            "rad/s" => Self::RadiansPerSecond,
-            "deg/s" | "°/s" | "dps" => Self::DegreesPerSecond,
-            "mdeg/s" | "mdps" => Self::MillidegreesPerSecond,
-            _ => return Err(NoSuchChoice("rad/s, deg/s, mdeg/s")),
-        })
+        let choices = [
+            ("rad/s", Self::RadiansPerSecond),
+            ("deg/s", Self::DegreesPerSecond),
+            ("°/s", Self::DegreesPerSecond),
+            ("dps", Self::DegreesPerSecond),
+            ("mdeg/s", Self::MillidegreesPerSecond),
+            ("mdps", Self::MillidegreesPerSecond),
+        ];
+        choose(name, &choices, "rad/s, deg/s, mdeg/s")
     }
 }
 
@@ -184,11 +200,20 @@ impl FromStr for BadRows {
     type Err = NoSuchChoice;
 
     fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
-        Ok(match name {
-            "refuse" => Self::Refuse,
-            "skip" => Self::Skip,
-            "keep" => Self::Keep,
-            _ => return Err(NoSuchChoice("refuse, skip, keep")),
-        })
+        let choices = [
+            ("refuse", Self::Refuse),
+            ("skip", Self::Skip),
+            ("keep", Self::Keep),
+        ];
+        choose(name, &choices, "refuse, skip, keep")
     }
+}
+
+/// Returns the knowledge of an accelerometer's offset of this name, for an option.
+///
+/// # Errors
+///
+/// Returns the names, for any other.
+pub fn knowledge(name: &str) -> Result<AccelerometerKnowledge, NoSuchChoice> {
+    AccelerometerKnowledge::from_name(name).ok_or(NoSuchChoice("factory, six-poses, calibrated"))
 }

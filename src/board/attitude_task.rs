@@ -16,6 +16,7 @@ use core::mem::offset_of;
 use core::sync::atomic::{AtomicU32, Ordering, fence};
 
 use super::burst_reader::{self, ReceivedBurst};
+use super::compass::CompassTask;
 use super::{clocks, retained, timebase, watchdog};
 use crate::attitude::{Quaternion, Vector3};
 use crate::fault::FaultClass;
@@ -67,12 +68,13 @@ impl AttitudeTask {
     /// Publishes the snapshot of the burst that the reader offers, or a stale one if no sample
     /// comes.
     ///
-    /// `after_publication` gets the burst after its snapshot is published. Returns the flags if
-    /// they have changed.
+    /// `after_publication` gets the burst after its snapshot is published. `compass` gets its
+    /// rounds, if there is one. Returns the flags if they have changed.
     #[inline]
     pub fn run(
         &mut self,
         pipeline: &mut Pipeline,
+        compass: Option<&mut CompassTask>,
         after_publication: impl FnOnce(&ReceivedBurst),
     ) -> Option<FlagChange> {
         let updated = burst_reader::take(|received| {
@@ -82,7 +84,7 @@ impl AttitudeTask {
             snapshot
         });
         if let Some(snapshot) = updated {
-            self.keep_house(pipeline, &snapshot);
+            self.keep_house(pipeline, compass, &snapshot);
             return self.take_flags(snapshot.flags);
         }
         let (t_us, board) = burst_reader::take_stale()?;
@@ -94,19 +96,36 @@ impl AttitudeTask {
 
     /// Requests checks of the sensor's settings, and does the periodic work.
     #[inline(always)]
-    fn keep_house(&mut self, pipeline: &Pipeline, snapshot: &Snapshot) {
+    fn keep_house(
+        &mut self,
+        pipeline: &mut Pipeline,
+        compass: Option<&mut CompassTask>,
+        snapshot: &Snapshot,
+    ) {
         if pipeline.awaits_scale_check() || snapshot.flags.contains(Flags::POLLED) {
             burst_reader::request_check();
         }
         self.samples_to_housekeeping -= 1;
         if self.samples_to_housekeeping == 0 {
-            self.samples_to_housekeeping = HOUSEKEEPING_SAMPLES;
-            self.run_round(pipeline, snapshot);
+            self.run_round(pipeline, compass, snapshot);
         }
     }
 
     #[inline(never)]
-    fn run_round(&mut self, pipeline: &Pipeline, snapshot: &Snapshot) {
+    fn run_round(
+        &mut self,
+        pipeline: &mut Pipeline,
+        compass: Option<&mut CompassTask>,
+        snapshot: &Snapshot,
+    ) {
+        self.samples_to_housekeeping = HOUSEKEEPING_SAMPLES;
+        if let Some(compass) = compass {
+            let round = compass.round(HOUSEKEEPING_SAMPLES, snapshot);
+            self.samples_to_housekeeping = round.samples;
+            if !round.keeps_house {
+                return;
+            }
+        }
         watchdog::report_samples();
         watchdog::report_attitude();
         burst_reader::request_check();
@@ -194,6 +213,11 @@ fn publish(snapshot: &Snapshot) {
     APLOMB_SNAPSHOT
         .sequence
         .store(sequence.wrapping_add(1), Ordering::Release);
+}
+
+/// Returns the number of publications since start, which may wrap.
+pub(super) fn publications() -> u32 {
+    APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed)
 }
 
 /// Returns the latest snapshot and its number; `None` before the first. Only for tasks of lower

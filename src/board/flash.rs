@@ -20,7 +20,7 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac::FLASH;
 
-use super::timebase;
+use super::{supply, timebase};
 
 /// Start address of sector 1, the first slot.
 const START: usize = 0x0800_4000;
@@ -56,6 +56,8 @@ pub enum FlashError {
     /// The interface reports an error of the procedure (PGSERR, PGPERR, PGAERR, OPERR): the bits of
     /// its status register.
     Refused(u8),
+    /// The supply is below what programming and erasing need.
+    LowSupply,
     /// An operation took far longer than the datasheet allows.
     Timeout,
 }
@@ -67,6 +69,9 @@ impl fmt::Display for FlashError {
             Self::Locked => formatter.write_str("it stays locked until the next reset"),
             Self::WriteProtected => formatter.write_str("an option byte protects sectors 1 and 2"),
             Self::Refused(status) => write!(formatter, "status {status:#04x}"),
+            Self::LowSupply => {
+                formatter.write_str("the supply is below 2.8 V: check it, then save again")
+            }
             Self::Timeout => formatter.write_str("no end within the deadline"),
         }
     }
@@ -88,8 +93,10 @@ impl From<NorFlashErrorKind> for FlashError {
 }
 
 impl CalibrationFlash {
-    /// Takes the flash interface. The wait states belong to the clocks and do not change.
+    /// Takes the flash interface, and starts to watch the supply. Only for init. The wait states
+    /// belong to the clocks and do not change.
     pub fn new(interface: FLASH) -> Self {
+        supply::watch();
         Self { interface }
     }
 
@@ -161,6 +168,15 @@ impl CalibrationFlash {
     }
 }
 
+/// Refuses to start an operation that the supply would not complete.
+fn check_supply() -> Result<(), FlashError> {
+    if supply::is_low() {
+        Err(FlashError::LowSupply)
+    } else {
+        Ok(())
+    }
+}
+
 /// OPERR, WRPERR, PGAERR, PGPERR and PGSERR of the status register (RM0090, section 3.9.5).
 const ERRORS: u32 = 0b1111_0010;
 /// The error flags and EOP.
@@ -197,6 +213,7 @@ impl NorFlash for CalibrationFlash {
         check_erase(self, from, to)?;
         self.unlocked(|this| {
             for offset in (from..to).step_by(SECTOR_BYTES) {
+                check_supply()?;
                 let sector = FIRST_SECTOR + offset / SECTOR_BYTES as u32;
                 let control = this.interface.cr();
                 // SAFETY: `check_erase` allows sectors 1 and 2 only, neither of which holds code.
@@ -227,6 +244,7 @@ impl NorFlash for CalibrationFlash {
             let first = (START + offset as usize) as *mut u32;
             let (words, _) = bytes.as_chunks::<4>();
             for (index, word) in words.iter().enumerate() {
+                check_supply()?;
                 // SAFETY: `check_write` keeps the address within the slots and aligned to words.
                 // Nothing else refers to this memory, and the flash interface takes the store.
                 unsafe { first.add(index).write_volatile(u32::from_le_bytes(*word)) };

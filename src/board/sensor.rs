@@ -11,7 +11,7 @@ use super::sensor_bus::{BusHeldLow, SensorBus};
 use super::timebase::Delay;
 use super::{burst_reader, retained};
 use crate::fault::FaultClass;
-use crate::mpu6050::{Condition, Config, Error, Mpu6050, Part, SelfTest};
+use crate::mpu6050::{Condition, Config, Error, Mpu6050, Part, ReadBack, SelfTest};
 
 /// Pause between two attempts, in ms: recovery is due 20 ms after the end of a fault.
 pub const RETRY_MS: u32 = 5;
@@ -107,10 +107,18 @@ impl Sensor {
     /// Returns [`NotReady`] if there is no sensor.
     pub fn test(&mut self) -> Result<SelfTest, NotReady> {
         self.is_known = false;
-        self.bus.recover().map_err(NotReady::BusHeldLow)?;
-        Mpu6050::probe_once(&mut self.bus)
-            .map_err(|failure| NotReady::Sensor(failure.error))?
+        Self::probe(&mut self.bus)?
             .self_test(&mut Delay)
+            .map_err(NotReady::Sensor)
+    }
+
+    /// Reads the sensor's settings back.
+    ///
+    /// # Errors
+    /// Returns [`NotReady`] if there is no sensor.
+    pub fn read_back(&mut self) -> Result<ReadBack, NotReady> {
+        Self::probe(&mut self.bus)?
+            .read_back(&self.config)
             .map_err(NotReady::Sensor)
     }
 
@@ -120,10 +128,15 @@ impl Sensor {
         self.silent_probes < PROBES_WHILE_STARTING
     }
 
+    /// Frees the bus and searches it for the sensor.
+    #[inline(never)]
+    fn probe(bus: &mut SensorBus) -> Result<Mpu6050<&mut SensorBus>, NotReady> {
+        bus.recover().map_err(NotReady::BusHeldLow)?;
+        Mpu6050::probe_once(bus).map_err(|failure| NotReady::Sensor(failure.error))
+    }
+
     fn attempt(&mut self) -> Result<Ready, NotReady> {
-        self.bus.recover().map_err(NotReady::BusHeldLow)?;
-        let mut sensor = Mpu6050::probe_once(&mut self.bus)
-            .map_err(|failure| NotReady::Sensor(failure.error))?;
+        let mut sensor = Self::probe(&mut self.bus)?;
         if self.is_known {
             let condition = sensor
                 .verify_config(&self.config)

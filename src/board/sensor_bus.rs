@@ -134,8 +134,9 @@ impl SensorBus {
         let pins = pins();
         pins.otyper()
             .modify(|_, w| w.ot8().open_drain().ot9().open_drain());
+        // Edges of 100 ns instead of a few: fast mode allows 20 ns to 300 ns (UM10204, table 11).
         pins.ospeedr()
-            .modify(|_, w| w.ospeedr8().high_speed().ospeedr9().high_speed());
+            .modify(|_, w| w.ospeedr8().low_speed().ospeedr9().low_speed());
         // The breakout boards carry the real pull-ups; these define the level of an empty
         // connector.
         pins.pupdr()

@@ -32,6 +32,9 @@ pub struct Timebase {
     extender: CounterExtender,
 }
 
+/// Flags of the status register: update, compare, trigger, and captures missed (RM0090, 18.4.5).
+const FLAGS: u32 = 0b1_1110_0101_1111;
+
 /// Time from one telemetry tick to the next, in µs. Written by the telemetry task, read by the
 /// interrupt.
 static TELEMETRY_PERIOD_US: AtomicU32 = AtomicU32::new(20_000);
@@ -88,7 +91,9 @@ impl Timebase {
     pub fn on_interrupt(&mut self) -> Alarms {
         let status = self.timer.sr().read();
         // SAFETY: writing zero clears a flag, and writing one has no effect (RM0090, 18.4.5).
-        self.timer.sr().write(|w| unsafe { w.bits(!status.bits()) });
+        self.timer
+            .sr()
+            .write(|w| unsafe { w.bits(FLAGS & !status.bits()) });
         let now = self.timer.cnt().read().cnt().bits();
         self.extender.extend(now);
         let mut is_burst_alarm = status.cc1if().bit_is_set();

@@ -14,7 +14,7 @@ use super::clocks;
 use super::timebase;
 
 /// Capacity of the transmit buffer, in bytes.
-pub const CAPACITY: usize = 864;
+pub const CAPACITY: usize = 928;
 
 /// Capacity of the ring of received bytes. At 921,600 baud the ring wraps in 22 ms, which is longer
 /// than the period of the reads.
@@ -28,6 +28,8 @@ const FRAMING: u16 = 1 << 1;
 const NOISE: u16 = 1 << 2;
 const OVERRUN: u16 = 1 << 3;
 const TRANSMISSION_COMPLETE: u16 = 1 << 6;
+/// All flags of the status register.
+const STATUS: u16 = 0x3FF;
 
 /// Memory that the DMA writes.
 pub type ReceiveRing = [AtomicU8; RECEIVE_CAPACITY];
@@ -201,7 +203,7 @@ impl Transmitter {
         // SAFETY: writing zero clears a flag, and writing one has no effect (RM0090, 30.6.1).
         self.port
             .sr()
-            .write(|w| unsafe { w.bits(!TRANSMISSION_COMPLETE) });
+            .write(|w| unsafe { w.bits(STATUS & !TRANSMISSION_COMPLETE) });
         // The flags of the last transfer would prevent the stream's start (RM0090, 10.3.17).
         dma1().hifcr().write(|w| {
             w.ctcif6()

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`stationary`] | detects that the sensor is stationary, and averages its readings meanwhile |
 //! | [`accelerometer`] | fits offset, scale and cross-axis terms to stationary poses |
+//! | [`compass`] | fits hard and soft iron of a compass to readings in motion |
 //! | [`level`] | finds the small rotation between the mounted sensor and the body |
 //! | [`mount_finder`] | finds which of the 24 mounts the sensor has |
 //! | [`temperature`] | fits the gyroscope's offset over the die temperature |
@@ -47,6 +48,7 @@
 
 pub mod accelerometer;
 mod axis;
+pub mod compass;
 mod gravity;
 pub mod level;
 mod matrix;
@@ -58,6 +60,7 @@ pub mod stationary;
 pub mod temperature;
 
 pub use axis::{Axis, ParseAxisError, SignedAxis};
+pub use compass::{CompassAlignment, CompassCorrection};
 pub use matrix::SymmetricMatrix;
 pub use model::{AccelerometerCorrection, Calibration, GyroscopeOffset, TemperatureModel};
 pub use mount::{Mount, ParseMountError};

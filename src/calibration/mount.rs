@@ -9,19 +9,19 @@ use core::fmt;
 use core::str::FromStr;
 
 use super::axis::{Axis, SignedAxis};
-use crate::attitude::Vector3;
+use crate::attitude::{BodyVector, Vector3};
 use crate::serialize::StateVisitor;
 
 /// Rotation from sensor axes to body axes, one of 24. The default is [`Z_UP`](Self::Z_UP).
 ///
 /// ```
-/// use aplomb::attitude::Vector3;
+/// use aplomb::attitude::{BodyVector, Vector3};
 /// use aplomb::calibration::Mount;
 ///
 /// let mount: Mount = "+y-z".parse()?;
 /// // Forward is the sensor's Y, down its −Z, so right is the sensor's X.
 /// let body = mount.to_body(Vector3::new(1.0, 2.0, 3.0));
-/// assert_eq!(body, Vector3::new(2.0, 1.0, -3.0));
+/// assert_eq!(body, BodyVector::new(2.0, 1.0, -3.0));
 /// # Ok::<(), aplomb::calibration::ParseMountError>(())
 /// ```
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -104,8 +104,8 @@ impl Mount {
 
     /// Rotates a vector from sensor axes to body axes.
     #[inline]
-    pub fn to_body(self, sensor: Vector3) -> Vector3 {
-        Vector3::new(
+    pub fn to_body(self, sensor: Vector3) -> BodyVector {
+        BodyVector::new(
             self.forward.component(sensor),
             self.right.component(sensor),
             self.down.component(sensor),
@@ -113,10 +113,10 @@ impl Mount {
     }
 
     /// Rotates a vector from body axes to sensor axes.
-    pub fn to_sensor(self, body: Vector3) -> Vector3 {
-        self.forward.unit().scale(body.x)
-            + self.right.unit().scale(body.y)
-            + self.down.unit().scale(body.z)
+    pub fn to_sensor(self, body: BodyVector) -> Vector3 {
+        self.forward.unit().scale(body.0.x)
+            + self.right.unit().scale(body.0.y)
+            + self.down.unit().scale(body.0.z)
     }
 
     /// Completes two perpendicular axes to a mount.
@@ -200,8 +200,8 @@ mod tests {
     #[test]
     fn the_named_mounts_have_the_documented_axes() {
         let v = Vector3::new(1.0, 2.0, 3.0);
-        assert_eq!(Mount::Z_UP.to_body(v), Vector3::new(1.0, -2.0, -3.0));
-        assert_eq!(Mount::Z_DOWN.to_body(v), v);
+        assert_eq!(Mount::Z_UP.to_body(v), BodyVector::new(1.0, -2.0, -3.0));
+        assert_eq!(Mount::Z_DOWN.to_body(v), BodyVector(v));
         assert_eq!(Mount::default(), Mount::Z_UP);
         assert_eq!(Mount::parse("z-up"), Some(Mount::Z_UP));
         assert_eq!("z-down".parse(), Ok(Mount::Z_DOWN));
@@ -214,7 +214,7 @@ mod tests {
         };
         assert_eq!(SIDEWAYS.name(), "+y-z");
         // Forward is the sensor's Y and down its −Z, so right is the sensor's X.
-        assert_eq!(SIDEWAYS.to_body(v), Vector3::new(2.0, 1.0, -3.0));
+        assert_eq!(SIDEWAYS.to_body(v), BodyVector::new(2.0, 1.0, -3.0));
     }
 
     #[test]
@@ -229,8 +229,8 @@ mod tests {
                     _ => Z,
                 }
                 .scale(length);
-                assert_eq!(mount.to_sensor(body), expected, "{mount}");
-                assert_eq!(mount.to_body(expected), body, "{mount}");
+                assert_eq!(mount.to_sensor(BodyVector(body)), expected, "{mount}");
+                assert_eq!(mount.to_body(expected), BodyVector(body), "{mount}");
             }
         }
     }
@@ -240,7 +240,7 @@ mod tests {
         for (index, mount) in Mount::ALL.into_iter().enumerate() {
             assert_eq!(Mount::ALL.iter().position(|m| *m == mount), Some(index));
             assert_eq!(mount.to_string().parse(), Ok(mount));
-            let [x, y, z] = [X, Y, Z].map(|axis| mount.to_body(axis));
+            let [x, y, z] = [X, Y, Z].map(|axis| mount.to_body(axis).0);
             assert_eq!(x.cross(y).dot(z), 1.0, "{mount}");
             for axis in [X, Y, Z] {
                 assert_eq!(mount.to_sensor(mount.to_body(axis)), axis, "{mount}");

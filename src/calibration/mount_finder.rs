@@ -19,7 +19,7 @@ use core::fmt;
 
 use super::gravity::{direction, whole_degrees};
 use super::mount::Mount;
-use crate::attitude::Vector3;
+use crate::attitude::{BodyVector, Vector3};
 use crate::units::{DEGREES_PER_RADIAN, radians};
 
 /// Largest angle between a shown direction and its sensor axis, rad.
@@ -60,7 +60,7 @@ impl MountFinder {
         let down_now = -direction(force_m_s2).ok_or(MountError::NoGravity)?;
         let Some(down) = self.down else {
             let mount = nearest(Vector3::ZERO, down_now)?;
-            self.down = Some(mount.to_sensor(Vector3::new(0.0, 0.0, 1.0)));
+            self.down = Some(mount.to_sensor(BodyVector::new(0.0, 0.0, 1.0)));
             return Ok(MountStep::NoseDown);
         };
         // The part of gravity across the level pose's down axis points to the nose.
@@ -121,8 +121,8 @@ impl core::error::Error for MountError {}
 /// Returns the mount whose axes are nearest to these directions; a zero vector means any.
 fn nearest(forward: Vector3, down: Vector3) -> Result<Mount, MountError> {
     let cosines = |mount: Mount| {
-        let forward_cosine = mount.to_sensor(Vector3::new(1.0, 0.0, 0.0)).dot(forward);
-        let down_cosine = mount.to_sensor(Vector3::new(0.0, 0.0, 1.0)).dot(down);
+        let forward_cosine = mount.to_sensor(BodyVector::new(1.0, 0.0, 0.0)).dot(forward);
+        let down_cosine = mount.to_sensor(BodyVector::new(0.0, 0.0, 1.0)).dot(down);
         (forward_cosine, down_cosine)
     };
     let mut best = (Mount::Z_UP, f32::NEG_INFINITY);
@@ -161,9 +161,9 @@ mod tests {
             for (roll, pitch, nose) in [(0.0, 0.0, -90.0), (10.0, -12.0, -75.0), (-8.0, 5.0, -45.0)]
             {
                 let mut finder = MountFinder::new();
-                let flat = mount.to_sensor(gravity_in(roll, pitch));
+                let flat = mount.to_sensor(BodyVector(gravity_in(roll, pitch)));
                 assert_eq!(finder.add(flat), Ok(MountStep::NoseDown));
-                let down = mount.to_sensor(gravity_in(0.5 * roll, nose));
+                let down = mount.to_sensor(BodyVector(gravity_in(0.5 * roll, nose)));
                 assert_eq!(finder.add(down), Ok(MountStep::Found(mount)), "{mount}");
             }
         }

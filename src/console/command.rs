@@ -21,6 +21,7 @@ use core::str::FromStr;
 use super::line::LINE_CAPACITY;
 use super::nearest::nearest;
 use crate::calibration::Mount;
+use crate::compass::Choice;
 use crate::settings::OutputFormat;
 
 /// Command. Its text is the line that requests it.
@@ -40,6 +41,10 @@ pub enum Command {
     Forget,
     /// Tests the sensor against its factory trim.
     SelfTest,
+    /// Reads the sensor's settings back.
+    Registers,
+    /// Measures the module's own work.
+    Measure(Measure),
     /// Arms: from now on nothing is done that is only safe on the ground.
     Arm,
     /// Disarms.
@@ -48,6 +53,8 @@ pub enum Command {
     Calibrate(Calibrate),
     /// Sets or finds the mount.
     Mount(MountChoice),
+    /// Sets the compass, or its mount.
+    Compass(CompassChoice),
     /// Sets the telemetry rate, frames per second in [`RATES_HZ`].
     Rate(u16),
     /// Sets the UART's baud rate, one of [`BAUD_RATES`].
@@ -69,6 +76,8 @@ pub enum Calibrate {
     Level,
     /// Measures the gyroscope's offset over temperature, at rest while the temperature changes.
     Temperature,
+    /// Fits the compass's hard and soft iron, while the vehicle is turned about all axes.
+    Compass,
     /// Ends the running calibration with the data so far.
     Done,
     /// Aborts the running calibration.
@@ -76,11 +85,12 @@ pub enum Calibrate {
 }
 
 impl Calibrate {
-    const ALL: [Self; 6] = [
+    const ALL: [Self; 7] = [
         Self::Gyroscope,
         Self::Accelerometer,
         Self::Level,
         Self::Temperature,
+        Self::Compass,
         Self::Done,
         Self::Stop,
     ];
@@ -92,8 +102,36 @@ impl Calibrate {
             Self::Accelerometer => "accel",
             Self::Level => "level",
             Self::Temperature => "temperature",
+            Self::Compass => "compass",
             Self::Done => "done",
             Self::Stop => "stop",
+        }
+    }
+}
+
+/// Argument of `measure`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Measure {
+    /// Starts without figures.
+    On,
+    /// Prints the figures so far.
+    Show,
+    /// Ends the measurement.
+    Off,
+}
+
+impl Measure {
+    const ALL: [Self; 3] = [Self::On, Self::Show, Self::Off];
+    const NAMES: [&str; 3] = [Self::On.name(), Self::Show.name(), Self::Off.name()];
+
+    /// Returns the word after `measure`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::On => "on",
+            Self::Show => "show",
+            Self::Off => "off",
         }
     }
 }
@@ -108,6 +146,16 @@ pub enum MountChoice {
     Find,
 }
 
+/// Argument of `compass`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum CompassChoice {
+    /// Uses this part.
+    Part(Choice),
+    /// Sets the mount of the compass.
+    Mount(Mount),
+}
+
 impl fmt::Display for Command {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -117,11 +165,15 @@ impl fmt::Display for Command {
             Self::Save => formatter.write_str("save"),
             Self::Forget => formatter.write_str("forget"),
             Self::SelfTest => formatter.write_str("self-test"),
+            Self::Registers => formatter.write_str("registers"),
+            Self::Measure(argument) => write!(formatter, "measure {}", argument.name()),
             Self::Arm => formatter.write_str("arm"),
             Self::Disarm => formatter.write_str("disarm"),
             Self::Calibrate(argument) => write!(formatter, "calibrate {}", argument.name()),
             Self::Mount(MountChoice::Find) => formatter.write_str("mount find"),
             Self::Mount(MountChoice::Named(mount)) => write!(formatter, "mount {mount}"),
+            Self::Compass(CompassChoice::Part(choice)) => write!(formatter, "compass {choice}"),
+            Self::Compass(CompassChoice::Mount(mount)) => write!(formatter, "compass {mount}"),
             Self::Rate(rate_hz) => write!(formatter, "rate {rate_hz}"),
             Self::Baud(baud) => write!(formatter, "baud {baud}"),
             Self::Format(format) => write!(formatter, "format {format}"),
@@ -149,12 +201,13 @@ enum Argument {
     Nothing,
     Word(&'static [&'static str]),
     Mount,
+    Compass,
     Hertz,
     Baud,
 }
 
-const CALIBRATIONS: [&str; 6] = {
-    let mut names = [""; 6];
+const CALIBRATIONS: [&str; 7] = {
+    let mut names = [""; 7];
     let mut index = 0;
     while index < names.len() {
         names[index] = Calibrate::ALL[index].name();
@@ -165,13 +218,16 @@ const CALIBRATIONS: [&str; 6] = {
 
 /// Forms of every command, in the order of `help`. Of two equally near ones, suggestions prefer the
 /// first.
-static FORMS: [Form; 13] = [
+static FORMS: [Form; 16] = [
     Form::alone("help"),
     Form::alone("status"),
     Form::alone("show"),
     Form::new("calibrate", Argument::Word(&CALIBRATIONS)),
     Form::new("mount", Argument::Mount),
+    Form::new("compass", Argument::Compass),
     Form::alone("self-test"),
+    Form::alone("registers"),
+    Form::new("measure", Argument::Word(&Measure::NAMES)),
     Form::new("rate", Argument::Hertz),
     Form::new("format", Argument::Word(&OutputFormat::NAMES)),
     Form::new("baud", Argument::Baud),
@@ -201,15 +257,24 @@ impl fmt::Display for Form {
         formatter.write_str(self.name)?;
         match self.argument {
             Argument::Nothing => Ok(()),
-            Argument::Word(words) => words.iter().enumerate().try_for_each(|(index, word)| {
-                formatter.write_str(if index == 0 { " " } else { "|" })?;
-                formatter.write_str(word)
-            }),
+            Argument::Word(words) => write_words(formatter, words),
+            Argument::Compass => {
+                write_words(formatter, &Choice::WORDS)?;
+                formatter.write_str("|<forward><down>")
+            }
             Argument::Mount => formatter.write_str(" find|<forward><down>"),
             Argument::Hertz => formatter.write_str(" <hz>"),
             Argument::Baud => formatter.write_str(" <bps>"),
         }
     }
+}
+
+/// Writes a blank, and the words with bars between them.
+fn write_words(formatter: &mut fmt::Formatter<'_>, words: &[&str]) -> fmt::Result {
+    words.iter().enumerate().try_for_each(|(index, word)| {
+        formatter.write_str(if index == 0 { " " } else { "|" })?;
+        formatter.write_str(word)
+    })
 }
 
 /// Forms of every command, separated by commas.
@@ -391,6 +456,7 @@ impl FromStr for Command {
             "save" => Self::Save,
             "forget" => Self::Forget,
             "self-test" => Self::SelfTest,
+            "registers" => Self::Registers,
             "arm" => Self::Arm,
             "disarm" => Self::Disarm,
             _ => return parse_argument(form, argument),
@@ -411,10 +477,20 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
             .find(|known| known.name() == argument)
             .map(Command::Calibrate)
             .ok_or_else(|| unknown(&CALIBRATIONS)),
+        "measure" => Measure::ALL
+            .into_iter()
+            .find(|known| known.name() == argument)
+            .map(Command::Measure)
+            .ok_or_else(|| unknown(&Measure::NAMES)),
         "mount" if argument == "find" => Ok(Command::Mount(MountChoice::Find)),
         "mount" => match Mount::parse(argument) {
             Some(mount) => Ok(Command::Mount(MountChoice::Named(mount))),
             None => Err(unknown(&["find", "z-up", "z-down"])),
+        },
+        "compass" => match (Choice::parse(argument), Mount::parse(argument)) {
+            (Some(choice), _) => Ok(Command::Compass(CompassChoice::Part(choice))),
+            (None, Some(mount)) => Ok(Command::Compass(CompassChoice::Mount(mount))),
+            (None, None) => Err(unknown(&Choice::WORDS)),
         },
         "rate" => match number(argument).and_then(|rate| u16::try_from(rate).ok()) {
             Some(rate) if RATES_HZ.contains(&rate) => Ok(Command::Rate(rate)),
@@ -452,6 +528,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::compass::PartId;
 
     fn parse(line: &str) -> Result<Command, ParseError> {
         line.parse()
@@ -466,6 +543,10 @@ mod tests {
             ("save", Command::Save),
             ("forget", Command::Forget),
             ("self-test", Command::SelfTest),
+            ("registers", Command::Registers),
+            ("measure on", Command::Measure(Measure::On)),
+            ("measure show", Command::Measure(Measure::Show)),
+            ("measure off", Command::Measure(Measure::Off)),
             ("arm", Command::Arm),
             ("disarm", Command::Disarm),
             ("calibrate gyro", Command::Calibrate(Calibrate::Gyroscope)),
@@ -478,6 +559,7 @@ mod tests {
                 "calibrate temperature",
                 Command::Calibrate(Calibrate::Temperature),
             ),
+            ("calibrate compass", Command::Calibrate(Calibrate::Compass)),
             ("calibrate done", Command::Calibrate(Calibrate::Done)),
             ("calibrate stop", Command::Calibrate(Calibrate::Stop)),
             ("mount find", Command::Mount(MountChoice::Find)),
@@ -488,6 +570,18 @@ mod tests {
             (
                 "  mount   +x-z ",
                 Command::Mount(MountChoice::Named(Mount::Z_UP)),
+            ),
+            (
+                "compass auto",
+                Command::Compass(CompassChoice::Part(Choice::Auto)),
+            ),
+            (
+                "compass qmc5883l",
+                Command::Compass(CompassChoice::Part(Choice::Named(PartId::Qmc5883l))),
+            ),
+            (
+                "compass +y-z",
+                Command::Compass(CompassChoice::Mount(Mount::parse("+y-z").expect("a mount"))),
             ),
             ("rate 1", Command::Rate(1)),
             ("rate 1000", Command::Rate(1000)),
@@ -521,7 +615,7 @@ mod tests {
 
     #[test]
     fn an_error_has_the_reason_and_the_nearest_right_form() {
-        let forms = "calibrate gyro|accel|level|temperature|done|stop";
+        let forms = "calibrate gyro|accel|level|temperature|compass|done|stop";
         for (text, answer) in [
             (
                 "stauts",
@@ -557,6 +651,15 @@ mod tests {
                 "mount does not take \"+x+x\"; it takes \"find\", or the sensor's axes that point \
                  forward and down, \
                  such as \"mount +x-z\"",
+            ),
+            (
+                "compass qmc5883",
+                "compass does not take \"qmc5883\", did you mean \"compass qmc5883l\"?",
+            ),
+            (
+                "compass",
+                "compass needs a word more: \
+                 \"compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>\"",
             ),
             ("save now", "\"now\" is too much, the form is \"save\""),
             (

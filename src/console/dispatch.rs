@@ -7,15 +7,20 @@ use core::fmt;
 
 use super::answer::{Kind, Reply};
 use super::baud::{BaudChange, BaudPoll};
-use super::command::{Calibrate, Command, CommandForms, MountChoice, ParseError};
+use super::command::{
+    Calibrate, Command, CommandForms, CompassChoice, Measure, MountChoice, ParseError,
+};
+use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
+use super::measurement::MeasurementText;
 use super::module::{Module, Outcome, Task};
 use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
 use crate::calibration::{Mount, NoiseModel};
+use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record};
 use crate::telemetry;
 
@@ -32,6 +37,7 @@ pub struct Console {
     default_mount: Mount,
     is_armed: bool,
     procedures: ProcedureRunner,
+    compass: CompassProcedure,
     /// Task under way; other input waits for its end.
     task: Option<Task>,
     baud: BaudChange,
@@ -61,6 +67,7 @@ impl Console {
             default_mount,
             is_armed: false,
             procedures: ProcedureRunner::new(noise, sample_rate_hz),
+            compass: CompassProcedure::new(),
             task: None,
             baud: BaudChange::Steady,
         }
@@ -121,6 +128,10 @@ impl Console {
         let mount = self.mount();
         self.procedures
             .poll(now_us, &mut self.working.calibration, mount, module, reply)
+            .or_else(|| {
+                let settings = &mut self.working.compass;
+                self.compass.poll(now_us, settings, mount, module, reply)
+            })
             .or_else(|| self.errors.report_dropped(now_us, reply))
             .or_else(|| self.read(now_us, module, reply))
     }
@@ -156,11 +167,9 @@ impl Console {
             Command::Show => reply.ok(format_args!("show: {}", RecordText(&self.working))),
             Command::Save => self.save(module, reply),
             Command::Forget => self.forget(module, reply),
-            Command::SelfTest => {
-                self.task = Some(Task::SelfTest);
-                module.begin(Task::SelfTest);
-                reply.ok(format_args!("self-test: the sensor stops for a second"))
-            }
+            Command::SelfTest => self.begin(Task::SelfTest, module, reply),
+            Command::Registers => self.begin(Task::ReadBack, module, reply),
+            Command::Measure(what) => measure(what, module, reply),
             Command::Arm => self.arm(module, reply),
             Command::Disarm => {
                 self.is_armed = false;
@@ -168,6 +177,12 @@ impl Console {
                 reply.ok(format_args!("disarm"))
             }
             Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),
+            Command::Calibrate(Calibrate::Done) if self.compass.is_running() => {
+                let mount = self.mount();
+                let settings = &mut self.working.compass;
+                self.compass.finish(settings, mount, module, reply)
+            }
+            Command::Calibrate(Calibrate::Compass) => self.compass.start(now_us, module, reply),
             Command::Calibrate(Calibrate::Done) => {
                 self.procedures
                     .finish(&mut self.working.calibration, module, reply)
@@ -189,6 +204,7 @@ impl Console {
                 self.start(Procedure::mount(), now_us, module, reply)
             }
             Command::Mount(MountChoice::Named(mount)) => self.set_mount(mount, module, reply),
+            Command::Compass(choice) => self.set_compass(choice, module, reply),
             Command::Rate(rate_hz) => {
                 let preferences = Preferences {
                     rate_hz,
@@ -223,6 +239,7 @@ impl Console {
         let had_level = self.working.calibration.level.is_some();
         procedure::set_mount(&mut self.working.calibration, mount, before);
         module.set_calibration(&self.working.calibration);
+        module.set_compass(&self.working.compass, mount);
         let has_lost = had_level && self.working.calibration.level.is_none();
         let lost = if has_lost {
             ", its level is to be calibrated again"
@@ -232,29 +249,76 @@ impl Console {
         reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
     }
 
+    /// Sets the compass or its mount. A correction that belongs to another one is lost.
+    fn set_compass(
+        &mut self,
+        choice: CompassChoice,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        let mut settings = self.working.compass;
+        match choice {
+            CompassChoice::Part(choice) => settings.choice = choice,
+            CompassChoice::Mount(mount) => settings.mount = Some(mount),
+        }
+        let before = self.working.compass;
+        if settings != before {
+            settings.correction = None;
+        }
+        self.working.compass = settings;
+        module.set_compass(&settings, self.mount());
+        let lost = if before.correction.is_some() && settings.correction.is_none() {
+            ", it is to be calibrated again"
+        } else {
+            ""
+        };
+        reply.ok(format_args!(
+            "{}{lost}; \"save\" keeps it",
+            Command::Compass(choice)
+        ))
+    }
+
     /// Refuses a command that must not run while armed, or while a procedure is running.
     fn refusal(&self, command: Command, reply: &mut Reply<'_>) -> Option<Kind> {
         use Command::{Arm, Disarm, Format, Help, Rate, Show, Status};
-        if self.is_armed && !matches!(command, Help | Status | Show | Arm | Disarm) {
+        let is_safe = matches!(
+            command,
+            Help | Status | Show | Arm | Disarm | Command::Measure(Measure::Show | Measure::Off)
+        );
+        if self.is_armed && !is_safe {
             return Some(reply.error(format_args!("refused while armed: \"disarm\" first")));
         }
-        let is_compatible = matches!(
-            command,
-            Help | Status
-                | Show
-                | Arm
-                | Disarm
-                | Rate(_)
-                | Format(_)
-                | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
-        );
-        match self.procedures.current() {
-            Some(procedure) if !is_compatible => Some(reply.error(format_args!(
-                "refused while \"{}\" goes on: \"calibrate stop\" ends it",
-                procedure.name()
+        let is_compatible = is_safe
+            || matches!(
+                command,
+                Rate(_)
+                    | Format(_)
+                    | Command::Measure(_)
+                    | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
+            );
+        match self.running() {
+            Some(name) if !is_compatible => Some(reply.error(format_args!(
+                "refused while \"{name}\" goes on: \"calibrate stop\" ends it"
             ))),
             _ => None,
         }
+    }
+
+    /// Returns the name of the running procedure.
+    fn running(&self) -> Option<&'static str> {
+        if self.compass.is_running() {
+            return Some(compass_procedure::NAME);
+        }
+        self.procedures.current().map(Procedure::name)
+    }
+
+    /// Aborts the running procedure, and returns its name.
+    fn abort(&mut self, module: &mut dyn Module) -> Option<&'static str> {
+        if self.compass.abort(module) {
+            return Some(compass_procedure::NAME);
+        }
+        let procedure = self.procedures.abort(module)?;
+        Some(procedure.name())
     }
 
     /// Starts to store the working record, if it has changed.
@@ -264,23 +328,25 @@ impl Console {
                 "save: nothing has changed, nothing is written"
             ));
         }
-        let task = Task::Save(self.working);
+        self.begin(Task::Save(self.working), module, reply)
+    }
+
+    /// Begins a task.
+    fn begin(&mut self, task: Task, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         self.task = Some(task);
         module.begin(task);
-        reply.ok(format_args!("save: the sensor stops for a second"))
+        let name = task_name(&task);
+        reply.ok(format_args!("{name}: the sensor stops for a second"))
     }
 
     /// Reports the result of a task.
     fn finish_task(&mut self, task: Task, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
-        let name = match task {
-            Task::Save(record) => {
-                if outcome.is_ok {
-                    self.stored = record;
-                }
-                "save"
-            }
-            Task::SelfTest => "self-test",
-        };
+        if let Task::Save(record) = task
+            && outcome.is_ok
+        {
+            self.stored = record;
+        }
+        let name = task_name(&task);
         let kind = if outcome.is_ok {
             Kind::Done
         } else {
@@ -300,6 +366,7 @@ impl Console {
             ..Record::default()
         };
         module.set_calibration(&self.working.calibration);
+        module.set_compass(&self.working.compass, self.mount());
         reply.ok(format_args!(
             "forget: nothing is calibrated, mount {}; \
              \"save\" makes it permanent, a restart undoes it",
@@ -310,21 +377,18 @@ impl Console {
     /// Arms, and aborts a running procedure.
     fn arm(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         self.is_armed = true;
-        let aborted = self.procedures.abort(module);
+        let aborted = self.abort(module);
         module.set_armed(true);
         match aborted {
-            Some(procedure) => reply.ok(format_args!("arm: \"{}\" is given up", procedure.name())),
+            Some(name) => reply.ok(format_args!("arm: \"{name}\" is given up")),
             None => reply.ok(format_args!("arm")),
         }
     }
 
     /// Aborts the running procedure.
     fn stop(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
-        match self.procedures.abort(module) {
-            Some(procedure) => reply.ok(format_args!(
-                "calibrate stop: \"{}\" is given up",
-                procedure.name()
-            )),
+        match self.abort(module) {
+            Some(name) => reply.ok(format_args!("calibrate stop: \"{name}\" is given up")),
             None => reply.ok(format_args!("calibrate stop: nothing went on")),
         }
     }
@@ -419,6 +483,7 @@ impl Console {
         let status = Status {
             state: &module.state(),
             calibration: &self.working.calibration,
+            has_compass_correction: self.working.compass.correction.is_some(),
             mount: self.mount(),
             is_armed: self.is_armed,
             has_unsaved: self.has_unsaved(),
@@ -426,5 +491,38 @@ impl Console {
             procedure: self.procedures.current(),
         };
         reply.ok(format_args!("status: {status}"))
+    }
+}
+
+/// Returns the command that starts a task.
+const fn task_name(task: &Task) -> &'static str {
+    match task {
+        Task::Save(_) => "save",
+        Task::SelfTest => "self-test",
+        Task::ReadBack => "registers",
+    }
+}
+
+/// Runs `measure`.
+fn measure(what: Measure, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+    match what {
+        Measure::On => {
+            module.set_measuring(true);
+            reply.ok(format_args!(
+                "measure: on; \"measure show\" prints the figures, \"measure off\" ends it"
+            ))
+        }
+        Measure::Show => {
+            let part = module
+                .state()
+                .sensor
+                .map_or(&Part::MPU_6050, |(part, _)| part);
+            let text = MeasurementText(&module.measurement(), part);
+            reply.ok(format_args!("measure: {text}"))
+        }
+        Measure::Off => {
+            module.set_measuring(false);
+            reply.ok(format_args!("measure: off"))
+        }
     }
 }

@@ -85,7 +85,10 @@ impl GroundStation {
             command,
             Command::Save
                 | Command::Calibrate(
-                    Calibrate::Gyroscope | Calibrate::Accelerometer | Calibrate::Level
+                    Calibrate::Gyroscope
+                        | Calibrate::Accelerometer
+                        | Calibrate::Level
+                        | Calibrate::Compass
                 )
         );
         let outcome = match kind {
@@ -129,6 +132,7 @@ fn command(action: Action) -> Option<Command> {
         Action::Calibrate(mavlink::Calibrate::Accelerometer) => {
             Command::Calibrate(Calibrate::Accelerometer)
         }
+        Action::Calibrate(mavlink::Calibrate::Compass) => Command::Calibrate(Calibrate::Compass),
         Action::Calibrate(mavlink::Calibrate::Level) => Command::Calibrate(Calibrate::Level),
         Action::Calibrate(mavlink::Calibrate::Cancel) => Command::Calibrate(Calibrate::Stop),
         Action::SetRate(rate_hz) if RATES_HZ.contains(&rate_hz) => Command::Rate(rate_hz),

@@ -3,10 +3,12 @@
 use core::fmt::{self, Write};
 
 use crate::attitude::Vector3;
-use crate::calibration::{Calibration, StationaryProgress};
-use crate::health::Flags;
+use crate::calibration::compass::CompassFitter;
+use crate::calibration::{Calibration, Mount, StationaryProgress};
+use crate::compass::Condition;
+use crate::health::{Flags, Measurement};
 use crate::mpu6050::Part;
-use crate::settings::Record;
+use crate::settings::{CompassSettings, Record};
 
 /// Services that the console needs from the module it commands.
 pub trait Module {
@@ -21,6 +23,18 @@ pub trait Module {
 
     /// Uses this calibration from the next sample on.
     fn set_calibration(&mut self, calibration: &Calibration);
+
+    /// Uses these settings of the compass from now on. `imu_mount` is the mount in use of the IMU.
+    fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount);
+
+    /// Collects readings of the compass from now on, for a fit.
+    fn start_compass_fitter(&mut self);
+
+    /// Stops collecting readings of the compass.
+    fn stop_compass_fitter(&mut self);
+
+    /// Returns the readings of the compass so far; `None` if none are collected.
+    fn compass_fitter(&mut self) -> Option<CompassFitter>;
 
     /// Starts the stationary detector, for an average of this many samples.
     fn start_detector(&mut self, samples: u16);
@@ -37,6 +51,12 @@ pub trait Module {
     /// Arms or disarms. While armed, the module does nothing that is only safe on the ground.
     fn set_armed(&mut self, is_armed: bool);
 
+    /// Starts a measurement of the module's own work without figures, or ends it.
+    fn set_measuring(&mut self, is_on: bool);
+
+    /// Returns the figures of the last measurement.
+    fn measurement(&mut self) -> Measurement;
+
     /// Sends and receives at this baud rate. Returns false, and changes nothing, while bytes are
     /// still being sent.
     fn set_baud(&mut self, baud: u32) -> bool;
@@ -51,11 +71,17 @@ pub trait Module {
 
 /// Task for which the sensor stops for a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "without allocation, and there is one"
+)]
 pub enum Task {
     /// Stores this record in flash.
     Save(Record),
     /// Runs the sensor's self-test.
     SelfTest,
+    /// Reads the sensor's settings back.
+    ReadBack,
 }
 
 /// Result of a [`Task`].
@@ -86,6 +112,8 @@ pub struct State {
     pub flags: Flags,
     /// Sensor and its bus address, once it is configured.
     pub sensor: Option<(&'static Part, u8)>,
+    /// Compass.
+    pub compass: Condition,
     /// Die temperature, °C.
     pub temperature_celsius: f32,
     /// Gyroscope offset that the filter estimates, rad/s in body axes.

@@ -195,7 +195,7 @@ impl Procedure {
             }
             Measurement::Level => {
                 let force = corrected_force_m_s2(calibration, mean, noise);
-                self.level_mean(mount.to_body(force), calibration, reply)
+                self.level_mean(mount.to_body(force).0, calibration, reply)
             }
             Measurement::Temperature(learner) => {
                 let sigma = mean.gyroscope_offset_sigma_rad_s(noise);

@@ -7,15 +7,18 @@ use super::module::State;
 use super::procedure::Procedure;
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, Mount};
+use crate::compass::{Choice, Condition};
 use crate::mpu6050::Part;
-use crate::settings::{Preferences, Record};
-use crate::units::degrees;
+use crate::settings::{CompassSettings, Preferences, Record};
+use crate::units::{MagneticField, degrees};
 
 /// Answer to `status`.
 pub(super) struct Status<'a> {
     pub(super) state: &'a State,
     /// Calibration in use.
     pub(super) calibration: &'a Calibration,
+    /// True if the compass was calibrated.
+    pub(super) has_compass_correction: bool,
     /// Mount in use.
     pub(super) mount: Mount,
     pub(super) is_armed: bool,
@@ -33,14 +36,15 @@ impl fmt::Display for Status<'_> {
         let is_default = self.calibration.mount.is_none();
         write!(
             formatter,
-            "flags={} sensor={} mount={}{} calibrated={} bias_dps={} bias_sigma_dps={} \
+            "flags={} sensor={}{} mount={}{} calibrated={} bias_dps={} bias_sigma_dps={} \
              tilt_sigma_deg={} temperature_c={} armed={} unsaved={} bursts_failed={} \
              uart_errors={} lines_dropped={} frames_dropped={}{}",
             state.flags,
             SensorName(state.sensor),
+            CompassText(&state.compass),
             self.mount,
             if is_default { "(default)" } else { "" },
-            CalibratedParts(self.calibration),
+            CalibratedParts(self.calibration, self.has_compass_correction),
             Triple(state.bias_rad_s.scale(degrees(1.0)), 3),
             Decimal(degrees(state.bias_sigma_rad_s), 3),
             Decimal(degrees(state.tilt_sigma_rad), 2),
@@ -68,8 +72,27 @@ impl fmt::Display for SensorName {
     }
 }
 
+/// Name, address, fault and field of the compass; nothing without a compass.
+struct CompassText<'a>(&'a Condition);
+
+impl fmt::Display for CompassText<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let condition = self.0;
+        if let Some((name, address)) = condition.part {
+            write!(formatter, " compass={name}@0x{address:02x}")?;
+        }
+        if let Some(fault) = condition.fault {
+            write!(formatter, " compass_fault={}", fault.name())?;
+        }
+        if let Some(MagneticField { ut: [x, y, z] }) = condition.field {
+            write!(formatter, " field_ut={}", Triple(Vector3::new(x, y, z), 1))?;
+        }
+        Ok(())
+    }
+}
+
 /// Names of the calibrated parts.
-struct CalibratedParts<'a>(&'a Calibration);
+struct CalibratedParts<'a>(&'a Calibration, bool);
 
 impl fmt::Display for CalibratedParts<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -78,6 +101,7 @@ impl fmt::Display for CalibratedParts<'_> {
             (self.0.accelerometer.is_some(), "accel"),
             (self.0.level.is_some(), "level"),
             (self.0.temperature.is_some(), "temperature"),
+            (self.1, "compass"),
         ];
         let mut separator = "";
         for (_, name) in names.into_iter().filter(|(is_there, _)| *is_there) {
@@ -112,6 +136,7 @@ impl fmt::Display for RecordText<'_> {
         let Record {
             calibration,
             preferences,
+            compass,
         } = self.0;
         formatter.write_str("mount=")?;
         match calibration.mount {
@@ -174,7 +199,31 @@ impl fmt::Display for RecordText<'_> {
         write!(
             formatter,
             " format={} rate={rate_hz} baud={baud}",
-            format.name()
-        )
+            format.name(),
+        )?;
+        CompassSettingsText(compass).fmt(formatter)
+    }
+}
+
+/// Settings of the compass, as far as they are not the default.
+struct CompassSettingsText<'a>(&'a CompassSettings);
+
+impl fmt::Display for CompassSettingsText<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let compass = self.0;
+        if compass.choice != Choice::Auto {
+            write!(formatter, " compass={}", compass.choice)?;
+        }
+        if let Some(mount) = compass.mount {
+            write!(formatter, " compass_mount={mount}")?;
+        }
+        if let Some(correction) = compass.correction {
+            write!(
+                formatter,
+                " compass_iron={}",
+                Triple(correction.hard_iron_ut, 1)
+            )?;
+        }
+        Ok(())
     }
 }

@@ -13,14 +13,14 @@
 //! Samples in SI units, in body axes (forward, right, down), need nothing else:
 //!
 //! ```
-//! use aplomb::attitude::Vector3;
+//! use aplomb::attitude::BodyVector;
 //! use aplomb::estimator::{Estimator, Sample};
 //!
 //! let mut estimator = Estimator::new();
 //! for millisecond in 0..2_000 {
 //!     // At rest and rolled by 30°: m/s², then rad/s.
-//!     let force = Vector3::new(0.0, -4.903, -8.493);
-//!     let sample = Sample::new(1_000 * millisecond, force, Vector3::ZERO);
+//!     let force = BodyVector::new(0.0, -4.903, -8.493);
+//!     let sample = Sample::new(1_000 * millisecond, force, BodyVector::ZERO);
 //!     let estimate = estimator.update(&sample);
 //!     let roll_deg = estimate.euler().roll_rad.to_degrees();
 //!     let sigma_deg = estimate.tilt_sigma_rad().to_degrees();

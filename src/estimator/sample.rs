@@ -1,10 +1,11 @@
 //! Input and output of a filter: [`Sample`], [`Estimate`], [`Issues`].
 
-use crate::attitude::{EulerAngles, Quaternion, Vector3};
+use crate::attitude::{BodyVector, EulerAngles, Quaternion, Vector3};
 
-/// A calibrated sample in body axes: forward, right, down.
+/// A calibrated sample in body axes: forward, right, down. [`Sample::new`] creates one.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct Sample {
     /// Time of the sample, in µs since start.
     pub t_us: u64,
@@ -20,11 +21,15 @@ pub struct Sample {
 
 impl Sample {
     /// Creates a sample without an axis at full scale.
-    pub const fn new(t_us: u64, specific_force_m_s2: Vector3, angular_rate_rad_s: Vector3) -> Self {
+    pub const fn new(
+        t_us: u64,
+        specific_force_m_s2: BodyVector,
+        angular_rate_rad_s: BodyVector,
+    ) -> Self {
         Self {
             t_us,
-            specific_force_m_s2,
-            angular_rate_rad_s,
+            specific_force_m_s2: specific_force_m_s2.0,
+            angular_rate_rad_s: angular_rate_rad_s.0,
             is_rate_saturated: false,
             is_force_saturated: false,
         }

@@ -68,6 +68,9 @@ bitflags::bitflags! {
         const INTERNAL_CLOCK = 1 << 18;
         /// The heading from a compass is wrong by no more than the larger of 15° and six σ.
         const HEADING_VALID = 1 << 19;
+        /// A compass was found or named, and gives no usable readings. The attitude does not
+        /// depend on it.
+        const COMPASS_FAULT = 1 << 20;
     }
 }
 
@@ -90,6 +93,7 @@ impl Flags {
     pub const LASTING: Self = Self::DEGRADING
         .difference(Self::CALIBRATING)
         .union(Self::ACCELEROMETER_SATURATED)
+        .union(Self::COMPASS_FAULT)
         .union(Self::VALID)
         .union(Self::DEGRADED)
         .union(Self::HEADING_VALID);
@@ -111,6 +115,8 @@ bitflags::bitflags! {
         const POLLED = Flags::POLLED.bits();
         /// [`Flags::INTERNAL_CLOCK`].
         const INTERNAL_CLOCK = Flags::INTERNAL_CLOCK.bits();
+        /// [`Flags::COMPASS_FAULT`].
+        const COMPASS_FAULT = Flags::COMPASS_FAULT.bits();
         /// The sensor's full scales have been read back since the previous burst, and are right.
         const SCALES_VERIFIED = 1 << 31;
     }

@@ -18,9 +18,11 @@
 //! ```
 
 mod flags;
+mod measurement;
 mod monitor;
 mod report;
 
 pub use flags::{BoardFlags, Flags, UnknownFlag};
+pub use measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};
 pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
 pub use report::FlagReport;

@@ -4,12 +4,14 @@
 //! scale then scales the attitude. Three short reads cover every setting, and each fits between two
 //! bursts.
 
+use core::fmt;
+
 use super::config::Config;
 use super::part::Part;
 use super::registers::{
-    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, INTERRUPT_ACTIVE_HIGH_PULSE,
-    INTERRUPT_DATA_READY, LOW_PASS_MASK, POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON,
-    POWER_SLEEP, Register, SELF_TEST_MASK,
+    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT,
+    INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY, LOW_PASS_MASK,
+    POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, POWER_SLEEP, Register, SELF_TEST_MASK,
 };
 
 /// Condition of the sensor's settings, by its registers.
@@ -81,7 +83,7 @@ impl Check {
             },
             Self::pair(
                 Register::InterruptPinConfiguration,
-                [INTERRUPT_ACTIVE_HIGH_PULSE, INTERRUPT_DATA_READY],
+                [INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY],
             ),
             Self::pair(
                 Register::PowerManagement1,
@@ -118,6 +120,37 @@ impl Check {
     }
 }
 
+/// Settings that were read back, byte by byte.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ReadBack {
+    /// Part that was read.
+    pub part: &'static Part,
+    /// Condition of the settings.
+    pub condition: Condition,
+    /// Registers of each check: the first one, their number, and their bytes.
+    pub registers: [(Register, usize, [u8; Check::LONGEST]); 3],
+}
+
+impl fmt::Display for ReadBack {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self.condition {
+            Condition::Intact => "as configured",
+            Condition::Reset => "the sensor has reset itself",
+            Condition::Changed => "a setting differs",
+        })?;
+        write!(formatter, "; 0x75={:02x}", self.part.who_am_i)?;
+        for (first, length, bytes) in &self.registers {
+            write!(formatter, " 0x{:02x}", *first as u8)?;
+            for (place, byte) in bytes.iter().take(*length).enumerate() {
+                let separator = if place == 0 { '=' } else { ',' };
+                write!(formatter, "{separator}{byte:02x}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -142,21 +175,39 @@ mod tests {
             }
         }
         assert_eq!(
-            interrupt.evaluate(&[0x00, 0x01, 9, 9, 9]),
+            interrupt.evaluate(&[0x02, 0x01, 9, 9, 9]),
             Condition::Intact
         );
         assert_eq!(
-            interrupt.evaluate(&[0x00, 0x00, 0, 0, 0]),
+            interrupt.evaluate(&[0x02, 0x00, 0, 0, 0]),
             Condition::Changed
         );
         assert_eq!(
-            interrupt.evaluate(&[0x80, 0x01, 0, 0, 0]),
+            interrupt.evaluate(&[0x82, 0x01, 0, 0, 0]),
             Condition::Changed
         );
         assert_eq!(power.evaluate(&[0x01, 0x00, 0, 0, 0]), Condition::Intact);
         assert_eq!(power.evaluate(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
         assert_eq!(power.evaluate(&[0x01, 0x08, 0, 0, 0]), Condition::Changed);
         assert_eq!(power.evaluate(&[0x40, 0x00, 0, 0, 0]), Condition::Reset);
+    }
+
+    #[test]
+    fn what_was_read_back_is_printed_byte_by_byte() {
+        let bytes = [0x00, 0x01, 0x18, 0x18, 0x00];
+        let read = ReadBack {
+            part: &Part::MPU_6050,
+            condition: Condition::Intact,
+            registers: [
+                (Register::SampleRateDivider, 5, bytes),
+                (Register::InterruptPinConfiguration, 2, bytes),
+                (Register::PowerManagement1, 2, [0x01, 0x00, 0, 0, 0]),
+            ],
+        };
+        assert_eq!(
+            ToString::to_string(&read),
+            "as configured; 0x75=68 0x19=00,01,18,18,00 0x37=00,01 0x6b=01,00"
+        );
     }
 
     #[test]

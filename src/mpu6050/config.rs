@@ -200,7 +200,7 @@ impl core::error::Error for ParseRangeError {}
 ///
 /// Bandwidths and delays are the MPU-6050's (register map §4.3). The MPU-6500 family takes the
 /// same settings with bandwidths within 6 Hz. Its delays are longer, up to twice as long at the
-/// narrow end.
+/// narrow end: see [`mpu_6500_gyroscope_delay_us`](Self::mpu_6500_gyroscope_delay_us).
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -283,6 +283,20 @@ impl LowPass {
             Self::Hertz20 => 8300,
             Self::Hertz10 => 13400,
             Self::Hertz5 => 18600,
+        }
+    }
+
+    /// Returns the delay of the gyroscope of an MPU-6500 or its successors, µs (MPU-6500 register
+    /// map §4.5).
+    pub const fn mpu_6500_gyroscope_delay_us(self) -> u16 {
+        match self {
+            Self::Hertz256 => 970,
+            Self::Hertz188 => 2900,
+            Self::Hertz98 => 3900,
+            Self::Hertz42 => 5900,
+            Self::Hertz20 => 9900,
+            Self::Hertz10 => 17850,
+            Self::Hertz5 => 33480,
         }
     }
 

@@ -12,7 +12,7 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{Error as _, ErrorKind, I2c};
 
 use super::burst::{BURST_LENGTH, Burst, RawSample};
-use super::check::{Check, Condition};
+use super::check::{Check, Condition, ReadBack};
 use super::config::{AccelerometerRange, Config, GyroscopeRange, LowPass};
 use super::error::{Error, Operation, ProbeFailure};
 use super::part::Part;
@@ -141,6 +141,37 @@ impl<I2C: I2c> Mpu6050<I2C> {
             }
         }
         Ok(condition)
+    }
+
+    /// Reads every setting back, for people.
+    ///
+    /// # Errors
+    ///
+    /// Returns [`Error::Bus`] if a transfer fails.
+    pub fn read_back(&mut self, config: &Config) -> Result<ReadBack, Error<I2C::Error>> {
+        let mut condition = Condition::Intact;
+        let mut registers = Check::all(config, self.part).map(|check| {
+            (
+                check.first,
+                check.length.min(Check::LONGEST),
+                [0; Check::LONGEST],
+            )
+        });
+        for (check, (first, length, bytes)) in
+            Check::all(config, self.part).iter().zip(&mut registers)
+        {
+            let (read, _) = bytes.split_at_mut(*length);
+            self::read(&mut self.i2c, self.address, *first, read)?;
+            match check.evaluate(bytes) {
+                Condition::Intact => {}
+                other => condition = other,
+            }
+        }
+        Ok(ReadBack {
+            part: self.part,
+            condition,
+            registers,
+        })
     }
 
     /// Searches both addresses for a supported part, once.

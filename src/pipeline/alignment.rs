@@ -2,7 +2,7 @@
 //! one affine map per sensor.
 
 use super::Settings;
-use crate::attitude::Vector3;
+use crate::attitude::{BodyVector, Vector3};
 use crate::calibration::AccelerometerCorrection;
 use crate::estimator::Sample;
 use crate::mpu6050::RawSample;
@@ -22,7 +22,7 @@ impl Alignment {
         let mount = settings.mount();
         let level = settings.calibration.level;
         let to_body = |sensor: Vector3| {
-            let mounted = mount.to_body(sensor);
+            let BodyVector(mounted) = mount.to_body(sensor);
             level.map_or(mounted, |level| level.rotate(mounted))
         };
         let correction = settings

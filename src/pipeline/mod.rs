@@ -288,7 +288,7 @@ impl Pipeline {
         let reading = at_rest.specific_force_m_s2(&self.settings.noise_model());
         let correction = self.settings.calibration.accelerometer;
         let sensor = correction.map_or(reading, |correction| correction.apply(reading));
-        self.settings.mount().to_body(sensor)
+        self.settings.mount().to_body(sensor).0
     }
 
     /// Returns the settings.

@@ -74,8 +74,13 @@ impl Settings {
 
     /// Returns the delay of the sensor in use, in seconds.
     pub(super) fn delay_s(&self) -> f32 {
-        let gyroscope_us = self.sensor.low_pass.gyroscope_delay_us().into();
-        let delay_us: u32 = self.sensor_delay_us.unwrap_or(gyroscope_us);
+        let low_pass = self.sensor.low_pass;
+        let gyroscope_us = if self.part.has_accelerometer_low_pass {
+            low_pass.mpu_6500_gyroscope_delay_us()
+        } else {
+            low_pass.gyroscope_delay_us()
+        };
+        let delay_us: u32 = self.sensor_delay_us.unwrap_or(gyroscope_us.into());
         delay_us as f32 * crate::units::SECONDS_PER_MICROSECOND
     }
 
@@ -96,5 +101,19 @@ impl Settings {
         visitor.optional(&mut self.sensor_delay_us, 0, |visitor, delay_us| {
             visitor.u32(delay_us);
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_delay_is_that_of_the_part() {
+        for (who_am_i, delay_us) in [(0x68, 1_900.0), (0x70, 2_900.0), (0x98, 2_900.0)] {
+            let part = Part::from_who_am_i(who_am_i).unwrap();
+            let delay_s = Settings::new(part).delay_s();
+            assert!((delay_s * 1.0e6 - delay_us).abs() < 0.1, "{}", part.name);
+        }
     }
 }

@@ -10,12 +10,15 @@
 
 use heapless::Vec;
 
+use super::compass::CompassSettings;
 use super::preferences::{OutputFormat, Preferences};
 use super::record::Record;
 use crate::attitude::{Quaternion, Vector3};
 use crate::calibration::{
-    AccelerometerCorrection, Calibration, GyroscopeOffset, Mount, SymmetricMatrix, TemperatureModel,
+    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, Mount,
+    SymmetricMatrix, TemperatureModel,
 };
+use crate::compass::Choice;
 
 /// Longest body, in bytes, in this and every later version.
 pub(super) const BODY_CAPACITY: usize = 240;
@@ -40,13 +43,11 @@ pub(super) trait Stored: Copy {
 pub(super) struct TooLong;
 
 impl Stored for Record {
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
 
     fn encode(&self, body: &mut Writer) -> Result<(), TooLong> {
         let calibration = &self.calibration;
-        put_optional(body, calibration.mount, |body, mount: Mount| {
-            put(body, mount.name().as_bytes())
-        })?;
+        put_optional(body, calibration.mount, put_mount)?;
         put_optional(body, calibration.gyroscope, |body, gyroscope| {
             put_vector(body, gyroscope.offset_rad_s)?;
             put_numbers(body, &[gyroscope.temperature_celsius])
@@ -71,21 +72,17 @@ impl Stored for Record {
         let format = OutputFormat::ALL.iter().position(is_format);
         put(body, &[format.unwrap_or_default() as u8])?;
         put(body, &preferences.rate_hz.to_le_bytes())?;
-        put(body, &preferences.baud.to_le_bytes())
+        put(body, &preferences.baud.to_le_bytes())?;
+        put_compass(body, &self.compass)
     }
 
     fn decode(version: u16, body: &[u8]) -> Option<Self> {
-        if version != 1 {
+        if !matches!(version, 1 | 2) {
             return None;
         }
         let mut body = Reader(body);
         let calibration = Calibration {
-            mount: body.optional(|body| {
-                let name = body.take::<4>()?;
-                let mount = Mount::parse(core::str::from_utf8(&name).ok()?)?;
-                // An alias would be a second encoding.
-                (mount.name().as_bytes() == name).then_some(mount)
-            })?,
+            mount: body.optional(Reader::mount)?,
             gyroscope: body.optional(|body| {
                 Some(GyroscopeOffset {
                     offset_rad_s: body.vector()?,
@@ -131,10 +128,16 @@ impl Stored for Record {
             rate_hz: u16::from_le_bytes(body.take()?),
             baud: u32::from_le_bytes(body.take()?),
         };
+        // Version 1 knew no compass.
+        let compass = match version {
+            1 => CompassSettings::default(),
+            _ => body.compass()?,
+        };
         let is_usable = preferences.rate_hz != 0 && preferences.baud != 0;
         (is_usable && body.0.is_empty()).then_some(Self {
             calibration,
             preferences,
+            compass,
         })
     }
 }
@@ -150,6 +153,23 @@ fn put_numbers(body: &mut Writer, numbers: &[f32]) -> Result<(), TooLong> {
     numbers
         .iter()
         .try_for_each(|number| put(body, &number.to_le_bytes()))
+}
+
+fn put_mount(body: &mut Writer, mount: Mount) -> Result<(), TooLong> {
+    put(body, mount.name().as_bytes())
+}
+
+fn put_compass(body: &mut Writer, compass: &CompassSettings) -> Result<(), TooLong> {
+    let is_choice = |choice: &Choice| *choice == compass.choice;
+    let choice = Choice::ALL.iter().position(is_choice);
+    put(body, &[choice.unwrap_or_default() as u8])?;
+    put_optional(body, compass.mount, put_mount)?;
+    put_optional(body, compass.correction, |body, correction| {
+        for row in correction.matrix {
+            put_vector(body, row)?;
+        }
+        put_vector(body, correction.hard_iron_ut)
+    })
 }
 
 fn put_vector(body: &mut Writer, vector: Vector3) -> Result<(), TooLong> {
@@ -192,6 +212,27 @@ impl Reader<'_> {
     fn vector(&mut self) -> Option<Vector3> {
         let [x, y, z] = self.numbers()?;
         Some(Vector3 { x, y, z })
+    }
+
+    fn mount(&mut self) -> Option<Mount> {
+        let name = self.take::<4>()?;
+        let mount = Mount::parse(core::str::from_utf8(&name).ok()?)?;
+        // An alias would be a second encoding.
+        (mount.name().as_bytes() == name).then_some(mount)
+    }
+
+    fn compass(&mut self) -> Option<CompassSettings> {
+        let [choice] = self.take()?;
+        Some(CompassSettings {
+            choice: *Choice::ALL.get(usize::from(choice))?,
+            mount: self.optional(Self::mount)?,
+            correction: self.optional(|body| {
+                Some(CompassCorrection {
+                    matrix: [body.vector()?, body.vector()?, body.vector()?],
+                    hard_iron_ut: body.vector()?,
+                })
+            })?,
+        })
     }
 
     /// Reads an optional field: `Some(None)` if it is absent, `None` if it is not valid.

@@ -13,10 +13,12 @@
 //! # Ok::<(), aplomb::settings::ParseOutputFormatError>(())
 //! ```
 
+mod compass;
 mod encoding;
 mod preferences;
 mod record;
 pub mod storage;
 
+pub use compass::CompassSettings;
 pub use preferences::{OutputFormat, ParseOutputFormatError, Preferences};
 pub use record::Record;

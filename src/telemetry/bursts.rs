@@ -35,7 +35,8 @@ pub const HEADER: &str = "t_us,bytes,flags";
 pub const LINE_LENGTH: usize = 20 + 1 + 2 * BURST_LENGTH + 1 + FLAGS_LENGTH;
 
 /// Flags that a line can have.
-const ALL_FLAGS: &str = "MISSED|BUS_FAULT|SENSOR_RESET|LATE|POLLED|INTERNAL_CLOCK|SCALES_VERIFIED";
+const ALL_FLAGS: &str =
+    "MISSED|BUS_FAULT|SENSOR_RESET|LATE|POLLED|INTERNAL_CLOCK|COMPASS_FAULT|SCALES_VERIFIED";
 const FLAGS_LENGTH: usize = ALL_FLAGS.len();
 const MISSED: &str = "MISSED";
 

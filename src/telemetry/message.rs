@@ -15,6 +15,7 @@ use core::fmt;
 
 use embedded_hal::i2c;
 
+use crate::compass;
 use crate::fault::{BurstFailure, ClockSource, FaultClass, ResetCause};
 use crate::health::Flags;
 use crate::mpu6050;
@@ -56,6 +57,15 @@ pub enum Message {
         /// Bus address, 7 bits.
         address: u8,
     },
+    /// The compass is configured and its readings come.
+    CompassConfigured {
+        /// Name of the part.
+        part: &'static str,
+        /// Bus address, 7 bits.
+        address: u8,
+    },
+    /// The compass gives no usable readings.
+    CompassFailed(compass::Fault),
     /// A line of the sensor's bus is low and clocking did not free it.
     BusHeldLow {
         /// True if SCL is low; otherwise SDA is.
@@ -109,12 +119,14 @@ impl Message {
             | Self::Restarted { .. }
             | Self::Recovering
             | Self::MovedAtStart
+            | Self::CompassFailed(_)
             | Self::MessagesLost { .. } => Severity::Warning,
             Self::Attitude(flags) if flags.intersects(Flags::DEGRADED) => Severity::Warning,
             Self::BusHeldLow { .. } | Self::SensorFailed(_) => Severity::Error,
             Self::Started { .. }
             | Self::RecordLoaded
             | Self::SensorConfigured { .. }
+            | Self::CompassConfigured { .. }
             | Self::Attitude(_)
             | Self::OffsetMeasured => Severity::Information,
         }
@@ -156,6 +168,10 @@ impl fmt::Display for Message {
             Self::SensorConfigured { part, address } => {
                 write!(formatter, "{part} at 0x{address:02x} configured")
             }
+            Self::CompassConfigured { part, address } => {
+                write!(formatter, "compass: {part} at 0x{address:02x} configured")
+            }
+            Self::CompassFailed(fault) => write!(formatter, "compass: {fault}"),
             Self::BusHeldLow { clock } => {
                 let line = if *clock { "SCL (PB8)" } else { "SDA (PB9)" };
                 write!(
@@ -241,6 +257,19 @@ mod tests {
                 crash_address: u32::MAX,
             },
             Message::BusHeldLow { clock: true },
+            Message::CompassConfigured {
+                part: "HMC5883L/DA5883",
+                address: 0x1e,
+            },
+            Message::CompassFailed(compass::Fault::Other {
+                named: compass::PartId::Hmc5883l,
+                found: compass::PartId::Qmc5883l,
+            }),
+            Message::CompassFailed(compass::Fault::WrongIdentity {
+                address: 0x1e,
+                identity: [0; 3],
+            }),
+            Message::CompassFailed(compass::Fault::HoldsBus),
             Message::Recovering,
             Message::MovedAtStart,
             Message::OffsetMeasured,
@@ -271,7 +300,7 @@ mod tests {
                 source: i2c::ErrorKind::NoAcknowledge(i2c::NoAcknowledgeSource::Address),
             }));
         }
-        for (fault, step) in (0..=7).flat_map(|fault| (0..=6).map(move |step| (fault, step))) {
+        for (fault, step) in (0..=7).flat_map(|fault| (0..=7).map(move |step| (fault, step))) {
             if let Some(failure) = BurstFailure::from_codes(fault, step) {
                 messages.push(Message::BurstsFailed {
                     failure,

@@ -28,7 +28,9 @@ def command_int(number, x):
 
 
 CALIBRATE = common.MAV_CMD_PREFLIGHT_CALIBRATION
-HEARTBEAT = common.MAVLink_heartbeat_message(common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+HEARTBEAT = common.MAVLink_heartbeat_message(
+    common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3
+)
 
 # What the station says, by turn.
 SCRIPT = {

@@ -8,6 +8,7 @@ use rigless::machine::{self, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::Store;
 
+use crate::checks::Reserved;
 use crate::crystal::HighSpeedInput;
 use crate::flash::SharedCells;
 use crate::mcu::Microcontroller;
@@ -140,11 +141,19 @@ impl machine::Board for Board {
             boot: "flash",
         };
         let windows = windows(self.controller.bus());
-        let mut spec =
-            core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, armv7m::MpuRegions::Eight);
+        // A set-up of the memory protection unit drops all translated code. A core from a garage
+        // has no such unit, and ignores it.
+        let regions = if self.garage.is_none() {
+            armv7m::MpuRegions::Eight
+        } else {
+            armv7m::MpuRegions::None
+        };
+        let mut spec = core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, regions);
         let make = Arc::clone(&spec.processor);
         let (handlers, profile) = (self.handlers.clone(), Arc::clone(&self.profile));
         let (cells, garage) = (self.cells.clone(), self.garage.clone());
+        let checks = self.controller.checks().clone();
+        let reserved = Reserved::of(self.controller.bus());
         spec.processor = Arc::new(move |endian| {
             let processor = match &garage {
                 Some(request) => Rented::from_garage(request.clone(), || make(endian))?,
@@ -155,6 +164,7 @@ impl machine::Board for Board {
                 handlers.clone(),
                 Arc::clone(&profile),
                 cells.clone(),
+                (checks.clone(), reserved.clone()),
             )))
         });
         vec![Target::new(CORE, &mut self.controller, spec)]

@@ -44,8 +44,8 @@ impl Work {
             + CYCLES_PER_ACCESS * self.accesses
     }
 
-    /// Returns the longest time from edge to attitude on a chip, in µs. `counted_us` is the longest
-    /// on the virtual board.
+    /// Returns the longest time from edge to attitude on a chip, in µs. `counted_us` is that of
+    /// the virtual board.
     #[must_use]
     pub fn edge_to_attitude_us(&self, counted_us: f64, core_hz: u64) -> f64 {
         let more_cycles = self.cycles() - self.instructions;

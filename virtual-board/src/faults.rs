@@ -82,6 +82,22 @@ pub enum FaultKind {
     StackOverflow,
     /// The core hangs until a reset, at the longest until the end, if the duration is not zero.
     WatchdogHang,
+    /// The compass has no supply; it comes back with all registers at reset.
+    CompassSilent,
+    /// The compass's data registers keep their values, and are reported as new.
+    CompassFrozen,
+    /// The compass's data and status registers read zero.
+    CompassZeros,
+    /// A magnet lies on the compass.
+    CompassOverflow,
+    /// The compass's data and status registers read random bits.
+    CompassGarbled,
+    /// The compass never reports a measurement.
+    CompassNeverReady,
+    /// Another chip is in the compass's place: not configured, with this identity.
+    CompassIdentity(u8),
+    /// The compass holds SCL low whenever it is addressed, until the end of the fault.
+    CompassStall,
 }
 
 /// True if a bus error is a flag without a STOP on the lines.
@@ -174,11 +190,25 @@ impl FaultKind {
             Self::Crash => "crash",
             Self::StackOverflow => "stack-overflow",
             Self::WatchdogHang => "watchdog-hang",
+            Self::CompassSilent => "compass-silent",
+            Self::CompassFrozen => "compass-frozen",
+            Self::CompassZeros => "compass-zeros",
+            Self::CompassOverflow => "compass-overflow",
+            Self::CompassGarbled => "compass-garbled",
+            Self::CompassNeverReady => "compass-never-ready",
+            Self::CompassIdentity(_) => "compass-identity",
+            Self::CompassStall => "compass-stall",
         }
     }
 }
 
 impl FaultKind {
+    /// Returns true if the fault is one of the compass.
+    #[must_use]
+    pub fn is_of_compass(&self) -> bool {
+        self.name().starts_with("compass-")
+    }
+
     /// Returns true if the fault ends in a reset of the processor.
     #[must_use]
     pub fn resets(&self) -> bool {
@@ -204,6 +234,7 @@ impl fmt::Display for FaultKind {
             }
             Self::Saturated(axis) => write!(formatter, ":{}", axis.name()),
             Self::Temperature(celsius) => write!(formatter, ":{celsius}"),
+            Self::CompassIdentity(identity) => write!(formatter, ":{identity:#04x}"),
             _ => Ok(()),
         }
     }
@@ -311,6 +342,19 @@ pub enum Fault {
     },
     /// The crystal does not start, or the other chip's clock does not come.
     NoCrystal,
+    /// The internal oscillator is off by this share from nominal: +0.01 runs 1 % fast (STM32F405
+    /// datasheet, "HSI oscillator characteristics": −0.08 to +0.045 from −40 °C to 105 °C).
+    ///
+    /// The run's time is that of the core's clock. While the core runs by this oscillator, motion
+    /// and sensor pass it by as much faster or slower.
+    InternalOscillator(f64),
+    /// A START of the sensor's bus takes 0.6 µs, and 1.2 µs in a transfer, instead of no time.
+    SlowStart,
+    /// The supply is this low for this long, in millivolts. The sensor works down to 2,375.
+    Supply(u32, Range<f64>),
+    /// The watchdog's oscillator runs at this frequency, Hz, of 17,000 to 47,000 (STM32F405
+    /// datasheet, "LSI oscillator characteristics"). The typical one is 32,000.
+    WatchdogClock(u64),
     /// The firmware's microsecond timer starts at this count instead of zero.
     TimerStartsAt(u32),
     /// A fault of a schedule.
@@ -323,6 +367,23 @@ pub fn scheduled(faults: &[Fault]) -> impl Iterator<Item = &ScheduledFault> {
         Fault::Scheduled(scheduled) => Some(scheduled),
         _ => None,
     })
+}
+
+/// The error of the internal oscillator and the time from which the core runs by it, ns, if it does
+/// and there is an error.
+#[must_use]
+pub fn internal_time(faults: &[Fault]) -> Option<(f64, u64)> {
+    let error = faults.iter().find_map(|fault| match fault {
+        Fault::InternalOscillator(error) => Some(*error),
+        _ => None,
+    })?;
+    let mut dies = scheduled(faults).filter(|fault| fault.kind == FaultKind::CrystalDies);
+    let from_ns = if faults.contains(&Fault::NoCrystal) {
+        0
+    } else {
+        dies.next()?.start_ns
+    };
+    Some((error, from_ns))
 }
 
 /// Seconds as nanoseconds since power-up.

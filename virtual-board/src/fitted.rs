@@ -8,9 +8,12 @@ use rigless::chip::i2c::Peer;
 use rigless::snapshot::Store;
 
 use crate::faults::{
-    BusByte, BusLine, Direction, Fault, FaultKind, ScheduledFault, nanoseconds, scheduled, within,
+    BusByte, BusLine, Direction, Fault, FaultKind, ScheduledFault, internal_time, nanoseconds,
+    scheduled, within,
 };
+use crate::fitted_compass::FittedCompass;
 use crate::wires::SharedWires;
+use aplomb_models::compass::{Compass, CompassConfig};
 use aplomb_models::sensor::registers::address;
 use aplomb_models::sensor::{Burst, DataReady, OutputFault, Sensor};
 
@@ -20,12 +23,15 @@ const GLITCH_NS: u64 = 1_000;
 /// The sensor with its wires and their faults.
 pub struct FittedSensor {
     sensor: Sensor,
+    compass: Option<FittedCompass>,
     wires: SharedWires,
     faults: Vec<Fault>,
     /// The faults of a schedule.
     scheduled: Vec<ScheduledFault>,
     /// Instants at which a fault begins or ends, in order; those that have passed are gone.
     fault_times_ns: Vec<u64>,
+    /// The error of the core's time, and its beginning, ns.
+    internal_time: Option<(f64, u64)>,
     /// The level that the board saw last.
     wire_high: bool,
     /// True if the microcontroller pulls the INT pin up.
@@ -54,7 +60,8 @@ impl FittedSensor {
                 Fault::SensorAbsent(range)
                 | Fault::SensorSilent(range)
                 | Fault::BusHeldLow(_, range)
-                | Fault::InterruptStuck(_, range) => {
+                | Fault::InterruptStuck(_, range)
+                | Fault::Supply(_, range) => {
                     vec![nanoseconds(range.start), nanoseconds(range.end)]
                 }
                 Fault::SensorReset(at_s) => vec![nanoseconds(*at_s)],
@@ -63,18 +70,25 @@ impl FittedSensor {
                 | Fault::Nack { .. }
                 | Fault::ReceptionGarbled { .. }
                 | Fault::NoCrystal
+                | Fault::InternalOscillator(_)
+                | Fault::SlowStart
+                | Fault::WatchdogClock(_)
                 | Fault::TimerStartsAt(_) => vec![],
             })
             .collect();
+        let internal_time = internal_time(&faults);
+        fault_times_ns.extend(internal_time.map(|(_, from_ns)| from_ns));
         fault_times_ns.sort_unstable();
         fault_times_ns.dedup();
         fault_times_ns.retain(|&at_ns| at_ns != u64::MAX);
         Self {
             sensor,
+            compass: None,
             wires: SharedWires::new(&faults),
             scheduled: scheduled(&faults).copied().collect(),
             faults,
             fault_times_ns,
+            internal_time,
             wire_high: false,
             is_pulled_up: false,
             is_addressed: false,
@@ -85,6 +99,19 @@ impl FittedSensor {
             edges: Vec::new(),
             bursts: Vec::new(),
         }
+    }
+
+    /// Fits a compass beside the sensor.
+    #[must_use]
+    pub fn with_compass(mut self, config: Option<CompassConfig>) -> Self {
+        self.compass = config.map(|config| FittedCompass::new(config, &self.scheduled));
+        self
+    }
+
+    /// The compass, if there is one.
+    #[must_use]
+    pub fn compass(&self) -> Option<&Compass> {
+        self.compass.as_ref().map(FittedCompass::compass)
     }
 
     /// The lines of its bus.
@@ -127,7 +154,8 @@ impl FittedSensor {
     pub fn next_event_ns(&self) -> Option<u64> {
         let fault = self.fault_times_ns.first().copied();
         let glitch = self.next_glitch_ns(self.sensor.now_ns());
-        [fault, glitch, self.sensor.next_event_ns()]
+        let compass = self.compass.as_ref().and_then(FittedCompass::next_event_ns);
+        [fault, glitch, compass, self.sensor.next_event_ns()]
             .into_iter()
             .flatten()
             .min()
@@ -160,6 +188,9 @@ impl FittedSensor {
         self.is_addressed = false;
         self.is_sending = false;
         self.sensor.stop(now_ns);
+        if let Some(compass) = &mut self.compass {
+            compass.stop();
+        }
     }
 
     /// The microcontroller is reset. A sensor that was sending is left in the middle of a byte. It
@@ -188,6 +219,11 @@ impl FittedSensor {
             self.receive_stop(at_ns);
             self.wires.lock().lose_count(0, 0);
             self.sensor.power_up(at_ns);
+        }
+        if let Some((error, from_ns)) = self.internal_time
+            && from_ns == at_ns
+        {
+            self.sensor.change_time(at_ns, error);
         }
         for nth in 0..self.scheduled.len() {
             let fault = self.scheduled[nth];
@@ -237,6 +273,9 @@ impl FittedSensor {
             self.show(event_ns, changes);
         }
         self.sensor.advance_to(now_ns);
+        if let Some(compass) = &mut self.compass {
+            compass.advance_to(now_ns, &self.sensor);
+        }
         self.show(now_ns, changes);
         let mut edges = self.sensor.take_edges();
         edges.retain(|edge| !self.is_absent(edge.time_ns));
@@ -285,6 +324,12 @@ impl FittedSensor {
             (next_ns < fault.end_ns()).then_some(next_ns)
         };
         self.scheduled.iter().filter_map(of).min()
+    }
+
+    fn addressed_compass(&mut self) -> Option<&mut FittedCompass> {
+        self.compass
+            .as_mut()
+            .filter(|compass| compass.is_addressed())
     }
 
     fn is_absent(&self, now_ns: u64) -> bool {
@@ -375,12 +420,19 @@ impl Peer for FittedSensor {
         self.is_addressed = !self.is_deaf(now_ns)
             && !self.refuses(now_ns, kind)
             && self.sensor.start(now_ns, address, read);
-        self.is_sending = self.is_addressed && read;
-        self.is_addressed
+        let is_compass = self
+            .compass
+            .as_mut()
+            .is_some_and(|compass| compass.start(now_ns, address, read, &self.sensor, &self.wires));
+        self.is_sending = (self.is_addressed || is_compass) && read;
+        self.is_addressed || is_compass
     }
 
     fn write(&mut self, byte: u8, context: &mut Timeline<'_, '_>) -> bool {
         let now_ns = context.now().0;
+        if let Some(compass) = self.addressed_compass() {
+            return compass.write(now_ns, byte);
+        }
         let kind = if self.pointer.is_none() {
             BusByte::Pointer
         } else {
@@ -397,6 +449,12 @@ impl Peer for FittedSensor {
 
     fn read(&mut self, _last: bool, context: &mut Timeline<'_, '_>) -> u8 {
         let now_ns = context.now().0;
+        if let Some(compass) = self.addressed_compass() {
+            let value = compass.read(now_ns);
+            let is_low = self.wires.lock().holds_low(BusLine::Data, now_ns);
+            self.delivered.push(if is_low { 0x00 } else { value });
+            return if is_low { 0x00 } else { value };
+        }
         let value = if self.is_addressed {
             self.sensor.read(now_ns)
         } else {

@@ -36,6 +36,9 @@ const FIRST_SECTOR: u64 = 1;
 const ERASE_NS: u64 = 500_000_000;
 const PROGRAM_NS: u64 = 100_000;
 
+/// The lowest supply for 32 bits at a time, mV (RM0090, table 7).
+const LOWEST_MILLIVOLTS: u32 = 2_700;
+
 /// PSIZE for 32 bits at a time, all that a supply of 3.3 V is used for here.
 const WORDS: u64 = 0b10;
 
@@ -94,29 +97,40 @@ impl FlashRecord {
         for step in self.steps.iter().take(step) {
             apply(&mut bytes, *step);
         }
-        let Some(&step) = self.steps.get(step) else {
-            return bytes;
-        };
-        let mut after = bytes.clone();
-        apply(&mut after, step);
-        let mut random = Random::new(seed, "power cut");
-        // Early and late cuts: from nothing changed to everything.
-        let (changed, programmed) = (random.uniform(0.0, 1.0), random.uniform(0.0, 1.0));
-        let is_erase = matches!(step, Step::Erase { .. });
-        let range = match step {
-            Step::Erase { slot } => slot * SLOT_BYTES..(slot + 1) * SLOT_BYTES,
-            Step::Program { offset, .. } => offset..offset + 4,
-        };
-        for (byte, new) in bytes[range.clone()].iter_mut().zip(&after[range]) {
-            for bit in (0..8).map(|bit| 1 << bit) {
-                if random.uniform(0.0, 1.0) < changed {
-                    *byte = (*byte & !bit) | (new & bit);
-                } else if is_erase && random.uniform(0.0, 1.0) < programmed {
-                    *byte &= !bit;
-                }
-            }
+        if let Some(&step) = self.steps.get(step) {
+            apply_in_part(&mut bytes, step, seed);
         }
         bytes
+    }
+}
+
+/// Makes a change of which some bits are old and some new. An erase leaves some that are neither.
+fn apply_in_part(bytes: &mut [u8], step: Step, seed: u64) {
+    let range = step.range();
+    let mut after = bytes.to_vec();
+    apply(&mut after, step);
+    let mut random = Random::new(seed, "power cut");
+    // Early and late cuts: from nothing changed to everything.
+    let (changed, programmed) = (random.uniform(0.0, 1.0), random.uniform(0.0, 1.0));
+    let is_erase = matches!(step, Step::Erase { .. });
+    for (byte, new) in bytes[range.clone()].iter_mut().zip(&after[range]) {
+        for bit in (0..8).map(|bit| 1 << bit) {
+            if random.uniform(0.0, 1.0) < changed {
+                *byte = (*byte & !bit) | (new & bit);
+            } else if is_erase && random.uniform(0.0, 1.0) < programmed {
+                *byte &= !bit;
+            }
+        }
+    }
+}
+
+impl Step {
+    /// The bytes that it may change, from the first slot's start.
+    fn range(self) -> Range<usize> {
+        match self {
+            Self::Erase { slot } => slot * SLOT_BYTES..(slot + 1) * SLOT_BYTES,
+            Self::Program { offset, .. } => offset..offset + 4,
+        }
     }
 }
 
@@ -145,6 +159,10 @@ pub struct Cells {
     errors: u64,
     /// End of the operation that runs, ns since power-up.
     busy_until_ns: u64,
+    /// True if the supply is too low for an operation to complete.
+    is_supply_low: bool,
+    /// The bytes that the last change may have changed, as they were before it.
+    overwritten: Vec<u8>,
 }
 
 impl SharedCells {
@@ -156,6 +174,8 @@ impl SharedCells {
             control: cr::LOCK.mask(),
             errors: 0,
             busy_until_ns: 0,
+            is_supply_low: false,
+            overwritten: Vec::new(),
         })))
     }
 
@@ -209,9 +229,33 @@ impl Cells {
         }
     }
 
+    /// Makes a change, in part if the supply is too low for it.
     fn change(&mut self, step: Step) {
-        apply(&mut self.record.bytes, step);
+        self.overwritten = self.record.bytes[step.range()].to_vec();
         self.record.steps.push(step);
+        if self.is_supply_low {
+            self.spoil(step);
+        } else {
+            apply(&mut self.record.bytes, step);
+        }
+    }
+
+    /// Makes a change in part. The number of steps decides about each bit.
+    fn spoil(&mut self, step: Step) {
+        let seed = self.record.steps.len() as u64;
+        apply_in_part(&mut self.record.bytes, step, seed);
+    }
+
+    /// The supply changes. Below 2.7 V an operation of 32 bits at a time does not complete, also
+    /// one that runs (RM0090, 3.6.2).
+    pub fn set_supply(&mut self, now_ns: u64, millivolts: u32) {
+        self.is_supply_low = millivolts < LOWEST_MILLIVOLTS;
+        let running = self.record.steps.last().copied();
+        let running = running.filter(|_| self.is_supply_low && now_ns < self.busy_until_ns);
+        if let Some(step) = running {
+            self.record.bytes[step.range()].copy_from_slice(&self.overwritten);
+            self.spoil(step);
+        }
     }
 }
 

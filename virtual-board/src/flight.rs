@@ -21,10 +21,11 @@ use rigless::time::VirtualNanos;
 use crate::Error;
 use crate::board::{BOARDS, Board, BoardModel};
 use crate::crystal::HighSpeedInput;
-use crate::faults::{Fault, ScheduledFault, nanoseconds, scheduled};
+use crate::faults::{Fault, ScheduledFault, internal_time, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
+use crate::kit::Kit;
 use crate::mcu::{Microcontroller, SentByte, Terminal};
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Garage, Profile, Purpose};
@@ -32,7 +33,9 @@ use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
 use crate::schedule::Schedule;
 use crate::script::Script;
 use crate::summary::Summary;
+use aplomb_models::compass::CompassConfig;
 use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::swing::ByOtherClock;
 use aplomb_models::motion::{Motion, Mount};
 use aplomb_models::sensor::{Sensor, SensorConfig, SensorErrors};
 
@@ -43,6 +46,9 @@ pub struct Run {
     seed: u64,
     seconds: f64,
     mount: Mount,
+    kit: Kit,
+    /// A compass instead of the kit's.
+    compass: Option<CompassConfig>,
     /// The motion, and true if it is a recording: then the sensor adds no errors of its own.
     motion: Option<(Box<dyn Motion>, bool)>,
     faults: Vec<Fault>,
@@ -67,6 +73,8 @@ impl Run {
             seed: 1,
             seconds: 30.0,
             mount: Mount::default(),
+            kit: Kit::default(),
+            compass: None,
             motion: None,
             faults: Vec::new(),
             script: Vec::new(),
@@ -105,6 +113,20 @@ impl Run {
     #[must_use]
     pub fn mount(mut self, mount: Mount) -> Self {
         self.mount = mount;
+        self
+    }
+
+    /// Selects the sensor board.
+    #[must_use]
+    pub fn kit(mut self, kit: Kit) -> Self {
+        self.kit = kit;
+        self
+    }
+
+    /// Fits this compass instead of the kit's.
+    #[must_use]
+    pub fn compass(mut self, config: CompassConfig) -> Self {
+        self.compass = Some(config);
         self
     }
 
@@ -273,13 +295,15 @@ impl Run {
             return Err(Error::emulator(error));
         }
         let record = finished.driver.into_record();
-        let issues = issues(&finished.session, &profile);
+        let violations = violations(&finished.session);
+        let issues = issues(&finished.session, &violations, &profile);
         Ok(Outcome {
             summary: Summary::of(&record, &firmware, self.board.core_hz, wall_seconds),
             uart_lines: lines(&record),
             record,
             faults: scheduled,
             flash: cells.record(),
+            violations,
             issues,
         })
     }
@@ -293,6 +317,14 @@ impl Run {
                 false,
             ),
         };
+        let motion: Box<dyn Motion> = match internal_time(&self.faults) {
+            Some((error, from_ns)) => Box::new(ByOtherClock {
+                motion,
+                from_s: from_ns as f64 * 1e-9,
+                error,
+            }),
+            None => motion,
+        };
         let config = if is_recording {
             SensorConfig::for_recording(self.seed)
         } else {
@@ -301,6 +333,7 @@ impl Run {
         Sensor::new(
             SensorConfig {
                 mount: self.mount,
+                who_am_i: self.kit.who_am_i(),
                 errors: self.errors.take().unwrap_or(config.errors),
                 ..config
             },
@@ -323,14 +356,27 @@ impl Run {
             } => Some((*noise_per_million, *framing_per_million)),
             _ => None,
         });
+        let watchdog_hz = self.faults.iter().find_map(|fault| match fault {
+            Fault::WatchdogClock(hz) => Some(*hz),
+            _ => None,
+        });
+        let has_slow_starts = self.faults.contains(&Fault::SlowStart);
         let sensor = self.sensor();
+        let compass = self.compass.take();
+        let compass = compass.or_else(|| self.kit.compass(self.seed, self.mount));
         let mut controller = Microcontroller::new(
-            FittedSensor::new(sensor, std::mem::take(&mut self.faults)),
+            FittedSensor::new(sensor, std::mem::take(&mut self.faults)).with_compass(compass),
             input,
             Terminal::new(&self.script),
             cells,
         )
         .map_err(Error::emulator)?;
+        if has_slow_starts {
+            controller.let_starts_take_time();
+        }
+        if let Some(hz) = watchdog_hz {
+            controller.calibrate_watchdog(hz);
+        }
         if let Some((noise, framing)) = garbled {
             controller.garble_reception(self.seed, noise, framing);
         }
@@ -362,8 +408,10 @@ pub struct Outcome {
     pub faults: Vec<ScheduledFault>,
     /// The calibration slots, and what was done to them.
     pub flash: FlashRecord,
-    /// Accesses that the board does not model, resets, and gaps in the account of instructions.
-    /// Empty in a sound run.
+    /// Rules of [`checks`](crate::checks) that the firmware has broken, with their places.
+    pub violations: Vec<String>,
+    /// Violations, accesses that the board does not model, resets, and gaps in the account of
+    /// instructions. Empty in a sound run.
     pub issues: Vec<String>,
 }
 
@@ -418,8 +466,27 @@ fn lines(record: &Record) -> Vec<UartLine> {
         .collect()
 }
 
+/// Lists the rules for accesses to registers that the firmware has broken.
+fn violations(session: &Session<Board>) -> Vec<String> {
+    // Wait states too few for the clock, above all (RM0090, 3.5.1).
+    let told = session
+        .told()
+        .map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason));
+    let checks = session.board().controller.checks();
+    let gated = session.refused().iter();
+    for (&address, _) in gated.filter(|(_, fault)| fault.is_shut_gate()) {
+        checks.note_without_clock(address);
+    }
+    let own = checks.violations();
+    told.chain(own.iter().map(ToString::to_string)).collect()
+}
+
 /// Lists the events that a sound run does not have.
-fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
+fn issues(
+    session: &Session<Board>,
+    violations: &[String],
+    profile: &Mutex<Profile>,
+) -> Vec<String> {
     let mut issues: Vec<String> = session
         .unmapped()
         .iter()
@@ -429,6 +496,7 @@ fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
         session
             .refused()
             .iter()
+            .filter(|(_, fault)| !fault.is_shut_gate())
             .map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")),
     );
     issues.extend(
@@ -451,15 +519,11 @@ fn issues(session: &Session<Board>, profile: &Mutex<Profile>) -> Vec<String> {
     );
     issues.extend(
         session
-            .told()
-            .map(|notice| format!("{}.{}: {}", notice.instance, notice.register, notice.reason)),
-    );
-    issues.extend(
-        session
             .resets()
             .iter()
             .map(|reset| format!("reset at {} ns: {:?}", reset.at.0, reset.cause)),
     );
+    issues.extend_from_slice(violations);
     let unexplained = profile.lock().map_or(1, |profile| profile.unexplained());
     if unexplained > 0 {
         issues.push(format!(

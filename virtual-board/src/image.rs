@@ -27,7 +27,8 @@ pub struct Firmware {
     pub health: Option<u64>,
     /// The address of the RTT control block, if the image logs.
     pub log_channel: Option<u64>,
-    /// The vector table's entries, by exception number.
+    /// The vector table's entries, by exception number. At 0: the handler of all exceptions while
+    /// the firmware measures itself, or 0.
     pub handlers: Vec<u32>,
     /// The addresses that the main stack may grow into.
     pub stack: Range<u64>,
@@ -72,7 +73,8 @@ impl Firmware {
             .collect();
         // The table's first word is the stack pointer, and no exception has number 0.
         if let Some(first) = handlers.first_mut() {
-            *first = 0;
+            let measuring = symbol("APLOMB_MEASURED").and_then(|at| u32::try_from(at).ok());
+            *first = measuring.unwrap_or(0);
         }
 
         let ram: Vec<Range<u64>> = file

@@ -3,7 +3,7 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`fitted`], [`wires`] | the sensor on its wires |
+//! | [`kit`], [`fitted`], [`wires`] | the sensor and the compass on their wires |
 //! | [`faults`], [`schedule`] | the faults, and their times |
 //! | [`mcu`], [`exti`], [`i2c`], [`bus_step`], [`dma`], [`crystal`] | the microcontroller |
 //! | [`board`] | the boards and their cores |
@@ -13,6 +13,7 @@
 //! | [`recorder`] | the record of a run |
 //! | [`flight`], [`summary`], [`cycles`] | a run, its figures, and an estimate in cycles |
 //! | [`campaign`] | random flights with random faults, and their rules |
+//! | [`port`] | the UART for other programs: standard streams, pseudo-terminal, TCP |
 //! | [`outputs`], [`plot`] | the files that a flight leaves |
 //!
 //! The sensor and the motion are those of `aplomb-models`.
@@ -20,6 +21,7 @@
 pub mod board;
 pub mod bus_step;
 pub mod campaign;
+pub mod checks;
 pub mod crystal;
 pub mod cycles;
 mod delegate;
@@ -28,13 +30,16 @@ pub mod error;
 pub mod exti;
 pub mod faults;
 pub mod fitted;
+mod fitted_compass;
 pub mod flash;
 pub mod flight;
 pub mod i2c;
 pub mod image;
+pub mod kit;
 pub mod mcu;
 pub mod outputs;
 pub mod plot;
+pub mod port;
 pub mod probe;
 pub mod profile;
 pub mod recorder;

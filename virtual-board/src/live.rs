@@ -4,9 +4,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use virtual_board::mcu::ReceivedByte;
+use virtual_board::port::Port;
 use virtual_board::recorder::Observer;
-
-use crate::port::Port;
 
 /// Virtual time may be ahead of real time by this much: shorter sleeps cost more than they are
 /// worth.

@@ -2,7 +2,6 @@
 //! folder.
 
 mod live;
-mod port;
 mod screen;
 
 use std::fmt::Write as _;
@@ -26,13 +25,14 @@ use virtual_board::board::{BOARDS, BoardModel};
 use virtual_board::campaign::{self, Case, Coverage, Report, Table};
 use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
+use virtual_board::kit::Kit;
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
+use virtual_board::port::Port;
 use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
 use live::Live;
-use port::Port;
 use screen::Screen;
 
 /// Default length of the simulated flight, s.
@@ -93,6 +93,9 @@ struct Fly {
     #[arg(env = "APLOMB_MOUNT", hide_env_values = true)]
     #[arg(allow_hyphen_values = true)]
     mount: Mount,
+    #[arg(long, value_name = "NAME", default_value = Kit::ALL[0].0, value_parser = kit)]
+    #[arg(help = format!("The sensor board: {}", kit_names()))]
+    sensor: Kit,
     /// Virtual seconds from power-up. Default: 30, or the whole recording.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     seconds: Option<f64>,
@@ -161,6 +164,15 @@ fn mount(name: &str) -> Result<Mount, String> {
     })
 }
 
+fn kit_names() -> String {
+    Kit::ALL.map(|(name, _)| name).join(", ")
+}
+
+fn kit(name: &str) -> Result<Kit, String> {
+    Kit::named(name)
+        .ok_or_else(|| format!("there is no such sensor board; there are {}", kit_names()))
+}
+
 fn board_names() -> String {
     BOARDS.map(|board| board.name).join(", ")
 }
@@ -199,6 +211,7 @@ fn fly(options: &Fly) -> Result<(), String> {
     let mut run = Run::new(&options.elf)
         .board(options.board)
         .mount(options.mount)
+        .kit(options.sensor)
         .seed(options.seed);
     let script = match &options.commands {
         Some(path) => Script::open(path).map_err(|error| error.to_string())?,
@@ -262,6 +275,9 @@ fn fly(options: &Fly) -> Result<(), String> {
     }
     if outcome.samples().is_empty() {
         return Err("the firmware published no attitude".into());
+    }
+    if !outcome.violations.is_empty() {
+        return Err("the firmware broke rules of the manual: see the warnings above".into());
     }
     Ok(())
 }

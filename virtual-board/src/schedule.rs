@@ -22,7 +22,7 @@ pub struct Schedule {
 }
 
 /// Every fault: its name, its parameter, and how a parameter is read.
-const FORMS: [Form; 29] = [
+const FORMS: [Form; 37] = [
     Form::new("address-nack", "[:write|read]", |text| match text {
         "" => Some(FaultKind::AddressNack(None)),
         "write" => Some(FaultKind::AddressNack(Some(Direction::Write))),
@@ -92,6 +92,16 @@ const FORMS: [Form; 29] = [
     Form::bare("watchdog-hang", FaultKind::WatchdogHang),
     Form::bare("crash", FaultKind::Crash),
     Form::bare("stack-overflow", FaultKind::StackOverflow),
+    Form::bare("compass-silent", FaultKind::CompassSilent),
+    Form::bare("compass-frozen", FaultKind::CompassFrozen),
+    Form::bare("compass-zeros", FaultKind::CompassZeros),
+    Form::bare("compass-overflow", FaultKind::CompassOverflow),
+    Form::bare("compass-garbled", FaultKind::CompassGarbled),
+    Form::bare("compass-never-ready", FaultKind::CompassNeverReady),
+    Form::new("compass-identity", ":BYTE (such as 0x55)", |text| {
+        number(text, 0, 0xFF).map(|identity| FaultKind::CompassIdentity(identity as u8))
+    }),
+    Form::bare("compass-stall", FaultKind::CompassStall),
 ];
 
 /// Written form of a fault.
@@ -229,6 +239,16 @@ impl Schedule {
         Self { faults }
     }
 
+    /// Returns the schedule with all faults later, to the microsecond.
+    #[must_use]
+    pub fn later(mut self, by_s: f64) -> Self {
+        let by_ns = (by_s * 1e6).round() as u64 * 1_000;
+        for fault in &mut self.faults {
+            fault.start_ns += by_ns;
+        }
+        self
+    }
+
     /// One fault of a class, its parameter and its times drawn from a seed. `None` if there is no
     /// such class.
     #[must_use]
@@ -285,6 +305,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
             FaultKind::RegisterFlip(registers[pick % 7], (pick / 7 % 256) as u8)
         }
         "saturated" => FaultKind::Saturated(Axis::NAMES[pick % 6].0),
+        "compass-identity" => FaultKind::CompassIdentity((pick % 64) as u8),
         "temperature" => FaultKind::Temperature(if pick.is_multiple_of(2) { -55.0 } else { 120.0 }),
         _ => form
             .and_then(|form| form.bare)
@@ -298,7 +319,11 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         FaultKind::CoreStall => (0.0015, 0.03),
         FaultKind::AddressNack(_) | FaultKind::DataNack(_) => (0.0015, 0.03),
         FaultKind::BusError(_) | FaultKind::ArbitrationLost | FaultKind::DmaError => (0.0015, 0.03),
-        FaultKind::BurstStall | FaultKind::SdaLow(None) | FaultKind::SclLow => (0.0015, 0.08),
+        FaultKind::BurstStall
+        | FaultKind::SdaLow(None)
+        | FaultKind::SclLow
+        | FaultKind::CompassStall => (0.0015, 0.08),
+        kind if kind.is_of_compass() => (0.7, 1.0),
         FaultKind::IntMissing | FaultKind::IntHigh | FaultKind::IntLow => (0.004, 0.1),
         FaultKind::SensorSilent | FaultKind::SensorBrownout => (0.002, 0.15),
         FaultKind::CrystalDies if pick.is_multiple_of(2) => (0.0, 0.0),

@@ -162,6 +162,11 @@ impl Wires {
         }
     }
 
+    /// A device holds SCL from the end of this byte, until then.
+    pub fn stretch_until(&mut self, end_ns: u64) {
+        self.stretched_until_ns = self.stretched_until_ns.max(end_ns);
+    }
+
     /// Leaves the sensor in a byte that it sends: so many clocks are left of it, with these bits,
     /// the present one first. With no clock left the sensor is in no byte.
     pub fn lose_count(&mut self, clocks: u8, bits: u8) {

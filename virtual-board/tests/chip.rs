@@ -3,10 +3,15 @@
 mod common;
 
 use aplomb::fault::FaultClass;
+use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
+use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::swing::Swing;
+use aplomb_models::motion::{Quaternion, inclination_error_rad};
 use common::firmware;
+use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
 use virtual_board::schedule::Schedule;
@@ -117,4 +122,115 @@ fn a_bus_error_that_is_a_flag_alone_loses_no_sample() {
     assert_eq!(seen(&calm), 0);
     // Each byte of 300 bursts, but two flags may be one interrupt.
     assert!(seen(&flagged) > 300 * 10, "{}", seen(&flagged));
+}
+
+/// Flies by an internal oscillator that is off by a share, started without a crystal or with one
+/// that dies in flight.
+fn fly_by_internal_oscillator(error: f64, crystal_dies: &str) -> Outcome {
+    let schedule = Schedule::parse("test", crystal_dies).unwrap();
+    let mut run = Run::new(firmware())
+        .seconds(4.0)
+        .fault(Fault::InternalOscillator(error))
+        .schedule(&schedule)
+        .motion(Swing::by_seed(2, 1.8));
+    if crystal_dies.is_empty() {
+        run = run.fault(Fault::NoCrystal);
+    }
+    run.without_account().run().unwrap()
+}
+
+/// The largest error of a valid tilt by the larger of 5° and six σ, of which it must be below 1.
+fn worst_broken_promise(outcome: &Outcome) -> f64 {
+    let ratios = outcome.samples().iter().filter_map(|sample| {
+        let (snapshot, truth) = (sample.snapshot, sample.edge?.truth.attitude?);
+        let q = snapshot.attitude;
+        let [w, x, y, z] = [q.w, q.x, q.y, q.z].map(f64::from);
+        let error_rad = inclination_error_rad(Quaternion { w, x, y, z }, truth);
+        let allowed_rad = 5_f64
+            .to_radians()
+            .max(6.0 * f64::from(snapshot.tilt_sigma_rad()));
+        let is_valid = snapshot.flags.contains(Flags::VALID);
+        is_valid.then_some(error_rad / allowed_rad)
+    });
+    ratios.fold(0.0, f64::max)
+}
+
+#[test]
+fn an_internal_oscillator_at_its_limits_loses_no_edge() {
+    for error in [-0.08, -0.04, 0.045] {
+        for crystal_dies in ["", "2.5 0 crystal-dies"] {
+            let outcome = fly_by_internal_oscillator(error, crystal_dies);
+            let case = format!("{error} {crystal_dies}");
+            let counters = outcome.record.health.last().map(|reading| reading.counters);
+            let counters = counters.unwrap();
+            let classes = [
+                FaultClass::InterruptGlitch,
+                FaultClass::InterruptMissing,
+                FaultClass::InterruptStuckHigh,
+            ];
+            for class in classes {
+                assert_eq!(counters[class as usize], 0, "{case}: {class:?}");
+            }
+            // The crystal's end may cost the sample of that moment.
+            let missed = usize::from(!crystal_dies.is_empty());
+            assert!(outcome.summary.missed <= missed, "{case}");
+            let last = outcome.samples().last().unwrap().snapshot.flags;
+            let expected = Flags::VALID | Flags::INTERNAL_CLOCK | Flags::DEGRADED;
+            assert_eq!(last, expected, "{case}: {last}");
+            let broken = worst_broken_promise(&outcome);
+            assert!(broken < 1.0, "{case}: {broken}");
+        }
+    }
+}
+
+#[test]
+fn the_watchdog_keeps_its_limits_at_both_ends_of_its_oscillator() {
+    for (hz, latest_ms) in [(17_000, 600.0), (32_000, 350.0), (47_000, 250.0)] {
+        let run = Run::new(firmware())
+            .fault(Fault::WatchdogClock(hz))
+            .motion(Rest::level())
+            .command(1.3, "rate 20")
+            .command(1.4, "save");
+        // Three seconds with the longest erase: no reset. Then a hang.
+        let schedule = Schedule::parse("test", "3.0 0 watchdog-hang").unwrap();
+        let outcome = run.schedule(&schedule).seconds(4.0).without_account().run();
+        let outcome = outcome.unwrap();
+        assert!(outcome.uart_reports("stored"), "{:?}", outcome.uart_lines);
+        let [reset_ns] = outcome.record.resets_ns[..] else {
+            panic!("{hz} Hz: resets at {:?}", outcome.record.resets_ns);
+        };
+        let after_ms = (reset_ns as f64 - 3.0e9) * 1e-6;
+        // The last feed may be a tick of 20 ms before the hang.
+        assert!(
+            (178.0..latest_ms).contains(&after_ms),
+            "{hz}: {after_ms} ms"
+        );
+    }
+}
+
+#[test]
+fn the_guard_below_the_stack_stops_an_overflow_before_the_bus_does() {
+    let outcome = fly(2.4, "2.0 0 stack-overflow");
+    assert_eq!(outcome.record.resets_ns.len(), 1);
+    assert!(outcome.uart_reports("last fault: stack-overflow"));
+    // A store that passes the guard comes to the bus, which has nothing there.
+    let passed = |issue: &&String| issue.starts_with("no such address");
+    let passed: Vec<&String> = outcome.issues.iter().filter(passed).collect();
+    assert_eq!(passed, Vec::<&String>::new());
+}
+
+#[test]
+fn a_start_that_takes_time_delays_each_attitude_by_that_time() {
+    let flight = || Run::new(firmware()).seconds(2.1);
+    let [calm, slow] = [flight(), flight().fault(Fault::SlowStart)].map(|run| run.run().unwrap());
+    assert_eq!(slow.samples().len(), calm.samples().len());
+    assert_eq!(slow.summary.missed, 0);
+    assert_eq!(slow.issues, Vec::<String>::new());
+    let [calm_us, slow_us] = [calm, slow].map(|outcome| {
+        let latency = outcome.summary.edge_to_attitude_us_mean;
+        latency.expect("attitudes")
+    });
+    // A START and one in the transfer.
+    let cost_us = slow_us - calm_us;
+    assert!((1.7..1.9).contains(&cost_us), "{cost_us}");
 }

@@ -1,6 +1,8 @@
 //! Commands on the UART of the real image: every one once, a flood of bytes, and a whole
 //! calibration.
 
+#[path = "../../fuzz/bodies/command_words.rs"]
+mod command_words;
 mod common;
 
 use std::fmt::Write;
@@ -13,6 +15,7 @@ use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
 use aplomb_models::random::Random;
 use aplomb_models::sensor::SensorErrors;
+use command_words::WORDS;
 use common::firmware;
 use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
@@ -272,43 +275,13 @@ fn commands_by_chance_delay_no_attitude_by_much() {
 
 #[test]
 fn a_thousand_lines_by_chance_leave_the_module_alive() {
-    const PIECES: [&str; 28] = [
-        "help",
-        "status",
-        "show",
-        "save",
-        "forget",
-        "self-test",
-        "arm",
-        "disarm",
-        "calibrate ",
-        "gyro",
-        "accel",
-        "level",
-        "temperature",
-        "mount ",
-        "+x-z",
-        "-y+x",
-        "find",
-        "rate ",
-        "format ",
-        "text",
-        "50",
-        "-1",
-        "99999999999999999999",
-        " ",
-        "\u{0}",
-        "é",
-        "\x08",
-        "\x7f",
-    ];
     let mut random = Random::new(1, "lines");
     let mut run = Run::new(firmware()).seconds(46.0).motion(Rest::level());
     for index in 0..1_000_u32 {
         let count = 1 + random.uniform(0.0, 5.0) as usize;
         let mut line = Vec::new();
         for _ in 0..count {
-            let piece = PIECES[random.uniform(0.0, PIECES.len() as f64) as usize];
+            let piece = WORDS[random.uniform(0.0, WORDS.len() as f64) as usize];
             line.extend(piece.as_bytes());
             if random.uniform(0.0, 1.0) < 0.1 {
                 line.push(random.uniform(0.0, 256.0) as u8);

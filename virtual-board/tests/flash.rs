@@ -7,6 +7,7 @@ use aplomb::settings::{OutputFormat, storage};
 use aplomb_models::motion::rest::Rest;
 use common::firmware;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use virtual_board::faults::Fault;
 use virtual_board::flash::{FlashRecord, SLOT_BYTES, Step};
 use virtual_board::flight::{Outcome, Run};
 
@@ -166,4 +167,54 @@ fn a_save_stalls_the_core_for_the_datasheet_s_time_and_the_bursts_go_on_after_it
             .collect::<Vec<_>>()
     );
     assert!(published.last().unwrap() > &3_400_000_000);
+}
+
+/// Saves a third record while the supply is at 2.5 V for a while.
+fn save_in_a_sag(slots: &[u8], sag_s: std::ops::Range<f64>) -> Outcome {
+    Run::new(firmware())
+        .motion(Rest::level())
+        .seconds(3.0)
+        .flash(slots.to_vec())
+        .fault(Fault::Supply(2_500, sag_s))
+        .command(1.0, "rate 25")
+        .command(1.1, "format classic")
+        .command(1.2, "save")
+        .without_account()
+        .run()
+        .unwrap()
+}
+
+#[test]
+fn a_save_with_a_low_supply_is_refused() {
+    let blank = FlashRecord::blank().bytes;
+    let outcome = save_in_a_sag(&blank, 0.5..2.5);
+    let expected = "the supply is below 2.8 V: check it, then save again";
+    assert!(outcome.uart_reports(expected), "{:?}", outcome.uart_lines);
+    assert_eq!(outcome.flash.steps, []);
+    // The module goes on.
+    let last_ns = outcome.samples().last().map(|sample| sample.published_ns);
+    assert!(last_ns > Some(2_900_000_000));
+}
+
+#[test]
+fn a_supply_that_sags_during_a_save_leaves_the_old_record_or_the_new_one() {
+    let save = third_save();
+    let slots = save.cut_in(0, 1);
+    let old = Some((20, OutputFormat::Text));
+    let new = Some((25, OutputFormat::Classic));
+    assert_eq!(in_force(&slots), old);
+    // The steps: the old record once more, an erase of half a second, the new record.
+    let ends = save_in_a_sag(&slots, 2.8..2.9);
+    assert_eq!(in_force(&ends.flash.bytes), new);
+    let mut seen = [0, 0];
+    for nth in 0..9 {
+        let start_s = 1.2 + 0.08 * f64::from(nth);
+        let outcome = save_in_a_sag(&slots, start_s..2.5);
+        let found = in_force(&outcome.flash.bytes);
+        assert!(found == old || found == new, "{start_s}: {found:?}");
+        let is_refused = outcome.uart_reports("the supply is below 2.8 V");
+        assert_eq!(found == old, is_refused, "{start_s}: {found:?}");
+        seen[usize::from(found == new)] += 1;
+    }
+    assert!(seen[0] > 0 && seen[1] > 0, "{seen:?}");
 }

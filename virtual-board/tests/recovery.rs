@@ -105,6 +105,8 @@ fn duration_s(class: &str, fault: &str) -> f64 {
         "attitude-late" => 0.01,
         "zeros" | "ones" | "saturated" | "temperature" => 0.1,
         "sensor-silent" | "int-missing" | "int-high" | "int-low" | "int-glitch" => 0.2,
+        "compass-stall" => 0.05,
+        compass if compass.starts_with("compass-") => 1.0,
         "frozen" => 0.4,
         "probe-detach" => 0.8,
         "uart-flood" | "uart-noise" => 0.6,
@@ -270,6 +272,14 @@ classes! {
     watchdog_hang: "watchdog-hang",
     crash: "crash",
     stack_overflow: "stack-overflow",
+    compass_silent: "compass-silent",
+    compass_frozen: "compass-frozen",
+    compass_zeros: "compass-zeros",
+    compass_overflow: "compass-overflow",
+    compass_garbled: "compass-garbled",
+    compass_never_ready: "compass-never-ready",
+    compass_identity: "compass-identity",
+    compass_stall: "compass-stall",
 }
 
 /// A run at rest with these faults, for rules that the table does not have.

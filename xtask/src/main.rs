@@ -3,11 +3,13 @@
 mod agree;
 mod api;
 mod build;
+mod c_library;
 mod cost;
 mod examples;
 mod faults;
 mod package;
 mod panics;
+mod python;
 mod results;
 mod rigs;
 mod setup;
@@ -46,6 +48,9 @@ usage: cargo xtask COMMAND
                       --long adds the flight of an hour and 2000 flights with faults
                       --render writes the pages from docs/results.toml
                       --check fails if a page disagrees with it, and is a part of `test`
+  c                   build the C library for this computer and three Cortex-M cores, and run its
+                      programs; a part of `test`
+  python              install the Python package into target/ and test it; a part of `test`
   flash [--board B]   write the firmware to a board with probe-rs and show its log
   setup               install and build what the others need, and nothing else
 
@@ -91,6 +96,8 @@ fn run(arguments: &[String]) -> Result<(), String> {
             Some(mode) => results::run(mode),
             None => Err(format!("`results` takes one option\n\n{USAGE}")),
         },
+        "c" => no_more(rest).and_then(|()| c_library::run()),
+        "python" => no_more(rest).and_then(|()| python::run()),
         "flash" => flash(board_alone(rest)?),
         "setup" => no_more(rest).and_then(|()| {
             setup::Toolchain::for_target()?;

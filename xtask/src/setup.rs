@@ -33,26 +33,31 @@ pub enum Toolchain {
 }
 
 impl Toolchain {
-    /// Finds or sets up what builds for the target.
+    /// Finds or sets up what builds for [`TARGET`].
     pub fn for_target() -> Result<Self, String> {
-        if target_is_there() {
+        Self::for_any(TARGET)
+    }
+
+    /// Finds or sets up what builds for this target without an operating system.
+    pub fn for_any(target: &str) -> Result<Self, String> {
+        if target_is_there(target) {
             return Ok(Self::Own);
         }
         if may_download() {
             let added = step::timed("adding the target with rustup", || {
-                step::run(step::command(Path::new("rustup")).args(["target", "add", TARGET]))
+                step::run(step::command(Path::new("rustup")).args(["target", "add", target]))
             });
-            if added.is_ok() && target_is_there() {
+            if added.is_ok() && target_is_there(target) {
                 return Ok(Self::Own);
             }
         }
         if !step::is_installed("apt-get") {
             return Err(format!(
-                "no compiler for {TARGET}: run `rustup target add {TARGET}`, then this again"
+                "no compiler for {target}: run `rustup target add {target}`, then this again"
             ));
         }
         install(&PACKAGES)?;
-        let sysroot = build_sysroot()?;
+        let sysroot = build_sysroot(target)?;
         Ok(Self::Distribution { sysroot })
     }
 
@@ -65,22 +70,28 @@ impl Toolchain {
         step::output(step::command(rustc.as_ref()).arg("--version")).unwrap_or_default()
     }
 
-    /// A cargo command for the target: subcommand and `--target` are set.
+    /// A cargo command for [`TARGET`]: subcommand and `--target` are set.
     pub fn cargo(&self, subcommand: &str) -> Command {
+        self.cargo_for(TARGET, subcommand)
+    }
+
+    /// A cargo command for the target that this was set up for.
+    pub fn cargo_for(&self, target: &str, subcommand: &str) -> Command {
         let mut command = match self {
             Self::Own => step::command(Path::new("cargo")),
             Self::Distribution { sysroot } => {
                 let mut command = distribution_cargo();
+                let name = target.to_uppercase().replace('-', "_");
                 for program in ["RUSTFLAGS", "RUSTDOCFLAGS"] {
                     command.env(
-                        format!("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_{program}"),
+                        format!("CARGO_TARGET_{name}_{program}"),
                         format!("--sysroot={}", sysroot.display()),
                     );
                 }
                 command
             }
         };
-        command.args([subcommand, "--target", TARGET]);
+        command.args([subcommand, "--target", target]);
         command
     }
 }
@@ -103,17 +114,17 @@ pub fn may_download() -> bool {
     std::env::var("RUSTUP_AUTO_INSTALL").as_deref() != Ok("0") && step::is_installed("rustup")
 }
 
-fn target_is_there() -> bool {
+fn target_is_there(target: &str) -> bool {
     let Some(sysroot) =
         step::output(step::command(Path::new("rustc")).args(["--print", "sysroot"]))
     else {
         return false;
     };
-    holds_core(&library_of(Path::new(&sysroot)))
+    holds_core(&library_of(Path::new(&sysroot), target))
 }
 
-fn library_of(sysroot: &Path) -> PathBuf {
-    sysroot.join("lib/rustlib").join(TARGET).join("lib")
+fn library_of(sysroot: &Path, target: &str) -> PathBuf {
+    sysroot.join("lib/rustlib").join(target).join("lib")
 }
 
 fn holds_core(library: &Path) -> bool {
@@ -192,11 +203,11 @@ fn version_line(label: &str) -> Result<String, String> {
 
 /// Builds the target's `core` from the distribution's sources, once for each version of its
 /// compiler.
-fn build_sysroot() -> Result<PathBuf, String> {
+fn build_sysroot(target: &str) -> Result<PathBuf, String> {
     let sysroot = step::target_folder()
         .join("sysroot")
         .join(version_line("release: ")?);
-    if holds_core(&library_of(&sysroot)) {
+    if holds_core(&library_of(&sysroot, target)) {
         return Ok(sysroot);
     }
     step::timed("building the target's core library, once", || {
@@ -218,7 +229,7 @@ fn build_sysroot() -> Result<PathBuf, String> {
                     "--release",
                     "-Zbuild-std=core,alloc",
                     "--target",
-                    TARGET,
+                    target,
                 ])
                 .arg("--target-dir")
                 .arg(&output)
@@ -227,7 +238,7 @@ fn build_sysroot() -> Result<PathBuf, String> {
                 .env("RUSTC_BOOTSTRAP", "1")
                 .env("RUSTFLAGS", "-Cembed-bitcode=yes"),
         )?;
-        let dependencies = output.join(TARGET).join("release/deps");
+        let dependencies = output.join(target).join("release/deps");
         // Copied under another name and renamed, so that a stopped run leaves no half of a library.
         let partial = sysroot.join("partial");
         let _ = fs::remove_dir_all(&partial);
@@ -244,7 +255,7 @@ fn build_sysroot() -> Result<PathBuf, String> {
         let programs = sysroot.join("lib/rustlib").join(host).join("bin");
         fs::create_dir_all(&programs).map_err(text)?;
         fs::copy("/usr/bin/lld-22", programs.join("rust-lld")).map_err(text)?;
-        let library = library_of(&sysroot);
+        let library = library_of(&sysroot, target);
         let _ = fs::remove_dir_all(&library);
         fs::create_dir_all(library.parent().ok_or("the library has no folder")?).map_err(text)?;
         fs::rename(&partial, &library).map_err(text)?;

@@ -5,7 +5,10 @@ use std::time::Instant;
 
 use crate::build::{self, BOARDS, Board, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{agree, api, cost, examples, faults, package, panics, results, rigs, size, step};
+use crate::{
+    agree, api, c_library, cost, examples, faults, package, panics, python, results, rigs, size,
+    step,
+};
 
 /// Runs all checks and tests.
 pub fn run() -> Result<(), String> {
@@ -28,6 +31,8 @@ pub fn run() -> Result<(), String> {
     })?;
     agree::run(&toolchain, &virtual_board, &images[0].1)?;
     cost::run()?;
+    c_library::run_for_cores()?;
+    python::run()?;
     eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
     Ok(())
 }
@@ -139,6 +144,9 @@ fn test_virtual_board(
     examples: &[(&str, PathBuf)],
 ) -> Result<(), String> {
     step::timed("virtual board tests", || {
+        // One of them walks through a bring-up with the program.
+        let mut program = step::host_cargo("build");
+        step::run(program.args(["--release", "-p", "aplomb-cli"]))?;
         let mut test = step::host_cargo("test");
         test.args(["--release", "-p", "virtual-board"]);
         for (board, elf) in images {

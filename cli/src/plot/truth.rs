@@ -114,7 +114,8 @@ impl TruthFile {
         } else {
             let refused = lines.refuse(LogFault::Header(header));
             return Err(format!(
-                "{refused}; or t_us,qw,qx,qy,qz,… or t_us,roll_deg,pitch_deg,yaw_deg,… for truth"
+                "{refused}; \
+                 or t_us,qw,qx,qy,qz,… or t_us,roll_deg,pitch_deg,yaw_deg,… for truth"
             )
             .into());
         };

@@ -21,6 +21,7 @@ use super::model::{Connection, Model, Speaker};
 use super::player::{Player, changed_speed};
 use super::screen;
 use super::source::{BAUD, Link};
+use crate::i2c::I2cOptions;
 
 /// Shortest time between two drawings: 30 a second.
 pub const FRAME: Duration = Duration::from_millis(33);
@@ -36,6 +37,8 @@ pub enum Origin {
     Port(String, Option<u32>),
     /// The virtual board, by the command that starts it.
     VirtualBoard(Command),
+    /// A sensor on a bus of this computer.
+    Sensor(I2cOptions),
 }
 
 /// Returns the events of the keyboard. A thread reads them, because the library does not return
@@ -86,6 +89,11 @@ impl App {
             Origin::VirtualBoard(command) => {
                 let live = Live::new(Link::process(command)?, None).with_log();
                 let name = "virtual board".to_owned();
+                (name, Connection::Open(None), Input::Live(live))
+            }
+            Origin::Sensor(options) => {
+                let live = Live::new(Link::sensor(options.open()?.0), None);
+                let name = options.i2c.unwrap_or_default().display().to_string();
                 (name, Connection::Open(None), Input::Live(live))
             }
             Origin::Port(port, known_baud) => {

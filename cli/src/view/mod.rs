@@ -27,6 +27,7 @@ use aplomb_recordings::terminal::print_line;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
+use crate::i2c::I2cOptions;
 use app::{App, FRAME, Origin};
 pub use detect::Decoder;
 pub use item::Item;
@@ -49,25 +50,28 @@ const PICTURE: Rect = Rect::new(0, 0, 110, 32);
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb view --port /dev/ttyUSB0
+  aplomb view --i2c /dev/i2c-1 --interrupt gpiochip0:17
   aplomb view flight.log --speed 4
   aplomb view target/fly/attitude.csv
   cargo xtask view                  (builds the virtual board and shows it: no hardware needed)")]
 pub struct Options {
     /// A recording to play
-    #[arg(conflicts_with_all = ["port", "virtual_board"])]
+    #[arg(conflicts_with_all = ["port", "virtual_board", "i2c"])]
     file: Option<PathBuf>,
     /// The module's serial port; without a port the ports of this computer are listed
-    #[arg(long)]
+    #[arg(long, conflicts_with = "i2c")]
     port: Option<String>,
     /// The module's baud rate. Default: found out, from 115200 on
     #[arg(long, requires = "port")]
     baud: Option<u32>,
     /// Show the firmware on the virtual board, in a simulated flight
-    #[arg(long = "virtual", conflicts_with = "port")]
+    #[arg(long = "virtual", conflicts_with_all = ["port", "i2c"])]
     virtual_board: bool,
     /// The firmware image for the virtual board. Default: the one that `cargo xtask view` builds
     #[arg(long, value_name = "FILE", requires = "virtual_board")]
     elf: Option<PathBuf>,
+    #[command(flatten)]
+    sensor: I2cOptions,
     /// Play a recording so many times as fast
     #[arg(long, value_name = "TIMES", default_value_t = 1.0, value_parser = parse_speed)]
     speed: f64,
@@ -106,6 +110,9 @@ impl Options {
         if let Some(file) = &self.file {
             return Ok(Origin::File(file.clone(), self.speed));
         }
+        if self.sensor.i2c.is_some() {
+            return Ok(Origin::Sensor(self.sensor.clone()));
+        }
         if self.virtual_board {
             return virtual_board(self.elf.as_deref()).map(Origin::VirtualBoard);
         }
@@ -130,7 +137,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let (Some(file), Some(picture)) = (&options.file, &options.picture) {
         return draw_picture(file, options.at, picture);
     }
-    if options.file.is_none() && options.port.is_none() && !options.virtual_board {
+    let has_source = options.port.is_some() || options.sensor.i2c.is_some();
+    if options.file.is_none() && !has_source && !options.virtual_board {
         let hint = "Without a board: `cargo xtask view` shows the virtual one";
         return Err(format!("{}\n{hint}", which_port()).into());
     }

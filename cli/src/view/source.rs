@@ -15,6 +15,7 @@ use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 
 use super::detect::Decoder;
 use super::item::Item;
+use crate::i2c::Sampled;
 
 /// Default baud rate of the module.
 pub const BAUD: u32 = 115_200;
@@ -93,6 +94,11 @@ impl Link {
         Ok(Self::start(|reports, orders| {
             serve_process(child, &reports, &orders);
         }))
+    }
+
+    /// Samples a sensor on a bus of this computer. Its log comes as that of a module.
+    pub fn sensor(sensor: Box<dyn Sampled>) -> Self {
+        Self::start(|reports, orders| serve_sensor(sensor, &reports, &orders))
     }
 
     fn start(serve: impl FnOnce(Sender<Report>, Receiver<Order>) + Send + 'static) -> Self {
@@ -174,6 +180,37 @@ impl Drop for Link {
         self.orders = None;
         if let Some(thread) = self.thread.take() {
             thread.join().ok();
+        }
+    }
+}
+
+/// Samples until the link is dropped.
+fn serve_sensor(mut sensor: Box<dyn Sampled>, reports: &Sender<Report>, orders: &Receiver<Order>) {
+    loop {
+        match orders.try_recv() {
+            Ok(Order::Send(_) | Order::SwitchBaud(_)) => {
+                sensor.say("error a sensor on a bus takes no commands: a module does");
+            }
+            Ok(Order::SetBaud(_)) | Err(TryRecvError::Empty) => {}
+            Err(TryRecvError::Disconnected) => return,
+        }
+        let step = sensor.step();
+        let bytes = sensor.take_bytes();
+        if !bytes.is_empty() && reports.send(Report::Bytes(bytes)).is_err() {
+            return;
+        }
+        let Err(reason) = step else { continue };
+        if reports.send(Report::Away(reason)).is_err() {
+            return;
+        }
+        while !sensor.is_back() {
+            match orders.recv_timeout(RETRY) {
+                Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+        if reports.send(Report::Back).is_err() {
+            return;
         }
     }
 }

@@ -1,5 +1,5 @@
 //! Motions for flights that have no time to lose: a body that swings about an axis, and a motion
-//! that begins later in itself.
+//! that begins later in itself, or passes by another clock.
 
 use super::geometry::{Quaternion, Vector, scale};
 use super::truth::{STANDARD_GRAVITY_M_S2, Truth};
@@ -59,6 +59,30 @@ impl Motion for Swing {
     }
 }
 
+/// The last part of a swing, and then the swing with its rest: a start in motion.
+#[derive(Clone, Debug)]
+pub struct Moving {
+    /// The swing.
+    pub swing: Swing,
+    /// Length of the last part, s. A swing that is shorter rests before it.
+    pub first_s: f64,
+}
+
+impl Motion for Moving {
+    fn at(&mut self, time_s: f64) -> Truth {
+        let Swing {
+            rest_s, rate_rad_s, ..
+        } = self.swing;
+        let left_s = self.first_s - time_s;
+        let swung_s = std::f64::consts::TAU / rate_rad_s - left_s;
+        self.swing.at(if left_s > 0.0 {
+            rest_s + swung_s.max(0.0)
+        } else {
+            -left_s
+        })
+    }
+}
+
 /// A motion that has been going on for a while at power-up.
 #[derive(Clone, Debug)]
 pub struct Later<M> {
@@ -71,6 +95,24 @@ pub struct Later<M> {
 impl<M: Motion> Motion for Later<M> {
     fn at(&mut self, time_s: f64) -> Truth {
         self.motion.at(time_s + self.by_s)
+    }
+}
+
+/// A motion by the time of a clock that is wrong.
+pub struct ByOtherClock {
+    /// The motion.
+    pub motion: Box<dyn Motion>,
+    /// Time from which the clock is wrong, s.
+    pub from_s: f64,
+    /// Error of the clock, as a share: +0.01 runs 1 % fast.
+    pub error: f64,
+}
+
+impl Motion for ByOtherClock {
+    fn at(&mut self, time_s: f64) -> Truth {
+        let wrong_s = (time_s - self.from_s).max(0.0);
+        self.motion
+            .at(time_s - wrong_s + wrong_s / (1.0 + self.error))
     }
 }
 
@@ -117,5 +159,44 @@ mod tests {
             inclination_error_rad(later.at(2.0).attitude.unwrap(), expected),
             0.0
         );
+    }
+
+    #[test]
+    fn a_start_in_motion_ends_at_the_rest_of_the_swing() {
+        for seed in 0..20 {
+            let swing = Swing::by_seed(seed, 1.5);
+            let mut moving = Moving {
+                swing: swing.clone(),
+                first_s: 2.0,
+            };
+            let fastest = (0..200).map(|step| {
+                let truth = moving.at(f64::from(step) * 0.01);
+                geometry::norm(truth.body_rates_rad_s)
+            });
+            assert!(fastest.fold(0.0, f64::max) > 0.1, "{seed}");
+            let [before, after] = [1.999_99, 2.000_01].map(|time_s| moving.at(time_s));
+            assert!(geometry::norm(before.body_rates_rad_s) < 0.01, "{seed}");
+            assert_eq!(after.body_rates_rad_s.map(f64::abs), [0.0; 3]);
+            let expected = swing.clone().at(2.0).attitude.unwrap();
+            let later = moving.at(4.0).attitude.unwrap();
+            assert!(inclination_error_rad(later, expected) < 1e-9, "{seed}");
+        }
+    }
+
+    #[test]
+    fn a_clock_that_runs_slow_shows_more_of_the_motion_in_its_second() {
+        let swing = Swing::by_seed(3, 1.5);
+        let mut slow = ByOtherClock {
+            motion: Box::new(swing.clone()),
+            from_s: 2.0,
+            error: -0.08,
+        };
+        for (shown_s, true_s) in [(1.9, 1.9), (2.92, 3.0)] {
+            let expected = swing.clone().at(true_s).body_rates_rad_s;
+            let shown = slow.at(shown_s).body_rates_rad_s;
+            for (shown, expected) in shown.into_iter().zip(expected) {
+                assert!((shown - expected).abs() < 1e-9, "{shown_s}");
+            }
+        }
     }
 }

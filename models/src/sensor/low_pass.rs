@@ -17,8 +17,8 @@
 //! prewarped so that the bandwidth is exact on the 8 kHz grid.
 //!
 //! Derivation of the second, with Ω = tan(ωT/2), k = Ω at the bandwidth, x = Ω/k and
-//! d = 2kτ/T: H = (1 + jZx) / (1 − a²x² + jbx). Delay d at x = 0 needs b = Z + d. Half power at
-//! x = 1 needs (1 − a²)² = Z² − 2dZ + 2 − d².
+//! d = 2kτ/T: H = (1 + jZx) / (1 − a²x² + jbx). Delay d at x = 0 needs b = Z + d. Half power
+//! at x = 1 needs (1 − a²)² = Z² − 2dZ + 2 − d².
 
 use crate::motion::Vector;
 use crate::motion::geometry::{add, interpolate, scale};

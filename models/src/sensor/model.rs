@@ -11,7 +11,7 @@ use super::identity::Identity;
 use super::interrupt::{Interrupt, PinLevel};
 use super::registers::{DATA_LENGTH, RegisterFile, address, writable_bits};
 use super::signal_path::{Settings, SignalPath};
-use crate::motion::{Motion, Mount, Truth};
+use crate::motion::{Motion, Mount, Quaternion, Truth};
 use crate::random::Random;
 
 /// PWR_MGMT_1 (register map r4.2, section 4.28).
@@ -23,6 +23,12 @@ const CLOCK_SELECT: u8 = 0x07;
 
 /// USER_CTRL: reset of the signal paths and of the data registers (section 4.27).
 const SIGNAL_CONDITION_RESET: u8 = 1 << 0;
+
+/// USER_CTRL: the chip is the controller of the auxiliary bus (section 4.27).
+const MASTER_ENABLE: u8 = 1 << 5;
+
+/// INT_PIN_CFG: the auxiliary bus is connected to the main one (section 4.15).
+const BYPASS_ENABLE: u8 = 1 << 1;
 
 /// SIGNAL_PATH_RESET (section 4.26).
 const GYROSCOPE_RESET: u8 = 1 << 2;
@@ -137,6 +143,7 @@ pub struct Sensor {
     edge_count: u64,
     bursts: Vec<Burst>,
     output_faults: Vec<OutputFault>,
+    truth: Truth,
 }
 
 impl Sensor {
@@ -168,6 +175,7 @@ impl Sensor {
             edge_count: 0,
             bursts: Vec::new(),
             output_faults: Vec::new(),
+            truth: Truth::at_rest(Quaternion::IDENTITY),
             config,
         };
         sensor.power_up(0);
@@ -191,6 +199,17 @@ impl Sensor {
         self.path
             .configure(settings_of(&self.registers, &self.identity));
         self.path.reset();
+    }
+
+    /// From now on time runs by another clock, which is off by `error`, as a share: +0.01 runs 1 %
+    /// fast. The chip's own clocks are then off by as much the other way.
+    pub fn change_time(&mut self, now_ns: u64, error: f64) {
+        self.advance_to(now_ns);
+        let seen = |own: f64| (1.0 + own) / (1.0 + error) - 1.0;
+        let clock = &mut self.config.clock;
+        clock.gyroscope = seen(clock.gyroscope);
+        clock.internal = seen(clock.internal);
+        self.restart_clock(false);
     }
 
     /// A start or repeated start condition with a 7-bit address and a direction. Returns the
@@ -330,6 +349,22 @@ impl Sensor {
         self.interrupt.pin(self.now_ns)
     }
 
+    /// Returns true if the auxiliary bus is connected to the main one: BYPASS_EN without
+    /// I2C_MST_EN (section 4.15).
+    #[must_use]
+    pub fn has_bypass(&self) -> bool {
+        let is_awake = self.ready_at_ns.is_none();
+        is_awake
+            && self.registers.get(address::INT_PIN_CFG) & BYPASS_ENABLE != 0
+            && self.registers.get(address::USER_CTRL) & MASTER_ENABLE == 0
+    }
+
+    /// The motion at the last tick of the chip's clock; level and at rest before the first.
+    #[must_use]
+    pub fn truth(&self) -> Truth {
+        self.truth
+    }
+
     /// The level of the INT wire, which has no pull-up: released counts as low.
     #[must_use]
     pub fn interrupt_level(&self) -> bool {
@@ -355,10 +390,12 @@ impl Sensor {
                 return;
             }
             let truth = self.motion.at(self.now_ns as f64 * 1e-9);
+            self.truth = truth;
             self.path.convert_unfiltered(&truth, self.awake_s());
             self.publish(truth);
         } else {
             let truth = self.motion.at(self.now_ns as f64 * 1e-9);
+            self.truth = truth;
             // The accelerometer's output rate is 1 kHz (section 4.2).
             self.path
                 .convert(&truth, self.awake_s(), clock.ticks().is_multiple_of(8));

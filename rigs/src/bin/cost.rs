@@ -21,7 +21,7 @@
 use core::hint::black_box;
 use core::panic::PanicInfo;
 
-use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::attitude::{BodyVector, Quaternion, Vector3};
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
 use aplomb::estimator::heading::{CompassKnowledge, Heading};
 use aplomb::estimator::kalman::Kalman;
@@ -245,12 +245,11 @@ impl Motion {
         };
         let flip = |v: Vector3| [v.x, -v.y, -v.z];
         Input {
-            sample: Sample {
-                t_us: 1_000 * u64::from(index),
-                specific_force_m_s2: force,
-                angular_rate_rad_s: rates,
-                ..Sample::default()
-            },
+            sample: Sample::new(
+                1_000 * u64::from(index),
+                BodyVector(force),
+                BodyVector(rates),
+            ),
             field: index.is_multiple_of(COMPASS_SAMPLES).then_some(field),
             rates: flip(rates),
             rates_degrees: flip(rates).map(degrees),

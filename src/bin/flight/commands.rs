@@ -25,7 +25,7 @@ use crate::requests::{Estimation, Requests};
 pub struct Commands {
     console: Console,
     station: GroundStation,
-    receiver: Option<Receiver>,
+    receiver: Receiver,
     has_reception_error: bool,
 }
 
@@ -40,9 +40,10 @@ pub struct Answer {
 }
 
 impl Commands {
-    /// Creates a console with the record from flash. It describes a sensor with this noise and
-    /// rate.
+    /// Creates a console that reads from this receiver, with the record from flash. It describes a
+    /// sensor with this noise and rate.
     pub fn new(
+        receiver: Receiver,
         stored: Option<Record>,
         noise: NoiseModel,
         sample_rate_hz: f32,
@@ -51,14 +52,9 @@ impl Commands {
         Self {
             console: Console::new(stored, noise, sample_rate_hz, default_mount),
             station: GroundStation::new(),
-            receiver: None,
+            receiver,
             has_reception_error: false,
         }
-    }
-
-    /// Reads commands from this receiver from now on.
-    pub fn listen(&mut self, receiver: Receiver) {
-        self.receiver = Some(receiver);
     }
 
     /// Returns the record in use.
@@ -73,10 +69,7 @@ impl Commands {
 
     /// Checks the receiver for bytes that were garbled or lost.
     pub fn check_reception(&mut self, baud: u32) {
-        let Some(receiver) = &mut self.receiver else {
-            return;
-        };
-        self.has_reception_error = receiver.poll(baud) != Reception::Sound;
+        self.has_reception_error = self.receiver.poll(baud) != Reception::Sound;
         if self.has_reception_error {
             retained::count(FaultClass::UartInput);
         }
@@ -96,12 +89,9 @@ impl Commands {
             kind: None,
             changed_at: None,
         };
-        let Some(receiver) = &mut self.receiver else {
-            return answer;
-        };
         let console = &mut self.console;
         let mut port = ModulePort {
-            receiver,
+            receiver: &mut self.receiver,
             transmitter,
             estimation,
             requests,

@@ -28,8 +28,8 @@ pub struct Answer {
 }
 
 impl Commands {
-    /// Takes the record from flash.
-    pub fn new(stored: Option<Record>, _: NoiseModel, _: f32, _: Mount) -> Self {
+    /// Takes the record from flash, and ignores received bytes.
+    pub fn new(_: Receiver, stored: Option<Record>, _: NoiseModel, _: f32, _: Mount) -> Self {
         let mut record = stored.unwrap_or_default();
         if let OutputFormat::Mavlink | OutputFormat::Log = record.preferences.format {
             record.preferences.format = OutputFormat::Text;
@@ -37,9 +37,6 @@ impl Commands {
         record.preferences = usable_preferences(record.preferences);
         Self(record)
     }
-
-    /// Ignores received bytes.
-    pub fn listen(&mut self, _: Receiver) {}
 
     /// Returns the record in use.
     pub const fn record(&self) -> &Record {

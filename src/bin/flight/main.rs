@@ -45,19 +45,22 @@ mod app {
     use aplomb::board::attitude_task::{AttitudeTask, FlagChange};
     use aplomb::board::boards::BOARD;
     use aplomb::board::burst_reader::BurstReader;
+    use aplomb::board::compass::CompassTask;
     use aplomb::board::flash::CalibrationFlash;
     use aplomb::board::sensor::Sensor;
     use aplomb::board::sensor_bus::SensorBus;
     use aplomb::board::timebase::{self, Timebase};
     use aplomb::board::uart::{self, ReceiveRing};
-    use aplomb::board::{clocks, pins, retained, watchdog};
+    use aplomb::board::{clocks, pins, retained, stack_guard, watchdog};
     use aplomb::calibration::Mount;
+    use aplomb::compass::Choice;
+    use aplomb::console::usable_preferences;
     use aplomb::estimator::kalman::WarmStart;
     use aplomb::fault::{ClockSource, ResetCause};
     use aplomb::health::Flags;
     use aplomb::mpu6050::{Config, Part};
     use aplomb::pipeline::Settings;
-    use aplomb::settings::storage;
+    use aplomb::settings::{Record, storage};
     use aplomb::telemetry::Mailbox;
     use aplomb::telemetry::log::NumberedBurst;
     use aplomb::telemetry::message::Message;
@@ -88,6 +91,14 @@ mod app {
         Some(name) => match Mount::parse(name) {
             Some(mount) => mount,
             None => panic!("APLOMB_MOUNT takes forward then down, such as +x-z, or z-up or z-down"),
+        },
+    };
+    /// Compass without a stored record; set at build time.
+    const COMPASS: Choice = match option_env!("APLOMB_COMPASS") {
+        None => Choice::Auto,
+        Some(word) => match Choice::parse(word) {
+            Some(choice) => choice,
+            None => panic!("APLOMB_COMPASS takes auto, off, or the name of a compass"),
         },
     };
     /// Pipeline's settings before the sensor is found.
@@ -124,6 +135,9 @@ mod app {
     ])]
     fn init(context: init::Context) -> (Shared, Local) {
         static RING: ReceiveRing = [const { AtomicU8::new(0) }; uart::RECEIVE_CAPACITY];
+        stack_guard::start(&context.core.MPU);
+        #[cfg(feature = "full")]
+        aplomb::board::measure::fill_stack();
         let device = context.device;
         let start = retained::start(&device.RCC);
         watchdog::start(&device.IWDG, &device.DBGMCU);
@@ -157,16 +171,16 @@ mod app {
         if record.is_some() {
             messages.post(Message::RecordLoaded);
         }
-        let mut commands = Commands::new(
-            record,
+        let baud = usable_preferences(record.unwrap_or_default().preferences).baud;
+        let (transmitter, receiver) =
+            uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
+        let commands = Commands::new(
+            receiver,
+            record.or(default_record()),
             SETTINGS.noise_model(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
         );
-        let baud = commands.preferences().baud;
-        let (transmitter, receiver) =
-            uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
-        commands.listen(receiver);
         let (to_log, logged) = context.local.log_queue.split();
         let requests = Requests {
             sensor: None,
@@ -182,6 +196,7 @@ mod app {
                 estimation: Estimation {
                     pipeline: None,
                     measurement: StationaryMeasurement::new(),
+                    compass: compass_of(commands.record()),
                 },
                 messages,
                 requests,
@@ -194,6 +209,21 @@ mod app {
                 output: Telemetry::new(transmitter, commands, logged),
             },
         )
+    }
+
+    /// Returns the record without a stored one, if it differs from the library's default.
+    fn default_record() -> Option<Record> {
+        match COMPASS {
+            Choice::Auto => None,
+            Choice::Off | Choice::Named(_) => Some(Record::with_compass(COMPASS)),
+        }
+    }
+
+    /// Creates the compass task of a record.
+    fn compass_of(record: &Record) -> CompassTask {
+        let imu_mount = record.calibration.mount.unwrap_or(MOUNT);
+        let compass = record.compass;
+        CompassTask::new(compass.choice, compass.alignment(imu_mount))
     }
 
     #[idle(local = [sensor, warm_start, flash], shared = [estimation, messages, requests])]
@@ -273,9 +303,9 @@ mod app {
                 return None;
             };
             let part = pipeline.settings().part;
-            task.run(pipeline, |received| {
-                estimation.measurement.update(&received.burst, part);
-                requests::log_burst(received, to_log);
+            let compass = cfg!(feature = "full").then_some(&mut estimation.compass);
+            task.run(pipeline, compass, |received| {
+                requests::after_publication(received, part, &mut estimation.measurement, to_log);
             })
         });
         if let Some(message) = change.and_then(message_of) {

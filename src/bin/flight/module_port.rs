@@ -4,15 +4,19 @@
 use core::sync::atomic::Ordering;
 
 use aplomb::board::uart::{Receiver, Transmitter};
-use aplomb::board::{attitude_task, retained};
-use aplomb::calibration::{Calibration, StationaryProgress};
+use aplomb::board::{attitude_task, measure, retained};
+use aplomb::calibration::compass::CompassFitter;
+use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Module, Outcome, State, Task};
 use aplomb::fault::FaultClass;
-use aplomb::health::Flags;
+use aplomb::health::{Flags, Measurement};
+use aplomb::settings::CompassSettings;
 use rtic::Mutex;
 
-use crate::requests::{self, BURST_COUNT, Estimation, Requests};
+use crate::requests::{
+    BURST_COUNT, Estimation, MEASUREMENT, NEW_MEASUREMENT, Requests, TASK, TO_SUPERVISOR,
+};
 
 /// Port to the module, for one telemetry tick.
 pub struct ModulePort<'a, E, R> {
@@ -68,7 +72,9 @@ where
         state.flags =
             attitude_task::latest().map_or(Flags::empty(), |(snapshot, _)| snapshot.flags);
         state.sensor = self.requests.lock(|requests| requests.sensor);
+        let compass = &mut state.compass;
         let copied = self.estimation.lock(|estimation| {
+            *compass = estimation.compass.condition();
             let pipeline = estimation.pipeline.as_ref()?;
             let filter = pipeline.kalman();
             Some((
@@ -94,6 +100,32 @@ where
             estimation.pipeline.as_mut()?.set_calibration(calibration);
             Some(BURST_COUNT.load(Ordering::Relaxed))
         });
+    }
+
+    fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount) {
+        let alignment = settings.alignment(imu_mount);
+        self.estimation.lock(|estimation| {
+            let compass = &mut estimation.compass;
+            if compass.choice() != settings.choice {
+                compass.choose(settings.choice);
+            }
+            compass.set_alignment(alignment);
+        });
+    }
+
+    fn start_compass_fitter(&mut self) {
+        self.estimation
+            .lock(|estimation| estimation.compass.start_fitter());
+    }
+
+    fn stop_compass_fitter(&mut self) {
+        self.estimation
+            .lock(|estimation| estimation.compass.stop_fitter());
+    }
+
+    fn compass_fitter(&mut self) -> Option<CompassFitter> {
+        self.estimation
+            .lock(|estimation| estimation.compass.fitter())
     }
 
     fn start_detector(&mut self, samples: u16) {
@@ -135,7 +167,15 @@ where
 
     fn begin(&mut self, task: Task) {
         self.requests.lock(|requests| requests.task = Some(task));
-        requests::announce_task();
+        TO_SUPERVISOR.set(TASK, true);
+    }
+
+    fn set_measuring(&mut self, is_on: bool) {
+        TO_SUPERVISOR.set(MEASUREMENT | NEW_MEASUREMENT, is_on);
+    }
+
+    fn measurement(&mut self) -> Measurement {
+        measure::figures()
     }
 
     fn take_outcome(&mut self) -> Option<Outcome> {

@@ -1,8 +1,11 @@
 //! Requests between the tasks, and the few words that they share without a lock.
 
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use aplomb::board::burst_reader::ReceivedBurst;
+use aplomb::board::compass::CompassTask;
+#[cfg(feature = "full")]
+use aplomb::board::measure;
 use aplomb::calibration::{Calibration, ImuReading, StationaryDetector, StationaryProgress};
 use aplomb::console::{Outcome, Task};
 use aplomb::mpu6050::{Burst, Part, RawSample};
@@ -24,37 +27,98 @@ pub struct Requests {
     pub outcome: Option<Outcome>,
 }
 
-/// True if [`Requests::task`] is set: the supervisor polls this without a lock.
-static IS_TASK_PENDING: AtomicBool = AtomicBool::new(false);
-
-/// Announces that a task has been requested.
+/// Requests to the supervisor, which polls them without a lock.
+pub static TO_SUPERVISOR: Requested = Requested::new();
+/// [`Requests::task`] is set.
+pub const TASK: u8 = 1;
+/// A measurement is wanted.
 #[cfg(feature = "full")]
-pub fn announce_task() {
-    IS_TASK_PENDING.store(true, Ordering::Release);
-}
+pub const MEASUREMENT: u8 = 2;
+/// The measurement starts again without figures.
+#[cfg(feature = "full")]
+pub const NEW_MEASUREMENT: u8 = 4;
 
-/// Returns whether a task has been requested.
-pub fn is_task_pending() -> bool {
-    IS_TASK_PENDING.load(Ordering::Acquire)
-}
+/// Work of the attitude task after each publication, besides counting it.
+pub static AFTER_PUBLICATION: Requested = Requested::new();
+/// The flight log needs bursts.
+pub const LOG: u8 = 1;
+/// A calibration procedure measures at rest.
+pub const STATIONARY: u8 = 2;
+/// A measurement runs.
+#[cfg(feature = "full")]
+pub const FIGURES: u8 = 4;
 
-/// Returns whether a task has been requested since the last call.
-pub fn take_pending_task() -> bool {
-    IS_TASK_PENDING.swap(false, Ordering::Acquire)
-}
+/// Bits that one task sets and another polls.
+pub struct Requested(AtomicU8);
 
-/// True if the flight log needs bursts. Written by telemetry, read by the attitude task.
-pub static IS_LOGGING: AtomicBool = AtomicBool::new(false);
+impl Requested {
+    const fn new() -> Self {
+        Self(AtomicU8::new(0))
+    }
+
+    /// Returns all bits.
+    #[inline(always)]
+    pub fn bits(&self) -> u8 {
+        self.0.load(Ordering::Acquire)
+    }
+
+    /// Returns whether this bit is set.
+    pub fn contains(&self, bit: u8) -> bool {
+        self.bits() & bit != 0
+    }
+
+    /// Sets or clears these bits. Returns whether one of them was set before.
+    pub fn set(&self, bits: u8, is_set: bool) -> bool {
+        let before = if is_set {
+            self.0.fetch_or(bits, Ordering::AcqRel)
+        } else {
+            self.0.fetch_and(!bits, Ordering::AcqRel)
+        };
+        before & bits != 0
+    }
+}
 
 /// Number of bursts that the pipeline has processed. Changes under the pipeline's lock.
 pub static BURST_COUNT: AtomicU32 = AtomicU32::new(0);
 
-/// Counts a burst that the pipeline has processed, and queues it for the flight log. A burst
-/// without room in the queue is missing in the log, where the numbers show it.
-pub fn log_burst(received: &ReceivedBurst, to_log: &mut Producer<'static, NumberedBurst>) {
+/// Counts a burst that the pipeline has processed, and passes it on to those that need it.
+#[inline(always)]
+pub fn after_publication(
+    received: &ReceivedBurst,
+    part: &Part,
+    measurement: &mut StationaryMeasurement,
+    to_log: &mut Producer<'static, NumberedBurst>,
+) {
     let number = BURST_COUNT.load(Ordering::Relaxed);
     BURST_COUNT.store(number.wrapping_add(1), Ordering::Relaxed);
-    if IS_LOGGING.load(Ordering::Relaxed) {
+    let work = AFTER_PUBLICATION.bits();
+    if !cfg!(feature = "full") || work == 0 {
+        return;
+    }
+    // First, because it takes the time of the publication.
+    #[cfg(feature = "full")]
+    if work & FIGURES != 0 {
+        measure::on_published(&received.burst);
+    }
+    if work & (STATIONARY | LOG) != 0 {
+        pass_on(number, received, part, measurement, to_log);
+    }
+}
+
+/// Passes a burst on. A burst without room in the log's queue is missing in the log, where the
+/// numbers show it.
+#[inline(never)]
+fn pass_on(
+    number: u32,
+    received: &ReceivedBurst,
+    part: &Part,
+    measurement: &mut StationaryMeasurement,
+    to_log: &mut Producer<'static, NumberedBurst>,
+) {
+    if AFTER_PUBLICATION.contains(STATIONARY) {
+        measurement.update(&received.burst, part);
+    }
+    if AFTER_PUBLICATION.contains(LOG) {
         let burst = NumberedBurst {
             number,
             flags: received.flags,
@@ -70,6 +134,8 @@ pub struct Estimation {
     pub pipeline: Option<Pipeline>,
     /// The stationary measurement that a calibration procedure has started.
     pub measurement: StationaryMeasurement,
+    /// The compass.
+    pub compass: CompassTask,
 }
 
 /// Mean readings of a stationary sensor, as a calibration procedure collects them.
@@ -90,16 +156,17 @@ impl StationaryMeasurement {
     /// Starts a detector.
     pub fn start(&mut self, detector: StationaryDetector) {
         self.detector = Some(detector);
+        AFTER_PUBLICATION.set(STATIONARY, true);
     }
 
     /// Stops the detector.
     pub fn stop(&mut self) {
         self.detector = None;
+        AFTER_PUBLICATION.set(STATIONARY, false);
     }
 
     /// Adds a burst of this part to the detector. Motion, or the complete mean, becomes the result.
-    #[inline]
-    pub fn update(&mut self, burst: &Burst, part: &Part) {
+    fn update(&mut self, burst: &Burst, part: &Part) {
         let Some(detector) = &mut self.detector else {
             return;
         };
@@ -113,7 +180,7 @@ impl StationaryMeasurement {
             StationaryProgress::Collecting => {}
             progress => {
                 if let StationaryProgress::Done(_) = progress {
-                    self.detector = None;
+                    self.stop();
                 }
                 self.result = Some(progress);
             }

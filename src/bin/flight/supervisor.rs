@@ -6,13 +6,15 @@
 
 use aplomb::board::burst_reader;
 use aplomb::board::flash::CalibrationFlash;
+#[cfg(feature = "full")]
+use aplomb::board::measure;
 use aplomb::board::sensor::{self, NotReady, Ready, Sensor};
 use aplomb::board::timebase::{self, Delay};
 use aplomb::board::watchdog;
 use aplomb::calibration::Calibration;
 use aplomb::console::{Outcome, Task};
 use aplomb::estimator::kalman::WarmStart;
-use aplomb::mpu6050::{self, Config, Part};
+use aplomb::mpu6050::{self, Condition, Config, Part};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::settings::storage;
 use aplomb::telemetry::Mailbox;
@@ -20,7 +22,9 @@ use aplomb::telemetry::message::Message;
 use embedded_hal::delay::DelayNs;
 use rtic::Mutex;
 
-use crate::requests::{self, Estimation, Requests};
+#[cfg(feature = "full")]
+use crate::requests::{AFTER_PUBLICATION, FIGURES, MEASUREMENT, NEW_MEASUREMENT};
+use crate::requests::{Estimation, Requests, TASK, TO_SUPERVISOR};
 
 /// Longest duration of a task, in ms. Erasing a 16 KiB sector stalls the core for up to half a
 /// second (STM32F405 datasheet, table "Flash memory programming"). The sensor's self-test takes a
@@ -60,9 +64,7 @@ pub fn run(
                         address: ready.address,
                     });
                 }
-                timebase::sleep_until(|| {
-                    !burst_reader::is_enabled() || requests::is_task_pending()
-                });
+                sleep_or_measure();
                 if burst_reader::is_enabled() {
                     burst_reader::pause();
                     is_reported = true;
@@ -87,10 +89,27 @@ pub fn run(
             }
         }
         if cfg!(feature = "full")
-            && requests::take_pending_task()
+            && TO_SUPERVISOR.set(TASK, false)
             && let Some(task) = requests.lock(|requests| requests.task.take())
         {
             perform_paused(&task, sensor, flash, &mut requests);
+        }
+    }
+}
+
+/// Sleeps until the burst reader is disabled or a task is requested. Runs a measurement meanwhile,
+/// if one is wanted.
+fn sleep_or_measure() {
+    while burst_reader::is_enabled() && !TO_SUPERVISOR.contains(TASK) {
+        timebase::sleep_until(|| !burst_reader::is_enabled() || TO_SUPERVISOR.bits() != 0);
+        #[cfg(feature = "full")]
+        if TO_SUPERVISOR.contains(MEASUREMENT) {
+            let is_new = TO_SUPERVISOR.set(NEW_MEASUREMENT, false);
+            AFTER_PUBLICATION.set(FIGURES, true);
+            measure::run(is_new, || {
+                !burst_reader::is_enabled() || TO_SUPERVISOR.bits() != MEASUREMENT
+            });
+            AFTER_PUBLICATION.set(FIGURES, false);
         }
     }
 }
@@ -178,6 +197,10 @@ fn perform(task: &Task, sensor: &mut Sensor, flash: &mut CalibrationFlash) -> Ou
         Task::Save(record) => match storage::save(flash, record) {
             Ok(()) => Outcome::new(true, "stored"),
             Err(error) => Outcome::new(false, error),
+        },
+        Task::ReadBack => match sensor.read_back() {
+            Ok(read) => Outcome::new(read.condition == Condition::Intact, read),
+            Err(reason) => Outcome::new(false, complaint(reason)),
         },
         Task::SelfTest => match sensor.test() {
             Ok(result) => Outcome::new(result.has_passed() != Some(false), result),

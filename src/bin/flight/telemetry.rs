@@ -7,8 +7,10 @@
 use core::fmt::Write;
 use core::sync::atomic::Ordering;
 
+use aplomb::board::compass::take_change;
 use aplomb::board::uart::{self, Transmitter};
 use aplomb::board::{attitude_task, burst_reader, retained, timebase, watchdog};
+use aplomb::compass::Condition;
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::fault::FaultClass;
 use aplomb::health::FlagReport;
@@ -21,7 +23,7 @@ use heapless::spsc::Consumer;
 use rtic::Mutex;
 
 use crate::commands::Commands;
-use crate::requests::{BURST_COUNT, Estimation, IS_LOGGING, Requests};
+use crate::requests::{AFTER_PUBLICATION, BURST_COUNT, Estimation, LOG, Requests};
 
 /// True if this build sends the flight log.
 const HAS_LOG: bool = cfg!(feature = "full");
@@ -99,6 +101,10 @@ impl Telemetry {
                 retained::count(FaultClass::TelemetryLate);
             }
             return;
+        }
+        if cfg!(feature = "full") && take_change() {
+            let condition = estimation.lock(|estimation| estimation.compass.condition());
+            report_compass(&condition, &mut messages);
         }
         self.follow_log_format(HAS_LOG && format == OutputFormat::Log);
         let answer = self.commands.poll(
@@ -191,11 +197,21 @@ impl Telemetry {
 
     /// Starts or ends the flow of bursts to the log.
     fn follow_log_format(&mut self, is_log: bool) {
-        if is_log != IS_LOGGING.swap(is_log, Ordering::Relaxed) {
+        if HAS_LOG && is_log != AFTER_PUBLICATION.set(LOG, is_log) {
             while self.logged.dequeue().is_some() {}
             self.sender.restart(BURST_COUNT.load(Ordering::Relaxed));
         }
     }
+}
+
+/// Posts the message about a changed condition of the compass.
+fn report_compass(condition: &Condition, messages: &mut impl Mutex<T = Mailbox>) {
+    let message = match (condition.fault, condition.part) {
+        (Some(fault), _) => Message::CompassFailed(fault),
+        (None, Some((part, address))) => Message::CompassConfigured { part, address },
+        (None, None) => return,
+    };
+    messages.lock(|messages| messages.post(message));
 }
 
 /// Writes the messages in the mailbox, as many as fit beside a frame.

@@ -24,9 +24,6 @@ pub(super) struct Setup {
     pub(super) checks: [Check; CHECKS],
     /// Sample period.
     pub(super) period_us: u32,
-    /// Shortest time between two edges of the sensor. Its clock is accurate to 1 % (product
-    /// specification §6.6), a clone's to 5 %. A sooner edge is a glitch.
-    pub(super) shortest_period_us: u32,
 }
 
 impl Setup {
@@ -35,8 +32,16 @@ impl Setup {
         Self {
             checks: [scales, interrupt, scales, power],
             period_us,
-            shortest_period_us: period_us - period_us / 16,
         }
+    }
+
+    /// Returns the shortest time between two edges of the sensor. A sooner edge is a glitch.
+    ///
+    /// The sensor's clock is accurate to 1 % (product specification §6.6), a clone's to 5 %. The
+    /// core's internal oscillator is up to 8 % slow (STM32F405 datasheet, HSI characteristics).
+    pub(super) fn shortest_period_us(&self, has_internal_clock: bool) -> u32 {
+        let sixteenths = if has_internal_clock { 3 } else { 1 };
+        self.period_us - self.period_us * sixteenths / 16
     }
 }
 

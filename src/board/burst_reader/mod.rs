@@ -19,15 +19,19 @@
 //! - **Settings.** Between bursts the attitude task may request a check: the same steps read a few
 //!   of the sensor's settings back. A wrong one disables the reader, and the supervisor configures
 //!   the sensor again.
+//! - **Compass.** The attitude task may request a transfer with the compass instead: a read by the
+//!   same steps, or the write of a setting. An attitude is never later because of it.
 //! - **Slots.** Bursts go to the attitude task without being copied. There are two slots: DMA fills
 //!   one while the attitude task reads the other.
 //! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude
 //!   task busy are counted. The next good burst carries the count as `missed_before`.
 
+mod compass_transfer;
 mod dma;
 mod link;
 mod settings_check;
 
+pub use compass_transfer::{CompassTransfers, set_compass_fault};
 pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_check, take_stale};
 
 use core::cell::UnsafeCell;
@@ -64,8 +68,12 @@ pub struct BurstReader {
     is_check: bool,
     /// True if a bus error has been flagged while the sensor sent.
     is_suspect: bool,
+    /// True if the present steps are a transfer with the compass, which is a check too.
+    is_compass: bool,
+    /// Events of a write that have come.
+    write_events: u8,
     /// First register of the present steps.
-    pointer: Register,
+    pointer: u8,
     /// Slot that DMA fills.
     slot: Slot,
     /// Time of the last edge. The low half is the timer's count.
@@ -74,7 +82,7 @@ pub struct BurstReader {
     shortest_period_us: u32,
     /// Time from an edge to the alarm after its burst.
     silence_us: u32,
-    /// Address of the sensor, as the first byte on the bus: shifted, for writing.
+    /// Address of the chip, as the first byte on the bus: shifted, for writing.
     address_byte: u8,
     /// Conditions to report with the next burst.
     flags: BoardFlags,
@@ -113,7 +121,9 @@ impl BurstReader {
             step: BurstStep::Idle,
             is_check: false,
             is_suspect: false,
-            pointer: Register::AccelerometerXHigh,
+            is_compass: false,
+            write_events: 0,
+            pointer: Register::AccelerometerXHigh.address(),
             slot: Slot::First,
             captured_at_us: 0,
             shortest_period_us: NO_PERIOD_US,
@@ -202,7 +212,7 @@ impl BurstReader {
             }
             BurstStep::AddressWrite if status.addr().bit() => {
                 i2c.sr2().read();
-                i2c.dr().write(|w| w.dr().set(self.pointer as u8));
+                i2c.dr().write(|w| w.dr().set(self.pointer));
                 self.step = BurstStep::Pointer;
             }
             BurstStep::Pointer if status.btf().bit() => {
@@ -236,6 +246,7 @@ impl BurstReader {
             BurstStep::Idle => {
                 i2c.dr().read();
             }
+            BurstStep::Setting => self.on_write_event(),
             _ => {}
         }
     }
@@ -304,7 +315,9 @@ impl BurstReader {
     /// Makes the next steps read a burst.
     fn return_to_bursts(&mut self) {
         self.is_check = false;
-        self.pointer = Register::AccelerometerXHigh;
+        self.is_compass = false;
+        self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
+        self.pointer = Register::AccelerometerXHigh.address();
         self.step = BurstStep::Idle;
         self.prepare_dma();
     }
@@ -339,6 +352,9 @@ impl BurstReader {
         if has_lost_crystal {
             clocks::restore();
             self.latch(BoardFlags::INTERNAL_CLOCK);
+            if self.mode == Mode::Edges {
+                self.shortest_period_us = self.shortest_period_us();
+            }
         }
         if !is_enabled() {
             timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
@@ -381,13 +397,18 @@ impl BurstReader {
 
     fn return_to_edges(&mut self) {
         self.mode = Mode::Edges;
-        self.shortest_period_us = setup().shortest_period_us;
+        self.shortest_period_us = self.shortest_period_us();
         self.silence_us = SILENCE_DEADLINE_US;
         self.latched_flags.remove(BoardFlags::POLLED);
         // A burst under way was still started by the timer.
         if self.step == BurstStep::Idle {
             self.flags.remove(BoardFlags::POLLED);
         }
+    }
+
+    fn shortest_period_us(&self) -> u32 {
+        let flags = self.latched_flags;
+        setup().shortest_period_us(flags.contains(BoardFlags::INTERNAL_CLOCK))
     }
 
     fn poll_instead_of_edges(&mut self) {
@@ -419,6 +440,9 @@ impl BurstReader {
     #[cold]
     #[inline(never)]
     fn fail(&mut self, fault: BurstFault) {
+        if self.is_compass && self.fail_transfer(fault) {
+            return;
+        }
         let failure = BurstFailure {
             fault,
             step: self.step,

@@ -28,6 +28,11 @@ impl BurstReader {
     /// meanwhile.
     #[inline(never)]
     pub(super) fn end_check(&mut self, timebase: &mut Timebase) {
+        if self.is_compass {
+            self.end_read();
+            self.end_errand(true, timebase);
+            return;
+        }
         // SAFETY: the transfer into these bytes is complete.
         let bytes = unsafe { &*CHECKED.0.get() };
         let is_intact = self.check().evaluate(bytes) == Condition::Intact;
@@ -36,6 +41,15 @@ impl BurstReader {
             self.flags |= BoardFlags::SCALES_VERIFIED;
         }
         self.next_check = self.next_check.wrapping_add(1);
+        self.end_errand(is_intact, timebase);
+        if !is_intact {
+            // The supervisor checks again, and counts the fault.
+            self.disable();
+        }
+    }
+
+    /// Returns to bursts, with the one of an edge that has come meanwhile.
+    pub(super) fn end_errand(&mut self, is_intact: bool, timebase: &mut Timebase) {
         self.return_to_bursts();
         let is_edge_waiting = core::mem::take(&mut self.is_edge_waiting);
         if is_edge_waiting && is_intact {
@@ -43,15 +57,16 @@ impl BurstReader {
             return;
         }
         send_stop();
+        self.await_next_burst();
+    }
+
+    /// Sets the alarm for the next edge, or for the next burst without one.
+    pub(super) fn await_next_burst(&mut self) {
         let next_us = match self.mode {
             Mode::Polling => POLL_AFTER_CHECK_US,
             Mode::Starting | Mode::Edges => SILENCE_DEADLINE_US - BURST_DEADLINE_US,
         };
         timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
-        if !is_intact {
-            // The supervisor checks again, and counts the fault.
-            self.disable();
-        }
     }
 
     /// Handles SPI1, which [`request_check`](super::request_check) pends: reads some settings back
@@ -63,9 +78,12 @@ impl BurstReader {
         if !is_free || !is_enabled() {
             return;
         }
+        if cfg!(feature = "full") && self.start_transfer() {
+            return;
+        }
         let check = self.check();
         self.is_check = true;
-        self.pointer = check.first;
+        self.pointer = check.first.address();
         timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
         dma::prepare(CHECKED.0.get() as u32, check.length as u16);
         self.send_start();

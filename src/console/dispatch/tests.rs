@@ -7,25 +7,31 @@ use proptest::prelude::*;
 use super::super::answer::ANSWER_CAPACITY;
 use super::super::module::State;
 use super::*;
-use crate::attitude::{Quaternion, Vector3};
+use crate::attitude::{BodyVector, EulerAngles, Quaternion, Vector3};
 use crate::calibration::accelerometer::Pose;
+use crate::calibration::compass::CompassFitter;
 use crate::calibration::{
-    AccelerometerCorrection, Axis, Calibration, GyroscopeOffset, MotionReason, StationaryMean,
-    StationaryProgress, SymmetricMatrix, TemperatureModel,
+    AccelerometerCorrection, Axis, Calibration, CompassCorrection, GyroscopeOffset, MotionReason,
+    StationaryMean, StationaryProgress, SymmetricMatrix, TemperatureModel,
 };
-use crate::health::Flags;
+use crate::compass::{Choice, Condition, PartId};
+use crate::health::{CoreFigures, Flags, Measurement, SampleFigures};
 use crate::mpu6050::Part;
 use crate::pipeline::Settings;
-use crate::settings::OutputFormat;
-use crate::units::radians;
+use crate::settings::{CompassSettings, OutputFormat};
+use crate::units::{MagneticField, radians};
 
 /// Request to the module.
 #[derive(Debug, Clone, PartialEq)]
 enum Call {
     Calibration(Calibration),
+    Compass(CompassSettings, Mount),
+    StartFitter,
+    StopFitter,
     StartDetector(u16),
     StopDetector,
     Armed(bool),
+    Measuring(bool),
     Baud(u32),
     Begin(Task),
 }
@@ -39,6 +45,8 @@ struct FakeModule {
     is_sending: bool,
     has_no_sensor: bool,
     state: Option<State>,
+    measurement: Measurement,
+    fitter: Option<CompassFitter>,
     calls: Vec<Call>,
 }
 
@@ -70,6 +78,24 @@ impl Module for FakeModule {
         self.calls.push(Call::Calibration(*calibration));
     }
 
+    fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount) {
+        self.calls.push(Call::Compass(*settings, imu_mount));
+    }
+
+    fn start_compass_fitter(&mut self) {
+        self.calls.push(Call::StartFitter);
+        self.fitter = Some(CompassFitter::new());
+    }
+
+    fn stop_compass_fitter(&mut self) {
+        self.calls.push(Call::StopFitter);
+        self.fitter = None;
+    }
+
+    fn compass_fitter(&mut self) -> Option<CompassFitter> {
+        self.fitter
+    }
+
     fn start_detector(&mut self, samples: u16) {
         self.calls.push(Call::StartDetector(samples));
     }
@@ -84,6 +110,14 @@ impl Module for FakeModule {
 
     fn detector_percent(&mut self) -> u8 {
         40
+    }
+
+    fn set_measuring(&mut self, is_on: bool) {
+        self.calls.push(Call::Measuring(is_on));
+    }
+
+    fn measurement(&mut self) -> Measurement {
+        self.measurement
     }
 
     fn set_armed(&mut self, is_armed: bool) {
@@ -229,6 +263,14 @@ fn full() -> Record {
             rate_hz: 1000,
             baud: 921_600,
         },
+        compass: CompassSettings {
+            choice: Choice::Named(PartId::Qmc5883l),
+            mount: Mount::parse("-x-y"),
+            correction: Some(CompassCorrection {
+                hard_iron_ut: Vector3::new(-1234.5, -1234.5, -1234.5),
+                ..CompassCorrection::NONE
+            }),
+        },
     }
 }
 
@@ -238,8 +280,11 @@ fn every_command_is_answered_with_one_line() {
     for (line, answer) in [
         (
             "help",
-            "ok help: help, status, show, calibrate gyro|accel|level|temperature|done|stop, \
-             mount find|<forward><down>, self-test, rate <hz>, format \
+            "ok help: help, status, show, \
+             calibrate gyro|accel|level|temperature|compass|done|stop, \
+             mount find|<forward><down>, \
+             compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>, \
+             self-test, registers, measure on|show|off, rate <hz>, format \
              text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, forget, arm, disarm",
         ),
         (
@@ -402,6 +447,7 @@ fn commands_change_nothing_while_armed() {
         "calibrate temperature",
         "calibrate done",
         "calibrate stop",
+        "measure on",
     ] {
         assert_eq!(
             harness.ask(line),
@@ -409,7 +455,7 @@ fn commands_change_nothing_while_armed() {
             "{line}"
         );
     }
-    for line in ["help", "status", "show", "arm"] {
+    for line in ["help", "status", "show", "measure show", "arm"] {
         assert!(harness.ask(line).starts_with("ok "), "{line}");
     }
     assert_eq!(harness.calls(), [Call::Armed(true)]);
@@ -588,7 +634,7 @@ fn two_poses_find_the_mount() {
         "ok mount find: keep it still for 2 s with the vehicle level, then with its nose down"
     );
     let mount = Mount::parse("-y+z").expect("a name");
-    let up_when = |body: Vector3| at_rest([0.0; 3], mount.to_sensor(body));
+    let up_when = |body: Vector3| at_rest([0.0; 3], mount.to_sensor(BodyVector(body)));
     let level = up_when(Vector3::new(0.0, 0.0, -1.0));
     let nose_down = up_when(Vector3::new(-1.0, 0.0, 0.0));
     harness.detector([level, level, MOVED, level, nose_down]);
@@ -730,11 +776,135 @@ fn an_error_of_the_receiver_drops_the_line() {
 }
 
 #[test]
+fn the_compass_is_named_mounted_and_shown() {
+    let mut harness = Harness::new();
+    let part = Choice::Named(PartId::Qmc5883l);
+    assert_eq!(
+        harness.ask("compass qmc5883l"),
+        "ok compass qmc5883l; \"save\" keeps it"
+    );
+    let mut expected = CompassSettings::new(part);
+    assert_eq!(harness.calls(), [Call::Compass(expected, Mount::Z_UP)]);
+    assert_eq!(
+        harness.ask("compass +y-z"),
+        "ok compass +y-z; \"save\" keeps it"
+    );
+    expected.mount = Mount::parse("+y-z");
+    assert_eq!(harness.calls(), [Call::Compass(expected, Mount::Z_UP)]);
+    // The IMU's mount counts for a compass without its own.
+    harness.ask("mount z-down");
+    assert_eq!(
+        harness.calls().last(),
+        Some(&Call::Compass(expected, Mount::Z_DOWN))
+    );
+    let shown = harness.ask("show");
+    assert!(
+        shown.ends_with(" compass=qmc5883l compass_mount=+y-z"),
+        "{shown}"
+    );
+    // A correction belongs to one part and one mount.
+    let mut harness = Harness::with(Some(full()));
+    assert_eq!(
+        harness.ask("compass +y-z"),
+        "ok compass +y-z, it is to be calibrated again; \"save\" keeps it"
+    );
+    assert_eq!(harness.console.working().compass.correction, None);
+    harness.ask("forget");
+    let defaults = CompassSettings::default();
+    assert_eq!(harness.console.working().compass, defaults);
+    assert!(
+        harness
+            .calls()
+            .contains(&Call::Compass(defaults, Mount::Z_UP))
+    );
+}
+
+/// Readings of a vehicle that is turned about all axes, in a field with hard iron.
+fn turned(readings: u16) -> CompassFitter {
+    let mut fitter = CompassFitter::new();
+    for nth in 0..readings {
+        let t_s = f32::from(nth) * 0.02;
+        let attitude = Quaternion::from_euler(EulerAngles {
+            roll_rad: 3.0 * (0.9 * t_s).sin(),
+            pitch_rad: 1.5 * (0.53 * t_s + 0.4).sin(),
+            yaw_rad: 2.8 * (0.31 * t_s).sin(),
+        });
+        let field = attitude.conjugate().rotate(Vector3::new(20.0, 0.0, 44.0));
+        fitter.add(attitude, field + Vector3::new(30.0, -20.0, 10.0));
+    }
+    fitter
+}
+
+#[test]
+fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
+    let mut harness = Harness::new();
+    assert_eq!(
+        harness.ask("calibrate compass"),
+        "error calibrate compass: there are no readings of a compass (none answers)"
+    );
+    harness.module.state = Some(State {
+        compass: Condition {
+            part: Some(("AK8963", 0x0C)),
+            fault: None,
+            field: Some(MagneticField { ut: [1.0; 3] }),
+        },
+        ..State::default()
+    });
+    let started = harness.ask("calibrate compass");
+    assert!(
+        started.starts_with("ok calibrate compass: turn it"),
+        "{started}"
+    );
+    assert_eq!(harness.calls(), [Call::StartFitter]);
+    assert_eq!(
+        harness.ask("save"),
+        "error refused while \"calibrate compass\" goes on: \"calibrate stop\" ends it"
+    );
+    let waited = harness.wait(2.1);
+    assert!(
+        waited.contains(&"progress calibrate compass: 0 %, next: nose down".into()),
+        "{waited:?}"
+    );
+    assert_eq!(
+        harness.ask("calibrate done"),
+        "error calibrate compass: 0 of at least 500 readings"
+    );
+    harness.module.fitter = Some(turned(1_500));
+    let waited = harness.wait(29.0).concat();
+    assert!(
+        waited.contains("100 %, go on turning")
+            && waited.contains("done calibrate compass: mount +x-z, hard iron 30.0,-20.0,10.0 uT"),
+        "{waited}"
+    );
+    let correction = harness.console.working().compass.correction;
+    let expected = correction.map(|correction| correction.hard_iron_ut);
+    assert!(
+        expected.is_some_and(|iron| (iron - Vector3::new(30.0, -20.0, 10.0)).norm() < 0.1),
+        "{expected:?}"
+    );
+    assert!(harness.console.has_unsaved());
+    // Arming gives it up, and so does nothing for two minutes.
+    harness.ask("calibrate compass");
+    assert_eq!(
+        harness.ask("arm"),
+        "ok arm: \"calibrate compass\" is given up"
+    );
+    harness.ask("disarm");
+    harness.ask("calibrate compass");
+    let waited = harness.wait(125.0);
+    let last = "failed calibrate compass: 0 of at least 500 readings";
+    assert_eq!(waited.last().map(String::as_str), Some(last));
+}
+
+#[test]
 fn the_longest_answers_fit() {
     let mut harness = Harness::with(Some(full()));
     let show = harness.ask("show");
     assert!(
-        show.ends_with(" format=classic rate=1000 baud=921600"),
+        show.ends_with(
+            " format=classic rate=1000 baud=921600 compass=qmc5883l compass_mount=-x-y \
+             compass_iron=-1234.5,-1234.5,-1234.5"
+        ),
         "{show}"
     );
     harness.ask("calibrate temperature");
@@ -742,6 +912,12 @@ fn the_longest_answers_fit() {
     let state = State {
         flags: Flags::all(),
         sensor: Some((&Part::MPU_6050, 0x69)),
+        compass: Condition {
+            part: Some(("HMC5883L/DA5883", 0x1E)),
+            // There is no field during a fault.
+            fault: None,
+            field: Some(MagneticField { ut: [-1234.5; 3] }),
+        },
         temperature_celsius: -39.99,
         bias_rad_s: long,
         bias_sigma_rad_s: -39.99,
@@ -757,9 +933,76 @@ fn the_longest_answers_fit() {
         status.ends_with("doing=\"calibrate temperature, nothing seen yet\""),
         "{status}"
     );
-    for line in [&show, &status] {
-        assert!(line.len() + 60 <= ANSWER_CAPACITY, "{}", line.len());
+    harness.module.measurement = largest_measurement();
+    let figures = harness.ask("measure show");
+    assert!(figures.contains(" temperature_c="), "{figures}");
+    for line in [&show, &status, &figures] {
+        assert!(line.len() + 60 <= ANSWER_CAPACITY, "{} {line}", line.len());
     }
+}
+
+/// Returns the figures with the longest numbers.
+fn largest_measurement() -> Measurement {
+    let mut samples = SampleFigures::new();
+    samples.add(0, u32::MAX >> 1, u8::MAX, &[0x80; 14]);
+    samples.add(99_999, u32::MAX >> 1, 0, &[0x80; 14]);
+    samples.missed = u32::MAX;
+    let mut core = CoreFigures {
+        busy_cycles: u64::MAX,
+        elapsed_us: u64::MAX,
+        ..CoreFigures::new()
+    };
+    core.sample_cycles.add(i32::MAX);
+    core.interrupt_cycles.add(i32::MAX);
+    Measurement {
+        core,
+        samples,
+        core_mhz: 1,
+        stack_used_bytes: u32::MAX,
+        stack_bytes: u32::MAX,
+    }
+}
+
+#[test]
+fn a_measurement_is_started_shown_and_ended() {
+    let mut harness = Harness::with(None);
+    let mut samples = SampleFigures::new();
+    // 2048 counts are 1 g, and 164 are 10 deg/s.
+    let bytes = |x: i16| {
+        let [high, low] = x.to_be_bytes();
+        [high, low, 0, 0, 0, 0, 0, 0, 0, 164, 0, 0, 0, 0]
+    };
+    for (edge_us, x) in [(0, 2_047), (1_001, 2_049), (2_000, 2_047), (3_001, 2_049)] {
+        samples.add(edge_us, 388, 0, &bytes(x));
+    }
+    let mut core = CoreFigures {
+        busy_cycles: 1_680,
+        elapsed_us: 1_000,
+        ..CoreFigures::new()
+    };
+    core.sample_cycles.add(1_000);
+    core.sample_cycles.add(1_025);
+    core.interrupt_cycles.add(236);
+    harness.module.measurement = Measurement {
+        core,
+        samples,
+        core_mhz: 168,
+        stack_used_bytes: 7_800,
+        stack_bytes: 12_288,
+    };
+    let started = harness.ask("measure on");
+    assert!(started.starts_with("ok measure: on; "), "{started}");
+    assert_eq!(
+        harness.ask("measure show"),
+        "ok measure: seconds=0.0 samples=4 missed=0 cycles=1012.50,1025 \
+         interrupt_cycles=236.00,236 edge_to_attitude_us=388.00,388 load_percent=1.000 \
+         period_us=1000.333,999,1001 period_sigma_us=0.94 core_mhz=168 stack_bytes=7800,12288 \
+         accel_mg=1000.000,0.000,0.000 accel_sigma_mg=0.488,0.000,0.000 \
+         gyro_dps=10.000,0.000,0.000 gyro_sigma_dps=0.000,0.000,0.000 temperature_c=36.5"
+    );
+    assert_eq!(harness.ask("measure off"), "ok measure: off");
+    let calls = [Call::Measuring(true), Call::Measuring(false)];
+    assert_eq!(harness.calls(), calls);
 }
 
 /// Returns whether a command changes something while disarmed and without a procedure.

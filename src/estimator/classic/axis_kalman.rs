@@ -193,8 +193,14 @@ fn clamp_bias(bias_rad_s: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::attitude::BodyVector;
     use crate::estimator::Estimator;
     use crate::estimator::tests::{angle_between, from_degrees, sample};
+
+    /// Returns a sample in body axes; the filter alone does not look at its time.
+    fn untimed(force_m_s2: Vector3, rate_rad_s: Vector3) -> Sample {
+        Sample::new(0, BodyVector(force_m_s2), BodyVector(rate_rad_s))
+    }
 
     /// Turns a true attitude by body rates that change with time, and follows it with the filter.
     /// Returns the largest angle between the two, in degrees.
@@ -289,7 +295,7 @@ mod tests {
         filter.attitude = Quaternion::new(0.5_f32.sqrt(), 0.0, 0.5_f32.sqrt(), 0.0);
         filter.has_tilt = true;
         let update = |filter: &mut AxisKalman, force| {
-            filter.update(&Sample::new(0, force, Vector3::ZERO), 1e-3, true);
+            filter.update(&untimed(force, Vector3::ZERO), 1e-3, true);
         };
         let before = filter.attitude;
         for _ in 0..1000 {
@@ -326,11 +332,7 @@ mod tests {
             let down = |roll| from_degrees(roll, pitch, 0.0).down_in_body();
             let mut filter = AxisKalman::new();
             for _ in 0..5_000 {
-                filter.update(
-                    &Sample::new(0, -down(0.0).scale(9.8), Vector3::ZERO),
-                    1e-3,
-                    true,
-                );
+                filter.update(&untimed(-down(0.0).scale(9.8), Vector3::ZERO), 1e-3, true);
             }
             filter.correct(down(1.0));
             filter.attitude.to_euler().roll_rad.to_degrees()
@@ -345,7 +347,7 @@ mod tests {
         let mut filter = AxisKalman::new();
         for _ in 0..300_000 {
             filter.update(
-                &Sample::new(0, Vector3::ZERO, degrees_s(300.0, -200.0, 100.0)),
+                &untimed(Vector3::ZERO, degrees_s(300.0, -200.0, 100.0)),
                 1e-3,
                 false,
             );
@@ -403,7 +405,7 @@ mod tests {
         let mut filter = AxisKalman::new();
         filter.set_tilt(from_degrees(170.0, 0.0, 0.0).down_in_body());
         let force = -from_degrees(-170.0, 0.0, 0.0).down_in_body().scale(9.8);
-        let sample = Sample::new(0, force, Vector3::ZERO);
+        let sample = untimed(force, Vector3::ZERO);
         let mut roll = 170.0;
         for _ in 0..5_000 {
             filter.update(&sample, 1e-3, true);
@@ -423,11 +425,7 @@ mod tests {
         for (roll, pitch) in [(52.0, 30.0), (50.0, 33.0)] {
             let mut filter = filter;
             for _ in 0..10_000 {
-                filter.update(
-                    &Sample::new(0, force(roll, pitch), Vector3::ZERO),
-                    1e-3,
-                    true,
-                );
+                filter.update(&untimed(force(roll, pitch), Vector3::ZERO), 1e-3, true);
             }
             let angles = filter.attitude().to_euler();
             assert!(
@@ -473,7 +471,7 @@ mod tests {
             // A centrifuge: the force shows 90° of roll, the gyroscope shows no rotation.
             let sideways = Vector3::new(0.0, if step < 10_000 { -9.8 } else { 9.8 }, 0.1);
             filter.update(
-                &Sample::new(0, sideways, degrees_s(500.0, -500.0, 0.0)),
+                &untimed(sideways, degrees_s(500.0, -500.0, 0.0)),
                 1e-3,
                 true,
             );

@@ -8,13 +8,13 @@
 //! - [`AxisKalman`]: the same two Kalman filters with exact kinematics.
 //!
 //! ```
-//! use aplomb::attitude::Vector3;
+//! use aplomb::attitude::BodyVector;
 //! use aplomb::estimator::classic::Tutorial;
 //! use aplomb::estimator::{Estimator, Sample};
 //!
 //! let mut estimator = Estimator::with_filter(Tutorial::new());
-//! let level = Vector3::new(0.0, 0.0, -9.81);
-//! estimator.update(&Sample::new(0, level, Vector3::ZERO));
+//! let level = BodyVector::new(0.0, 0.0, -9.81);
+//! estimator.update(&Sample::new(0, level, BodyVector::ZERO));
 //! assert!(estimator.filter().angles().roll_deg.abs() < 0.1);
 //! ```
 

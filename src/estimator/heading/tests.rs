@@ -1,7 +1,7 @@
 //! Tests of the heading filter on simulated motion, with a truth that shares no code with it.
 
 use super::*;
-use crate::attitude::{EulerAngles, Quaternion};
+use crate::attitude::{BodyVector, EulerAngles, Quaternion};
 use crate::estimator::{Estimator, Sample};
 use crate::serialize::{StateReader, StateWriter};
 use crate::units::{STANDARD_GRAVITY_M_S2, degrees, radians};
@@ -64,7 +64,8 @@ impl Flight {
         let up = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
         let force = to_body.rotate(up) + self.noise(0.05);
         let rate = rate_rad_s + self.offset_rad_s + self.noise(0.002);
-        self.estimator.update(&Sample::new(self.t_us, force, rate));
+        self.estimator
+            .update(&Sample::new(self.t_us, BodyVector(force), BodyVector(rate)));
         self.heading.follow(self.estimator.filter(), dt_s);
         if self.t_us >= self.reading_us {
             self.reading_us += 10_000;

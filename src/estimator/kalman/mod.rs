@@ -17,8 +17,8 @@
 //! Samples are values at an instant, so increments are trapezoids. They are summed in body axes,
 //! with the terms for coning and sculling: the axes turn between two increments (Savage,
 //! *Strapdown Analytics*, 2000, §7.1 and §7.2). Every 20 ms the sums are turned to earth axes by
-//! the attitude half-way. The attitude at a sample is q ⊗ exp(rotation since the last earth step +
-//! ω·delay). The delay is that of the sensor, so the attitude belongs to the sample's time.
+//! the attitude half-way. The attitude at a sample is q ⊗ exp(rotation since the last earth step
+//! + ω·delay). The delay is that of the sensor, so the attitude belongs to the sample's time.
 //!
 //! # Error state
 //!

@@ -138,9 +138,10 @@ impl NominalState {
         }
     }
 
-    /// Integrates from the previous sample to this one by the trapezoid rule, with the terms for
-    /// coning and sculling: ½·θ×Δθ, and ½·(θ×Δv + v×Δθ). Returns the time since the last earth step,
-    /// s.
+    /// Integrates from the previous sample to this one by the trapezoid rule.
+    ///
+    /// Adds the terms for coning (½·θ×Δθ) and sculling (½·(θ×Δv + v×Δθ)).
+    /// Returns the time since the last earth step, s.
     #[inline]
     pub(super) fn integrate(
         &mut self,

@@ -898,7 +898,7 @@ fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
 }
 
 /// A body whose axis goes round on a cone reads a steady rate about it, although it does not turn
-/// about it: ω = sin φ·u̇ − (1 − cos φ)·u × u̇, for the rotation by φ about u, which goes round.
+/// about it. For a rotation by φ about u it is sin φ·du − (1 − cos φ)·u × du.
 #[test]
 fn rotation_and_velocity_of_a_cone_are_integrated_between_earth_steps() {
     const STEP_S: f32 = 1.0e-3;

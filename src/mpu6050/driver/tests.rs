@@ -241,7 +241,7 @@ fn the_sequence_follows_the_datasheet() {
         Write(0x1C, 0x1D),
         Read(0x1C),
         // The pin, and the interrupt last.
-        Write(0x37, 0x00),
+        Write(0x37, 0x02),
         Read(0x37),
         Write(0x38, 0x01),
         Read(0x38),
@@ -265,7 +265,7 @@ fn settings_reach_their_bits_in_every_part() {
         let has_own_filter = matches!(part.who_am_i, 0x70 | 0x71 | 0x73 | 0x98);
         let expected = if has_own_filter { 0xC4 } else { 0xC8 };
         assert_eq!(bench.register(0x1D), expected, "{}", part.name);
-        assert_eq!(bench.register(0x37), 0x00);
+        assert_eq!(bench.register(0x37), 0x02);
         assert_eq!(bench.register(0x38), 0x01);
         assert_eq!(bench.register(0x6B), 0x01);
     }

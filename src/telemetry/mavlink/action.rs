@@ -29,6 +29,8 @@ pub enum Action {
 pub enum Calibrate {
     /// Parameter 1 is 1: measures the gyroscope's offset.
     Gyroscope,
+    /// Parameter 2 is 1: calibrates the compass.
+    Compass,
     /// Parameter 5 is 1: calibrates the accelerometer, pose by pose.
     Accelerometer,
     /// Parameter 5 is 2: measures the level trim.

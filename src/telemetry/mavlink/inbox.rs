@@ -138,6 +138,8 @@ impl Inbox {
             PREFLIGHT_CALIBRATION => {
                 if first == 1.0 && others_are_zero(0) {
                     Ok(Action::Calibrate(Calibrate::Gyroscope))
+                } else if second == 1.0 && others_are_zero(1) {
+                    Ok(Action::Calibrate(Calibrate::Compass))
                 } else if fifth == 1.0 && others_are_zero(4) {
                     Ok(Action::Calibrate(Calibrate::Accelerometer))
                 } else if fifth == 2.0 && others_are_zero(4) {
@@ -145,7 +147,7 @@ impl Inbox {
                 } else if first == 0.0 && others_are_zero(0) {
                     Ok(Action::Calibrate(Calibrate::Cancel))
                 } else {
-                    // No compass, barometer or radio is fitted.
+                    // No barometer or radio is fitted.
                     Err(Outcome::Unsupported)
                 }
             }

@@ -9,6 +9,7 @@
 //!   sensor's data.
 //! - A snapshot is published every 20 ms while the core runs; without data it is flagged stale. A
 //!   line of telemetry comes every 100 ms.
+//! - No access to a register breaks a rule of [`checks`](crate::checks).
 //! - Without a fault no data-ready edge is without its sample, and times are right to a
 //!   microsecond.
 
@@ -24,7 +25,7 @@ use std::sync::Arc;
 
 use aplomb_models::motion::quadrotor::{Quadrotor, REST_S};
 use aplomb_models::motion::rest::Rest;
-use aplomb_models::motion::swing::{Later, Swing};
+use aplomb_models::motion::swing::{Later, Moving, Swing};
 use aplomb_models::motion::{Motion, Quaternion};
 use aplomb_models::random::Random;
 
@@ -34,6 +35,7 @@ pub use table::Table;
 
 use crate::faults::{FaultKind, ScheduledFault};
 use crate::flight::{Outcome, Run};
+use crate::kit::Kit;
 use crate::profile::Garage;
 use crate::schedule::Schedule;
 
@@ -58,13 +60,43 @@ pub struct Case {
     pub schedule: Schedule,
     /// Duration, s.
     pub seconds: f64,
+    /// Time of motion before the rest, from power-up on, s; zero for a start at rest.
+    pub moving_s: f64,
 }
+
+/// Shares of the flights that last [`LONG_S`], and that start in motion.
+const LONG_SHARE: f64 = 0.03;
+const MOVING_SHARE: f64 = 0.05;
+/// Duration of a long flight, and the time by which its faults come later at most, s.
+const LONG_S: f64 = 20.0;
+const LATEST_S: f64 = 12.0;
+/// Time of motion of a start in motion, s, and the longer rest after it: a bias that motion has
+/// shown takes longer to be measured.
+const MOVING_S: f64 = 2.0;
+const LONGER_REST_S: f64 = 1.5;
 
 impl Case {
     /// The case of this seed. Consecutive seeds begin with consecutive classes of faults.
     #[must_use]
     pub fn by_seed(seed: u64) -> Self {
-        Self::new(seed, Schedule::by_seed(seed))
+        let schedule = Schedule::by_seed(seed);
+        let mut random = Random::new(seed, "course of a case");
+        let course = random.uniform(0.0, 1.0);
+        if course < LONG_SHARE {
+            let later_s = random.uniform(0.0, LATEST_S);
+            let case = Self::new(seed, schedule.later(later_s));
+            Self {
+                seconds: case.seconds.max(LONG_S),
+                ..case
+            }
+        } else if course < LONG_SHARE + MOVING_SHARE {
+            Self {
+                moving_s: MOVING_S,
+                ..Self::new(seed, schedule.later(MOVING_S + LONGER_REST_S))
+            }
+        } else {
+            Self::new(seed, schedule)
+        }
     }
 
     /// A flight of this seed with these faults.
@@ -89,6 +121,7 @@ impl Case {
             seed,
             schedule,
             seconds: (last_ns + TAIL_NS) as f64 * 1e-9,
+            moving_s: 0.0,
         }
     }
 
@@ -97,6 +130,18 @@ impl Case {
     pub fn motion(&self) -> Box<dyn Motion> {
         let mut random = Random::new(self.seed, "motion of a case");
         let kind = random.uniform(0.0, 1.0);
+        if self.moving_s > 0.0 {
+            return Box::new(Moving {
+                swing: Swing::by_seed(self.seed, MOTION_REST_S + LONGER_REST_S),
+                first_s: self.moving_s,
+            });
+        }
+        // A long flight is one in motion.
+        let kind = if self.seconds < LONG_S {
+            kind
+        } else {
+            0.8 * kind
+        };
         if kind < 0.5 {
             Box::new(Swing::by_seed(self.seed, MOTION_REST_S))
         } else if kind < 0.8 {
@@ -135,7 +180,10 @@ impl Case {
             .faults
             .iter()
             .any(|fault| fault.kind == FaultKind::ProbeDetach);
+        let faults = &self.schedule.faults;
+        let has_compass = faults.iter().any(|fault| fault.kind.is_of_compass());
         let mut run = Run::new(firmware)
+            .kit(if has_compass { Kit::Gy87 } else { Kit::Mpu6050 })
             .seed(self.seed)
             .seconds(self.seconds)
             .boxed_motion(self.motion())
@@ -160,6 +208,8 @@ impl Case {
 pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
     match kind {
         FaultKind::UartFlood | FaultKind::UartNoise | FaultKind::ProbeDetach => None,
+        FaultKind::CompassStall => Some(BUS_DEADLINE_NS),
+        kind if kind.is_of_compass() => None,
         FaultKind::SensorBrownout
         | FaultKind::RegisterFlip(..)
         | FaultKind::Frozen
@@ -200,7 +250,8 @@ pub struct Report {
 pub fn run(case: &Case, garage: &Arc<Garage>, firmware: &Path) -> (Report, Option<Outcome>) {
     match case.fly_from(garage, firmware) {
         Ok(outcome) => {
-            let report = judge(case, &outcome.record, &outcome.uart_lines);
+            let mut report = judge(case, &outcome.record, &outcome.uart_lines);
+            report.failures.extend_from_slice(&outcome.violations);
             (report, Some(outcome))
         }
         Err(error) => {

@@ -271,7 +271,7 @@ fn the_table_counts_by_class() {
         .unwrap();
     let cells: Vec<&str> = row.split_whitespace().collect();
     assert_eq!(cells, ["sda-low", "1", "1", "1", "10.4"]);
-    assert_eq!(text.lines().count(), 30);
+    assert_eq!(text.lines().count(), 38);
 }
 
 #[test]
@@ -279,7 +279,7 @@ fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
     let mut coverage = Coverage::default();
     let (_, all_pairs) = coverage.pairs();
     let all_steps = 9 * 19;
-    assert_eq!(all_pairs, 29 * 30 / 2 - 6);
+    assert_eq!(all_pairs, 37 * 38 / 2 - 6);
     assert_eq!(coverage.steps(), (0, all_steps));
 
     // 49 ms after the end, and 51 ms after it.
@@ -297,7 +297,7 @@ fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
     assert_eq!(coverage.steps(), (2, all_steps));
     let text = coverage.to_string();
     assert!(
-        text.contains("pairs of faults within 50 ms: 1 of 429"),
+        text.contains("pairs of faults within 50 ms: 1 of 697"),
         "{text}"
     );
     assert!(

@@ -1,12 +1,13 @@
 //! Each fault shows at the pins, in the registers or on the bus, whatever firmware runs.
 
 use rigless::device::ResetCause;
-use rigless::emulator::Memory;
+use rigless::emulator::{Access, AccessKind, Memory};
 use rigless::soc::Width;
 use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, RCC, USART2};
 
 use super::tests::Bench;
 use super::*;
+use crate::checks::{Reserved, Rule};
 use crate::faults::{Axis, Direction, Fault, RestOfByte};
 
 /// Offsets of registers (RM0090).
@@ -16,6 +17,7 @@ const DR: u64 = 0x10;
 const SR1: u64 = 0x14;
 const SR2: u64 = 0x18;
 const CCR: u64 = 0x1C;
+const TRISE: u64 = 0x20;
 const IDR: u64 = 0x10;
 const BSRR: u64 = 0x18;
 
@@ -704,4 +706,128 @@ fn a_bus_error_that_is_a_flag_alone_disturbs_nothing() {
     bench.write(&I2C1, CR1, PE | ACK | STOP);
     bench.run_for(BYTE_NS);
     assert_eq!(who_am_i(&mut bench), Some(0x68));
+}
+
+/// A board without faults whose notes have been taken.
+fn strict_bench() -> Bench {
+    let mut bench = Bench::with_faults(HighSpeedInput::Crystal(8_000_000), vec![]);
+    bench.write(&GPIOB, 0x24, 0x44);
+    bench.write(&GPIOB, 0x04, 0x300);
+    connect(&mut bench);
+    // 381 kHz from 16 MHz: 13 would be 410 kHz.
+    let set_up = [(CR2, 16), (CCR, 0x8000 | 14), (TRISE, 5), (CR1, PE | ACK)];
+    for (register, value) in set_up {
+        bench.write(&I2C1, register, value);
+    }
+    assert_eq!(bench.controller.checks().take_notes(), []);
+    bench
+}
+
+/// Returns the rules that `work` breaks.
+fn broken_by(bench: &mut Bench, work: impl FnOnce(&mut Bench)) -> Vec<Rule> {
+    work(bench);
+    bench.controller.checks().take_notes()
+}
+
+#[test]
+fn a_port_whose_clocks_do_not_fit_is_noted_when_it_is_enabled() {
+    let wrong = [(CR2, 15), (CR2, 17), (CCR, 0x8000 | 13), (TRISE, 17)];
+    for (register, value) in wrong {
+        let mut bench = strict_bench();
+        bench.write(&I2C1, CR1, 0);
+        let noted = broken_by(&mut bench, |bench| {
+            bench.write(&I2C1, register, value);
+            bench.write(&I2C1, CR1, PE);
+        });
+        assert_eq!(noted, [Rule::PortClock], "{register:#x} {value}");
+    }
+}
+
+#[test]
+fn flags_that_are_cleared_before_they_are_seen_are_noted() {
+    let mut bench = strict_bench();
+    bench.write(&I2C1, CR1, PE | ACK | START);
+    let unseen = broken_by(&mut bench, |bench| bench.write(&I2C1, DR, 0xD0));
+    assert_eq!(unseen, [Rule::StartSeen]);
+
+    let mut bench = strict_bench();
+    let seen = broken_by(&mut bench, |bench| {
+        bench.write(&I2C1, CR1, PE | ACK | START);
+        bench.read(&I2C1, SR1);
+        bench.write(&I2C1, DR, 0xD0);
+    });
+    assert_eq!(seen, []);
+    bench.run_until(bench.now.0 + MILLISECOND);
+    let unseen = broken_by(&mut bench, |bench| {
+        bench.read(&I2C1, SR2);
+    });
+    assert_eq!(unseen, [Rule::AddressSeen]);
+}
+
+#[test]
+fn a_stream_is_set_up_while_it_is_off_and_without_old_flags() {
+    /// Stream 0's control, count and memory address, and bits of the first (RM0090, 10.5).
+    const S0CR: u64 = 0x10;
+    const S0NDTR: u64 = 0x14;
+    const S0M0AR: u64 = 0x1C;
+    const LIFCR: u64 = 0x08;
+    const EN: u64 = 1;
+    const CHANNEL_1: u64 = 1 << 25;
+    let mut bench = strict_bench();
+    let noted = broken_by(&mut bench, |bench| {
+        bench.write(&DMA1, S0M0AR, 0x2000_0000);
+        bench.write(&DMA1, S0NDTR, 14);
+        bench.write(&DMA1, S0CR, CHANNEL_1 | EN);
+    });
+    assert_eq!(noted, []);
+    for (register, value) in [(S0M0AR, 0x2000_0010), (S0CR, EN)] {
+        let noted = broken_by(&mut bench, |bench| bench.write(&DMA1, register, value));
+        assert_eq!(noted, [Rule::StreamOff], "{register:#x}");
+    }
+    // A stream that is switched off sets its flag of completion.
+    let noted = broken_by(&mut bench, |bench| {
+        bench.write(&DMA1, S0CR, 0);
+        bench.write(&DMA1, S0CR, CHANNEL_1 | EN);
+    });
+    assert_eq!(noted, [Rule::StreamFlags]);
+    let noted = broken_by(&mut bench, |bench| {
+        bench.write(&DMA1, S0CR, 0);
+        bench.write(&DMA1, LIFCR, 0x3D);
+        bench.write(&DMA1, S0CR, CHANNEL_1 | EN);
+    });
+    assert_eq!(noted, []);
+}
+
+#[test]
+fn reserved_bits_and_missing_clocks_are_noted_with_their_place() {
+    let bench = strict_bench();
+    let reserved = Reserved::of(bench.controller.bus());
+    let checks = Checks::default();
+    let access = |kind, peripheral: &rigless::soc::Peripheral, offset, value| {
+        let address = peripheral.base + offset;
+        let mut access = Access::new(kind, address, Width::W32, value);
+        access.program_counter = Some(0x0800_C000);
+        access
+    };
+    let good = access(AccessKind::Write, &I2C1, CR1, PE);
+    checks.complete(&good, &reserved);
+    assert_eq!(checks.violations(), []);
+    let bad = access(AccessKind::Write, &I2C1, CR1, PE | 1 << 14);
+    checks.complete(&bad, &reserved);
+    let unclocked = access(AccessKind::Read, &USART2, 0, 0);
+    checks.complete(&unclocked, &reserved);
+    checks.note_without_clock(unclocked.address);
+    let seen: Vec<String> = checks
+        .violations()
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    assert_eq!(
+        seen,
+        [
+            "a peripheral without a clock (RM0090, 7.3.10 to 7.3.14): \
+             0x40004400 accessed at 0x0800c000",
+            "a reserved bit is set (RM0090, 1.1): 0x40005400 accessed at 0x0800c000",
+        ]
+    );
 }

@@ -27,10 +27,11 @@ use rigless::time::VirtualNanos;
 pub use terminal::{ReceivedByte, SentByte, Terminal};
 
 use crate::bus_step::BusStep;
+use crate::checks::Checks;
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
-use crate::faults::{FaultKind, ScheduledFault, scheduled};
+use crate::faults::{Fault, FaultKind, ScheduledFault, scheduled, within};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{WiredI2c, items_left};
@@ -55,6 +56,9 @@ const TIM5: usize = 3;
 /// The board's supply.
 const SUPPLY_MILLIVOLTS: u32 = 3300;
 
+/// A time in which the supply is lower, s, and the voltage then, mV.
+type Sag = (std::ops::Range<f64>, u32);
+
 /// The microcontroller and what hangs on its pins.
 #[derive(Debug)]
 pub struct Microcontroller {
@@ -66,11 +70,14 @@ pub struct Microcontroller {
     exti: Exti,
     syscfg: Syscfg,
     flash: FlashInterface,
+    checks: Checks,
     slots: Slots,
     /// The next change of the sensor's wire, for which an event is scheduled.
     awaited_ns: Option<u64>,
     /// The faults of a schedule.
     faults: Vec<ScheduledFault>,
+    sags: Vec<Sag>,
+    supply_millivolts: u32,
     /// The steps of the bus in which the faults began, as far as they have.
     steps_at_faults: Vec<BusStep>,
     /// True if the crystal has stopped.
@@ -141,6 +148,7 @@ impl Microcontroller {
         let [i2c1, ..] = spare.i2c;
         let [_, port_b, ..] = spare.gpio;
         let [dma1, ..] = spare.dma;
+        let checks = Checks::default();
         let mut controller = Self {
             part,
             clocks: CrystalAware {
@@ -148,21 +156,24 @@ impl Microcontroller {
                 input,
                 stopped: None,
             },
-            sensor_bus: WiredI2c::new(i2c1, wires.clone(), &all_faults),
+            sensor_bus: WiredI2c::new(i2c1, wires.clone(), &all_faults, checks.clone()),
             port_b: PortB {
                 model: port_b,
                 wires,
             },
-            dma: RefusedDma::new(dma1, &all_faults),
+            dma: RefusedDma::new(dma1, &all_faults, checks.clone()),
             exti: Exti::default(),
             syscfg: Syscfg,
             flash: FlashInterface {
                 model: spare.flash,
                 cells,
             },
+            checks,
             slots,
             awaited_ns: None,
             faults,
+            sags: all_faults.iter().filter_map(sag).collect(),
+            supply_millivolts: SUPPLY_MILLIVOLTS,
             steps_at_faults: Vec::new(),
             is_crystal_dead: false,
             is_clock_lost: false,
@@ -183,6 +194,12 @@ impl Microcontroller {
             .model
             .chip_mut(0)
             .expect("the sensor is the one chip on this bus")
+    }
+
+    /// The checks of the core's accesses.
+    #[must_use]
+    pub fn checks(&self) -> &Checks {
+        &self.checks
     }
 
     /// Returns the end of the flash operation that was started last, ns since power-up.
@@ -207,6 +224,16 @@ impl Microcontroller {
         self.part.usart[USART2]
             .chip_mut()
             .expect("the terminal is at the end of this line")
+    }
+
+    /// Sets the frequency of the watchdog's oscillator, Hz. Call it before the first instruction.
+    pub fn calibrate_watchdog(&mut self, hz: u64) {
+        self.clocks.model.calibrate_lsi(hz);
+    }
+
+    /// Makes a START of the sensor's bus take time.
+    pub fn let_starts_take_time(&mut self) {
+        self.sensor_bus.start_takes_time = true;
     }
 
     /// Garbles what the firmware receives: so many bytes in a million arrive with noise, and so
@@ -299,6 +326,17 @@ impl Microcontroller {
                 self.clocks.restart_crystal();
             }
         }
+        let sag = self.sags.iter().find(|(range, _)| within(now.0, range));
+        let millivolts = sag.map_or(SUPPLY_MILLIVOLTS, |&(_, millivolts)| millivolts);
+        if millivolts != self.supply_millivolts {
+            self.supply_millivolts = millivolts;
+            self.lend_models();
+            self.part.set_supply(millivolts);
+            self.lend_models();
+            self.flash
+                .cells
+                .with(|cells| cells.set_supply(now.0, millivolts));
+        }
         if is_noisy != self.is_noisy {
             self.is_noisy = is_noisy;
             let errors = self.part.usart[USART2].errors_mut();
@@ -362,6 +400,13 @@ impl Microcontroller {
     }
 }
 
+fn sag(fault: &Fault) -> Option<Sag> {
+    match fault {
+        Fault::Supply(millivolts, range) => Some((range.clone(), *millivolts)),
+        _ => None,
+    }
+}
+
 impl Mcu for Microcontroller {
     fn bus(&self) -> &Bus {
         self.part.bus()
@@ -377,6 +422,7 @@ impl Mcu for Microcontroller {
         self.part.reset(at, cause);
         self.lend_models();
         self.sensor_bus.forget();
+        self.dma.forget();
         self.exti = Exti::default();
         self.flash.restart();
         self.awaited_ns = None;

@@ -13,6 +13,7 @@ use rigless::time::VirtualNanos;
 use super::garage::Rented;
 use super::stretch::Stretch;
 use super::{CRASHES, EXCEPTIONS, Profile, THREAD, Upset};
+use crate::checks::{Checks, Reserved};
 use crate::flash::{SLOTS, SharedCells};
 
 /// A processor that keeps a [`Profile`] and otherwise does what the one inside does.
@@ -22,7 +23,8 @@ pub struct ProfiledProcessor {
     profile: Arc<Mutex<Profile>>,
     /// The part of the flash that the inner processor does not map.
     cells: SharedCells,
-    /// The handlers' first instructions, by exception number.
+    checks: (Checks, Reserved),
+    /// The handlers' first instructions, by exception number; at 0 that of a measurement.
     handlers: Vec<u64>,
     is_armed: bool,
     /// The exceptions that run or are interrupted, the outermost first.
@@ -75,11 +77,13 @@ impl ProfiledProcessor {
         handlers: Vec<u32>,
         profile: Arc<Mutex<Profile>>,
         cells: SharedCells,
+        checks: (Checks, Reserved),
     ) -> Self {
         Self {
             inner,
             profile,
             cells,
+            checks,
             handlers: handlers
                 .into_iter()
                 .map(|handler| u64::from(handler & !1))
@@ -165,14 +169,13 @@ impl ProfiledProcessor {
     /// Determines the running exception, and credits the instructions since the last time.
     fn look(&mut self, bus: &mut dyn CoreBus) {
         let exception = self.exception();
-        let is_entry =
-            exception != THREAD && self.handlers.get(exception) == Some(&self.inner.pc());
-        let is_explained = if is_entry {
-            self.enter(exception, bus);
-            true
-        } else {
-            self.leave_to(exception)
-        };
+        let pc = self.inner.pc();
+        // The entry at 0 handles all exceptions while the firmware measures itself.
+        let is_handler = [exception, THREAD]
+            .iter()
+            .any(|&number| self.handlers.get(number) == Some(&pc));
+        let is_entry = exception != THREAD && is_handler && self.enter(exception, bus);
+        let is_explained = is_entry || self.leave_to(exception);
         let retired = self.inner.retired();
         if let Ok(mut profile) = self.profile.lock() {
             if profile.crashes_only {
@@ -197,14 +200,19 @@ impl ProfiledProcessor {
         }
     }
 
-    /// The core is at the first instruction of an exception's handler.
-    fn enter(&mut self, exception: usize, bus: &mut dyn CoreBus) {
+    /// The core is at the first instruction of an exception's handler. Returns false if the
+    /// exception runs already, and has called the handler.
+    fn enter(&mut self, exception: usize, bus: &mut dyn CoreBus) -> bool {
         let frame = self.register(STACK_POINTER);
+        let is_call = |last: &Activation| last.exception == exception && frame < last.frame;
+        if self.activations.last().is_some_and(is_call) {
+            return false;
+        }
         if let Some(last) = self.activations.last_mut()
             && last.frame == frame
         {
             last.exception = exception;
-            return;
+            return true;
         }
         let is_awake_for = self.inner.retired() - self.slept_at;
         let will_wake = is_awake_for <= WAKE_UP_INSTRUCTIONS && self.activations.is_empty();
@@ -220,6 +228,7 @@ impl ProfiledProcessor {
             frame,
             is_stepped: !will_wake,
         });
+        true
     }
 
     /// Drops the activations that have ended, if `exception` runs now. Returns true if that
@@ -253,6 +262,7 @@ impl Processor for ProfiledProcessor {
         let mut stretch = Stretch {
             bus,
             cells: self.cells.clone(),
+            checks: self.checks.clone(),
             until: start + u64::from(budget),
             is_stepped: false,
         };

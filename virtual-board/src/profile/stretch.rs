@@ -3,6 +3,7 @@
 use rigless::emulator::{Access, AccessKind, Checked, CoreBus, InterruptLine, Queued};
 use rigless::time::VirtualNanos;
 
+use crate::checks::{Checks, Reserved};
 use crate::flash::{SLOTS, SharedCells};
 
 /// The bus of a stretch of execution. It records the end of the stretch, which an access can
@@ -10,6 +11,7 @@ use crate::flash::{SLOTS, SharedCells};
 pub(super) struct Stretch<'a> {
     pub(super) bus: &'a mut dyn CoreBus,
     pub(super) cells: SharedCells,
+    pub(super) checks: (Checks, Reserved),
     pub(super) until: u64,
     /// True if the processor comes back after every instruction.
     pub(super) is_stepped: bool,
@@ -38,7 +40,12 @@ impl CoreBus for Stretch<'_> {
                 }
             }));
         }
-        self.bus.access(access, from_code)
+        let answer = self.bus.access(access, from_code);
+        if from_code {
+            let (checks, reserved) = &self.checks;
+            checks.complete(&access, reserved);
+        }
+        answer
     }
 
     fn time(&self, instructions: u64) -> VirtualNanos {

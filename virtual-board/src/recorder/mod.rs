@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::fault::{FaultClass, report};
-use aplomb::health::Flags;
+use aplomb::health::{Flags, STACK_PATTERN};
 use aplomb::pipeline::Snapshot;
 use aplomb_models::sensor::Burst;
 use rigless::emulator::{AccessKind, Driver, Hit, Host, Memory, Settled, Stop, Watch};
@@ -36,9 +36,6 @@ const SEQUENCE: u64 = 44;
 
 /// Period with which the probe empties the log, in virtual time.
 const SERVICE_PERIOD_NS: u64 = 1_000_000;
-
-/// The fill pattern of unused stack.
-const STACK_PATTERN: u32 = 0xA5A5_A5A5;
 
 /// The interrupt that the firmware runs its attitude task on: SPI3 (`src/bin/flight/main.rs`;
 /// RM0090, table 62).

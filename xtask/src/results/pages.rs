@@ -139,7 +139,7 @@ fn flight(data: &Data) -> Result<String, String> {
          an\n\
          STM32F405 at 168 MHz with 1,000 samples a second, a bus of 400 kHz, and text at 50 Hz \
          on UART\n\
-         and log. Two runs with one seed write identical files.\n\n",
+         and in the firmware log. Two runs with one seed write identical files.\n\n",
     );
     let rows = [
         ("samples", count(fly, "samples")?),
@@ -323,7 +323,7 @@ fn calibration(data: &Data) -> Result<String, String> {
     let section = data.section("calibration")?;
     let mut text = heading("Calibration of two hundred simulated chips", section)?;
     text.push_str(
-        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off \
+        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off\n\
          (`models/tests/calibration.rs`).\n\n",
     );
     text.push_str(&table(["figure", "measured"], section.figures()));

@@ -353,6 +353,7 @@ fn calibration_is_requested_either_way_and_answered_by_the_owner() {
     let mut parameters = [0.0; 7];
     for (index, value, expected) in [
         (0, 1.0, Calibrate::Gyroscope),
+        (1, 1.0, Calibrate::Compass),
         (4, 1.0, Calibrate::Accelerometer),
         (4, 2.0, Calibrate::Level),
         (0, 0.0, Calibrate::Cancel),
@@ -377,8 +378,8 @@ fn calibration_is_requested_either_way_and_answered_by_the_owner() {
             ]
         );
     }
-    // A compass: there is none.
-    parameters[1] = 1.0;
+    // A barometer: there is none.
+    parameters[2] = 1.0;
     assert_eq!(
         bench.answers(&command(calibration, parameters)),
         [acknowledgement(

@@ -16,7 +16,8 @@
 //! - START and STOP are not carried out while a line is low, and read back set (27.6.1).
 //! - A STOP takes a period of SCL. Until then it reads back set, and the bus is busy.
 //! - A write of CR1 while START or STOP reads back set leaves that bit set, and nothing comes of it
-//!   until SWRST (27.6.1, note on STOP and START; bugs of other drivers). A START takes no time.
+//!   until SWRST (27.6.1, note on STOP and START; bugs of other drivers).
+//! - A START takes no time, or 0.6 µs and 1.2 µs if asked for.
 //! - A STOP requested while the peripheral is not the controller changes nothing (27.6.1).
 //! - BERR and ARLO raise the error interrupt under ITERREN. A written zero or PE = 0 clears them
 //!   (27.4, 27.6.6).
@@ -24,17 +25,22 @@
 //! Both errors show at the end of the byte, up to 22 µs later than on silicon. Events between two
 //! bits are not modelled.
 
+mod overrun;
+
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
+use rigless::soc::FieldSpec;
 use rigless::soc::stm32f427::generated::dma2;
 use rigless::soc::stm32f427::generated::i2c3::{Register, ccr, cr1, cr2, sr1, sr2};
 use rigless::soc::stm32f427::peripherals::i2c::I2c;
 use rigless::time::{EventId, VirtualNanos};
 
 use crate::bus_step::BusStep;
+use crate::checks::{Checks, Rule};
 use crate::delegate::delegate;
 use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
 use crate::wires::SharedWires;
+use overrun::Overrun;
 
 /// The channel and the streams of DMA1 that serve I2C1's receiver (RM0090, table 42), by their
 /// control and count registers.
@@ -50,22 +56,10 @@ const ERROR_INTERRUPT: usize = 1;
 /// From a clock that is let go to the end of the byte that waited for it: one bit at 400 kHz, ns.
 const REST_OF_BYTE_NS: u64 = 2_500;
 
-/// Periods of SCL in a byte with its acknowledge.
-const PERIODS_OF_BYTE: u64 = 9;
-
-/// The data on a bus that no device pulls low.
-const RELEASED: u64 = 0xFF;
-
-/// The clocks after a byte that was not acknowledged.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Overrun {
-    #[default]
-    Nothing,
-    /// The controller clocks another byte at this event, unless it is to make a STOP or START.
-    Due(EventId),
-    /// A byte is on the wire until this event.
-    OnWire(EventId),
-}
+/// From the request of a START on a free bus to SB, ns: the hold time of fast mode. A START in a
+/// transfer has the set-up time before it (UM10204, table 11).
+const FIRST_START_NS: u64 = 600;
+const NEXT_START_NS: u64 = 600 + 600;
 
 /// The items that the enabled stream has left to move for I2C1's receiver, from DMA1's registers.
 #[must_use]
@@ -116,12 +110,23 @@ pub struct WiredI2c {
     is_behind: bool,
     /// True if one of the errors of this layer interrupts.
     interrupts: bool,
+    checks: Checks,
+    /// SR1 as the core has read it last.
+    seen: u64,
+    /// The clock of APB1, Hz; zero while the port has none.
+    clock_hz: u64,
+    /// True if the port was enabled before the present write.
+    was_enabled: bool,
+    /// True if a START takes the time that [`FIRST_START_NS`] and [`NEXT_START_NS`] say.
+    pub start_takes_time: bool,
+    /// The event at which the START on the lines is over.
+    starting: Option<EventId>,
 }
 
 impl WiredI2c {
     /// The controller on these wires with these faults.
     #[must_use]
-    pub fn new(model: I2c, wires: SharedWires, faults: &[Fault]) -> Self {
+    pub fn new(model: I2c, wires: SharedWires, faults: &[Fault], checks: Checks) -> Self {
         let is_own = |fault: &&ScheduledFault| {
             matches!(
                 fault.kind,
@@ -147,6 +152,12 @@ impl WiredI2c {
             released: 0,
             is_behind: false,
             interrupts: false,
+            checks,
+            seen: 0,
+            clock_hz: 0,
+            was_enabled: false,
+            start_takes_time: false,
+            starting: None,
         }
     }
 
@@ -165,7 +176,8 @@ impl WiredI2c {
             }
         }
         let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
-        if is_data_high && is_clock_high && self.waiting != 0 && !is_byte_on_wire {
+        let is_free = !is_byte_on_wire && self.starting.is_none();
+        if is_data_high && is_clock_high && self.waiting != 0 && is_free {
             self.overrun = Overrun::Nothing;
             let waiting = std::mem::take(&mut self.waiting);
             let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
@@ -286,6 +298,7 @@ impl WiredI2c {
         }
         if is_reset || !cr1::PE.is_set(value) {
             self.waiting = 0;
+            self.starting = None;
             self.delayed = None;
             self.drop_released(registers);
             Device::write(&mut self.model, Register::Cr1, value, registers, context);
@@ -297,7 +310,18 @@ impl WiredI2c {
         }
         let asked = value & (cr1::START.mask() | cr1::STOP.mask());
         let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
+        if self.start_takes_time && cr1::START.is_set(value) {
+            let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
+            let takes_ns = if is_controller {
+                NEXT_START_NS
+            } else {
+                FIRST_START_NS
+            };
+            let end_ns = context.now().0 + takes_ns;
+            self.starting = Some(context.schedule(VirtualNanos(end_ns)));
+        }
         let is_held = is_byte_on_wire
+            || self.starting.is_some()
             || self.is_low(BusLine::Clock, context)
             || self.is_low(BusLine::Data, context);
         if asked != 0 && !is_held {
@@ -381,94 +405,6 @@ impl WiredI2c {
         }
     }
 
-    /// A period of SCL, ns (27.6.8).
-    fn period_ns(registers: &RegisterFile) -> u64 {
-        let control = registers.get(Register::Ccr);
-        let periods = match (ccr::F_S.is_set(control), ccr::DUTY.is_set(control)) {
-            (false, _) => 2,
-            (true, false) => 3,
-            (true, true) => 25,
-        };
-        let clock_mhz = cr2::FREQ.get(registers.get(Register::Cr2)).max(1);
-        1_000 * periods * ccr::CCR.get(control) / clock_mhz
-    }
-
-    /// Clocks on after a byte that was not acknowledged. Returns false if the event is another.
-    fn clock_on(
-        &mut self,
-        event: EventId,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) -> bool {
-        match self.overrun {
-            Overrun::Due(due) if due == event => {}
-            Overrun::OnWire(end) if end == event => {
-                self.overrun = Overrun::Nothing;
-                let status = registers.get(Register::Sr1);
-                let is_full = sr1::RXNE.is_set(status);
-                self.is_behind |= is_full && self.released == 0;
-                self.released += 1;
-                let flag = if is_full { sr1::BTF } else { sr1::RXNE };
-                registers.set(Register::Sr1, flag.set(status, 1));
-                self.refresh_model(registers, context);
-                if self.waiting != 0 {
-                    // `follow_lines` carries STOP or START out.
-                    return true;
-                }
-            }
-            _ => return false,
-        }
-        self.overrun = Overrun::Nothing;
-        let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
-        // With DR and the shift register full the clock is held.
-        if is_controller && !sr1::BTF.is_set(registers.get(Register::Sr1)) {
-            let byte_ns = PERIODS_OF_BYTE * Self::period_ns(registers);
-            let end = context.schedule(VirtualNanos(context.now().0 + byte_ns));
-            self.overrun = Overrun::OnWire(end);
-        }
-        true
-    }
-
-    /// Makes the model drive its interrupts and requests from the flags.
-    fn refresh_model(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        let control = registers.get(Register::Cr2);
-        Device::write(&mut self.model, Register::Cr2, control, registers, context);
-    }
-
-    /// Forgets the bytes of the released bus.
-    fn drop_released(&mut self, registers: &mut RegisterFile) {
-        self.overrun = Overrun::Nothing;
-        self.is_behind = false;
-        if std::mem::take(&mut self.released) > 0 {
-            let status = registers.get(Register::Sr1);
-            registers.set(Register::Sr1, sr1::RXNE.set(sr1::BTF.set(status, 0), 0));
-        }
-    }
-
-    /// Reads DR, if bytes of the released bus are in it or behind it.
-    fn read_released(
-        &mut self,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) -> Option<u64> {
-        let value = if std::mem::take(&mut self.is_behind) {
-            Device::read(&mut self.model, Register::Dr, registers, context)
-        } else {
-            self.released = self.released.checked_sub(1)?;
-            Some(RELEASED)
-        };
-        let status = registers.get(Register::Sr1);
-        let is_held = sr1::BTF.is_set(status);
-        let status = sr1::RXNE.set(sr1::BTF.set(status, 0), u64::from(self.released > 0));
-        registers.set(Register::Sr1, status);
-        self.refresh_model(registers, context);
-        if is_held {
-            // The clock goes on.
-            self.overrun = Overrun::Due(context.schedule(context.now()));
-        }
-        value
-    }
-
     /// Drives the error interrupt for the errors that the model does not know.
     fn refresh_errors(&mut self, registers: &RegisterFile, context: &mut DeviceContext<'_>) {
         let status = registers.get(Register::Sr1);
@@ -487,7 +423,12 @@ impl WiredI2c {
 impl Device for WiredI2c {
     type Register = Register;
 
-    delegate!(layout peek on_request on_access on_refused on_clock);
+    delegate!(layout peek on_request on_access on_refused);
+
+    fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.clock_hz = hz;
+        Device::on_clock(&mut self.model, hz, registers, context);
+    }
 
     fn read(
         &mut self,
@@ -496,6 +437,9 @@ impl Device for WiredI2c {
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
         self.follow_lines(registers, context);
+        if register == Register::Sr2 {
+            self.check_seen(sr1::ADDR, Rule::AddressSeen, registers);
+        }
         let released = match register {
             Register::Dr => self.read_released(registers, context),
             _ => None,
@@ -503,6 +447,9 @@ impl Device for WiredI2c {
         let value =
             released.or_else(|| Device::read(&mut self.model, register, registers, context));
         self.refresh_errors(registers, context);
+        if register == Register::Sr1 {
+            self.seen = value.unwrap_or_else(|| registers.get(Register::Sr1));
+        }
         value
     }
 
@@ -515,9 +462,13 @@ impl Device for WiredI2c {
     ) {
         let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         self.follow_lines(registers, context);
+        if register == Register::Cr1 {
+            self.check_clock(cr1::PE.is_set(value), registers);
+        }
         match register {
             Register::Cr1 => self.write_control(value, registers, context),
             Register::Dr => {
+                self.check_seen(sr1::SB, Rule::StartSeen, registers);
                 // A write of DR clears RXNE and BTF (27.6.6).
                 self.drop_released(registers);
                 self.sent = value.to_le_bytes()[0];
@@ -542,6 +493,7 @@ impl Device for WiredI2c {
     ) {
         let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         match self.delayed {
+            _ if self.starting == Some(event) => self.starting = None,
             Some((wait, byte)) if wait == event => {
                 self.delayed = None;
                 self.byte_ends(byte, registers, context);
@@ -569,6 +521,36 @@ impl Device for WiredI2c {
 }
 
 impl WiredI2c {
+    /// Checks that the core has seen a flag of SR1, if it is set.
+    fn check_seen(&self, flag: &FieldSpec, rule: Rule, registers: &RegisterFile) {
+        if flag.is_set(registers.get(Register::Sr1)) && !flag.is_set(self.seen) {
+            self.checks.note(rule);
+        }
+    }
+
+    /// Checks the port's clocks when it is enabled: SCL is at most 400 kHz, and the rise time that
+    /// of the mode, 300 ns or 1,000 ns.
+    fn check_clock(&mut self, is_enabled: bool, registers: &RegisterFile) {
+        let was_enabled = std::mem::replace(&mut self.was_enabled, is_enabled);
+        if was_enabled || !is_enabled {
+            return;
+        }
+        let clock_mhz = cr2::FREQ.get(registers.get(Register::Cr2));
+        let is_fast = ccr::F_S.is_set(registers.get(Register::Ccr));
+        let (shortest_ns, rise_ns) = if is_fast {
+            (2_500, 300)
+        } else {
+            (10_000, 1_000)
+        };
+        let fits = clock_mhz * 1_000_000 == self.clock_hz
+            && clock_mhz > 0
+            && Self::period_ns(registers) >= shortest_ns
+            && registers.get(Register::Trise) == clock_mhz * rise_ns / 1_000 + 1;
+        if !fits {
+            self.checks.note(Rule::PortClock);
+        }
+    }
+
     /// Resets this layer.
     pub fn forget(&mut self) {
         self.delayed = None;
@@ -582,5 +564,8 @@ impl WiredI2c {
         self.released = 0;
         self.is_behind = false;
         self.interrupts = false;
+        self.seen = 0;
+        self.starting = None;
+        self.was_enabled = false;
     }
 }

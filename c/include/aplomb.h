@@ -1,0 +1,299 @@
+/* aplomb: attitude from an MPU-6050, or from samples in SI units. docs/c.md explains it.
+ *
+ * Made from c/src/ by `APLOMB_BLESS=1 cargo test -r -p aplomb-c --test header`. */
+
+#ifndef APLOMB_H
+#define APLOMB_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+// The gyroscope's offset is not known yet.
+#define APLOMB_FLAG_CALIBRATING (1 << 0)
+
+// The sensor moved before its offset was known.
+#define APLOMB_FLAG_MOVED (1 << 1)
+
+// Samples before this one were lost.
+#define APLOMB_FLAG_MISSED (1 << 2)
+
+// No sample came for more than half a second. Roll and pitch restarted from gravity.
+#define APLOMB_FLAG_GAP (1 << 3)
+
+// The sample's time is not after the previous one. The attitude is held.
+#define APLOMB_FLAG_TIME (1 << 4)
+
+// A gyroscope axis reads full scale.
+#define APLOMB_FLAG_GYROSCOPE_SATURATED (1 << 5)
+
+// An accelerometer axis reads full scale.
+#define APLOMB_FLAG_ACCELEROMETER_SATURATED (1 << 6)
+
+// The specific force is too small to show where down is.
+#define APLOMB_FLAG_FREE_FALL (1 << 7)
+
+// The data repeat to the last bit: the sensor sleeps, or the bus is stuck.
+#define APLOMB_FLAG_FROZEN (1 << 8)
+
+// The sample was not a measurement and was ignored.
+#define APLOMB_FLAG_REJECTED (1 << 9)
+
+// The tilt is wrong by no more than the larger of 5 degrees and six sigma.
+#define APLOMB_FLAG_VALID (1 << 10)
+
+// The attitude is less certain than usual.
+#define APLOMB_FLAG_DEGRADED (1 << 11)
+
+// No sample came: the attitude is the last one, and its sigma grows.
+#define APLOMB_FLAG_STALE (1 << 12)
+
+// Bursts have failed since the previous sample. The caller reports it, as the next five.
+#define APLOMB_FLAG_BUS_FAULT (1 << 13)
+
+// The sensor had lost its settings, and has been configured again.
+#define APLOMB_FLAG_SENSOR_RESET (1 << 14)
+
+// A sample was lost because the previous one was still being processed.
+#define APLOMB_FLAG_LATE (1 << 15)
+
+// The die is outside -40 to 85 degrees Celsius.
+#define APLOMB_FLAG_TEMPERATURE (1 << 16)
+
+// Samples are polled: their time is uncertain by one period.
+#define APLOMB_FLAG_POLLED (1 << 17)
+
+// Times are those of an internal oscillator, accurate to 1 %.
+#define APLOMB_FLAG_INTERNAL_CLOCK (1 << 18)
+
+// Bytes of a record.
+#define APLOMB_RECORD_BYTES 512
+
+// Size of a pipeline, in units of eight bytes. The same on every target.
+#define APLOMB_PIPELINE_WORDS 320
+
+// Result of a function. `aplomb_status_text` describes it.
+typedef enum AplombStatus {
+  // Done.
+  APLOMB_STATUS_OK = 0,
+  // A pointer is null.
+  APLOMB_STATUS_NULL_POINTER = 1,
+  // The memory holds no pipeline: call `aplomb_init` first.
+  APLOMB_STATUS_NOT_INITIALISED = 2,
+  // The mount is no name such as "+x-z", "z-up" or "z-down".
+  APLOMB_STATUS_WRONG_MOUNT = 3,
+  // The ranges are 2, 4, 8 or 16 g, and 250, 500, 1000 or 2000 degrees per second.
+  APLOMB_STATUS_WRONG_RANGE = 4,
+  // The low-pass filters are 256, 188, 98, 42, 20, 10 and 5 Hz.
+  APLOMB_STATUS_WRONG_LOW_PASS = 5,
+  // No part of the family answers WHO_AM_I like this.
+  APLOMB_STATUS_UNKNOWN_PART = 6,
+  // No more steps: the configuration is complete.
+  APLOMB_STATUS_NO_MORE_STEPS = 7,
+  // The bytes hold no whole record, or one of a later version.
+  APLOMB_STATUS_NO_RECORD = 8,
+  // A number of the calibration is not finite.
+  APLOMB_STATUS_NOT_STORABLE = 9,
+  // The knowledge of the accelerometer is none of its values.
+  APLOMB_STATUS_WRONG_KNOWLEDGE = 10,
+} AplombStatus;
+
+// Knowledge of the accelerometer's offset.
+typedef enum AplombAccelerometerKnowledge {
+  // As the calibration says.
+  APLOMB_ACCELEROMETER_KNOWLEDGE_BY_CALIBRATION = 0,
+  // A sensor as it left the factory.
+  APLOMB_ACCELEROMETER_KNOWLEDGE_FACTORY = 1,
+  // Calibrated on six sides.
+  APLOMB_ACCELEROMETER_KNOWLEDGE_SIX_POSES = 2,
+  // Calibrated with cross-axis terms.
+  APLOMB_ACCELEROMETER_KNOWLEDGE_CALIBRATED = 3,
+} AplombAccelerometerKnowledge;
+
+// Calibration of one sensor, in SI units and its own axes. All zero is none.
+typedef struct AplombCalibration {
+  // Mount as in the settings; empty if the settings say it.
+  char mount[8];
+  // True if the gyroscope's offset and temperature are known.
+  bool has_gyroscope;
+  // True if the offset over temperature is known.
+  bool has_temperature;
+  // True if the accelerometer's offset and matrix are known.
+  bool has_accelerometer;
+  // True if the level is known.
+  bool has_level;
+  // Offset of the gyroscope, rad/s.
+  float gyroscope_offset_rad_s[3];
+  // Die temperature of that offset, degrees Celsius.
+  float gyroscope_celsius;
+  // Reference of the offset over temperature, degrees Celsius.
+  float temperature_reference_celsius;
+  // Offset at the reference, rad/s.
+  float temperature_offset_rad_s[3];
+  // Slope, rad/s per degree Celsius.
+  float temperature_slope_rad_s_per_celsius[3];
+  // Curvature, rad/s per square of a degree Celsius.
+  float temperature_curvature_rad_s_per_celsius2[3];
+  // Coldest temperature that was measured, degrees Celsius.
+  float temperature_coldest_celsius;
+  // Warmest temperature that was measured, degrees Celsius.
+  float temperature_warmest_celsius;
+  // Offset of the accelerometer, m/s²: force = matrix * (reading - offset).
+  float accelerometer_offset_m_s2[3];
+  // Symmetric matrix: xx, yy, zz, xy, xz, yz.
+  float accelerometer_matrix[6];
+  // Quaternion w, x, y, z of a small rotation from the mounted sensor to the body.
+  float level[4];
+} AplombCalibration;
+
+// Settings of a pipeline. Begin with `aplomb_default_settings`, and change what differs.
+typedef struct AplombSettings {
+  // The sensor axes along which forward and down point, such as "+x-z"; "z-up" (chip face up),
+  // "z-down". A mount of the calibration comes first.
+  char mount[8];
+  // Full scale of the accelerometer: 2, 4, 8 or 16 g.
+  uint16_t accelerometer_range_g;
+  // Full scale of the gyroscope: 250, 500, 1000 or 2000 degrees per second.
+  uint16_t gyroscope_range_deg_s;
+  // Bandwidth of the low-pass filter: 256, 188, 98, 42, 20, 10 or 5 Hz.
+  uint16_t low_pass_hz;
+  // Divider of the sample rate, register SMPLRT_DIV: 0 is 1,000 samples a second.
+  uint8_t sample_rate_divider;
+  // Answer of the sensor's register WHO_AM_I: 0x68 for an MPU-6050.
+  uint8_t who_am_i;
+  // Age of a sample's content at the sample's time, µs; negative: that of the low-pass filter.
+  int32_t sensor_delay_us;
+  // A value of `AplombAccelerometerKnowledge`.
+  uint32_t accelerometer_knowledge;
+  // Calibration of the sensor.
+  struct AplombCalibration calibration;
+} AplombSettings;
+
+// Register to write to the sensor, and the wait after it.
+typedef struct AplombStep {
+  // Address of the register.
+  uint8_t register_address;
+  // Value to write.
+  uint8_t value;
+  // Wait before the next step, ms.
+  uint16_t wait_ms;
+} AplombStep;
+
+// Memory of a pipeline. Its contents are the library's own. It may be static, on the stack or in a
+// larger struct, and may be copied.
+typedef struct AplombPipeline {
+  // Contents of the library.
+  uint64_t opaque[APLOMB_PIPELINE_WORDS];
+} AplombPipeline;
+
+// Fourteen bytes that the sensor returned from register 0x3B on.
+typedef struct AplombBurst {
+  // Time of the data-ready edge, µs since start.
+  uint64_t captured_at_us;
+  // Bytes as the sensor sent them.
+  uint8_t bytes[14];
+  // Samples lost since the previous burst.
+  uint8_t missed_before;
+  // Zero; reserved.
+  uint8_t reserved;
+  // Flags that the caller reports: bus fault, sensor reset, late, polled, internal clock.
+  uint32_t board_flags;
+} AplombBurst;
+
+// Attitude at one moment, with its sigma and flags.
+typedef struct AplombSnapshot {
+  // Time of the sample, µs since start.
+  uint64_t t_us;
+  // Quaternion w, x, y, z from body (forward, right, down) to earth (north, east, down).
+  float attitude[4];
+  // Body rates p, q, r without bias, rad/s.
+  float body_rates_rad_s[3];
+  // Right wing down positive, rad.
+  float roll_rad;
+  // Nose up positive, rad.
+  float pitch_rad;
+  // Clockwise from above positive, rad, relative to the heading at start.
+  float yaw_rad;
+  // Sigma of the direction of down, both axes together, rad. Infinite if unknown.
+  float tilt_sigma_rad;
+  // Sum of `APLOMB_FLAG_…`.
+  uint32_t flags;
+} AplombSnapshot;
+
+// Sample in SI units and in the sensor's axes. The mount turns it into body axes.
+typedef struct AplombSample {
+  // Time of the sample, µs since start.
+  uint64_t t_us;
+  // Specific force, m/s². A sensor that lies face up reads +9.81 along z.
+  float specific_force_m_s2[3];
+  // Angular rate, rad/s.
+  float angular_rate_rad_s[3];
+  // An axis of the accelerometer reads full scale.
+  bool is_force_saturated;
+  // An axis of the gyroscope reads full scale.
+  bool is_rate_saturated;
+} AplombSample;
+
+// Calibration as bytes with a checksum, to keep in flash or in a file. The form is that of the
+// module's flash, with slots of 256 bytes.
+typedef struct AplombRecord {
+  // Contents, to be kept as they are.
+  uint8_t bytes[APLOMB_RECORD_BYTES];
+} AplombRecord;
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+// Returns the version of the library, such as "0.1.0".
+const char *aplomb_version(void);
+
+// Returns what a status means and what to do, in English. Takes any number.
+const char *aplomb_status_text(uint32_t status);
+
+// Writes the step of this index, from 0, of the sensor's configuration. Write its value to the
+// sensor, wait, and go on with the next. After the last one returns `APLOMB_STATUS_NO_MORE_STEPS`.
+enum AplombStatus aplomb_configuration_step(const struct AplombSettings *settings,
+                                            uint32_t index,
+                                            struct AplombStep *step);
+
+// Starts a pipeline with these settings, in memory with any contents.
+enum AplombStatus aplomb_init(struct AplombPipeline *pipeline,
+                              const struct AplombSettings *settings);
+
+// Processes one burst. Writes the attitude at the burst's time.
+enum AplombStatus aplomb_update_burst(struct AplombPipeline *pipeline,
+                                      const struct AplombBurst *burst,
+                                      struct AplombSnapshot *snapshot);
+
+// Processes one sample in SI units and sensor axes. Writes the attitude at the sample's time.
+enum AplombStatus aplomb_update_sample(struct AplombPipeline *pipeline,
+                                       const struct AplombSample *sample,
+                                       struct AplombSnapshot *snapshot);
+
+// Writes the attitude for a time without a sample, µs since start: the last one, flagged
+// `APLOMB_FLAG_STALE`, with a sigma that grows.
+enum AplombStatus aplomb_stale(struct AplombPipeline *pipeline,
+                               uint64_t t_us,
+                               struct AplombSnapshot *snapshot);
+
+// Switches between ground and flight. Armed, the filter never takes a steady turn for a gyroscope
+// offset.
+enum AplombStatus aplomb_set_armed(struct AplombPipeline *pipeline,
+                                   bool is_armed);
+
+// Writes a calibration as a record.
+enum AplombStatus aplomb_encode_record(const struct AplombCalibration *calibration,
+                                       struct AplombRecord *record);
+
+// Reads the calibration of a record.
+enum AplombStatus aplomb_decode_record(const struct AplombRecord *record,
+                                       struct AplombCalibration *calibration);
+
+// Returns the settings of an MPU-6050 at 1,000 samples a second, chip face up, X forward.
+struct AplombSettings aplomb_default_settings(void);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* APLOMB_H */

@@ -1,0 +1,362 @@
+//! aplomb from C and C++: the pipeline behind functions with a C interface.
+//!
+//! Nothing is estimated here. Each function checks its pointers and calls the library, so that the
+//! same bursts give the same bits. A pipeline lives in the caller's memory. Nothing allocates, and
+//! nothing panics. `include/aplomb.h` is made from this code.
+//!
+//! A pointer may be null: the function then returns `APLOMB_STATUS_NULL_POINTER`. Any other pointer
+//! has to point to a whole value. One pipeline is used by one thread or interrupt at a time.
+
+#![no_std]
+
+#[cfg(not(target_os = "none"))]
+extern crate std;
+
+mod mount;
+mod record;
+mod settings;
+mod state;
+
+use core::ffi::{CStr, c_char};
+
+use aplomb::attitude::Vector3;
+use aplomb::estimator::Sample;
+use aplomb::health::{BoardFlags, Flags};
+use aplomb::mpu6050::{Burst, Step};
+use aplomb::pipeline::{Pipeline, Snapshot};
+
+pub use record::{
+    APLOMB_RECORD_BYTES, AplombCalibration, AplombRecord, aplomb_decode_record,
+    aplomb_encode_record,
+};
+pub use settings::{AplombAccelerometerKnowledge, AplombSettings, aplomb_default_settings};
+pub use state::{APLOMB_PIPELINE_WORDS, AplombPipeline};
+
+/// The gyroscope's offset is not known yet.
+pub const APLOMB_FLAG_CALIBRATING: u32 = 1 << 0;
+/// The sensor moved before its offset was known.
+pub const APLOMB_FLAG_MOVED: u32 = 1 << 1;
+/// Samples before this one were lost.
+pub const APLOMB_FLAG_MISSED: u32 = 1 << 2;
+/// No sample came for more than half a second. Roll and pitch restarted from gravity.
+pub const APLOMB_FLAG_GAP: u32 = 1 << 3;
+/// The sample's time is not after the previous one. The attitude is held.
+pub const APLOMB_FLAG_TIME: u32 = 1 << 4;
+/// A gyroscope axis reads full scale.
+pub const APLOMB_FLAG_GYROSCOPE_SATURATED: u32 = 1 << 5;
+/// An accelerometer axis reads full scale.
+pub const APLOMB_FLAG_ACCELEROMETER_SATURATED: u32 = 1 << 6;
+/// The specific force is too small to show where down is.
+pub const APLOMB_FLAG_FREE_FALL: u32 = 1 << 7;
+/// The data repeat to the last bit: the sensor sleeps, or the bus is stuck.
+pub const APLOMB_FLAG_FROZEN: u32 = 1 << 8;
+/// The sample was not a measurement and was ignored.
+pub const APLOMB_FLAG_REJECTED: u32 = 1 << 9;
+/// The tilt is wrong by no more than the larger of 5 degrees and six sigma.
+pub const APLOMB_FLAG_VALID: u32 = 1 << 10;
+/// The attitude is less certain than usual.
+pub const APLOMB_FLAG_DEGRADED: u32 = 1 << 11;
+/// No sample came: the attitude is the last one, and its sigma grows.
+pub const APLOMB_FLAG_STALE: u32 = 1 << 12;
+/// Bursts have failed since the previous sample. The caller reports it, as the next five.
+pub const APLOMB_FLAG_BUS_FAULT: u32 = 1 << 13;
+/// The sensor had lost its settings, and has been configured again.
+pub const APLOMB_FLAG_SENSOR_RESET: u32 = 1 << 14;
+/// A sample was lost because the previous one was still being processed.
+pub const APLOMB_FLAG_LATE: u32 = 1 << 15;
+/// The die is outside -40 to 85 degrees Celsius.
+pub const APLOMB_FLAG_TEMPERATURE: u32 = 1 << 16;
+/// Samples are polled: their time is uncertain by one period.
+pub const APLOMB_FLAG_POLLED: u32 = 1 << 17;
+/// Times are those of an internal oscillator, accurate to 1 %.
+pub const APLOMB_FLAG_INTERNAL_CLOCK: u32 = 1 << 18;
+
+/// Result of a function. `aplomb_status_text` describes it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AplombStatus {
+    /// Done.
+    Ok = 0,
+    /// A pointer is null.
+    NullPointer = 1,
+    /// The memory holds no pipeline: call `aplomb_init` first.
+    NotInitialised = 2,
+    /// The mount is no name such as "+x-z", "z-up" or "z-down".
+    WrongMount = 3,
+    /// The ranges are 2, 4, 8 or 16 g, and 250, 500, 1000 or 2000 degrees per second.
+    WrongRange = 4,
+    /// The low-pass filters are 256, 188, 98, 42, 20, 10 and 5 Hz.
+    WrongLowPass = 5,
+    /// No part of the family answers WHO_AM_I like this.
+    UnknownPart = 6,
+    /// No more steps: the configuration is complete.
+    NoMoreSteps = 7,
+    /// The bytes hold no whole record, or one of a later version.
+    NoRecord = 8,
+    /// A number of the calibration is not finite.
+    NotStorable = 9,
+    /// The knowledge of the accelerometer is none of its values.
+    WrongKnowledge = 10,
+}
+
+/// Register to write to the sensor, and the wait after it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct AplombStep {
+    /// Address of the register.
+    pub register_address: u8,
+    /// Value to write.
+    pub value: u8,
+    /// Wait before the next step, ms.
+    pub wait_ms: u16,
+}
+
+/// Fourteen bytes that the sensor returned from register 0x3B on.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct AplombBurst {
+    /// Time of the data-ready edge, µs since start.
+    pub captured_at_us: u64,
+    /// Bytes as the sensor sent them.
+    pub bytes: [u8; 14],
+    /// Samples lost since the previous burst.
+    pub missed_before: u8,
+    /// Zero; reserved.
+    pub reserved: u8,
+    /// Flags that the caller reports: bus fault, sensor reset, late, polled, internal clock.
+    pub board_flags: u32,
+}
+
+/// Sample in SI units and in the sensor's axes. The mount turns it into body axes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AplombSample {
+    /// Time of the sample, µs since start.
+    pub t_us: u64,
+    /// Specific force, m/s². A sensor that lies face up reads +9.81 along z.
+    pub specific_force_m_s2: [f32; 3],
+    /// Angular rate, rad/s.
+    pub angular_rate_rad_s: [f32; 3],
+    /// An axis of the accelerometer reads full scale.
+    pub is_force_saturated: bool,
+    /// An axis of the gyroscope reads full scale.
+    pub is_rate_saturated: bool,
+}
+
+/// Attitude at one moment, with its sigma and flags.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AplombSnapshot {
+    /// Time of the sample, µs since start.
+    pub t_us: u64,
+    /// Quaternion w, x, y, z from body (forward, right, down) to earth (north, east, down).
+    pub attitude: [f32; 4],
+    /// Body rates p, q, r without bias, rad/s.
+    pub body_rates_rad_s: [f32; 3],
+    /// Right wing down positive, rad.
+    pub roll_rad: f32,
+    /// Nose up positive, rad.
+    pub pitch_rad: f32,
+    /// Clockwise from above positive, rad, relative to the heading at start.
+    pub yaw_rad: f32,
+    /// Sigma of the direction of down, both axes together, rad. Infinite if unknown.
+    pub tilt_sigma_rad: f32,
+    /// Sum of `APLOMB_FLAG_…`.
+    pub flags: u32,
+}
+
+impl From<Snapshot> for AplombSnapshot {
+    fn from(snapshot: Snapshot) -> Self {
+        let (attitude, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
+        let angles = snapshot.euler();
+        Self {
+            t_us: snapshot.t_us,
+            attitude: [attitude.w, attitude.x, attitude.y, attitude.z],
+            body_rates_rad_s: [rates.x, rates.y, rates.z],
+            roll_rad: angles.roll_rad,
+            pitch_rad: angles.pitch_rad,
+            yaw_rad: angles.yaw_rad,
+            tilt_sigma_rad: snapshot.tilt_sigma_rad(),
+            flags: snapshot.flags.bits(),
+        }
+    }
+}
+
+/// Returns the version of the library, such as "0.1.0".
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_version() -> *const c_char {
+    const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "\0");
+    VERSION.as_ptr().cast()
+}
+
+/// Returns what a status means and what to do, in English. Takes any number.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
+    const TEXTS: [&CStr; 11] = [
+        c"done",
+        c"a pointer is null",
+        c"the memory holds no pipeline: call aplomb_init first",
+        c"the mount is no name such as +x-z, z-up or z-down",
+        c"the ranges are 2, 4, 8 or 16 g, and 250, 500, 1000 or 2000 degrees per second",
+        c"the low-pass filters are 256, 188, 98, 42, 20, 10 and 5 Hz",
+        c"no part of the family answers WHO_AM_I like this",
+        c"there are no more steps: the configuration is complete",
+        c"the bytes hold no whole record, or one of a later version",
+        c"a number of the calibration is not finite",
+        c"the knowledge of the accelerometer is none of its values",
+    ];
+    let text = TEXTS.get(status as usize).copied();
+    text.unwrap_or(c"this is no status of aplomb").as_ptr()
+}
+
+/// Writes the step of this index, from 0, of the sensor's configuration. Write its value to the
+/// sensor, wait, and go on with the next. After the last one returns `APLOMB_STATUS_NO_MORE_STEPS`.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_configuration_step(
+    settings: Option<&AplombSettings>,
+    index: u32,
+    step: Option<&mut AplombStep>,
+) -> AplombStatus {
+    let (Some(settings), Some(out)) = (settings, step) else {
+        return AplombStatus::NullPointer;
+    };
+    let settings = match settings.checked() {
+        Ok(settings) => settings,
+        Err(status) => return status,
+    };
+    let mut steps = Step::configuration(&settings.sensor, settings.part);
+    let Some(step) = steps.nth(index as usize) else {
+        return AplombStatus::NoMoreSteps;
+    };
+    *out = AplombStep {
+        register_address: step.register.address(),
+        value: step.value,
+        wait_ms: step.wait_ms as u16,
+    };
+    AplombStatus::Ok
+}
+
+/// Starts a pipeline with these settings, in memory with any contents.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_init(
+    pipeline: Option<&mut AplombPipeline>,
+    settings: Option<&AplombSettings>,
+) -> AplombStatus {
+    let (Some(state), Some(settings)) = (pipeline, settings) else {
+        return AplombStatus::NullPointer;
+    };
+    let checked = match settings.checked() {
+        Ok(checked) => checked,
+        Err(status) => return status,
+    };
+    let knowledge = match settings.knowledge() {
+        Ok(knowledge) => knowledge,
+        Err(status) => return status,
+    };
+    let mut pipeline = Pipeline::new(&checked);
+    if let Some(knowledge) = knowledge {
+        pipeline.set_accelerometer_knowledge(knowledge);
+    }
+    state.put(pipeline);
+    AplombStatus::Ok
+}
+
+/// Processes one burst. Writes the attitude at the burst's time.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_update_burst(
+    pipeline: Option<&mut AplombPipeline>,
+    burst: Option<&AplombBurst>,
+    snapshot: Option<&mut AplombSnapshot>,
+) -> AplombStatus {
+    let Some(burst) = burst else {
+        return AplombStatus::NullPointer;
+    };
+    let converted = Burst {
+        bytes: burst.bytes,
+        captured_at_us: burst.captured_at_us,
+        missed_before: burst.missed_before,
+    };
+    let board = BoardFlags::from_bits_truncate(burst.board_flags & Flags::all().bits());
+    with(pipeline, snapshot, |pipeline| {
+        pipeline.update(&converted, board)
+    })
+}
+
+/// Processes one sample in SI units and sensor axes. Writes the attitude at the sample's time.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_update_sample(
+    pipeline: Option<&mut AplombPipeline>,
+    sample: Option<&AplombSample>,
+    snapshot: Option<&mut AplombSnapshot>,
+) -> AplombStatus {
+    let Some(sample) = sample else {
+        return AplombStatus::NullPointer;
+    };
+    with(pipeline, snapshot, |pipeline| {
+        let mount = pipeline.settings().mount();
+        let body = |[x, y, z]: [f32; 3]| mount.to_body(Vector3::new(x, y, z));
+        let (force, rate) = (sample.specific_force_m_s2, sample.angular_rate_rad_s);
+        let mut converted = Sample::new(sample.t_us, body(force), body(rate));
+        converted.is_force_saturated = sample.is_force_saturated;
+        converted.is_rate_saturated = sample.is_rate_saturated;
+        pipeline.update_sample(&converted)
+    })
+}
+
+/// Writes the attitude for a time without a sample, µs since start: the last one, flagged
+/// `APLOMB_FLAG_STALE`, with a sigma that grows.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_stale(
+    pipeline: Option<&mut AplombPipeline>,
+    t_us: u64,
+    snapshot: Option<&mut AplombSnapshot>,
+) -> AplombStatus {
+    with(pipeline, snapshot, |pipeline| {
+        pipeline.stale(t_us, BoardFlags::empty())
+    })
+}
+
+/// Switches between ground and flight. Armed, the filter never takes a steady turn for a gyroscope
+/// offset.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_set_armed(
+    pipeline: Option<&mut AplombPipeline>,
+    is_armed: bool,
+) -> AplombStatus {
+    match state::pipeline(pipeline) {
+        Ok(pipeline) => pipeline.set_armed(is_armed),
+        Err(status) => return status,
+    }
+    AplombStatus::Ok
+}
+
+/// Calls a function of the pipeline, and writes its snapshot.
+fn with(
+    pipeline: Option<&mut AplombPipeline>,
+    snapshot: Option<&mut AplombSnapshot>,
+    call: impl FnOnce(&mut Pipeline) -> Snapshot,
+) -> AplombStatus {
+    let Some(out) = snapshot else {
+        return AplombStatus::NullPointer;
+    };
+    match state::pipeline(pipeline) {
+        Ok(pipeline) => *out = call(pipeline).into(),
+        Err(status) => return status,
+    }
+    AplombStatus::Ok
+}
+
+/// Stops: no function of this library panics, so nothing calls it.
+#[cfg(target_os = "none")]
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+    loop {}
+}

@@ -1,0 +1,237 @@
+//! The calibration for C, and its record in the form of the module's flash.
+
+use core::ffi::c_char;
+
+use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::calibration::{
+    AccelerometerCorrection, Calibration, GyroscopeOffset, SymmetricMatrix, TemperatureModel,
+};
+use aplomb::settings::{Record, storage};
+use embedded_storage::nor_flash::{
+    ErrorType, MultiwriteNorFlash, NorFlash, NorFlashErrorKind, ReadNorFlash,
+};
+
+use crate::AplombStatus;
+use crate::mount;
+
+/// Bytes of a record.
+pub const APLOMB_RECORD_BYTES: usize = 512;
+
+/// Calibration as bytes with a checksum, to keep in flash or in a file. The form is that of the
+/// module's flash, with slots of 256 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AplombRecord {
+    /// Contents, to be kept as they are.
+    pub bytes: [u8; APLOMB_RECORD_BYTES],
+}
+
+/// Calibration of one sensor, in SI units and its own axes. All zero is none.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AplombCalibration {
+    /// Mount as in the settings; empty if the settings say it.
+    pub mount: [c_char; 8],
+    /// True if the gyroscope's offset and temperature are known.
+    pub has_gyroscope: bool,
+    /// True if the offset over temperature is known.
+    pub has_temperature: bool,
+    /// True if the accelerometer's offset and matrix are known.
+    pub has_accelerometer: bool,
+    /// True if the level is known.
+    pub has_level: bool,
+    /// Offset of the gyroscope, rad/s.
+    pub gyroscope_offset_rad_s: [f32; 3],
+    /// Die temperature of that offset, degrees Celsius.
+    pub gyroscope_celsius: f32,
+    /// Reference of the offset over temperature, degrees Celsius.
+    pub temperature_reference_celsius: f32,
+    /// Offset at the reference, rad/s.
+    pub temperature_offset_rad_s: [f32; 3],
+    /// Slope, rad/s per degree Celsius.
+    pub temperature_slope_rad_s_per_celsius: [f32; 3],
+    /// Curvature, rad/s per square of a degree Celsius.
+    pub temperature_curvature_rad_s_per_celsius2: [f32; 3],
+    /// Coldest temperature that was measured, degrees Celsius.
+    pub temperature_coldest_celsius: f32,
+    /// Warmest temperature that was measured, degrees Celsius.
+    pub temperature_warmest_celsius: f32,
+    /// Offset of the accelerometer, m/s²: force = matrix * (reading - offset).
+    pub accelerometer_offset_m_s2: [f32; 3],
+    /// Symmetric matrix: xx, yy, zz, xy, xz, yz.
+    pub accelerometer_matrix: [f32; 6],
+    /// Quaternion w, x, y, z of a small rotation from the mounted sensor to the body.
+    pub level: [f32; 4],
+}
+
+impl AplombCalibration {
+    /// Returns the calibration of the library.
+    pub(crate) fn checked(&self) -> Result<Calibration, AplombStatus> {
+        let vector = |[x, y, z]: [f32; 3]| Vector3::new(x, y, z);
+        let mut calibration = Calibration::NONE;
+        if self.mount[0] != 0 {
+            let mount = mount::parse(&self.mount);
+            calibration.mount = Some(mount.ok_or(AplombStatus::WrongMount)?);
+        }
+        calibration.gyroscope = self.has_gyroscope.then_some(GyroscopeOffset {
+            offset_rad_s: vector(self.gyroscope_offset_rad_s),
+            temperature_celsius: self.gyroscope_celsius,
+        });
+        calibration.temperature = self.has_temperature.then_some(TemperatureModel {
+            reference_celsius: self.temperature_reference_celsius,
+            offset_rad_s: vector(self.temperature_offset_rad_s),
+            slope_rad_s_per_celsius: vector(self.temperature_slope_rad_s_per_celsius),
+            curvature_rad_s_per_celsius2: vector(self.temperature_curvature_rad_s_per_celsius2),
+            coldest_celsius: self.temperature_coldest_celsius,
+            warmest_celsius: self.temperature_warmest_celsius,
+        });
+        let [xx, yy, zz, xy, xz, yz] = self.accelerometer_matrix;
+        let correction = AccelerometerCorrection {
+            offset_m_s2: vector(self.accelerometer_offset_m_s2),
+            matrix: SymmetricMatrix {
+                xx,
+                yy,
+                zz,
+                xy,
+                xz,
+                yz,
+            },
+        };
+        calibration.accelerometer = self.has_accelerometer.then_some(correction);
+        let [w, x, y, z] = self.level;
+        calibration.level = self.has_level.then_some(Quaternion { w, x, y, z });
+        Ok(calibration)
+    }
+}
+
+impl From<&Calibration> for AplombCalibration {
+    fn from(calibration: &Calibration) -> Self {
+        let array = |vector: Vector3| [vector.x, vector.y, vector.z];
+        let mut found = Self::default();
+        if let Some(mount) = calibration.mount {
+            found.mount = mount::padded(mount.name());
+        }
+        if let Some(gyroscope) = calibration.gyroscope {
+            found.has_gyroscope = true;
+            found.gyroscope_offset_rad_s = array(gyroscope.offset_rad_s);
+            found.gyroscope_celsius = gyroscope.temperature_celsius;
+        }
+        if let Some(model) = calibration.temperature {
+            found.has_temperature = true;
+            found.temperature_reference_celsius = model.reference_celsius;
+            found.temperature_offset_rad_s = array(model.offset_rad_s);
+            found.temperature_slope_rad_s_per_celsius = array(model.slope_rad_s_per_celsius);
+            found.temperature_curvature_rad_s_per_celsius2 =
+                array(model.curvature_rad_s_per_celsius2);
+            found.temperature_coldest_celsius = model.coldest_celsius;
+            found.temperature_warmest_celsius = model.warmest_celsius;
+        }
+        if let Some(correction) = calibration.accelerometer {
+            let m = correction.matrix;
+            found.has_accelerometer = true;
+            found.accelerometer_offset_m_s2 = array(correction.offset_m_s2);
+            found.accelerometer_matrix = [m.xx, m.yy, m.zz, m.xy, m.xz, m.yz];
+        }
+        if let Some(level) = calibration.level {
+            found.has_level = true;
+            found.level = [level.w, level.x, level.y, level.z];
+        }
+        found
+    }
+}
+
+/// Writes a calibration as a record.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_encode_record(
+    calibration: Option<&AplombCalibration>,
+    record: Option<&mut AplombRecord>,
+) -> AplombStatus {
+    let (Some(calibration), Some(out)) = (calibration, record) else {
+        return AplombStatus::NullPointer;
+    };
+    let mut record = Record::default();
+    record.calibration = match calibration.checked() {
+        Ok(calibration) => calibration,
+        Err(status) => return status,
+    };
+    let mut memory = Memory([0xFF; APLOMB_RECORD_BYTES]);
+    if storage::save(&mut memory, &record).is_err() {
+        return AplombStatus::NotStorable;
+    }
+    out.bytes = memory.0;
+    AplombStatus::Ok
+}
+
+/// Reads the calibration of a record.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_decode_record(
+    record: Option<&AplombRecord>,
+    calibration: Option<&mut AplombCalibration>,
+) -> AplombStatus {
+    let (Some(record), Some(out)) = (record, calibration) else {
+        return AplombStatus::NullPointer;
+    };
+    let Some(record) = storage::load(&mut Memory(record.bytes)).record else {
+        return AplombStatus::NoRecord;
+    };
+    *out = AplombCalibration::from(&record.calibration);
+    AplombStatus::Ok
+}
+
+/// A record's bytes as flash of two slots.
+struct Memory([u8; APLOMB_RECORD_BYTES]);
+
+impl Memory {
+    /// Returns the bytes from `start` on.
+    fn range(&mut self, start: u32, length: usize) -> Result<&mut [u8], NorFlashErrorKind> {
+        let start = start as usize;
+        let end = start.checked_add(length);
+        let bytes = end.and_then(|end| self.0.get_mut(start..end));
+        bytes.ok_or(NorFlashErrorKind::OutOfBounds)
+    }
+}
+
+impl ErrorType for Memory {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Memory {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, start: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        let found = self.range(start, bytes.len())?;
+        bytes
+            .iter_mut()
+            .zip(found)
+            .for_each(|(to, from)| *to = *from);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        APLOMB_RECORD_BYTES
+    }
+}
+
+impl NorFlash for Memory {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = APLOMB_RECORD_BYTES / 2;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        let length = to.saturating_sub(from) as usize;
+        self.range(from, length)?.fill(0xFF);
+        Ok(())
+    }
+
+    fn write(&mut self, start: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        let found = self.range(start, bytes.len())?;
+        found
+            .iter_mut()
+            .zip(bytes)
+            .for_each(|(to, from)| *to = *from);
+        Ok(())
+    }
+}
+
+impl MultiwriteNorFlash for Memory {}

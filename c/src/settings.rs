@@ -1,0 +1,110 @@
+//! Settings of a pipeline for C, and their checks.
+
+use core::ffi::c_char;
+
+use aplomb::estimator::kalman::AccelerometerKnowledge;
+use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part};
+use aplomb::pipeline::Settings;
+
+use crate::AplombStatus;
+use crate::mount;
+use crate::record::AplombCalibration;
+
+/// Knowledge of the accelerometer's offset.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AplombAccelerometerKnowledge {
+    /// As the calibration says.
+    ByCalibration = 0,
+    /// A sensor as it left the factory.
+    Factory = 1,
+    /// Calibrated on six sides.
+    SixPoses = 2,
+    /// Calibrated with cross-axis terms.
+    Calibrated = 3,
+}
+
+/// Settings of a pipeline. Begin with `aplomb_default_settings`, and change what differs.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AplombSettings {
+    /// The sensor axes along which forward and down point, such as "+x-z"; "z-up" (chip face up),
+    /// "z-down". A mount of the calibration comes first.
+    pub mount: [c_char; 8],
+    /// Full scale of the accelerometer: 2, 4, 8 or 16 g.
+    pub accelerometer_range_g: u16,
+    /// Full scale of the gyroscope: 250, 500, 1000 or 2000 degrees per second.
+    pub gyroscope_range_deg_s: u16,
+    /// Bandwidth of the low-pass filter: 256, 188, 98, 42, 20, 10 or 5 Hz.
+    pub low_pass_hz: u16,
+    /// Divider of the sample rate, register SMPLRT_DIV: 0 is 1,000 samples a second.
+    pub sample_rate_divider: u8,
+    /// Answer of the sensor's register WHO_AM_I: 0x68 for an MPU-6050.
+    pub who_am_i: u8,
+    /// Age of a sample's content at the sample's time, µs; negative: that of the low-pass filter.
+    pub sensor_delay_us: i32,
+    /// A value of `AplombAccelerometerKnowledge`.
+    pub accelerometer_knowledge: u32,
+    /// Calibration of the sensor.
+    pub calibration: AplombCalibration,
+}
+
+impl AplombSettings {
+    /// Returns the settings of the library.
+    pub(crate) fn checked(&self) -> Result<Settings, AplombStatus> {
+        let mount = mount::parse(&self.mount);
+        let accelerometer_range = AccelerometerRange::ALL
+            .into_iter()
+            .find(|range| range.full_scale_g() == self.accelerometer_range_g);
+        let gyroscope_range = GyroscopeRange::ALL
+            .into_iter()
+            .find(|range| range.full_scale_degrees_s() == self.gyroscope_range_deg_s);
+        let low_pass = LowPass::ALL
+            .into_iter()
+            .find(|filter| filter.gyroscope_bandwidth_hz() == self.low_pass_hz);
+        let part = Part::from_who_am_i(self.who_am_i).ok_or(AplombStatus::UnknownPart)?;
+        let mut settings = Settings::new(part);
+        let sensor = &mut settings.sensor;
+        sensor.accelerometer_range = accelerometer_range.ok_or(AplombStatus::WrongRange)?;
+        sensor.gyroscope_range = gyroscope_range.ok_or(AplombStatus::WrongRange)?;
+        sensor.low_pass = low_pass.ok_or(AplombStatus::WrongLowPass)?;
+        sensor.sample_rate_divider = self.sample_rate_divider;
+        settings.mount = mount.ok_or(AplombStatus::WrongMount)?;
+        settings.calibration = self.calibration.checked()?;
+        settings.sensor_delay_us = u32::try_from(self.sensor_delay_us).ok();
+        Ok(settings)
+    }
+
+    /// Returns the knowledge of the accelerometer; `None` if the calibration says it.
+    pub(crate) fn knowledge(&self) -> Result<Option<AccelerometerKnowledge>, AplombStatus> {
+        const KNOWLEDGE: [Option<AccelerometerKnowledge>; 4] = [
+            None,
+            Some(AccelerometerKnowledge::Factory),
+            Some(AccelerometerKnowledge::SixPoses),
+            Some(AccelerometerKnowledge::Calibrated),
+        ];
+        let index = self.accelerometer_knowledge as usize;
+        KNOWLEDGE
+            .get(index)
+            .copied()
+            .ok_or(AplombStatus::WrongKnowledge)
+    }
+}
+
+/// Returns the settings of an MPU-6050 at 1,000 samples a second, chip face up, X forward.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_default_settings() -> AplombSettings {
+    let config = Config::DEFAULT;
+    AplombSettings {
+        mount: mount::padded("z-up"),
+        accelerometer_range_g: config.accelerometer_range.full_scale_g(),
+        gyroscope_range_deg_s: config.gyroscope_range.full_scale_degrees_s(),
+        low_pass_hz: config.low_pass.gyroscope_bandwidth_hz(),
+        sample_rate_divider: config.sample_rate_divider,
+        who_am_i: Part::MPU_6050.who_am_i,
+        sensor_delay_us: -1,
+        accelerometer_knowledge: AplombAccelerometerKnowledge::ByCalibration as u32,
+        calibration: AplombCalibration::default(),
+    }
+}

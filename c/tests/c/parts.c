@@ -1,0 +1,72 @@
+/* Runs the examples for a main loop and for a scheduler, against a sensor that is played. */
+#include <assert.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "cube_loop.h"
+#include "hal.h"
+
+I2C_HandleTypeDef hi2c1;
+bool attitude_init(uint16_t samples_per_s);
+bool attitude_task(uint64_t now_us, const float force[3], const float rate[3], AplombSnapshot *out);
+
+static int writes, waited_ms, reads;
+
+HAL_StatusTypeDef HAL_I2C_Mem_Write(I2C_HandleTypeDef *port, uint16_t device, uint16_t address,
+                                    uint16_t address_size, uint8_t *data, uint16_t size,
+                                    uint32_t timeout_ms)
+{
+    (void)address, (void)data, (void)timeout_ms;
+    assert(port == &hi2c1 && device == 0xD0 && address_size == 1 && size == 1);
+    writes++;
+    return HAL_OK;
+}
+
+/* At rest and level, face up, with a little noise; the tenth read fails. */
+HAL_StatusTypeDef HAL_I2C_Mem_Read(I2C_HandleTypeDef *port, uint16_t device, uint16_t address,
+                                   uint16_t address_size, uint8_t *data, uint16_t size,
+                                   uint32_t timeout_ms)
+{
+    static const uint8_t level[14] = {0, 3, 0, 4, 8, 0, 0xF0, 0xB0};
+    (void)device, (void)address_size, (void)timeout_ms;
+    assert(port == &hi2c1 && address == 0x3B && size == 14);
+    if (++reads == 10) {
+        return HAL_ERROR;
+    }
+    memcpy(data, level, 14);
+    data[1] = (uint8_t)(reads % 7);
+    data[13] = (uint8_t)(reads % 3);
+    return HAL_OK;
+}
+
+void HAL_Delay(uint32_t ms)
+{
+    waited_ms += (int)ms;
+}
+
+int main(void)
+{
+    AplombSnapshot snapshot;
+    uint32_t seen = 0;
+    assert(attitude_start() && writes == 10 && waited_ms == 230);
+    assert(!attitude_poll(&snapshot));
+    for (uint64_t now_us = 1000; now_us < 3000000; now_us += 1000) {
+        attitude_edge(now_us);
+        assert(attitude_poll(&snapshot) == (reads != 10));
+        seen |= snapshot.flags;
+    }
+    assert((snapshot.flags & APLOMB_FLAG_VALID) && (seen & APLOMB_FLAG_BUS_FAULT));
+    assert(fabsf(snapshot.roll_rad) < 0.01f && fabsf(snapshot.pitch_rad) < 0.01f);
+
+    const float force[3] = {0.0f, 4.903f, 8.493f}, rate[3] = {0.0f, 0.0f, 0.0f};
+    bool is_valid = false;
+    assert(!attitude_init(2) && attitude_init(200));
+    for (uint64_t now_us = 5000; now_us < 4000000; now_us += 5000) {
+        is_valid = attitude_task(now_us, force, rate, &snapshot);
+    }
+    assert(is_valid && fabsf(snapshot.roll_rad - 0.5236f) < 0.01f);
+    printf("roll %.2f rad, sigma %.3f rad\n", (double)snapshot.roll_rad,
+           (double)snapshot.tilt_sigma_rad);
+    return 0;
+}

@@ -1,0 +1,48 @@
+//! The header is that of the code.
+
+use std::path::Path;
+
+/// Text at the head of the header.
+const HEAD: &str = "\
+/* aplomb: attitude from an MPU-6050, or from samples in SI units. docs/c.md explains it.
+ *
+ * Made from c/src/ by `APLOMB_BLESS=1 cargo test -r -p aplomb-c --test header`. */";
+
+/// Returns the header that the code gives.
+fn header() -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut config = cbindgen::Config {
+        language: cbindgen::Language::C,
+        cpp_compat: true,
+        header: Some(HEAD.to_owned()),
+        include_guard: Some("APLOMB_H".to_owned()),
+        documentation_style: cbindgen::DocumentationStyle::C99,
+        usize_is_size_t: true,
+        no_includes: true,
+        sys_includes: vec!["stdbool.h".to_owned(), "stdint.h".to_owned()],
+        line_length: 96,
+        ..cbindgen::Config::default()
+    };
+    config.enumeration.rename_variants = cbindgen::RenameRule::QualifiedScreamingSnakeCase;
+    config.export.include = vec!["AplombAccelerometerKnowledge".to_owned()];
+    let bindings = cbindgen::Builder::new()
+        .with_config(config)
+        .with_src(folder.join("src/lib.rs"));
+    let mut text = Vec::new();
+    bindings
+        .generate()
+        .expect("the code can be read")
+        .write(&mut text);
+    String::from_utf8(text).expect("a header is text")
+}
+
+#[test]
+fn the_header_is_that_of_the_code() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("include/aplomb.h");
+    let made = header();
+    if std::env::var_os("APLOMB_BLESS").is_some() {
+        std::fs::write(&file, &made).expect("the header can be written");
+    }
+    let committed = std::fs::read_to_string(&file).unwrap_or_default();
+    assert_eq!(committed, made, "bless c/include/aplomb.h anew");
+}

@@ -1,0 +1,353 @@
+//! A sensor on an I2C bus of this computer, such as a Raspberry Pi: options, bus, and edges of its
+//! INT pin.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use aplomb::attitude::Vector3;
+use aplomb::calibration::{AccelerometerCorrection, Mount, SymmetricMatrix};
+use aplomb::mpu6050::{Burst, Config, Part, RawSample};
+use aplomb::pipeline::Settings;
+use aplomb_recordings::rate::divider_of_period;
+use aplomb_recordings::text::read_small;
+
+use crate::sampler::SensorSettings;
+
+/// Samples a second without `--rate-hz`.
+const RATE_HZ: u16 = 200;
+
+/// Options for a sensor on a bus.
+#[derive(clap::Args, Clone, Debug)]
+pub struct I2cOptions {
+    /// An MPU-6050 on this I2C bus of this computer, such as /dev/i2c-1 (Linux)
+    #[arg(long, value_name = "DEVICE")]
+    pub i2c: Option<PathBuf>,
+    /// The sensor's address, 0x68 or 0x69 [default: whichever answers]
+    #[arg(long, requires = "i2c", value_name = "ADDRESS", value_parser = parse_address)]
+    address: Option<u8>,
+    /// The GPIO line of the sensor's INT pin, such as gpiochip0:17. Without one the sensor is
+    /// polled, and each attitude is flagged POLLED and DEGRADED
+    #[arg(long, requires = "i2c", value_name = "CHIP:LINE")]
+    interrupt: Option<String>,
+    /// Samples a second of that sensor
+    #[arg(
+        long,
+        requires = "i2c",
+        value_name = "N",
+        default_value_t = RATE_HZ,
+        value_parser = clap::value_parser!(u16).range(4..=1000)
+    )]
+    rate_hz: u16,
+    /// Mount of that sensor: the body's forward and down axes in sensor axes, such as +x-z
+    #[arg(long = "sensor-mount", requires = "i2c", allow_hyphen_values = true)]
+    mount: Option<Mount>,
+    /// The accelerometer's calibration: what `aplomb calibrate` prints as JSON
+    #[arg(long, requires = "i2c", value_name = "FILE")]
+    calibration: Option<PathBuf>,
+}
+
+impl Default for I2cOptions {
+    fn default() -> Self {
+        Self {
+            i2c: None,
+            address: None,
+            interrupt: None,
+            rate_hz: RATE_HZ,
+            mount: None,
+            calibration: None,
+        }
+    }
+}
+
+fn parse_address(text: &str) -> Result<u8, &'static str> {
+    match text {
+        "0x68" => Ok(0x68),
+        "0x69" => Ok(0x69),
+        _ => Err("it is 0x68 (AD0 low) or 0x69 (AD0 high)"),
+    }
+}
+
+impl I2cOptions {
+    /// Returns the settings of the sensor.
+    fn settings(&self) -> Result<SensorSettings, String> {
+        let mut config = Config::DEFAULT;
+        config.sample_rate_divider = divider_of_period(1_000_000 / u64::from(self.rate_hz));
+        let mut pipeline = Settings::new(&Part::MPU_6050);
+        pipeline.mount = self.mount.unwrap_or(Mount::Z_UP);
+        if let Some(path) = &self.calibration {
+            let refuse = |reason: String| format!("{}: {reason}", path.display());
+            let text = read_small(path).map_err(|error| refuse(error.to_string()))?;
+            pipeline.calibration.accelerometer = Some(correction(&text).map_err(refuse)?);
+        }
+        Ok(SensorSettings {
+            config,
+            pipeline,
+            address: self.address,
+        })
+    }
+}
+
+impl I2cOptions {
+    /// Samples for so many seconds, to calibrate. Returns times, µs, counts and the configuration.
+    pub fn collect(&self, seconds: u64) -> Result<(Vec<(i64, RawSample)>, Config), String> {
+        let (mut sensor, config) = self.open()?;
+        eprintln!("lay the sensor on each of its six sides for 2 s, in any order; {seconds} s");
+        let (started, duration) = (Instant::now(), Duration::from_secs(seconds));
+        let mut samples = Vec::new();
+        while started.elapsed() < duration {
+            let burst = sensor.step()?;
+            samples.extend(burst.map(|burst| {
+                let raw = RawSample::decode(&burst.bytes);
+                (burst.captured_at_us.cast_signed(), raw)
+            }));
+            // No log is kept.
+            sensor.take_bytes();
+        }
+        Ok((samples, config))
+    }
+}
+
+/// Calibration as `aplomb calibrate --json` prints it.
+#[derive(serde::Deserialize)]
+struct Calibrated {
+    offset_m_s2: [f32; 3],
+    matrix: [[f32; 3]; 3],
+}
+
+fn correction(json: &str) -> Result<AccelerometerCorrection, String> {
+    let Calibrated {
+        offset_m_s2: [x, y, z],
+        matrix: [[xx, xy, xz], [_, yy, yz], [_, _, zz]],
+    } = serde_json::from_str(json)
+        .map_err(|error| format!("{error}: write it with `aplomb calibrate --json`"))?;
+    Ok(AccelerometerCorrection {
+        offset_m_s2: Vector3::new(x, y, z),
+        matrix: SymmetricMatrix {
+            xx,
+            yy,
+            zz,
+            xy,
+            xz,
+            yz,
+        },
+    })
+}
+
+/// A sensor that is read sample by sample.
+pub trait Sampled: Send {
+    /// Waits for a sample; see [`Sampler::step`](crate::sampler::Sampler::step).
+    fn step(&mut self) -> Result<Option<Burst>, String>;
+    /// Configures the sensor again. Returns whether it answers.
+    fn is_back(&mut self) -> bool;
+    /// Returns the bytes of the flight log since the last call.
+    fn take_bytes(&self) -> Vec<u8>;
+    /// Writes a message into the flight log.
+    fn say(&self, text: &str);
+}
+
+#[cfg(not(target_os = "linux"))]
+impl I2cOptions {
+    /// Refuses: the bus of another system is not known.
+    pub fn open(&self) -> Result<(Box<dyn Sampled>, Config), String> {
+        self.settings()?;
+        Err("--i2c needs Linux, with its devices /dev/i2c-…".into())
+    }
+}
+
+#[cfg(target_os = "linux")]
+mod linux {
+    use std::io;
+    use std::path::Path;
+    use std::time::{Duration, Instant};
+
+    use gpiocdev::Request;
+    use gpiocdev::line::EdgeDetection;
+    use linux_embedded_hal::{Delay, I2cdev};
+
+    use super::{Burst, Config, I2cOptions, Sampled};
+    use crate::sampler::{Edges, Sampler};
+
+    /// Longest time without an edge.
+    const SILENCE: Duration = Duration::from_secs(1);
+
+    impl I2cOptions {
+        /// Opens the bus, and finds and configures the sensor. Returns its configuration too.
+        ///
+        /// # Errors
+        ///
+        /// Returns what is wrong, and the command that helps.
+        pub fn open(&self) -> Result<(Box<dyn Sampled>, Config), String> {
+            let settings = self.settings()?;
+            let config = settings.config;
+            let path = self.i2c.as_deref().unwrap_or(Path::new("/dev/i2c-1"));
+            let bus = I2cdev::new(path).map_err(|error| {
+                let error = io::Error::from(error);
+                format!(
+                    "{}: {error}: {}",
+                    path.display(),
+                    advice_on_bus(error.kind())
+                )
+            })?;
+            let at_bus = |reason: String| {
+                let number: String = path
+                    .to_string_lossy()
+                    .chars()
+                    .filter(char::is_ascii_digit)
+                    .collect();
+                let number = number.chars().last().unwrap_or('1');
+                format!(
+                    "{}: {reason}; `i2cdetect -y {number}` (package i2c-tools) lists what answers",
+                    path.display()
+                )
+            };
+            match &self.interrupt {
+                Some(line) => {
+                    let sampler = Sampler::new(bus, Delay, Pin::open(line)?, &settings);
+                    Ok((Box::new(sampler.map_err(at_bus)?), config))
+                }
+                None => {
+                    let clock = Clock::new(self.rate_hz);
+                    let sampler = Sampler::new(bus, Delay, clock, &settings);
+                    Ok((Box::new(sampler.map_err(at_bus)?), config))
+                }
+            }
+        }
+    }
+
+    /// Returns what helps if a bus cannot be opened.
+    fn advice_on_bus(kind: io::ErrorKind) -> String {
+        match kind {
+            io::ErrorKind::PermissionDenied => {
+                "your user may not use it: `sudo usermod -a -G i2c $USER`, then log in again".into()
+            }
+            io::ErrorKind::NotFound => format!(
+                "there is no such bus: on a Raspberry Pi `sudo raspi-config nonint do_i2c 0` \
+                 enables /dev/i2c-1. {}",
+                found_buses()
+            ),
+            _ => "is it an I2C bus?".into(),
+        }
+    }
+
+    fn found_buses() -> String {
+        let entries = std::fs::read_dir("/dev").into_iter().flatten().flatten();
+        let names = entries.map(|entry| entry.path().display().to_string());
+        let mut buses: Vec<String> = names.filter(|name| name.starts_with("/dev/i2c-")).collect();
+        buses.sort();
+        if buses.is_empty() {
+            "This computer has none now".into()
+        } else {
+            format!("There are {}", buses.join(", "))
+        }
+    }
+
+    impl<E: Edges + Send> Sampled for Sampler<I2cdev, Delay, E> {
+        fn step(&mut self) -> Result<Option<Burst>, String> {
+            Self::step(self)
+        }
+
+        fn is_back(&mut self) -> bool {
+            Self::is_back(self)
+        }
+
+        fn take_bytes(&self) -> Vec<u8> {
+            Self::take_bytes(self)
+        }
+
+        fn say(&self, text: &str) {
+            Self::say(self, text);
+        }
+    }
+
+    /// Edges of a GPIO line, with the time stamps of the kernel.
+    struct Pin {
+        name: String,
+        request: Request,
+    }
+
+    impl Pin {
+        /// Opens a line such as gpiochip0:17.
+        fn open(name: &str) -> Result<Self, String> {
+            let (chip, line) = name
+                .rsplit_once(':')
+                .and_then(|(chip, line)| Some((chip, line.parse().ok()?)))
+                .ok_or_else(|| format!("--interrupt {name}: say for instance gpiochip0:17"))?;
+            let chip = Path::new("/dev").join(chip);
+            let request = Request::builder()
+                .on_chip(&chip)
+                .with_consumer("aplomb")
+                .with_line(line)
+                .with_edge_detection(EdgeDetection::RisingEdge)
+                .request()
+                .map_err(|error| {
+                    format!(
+                        "{} line {line}: {error}: `gpioinfo` lists the lines; if you may not use \
+                         them: `sudo usermod -a -G gpio $USER`, then log in again",
+                        chip.display()
+                    )
+                })?;
+            Ok(Self {
+                name: name.to_owned(),
+                request,
+            })
+        }
+    }
+
+    impl Edges for Pin {
+        fn wait(&mut self) -> Result<u64, String> {
+            let failed = |error: gpiocdev::Error| format!("{}: {error}", self.name);
+            if !self.request.wait_edge_event(SILENCE).map_err(failed)? {
+                return Err(format!(
+                    "no edge comes on {}: is the sensor's INT pin wired to it?",
+                    self.name
+                ));
+            }
+            let mut event = self.request.read_edge_event().map_err(failed)?;
+            // The newest edge: the data registers hold its sample.
+            while self.request.has_edge_event().map_err(failed)? {
+                event = self.request.read_edge_event().map_err(failed)?;
+            }
+            Ok(event.timestamp_ns / 1_000)
+        }
+
+        fn is_polled(&self) -> bool {
+            false
+        }
+    }
+
+    /// Grid of times to poll at.
+    struct Clock {
+        started: Instant,
+        period: Duration,
+        next: Duration,
+    }
+
+    impl Clock {
+        fn new(rate_hz: u16) -> Self {
+            Self {
+                started: Instant::now(),
+                period: Duration::from_secs(1) / u32::from(rate_hz),
+                next: Duration::ZERO,
+            }
+        }
+    }
+
+    impl Edges for Clock {
+        fn wait(&mut self) -> Result<u64, String> {
+            let now = self.started.elapsed();
+            if let Some(rest) = self.next.checked_sub(now) {
+                std::thread::sleep(rest);
+            } else {
+                // A slow bus or a busy computer: no burst is made up for.
+                self.next = now;
+            }
+            self.next += self.period;
+            // The time before the transfer: the registers hold the sample from before it.
+            Ok(self.started.elapsed().as_micros() as u64)
+        }
+
+        fn is_polled(&self) -> bool {
+            true
+        }
+    }
+}

@@ -1,0 +1,71 @@
+"""Attitude from an inertial sensor: a Kalman filter with sigma and flags."""
+
+from os import PathLike
+from typing import Any, Literal, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__version__: str
+
+class Attitude:
+    """Attitude at one sample: forward, right, down against north, east, down."""
+
+    t_us: int
+    quaternion: tuple[float, float, float, float]
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    rates_rad_s: tuple[float, float, float]
+    tilt_sigma_rad: float
+    bias_rad_s: tuple[float, float, float]
+    flags: int
+    @property
+    def is_valid(self) -> bool: ...
+
+class Attitudes:
+    """Attitudes of a recording: one row for each sample."""
+
+    t_us: NDArray[np.int64]
+    quaternion: NDArray[np.float32]
+    euler_rad: NDArray[np.float32]
+    rates_rad_s: NDArray[np.float32]
+    tilt_sigma_rad: NDArray[np.float32]
+    bias_rad_s: NDArray[np.float32]
+    flags: NDArray[np.uint32]
+
+class Kalman:
+    """Kalman filter for the attitude of a body, with the sensor's mount."""
+
+    def __init__(
+        self,
+        rate_hz: float | None = None,
+        *,
+        mount: str = "z-up",
+        sensor_delay_us: int = 0,
+        accelerometer: Literal["factory", "six-poses", "calibrated"] = "calibrated",
+    ) -> None: ...
+    def update(self, t_us: int, gyro: Any, accel: Any) -> Attitude: ...
+    def run(self, t_us: ArrayLike, gyro: ArrayLike, accel: ArrayLike) -> Attitudes: ...
+
+class Recording:
+    """Recording of a sensor, in its own axes."""
+
+    t_us: NDArray[np.int64]
+    accel: NDArray[np.float64]
+    gyro: NDArray[np.float64]
+    truth: NDArray[np.float64]
+    moving: NDArray[np.bool_]
+
+class AccelerometerCalibration(TypedDict):
+    offset_m_s2: NDArray[np.float32]
+    matrix: NDArray[np.float32]
+    residual_before_m_s2: float
+    residual_after_m_s2: float
+
+def flag_names(flags: int) -> str: ...
+def read_log(path: str | PathLike[str]) -> Recording: ...
+def simulate(
+    kind: Literal["flight", "swing", "rest"] = "flight", *, seed: int = 1000, seconds: int = 60
+) -> Recording: ...
+def calibrate_accelerometer(poses: ArrayLike) -> AccelerometerCalibration: ...

@@ -1,0 +1,167 @@
+//! Recordings: read, simulated, and as a calibration.
+
+use std::path::PathBuf;
+
+use aplomb_models::motion::Motion;
+use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::swing::Swing;
+use aplomb_recordings::log::Log;
+use aplomb_recordings::motion::truth_of;
+use aplomb_recordings::simulated::{CONFIG, MOUNT, samples};
+use library::attitude::Vector3;
+use library::calibration::accelerometer::fit;
+use library::units::STANDARD_GRAVITY_M_S2;
+use numpy::{PyArray1, PyArray2, PyArrayMethods as _};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::kalman::{Vectors, rows};
+
+/// Recording of a sensor, in its own axes.
+#[pyclass(module = "aplomb", frozen, get_all)]
+pub struct Recording {
+    /// Times, microseconds: int64, shape (n,).
+    t_us: Py<PyArray1<i64>>,
+    /// Specific force, m/s2: float64, shape (n, 3).
+    accel: Py<PyArray2<f64>>,
+    /// Angular rates, rad/s: float64, shape (n, 3).
+    gyro: Py<PyArray2<f64>>,
+    /// True attitude, sensor to earth with z up, w x y z, NaN where unknown: float64, (n, 4).
+    truth: Py<PyArray2<f64>>,
+    /// True where the row counts for scores: bool, shape (n,).
+    moving: Py<PyArray1<bool>>,
+}
+
+/// Columns of a recording.
+#[derive(Default)]
+struct Columns {
+    t_us: Vec<i64>,
+    accel: Vec<f64>,
+    gyro: Vec<f64>,
+    truth: Vec<f64>,
+    moving: Vec<bool>,
+}
+
+impl Columns {
+    fn into_arrays(self, python: Python<'_>) -> PyResult<Recording> {
+        let count = self.t_us.len();
+        let table = |values: Vec<f64>, columns: usize| {
+            let array = PyArray1::from_vec(python, values);
+            Ok::<_, PyErr>(array.reshape([count, columns])?.unbind())
+        };
+        Ok(Recording {
+            t_us: PyArray1::from_vec(python, self.t_us).unbind(),
+            accel: table(self.accel, 3)?,
+            gyro: table(self.gyro, 3)?,
+            truth: table(self.truth, 4)?,
+            moving: PyArray1::from_vec(python, self.moving).unbind(),
+        })
+    }
+}
+
+/// Reads a recording: t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]], plain or gzipped, in SI units.
+///
+/// Raises ValueError with file, line and reason if it is malformed or in other units.
+#[pyfunction]
+pub fn read_log(python: Python<'_>, path: PathBuf) -> PyResult<Recording> {
+    let columns = python.detach(|| {
+        let log = Log::read(&path).map_err(|error| error.to_string())?;
+        let mut columns = Columns::default();
+        for row in log.rows() {
+            columns.t_us.push(row.time_us);
+            columns.accel.extend(row.specific_force_m_s2);
+            columns.gyro.extend(row.rates_rad_s);
+            let truth = row.attitude.map_or([f64::NAN; 4], |q| [q.w, q.x, q.y, q.z]);
+            columns.truth.extend(truth);
+            columns.moving.push(row.moving);
+        }
+        Ok::<_, String>(columns)
+    });
+    columns.map_err(PyValueError::new_err)?.into_arrays(python)
+}
+
+/// Simulates a motion with its truth, 1000 samples a second, as `aplomb simulate` does.
+///
+/// Parameters
+/// ----------
+/// kind : str
+///     "flight" (a quadrotor), "swing" or "rest".
+/// seed : int
+///     Seed of the motion and of the sensor: one seed, one recording.
+/// seconds : int
+///     Duration.
+#[pyfunction]
+#[pyo3(signature = (kind="flight", *, seed=1_000, seconds=60))]
+pub fn simulate(python: Python<'_>, kind: &str, seed: u64, seconds: u64) -> PyResult<Recording> {
+    let motion: Box<dyn Motion> = match kind {
+        "flight" => Box::new(Quadrotor::by_seed(seed)),
+        "swing" => Box::new(Swing::by_seed(seed, 3.0)),
+        "rest" => Box::new(Rest::level()),
+        _ => return Err(PyValueError::new_err("kind is flight, swing or rest")),
+    };
+    let mut columns = Columns::default();
+    for sample in samples(motion, seed, seconds) {
+        let force = sample.raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
+        let rates = sample.raw.gyroscope.to_rad_s(CONFIG.gyroscope_range);
+        columns.t_us.push(sample.t_us.cast_signed());
+        columns
+            .accel
+            .extend([force.x, force.y, force.z].map(f64::from));
+        columns
+            .gyro
+            .extend([rates.x, rates.y, rates.z].map(f64::from));
+        let truth = sample
+            .truth
+            .attitude
+            .map(|attitude| truth_of(attitude, MOUNT));
+        let truth = truth.map_or([f64::NAN; 4], |q| [q.w, q.x, q.y, q.z]);
+        columns.truth.extend(truth);
+        columns.moving.push(sample.truth.scored);
+    }
+    columns.into_arrays(python)
+}
+
+/// Fits the accelerometer's calibration to mean readings at rest: force = matrix @ (reading -
+/// offset).
+///
+/// Parameters
+/// ----------
+/// poses : array (n, 3)
+///     Mean specific force of each pose, m/s2: six sides for offset and scale, nine poses or more
+///     for the cross-axis terms too.
+///
+/// Returns
+/// -------
+/// dict
+///     offset_m_s2 (3,), matrix (3, 3), residual_before_m_s2, residual_after_m_s2.
+///
+/// Raises ValueError if the poses do not determine the calibration.
+#[pyfunction]
+pub fn calibrate_accelerometer<'py>(
+    python: Python<'py>,
+    poses: Vectors<'py>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let gravity = f64::from(STANDARD_GRAVITY_M_S2);
+    let in_g = |[x, y, z]: [f64; 3]| {
+        let [x, y, z] = [x, y, z].map(|value| (value / gravity) as f32);
+        Vector3::new(x, y, z)
+    };
+    let readings: Vec<Vector3> = rows(&poses, "poses")?.into_iter().map(in_g).collect();
+    let found = fit(&readings).map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let (offset, m) = (found.correction.offset_m_s2, found.correction.matrix);
+    let matrix = [m.xx, m.xy, m.xz, m.xy, m.yy, m.yz, m.xz, m.yz, m.zz];
+    let dict = PyDict::new(python);
+    let offset = PyArray1::from_vec(python, vec![offset.x, offset.y, offset.z]);
+    dict.set_item("offset_m_s2", offset)?;
+    let matrix = PyArray1::from_vec(python, matrix.to_vec()).reshape([3, 3])?;
+    dict.set_item("matrix", matrix)?;
+    for (name, residual_g) in [
+        ("residual_before_m_s2", found.residual_before_g),
+        ("residual_after_m_s2", found.residual_after_g),
+    ] {
+        dict.set_item(name, f64::from(residual_g) * gravity)?;
+    }
+    Ok(dict)
+}

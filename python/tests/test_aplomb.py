@@ -1,0 +1,176 @@
+"""The module against the program `aplomb`, to the bit, and its messages.
+
+APLOMB names the program; APLOMB_LOGS, if it is set, a folder of recordings.
+"""
+
+import csv
+import os
+import pathlib
+import subprocess
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import aplomb
+
+PROGRAM = os.environ.get("APLOMB", "aplomb")
+
+
+def replay(path, tmp_path, *options):
+    """Returns quaternions, rates and flags of the program."""
+    output = tmp_path / "attitude.csv"
+    command = [PROGRAM, "replay", str(path), "--output", str(output), *options]
+    subprocess.run(command, check=True, capture_output=True)
+    with open(output, newline="") as file:
+        rows = list(csv.DictReader(file))
+    quaternion = [[np.float32(row[f"q{part}"]) for part in "wxyz"] for row in rows]
+    return np.array(quaternion), [row["flags"] for row in rows]
+
+
+def assert_same(path, tmp_path, *options, **settings):
+    recording = aplomb.read_log(path)
+    attitudes = aplomb.Kalman(**settings).run(recording.t_us, recording.gyro, recording.accel)
+    quaternion, flags = replay(path, tmp_path, *options)
+    assert attitudes.quaternion.dtype == np.float32
+    assert np.array_equal(attitudes.quaternion.view(np.uint32), quaternion.view(np.uint32))
+    assert [aplomb.flag_names(flag) for flag in attitudes.flags] == flags
+    return recording, attitudes
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "flight.csv.gz"
+    command = [PROGRAM, "simulate", "--seed", "3", "--seconds", "20", "--output", str(path)]
+    subprocess.run(command, check=True, capture_output=True)
+    return path
+
+
+def test_a_recording_gives_the_bits_of_replay(log, tmp_path):
+    recording, attitudes = assert_same(
+        log, tmp_path, "--sensor-delay-us", "1900", sensor_delay_us=1900
+    )
+    assert attitudes.euler_rad.shape == attitudes.rates_rad_s.shape == (len(recording.t_us), 3)
+    assert_same(log, tmp_path, "--mount", "+y+z", mount="+y+z")
+    assert_same(log, tmp_path, "--accelerometer", "factory", accelerometer="factory")
+
+
+@pytest.mark.skipif("APLOMB_LOGS" not in os.environ, reason="APLOMB_LOGS names no folder")
+def test_every_recording_at_hand_gives_the_bits_of_replay(tmp_path):
+    logs = sorted(pathlib.Path(os.environ["APLOMB_LOGS"]).rglob("*.csv*"))
+    compared = 0
+    for path in logs:
+        try:
+            aplomb.read_log(path)
+        except ValueError:
+            continue  # counts, or a table of another kind
+        assert_same(path, tmp_path)
+        compared += 1
+    assert compared > 0
+
+
+def test_sample_by_sample_is_the_same(log):
+    recording = aplomb.read_log(log)
+    expected = aplomb.Kalman().run(recording.t_us, recording.gyro, recording.accel)
+    filter = aplomb.Kalman(rate_hz=1000)
+    for index in range(3000):
+        attitude = filter.update(
+            int(recording.t_us[index]), recording.gyro[index], recording.accel[index]
+        )
+        quaternion = np.array(attitude.quaternion, np.float32)
+        assert np.array_equal(quaternion, expected.quaternion[index])
+        assert attitude.flags == expected.flags[index]
+    assert attitude.is_valid and "VALID" in repr(attitude)
+    assert 0 < attitude.tilt_sigma_rad < 0.1
+    assert attitude.bias_rad_s == pytest.approx(expected.bias_rad_s[index])
+
+
+def test_simulate_is_that_of_the_program(log):
+    recording, simulated = aplomb.read_log(log), aplomb.simulate(seed=3, seconds=20)
+    for name in ("t_us", "accel", "gyro", "moving"):
+        found, expected = getattr(simulated, name), getattr(recording, name)
+        assert np.array_equal(found.astype(np.float32), expected.astype(np.float32)), name
+    assert np.allclose(simulated.truth, recording.truth, atol=1e-12, equal_nan=True)
+
+
+def test_the_accelerometer_is_calibrated():
+    offset, scale = np.array([0.3, -0.2, 0.5]), np.array([1.02, 0.98, 1.01])
+    sides = np.vstack([np.eye(3), -np.eye(3)]) * 9.80665
+    found = aplomb.calibrate_accelerometer(sides * scale + offset)
+    assert np.allclose(found["offset_m_s2"], offset, atol=1e-3)
+    assert np.allclose(found["matrix"], np.diag(1 / scale), atol=1e-4)
+    assert found["residual_after_m_s2"] < 1e-3 < found["residual_before_m_s2"]
+    with pytest.raises(ValueError):
+        aplomb.calibrate_accelerometer(sides[:2])
+
+
+def test_other_types_of_numbers_are_converted():
+    t_us, zero = np.arange(100) * 10_000, np.zeros((100, 3))
+    force = zero + [0, 0, 9.8]
+    expected = aplomb.Kalman().run(t_us, zero, force)
+    found = aplomb.Kalman().run(list(map(int, t_us)), zero.tolist(), force.astype(np.float32))
+    assert np.allclose(found.euler_rad, expected.euler_rad, atol=1e-6)
+
+
+def test_what_is_wrong_is_named(tmp_path):
+    zero = np.zeros((5, 3))
+    for call, reason in [
+        (lambda: aplomb.Kalman(mount="+x+x"), "such as +x-z"),
+        (lambda: aplomb.Kalman(rate_hz=0), "above zero"),
+        (lambda: aplomb.Kalman(accelerometer="good"), "six-poses"),
+        (lambda: aplomb.Kalman().update(0, [0, 0, 0], [0, 0, 9.8]), "needs the rate"),
+        (lambda: aplomb.Kalman().run(np.arange(4), zero, zero), "4 rows"),
+        (lambda: aplomb.Kalman().run(np.arange(5), zero[:, :2], zero), "gyro has 2 columns"),
+        (lambda: aplomb.simulate("dance"), "flight, swing or rest"),
+        (lambda: aplomb.read_log(tmp_path / "none.csv"), "none.csv"),
+    ]:
+        with pytest.raises(ValueError, match=None) as error:
+            call()
+        assert reason in str(error.value)
+
+
+def test_wild_values_give_finite_attitudes():
+    random = np.random.default_rng(1)
+    values = random.integers(0, 2**63, (4000, 6), np.int64).view(np.float64)
+    times = random.integers(-(2**62), 2**62, 4000)
+    attitudes = aplomb.Kalman().run(times, values[:, :3], values[:, 3:])
+    assert np.isfinite(attitudes.quaternion).all()
+    empty = aplomb.Kalman().run(np.arange(0), np.zeros((0, 3)), np.zeros((0, 3)))
+    assert empty.quaternion.shape == (0, 4)
+
+
+def test_a_long_run_lets_other_threads_work():
+    count = 300_000
+    zero = np.zeros((count, 3))
+    force = zero + [0, 0, 9.8]
+    run = threading.Thread(
+        target=aplomb.Kalman().run, args=(np.arange(count) * 1000, zero, force)
+    )
+    longest, last = 0.0, time.perf_counter()
+    run.start()
+    begin = last
+    while run.is_alive():
+        time.sleep(0.001)
+        now = time.perf_counter()
+        longest, last = max(longest, now - last), now
+    assert longest < 0.5 * (last - begin)
+
+
+def test_it_is_three_times_as_fast_as_vqf():
+    vqf = pytest.importorskip("vqf", reason="vqf is not installed")
+    recording = aplomb.simulate(seconds=120)
+    count = len(recording.t_us)
+
+    def best(call):
+        times = []
+        for _ in range(3):
+            begin = time.perf_counter()
+            call()
+            times.append(time.perf_counter() - begin)
+        return min(times)
+
+    ours = best(lambda: aplomb.Kalman().run(recording.t_us, recording.gyro, recording.accel))
+    theirs = best(lambda: vqf.VQF(1e-3).updateBatch(recording.gyro, recording.accel))
+    print(f"{count / ours / 1e6:.2f} and {count / theirs / 1e6:.2f} million samples a second")
+    assert ours * 3 < theirs

@@ -1,0 +1,16 @@
+//! Condition of the compass, for people.
+
+use super::fault::Fault;
+use crate::units::MagneticField;
+
+/// Condition of the compass: part, fault and latest field.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Condition {
+    /// Name and bus address, once a compass has shown its identity.
+    pub part: Option<(&'static str, u8)>,
+    /// Reason why there are no readings.
+    pub fault: Option<Fault>,
+    /// Latest field, calibrated; `None` without readings.
+    pub field: Option<MagneticField>,
+}

@@ -1,0 +1,125 @@
+//! HMC5883L, the compass of old GY-86 and GY-87 boards and of many GPS modules.
+//!
+//! Register numbers and limits are those of the Honeywell datasheet, form 900405 revision E.
+//!
+//! The data registers keep a measurement until all six are read. A reading lasts 20 ms and a
+//! measurement 13 ms, so each reading is a new one, and its status needs no look. A clone that is
+//! marked DA5883 has the same registers, but its status never shows a measurement.
+
+use super::part::{Bytes, Part, Registers, SelfTestPlan, Status, Step};
+use crate::attitude::Vector3;
+
+/// Bus address.
+const ADDRESS: u8 = 0x1E;
+/// Configuration register A: samples per output, rate, bias.
+const CONFIG_A: u8 = 0x00;
+/// Mean of eight samples, 75 Hz, no bias.
+const EIGHT_SAMPLES_75_HZ: u8 = 0x78;
+/// Mean of eight samples, 75 Hz, positive bias: a field of about 1.1 gauss.
+const POSITIVE_BIAS: u8 = 0x79;
+/// Configuration register B: gain.
+const CONFIG_B: u8 = 0x01;
+/// ±2.5 gauss, 660 counts per gauss: room for a strong hard iron.
+const GAIN_660: u8 = 0x60;
+/// Mode register.
+const MODE: u8 = 0x02;
+const CONTINUOUS: u8 = 0x00;
+/// Data registers: X, Z, Y, big-endian.
+const READING: Registers = Registers::new(0x03, 6);
+/// Status register: bit 0 is set while a measurement waits.
+const STATUS: u8 = 0x09;
+const STATUS_READY: u8 = 1 << 0;
+/// Identification registers A to C.
+const IDENTIFICATION: Registers = Registers::new(0x0A, 3);
+const IDENTITY: [u8; 3] = *b"H43";
+/// Counts of an axis that overflows.
+const OVERFLOW: i16 = -4096;
+/// Counts that 12 bits can hold.
+const COUNTS: core::ops::RangeInclusive<i16> = -2048..=2047;
+/// µT per count: 100 µT are a gauss.
+const UT_PER_COUNT: f32 = 100.0 / 660.0;
+
+const CONFIGURATION: [Step; 7] = [
+    Step::Write(CONFIG_A, EIGHT_SAMPLES_75_HZ),
+    Step::Write(CONFIG_B, GAIN_660),
+    Step::Write(MODE, CONTINUOUS),
+    Step::Verify(CONFIG_A, EIGHT_SAMPLES_75_HZ),
+    Step::Verify(CONFIG_B, GAIN_660),
+    Step::Verify(MODE, CONTINUOUS),
+    Step::Genuine(STATUS, STATUS_READY),
+];
+
+/// Self-test with its limits at 660 counts per gauss: 243·660/390 and 575·660/390.
+static SELF_TEST: SelfTestPlan = SelfTestPlan {
+    steps: &[
+        Step::Write(CONFIG_A, POSITIVE_BIAS),
+        Step::Write(CONFIG_B, GAIN_660),
+        Step::Write(MODE, CONTINUOUS),
+        // The first measurements still have the old settings.
+        Step::Verify(CONFIG_A, POSITIVE_BIAS),
+        Step::Verify(CONFIG_A, POSITIVE_BIAS),
+        Step::Verify(CONFIG_A, POSITIVE_BIAS),
+    ],
+    limits: [[411.0, 973.0]; 3],
+};
+
+/// HMC5883L.
+pub(super) struct Hmc5883l;
+
+impl Part for Hmc5883l {
+    fn address(&self) -> u8 {
+        ADDRESS
+    }
+
+    fn identity(&self) -> Registers {
+        IDENTIFICATION
+    }
+
+    fn is_identity(&self, bytes: &Bytes) -> bool {
+        bytes.starts_with(&IDENTITY)
+    }
+
+    fn configuration(&self) -> &'static [Step] {
+        &CONFIGURATION
+    }
+
+    fn setting(&self) -> (u8, u8) {
+        (CONFIG_B, GAIN_660)
+    }
+
+    fn reading(&self) -> Registers {
+        READING
+    }
+
+    fn status(&self, bytes: &Bytes) -> Status {
+        let counts = self.counts(bytes);
+        if counts.contains(&OVERFLOW) {
+            Status::Overflow
+        } else if counts.iter().all(|count| COUNTS.contains(count)) {
+            Status::Ready
+        } else {
+            Status::Garbled
+        }
+    }
+
+    fn mean_age_us(&self) -> u32 {
+        13_300
+    }
+
+    fn counts(&self, bytes: &Bytes) -> [i16; 3] {
+        let &[xh, xl, zh, zl, yh, yl, ..] = bytes;
+        [
+            i16::from_be_bytes([xh, xl]),
+            i16::from_be_bytes([yh, yl]),
+            i16::from_be_bytes([zh, zl]),
+        ]
+    }
+
+    fn field_ut(&self, [x, y, z]: [f32; 3]) -> Vector3 {
+        Vector3::new(x, y, z).scale(UT_PER_COUNT)
+    }
+
+    fn self_test(&self) -> Option<&'static SelfTestPlan> {
+        Some(&SELF_TEST)
+    }
+}
