@@ -19,7 +19,6 @@ use aplomb_recordings::vibration::Vibration;
 
 use crate::compass::Compass;
 use crate::filter::{Choice, Filter};
-
 use crate::rest;
 
 /// Recording in body axes.

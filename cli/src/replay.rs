@@ -37,12 +37,12 @@ const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
 /// Run a recording through a filter: one attitude for each row.
 ///
 /// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]; microseconds, m/s²,
-/// rad/s, µT; truth sensor to earth with x east, y north, z up), a bursts.csv (t_us,bytes,flags) or
-/// a flight log (what the module sends with `format log`), plain or gzipped; - is standard input,
-/// for all but flight logs. A flight log brings its own settings, and its attitudes are compared
-/// with those of the flight: of the options for reading it takes --filter and --flight alone. With
-/// truth in it, the inclination error is printed, over the rows with mov 1 after 5 s; with a
-/// compass in it also the heading error.
+/// rad/s, µT; truth sensor to earth with x east, y north, z up), a bursts.csv (t_us,bytes,flags)
+/// or a flight log (what the module sends with `format log`), plain or gzipped; - is standard
+/// input, for all but flight logs. A flight log brings its own settings, and its attitudes are
+/// compared with those of the flight: of the options for reading it takes --filter and --flight
+/// alone. With truth in it, the inclination error is printed, over the rows with mov 1 after 5 s;
+/// with a compass in it also the heading error.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb replay recording.csv.gz --output attitude.csv

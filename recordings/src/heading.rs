@@ -125,8 +125,8 @@ pub fn error_deg(estimated: Attitude, truth: Quaternion, mount: Mount) -> f64 {
         let [east, north, up] = truth.rotate(sensor);
         (estimated.rotate(unit.map(f64::from)), [north, east, -up])
     });
-    // The rotation D from true to estimated axes has D = Σ e·tᵀ. Its twist about down follows from
-    // the sums of D_xx + D_yy and D_yx − D_xy.
+    // The rotation from true to estimated axes is D = Σ e·tᵀ. Its twist about down follows
+    // from D_xx + D_yy and D_yx − D_xy.
     let (mut cosine, mut sine) = (0.0_f64, 0.0_f64);
     for (estimated, truth) in body {
         cosine += estimated[0] * truth[0] + estimated[1] * truth[1];
