@@ -24,7 +24,7 @@
 //! assert_eq!(session.finish(&Outcome::NoAnswer), None);
 //! ```
 
-/// Whether this build searches, reads and calibrates a compass. Firmware needs the feature
+/// True if this build searches, reads and calibrates a compass. Firmware needs the feature
 /// `compass` for it.
 pub const IS_BUILT_IN: bool = cfg!(any(feature = "compass", not(feature = "firmware")));
 

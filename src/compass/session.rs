@@ -204,8 +204,8 @@ impl Session {
         }
     }
 
-    /// Takes the outcome of the last transfer. Returns the field if it was a good reading, µT along
-    /// the chip's axes.
+    /// Takes the outcome of the last transfer. Returns the field if it was a good reading, µT
+    /// along the chip's axes.
     #[inline(never)]
     pub fn finish(&mut self, outcome: &Outcome<'_>) -> Option<Vector3> {
         if *outcome == Outcome::Hung {

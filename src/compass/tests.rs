@@ -174,7 +174,8 @@ fn each_part_is_found_and_its_readings_are_microtesla_along_its_axes() {
         let turns: Vec<Option<Vector3>> = (0..4).map(|_| compass.turn()).collect();
         let readings: Vec<Vector3> = turns.iter().copied().flatten().collect();
         assert_eq!(readings.len(), 2, "each second turn: {turns:?}");
-        // Counts 101, −200, 300. 0.15 µT a count and 12.5 % more; 660, 3000, 3750 counts a gauss.
+        // Counts 101, −200, 300. 0.15 µT a count and 12.5 % more; 660, 3000, 3750 counts a
+        // gauss.
         let expected = match part {
             PartId::Ak8963 => Vector3::new(-200.0, 101.0, -300.0).scale(0.15 * 1.125),
             PartId::Hmc5883l => Vector3::new(101.0, -200.0, 300.0).scale(100.0 / 660.0),
@@ -483,7 +484,8 @@ fn overflow_and_garbage_are_known_for_each_part() {
 
 #[test]
 fn the_self_test_compares_with_the_datasheets_limits() {
-    // AK8963: counts within ±200 and −3200 to −800 with the self-field; 12.5 % more by the trim.
+    // AK8963: counts within ±200 and −3200 to −800 with the self-field; 12.5 % more by the
+    // trim.
     let self_field = |_: u32| {
         let [x, y, z] = [100_i16, -100, -1500].map(i16::to_le_bytes);
         [&[0x01], &x[..], &y, &z, &[0x10]].concat()

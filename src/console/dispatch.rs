@@ -169,9 +169,7 @@ impl Console {
             Command::Compass(_) | Command::Calibrate(Calibrate::Compass)
                 if !compass::IS_BUILT_IN =>
             {
-                reply.error(format_args!(
-                    "this firmware has no compass: build it with the feature \"compass\""
-                ))
+                no_compass(reply)
             }
             Command::Help => reply.ok(format_args!("help: {CommandForms}")),
             Command::Status => self.status(module, reply),
@@ -516,6 +514,13 @@ const fn task_name(task: &Task) -> &'static str {
         Task::SelfTest => "self-test",
         Task::ReadBack => "registers",
     }
+}
+
+/// Refuses a command about a compass.
+fn no_compass(reply: &mut Reply<'_>) -> Kind {
+    reply.error(format_args!(
+        "this firmware has no compass: build it with the feature \"compass\""
+    ))
 }
 
 /// Runs `measure`.

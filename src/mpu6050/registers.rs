@@ -91,8 +91,10 @@ pub const FULL_SCALE_MASK: u8 = 0b0001_1000;
 pub const SELF_TEST_MASK: u8 = 0b1110_0000;
 /// Lowest bit of [`FULL_SCALE_MASK`].
 pub const FULL_SCALE_SHIFT: u32 = 3;
-/// INT_PIN_CFG: active high, push-pull, 50 µs pulse, and I2C_BYPASS_EN (§4.15). The bypass connects
-/// a compass on the auxiliary bus to the main bus: that of an MPU-9250, a GY-86 or a GY-87.
+/// INT_PIN_CFG: active high, push-pull, 50 µs pulse, and I2C_BYPASS_EN (§4.15).
+///
+/// The bypass connects a compass on the auxiliary bus to the main bus: that of an MPU-9250, a GY-86
+/// or a GY-87.
 pub const INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS: u8 = 0x02;
 /// INT_ENABLE bit 0, DATA_RDY_EN (§4.16).
 pub const INTERRUPT_DATA_READY: u8 = 0x01;

@@ -14,7 +14,7 @@ use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
 /// have [`Flags::HEADING_VALID`] in addition. A pipeline without a compass pays nothing.
 ///
 /// ```
-/// use aplomb::attitude::Vector3;
+/// use aplomb::attitude::BodyVector;
 /// use aplomb::estimator::Sample;
 /// use aplomb::estimator::heading::CompassKnowledge;
 /// use aplomb::mpu6050::Part;
@@ -24,8 +24,8 @@ use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
 /// let settings = Settings::new(&Part::MPU_6050);
 /// let mut pipeline = CompassPipeline::new(&settings, CompassKnowledge::Calibrated);
 /// for index in 1..4_000_u64 {
-///     let force = Vector3::new(0.0, 0.0, -9.81);
-///     pipeline.update_sample(&Sample::new(1_000 * index, force, Vector3::ZERO));
+///     let force = BodyVector::new(0.0, 0.0, -9.81);
+///     pipeline.update_sample(&Sample::new(1_000 * index, force, BodyVector::ZERO));
 ///     if index % 10 == 0 {
 ///         // Level, nose to the west: north is to the right.
 ///         pipeline.update_field(MagneticField { ut: [0.0, 20.0, 45.0] }, 5_000);

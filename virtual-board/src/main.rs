@@ -78,8 +78,7 @@ struct Faults {
 
 #[derive(Args)]
 struct Fly {
-    /// The firmware image; `cargo xtask fly` builds it and gives it, with `--minimal` the minimal
-    /// one.
+    /// The firmware image; `cargo xtask fly` builds it and gives it.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
     /// Replay a recording instead of the simulated flight: CSV, plain or gzip,
@@ -112,8 +111,7 @@ struct Fly {
     /// Send commands to the UART: a file with lines such as `2.5 status`, seconds and command.
     #[arg(long, value_name = "FILE")]
     commands: Option<PathBuf>,
-    /// Keep the calibration slots in this file: read at the start if it is there, written at the
-    /// end.
+    /// Keep the calibration slots in this file, which is read at the start and written at the end.
     #[arg(long, value_name = "FILE")]
     flash: Option<PathBuf>,
     /// Folder for the files.

@@ -59,8 +59,8 @@ fn a_compass_delays_no_attitude_and_loses_no_sample() {
     }
 }
 
-/// All five chips, found by themselves, give the field in body axes: 18.6 µT to the north, which is
-/// forward, and 46.1 µT down.
+/// All five chips, found by themselves, give the field in body axes: 18.6 µT to the north, which
+/// is forward, and 46.1 µT down.
 #[test]
 fn the_field_comes_through_in_body_axes() {
     for (kit, part, name) in [

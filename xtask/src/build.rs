@@ -88,11 +88,11 @@ pub struct Firmware {
     pub board: Board,
     /// The mount that is compiled in, or the default.
     pub mount: Option<String>,
-    /// What it has.
+    /// Parts that it has.
     pub kind: Kind,
 }
 
-/// What a build of the firmware has.
+/// Parts of a build of the firmware.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Everything.

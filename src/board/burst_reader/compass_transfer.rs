@@ -16,8 +16,8 @@ use crate::compass::{Bytes, LONGEST_READ, Outcome, Transfer};
 use crate::fault::{BurstFault, BurstStep};
 use crate::health::BoardFlags;
 
-/// Longest duration of a transfer, in µs: the longest takes 300 µs, and the next edge comes 600 µs
-/// after the burst before.
+/// Longest duration of a transfer, in µs: the longest takes 300 µs, and the next edge comes 600
+/// µs after the burst before.
 const DEADLINE_US: u32 = 500;
 
 /// State of the mail: none, or stages of one transfer.

@@ -1,5 +1,4 @@
-//! Reads the sensor's 14 data registers after each data-ready edge: one interrupt per bus event,
-//! and no waiting.
+//! Reads the sensor's 14 data registers after each data-ready edge, by one interrupt per bus event.
 //!
 //! ```text
 //! edge ─ START ─ SB: address+W ─ ADDR: pointer ─ BTF: START again

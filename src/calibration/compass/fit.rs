@@ -2,8 +2,8 @@
 //!
 //! The earth's field c is constant. With the attitudes R (body to earth) of the filter, readings m
 //! and the unknown matrix A and offset b, R·(A·m + b) = c. For a given c this is a linear
-//! regression of Rᵀ·c on (m, 1). The c whose regression explains most is the largest eigenvector of
-//! a 3×3 matrix. So 46 sums are enough, and nothing iterates over the readings.
+//! regression of Rᵀ·c on (m, 1). The c whose regression explains most is the largest
+//! eigenvector of a 3×3 matrix. So 46 sums are enough, and nothing iterates over the readings.
 //!
 //! The second eigenvalue says how much a wrong c would explain: it is near 1 if the vehicle was
 //! turned too little. The scale follows from det A = 1: gains that are right on average.
@@ -128,8 +128,8 @@ impl CompassFitter {
         }
     }
 
-    /// Adds a reading on the present mount, µT in body axes, with the attitude of its time, body to
-    /// earth.
+    /// Adds a reading on the present mount, µT in body axes, with the attitude of its time, body
+    /// to earth.
     #[inline(never)]
     pub fn add(&mut self, attitude: Quaternion, reading_ut: Vector3) {
         let Vector3 { x, y, z } = reading_ut.scale(1.0 / UNIT_UT);

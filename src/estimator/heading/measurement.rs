@@ -4,8 +4,8 @@
 //! s = c + d + W·b + n      s = mean of R·m      W = mean of R
 //! ```
 //!
-//! It is linear in field c, hard iron b and local deviation d. A tilt error θ moves s by −θ × c.
-//! Tilt and all other states of the tilt filter are *considered* (Schmidt, *Application of
+//! It is linear in field c, hard iron b and local deviation d. A tilt error θ moves s by −θ ×
+//! c. Tilt and all other states of the tilt filter are *considered* (Schmidt, *Application of
 //! State-Space Methods to Navigation Problems*, 1966): their errors widen the innovation and shape
 //! the gains, but no gain moves them.
 

@@ -35,7 +35,7 @@
 //! Cortex-M4F at 1 kHz, and 948 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
-//! use aplomb::attitude::Vector3;
+//! use aplomb::attitude::BodyVector;
 //! use aplomb::estimator::heading::{CompassKnowledge, Heading};
 //! use aplomb::estimator::{Estimator, Sample};
 //! use aplomb::units::{MagneticField, STANDARD_GRAVITY_M_S2};
@@ -44,8 +44,8 @@
 //! let mut heading = Heading::new(CompassKnowledge::Calibrated);
 //! for index in 0..3_000_u64 {
 //!     // Level and at rest, its nose to the east.
-//!     let force = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
-//!     estimator.update(&Sample::new(1_000 * index, force, Vector3::ZERO));
+//!     let force = BodyVector::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+//!     estimator.update(&Sample::new(1_000 * index, force, BodyVector::ZERO));
 //!     heading.follow(estimator.filter(), 0.001);
 //!     if index % 10 == 0 {
 //!         let field = MagneticField { ut: [0.0, -20.0, 45.0] };
@@ -144,8 +144,8 @@ pub struct HeadingEstimate {
     pub yaw_offset_rad: f32,
     /// σ of the heading, rad.
     pub sigma_rad: f32,
-    /// True if the heading is wrong by no more than the larger of 15° and six σ, provided that the
-    /// tilt is valid.
+    /// True if the heading is wrong by no more than the larger of 15° and six σ, provided that
+    /// the tilt is valid.
     pub is_valid: bool,
 }
 

@@ -2,10 +2,10 @@
 //! over the same interval.
 //!
 //! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/follow.rs`).
-//! 2. *Turn* the field by the drift of yaw. The gyroscope's errors e turn the level frame by
-//!    W·e about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
-//!    over an interval, so those after the tilt filter's correction δ serve: c moves by δ, and its
-//!    covariance by what is left.
+//! 2. *Turn* the field by the drift of yaw. The gyroscope's errors e turn the level frame by W·e
+//!    about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
+//!    over an interval, so those after the tilt filter's correction δ serve: c moves by δ, and
+//!    its covariance by what is left.
 //! 3. *Forget* the local deviation, and add the process noise.
 //! 4. *Measure*: three rows, each by `measurement.rs`.
 

@@ -4,15 +4,15 @@
 //! filter. It repeats on the cross-covariance what a covariance step does to the covariance. It
 //! changes nothing here, so the attitude does not depend on it.
 //!
-//! Measurements of a step are repeated after the step, from its result P⁺. With the variances r of
-//! its measurements, and p_i = P_hx·e_i before the step,
+//! Measurements of a step are repeated after the step, from its result P⁺. With the variances r
+//! of its measurements, and p_i = P_hx·e_i before the step,
 //!
 //! ```text
 //! P_hx ← P_hx − Σ_i p_i·(P⁺·e_i)ᵀ/r_i        x_h ← x_h + Σ_i p_i·(z_i − x_i − δ_i)/r_i
 //! ```
 //!
-//! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in terms of the covariance
-//! afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
+//! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in
+//! terms of the covariance afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
 
 use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS};
 use super::slices::{MOST_MEASUREMENTS, State};
@@ -252,7 +252,8 @@ impl Kalman {
         1.0 - (TURNS * duration_s / self.tuning.parameter_memory_s).min(1.0)
     }
 
-    /// Returns the yaw noise of the interval like that of the tilt, rad², for ∫|ω|² dt in rad²/s.
+    /// Returns the yaw noise of the interval like that of the tilt, rad², for ∫|ω|² dt in
+    /// rad²/s.
     pub(in crate::estimator) fn turn_noise_rad2(&self, duration_s: f32, squared_rate: f32) -> f32 {
         square(self.tuning.rate_noise) * duration_s
             + square(self.tuning.rate_noise_per_rate) * squared_rate
