@@ -153,6 +153,9 @@ fn rounded(value: &str) -> Result<f64, String> {
 fn sizes(data: &mut Data, toolchain: &Toolchain) -> Result<(), String> {
     let mut section = Section::new("size", &today()?);
     section.put("kalman_flash_bytes", size::check_kalman(toolchain)?);
+    let without_compass = Firmware::without_compass(Board::default()).build(toolchain)?;
+    let bytes = size::measure(&without_compass)?.flash;
+    section.put("without_compass_flash_bytes", bytes);
     let minimal = Firmware::minimal(Board::default()).build(toolchain)?;
     section.put("minimal_flash_bytes", size::measure(&minimal)?.flash);
     let examples = examples::build(toolchain)?;
