@@ -392,10 +392,10 @@ fn tilted() -> Quaternion {
 #[test]
 fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
     let run = || Run::new(firmware()).sensor_errors(poor_chip());
-    let trial = || run().seconds(7.0).motion(Poses::new(&[(1.5, tilted())]));
+    let trial = || run().seconds(10.0).motion(Poses::new(&[(1.5, tilted())]));
 
     let uncalibrated = fly(trial());
-    let before_deg = inclination_deg(&uncalibrated, 5.0, 7.0);
+    let before_deg = inclination_deg(&uncalibrated, 8.0, 10.0);
 
     // Every pose is held for three seconds, the last one until it is done; then level again.
     let [_, poses @ ..] = six_poses();
@@ -435,7 +435,7 @@ fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
 
     let calibrated = fly(trial().flash(calibration.flash.bytes.clone()));
     assert!(says(&calibrated, "stored calibration and settings in use"));
-    let after_deg = inclination_deg(&calibrated, 5.0, 7.0);
+    let after_deg = inclination_deg(&calibrated, 8.0, 10.0);
     eprintln!(
         "inclination error in an unseen pose: {before_deg:.2} degrees, calibrated {after_deg:.2}"
     );

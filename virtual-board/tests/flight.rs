@@ -86,7 +86,8 @@ fn a_flight_keeps_its_promises() {
         "{summary:?}"
     );
     assert!(summary.cpu_load_percent <= Some(0.95), "{summary:?}");
-    assert!(summary.flash_bytes <= 128 * 1024, "{summary:?}");
+    // `cargo xtask size` holds the build without compass to 128 KiB.
+    assert!(summary.flash_bytes <= 160 * 1024, "{summary:?}");
     assert!(summary.ram_bytes <= 16 * 1024, "{summary:?}");
     assert!(summary.stack_bytes_used > 0, "{summary:?}");
     assert!(

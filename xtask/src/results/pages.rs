@@ -200,9 +200,9 @@ fn flight(data: &Data) -> Result<String, String> {
     let size = data.section("size")?;
     let _ = write!(
         text,
-        "\nThe build without compass takes {} bytes of flash. The minimal build, without commands,\n\
-         MAVLink, flight log and compass, takes {} bytes. The Kalman filter alone adds {} bytes to\n\
-         an empty image. The example `rtic.rs` takes {} bytes.\n",
+        "\nThe build without compass takes {} bytes of flash. The minimal build, without \
+         commands,\nMAVLink, flight log and compass, takes {} bytes. The Kalman filter alone adds \
+         {} bytes to\nan empty image. The example `rtic.rs` takes {} bytes.\n",
         count(size, "without_compass_flash_bytes")?,
         count(size, "minimal_flash_bytes")?,
         count(size, "kalman_flash_bytes")?,
