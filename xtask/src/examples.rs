@@ -11,7 +11,7 @@ use crate::step::{self, target_folder};
 const EMBASSY: &str = "examples/embassy";
 
 /// The line of the example `host` for the largest roll of its motion, 29.8 degrees.
-const HOST_LINE: &str = "  6.0 s  roll  29.7";
+const HOST_LINE: &str = "  6.0 s  roll  29.8";
 
 /// The first line of the example `host` on the log of a sensor that lies face up.
 const LEVEL_LINE: &str = "0.0 s  roll   0.00  pitch   0.00";
