@@ -117,7 +117,7 @@ pub struct WiredI2c {
     clock_hz: u64,
     /// True if the port was enabled before the present write.
     was_enabled: bool,
-    /// True if a START takes the time that [`FIRST_START_NS`] and [`NEXT_START_NS`] say.
+    /// True if a START takes its time: that of the first one, or of a repeated one.
     pub start_takes_time: bool,
     /// The event at which the START on the lines is over.
     starting: Option<EventId>,
