@@ -2,13 +2,13 @@
 //!
 //! A measurement costs nothing while it is off, because no code asks whether it is on. While it is
 //! on, the core takes its interrupts from a second vector table. All entries of that table point to
-//! [`measured`], which calls the handler of the first table between two readings of the cycle
+//! `measured`, which calls the handler of the first table between two readings of the cycle
 //! counter (DWT; ARMv7-M architecture manual, C1.8). The idle task sleeps in [`run`] instead of its
 //! own loop meanwhile.
 //!
-//! Each context counts its own cycles alone. [`SPENT`] counts the cycles of all handlers that have
+//! Each context counts its own cycles alone. `SPENT` counts the cycles of all handlers that have
 //! returned, with the cost of measuring. So the difference of `SPENT` between two instants is the
-//! time that interrupts took from the interrupted context. [`calibrate`] measures the cost of
+//! time that interrupts took from the interrupted context. `calibrate` measures the cost of
 //! measuring with an interrupt of its own, whose handler is empty. The core's own entry to a
 //! handler and exit from it belong to that cost.
 
