@@ -20,8 +20,13 @@ class Attitude:
     tilt_sigma_rad: float
     bias_rad_s: tuple[float, float, float]
     flags: int
+    heading_rad: float | None
+    heading_sigma_rad: float | None
+    yaw_offset_rad: float | None
     @property
     def is_valid(self) -> bool: ...
+    @property
+    def is_heading_valid(self) -> bool: ...
 
 class Attitudes:
     """Attitudes of a recording: one row for each sample."""
@@ -33,6 +38,9 @@ class Attitudes:
     tilt_sigma_rad: NDArray[np.float32]
     bias_rad_s: NDArray[np.float32]
     flags: NDArray[np.uint32]
+    heading_rad: NDArray[np.float32]
+    heading_sigma_rad: NDArray[np.float32]
+    yaw_offset_rad: NDArray[np.float32]
 
 class Kalman:
     """Kalman filter for the attitude of a body, with the sensor's mount."""
@@ -44,9 +52,14 @@ class Kalman:
         mount: str = "z-up",
         sensor_delay_us: int = 0,
         accelerometer: Literal["factory", "six-poses", "calibrated"] = "calibrated",
+        compass: Literal["factory", "calibrated"] = "factory",
+        compass_delay_us: int = 0,
+        declination_deg: float = 0.0,
     ) -> None: ...
-    def update(self, t_us: int, gyro: Any, accel: Any) -> Attitude: ...
-    def run(self, t_us: ArrayLike, gyro: ArrayLike, accel: ArrayLike) -> Attitudes: ...
+    def update(self, t_us: int, gyro: Any, accel: Any, mag: Any | None = None) -> Attitude: ...
+    def run(
+        self, t_us: ArrayLike, gyro: ArrayLike, accel: ArrayLike, mag: ArrayLike | None = None
+    ) -> Attitudes: ...
 
 class Recording:
     """Recording of a sensor, in its own axes."""
@@ -54,6 +67,7 @@ class Recording:
     t_us: NDArray[np.int64]
     accel: NDArray[np.float64]
     gyro: NDArray[np.float64]
+    mag: NDArray[np.float64] | None
     truth: NDArray[np.float64]
     moving: NDArray[np.bool_]
 

@@ -3,7 +3,7 @@
 //! One sample makes one trip, always in the same direction:
 //!
 //! ```text
-//! Burst ─► decode ─► calibrate and align ─► estimate ─► health ─► Snapshot ─► telemetry
+//! Burst -> decode -> calibrate and align -> estimate -> health -> Snapshot -> telemetry
 //!        (mpu6050)  (calibration)           (estimator)  (health)  (pipeline)
 //! ```
 //!

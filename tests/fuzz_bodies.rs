@@ -215,11 +215,18 @@ fn nearly_text() -> impl Strategy<Value = Vec<u8>> {
     ];
     let classic = prop::collection::vec(number, 4)
         .prop_map(|n| format!("Roll:{}({}),\tPitch:{}({})\r\n", n[0], n[1], n[2], n[3]));
+    let heading = prop::collection::vec(number, 2).prop_map(|n| {
+        format!(
+            "heading:{}\theading_sigma:{}\theading_valid:1\n",
+            n[0], n[1]
+        )
+    });
     let burst = "[0-9]{1,21},[0-9a-fA-F]{28},((MISSED|LATE|POLLED|VALID|x)[|]?){0,3}\n";
     let line = prop_oneof![
         fields(labels, "", "\t"),
         fields(labels, ">", "\n"),
         classic,
+        heading,
         burst
     ];
     let packet = (any::<[u8; 8]>(), any::<u8>())

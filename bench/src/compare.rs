@@ -21,8 +21,8 @@ use crate::recording::{Recording, Reference};
 use crate::results::{Row, Set, summarise};
 use crate::simulated::{self, EVALUATION_SEEDS};
 use crate::{
-    accuracy, clipping, gains, heading, leave_one_out, long, parallel, picture, report, throughput,
-    vibration,
+    accuracy, clipping, gains, heading, heading_picture, leave_one_out, long, parallel, picture,
+    promise, report, throughput, vibration,
 };
 
 /// Compare the accuracy and the speed of filters on recordings
@@ -94,10 +94,19 @@ pub struct Options {
     /// flights and hovers (minutes)
     #[arg(long, group = "instead")]
     vibration: bool,
+    /// Instead: fly this many starts beside a magnet, and as many flights with faulty readings of
+    /// the compass; fail if a heading is HEADING_VALID and wrong (500: four minutes of each core)
+    #[arg(long, value_name = "FLIGHTS", group = "instead", num_args = 0..=1,
+        default_missing_value = "500", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    heading_promise: Option<u64>,
     /// Instead: draw the default filter, VQF and the classic one through a simulated flight, as a
     /// PNG file
     #[arg(long, value_name = "FILE", group = "instead")]
     picture: Option<PathBuf>,
+    /// Instead: draw the heading of the library and of VQF 9D through a simulated flight in which a
+    /// magnet passes, as a PNG file
+    #[arg(long, value_name = "FILE", group = "instead")]
+    heading_picture: Option<PathBuf>,
 }
 
 /// Number of long flights.
@@ -109,13 +118,12 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         let drawn = picture::flight(&simulated::flight(picture::SEED)).png();
         return Ok(write(path, options, &drawn)?);
     }
-    if let Some(seconds) = options.long {
-        let seeds: Vec<u64> = EVALUATION_SEEDS.take(LONG_FLIGHTS).collect();
-        print_line(long::table(&seeds, seconds).trim_end());
-        return Ok(());
+    if let Some(path) = &options.heading_picture {
+        let drawn = heading_picture::draw(&heading_picture::flight()).png();
+        return Ok(write(path, options, &drawn)?);
     }
-    if options.vibration {
-        print_line(vibration::tables().trim_end());
+    if let Some(table) = of_simulations(options)? {
+        print_line(table.trim_end());
         return Ok(());
     }
     let folders = Folders {
@@ -177,6 +185,18 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     }
     print_line(&heading::table(&headings));
     print_and_draw(options, &names, &rows)
+}
+
+/// Returns the table of the simulations that an option asks for.
+fn of_simulations(options: &Options) -> Result<Option<String>, Box<dyn Error>> {
+    Ok(if let Some(seconds) = options.long {
+        let seeds: Vec<u64> = EVALUATION_SEEDS.take(LONG_FLIGHTS).collect();
+        Some(long::table(&seeds, seconds))
+    } else if let Some(runs) = options.heading_promise {
+        Some(promise::run(runs)?)
+    } else {
+        options.vibration.then(vibration::tables)
+    })
 }
 
 /// Searches a tuning or gains on the recordings with truth.

@@ -26,10 +26,17 @@ impl Compass {
     /// Adds a row.
     pub fn add(&mut self, row: &Row, mount: Mount) {
         self.mount = mount;
-        self.fields.push(row.field_ut.map(|[x, y, z]| {
+        self.add_reading(row.field_ut, row.attitude.filter(|_| row.moving));
+    }
+
+    /// Adds a sample: its reading in µT and sensor axes, if it has one, and its truth, if it is
+    /// known and counts.
+    pub fn add_reading(&mut self, field_ut: Option<[f64; 3]>, truth: Option<Truth>) {
+        let mount = self.mount;
+        self.fields.push(field_ut.map(|[x, y, z]| {
             let Vector3 { x, y, z } = mount.to_body(Vector3::new(x as f32, y as f32, z as f32)).0;
             MagneticField { ut: [x, y, z] }
         }));
-        self.truth.push(row.attitude.filter(|_| row.moving));
+        self.truth.push(truth);
     }
 }

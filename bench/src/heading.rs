@@ -43,6 +43,24 @@ pub fn score(recordings: &[Recording]) -> Vec<Row<'_>> {
 }
 
 fn ours(recording: &Recording, compass: &Compass) -> Option<HeadingScore> {
+    let mut errors = HeadingErrors::default();
+    run(recording, |index, heading| {
+        if let Some(truth) = truth_at(recording, index) {
+            errors.add(heading.map(|(absolute, sigma_deg)| {
+                (error_deg(absolute, truth, compass.mount), Some(sigma_deg))
+            }));
+        }
+    });
+    errors.score()
+}
+
+/// Runs the library's filter on a recording with a compass, and calls `note` with the index of
+/// each sample, and if the heading is known with the absolute attitude (body to north, east, down)
+/// and σ of the heading in degrees.
+pub fn run(recording: &Recording, mut note: impl FnMut(usize, Option<(Quaternion, f64)>)) {
+    let Some(compass) = &recording.compass else {
+        return;
+    };
     let mut settings = Settings::new(&Part::MPU_6050);
     settings.sensor_delay_us = Some(recording.delay_us);
     settings.sensor.sample_rate_divider = (recording.step_s() * 1_000.0).ceil() as u8 - 1;
@@ -51,46 +69,44 @@ fn ours(recording: &Recording, compass: &Compass) -> Option<HeadingScore> {
     pipeline
         .pipeline_mut()
         .set_accelerometer_knowledge(knowledge);
-    let mut errors = HeadingErrors::default();
     for (index, sample) in recording.samples.iter().enumerate() {
         let snapshot = pipeline.update_sample(sample);
         if let Some(Some(field)) = compass.fields.get(index) {
             pipeline.update_field(*field, compass.delay_us);
         }
-        if let Some(truth) = truth_at(recording, index) {
-            errors.add(pipeline.heading().map(|heading| {
-                let turn = Vector3::new(0.0, 0.0, heading.yaw_offset_rad);
-                let turn = Quaternion::from_rotation_vector(turn);
-                let absolute = turn.multiply(snapshot.attitude);
-                let sigma_deg = f64::from(degrees(heading.sigma_rad));
-                (error_deg(absolute, truth, compass.mount), Some(sigma_deg))
-            }));
-        }
+        let heading = pipeline.heading().map(|heading| {
+            let turn = Vector3::new(0.0, 0.0, heading.yaw_offset_rad);
+            let turn = Quaternion::from_rotation_vector(turn);
+            let sigma_deg = f64::from(degrees(heading.sigma_rad));
+            (turn.multiply(snapshot.attitude), sigma_deg)
+        });
+        note(index, heading);
     }
-    errors.score()
 }
 
 fn peer(choice: Choice, recording: &Recording, compass: &Compass) -> Option<HeadingScore> {
     let mut errors = HeadingErrors::default();
-    let delays_s = [recording.delay_us, compass.delay_us].map(|delay| delay as f32 * 1e-6);
-    let fields = compass.fields.iter().copied();
-    let rows = recording.samples.iter().copied().zip(fields);
-    marg::run(
-        choice,
-        recording.step_s(),
-        delays_s,
-        rows,
-        |index, attitude| {
-            if let Some(truth) = truth_at(recording, index) {
-                errors.add(Some((error_deg(attitude, truth, compass.mount), None)));
-            }
-        },
-    );
+    run_peer(choice, recording, |index, attitude| {
+        if let Some(truth) = truth_at(recording, index) {
+            errors.add(Some((error_deg(attitude, truth, compass.mount), None)));
+        }
+    });
     errors.score()
 }
 
+/// Runs another filter on a recording with a compass, and calls `note` like [`marg::run`].
+pub fn run_peer(choice: Choice, recording: &Recording, note: impl FnMut(usize, Quaternion)) {
+    let Some(compass) = &recording.compass else {
+        return;
+    };
+    let delays_s = [recording.delay_us, compass.delay_us].map(|delay| delay as f32 * 1e-6);
+    let fields = compass.fields.iter().copied();
+    let rows = recording.samples.iter().copied().zip(fields);
+    marg::run(choice, recording.step_s(), delays_s, rows, note);
+}
+
 /// Returns the truth of a row that counts.
-fn truth_at(recording: &Recording, index: usize) -> Option<Truth> {
+pub fn truth_at(recording: &Recording, index: usize) -> Option<Truth> {
     let sample = recording.samples.get(index)?;
     let truth = *recording.compass.as_ref()?.truth.get(index)?;
     truth.filter(|_| sample.t_us >= recording.start_us())

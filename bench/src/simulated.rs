@@ -7,12 +7,18 @@ use std::ops::Range;
 
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
+use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::LowPass;
+use aplomb_models::compass::Magnetism;
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::truth::up_in_body;
-use aplomb_recordings::simulated::{CONFIG, Simulated, errors, samples_with};
+use aplomb_models::sensor::SensorErrors;
+use aplomb_recordings::motion::truth_of;
+use aplomb_recordings::simulated::{CONFIG, MOUNT, Simulated, errors, samples_with};
+use aplomb_recordings::simulated_compass::{COMPASS_DELAY_US, SimulatedCompass};
 
+use crate::compass::Compass;
 use crate::parallel;
 use crate::recording::{Recording, Reference};
 
@@ -55,6 +61,35 @@ fn flight_with(seed: u64, seconds: u64, accelerometer: AccelerometerKnowledge) -
     Recording {
         accelerometer,
         ..recording("simulated", format!("flight {seed}"), flown)
+    }
+}
+
+/// Simulates the flight of this seed with a compass in this field, of which this is known. The
+/// sensor has these errors.
+pub fn flight_with_compass(
+    seed: u64,
+    errors: SensorErrors,
+    magnetism: Magnetism,
+    knowledge: CompassKnowledge,
+) -> Recording {
+    let motion = Box::new(Quadrotor::by_seed(seed));
+    let mut chip = SimulatedCompass::new(seed, magnetism);
+    let mut compass = Compass {
+        mount: Mount::Z_UP,
+        delay_us: COMPASS_DELAY_US,
+        knowledge,
+        ..Compass::default()
+    };
+    let flown = samples_with(motion, seed, errors, SECONDS).inspect(|simulated| {
+        let truth = simulated.truth;
+        let field_ut = chip.read(simulated.t_us, &truth);
+        let attitude = truth.attitude.filter(|_| truth.scored);
+        compass.add_reading(field_ut, attitude.map(|attitude| truth_of(attitude, MOUNT)));
+    });
+    let recording = recording("simulated", format!("flight {seed}"), flown);
+    Recording {
+        compass: Some(compass),
+        ..recording
     }
 }
 

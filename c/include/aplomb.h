@@ -65,11 +65,23 @@
 // Times are those of an internal oscillator, accurate to 1 %.
 #define APLOMB_FLAG_INTERNAL_CLOCK (1 << 18)
 
+// The heading is wrong by no more than the larger of 15 degrees and six sigma.
+#define APLOMB_FLAG_HEADING_VALID (1 << 19)
+
+// The compass gives no usable readings. The caller reports it. The attitude does not depend on it.
+#define APLOMB_FLAG_COMPASS_FAULT (1 << 20)
+
+// Vibration is so strong that the accelerometer may clip: the tilt can be wrong by degrees.
+#define APLOMB_FLAG_VIBRATION (1 << 21)
+
 // Bytes of a record.
 #define APLOMB_RECORD_BYTES 512
 
 // Size of a pipeline, in units of eight bytes. The same on every target.
 #define APLOMB_PIPELINE_WORDS 320
+
+// Size of a pipeline with a compass, in units of eight bytes. The same on every target.
+#define APLOMB_COMPASS_PIPELINE_WORDS 480
 
 // Result of a function. `aplomb_status_text` describes it.
 typedef enum AplombStatus {
@@ -93,8 +105,10 @@ typedef enum AplombStatus {
   APLOMB_STATUS_NO_RECORD = 8,
   // A number of the calibration is not finite.
   APLOMB_STATUS_NOT_STORABLE = 9,
-  // The knowledge of the accelerometer is none of its values.
+  // The knowledge of the accelerometer or of the compass is none of its values.
   APLOMB_STATUS_WRONG_KNOWLEDGE = 10,
+  // The declination is no angle from -pi to pi.
+  APLOMB_STATUS_WRONG_DECLINATION = 11,
 } AplombStatus;
 
 // Knowledge of the accelerometer's offset.
@@ -109,18 +123,29 @@ typedef enum AplombAccelerometerKnowledge {
   APLOMB_ACCELEROMETER_KNOWLEDGE_CALIBRATED = 3,
 } AplombAccelerometerKnowledge;
 
-// Calibration of one sensor, in SI units and its own axes. All zero is none.
+// Knowledge of the compass's hard iron.
+typedef enum AplombCompassKnowledge {
+  // As the calibration says.
+  APLOMB_COMPASS_KNOWLEDGE_BY_CALIBRATION = 0,
+  // A compass that was never calibrated: no heading before the body has turned.
+  APLOMB_COMPASS_KNOWLEDGE_FACTORY = 1,
+  // A compass whose readings are calibrated.
+  APLOMB_COMPASS_KNOWLEDGE_CALIBRATED = 2,
+} AplombCompassKnowledge;
+
+// Calibration of one sensor and its compass, in SI units. That of the sensor is in its own axes.
+// All zero is none.
 typedef struct AplombCalibration {
   // Mount as in the settings; empty if the settings say it.
   char mount[8];
-  // True if the gyroscope's offset and temperature are known.
-  bool has_gyroscope;
-  // True if the offset over temperature is known.
-  bool has_temperature;
-  // True if the accelerometer's offset and matrix are known.
-  bool has_accelerometer;
-  // True if the level is known.
-  bool has_level;
+  // Not 0 if the gyroscope's offset and temperature are known.
+  uint8_t has_gyroscope;
+  // Not 0 if the offset over temperature is known.
+  uint8_t has_temperature;
+  // Not 0 if the accelerometer's offset and matrix are known.
+  uint8_t has_accelerometer;
+  // Not 0 if the level is known.
+  uint8_t has_level;
   // Offset of the gyroscope, rad/s.
   float gyroscope_offset_rad_s[3];
   // Die temperature of that offset, degrees Celsius.
@@ -143,6 +168,16 @@ typedef struct AplombCalibration {
   float accelerometer_matrix[6];
   // Quaternion w, x, y, z of a small rotation from the mounted sensor to the body.
   float level[4];
+  // Mount of the compass, as in the settings; empty if it is that of the sensor.
+  char compass_mount[8];
+  // Not 0 if the compass's matrix and hard iron are known.
+  uint8_t has_compass;
+  // Zero; reserved.
+  uint8_t reserved[3];
+  // Matrix of the compass by rows, in body axes: field = matrix * reading - hard iron.
+  float compass_matrix[9];
+  // Hard iron, µT in body axes.
+  float compass_hard_iron_ut[3];
 } AplombCalibration;
 
 // Settings of a pipeline. Begin with `aplomb_default_settings`, and change what differs.
@@ -164,6 +199,10 @@ typedef struct AplombSettings {
   int32_t sensor_delay_us;
   // A value of `AplombAccelerometerKnowledge`.
   uint32_t accelerometer_knowledge;
+  // A value of `AplombCompassKnowledge`, for a pipeline with a compass.
+  uint32_t compass_knowledge;
+  // Declination of the place, rad, east positive: the heading is then from true north.
+  float declination_rad;
   // Calibration of the sensor.
   struct AplombCalibration calibration;
 } AplombSettings;
@@ -195,7 +234,8 @@ typedef struct AplombBurst {
   uint8_t missed_before;
   // Zero; reserved.
   uint8_t reserved;
-  // Flags that the caller reports: bus fault, sensor reset, late, polled, internal clock.
+  // Flags that the caller reports: bus fault, sensor reset, late, polled, internal clock,
+  // compass fault.
   uint32_t board_flags;
 } AplombBurst;
 
@@ -217,6 +257,13 @@ typedef struct AplombSnapshot {
   float tilt_sigma_rad;
   // Sum of `APLOMB_FLAG_…`.
   uint32_t flags;
+  // Direction of forward, clockwise from north, rad in (-pi, pi]: yaw plus offset. Zero if
+  // unknown.
+  float heading_rad;
+  // Sigma of the heading, rad. Infinite without a compass and while the heading is unknown.
+  float heading_sigma_rad;
+  // Heading minus yaw, rad in (-pi, pi]. Zero if unknown.
+  float yaw_offset_rad;
 } AplombSnapshot;
 
 // Sample in SI units and in the sensor's axes. The mount turns it into body axes.
@@ -227,11 +274,25 @@ typedef struct AplombSample {
   float specific_force_m_s2[3];
   // Angular rate, rad/s.
   float angular_rate_rad_s[3];
-  // An axis of the accelerometer reads full scale.
-  bool is_force_saturated;
-  // An axis of the gyroscope reads full scale.
-  bool is_rate_saturated;
+  // Not 0 if an axis of the accelerometer reads full scale.
+  uint8_t is_force_saturated;
+  // Not 0 if an axis of the gyroscope reads full scale.
+  uint8_t is_rate_saturated;
 } AplombSample;
+
+// Memory of a pipeline with a compass, used as `AplombPipeline` is.
+typedef struct AplombCompassPipeline {
+  // Contents of the library.
+  uint64_t opaque[APLOMB_COMPASS_PIPELINE_WORDS];
+} AplombCompassPipeline;
+
+// Reading of a compass along its own axes. The calibration turns and corrects it.
+typedef struct AplombField {
+  // Magnetic field, µT. One gauss is 100 µT.
+  float field_ut[3];
+  // Age of the reading's motion against that of the last sample, µs.
+  uint32_t age_us;
+} AplombField;
 
 // Calibration as bytes with a checksum, to keep in flash or in a file. The form is that of the
 // module's flash, with slots of 256 bytes.
@@ -281,7 +342,37 @@ enum AplombStatus aplomb_stale(struct AplombPipeline *pipeline,
 enum AplombStatus aplomb_set_armed(struct AplombPipeline *pipeline,
                                    bool is_armed);
 
-// Writes a calibration as a record.
+// Starts a pipeline with a compass, in memory with any contents. Attitude, rates and tilt sigma
+// are those of `AplombPipeline`, to the bit.
+enum AplombStatus aplomb_compass_init(struct AplombCompassPipeline *pipeline,
+                                      const struct AplombSettings *settings);
+
+// Processes one burst like `aplomb_update_burst`. Writes the attitude with its heading.
+enum AplombStatus aplomb_compass_update_burst(struct AplombCompassPipeline *pipeline,
+                                              const struct AplombBurst *burst,
+                                              struct AplombSnapshot *snapshot);
+
+// Processes one sample like `aplomb_update_sample`. Writes the attitude with its heading.
+enum AplombStatus aplomb_compass_update_sample(struct AplombCompassPipeline *pipeline,
+                                               const struct AplombSample *sample,
+                                               struct AplombSnapshot *snapshot);
+
+// Takes a reading of the compass, after the update of the last sample before it. 50 to 100
+// readings a second are enough. The next updates use it.
+enum AplombStatus aplomb_compass_update_field(struct AplombCompassPipeline *pipeline,
+                                              const struct AplombField *field);
+
+// Writes the attitude for a time without a sample, as `aplomb_stale` does. The heading is the last
+// one, without `APLOMB_FLAG_HEADING_VALID`.
+enum AplombStatus aplomb_compass_stale(struct AplombCompassPipeline *pipeline,
+                                       uint64_t t_us,
+                                       struct AplombSnapshot *snapshot);
+
+// Switches between ground and flight like `aplomb_set_armed`.
+enum AplombStatus aplomb_compass_set_armed(struct AplombCompassPipeline *pipeline,
+                                           bool is_armed);
+
+// Writes a calibration as a record, that of the compass included.
 enum AplombStatus aplomb_encode_record(const struct AplombCalibration *calibration,
                                        struct AplombRecord *record);
 

@@ -12,25 +12,37 @@
 #[cfg(not(target_os = "none"))]
 extern crate std;
 
+mod compass;
 mod mount;
 mod record;
 mod settings;
 mod state;
+#[cfg(test)]
+mod tests;
 
 use core::ffi::{CStr, c_char};
 
 use aplomb::attitude::Vector3;
+use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, Step};
 use aplomb::pipeline::{Pipeline, Snapshot};
 
+pub use compass::{
+    AplombField, aplomb_compass_init, aplomb_compass_set_armed, aplomb_compass_stale,
+    aplomb_compass_update_burst, aplomb_compass_update_field, aplomb_compass_update_sample,
+};
 pub use record::{
     APLOMB_RECORD_BYTES, AplombCalibration, AplombRecord, aplomb_decode_record,
     aplomb_encode_record,
 };
-pub use settings::{AplombAccelerometerKnowledge, AplombSettings, aplomb_default_settings};
-pub use state::{APLOMB_PIPELINE_WORDS, AplombPipeline};
+pub use settings::{
+    AplombAccelerometerKnowledge, AplombCompassKnowledge, AplombSettings, aplomb_default_settings,
+};
+pub use state::{
+    APLOMB_COMPASS_PIPELINE_WORDS, APLOMB_PIPELINE_WORDS, AplombCompassPipeline, AplombPipeline,
+};
 
 /// The gyroscope's offset is not known yet.
 pub const APLOMB_FLAG_CALIBRATING: u32 = 1 << 0;
@@ -70,6 +82,12 @@ pub const APLOMB_FLAG_TEMPERATURE: u32 = 1 << 16;
 pub const APLOMB_FLAG_POLLED: u32 = 1 << 17;
 /// Times are those of an internal oscillator, accurate to 1 %.
 pub const APLOMB_FLAG_INTERNAL_CLOCK: u32 = 1 << 18;
+/// The heading is wrong by no more than the larger of 15 degrees and six sigma.
+pub const APLOMB_FLAG_HEADING_VALID: u32 = 1 << 19;
+/// The compass gives no usable readings. The caller reports it. The attitude does not depend on it.
+pub const APLOMB_FLAG_COMPASS_FAULT: u32 = 1 << 20;
+/// Vibration is so strong that the accelerometer may clip: the tilt can be wrong by degrees.
+pub const APLOMB_FLAG_VIBRATION: u32 = 1 << 21;
 
 /// Result of a function. `aplomb_status_text` describes it.
 #[repr(C)]
@@ -95,8 +113,10 @@ pub enum AplombStatus {
     NoRecord = 8,
     /// A number of the calibration is not finite.
     NotStorable = 9,
-    /// The knowledge of the accelerometer is none of its values.
+    /// The knowledge of the accelerometer or of the compass is none of its values.
     WrongKnowledge = 10,
+    /// The declination is no angle from -pi to pi.
+    WrongDeclination = 11,
 }
 
 /// Register to write to the sensor, and the wait after it.
@@ -123,8 +143,22 @@ pub struct AplombBurst {
     pub missed_before: u8,
     /// Zero; reserved.
     pub reserved: u8,
-    /// Flags that the caller reports: bus fault, sensor reset, late, polled, internal clock.
+    /// Flags that the caller reports: bus fault, sensor reset, late, polled, internal clock,
+    /// compass fault.
     pub board_flags: u32,
+}
+
+impl AplombBurst {
+    /// Returns the burst of the library, and the caller's flags.
+    fn converted(&self) -> (Burst, BoardFlags) {
+        let burst = Burst {
+            bytes: self.bytes,
+            captured_at_us: self.captured_at_us,
+            missed_before: self.missed_before,
+        };
+        let board = BoardFlags::from_bits_truncate(self.board_flags & Flags::all().bits());
+        (burst, board)
+    }
 }
 
 /// Sample in SI units and in the sensor's axes. The mount turns it into body axes.
@@ -137,10 +171,22 @@ pub struct AplombSample {
     pub specific_force_m_s2: [f32; 3],
     /// Angular rate, rad/s.
     pub angular_rate_rad_s: [f32; 3],
-    /// An axis of the accelerometer reads full scale.
-    pub is_force_saturated: bool,
-    /// An axis of the gyroscope reads full scale.
-    pub is_rate_saturated: bool,
+    /// Not 0 if an axis of the accelerometer reads full scale.
+    pub is_force_saturated: u8,
+    /// Not 0 if an axis of the gyroscope reads full scale.
+    pub is_rate_saturated: u8,
+}
+
+impl AplombSample {
+    /// Returns the sample of the library, in body axes.
+    fn converted(&self, mount: Mount) -> Sample {
+        let body = |[x, y, z]: [f32; 3]| mount.to_body(Vector3::new(x, y, z));
+        let (force, rate) = (self.specific_force_m_s2, self.angular_rate_rad_s);
+        let mut sample = Sample::new(self.t_us, body(force), body(rate));
+        sample.is_force_saturated = self.is_force_saturated != 0;
+        sample.is_rate_saturated = self.is_rate_saturated != 0;
+        sample
+    }
 }
 
 /// Attitude at one moment, with its sigma and flags.
@@ -163,6 +209,13 @@ pub struct AplombSnapshot {
     pub tilt_sigma_rad: f32,
     /// Sum of `APLOMB_FLAG_…`.
     pub flags: u32,
+    /// Direction of forward, clockwise from north, rad in (-pi, pi]: yaw plus offset. Zero if
+    /// unknown.
+    pub heading_rad: f32,
+    /// Sigma of the heading, rad. Infinite without a compass and while the heading is unknown.
+    pub heading_sigma_rad: f32,
+    /// Heading minus yaw, rad in (-pi, pi]. Zero if unknown.
+    pub yaw_offset_rad: f32,
 }
 
 impl From<Snapshot> for AplombSnapshot {
@@ -178,6 +231,9 @@ impl From<Snapshot> for AplombSnapshot {
             yaw_rad: angles.yaw_rad,
             tilt_sigma_rad: snapshot.tilt_sigma_rad(),
             flags: snapshot.flags.bits(),
+            heading_rad: 0.0,
+            heading_sigma_rad: f32::INFINITY,
+            yaw_offset_rad: 0.0,
         }
     }
 }
@@ -194,7 +250,7 @@ pub extern "C" fn aplomb_version() -> *const c_char {
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
-    const TEXTS: [&CStr; 11] = [
+    const TEXTS: [&CStr; 12] = [
         c"done",
         c"a pointer is null",
         c"the memory holds no pipeline: call aplomb_init first",
@@ -205,7 +261,8 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"there are no more steps: the configuration is complete",
         c"the bytes hold no whole record, or one of a later version",
         c"a number of the calibration is not finite",
-        c"the knowledge of the accelerometer is none of its values",
+        c"the knowledge of the accelerometer or of the compass is none of its values",
+        c"the declination is no angle from -pi to pi",
     ];
     let text = TEXTS.get(status as usize).copied();
     text.unwrap_or(c"this is no status of aplomb").as_ptr()
@@ -246,23 +303,7 @@ pub extern "C" fn aplomb_init(
     pipeline: Option<&mut AplombPipeline>,
     settings: Option<&AplombSettings>,
 ) -> AplombStatus {
-    let (Some(state), Some(settings)) = (pipeline, settings) else {
-        return AplombStatus::NullPointer;
-    };
-    let checked = match settings.checked() {
-        Ok(checked) => checked,
-        Err(status) => return status,
-    };
-    let knowledge = match settings.knowledge() {
-        Ok(knowledge) => knowledge,
-        Err(status) => return status,
-    };
-    let mut pipeline = Pipeline::new(&checked);
-    if let Some(knowledge) = knowledge {
-        pipeline.set_accelerometer_knowledge(knowledge);
-    }
-    state.put(pipeline);
-    AplombStatus::Ok
+    status_of(start(pipeline, settings))
 }
 
 /// Processes one burst. Writes the attitude at the burst's time.
@@ -273,17 +314,9 @@ pub extern "C" fn aplomb_update_burst(
     burst: Option<&AplombBurst>,
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
-    let Some(burst) = burst else {
-        return AplombStatus::NullPointer;
-    };
-    let converted = Burst {
-        bytes: burst.bytes,
-        captured_at_us: burst.captured_at_us,
-        missed_before: burst.missed_before,
-    };
-    let board = BoardFlags::from_bits_truncate(burst.board_flags & Flags::all().bits());
-    with(pipeline, snapshot, |pipeline| {
-        pipeline.update(&converted, board)
+    with(pipeline, burst, snapshot, |pipeline, burst| {
+        let (burst, board) = burst.converted();
+        pipeline.update(&burst, board)
     })
 }
 
@@ -295,17 +328,9 @@ pub extern "C" fn aplomb_update_sample(
     sample: Option<&AplombSample>,
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
-    let Some(sample) = sample else {
-        return AplombStatus::NullPointer;
-    };
-    with(pipeline, snapshot, |pipeline| {
+    with(pipeline, sample, snapshot, |pipeline, sample| {
         let mount = pipeline.settings().mount();
-        let body = |[x, y, z]: [f32; 3]| mount.to_body(Vector3::new(x, y, z));
-        let (force, rate) = (sample.specific_force_m_s2, sample.angular_rate_rad_s);
-        let mut converted = Sample::new(sample.t_us, body(force), body(rate));
-        converted.is_force_saturated = sample.is_force_saturated;
-        converted.is_rate_saturated = sample.is_rate_saturated;
-        pipeline.update_sample(&converted)
+        pipeline.update_sample(&sample.converted(mount))
     })
 }
 
@@ -318,8 +343,8 @@ pub extern "C" fn aplomb_stale(
     t_us: u64,
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
-    with(pipeline, snapshot, |pipeline| {
-        pipeline.stale(t_us, BoardFlags::empty())
+    with(pipeline, Some(&t_us), snapshot, |pipeline, t_us| {
+        pipeline.stale(*t_us, BoardFlags::empty())
     })
 }
 
@@ -331,27 +356,47 @@ pub extern "C" fn aplomb_set_armed(
     pipeline: Option<&mut AplombPipeline>,
     is_armed: bool,
 ) -> AplombStatus {
-    match state::pipeline(pipeline) {
-        Ok(pipeline) => pipeline.set_armed(is_armed),
-        Err(status) => return status,
-    }
-    AplombStatus::Ok
+    let armed = state::pipeline(pipeline).map(|pipeline| pipeline.set_armed(is_armed));
+    status_of(armed)
 }
 
-/// Calls a function of the pipeline, and writes its snapshot.
-fn with(
-    pipeline: Option<&mut AplombPipeline>,
-    snapshot: Option<&mut AplombSnapshot>,
-    call: impl FnOnce(&mut Pipeline) -> Snapshot,
-) -> AplombStatus {
-    let Some(out) = snapshot else {
-        return AplombStatus::NullPointer;
-    };
-    match state::pipeline(pipeline) {
-        Ok(pipeline) => *out = call(pipeline).into(),
-        Err(status) => return status,
+/// Stores a pipeline with these settings. Moves it as little as possible: it is large for a stack.
+fn start(
+    state: Option<&mut AplombPipeline>,
+    settings: Option<&AplombSettings>,
+) -> Result<(), AplombStatus> {
+    let (state, settings) = (not_null(state)?, not_null(settings)?);
+    let checked = settings.checked()?;
+    let accelerometer = settings.accelerometer()?;
+    state.put(Pipeline::new(&checked));
+    if let Some(knowledge) = accelerometer {
+        state::pipeline(Some(state))?.set_accelerometer_knowledge(knowledge);
     }
-    AplombStatus::Ok
+    Ok(())
+}
+
+/// Calls a function of the pipeline with this input, and writes its snapshot.
+fn with<I>(
+    pipeline: Option<&mut AplombPipeline>,
+    input: Option<&I>,
+    snapshot: Option<&mut AplombSnapshot>,
+    call: impl FnOnce(&mut Pipeline, &I) -> Snapshot,
+) -> AplombStatus {
+    status_of((|| {
+        let (input, out) = (not_null(input)?, not_null(snapshot)?);
+        *out = call(state::pipeline(pipeline)?, input).into();
+        Ok(())
+    })())
+}
+
+/// Returns what a pointer points to.
+fn not_null<T>(pointer: Option<T>) -> Result<T, AplombStatus> {
+    pointer.ok_or(AplombStatus::NullPointer)
+}
+
+/// Returns the status of a result.
+fn status_of(result: Result<(), AplombStatus>) -> AplombStatus {
+    result.err().unwrap_or(AplombStatus::Ok)
 }
 
 /// Stops: no function of this library panics, so nothing calls it.

@@ -4,9 +4,10 @@ use core::ffi::c_char;
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::{
-    AccelerometerCorrection, Calibration, GyroscopeOffset, SymmetricMatrix, TemperatureModel,
+    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, SymmetricMatrix,
+    TemperatureModel,
 };
-use aplomb::settings::{Record, storage};
+use aplomb::settings::{CompassSettings, Record, storage};
 use embedded_storage::nor_flash::{
     ErrorType, MultiwriteNorFlash, NorFlash, NorFlashErrorKind, ReadNorFlash,
 };
@@ -26,20 +27,21 @@ pub struct AplombRecord {
     pub bytes: [u8; APLOMB_RECORD_BYTES],
 }
 
-/// Calibration of one sensor, in SI units and its own axes. All zero is none.
+/// Calibration of one sensor and its compass, in SI units. That of the sensor is in its own axes.
+/// All zero is none.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AplombCalibration {
     /// Mount as in the settings; empty if the settings say it.
     pub mount: [c_char; 8],
-    /// True if the gyroscope's offset and temperature are known.
-    pub has_gyroscope: bool,
-    /// True if the offset over temperature is known.
-    pub has_temperature: bool,
-    /// True if the accelerometer's offset and matrix are known.
-    pub has_accelerometer: bool,
-    /// True if the level is known.
-    pub has_level: bool,
+    /// Not 0 if the gyroscope's offset and temperature are known.
+    pub has_gyroscope: u8,
+    /// Not 0 if the offset over temperature is known.
+    pub has_temperature: u8,
+    /// Not 0 if the accelerometer's offset and matrix are known.
+    pub has_accelerometer: u8,
+    /// Not 0 if the level is known.
+    pub has_level: u8,
     /// Offset of the gyroscope, rad/s.
     pub gyroscope_offset_rad_s: [f32; 3],
     /// Die temperature of that offset, degrees Celsius.
@@ -62,6 +64,16 @@ pub struct AplombCalibration {
     pub accelerometer_matrix: [f32; 6],
     /// Quaternion w, x, y, z of a small rotation from the mounted sensor to the body.
     pub level: [f32; 4],
+    /// Mount of the compass, as in the settings; empty if it is that of the sensor.
+    pub compass_mount: [c_char; 8],
+    /// Not 0 if the compass's matrix and hard iron are known.
+    pub has_compass: u8,
+    /// Zero; reserved.
+    pub reserved: [u8; 3],
+    /// Matrix of the compass by rows, in body axes: field = matrix * reading - hard iron.
+    pub compass_matrix: [f32; 9],
+    /// Hard iron, µT in body axes.
+    pub compass_hard_iron_ut: [f32; 3],
 }
 
 impl AplombCalibration {
@@ -73,11 +85,11 @@ impl AplombCalibration {
             let mount = mount::parse(&self.mount);
             calibration.mount = Some(mount.ok_or(AplombStatus::WrongMount)?);
         }
-        calibration.gyroscope = self.has_gyroscope.then_some(GyroscopeOffset {
+        calibration.gyroscope = (self.has_gyroscope != 0).then_some(GyroscopeOffset {
             offset_rad_s: vector(self.gyroscope_offset_rad_s),
             temperature_celsius: self.gyroscope_celsius,
         });
-        calibration.temperature = self.has_temperature.then_some(TemperatureModel {
+        calibration.temperature = (self.has_temperature != 0).then_some(TemperatureModel {
             reference_celsius: self.temperature_reference_celsius,
             offset_rad_s: vector(self.temperature_offset_rad_s),
             slope_rad_s_per_celsius: vector(self.temperature_slope_rad_s_per_celsius),
@@ -97,27 +109,48 @@ impl AplombCalibration {
                 yz,
             },
         };
-        calibration.accelerometer = self.has_accelerometer.then_some(correction);
+        calibration.accelerometer = (self.has_accelerometer != 0).then_some(correction);
         let [w, x, y, z] = self.level;
-        calibration.level = self.has_level.then_some(Quaternion { w, x, y, z });
+        calibration.level = (self.has_level != 0).then_some(Quaternion { w, x, y, z });
         Ok(calibration)
+    }
+
+    /// Returns the compass's settings of the library.
+    pub(crate) fn compass(&self) -> Result<CompassSettings, AplombStatus> {
+        let mut compass = CompassSettings::default();
+        if self.compass_mount[0] != 0 {
+            let mount = mount::parse(&self.compass_mount);
+            compass.mount = Some(mount.ok_or(AplombStatus::WrongMount)?);
+        }
+        let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = self.compass_matrix;
+        let [x, y, z] = self.compass_hard_iron_ut;
+        compass.correction = (self.has_compass != 0).then_some(CompassCorrection {
+            matrix: [
+                Vector3::new(xx, xy, xz),
+                Vector3::new(yx, yy, yz),
+                Vector3::new(zx, zy, zz),
+            ],
+            hard_iron_ut: Vector3::new(x, y, z),
+        });
+        Ok(compass)
     }
 }
 
-impl From<&Calibration> for AplombCalibration {
-    fn from(calibration: &Calibration) -> Self {
+impl From<&Record> for AplombCalibration {
+    fn from(record: &Record) -> Self {
+        let calibration = &record.calibration;
         let array = |vector: Vector3| [vector.x, vector.y, vector.z];
         let mut found = Self::default();
         if let Some(mount) = calibration.mount {
             found.mount = mount::padded(mount.name());
         }
         if let Some(gyroscope) = calibration.gyroscope {
-            found.has_gyroscope = true;
+            found.has_gyroscope = 1;
             found.gyroscope_offset_rad_s = array(gyroscope.offset_rad_s);
             found.gyroscope_celsius = gyroscope.temperature_celsius;
         }
         if let Some(model) = calibration.temperature {
-            found.has_temperature = true;
+            found.has_temperature = 1;
             found.temperature_reference_celsius = model.reference_celsius;
             found.temperature_offset_rad_s = array(model.offset_rad_s);
             found.temperature_slope_rad_s_per_celsius = array(model.slope_rad_s_per_celsius);
@@ -128,19 +161,28 @@ impl From<&Calibration> for AplombCalibration {
         }
         if let Some(correction) = calibration.accelerometer {
             let m = correction.matrix;
-            found.has_accelerometer = true;
+            found.has_accelerometer = 1;
             found.accelerometer_offset_m_s2 = array(correction.offset_m_s2);
             found.accelerometer_matrix = [m.xx, m.yy, m.zz, m.xy, m.xz, m.yz];
         }
         if let Some(level) = calibration.level {
-            found.has_level = true;
+            found.has_level = 1;
             found.level = [level.w, level.x, level.y, level.z];
+        }
+        if let Some(mount) = record.compass.mount {
+            found.compass_mount = mount::padded(mount.name());
+        }
+        if let Some(correction) = record.compass.correction {
+            let [x, y, z] = correction.matrix.map(array);
+            found.has_compass = 1;
+            found.compass_matrix = [x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]];
+            found.compass_hard_iron_ut = array(correction.hard_iron_ut);
         }
         found
     }
 }
 
-/// Writes a calibration as a record.
+/// Writes a calibration as a record, that of the compass included.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_encode_record(
@@ -151,10 +193,13 @@ pub extern "C" fn aplomb_encode_record(
         return AplombStatus::NullPointer;
     };
     let mut record = Record::default();
-    record.calibration = match calibration.checked() {
-        Ok(calibration) => calibration,
-        Err(status) => return status,
-    };
+    match (calibration.checked(), calibration.compass()) {
+        (Ok(sensor), Ok(compass)) => {
+            record.calibration = sensor;
+            record.compass = compass;
+        }
+        (Err(status), _) | (_, Err(status)) => return status,
+    }
     let mut memory = Memory([0xFF; APLOMB_RECORD_BYTES]);
     if storage::save(&mut memory, &record).is_err() {
         return AplombStatus::NotStorable;
@@ -176,7 +221,7 @@ pub extern "C" fn aplomb_decode_record(
     let Some(record) = storage::load(&mut Memory(record.bytes)).record else {
         return AplombStatus::NoRecord;
     };
-    *out = AplombCalibration::from(&record.calibration);
+    *out = AplombCalibration::from(&record);
     AplombStatus::Ok
 }
 

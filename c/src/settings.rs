@@ -1,7 +1,10 @@
 //! Settings of a pipeline for C, and their checks.
 
+use core::f32::consts::PI;
 use core::ffi::c_char;
 
+use aplomb::calibration::CompassAlignment;
+use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part};
 use aplomb::pipeline::Settings;
@@ -22,6 +25,18 @@ pub enum AplombAccelerometerKnowledge {
     SixPoses = 2,
     /// Calibrated with cross-axis terms.
     Calibrated = 3,
+}
+
+/// Knowledge of the compass's hard iron.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AplombCompassKnowledge {
+    /// As the calibration says.
+    ByCalibration = 0,
+    /// A compass that was never calibrated: no heading before the body has turned.
+    Factory = 1,
+    /// A compass whose readings are calibrated.
+    Calibrated = 2,
 }
 
 /// Settings of a pipeline. Begin with `aplomb_default_settings`, and change what differs.
@@ -45,6 +60,10 @@ pub struct AplombSettings {
     pub sensor_delay_us: i32,
     /// A value of `AplombAccelerometerKnowledge`.
     pub accelerometer_knowledge: u32,
+    /// A value of `AplombCompassKnowledge`, for a pipeline with a compass.
+    pub compass_knowledge: u32,
+    /// Declination of the place, rad, east positive: the heading is then from true north.
+    pub declination_rad: f32,
     /// Calibration of the sensor.
     pub calibration: AplombCalibration,
 }
@@ -76,7 +95,7 @@ impl AplombSettings {
     }
 
     /// Returns the knowledge of the accelerometer; `None` if the calibration says it.
-    pub(crate) fn knowledge(&self) -> Result<Option<AccelerometerKnowledge>, AplombStatus> {
+    pub(crate) fn accelerometer(&self) -> Result<Option<AccelerometerKnowledge>, AplombStatus> {
         const KNOWLEDGE: [Option<AccelerometerKnowledge>; 4] = [
             None,
             Some(AccelerometerKnowledge::Factory),
@@ -88,6 +107,34 @@ impl AplombSettings {
             .get(index)
             .copied()
             .ok_or(AplombStatus::WrongKnowledge)
+    }
+
+    /// Returns the compass's place and correction.
+    pub(crate) fn compass_alignment(&self) -> Result<CompassAlignment, AplombStatus> {
+        let mount = self.checked()?.mount();
+        Ok(self.calibration.compass()?.alignment(mount))
+    }
+
+    /// Returns the knowledge of this compass's hard iron.
+    pub(crate) fn compass_knowledge(
+        &self,
+        alignment: &CompassAlignment,
+    ) -> Result<CompassKnowledge, AplombStatus> {
+        match self.compass_knowledge {
+            0 if alignment.correction.is_some() => Ok(CompassKnowledge::Calibrated),
+            0 | 1 => Ok(CompassKnowledge::Factory),
+            2 => Ok(CompassKnowledge::Calibrated),
+            _ => Err(AplombStatus::WrongKnowledge),
+        }
+    }
+
+    /// Returns the declination, rad.
+    pub(crate) fn declination(&self) -> Result<f32, AplombStatus> {
+        if self.declination_rad.abs() <= PI {
+            Ok(self.declination_rad)
+        } else {
+            Err(AplombStatus::WrongDeclination)
+        }
     }
 }
 
@@ -105,6 +152,8 @@ pub extern "C" fn aplomb_default_settings() -> AplombSettings {
         who_am_i: Part::MPU_6050.who_am_i,
         sensor_delay_us: -1,
         accelerometer_knowledge: AplombAccelerometerKnowledge::ByCalibration as u32,
+        compass_knowledge: AplombCompassKnowledge::ByCalibration as u32,
+        declination_rad: 0.0,
         calibration: AplombCalibration::default(),
     }
 }

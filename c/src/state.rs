@@ -1,16 +1,23 @@
-//! The pipeline in the caller's memory.
+//! Pipelines in the caller's memory.
 
 use core::mem::{MaybeUninit, align_of, size_of};
 
-use aplomb::pipeline::Pipeline;
+use aplomb::calibration::CompassAlignment;
+use aplomb::pipeline::{CompassPipeline, Pipeline};
 
 use crate::AplombStatus;
 
 /// Size of a pipeline, in units of eight bytes. The same on every target.
 pub const APLOMB_PIPELINE_WORDS: usize = 320;
 
+/// Size of a pipeline with a compass, in units of eight bytes. The same on every target.
+pub const APLOMB_COMPASS_PIPELINE_WORDS: usize = 480;
+
 /// First word of memory that holds a pipeline: no text, no pointer, no pattern of fresh memory.
 const MARK: u64 = 0xA910_3B5E_7C1D_42F1;
+
+/// First word of memory that holds a pipeline with a compass.
+const COMPASS_MARK: u64 = 0xC35D_90E7_1B64_A82F;
 
 /// Memory of a pipeline. Its contents are the library's own. It may be static, on the stack or in a
 /// larger struct, and may be copied.
@@ -21,26 +28,46 @@ pub struct AplombPipeline {
     pub opaque: [u64; APLOMB_PIPELINE_WORDS],
 }
 
-const _: () = assert!(
-    size_of::<Pipeline>() <= 8 * (APLOMB_PIPELINE_WORDS - 1) && align_of::<Pipeline>() <= 8
-);
+/// Memory of a pipeline with a compass, used as `AplombPipeline` is.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct AplombCompassPipeline {
+    /// Contents of the library.
+    pub opaque: [u64; APLOMB_COMPASS_PIPELINE_WORDS],
+}
+
+/// Pipeline with a compass, and the compass's place in the vehicle.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct WithCompass {
+    pub(crate) pipeline: CompassPipeline,
+    pub(crate) alignment: CompassAlignment,
+}
 
 impl AplombPipeline {
     /// Stores a pipeline.
     pub(crate) fn put(&mut self, pipeline: Pipeline) {
-        self.place().write(pipeline);
+        place(&mut self.opaque).write(pipeline);
         self.opaque[0] = MARK;
     }
+}
 
-    /// Returns the place of the pipeline behind the mark.
-    #[allow(unsafe_code, reason = "C knows no Rust type of this size")]
-    fn place(&mut self) -> &mut MaybeUninit<Pipeline> {
-        let words = &raw mut self.opaque;
-        // SAFETY: the words after the first are at least as large and as aligned as a pipeline,
-        // which the assertion above checks. They are borrowed for as long as the result. Any bytes
-        // are a `MaybeUninit`.
-        unsafe { &mut *words.cast::<u64>().add(1).cast::<MaybeUninit<Pipeline>>() }
+impl AplombCompassPipeline {
+    /// Stores a pipeline with a compass.
+    pub(crate) fn put(&mut self, pipeline: WithCompass) {
+        place(&mut self.opaque).write(pipeline);
+        self.opaque[0] = COMPASS_MARK;
     }
+}
+
+/// Returns the place of a value behind the mark.
+#[allow(unsafe_code, reason = "C knows no Rust type of this size")]
+fn place<T, const WORDS: usize>(opaque: &mut [u64; WORDS]) -> &mut MaybeUninit<T> {
+    const { assert!(WORDS > 0 && size_of::<T>() <= 8 * (WORDS - 1) && align_of::<T>() <= 8) };
+    let words = &raw mut *opaque;
+    // SAFETY: the words after the first are at least as large and as aligned as the value, which
+    // the assertion above checks. They are borrowed for as long as the result. Any bytes are a
+    // `MaybeUninit`.
+    unsafe { &mut *words.cast::<u64>().add(1).cast::<MaybeUninit<T>>() }
 }
 
 /// Returns the pipeline in this memory.
@@ -51,5 +78,18 @@ pub(crate) fn pipeline(state: Option<&mut AplombPipeline>) -> Result<&mut Pipeli
         return Err(AplombStatus::NotInitialised);
     }
     // SAFETY: only `put` writes the mark, after the pipeline. The header forbids others to write.
-    Ok(unsafe { state.place().assume_init_mut() })
+    Ok(unsafe { place(&mut state.opaque).assume_init_mut() })
+}
+
+/// Returns the pipeline with a compass in this memory.
+#[allow(unsafe_code, reason = "the mark says that the memory is initialised")]
+pub(crate) fn with_compass(
+    state: Option<&mut AplombCompassPipeline>,
+) -> Result<&mut WithCompass, AplombStatus> {
+    let state = state.ok_or(AplombStatus::NullPointer)?;
+    if state.opaque[0] != COMPASS_MARK {
+        return Err(AplombStatus::NotInitialised);
+    }
+    // SAFETY: only `put` writes the mark, after the pipeline. The header forbids others to write.
+    Ok(unsafe { place(&mut state.opaque).assume_init_mut() })
 }

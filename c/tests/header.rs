@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use aplomb::health::Flags;
+
 /// Text at the head of the header.
 const HEAD: &str = "\
 /* aplomb: attitude from an MPU-6050, or from samples in SI units. docs/c.md explains it.
@@ -24,7 +26,9 @@ fn header() -> String {
         ..cbindgen::Config::default()
     };
     config.enumeration.rename_variants = cbindgen::RenameRule::QualifiedScreamingSnakeCase;
-    config.export.include = vec!["AplombAccelerometerKnowledge".to_owned()];
+    config.export.include = ["AplombAccelerometerKnowledge", "AplombCompassKnowledge"]
+        .map(str::to_owned)
+        .into();
     let bindings = cbindgen::Builder::new()
         .with_config(config)
         .with_src(folder.join("src/lib.rs"));
@@ -45,4 +49,16 @@ fn the_header_is_that_of_the_code() {
     }
     let committed = std::fs::read_to_string(&file).unwrap_or_default();
     assert_eq!(committed, made, "bless c/include/aplomb.h anew");
+}
+
+#[test]
+fn the_flags_are_those_of_the_library() {
+    let header = header();
+    for (name, flag) in Flags::all().iter_names() {
+        let bit = flag.bits().trailing_zeros();
+        let line = format!("#define APLOMB_FLAG_{name} (1 << {bit})\n");
+        assert!(header.contains(&line), "the header lacks {line}");
+    }
+    let flags = header.matches("#define APLOMB_FLAG_").count();
+    assert_eq!(flags, Flags::all().iter().count());
 }

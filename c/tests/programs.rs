@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use aplomb::health::BoardFlags;
@@ -12,25 +12,20 @@ use aplomb::mpu6050::{RawSample, TemperatureCounts};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 
-/// Warnings of every compiler, all of them errors.
-const WARNINGS: [&str; 5] = ["-Wall", "-Wextra", "-pedantic", "-Werror", "-O1"];
+mod common;
 
-/// Returns the static library that this test was built with.
-fn library() -> PathBuf {
-    let folder = std::env::current_exe().expect("a test has a path");
-    let folder = folder.parent().expect("a test is in a folder");
-    let files = std::fs::read_dir(folder).expect("the folder can be read");
-    let is_library = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        name.starts_with("libaplomb_c") && name.ends_with(".a")
-    };
-    let libraries = files.flatten().map(|entry| entry.path()).filter(is_library);
-    let newest = libraries.max_by_key(|path| path.metadata().and_then(|data| data.modified()).ok());
-    newest.expect("cargo builds the static library with the test")
+use common::{SYSTEM, WARNINGS, library};
+
+/// Returns whether this compiler can make an empty program with these options, as this file.
+fn can_link(compiler: &str, options: &[&str], program: &Path) -> bool {
+    let empty = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/c/empty.c");
+    let mut command = Command::new(compiler);
+    command.args(options).arg(empty).arg("-o").arg(program);
+    command.output().is_ok_and(|output| output.status.success())
 }
 
-/// Compilers with their languages that are on this computer.
-fn compilers() -> Vec<(&'static str, &'static [&'static str])> {
+/// Compilers with their languages that are on this computer. `probe` is a file to write.
+fn compilers(probe: &Path) -> Vec<(&'static str, &'static [&'static str])> {
     let all: [(&str, &[&str]); 6] = [
         ("gcc", &["-std=c99"]),
         (
@@ -59,13 +54,11 @@ fn compilers() -> Vec<(&'static str, &'static [&'static str])> {
             &["-x", "c++", "-std=c++11", "-Wno-missing-field-initializers"],
         ),
     ];
-    let is_there = |name: &str| {
-        let version = Command::new(name).arg("--version").output();
-        version.is_ok_and(|output| output.status.success())
-    };
-    let (found, absent): (Vec<_>, Vec<_>) = all.into_iter().partition(|(name, _)| is_there(name));
+    let (found, absent): (Vec<_>, Vec<_>) = all
+        .into_iter()
+        .partition(|(name, options)| can_link(name, options, probe));
     for (name, options) in absent {
-        eprintln!("skipped: {name} {options:?}: the compiler is not installed");
+        eprintln!("skipped: {name} {options:?}: the compiler or its sanitizer is not installed");
     }
     found
 }
@@ -73,8 +66,9 @@ fn compilers() -> Vec<(&'static str, &'static [&'static str])> {
 /// Compiles these sources with each compiler, and calls `run` for each program.
 fn each_program(name: &str, sources: &[&str], run: impl Fn(&Path)) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
-    for (index, (compiler, options)) in compilers().into_iter().enumerate() {
-        let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{index}"));
+    let file = |suffix: &str| common::file(&format!("{name}-{suffix}"));
+    for (index, (compiler, options)) in compilers(&file("probe")).into_iter().enumerate() {
+        let program = file(&index.to_string());
         let mut command = Command::new(compiler);
         command.args(WARNINGS).args(options);
         for include in ["include", "examples"] {
@@ -84,10 +78,7 @@ fn each_program(name: &str, sources: &[&str], run: impl Fn(&Path)) {
         if options.contains(&"-x") {
             command.args(["-x", "none"]);
         }
-        command
-            .arg(library())
-            .args(["-lpthread", "-ldl", "-lm", "-o"])
-            .arg(&program);
+        command.arg(library()).args(SYSTEM).arg("-o").arg(&program);
         let output = command.output().expect("the compiler runs");
         let errors = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{compiler} {options:?}: {errors}");
@@ -150,15 +141,41 @@ fn turning() -> Vec<Burst> {
     (1..5_000).map(burst).collect()
 }
 
+/// Returns the table of these bursts.
+fn table_of(bursts: &[Burst]) -> String {
+    let mut table = format!("{}\n", bursts::HEADER);
+    for burst in bursts {
+        let line = bursts::Line(burst, BoardFlags::empty());
+        writeln!(table, "{line}").expect("memory");
+    }
+    table
+}
+
 #[test]
 fn the_same_bursts_give_the_same_bits() {
-    let mut table = format!("{}\n", bursts::HEADER);
+    gives_the_same_bits(&table_of(&turning()));
+}
+
+/// `cargo xtask agree` flies these on the virtual board.
+#[test]
+fn bursts_of_flights_give_the_same_bits() {
+    let flights = Path::new(env!("CARGO_TARGET_TMPDIR")).with_file_name("agree");
+    for flight in ["simulated", "recorded"] {
+        let path = flights.join(flight).join("bursts.csv");
+        match std::fs::read_to_string(&path) {
+            Ok(table) => gives_the_same_bits(&table),
+            Err(_) => eprintln!("skipped: there is no {}", path.display()),
+        }
+    }
+}
+
+/// Holds the attitudes that the example prints for a table of bursts to those of the library.
+fn gives_the_same_bits(table: &str) {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
     let mut expected = Vec::new();
-    for burst in turning() {
-        let line = bursts::Line(&burst, BoardFlags::empty());
-        writeln!(table, "{line}").expect("memory");
-        let snapshot = pipeline.update(&burst, BoardFlags::empty());
+    for line in table.lines().skip(1) {
+        let (burst, board) = bursts::decode(line).expect("a burst");
+        let snapshot = pipeline.update(&burst, board);
         let q = snapshot.attitude;
         let bits = [q.w, q.x, q.y, q.z].map(f32::to_bits);
         expected.push((snapshot.t_us, bits, snapshot.flags.bits()));
@@ -170,7 +187,7 @@ fn the_same_bursts_give_the_same_bits() {
             .spawn()
             .expect("the program runs");
         let mut input = child.stdin.take().expect("it is piped");
-        let text = table.clone();
+        let text = table.to_owned();
         let writer = std::thread::spawn(move || input.write_all(text.as_bytes()));
         let output = child.wait_with_output().expect("the program ends");
         writer.join().expect("no panic").expect("all is read");
@@ -187,4 +204,33 @@ fn the_same_bursts_give_the_same_bits() {
             assert_eq!(cells[5], flags.to_string(), "{line}");
         }
     });
+}
+
+/// Returns the first block of this language on a page.
+fn first_block(page: &str, language: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
+    let text = std::fs::read_to_string(&path).expect("the page is there");
+    let (_, block) = text
+        .split_once(&format!("```{language}\n"))
+        .expect("it has a block");
+    block
+        .split_once("```")
+        .expect("the block ends")
+        .0
+        .to_owned()
+}
+
+#[test]
+fn the_page_shows_an_attitude_in_fifteen_lines() {
+    let source = first_block("docs/c.md", "c");
+    let lines = source.lines().filter(|line| !line.trim().is_empty());
+    assert!(lines.count() <= 15, "{source}");
+    let file = common::file("page.c");
+    std::fs::write(&file, source).expect("the folder can be written");
+    let Some(program) = common::program_of_gcc("page", file.to_str().expect("text")) else {
+        return;
+    };
+    let output = Command::new(&program).output().expect("the program runs");
+    let printed = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(printed, "roll 30.0 degrees\n");
 }

@@ -1,10 +1,13 @@
-//! `aplomb calibrate`: calibration of the accelerometer from a recording, with the device's own
-//! rule and fit.
+//! `aplomb calibrate`: calibration of the accelerometer and of a compass from a recording, with the
+//! device's own rule and fits.
 //!
 //! The firmware's stationary detector finds the rests, and its collector collects them. A recording
 //! without rests may hold slow moments, in which the specific force is nearly gravity. The program
 //! uses them if there are enough in every direction, and the output names this rule. Half of the
 //! poses are held out, to report the residual on poses that the fit has not seen.
+
+mod compass;
+mod samples;
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -16,14 +19,12 @@ use aplomb::calibration::{
     ImuReading, NoiseModel, SensorSetup, StationaryDetector, StationaryMean, StationaryProgress,
     SymmetricMatrix,
 };
-use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part, RawSample};
+use aplomb::mpu6050::{Config, LowPass, Part};
 use aplomb::pipeline::Settings;
-use aplomb::telemetry::bursts;
-use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
-use aplomb_recordings::counts::counts;
+use aplomb::units::STANDARD_GRAVITY_M_S2;
 use aplomb_recordings::flight_log;
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{Lines, Row, Rows};
+use aplomb_recordings::log::Rows;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
 use aplomb_recordings::units::RowOptions;
@@ -31,6 +32,9 @@ use aplomb_recordings::units::RowOptions;
 use crate::i2c::I2cOptions;
 use crate::input::Counts;
 use crate::progress;
+
+use compass::CompassFound;
+use samples::{Sample, finest_config, read_bursts, read_rows, to_samples};
 
 /// Length of a rest, s. The device wants a second, which a recording made by hand seldom has.
 const REST_S: f64 = 0.5;
@@ -43,11 +47,17 @@ const SLOW_SPREAD_DEGREES_S: f64 = 10.0;
 /// Fewest slow moments: each is only nearly at rest.
 const LEAST_SLOW_POSES: usize = 24;
 
-/// Find the accelerometer's calibration in a recording that shows the sensor from many sides.
+/// Find the calibration of accelerometer and compass in a recording that shows the sensor from many
+/// sides.
 ///
 /// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with --raw)
 /// or a bursts.csv, plain or gzipped. Lay the sensor on each of its six sides for two seconds; a
 /// dozen poses, edges included, show the cross-axis terms too.
+///
+/// With the columns mx,my,mz (µT) the compass is calibrated too: turn the sensor slowly to and fro
+/// about all axes for 30 s, each side down once, away from iron. One fit with the filter's
+/// attitudes finds hard iron, soft iron and gains. It is refused if a side is missing, or if the
+/// readings contradict the motion.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb calibrate poses.csv
@@ -57,7 +67,10 @@ const LEAST_SLOW_POSES: usize = 24;
 
 JSON: rule (rest or slow), poses, offset_m_s2, matrix (what corrects: times reading less offset),
 cross_axis_fitted, residual_before_g, residual_after_g, and held_out: fitted and held_out poses,
-residual_before_g and residual_after_g of those held out.")]
+residual_before_g and residual_after_g of those held out; accelerometer_refused instead, if only
+the compass was found. With a compass: compass (readings, matrix times reading less hard_iron_ut is
+the field in sensor axes; strength_ut, dip_deg, residual_ut, is_mount_that_of_the_imu), or
+compass_refused.")]
 pub struct Options {
     /// The recording
     #[arg(required_unless_present_any = ["draw_poses", "i2c"], conflicts_with = "i2c")]
@@ -77,6 +90,14 @@ pub struct Options {
     counts: Counts,
     #[command(flatten)]
     rows: RowOptions,
+    /// Age of the compass's readings against the samples of their rows, in microseconds
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 0,
+        value_parser = clap::value_parser!(u32).range(..=1_000_000)
+    )]
+    compass_delay_us: u32,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -98,65 +119,77 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         Some(input) => Recording::read(input, options)?,
         None => {
             let (samples, config) = options.sensor.collect(options.seconds)?;
-            let to_sample = |(t_us, raw)| Sample { t_us, raw };
+            let to_sample = |(t_us, raw)| Sample {
+                t_us,
+                raw,
+                field_ut: None,
+            };
             Recording::new(config, samples.into_iter().map(to_sample).collect())
         }
     };
-    let rested = recording.rests();
     let mut report = format!(
         "{}: {} rows, {:.1} s\n",
         input.display(),
         recording.samples.len(),
         recording.duration_s(),
     );
-    let found = match accelerometer::fit(rested.collector.readings()) {
-        Ok(fit) => {
-            rested.describe(&mut report);
-            Found {
-                rule: "rest",
-                poses: rested.collector.readings().to_vec(),
-                fit,
-            }
-        }
-        Err(error) => {
-            let slow = recording.slow_moments();
-            let why = rested.refusal(&error, &recording);
-            let fit = slow
-                .fit()
-                .map_err(|reason| format!("{}: {why}; {reason}", input.display()))?;
-            writeln!(report, "{why}")?;
-            writeln!(
-                report,
-                "instead: {} slow moments of {SLOW_S} s with a gyroscope spread of at most \
-                 {SLOW_SPREAD_DEGREES_S} °/s, of {}",
-                slow.poses.len(),
-                slow.windows,
-            )?;
-            Found {
-                rule: "slow",
-                poses: slow.poses,
-                fit,
-            }
-        }
-    };
-    if options.json {
-        print_line(&found.json()?);
-    } else {
-        found.describe(&mut report);
-        print_line(report.trim_end());
+    let accelerometer = recording
+        .accelerometer(&mut report)
+        .map_err(|reason| format!("{}: {reason}", input.display()));
+    let compass = compass::find(&recording, options.compass_delay_us)
+        .map(|found| found.map_err(|reason| format!("compass: {reason}")));
+    match (&accelerometer, &compass) {
+        (Err(reason), None) => return Err(reason.clone().into()),
+        (Err(reason), Some(Err(other))) => return Err(format!("{reason}; {other}").into()),
+        _ => {}
     }
+    if options.json {
+        print_line(&json(&accelerometer, compass.as_ref())?);
+        return Ok(());
+    }
+    match &accelerometer {
+        Ok(found) => found.describe(&mut report),
+        Err(reason) => writeln!(report, "{reason}")?,
+    }
+    match &compass {
+        Some(Ok(found)) => write!(report, "{found}")?,
+        Some(Err(reason)) => writeln!(report, "{reason}")?,
+        None => {}
+    }
+    print_line(report.trim_end());
     Ok(())
+}
+
+/// Returns the results as JSON. At least one is there.
+fn json(
+    accelerometer: &Result<Found, String>,
+    compass: Option<&Result<CompassFound, String>>,
+) -> serde_json::Result<String> {
+    serde_json::to_string(&Results {
+        accelerometer: accelerometer.as_ref().ok().map(Found::summary),
+        accelerometer_refused: accelerometer.as_ref().err(),
+        compass: compass.and_then(|found| found.as_ref().ok()),
+        compass_refused: compass.and_then(|found| found.as_ref().err()),
+    })
+}
+
+/// Results in the form of the JSON.
+#[derive(serde::Serialize)]
+struct Results<'a> {
+    #[serde(flatten)]
+    accelerometer: Option<Summary>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    accelerometer_refused: Option<&'a String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    compass: Option<&'a CompassFound>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    compass_refused: Option<&'a String>,
 }
 
 /// Recording as register counts.
 struct Recording {
     settings: Settings,
     samples: Vec<Sample>,
-}
-
-struct Sample {
-    t_us: i64,
-    raw: RawSample,
 }
 
 impl Recording {
@@ -201,6 +234,36 @@ impl Recording {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor = config;
         Self { settings, samples }
+    }
+
+    /// Finds the calibration of the accelerometer. The error is the reason why there is none.
+    fn accelerometer(&self, report: &mut String) -> Result<Found, String> {
+        let rested = self.rests();
+        let error = match accelerometer::fit(rested.collector.readings()) {
+            Ok(fit) => {
+                rested.describe(report);
+                return Ok(Found {
+                    rule: "rest",
+                    poses: rested.collector.readings().to_vec(),
+                    fit,
+                });
+            }
+            Err(error) => error,
+        };
+        let slow = self.slow_moments();
+        let why = rested.refusal(&error, self);
+        let fit = slow.fit().map_err(|reason| format!("{why}; {reason}"))?;
+        *report += &format!(
+            "{why}\ninstead: {} slow moments of {SLOW_S} s with a gyroscope spread of at most \
+             {SLOW_SPREAD_DEGREES_S} °/s, of {}\n",
+            slow.poses.len(),
+            slow.windows,
+        );
+        Ok(Found {
+            rule: "slow",
+            poses: slow.poses,
+            fit,
+        })
     }
 
     fn duration_s(&self) -> f64 {
@@ -279,92 +342,6 @@ impl Recording {
         }
         slow
     }
-}
-
-fn read_bursts(lines: &mut Lines) -> Result<Vec<Sample>, Box<dyn Error>> {
-    let mut samples = Vec::new();
-    while let Some(line) = lines.next_line()? {
-        let (burst, _) =
-            bursts::decode(line).map_err(|reason| format!("{}: {reason}", lines.place()))?;
-        let t_us = i64::try_from(burst.captured_at_us)
-            .map_err(|reason| format!("{}: t_us: {reason}", lines.place()))?;
-        let raw = RawSample::decode(&burst.bytes);
-        samples.push(Sample { t_us, raw });
-    }
-    Ok(samples)
-}
-
-/// Returns the rows with the numbers of their lines.
-fn read_rows(mut reader: Rows) -> Result<Vec<(u64, Row)>, Box<dyn Error>> {
-    let mut rows = Vec::new();
-    while let Some(row) = reader.next_row()? {
-        rows.push((reader.line(), row));
-    }
-    Ok(rows)
-}
-
-/// Returns the smallest ranges that hold a log's values.
-fn finest_config(rows: &[(u64, Row)]) -> Result<Config, String> {
-    let largest = |values: fn(&Row) -> [f64; 3]| {
-        rows.iter()
-            .flat_map(|(_, row)| values(row))
-            .fold(0.0_f64, |largest, value| largest.max(value.abs()))
-    };
-    let g = largest(|row| row.specific_force_m_s2) / f64::from(STANDARD_GRAVITY_M_S2);
-    let degrees_s = largest(|row| row.rates_rad_s) * f64::from(DEGREES_PER_RADIAN);
-    let fits = |value: f64, counts: f32| value * f64::from(counts) < 32_767.0;
-    let accelerometer_range = AccelerometerRange::ALL
-        .into_iter()
-        .find(|range| fits(g, range.counts_per_g()))
-        .ok_or_else(|| {
-            format!(
-                "{g:.0} g is more than any range of the sensor: if the log holds counts, add --raw"
-            )
-        })?;
-    let gyroscope_range = GyroscopeRange::ALL
-        .into_iter()
-        .find(|range| fits(degrees_s, range.counts_per_degree_s()))
-        .ok_or_else(|| {
-            format!(
-                "{degrees_s:.0} °/s is more than any range of the sensor: \
-                 if the log holds counts, add --raw"
-            )
-        })?;
-    Ok(Config::DEFAULT
-        .with_accelerometer_range(accelerometer_range)
-        .with_gyroscope_range(gyroscope_range))
-}
-
-/// Converts rows to counts. The error has the line of the fault.
-fn to_samples(
-    rows: &[(u64, Row)],
-    config: &Config,
-    is_raw: bool,
-) -> Result<Vec<Sample>, (u64, String)> {
-    let per_m_s2 =
-        f64::from(config.accelerometer_range.counts_per_g()) / f64::from(STANDARD_GRAVITY_M_S2);
-    let per_rad_s =
-        f64::from(config.gyroscope_range.counts_per_degree_s()) * f64::from(DEGREES_PER_RADIAN);
-    let to_sample = |(line, row): &(u64, Row)| {
-        let [accelerometer, gyroscope] = if is_raw {
-            counts(row).map_err(|reason| (*line, reason))?
-        } else {
-            [
-                row.specific_force_m_s2
-                    .map(|value| (value * per_m_s2).round() as i16),
-                row.rates_rad_s
-                    .map(|value| (value * per_rad_s).round() as i16),
-            ]
-        };
-        let mut raw = RawSample::default();
-        raw.accelerometer.0 = accelerometer;
-        raw.gyroscope.0 = gyroscope;
-        Ok(Sample {
-            t_us: row.time_us,
-            raw,
-        })
-    };
-    rows.iter().map(to_sample).collect()
 }
 
 struct Statistics {
@@ -553,11 +530,11 @@ impl Found {
         }
     }
 
-    fn json(&self) -> serde_json::Result<String> {
+    fn summary(&self) -> Summary {
         let fit = &self.fit;
         let offset = fit.correction.offset_m_s2;
         let m = fit.correction.matrix;
-        serde_json::to_string(&Summary {
+        Summary {
             rule: self.rule,
             poses: fit.poses,
             offset_m_s2: [offset.x, offset.y, offset.z],
@@ -566,7 +543,7 @@ impl Found {
             residual_before_g: fit.residual_before_g,
             residual_after_g: fit.residual_after_g,
             held_out: self.held_out(),
-        })
+        }
     }
 }
 

@@ -191,12 +191,10 @@ impl Device {
     pub fn set_calibration(&mut self, settings: &Settings) {
         self.settings.calibration = settings.calibration;
         match &mut self.pipeline {
-            Variant::Kalman(pipeline) => pipeline.set_calibration(&settings.calibration),
-            Variant::WithCompass(pipeline) => {
-                pipeline
-                    .pipeline_mut()
-                    .set_calibration(&settings.calibration);
+            Variant::Kalman(pipeline) => {
+                pipeline.set_calibration(&settings.calibration);
             }
+            Variant::WithCompass(pipeline) => pipeline.set_calibration(&settings.calibration),
             Variant::AxisKalman(_) => *self = Self::for_bursts(FilterName::AxisKalman, settings),
             Variant::Classic(_) => *self = Self::for_bursts(FilterName::Classic, settings),
         }

@@ -11,7 +11,7 @@ use crate::talk::{Talk, field, numbers};
 use crate::view::{BAUD, which_port};
 
 /// Figures of the virtual board, as `cargo xtask results` has written them.
-const RESULTS: &str = include_str!("../../docs/results.toml");
+const RESULTS: &str = include_str!("virtual_board.toml");
 
 /// Sensor's nominal sample rate, 1/s.
 const NOMINAL_HZ: f64 = 1_000.0;

@@ -66,7 +66,7 @@ pub struct Reading {
 }
 
 /// Parses what is known of a compass's hard iron.
-fn compass_knowledge(name: &str) -> Result<CompassKnowledge, &'static str> {
+pub fn compass_knowledge(name: &str) -> Result<CompassKnowledge, &'static str> {
     CompassKnowledge::from_name(name).ok_or("it is factory or calibrated")
 }
 

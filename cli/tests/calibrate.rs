@@ -5,6 +5,7 @@ mod common;
 use std::fmt::Write as _;
 
 use aplomb::calibration::accelerometer::Pose;
+use aplomb_models::motion::geometry::Quaternion;
 use common::{aplomb, file, path};
 
 const GRAVITY: f64 = 9.80665;
@@ -154,4 +155,79 @@ fn the_picture_of_the_poses_does_not_replace_the_recording() {
     let refused = calibrate("poses-over", &text, &[&RAW[..], &draw].concat()).unwrap_err();
     assert!(refused.contains("replace the input"), "{refused}");
     assert_eq!(std::fs::read_to_string(&name).unwrap(), text);
+}
+
+/// Known hard iron of the compass, µT in sensor axes.
+const HARD_IRON_UT: [f64; 3] = [30.0, -42.0, 15.0];
+
+/// Returns a log at 200 Hz of a sensor that rests for two seconds and is then turned about all axes
+/// by these shares of a whole turn. `magnet_ut` sways in sensor axes.
+fn turned(shares: f64, magnet_ut: f64) -> String {
+    let attitude = |time_s: f64| {
+        let t = (time_s - 2.0).max(0.0);
+        Quaternion::from_euler(
+            shares * 3.0 * (0.9 * t).sin(),
+            shares * 1.5 * (0.53 * t).sin(),
+            shares * 2.8 * (0.31 * t).sin(),
+        )
+    };
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n");
+    for index in 0..7_000 {
+        let time_s = 0.005 * f64::from(index);
+        let to_sensor = attitude(time_s).conjugate();
+        let turn = attitude(time_s - 0.0025).conjugate();
+        let turn = turn
+            .multiply(attitude(time_s + 0.0025))
+            .to_rotation_vector();
+        let [ax, ay, az] = to_sensor.rotate([0.0, 0.0, GRAVITY]);
+        let [gx, gy, gz] = turn.map(|angle| angle / 0.005);
+        write!(text, "{},{ax},{ay},{az},{gx},{gy},{gz}", 5_000 * index).unwrap();
+        if index % 2 > 0 {
+            text.push_str(",,,\n");
+            continue;
+        }
+        // Earth axes with z up: north along x, and the field points down.
+        let [x, y, z] = to_sensor.rotate([20.0, 0.0, -44.0]);
+        let sway = magnet_ut * (2.5 * time_s).sin();
+        let [hx, hy, hz] = HARD_IRON_UT;
+        let reading = [1.1 * x + hx + sway, 0.9 * y + hy - sway, z + hz];
+        let [x, y, z] = reading;
+        writeln!(text, ",{x:.2},{y:.2},{z:.2}").unwrap();
+    }
+    text
+}
+
+#[test]
+fn a_compass_is_calibrated_with_its_iron_and_gains() {
+    let text = turned(1.0, 0.0);
+    let printed = calibrate("compass", &text, &[]).unwrap();
+    assert!(printed.contains("compass: "), "{printed}");
+    assert!(printed.contains("residual"), "{printed}");
+    let json = calibrate("compass-json", &text, &["--json"]).unwrap();
+    let found: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let compass = &found["compass"];
+    assert_eq!(compass["is_mount_that_of_the_imu"], true, "{json}");
+    // The matrix takes gains and hard iron away: that of the readings is the matrix's inverse.
+    for (row, (gain, hard_iron)) in [1.1, 0.9, 1.0].into_iter().zip(HARD_IRON_UT).enumerate() {
+        let element = compass["matrix"][row][row].as_f64().unwrap();
+        assert!((element * gain - 1.0).abs() < 0.02, "{json}");
+        let found = compass["hard_iron_ut"][row].as_f64().unwrap();
+        assert!((found / element - hard_iron).abs() < 1.5, "{json}");
+    }
+    assert!(
+        (compass["dip_deg"].as_f64().unwrap() - 65.6).abs() < 2.0,
+        "{json}"
+    );
+}
+
+#[test]
+fn a_compass_that_was_turned_too_little_or_disturbed_is_refused_with_the_reason() {
+    let little = calibrate("compass-little", &turned(0.2, 0.0), &[]).unwrap_err();
+    assert!(little.contains("compass: it was never "), "{little}");
+    // The slow moments serve the accelerometer.
+    let disturbed = calibrate("compass-magnet", &turned(1.0, 25.0), &[]).unwrap();
+    assert!(
+        disturbed.contains("compass: the readings contradict the motion"),
+        "{disturbed}"
+    );
 }

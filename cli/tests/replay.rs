@@ -73,16 +73,22 @@ fn column<'a>(output: &'a str, name: &str) -> Vec<&'a str> {
         .collect()
 }
 
-/// Returns a log of a sensor that lies face up with its x axis to the east, for five seconds. Every
-/// fourth row has a reading of the compass.
-fn compass_log() -> String {
+/// Returns a log of a sensor that lies face up with its x axis to the east, for five seconds, then
+/// turns to the left and back so many times. Every fourth row has a reading of the compass.
+fn compass_log(turns: u32) -> String {
     let mut log = "t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n".to_owned();
-    for index in 0..1_000 {
+    for index in 0..1_000 + 800 * turns {
+        let phase = std::f64::consts::TAU * f64::from(index.saturating_sub(1_000)) / 800.0;
+        let (turned, rate) = (0.75 * (1.0 - phase.cos()), 1.178 * phase.sin());
         // North is to the left of x; the field points down.
-        let field = if index % 4 == 0 { "0.1,20,-44" } else { ",," };
+        let (sine, cosine) = turned.sin_cos();
+        let field = match index % 4 {
+            0 => format!("{:.2},{:.2},-44", 20.0 * sine + 0.1, 20.0 * cosine),
+            _ => ",,".to_owned(),
+        };
         writeln!(
             log,
-            "{},0,0.0{},9.8,0,0,0,{field}",
+            "{},0,0.0{},9.8,0,0,{rate:.4},{field}",
             5_000 * index,
             index % 3
         )
@@ -93,7 +99,7 @@ fn compass_log() -> String {
 
 #[test]
 fn a_log_with_a_compass_gives_the_heading() {
-    let input = file("compass", "compass.csv", compass_log().into_bytes());
+    let input = file("compass", "compass.csv", compass_log(3).into_bytes());
     let options = ["--compass", "calibrated", "--declination", "3"];
     let (printed, output) = replay("compass", &input, &options);
     assert!(printed.contains("HEADING_VALID: "), "{printed}");
@@ -107,6 +113,14 @@ fn a_log_with_a_compass_gives_the_heading() {
         flags.last().unwrap().contains("VALID|HEADING_VALID"),
         "{flags:?}"
     );
+    // At rest the heading is known, and not yet valid.
+    let at_rest = flags[..1_000].iter();
+    assert!(
+        at_rest
+            .clone()
+            .all(|flags| !flags.contains("HEADING_VALID"))
+    );
+    let input = file("compass", "rest.csv", compass_log(0).into_bytes());
     // Hard iron of which nothing is known: at rest there is no heading.
     let (_, output) = replay("compass", &input, &[]);
     assert_eq!(column(&output, "heading_deg").last(), Some(&""));
@@ -114,7 +128,7 @@ fn a_log_with_a_compass_gives_the_heading() {
 
 #[test]
 fn options_of_a_compass_are_refused_where_there_is_none() {
-    let with = file("refused", "with.csv", compass_log().into_bytes());
+    let with = file("refused", "with.csv", compass_log(0).into_bytes());
     let without = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/roll.csv");
     let cases: [(&Path, &[&str], &str); 3] = [
         (

@@ -6,7 +6,7 @@ use aplomb::estimator::classic::ClassicAngles;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::Burst;
 use aplomb::pipeline::Snapshot;
-use aplomb::telemetry::{bursts, classic, teapot, teleplot, text};
+use aplomb::telemetry::{bursts, classic, heading, teapot, teleplot, text};
 
 /// Decodes the bytes line by line in every format, and encodes an attitude made of the first of
 /// them.
@@ -52,6 +52,16 @@ fn read(line: &str) {
         let mut place = [0; classic::LINE_LENGTH];
         let again = classic::decode(text_of(classic::encode(&angles, &mut place)));
         assert_eq!(format!("{again:?}"), format!("{:?}", Some(plain(angles))));
+    }
+    if let Some(line) = heading::decode(line) {
+        let mut place = [0; heading::LINES_LENGTH];
+        let again = heading::decode(text_of(heading::encode(&line, &mut place)));
+        // Minus zero is written as zero.
+        let plain = |line: heading::Line| {
+            let numbers = [line.heading_deg + 0.0, line.sigma_deg + 0.0];
+            format!("{numbers:?} {}", line.is_valid)
+        };
+        assert_eq!(again.map(plain), Some(plain(line)));
     }
     if let Some((label, value)) = teleplot::decode(line) {
         assert!(line.starts_with(&format!(">{label}:")));

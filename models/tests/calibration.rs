@@ -75,6 +75,7 @@ impl Chip {
             body_rates_rad_s: [rate[0], -rate[1], -rate[2]],
             attitude: None,
             temperature_c: air_c,
+            thrust_g: 0.0,
             scored: false,
         };
         for tick in 0..8 {

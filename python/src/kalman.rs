@@ -5,10 +5,12 @@ use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_period, sample_rate_divider
 use library::attitude::{Quaternion, Vector3};
 use library::calibration::Mount;
 use library::estimator::Sample;
+use library::estimator::heading::{CompassKnowledge, HeadingEstimate};
 use library::estimator::kalman::AccelerometerKnowledge;
 use library::health::Flags;
 use library::mpu6050::Part;
-use library::pipeline::{Pipeline, Settings, Snapshot};
+use library::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
+use library::units::{MagneticField, radians};
 use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike1, PyArrayLike2, PyArrayMethods as _};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -31,13 +33,69 @@ pub type Times<'py> = PyArrayLike1<'py, i64, AllowTypeChange>;
 ///     Age of a sample's content at its time. Attitudes are extrapolated by it.
 /// accelerometer : str
 ///     Knowledge of the accelerometer's offset: "factory", "six-poses" or "calibrated".
+/// compass : str
+///     Knowledge of the compass's hard iron: "factory" (none, so no heading before the body has
+///     turned) or "calibrated".
+/// compass_delay_us : int
+///     Age of the compass's readings against the samples of their rows.
+/// declination_deg : float
+///     Declination of the place, east positive: the heading is then from true north.
 #[pyclass(module = "aplomb")]
 pub struct Kalman {
     settings: Settings,
     knowledge: AccelerometerKnowledge,
+    compass: Compass,
     has_rate: bool,
-    pipeline: Pipeline,
+    pipeline: CompassPipeline,
     plateaus: Plateaus,
+}
+
+/// Settings of the compass.
+#[derive(Clone, Copy)]
+struct Compass {
+    knowledge: CompassKnowledge,
+    delay_us: u32,
+    declination_rad: f32,
+}
+
+impl Compass {
+    /// Returns the settings, or what is wrong with them.
+    fn new(knowledge: &str, delay_us: u32, declination_deg: f32) -> PyResult<Self> {
+        let knowledge = CompassKnowledge::from_name(knowledge)
+            .ok_or_else(|| PyValueError::new_err("compass is factory or calibrated"))?;
+        if declination_deg.is_nan() || declination_deg.abs() > 180.0 {
+            return Err(PyValueError::new_err(
+                "declination_deg has to be from -180 to 180",
+            ));
+        }
+        Ok(Self {
+            knowledge,
+            delay_us,
+            declination_rad: radians(declination_deg),
+        })
+    }
+
+    /// Adds the compass to a pipeline.
+    fn added_to(&self, pipeline: Pipeline) -> CompassPipeline {
+        let mut pipeline = CompassPipeline::with_pipeline(pipeline, self.knowledge);
+        pipeline
+            .heading_filter_mut()
+            .set_declination(self.declination_rad);
+        pipeline
+    }
+
+    /// Passes a row's reading on, µT in the sensor's axes. A row with a NaN has none.
+    fn update(&self, pipeline: &mut CompassPipeline, [x, y, z]: [f64; 3]) {
+        if x.is_nan() || y.is_nan() || z.is_nan() {
+            return;
+        }
+        let mount = pipeline.pipeline().settings().mount();
+        let field = mount.to_body(Vector3::new(x as f32, y as f32, z as f32)).0;
+        let field = MagneticField {
+            ut: [field.x, field.y, field.z],
+        };
+        pipeline.update_field(field, self.delay_us);
+    }
 }
 
 /// Attitude at one sample: forward, right, down against north, east, down.
@@ -61,6 +119,12 @@ pub struct Attitude {
     bias_rad_s: (f32, f32, f32),
     /// Flags as a number; `flag_names` gives their names.
     flags: u32,
+    /// Direction of forward, clockwise from north, rad; None while it is unknown.
+    heading_rad: Option<f32>,
+    /// Sigma of the heading, rad; None while it is unknown.
+    heading_sigma_rad: Option<f32>,
+    /// Heading minus yaw, rad; None while it is unknown.
+    yaw_offset_rad: Option<f32>,
 }
 
 #[pymethods]
@@ -69,6 +133,12 @@ impl Attitude {
     #[getter]
     fn is_valid(&self) -> bool {
         Flags::from_bits_retain(self.flags).contains(Flags::VALID)
+    }
+
+    /// True if the heading is wrong by no more than the larger of 15 degrees and six sigma.
+    #[getter]
+    fn is_heading_valid(&self) -> bool {
+        Flags::from_bits_retain(self.flags).contains(Flags::HEADING_VALID)
     }
 
     fn __repr__(&self) -> String {
@@ -96,6 +166,12 @@ pub struct Attitudes {
     bias_rad_s: Py<PyArray2<f32>>,
     /// Flags as numbers: uint32, shape (n,).
     flags: Py<PyArray1<u32>>,
+    /// Direction of forward, clockwise from north, rad, NaN while unknown: float32, shape (n,).
+    heading_rad: Py<PyArray1<f32>>,
+    /// Sigma of the heading, rad, NaN while unknown: float32, shape (n,).
+    heading_sigma_rad: Py<PyArray1<f32>>,
+    /// Heading minus yaw, rad, NaN while unknown: float32, shape (n,).
+    yaw_offset_rad: Py<PyArray1<f32>>,
 }
 
 #[pymethods]
@@ -119,13 +195,17 @@ impl Attitudes {
 impl Kalman {
     #[new]
     #[pyo3(signature = (
-        rate_hz=None, *, mount="z-up", sensor_delay_us=0, accelerometer="calibrated"
+        rate_hz=None, *, mount="z-up", sensor_delay_us=0, accelerometer="calibrated",
+        compass="factory", compass_delay_us=0, declination_deg=0.0
     ))]
     fn new(
         rate_hz: Option<f64>,
         mount: &str,
         sensor_delay_us: u32,
         accelerometer: &str,
+        compass: &str,
+        compass_delay_us: u32,
+        declination_deg: f32,
     ) -> PyResult<Self> {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor_delay_us = Some(sensor_delay_us);
@@ -140,25 +220,43 @@ impl Kalman {
         let knowledge = AccelerometerKnowledge::from_name(accelerometer).ok_or_else(|| {
             PyValueError::new_err("accelerometer is factory, six-poses or calibrated")
         })?;
+        let compass = Compass::new(compass, compass_delay_us, declination_deg)?;
         Ok(Self {
-            pipeline: pipeline(&settings, knowledge),
+            pipeline: compass.added_to(pipeline(&settings, knowledge)),
             settings,
             knowledge,
+            compass,
             has_rate: rate_hz.is_some(),
             plateaus: Plateaus::default(),
         })
     }
 
     /// Processes one sample: rad/s and m/s2 in the sensor's axes. Returns the attitude at its time.
-    fn update(&mut self, t_us: i64, gyro: [f64; 3], accel: [f64; 3]) -> PyResult<Attitude> {
+    ///
+    /// `mag` is a new reading of the compass, microtesla in the sensor's axes. The next attitudes
+    /// use it.
+    #[pyo3(signature = (t_us, gyro, accel, mag=None))]
+    fn update(
+        &mut self,
+        t_us: i64,
+        gyro: [f64; 3],
+        accel: [f64; 3],
+        mag: Option<[f64; 3]>,
+    ) -> PyResult<Attitude> {
         if !self.has_rate {
             return Err(PyValueError::new_err(
                 "`update` needs the rate: Kalman(rate_hz=…)",
             ));
         }
-        let snapshot = step(&mut self.pipeline, &mut self.plateaus, t_us, gyro, accel);
+        let mount = self.settings.mount();
+        let sample = sample(mount, &mut self.plateaus, t_us, gyro, accel);
+        let snapshot = self.pipeline.update_sample(&sample);
+        if let Some(reading) = mag {
+            self.compass.update(&mut self.pipeline, reading);
+        }
         let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
-        let (angles, bias) = (snapshot.euler(), self.pipeline.kalman().bias_rad_s());
+        let bias = self.pipeline.pipeline().kalman().bias_rad_s();
+        let (angles, heading) = (snapshot.euler(), self.pipeline.heading());
         Ok(Attitude {
             t_us,
             quaternion: (q.w, q.x, q.y, q.z),
@@ -169,6 +267,9 @@ impl Kalman {
             tilt_sigma_rad: snapshot.tilt_sigma_rad(),
             bias_rad_s: (bias.x, bias.y, bias.z),
             flags: snapshot.flags.bits(),
+            heading_rad: heading.map(|heading| heading.heading_rad(angles.yaw_rad)),
+            heading_sigma_rad: heading.map(|heading| heading.sigma_rad),
+            yaw_offset_rad: heading.map(|heading| heading.yaw_offset_rad),
         })
     }
 
@@ -182,12 +283,16 @@ impl Kalman {
     ///     Angular rates in the sensor's axes, rad/s.
     /// accel : array (n, 3)
     ///     Specific force in the sensor's axes, m/s2.
+    /// mag : array (n, 3), optional
+    ///     Magnetic field in the sensor's axes, microtesla; NaN where there is no new reading.
+    #[pyo3(signature = (t_us, gyro, accel, mag=None))]
     fn run<'py>(
         &self,
         python: Python<'py>,
         t_us: Times<'py>,
         gyro: Vectors<'py>,
         accel: Vectors<'py>,
+        mag: Option<Vectors<'py>>,
     ) -> PyResult<Attitudes> {
         let times = t_us.readonly().to_vec()?;
         let (gyro, accel) = (rows(&gyro, "gyro")?, rows(&accel, "accel")?);
@@ -199,7 +304,15 @@ impl Kalman {
                 accel.len()
             )));
         }
-        let columns = python.detach(|| self.columns(&times, &gyro, &accel));
+        let mag = mag.map(|mag| rows(&mag, "mag")).transpose()?;
+        if let Some(mag) = mag.as_ref().filter(|mag| mag.len() != times.len()) {
+            return Err(PyValueError::new_err(format!(
+                "t_us has {} rows and mag {}: they need equal numbers",
+                times.len(),
+                mag.len()
+            )));
+        }
+        let columns = python.detach(|| self.columns(&times, &gyro, &accel, mag.as_deref()));
         columns.into_arrays(python, times)
     }
 }
@@ -212,10 +325,19 @@ struct Columns {
     tilt_sigma_rad: Vec<f32>,
     bias_rad_s: Vec<f32>,
     flags: Vec<u32>,
+    heading_rad: Vec<f32>,
+    heading_sigma_rad: Vec<f32>,
+    yaw_offset_rad: Vec<f32>,
 }
 
 impl Kalman {
-    fn columns(&self, times: &[i64], gyro: &[[f64; 3]], accel: &[[f64; 3]]) -> Columns {
+    fn columns(
+        &self,
+        times: &[i64],
+        gyro: &[[f64; 3]],
+        accel: &[[f64; 3]],
+        mag: Option<&[[f64; 3]]>,
+    ) -> Columns {
         let mut settings = self.settings;
         if !self.has_rate {
             let first = times.len().min(ROWS_AHEAD);
@@ -223,21 +345,50 @@ impl Kalman {
         }
         let mut pipeline = pipeline(&settings, self.knowledge);
         let (mut plateaus, mut columns) = (Plateaus::default(), Columns::default());
-        for ((&t_us, &gyro), &accel) in times.iter().zip(gyro).zip(accel) {
-            let snapshot = step(&mut pipeline, &mut plateaus, t_us, gyro, accel);
-            let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
-            let bias = pipeline.kalman().bias_rad_s();
-            columns.quaternion.extend([q.w, q.x, q.y, q.z]);
-            columns.rates_rad_s.extend([rates.x, rates.y, rates.z]);
-            columns.tilt_sigma_rad.push(snapshot.tilt_sigma_rad());
-            columns.bias_rad_s.extend([bias.x, bias.y, bias.z]);
-            columns.flags.push(snapshot.flags.bits());
+        let inputs = times.iter().zip(gyro).zip(accel);
+        let mount = settings.mount();
+        let mut sample = |t_us: i64, gyro: [f64; 3], accel: [f64; 3]| {
+            sample(mount, &mut plateaus, t_us, gyro, accel)
+        };
+        match mag {
+            None => {
+                for ((&t_us, &gyro), &accel) in inputs {
+                    let snapshot = pipeline.update_sample(&sample(t_us, gyro, accel));
+                    columns.push(&snapshot, &pipeline, None);
+                }
+            }
+            Some(mag) => {
+                let mut pipeline = self.compass.added_to(pipeline);
+                for (((&t_us, &gyro), &accel), &reading) in inputs.zip(mag) {
+                    let snapshot = pipeline.update_sample(&sample(t_us, gyro, accel));
+                    self.compass.update(&mut pipeline, reading);
+                    columns.push(&snapshot, pipeline.pipeline(), pipeline.heading());
+                }
+            }
         }
         columns
     }
 }
 
 impl Columns {
+    fn push(&mut self, snapshot: &Snapshot, pipeline: &Pipeline, heading: Option<HeadingEstimate>) {
+        let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
+        let bias = pipeline.kalman().bias_rad_s();
+        self.quaternion.extend([q.w, q.x, q.y, q.z]);
+        self.rates_rad_s.extend([rates.x, rates.y, rates.z]);
+        self.tilt_sigma_rad.push(snapshot.tilt_sigma_rad());
+        self.bias_rad_s.extend([bias.x, bias.y, bias.z]);
+        self.flags.push(snapshot.flags.bits());
+        let [angle, sigma, offset] = heading.map_or([f32::NAN; 3], |heading| {
+            let yaw_rad = snapshot.euler().yaw_rad;
+            let angle = heading.heading_rad(yaw_rad);
+            [angle, heading.sigma_rad, heading.yaw_offset_rad]
+        });
+        self.heading_rad.push(angle);
+        self.heading_sigma_rad.push(sigma);
+        self.yaw_offset_rad.push(offset);
+    }
+
     fn into_arrays(self, python: Python<'_>, times: Vec<i64>) -> PyResult<Attitudes> {
         let count = times.len();
         let table = |values: Vec<f32>, columns: usize| {
@@ -251,6 +402,9 @@ impl Columns {
             t_us: PyArray1::from_vec(python, times).unbind(),
             tilt_sigma_rad: PyArray1::from_vec(python, self.tilt_sigma_rad).unbind(),
             flags: PyArray1::from_vec(python, self.flags).unbind(),
+            heading_rad: PyArray1::from_vec(python, self.heading_rad).unbind(),
+            heading_sigma_rad: PyArray1::from_vec(python, self.heading_sigma_rad).unbind(),
+            yaw_offset_rad: PyArray1::from_vec(python, self.yaw_offset_rad).unbind(),
         })
     }
 }
@@ -267,21 +421,21 @@ fn pipeline(settings: &Settings, knowledge: AccelerometerKnowledge) -> Pipeline 
     pipeline
 }
 
-/// Processes one sample in SI units and sensor axes; a clipped one is marked as saturated.
-fn step(
-    pipeline: &mut Pipeline,
+/// Returns a sample in body axes, of one in SI units and sensor axes. A clipped one is marked as
+/// saturated.
+fn sample(
+    mount: Mount,
     plateaus: &mut Plateaus,
     t_us: i64,
     gyro: [f64; 3],
     accel: [f64; 3],
-) -> Snapshot {
-    let mount = pipeline.settings().mount();
+) -> Sample {
     let body = |[x, y, z]: [f64; 3]| mount.to_body(Vector3::new(x as f32, y as f32, z as f32));
     let mut sample = Sample::new(unsigned(t_us), body(accel), body(gyro));
     let clipped = plateaus.check(accel, gyro);
     sample.is_force_saturated = clipped.force;
     sample.is_rate_saturated = clipped.rate;
-    pipeline.update_sample(&sample)
+    sample
 }
 
 /// Returns the rows of an array of shape (n, 3).

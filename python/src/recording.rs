@@ -28,6 +28,9 @@ pub struct Recording {
     accel: Py<PyArray2<f64>>,
     /// Angular rates, rad/s: float64, shape (n, 3).
     gyro: Py<PyArray2<f64>>,
+    /// Magnetic field, microtesla, NaN where there is no new reading: float64, (n, 3); None if the
+    /// recording has no compass.
+    mag: Option<Py<PyArray2<f64>>>,
     /// True attitude, sensor to earth with z up, w x y z, NaN where unknown: float64, (n, 4).
     truth: Py<PyArray2<f64>>,
     /// True where the row counts for scores: bool, shape (n,).
@@ -40,6 +43,7 @@ struct Columns {
     t_us: Vec<i64>,
     accel: Vec<f64>,
     gyro: Vec<f64>,
+    mag: Vec<f64>,
     truth: Vec<f64>,
     moving: Vec<bool>,
 }
@@ -51,7 +55,10 @@ impl Columns {
             let array = PyArray1::from_vec(python, values);
             Ok::<_, PyErr>(array.reshape([count, columns])?.unbind())
         };
+        let has_compass = self.mag.iter().any(|value| value.is_finite());
+        let mag = has_compass.then(|| table(self.mag, 3)).transpose()?;
         Ok(Recording {
+            mag,
             t_us: PyArray1::from_vec(python, self.t_us).unbind(),
             accel: table(self.accel, 3)?,
             gyro: table(self.gyro, 3)?,
@@ -61,7 +68,8 @@ impl Columns {
     }
 }
 
-/// Reads a recording: t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]], plain or gzipped, in SI units.
+/// Reads a recording: t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]], plain or gzipped, in
+/// SI units and microtesla.
 ///
 /// Raises ValueError with file, line and reason if it is malformed or in other units.
 #[pyfunction]
@@ -73,6 +81,7 @@ pub fn read_log(python: Python<'_>, path: PathBuf) -> PyResult<Recording> {
             columns.t_us.push(row.time_us);
             columns.accel.extend(row.specific_force_m_s2);
             columns.gyro.extend(row.rates_rad_s);
+            columns.mag.extend(row.field_ut.unwrap_or([f64::NAN; 3]));
             let truth = row.attitude.map_or([f64::NAN; 4], |q| [q.w, q.x, q.y, q.z]);
             columns.truth.extend(truth);
             columns.moving.push(row.moving);

@@ -19,23 +19,34 @@ PROGRAM = os.environ.get("APLOMB", "aplomb")
 
 
 def replay(path, tmp_path, *options):
-    """Returns quaternions, rates and flags of the program."""
+    """Returns the columns of the program: quaternions, flags and headings."""
     output = tmp_path / "attitude.csv"
     command = [PROGRAM, "replay", str(path), "--output", str(output), *options]
     subprocess.run(command, check=True, capture_output=True)
     with open(output, newline="") as file:
         rows = list(csv.DictReader(file))
     quaternion = [[np.float32(row[f"q{part}"]) for part in "wxyz"] for row in rows]
-    return np.array(quaternion), [row["flags"] for row in rows]
+    names = ("heading_deg", "heading_sigma_deg", "yaw_offset_deg")
+    heading = [[np.float32(row[name] or "nan") for name in names] for row in rows]
+    return np.array(quaternion), [row["flags"] for row in rows], np.array(heading)
 
 
 def assert_same(path, tmp_path, *options, **settings):
     recording = aplomb.read_log(path)
-    attitudes = aplomb.Kalman(**settings).run(recording.t_us, recording.gyro, recording.accel)
-    quaternion, flags = replay(path, tmp_path, *options)
+    attitudes = aplomb.Kalman(**settings).run(
+        recording.t_us, recording.gyro, recording.accel, recording.mag
+    )
+    quaternion, flags, expected = replay(path, tmp_path, *options)
     assert attitudes.quaternion.dtype == np.float32
     assert np.array_equal(attitudes.quaternion.view(np.uint32), quaternion.view(np.uint32))
     assert [aplomb.flag_names(flag) for flag in attitudes.flags] == flags
+    names = ("heading_rad", "heading_sigma_rad", "yaw_offset_rad")
+    heading = np.column_stack([getattr(attitudes, name) for name in names])
+    heading_deg = heading * (np.float32(180) / np.float32(np.pi))
+    assert heading.dtype == heading_deg.dtype == np.float32
+    known = np.isfinite(expected)
+    assert np.array_equal(known, np.isfinite(heading_deg))
+    assert np.array_equal(heading_deg[known].view(np.uint32), expected[known].view(np.uint32))
     return recording, attitudes
 
 
@@ -44,6 +55,24 @@ def log(tmp_path):
     path = tmp_path / "flight.csv.gz"
     command = [PROGRAM, "simulate", "--seed", "3", "--seconds", "20", "--output", str(path)]
     subprocess.run(command, check=True, capture_output=True)
+    return path
+
+
+@pytest.fixture
+def log_with_compass(log, tmp_path):
+    """Adds a compass of 100 readings a second, with a hard iron, to the flight."""
+    recording = aplomb.read_log(log)
+    w, x, y, z = recording.truth.T
+    north = np.array([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)])
+    up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    field = (20 * north - 45 * up).T + [12.5, -30, 7]
+    rows = ["t_us,ax,ay,az,gx,gy,gz,mx,my,mz"]
+    for index, t_us in enumerate(recording.t_us):
+        values = [*recording.accel[index], *recording.gyro[index]]
+        reading = field[index] if index % 10 == 0 else ["", "", ""]
+        rows.append(",".join(map(str, [t_us, *values, *reading])))
+    path = tmp_path / "compass.csv"
+    path.write_text("\n".join(rows) + "\n")
     return path
 
 
@@ -56,18 +85,62 @@ def test_a_recording_gives_the_bits_of_replay(log, tmp_path):
     assert_same(log, tmp_path, "--accelerometer", "factory", accelerometer="factory")
 
 
+def test_a_compass_gives_the_heading_of_replay(log_with_compass, log, tmp_path):
+    options = ["--compass-delay-us", "5000", "--declination", "3.5", "--mount", "z-up"]
+    recording, attitudes = assert_same(
+        log_with_compass, tmp_path, *options, compass_delay_us=5000, declination_deg=3.5
+    )
+    known = np.isfinite(attitudes.heading_rad)
+    valid = (attitudes.flags & 1 << 19) != 0
+    assert known.sum() > 5_000 and 0 < valid.sum() <= known.sum()
+    assert_same(log_with_compass, tmp_path, "--compass", "calibrated", compass="calibrated")
+    # Without readings there is no heading, and the attitude is the same.
+    without = aplomb.Kalman().run(recording.t_us, recording.gyro, recording.accel)
+    assert np.array_equal(without.quaternion, attitudes.quaternion)
+    assert np.isnan(without.heading_rad).all() and aplomb.read_log(log).mag is None
+
+
+def test_a_compass_sample_by_sample_is_the_same(log_with_compass):
+    recording = aplomb.read_log(log_with_compass)
+    settings = {"compass": "calibrated", "compass_delay_us": 5000, "declination_deg": -2}
+    expected = aplomb.Kalman(**settings).run(
+        recording.t_us, recording.gyro, recording.accel, recording.mag
+    )
+    filter = aplomb.Kalman(rate_hz=1000, **settings)
+    compared = 0
+    for index in range(6000):
+        reading = recording.mag[index]
+        attitude = filter.update(
+            int(recording.t_us[index]),
+            recording.gyro[index],
+            recording.accel[index],
+            mag=reading if np.isfinite(reading).all() else None,
+        )
+        assert attitude.flags == expected.flags[index]
+        if attitude.heading_rad is None:
+            assert np.isnan(expected.heading_rad[index])
+            continue
+        compared += 1
+        for name in ("heading_rad", "heading_sigma_rad", "yaw_offset_rad"):
+            assert np.float32(getattr(attitude, name)) == getattr(expected, name)[index]
+    assert compared > 1000
+    assert attitude.is_heading_valid == ("HEADING_VALID" in aplomb.flag_names(attitude.flags))
+
+
 @pytest.mark.skipif("APLOMB_LOGS" not in os.environ, reason="APLOMB_LOGS names no folder")
 def test_every_recording_at_hand_gives_the_bits_of_replay(tmp_path):
     logs = sorted(pathlib.Path(os.environ["APLOMB_LOGS"]).rglob("*.csv*"))
-    compared = 0
+    compared, headings = 0, 0
     for path in logs:
         try:
             aplomb.read_log(path)
         except ValueError:
             continue  # counts, or a table of another kind
-        assert_same(path, tmp_path)
+        _, attitudes = assert_same(path, tmp_path)
         compared += 1
+        headings += np.isfinite(attitudes.heading_rad).sum()
     assert compared > 0
+    print(f"{compared} recordings, {headings} headings")
 
 
 def test_sample_by_sample_is_the_same(log):
@@ -113,6 +186,15 @@ def test_other_types_of_numbers_are_converted():
     assert np.allclose(found.euler_rad, expected.euler_rad, atol=1e-6)
 
 
+def test_the_page_shows_an_attitude_in_fifteen_lines(capsys):
+    page = pathlib.Path(__file__).parents[1] / "README.md"
+    source = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    assert sum(bool(line.strip()) for line in source.splitlines()) <= 15
+    exec(compile(source, str(page), "exec"), {})
+    roll, pitch, flags = capsys.readouterr().out.split()
+    assert abs(float(roll)) < 90 and abs(float(pitch)) < 90 and "VALID" in flags
+
+
 def test_what_is_wrong_is_named(tmp_path):
     zero = np.zeros((5, 3))
     for call, reason in [
@@ -120,7 +202,10 @@ def test_what_is_wrong_is_named(tmp_path):
         (lambda: aplomb.Kalman(rate_hz=0), "above zero"),
         (lambda: aplomb.Kalman(accelerometer="good"), "six-poses"),
         (lambda: aplomb.Kalman().update(0, [0, 0, 0], [0, 0, 9.8]), "needs the rate"),
+        (lambda: aplomb.Kalman(compass="good"), "factory or calibrated"),
+        (lambda: aplomb.Kalman(declination_deg=190), "-180 to 180"),
         (lambda: aplomb.Kalman().run(np.arange(4), zero, zero), "4 rows"),
+        (lambda: aplomb.Kalman().run(np.arange(5), zero, zero, zero[:4]), "mag 4"),
         (lambda: aplomb.Kalman().run(np.arange(5), zero[:, :2], zero), "gyro has 2 columns"),
         (lambda: aplomb.simulate("dance"), "flight, swing or rest"),
         (lambda: aplomb.read_log(tmp_path / "none.csv"), "none.csv"),
@@ -134,8 +219,9 @@ def test_wild_values_give_finite_attitudes():
     random = np.random.default_rng(1)
     values = random.integers(0, 2**63, (4000, 6), np.int64).view(np.float64)
     times = random.integers(-(2**62), 2**62, 4000)
-    attitudes = aplomb.Kalman().run(times, values[:, :3], values[:, 3:])
-    assert np.isfinite(attitudes.quaternion).all()
+    for mag in (None, values[::-1, :3]):
+        attitudes = aplomb.Kalman().run(times, values[:, :3], values[:, 3:], mag)
+        assert np.isfinite(attitudes.quaternion).all()
     empty = aplomb.Kalman().run(np.arange(0), np.zeros((0, 3)), np.zeros((0, 3)))
     assert empty.quaternion.shape == (0, 4)
 

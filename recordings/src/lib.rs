@@ -7,6 +7,7 @@
 //! - [`flight_log`]: the module's flight log;
 //! - [`attitude_table`]: tables of attitudes;
 //! - [`motion`]: a log as motion; [`simulated`]: simulated sensor data with its truth;
+//!   [`simulated_compass`]: a compass beside it;
 //! - [`rate`]: the sample rate of a log;
 //! - [`plateau`]: clipping; [`vibration`]: vibration that is too strong;
 //! - [`number`]: numbers as text, fast;
@@ -43,6 +44,7 @@ mod row;
 mod rows;
 pub mod score;
 pub mod simulated;
+pub mod simulated_compass;
 pub mod terminal;
 pub mod text;
 pub mod units;

@@ -196,6 +196,7 @@ impl Sample {
             body_rates_rad_s: interpolate(self.body_rates_rad_s, next.body_rates_rad_s, share),
             attitude,
             temperature_c: ROOM_TEMPERATURE_C,
+            thrust_g: 0.0,
             scored: attitude.is_some() && self.moving && next.moving,
         }
     }

@@ -27,6 +27,9 @@ pub const BIAS_DEGREES_S: f64 = 4.0;
 /// Header of a log of simulated samples.
 pub const LOG_HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov";
 
+/// Header of a log of simulated samples with a compass.
+pub const COMPASS_LOG_HEADER: &str = "t_us,ax,ay,az,gx,gy,gz,mx,my,mz,qw,qx,qy,qz,mov";
+
 const TICKS_PER_SAMPLE: u64 = 8;
 
 /// Sample of the simulated sensor, with its truth.
@@ -43,6 +46,22 @@ pub struct Simulated {
 impl Simulated {
     /// Appends the sample as a row of a log with [`LOG_HEADER`].
     pub fn write_row(&self, line: &mut Vec<u8>) {
+        self.write_measured(line);
+        self.write_truth(line);
+    }
+
+    /// Appends the sample with a reading of the compass, if there is a new one, as a row of a log
+    /// with [`COMPASS_LOG_HEADER`]. The reading is in µT and sensor axes.
+    pub fn write_row_with_field(&self, line: &mut Vec<u8>, field_ut: Option<[f64; 3]>) {
+        self.write_measured(line);
+        match field_ut {
+            Some([x, y, z]) => line.extend_from_slice(format!(",{x:.2},{y:.2},{z:.2}").as_bytes()),
+            None => line.extend_from_slice(b",,,"),
+        }
+        self.write_truth(line);
+    }
+
+    fn write_measured(&self, line: &mut Vec<u8>) {
         let force = self.raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
         let rates = self.raw.gyroscope.to_rad_s(CONFIG.gyroscope_range);
         line.extend_from_slice(self.t_us.to_string().as_bytes());
@@ -50,6 +69,9 @@ impl Simulated {
             line.push(b',');
             number::append(line, value);
         }
+    }
+
+    fn write_truth(&self, line: &mut Vec<u8>) {
         let truth = match self.truth.attitude {
             Some(attitude) => {
                 let Quaternion { w, x, y, z } = truth_of(attitude, MOUNT);

@@ -1,7 +1,7 @@
-//! Attitude task: one burst becomes one published snapshot, and housekeeping follows.
+//! Attitude task: one burst becomes one published snapshot. The heading and housekeeping follow.
 //!
 //! Deadline: the end of the next burst, 1 ms. The snapshot is published within a few microseconds;
-//! no task waits for the housekeeping.
+//! no task waits for heading and housekeeping.
 //!
 //! # Publication
 //!
@@ -53,6 +53,8 @@ pub struct FlagChange {
 pub struct AttitudeTask {
     samples_to_housekeeping: u8,
     rounds_to_warm_start: u8,
+    /// True if the heading filter has to follow each sample.
+    has_heading: bool,
     flags: Flags,
 }
 
@@ -62,6 +64,7 @@ impl AttitudeTask {
         Self {
             samples_to_housekeeping: HOUSEKEEPING_SAMPLES,
             rounds_to_warm_start: WARM_START_ROUNDS,
+            has_heading: false,
             flags: Flags::empty(),
         }
     }
@@ -75,7 +78,7 @@ impl AttitudeTask {
     pub fn run(
         &mut self,
         pipeline: &mut Pipeline,
-        compass: Option<&mut CompassTask>,
+        mut compass: Option<&mut CompassTask>,
         after_publication: impl FnOnce(&ReceivedBurst),
     ) -> Option<FlagChange> {
         let updated = burst_reader::take(|received| {
@@ -85,6 +88,12 @@ impl AttitudeTask {
             snapshot
         });
         if let Some(snapshot) = updated {
+            if compass::IS_BUILT_IN
+                && self.has_heading
+                && let Some(compass) = &mut compass
+            {
+                compass.follow(pipeline);
+            }
             self.keep_house(pipeline, compass, &snapshot);
             return self.take_flags(snapshot.flags);
         }
@@ -124,8 +133,9 @@ impl AttitudeTask {
         if compass::IS_BUILT_IN
             && let Some(compass) = compass
         {
-            let round = compass.round(HOUSEKEEPING_SAMPLES, snapshot);
+            let round = compass.round(HOUSEKEEPING_SAMPLES, pipeline, snapshot);
             self.samples_to_housekeeping = round.samples;
+            self.has_heading = compass.has_heading();
             if !round.keeps_house {
                 return;
             }

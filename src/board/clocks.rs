@@ -4,6 +4,8 @@
 //! limit.
 
 use stm32f4xx_hal::pac::rcc::pllcfgr::PLLP;
+#[cfg(feature = "board-stm32f405")]
+use stm32f4xx_hal::pac::{DBGMCU, FLASH};
 use stm32f4xx_hal::pac::{RCC, rcc};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{Config, Rcc};
@@ -35,8 +37,32 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
     let config = config
         .sysclk(BOARD.core_hz.Hz())
         .pclk1(BOARD.peripheral_hz.Hz());
-    (rcc.freeze(config), source)
+    let rcc = rcc.freeze(config);
+    #[cfg(feature = "board-stm32f405")]
+    stop_prefetch_on_revision_a();
+    (rcc, source)
 }
+
+/// Switches the flash's prefetch off on revision A of the STM32F405, which does not support it
+/// (errata sheet ES0182, "ART accelerator prefetch queue instruction is not supported"). The HAL
+/// switches it on for every revision.
+#[cfg(feature = "board-stm32f405")]
+fn stop_prefetch_on_revision_a() {
+    // SAFETY: reading this register has no side effect.
+    let identity = unsafe { &*DBGMCU::ptr() }.idcode().read();
+    if identity.dev_id().bits() == STM32F405 && identity.rev_id().bits() == REVISION_A {
+        // SAFETY: only init, before any interrupt, writes this register.
+        unsafe { &*FLASH::ptr() }
+            .acr()
+            .modify(|_, w| w.prften().clear_bit());
+    }
+}
+
+/// DEV_ID and REV_ID of DBGMCU_IDCODE (RM0090, 38.6.1).
+#[cfg(feature = "board-stm32f405")]
+const STM32F405: u16 = 0x413;
+#[cfg(feature = "board-stm32f405")]
+const REVISION_A: u16 = 0x1000;
 
 /// Switches the power controller's clock on, which [`voltage_is_ready`] needs, and selects the
 /// regulator's scale. An STM32F411 starts at scale 2, for up to 84 MHz, and needs scale 1 (RM0383,

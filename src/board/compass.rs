@@ -3,31 +3,34 @@
 //! The attitude task calls [`round`](CompassTask::round) every few samples, after publication. A
 //! turn has three rounds: request of the transfer, its outcome one sample later, and the
 //! housekeeping of the sensor. Each needs the bus for less than the gap between two bursts.
+//!
+//! A good reading goes to the heading filter ([`super::heading`]). Its time is that of the
+//! transfer's start, less the part's mean age of a field ([`Session::mean_age_us`]).
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use super::burst_reader::{self, CompassTransfers};
+use super::heading::HeadingTask;
 use super::retained;
 use crate::attitude::{BodyVector, Quaternion};
 use crate::calibration::CompassAlignment;
 use crate::calibration::compass::CompassFitter;
 use crate::compass::{Choice, Condition, Fault, PartId, Session};
+use crate::estimator::heading::CompassKnowledge;
 use crate::fault::FaultClass;
-use crate::pipeline::Snapshot;
+use crate::pipeline::{Pipeline, Snapshot};
 use crate::units::MagneticField;
 
 /// Samples from a request to its outcome, to the housekeeping, and to the next request: 10 ms.
 const SAMPLES: [u8; 3] = [1, 4, 5];
 
 /// Work of a round for the attitude task.
-#[derive(Clone, Copy, PartialEq, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Round {
     /// Samples until the next round.
     pub samples: u8,
     /// True if it is a round of the sensor's housekeeping.
     pub keeps_house: bool,
-    /// Field of a new reading, and the time of its middle on the microsecond timer.
-    pub reading: Option<(MagneticField, u32)>,
 }
 
 /// True if the state has changed since telemetry reported it.
@@ -43,6 +46,7 @@ pub struct CompassTask {
     session: Session,
     transfers: CompassTransfers,
     alignment: CompassAlignment,
+    heading: HeadingTask,
     phase: u8,
     field: Option<MagneticField>,
     /// Readings for a fit, while a calibration collects them.
@@ -50,13 +54,22 @@ pub struct CompassTask {
     reported: (bool, Option<Fault>),
 }
 
+/// Returns what a compass of this alignment shows of its hard iron.
+const fn knowledge_of(alignment: &CompassAlignment) -> CompassKnowledge {
+    match alignment.correction {
+        Some(_) => CompassKnowledge::Calibrated,
+        None => CompassKnowledge::Factory,
+    }
+}
+
 impl CompassTask {
     /// Creates the task with a compass of this choice.
-    pub const fn new(choice: Choice, alignment: CompassAlignment) -> Self {
+    pub fn new(choice: Choice, alignment: CompassAlignment) -> Self {
         Self {
             session: Session::new(choice),
             transfers: CompassTransfers::new(),
             alignment,
+            heading: HeadingTask::new(knowledge_of(&alignment)),
             phase: 0,
             field: None,
             fitter: None,
@@ -68,6 +81,7 @@ impl CompassTask {
     pub fn choose(&mut self, choice: Choice) {
         self.session = Session::new(choice);
         self.field = None;
+        self.restart_heading();
     }
 
     /// Configures the compass again.
@@ -75,9 +89,28 @@ impl CompassTask {
         self.session.restart();
     }
 
-    /// Sets the place in the vehicle.
-    pub const fn set_alignment(&mut self, alignment: CompassAlignment) {
-        self.alignment = alignment;
+    /// Sets the place in the vehicle. In another place the heading starts afresh.
+    pub fn set_alignment(&mut self, alignment: CompassAlignment) {
+        if alignment != self.alignment {
+            self.alignment = alignment;
+            self.restart_heading();
+        }
+    }
+
+    /// Starts the heading afresh, because the body axes have changed.
+    pub fn restart_heading(&mut self) {
+        self.heading.restart(knowledge_of(&self.alignment));
+    }
+
+    /// Returns whether the heading filter has to follow each sample.
+    pub const fn has_heading(&self) -> bool {
+        self.heading.is_running()
+    }
+
+    /// Lets the heading follow the last sample.
+    #[inline(always)]
+    pub fn follow(&mut self, pipeline: &Pipeline) {
+        self.heading.follow(pipeline);
     }
 
     /// Returns the choice.
@@ -119,11 +152,10 @@ impl CompassTask {
 
     /// Performs a round. `without` is the number of samples between two rounds of housekeeping
     /// without a compass.
-    pub fn round(&mut self, without: u8, snapshot: &Snapshot) -> Round {
+    pub fn round(&mut self, without: u8, pipeline: &Pipeline, snapshot: &Snapshot) -> Round {
         let mut round = Round {
             samples: without,
             keeps_house: true,
-            reading: None,
         };
         if self.session.is_idle() {
             self.report_change();
@@ -135,7 +167,7 @@ impl CompassTask {
                     self.transfers.request(transfer);
                 }
             }
-            1 => round.reading = self.take_reading(snapshot),
+            1 => self.take_reading(pipeline, snapshot),
             _ => {}
         }
         round.keeps_house = self.phase == 2;
@@ -147,14 +179,19 @@ impl CompassTask {
     }
 
     #[inline(never)]
-    fn take_reading(&mut self, snapshot: &Snapshot) -> Option<(MagneticField, u32)> {
+    fn take_reading(&mut self, pipeline: &Pipeline, snapshot: &Snapshot) {
         let Self {
             session, transfers, ..
         } = self;
-        let (reading, started_us) =
-            transfers.take(|outcome, started_us| (session.finish(outcome), started_us))?;
+        let Some((reading, started_us)) =
+            transfers.take(|outcome, started_us| (session.finish(outcome), started_us))
+        else {
+            return;
+        };
         self.report_change();
-        let reading_ut = reading?;
+        let Some(reading_ut) = reading else {
+            return;
+        };
         let measured_us = started_us.wrapping_sub(self.session.mean_age_us());
         if let Some(fitter) = &mut self.fitter {
             // The attitude of the snapshot, turned back to the time of the measurement.
@@ -165,7 +202,7 @@ impl CompassTask {
         }
         let field = self.alignment.apply(reading_ut);
         self.field = Some(field);
-        Some((field, measured_us))
+        self.heading.add_reading(pipeline, field, measured_us);
     }
 
     /// Counts and flags a fault that begins, and announces any change.

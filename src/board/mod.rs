@@ -21,6 +21,7 @@ pub mod clocks;
 pub mod compass;
 pub mod crash;
 pub mod flash;
+pub mod heading;
 pub mod measure;
 pub mod pins;
 pub mod retained;

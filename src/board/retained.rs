@@ -70,8 +70,9 @@ const TYPICAL_AGE_S: f32 = 0.5;
 /// σ of the turn about one axis in [`TYPICAL_AGE_S`], rad.
 const UNSEEN_RAD: f32 = PAUSE_RATE_RAD_S * TYPICAL_AGE_S;
 
-/// Smallest σ of a bias after a reset, in rad/s: 0.2 °/s.
-const BIAS_SIGMA_RAD_S: f32 = 3.5e-3;
+/// Smallest σ of a bias after a reset, in rad/s: 0.05 °/s. A larger one lets the accelerations of
+/// a flight move the bias before the next rest.
+const BIAS_SIGMA_RAD_S: f32 = 8.7e-4;
 
 /// Data found at start-up.
 #[derive(Clone, Copy)]

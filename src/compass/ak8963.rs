@@ -7,7 +7,7 @@
 //! measurement (§6.4.3.2). The chip's X is the accelerometer's Y, its Y the accelerometer's X, and
 //! its Z points down the other way (MPU-9250 product specification, §9.1).
 
-use super::part::{Bytes, Part, Registers, SelfTestPlan, Status, Step, little_endian};
+use super::part::{Bytes, Facts, Part, Registers, SelfTestPlan, Status, Step, little_endian};
 use crate::attitude::Vector3;
 
 /// Bus address with CAD0 and CAD1 low, as inside the MPU-9250.
@@ -63,28 +63,23 @@ static SELF_TEST: SelfTestPlan = SelfTestPlan {
     limits: [[-200.0, 200.0], [-200.0, 200.0], [-3200.0, -800.0]],
 };
 
+static FACTS: Facts = Facts {
+    identification: Registers::new(WIA, 2),
+    identity: &[IDENTITY],
+    configuration: &CONFIGURATION,
+    setting: (CNTL1, CONTINUOUS_100_HZ),
+    reading: READING,
+    mean_age_us: 8_600,
+    ut_per_count: UT_PER_COUNT,
+    self_test: Some(&SELF_TEST),
+};
+
 /// AK8963.
 pub(super) struct Ak8963;
 
 impl Part for Ak8963 {
-    fn identity(&self) -> Registers {
-        Registers::new(WIA, 2)
-    }
-
-    fn is_identity(&self, bytes: &Bytes) -> bool {
-        bytes.starts_with(&[IDENTITY])
-    }
-
-    fn configuration(&self) -> &'static [Step] {
-        &CONFIGURATION
-    }
-
-    fn setting(&self) -> (u8, u8) {
-        (CNTL1, CONTINUOUS_100_HZ)
-    }
-
-    fn reading(&self) -> Registers {
-        READING
+    fn facts(&self) -> &'static Facts {
+        &FACTS
     }
 
     fn status(&self, bytes: &Bytes) -> Status {
@@ -101,10 +96,6 @@ impl Part for Ak8963 {
         }
     }
 
-    fn mean_age_us(&self) -> u32 {
-        8_600
-    }
-
     fn counts(&self, bytes: &Bytes) -> [i16; 3] {
         let &[_, xl, xh, yl, yh, zl, zh, _, _] = bytes;
         little_endian([xl, xh, yl, yh, zl, zh])
@@ -117,11 +108,7 @@ impl Part for Ak8963 {
         [x * tx, y * ty, z * tz]
     }
 
-    fn field_ut(&self, [x, y, z]: [f32; 3]) -> Vector3 {
-        Vector3::new(y, x, -z).scale(UT_PER_COUNT)
-    }
-
-    fn self_test(&self) -> Option<&'static SelfTestPlan> {
-        Some(&SELF_TEST)
+    fn turn(&self, vector: Vector3) -> Vector3 {
+        Vector3::new(vector.y, vector.x, -vector.z)
     }
 }

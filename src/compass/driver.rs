@@ -108,7 +108,7 @@ pub(crate) fn self_test<I2C: I2c>(
     delay: &mut impl DelayNs,
 ) -> Result<SelfTest, Fault> {
     let chip = part.part();
-    let Some(plan) = chip.self_test() else {
+    let Some(plan) = chip.facts().self_test else {
         return Ok(SelfTest {
             part,
             response: None,
@@ -136,7 +136,7 @@ pub(crate) fn self_test<I2C: I2c>(
         }
         delay.delay_ms(2 * TURN_MS);
     }
-    let reading = chip.reading();
+    let reading = chip.facts().reading;
     let transfer = Transfer::Read {
         address,
         register: reading.first,

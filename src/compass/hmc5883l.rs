@@ -6,8 +6,7 @@
 //! measurement 13 ms, so each reading is a new one, and its status needs no look. A clone that is
 //! marked DA5883 has the same registers, but its status never shows a measurement.
 
-use super::part::{Bytes, Part, Registers, SelfTestPlan, Status, Step};
-use crate::attitude::Vector3;
+use super::part::{Bytes, Facts, Part, Registers, SelfTestPlan, Status, Step};
 
 /// Bus address.
 pub(super) const ADDRESS: u8 = 0x1E;
@@ -63,28 +62,23 @@ static SELF_TEST: SelfTestPlan = SelfTestPlan {
     limits: [[411.0, 973.0]; 3],
 };
 
+static FACTS: Facts = Facts {
+    identification: IDENTIFICATION,
+    identity: &IDENTITY,
+    configuration: &CONFIGURATION,
+    setting: (CONFIG_B, GAIN_660),
+    reading: READING,
+    mean_age_us: 13_300,
+    ut_per_count: UT_PER_COUNT,
+    self_test: Some(&SELF_TEST),
+};
+
 /// HMC5883L.
 pub(super) struct Hmc5883l;
 
 impl Part for Hmc5883l {
-    fn identity(&self) -> Registers {
-        IDENTIFICATION
-    }
-
-    fn is_identity(&self, bytes: &Bytes) -> bool {
-        bytes.starts_with(&IDENTITY)
-    }
-
-    fn configuration(&self) -> &'static [Step] {
-        &CONFIGURATION
-    }
-
-    fn setting(&self) -> (u8, u8) {
-        (CONFIG_B, GAIN_660)
-    }
-
-    fn reading(&self) -> Registers {
-        READING
+    fn facts(&self) -> &'static Facts {
+        &FACTS
     }
 
     fn status(&self, bytes: &Bytes) -> Status {
@@ -98,10 +92,6 @@ impl Part for Hmc5883l {
         }
     }
 
-    fn mean_age_us(&self) -> u32 {
-        13_300
-    }
-
     fn counts(&self, bytes: &Bytes) -> [i16; 3] {
         let &[xh, xl, zh, zl, yh, yl, ..] = bytes;
         [
@@ -109,13 +99,5 @@ impl Part for Hmc5883l {
             i16::from_be_bytes([yh, yl]),
             i16::from_be_bytes([zh, zl]),
         ]
-    }
-
-    fn field_ut(&self, [x, y, z]: [f32; 3]) -> Vector3 {
-        Vector3::new(x, y, z).scale(UT_PER_COUNT)
-    }
-
-    fn self_test(&self) -> Option<&'static SelfTestPlan> {
-        Some(&SELF_TEST)
     }
 }

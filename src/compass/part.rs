@@ -59,29 +59,34 @@ pub(super) struct SelfTestPlan {
     pub(super) limits: [[f32; 2]; 3],
 }
 
+/// Facts of a chip that the session needs.
+#[derive(Debug)]
+pub(super) struct Facts {
+    /// Registers that identify the part.
+    pub(super) identification: Registers,
+    /// First bytes of these registers in this part.
+    pub(super) identity: &'static [u8],
+    /// Steps that configure the part in any state, and read its settings back.
+    pub(super) configuration: &'static [Step],
+    /// A register with settings, and its value. The session reads it now and then.
+    pub(super) setting: (u8, u8),
+    /// Registers of a reading.
+    pub(super) reading: Registers,
+    /// Mean age of the field in a reading, µs: half a period of the chip, and half a measurement.
+    pub(super) mean_age_us: u32,
+    /// Scale of the counts, µT.
+    pub(super) ut_per_count: f32,
+    /// Plan of the self-test; `None` if the part has none.
+    pub(super) self_test: Option<&'static SelfTestPlan>,
+}
+
 /// Compass chip.
 pub(super) trait Part: Sync {
-    /// Returns the registers that identify the part.
-    fn identity(&self) -> Registers;
-
-    /// Returns whether these bytes are the part's identity.
-    fn is_identity(&self, bytes: &Bytes) -> bool;
-
-    /// Returns the steps that configure the part in any state, and read its settings back.
-    fn configuration(&self) -> &'static [Step];
-
-    /// Returns a register with settings, and its value. The session reads it now and then.
-    fn setting(&self) -> (u8, u8);
-
-    /// Returns the registers of a reading.
-    fn reading(&self) -> Registers;
+    /// Returns the facts.
+    fn facts(&self) -> &'static Facts;
 
     /// Returns the condition of a reading.
     fn status(&self, bytes: &Bytes) -> Status;
-
-    /// Returns the mean age of the field in a reading, µs: half a period of the chip, and half a
-    /// measurement.
-    fn mean_age_us(&self) -> u32;
 
     /// Decodes a reading: counts along the registers' X, Y and Z.
     fn counts(&self, bytes: &Bytes) -> [i16; 3];
@@ -91,12 +96,19 @@ pub(super) trait Part: Sync {
         counts.map(f32::from)
     }
 
-    /// Converts adjusted counts to µT along the axes of the [module](super).
-    fn field_ut(&self, counts: [f32; 3]) -> Vector3;
+    /// Turns a vector from the registers' axes to those of the [module](super).
+    fn turn(&self, vector: Vector3) -> Vector3 {
+        vector
+    }
 
-    /// Returns the plan of the self-test; `None` if the part has none.
-    fn self_test(&self) -> Option<&'static SelfTestPlan> {
-        None
+    /// Returns whether these bytes are the part's identity.
+    fn is_identity(&self, bytes: &Bytes) -> bool {
+        bytes.starts_with(self.facts().identity)
+    }
+
+    /// Converts adjusted counts to µT along the axes of the [module](super).
+    fn field_ut(&self, [x, y, z]: [f32; 3]) -> Vector3 {
+        self.turn(Vector3::new(x, y, z).scale(self.facts().ut_per_count))
     }
 }
 

@@ -5,8 +5,7 @@
 //! Reading a data register clears the data-ready flag. Therefore a reading starts at the status,
 //! and the pointer rolls over from there to the data (ROL_PNT, §9.2.4).
 
-use super::part::{Bytes, Part, Registers, Status, Step, little_endian};
-use crate::attitude::Vector3;
+use super::part::{Bytes, Facts, Part, Registers, Status, Step, little_endian};
 
 /// Bus address.
 pub(super) const ADDRESS: u8 = 0x0D;
@@ -41,28 +40,23 @@ const CONFIGURATION: [Step; 7] = [
     Step::Verify(CONTROL_1, CONTINUOUS_100_HZ),
 ];
 
+static FACTS: Facts = Facts {
+    identification: IDENTIFICATION,
+    identity: &IDENTITY,
+    configuration: &CONFIGURATION,
+    setting: (CONTROL_1, CONTINUOUS_100_HZ),
+    reading: READING,
+    mean_age_us: 10_000,
+    ut_per_count: UT_PER_COUNT,
+    self_test: None,
+};
+
 /// QMC5883L.
 pub(super) struct Qmc5883l;
 
 impl Part for Qmc5883l {
-    fn identity(&self) -> Registers {
-        IDENTIFICATION
-    }
-
-    fn is_identity(&self, bytes: &Bytes) -> bool {
-        bytes.starts_with(&IDENTITY)
-    }
-
-    fn configuration(&self) -> &'static [Step] {
-        &CONFIGURATION
-    }
-
-    fn setting(&self) -> (u8, u8) {
-        (CONTROL_1, CONTINUOUS_100_HZ)
-    }
-
-    fn reading(&self) -> Registers {
-        READING
+    fn facts(&self) -> &'static Facts {
+        &FACTS
     }
 
     fn status(&self, bytes: &Bytes) -> Status {
@@ -70,17 +64,9 @@ impl Part for Qmc5883l {
         status_of(status, STATUS_RESERVED)
     }
 
-    fn mean_age_us(&self) -> u32 {
-        10_000
-    }
-
     fn counts(&self, bytes: &Bytes) -> [i16; 3] {
         let &[_, xl, xh, yl, yh, zl, zh, ..] = bytes;
         little_endian([xl, xh, yl, yh, zl, zh])
-    }
-
-    fn field_ut(&self, [x, y, z]: [f32; 3]) -> Vector3 {
-        Vector3::new(x, y, z).scale(UT_PER_COUNT)
     }
 }
 

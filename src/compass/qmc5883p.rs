@@ -4,9 +4,8 @@
 //!
 //! Reading the status clears the data-ready flag, so a reading runs from the data to the status.
 
-use super::part::{Bytes, Part, Registers, Status, Step, little_endian};
+use super::part::{Bytes, Facts, Part, Registers, Status, Step, little_endian};
 use super::qmc5883l::status_of;
-use crate::attitude::Vector3;
 
 /// Bus address.
 pub(super) const ADDRESS: u8 = 0x2C;
@@ -40,28 +39,23 @@ const CONFIGURATION: [Step; 6] = [
     Step::Verify(CONTROL_1, CONTINUOUS_100_HZ),
 ];
 
+static FACTS: Facts = Facts {
+    identification: IDENTIFICATION,
+    identity: &[IDENTITY],
+    configuration: &CONFIGURATION,
+    setting: (CONTROL_1, CONTINUOUS_100_HZ),
+    reading: READING,
+    mean_age_us: 10_000,
+    ut_per_count: UT_PER_COUNT,
+    self_test: None,
+};
+
 /// QMC5883P.
 pub(super) struct Qmc5883p;
 
 impl Part for Qmc5883p {
-    fn identity(&self) -> Registers {
-        IDENTIFICATION
-    }
-
-    fn is_identity(&self, bytes: &Bytes) -> bool {
-        bytes.starts_with(&[IDENTITY])
-    }
-
-    fn configuration(&self) -> &'static [Step] {
-        &CONFIGURATION
-    }
-
-    fn setting(&self) -> (u8, u8) {
-        (CONTROL_1, CONTINUOUS_100_HZ)
-    }
-
-    fn reading(&self) -> Registers {
-        READING
+    fn facts(&self) -> &'static Facts {
+        &FACTS
     }
 
     fn status(&self, bytes: &Bytes) -> Status {
@@ -69,16 +63,8 @@ impl Part for Qmc5883p {
         status_of(status, STATUS_RESERVED)
     }
 
-    fn mean_age_us(&self) -> u32 {
-        10_000
-    }
-
     fn counts(&self, bytes: &Bytes) -> [i16; 3] {
         let &[xl, xh, yl, yh, zl, zh, ..] = bytes;
         little_endian([xl, xh, yl, yh, zl, zh])
-    }
-
-    fn field_ut(&self, [x, y, z]: [f32; 3]) -> Vector3 {
-        Vector3::new(x, y, z).scale(UT_PER_COUNT)
     }
 }

@@ -4,10 +4,10 @@
 //! gives the outcome back. Nothing here waits, so a firmware can do it between two bursts.
 //!
 //! ```text
-//! search: one identity per turn ─► configuration: one step per turn ─► readings: each second turn
-//!    ▲                                ▲                                  │
-//!    └── lost: three silent turns ────┼──────────────────────────────────┤
-//!                                     └── frozen, blank, garbled, never ready, settings lost
+//! search: one identity per turn -> configuration: one step per turn -> readings: each second turn
+//!    ^                                ^                                  |
+//!    +---- lost: three silent turns --|----------------------------------+
+//!                                     +-- frozen, blank, garbled, never ready, settings lost
 //! ```
 //!
 //! | fault | deadline |
@@ -169,14 +169,14 @@ impl Session {
             }
             State::Searching { index, pass } => {
                 let part = PartId::ALL.get(usize::from(*index))?;
-                let identity = part.part().identity();
+                let identity = part.part().facts().identification;
                 let first = if *pass == 0 { 0 } else { identity.first };
                 Some(read(part.address(), Registers::new(first, identity.length)))
             }
             State::Configuring { part, step, .. } => {
                 let address = part.address();
                 let (register, length) =
-                    match *part.part().configuration().get(usize::from(*step))? {
+                    match *part.part().facts().configuration.get(usize::from(*step))? {
                         Step::Write(register, value) => {
                             return Some(Transfer::Write {
                                 address,
@@ -193,9 +193,9 @@ impl Session {
                 *turn = (*turn + 1) % CHECK_TURNS;
                 let (address, part, turn) = (part.address(), part.part(), *turn);
                 if turn.is_multiple_of(2) {
-                    Some(read(address, part.reading()))
+                    Some(read(address, part.facts().reading))
                 } else if turn == 1 {
-                    let (register, _) = part.setting();
+                    let (register, _) = part.facts().setting;
                     Some(read(address, Registers::new(register, 2)))
                 } else {
                     None
@@ -279,7 +279,7 @@ impl Session {
 
     /// Returns the mean age of a reading's field when the reading begins, µs.
     pub fn mean_age_us(&self) -> u32 {
-        self.known.map_or(0, |part| part.part().mean_age_us())
+        self.known.map_or(0, |part| part.part().facts().mean_age_us)
     }
 
     /// Returns the factory's sensitivity adjustments, 128 without.
@@ -313,7 +313,11 @@ impl Session {
             let chip = part.part();
             if !chip.is_identity(bytes) {
                 let &&[a, b, c, ..] = bytes;
-                let kept = if chip.identity().length > 2 { c } else { 0 };
+                let kept = if chip.facts().identification.length > 2 {
+                    c
+                } else {
+                    0
+                };
                 let fault = Fault::WrongIdentity {
                     address: part.address(),
                     identity: [a, b, kept],
@@ -399,7 +403,7 @@ impl Session {
 
     #[inline(never)]
     fn finish_step(&mut self, part: PartId, step: u8, trials: u8, outcome: &Outcome<'_>) {
-        let steps = part.part().configuration();
+        let steps = part.part().facts().configuration;
         let failed = match (steps.get(usize::from(step)), *outcome) {
             (_, Outcome::NoAnswer) => {
                 self.state = State::Pausing { turns: PAUSE_TURNS };
@@ -458,7 +462,7 @@ impl Session {
     #[inline(never)]
     fn take_reading(&mut self, id: PartId, bytes: &Bytes) -> Option<Vector3> {
         let part = id.part();
-        let length = usize::from(part.reading().length);
+        let length = usize::from(part.facts().reading.length);
         let (used, _) = bytes.split_at_checked(length)?;
         let is_blank = |byte: u8| used.iter().all(|used| *used == byte);
         let (counter, limit, fault) = if is_blank(0x00) || is_blank(0xFF) {
@@ -507,7 +511,7 @@ impl Session {
     }
 
     fn check_setting(&mut self, id: PartId, bytes: &Bytes) {
-        let (register, written) = id.part().setting();
+        let (register, written) = id.part().facts().setting;
         let &[read, ..] = bytes;
         if read != written {
             self.fault = Some(Fault::Settings {

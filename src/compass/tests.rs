@@ -365,7 +365,7 @@ fn a_compass_that_disappears_is_lost_and_found_again() {
             readings > 5 && fault.is_none(),
             "{part:?} {readings} {fault:?}"
         );
-        let settings = part.part().setting();
+        let settings = part.part().facts().setting;
         assert_eq!(
             compass.bus_mut().chip(address).registers[&settings.0],
             settings.1
@@ -396,7 +396,7 @@ fn a_compass_that_stops_the_bus_is_left_alone_for_longer_and_longer() {
 fn lost_settings_and_impossible_trims_are_reported() {
     for (part, bus) in every_part() {
         let mut compass = find(bus, Choice::Auto).unwrap();
-        let (register, value) = part.part().setting();
+        let (register, value) = part.part().facts().setting;
         compass
             .bus_mut()
             .chip(part.address())

@@ -153,6 +153,7 @@ mod tests {
     use ::mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkVersion};
 
     use super::*;
+    use crate::compass::Condition;
     use crate::estimator::Sample;
     use crate::settings::Record;
     use crate::telemetry::Output;
@@ -181,6 +182,8 @@ mod tests {
             snapshot: None,
             sample: &sample,
             temperature_celsius: 0.0,
+            heading: None,
+            compass: Condition::default(),
             record: &record,
             is_armed: false,
             bursts_failed: 0,

@@ -71,6 +71,9 @@ bitflags::bitflags! {
         /// A compass was found or named, and gives no usable readings. The attitude does not
         /// depend on it.
         const COMPASS_FAULT = 1 << 20;
+        /// Vibration is so strong that the accelerometer may clip. The tilt can be wrong by
+        /// degrees.
+        const VIBRATION = 1 << 21;
     }
 }
 
@@ -87,7 +90,8 @@ impl Flags {
     /// Flags of an attitude that is degraded.
     pub const DEGRADING: Self = Self::INVALIDATING
         .union(Self::POLLED)
-        .union(Self::INTERNAL_CLOCK);
+        .union(Self::INTERNAL_CLOCK)
+        .union(Self::VIBRATION);
 
     /// Flags that last as long as their cause. The others report single events.
     pub const LASTING: Self = Self::DEGRADING

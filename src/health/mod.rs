@@ -21,8 +21,10 @@ mod flags;
 mod measurement;
 mod monitor;
 mod report;
+mod vibration;
 
 pub use flags::{BoardFlags, Flags, UnknownFlag};
 pub use measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};
 pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
 pub use report::FlagReport;
+pub(crate) use vibration::Vibration;

@@ -1,12 +1,16 @@
 //! A pipeline with a compass: the attitude as without one, and a heading beside it.
+//!
+//! [`CompassPipeline`] does both in one call. Firmware publishes the attitude first: it calls
+//! [`Pipeline::update`], publishes, and lets the heading follow with [`Pipeline::lead`].
 
 use super::{Pipeline, Settings, Snapshot};
+use crate::calibration::Calibration;
 use crate::estimator::Sample;
 use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
 use crate::health::{BoardFlags, Flags};
 use crate::mpu6050::Burst;
 use crate::serialize::StateVisitor;
-use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
+use crate::units::MagneticField;
 
 /// [`Pipeline`] with a compass.
 ///
@@ -56,22 +60,29 @@ impl CompassPipeline {
 
     /// Processes one burst like [`Pipeline::update`].
     pub fn update(&mut self, burst: &Burst, board: BoardFlags) -> Snapshot {
-        let before_us = self.pipeline.estimator.last_t_us();
         let snapshot = self.pipeline.update(burst, board);
-        self.follow(before_us, snapshot)
+        self.follow(snapshot)
     }
 
     /// Processes one calibrated sample like [`Pipeline::update_sample`].
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
-        let before_us = self.pipeline.estimator.last_t_us();
         let snapshot = self.pipeline.update_sample(sample);
-        self.follow(before_us, snapshot)
+        self.follow(snapshot)
     }
 
-    /// Adds a reading of the compass: calibrated, in body axes. `age_us` is how much older its
-    /// motion is than that of the last sample. Call it after the update of that sample.
+    /// Adds a reading of the compass in body axes, corrected as the [`CompassKnowledge`] states.
+    /// `age_us` is how much older its motion is than that of the last sample. Call it after the
+    /// update of that sample.
     pub fn update_field(&mut self, field: MagneticField, age_us: u32) {
         self.heading.add_field(field, age_us);
+    }
+
+    /// Replaces the calibration of the sensor like [`Pipeline::set_calibration`]. If the body axes
+    /// change, the heading starts again too.
+    pub fn set_calibration(&mut self, calibration: &Calibration) {
+        if self.pipeline.set_calibration(calibration) {
+            self.heading.reset();
+        }
     }
 
     /// Returns the heading; `None` while it is unknown.
@@ -106,20 +117,132 @@ impl CompassPipeline {
     }
 
     /// Lets the heading filter follow the sample, and sets its flag.
-    fn follow(&mut self, before_us: Option<u64>, mut snapshot: Snapshot) -> Snapshot {
-        let now_us = self.pipeline.estimator.last_t_us();
-        if let (Some(before_us), Some(now_us)) = (before_us, now_us)
-            && now_us > before_us
-        {
-            let step_us = u32::try_from(now_us - before_us).unwrap_or(u32::MAX);
-            let dt_s = step_us as f32 * SECONDS_PER_MICROSECOND;
-            self.heading.follow(self.pipeline.kalman(), dt_s);
+    fn follow(&mut self, mut snapshot: Snapshot) -> Snapshot {
+        self.pipeline.lead(&mut self.heading);
+        snapshot.set_heading_valid(self.heading());
+        snapshot
+    }
+}
+
+impl Pipeline {
+    /// Lets a heading filter follow the last sample. Call it after each update.
+    #[inline]
+    pub fn lead(&self, heading: &mut Heading) {
+        if let Some(t_us) = self.estimator.last_t_us() {
+            heading.follow_to(self.kalman(), t_us);
         }
-        let is_valid = self.heading().is_some_and(|heading| heading.is_valid);
-        let has_tilt = snapshot.flags.contains(Flags::VALID);
-        snapshot
-            .flags
-            .set(Flags::HEADING_VALID, is_valid && has_tilt);
-        snapshot
+    }
+
+    /// Returns the age of a compass's reading for [`Heading::add_field`], µs: how much older its
+    /// motion is than that of the last sample.
+    ///
+    /// `measured_us` is the time of the middle of the measurement, on the clock of the samples; its
+    /// low 32 bits are enough. A sample's motion is older than its time by the sensor's delay:
+    ///
+    /// ```text
+    /// age = (time of the sample − delay of the sensor) − time of the measurement
+    /// ```
+    pub fn reading_age_us(&self, measured_us: u32) -> u32 {
+        let sample_us = self.estimator.last_t_us().unwrap_or(0) as u32;
+        let motion_us = sample_us.wrapping_sub(self.settings.delay_us());
+        let age_us = motion_us.wrapping_sub(measured_us) as i32;
+        age_us.max(0).unsigned_abs()
+    }
+}
+
+impl Snapshot {
+    /// Sets [`Flags::HEADING_VALID`] if the heading is valid and the tilt too, and clears it
+    /// otherwise.
+    pub fn set_heading_valid(&mut self, heading: Option<HeadingEstimate>) {
+        let is_valid = heading.is_some_and(|heading| heading.is_valid);
+        let has_tilt = self.flags.contains(Flags::VALID);
+        self.flags.set(Flags::HEADING_VALID, is_valid && has_tilt);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::attitude::BodyVector;
+    use crate::calibration::{AccelerometerCorrection, Mount};
+    use crate::mpu6050::Part;
+
+    #[test]
+    fn the_age_is_that_of_the_motion_also_where_the_count_wraps() {
+        let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+        for sample_us in [20_000, (1 << 32) + 500] {
+            let force = BodyVector::new(0.0, 0.0, -9.81);
+            pipeline.update_sample(&Sample::new(sample_us, force, BodyVector::ZERO));
+            let measured_us = (sample_us as u32).wrapping_sub(10_300);
+            // The low-pass filter delays the sample's motion by 1.9 ms.
+            assert_eq!(pipeline.reading_age_us(measured_us), 8_400);
+            // A reading of a later motion counts as one of the same motion.
+            assert_eq!(pipeline.reading_age_us(sample_us as u32), 0);
+        }
+    }
+
+    #[test]
+    fn other_body_axes_restart_the_heading_and_an_offset_does_not() {
+        let settings = Settings::new(&Part::MPU_6050);
+        let mut pipeline = CompassPipeline::new(&settings, CompassKnowledge::Calibrated);
+        for index in 1..2_000_u64 {
+            let force = BodyVector::new(0.0, 0.0, -9.81);
+            pipeline.update_sample(&Sample::new(1_000 * index, force, BodyVector::ZERO));
+            if index % 20 == 7 {
+                let ut = [20.0, 0.0, 44.0];
+                pipeline.update_field(MagneticField { ut }, 8_100);
+            }
+        }
+        let before = pipeline.heading().expect("a heading");
+        let mut calibration = Calibration {
+            accelerometer: Some(AccelerometerCorrection::NONE),
+            ..Calibration::NONE
+        };
+        pipeline.set_calibration(&calibration);
+        assert_eq!(pipeline.heading(), Some(before));
+        calibration.mount = Some(Mount::Z_DOWN);
+        let changes = pipeline.heading_filter().changes();
+        pipeline.set_calibration(&calibration);
+        assert_eq!(pipeline.heading(), None);
+        assert_ne!(pipeline.heading_filter().changes(), changes);
+    }
+
+    #[test]
+    fn firmware_that_publishes_first_has_the_heading_of_the_compass_pipeline() {
+        let settings = Settings::new(&Part::MPU_6050);
+        let mut whole = CompassPipeline::new(&settings, CompassKnowledge::Calibrated);
+        let mut pipeline = Pipeline::new(&settings);
+        let mut heading = Heading::new(CompassKnowledge::Calibrated);
+        for index in 1..12_000_u64 {
+            // After two seconds at rest it turns to and fro.
+            let phase = 2.0e-3 * index.saturating_sub(2_000) as f32;
+            let turn_rad = 1.0 - libm::cosf(phase);
+            let rate_rad_s = 2.0 * libm::sinf(phase);
+            let force = BodyVector::new(0.0, 0.0, -9.81);
+            let rate = BodyVector::new(0.0, 0.0, rate_rad_s);
+            let sample = Sample::new(1_000 * index, force, rate);
+            let expected = whole.update_sample(&sample);
+            let mut snapshot = pipeline.update_sample(&sample);
+            pipeline.lead(&mut heading);
+            snapshot.set_heading_valid(heading.estimate());
+            assert_eq!(snapshot, expected, "{index}");
+            if index % 20 == 7 {
+                let field = MagneticField {
+                    ut: [
+                        20.0 * libm::cosf(turn_rad),
+                        -20.0 * libm::sinf(turn_rad),
+                        44.0,
+                    ],
+                };
+                whole.update_field(field, 8_100);
+                heading.add_field(field, 8_100);
+            }
+        }
+        assert_eq!(heading, *whole.heading_filter());
+        let mut snapshot = pipeline.stale(13_000_000, BoardFlags::empty());
+        let known = heading.estimate();
+        assert!(known.is_some_and(|it| it.is_valid), "{known:?}");
+        snapshot.set_heading_valid(heading.estimate());
+        assert!(!snapshot.flags.contains(Flags::HEADING_VALID));
     }
 }

@@ -53,7 +53,7 @@ use crate::attitude::Vector3;
 use crate::calibration::{Calibration, StationaryDetector, StationaryMean};
 use crate::estimator::kalman::{AccelerometerKnowledge, Kalman, WarmStart};
 use crate::estimator::{Estimator, Filter, Issues, Sample};
-use crate::health::{BoardFlags, Flags, Monitor};
+use crate::health::{BoardFlags, Flags, Monitor, Vibration};
 use crate::mpu6050::{Burst, RawSample, TemperatureCounts};
 use crate::serialize::StateVisitor;
 use crate::units::SECONDS_PER_MICROSECOND;
@@ -83,6 +83,7 @@ pub struct Pipeline {
     sample: Sample,
     estimator: Estimator,
     settings: Settings,
+    vibration: Vibration,
 }
 
 impl Pipeline {
@@ -103,6 +104,7 @@ impl Pipeline {
             samples_to_temperature: 0,
             monitor,
             unseen: UnseenMotion::new(sensor.sample_rate_hz(), monitor.frozen_samples()),
+            vibration: Vibration::new(sensor.sample_rate_hz()),
             estimator: Estimator::new(),
             sample: Sample::default(),
         };
@@ -148,6 +150,7 @@ impl Pipeline {
         self.sample = *sample;
         flags.set(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated);
         flags.set(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated);
+        flags |= self.vibration.update(&sample.specific_force_m_s2);
         self.unseen.inflate(&mut self.estimator, sample, flags);
         let estimate = self.estimator.update(sample);
         if !estimate.issues.is_empty() {
@@ -236,8 +239,9 @@ impl Pipeline {
     /// Replaces the calibration, from the next sample on.
     ///
     /// The attitude continues, unless the mount or the level changes. Then the body axes change,
-    /// and the filter restarts.
-    pub fn set_calibration(&mut self, calibration: &Calibration) {
+    /// and the filter restarts. Returns whether they have changed: a heading filter of the caller
+    /// has to restart too.
+    pub fn set_calibration(&mut self, calibration: &Calibration) -> bool {
         let before = self.settings;
         let removed_before = self.alignment.gyroscope_offset_rad_s();
         self.settings.calibration = *calibration;
@@ -260,6 +264,7 @@ impl Pipeline {
             let change = removed_before - self.alignment.gyroscope_offset_rad_s();
             self.kalman_mut().shift_bias(change);
         }
+        has_other_axes
     }
 
     /// Sets what is known of the accelerometer's offset, for samples that are calibrated elsewhere:
@@ -329,6 +334,7 @@ impl Pipeline {
         visitor.u8(&mut self.samples_to_temperature);
         self.monitor.visit_state(visitor);
         self.unseen.visit_state(visitor);
+        self.vibration.visit_state(visitor);
         self.estimator.visit_state(visitor);
         self.alignment = Alignment::new(&self.settings, self.gyroscope_offset_rad_s);
     }

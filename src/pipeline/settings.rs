@@ -72,11 +72,15 @@ impl Settings {
         })
     }
 
+    /// Returns the delay of the sensor in use, in µs.
+    pub(super) fn delay_us(&self) -> u32 {
+        let gyroscope_us = self.part.gyroscope_delay_us(self.sensor.low_pass).into();
+        self.sensor_delay_us.unwrap_or(gyroscope_us)
+    }
+
     /// Returns the delay of the sensor in use, in seconds.
     pub(super) fn delay_s(&self) -> f32 {
-        let gyroscope_us = self.part.gyroscope_delay_us(self.sensor.low_pass).into();
-        let delay_us: u32 = self.sensor_delay_us.unwrap_or(gyroscope_us);
-        delay_us as f32 * crate::units::SECONDS_PER_MICROSECOND
+        self.delay_us() as f32 * crate::units::SECONDS_PER_MICROSECOND
     }
 
     /// Visits every field.

@@ -1,6 +1,7 @@
 //! Frames: one snapshot in each format, and how many of them the UART carries.
 
-use super::{classic, log, teapot, teleplot, text};
+use super::{classic, heading, log, teapot, teleplot, text};
+use crate::estimator::heading::HeadingEstimate;
 use crate::pipeline::Snapshot;
 use crate::settings::OutputFormat;
 
@@ -80,10 +81,35 @@ pub fn encode<'a>(
     .unwrap_or_default()
 }
 
+/// Encodes the heading at a snapshot, and returns the lines that follow the snapshot's frame. They
+/// are empty for formats without a heading.
+#[inline(never)]
+pub fn encode_heading<'a>(
+    format: OutputFormat,
+    snapshot: &Snapshot,
+    estimate: &HeadingEstimate,
+    lines: &'a mut [u8; heading::LINES_LENGTH],
+) -> &'a [u8] {
+    let line = heading::Line::new(snapshot, estimate);
+    match format {
+        OutputFormat::Text => heading::encode(&line, lines),
+        OutputFormat::Teleplot => heading::encode_teleplot(&line, lines),
+        _ => &[],
+    }
+}
+
+/// Returns whether the UART carries the heading's lines beside this many frames per second.
+pub const fn has_room_for_heading(format: OutputFormat, rate_hz: u32, baud: u32) -> bool {
+    let length = frame_length(format) + heading::LINES_LENGTH;
+    rate_hz as usize * length <= (baud / BITS_PER_BYTE) as usize
+}
+
+/// Bits of a byte on the UART: 8 data bits, a start bit and a stop bit.
+const BITS_PER_BYTE: u32 = 10;
+
 /// Returns the most frames per second that the UART carries at a baud rate, with 8 data bits, one
 /// start bit and one stop bit. Returns 0 if the format does not fit at all.
 pub const fn largest_rate_hz(format: OutputFormat, baud: u32) -> u32 {
-    const BITS_PER_BYTE: u32 = 10;
     (baud / BITS_PER_BYTE).saturating_sub(other_bytes_per_second(format))
         / frame_length(format) as u32
 }
@@ -104,6 +130,29 @@ mod tests {
         assert!(teleplot.starts_with(b">roll:0.00\n"));
         let teapot = encode(OutputFormat::Teapot, &snapshot, 7, &mut frame);
         assert_eq!((teapot.len(), teapot[2], teapot[11]), (14, 0x40, 7));
+    }
+
+    #[test]
+    fn the_heading_follows_where_the_line_has_room() {
+        let estimate = HeadingEstimate {
+            yaw_offset_rad: 0.0,
+            sigma_rad: 0.0,
+            is_valid: true,
+        };
+        for format in OutputFormat::ALL {
+            let mut lines = [0; heading::LINES_LENGTH];
+            let lines = encode_heading(format, &Snapshot::default(), &estimate, &mut lines);
+            let start: &[u8] = match format {
+                OutputFormat::Text => b"heading:0.00\t",
+                OutputFormat::Teleplot => b">heading:0.00\n",
+                _ => b"",
+            };
+            assert!(lines.starts_with(start) && lines.is_empty() == start.is_empty());
+        }
+        for (format, rate_hz) in [(OutputFormat::Text, 66), (OutputFormat::Teleplot, 63)] {
+            assert!(has_room_for_heading(format, rate_hz, 115_200));
+            assert!(!has_room_for_heading(format, rate_hz + 1, 115_200));
+        }
     }
 
     #[test]

@@ -86,6 +86,8 @@ pub enum Message {
     MovedAtStart,
     /// The gyroscope's offset is measured, and removed from the rates from now on.
     OffsetMeasured,
+    /// Vibration is so strong that the accelerometer may clip.
+    VibrationTooStrong,
     /// The attitude's flags have changed for longer than a moment.
     Attitude(Flags),
     /// Messages were lost because too many came at once.
@@ -119,6 +121,7 @@ impl Message {
             | Self::Restarted { .. }
             | Self::Recovering
             | Self::MovedAtStart
+            | Self::VibrationTooStrong
             | Self::CompassFailed(_)
             | Self::MessagesLost { .. } => Severity::Warning,
             Self::Attitude(flags) if flags.intersects(Flags::DEGRADED) => Severity::Warning,
@@ -188,6 +191,8 @@ impl fmt::Display for Message {
             Self::MovedAtStart => formatter
                 .write_str("moved while the gyroscope's offset was being measured: hold it still"),
             Self::OffsetMeasured => formatter.write_str("gyroscope's offset measured, ready"),
+            Self::VibrationTooStrong => formatter
+                .write_str("vibration too strong: balance the rotors, mount the sensor softly"),
             Self::Attitude(flags) => {
                 formatter.write_str("attitude: ")?;
                 fmt::Display::fmt(flags, formatter)
@@ -273,6 +278,7 @@ mod tests {
             Message::Recovering,
             Message::MovedAtStart,
             Message::OffsetMeasured,
+            Message::VibrationTooStrong,
             Message::Attitude(Flags::LASTING),
             Message::MessagesLost { count: u16::MAX },
             error(mpu6050::Error::NotFound),

@@ -5,6 +5,7 @@
 //! | [`text`] | labelled text, one line per attitude |
 //! | [`classic`] | the classic tutorial's line |
 //! | [`teleplot`] | lines for Teleplot |
+//! | [`heading`] | the heading's lines in `text` and `teleplot` |
 //! | [`teapot`] | the packet of the teapot demo |
 //! | `mavlink` | MAVLink 2, with feature `mavlink` |
 //! | [`log`] | the flight log, which replays to the bit |
@@ -27,6 +28,7 @@ pub mod bursts;
 pub mod classic;
 mod decimal;
 mod frame;
+pub mod heading;
 pub mod log;
 mod mailbox;
 #[cfg(feature = "mavlink")]
@@ -38,7 +40,9 @@ pub mod teapot;
 pub mod teleplot;
 pub mod text;
 
-pub use frame::{FRAME_CAPACITY, encode, frame_length, largest_rate_hz};
+pub use frame::{
+    FRAME_CAPACITY, encode, encode_heading, frame_length, has_room_for_heading, largest_rate_hz,
+};
 pub use mailbox::Mailbox;
 pub use output::Output;
 pub use pace::Pace;

@@ -17,7 +17,7 @@
 //! ```
 
 use super::decimal::{LONGEST_NUMBER, Writer};
-use super::text;
+use super::{heading, text};
 use crate::pipeline::Snapshot;
 
 /// Length of the longest set of lines with their newlines, in bytes.
@@ -47,9 +47,11 @@ pub fn decode(line: &str) -> Option<(&str, f32)> {
     let line = line.strip_suffix('\r').unwrap_or(line);
     let (label, value) = line.strip_prefix('>')?.split_once(':')?;
     let value = match (label, value) {
-        (text::VALID_LABEL, "0") => 0.0,
-        (text::VALID_LABEL, "1") => 1.0,
-        _ if text::LABELS.contains(&label) => super::decimal::parse(value)?,
+        (text::VALID_LABEL | heading::VALID_LABEL, "0") => 0.0,
+        (text::VALID_LABEL | heading::VALID_LABEL, "1") => 1.0,
+        _ if text::LABELS.contains(&label) || heading::LABELS.contains(&label) => {
+            super::decimal::parse(value)?
+        }
         _ => return None,
     };
     Some((label, value))

@@ -1,7 +1,7 @@
 //! Labelled text for people and Arduino-style plotters, one line per attitude,
 //!
 //! ```text
-//! roll:1.00⇥pitch:-2.50⇥yaw:90.00⇥roll_rate:0.00⇥pitch_rate:0.12⇥yaw_rate:-3.00⇥valid:1
+//! roll:1.00⇥pitch:-2.50⇥yaw:9.00⇥roll_rate:0.00⇥pitch_rate:0.12⇥yaw_rate:-3.00⇥valid:1
 //! ```
 //!
 //! with tabs between the fields. Angles are degrees, rates are the body's own p, q, r in °/s; yaw

@@ -24,6 +24,8 @@ pub struct BoardModel {
     /// The core clock that the firmware sets up, in hertz. The emulated core executes one
     /// instruction per cycle of it.
     pub core_hz: u64,
+    /// The chip's DEV_ID in DBGMCU_IDCODE (RM0090, RM0368, RM0383 and RM0390, MCU device ID code).
+    pub device_id: u16,
 }
 
 /// All boards; the first is the default.
@@ -32,26 +34,31 @@ pub const BOARDS: [BoardModel; 5] = [
         name: "stm32f405",
         input: HighSpeedInput::Crystal(8_000_000),
         core_hz: 168_000_000,
+        device_id: 0x413,
     },
     BoardModel {
         name: "blackpill-f401",
         input: HighSpeedInput::Crystal(25_000_000),
         core_hz: 84_000_000,
+        device_id: 0x423,
     },
     BoardModel {
         name: "blackpill-f411",
         input: HighSpeedInput::Crystal(25_000_000),
         core_hz: 100_000_000,
+        device_id: 0x431,
     },
     BoardModel {
         name: "nucleo-f411",
         input: HighSpeedInput::ExternalClock(8_000_000),
         core_hz: 100_000_000,
+        device_id: 0x431,
     },
     BoardModel {
         name: "nucleo-f446",
         input: HighSpeedInput::ExternalClock(8_000_000),
         core_hz: 168_000_000,
+        device_id: 0x421,
     },
 ];
 

@@ -98,7 +98,17 @@ pub enum FaultKind {
     CompassIdentity(u8),
     /// The compass holds SCL low whenever it is addressed, until the end of the fault.
     CompassStall,
+    /// The supply has only these millivolts. Below 2,700 the flash completes no operation (RM0090,
+    /// 3.6.2). Below [`SENSOR_MILLIVOLTS`] the sensor is off, and below [`CORE_MILLIVOLTS`] the
+    /// core too: it restarts with the supply.
+    SupplySag(u32),
 }
+
+/// The lowest supply of the sensor, mV (MPU-6050 product specification, 6.3).
+pub const SENSOR_MILLIVOLTS: u32 = 2_375;
+/// The supply below which the chip holds itself in reset, mV (STM32F405 datasheet, "Embedded reset
+/// and power control block characteristics": the power-down threshold, 1.68 V).
+pub const CORE_MILLIVOLTS: u32 = 1_680;
 
 /// True if a bus error is a flag without a STOP on the lines.
 pub type IsFlagAlone = bool;
@@ -198,6 +208,7 @@ impl FaultKind {
             Self::CompassNeverReady => "compass-never-ready",
             Self::CompassIdentity(_) => "compass-identity",
             Self::CompassStall => "compass-stall",
+            Self::SupplySag(_) => "supply-sag",
         }
     }
 }
@@ -212,7 +223,24 @@ impl FaultKind {
     /// Returns true if the fault ends in a reset of the processor.
     #[must_use]
     pub fn resets(&self) -> bool {
-        matches!(self, Self::WatchdogHang | Self::Crash | Self::StackOverflow)
+        let is_own = matches!(self, Self::WatchdogHang | Self::Crash | Self::StackOverflow);
+        is_own || self.stops_core()
+    }
+
+    /// Returns true if the core has no supply during the fault.
+    #[must_use]
+    pub fn stops_core(&self) -> bool {
+        matches!(*self, Self::SupplySag(millivolts) if millivolts < CORE_MILLIVOLTS)
+    }
+
+    /// Returns true if the sensor has no supply during the fault.
+    #[must_use]
+    pub fn stops_sensor(&self) -> bool {
+        match *self {
+            Self::SensorBrownout => true,
+            Self::SupplySag(millivolts) => millivolts < SENSOR_MILLIVOLTS,
+            _ => false,
+        }
     }
 }
 
@@ -235,6 +263,7 @@ impl fmt::Display for FaultKind {
             Self::Saturated(axis) => write!(formatter, ":{}", axis.name()),
             Self::Temperature(celsius) => write!(formatter, ":{celsius}"),
             Self::CompassIdentity(identity) => write!(formatter, ":{identity:#04x}"),
+            Self::SupplySag(millivolts) => write!(formatter, ":{millivolts}"),
             _ => Ok(()),
         }
     }
@@ -355,6 +384,8 @@ pub enum Fault {
     /// The watchdog's oscillator runs at this frequency, Hz, of 17,000 to 47,000 (STM32F405
     /// datasheet, "LSI oscillator characteristics"). The typical one is 32,000.
     WatchdogClock(u64),
+    /// The chip reports this revision in DBGMCU_IDCODE (RM0090, 38.6.1).
+    ChipRevision(u16),
     /// The firmware's microsecond timer starts at this count instead of zero.
     TimerStartsAt(u32),
     /// A fault of a schedule.

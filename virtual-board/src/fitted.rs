@@ -73,6 +73,7 @@ impl FittedSensor {
                 | Fault::InternalOscillator(_)
                 | Fault::SlowStart
                 | Fault::WatchdogClock(_)
+                | Fault::ChipRevision(_)
                 | Fault::TimerStartsAt(_) => vec![],
             })
             .collect();
@@ -210,9 +211,7 @@ impl FittedSensor {
         let restarts = self.faults.iter().any(|fault| match fault {
             Fault::SensorAbsent(range) => nanoseconds(range.end) == at_ns,
             Fault::SensorReset(at_s) => nanoseconds(*at_s) == at_ns,
-            Fault::Scheduled(fault) => {
-                fault.kind == FaultKind::SensorBrownout && fault.end_ns() == at_ns
-            }
+            Fault::Scheduled(fault) => fault.kind.stops_sensor() && fault.end_ns() == at_ns,
             _ => false,
         });
         if restarts {
@@ -335,9 +334,7 @@ impl FittedSensor {
     fn is_absent(&self, now_ns: u64) -> bool {
         self.faults.iter().any(|fault| match fault {
             Fault::SensorAbsent(range) => within(now_ns, range),
-            Fault::Scheduled(fault) => {
-                fault.kind == FaultKind::SensorBrownout && fault.lasts(now_ns)
-            }
+            Fault::Scheduled(fault) => fault.kind.stops_sensor() && fault.lasts(now_ns),
             _ => false,
         })
     }

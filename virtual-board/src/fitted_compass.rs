@@ -117,9 +117,7 @@ impl FittedCompass {
 
     /// A stop condition.
     pub fn stop(&mut self) {
-        if std::mem::take(&mut self.is_addressed) {
-            self.compass.stop();
-        }
+        self.is_addressed = false;
     }
 
     fn lasts(&self, now_ns: u64, kind: FaultKind) -> bool {

@@ -26,7 +26,7 @@ use crate::fitted::FittedSensor;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
 use crate::kit::Kit;
-use crate::mcu::{Microcontroller, SentByte, Terminal};
+use crate::mcu::{ChipIdentity, Microcontroller, SentByte, Terminal};
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Garage, Profile, Purpose};
 use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
@@ -47,6 +47,7 @@ pub struct Run {
     seconds: f64,
     mount: Mount,
     kit: Kit,
+    sensor_address: u8,
     /// A compass instead of the kit's.
     compass: Option<CompassConfig>,
     /// The motion, and true if it is a recording: then the sensor adds no errors of its own.
@@ -75,6 +76,7 @@ impl Run {
             seconds: 30.0,
             mount: Mount::default(),
             kit: Kit::default(),
+            sensor_address: 0x68,
             compass: None,
             motion: None,
             faults: Vec::new(),
@@ -122,6 +124,13 @@ impl Run {
     #[must_use]
     pub fn kit(mut self, kit: Kit) -> Self {
         self.kit = kit;
+        self
+    }
+
+    /// Wires the sensor's AD0, which selects its bus address: 0x68 low, 0x69 high.
+    #[must_use]
+    pub fn sensor_address(mut self, address: u8) -> Self {
+        self.sensor_address = address;
         self
     }
 
@@ -344,6 +353,7 @@ impl Run {
         Sensor::new(
             SensorConfig {
                 mount: self.mount,
+                address: self.sensor_address,
                 who_am_i: self.kit.who_am_i(),
                 errors: self.errors.take().unwrap_or(config.errors),
                 ..config
@@ -371,6 +381,14 @@ impl Run {
             Fault::WatchdogClock(hz) => Some(*hz),
             _ => None,
         });
+        let revision = self.faults.iter().find_map(|fault| match fault {
+            Fault::ChipRevision(revision) => Some(*revision),
+            _ => None,
+        });
+        let identity = ChipIdentity {
+            device: self.board.device_id,
+            revision: revision.unwrap_or(ChipIdentity::STM32F405_Y.revision),
+        };
         let has_slow_starts = self.faults.contains(&Fault::SlowStart);
         let sensor = self.sensor();
         let compass = self.compass.take();
@@ -388,6 +406,7 @@ impl Run {
         if let Some(hz) = watchdog_hz {
             controller.calibrate_watchdog(hz);
         }
+        controller.identify(identity);
         if let Some((noise, framing)) = garbled {
             controller.garble_reception(self.seed, noise, framing);
         }
@@ -489,7 +508,10 @@ fn violations(session: &Session<Board>) -> Vec<String> {
         checks.note_without_clock(address);
     }
     let own = checks.violations();
-    told.chain(own.iter().map(ToString::to_string)).collect()
+    let prefetch = session.board().controller.prefetches_on_revision_a();
+    let prefetch = prefetch.then(|| "FLASH.ACR: the prefetch is on, on revision A (ES0182)".into());
+    let own = own.iter().map(ToString::to_string);
+    told.chain(own).chain(prefetch).collect()
 }
 
 /// Lists the events that a sound run does not have.

@@ -23,6 +23,8 @@ pub struct Firmware {
     /// The address of `APLOMB_SNAPSHOT`, if the image publishes its attitudes there. Any other
     /// image shows only its log.
     pub snapshot: Option<u64>,
+    /// The address of `APLOMB_HEADING`, if the image publishes headings there.
+    pub heading: Option<u64>,
     /// The address of `APLOMB_HEALTH`, if the image has it.
     pub health: Option<u64>,
     /// The address of the RTT control block, if the image logs.
@@ -90,6 +92,7 @@ impl Firmware {
             .max();
         Ok(Self {
             snapshot: symbol("APLOMB_SNAPSHOT"),
+            heading: symbol("APLOMB_HEADING"),
             health: symbol("APLOMB_HEALTH"),
             log_channel: symbol("_SEGGER_RTT"),
             handlers,

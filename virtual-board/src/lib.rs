@@ -45,6 +45,7 @@ pub mod profile;
 pub mod recorder;
 pub mod schedule;
 pub mod script;
+pub mod slots;
 pub mod summary;
 pub mod wires;
 

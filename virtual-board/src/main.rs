@@ -1,6 +1,7 @@
 //! `virtual-board fly`: flies a firmware image on the virtual board and writes the results to a
 //! folder.
 
+mod campaign_command;
 mod live;
 mod screen;
 
@@ -10,9 +11,6 @@ use std::io::Read as _;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
 
 use aplomb_models::motion::Mount;
 use aplomb_recordings::motion::Recording;
@@ -20,9 +18,7 @@ use aplomb_recordings::output::check_writable;
 use aplomb_recordings::quote::quote;
 use aplomb_recordings::units::{BadRows, RowOptions};
 use clap::{Args, Parser, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
 use virtual_board::board::{BOARDS, BoardModel};
-use virtual_board::campaign::{self, Case, Coverage, Report, Table};
 use virtual_board::flash::SLOT_BYTES;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
@@ -32,6 +28,7 @@ use virtual_board::port::Port;
 use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
+use campaign_command::Faults;
 use live::Live;
 use screen::Screen;
 
@@ -55,25 +52,6 @@ enum Command {
     Fly(Box<Fly>),
     /// Fly it many times with random faults, and check each flight.
     Faults(Faults),
-}
-
-#[derive(Args)]
-struct Faults {
-    /// The firmware image; `cargo xtask faults` builds it and gives it.
-    #[arg(long, value_name = "PATH")]
-    elf: PathBuf,
-    /// Number of flights.
-    #[arg(long, value_name = "NUMBER", default_value_t = 232)]
-    runs: u64,
-    /// The seed of the first flight; the others count on from it.
-    #[arg(long, value_name = "NUMBER", default_value_t = 1)]
-    seed: u64,
-    /// Number of flights at a time. Default: the number of cores.
-    #[arg(long, value_name = "NUMBER")]
-    jobs: Option<usize>,
-    /// Folder for the files of a failed flight, in a folder of its seed, or of a single one.
-    #[arg(long, value_name = "FOLDER", default_value = "target/faults")]
-    output: PathBuf,
 }
 
 #[derive(Args)]
@@ -194,7 +172,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Fly(options) => fly(&options),
-        Command::Faults(options) => faults(&options),
+        Command::Faults(options) => campaign_command::faults(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -360,145 +338,6 @@ fn check_rows(options: &Fly) -> Result<(), String> {
         );
     }
     Ok(())
-}
-
-/// Prints the failures of a case, where its picture is, and the command that repeats it.
-fn print_failure(case: &Case, report: &Report, written: &Result<PathBuf, String>) {
-    println!("seed {}:", case.seed);
-    for failure in &report.failures {
-        println!("  {failure}");
-    }
-    match written {
-        Ok(folder) => println!("  picture: {}", folder.join(outputs::PICTURE).display()),
-        Err(error) => println!("  no picture: {error}"),
-    }
-    println!("  again: cargo xtask faults --runs 1 --seed {}", case.seed);
-}
-
-/// Writes the files of a case into the folder of its seed. Returns the folder.
-fn write_case(options: &Faults, case: &Case, outcome: &Outcome) -> Result<PathBuf, String> {
-    let labels = Labels {
-        title: format!("flight of seed {} with faults", case.seed),
-        subtitle: subtitle(outcome),
-    };
-    let folder = options.output.join(case.seed.to_string());
-    outputs::write(&folder, outcome, &labels).map_err(|error| error.to_string())?;
-    Ok(folder)
-}
-
-/// Flies a campaign, or one flight of it.
-fn faults(options: &Faults) -> Result<(), String> {
-    let started = Instant::now();
-    if options.runs == 1 {
-        return one_case(options);
-    }
-    let jobs = options
-        .jobs
-        .or_else(|| std::thread::available_parallelism().ok().map(usize::from))
-        .unwrap_or(1);
-    let bar = ProgressBar::new(options.runs);
-    if let Ok(style) =
-        ProgressStyle::with_template("{bar:40} {pos}/{len} flights, {msg} left {eta}")
-    {
-        bar.set_style(style);
-    }
-    let (next, garage) = (AtomicU64::new(0), Arc::default());
-    let results = Mutex::new((Table::default(), Coverage::default(), 0_u64));
-    std::thread::scope(|scope| {
-        for _ in 0..jobs.max(1) {
-            scope.spawn(|| {
-                loop {
-                    let number = next.fetch_add(1, Ordering::Relaxed);
-                    if number >= options.runs {
-                        return;
-                    }
-                    let case = Case::by_seed(options.seed.wrapping_add(number));
-                    let (report, outcome) = campaign::run(&case, &garage, &options.elf);
-                    let steps = outcome
-                        .as_ref()
-                        .map(|outcome| &outcome.record.steps_at_faults);
-                    let steps = steps.cloned().unwrap_or_default();
-                    let written = || {
-                        let outcome = outcome.ok_or("the flight did not come to its end")?;
-                        write_case(options, &case, &outcome)
-                    };
-                    let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
-                    let (table, coverage, failed) = &mut *results;
-                    table.add(&report);
-                    coverage.add(&case, &steps);
-                    if !report.failures.is_empty() {
-                        *failed += 1;
-                        bar.set_message(format!("{failed} failed,"));
-                        let written = written();
-                        bar.suspend(|| print_failure(&case, &report, &written));
-                    }
-                    bar.inc(1);
-                    let flown = bar.position();
-                    let tenths = |flown: u64| 10 * flown / options.runs;
-                    // Nobody watches a bar in a log.
-                    if bar.is_hidden() && tenths(flown) > tenths(flown - 1) {
-                        eprintln!("{flown} of {} flights, {failed} failed", options.runs);
-                    }
-                }
-            });
-        }
-    });
-    bar.finish_and_clear();
-    let (table, coverage, failed) = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    println!("{table}\n{coverage}");
-    println!(
-        "{} flights from seed {} on in {:.0} s, {failed} failed",
-        options.runs,
-        options.seed,
-        started.elapsed().as_secs_f64(),
-    );
-    if failed == 0 {
-        Ok(())
-    } else {
-        Err(format!("{failed} of {} flights failed", options.runs))
-    }
-}
-
-/// Flies one case, shows what happened, and writes its files.
-fn one_case(options: &Faults) -> Result<(), String> {
-    let case = Case::by_seed(options.seed);
-    println!(
-        "{:.3} s with these faults:\n{}",
-        case.seconds, case.schedule
-    );
-    let outcome = case.fly(&options.elf)?;
-    let report = campaign::judge(&case, &outcome.record, &outcome.uart_lines);
-    for line in outcome
-        .uart_lines
-        .iter()
-        .filter(|line| line.text.starts_with('#'))
-    {
-        println!("{:10.3} s  {}", line.at_ns as f64 * 1e-9, line.text);
-    }
-    let folder = write_case(options, &case, &outcome)?;
-    println!("\nwritten to {}", folder.display());
-    for fault in &report.faults {
-        println!(
-            "{}: {}, {}",
-            fault.class,
-            if fault.is_detected {
-                "detected"
-            } else {
-                "not detected"
-            },
-            fault
-                .recovery_ns
-                .map_or("not recovered in time".into(), |recovery_ns| format!(
-                    "recovered in {:.1} ms",
-                    recovery_ns as f64 * 1e-6
-                ))
-        );
-    }
-    if report.failures.is_empty() {
-        Ok(())
-    } else {
-        Err(report.failures.join("\n       "))
-    }
 }
 
 /// The picture's second line.

@@ -22,7 +22,7 @@ pub struct Schedule {
 }
 
 /// Every fault: its name, its parameter, and how a parameter is read.
-const FORMS: [Form; 37] = [
+const FORMS: [Form; 38] = [
     Form::new("address-nack", "[:write|read]", |text| match text {
         "" => Some(FaultKind::AddressNack(None)),
         "write" => Some(FaultKind::AddressNack(Some(Direction::Write))),
@@ -102,7 +102,14 @@ const FORMS: [Form; 37] = [
         number(text, 0, 0xFF).map(|identity| FaultKind::CompassIdentity(identity as u8))
     }),
     Form::bare("compass-stall", FaultKind::CompassStall),
+    Form::new("supply-sag", ":MILLIVOLTS (0 to 3300)", |text| {
+        number(text, 0, 3_300).map(FaultKind::SupplySag)
+    }),
 ];
+
+/// The first forms, which [`Schedule::by_seed`] draws. The campaign draws the others beside them,
+/// so that a seed keeps its schedule.
+const DRAWN: usize = 37;
 
 /// Written form of a fault.
 struct Form {
@@ -219,8 +226,8 @@ impl Schedule {
         let count = [1, 1, 1, 1, 2, 2, 3][whole(&mut random, 7)];
         for nth in 0..count {
             let form = match nth {
-                0 => (seed % FORMS.len() as u64) as usize,
-                _ => whole(&mut random, FORMS.len()),
+                0 => (seed % DRAWN as u64) as usize,
+                _ => whole(&mut random, DRAWN),
             };
             let fault = draw(FORMS[form].name, start_s, &mut random);
             let is_last = fault.kind.resets()
@@ -306,6 +313,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         }
         "saturated" => FaultKind::Saturated(Axis::NAMES[pick % 6].0),
         "compass-identity" => FaultKind::CompassIdentity((pick % 64) as u8),
+        "supply-sag" => FaultKind::SupplySag((pick % 3_000) as u32),
         "temperature" => FaultKind::Temperature(if pick.is_multiple_of(2) { -55.0 } else { 120.0 }),
         _ => form
             .and_then(|form| form.bare)
@@ -485,7 +493,7 @@ mod tests {
         }
         names.sort_unstable();
         names.dedup();
-        assert_eq!(names.len(), FORMS.len(), "{names:?}");
+        assert_eq!(names.len(), DRAWN, "{names:?}");
         assert_ne!(Schedule::by_seed(1), Schedule::by_seed(2));
     }
 
@@ -530,6 +538,7 @@ mod tests {
             "temperature:200",
             "temperature:nan",
             "int-glitch:0",
+            "supply-sag:3301",
             "address-nack:both",
         ] {
             let name = text.split(':').next().unwrap_or_default();

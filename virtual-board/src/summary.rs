@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::cycles::Work;
 use crate::image::Firmware;
 use crate::recorder::{Record, Sample};
-use aplomb_models::motion::{Quaternion, inclination_error_rad};
+use aplomb_models::motion::{Quaternion, heading_error_rad, inclination_error_rad};
 
 /// Edges this close to the end may have their sample published after it, ns.
 const IN_FLIGHT_NS: u64 = 2_000_000;
@@ -54,6 +54,15 @@ pub struct Summary {
     pub inclination_rms_deg: Option<f64>,
     /// The largest inclination error among them.
     pub inclination_max_deg: Option<f64>,
+    /// Share of the samples whose heading is valid, percent; absent without a valid heading.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heading_valid_percent: Option<f64>,
+    /// Root mean square of the error of the valid headings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heading_rms_deg: Option<f64>,
+    /// The largest error among them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heading_max_deg: Option<f64>,
     /// Number of published attitudes with each flag, by the flag's name. Those without a sample are
     /// included.
     pub flags: BTreeMap<&'static str, usize>,
@@ -93,7 +102,7 @@ impl Summary {
         let inclinations_deg: Vec<f64> =
             samples.iter().filter_map(scored_inclination_deg).collect();
         let work = work(record);
-        let squares: Vec<f64> = inclinations_deg.iter().map(|error| error * error).collect();
+        let headings_deg: Vec<f64> = samples.iter().filter_map(valid_heading_deg).collect();
         Self {
             samples: samples.len(),
             missed: missed(record),
@@ -121,8 +130,12 @@ impl Summary {
                 .zip(maximum(&latencies_us))
                 .map(|(work, longest_us)| work.edge_to_attitude_us(longest_us, core_hz)),
             timestamp_error_us_max: maximum(&time_errors_us),
-            inclination_rms_deg: mean(&squares).map(f64::sqrt),
+            inclination_rms_deg: root_mean_square(&inclinations_deg),
             inclination_max_deg: maximum(&inclinations_deg),
+            heading_valid_percent: (!headings_deg.is_empty())
+                .then(|| 100.0 * headings_deg.len() as f64 / samples.len() as f64),
+            heading_rms_deg: root_mean_square(&headings_deg),
+            heading_max_deg: maximum(&headings_deg),
             flags: flags(record),
             flash_bytes: firmware.flash_bytes,
             ram_bytes: firmware.ram_bytes,
@@ -150,14 +163,28 @@ fn work(record: &Record) -> Option<Work> {
 #[must_use]
 pub fn inclination_deg(sample: &Sample) -> Option<f64> {
     let truth = sample.edge?.truth.attitude?;
+    Some(inclination_error_rad(estimate(sample), truth).to_degrees())
+}
+
+/// The size of the error of a sample's valid heading in degrees, if the truth is known.
+#[must_use]
+pub fn valid_heading_deg(sample: &Sample) -> Option<f64> {
+    let truth = sample.edge?.truth.attitude?;
+    let offset_rad = f64::from(sample.valid_heading()?.yaw_offset_rad);
+    let to_north = Quaternion::from_rotation_vector([0.0, 0.0, offset_rad]);
+    let absolute = to_north.multiply(estimate(sample));
+    Some(heading_error_rad(absolute, truth).to_degrees().abs())
+}
+
+/// The published attitude.
+fn estimate(sample: &Sample) -> Quaternion {
     let attitude = sample.snapshot.attitude;
-    let estimate = Quaternion {
+    Quaternion {
         w: f64::from(attitude.w),
         x: f64::from(attitude.x),
         y: f64::from(attitude.y),
         z: f64::from(attitude.z),
-    };
-    Some(inclination_error_rad(estimate, truth).to_degrees())
+    }
 }
 
 /// Returns the inclination error in degrees, if the sample counts.
@@ -205,6 +232,11 @@ fn missed(record: &Record) -> usize {
 
 fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+fn root_mean_square(values: &[f64]) -> Option<f64> {
+    let squares: Vec<f64> = values.iter().map(|value| value * value).collect();
+    mean(&squares).map(f64::sqrt)
 }
 
 fn maximum(values: &[f64]) -> Option<f64> {

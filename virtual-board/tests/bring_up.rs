@@ -306,6 +306,43 @@ fn each_wrong_wire_is_found_with_advice() {
 }
 
 #[test]
+fn a_sensor_at_the_other_address_is_as_good() {
+    let table = Table::new(|run| run.sensor_address(0x69), LAST_FLIGHT_S);
+    let (is_good, report) = bring_up("ad0", &table, &QUICK);
+    assert!(is_good && report.contains(" 0 bad, "), "{report}");
+    let bus = row(&report, "bus");
+    assert!(
+        bus.starts_with("good | a sensor answers at 0x68 or 0x69 | "),
+        "{bus}"
+    );
+    let identity = row(&report, "identity");
+    assert!(
+        identity.contains("MPU-6050@0x69, WHO_AM_I 0x68"),
+        "{identity}"
+    );
+}
+
+#[test]
+fn an_unknown_part_is_named_with_its_byte_and_what_to_do() {
+    let unknown = Fault::Identity(0x19, 0.0..2.0 * LAST_FLIGHT_S);
+    let table = Table::new(move |run| run.fault(unknown.clone()), LAST_FLIGHT_S);
+    let (is_good, report) = bring_up("unknown", &table, &QUICK);
+    assert!(!is_good && report.contains(" 1 bad, "), "{report}");
+    let bus = row(&report, "bus");
+    for part in [
+        "BAD | ",
+        "a sensor answers at 0x68 or 0x69",
+        "the chip at 0x68 has WHO_AM_I 0x19",
+        "report the byte in an issue",
+    ] {
+        assert!(bus.contains(part), "{part}: {bus}");
+    }
+    // No step after it blames another wire.
+    let identity = row(&report, "identity");
+    assert!(identity.contains("needs the step \"bus\""), "{identity}");
+}
+
+#[test]
 fn a_wrong_mount_is_found_by_turns() {
     let mount = Mount::parse("+y-z").expect("a mount");
     let table = Table::new(move |run| run.mount(mount), LAST_FLIGHT_S);

@@ -234,3 +234,23 @@ fn a_start_that_takes_time_delays_each_attitude_by_that_time() {
     let cost_us = slow_us - calm_us;
     assert!((1.7..1.9).contains(&cost_us), "{cost_us}");
 }
+
+#[test]
+fn the_prefetch_is_off_on_revision_a_alone() {
+    for revision in [0x1000, 0x1001, 0x100F] {
+        let run = Run::new(firmware()).fault(Fault::ChipRevision(revision));
+        let outcome = run.seconds(1.4).run().unwrap();
+        assert_eq!(outcome.issues, Vec::<String>::new(), "{revision:#x}");
+        let is_on = revision != 0x1000;
+        assert_eq!(outcome.record.prefetches, is_on, "{revision:#x}");
+    }
+}
+
+#[test]
+fn the_first_set_up_of_the_pins_makes_no_edge() {
+    let outcome = fly(0.5, "");
+    // Nine clocks for each try until the sensor has started, and no edge more.
+    let clocks = outcome.record.clocks_by_hand;
+    assert!(clocks > 0 && clocks.is_multiple_of(9), "{clocks}");
+    assert!(!outcome.samples().is_empty());
+}

@@ -5,6 +5,7 @@ mod common;
 
 use aplomb::health::Flags;
 use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::vibration::{Strength, Vibrating};
 use common::firmware;
 use virtual_board::faults::{BusByte, BusLine, Fault};
 use virtual_board::flight::{Outcome, Run};
@@ -218,6 +219,33 @@ fn moved_during_start_up() {
         Some(Flags::VALID)
     );
     assert_recovered(&outcome);
+}
+
+#[test]
+fn vibration_of_the_frame() {
+    let flagged_s = |force_rms_g: f64| {
+        let strength = Strength {
+            force_rms_m_s2: force_rms_g * 9.80665,
+            frequency_hz: 80.0,
+            lever_m: 0.1,
+            start_s: 3.0,
+            growth_s: 0.5,
+        };
+        let motion = Vibrating::new(Rest::level(), strength, 5);
+        let outcome = fly(Run::new(firmware()).seconds(7.0).motion(motion));
+        let flags = outcome.samples().iter().map(|sample| sample.snapshot.flags);
+        let flagged = flags.filter(|flags| flags.contains(Flags::VIBRATION));
+        let is_degraded = |flags: Flags| flags.contains(Flags::DEGRADED);
+        assert!(flagged.clone().all(is_degraded));
+        (flagged.count() as f64 * 1e-3, outcome)
+    };
+    // All three axes shake: 3 g on each are 5.2 g, 5 g are 8.7 g.
+    let (seconds, _) = flagged_s(3.0);
+    assert!(seconds == 0.0, "{seconds}");
+    let (seconds, outcome) = flagged_s(5.0);
+    assert!(seconds > 1.5 && seconds < 4.0, "{seconds}");
+    assert_reports(&outcome, "vibration too strong: balance the rotors");
+    assert_reports(&outcome, "attitude: VALID|DEGRADED|VIBRATION");
 }
 
 #[test]

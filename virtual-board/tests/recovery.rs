@@ -280,6 +280,7 @@ classes! {
     compass_never_ready: "compass-never-ready",
     compass_identity: "compass-identity",
     compass_stall: "compass-stall",
+    supply_sag: "supply-sag",
 }
 
 /// A run at rest with these faults, for rules that the table does not have.

@@ -9,15 +9,17 @@ use std::process::Command;
 use crate::setup::{self, Toolchain};
 use crate::step;
 
-/// A core with the options of its compiler and its machine in QEMU.
-struct Core {
+/// Core with the options of its compiler and its machine in QEMU.
+pub struct Core {
     name: &'static str,
     target: &'static str,
-    options: &'static [&'static str],
+    /// Options of the C compiler.
+    pub options: &'static [&'static str],
     machine: &'static str,
 }
 
-const CORES: [Core; 3] = [
+/// Cores of the programs; the first one counts instructions.
+pub const CORES: [Core; 3] = [
     Core {
         name: "cortex-m4f",
         target: setup::TARGET,
@@ -38,7 +40,7 @@ const CORES: [Core; 3] = [
     },
 ];
 
-const COMPILER: &str = "arm-none-eabi-gcc";
+pub const COMPILER: &str = "arm-none-eabi-gcc";
 /// Options for every program.
 const OPTIONS: [&str; 5] = ["-std=c99", "-Os", "-Wall", "-Wextra", "-pedantic"];
 
@@ -51,13 +53,41 @@ pub fn run() -> Result<(), String> {
     eprintln!("   {}", crate::root().join("c/include/aplomb.h").display());
     let mut test = step::host_cargo("test");
     step::run(test.args(["--release", "-p", "aplomb-c"]))?;
-    run_for_cores()
+    check()
+}
+
+/// Checks the library on the cores, and its unsafe code with Miri.
+pub fn check() -> Result<(), String> {
+    run_for_cores()?;
+    step::timed("the C library in Miri", miri)
+}
+
+/// Runs the tests of the boundary in Miri, which finds undefined behaviour. Without Miri it says
+/// so.
+fn miri() -> Result<(), String> {
+    let miri = |arguments: &[&str]| {
+        let mut cargo = step::command(Path::new("cargo"));
+        cargo.args(["+nightly", "miri"]).args(arguments);
+        cargo
+    };
+    if step::output(&mut miri(&["--version"])).is_none() {
+        eprintln!(
+            "   skipped: Miri is not installed; `rustup +nightly component add miri` installs it"
+        );
+        return Ok(());
+    }
+    let folder = step::target_folder().join("miri");
+    let mut test = miri(&["test", "--ignore-rust-version", "-p", "aplomb-c", "--lib"]);
+    step::run(test.arg("--target-dir").arg(folder))
 }
 
 /// Builds the library for the cores, and runs a program on each.
-pub fn run_for_cores() -> Result<(), String> {
+fn run_for_cores() -> Result<(), String> {
     step::timed("the C library on Cortex-M cores", || {
-        let libraries: Vec<PathBuf> = CORES.iter().map(library).collect::<Result<_, _>>()?;
+        let libraries: Vec<PathBuf> = CORES
+            .iter()
+            .map(|core| library(core, "firmware"))
+            .collect::<Result<_, _>>()?;
         if !step::is_installed(COMPILER) {
             eprintln!("   skipped: no program is linked, because {COMPILER} is not installed");
             return Ok(());
@@ -87,18 +117,18 @@ pub fn build(host: &str) -> Result<Vec<(String, PathBuf)>, String> {
     let mut found = vec![(host.to_owned(), here)];
     for core in &CORES {
         if found.iter().all(|(target, _)| target != core.target) {
-            found.push((core.target.to_owned(), library(core)?));
+            found.push((core.target.to_owned(), library(core, "firmware")?));
         }
     }
     Ok(found)
 }
 
-/// Builds the library for a core.
-fn library(core: &Core) -> Result<PathBuf, String> {
+/// Builds the library for a core with this profile.
+pub fn library(core: &Core, profile: &str) -> Result<PathBuf, String> {
     let mut cargo = Toolchain::for_any(core.target)?.cargo_for(core.target, "build");
-    cargo.args(["--quiet", "--profile", "firmware", "-p", "aplomb-c"]);
+    cargo.args(["--quiet", "--profile", profile, "-p", "aplomb-c"]);
     step::run(&mut cargo)?;
-    let folder = step::target_folder().join(core.target).join("firmware");
+    let folder = step::target_folder().join(core.target).join(profile);
     Ok(folder.join("libaplomb_c.a"))
 }
 
@@ -111,7 +141,7 @@ fn compile(compiler: &str, output: &Path) -> Command {
 }
 
 /// Returns a path for a program.
-fn program(name: &str) -> Result<PathBuf, String> {
+pub fn program(name: &str) -> Result<PathBuf, String> {
     let folder = step::target_folder().join("c");
     std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     Ok(folder.join(name))
@@ -185,7 +215,7 @@ fn in_qemu(core: &Core, program: &Path) -> Result<String, String> {
 }
 
 /// Returns the bytes of code and constants.
-fn flash(program: &Path) -> Result<u64, String> {
+pub fn flash(program: &Path) -> Result<u64, String> {
     let text = step::output(Command::new("arm-none-eabi-size").arg(program));
     let text = text.ok_or("arm-none-eabi-size failed")?;
     let bytes = text

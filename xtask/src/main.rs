@@ -3,6 +3,7 @@
 mod agree;
 mod api;
 mod build;
+mod c_cost;
 mod c_library;
 mod cost;
 mod examples;
@@ -51,7 +52,7 @@ usage: cargo xtask COMMAND
                       --render writes the pages from docs/results.toml
                       --check fails if a page disagrees with it, and is a part of `test`
   c                   build the C library for this computer and three Cortex-M cores, and run its
-                      programs; a part of `test`
+                      programs; a part of `test`. Measures its cost beside Fusion's C code
   python              install the Python package into target/ and test it; a part of `test`
   release --dry-run   make and check the archives, the wheel and the package of a release
   flash [--board B]   write the firmware to a board with probe-rs and show its log
@@ -101,7 +102,9 @@ fn run(arguments: &[String]) -> Result<(), String> {
             Some(mode) => results::run(mode),
             None => Err(format!("`results` takes one option\n\n{USAGE}")),
         },
-        "c" => no_more(rest).and_then(|()| c_library::run()),
+        "c" => no_more(rest)
+            .and_then(|()| c_library::run())
+            .and_then(|()| c_cost::run()),
         "python" => no_more(rest).and_then(|()| python::run()),
         "release" if rest == ["--dry-run"] => release::dry_run(),
         "release" => Err(format!("`release` only knows --dry-run\n\n{USAGE}")),

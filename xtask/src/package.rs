@@ -1,7 +1,7 @@
 //! The package for the registry: it is complete, holds nothing else, and the library alone brings
 //! no firmware.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::setup::TARGET;
@@ -44,6 +44,55 @@ const CRATES_OF_THE_LIBRARY: [&str; 18] = [
     "thiserror-impl",
     "unicode-ident",
 ];
+
+/// Packages that a release publishes, each after those that it needs.
+pub const PUBLISHED: [&str; 5] = [
+    "aplomb",
+    "aplomb-models",
+    "aplomb-plot",
+    "aplomb-recordings",
+    "aplomb-cli",
+];
+
+/// Packs the library and the program with the packages it needs, and builds each from its package,
+/// as `cargo publish` would.
+pub fn publish_dry_run() -> Result<(), String> {
+    forget_earlier_runs()?;
+    let mut publish = step::command(Path::new("cargo"));
+    publish.args(["publish", "--dry-run", "--allow-dirty", "--quiet"]);
+    for package in PUBLISHED {
+        publish.args(["-p", package]);
+    }
+    step::run(&mut publish)
+}
+
+/// Removes what an earlier dry run unpacked and built: cargo would take it for the present
+/// packages of the same version. Its registry of a dry run has no host in its name.
+fn forget_earlier_runs() -> Result<(), String> {
+    let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
+    let user = || std::env::var_os("HOME").map(|home| PathBuf::from(home).join(".cargo"));
+    let home = home.or_else(user).unwrap_or_default();
+    let of_dry_runs = starting_with(&home.join("registry/src"), "-");
+    let mut earlier = starting_with(&step::target_folder().join("debug/.fingerprint"), "aplomb-");
+    for registry in of_dry_runs {
+        earlier.extend(starting_with(&registry, "aplomb-"));
+    }
+    for folder in earlier {
+        std::fs::remove_dir_all(&folder)
+            .map_err(|error| format!("{}: {error}", folder.display()))?;
+    }
+    Ok(())
+}
+
+/// Returns the entries of a folder whose names start with this text.
+fn starting_with(folder: &Path, start: &str) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let starts = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with(start)
+    };
+    entries.map(|entry| entry.path()).filter(starts).collect()
+}
 
 /// Packages the crate, builds what is in the package, and checks the lists.
 pub fn check() -> Result<(), String> {

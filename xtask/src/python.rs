@@ -7,6 +7,13 @@ use crate::{build, step};
 
 /// Packages of the tests. The last one is the filter to compare the speed with.
 const PACKAGES: [&str; 3] = ["numpy", "pytest", "vqf"];
+/// Folder of the tests' Python.
+const FOLDER: &str = "python-tests";
+/// Packages that run the notebook.
+const NOTEBOOK: [&str; 3] = ["nbclient", "ipykernel", "matplotlib"];
+/// Recordings to compare, if they are there, and the one that the notebook draws.
+const RECORDINGS: &str = "../shared/data";
+const DRAWN: &str = "tumvi/room1.csv.gz";
 /// Checks the version that `python/pyproject.toml` asks for.
 const IS_NEW_ENOUGH: &str = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))";
 
@@ -18,13 +25,8 @@ pub fn run() -> Result<(), String> {
             return Ok(());
         };
         lint()?;
-        let folder = step::target_folder().join("python-tests");
-        step::run(step::command(&python).args(["-m", "venv"]).arg(&folder))?;
-        let python = folder.join(if cfg!(windows) {
-            "Scripts/python"
-        } else {
-            "bin/python"
-        });
+        let python = own(&python)?;
+        let folder = step::target_folder().join(FOLDER);
         let pip = |arguments: &[&str]| {
             let mut pip = step::command(&python);
             pip.args([
@@ -37,6 +39,10 @@ pub fn run() -> Result<(), String> {
             step::run(pip.args(arguments))
         };
         pip(&PACKAGES)?;
+        if let Err(reason) = pip(&NOTEBOOK) {
+            let packages = NOTEBOOK.join(", ");
+            eprintln!("   skipped: the notebook, because {packages} cannot be installed: {reason}");
+        }
         pip(&["./python"])?;
         let program = build::program()?;
         let mut test = step::command(&python);
@@ -44,14 +50,23 @@ pub fn run() -> Result<(), String> {
             "-m",
             "pytest",
             "-q",
+            "-rs",
             "-s",
             "-p",
             "no:cacheprovider",
             "python/tests",
         ]);
         test.env("APLOMB", program)
-            .env("PYTHONDONTWRITEBYTECODE", "1");
-        step::run(&mut test)
+            .env("PYTHONDONTWRITEBYTECODE", "1")
+            .env("APLOMB_OUTPUT", &folder);
+        let recordings = crate::root().join(RECORDINGS);
+        if recordings.is_dir() {
+            test.env("APLOMB_LOGS", &recordings);
+            test.env("APLOMB_RECORDING", recordings.join(DRAWN));
+        }
+        step::run(&mut test)?;
+        eprintln!("   {}", folder.join("compare_vqf.png").display());
+        Ok(())
     })
 }
 
@@ -76,9 +91,7 @@ pub fn package(folder: &Path) -> Result<(), String> {
             eprintln!("   skipped: python3 of version 3.10 or later, with venv, is not installed");
             return Ok(());
         };
-        let tools = step::target_folder().join("python-tests");
-        step::run(step::command(&python).args(["-m", "venv"]).arg(&tools))?;
-        let python = tools.join("bin/python");
+        let python = own(&python)?;
         let mut pip = step::command(&python);
         pip.args([
             "-m",
@@ -98,8 +111,19 @@ pub fn package(folder: &Path) -> Result<(), String> {
     })
 }
 
+/// Returns a Python with packages of its own, in the target folder.
+pub fn own(python: &Path) -> Result<PathBuf, String> {
+    let folder = step::target_folder().join(FOLDER);
+    step::run(step::command(python).args(["-m", "venv"]).arg(&folder))?;
+    Ok(folder.join(if cfg!(windows) {
+        "Scripts/python"
+    } else {
+        "bin/python"
+    }))
+}
+
 /// Returns the first Python that is new enough.
-fn python() -> Option<PathBuf> {
+pub fn python() -> Option<PathBuf> {
     let names = [
         "python3",
         "python3.13",

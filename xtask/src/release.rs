@@ -9,6 +9,14 @@ use std::path::{Path, PathBuf};
 
 use crate::{build, c_library, package, python, step};
 
+/// Files that ask for the packages of this version.
+const MENTIONS: [&str; 4] = [
+    "README.md",
+    "docs/porting.md",
+    "cli/Cargo.toml",
+    "recordings/Cargo.toml",
+];
+
 /// Files of each archive.
 const LICENCES: [&str; 3] = ["LICENSE-APACHE", "LICENSE-MIT", "CHANGELOG.md"];
 
@@ -16,6 +24,10 @@ const LICENCES: [&str; 3] = ["LICENSE-APACHE", "LICENSE-MIT", "CHANGELOG.md"];
 pub fn dry_run() -> Result<(), String> {
     let version = version()?;
     step::timed("the library's package", package::check)?;
+    step::timed(
+        "publish --dry-run of library and program",
+        package::publish_dry_run,
+    )?;
     step::timed("licences of dependencies", crate::test::check_dependencies)?;
     let folder = step::target_folder().join("release-files");
     let text = |error: std::io::Error| format!("{}: {error}", folder.display());
@@ -60,22 +72,18 @@ pub fn dry_run() -> Result<(), String> {
     Ok(())
 }
 
-/// Returns the version. All packages have to have it, and the changelog a section.
+/// Returns the version. All packages, the README's snippet and the changelog have to have it.
 fn version() -> Result<String, String> {
     let read =
         |file: &str| fs::read_to_string(root(file)).map_err(|error| format!("{file}: {error}"));
-    let of = |manifest: &str| {
-        let line = manifest
-            .lines()
-            .find_map(|line| line.strip_prefix("version = \""));
-        line.and_then(|rest| rest.strip_suffix('"'))
-            .map(str::to_owned)
-    };
-    let version = of(&read("Cargo.toml")?).ok_or("Cargo.toml has no version")?;
-    if of(&read("python/Cargo.toml")?).as_ref() != Some(&version) {
+    let version = version_of(&read("Cargo.toml")?).ok_or("Cargo.toml has no version")?;
+    if version_of(&read("python/Cargo.toml")?).as_ref() != Some(&version) {
         return Err(format!(
             "python/Cargo.toml has another version than {version}"
         ));
+    }
+    for file in MENTIONS {
+        check_mentions(file, &read(file)?, &version)?;
     }
     let heading = format!("## {version}");
     if !read("CHANGELOG.md")?
@@ -85,6 +93,32 @@ fn version() -> Result<String, String> {
         return Err(format!("CHANGELOG.md has no section `{heading}`"));
     }
     Ok(version)
+}
+
+/// Returns the version of a manifest.
+fn version_of(manifest: &str) -> Option<String> {
+    let mut lines = manifest.lines();
+    let rest = lines.find_map(|line| line.strip_prefix("version = \""))?;
+    rest.strip_suffix('"').map(str::to_owned)
+}
+
+/// Fails unless this file asks for this version of the packages at least once, and for no other.
+fn check_mentions(file: &str, text: &str, version: &str) -> Result<(), String> {
+    let mentions = text
+        .lines()
+        .filter(|line| line.trim_start().starts_with("aplomb"));
+    let mut found = mentions
+        .filter_map(|line| line.split_once("version = \""))
+        .peekable();
+    if found.peek().is_none() {
+        return Err(format!("{file} names no version of aplomb"));
+    }
+    match found.find(|(_, rest)| !rest.starts_with(&format!("{version}\""))) {
+        Some((name, _)) => Err(format!(
+            "{file}: `{name}…` asks for another version than {version}"
+        )),
+        None => Ok(()),
+    }
 }
 
 /// Returns this computer's target.
@@ -134,4 +168,27 @@ fn pack(
         return Err(format!("{}: {packed} files of {count}", archive.display()));
     }
     fs::remove_dir_all(&staged).map_err(|error| format!("{}: {error}", staged.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_version_is_named() {
+        let text = "x\naplomb = { version = \"0.1.0\", path = \"..\" }\nclap = { version = \"4\" }";
+        assert_eq!(check_mentions("a", text, "0.1.0"), Ok(()));
+        let older = format!("{text}\naplomb-plot = {{ version = \"0.0.9\" }}");
+        let error = check_mentions("a", &older, "0.1.0").unwrap_err();
+        assert!(error.contains("aplomb-plot"), "{error}");
+        assert!(check_mentions("a", text, "0.1.1").is_err());
+        assert!(check_mentions("a", "aplomb = { path = \"..\" }", "0.1.0").is_err());
+    }
+
+    #[test]
+    fn the_version_of_a_manifest_is_found() {
+        let manifest = "[package]\nversion = \"0.1.0\"\n[dependencies]\nversion = \"2\"";
+        assert_eq!(version_of(manifest).as_deref(), Some("0.1.0"));
+        assert_eq!(version_of("[package]\nversion.workspace = true"), None);
+    }
 }

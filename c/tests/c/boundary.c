@@ -7,6 +7,7 @@
 #include "aplomb.h"
 
 static AplombPipeline pipeline;
+static AplombCompassPipeline with_compass;
 static uint32_t state = 1;
 
 static uint32_t chance(void)
@@ -44,10 +45,32 @@ static void settings_are_checked(void)
     wrong = settings;
     wrong.accelerometer_knowledge = 4;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_WRONG_KNOWLEDGE);
-    for (uint32_t status = 0; status < 12; status++) {
+    for (uint32_t status = 0; status < 13; status++) {
         assert(strlen(aplomb_status_text(status)) > 3);
     }
     assert(aplomb_status_text(0xFFFFFFFFu) != NULL);
+}
+
+static void settings_of_a_compass_are_checked(void)
+{
+    AplombSettings settings = aplomb_default_settings();
+    AplombSettings wrong = settings;
+    assert(aplomb_compass_init(NULL, &settings) == APLOMB_STATUS_NULL_POINTER);
+    assert(aplomb_compass_init(&with_compass, NULL) == APLOMB_STATUS_NULL_POINTER);
+    wrong.low_pass_hz = 100;
+    assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_WRONG_LOW_PASS);
+    wrong = settings;
+    wrong.compass_knowledge = 3;
+    assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_WRONG_KNOWLEDGE);
+    wrong = settings;
+    memcpy(wrong.calibration.compass_mount, "+x+x\0\0\0", 8);
+    assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_WRONG_MOUNT);
+    wrong = settings;
+    wrong.declination_rad = 3.2f;
+    assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_WRONG_DECLINATION);
+    wrong.declination_rad = NAN;
+    assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_WRONG_DECLINATION);
+    assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_OK); /* it has no compass */
 }
 
 static void steps_are_those_of_the_datasheet(void)
@@ -72,7 +95,13 @@ static void records_read_back(void)
     AplombCalibration calibration, found;
     AplombRecord record;
     memset(&calibration, 0, sizeof calibration);
-    calibration.has_accelerometer = true;
+    calibration.has_accelerometer = 1;
+    calibration.has_compass = 1;
+    memcpy(calibration.compass_mount, "+y-z", 4);
+    for (int i = 0; i < 9; i++) {
+        calibration.compass_matrix[i] = 1.0f + (float)i;
+    }
+    calibration.compass_hard_iron_ut[2] = -30.5f;
     calibration.accelerometer_offset_m_s2[1] = 0.25f;
     for (int i = 0; i < 3; i++) {
         calibration.accelerometer_matrix[i] = 1.0f;
@@ -81,6 +110,10 @@ static void records_read_back(void)
     assert(aplomb_decode_record(&record, &found) == APLOMB_STATUS_OK);
     assert(found.has_accelerometer && !found.has_level && !found.has_gyroscope);
     assert(found.accelerometer_offset_m_s2[1] == 0.25f && found.accelerometer_matrix[2] == 1.0f);
+    assert(found.has_compass == 1 && strcmp(found.compass_mount, "+y-z") == 0);
+    assert(memcmp(found.compass_matrix, calibration.compass_matrix,
+                  sizeof found.compass_matrix) == 0);
+    assert(found.compass_hard_iron_ut[2] == -30.5f);
     record.bytes[40] ^= 1;
     assert(aplomb_decode_record(&record, &found) == APLOMB_STATUS_NO_RECORD);
     for (int i = 0; i < 2000; i++) {
@@ -89,51 +122,202 @@ static void records_read_back(void)
     }
     calibration.accelerometer_offset_m_s2[0] = NAN;
     assert(aplomb_encode_record(&calibration, &record) == APLOMB_STATUS_NOT_STORABLE);
+    calibration.accelerometer_offset_m_s2[0] = 0.0f;
+    calibration.compass_hard_iron_ut[0] = INFINITY;
+    assert(aplomb_encode_record(&calibration, &record) == APLOMB_STATUS_NOT_STORABLE);
+    calibration.compass_hard_iron_ut[0] = 0.0f;
+    calibration.compass_mount[0] = 'x';
+    assert(aplomb_encode_record(&calibration, &record) == APLOMB_STATUS_WRONG_MOUNT);
     assert(aplomb_encode_record(NULL, &record) == APLOMB_STATUS_NULL_POINTER);
     assert(aplomb_decode_record(NULL, &found) == APLOMB_STATUS_NULL_POINTER);
+}
+
+static void null_pointers_are_refused(void)
+{
+    AplombSnapshot snapshot;
+    AplombBurst burst;
+    AplombSample sample;
+    AplombField field;
+    AplombCalibration calibration;
+    AplombRecord record;
+    AplombStatus none = APLOMB_STATUS_NULL_POINTER;
+    fill(&burst, sizeof burst);
+    fill(&sample, sizeof sample);
+    fill(&field, sizeof field);
+    fill(&calibration, sizeof calibration);
+    assert(aplomb_update_burst(NULL, &burst, &snapshot) == none);
+    assert(aplomb_update_burst(&pipeline, NULL, &snapshot) == none);
+    assert(aplomb_update_burst(&pipeline, &burst, NULL) == none);
+    assert(aplomb_update_sample(NULL, &sample, &snapshot) == none);
+    assert(aplomb_update_sample(&pipeline, NULL, &snapshot) == none);
+    assert(aplomb_update_sample(&pipeline, &sample, NULL) == none);
+    assert(aplomb_stale(NULL, 0, &snapshot) == none);
+    assert(aplomb_stale(&pipeline, 0, NULL) == none);
+    assert(aplomb_set_armed(NULL, true) == none);
+    assert(aplomb_encode_record(&calibration, NULL) == none);
+    assert(aplomb_decode_record(&record, NULL) == none);
+    assert(aplomb_compass_update_burst(NULL, &burst, &snapshot) == none);
+    assert(aplomb_compass_update_burst(&with_compass, NULL, &snapshot) == none);
+    assert(aplomb_compass_update_burst(&with_compass, &burst, NULL) == none);
+    assert(aplomb_compass_update_sample(NULL, &sample, &snapshot) == none);
+    assert(aplomb_compass_update_sample(&with_compass, NULL, &snapshot) == none);
+    assert(aplomb_compass_update_sample(&with_compass, &sample, NULL) == none);
+    assert(aplomb_compass_update_field(NULL, &field) == none);
+    assert(aplomb_compass_update_field(&with_compass, NULL) == none);
+    assert(aplomb_compass_stale(NULL, 0, &snapshot) == none);
+    assert(aplomb_compass_stale(&with_compass, 0, NULL) == none);
+    assert(aplomb_compass_set_armed(NULL, true) == none);
+}
+
+static void memory_without_a_pipeline_is_refused(void)
+{
+    static AplombPipeline plain;
+    static AplombCompassPipeline compass;
+    AplombSettings settings = aplomb_default_settings();
+    AplombSnapshot snapshot;
+    AplombField field = {{0, 0, 0}, 0};
+    for (int i = 0; i < 100; i++) {
+        assert(aplomb_stale(&plain, 0, &snapshot) == APLOMB_STATUS_NOT_INITIALISED);
+        assert(aplomb_compass_stale(&compass, 0, &snapshot) == APLOMB_STATUS_NOT_INITIALISED);
+        assert(aplomb_compass_update_field(&compass, &field) == APLOMB_STATUS_NOT_INITIALISED);
+        fill(&plain, sizeof plain);
+        fill(&compass, sizeof compass);
+    }
+    /* A pipeline of one kind is none of the other. */
+    assert(aplomb_init(&plain, &settings) == APLOMB_STATUS_OK);
+    memcpy(&compass, &plain, sizeof plain);
+    assert(aplomb_compass_stale(&compass, 0, &snapshot) == APLOMB_STATUS_NOT_INITIALISED);
+    assert(aplomb_compass_init(&compass, &settings) == APLOMB_STATUS_OK);
+    memcpy(&plain, &compass, sizeof plain);
+    assert(aplomb_stale(&plain, 0, &snapshot) == APLOMB_STATUS_NOT_INITIALISED);
+}
+
+static bool is_finite(const AplombSnapshot *snapshot)
+{
+    for (int part = 0; part < 4; part++) {
+        if (!isfinite(snapshot->attitude[part])) {
+            return false;
+        }
+    }
+    for (int axis = 0; axis < 3; axis++) {
+        if (!isfinite(snapshot->body_rates_rad_s[axis])) {
+            return false;
+        }
+    }
+    return isfinite(snapshot->roll_rad) && isfinite(snapshot->pitch_rad) &&
+           isfinite(snapshot->yaw_rad) && snapshot->tilt_sigma_rad >= 0.0f &&
+           isfinite(snapshot->heading_rad) && isfinite(snapshot->yaw_offset_rad) &&
+           snapshot->heading_sigma_rad >= 0.0f;
+}
+
+/* Updates both pipelines with any bytes, and a time that mostly goes on. */
+static void update_by_chance(uint64_t *t_us)
+{
+    AplombSnapshot plain, compass;
+    AplombBurst burst;
+    AplombSample sample;
+    AplombField field;
+    fill(&burst, sizeof burst);
+    fill(&sample, sizeof sample);
+    fill(&field, sizeof field);
+    *t_us += chance() % 2000;
+    if (chance() % 8 != 0) {
+        burst.captured_at_us = *t_us;
+        sample.t_us = *t_us + 300;
+    }
+    assert(aplomb_update_burst(&pipeline, &burst, &plain) == APLOMB_STATUS_OK);
+    assert(aplomb_compass_update_burst(&with_compass, &burst, &compass) == APLOMB_STATUS_OK);
+    assert(is_finite(&plain) && is_finite(&compass));
+    assert(memcmp(plain.attitude, compass.attitude, sizeof plain.attitude) == 0);
+    assert(aplomb_update_sample(&pipeline, &sample, &plain) == APLOMB_STATUS_OK);
+    assert(aplomb_compass_update_sample(&with_compass, &sample, &compass) == APLOMB_STATUS_OK);
+    assert(is_finite(&plain) && is_finite(&compass));
+    assert(memcmp(plain.attitude, compass.attitude, sizeof plain.attitude) == 0);
+    assert(aplomb_compass_update_field(&with_compass, &field) == APLOMB_STATUS_OK);
 }
 
 static void wild_inputs_give_finite_attitudes(void)
 {
     AplombSettings settings = aplomb_default_settings();
-    AplombSnapshot snapshot;
+    AplombSnapshot snapshot, of_copy;
     AplombPipeline copy;
-    memset(&copy, 0, sizeof copy);
-    assert(aplomb_stale(&copy, 0, &snapshot) == APLOMB_STATUS_NOT_INITIALISED);
-    assert(aplomb_set_armed(NULL, true) == APLOMB_STATUS_NULL_POINTER);
+    uint64_t t_us = 0;
     assert(aplomb_init(&pipeline, &settings) == APLOMB_STATUS_OK);
+    assert(aplomb_compass_init(&with_compass, &settings) == APLOMB_STATUS_OK);
     assert(aplomb_set_armed(&pipeline, true) == APLOMB_STATUS_OK);
-    assert(aplomb_update_burst(&pipeline, NULL, &snapshot) == APLOMB_STATUS_NULL_POINTER);
-    assert(aplomb_update_sample(&pipeline, NULL, &snapshot) == APLOMB_STATUS_NULL_POINTER);
+    assert(aplomb_compass_set_armed(&with_compass, true) == APLOMB_STATUS_OK);
     for (int i = 0; i < 20000; i++) {
-        AplombBurst burst;
-        AplombSample sample;
-        fill(&burst, sizeof burst);
-        assert(aplomb_update_burst(&pipeline, &burst, &snapshot) == APLOMB_STATUS_OK);
-        fill(&sample.t_us, sizeof sample.t_us);
-        fill(sample.specific_force_m_s2, sizeof sample.specific_force_m_s2);
-        fill(sample.angular_rate_rad_s, sizeof sample.angular_rate_rad_s);
-        sample.is_force_saturated = chance() & 1;
-        sample.is_rate_saturated = chance() & 1;
-        assert(aplomb_update_sample(&pipeline, &sample, &snapshot) == APLOMB_STATUS_OK);
-        for (int part = 0; part < 4; part++) {
-            assert(isfinite(snapshot.attitude[part]));
-        }
+        update_by_chance(&t_us);
     }
     /* A copy goes on as the original does. */
     copy = pipeline;
-    AplombSnapshot of_copy;
     assert(aplomb_stale(&pipeline, 1, &snapshot) == APLOMB_STATUS_OK);
     assert(aplomb_stale(&copy, 1, &of_copy) == APLOMB_STATUS_OK);
     assert(memcmp(snapshot.attitude, of_copy.attitude, sizeof snapshot.attitude) == 0);
 }
 
+static void a_silent_compass_gives_no_heading(void)
+{
+    AplombSettings settings = aplomb_default_settings();
+    AplombSample sample = {0, {0.0f, 0.0f, 9.81f}, {0.0f, 0.0f, 0.0f}, 0, 0};
+    AplombSnapshot snapshot;
+    assert(aplomb_compass_init(&with_compass, &settings) == APLOMB_STATUS_OK);
+    for (uint64_t index = 1; index < 3000; index++) {
+        sample.t_us = 1000 * index;
+        assert(aplomb_compass_update_sample(&with_compass, &sample, &snapshot) ==
+               APLOMB_STATUS_OK);
+        assert(isinf(snapshot.heading_sigma_rad) && snapshot.heading_rad == 0.0f);
+        assert((snapshot.flags & APLOMB_FLAG_HEADING_VALID) == 0);
+    }
+    assert(snapshot.flags & APLOMB_FLAG_VALID);
+}
+
+/* Any bytes as settings are refused with a status, or run. */
+static void wild_settings_are_refused_or_run(void)
+{
+    AplombSettings usual = aplomb_default_settings();
+    int refused = 0, run = 0;
+    for (int i = 0; i < 3000; i++) {
+        AplombSettings settings = usual;
+        AplombStatus status;
+        AplombStep step;
+        uint64_t t_us = 0;
+        size_t start = chance() % sizeof settings;
+        size_t size = chance() % (sizeof settings - start + 1);
+        fill((unsigned char *)&settings + start, size);
+        if (i % 2 == 0) { /* with names and ranges that are right */
+            AplombCalibration any = settings.calibration;
+            settings = usual;
+            settings.calibration = any;
+            memcpy(settings.calibration.mount, usual.calibration.mount, 8);
+            memcpy(settings.calibration.compass_mount, usual.calibration.compass_mount, 8);
+        }
+        (void)aplomb_configuration_step(&settings, chance(), &step);
+        status = aplomb_compass_init(&with_compass, &settings);
+        if (status != APLOMB_STATUS_OK || aplomb_init(&pipeline, &settings) != APLOMB_STATUS_OK) {
+            assert(status <= APLOMB_STATUS_WRONG_DECLINATION);
+            refused++;
+            continue;
+        }
+        run++;
+        for (int update = 0; update < 20; update++) {
+            update_by_chance(&t_us);
+        }
+    }
+    assert(refused > 500 && run > 500);
+}
+
 int main(void)
 {
     settings_are_checked();
+    settings_of_a_compass_are_checked();
     steps_are_those_of_the_datasheet();
     records_read_back();
+    null_pointers_are_refused();
+    memory_without_a_pipeline_is_refused();
     wild_inputs_give_finite_attitudes();
+    a_silent_compass_gives_no_heading();
+    wild_settings_are_refused_or_run();
     printf("aplomb %s: all passed\n", aplomb_version());
     return 0;
 }

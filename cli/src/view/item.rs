@@ -4,6 +4,7 @@ use aplomb::attitude::Quaternion;
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
 use aplomb::settings::OutputFormat;
+use aplomb::telemetry::heading;
 use aplomb::telemetry::text::Line;
 use aplomb::units::degrees;
 use aplomb_recordings::attitude_table::Row;
@@ -71,6 +72,8 @@ pub enum Item {
     Reading(Reading),
     /// σ of the tilt, degrees.
     TiltSigma(f32),
+    /// Heading from a compass.
+    Heading(heading::Line),
     /// Temperature of the die, °C.
     Temperature(f32),
     /// Health of the sensors.

@@ -1,11 +1,13 @@
 //! `aplomb view`: the module's attitude and health on a terminal, live or from a recording.
 
 mod app;
+mod compass;
 mod detect;
 mod dots;
 mod horizon;
 mod item;
 mod keys;
+mod letters;
 mod live;
 mod model;
 mod picture;

@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 
 use aplomb::health::Flags;
 use aplomb::settings::OutputFormat;
+use aplomb::telemetry::heading;
 
+use super::compass::Field;
 use super::item::{Counts, Format, Item, Reading, Sensors};
 
 /// Length of the strips, s.
@@ -89,6 +91,10 @@ pub struct Model {
     /// Time since the beginning, s.
     pub now_s: f64,
     pub tilt_sigma_deg: Option<f32>,
+    /// The last heading, and its time, s.
+    heading: Option<(f64, heading::Line)>,
+    /// Field at the compass, by the module's status.
+    pub field: Option<Field>,
     pub temperature_c: Option<f32>,
     pub sensors: Option<Sensors>,
     pub counts: Counts,
@@ -118,6 +124,8 @@ impl Model {
             format: None,
             now_s: 0.0,
             tilt_sigma_deg: None,
+            heading: None,
+            field: None,
             temperature_c: None,
             sensors: None,
             counts: Counts::default(),
@@ -146,6 +154,7 @@ impl Model {
                 }
             }
             Item::TiltSigma(sigma) => self.tilt_sigma_deg = Some(sigma),
+            Item::Heading(heading) => self.heading = Some((at_s, heading)),
             Item::Temperature(temperature) => self.temperature_c = Some(temperature),
             Item::Sensors(sensors) => self.sensors = Some(sensors),
             Item::Message(text) => {
@@ -175,11 +184,18 @@ impl Model {
         }
     }
 
+    /// Returns the heading, if it is fresh.
+    pub fn heading(&self) -> Option<heading::Line> {
+        let (at_s, heading) = self.heading?;
+        (self.now_s - at_s < FRESH_S).then_some(heading)
+    }
+
     /// Sets the time, the format and the counts.
     pub fn tick(&mut self, now_s: f64, format: Option<Format>, counts: Counts) {
         if format != self.format {
             // Another format may not have them.
             self.tilt_sigma_deg = None;
+            self.heading = None;
             self.temperature_c = None;
             self.sensors = None;
             self.format = format;
@@ -291,6 +307,13 @@ impl Model {
         let whole = |name| field(name).and_then(|value| value.parse().ok());
         self.tilt_sigma_deg = number("tilt_sigma_deg").or(self.tilt_sigma_deg);
         self.temperature_c = number("temperature_c").or(self.temperature_c);
+        self.field = field("field_ut").and_then(|text| {
+            let numbers: Result<Vec<f64>, _> = text.split(',').map(str::parse).collect();
+            let components = numbers.ok()?.try_into().ok()?;
+            let reading = self.reading()?;
+            let (roll_deg, pitch_deg) = (reading.roll_deg.into(), reading.pitch_deg.into());
+            Some(Field::new(components, roll_deg, pitch_deg))
+        });
         self.frames_dropped = whole("frames_dropped");
         self.bursts_failed = whole("bursts_failed");
     }

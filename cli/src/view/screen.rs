@@ -6,11 +6,14 @@ use ratatui::style::{Color, Modifier, Style};
 
 use super::dots::{ACROSS, DOWN, Dots};
 use super::item::Reading;
+use super::letters::{number, put};
 use super::model::{Connection, Model, STRIP_S, Speaker, Trust};
-use super::{horizon, keys};
+use super::{compass, horizon, keys};
 
 /// Smallest terminal that holds all parts.
 const LEAST: (u16, u16) = (80, 24);
+/// Height from which on the figures have empty rows between them.
+const TALL: u16 = 17;
 
 pub const ROLL: Color = Color::Indexed(208);
 pub const PITCH: Color = Color::Indexed(45);
@@ -56,6 +59,7 @@ pub fn draw(model: &Model, area: Rect, buffer: &mut Buffer) {
     draw_header(model, header, buffer);
     draw_horizon(model, left, buffer);
     draw_figures(model, right, buffer);
+    draw_compass(model, left, right, buffer);
     let [angles, _, rates] = Layout::horizontal([
         Constraint::Fill(1),
         Constraint::Length(1),
@@ -81,16 +85,6 @@ pub fn draw(model: &Model, area: Rect, buffer: &mut Buffer) {
     if model.shows_help {
         draw_help(model, area, buffer);
     }
-}
-
-/// Writes a text in a row of an area, as far as there is room, and returns its end.
-fn put(buffer: &mut Buffer, area: Rect, x: u16, y: u16, text: &str, style: Style) -> u16 {
-    if x >= area.width || y >= area.height {
-        return x;
-    }
-    let room = usize::from(area.width - x);
-    let (end, _) = buffer.set_stringn(area.x + x, area.y + y, text, room, style);
-    end - area.x
 }
 
 /// Writes a text at the right end of a row.
@@ -180,12 +174,21 @@ fn draw_horizon(model: &Model, area: Rect, buffer: &mut Buffer) {
     }
 }
 
+/// Draws the compass over the horizon, and in the free row below the angles.
+fn draw_compass(model: &Model, horizon: Rect, figures: Rect, buffer: &mut Buffer) {
+    if let Some(heading) = model.heading() {
+        compass::draw_tape(&heading, model.field, horizon, buffer);
+        let row = if figures.height >= TALL { 6 } else { 3 };
+        compass::draw_heading(&heading, figures, row, buffer);
+    }
+}
+
 fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
     let reading = model.reading();
     let plain = Style::new().fg(TEXT);
     let faint = Style::new().fg(FAINT);
     // A tall area has empty rows between the figures and around the banner.
-    let (step, tall) = if area.height >= 17 { (2, 5) } else { (1, 3) };
+    let (step, tall) = if area.height >= TALL { (2, 5) } else { (1, 3) };
     for (index, (name, colour)) in ["roll", "pitch", "yaw"]
         .into_iter()
         .zip(COLOURS)
@@ -331,18 +334,6 @@ fn short(count: u64) -> String {
         0..10_000 => count.to_string(),
         10_000..10_000_000 => format!("{}k", count / 1_000),
         10_000_000.. => format!("{}M", (count / 1_000_000).min(9_999)),
-    }
-}
-
-/// Formats a number with two decimals, right-aligned in a width, or a dash.
-fn number(value: Option<f32>, width: usize, unit: &str) -> String {
-    match value {
-        // Minus zero is zero.
-        Some(value) => format!(
-            "{:width$.2}{unit}",
-            if value.abs() < 0.005 { 0.0 } else { value }
-        ),
-        None => format!("{:>width$}", "-"),
     }
 }
 

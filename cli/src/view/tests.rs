@@ -107,6 +107,27 @@ fn a_valid_attitude() {
 }
 
 #[test]
+fn a_fresh_heading_is_beside_the_attitude() {
+    let mut model = swinging(Flags::VALID);
+    let heading = aplomb::telemetry::heading::Line {
+        heading_deg: 271.35,
+        sigma_deg: 2.1,
+        is_valid: true,
+    };
+    model.take(25.0, Item::Heading(heading));
+    let status = "ok status: flags=VALID|HEADING_VALID field_ut=18.6,0.0,46.1 mount=+x-z";
+    model.take(25.0, Item::Message(status.into()));
+    for (width, height) in [(80, 24), (120, 40)] {
+        let text = text(&drawn(&model, width, height));
+        assert!(text.contains("head    271.35°  ± 2.10°"), "{text}");
+        assert!(text.contains("·   ·   W   ·   ·"), "{text}");
+        assert!(text.contains(" 49.7 µT, dip "), "{text}");
+    }
+    model.tick(26.5, model.format, model.counts);
+    assert!(!text(&drawn(&model, 80, 24)).contains("head "));
+}
+
+#[test]
 fn an_attitude_that_is_not_valid_says_so_with_the_reasons() {
     let flags = [
         Flags::DEGRADED,

@@ -26,7 +26,6 @@ const FUSE_ACCESS: u8 = 0xF;
 /// The chip.
 pub struct Ak8963 {
     trims: [u8; 3],
-    ready_at_ns: u64,
     mode: u8,
     is_16_bit: bool,
     has_self_field: bool,
@@ -46,7 +45,6 @@ impl Ak8963 {
         let mut random = Random::new(seed, "compass trims");
         Self {
             trims: [0; 3].map(|_| random.uniform(160.0, 192.0) as u8),
-            ready_at_ns: 0,
             mode: POWER_DOWN,
             is_16_bit: false,
             has_self_field: false,
@@ -85,13 +83,9 @@ impl Chip for Ak8963 {
         0x0C
     }
 
-    fn power_up(&mut self, now_ns: u64) {
+    fn start_up_ns(&self) -> u64 {
         // Section 5.3.3: usable 50 ms after power-up.
-        self.ready_at_ns = now_ns + 50_000_000;
-    }
-
-    fn is_ready(&self, now_ns: u64) -> bool {
-        now_ns >= self.ready_at_ns
+        50_000_000
     }
 
     fn next(&self, register: u8) -> u8 {
@@ -102,8 +96,6 @@ impl Chip for Ak8963 {
             other => other.wrapping_add(1),
         }
     }
-
-    fn begin(&mut self, _read: bool) {}
 
     fn read(&mut self, register: u8) -> u8 {
         match register {
@@ -139,10 +131,9 @@ impl Chip for Ak8963 {
                 }
             }
             0x0B if value & 1 != 0 => {
-                let (trims, ready_at_ns) = (self.trims, self.ready_at_ns);
+                let trims = self.trims;
                 *self = Self {
                     trims,
-                    ready_at_ns,
                     ..Self::new(0)
                 };
             }
@@ -150,8 +141,6 @@ impl Chip for Ak8963 {
             _ => {}
         }
     }
-
-    fn end(&mut self) {}
 
     fn is_output(&self, register: u8) -> bool {
         (0x02..=0x09).contains(&register)

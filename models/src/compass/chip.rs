@@ -19,26 +19,19 @@ pub trait Chip: Send {
     /// The 7-bit bus address.
     fn address(&self) -> u8;
 
-    /// The supply comes (back) at this time.
-    fn power_up(&mut self, now_ns: u64);
-
-    /// Returns true if the registers can be used.
-    fn is_ready(&self, now_ns: u64) -> bool;
+    /// Time from the supply to usable registers.
+    fn start_up_ns(&self) -> u64;
 
     /// The register after this one, as the address pointer moves.
-    fn next(&self, register: u8) -> u8;
-
-    /// A transaction begins.
-    fn begin(&mut self, read: bool);
+    fn next(&self, register: u8) -> u8 {
+        register.wrapping_add(1)
+    }
 
     /// The value of a register, with what reading it does.
     fn read(&mut self, register: u8) -> u8;
 
     /// A value for a register.
     fn write(&mut self, register: u8, value: u8, now_ns: u64);
-
-    /// A transaction ends.
-    fn end(&mut self);
 
     /// Returns true for data and status registers.
     fn is_output(&self, register: u8) -> bool;

@@ -2,7 +2,6 @@
 
 use crate::motion::Truth;
 use crate::motion::geometry::{Quaternion, Vector, add, dot, norm, scale, subtract};
-use crate::motion::truth::STANDARD_GRAVITY_M_S2;
 use crate::random::Random;
 
 /// The earth's field at a place.
@@ -60,11 +59,14 @@ impl Default for EarthField {
     }
 }
 
-/// A magnet that passes the vehicle on a straight line.
+/// A magnet that passes the vehicle on a straight line, or stands beside it until the vehicle
+/// leaves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PassingMagnet {
     /// Time of the closest approach, s.
     pub closest_s: f64,
+    /// True if it is at the closest place from the start.
+    pub stands: bool,
     /// Place of the closest approach, m in earth axes from the compass.
     pub closest_m: Vector,
     /// Velocity, m/s in earth axes.
@@ -74,10 +76,43 @@ pub struct PassingMagnet {
 }
 
 impl PassingMagnet {
+    /// A small magnet that passes at a walking pace, 20 to 40 cm away at this time.
+    #[must_use]
+    pub fn passing(seed: u64, closest_s: f64) -> Self {
+        let mut random = Random::new(seed, "magnet");
+        let [place, way, moment] = [0; 3].map(|_| direction(&mut random));
+        let across = subtract(way, scale(place, dot(way, place)));
+        Self {
+            closest_s,
+            stands: false,
+            closest_m: scale(place, random.uniform(0.2, 0.4)),
+            velocity_m_s: scale(across, random.uniform(0.5, 1.5) / norm(across).max(0.1)),
+            moment_a_m2: scale(moment, random.uniform(1.0, 3.0)),
+        }
+    }
+
+    /// A small magnet that lies 15 to 40 cm beside the vehicle, until the vehicle leaves it at this
+    /// time.
+    #[must_use]
+    pub fn left_behind(seed: u64, leaves_s: f64) -> Self {
+        let magnet = Self::passing(seed, leaves_s);
+        let mut random = Random::new(seed, "magnet left behind");
+        let place = scale(magnet.closest_m, 1.0 / norm(magnet.closest_m));
+        Self {
+            stands: true,
+            closest_m: scale(place, random.uniform(0.15, 0.4)),
+            velocity_m_s: scale(place, random.uniform(0.5, 2.0)),
+            ..magnet
+        }
+    }
+
     /// The dipole's field at the compass, µT in earth axes: µ₀/4π·(3(m·r̂)r̂ − m)/r³.
     #[must_use]
     pub fn field_ut(&self, time_s: f64) -> Vector {
-        let since_s = time_s - self.closest_s;
+        let mut since_s = time_s - self.closest_s;
+        if self.stands {
+            since_s = since_s.max(0.0);
+        }
         let place = add(self.closest_m, scale(self.velocity_m_s, since_s));
         let distance_m = norm(place).max(0.02);
         let unit = scale(place, 1.0 / distance_m);
@@ -99,8 +134,8 @@ pub struct Magnetism {
     pub hard_iron_ut: Vector,
     /// Soft iron and gains: the matrix on the field in body axes, by rows.
     pub soft_iron: [Vector; 3],
-    /// Field of the motors' currents at one g of thrust, µT in body axes.
-    pub motors_ut_per_g: Vector,
+    /// Field of the motors' currents in a hover, µT in body axes. It grows with the thrust.
+    pub motors_ut: Vector,
     /// A passing magnet.
     pub magnet: Option<PassingMagnet>,
 }
@@ -116,7 +151,7 @@ impl Magnetism {
             earth,
             hard_iron_ut: [0.0; 3],
             soft_iron: NO_SOFT_IRON,
-            motors_ut_per_g: [0.0; 3],
+            motors_ut: [0.0; 3],
             magnet: None,
         }
     }
@@ -140,6 +175,32 @@ impl Magnetism {
         }
     }
 
+    /// A vehicle after a calibration: 0.5 µT of hard iron and 1 % of soft iron are left.
+    #[must_use]
+    pub fn calibrated(seed: u64) -> Self {
+        let mut random = Random::new(seed, "calibrated magnetism");
+        let hard_iron_ut = [0; 3].map(|_| 0.5 * random.normal());
+        let mut soft_iron = NO_SOFT_IRON;
+        for element in soft_iron.iter_mut().flatten() {
+            *element += 0.01 * random.normal();
+        }
+        Self {
+            hard_iron_ut,
+            soft_iron,
+            ..Self::clean(EarthField::default())
+        }
+    }
+
+    /// Adds motors whose field in a hover has this strength, µT. The seed decides its direction.
+    #[must_use]
+    pub fn with_motors(self, seed: u64, strength_ut: f64) -> Self {
+        let mut random = Random::new(seed, "motors");
+        Self {
+            motors_ut: scale(direction(&mut random), strength_ut),
+            ..self
+        }
+    }
+
     /// The field at the compass, µT in body axes. Earth axes have north at magnetic north.
     #[must_use]
     pub fn at(&self, time_s: f64, truth: &Truth) -> Vector {
@@ -150,8 +211,13 @@ impl Magnetism {
         }
         let body_ut = attitude.conjugate().rotate(earth_ut);
         let distorted_ut = self.soft_iron.map(|row| dot(row, body_ut));
-        let thrust_g = norm(truth.specific_force_m_s2) / STANDARD_GRAVITY_M_S2;
-        let motors_ut = scale(self.motors_ut_per_g, thrust_g);
+        let motors_ut = scale(self.motors_ut, truth.thrust_g);
         add(add(distorted_ut, self.hard_iron_ut), motors_ut)
     }
+}
+
+/// Returns a unit vector in any direction.
+fn direction(random: &mut Random) -> Vector {
+    let vector = [0; 3].map(|_| random.normal());
+    scale(vector, 1.0 / norm(vector).max(1e-6))
 }

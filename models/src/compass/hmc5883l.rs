@@ -17,7 +17,6 @@ const MEASUREMENT_NS: u64 = 6_000_000;
 pub struct Hmc5883l {
     /// True for the clone whose status stays zero.
     is_clone: bool,
-    ready_at_ns: u64,
     config_a: u8,
     config_b: u8,
     mode: u8,
@@ -36,7 +35,6 @@ impl Hmc5883l {
     pub fn new(is_clone: bool) -> Self {
         let mut chip = Self {
             is_clone,
-            ready_at_ns: 0,
             config_a: 0x10,
             config_b: 0x20,
             mode: 0x01,
@@ -72,12 +70,8 @@ impl Chip for Hmc5883l {
         0x1E
     }
 
-    fn power_up(&mut self, now_ns: u64) {
-        self.ready_at_ns = now_ns + 50_000_000;
-    }
-
-    fn is_ready(&self, now_ns: u64) -> bool {
-        now_ns >= self.ready_at_ns
+    fn start_up_ns(&self) -> u64 {
+        50_000_000
     }
 
     fn next(&self, register: u8) -> u8 {
@@ -88,8 +82,6 @@ impl Chip for Hmc5883l {
             other => other.wrapping_add(1),
         }
     }
-
-    fn begin(&mut self, _read: bool) {}
 
     fn read(&mut self, register: u8) -> u8 {
         match register {
@@ -126,8 +118,6 @@ impl Chip for Hmc5883l {
             _ => {}
         }
     }
-
-    fn end(&mut self) {}
 
     fn is_output(&self, register: u8) -> bool {
         (0x03..=0x09).contains(&register)

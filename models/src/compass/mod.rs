@@ -15,7 +15,7 @@ mod qmc5883l;
 mod qmc5883p;
 
 pub use chip::{Chip, Conversion};
-pub use field::{EarthField, Magnetism};
+pub use field::{EarthField, Magnetism, PassingMagnet};
 
 use crate::motion::geometry::Vector;
 use crate::motion::{Mount, Truth};
@@ -89,6 +89,8 @@ pub enum CompassFault {
 pub struct Compass {
     config: CompassConfig,
     chip: Box<dyn Chip>,
+    /// Time from which the registers can be used.
+    ready_at_ns: u64,
     noise: Random,
     faults: Vec<CompassFault>,
     garble: Random,
@@ -109,6 +111,7 @@ impl Compass {
             noise: Random::new(config.seed, "compass noise"),
             garble: Random::new(config.seed, "compass garble"),
             chip,
+            ready_at_ns: 0,
             config,
             faults: Vec::new(),
             history: Vec::new(),
@@ -133,7 +136,7 @@ impl Compass {
     /// The supply comes (back): all registers at reset.
     pub fn power_up(&mut self, now_ns: u64) {
         self.chip = chip_of(&self.config);
-        self.chip.power_up(now_ns);
+        self.ready_at_ns = now_ns + self.chip.start_up_ns();
     }
 
     /// Sets the faults from now on.
@@ -179,10 +182,9 @@ impl Compass {
 
     /// A start condition with a 7-bit address. Returns the acknowledge.
     pub fn start(&mut self, now_ns: u64, address: u8, read: bool) -> bool {
-        let answers = address == self.chip.address() && self.chip.is_ready(now_ns);
+        let answers = address == self.chip.address() && now_ns >= self.ready_at_ns;
         if answers {
             self.pointer_expected = !read;
-            self.chip.begin(read);
         }
         answers
     }
@@ -210,11 +212,6 @@ impl Compass {
             CompassFault::Identity(identity) if self.chip.is_identity(register) => *identity,
             _ => value,
         })
-    }
-
-    /// A stop condition.
-    pub fn stop(&mut self) {
-        self.chip.end();
     }
 }
 

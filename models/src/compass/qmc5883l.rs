@@ -10,7 +10,6 @@ const NOISE_GAUSS: f64 = 0.002;
 /// The chip.
 #[derive(Default)]
 pub struct Qmc5883l {
-    ready_at_ns: u64,
     control_1: u8,
     control_2: u8,
     period: u8,
@@ -34,12 +33,8 @@ impl Chip for Qmc5883l {
         0x0D
     }
 
-    fn power_up(&mut self, now_ns: u64) {
-        self.ready_at_ns = now_ns + 350_000;
-    }
-
-    fn is_ready(&self, now_ns: u64) -> bool {
-        now_ns >= self.ready_at_ns
+    fn start_up_ns(&self) -> u64 {
+        350_000
     }
 
     fn next(&self, register: u8) -> u8 {
@@ -50,8 +45,6 @@ impl Chip for Qmc5883l {
             register.wrapping_add(1)
         }
     }
-
-    fn begin(&mut self, _read: bool) {}
 
     fn read(&mut self, register: u8) -> u8 {
         match register {
@@ -84,7 +77,6 @@ impl Chip for Qmc5883l {
             }
             0x0A if value & 0x80 != 0 => {
                 *self = Self {
-                    ready_at_ns: self.ready_at_ns,
                     is_awake: self.is_awake,
                     ..Self::default()
                 };
@@ -94,8 +86,6 @@ impl Chip for Qmc5883l {
             _ => {}
         }
     }
-
-    fn end(&mut self) {}
 
     fn is_output(&self, register: u8) -> bool {
         register <= 0x06

@@ -17,7 +17,6 @@ const NOISE_GAUSS: f64 = 0.002;
 /// The chip.
 #[derive(Default)]
 pub struct Qmc5883p {
-    ready_at_ns: u64,
     control_1: u8,
     control_2: u8,
     next_ns: Option<u64>,
@@ -37,19 +36,9 @@ impl Chip for Qmc5883p {
         0x2C
     }
 
-    fn power_up(&mut self, now_ns: u64) {
-        self.ready_at_ns = now_ns + 250_000;
+    fn start_up_ns(&self) -> u64 {
+        250_000
     }
-
-    fn is_ready(&self, now_ns: u64) -> bool {
-        now_ns >= self.ready_at_ns
-    }
-
-    fn next(&self, register: u8) -> u8 {
-        register.wrapping_add(1)
-    }
-
-    fn begin(&mut self, _read: bool) {}
 
     fn read(&mut self, register: u8) -> u8 {
         match register {
@@ -74,17 +63,12 @@ impl Chip for Qmc5883p {
                 self.next_ns = measures.then(|| now_ns + self.period_ns());
             }
             0x0B if value & 0x80 != 0 => {
-                *self = Self {
-                    ready_at_ns: self.ready_at_ns,
-                    ..Self::default()
-                };
+                *self = Self { ..Self::default() };
             }
             0x0B => self.control_2 = value & 0x4F,
             _ => {}
         }
     }
-
-    fn end(&mut self) {}
 
     fn is_output(&self, register: u8) -> bool {
         (0x01..=0x09).contains(&register)

@@ -1,6 +1,5 @@
 //! The chips against their datasheets, and the field against closed forms.
 
-use super::field::PassingMagnet;
 use super::*;
 use crate::motion::geometry::{Quaternion, norm, subtract};
 
@@ -22,16 +21,13 @@ fn write(compass: &mut Compass, now_ns: u64, address: u8, bytes: &[u8]) {
     for byte in bytes {
         assert!(compass.write(now_ns, *byte));
     }
-    compass.stop();
 }
 
 fn read(compass: &mut Compass, now_ns: u64, address: u8, register: u8, count: usize) -> Vec<u8> {
     assert!(compass.start(now_ns, address, false));
     assert!(compass.write(now_ns, register));
     assert!(compass.start(now_ns, address, true));
-    let bytes = (0..count).map(|_| compass.read()).collect();
-    compass.stop();
-    bytes
+    (0..count).map(|_| compass.read()).collect()
 }
 
 #[test]
@@ -51,22 +47,32 @@ fn iron_motors_and_a_magnet_add_what_they_should() {
     let mut field = Magnetism::clean(EarthField::default());
     let clean = field.at(0.0, &still(0.0));
     field.hard_iron_ut = [1.0, 2.0, 3.0];
-    field.motors_ut_per_g = [0.0, 10.0, 0.0];
-    assert!(
-        norm(subtract(
-            subtract(field.at(0.0, &still(0.0)), clean),
-            [1.0, 12.0, 3.0]
-        )) < 1e-9
-    );
+    field.motors_ut = [0.0, 10.0, 0.0];
+    for (thrust_g, right_ut) in [(0.0, 2.0), (1.0, 12.0), (1.5, 17.0)] {
+        let truth = Truth {
+            thrust_g,
+            ..still(0.0)
+        };
+        let added = subtract(field.at(0.0, &truth), clean);
+        assert!(norm(subtract(added, [1.0, right_ut, 3.0])) < 1e-9);
+    }
     // A dipole of 1 A·m² on its axis at 0.1 m: 2·µ₀/4π·m/r³ = 200 µT.
     let magnet = PassingMagnet {
         closest_s: 5.0,
+        stands: false,
         closest_m: [0.1, 0.0, 0.0],
         velocity_m_s: [0.0, 1.0, 0.0],
         moment_a_m2: [1.0, 0.0, 0.0],
     };
     assert!((magnet.field_ut(5.0)[0] - 200.0).abs() < 1e-9);
     assert!(norm(magnet.field_ut(15.0)) < 1e-3, "it is gone");
+    assert!(norm(magnet.field_ut(-5.0)) < 1e-3, "it is not there yet");
+    let stands = PassingMagnet {
+        stands: true,
+        ..magnet
+    };
+    assert_eq!(stands.field_ut(-5.0), magnet.field_ut(5.0));
+    assert_eq!(stands.field_ut(6.0), magnet.field_ut(6.0));
 }
 
 #[test]

@@ -25,7 +25,7 @@ pub mod wind;
 
 pub use geometry::{Quaternion, Vector};
 pub use mount::Mount;
-pub use truth::{Truth, inclination_error_rad};
+pub use truth::{Truth, heading_error_rad, inclination_error_rad};
 
 /// A body's motion through time.
 pub trait Motion: Send {

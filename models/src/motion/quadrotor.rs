@@ -224,6 +224,7 @@ impl Motion for Quadrotor {
             body_rates_rad_s: state.body_rates_rad_s,
             attitude: Some(state.attitude),
             temperature_c: self.flight.temperature_c,
+            thrust_g: thrust_n(airframe, &state) / (airframe.mass_kg * STANDARD_GRAVITY_M_S2),
             scored: segment.airborne,
         }
     }
@@ -246,13 +247,14 @@ impl Segment {
 
 /// Returns true if the rotors carry the weight. The ground only pushes.
 fn lifts_off(airframe: &Airframe, state: &State) -> bool {
-    let squares: f64 = state
-        .rotor_speeds_rad_s
-        .iter()
-        .map(|speed| speed * speed)
-        .sum();
     let up = state.attitude.rotate([0.0, 0.0, 1.0])[2];
-    airframe.thrust_coefficient * squares * up >= airframe.mass_kg * STANDARD_GRAVITY_M_S2
+    thrust_n(airframe, state) * up >= airframe.mass_kg * STANDARD_GRAVITY_M_S2
+}
+
+/// Returns the thrust of all rotors.
+fn thrust_n(airframe: &Airframe, state: &State) -> f64 {
+    let squares = state.rotor_speeds_rad_s.iter().map(|speed| speed * speed);
+    airframe.thrust_coefficient * squares.sum::<f64>()
 }
 
 /// Returns the rates of change while the ground holds the body: only the rotors move.

@@ -21,6 +21,9 @@ pub struct Truth {
     pub attitude: Option<Quaternion>,
     /// Temperature of the air around the sensor, °C.
     pub temperature_c: f64,
+    /// Thrust of the rotors, in the body's weight: 1 in a hover, 0 without rotors. Their currents
+    /// have a magnetic field.
+    pub thrust_g: f64,
     /// True if this instant counts for accuracy scores.
     pub scored: bool,
 }
@@ -36,6 +39,7 @@ impl Truth {
             body_rates_rad_s: [0.0; 3],
             attitude: Some(attitude),
             temperature_c: ROOM_TEMPERATURE_C,
+            thrust_g: 0.0,
             scored: false,
         }
     }
@@ -55,6 +59,22 @@ pub fn up_in_body(body_to_earth: Quaternion) -> Vector {
 #[must_use]
 pub fn inclination_error_rad(estimated: Quaternion, truth: Quaternion) -> f64 {
     angle_between(up_in_body(estimated), up_in_body(truth))
+}
+
+/// The heading error in radians, from −π to π: the turn about down from the true to the
+/// estimated attitude.
+///
+/// The tilt plays no part in it: the turn is the twist of their difference about down.
+#[must_use]
+pub fn heading_error_rad(estimated: Quaternion, truth: Quaternion) -> f64 {
+    let error = estimated.multiply(truth.conjugate());
+    // The sign of the quaternion has no meaning.
+    let (z, w) = if error.w < 0.0 {
+        (-error.z, -error.w)
+    } else {
+        (error.z, error.w)
+    };
+    2.0 * z.atan2(w)
 }
 
 #[cfg(test)]
@@ -81,5 +101,18 @@ mod tests {
         assert!((inclination_error_rad(truth.scaled(-1.0), truth)).abs() < 1e-12);
         let inverted = Quaternion::from_euler(0.4 + std::f64::consts::PI, 0.3, 0.0);
         assert!(inclination_error_rad(inverted, truth) > 2.5);
+    }
+
+    #[test]
+    fn heading_error_sees_the_turn_about_down_with_its_sign() {
+        let truth = Quaternion::from_euler(0.4, -0.3, 1.0);
+        for turn_rad in [-3.0, -0.2, 0.0, 1.5, 3.0] {
+            let about_down = Quaternion::from_rotation_vector([0.0, 0.0, turn_rad]);
+            let turned = about_down.multiply(truth);
+            assert!((heading_error_rad(turned, truth) - turn_rad).abs() < 1e-12);
+            assert!((heading_error_rad(turned.scaled(-1.0), truth) - turn_rad).abs() < 1e-12);
+        }
+        let tilt = Quaternion::from_rotation_vector([0.3, 0.0, 0.0]);
+        assert!(heading_error_rad(tilt.multiply(truth), truth).abs() < 1e-12);
     }
 }

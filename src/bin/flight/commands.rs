@@ -6,12 +6,12 @@ use aplomb::board::retained;
 use aplomb::board::timebase;
 use aplomb::board::uart::{Receiver, Reception, Transmitter};
 use aplomb::calibration::{Mount, NoiseModel};
+use aplomb::compass::{self, Condition};
 use aplomb::console::Console;
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::console::ground_station::GroundStation;
 use aplomb::estimator::Sample;
 use aplomb::fault::FaultClass;
-use aplomb::pipeline::Snapshot;
 use aplomb::settings::{OutputFormat, Preferences, Record};
 use aplomb::telemetry::Output;
 use aplomb::telemetry::mavlink::Vehicle;
@@ -19,7 +19,7 @@ use aplomb::telemetry::message::Severity;
 use rtic::Mutex;
 
 use crate::module_port::ModulePort;
-use crate::requests::{Estimation, Requests};
+use crate::requests::{Estimation, Latest, Requests};
 
 /// Console and ground station, with the bytes that they receive.
 pub struct Commands {
@@ -124,21 +124,28 @@ impl Commands {
     pub fn put_messages(
         &mut self,
         mut estimation: impl Mutex<T = Estimation>,
-        snapshot: Option<&Snapshot>,
+        latest: Option<&Latest>,
         now_us: u64,
         bursts_failed: u16,
         output: &mut Output<'_>,
     ) {
+        let (mut compass, mut heading) = (Condition::default(), None);
         let (sample, temperature_celsius) = estimation.lock(|estimation| {
+            if compass::IS_BUILT_IN {
+                compass = estimation.compass.condition();
+                heading = latest.and_then(|latest| latest.heading);
+            }
             let pipeline = estimation.pipeline.as_ref();
             pipeline.map_or((Sample::default(), 0.0), |pipeline| {
                 (*pipeline.sample(), pipeline.temperature_celsius())
             })
         });
         let vehicle = Vehicle {
-            snapshot,
+            snapshot: latest.map(|latest| &latest.snapshot),
             sample: &sample,
             temperature_celsius,
+            heading,
+            compass,
             record: self.console.working(),
             is_armed: self.console.is_armed(),
             bursts_failed,

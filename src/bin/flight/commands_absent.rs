@@ -6,13 +6,12 @@ use aplomb::board::uart::{Receiver, Transmitter};
 use aplomb::calibration::{Mount, NoiseModel};
 use aplomb::console::answer::Kind;
 use aplomb::console::usable_preferences;
-use aplomb::pipeline::Snapshot;
 use aplomb::settings::{OutputFormat, Preferences, Record};
 use aplomb::telemetry::Output;
 use aplomb::telemetry::message::Severity;
 use rtic::Mutex;
 
-use crate::requests::{Estimation, Requests};
+use crate::requests::{Estimation, Latest, Requests};
 
 /// The stored record.
 pub struct Commands(Record);
@@ -74,7 +73,7 @@ impl Commands {
     pub fn put_messages(
         &mut self,
         _: impl Mutex<T = Estimation>,
-        _: Option<&Snapshot>,
+        _: Option<&Latest>,
         _: u64,
         _: u16,
         _: &mut Output<'_>,

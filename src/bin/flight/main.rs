@@ -321,6 +321,8 @@ mod app {
             Some(Message::MovedAtStart)
         } else if was_calibrating && !now.intersects(Flags::CALIBRATING | Flags::STALE) {
             Some(Message::OffsetMeasured)
+        } else if now.contains(Flags::VIBRATION) && !before.contains(Flags::VIBRATION) {
+            Some(Message::VibrationTooStrong)
         } else {
             None
         }

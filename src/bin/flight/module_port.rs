@@ -4,14 +4,14 @@
 use core::sync::atomic::Ordering;
 
 use aplomb::board::uart::{Receiver, Transmitter};
-use aplomb::board::{attitude_task, measure, retained};
+use aplomb::board::{attitude_task, heading, measure, retained};
 use aplomb::calibration::compass::CompassFitter;
 use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::compass;
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Module, Outcome, State, Task};
 use aplomb::fault::FaultClass;
-use aplomb::health::{Flags, Measurement};
+use aplomb::health::Measurement;
 use aplomb::settings::CompassSettings;
 use rtic::Mutex;
 
@@ -70,8 +70,12 @@ where
             frames_dropped: retained::counted(FaultClass::TelemetryLate),
             ..State::default()
         };
-        state.flags =
-            attitude_task::latest().map_or(Flags::empty(), |(snapshot, _)| snapshot.flags);
+        if let Some((mut snapshot, _)) = attitude_task::latest() {
+            if compass::IS_BUILT_IN {
+                snapshot.set_heading_valid(heading::latest());
+            }
+            state.flags = snapshot.flags;
+        }
         state.sensor = self.requests.lock(|requests| requests.sensor);
         let compass = &mut state.compass;
         let copied = self.estimation.lock(|estimation| {
@@ -98,7 +102,11 @@ where
         self.requests
             .lock(|requests| requests.calibration = *calibration);
         self.changed_at = self.estimation.lock(|estimation| {
-            estimation.pipeline.as_mut()?.set_calibration(calibration);
+            let pipeline = estimation.pipeline.as_mut()?;
+            let has_other_axes = pipeline.set_calibration(calibration);
+            if compass::IS_BUILT_IN && has_other_axes {
+                estimation.compass.restart_heading();
+            }
             Some(BURST_COUNT.load(Ordering::Relaxed))
         });
     }

@@ -8,8 +8,9 @@ use aplomb::board::compass::CompassTask;
 use aplomb::board::measure;
 use aplomb::calibration::{Calibration, ImuReading, StationaryDetector, StationaryProgress};
 use aplomb::console::{Outcome, Task};
+use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::mpu6050::{Burst, Part, RawSample};
-use aplomb::pipeline::Pipeline;
+use aplomb::pipeline::{Pipeline, Snapshot};
 use aplomb::telemetry::log::NumberedBurst;
 use heapless::spsc::Producer;
 
@@ -47,6 +48,14 @@ pub const STATIONARY: u8 = 2;
 /// A measurement runs.
 #[cfg(feature = "full")]
 pub const FIGURES: u8 = 4;
+
+/// Latest attitude with its heading, as telemetry sends them.
+pub struct Latest {
+    /// Attitude. Its flags include that of the heading.
+    pub snapshot: Snapshot,
+    /// Heading; `None` while it is unknown.
+    pub heading: Option<HeadingEstimate>,
+}
 
 /// Bits that one task sets and another polls.
 pub struct Requested(AtomicU8);
@@ -129,6 +138,10 @@ fn pass_on(
 }
 
 /// Data of the attitude task: the pipeline, and the stationary detector of a calibration procedure.
+///
+/// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
+/// code.
+#[repr(C)]
 pub struct Estimation {
     /// The pipeline; `None` before the sensor is found.
     pub pipeline: Option<Pipeline>,

@@ -9,13 +9,14 @@ use core::sync::atomic::Ordering;
 
 use aplomb::board::compass::take_change;
 use aplomb::board::uart::{self, Transmitter};
-use aplomb::board::{attitude_task, burst_reader, retained, timebase, watchdog};
-use aplomb::compass::{self, Condition};
+use aplomb::board::{attitude_task, burst_reader, heading, retained, timebase, watchdog};
+use aplomb::compass;
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::fault::FaultClass;
 use aplomb::health::FlagReport;
 use aplomb::pipeline::Snapshot;
 use aplomb::settings::OutputFormat;
+use aplomb::telemetry::heading::LINES_LENGTH as HEADING_LENGTH;
 use aplomb::telemetry::log::{self, NumberedBurst, Sender};
 use aplomb::telemetry::message::{self, Message, Severity};
 use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Mailbox, Output, Pace};
@@ -23,7 +24,7 @@ use heapless::spsc::Consumer;
 use rtic::Mutex;
 
 use crate::commands::Commands;
-use crate::requests::{AFTER_PUBLICATION, BURST_COUNT, Estimation, LOG, Requests};
+use crate::requests::{AFTER_PUBLICATION, BURST_COUNT, Estimation, LOG, Latest, Requests};
 
 /// True if this build sends the flight log.
 const HAS_LOG: bool = cfg!(feature = "full");
@@ -92,20 +93,17 @@ impl Telemetry {
         self.now_us += u64::from(timebase::now().wrapping_sub(self.now_us as u32));
         let preferences = self.commands.preferences();
         let format = preferences.format;
-        let snapshot = self.due_snapshot(Pace::new(format, preferences.rate_hz));
-        if let Some(snapshot) = &snapshot {
-            self.report_flags(snapshot, &mut post);
+        let latest = &self.due_snapshot(Pace::new(format, preferences.rate_hz));
+        if let Some(latest) = latest {
+            self.report_flags(&latest.snapshot, &mut post);
         }
         if !self.transmitter.is_idle() {
-            if snapshot.is_some() {
+            if latest.is_some() {
                 retained::count(FaultClass::TelemetryLate);
             }
             return;
         }
-        if compass::IS_BUILT_IN && take_change() {
-            let condition = estimation.lock(|estimation| estimation.compass.condition());
-            report_compass(&condition, &mut messages);
-        }
+        report_compass(&mut estimation, &mut messages);
         self.follow_log_format(HAS_LOG && format == OutputFormat::Log);
         let answer = self.commands.poll(
             self.now_us,
@@ -117,6 +115,8 @@ impl Telemetry {
         if let Some(number) = answer.changed_at {
             self.sender.restart(number);
         }
+        let (rate_hz, baud) = (preferences.rate_hz.into(), self.transmitter.baud());
+        let has_room = formats::has_room_for_heading(format, rate_hz, baud);
         let Some(buffer) = self.transmitter.idle_buffer() else {
             return;
         };
@@ -132,24 +132,27 @@ impl Telemetry {
             );
         }
         put_posted(format, &mut messages, &mut self.commands, output);
-        let (now_us, snapshot) = (self.now_us, snapshot.as_ref());
+        let (now_us, latest) = (self.now_us, latest.as_ref());
         match format {
             OutputFormat::Mavlink => {
                 self.commands
-                    .put_messages(&mut estimation, snapshot, now_us, failures, output);
+                    .put_messages(&mut estimation, latest, now_us, failures, output);
             }
             OutputFormat::Log if HAS_LOG => put_log(
                 &mut self.sender,
                 &mut self.logged,
                 &mut estimation,
-                snapshot,
+                latest.map(|latest| &latest.snapshot),
                 now_us,
                 output,
             ),
             _ => {
-                if let Some(snapshot) = snapshot {
-                    put_frame(format, snapshot, self.frames_sent, output);
+                if let Some(latest) = latest {
+                    put_frame(format, &latest.snapshot, self.frames_sent, output);
                     self.frames_sent = self.frames_sent.wrapping_add(1);
+                    if has_room {
+                        put_heading(format, latest, output);
+                    }
                 }
             }
         }
@@ -176,9 +179,9 @@ impl Telemetry {
         }
     }
 
-    /// Returns the latest snapshot if a frame is due with this tick and the snapshot has not been
-    /// sent.
-    fn due_snapshot(&mut self, pace: Pace) -> Option<Snapshot> {
+    /// Returns the latest snapshot with its heading if a frame is due with this tick and the
+    /// snapshot has not been sent.
+    fn due_snapshot(&mut self, pace: Pace) -> Option<Latest> {
         timebase::set_telemetry_period_us(pace.period_us);
         self.tick += 1;
         if self.tick < pace.ticks {
@@ -192,7 +195,7 @@ impl Telemetry {
         self.tick %= pace.ticks;
         let (snapshot, number) = attitude_task::latest()?;
         let is_new = number != core::mem::replace(&mut self.last_published, number);
-        is_new.then_some(snapshot)
+        is_new.then(|| with_heading(snapshot))
     }
 
     /// Starts or ends the flow of bursts to the log.
@@ -204,8 +207,15 @@ impl Telemetry {
     }
 }
 
-/// Posts the message about a changed condition of the compass.
-fn report_compass(condition: &Condition, messages: &mut impl Mutex<T = Mailbox>) {
+/// Posts the message about the compass, if its condition has changed.
+fn report_compass(
+    estimation: &mut impl Mutex<T = Estimation>,
+    messages: &mut impl Mutex<T = Mailbox>,
+) {
+    if !compass::IS_BUILT_IN || !take_change() {
+        return;
+    }
+    let condition = estimation.lock(|estimation| estimation.compass.condition());
     let message = match (condition.fault, condition.part) {
         (Some(fault), _) => Message::CompassFailed(fault),
         (None, Some((part, address))) => Message::CompassConfigured { part, address },
@@ -295,6 +305,34 @@ fn put_frame(format: OutputFormat, snapshot: &Snapshot, counter: u8, output: &mu
     output.put(frame);
     let line = frame.strip_suffix(b"\n").unwrap_or(frame);
     if let Ok(line) = core::str::from_utf8(line) {
+        defmt::info!("{=str}", line);
+    }
+}
+
+/// Adds the latest heading to a snapshot, and its flag.
+fn with_heading(mut snapshot: Snapshot) -> Latest {
+    let mut heading = None;
+    if compass::IS_BUILT_IN {
+        heading = heading::latest();
+        snapshot.set_heading_valid(heading);
+    }
+    Latest { snapshot, heading }
+}
+
+/// Writes the heading's lines if it is known and there is room, and to the log over RTT.
+#[inline(never)]
+fn put_heading(format: OutputFormat, latest: &Latest, output: &mut Output<'_>) {
+    // Without the feature the firmware has no code of the heading.
+    let Some(heading) = latest.heading.filter(|_| compass::IS_BUILT_IN) else {
+        return;
+    };
+    let mut lines = [0; HEADING_LENGTH];
+    let lines = formats::encode_heading(format, &latest.snapshot, &heading, &mut lines);
+    output.put(lines);
+    let line = lines.strip_suffix(b"\n").unwrap_or(lines);
+    if let Ok(line) = core::str::from_utf8(line)
+        && !line.is_empty()
+    {
         defmt::info!("{=str}", line);
     }
 }

@@ -13,12 +13,16 @@ use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
 use super::step::Phase;
 use super::tuning::square;
 use super::{Heading, HeadingEstimate};
-use crate::attitude::wrap_pi;
+use crate::attitude::{Quaternion, wrap_pi};
 use crate::estimator::filter::Filter as _;
 use crate::estimator::kalman::Kalman;
 
 /// Limit of a squared innovation per expected one, so that no single one counts for long.
 const LARGEST_INCONSISTENCY: f32 = 100.0;
+
+/// Least squared horizontal field that has a direction, µT². The earth's is above 1 µT² almost
+/// everywhere; before the first reading the field is zero.
+const LEAST_HORIZONTAL_UT2: f32 = 1.0e-2;
 
 /// Row h of the measurement, without its two ones at field and local deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -101,8 +105,10 @@ impl Heading {
         }
     }
 
-    /// Compares the innovation with the expected one, and adds what exceeds it to the noise.
-    pub(super) fn gate(&mut self) -> Phase {
+    /// Compares the squared innovation with the expected one, and adds the part beyond the gate's
+    /// share of it to the noise.
+    pub(super) fn gate(&mut self, kalman: &Kalman) -> Phase {
+        self.verify(kalman);
         let tuning = self.tuning;
         let duration_s = self.closed().duration_s;
         let mean_square_rate = self.closed().squared_rate / duration_s;
@@ -119,8 +125,23 @@ impl Heading {
         let share = (duration_s / tuning.consistency_s).min(1.0);
         let ratio = (squared / expected).min(LARGEST_INCONSISTENCY);
         self.inconsistency += share * (ratio - self.inconsistency);
+        if self.inconsistency > tuning.valid_inconsistency {
+            self.verified_s = 0.0;
+        }
         self.inverse = squared;
         Phase::Watch
+    }
+
+    /// Adds to the time for which the body has moved, turned away from where the field was first
+    /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north.
+    fn verify(&mut self, kalman: &Kalman) {
+        let attitude = kalman.attitude_at_earth_step();
+        let first = *self.first_attitude.get_or_insert(attitude);
+        let Quaternion { w, x, y, z } = attitude;
+        let half_cosine = w * first.w + x * first.x + y * first.y + z * first.z;
+        if half_cosine.abs() < self.tuning.verified_half_cosine {
+            self.verified_s += self.motion * self.closed().duration_s;
+        }
     }
 
     /// Watches the innovation, and restarts the filter when it has contradicted the field for long:
@@ -144,7 +165,7 @@ impl Heading {
         };
         if self.contradicted_s > tuning.restart_after_s {
             self.restart();
-            return Phase::Check;
+            return Phase::Idle;
         }
         Phase::Project(0)
     }
@@ -254,15 +275,27 @@ impl Heading {
         let variance = square(cy) * covariance.entry(0, 0) + square(cx) * covariance.entry(1, 1)
             - 2.0 * cx * cy * covariance.entry(1, 0);
         let horizontal = square(cx) + square(cy) + 1.0e-3;
-        let sigma_rad = libm::sqrtf(variance.max(0.0)) / horizontal;
+        let sigma_rad = if horizontal > LEAST_HORIZONTAL_UT2 {
+            libm::sqrtf(variance.max(0.0)) / horizontal
+        } else {
+            f32::INFINITY
+        };
         let tuning = self.tuning;
-        self.estimate = (sigma_rad < tuning.known_rad).then(|| HeadingEstimate {
+        self.silent_s = if self.closed().has_readings() {
+            0.0
+        } else {
+            self.silent_s + self.closed().duration_s
+        };
+        let estimate = (sigma_rad < tuning.known_rad).then(|| HeadingEstimate {
             yaw_offset_rad: wrap_pi(self.declination_rad - libm::atan2f(cy, cx)),
             sigma_rad,
             is_valid: sigma_rad < tuning.valid_rad
                 && kalman.tilt_variance_rad2() < square(tuning.valid_tilt_rad)
-                && self.inconsistency < tuning.valid_inconsistency,
+                && self.inconsistency < tuning.valid_inconsistency
+                && self.silent_s < tuning.valid_silence_s
+                && self.verified_s > tuning.verified_after_s,
         });
+        self.set_estimate(estimate);
         Phase::Idle
     }
 }

@@ -24,15 +24,17 @@
 //!
 //! - d is a property of the place: it forgets in 10 s at rest, and in 0.2 s in motion. So at rest a
 //!   wrong field is believed once, and averages no further; in motion it averages out.
-//! - An innovation larger than expected adds to the noise at once, and opens b and d for a
-//!   while: a magnet may have been attached.
+//! - The squared innovation beyond 0.2 of the expected one adds to the noise at once, and opens b
+//!   and d for a while: a magnet may have been attached.
+//! - Before the body has moved and turned, a magnet beside it, iron on it and a wrong mount look
+//!   like north. The heading is not valid until 2.5 s of motion agree with it.
 //! - A lasting innovation though the field's length fits means that the field is right and the
 //!   filter wrong. It then starts afresh.
 //!
 //! # Cost
 //!
 //! Deadline: one sample. With the tilt filter a sample costs 519 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 948 at worst. Below 250 Hz a whole step runs with one sample.
+//! Cortex-M4F at 1 kHz, and 939 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -70,7 +72,7 @@ pub use tuning::Tuning;
 
 use super::kalman::Kalman;
 use super::kalman::follow::{ERROR_STATES, FIRST_GYROSCOPE};
-use crate::attitude::{Vector3, wrap_pi};
+use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::serialize::StateVisitor;
 use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
 use covariance::{Covariance, CrossRow, DEVIATION, FIELD, IRON, STATES};
@@ -145,7 +147,7 @@ pub struct HeadingEstimate {
     /// σ of the heading, rad.
     pub sigma_rad: f32,
     /// True if the heading is wrong by no more than the larger of 15° and six σ, provided that
-    /// the tilt is valid.
+    /// the tilt is valid. The body has to move and turn first.
     pub is_valid: bool,
 }
 
@@ -158,33 +160,27 @@ impl HeadingEstimate {
 }
 
 /// The heading filter: [`follow`](Self::follow) it after each sample of the tilt filter.
+///
+/// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
+/// code.
+#[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Heading {
     tuning: &'static Tuning,
-    knowledge: CompassKnowledge,
     phase: Phase,
-    declination_rad: f32,
-    /// Field, hard iron and local deviation, µT.
-    state: [f32; STATES],
-    /// Time since the last earth step that was added, s.
-    elapsed_s: f32,
-    /// Sums of the present interval, and of the one before, whose step is under way.
-    intervals: [Interval; 2],
     /// Place of the present interval.
     present: u8,
     /// True if the present interval has an earth step.
     has_interval: bool,
     /// True if a reading waits for the next sample.
     has_reading: bool,
-    reading_ut: [f32; 3],
-    reading_age_s: f32,
-    covariance: Covariance,
-    /// A row of X: P·Wᵀ of the drift of yaw, and X·hᵀ of a measurement.
-    column: CrossRow,
-    /// Gains of the tilt filter's measurements, then O·hᵀ of a measurement.
-    own: [f32; STATES],
-    /// 1/s of a measurement; before that, the squared innovation.
+    /// Number of changes of the estimate, which wraps.
+    changes: u8,
+    /// Time since the last earth step that was added, s.
+    elapsed_s: f32,
+    /// Inverse of a measurement's innovation variance, 1/µT²; from the gate to the watch, the
+    /// squared innovation, µT².
     inverse: f32,
     /// Variance of the measurement's noise; before that, the expected squared innovation.
     noise: f32,
@@ -198,7 +194,28 @@ pub struct Heading {
     inconsistency: f32,
     /// Time for which the innovation has contradicted the field, s.
     contradicted_s: f32,
+    /// Time without a reading, s.
+    silent_s: f32,
+    /// Time in motion, in proportion to it, turned away from `first_attitude`, s.
+    verified_s: f32,
+    reading_ut: [f32; 3],
+    reading_age_s: f32,
+    /// Field, hard iron and local deviation, µT.
+    state: [f32; STATES],
+    /// Gains of the tilt filter's measurements, then O·hᵀ of a measurement.
+    own: [f32; STATES],
+    /// A row of X: P·Wᵀ of the drift of yaw, and X·hᵀ of a measurement.
+    column: CrossRow,
+    /// Sums of the present interval, and of the one before, whose step is under way.
+    intervals: [Interval; 2],
+    covariance: Covariance,
+    knowledge: CompassKnowledge,
+    declination_rad: f32,
+    /// Attitude when the field was first seen.
+    first_attitude: Option<Quaternion>,
     estimate: Option<HeadingEstimate>,
+    /// Time of the last sample that [`follow_to`](Self::follow_to) has followed, µs.
+    followed_us: Option<u64>,
 }
 
 impl Heading {
@@ -232,11 +249,25 @@ impl Heading {
             contradiction: 0.0,
             inconsistency: 0.0,
             contradicted_s: 0.0,
+            silent_s: 0.0,
+            followed_us: None,
+            first_attitude: None,
+            verified_s: 0.0,
             estimate: None,
+            changes: 0,
         };
         filter.reset_field();
         filter.reset_iron(square(knowledge.sigma_ut()));
         filter
+    }
+
+    /// Starts again without a reading, with the same settings: the body axes have changed.
+    pub fn reset(&mut self) {
+        *self = Self {
+            declination_rad: self.declination_rad,
+            changes: self.changes.wrapping_add(1),
+            ..Self::with_tuning(self.knowledge, self.tuning)
+        };
     }
 
     /// Sets the declination, rad, east positive: the heading is then that from true north. Default:
@@ -247,11 +278,19 @@ impl Heading {
         if let Some(estimate) = &mut self.estimate {
             estimate.yaw_offset_rad = wrap_pi(estimate.yaw_offset_rad + turn_rad);
         }
+        self.changes = self.changes.wrapping_add(1);
     }
 
     /// Returns the heading; `None` while σ is above 29° (0.5 rad).
     pub const fn estimate(&self) -> Option<HeadingEstimate> {
         self.estimate
+    }
+
+    /// Returns the number of changes of the estimate, which wraps: another number means another
+    /// estimate.
+    #[inline]
+    pub const fn changes(&self) -> u8 {
+        self.changes
     }
 
     /// Returns the earth's field in the level frame, µT: along yaw zero, to its right, down.
@@ -309,9 +348,17 @@ impl Heading {
             &mut self.contradiction,
             &mut self.inconsistency,
             &mut self.contradicted_s,
+            &mut self.silent_s,
+            &mut self.verified_s,
         ] {
             visitor.f32(field);
         }
+        visitor.optional(&mut self.followed_us, 0, StateVisitor::u64);
+        visitor.u8(&mut self.changes);
+        let first = &mut self.first_attitude;
+        visitor.optional(first, Quaternion::IDENTITY, |visitor, first| {
+            visitor.quaternion(first);
+        });
         let blank = HeadingEstimate {
             yaw_offset_rad: 0.0,
             sigma_rad: 0.0,
@@ -337,11 +384,18 @@ impl Heading {
         for state in [cx, cy, cz, dx, dy, dz] {
             *state = 0.0;
         }
-        self.estimate = None;
+        self.set_estimate(None);
         self.contradiction = 0.0;
         self.inconsistency = 0.0;
         self.contradicted_s = 0.0;
         self.excess = 0.0;
+        self.first_attitude = None;
+        self.verified_s = 0.0;
+    }
+
+    fn set_estimate(&mut self, estimate: Option<HeadingEstimate>) {
+        self.estimate = estimate;
+        self.changes = self.changes.wrapping_add(1);
     }
 
     fn reset_iron(&mut self, variance: f32) {
@@ -370,6 +424,18 @@ impl Heading {
         self.has_reading = size < LARGEST_FIELD_UT;
         self.reading_ut = field.ut;
         self.reading_age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
+    }
+
+    /// Follows the tilt filter to its last sample, at `t_us` (µs): like [`follow`](Self::follow)
+    /// with the time since the last call. A time that is not later changes nothing.
+    #[inline]
+    pub fn follow_to(&mut self, kalman: &Kalman, t_us: u64) {
+        let before_us = self.followed_us.replace(t_us);
+        let step_us = t_us.saturating_sub(before_us.unwrap_or(t_us));
+        if step_us > 0 {
+            let step_us = u32::try_from(step_us).unwrap_or(u32::MAX);
+            self.follow(kalman, step_us as f32 * SECONDS_PER_MICROSECOND);
+        }
     }
 
     /// Follows the tilt filter, after each of its samples, `dt_s` seconds after the previous one.

@@ -90,7 +90,7 @@ impl Heading {
             Phase::Walk => self.walk(kalman),
             Phase::Forget(state) => self.forget(state),
             Phase::Expect(axis) => self.expect(kalman, axis),
-            Phase::Gate => self.gate(),
+            Phase::Gate => self.gate(kalman),
             Phase::Watch => self.watch(),
             Phase::Project(axis) => self.project_own(axis),
             Phase::ProjectIron(axis) => self.project_iron(axis),

@@ -130,8 +130,70 @@ fn heading_is_clockwise_from_north_at_rest() {
         let yaw_rad = flight.estimator.estimate().euler().yaw_rad;
         let error = degrees(estimate.heading_rad(yaw_rad)) - heading_deg;
         assert!(error.abs() < 1.5, "{heading_deg}: {error}");
+        // At rest nothing tells the earth's field from that of a magnet.
+        assert!(!estimate.is_valid, "{heading_deg}: {estimate:?}");
+        flight.tumble(6.0);
+        let estimate = flight.heading.estimate().expect("a heading");
+        assert!(estimate.is_valid, "{heading_deg}: {estimate:?}");
+        flight.rest(60.0);
+        let estimate = flight.heading.estimate().expect("a heading");
         assert!(estimate.is_valid, "{heading_deg}: {estimate:?}");
     }
+}
+
+#[test]
+fn without_a_reading_there_is_no_heading() {
+    let mut estimator = Estimator::new();
+    let mut heading = Heading::new(CompassKnowledge::Calibrated);
+    let force = BodyVector::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+    for index in 0..5_000_u64 {
+        estimator.update(&Sample::new(1_000 * index, force, BodyVector::ZERO));
+        heading.follow(estimator.filter(), 0.001);
+        assert_eq!(heading.estimate(), None, "{index}");
+    }
+}
+
+#[test]
+fn a_magnet_beside_the_body_is_never_north() {
+    let mut flight = Flight::new(20.0, CompassKnowledge::Calibrated);
+    flight.disturbance_ut = Vector3::new(-35.0, 20.0, 5.0);
+    flight.rest(5.0);
+    let error = flight.error_deg().expect("a heading");
+    assert!(error.abs() > 90.0, "{error}");
+    flight.disturbance_ut = Vector3::ZERO;
+    flight.tumble(40.0);
+    flight.assert_error_below(5.0);
+    assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
+}
+
+#[test]
+fn a_restart_has_no_heading_before_a_reading() {
+    let mut flight = Flight::new(20.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    flight.tumble(10.0);
+    flight.heading.contradiction = 1.0e6;
+    flight.heading.contradicted_s = 1.0e3;
+    for _ in 0..1_000 {
+        flight.step(Vector3::ZERO);
+        let estimate = flight.heading.estimate();
+        assert!(estimate.is_none_or(|it| it.sigma_rad > radians(1.0)));
+    }
+    assert!(flight.heading.contradicted_s < 10.0, "it has restarted");
+}
+
+#[test]
+fn a_reset_keeps_the_settings_alone() {
+    let mut flight = Flight::new(20.0, CompassKnowledge::Factory);
+    flight.heading.set_declination(0.1);
+    flight.tumble(10.0);
+    assert!(flight.heading.estimate().is_some());
+    let changes = flight.heading.changes();
+    flight.heading.reset();
+    assert_ne!(flight.heading.changes(), changes);
+    let mut fresh = Heading::new(CompassKnowledge::Factory);
+    fresh.set_declination(0.1);
+    fresh.changes = flight.heading.changes;
+    assert_eq!(flight.heading, fresh);
 }
 
 #[test]
@@ -254,6 +316,56 @@ fn a_pause_widens_the_heading() {
         "{} {before}",
         sigma(&flight)
     );
+}
+
+#[test]
+fn a_heading_without_readings_is_valid_for_a_second() {
+    let is_valid = |flight: &Flight| flight.heading.estimate().is_some_and(|it| it.is_valid);
+    for step_us in [1_000, 10_000] {
+        let mut flight = Flight::new(-60.0, CompassKnowledge::Calibrated);
+        flight.step_us = step_us;
+        flight.rest(3.0);
+        flight.tumble(5.0);
+        assert!(is_valid(&flight));
+        flight.reading_us = u64::MAX;
+        flight.tumble(0.6);
+        assert!(is_valid(&flight), "{step_us}");
+        flight.tumble(1.2);
+        assert!(!is_valid(&flight), "{step_us}");
+        // The heading itself goes on with the gyroscope.
+        flight.assert_error_below(3.0);
+        flight.reading_us = flight.t_us;
+        flight.tumble(0.8);
+        assert!(is_valid(&flight), "{step_us}");
+    }
+}
+
+#[test]
+fn following_to_a_time_is_following_by_its_step() {
+    let mut flight = Flight::new(20.0, CompassKnowledge::Calibrated);
+    flight.step(Vector3::ZERO);
+    let mut other = flight.heading;
+    other.follow_to(flight.estimator.filter(), flight.t_us);
+    for index in 0..2_000 {
+        flight.step(Vector3::new(0.5, -0.3, 0.2));
+        other.follow_to(flight.estimator.filter(), flight.t_us);
+        // A sample that the tilt filter has rejected.
+        other.follow_to(flight.estimator.filter(), flight.t_us);
+        if flight.heading.has_reading {
+            other.add_field(
+                MagneticField {
+                    ut: flight.heading.reading_ut,
+                },
+                0,
+            );
+        }
+        let (followed, changes) = (other.followed_us, other.changes);
+        assert_eq!(followed, Some(flight.t_us));
+        other.followed_us = None;
+        assert_eq!(other, flight.heading, "{index} {changes}");
+        other.followed_us = followed;
+    }
+    assert!(flight.heading.estimate().is_some());
 }
 
 #[test]

@@ -64,6 +64,13 @@ pub struct Tuning {
     pub valid_tilt_rad: f32,
     /// Mean squared innovation per expected one below which the heading may be valid.
     pub valid_inconsistency: f32,
+    /// Time without readings after which the heading is not valid any more, s.
+    pub valid_silence_s: f32,
+    /// Cosine of half the turn from where the field was first seen: below it the turn shows iron,
+    /// magnets and a wrong mount.
+    pub verified_half_cosine: f32,
+    /// Time in motion beyond that turn after which the heading may be valid, s.
+    pub verified_after_s: f32,
 }
 
 impl Tuning {
@@ -97,7 +104,10 @@ impl Tuning {
         known_rad: 0.5,
         valid_rad: 0.22,
         valid_tilt_rad: 0.07,
-        valid_inconsistency: 2.5,
+        valid_inconsistency: 0.4,
+        valid_silence_s: 1.0,
+        verified_half_cosine: 0.9945,
+        verified_after_s: 2.5,
     };
 }
 

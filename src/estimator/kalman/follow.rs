@@ -8,7 +8,8 @@
 //! of its measurements, and p_i = P_hx·e_i before the step,
 //!
 //! ```text
-//! P_hx ← P_hx − Σ_i p_i·(P⁺·e_i)ᵀ/r_i        x_h ← x_h + Σ_i p_i·(z_i − x_i − δ_i)/r_i
+//! P_hx ← P_hx − Σ_i p_i·(P⁺·e_i)ᵀ/r_i
+//! x_h ← x_h + Σ_i p_i·(z_i − x_i − δ_i)/r_i
 //! ```
 //!
 //! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in

@@ -7,7 +7,7 @@ use super::rest_watch::NewRest;
 use super::slices::{Measurement, State};
 use super::stationary::StationaryReadings;
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
-use super::{Kalman, Tilt};
+use super::{KNOWN_BIAS_RAD_S, Kalman, Tilt};
 use crate::attitude::Vector3;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
@@ -180,7 +180,11 @@ impl Kalman {
         let deviations = [bias.x, bias.y, bias.z];
         for (axis, (bias, prior)) in deviations.into_iter().zip(priors).enumerate() {
             let own = self.step.covariance.parameter_variance(axis);
-            let learned = (*prior - own).max(0.02 * *prior);
+            // A known bias is contradicted only beyond its own σ: little was learned seconds after
+            // a start in motion, and a wrong tilt moves the bias by more than that.
+            let is_known = *prior < square(KNOWN_BIAS_RAD_S);
+            let least = if is_known { *prior } else { 0.02 * *prior };
+            let learned = (*prior - own).max(least);
             if square(bias) > square(self.tuning.prior_gate_sigma) * learned
                 && *prior < square(LARGEST_GYROSCOPE_BIAS_RAD_S)
                 && own < *prior * 1.5

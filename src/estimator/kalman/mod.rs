@@ -11,7 +11,9 @@
 //! accelerometer bias a, horizontal velocity v. With the readings g and f,
 //!
 //! ```text
-//! ω = C·(g − b)      q ← q ⊗ exp(ω·dt)      v ← v + [R(q)·(f − a)·dt] north and east
+//! ω = C·(g − b)
+//! q ← q ⊗ exp(ω·dt)
+//! v ← v + [R(q)·(f − a)·dt] north and east
 //! ```
 //!
 //! Samples are values at an instant, so increments are trapezoids. They are summed in body axes,
@@ -377,9 +379,8 @@ impl Kalman {
             self.restart_from_unusable_numbers();
             return;
         }
-        // A stored bias has one σ for all axes.
-        let [stored_variance, ..] = self.prior.variance;
-        let is_measured = self.has_rested || stored_variance < square(KNOWN_BIAS_RAD_S);
+        let [x, y, z] = self.prior.variance;
+        let is_measured = self.has_rested || x.max(y).max(z) < square(KNOWN_BIAS_RAD_S);
         self.is_bias_known = is_measured && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
     }
 

@@ -573,6 +573,49 @@ fn samples_that_have_not_settled_do_not_delay_the_start() {
     assert!(error < 1.0, "{error}");
 }
 
+/// Continues in a hand, with the tilt's σ after a reset, and a bias that is off by `off_deg_s`
+/// about the vertical. Returns for how many of 20,000 samples the bias was known.
+fn known_after_a_restart_in_motion(seed: u64, off_deg_s: f32) -> u32 {
+    let mut random = Random(7000 + seed);
+    let mut world = World::at_rest(from_degrees(20.0 * random.next(), 0.0, 0.0));
+    world.bias_rad_s = random.vector(radians(2.0));
+    let mut hand = Hand::default();
+    for _ in 0..2_000 {
+        hand.moves(&mut world, &mut random);
+    }
+    let mut estimator = estimator();
+    estimator.filter_mut().resume(&WarmStart {
+        attitude: world.attitude,
+        tilt_sigma_rad: radians(21.0),
+        bias_rad_s: world.bias_rad_s + Vector3::new(0.0, 0.0, radians(off_deg_s)),
+        bias_sigma_rad_s: radians(0.2),
+    });
+    let mut known = 0;
+    for _ in 0..20_000 {
+        hand.moves(&mut world, &mut random);
+        known += u32::from(world.run(&mut estimator, 1).is_bias_known);
+    }
+    known
+}
+
+/// Little is learned of the bias within seconds, and a wrong tilt moves its estimate. That was
+/// taken for a bias outside its prior, and the bias became unknown until the next rest.
+#[test]
+fn a_known_bias_stays_known_after_a_restart_in_motion() {
+    for seed in 0..12 {
+        assert_eq!(
+            known_after_a_restart_in_motion(seed, 0.0),
+            20_000,
+            "seed {seed}"
+        );
+        assert_eq!(
+            known_after_a_restart_in_motion(seed, 0.2),
+            20_000,
+            "seed {seed}"
+        );
+    }
+}
+
 /// With an offset of 20 °/s about the vertical, motion in a hand misleads the filter. The bias
 /// must not become known.
 #[test]

@@ -3,13 +3,21 @@
 use ::mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, AUTOPILOT_VERSION_DATA, HEARTBEAT_DATA,
     HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavAutopilot, MavModeFlag, MavProtocolCapability,
-    MavState, MavSysStatusSensor, MavType,
+    MavState, MavSysStatusSensor, MavType, VFR_HUD_DATA,
 };
 
+use crate::attitude::{Quaternion, Vector3};
+use crate::compass::Condition;
 use crate::estimator::Sample;
+use crate::estimator::heading::HeadingEstimate;
 use crate::health::Flags;
 use crate::pipeline::Snapshot;
 use crate::settings::Record;
+use crate::telemetry::heading::Line as HeadingLine;
+use crate::units::MagneticField;
+
+/// Gauss per microtesla.
+const GAUSS_PER_UT: f32 = 0.01;
 
 /// Data for the messages.
 #[derive(Debug, Clone, Copy)]
@@ -20,12 +28,48 @@ pub struct Vehicle<'a> {
     pub sample: &'a Sample,
     /// Die temperature, °C.
     pub temperature_celsius: f32,
+    /// Heading, if it is known. The snapshot's flag says whether it is valid.
+    pub heading: Option<HeadingEstimate>,
+    /// Compass.
+    pub compass: Condition,
     /// Record in use.
     pub record: &'a Record,
     /// True if the module is armed.
     pub is_armed: bool,
     /// Bursts that failed since start.
     pub bursts_failed: u16,
+}
+
+impl Vehicle<'_> {
+    /// Returns the latest attitude: absolute while the heading is valid, relative otherwise.
+    pub(super) fn attitude(&self) -> Option<Snapshot> {
+        let mut snapshot = *self.snapshot?;
+        if let Some(heading) = self.valid_heading() {
+            let turn = Vector3::new(0.0, 0.0, heading.yaw_offset_rad);
+            let turn = Quaternion::from_rotation_vector(turn);
+            snapshot.attitude = turn.multiply(snapshot.attitude);
+        }
+        Some(snapshot)
+    }
+
+    /// Returns the heading, if it is valid.
+    pub(super) fn valid_heading(&self) -> Option<HeadingEstimate> {
+        let flags = self.snapshot?.flags;
+        let is_valid = flags.contains(Flags::HEADING_VALID);
+        self.heading.filter(|_| is_valid)
+    }
+
+    /// Returns the sensors that are there.
+    pub(super) fn sensors(&self) -> MavSysStatusSensor {
+        let imu = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
+            | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL
+            | MavSysStatusSensor::MAV_SYS_STATUS_AHRS;
+        if self.compass.part.is_some() || self.compass.fault.is_some() {
+            imu | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG
+        } else {
+            imu
+        }
+    }
 }
 
 /// Builds HEARTBEAT.
@@ -53,9 +97,12 @@ pub(super) fn heartbeat(vehicle: &Vehicle<'_>) -> HEARTBEAT_DATA {
     }
 }
 
-/// Returns the healthy sensors.
+/// Returns the healthy sensors of those that are there.
 #[inline(never)]
-pub(super) fn health(snapshot: Option<&Snapshot>) -> MavSysStatusSensor {
+pub(super) fn health(
+    snapshot: Option<&Snapshot>,
+    present: MavSysStatusSensor,
+) -> MavSysStatusSensor {
     let Some(Snapshot { flags, .. }) = snapshot else {
         return MavSysStatusSensor::empty();
     };
@@ -66,7 +113,7 @@ pub(super) fn health(snapshot: Option<&Snapshot>) -> MavSysStatusSensor {
             sensor
         }
     };
-    unless(
+    let healthy = unless(
         &[Flags::FROZEN, Flags::REJECTED, Flags::GYROSCOPE_SATURATED],
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO,
     ) | unless(
@@ -85,7 +132,11 @@ pub(super) fn health(snapshot: Option<&Snapshot>) -> MavSysStatusSensor {
             Flags::TIME,
         ],
         MavSysStatusSensor::MAV_SYS_STATUS_AHRS,
-    )
+    ) | unless(
+        &[Flags::COMPASS_FAULT],
+        MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG,
+    );
+    healthy & present
 }
 
 /// Builds ATTITUDE.
@@ -126,6 +177,16 @@ pub(super) fn quaternion(snapshot: &Snapshot) -> ATTITUDE_QUATERNION_DATA {
 pub(super) fn imu(snapshot: &Snapshot, vehicle: &Vehicle<'_>) -> HIGHRES_IMU_DATA {
     let force = vehicle.sample.specific_force_m_s2;
     let rates = snapshot.body_rates_rad_s;
+    let (MagneticField { ut }, magnetometer) = match vehicle.compass.field {
+        None => (MagneticField::default(), HighresImuUpdatedFlags::empty()),
+        Some(field) => (
+            field,
+            HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XMAG
+                | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YMAG
+                | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZMAG,
+        ),
+    };
+    let [xmag, ymag, zmag] = ut.map(|part| part * GAUSS_PER_UT);
     HIGHRES_IMU_DATA {
         time_usec: snapshot.t_us,
         xacc: force.x,
@@ -134,6 +195,9 @@ pub(super) fn imu(snapshot: &Snapshot, vehicle: &Vehicle<'_>) -> HIGHRES_IMU_DAT
         xgyro: rates.x,
         ygyro: rates.y,
         zgyro: rates.z,
+        xmag,
+        ymag,
+        zmag,
         temperature: vehicle.temperature_celsius,
         fields_updated: HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC
             | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YACC
@@ -141,8 +205,20 @@ pub(super) fn imu(snapshot: &Snapshot, vehicle: &Vehicle<'_>) -> HIGHRES_IMU_DAT
             | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XGYRO
             | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YGYRO
             | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO
-            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_TEMPERATURE,
+            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_TEMPERATURE
+            | magnetometer,
         ..HIGHRES_IMU_DATA::DEFAULT
+    }
+}
+
+/// Builds VFR_HUD with the heading. Speeds and height are unknown: 0.
+#[inline(never)]
+pub(super) fn hud(snapshot: &Snapshot, heading: &HeadingEstimate) -> VFR_HUD_DATA {
+    let degrees = HeadingLine::new(snapshot, heading).heading_deg;
+    VFR_HUD_DATA {
+        // Below 360.
+        heading: degrees as i16,
+        ..VFR_HUD_DATA::DEFAULT
     }
 }
 

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | HEARTBEAT, SYS_STATUS | 1 Hz |
 //! | ATTITUDE, ATTITUDE_QUATERNION, HIGHRES_IMU | at the telemetry rate |
+//! | VFR_HUD | 2 Hz, while the heading is valid |
 //! | STATUSTEXT | the module's messages, in pieces of 50 letters |
 //! | PARAM_VALUE, COMMAND_ACK, MISSION_COUNT (0), AUTOPILOT_VERSION | on request |
 //!
@@ -18,6 +19,12 @@
 //! [`Action`]s; the owner runs them and reports the result with [`Session::answer`]. Nothing waits:
 //! a message without room is dropped and counted, answers go before attitudes. Only a message that
 //! is sent takes a sequence number, so that a gap in the numbers is a loss on the line.
+//!
+//! # Heading
+//!
+//! Yaw in ATTITUDE and ATTITUDE_QUATERNION is the heading while that is valid, and relative
+//! otherwise. It jumps where the heading becomes valid or is no longer valid. SYS_STATUS has a
+//! magnetometer if there is a compass, and HIGHRES_IMU its calibrated field in body axes.
 //!
 //! # Text commands meanwhile
 //!
@@ -49,6 +56,8 @@
 //!     snapshot: None,
 //!     sample: &Sample::default(),
 //!     temperature_celsius: 25.0,
+//!     heading: None,
+//!     compass: Default::default(),
 //!     record: &Record::default(),
 //!     is_armed: false,
 //!     bursts_failed: 0,

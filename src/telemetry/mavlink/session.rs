@@ -4,8 +4,8 @@
 mod tests;
 
 use ::mavlink::dialects::common::{
-    MISSION_COUNT_DATA, MavParamType, MavSeverity, MavSysStatusSensor, PARAM_VALUE_DATA,
-    STATUSTEXT_DATA, SYS_STATUS_DATA,
+    MISSION_COUNT_DATA, MavParamType, MavSeverity, PARAM_VALUE_DATA, STATUSTEXT_DATA,
+    SYS_STATUS_DATA,
 };
 use ::mavlink::types::CharArray;
 use ::mavlink::{MAVLinkV2MessageRaw, MavHeader, MessageData};
@@ -15,7 +15,7 @@ use super::super::message::Severity;
 use super::super::output::Output;
 use super::action::{Action, Outcome, Ticket};
 use super::inbox::{Inbox, Reply};
-use super::messages::{Vehicle, attitude, health, heartbeat, imu, quaternion, version};
+use super::messages::{Vehicle, attitude, health, heartbeat, hud, imu, quaternion, version};
 use super::parameter::PARAMETERS;
 use super::receiver::Receiver;
 use super::wire::{COMPONENT, Extended, SYSTEM};
@@ -24,6 +24,8 @@ use super::wire::{COMPONENT, Extended, SYSTEM};
 const TEXT_LENGTH: usize = 50;
 /// Time between two heartbeats, and between two SYS_STATUS, µs.
 const HEARTBEAT_PERIOD_US: u64 = 1_000_000;
+/// Time between two VFR_HUD, µs.
+const HUD_PERIOD_US: u64 = 500_000;
 /// Length of a frame's header and checksum, in bytes.
 const OVERHEAD: usize = 12;
 
@@ -36,6 +38,7 @@ pub struct Session {
     dropped: u16,
     next_heartbeat_us: u64,
     next_status_us: u64,
+    next_hud_us: u64,
     /// Next parameter of a requested list.
     listed: u16,
     text_id: u16,
@@ -62,6 +65,7 @@ impl Session {
             dropped: 0,
             next_heartbeat_us: 0,
             next_status_us: 0,
+            next_hud_us: 0,
             listed: PARAMETERS.len() as u16,
             text_id: 0,
         }
@@ -117,10 +121,16 @@ impl Session {
             let status = self.status(vehicle);
             self.send_or_drop(&status, output);
         }
-        if let Some(snapshot) = vehicle.snapshot {
+        if let Some(snapshot) = &vehicle.attitude() {
             self.send_or_drop(&attitude(snapshot), output);
             self.send_or_drop(&quaternion(snapshot), output);
             self.send_or_drop(&imu(snapshot, vehicle), output);
+        }
+        if let (Some(snapshot), Some(heading)) = (vehicle.snapshot, vehicle.valid_heading())
+            && now_us >= self.next_hud_us
+        {
+            self.next_hud_us = now_us + HUD_PERIOD_US;
+            self.send_or_drop(&hud(snapshot, &heading), output);
         }
         // A parameter list is long and not urgent: one parameter a call, if there is room.
         if core::mem::take(&mut self.inbox.lists_parameters) {
@@ -215,13 +225,11 @@ impl Session {
     /// Builds SYS_STATUS.
     #[inline(never)]
     fn status(&self, vehicle: &Vehicle<'_>) -> SYS_STATUS_DATA {
-        let all = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
-            | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL
-            | MavSysStatusSensor::MAV_SYS_STATUS_AHRS;
+        let all = vehicle.sensors();
         SYS_STATUS_DATA {
             onboard_control_sensors_present: all,
             onboard_control_sensors_enabled: all,
-            onboard_control_sensors_health: health(vehicle.snapshot),
+            onboard_control_sensors_health: health(vehicle.snapshot, all),
             // Unknown.
             voltage_battery: u16::MAX,
             current_battery: -1,

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Write as _};
 
 use super::Case;
+use super::conditions::NO_CRYSTAL;
 use crate::bus_step::BusStep;
 use crate::faults::ScheduledFault;
 use crate::schedule::Schedule;
@@ -40,6 +41,12 @@ impl Coverage {
     /// Adds a flight. `steps` are the steps of the bus in which its faults began, in their order.
     pub fn add(&mut self, case: &Case, steps: &[BusStep]) {
         let faults = &case.schedule.faults;
+        if case.conditions.lacks_crystal {
+            for class in faults.iter().map(|fault| fault.kind.name()) {
+                self.pairs
+                    .insert((class.min(NO_CRYSTAL), class.max(NO_CRYSTAL)));
+            }
+        }
         for (nth, first) in faults.iter().enumerate() {
             for second in faults.iter().skip(nth + 1) {
                 if is_together(first, second) {
@@ -59,10 +66,11 @@ impl Coverage {
     /// Pairs of classes that have been flown, and all that there are.
     #[must_use]
     pub fn pairs(&self) -> (usize, usize) {
-        let classes = Schedule::classes().count();
-        // A fault that resets the processor is the last of its flight.
+        let classes = Schedule::classes().count() + 1;
+        // A fault that resets the processor is the last of its flight. Without a crystal none can
+        // die, and a flight has one sag at most.
         let resets = RESETTING_CLASSES.len();
-        let impossible = resets * (resets + 1) / 2;
+        let impossible = resets * (resets + 1) / 2 + 3;
         (self.pairs.len(), classes * (classes + 1) / 2 - impossible)
     }
 

@@ -4,15 +4,19 @@ use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
 
-use super::{Case, FaultReport, Report, deadline_ns};
-use crate::faults::{FaultKind, ScheduledFault};
+use super::{Case, FaultReport, RESET_DEADLINE_NS, Report, deadline_ns};
+use crate::faults::{FaultKind, ScheduledFault, nanoseconds};
 use crate::flight::UartLine;
 use crate::profile::CRASHES;
 use crate::recorder::Record;
+use crate::summary::valid_heading_deg;
 
 /// The largest allowed error of a valid tilt: degrees, and multiples of σ.
 const ALLOWED_DEG: f64 = 5.0;
 const ALLOWED_SIGMAS: f64 = 6.0;
+
+/// The largest allowed error of a valid heading, degrees, or as many σ.
+const ALLOWED_HEADING_DEG: f64 = 15.0;
 
 /// The share of fault-free time in which the attitude must be valid.
 const VALID_SHARE: f64 = 0.995;
@@ -22,6 +26,11 @@ const LONGEST_SILENCE_NS: u64 = 20_000_000;
 
 /// The longest pause between two lines of telemetry, of which there are 50 a second, ns.
 const LONGEST_UART_SILENCE_NS: u64 = 100_000_000;
+
+/// The pause of a save, ns: 0.6 s, and the sensor's settings after it. An erase, which is half a
+/// second of it, stalls the core (src/board/flash.rs).
+const SAVE_NS: u64 = 750_000_000;
+const LONGEST_ERASE_NS: u64 = 520_000_000;
 
 /// From an edge to the end of its burst, and some more, ns.
 const IN_FLIGHT_NS: u64 = 1_000_000;
@@ -57,6 +66,8 @@ pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
     let mut report = Report::default();
     judge.check_processor(case, &mut report.failures);
     judge.check_tilt(case, &mut report.failures);
+    super::clock::check_flags(case, record, &mut report);
+    judge.check_heading(&mut report.failures);
     judge.check_recovery(&mut report);
     judge.check_fault_free_time(&mut report.failures);
     judge.check_silence(case, &mut report.failures);
@@ -135,7 +146,7 @@ impl Judge<'_> {
 
     /// Checks that no attitude is valid and far from the truth.
     fn check_tilt(&self, case: &Case, failures: &mut Vec<String>) {
-        let mut motion = case.motion();
+        let mut motion = case.motion_by_core_time();
         let mut worst: Option<(f64, f64, u64)> = None;
         let mut count = 0;
         for sample in &self.published {
@@ -161,6 +172,35 @@ impl Judge<'_> {
         if let Some((error_deg, sigma_deg, at_ns)) = worst {
             failures.push(format!(
                 "{count} attitudes published as valid were wrong, \
+                 the worst by {error_deg:.1} degrees with a sigma of {sigma_deg:.2} at {} s",
+                seconds(at_ns)
+            ));
+        }
+    }
+
+    /// Checks that no heading is valid and far from the truth.
+    fn check_heading(&self, failures: &mut Vec<String>) {
+        let mut worst: Option<(f64, f64, u64)> = None;
+        let mut count = 0;
+        for sample in &self.record.samples {
+            let (Some(heading), Some(error_deg)) =
+                (sample.valid_heading(), valid_heading_deg(sample))
+            else {
+                continue;
+            };
+            let sigma_deg = f64::from(heading.sigma_rad).to_degrees();
+            // False for NaN.
+            let is_allowed = error_deg <= ALLOWED_HEADING_DEG.max(ALLOWED_SIGMAS * sigma_deg);
+            if !is_allowed {
+                count += 1;
+                if worst.is_none_or(|(error, ..)| error_deg > error) {
+                    worst = Some((error_deg, sigma_deg, sample.published_ns));
+                }
+            }
+        }
+        if let Some((error_deg, sigma_deg, at_ns)) = worst {
+            failures.push(format!(
+                "{count} headings published as valid were wrong, \
                  the worst by {error_deg:.1} degrees with a sigma of {sigma_deg:.2} at {} s",
                 seconds(at_ns)
             ));
@@ -361,6 +401,15 @@ impl Judge<'_> {
         }
     }
 
+    /// The times from each reset to the first attitude after it, before which no telemetry is due.
+    fn starts_ns(&self) -> impl Iterator<Item = std::ops::RangeInclusive<u64>> {
+        self.record.resets_ns.iter().map(|&reset_ns| {
+            let mut published = self.published.iter().map(|sample| sample.at_ns);
+            let first_ns = published.find(|&at_ns| at_ns > reset_ns);
+            reset_ns..=first_ns.unwrap_or(u64::MAX)
+        })
+    }
+
     /// Returns the longest pause between these times, or to the end, while the core runs, with its
     /// start.
     fn longest_gap(&self, case: &Case, mut times_ns: Vec<u64>) -> Option<(u64, u64)> {
@@ -377,8 +426,12 @@ impl Judge<'_> {
                     matches!(fault.kind, FaultKind::CoreStall | FaultKind::WatchdogHang)
                 })
                 .any(|fault| fault.start_ns < at_ns && fault.end_ns() > last_ns);
+            let erases = at_ns - last_ns <= LONGEST_ERASE_NS
+                && save_ns(case).is_some_and(|save| save.start < at_ns && save.end > last_ns);
+            let starts =
+                case.loses_power() && self.starts_ns().any(|start| start.contains(&last_ns));
             let mut resets = self.record.resets_ns.iter();
-            held || resets.any(|reset_ns| (last_ns..=at_ns).contains(reset_ns))
+            held || erases || starts || resets.any(|reset_ns| (last_ns..=at_ns).contains(reset_ns))
         };
         times_ns
             .windows(2)
@@ -406,25 +459,35 @@ fn valid_spans(samples: &[Publication]) -> Vec<(u64, u64)> {
     spans
 }
 
-/// Groups the faults into episodes.
+/// Groups the faults, and a save, into episodes.
 fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
-    let mut episodes: Vec<Episode> = Vec::new();
-    for fault in &case.schedule.faults {
+    let of_fault = |fault: &ScheduledFault| {
         let end_ns = end_ns(fault, record);
-        let deadline_ns = deadline_ns(fault.kind);
-        let episode = Episode {
+        Episode {
             start_ns: fault.start_ns,
             end_ns,
-            due_ns: end_ns + deadline_ns.unwrap_or(0),
+            due_ns: end_ns + deadline_ns(fault.kind).unwrap_or(0),
             faults: vec![*fault],
-        };
+        }
+    };
+    let of_save = save_ns(case).map(|save| Episode {
+        start_ns: save.start,
+        end_ns: save.end,
+        due_ns: save.end + RESET_DEADLINE_NS,
+        faults: Vec::new(),
+    });
+    let mut all: Vec<Episode> = case.schedule.faults.iter().map(of_fault).collect();
+    all.extend(of_save);
+    all.sort_by_key(|episode| episode.start_ns);
+    let mut episodes: Vec<Episode> = Vec::new();
+    for episode in all {
         match episodes.last_mut() {
             // A fault that begins before the attitude can have recovered belongs to the last
             // episode.
             Some(last) if last.due_ns + STEADY_NS >= episode.start_ns => {
                 last.end_ns = last.end_ns.max(episode.end_ns);
                 last.due_ns = last.due_ns.max(episode.due_ns);
-                last.faults.push(*fault);
+                last.faults.extend(episode.faults);
             }
             _ => episodes.push(episode),
         }
@@ -432,12 +495,18 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
     episodes
 }
 
+/// Returns the time of a save: the sensor stops.
+fn save_ns(case: &Case) -> Option<std::ops::Range<u64>> {
+    let start_ns = nanoseconds(case.conditions.save_s?);
+    Some(start_ns..start_ns + SAVE_NS)
+}
+
 /// Returns the time at which a fault is over, so that the firmware can recover from it.
 fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
     let first_after =
         |times: &[u64], from_ns: u64| times.iter().copied().find(|&at_ns| at_ns >= from_ns);
     match fault.kind {
-        FaultKind::SensorBrownout => {
+        kind if kind.stops_sensor() && !kind.resets() => {
             first_after(&record.sensor_ready_ns, fault.end_ns()).unwrap_or(fault.end_ns())
         }
         kind if kind.resets() => {
@@ -457,7 +526,10 @@ fn tilt_error_deg(sample: &Publication, truth: Quaternion) -> f64 {
 }
 
 fn names(faults: &[ScheduledFault]) -> String {
-    let names: Vec<String> = faults.iter().map(ScheduledFault::to_string).collect();
+    let mut names: Vec<String> = faults.iter().map(ScheduledFault::to_string).collect();
+    if names.is_empty() {
+        names.push("save".into());
+    }
     names.join(", then ")
 }
 

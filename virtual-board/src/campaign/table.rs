@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use super::Report;
+use super::FaultReport;
+use super::conditions::NO_CRYSTAL;
 use crate::schedule::Schedule;
 
 /// The table of a campaign: a row for each class.
@@ -21,9 +22,9 @@ struct Row {
 }
 
 impl Table {
-    /// Adds a case's report.
-    pub fn add(&mut self, report: &Report) {
-        for fault in &report.faults {
+    /// Adds the faults of a case.
+    pub fn add(&mut self, faults: &[FaultReport]) {
+        for fault in faults {
             let row = self.rows.entry(fault.class).or_default();
             row.faults += 1;
             row.detected += u32::from(fault.is_detected);
@@ -41,7 +42,7 @@ impl std::fmt::Display for Table {
             "{:<18} {:>7} {:>9} {:>10} {:>17}\n",
             "fault", "runs", "detected", "recovered", "worst recovery ms"
         );
-        for class in Schedule::classes() {
+        for class in Schedule::classes().chain([NO_CRYSTAL]) {
             let row = self.rows.get(class).copied().unwrap_or_default();
             writeln!(
                 text,

@@ -1,8 +1,12 @@
 //! Tests of the judge and the table on records that a sound firmware would leave, with changes.
 
+use std::collections::BTreeSet;
+
 use aplomb::attitude::Quaternion as Attitude;
+use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
+use aplomb_models::motion::inclination_error_rad;
 use aplomb_models::sensor::{Burst, DataReady};
 use rigless::time::VirtualNanos;
 
@@ -69,6 +73,7 @@ fn record(case: &Case, without_ns: std::ops::Range<u64>) -> Record {
         }
         record.samples.push(Sample {
             snapshot,
+            heading: None,
             published_ns,
             burst: Burst {
                 edge: Some(edge.index),
@@ -109,6 +114,35 @@ fn what_is_sound_passes_and_is_measured() {
     assert!(report.faults[0].is_detected);
     let recovery_ms = report.faults[0].recovery_ns.unwrap() as f64 * 1e-6;
     assert!((recovery_ms - 10.39).abs() < 0.01, "{recovery_ms}");
+}
+
+#[test]
+fn a_wrong_heading_fails_only_if_it_is_valid() {
+    let (case, mut record) = sound();
+    let mut put = |offset_deg: f32, sigma_deg: f32, is_valid: bool| {
+        record.samples[1000].heading = Some(HeadingEstimate {
+            yaw_offset_rad: offset_deg.to_radians(),
+            sigma_rad: sigma_deg.to_radians(),
+            is_valid,
+        });
+        judge(&case, &record, &[]).failures
+    };
+    for allowed in [(14.9, 0.5, true), (-23.0, 4.0, true), (90.0, 4.0, false)] {
+        let (offset_deg, sigma_deg, is_valid) = allowed;
+        let failures = put(offset_deg, sigma_deg, is_valid);
+        assert_eq!(failures, Vec::<String>::new(), "{allowed:?}");
+    }
+    for (offset_deg, sigma_deg) in [(15.1, 0.5), (-25.0, 4.0), (180.0, 12.0), (0.0, f32::NAN)] {
+        let failures = put(offset_deg, sigma_deg, true);
+        let is_wrong = |text: &String| text.starts_with("1 headings published as valid");
+        let is_allowed = offset_deg == 0.0;
+        assert_eq!(failures.iter().any(is_wrong), !is_allowed, "{offset_deg}");
+    }
+    // A heading without an attitude is not valid.
+    put(90.0, 0.5, true);
+    record.samples[1000].snapshot.flags = Flags::DEGRADED;
+    let failures = judge(&case, &record, &[]).failures;
+    assert!(!failures.iter().any(|text| text.contains("headings")));
 }
 
 #[test]
@@ -263,7 +297,7 @@ fn a_fault_that_leaves_no_trace_waits_for_one_that_does_shortly_after() {
 fn the_table_counts_by_class() {
     let (case, record) = sound();
     let mut table = Table::default();
-    table.add(&judge(&case, &record, &[]));
+    table.add(&judge(&case, &record, &[]).faults);
     let text = table.to_string();
     let row = text
         .lines()
@@ -271,7 +305,7 @@ fn the_table_counts_by_class() {
         .unwrap();
     let cells: Vec<&str> = row.split_whitespace().collect();
     assert_eq!(cells, ["sda-low", "1", "1", "1", "10.4"]);
-    assert_eq!(text.lines().count(), 38);
+    assert_eq!(text.lines().count(), 40);
 }
 
 #[test]
@@ -279,7 +313,7 @@ fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
     let mut coverage = Coverage::default();
     let (_, all_pairs) = coverage.pairs();
     let all_steps = 9 * 19;
-    assert_eq!(all_pairs, 37 * 38 / 2 - 6);
+    assert_eq!(all_pairs, 39 * 40 / 2 - 9);
     assert_eq!(coverage.steps(), (0, all_steps));
 
     // 49 ms after the end, and 51 ms after it.
@@ -297,7 +331,7 @@ fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
     assert_eq!(coverage.steps(), (2, all_steps));
     let text = coverage.to_string();
     assert!(
-        text.contains("pairs of faults within 50 ms: 1 of 697"),
+        text.contains("pairs of faults within 50 ms: 1 of 771"),
         "{text}"
     );
     assert!(
@@ -305,4 +339,131 @@ fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
             .any(|row| row.starts_with("sda-low") && row.contains(" 2 ")),
         "{text}"
     );
+}
+
+#[test]
+fn conditions_are_drawn_within_their_limits_and_a_seed_keeps_its_faults() {
+    let (mut without_crystal, mut errors, mut sags, mut cuts, mut on_top) = (0, 0, 0, 0, 0);
+    for seed in 0..4_000 {
+        let (case, plain) = (Case::by_seed(seed), Case::with_schedule_by_seed(seed));
+        let conditions = case.conditions;
+        assert!((17_000..=47_000).contains(&conditions.watchdog_hz));
+        let error = conditions.internal_error;
+        assert!((-0.08..=0.045).contains(&error), "{seed}: {error}");
+        let faults = &case.schedule.faults;
+        let dies = |fault: &ScheduledFault| fault.kind == FaultKind::CrystalDies;
+        assert!(error == 0.0 || conditions.lacks_crystal || faults.iter().any(dies));
+        without_crystal += u32::from(conditions.lacks_crystal);
+        errors += u32::from(error != 0.0);
+        let is_sag = |fault: &&ScheduledFault| matches!(fault.kind, FaultKind::SupplySag(_));
+        let sag = faults.iter().find(is_sag);
+        assert_eq!(sag.is_some(), conditions.save_s.is_some(), "{seed}");
+        let others = faults.iter().filter(|fault| !is_sag(fault));
+        let later_ns: BTreeSet<u64> = others
+            .clone()
+            .zip(&plain.schedule.faults)
+            .map(|(drawn, plain)| {
+                assert_eq!(drawn.kind, plain.kind, "{seed}");
+                drawn.start_ns - plain.start_ns
+            })
+            .collect();
+        assert_eq!(others.count(), plain.schedule.faults.len(), "{seed}");
+        assert_eq!(later_ns.len(), 1, "{seed}: {later_ns:?}");
+        let Some(sag) = sag else {
+            assert_eq!(later_ns.first(), Some(&0), "{seed}");
+            continue;
+        };
+        cuts += u32::from(sag.kind.stops_core());
+        sags += u32::from(!sag.kind.stops_sensor());
+        on_top += u32::from(later_ns.contains(&0));
+    }
+    assert!((150..250).contains(&without_crystal), "{without_crystal}");
+    assert!(errors > without_crystal + 80, "{errors}");
+    assert!(
+        sags > 100 && cuts > 50 && on_top > 20,
+        "{sags} {cuts} {on_top}"
+    );
+}
+
+#[test]
+fn an_attitude_by_the_internal_oscillator_without_its_flags_fails() {
+    let without_crystal = |flags: Flags| {
+        let mut case = case("1.8 0.03 sda-low");
+        case.conditions.lacks_crystal = true;
+        let mut record = record(&case, 1800 * MILLISECOND..1840 * MILLISECOND);
+        for sample in &mut record.samples {
+            sample.snapshot.flags |= flags;
+        }
+        judge(&case, &record, &[])
+    };
+    let sound = without_crystal(Flags::INTERNAL_CLOCK | Flags::DEGRADED);
+    assert_eq!(sound.failures, Vec::<String>::new());
+    assert!(sound.faults.iter().any(|fault| fault.class == "no-crystal"));
+    for flags in [Flags::empty(), Flags::INTERNAL_CLOCK, Flags::DEGRADED] {
+        let failures = without_crystal(flags).failures;
+        assert!(
+            failures[0].contains("without INTERNAL_CLOCK"),
+            "{failures:?}"
+        );
+    }
+}
+
+#[test]
+fn a_dead_crystal_is_flagged_until_a_reset() {
+    let case = case("1.8 0 crystal-dies");
+    let mut record = record(&case, 0..0);
+    assert_fails(&case, &record, "without INTERNAL_CLOCK");
+    for sample in &mut record.samples {
+        let is_late = sample.published_ns > 1_820 * MILLISECOND;
+        let expected = Flags::INTERNAL_CLOCK | Flags::DEGRADED;
+        sample.snapshot.flags.set(expected, is_late);
+    }
+    assert_eq!(judge(&case, &record, &[]).failures, Vec::<String>::new());
+}
+
+#[test]
+fn a_flight_by_the_internal_oscillator_is_judged_by_its_own_time() {
+    let mut case = case("1.8 0 crystal-dies");
+    case.conditions.internal_error = -0.08;
+    let (mut by_core, mut by_earth) = (case.motion_by_core_time(), case.motion());
+    for (core_s, earth_s) in [(1.7, 1.7), (1.8, 1.8), (2.26, 2.3), (2.72, 2.8)] {
+        let [shown, expected] = [by_core.at(core_s), by_earth.at(earth_s)];
+        let [shown, expected] = [shown, expected].map(|truth| truth.attitude.unwrap());
+        let error_rad = inclination_error_rad(shown, expected);
+        assert!(error_rad < 1e-9, "{core_s}: {error_rad}");
+    }
+}
+
+#[test]
+fn a_save_may_pause_for_an_erase_and_no_longer() {
+    let mut case = case("3.5 0.03 sda-low");
+    case.conditions.save_s = Some(1.8);
+    let pause = |until: u64| {
+        let mut record = record(&case, 1810 * MILLISECOND..until * MILLISECOND);
+        let fault = self::record(&case, 3500 * MILLISECOND..3540 * MILLISECOND);
+        record.stale.clear();
+        record.stale.extend(fault.stale);
+        record.samples.retain(|sample| {
+            !(3500 * MILLISECOND..3540 * MILLISECOND).contains(&sample.edge.unwrap().time_ns)
+        });
+        judge(&case, &record, &[]).failures
+    };
+    assert_eq!(pause(2_320), Vec::<String>::new());
+    let failures = pause(2_340);
+    assert!(
+        failures[0].starts_with("nothing was published for 531"),
+        "{failures:?}"
+    );
+}
+
+#[test]
+fn a_failure_of_the_supply_resets_and_allows_the_time_of_a_start() {
+    let case = case("1.8 0.1 supply-sag:1000");
+    let mut record = record(&case, 1800 * MILLISECOND..3500 * MILLISECOND);
+    assert_fails(&case, &record, "nothing reset it");
+    record.resets_ns.push(1_900 * MILLISECOND);
+    let report = judge(&case, &record, &[]);
+    assert_eq!(report.failures, Vec::<String>::new());
+    let recovery_ms = report.faults[0].recovery_ns.map(|ns| ns / MILLISECOND);
+    assert_eq!(recovery_ms, Some(1_600));
 }

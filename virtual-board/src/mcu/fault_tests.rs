@@ -831,3 +831,18 @@ fn reserved_bits_and_missing_clocks_are_noted_with_their_place() {
         ]
     );
 }
+
+#[test]
+fn a_pin_that_becomes_an_output_while_its_register_is_low_makes_an_edge() {
+    for (is_high_before, edges) in [(false, 1), (true, 0)] {
+        let mut bench = bench(FaultKind::SensorSilent);
+        let clocks = |bench: &Bench| bench.controller.port_b.wires.lock().clocks_made();
+        let before = clocks(&bench);
+        if is_high_before {
+            bench.write(&GPIOB, BSRR, SCL | SDA);
+        }
+        bench.write(&GPIOB, 0x00, 0x5 << 16);
+        bench.run_for(BYTE_NS);
+        assert_eq!(clocks(&bench) - before, edges, "{is_high_before}");
+    }
+}

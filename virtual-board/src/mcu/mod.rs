@@ -17,8 +17,10 @@ use rigless::chip::uart::Rate;
 use rigless::device::{ErasedDevice, Level, ResetCause};
 use rigless::mcu::Mcu;
 use rigless::soc::stm32f427::Stm32f427;
+use rigless::soc::stm32f427::generated::dbg;
+use rigless::soc::stm32f427::generated::flash::{self, acr};
 use rigless::soc::stm32f427::generated::gpioa;
-use rigless::soc::stm32f427::generated::rcc::{self, cir};
+use rigless::soc::stm32f427::generated::rcc::{self, cir, csr};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin};
 use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::soc::{Bus, Error};
@@ -31,7 +33,7 @@ use crate::checks::Checks;
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
-use crate::faults::{Fault, FaultKind, ScheduledFault, scheduled, within};
+use crate::faults::{CORE_MILLIVOLTS, Fault, FaultKind, ScheduledFault, scheduled, within};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{WiredI2c, items_left};
@@ -71,6 +73,7 @@ pub struct Microcontroller {
     syscfg: Syscfg,
     flash: FlashInterface,
     checks: Checks,
+    identity: ChipIdentity,
     slots: Slots,
     /// The next change of the sensor's wire, for which an event is scheduled.
     awaited_ns: Option<u64>,
@@ -94,6 +97,28 @@ pub struct Microcontroller {
 /// garbles.
 const NOISE_PER_MILLION: u32 = 200_000;
 
+/// The chip, as DBGMCU_IDCODE has it (RM0090, 38.6.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ChipIdentity {
+    /// DEV_ID.
+    pub device: u16,
+    /// REV_ID.
+    pub revision: u16,
+}
+
+impl ChipIdentity {
+    /// An STM32F405 of revision A.
+    pub const STM32F405_A: Self = Self {
+        device: 0x413,
+        revision: 0x1000,
+    };
+    /// An STM32F405 of revision Y.
+    pub const STM32F405_Y: Self = Self {
+        revision: 0x100F,
+        ..Self::STM32F405_A
+    };
+}
+
 /// Positions of the decorated instances on the bus.
 #[derive(Clone, Copy, Debug)]
 struct Slots {
@@ -102,6 +127,7 @@ struct Slots {
     exti: usize,
     syscfg: usize,
     flash: usize,
+    debug: usize,
     dma1: usize,
     port_a: usize,
     port_b: usize,
@@ -135,6 +161,7 @@ impl Microcontroller {
             exti: bus.slot("EXTI")?,
             syscfg: bus.slot("SYSCFG")?,
             flash: bus.slot("FLASH")?,
+            debug: bus.slot("DBG")?,
             dma1: bus.slot("DMA1")?,
             port_a: bus.slot("GPIOA")?,
             port_b: bus.slot("GPIOB")?,
@@ -169,6 +196,7 @@ impl Microcontroller {
                 cells,
             },
             checks,
+            identity: ChipIdentity::STM32F405_Y,
             slots,
             awaited_ns: None,
             faults,
@@ -180,6 +208,7 @@ impl Microcontroller {
             is_noisy: false,
             reset_ns: 0,
         };
+        controller.identify(ChipIdentity::STM32F405_Y);
         controller.release_pins(VirtualNanos(0));
         Ok(controller)
     }
@@ -229,6 +258,33 @@ impl Microcontroller {
     /// Sets the frequency of the watchdog's oscillator, Hz. Call it before the first instruction.
     pub fn calibrate_watchdog(&mut self, hz: u64) {
         self.clocks.model.calibrate_lsi(hz);
+    }
+
+    /// Sets the contents of DBGMCU_IDCODE. Call it before the first instruction.
+    pub fn identify(&mut self, identity: ChipIdentity) {
+        self.identity = identity;
+        self.show_identity(VirtualNanos(0));
+    }
+
+    fn show_identity(&mut self, at: VirtualNanos) {
+        let (registers, _) = self.part.bus_mut().drive(at, self.slots.debug);
+        let ChipIdentity { device, revision } = self.identity;
+        let code = u64::from(revision) << 16 | u64::from(device);
+        registers.set(dbg::Register::DbgmcuIdcode, code);
+    }
+
+    /// Returns true if the flash's prefetch is on.
+    #[must_use]
+    pub fn prefetches(&self) -> bool {
+        let registers = self.part.bus().slots()[self.slots.flash].registers();
+        acr::PRFTEN.is_set(registers.get(flash::Register::Acr))
+    }
+
+    /// Returns true if the flash's prefetch is on, on a chip that does not support it: an STM32F405
+    /// of revision A (errata sheet ES0182).
+    #[must_use]
+    pub fn prefetches_on_revision_a(&self) -> bool {
+        self.prefetches() && self.identity == ChipIdentity::STM32F405_A
     }
 
     /// Makes a START of the sensor's bus take time.
@@ -326,10 +382,17 @@ impl Microcontroller {
                 self.clocks.restart_crystal();
             }
         }
-        let sag = self.sags.iter().find(|(range, _)| within(now.0, range));
-        let millivolts = sag.map_or(SUPPLY_MILLIVOLTS, |&(_, millivolts)| millivolts);
+        let sags = self.sags.iter().filter(|(range, _)| within(now.0, range));
+        let lowest = sags.map(|&(_, millivolts)| millivolts).min();
+        let millivolts = lowest.unwrap_or(SUPPLY_MILLIVOLTS);
         if millivolts != self.supply_millivolts {
+            let was_off = self.supply_millivolts < CORE_MILLIVOLTS;
+            let is_off = millivolts < CORE_MILLIVOLTS;
             self.supply_millivolts = millivolts;
+            if was_off != is_off {
+                let (_, mut context) = self.part.bus_mut().drive(now, self.slots.rcc);
+                context.request_power(!is_off);
+            }
             self.lend_models();
             self.part.set_supply(millivolts);
             self.lend_models();
@@ -403,6 +466,13 @@ impl Microcontroller {
 fn sag(fault: &Fault) -> Option<Sag> {
     match fault {
         Fault::Supply(millivolts, range) => Some((range.clone(), *millivolts)),
+        Fault::Scheduled(fault) => match fault.kind {
+            FaultKind::SupplySag(millivolts) => {
+                let seconds = |ns: u64| ns as f64 * 1e-9;
+                Some((seconds(fault.start_ns)..seconds(fault.end_ns()), millivolts))
+            }
+            _ => None,
+        },
         _ => None,
     }
 }
@@ -418,9 +488,19 @@ impl Mcu for Microcontroller {
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
         self.sensor().controller_restarts(at.0);
+        let is_power_on = cause == ResetCause::PowerOn;
         self.lend_models();
-        self.part.reset(at, cause);
+        // rigless has no power-on reset of this part.
+        let known = if is_power_on { ResetCause::Pin } else { cause };
+        self.part.reset(at, known);
         self.lend_models();
+        if is_power_on {
+            let (registers, _) = self.part.bus_mut().drive(at, self.slots.rcc);
+            let status = registers.get(rcc::Register::Csr);
+            let causes = csr::PORRSTF.mask() | csr::BORRSTF.mask() | csr::PADRSTF.mask();
+            registers.set(rcc::Register::Csr, status | causes);
+        }
+        self.show_identity(at);
         self.sensor_bus.forget();
         self.dma.forget();
         self.exti = Exti::default();
@@ -429,6 +509,10 @@ impl Mcu for Microcontroller {
         self.is_clock_lost = false;
         self.reset_ns = at.0;
         self.release_pins(at);
+        if is_power_on {
+            // Without supply the core makes no access that would ask for the next event.
+            self.follow_sensor(at);
+        }
     }
 
     fn poll(&mut self, now: VirtualNanos) {

@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::fault::{FaultClass, report};
 use aplomb::health::{Flags, STACK_PATTERN};
 use aplomb::pipeline::Snapshot;
@@ -87,6 +88,8 @@ impl Observer for Nobody {}
 pub struct Recorder {
     end_ns: u64,
     snapshot: Option<u64>,
+    /// Address of the published heading, if there is one.
+    heading: Option<u64>,
     /// Address of the firmware's report of its health, if it has one.
     health: Option<u64>,
     /// The faults of the debug probe.
@@ -141,6 +144,7 @@ impl Recorder {
         Self {
             end_ns,
             snapshot: firmware.snapshot,
+            heading: firmware.heading,
             health: firmware.health,
             detachments: faults.iter().filter(detaches).copied().collect(),
             upsets: faults.iter().filter(upsets).copied().collect(),
@@ -229,6 +233,7 @@ impl Recorder {
     /// Records a publication: the firmware has increased its sequence counter.
     fn published(&mut self, session: &mut Session<Board>, host: &mut dyn Host, hit: Hit) {
         self.follow_sensor(session, hit.instruction_count);
+        self.read_heading(host);
         let Some(address) = self.snapshot else { return };
         // Start-up code clears the count.
         let is_published = Memory::read(host, address + SEQUENCE, Width::W32).unwrap_or(0) != 0;
@@ -260,6 +265,7 @@ impl Recorder {
         });
         self.record.samples.push(Sample {
             snapshot,
+            heading: None,
             published_ns: hit.at.0,
             burst,
             edge,
@@ -267,6 +273,13 @@ impl Recorder {
             instructions: None,
             input_instructions: None,
         });
+    }
+
+    /// Records the heading of the last sample, which follows its snapshot.
+    fn read_heading(&mut self, host: &mut dyn Host) {
+        if let (Some(address), Some(last)) = (self.heading, self.record.samples.last_mut()) {
+            last.heading = read_heading(host, address);
+        }
     }
 
     /// Returns the burst of a snapshot, usually the last one. If the attitude task was late,
@@ -329,8 +342,13 @@ impl Recorder {
             self.window = None;
         }
         self.upset_core(now_ns);
+        let has_no_supply = session.unpowered();
+        if has_no_supply {
+            self.stalled_until_ns = None;
+        }
         let controller = &mut session.board_mut().controller;
-        let is_held = self.stalled_until_ns.is_some()
+        let is_held = has_no_supply
+            || self.stalled_until_ns.is_some()
             || controller.is_core_held(now_ns)
             || self.hangs_in_nmi(controller.has_clock_failure(), now_ns);
         if is_held != self.is_held {
@@ -445,9 +463,13 @@ impl Recorder {
     fn end(&mut self, session: &mut Session<Board>, host: &mut dyn Host, stop: Stop) {
         self.follow_sensor(session, stop.instruction_count);
         self.close_window(stop.instruction_count);
+        self.read_heading(host);
         self.serve(session, host, stop.at.0);
         let steps = session.board_mut().controller.steps_at_faults();
         self.record.steps_at_faults = steps.to_vec();
+        let wires = session.board_mut().controller.sensor().wires();
+        self.record.clocks_by_hand = wires.lock().clocks_made();
+        self.record.prefetches = session.board().controller.prefetches();
         self.record.last = (stop.instruction_count, stop.at.0);
         self.record.sample_exceptions = self.sample_exceptions() - self.exceptions_before;
         self.record.instructions = self.counts(stop.instruction_count).to_vec();
@@ -556,4 +578,19 @@ fn read_snapshot(memory: &mut dyn Host, address: u64) -> Option<Snapshot> {
         flags: Flags::from_bits_truncate(word(36)?),
         tilt_variance_rad2,
     })
+}
+
+/// Reads the published heading from the firmware's memory; `None` while it is unknown.
+fn read_heading(memory: &mut dyn Host, address: u64) -> Option<HeadingEstimate> {
+    let mut word = |offset: u64| {
+        let value = Memory::read(memory, address + offset, Width::W32).ok()?;
+        u32::try_from(value).ok()
+    };
+    let state = word(16)?;
+    Some(HeadingEstimate {
+        yaw_offset_rad: word(8).map(f32::from_bits)?,
+        sigma_rad: word(12).map(f32::from_bits)?,
+        is_valid: state & 2 != 0,
+    })
+    .filter(|_| state & 1 != 0)
 }

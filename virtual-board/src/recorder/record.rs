@@ -1,6 +1,8 @@
 //! The record of a run.
 
+use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::fault::FaultClass;
+use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::sensor::{Burst, DataReady};
 
@@ -13,6 +15,8 @@ use crate::probe::LogLine;
 pub struct Sample {
     /// The published snapshot.
     pub snapshot: Snapshot,
+    /// The heading that was published until the next snapshot; `None` while it is unknown.
+    pub heading: Option<HeadingEstimate>,
     /// Time of publication, ns since power-up.
     pub published_ns: u64,
     /// The burst that the bus had delivered last.
@@ -57,10 +61,23 @@ pub struct Record {
     pub health: Vec<HealthReading>,
     /// End of the sensor's start-up after each return of its supply, ns.
     pub sensor_ready_ns: Vec<u64>,
+    /// Falling edges of SCL that the firmware made with the pin as an output.
+    pub clocks_by_hand: u32,
+    /// True if the flash's prefetch is on at the end.
+    pub prefetches: bool,
     /// Times of the processor's resets, ns.
     pub resets_ns: Vec<u64>,
     /// The steps of the bus in which the scheduled faults began, in the order of the faults.
     pub steps_at_faults: Vec<BusStep>,
+}
+
+impl Sample {
+    /// The heading, if the firmware's outputs call it valid: the attitude has to be valid too.
+    #[must_use]
+    pub fn valid_heading(&self) -> Option<HeadingEstimate> {
+        let has_tilt = self.snapshot.flags.contains(Flags::VALID);
+        self.heading.filter(|heading| heading.is_valid && has_tilt)
+    }
 }
 
 impl Record {

@@ -106,6 +106,15 @@ impl Data {
         }
     }
 
+    /// The sections whose names begin with `prefix`.
+    pub fn part(&self, prefix: &str) -> Self {
+        let sections = self.sections.iter();
+        let sections = sections.filter(|section| section.name.starts_with(prefix));
+        Self {
+            sections: sections.cloned().collect(),
+        }
+    }
+
     /// The text of the file.
     pub fn to_text(&self) -> String {
         let mut text = HEADER.to_owned();

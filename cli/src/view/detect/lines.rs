@@ -3,7 +3,7 @@
 use aplomb::health::Flags;
 use aplomb::settings::OutputFormat;
 use aplomb::telemetry::text::Line;
-use aplomb::telemetry::{classic, teleplot, text};
+use aplomb::telemetry::{classic, heading, teleplot, text};
 use aplomb_recordings::attitude_table::Columns;
 
 use crate::view::item::{Format, Item, Reading};
@@ -40,6 +40,7 @@ pub struct Lines {
     columns: Option<Columns>,
     /// Variables of `teleplot` so far.
     variables: Line,
+    heading: heading::Line,
     /// Flags that the module named last.
     named: Flags,
 }
@@ -92,6 +93,10 @@ impl Lines {
             self.attitude(&line, items);
             return module(OutputFormat::Text);
         }
+        if let Some(heading) = heading::decode(line) {
+            items.push(Item::Heading(heading));
+            return Content::Other;
+        }
         if let Some(angles) = classic::decode(line) {
             items.push(Item::Reading(Reading {
                 roll_deg: angles.roll_deg,
@@ -134,7 +139,7 @@ impl Lines {
         items.push(Item::Reading(Reading::of_line(line, self.named)));
     }
 
-    /// Takes a variable of `teleplot`. The last one completes the attitude.
+    /// Takes a variable of `teleplot`. `valid` completes the attitude, `heading_valid` the heading.
     fn variable(&mut self, label: &str, value: f32, items: &mut Vec<Item>) -> Content {
         let variables = &mut self.variables;
         match label {
@@ -144,6 +149,12 @@ impl Lines {
             "roll_rate" => variables.roll_rate_deg_s = value,
             "pitch_rate" => variables.pitch_rate_deg_s = value,
             "yaw_rate" => variables.yaw_rate_deg_s = value,
+            "heading" => self.heading.heading_deg = value,
+            "heading_sigma" => self.heading.sigma_deg = value,
+            "heading_valid" => {
+                self.heading.is_valid = value == 1.0;
+                items.push(Item::Heading(self.heading));
+            }
             _ => {
                 variables.is_valid = value == 1.0;
                 let line = *variables;

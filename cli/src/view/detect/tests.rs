@@ -1,6 +1,7 @@
 //! Tests: streams of every format, whole, mixed and damaged.
 
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
+use aplomb::compass::Condition;
 use aplomb::estimator::Sample;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, Part};
@@ -152,6 +153,8 @@ fn mavlink(session: &mut Session, says: Option<&str>) -> Vec<u8> {
         snapshot: Some(&snapshot()),
         sample: &Sample::default(),
         temperature_celsius: 31.5,
+        heading: None,
+        compass: Condition::default(),
         record: &aplomb::settings::Record::default(),
         is_armed: false,
         bursts_failed: 0,
@@ -372,6 +375,35 @@ fn a_message_in_the_log_is_put_together() {
         let items = decode(&mut Decoder::default(), &buffer[..end]);
         assert_eq!(items[0], Item::Message(text));
         assert_eq!(readings(&items[1..]).len(), 1);
+    }
+}
+
+#[test]
+fn the_heading_of_text_and_teleplot_is_no_attitude_and_no_damage() {
+    use aplomb::telemetry::heading::{self, Line};
+
+    let line = Line {
+        heading_deg: 271.25,
+        sigma_deg: 2.5,
+        is_valid: true,
+    };
+    let mut buffer = [0; heading::LINES_LENGTH];
+    for format in [OutputFormat::Text, OutputFormat::Teleplot] {
+        let encoded = match format {
+            OutputFormat::Text => heading::encode(&line, &mut buffer),
+            _ => heading::encode_teleplot(&line, &mut buffer),
+        };
+        let mut stream = Vec::new();
+        for _ in 0..20 {
+            stream.extend(frame(format, 0));
+            stream.extend_from_slice(encoded);
+        }
+        let mut decoder = Decoder::default();
+        let items = decode(&mut decoder, &stream);
+        let headings = items.iter().filter(|item| **item == Item::Heading(line));
+        assert!(headings.count() >= 15, "{format:?} {items:?}");
+        assert!((15..=20).contains(&readings(&items).len()), "{format:?}");
+        assert_eq!(decoder.counts().damaged, 0, "{format:?}");
     }
 }
 

@@ -2,7 +2,8 @@
 
 use ::mavlink::dialects::common::{
     self, HEARTBEAT_DATA, MISSION_REQUEST_LIST_DATA, MavAutopilot, MavCmd, MavMessage, MavModeFlag,
-    MavResult, MavState, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
+    MavResult, MavState, MavSysStatusSensor, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
+    PARAM_SET_DATA,
 };
 use ::mavlink::{MavlinkVersion, Message};
 use proptest::prelude::*;
@@ -12,11 +13,13 @@ use super::super::messages::milliseconds;
 use super::super::wire::CommandAck;
 use super::*;
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
+use crate::compass::{self, Condition};
 use crate::estimator::Sample;
+use crate::estimator::heading::HeadingEstimate;
 use crate::health::Flags;
 use crate::pipeline::Snapshot;
 use crate::settings::Record;
-use crate::units::radians;
+use crate::units::{MagneticField, radians};
 
 const STATION: MavHeader = MavHeader {
     system_id: 255,
@@ -93,6 +96,8 @@ impl Bench {
             snapshot: None,
             sample: &self.sample,
             temperature_celsius: 25.5,
+            heading: None,
+            compass: Condition::default(),
             record: &self.record,
             is_armed: false,
             bursts_failed: 3,
@@ -180,6 +185,8 @@ fn heartbeats_come_once_a_second_beside_attitudes() {
             snapshot: Some(&bench.snapshot),
             sample: &bench.sample,
             temperature_celsius: 25.5,
+            heading: None,
+            compass: Condition::default(),
             record: &bench.record,
             is_armed: true,
             bursts_failed: 3,
@@ -234,18 +241,126 @@ fn heartbeats_come_once_a_second_beside_attitudes() {
 
 #[test]
 fn faults_clear_the_health_bits() {
-    let health_of = |flags| {
-        health(Some(&Snapshot {
+    let present = MavSysStatusSensor::from_bits_retain(0x0020_0003);
+    let health_with = |flags, present| {
+        let snapshot = Snapshot {
             flags,
             ..Snapshot::default()
-        }))
-        .bits()
+        };
+        health(Some(&snapshot), present).bits()
     };
+    let health_of = |flags| health_with(flags, present);
     assert_eq!(health_of(Flags::empty()), 0x0020_0003);
     assert_eq!(health_of(Flags::FROZEN), 0);
     assert_eq!(health_of(Flags::ACCELEROMETER_SATURATED), 0x0020_0001);
     assert_eq!(health_of(Flags::CALIBRATING), 3);
-    assert_eq!(health(None).bits(), 0);
+    assert_eq!(health(None, present).bits(), 0);
+    let with_compass = present | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG;
+    assert_eq!(health_with(Flags::empty(), with_compass), 0x0020_0007);
+    assert_eq!(health_with(Flags::COMPASS_FAULT, with_compass), 0x0020_0003);
+}
+
+/// The messages of one second with this heading and compass, at 10 Hz.
+fn with_compass(flags: Flags, compass: Condition) -> Vec<MavMessage> {
+    let mut bench = Bench::new();
+    bench.snapshot.flags = flags;
+    let mut received = Vec::new();
+    for step in 0..10_u64 {
+        let mut buffer = [0; 512];
+        let mut output = Output::new(&mut buffer);
+        let vehicle = Vehicle {
+            snapshot: Some(&bench.snapshot),
+            sample: &bench.sample,
+            temperature_celsius: 25.5,
+            heading: Some(HeadingEstimate {
+                yaw_offset_rad: radians(-60.0),
+                sigma_rad: radians(3.0),
+                is_valid: true,
+            }),
+            compass,
+            record: &bench.record,
+            is_armed: false,
+            bursts_failed: 0,
+        };
+        let now_us = 6_000_000 + 100_000 * step;
+        bench.session.fill(now_us, &vehicle, &mut output);
+        let length = output.length();
+        received.extend(messages(&buffer[..length]).into_iter().map(|(_, it)| it));
+    }
+    received
+}
+
+#[test]
+fn a_valid_heading_is_the_yaw_and_others_are_not() {
+    let compass = Condition {
+        part: Some(("QMC5883L", 0x0D)),
+        fault: None,
+        field: Some(MagneticField {
+            ut: [20.0, -5.0, 45.0],
+        }),
+    };
+    for (flags, yaw_deg) in [
+        (Flags::VALID | Flags::HEADING_VALID, -30.0),
+        (Flags::VALID, 30.0),
+    ] {
+        let mut huds = 0;
+        for message in with_compass(flags, compass) {
+            match message {
+                MavMessage::ATTITUDE(attitude) => {
+                    assert!(
+                        (attitude.yaw.to_degrees() - yaw_deg).abs() < 1e-3,
+                        "{attitude:?}"
+                    );
+                    assert!((attitude.roll.to_degrees() - 10.0).abs() < 1e-3);
+                    assert!((attitude.pitch.to_degrees() + 20.0).abs() < 1e-3);
+                }
+                MavMessage::ATTITUDE_QUATERNION(it) => {
+                    let yaw_rad = Quaternion::new(it.q1, it.q2, it.q3, it.q4)
+                        .to_euler()
+                        .yaw_rad;
+                    assert!((yaw_rad.to_degrees() - yaw_deg).abs() < 1e-3, "{it:?}");
+                }
+                MavMessage::HIGHRES_IMU(imu) => {
+                    let field = Vector3::new(imu.xmag, imu.ymag, imu.zmag);
+                    assert!((field - Vector3::new(0.2, -0.05, 0.45)).is_within(1e-6));
+                    assert_eq!(imu.fields_updated.bits(), 0x11FF);
+                }
+                MavMessage::VFR_HUD(hud) => {
+                    huds += 1;
+                    assert_eq!((hud.heading, hud.airspeed), (330, 0.0));
+                }
+                MavMessage::SYS_STATUS(status) => {
+                    assert_eq!(status.onboard_control_sensors_present.bits(), 0x0020_0007);
+                    assert_eq!(status.onboard_control_sensors_health.bits(), 0x0020_0007);
+                }
+                _ => {}
+            }
+        }
+        let is_valid = flags.contains(Flags::HEADING_VALID);
+        assert_eq!(huds, if is_valid { 2 } else { 0 });
+    }
+}
+
+#[test]
+fn a_compass_with_a_fault_is_present_and_not_healthy() {
+    let compass = Condition {
+        fault: Some(compass::Fault::Absent(compass::PartId::Ak8963)),
+        ..Condition::default()
+    };
+    let received = with_compass(Flags::VALID | Flags::COMPASS_FAULT, compass);
+    let statuses = received.iter().filter_map(|message| match message {
+        MavMessage::SYS_STATUS(status) => Some(status),
+        _ => None,
+    });
+    for status in statuses {
+        assert_eq!(status.onboard_control_sensors_present.bits(), 0x0020_0007);
+        assert_eq!(status.onboard_control_sensors_health.bits(), 0x0020_0003);
+    }
+    assert!(
+        !received
+            .iter()
+            .any(|it| matches!(it, MavMessage::VFR_HUD(_)))
+    );
 }
 
 #[test]
@@ -330,6 +445,8 @@ fn every_command_is_answered_known_or_not() {
             snapshot: None,
             sample: &bench.sample,
             temperature_celsius: 0.0,
+            heading: None,
+            compass: Condition::default(),
             record: &bench.record,
             is_armed: false,
             bursts_failed: 0,
@@ -462,6 +579,8 @@ fn a_ground_station_finds_the_version_and_no_mission() {
             snapshot: None,
             sample: &bench.sample,
             temperature_celsius: 0.0,
+            heading: None,
+            compass: Condition::default(),
             record: &bench.record,
             is_armed: false,
             bursts_failed: 0,
@@ -568,6 +687,8 @@ fn a_dropped_message_is_counted_and_takes_no_number() {
             snapshot: Some(&bench.snapshot),
             sample: &bench.sample,
             temperature_celsius: 0.0,
+            heading: None,
+            compass: Condition::default(),
             record: &bench.record,
             is_armed: false,
             bursts_failed: 0,

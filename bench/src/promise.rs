@@ -1,0 +1,260 @@
+//! The promise of `HEADING_VALID` in simulated flights: a valid heading is wrong by no more than
+//! the larger of 15° and six σ.
+//!
+//! Half of the flights are starts beside a magnet, with motor currents. In the other half the
+//! compass's readings are faulty for a time. The seed decides place, iron, motors, magnet and
+//! fault. The comparison with the truth uses no code of the library.
+
+use std::fmt::Write as _;
+
+use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::calibration::Mount;
+use aplomb::estimator::Sample;
+use aplomb::estimator::heading::CompassKnowledge;
+use aplomb::estimator::kalman::AccelerometerKnowledge;
+use aplomb::health::Flags;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{CompassPipeline, Settings};
+use aplomb::units::degrees;
+use aplomb_models::compass::{EarthField, Magnetism, PassingMagnet};
+use aplomb_models::motion::Motion;
+use aplomb_models::motion::quadrotor::{Quadrotor, REST_S};
+use aplomb_models::motion::swing::Later;
+use aplomb_models::random::Random;
+use aplomb_recordings::heading::error_deg;
+use aplomb_recordings::motion::truth_of;
+use aplomb_recordings::simulated::{CONFIG, MOUNT, Simulated, errors, samples_with};
+use aplomb_recordings::simulated_compass::{COMPASS_DELAY_US, SimulatedCompass};
+
+use crate::faulty_compass::{Fault, FaultyCompass};
+use crate::parallel;
+
+/// First seed. The limits of `HEADING_VALID` were set with the first 150 flights of each kind.
+const FIRST_SEED: u64 = 20_000;
+/// Length of a flight, s.
+const SECONDS: u64 = 40;
+/// Largest error of a valid heading: the larger of this angle and six σ.
+const ALLOWED_DEG: f64 = 15.0;
+const ALLOWED_SIGMAS: f64 = 6.0;
+/// Largest field of the motors in a hover, µT: a compass beside the power leads.
+const LARGEST_MOTORS_UT: f64 = 10.0;
+
+/// Kind of flight.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// Start beside a magnet.
+    Start,
+    /// Faulty readings.
+    Faults,
+}
+
+/// Outcome of one flight.
+#[derive(Clone, Debug)]
+struct Outcome {
+    name: String,
+    kind: Kind,
+    samples: u32,
+    valid: u32,
+    wrong: u32,
+    /// Largest error of a valid heading, as a share of the allowed one.
+    worst: f64,
+    /// Time of the first wrong heading, s.
+    first_s: Option<f64>,
+}
+
+/// A flight: its motion, compass and fault.
+struct Flight {
+    name: String,
+    seed: u64,
+    knowledge: CompassKnowledge,
+    motion: Box<dyn Motion>,
+    compass: FaultyCompass,
+}
+
+impl Flight {
+    fn new(kind: Kind, seed: u64) -> Self {
+        let mut random = Random::new(seed, "promise");
+        let mut one_of = |number: usize| random.uniform(0.0, number as f64) as usize;
+        let knowledge = [CompassKnowledge::Factory, CompassKnowledge::Calibrated][one_of(2)];
+        let (place, earth) = EarthField::PLACES[one_of(EarthField::PLACES.len())];
+        let is_in_flight = one_of(4) == 0;
+        let magnetism = match knowledge {
+            CompassKnowledge::Factory => Magnetism::typical(seed),
+            CompassKnowledge::Calibrated => Magnetism::calibrated(seed),
+        };
+        let mut magnetism = Magnetism { earth, ..magnetism };
+        magnetism = magnetism.with_motors(seed, random.uniform(0.0, LARGEST_MOTORS_UT));
+        let quadrotor = Quadrotor::by_seed(seed);
+        let (motion, beginning): (Box<dyn Motion>, _) = if is_in_flight {
+            let by_s = random.uniform(8.0, 30.0);
+            let motion = Later {
+                motion: quadrotor,
+                by_s,
+            };
+            (Box::new(motion), "in flight")
+        } else {
+            (Box::new(quadrotor), "on the ground")
+        };
+        let mut fault = None;
+        match kind {
+            Kind::Start if is_in_flight => {
+                let closest_s = random.uniform(0.0, 3.0);
+                magnetism.magnet = Some(PassingMagnet::passing(seed, closest_s));
+            }
+            Kind::Start => {
+                let leaves_s = REST_S + random.uniform(0.5, 1.5);
+                magnetism.magnet = Some(PassingMagnet::left_behind(seed, leaves_s));
+            }
+            Kind::Faults => fault = Some(Fault::by_seed(seed)),
+        }
+        let what = match &fault {
+            Some(fault) => fault.to_string(),
+            None => format!("magnet, {beginning}"),
+        };
+        let compass = SimulatedCompass::new(seed, magnetism);
+        Self {
+            name: format!("seed {seed}, {place}, {knowledge:?}, {beginning}: {what}"),
+            seed,
+            knowledge,
+            motion,
+            compass: FaultyCompass::new(compass, fault, seed),
+        }
+    }
+
+    fn fly(self, kind: Kind) -> Outcome {
+        let mut pipeline = CompassPipeline::new(&Settings::new(&Part::MPU_6050), self.knowledge);
+        let mut outcome = Outcome {
+            name: self.name,
+            kind,
+            samples: 0,
+            valid: 0,
+            wrong: 0,
+            worst: 0.0,
+            first_s: None,
+        };
+        let errors = errors(self.seed, AccelerometerKnowledge::Factory);
+        let mut compass = self.compass;
+        for simulated in samples_with(self.motion, self.seed, errors, SECONDS) {
+            let snapshot = pipeline.update_sample(&sample(&simulated));
+            if let Some(field) = compass.read(simulated.t_us, &simulated.truth) {
+                pipeline.update_field(field, COMPASS_DELAY_US);
+            }
+            outcome.samples += 1;
+            let (Some(heading), Some(truth)) = (pipeline.heading(), simulated.truth.attitude)
+            else {
+                continue;
+            };
+            if !snapshot.flags.contains(Flags::HEADING_VALID) {
+                continue;
+            }
+            let turn = Vector3::new(0.0, 0.0, heading.yaw_offset_rad);
+            let turn = Quaternion::from_rotation_vector(turn);
+            let absolute = turn.multiply(snapshot.attitude);
+            let error = error_deg(absolute, truth_of(truth, MOUNT), Mount::Z_UP).abs();
+            let sigma_deg = f64::from(degrees(heading.sigma_rad));
+            outcome.add(
+                simulated.t_us,
+                error / ALLOWED_DEG.max(ALLOWED_SIGMAS * sigma_deg),
+            );
+        }
+        outcome
+    }
+}
+
+impl Outcome {
+    /// Adds a valid heading: its time and its error as a share of the allowed one.
+    fn add(&mut self, t_us: u64, share: f64) {
+        self.valid += 1;
+        self.worst = self.worst.max(share);
+        if share > 1.0 {
+            self.wrong += 1;
+            self.first_s.get_or_insert(t_us as f64 * 1e-6);
+        }
+    }
+}
+
+fn sample(simulated: &Simulated) -> Sample {
+    let (raw, mount) = (simulated.raw, Mount::Z_UP);
+    let force = raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
+    let rates = raw.gyroscope.to_rad_s(CONFIG.gyroscope_range);
+    Sample::new(simulated.t_us, mount.to_body(force), mount.to_body(rates))
+}
+
+/// Flies this many flights of each kind. Returns a summary.
+///
+/// # Errors
+///
+/// Returns the flights with a wrong and valid heading.
+pub fn run(runs: u64) -> Result<String, String> {
+    let seeds = FIRST_SEED..FIRST_SEED + runs;
+    let cases = seeds.flat_map(|seed| [(Kind::Start, seed), (Kind::Faults, seed)]);
+    let cases: Vec<(Kind, u64)> = cases.collect();
+    let outcomes = parallel::map_with_bar("flying", &cases, |(kind, seed)| {
+        Flight::new(*kind, *seed).fly(*kind)
+    });
+    let mut text = String::new();
+    for (kind, name) in [
+        (Kind::Start, "starts beside a magnet, with motor currents"),
+        (Kind::Faults, "flights with faulty readings"),
+    ] {
+        let of_kind = outcomes.iter().filter(|outcome| outcome.kind == kind);
+        let of_kind: Vec<&Outcome> = of_kind.collect();
+        let wrong = of_kind.iter().filter(|outcome| outcome.wrong > 0).count();
+        let valid: u32 = of_kind.iter().map(|outcome| outcome.valid).sum();
+        let samples: u32 = of_kind.iter().map(|outcome| outcome.samples).sum();
+        let share = 100.0 * f64::from(valid) / f64::from(samples.max(1));
+        let worst = of_kind
+            .iter()
+            .map(|outcome| outcome.worst)
+            .fold(0.0, f64::max);
+        let _ = writeln!(
+            text,
+            "{name}: {} flights, {wrong} valid and wrong, {share:.1} % of the time valid, largest \
+             error {worst:.2} of the allowed one",
+            of_kind.len()
+        );
+    }
+    let wrong = outcomes.iter().filter(|outcome| outcome.wrong > 0);
+    let mut failed = String::new();
+    for Outcome {
+        name,
+        wrong,
+        worst,
+        first_s,
+        ..
+    } in wrong
+    {
+        let first_s = first_s.unwrap_or_default();
+        let _ = writeln!(
+            failed,
+            "{name}: {wrong} samples valid and wrong from {first_s:.2} s on, by up to {worst:.2} \
+             of the allowed error"
+        );
+    }
+    if failed.is_empty() {
+        Ok(text)
+    } else {
+        Err(format!("{text}{failed}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_heading_is_never_valid_and_wrong() {
+        let summary = run(25).expect("the promise");
+        println!("{summary}");
+        // A flag that is never set would keep any promise.
+        for line in summary.lines() {
+            let share = line
+                .split_once("wrong, ")
+                .and_then(|(_, rest)| rest.split_once(' '));
+            let share: f64 = share
+                .and_then(|(share, _)| share.parse().ok())
+                .expect("a share");
+            assert!(share > 8.0, "{line}");
+        }
+    }
+}

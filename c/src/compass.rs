@@ -1,0 +1,149 @@
+//! A pipeline with a compass: the attitude as without one, and a heading beside it.
+
+use aplomb::attitude::Vector3;
+use aplomb::health::BoardFlags;
+use aplomb::pipeline::{CompassPipeline, Snapshot};
+
+use crate::state::{self, AplombCompassPipeline, WithCompass};
+use crate::{AplombBurst, AplombSample, AplombSettings, AplombSnapshot, AplombStatus};
+use crate::{not_null, status_of};
+
+/// Reading of a compass along its own axes. The calibration turns and corrects it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AplombField {
+    /// Magnetic field, µT. One gauss is 100 µT.
+    pub field_ut: [f32; 3],
+    /// Age of the reading's motion against that of the last sample, µs.
+    pub age_us: u32,
+}
+
+/// Starts a pipeline with a compass, in memory with any contents. Attitude, rates and tilt sigma
+/// are those of `AplombPipeline`, to the bit.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_compass_init(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    settings: Option<&AplombSettings>,
+) -> AplombStatus {
+    status_of(start(pipeline, settings))
+}
+
+/// Processes one burst like `aplomb_update_burst`. Writes the attitude with its heading.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_compass_update_burst(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    burst: Option<&AplombBurst>,
+    snapshot: Option<&mut AplombSnapshot>,
+) -> AplombStatus {
+    with(pipeline, burst, snapshot, |pipeline, burst| {
+        let (burst, board) = burst.converted();
+        pipeline.update(&burst, board)
+    })
+}
+
+/// Processes one sample like `aplomb_update_sample`. Writes the attitude with its heading.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_compass_update_sample(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    sample: Option<&AplombSample>,
+    snapshot: Option<&mut AplombSnapshot>,
+) -> AplombStatus {
+    with(pipeline, sample, snapshot, |pipeline, sample| {
+        let mount = pipeline.pipeline().settings().mount();
+        pipeline.update_sample(&sample.converted(mount))
+    })
+}
+
+/// Takes a reading of the compass, after the update of the last sample before it. 50 to 100
+/// readings a second are enough. The next updates use it.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_compass_update_field(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    field: Option<&AplombField>,
+) -> AplombStatus {
+    status_of(update_field(pipeline, field))
+}
+
+fn update_field(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    field: Option<&AplombField>,
+) -> Result<(), AplombStatus> {
+    let field = not_null(field)?;
+    let state = state::with_compass(pipeline)?;
+    let [x, y, z] = field.field_ut;
+    let in_body = state.alignment.apply(Vector3::new(x, y, z));
+    state.pipeline.update_field(in_body, field.age_us);
+    Ok(())
+}
+
+/// Writes the attitude for a time without a sample, as `aplomb_stale` does. The heading is the last
+/// one, without `APLOMB_FLAG_HEADING_VALID`.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_compass_stale(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    t_us: u64,
+    snapshot: Option<&mut AplombSnapshot>,
+) -> AplombStatus {
+    with(pipeline, Some(&t_us), snapshot, |pipeline, t_us| {
+        pipeline.pipeline().stale(*t_us, BoardFlags::empty())
+    })
+}
+
+/// Switches between ground and flight like `aplomb_set_armed`.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_compass_set_armed(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    is_armed: bool,
+) -> AplombStatus {
+    let state = state::with_compass(pipeline);
+    status_of(state.map(|state| state.pipeline.pipeline_mut().set_armed(is_armed)))
+}
+
+/// Stores a pipeline with these settings. Moves it as little as possible: it is large for a stack.
+fn start(
+    state: Option<&mut AplombCompassPipeline>,
+    settings: Option<&AplombSettings>,
+) -> Result<(), AplombStatus> {
+    let (state, settings) = (not_null(state)?, not_null(settings)?);
+    let alignment = settings.compass_alignment()?;
+    let knowledge = settings.compass_knowledge(&alignment)?;
+    let declination_rad = settings.declination()?;
+    let checked = settings.checked()?;
+    let accelerometer = settings.accelerometer()?;
+    state.put(WithCompass {
+        pipeline: CompassPipeline::new(&checked, knowledge),
+        alignment,
+    });
+    let stored = &mut state::with_compass(Some(state))?.pipeline;
+    stored.heading_filter_mut().set_declination(declination_rad);
+    if let Some(knowledge) = accelerometer {
+        stored.pipeline_mut().set_accelerometer_knowledge(knowledge);
+    }
+    Ok(())
+}
+
+/// Calls a function of the pipeline with this input, and writes its snapshot with the heading.
+fn with<I>(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    input: Option<&I>,
+    snapshot: Option<&mut AplombSnapshot>,
+    call: impl FnOnce(&mut CompassPipeline, &I) -> Snapshot,
+) -> AplombStatus {
+    status_of((|| {
+        let (input, out) = (not_null(input)?, not_null(snapshot)?);
+        let pipeline = &mut state::with_compass(pipeline)?.pipeline;
+        *out = call(pipeline, input).into();
+        if let Some(heading) = pipeline.heading() {
+            out.heading_rad = heading.heading_rad(out.yaw_rad);
+            out.heading_sigma_rad = heading.sigma_rad;
+            out.yaw_offset_rad = heading.yaw_offset_rad;
+        }
+        Ok(())
+    })())
+}

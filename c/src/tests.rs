@@ -1,0 +1,113 @@
+//! Drives every function of the boundary from Rust, so that Miri can watch its `unsafe` code.
+//! `tests/c/boundary.c` does more, under the sanitizers.
+
+use super::*;
+
+/// Bytes by chance, the same in each run.
+struct Chance(u32);
+
+impl Chance {
+    fn next(&mut self) -> u32 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        self.0 >> 8
+    }
+
+    fn bytes<const COUNT: usize>(&mut self) -> [u8; COUNT] {
+        [0; COUNT].map(|_: u8| self.next() as u8)
+    }
+
+    fn numbers(&mut self) -> [f32; 3] {
+        [0; 3].map(|_: u8| f32::from_bits(self.next() << 8))
+    }
+
+    fn burst(&mut self, t_us: u64) -> AplombBurst {
+        AplombBurst {
+            captured_at_us: t_us,
+            bytes: self.bytes(),
+            board_flags: self.next(),
+            ..AplombBurst::default()
+        }
+    }
+
+    fn sample(&mut self, t_us: u64) -> AplombSample {
+        AplombSample {
+            t_us,
+            specific_force_m_s2: self.numbers(),
+            angular_rate_rad_s: self.numbers(),
+            is_force_saturated: self.next() as u8,
+            is_rate_saturated: self.next() as u8,
+        }
+    }
+}
+
+/// Memory with any contents.
+const fn memory() -> (AplombPipeline, AplombCompassPipeline) {
+    let plain = AplombPipeline {
+        opaque: [0xAA; APLOMB_PIPELINE_WORDS],
+    };
+    let with_compass = AplombCompassPipeline {
+        opaque: [0xAA; APLOMB_COMPASS_PIPELINE_WORDS],
+    };
+    (plain, with_compass)
+}
+
+#[test]
+fn updates_by_chance_give_finite_attitudes() {
+    let settings = aplomb_default_settings();
+    let (mut plain, mut compass) = memory();
+    let (mut snapshot, mut other) = (AplombSnapshot::default(), AplombSnapshot::default());
+    let refused = aplomb_stale(Some(&mut plain), 0, Some(&mut snapshot));
+    assert_eq!(refused, AplombStatus::NotInitialised);
+    let started = aplomb_init(Some(&mut plain), Some(&settings));
+    let with_compass = aplomb_compass_init(Some(&mut compass), Some(&settings));
+    assert_eq!(
+        (started, with_compass),
+        (AplombStatus::Ok, AplombStatus::Ok)
+    );
+    let mut chance = Chance(1);
+    for index in 1..100 {
+        let burst = chance.burst(2_000 * index);
+        let sample = chance.sample(2_000 * index + 1_000);
+        let field = AplombField {
+            field_ut: chance.numbers(),
+            age_us: chance.next(),
+        };
+        let statuses = [
+            aplomb_update_burst(Some(&mut plain), Some(&burst), Some(&mut other)),
+            aplomb_compass_update_burst(Some(&mut compass), Some(&burst), Some(&mut snapshot)),
+            aplomb_update_sample(Some(&mut plain), Some(&sample), Some(&mut other)),
+            aplomb_compass_update_sample(Some(&mut compass), Some(&sample), Some(&mut snapshot)),
+            aplomb_compass_update_field(Some(&mut compass), Some(&field)),
+        ];
+        assert_eq!(statuses, [AplombStatus::Ok; 5]);
+        assert!(snapshot.attitude.into_iter().all(f32::is_finite));
+        assert_eq!(snapshot.attitude, other.attitude);
+    }
+    // A copy elsewhere goes on.
+    let mut copy = compass;
+    aplomb_compass_set_armed(Some(&mut copy), true);
+    aplomb_compass_stale(Some(&mut copy), 1_000_000, Some(&mut other));
+    assert_eq!(snapshot.attitude, other.attitude);
+}
+
+#[test]
+fn a_record_by_chance_is_none_and_a_good_one_reads_back() {
+    let mut chance = Chance(2);
+    let mut found = AplombCalibration::default();
+    let mut record = AplombRecord {
+        bytes: chance.bytes(),
+    };
+    let status = aplomb_decode_record(Some(&record), Some(&mut found));
+    assert_eq!(status, AplombStatus::NoRecord);
+    let given = AplombCalibration {
+        mount: mount::padded("+y-z"),
+        has_compass: 1,
+        compass_matrix: [1.0, 0.5, 0.0, 0.5, 1.0, 0.0, 0.0, 0.25, 1.0],
+        compass_hard_iron_ut: [10.0, -20.0, 30.0],
+        ..AplombCalibration::default()
+    };
+    let status = aplomb_encode_record(Some(&given), Some(&mut record));
+    assert_eq!(status, AplombStatus::Ok);
+    let status = aplomb_decode_record(Some(&record), Some(&mut found));
+    assert_eq!((status, found), (AplombStatus::Ok, given));
+}

@@ -1,0 +1,111 @@
+//! Samples of a recording, as register counts.
+
+use std::error::Error;
+
+use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, RawSample};
+use aplomb::telemetry::bursts;
+use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
+use aplomb_recordings::counts::counts;
+use aplomb_recordings::log::{Lines, Row, Rows};
+
+/// Sample of a recording.
+pub struct Sample {
+    /// Time, µs.
+    pub t_us: i64,
+    /// Register counts.
+    pub raw: RawSample,
+    /// New reading of the compass, µT in sensor axes.
+    pub field_ut: Option<[f64; 3]>,
+}
+
+/// Returns the samples of bursts, after their header.
+pub fn read_bursts(lines: &mut Lines) -> Result<Vec<Sample>, Box<dyn Error>> {
+    let mut samples = Vec::new();
+    while let Some(line) = lines.next_line()? {
+        let (burst, _) =
+            bursts::decode(line).map_err(|reason| format!("{}: {reason}", lines.place()))?;
+        let t_us = i64::try_from(burst.captured_at_us)
+            .map_err(|reason| format!("{}: t_us: {reason}", lines.place()))?;
+        let raw = RawSample::decode(&burst.bytes);
+        samples.push(Sample {
+            t_us,
+            raw,
+            field_ut: None,
+        });
+    }
+    Ok(samples)
+}
+
+/// Returns the rows with the numbers of their lines.
+pub fn read_rows(mut reader: Rows) -> Result<Vec<(u64, Row)>, Box<dyn Error>> {
+    let mut rows = Vec::new();
+    while let Some(row) = reader.next_row()? {
+        rows.push((reader.line(), row));
+    }
+    Ok(rows)
+}
+
+/// Returns the smallest ranges that hold a log's values.
+pub fn finest_config(rows: &[(u64, Row)]) -> Result<Config, String> {
+    let largest = |values: fn(&Row) -> [f64; 3]| {
+        rows.iter()
+            .flat_map(|(_, row)| values(row))
+            .fold(0.0_f64, |largest, value| largest.max(value.abs()))
+    };
+    let g = largest(|row| row.specific_force_m_s2) / f64::from(STANDARD_GRAVITY_M_S2);
+    let degrees_s = largest(|row| row.rates_rad_s) * f64::from(DEGREES_PER_RADIAN);
+    let fits = |value: f64, counts: f32| value * f64::from(counts) < 32_767.0;
+    let accelerometer_range = AccelerometerRange::ALL
+        .into_iter()
+        .find(|range| fits(g, range.counts_per_g()))
+        .ok_or_else(|| {
+            format!(
+                "{g:.0} g is more than any range of the sensor: if the log holds counts, add --raw"
+            )
+        })?;
+    let gyroscope_range = GyroscopeRange::ALL
+        .into_iter()
+        .find(|range| fits(degrees_s, range.counts_per_degree_s()))
+        .ok_or_else(|| {
+            format!(
+                "{degrees_s:.0} °/s is more than any range of the sensor: \
+                 if the log holds counts, add --raw"
+            )
+        })?;
+    Ok(Config::DEFAULT
+        .with_accelerometer_range(accelerometer_range)
+        .with_gyroscope_range(gyroscope_range))
+}
+
+/// Converts rows to counts. The error has the line of the fault.
+pub fn to_samples(
+    rows: &[(u64, Row)],
+    config: &Config,
+    is_raw: bool,
+) -> Result<Vec<Sample>, (u64, String)> {
+    let per_m_s2 =
+        f64::from(config.accelerometer_range.counts_per_g()) / f64::from(STANDARD_GRAVITY_M_S2);
+    let per_rad_s =
+        f64::from(config.gyroscope_range.counts_per_degree_s()) * f64::from(DEGREES_PER_RADIAN);
+    let to_sample = |(line, row): &(u64, Row)| {
+        let [accelerometer, gyroscope] = if is_raw {
+            counts(row).map_err(|reason| (*line, reason))?
+        } else {
+            [
+                row.specific_force_m_s2
+                    .map(|value| (value * per_m_s2).round() as i16),
+                row.rates_rad_s
+                    .map(|value| (value * per_rad_s).round() as i16),
+            ]
+        };
+        let mut raw = RawSample::default();
+        raw.accelerometer.0 = accelerometer;
+        raw.gyroscope.0 = gyroscope;
+        Ok(Sample {
+            t_us: row.time_us,
+            raw,
+            field_ut: row.field_ut,
+        })
+    };
+    rows.iter().map(to_sample).collect()
+}

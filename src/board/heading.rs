@@ -1,0 +1,154 @@
+//! Heading beside the attitude: the filter, and its published estimate.
+//!
+//! The attitude task publishes the attitude first. Then the filter follows, and a new estimate is
+//! published, about five times a second. Deadline: that of the attitude task. No attitude waits
+//! for it. Without a reading of a compass the filter does not run, and a sample costs the check of
+//! a flag.
+//!
+//! # Publication
+//!
+//! A debugger reads the symbol `APLOMB_HEADING`. Its content is words of four bytes:
+//!
+//! | offset | content |
+//! |---|---|
+//! | 0 | time of the sample at which the estimate changed, µs, low word first; 0: not running |
+//! | 8 | heading minus yaw, rad, as `f32` |
+//! | 12 | σ of the heading, rad, as `f32` |
+//! | 16 | 0: unknown, 1: known, 3: known and valid while the attitude is valid |
+//! | 20 | number of publications |
+//!
+//! The attitude task alone writes it, the number last, as with `APLOMB_SNAPSHOT`.
+
+use core::mem::offset_of;
+use core::sync::atomic::{AtomicU32, Ordering, fence};
+
+use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
+use crate::pipeline::Pipeline;
+use crate::units::MagneticField;
+
+/// Bits of the published state.
+const KNOWN: u32 = 1;
+const VALID: u32 = 2;
+
+/// Heading filter of the attitude task.
+pub struct HeadingTask {
+    filter: Heading,
+    /// True from the first reading on.
+    is_running: bool,
+    /// Number of the estimate that was published.
+    published: u8,
+}
+
+impl HeadingTask {
+    /// Creates the task. The filter waits for a reading.
+    pub fn new(knowledge: CompassKnowledge) -> Self {
+        let filter = Heading::new(knowledge);
+        Self {
+            published: filter.changes(),
+            filter,
+            is_running: false,
+        }
+    }
+
+    /// Returns whether the filter has to follow each sample.
+    pub const fn is_running(&self) -> bool {
+        self.is_running
+    }
+
+    /// Lets the filter follow the last sample. Call it after each update of the pipeline.
+    #[inline(always)]
+    pub fn follow(&mut self, pipeline: &Pipeline) {
+        if self.is_running {
+            pipeline.lead(&mut self.filter);
+            if self.filter.changes() != self.published {
+                self.publish(pipeline);
+            }
+        }
+    }
+
+    /// Adds a reading that was measured at this time on the microsecond timer.
+    #[inline(never)]
+    pub fn add_reading(&mut self, pipeline: &Pipeline, field: MagneticField, measured_us: u32) {
+        self.is_running = true;
+        let age_us = pipeline.reading_age_us(measured_us);
+        self.filter.add_field(field, age_us);
+    }
+
+    /// Starts the filter again with this knowledge, and publishes that no heading is known. This
+    /// takes some 25 µs, so it is for commands, not for the attitude task.
+    pub fn restart(&mut self, knowledge: CompassKnowledge) {
+        if self.is_running {
+            store(0, None);
+        }
+        *self = Self::new(knowledge);
+    }
+
+    #[inline(never)]
+    fn publish(&mut self, pipeline: &Pipeline) {
+        self.published = self.filter.changes();
+        store(pipeline.sample().t_us, self.filter.estimate());
+    }
+}
+
+/// Words of an estimate.
+const WORDS: usize = 5;
+
+#[repr(C)]
+struct Published {
+    /// Estimate, word by word.
+    words: [AtomicU32; WORDS],
+    /// Number of publications, zero until the first.
+    sequence: AtomicU32,
+}
+
+const _: () = assert!(offset_of!(Published, sequence) == 20);
+
+/// Latest estimate. A debugger reads it by this symbol.
+#[unsafe(no_mangle)]
+static APLOMB_HEADING: Published = Published {
+    words: [const { AtomicU32::new(0) }; WORDS],
+    sequence: AtomicU32::new(0),
+};
+
+/// Publishes an estimate. Only the attitude task, or a task that holds its lock, calls this.
+fn store(t_us: u64, estimate: Option<HeadingEstimate>) {
+    let (offset_rad, sigma_rad, state) = match estimate {
+        None => (0.0, 0.0, 0),
+        Some(estimate) => (
+            estimate.yaw_offset_rad,
+            estimate.sigma_rad,
+            KNOWN | if estimate.is_valid { VALID } else { 0 },
+        ),
+    };
+    let [low, high, offset, sigma, known] = &APLOMB_HEADING.words;
+    let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);
+    store(low, t_us as u32);
+    store(high, (t_us >> 32) as u32);
+    store(offset, offset_rad.to_bits());
+    store(sigma, sigma_rad.to_bits());
+    store(known, state);
+    let sequence = APLOMB_HEADING.sequence.load(Ordering::Relaxed);
+    let next = sequence.wrapping_add(1);
+    APLOMB_HEADING.sequence.store(next, Ordering::Release);
+}
+
+/// Returns the latest heading; `None` while it is unknown. Only for tasks of lower priority than
+/// the attitude task.
+pub fn latest() -> Option<HeadingEstimate> {
+    loop {
+        let before = APLOMB_HEADING.sequence.load(Ordering::Acquire);
+        let [_, _, offset, sigma, state] = APLOMB_HEADING
+            .words
+            .each_ref()
+            .map(|word| word.load(Ordering::Relaxed));
+        // The copy is complete before the count is read again.
+        fence(Ordering::Acquire);
+        if APLOMB_HEADING.sequence.load(Ordering::Relaxed) == before {
+            return (state & KNOWN != 0).then_some(HeadingEstimate {
+                yaw_offset_rad: f32::from_bits(offset),
+                sigma_rad: f32::from_bits(sigma),
+                is_valid: state & VALID != 0,
+            });
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! The heading of the real image against the truth: in flight, with faults of the compass, and
+//! without a compass.
+
+mod common;
+
+use aplomb::attitude::Vector3;
+use aplomb::calibration::CompassCorrection;
+use aplomb::estimator::heading::HeadingEstimate;
+use aplomb::health::Flags;
+use aplomb::mpu6050::{Burst, PARTS};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::settings::Record;
+use aplomb::telemetry::heading;
+use aplomb_models::compass::CompassConfig;
+use aplomb_models::motion::Mount;
+use aplomb_models::motion::geometry::Vector;
+use aplomb_models::motion::rest::Rest;
+use common::firmware;
+use virtual_board::flight::{Outcome, Run};
+use virtual_board::kit::Kit;
+use virtual_board::recorder::Sample;
+use virtual_board::schedule::Schedule;
+use virtual_board::slots::Slots;
+use virtual_board::summary::valid_heading_deg;
+
+/// Both boards with a compass.
+const KITS: [Kit; 2] = [Kit::Gy87, Kit::Mpu9250];
+
+/// The inverse of a matrix, by Cramer's rule.
+fn inverse([a, b, c]: [Vector; 3]) -> [Vector; 3] {
+    let cross = |u: Vector, v: Vector| {
+        [
+            u[1] * v[2] - u[2] * v[1],
+            u[2] * v[0] - u[0] * v[2],
+            u[0] * v[1] - u[1] * v[0],
+        ]
+    };
+    let columns = [cross(b, c), cross(c, a), cross(a, b)];
+    let determinant: f64 = a.iter().zip(columns[0]).map(|(a, b)| a * b).sum();
+    [0, 1, 2].map(|row| columns.map(|column| column[row] / determinant))
+}
+
+/// The slots of a module whose compass was calibrated exactly.
+fn calibrated(config: &CompassConfig) -> Vec<u8> {
+    let vector = |[x, y, z]: Vector| Vector3::new(x as f32, y as f32, z as f32);
+    let matrix = inverse(config.magnetism.soft_iron).map(vector);
+    let iron = vector(config.magnetism.hard_iron_ut);
+    let [x, y, z] = matrix.map(|row| row.dot(iron));
+    let mut record = Record::default();
+    record.compass.correction = Some(CompassCorrection {
+        matrix,
+        hard_iron_ut: Vector3::new(x, y, z),
+    });
+    Slots::with_record(&record).0
+}
+
+/// A flight with this kit, whose compass was calibrated.
+fn calibrated_flight(kit: Kit, seed: u64) -> Run {
+    let config = kit.compass(seed, Mount::default()).unwrap();
+    Run::new(firmware())
+        .kit(kit)
+        .seed(seed)
+        .flash(calibrated(&config))
+        .without_probe()
+}
+
+/// The share of samples with a valid heading from this time on. No valid heading is wrong by more
+/// than the larger of 15° and six σ.
+fn valid_share(outcome: &Outcome, from_s: f64) -> f64 {
+    let (mut all, mut valid) = (0, 0);
+    for sample in outcome.samples() {
+        let is_late = sample.published_ns as f64 * 1e-9 > from_s;
+        all += u32::from(is_late);
+        let Some(heading) = sample.valid_heading() else {
+            continue;
+        };
+        valid += u32::from(is_late);
+        let error_deg = valid_heading_deg(sample).unwrap();
+        let sigma_deg = f64::from(heading.sigma_rad).to_degrees();
+        assert!(
+            error_deg <= (6.0 * sigma_deg).max(15.0),
+            "{error_deg} with {sigma_deg} at {} us",
+            sample.snapshot.t_us
+        );
+    }
+    f64::from(valid) / f64::from(all)
+}
+
+/// The samples from this time on, s.
+fn after(outcome: &Outcome, from_s: f64) -> impl Iterator<Item = &Sample> {
+    let samples = outcome.samples().iter();
+    samples.filter(move |sample| sample.published_ns as f64 * 1e-9 > from_s)
+}
+
+#[test]
+fn a_calibrated_compass_gives_a_valid_heading_within_seconds_of_motion() {
+    for kit in KITS {
+        let outcome = calibrated_flight(kit, 4).seconds(20.0).run().unwrap();
+        assert_eq!(outcome.issues, Vec::<String>::new());
+        let share = valid_share(&outcome, 10.0);
+        assert!(share > 0.98, "{kit:?}: {share}");
+        let summary = &outcome.summary;
+        assert!(summary.heading_rms_deg < Some(4.0), "{kit:?} {summary:?}");
+        // The text has it.
+        let lines = outcome.uart_lines.iter();
+        let lines: Vec<heading::Line> = lines.filter_map(|it| heading::decode(&it.text)).collect();
+        assert!(lines.len() > 400, "{}", lines.len());
+        let last = lines.last().unwrap();
+        assert!(last.is_valid, "{last:?}");
+        let (sample, heading) = (outcome.samples().last().unwrap(), last_heading(&outcome));
+        let expected = heading::Line::new(&sample.snapshot, &heading);
+        let error_deg = (last.heading_deg - expected.heading_deg + 540.0) % 360.0 - 180.0;
+        assert!(error_deg.abs() < 3.0, "{last:?} {expected:?}");
+        assert!(outcome.uart_reports("attitude: VALID|HEADING_VALID"));
+    }
+}
+
+fn last_heading(outcome: &Outcome) -> HeadingEstimate {
+    outcome.samples().last().unwrap().heading.unwrap()
+}
+
+/// The hard iron is found in flight.
+#[test]
+fn a_compass_that_nobody_calibrated_gives_a_heading_in_flight() {
+    for kit in KITS {
+        let run = Run::new(firmware()).kit(kit).seed(2).without_probe();
+        let outcome = run.without_account().seconds(30.0).run().unwrap();
+        let share = valid_share(&outcome, 20.0);
+        assert!(share > 0.9, "{kit:?}: {share}");
+    }
+}
+
+/// The attitude comes first, and is that without a compass.
+#[test]
+fn budgets_hold_with_a_heading() {
+    for kit in KITS {
+        let outcome = calibrated_flight(kit, 3).seconds(10.0).run().unwrap();
+        let summary = &outcome.summary;
+        assert_eq!(summary.missed, 0);
+        assert!(
+            summary.edge_to_attitude_us_max <= Some(395.0),
+            "{kit:?} {summary:?}"
+        );
+        assert!(
+            summary.instructions_per_sample_mean <= Some(1_400.0),
+            "{kit:?} {summary:?}"
+        );
+        assert!(
+            summary.instructions_per_sample_max <= Some(6_000),
+            "{kit:?} {summary:?}"
+        );
+        let steady = after(&outcome, 2.0).filter_map(|sample| sample.instructions);
+        let worst = steady.max().unwrap();
+        assert!(worst <= 3_000, "{kit:?} {worst}");
+        let who_am_i = kit.who_am_i();
+        let part = PARTS.iter().find(|part| part.who_am_i == who_am_i).unwrap();
+        let mut pipeline = Pipeline::new(&Settings::new(part));
+        for sample in outcome.samples() {
+            let flags = sample.snapshot.flags;
+            let burst = Burst {
+                bytes: sample.burst.bytes,
+                captured_at_us: sample.snapshot.t_us,
+                missed_before: u8::from(flags.contains(Flags::MISSED)),
+            };
+            let board = aplomb::health::BoardFlags::from_bits_truncate(flags.bits());
+            assert_eq!(pipeline.update(&burst, board), sample.snapshot, "{kit:?}");
+        }
+    }
+}
+
+#[test]
+fn without_a_compass_there_is_no_heading() {
+    let run = Run::new(firmware()).seconds(6.0).seed(3).without_probe();
+    let outcome = run.without_account().command(3.0, "status").run().unwrap();
+    assert!(outcome.samples().len() > 5_000);
+    assert!(
+        outcome
+            .samples()
+            .iter()
+            .all(|sample| sample.heading.is_none())
+    );
+    assert!(!outcome.uart_reports("heading"));
+    assert!(!outcome.uart_reports("HEADING"));
+}
+
+/// A heading without readings is valid for a second and a little more. It comes back by itself.
+#[test]
+fn no_fault_of_the_compass_gives_a_wrong_valid_heading() {
+    for (name, lasts_s) in [
+        ("compass-silent", 3.0),
+        ("compass-frozen", 3.0),
+        ("compass-overflow", 3.0),
+        ("compass-garbled", 3.0),
+        ("compass-stall", 0.02),
+    ] {
+        let text = format!("6.0 {lasts_s} {name}");
+        let outcome = calibrated_flight(Kit::Gy87, 5)
+            .schedule(&Schedule::parse("test", &text).unwrap())
+            .without_account()
+            .seconds(13.0)
+            .run()
+            .unwrap();
+        let share = valid_share(&outcome, 11.5);
+        assert!(share > 0.98, "{name}: {share}");
+        if lasts_s > 1.0 {
+            let during = after(&outcome, 8.3);
+            let during = during.take_while(|sample| sample.published_ns < 8_900_000_000);
+            let valid = during.filter(|sample| sample.valid_heading().is_some());
+            assert_eq!(valid.count(), 0, "{name}");
+            assert!(
+                outcome.uart_reports("attitude: VALID|COMPASS_FAULT"),
+                "{name}"
+            );
+        }
+    }
+}
+
+#[test]
+fn commands_that_change_the_compass_restart_the_heading() {
+    let config = Kit::Gy87.compass(1, Mount::default()).unwrap();
+    let outcome = Run::new(firmware())
+        .kit(Kit::Gy87)
+        .motion(Rest::level())
+        .flash(calibrated(&config))
+        .command(4.0, "status")
+        .command(4.5, "compass off")
+        .command(5.0, "status")
+        .command(5.5, "compass auto")
+        .without_probe()
+        .without_account()
+        .seconds(9.0)
+        .run()
+        .unwrap();
+    let statuses: Vec<&str> = outcome
+        .uart_lines
+        .iter()
+        .map(|line| line.text.as_str())
+        .filter(|line| line.contains("ok status: flags="))
+        .collect();
+    // At rest the heading is known, but nothing tells it from that of a magnet.
+    assert!(!statuses[0].contains("HEADING"), "{statuses:?}");
+    let known = after(&outcome, 3.5).take_while(|sample| sample.published_ns < 4_400_000_000);
+    let known: Vec<bool> = known.map(|sample| sample.heading.is_some()).collect();
+    assert!(known.len() > 500 && known.iter().all(|is_known| *is_known));
+    assert!(!statuses[1].contains("HEADING"), "{statuses:?}");
+    let off = after(&outcome, 4.7).take_while(|sample| sample.published_ns < 5_600_000_000);
+    assert_eq!(off.filter(|sample| sample.heading.is_some()).count(), 0);
+    // The correction is lost with the command. At rest nothing tells hard iron from the field.
+    assert_eq!(
+        after(&outcome, 3.5)
+            .filter(|it| it.valid_heading().is_some())
+            .count(),
+        0
+    );
+}
