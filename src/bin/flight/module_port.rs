@@ -101,14 +101,17 @@ where
     fn set_calibration(&mut self, calibration: &Calibration) {
         self.requests
             .lock(|requests| requests.calibration = *calibration);
+        let mut has_other_axes = false;
         self.changed_at = self.estimation.lock(|estimation| {
             let pipeline = estimation.pipeline.as_mut()?;
-            let has_other_axes = pipeline.set_calibration(calibration);
-            if compass::IS_BUILT_IN && has_other_axes {
-                estimation.compass.restart_heading();
-            }
+            has_other_axes = pipeline.set_calibration(calibration);
             Some(BURST_COUNT.load(Ordering::Relaxed))
         });
+        // A lock of its own: the attitude task waits for one restart, not for both.
+        if compass::IS_BUILT_IN && has_other_axes {
+            self.estimation
+                .lock(|estimation| estimation.compass.restart_heading());
+        }
     }
 
     fn set_compass(&mut self, settings: &CompassSettings, imu_mount: Mount) {
@@ -121,8 +124,9 @@ where
             if compass.choice() != settings.choice {
                 compass.choose(settings.choice);
             }
-            compass.set_alignment(alignment);
         });
+        self.estimation
+            .lock(|estimation| estimation.compass.set_alignment(alignment));
     }
 
     fn start_compass_fitter(&mut self) {
