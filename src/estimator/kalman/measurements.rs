@@ -231,11 +231,19 @@ impl Kalman {
             return;
         }
         self.held_tilt_rad2 = self.covariance_tilt_variance();
+        let mut walk = square(tuning.gyroscope_bias_walk) * duration_s;
+        if let Some(change) = self.consistency.take_contradiction() {
+            walk += change.bias_variance;
+            self.interval.unseen_tilt_rad2 += change.tilt_rad2;
+            self.prior.variance = self
+                .prior
+                .variance
+                .map(|prior| prior + change.bias_variance);
+        }
         let covariance = &mut self.step.covariance;
         let mut bias = 0.0;
         for axis in 0..3 {
             bias += covariance.parameter_variance(axis);
-            let walk = square(tuning.gyroscope_bias_walk) * duration_s;
             covariance.add_to_parameter(axis, walk);
         }
         let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);

@@ -52,8 +52,9 @@
 //!   filter restarts at that rest.
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show.
-//! - An offset that changes in motion is not noticed at once: in flight a tilt error of some
-//!   degrees looks like an acceleration.
+//! - An offset that changes in motion shows within seconds, because corrections add up that should
+//!   not ([`consistency`](self)). Then bias and tilt are uncertain again. It takes seconds because
+//!   a tilt error of some degrees looks like an acceleration.
 //! - Only a rest, of this run or an earlier one, makes the bias known ([`Filter::is_bias_known`]).
 //!   In motion, a large bias about the vertical can mislead the filter, and its σ too.
 //! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
@@ -68,6 +69,7 @@
 //! covariance included, and 750 at worst. At 100 Hz the worst case is 1,100. No loop's length
 //! depends on data.
 
+mod consistency;
 mod covariance;
 pub(super) mod follow;
 mod init;
@@ -95,6 +97,7 @@ use super::sample::Sample;
 use crate::attitude::{Quaternion, Vector3};
 use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+use consistency::Consistency;
 use covariance::Column;
 use nominal::NominalState;
 use prior::{BiasPrior, ParameterPriors};
@@ -156,6 +159,7 @@ pub struct Kalman {
     interval: Interval,
     stationary: StationaryDetector,
     recent: RecentVelocity,
+    consistency: Consistency,
     prior: BiasPrior,
     /// Mean specific force in earth axes over the recovery time, m/s².
     mean_force_m_s2: Vector3,
@@ -280,6 +284,7 @@ impl Kalman {
             interval: Interval::EMPTY,
             stationary: StationaryDetector::new(),
             recent: RecentVelocity::NONE,
+            consistency: Consistency::NONE,
             rest_watch: RestWatch::NONE,
             accelerometer_m_s2,
             prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
@@ -350,7 +355,11 @@ impl Kalman {
             match self.step.slice() {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
-                Progress::Propagated | Progress::Checked => self.watch_rest(),
+                Progress::Propagated => self.watch_rest(),
+                Progress::Checked => {
+                    self.watch_rest();
+                    self.watch_corrections();
+                }
                 Progress::Relaxing => self.relax_parameter(self.step.duration_s()),
                 Progress::Predicted => {
                     self.held_tilt_rad2 = self.step.tilt_variance_rad2();
@@ -363,6 +372,17 @@ impl Kalman {
                 return;
             }
         }
+    }
+
+    /// Adds the step's correction of the tilt to those that have to stay consistent.
+    fn watch_corrections(&mut self) {
+        let [north, east, ..] = self.step.correction.dynamic;
+        let body = self.nominal.attitude.conjugate();
+        self.consistency.add(
+            body.rotate(Vector3::new(north, east, 0.0)),
+            self.held_tilt_rad2 - self.step.tilt_variance_rad2(),
+            self.step.duration_s(),
+        );
     }
 
     /// Moves the correction of the covariance step, propagated to the present, into the nominal
@@ -496,6 +516,7 @@ impl Kalman {
         self.interval.visit_state(visitor);
         self.stationary.visit_state(visitor);
         self.recent.visit_state(visitor);
+        self.consistency.visit_state(visitor);
         self.rest_watch.visit_state(visitor);
         visitor.f32(&mut self.accelerometer_m_s2);
         self.prior.visit_state(visitor);

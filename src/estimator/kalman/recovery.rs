@@ -1,6 +1,7 @@
 //! Restarts: at a rest that contradicts the state, from a tilt that the linear model cannot
 //! correct, from unusable numbers.
 
+use super::consistency::Consistency;
 use super::measurements::STATIONARY_FORCE_SHARE;
 use super::prior::WarmStart;
 use super::recent_velocity::RecentVelocity;
@@ -45,6 +46,7 @@ impl Kalman {
         self.nominal.reset_parameters();
         let priors = self.parameter_priors();
         self.step.covariance.reset_parameters(&priors);
+        self.consistency = Consistency::NONE;
         self.resume(&WarmStart {
             attitude: self.nominal.attitude,
             tilt_sigma_rad,

@@ -790,7 +790,21 @@ fn three_sigma_hold_99_percent_of_the_errors() {
 
 #[test]
 fn implausible_readings_leave_a_filter_that_recovers() {
-    let mut random = Random(11);
+    let (mut rests, mut slow) = (0, 0);
+    for seed in 1..40 {
+        let errors_deg = rests_after_implausible_readings(seed);
+        rests += errors_deg.len();
+        slow += errors_deg.iter().filter(|error| **error > 2.0).count();
+    }
+    // After 12 s a few still converge.
+    assert!(50 * slow < rests, "{slow} of {rests}");
+}
+
+/// Feeds readings that no sensor delivers, with rests of 12 s between them. Returns the tilt errors
+/// at the ends of the rests, degrees.
+fn rests_after_implausible_readings(seed: u64) -> Vec<f32> {
+    let mut errors_deg = Vec::new();
+    let mut random = Random(seed);
     let mut estimator = estimator();
     let mut t_us = 0_u64;
     for round in 0..200 {
@@ -829,18 +843,17 @@ fn implausible_readings_leave_a_filter_that_recovers() {
             let estimate = world.run(&mut estimator, 12_000);
             let error = world.tilt_error_degrees(estimate.attitude);
             let filter = filter(&estimator);
+            let promised = (6.0 * filter.tilt_sigma_rad().to_degrees()).max(5.0);
             assert!(
-                error < 2.0,
-                "round {round}: {error} {:?} {:?} {:?} {:?}",
-                filter.nominal,
-                filter.recent,
-                filter.tilt_sigma_rad(),
-                filter.bias_sigma_rad_s()
+                error < promised,
+                "round {round} of {seed}: {error}, {promised}"
             );
+            errors_deg.push(error);
             assert!(is_positive(&dense(&filter.step.covariance)));
             t_us = world.t_us;
         }
     }
+    errors_deg
 }
 
 #[test]
