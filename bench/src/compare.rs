@@ -191,7 +191,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
 fn of_simulations(options: &Options) -> Result<Option<String>, Box<dyn Error>> {
     Ok(if let Some(seconds) = options.long {
         let seeds: Vec<u64> = EVALUATION_SEEDS.take(LONG_FLIGHTS).collect();
-        Some(long::table(&seeds, seconds))
+        Some(long::table(&seeds, seconds, print_line))
     } else if let Some(runs) = options.heading_promise {
         Some(promise::run(runs)?)
     } else {

@@ -1,7 +1,5 @@
 //! Long simulated flights through the whole pipeline, in memory: the attitude must stay right.
 
-use std::fmt::Write as _;
-
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, Part};
 use aplomb::pipeline::{Pipeline, Settings};
@@ -46,6 +44,18 @@ impl Score {
         self.within_3_sigma as f64 / self.rows as f64
     }
 
+    /// Returns the scores of this part and another together.
+    fn with(self, other: &Self) -> Self {
+        Self {
+            rows: self.rows + other.rows,
+            squares_deg2: self.squares_deg2 + other.squares_deg2,
+            maximum_deg: self.maximum_deg.max(other.maximum_deg),
+            valid: self.valid + other.valid,
+            within_3_sigma: self.within_3_sigma + other.within_3_sigma,
+            violations: self.violations + other.violations,
+        }
+    }
+
     fn add(&mut self, error_rad: f64, sigma_rad: f64, flags: Flags) {
         let error_deg = error_rad.to_degrees();
         self.rows += 1;
@@ -60,11 +70,12 @@ impl Score {
     }
 }
 
-/// Flies the flight of this seed, and scores each part of `part_s` seconds.
-pub fn fly(seed: u64, seconds: u64, part_s: u64) -> Vec<Score> {
+/// Flies the flight of this seed, and scores each part of `part_s` seconds. Calls `show` with the
+/// number and the score of each part that has ended.
+fn fly(seed: u64, seconds: u64, part_s: u64, show: impl Fn(usize, &Score)) -> Vec<Score> {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
     let parts = seconds.div_ceil(part_s) as usize;
-    let mut scores = vec![Score::default(); parts];
+    let mut scores = vec![Score::default()];
     for simulated in samples(Box::new(Quadrotor::by_seed(seed)), seed, seconds) {
         let burst = Burst {
             bytes: simulated.raw.encode(),
@@ -83,34 +94,75 @@ pub fn fly(seed: u64, seconds: u64, part_s: u64) -> Vec<Score> {
         let up = [up.x, up.y, up.z].map(f64::from);
         let error_rad = angle_between(up, truth::up_in_body(true_attitude));
         let part = (simulated.t_us / (part_s * 1_000_000)) as usize;
+        while scores.len() <= part && scores.len() < parts {
+            if let Some(ended) = scores.last() {
+                show(scores.len(), ended);
+            }
+            scores.push(Score::default());
+        }
         if let Some(score) = scores.get_mut(part) {
             score.add(error_rad, snapshot.tilt_sigma_rad().into(), snapshot.flags);
         }
     }
+    if let Some(ended) = scores.last() {
+        show(scores.len(), ended);
+    }
     scores
 }
 
-/// Flies the flights of these seeds, and returns a table with a row for each hour of each.
-pub fn table(seeds: &[u64], seconds: u64) -> String {
-    let flights = parallel::map_with_bar("flying", seeds, |seed| fly(*seed, seconds, HOUR_S));
-    let mut text = "| seed | hour | rms | largest | `VALID` | within 3 σ | wrong while `VALID` |\n\
-                    |---|---|---|---|---|---|---|\n"
-        .to_owned();
-    for (seed, scores) in seeds.iter().zip(flights) {
-        for (hour, score) in scores.iter().enumerate() {
-            let _ = writeln!(
-                text,
-                "| {seed} | {} | {:.2}° | {:.2}° | {:.3} % | {:.2} % | {} |",
-                hour + 1,
-                score.rms_deg(),
-                score.maximum_deg,
-                100.0 * score.valid_share(),
-                100.0 * score.within_3_sigma(),
-                score.violations
-            );
-        }
+/// First lines of the table with a row for each hour.
+const HOURS_HEADER: &str = "\
+| seed | hour | rms | largest | `VALID` | within 3 σ | wrong while `VALID` |
+|---|---|---|---|---|---|---|";
+
+/// First lines of the table with a row for each flight.
+const FLIGHTS_HEADER: &str = "\
+| seed | `VALID` | rms, hour 2 | rms, last hour | largest | within 3 σ | wrong while `VALID` |
+|---|---|---|---|---|---|---|";
+
+/// Flies the flights of these seeds, and returns a table with a row for each. Calls `show` with a
+/// row of each hour that has ended.
+pub fn table(seeds: &[u64], seconds: u64, show: impl Fn(&str) + Sync) -> String {
+    show(HOURS_HEADER);
+    let flights = parallel::map_with_bar("flying", seeds, |seed| {
+        fly(*seed, seconds, HOUR_S, |hour, score| {
+            show(&hour_row(*seed, hour, score));
+        })
+    });
+    let mut text = format!("\n{FLIGHTS_HEADER}\n");
+    for (seed, hours) in seeds.iter().zip(flights) {
+        text.push_str(&flight_row(*seed, &hours));
     }
     text
+}
+
+/// Returns the row of an hour with [`HOURS_HEADER`].
+fn hour_row(seed: u64, hour: usize, score: &Score) -> String {
+    format!(
+        "| {seed} | {hour} | {:.2}° | {:.2}° | {:.3} % | {:.2} % | {} |",
+        score.rms_deg(),
+        score.maximum_deg,
+        100.0 * score.valid_share(),
+        100.0 * score.within_3_sigma(),
+        score.violations
+    )
+}
+
+/// Returns the row of a flight with [`FLIGHTS_HEADER`].
+fn flight_row(seed: u64, hours: &[Score]) -> String {
+    let rms = |score: Option<&Score>| {
+        score.map_or("–".to_owned(), |score| format!("{:.2}°", score.rms_deg()))
+    };
+    let flight = hours.iter().fold(Score::default(), Score::with);
+    format!(
+        "| {seed} | {:.3} % | {} | {} | {:.2}° | {:.2} % | {} |\n",
+        100.0 * flight.valid_share(),
+        rms(hours.get(1)),
+        rms(hours.last()),
+        flight.maximum_deg,
+        100.0 * flight.within_3_sigma(),
+        flight.violations
+    )
 }
 
 #[cfg(test)]
@@ -124,7 +176,7 @@ mod tests {
         const QUARTER_S: u64 = HOUR_S / 4;
         // Seeds that nothing was tuned on.
         let seeds = [5_001, 5_002];
-        let flights = parallel::map(&seeds, |seed| fly(*seed, HOUR_S, QUARTER_S));
+        let flights = parallel::map(&seeds, |seed| fly(*seed, HOUR_S, QUARTER_S, |_, _| ()));
         for (seed, quarters) in seeds.iter().zip(flights) {
             for quarter in &quarters {
                 assert!(quarter.valid_share() >= 0.9999, "{seed}: {quarters:?}");
@@ -139,5 +191,23 @@ mod tests {
                 "{seed}: {quarters:?}"
             );
         }
+    }
+
+    #[test]
+    fn the_row_of_a_flight_is_of_all_its_hours() {
+        let mut hours = [Score::default(); 3];
+        for (hour, errors_deg) in hours.iter_mut().zip([[3.5, 3.5], [1.0, 1.0], [2.0, 7.0]]) {
+            for error_deg in errors_deg {
+                // 7° at a σ of 1° break the promise. They and 3.5° are beyond 3 σ.
+                hour.add(f64::to_radians(error_deg), 1_f64.to_radians(), Flags::VALID);
+            }
+        }
+        hours[0].add(0.0, 0.1, Flags::default());
+        assert_eq!(
+            flight_row(7, &hours),
+            "| 7 | 85.714 % | 1.00° | 5.15° | 7.00° | 57.14 % | 1 |\n"
+        );
+        let row = flight_row(7, &hours[..1]);
+        assert!(row.contains("| – | 2.86° |"), "{row}");
     }
 }

@@ -14,6 +14,7 @@
 //!   shake the body in rotation too.
 
 use super::geometry::{Quaternion, Vector, add, cross, norm, scale, subtract};
+use super::sine::sines_and_cosines;
 use super::truth::STANDARD_GRAVITY_M_S2;
 
 /// Air density at sea level, 15 °C, kg/m³ (ISO 2533).
@@ -93,6 +94,7 @@ impl State {
 
     /// The state after going at `rate` for `duration`.
     #[must_use]
+    #[inline]
     pub fn plus(&self, rate: &Self, duration: f64) -> Self {
         let rotors = |start: &[f64; ROTORS], rate: &[f64; ROTORS]| {
             let mut sum = *start;
@@ -158,40 +160,32 @@ impl Airframe {
 
     /// Forces and torques in this state, in air that moves with `wind_m_s` over the earth.
     #[must_use]
+    #[inline]
     pub fn wrench(
         &self,
         state: &State,
         rotor_acceleration: &[f64; ROTORS],
         wind_m_s: Vector,
     ) -> Wrench {
-        let air_velocity = state
-            .attitude
-            .conjugate()
-            .rotate(subtract(state.velocity_m_s, wind_m_s));
-        let drag = -0.5 * AIR_DENSITY_KG_M3 * self.drag_area_m2 * norm(air_velocity);
-        let mut force = scale(air_velocity, drag);
+        let (mut force, at_rotors) = self.forces(state, wind_m_s);
         let mut torque = [0.0; 3];
+        let [p, q, _] = state.body_rates_rad_s;
         for (rotor, &(forward, right, turn)) in ROTOR_LAYOUT.iter().enumerate() {
             let speed = state.rotor_speeds_rad_s[rotor];
             let thrust = self.thrust_coefficient * speed * speed;
-            let (sine, cosine) = libm::sincos(state.rotor_angles_rad[rotor]);
-            let unbalanced = self.unbalance_kg_m[rotor] * speed * speed;
-            // sin 2φ = 2 sin φ cos φ.
-            let rippled = self.ripple[rotor] * speed * speed * 2.0 * sine * cosine;
-            let across = -self.rotor_drag * speed;
-            let at_rotor = [
-                across * air_velocity[0] + unbalanced * cosine,
-                across * air_velocity[1] + unbalanced * turn * sine,
-                -thrust - rippled,
-            ];
-            let arm = [self.arm_m * forward, self.arm_m * right, 0.0];
+            let at_rotor = at_rotors[rotor];
             force = add(force, at_rotor);
-            torque = add(torque, cross(arm, at_rotor));
-            torque[2] -= turn
+            let (x, y) = (self.arm_m * forward, self.arm_m * right);
+            let momentum = turn * self.rotor_inertia_kg_m2 * speed;
+            let spin = turn
                 * (self.torque_per_thrust_m * thrust
                     + self.rotor_inertia_kg_m2 * rotor_acceleration[rotor]);
-            let momentum = [0.0, 0.0, turn * self.rotor_inertia_kg_m2 * speed];
-            torque = subtract(torque, cross(state.body_rates_rad_s, momentum));
+            // arm × force − rates × momentum; arm z, momentum x and momentum y are zero.
+            torque = [
+                torque[0] + y * at_rotor[2] - q * momentum,
+                torque[1] - x * at_rotor[2] + p * momentum,
+                torque[2] + (x * at_rotor[1] - y * at_rotor[0]) - spin,
+            ];
         }
         Wrench {
             force_n: force,
@@ -199,8 +193,44 @@ impl Airframe {
         }
     }
 
+    /// Returns the force of [`Self::wrench`], N.
+    #[must_use]
+    #[inline]
+    pub fn force_n(&self, state: &State, wind_m_s: Vector) -> Vector {
+        let (drag, at_rotors) = self.forces(state, wind_m_s);
+        at_rotors.into_iter().fold(drag, add)
+    }
+
+    /// Returns the drag of the body and the force at each rotor, N.
+    #[inline]
+    fn forces(&self, state: &State, wind_m_s: Vector) -> (Vector, [Vector; ROTORS]) {
+        let air_velocity = state
+            .attitude
+            .conjugate()
+            .rotate(subtract(state.velocity_m_s, wind_m_s));
+        let drag = -0.5 * AIR_DENSITY_KG_M3 * self.drag_area_m2 * norm(air_velocity);
+        let phases = sines_and_cosines(&state.rotor_angles_rad);
+        let mut at_rotors = [[0.0; 3]; ROTORS];
+        for (rotor, &(_, _, turn)) in ROTOR_LAYOUT.iter().enumerate() {
+            let speed = state.rotor_speeds_rad_s[rotor];
+            let thrust = self.thrust_coefficient * speed * speed;
+            let (sine, cosine) = phases[rotor];
+            let unbalanced = self.unbalance_kg_m[rotor] * speed * speed;
+            // sin 2φ = 2 sin φ cos φ.
+            let rippled = self.ripple[rotor] * speed * speed * 2.0 * sine * cosine;
+            let across = -self.rotor_drag * speed;
+            at_rotors[rotor] = [
+                across * air_velocity[0] + unbalanced * cosine,
+                across * air_velocity[1] + unbalanced * turn * sine,
+                -thrust - rippled,
+            ];
+        }
+        (scale(air_velocity, drag), at_rotors)
+    }
+
     /// Rates at which the rotors change their speeds towards `commands`, rad/s².
     #[must_use]
+    #[inline]
     pub fn rotor_acceleration(&self, state: &State, commands: &[f64; ROTORS]) -> [f64; ROTORS] {
         [0, 1, 2, 3].map(|rotor| {
             (commands[rotor] - state.rotor_speeds_rad_s[rotor]) / self.motor_time_constant_s
@@ -209,6 +239,7 @@ impl Airframe {
 
     /// The equations of motion in free flight: the rate of change of the state.
     #[must_use]
+    #[inline]
     pub fn rate(&self, state: &State, commands: &[f64; ROTORS], wind_m_s: Vector) -> State {
         let rotor_acceleration = self.rotor_acceleration(state, commands);
         let wrench = self.wrench(state, &rotor_acceleration, wind_m_s);
@@ -234,10 +265,15 @@ impl Airframe {
 }
 
 /// One step of the classic fourth-order Runge–Kutta method; `rate(state, share)` with the share
-/// of the step done.
+/// of the step done. `k1` is the rate at the start.
 #[must_use]
-pub fn runge_kutta_step(start: &State, step_s: f64, rate: impl Fn(&State, f64) -> State) -> State {
-    let k1 = rate(start, 0.0);
+#[inline]
+pub fn runge_kutta_step(
+    start: &State,
+    k1: State,
+    step_s: f64,
+    rate: impl Fn(&State, f64) -> State,
+) -> State {
     let k2 = rate(&start.plus(&k1, 0.5 * step_s), 0.5);
     let k3 = rate(&start.plus(&k2, 0.5 * step_s), 0.5);
     let k4 = rate(&start.plus(&k3, step_s), 1.0);
@@ -265,10 +301,9 @@ mod tests {
         step_s: f64,
         steps: u32,
     ) -> State {
+        let rate = |state: &State, _| airframe.rate(state, &commands, STILL_AIR);
         (0..steps).fold(start, |state, _| {
-            runge_kutta_step(&state, step_s, |state, _| {
-                airframe.rate(state, &commands, STILL_AIR)
-            })
+            runge_kutta_step(&state, rate(&state, 0.0), step_s, rate)
         })
     }
 

@@ -17,6 +17,7 @@ pub mod poses;
 pub mod quadrotor;
 pub mod rest;
 pub mod route;
+mod sine;
 pub mod swing;
 pub mod truth;
 pub mod turn;

@@ -164,17 +164,19 @@ impl Quadrotor {
         self.flight.wind.step(STEP_S);
         let end_wind_m_s = self.flight.wind.velocity_m_s();
         let (airframe, commands) = (&self.flight.airframe, self.commands);
-        self.airborne |= lifts_off(airframe, &start);
+        self.airborne = self.airborne || lifts_off(airframe, &start);
         let airborne = self.airborne;
         let rate = |state: &State, share: f64| {
             let wind = interpolate(start_wind_m_s, end_wind_m_s, share);
             let free = airframe.rate(state, &commands, wind);
             if airborne { free } else { held(free) }
         };
-        let end = runge_kutta_step(&start, STEP_S, rate);
+        let start_rate = self.segment.rate_of_next(airborne, &commands);
+        let start_rate = start_rate.unwrap_or_else(|| rate(&start, 0.0));
+        let end = runge_kutta_step(&start, start_rate, STEP_S, rate);
         self.segment = Segment {
             start,
-            start_rate: rate(&start, 0.0),
+            start_rate,
             end,
             end_rate: rate(&end, 1.0),
             commands,
@@ -211,11 +213,7 @@ impl Motion for Quadrotor {
         let airframe = &self.flight.airframe;
         let specific_force_m_s2 = if segment.airborne {
             let wind = interpolate(segment.start_wind_m_s, segment.end_wind_m_s, share);
-            let rotor_acceleration = airframe.rotor_acceleration(&state, &segment.commands);
-            scale(
-                airframe.wrench(&state, &rotor_acceleration, wind).force_n,
-                1.0 / airframe.mass_kg,
-            )
+            scale(airframe.force_n(&state, wind), 1.0 / airframe.mass_kg)
         } else {
             Truth::at_rest(state.attitude).specific_force_m_s2
         };
@@ -231,6 +229,16 @@ impl Motion for Quadrotor {
 }
 
 impl Segment {
+    /// Returns the rate at the start of the next step, if that is the one at the end of this.
+    fn rate_of_next(&self, airborne: bool, commands: &[f64; ROTORS]) -> Option<State> {
+        // The interpolation may round.
+        let wind_m_s = interpolate(self.start_wind_m_s, self.end_wind_m_s, 1.0);
+        let is_same = self.airborne == airborne
+            && self.commands == *commands
+            && wind_m_s == self.end_wind_m_s;
+        is_same.then_some(self.end_rate)
+    }
+
     /// The state at `share` of the step: the cubic with the states and rates of both ends.
     fn state(&self, share: f64) -> State {
         let (s, s2, s3) = (share, share * share, share * share * share);

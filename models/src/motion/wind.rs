@@ -14,7 +14,18 @@ pub struct Wind {
     gust_sigma_m_s: f64,
     gust_time_s: f64,
     gust_m_s: Vector,
+    decay: Decay,
     random: Random,
+}
+
+/// Change of a gust in one step of the time.
+#[derive(Clone, Copy, Debug)]
+struct Decay {
+    step_s: f64,
+    /// Factor of the gust before.
+    kept: f64,
+    /// Standard deviation of what is new, m/s.
+    fresh_m_s: f64,
 }
 
 impl Wind {
@@ -35,6 +46,11 @@ impl Wind {
             gust_sigma_m_s,
             gust_time_s,
             gust_m_s,
+            decay: Decay {
+                step_s: 0.0,
+                kept: 1.0,
+                fresh_m_s: 0.0,
+            },
             random,
         }
     }
@@ -64,11 +80,17 @@ impl Wind {
         if self.gust_sigma_m_s == 0.0 {
             return;
         }
-        let kept = libm::exp(-step_s / self.gust_time_s);
-        let fresh = self.gust_sigma_m_s * (1.0 - kept * kept).sqrt();
-        self.gust_m_s = self
-            .gust_m_s
-            .map(|gust| kept * gust + fresh * self.random.normal());
+        if self.decay.step_s != step_s {
+            let kept = libm::exp(-step_s / self.gust_time_s);
+            self.decay = Decay {
+                step_s,
+                kept,
+                fresh_m_s: self.gust_sigma_m_s * (1.0 - kept * kept).sqrt(),
+            };
+        }
+        for gust in &mut self.gust_m_s {
+            *gust = self.decay.kept * *gust + self.decay.fresh_m_s * self.random.normal();
+        }
     }
 }
 

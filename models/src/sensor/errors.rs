@@ -79,7 +79,8 @@ impl AxisErrors {
             scale(self.offset_per_c2, warmer_by_c * warmer_by_c),
         );
         let offset = add(self.offset, drift);
-        add(self.sensitivity.map(|row| dot(row, input)), offset)
+        let [x, y, z] = &self.sensitivity;
+        add([dot(*x, input), dot(*y, input), dot(*z, input)], offset)
     }
 }
 
@@ -237,11 +238,9 @@ impl SensorErrors {
             .gyroscope
             .distort(rates_rad_s, chip_c - REFERENCE_TEMPERATURE_C);
         let settling = libm::exp(-awake_s / START_UP_TIME_CONSTANT_S);
-        [0, 1, 2].map(|axis| {
-            rates[axis]
-                + self.rate_per_specific_force[axis] * specific_force_m_s2[axis]
-                + self.start_up_rate[axis] * settling
-        })
+        let forced = |axis: usize| self.rate_per_specific_force[axis] * specific_force_m_s2[axis];
+        let sensed = |axis| rates[axis] + forced(axis) + self.start_up_rate[axis] * settling;
+        [sensed(0), sensed(1), sensed(2)]
     }
 }
 

@@ -152,12 +152,14 @@ impl Delay {
 
     fn update(&mut self, input: Vector) -> Vector {
         let length = self.inputs.len();
-        self.newest = (self.newest + 1) % length;
+        let after = |index| if index + 1 == length { 0 } else { index + 1 };
+        self.newest = after(self.newest);
         self.inputs[self.newest] = input;
         // The ring is just long enough: the oldest two inputs are the ones on either side of the
         // delay.
-        let oldest = self.inputs[(self.newest + 1) % length];
-        let next = self.inputs[(self.newest + 2) % length];
+        let second = after(self.newest);
+        let oldest = self.inputs[second];
+        let next = self.inputs[after(second)];
         interpolate(next, oldest, self.fraction)
     }
 }

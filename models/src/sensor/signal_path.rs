@@ -285,14 +285,14 @@ impl Channel {
 
     fn sample(&mut self, felt: Vector, noise: &mut Random) {
         let limit = 32768.0 / self.counts_per_unit;
-        self.input = felt.map(|value| {
+        for (input, value) in self.input.iter_mut().zip(felt) {
             let disturbance = if self.noise_per_tick > 0.0 {
                 self.noise_per_tick * noise.normal()
             } else {
                 0.0
             };
-            (value + disturbance).clamp(-limit, limit)
-        });
+            *input = (value + disturbance).clamp(-limit, limit);
+        }
     }
 
     fn counts(&self) -> [i16; 3] {
