@@ -155,7 +155,14 @@ fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
         b"\x01z-up",
         b"\x01+x+x",
     ];
-    let ends = [&b""[..], b"", b"", b"\0"];
+    // The declination, that of version 2, and one byte too many.
+    let ends = [
+        &b"\0\0\0\0"[..],
+        b"\0\0\x80\xBD",
+        b"",
+        b"\0\0\0\0\0",
+        b"\0\0\xC0\x7F",
+    ];
     let body = (
         prop::sample::select(mounts.to_vec()),
         nearly_optional(4),
@@ -182,7 +189,7 @@ fn nearly_records() -> impl Strategy<Value = Vec<u8>> {
         // The whole record is in the slot, with some bytes changed.
         1 => (record, prop::collection::vec((any::<usize>(), any::<u8>()), 0..3)).prop_map(
             |(record, changes)| {
-                let mut slot = stored_record::image(2, &record[1..]);
+                let mut slot = stored_record::image(3, &record[1..]);
                 for (place, byte) in changes {
                     let place = place % slot.len();
                     slot[place] = byte;

@@ -1,7 +1,7 @@
 //! Words of commands, for tests that send lines by chance.
 
 /// Words of the console and the bytes between them.
-pub const WORDS: [&str; 33] = [
+pub const WORDS: [&str; 35] = [
     "help",
     "status",
     "show",
@@ -18,6 +18,8 @@ pub const WORDS: [&str; 33] = [
     "done",
     "stop",
     "mount ",
+    "declination ",
+    "-3.5",
     "find",
     "+x-z",
     "-y+x",

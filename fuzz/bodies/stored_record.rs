@@ -13,7 +13,7 @@ use embedded_storage::nor_flash::{
 const SLOT: usize = storage::LONGEST_RECORD;
 
 /// Version of the encoding.
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
 
 /// Writes the bytes to the first slot and loads.
 ///
@@ -44,6 +44,10 @@ pub fn run(bytes: &[u8]) {
     if slot[4] == 1 {
         // Version 1 had no compass: found by itself, no mount, no correction.
         body.extend([0; 3]);
+    }
+    if slot[4] < 3 {
+        // Version 2 had no declination.
+        body.extend([0; 4]);
     }
     let expected = image(VERSION, &body);
     assert_eq!(again.0[..expected.len()], expected);

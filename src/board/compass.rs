@@ -46,6 +46,8 @@ pub struct CompassTask {
     session: Session,
     transfers: CompassTransfers,
     alignment: CompassAlignment,
+    /// Declination of the place, rad.
+    declination_rad: f32,
     heading: HeadingTask,
     phase: u8,
     field: Option<MagneticField>,
@@ -63,18 +65,21 @@ const fn knowledge_of(alignment: &CompassAlignment) -> CompassKnowledge {
 }
 
 impl CompassTask {
-    /// Creates the task with a compass of this choice.
-    pub fn new(choice: Choice, alignment: CompassAlignment) -> Self {
-        Self {
+    /// Creates the task with a compass of this choice, at a place with this declination in rad.
+    pub fn new(choice: Choice, alignment: CompassAlignment, declination_rad: f32) -> Self {
+        let mut task = Self {
             session: Session::new(choice),
             transfers: CompassTransfers::new(),
             alignment,
+            declination_rad,
             heading: HeadingTask::new(knowledge_of(&alignment)),
             phase: 0,
             field: None,
             fitter: None,
             reported: (false, None),
-        }
+        };
+        task.heading.set_declination(declination_rad);
+        task
     }
 
     /// Searches a compass of this choice.
@@ -97,9 +102,18 @@ impl CompassTask {
         }
     }
 
+    /// Sets the declination of the place, rad. The heading turns with it.
+    pub fn set_declination(&mut self, declination_rad: f32) {
+        if declination_rad != self.declination_rad {
+            self.declination_rad = declination_rad;
+            self.heading.set_declination(declination_rad);
+        }
+    }
+
     /// Starts the heading afresh, because the body axes have changed.
     pub fn restart_heading(&mut self) {
-        self.heading.restart(knowledge_of(&self.alignment));
+        let knowledge = knowledge_of(&self.alignment);
+        self.heading.restart(knowledge, self.declination_rad);
     }
 
     /// Returns whether the heading filter has to follow each sample.

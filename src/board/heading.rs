@@ -12,7 +12,7 @@
 //! | offset | content |
 //! |---|---|
 //! | 0 | time of the sample at which the estimate changed, µs, low word first; 0: not running |
-//! | 8 | heading minus yaw, rad, as `f32` |
+//! | 8 | heading minus yaw, rad, as `f32`; the heading is from true north with a declination |
 //! | 12 | σ of the heading, rad, as `f32` |
 //! | 16 | 0: unknown, 1: known, 3: known and valid while the attitude is valid |
 //! | 20 | number of publications |
@@ -74,13 +74,19 @@ impl HeadingTask {
         self.filter.add_field(field, age_us);
     }
 
-    /// Starts the filter again with this knowledge, and publishes that no heading is known. This
-    /// takes some 25 µs, so it is for commands, not for the attitude task.
-    pub fn restart(&mut self, knowledge: CompassKnowledge) {
+    /// Starts the filter again with this knowledge and declination (rad), and publishes that no
+    /// heading is known. This takes some 25 µs, so it is for commands, not for the attitude task.
+    pub fn restart(&mut self, knowledge: CompassKnowledge, declination_rad: f32) {
         if self.is_running {
             store(0, None);
         }
         *self = Self::new(knowledge);
+        self.set_declination(declination_rad);
+    }
+
+    /// Turns the heading to this declination, rad. The next sample publishes it.
+    pub fn set_declination(&mut self, declination_rad: f32) {
+        self.filter.set_declination(declination_rad);
     }
 
     #[inline(never)]

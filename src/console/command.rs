@@ -1,7 +1,8 @@
 //! Commands as text: one table of forms, for the parser, for `help` and for suggestions.
 //!
 //! Words are exact and lower case, so that noise is no command. The parser answers a nearly right
-//! line with the right form. A number has digits and nothing else.
+//! line with the right form. A number has digits and nothing else; degrees may have a sign and two
+//! decimals.
 //!
 //! ```
 //! use aplomb::console::command::{Calibrate, Command};
@@ -18,10 +19,11 @@
 use core::fmt;
 use core::str::FromStr;
 
+use super::answer::Decimal;
 use super::line::LINE_CAPACITY;
 use super::nearest::nearest;
 use crate::calibration::Mount;
-use crate::compass::Choice;
+use crate::compass::{self, Choice};
 use crate::settings::OutputFormat;
 
 /// Command. Its text is the line that requests it.
@@ -55,6 +57,9 @@ pub enum Command {
     Mount(MountChoice),
     /// Sets the compass, or its mount.
     Compass(CompassChoice),
+    /// Sets the declination of the place, hundredths of a degree in [`DECLINATIONS_CENTIDEGREES`],
+    /// east positive.
+    Declination(i16),
     /// Sets the telemetry rate, frames per second in [`RATES_HZ`].
     Rate(u16),
     /// Sets the UART's baud rate, one of [`BAUD_RATES`].
@@ -174,11 +179,20 @@ impl fmt::Display for Command {
             Self::Mount(MountChoice::Named(mount)) => write!(formatter, "mount {mount}"),
             Self::Compass(CompassChoice::Part(choice)) => write!(formatter, "compass {choice}"),
             Self::Compass(CompassChoice::Mount(mount)) => write!(formatter, "compass {mount}"),
+            Self::Declination(angle) => write!(formatter, "declination {}", degrees(*angle)),
             Self::Rate(rate_hz) => write!(formatter, "rate {rate_hz}"),
             Self::Baud(baud) => write!(formatter, "baud {baud}"),
             Self::Format(format) => write!(formatter, "format {format}"),
         }
     }
+}
+
+/// Angles that `declination` takes, hundredths of a degree.
+pub const DECLINATIONS_CENTIDEGREES: core::ops::RangeInclusive<i16> = -18_000..=18_000;
+
+/// Returns the text of an angle in hundredths of a degree.
+fn degrees(centidegrees: i16) -> Decimal {
+    Decimal(f32::from(centidegrees) * 0.01, 2)
 }
 
 /// Rates that `rate` takes, frames per second: up to one per sample.
@@ -202,6 +216,7 @@ enum Argument {
     Word(&'static [&'static str]),
     Mount,
     Compass,
+    Degrees,
     Hertz,
     Baud,
 }
@@ -218,13 +233,14 @@ const CALIBRATIONS: [&str; 7] = {
 
 /// Forms of every command, in the order of `help`. Of two equally near ones, suggestions prefer the
 /// first.
-static FORMS: [Form; 16] = [
+static FORMS: [Form; 17] = [
     Form::alone("help"),
     Form::alone("status"),
     Form::alone("show"),
     Form::new("calibrate", Argument::Word(&CALIBRATIONS)),
     Form::new("mount", Argument::Mount),
     Form::new("compass", Argument::Compass),
+    Form::new("declination", Argument::Degrees),
     Form::alone("self-test"),
     Form::alone("registers"),
     Form::new("measure", Argument::Word(&Measure::NAMES)),
@@ -263,6 +279,7 @@ impl fmt::Display for Form {
                 formatter.write_str("|<forward><down>")
             }
             Argument::Mount => formatter.write_str(" find|<forward><down>"),
+            Argument::Degrees => formatter.write_str(" <degrees>"),
             Argument::Hertz => formatter.write_str(" <hz>"),
             Argument::Baud => formatter.write_str(" <bps>"),
         }
@@ -321,6 +338,8 @@ pub enum ParseError {
         /// First extra word.
         word: Word,
     },
+    /// The argument of `declination` is not an angle of [`DECLINATIONS_CENTIDEGREES`].
+    NotADeclination(Word),
     /// The argument of `rate` is not a number in [`RATES_HZ`].
     NotARate(Word),
     /// The argument of `baud` is not one of [`BAUD_RATES`].
@@ -365,6 +384,13 @@ impl fmt::Display for ParseError {
             Self::ExtraWord { form, word } => {
                 write!(formatter, "\"{word}\" is too much, the form is \"{form}\"")
             }
+            Self::NotADeclination(word) if compass::IS_BUILT_IN => write!(
+                formatter,
+                "\"{word}\" is no declination, which is from -180 to 180 degrees, east positive, \
+                 with up to two decimals, such as \"declination 3.5\""
+            ),
+            // No angle is parsed without a compass.
+            Self::NotADeclination(_) => Ok(()),
             Self::NotARate(word) => write!(
                 formatter,
                 "\"{word}\" is no rate, which is a number from {} to {}, such as \"rate 50\"",
@@ -492,6 +518,14 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
             (None, Some(mount)) => Ok(Command::Compass(CompassChoice::Mount(mount))),
             (None, None) => Err(unknown(&Choice::WORDS)),
         },
+        // The console refuses it, whatever the angle.
+        "declination" if !compass::IS_BUILT_IN => Ok(Command::Declination(0)),
+        "declination" => match centidegrees(argument) {
+            Some(angle) if DECLINATIONS_CENTIDEGREES.contains(&angle) => {
+                Ok(Command::Declination(angle))
+            }
+            _ => Err(ParseError::NotADeclination(Word::new(argument))),
+        },
         "rate" => match number(argument).and_then(|rate| u16::try_from(rate).ok()) {
             Some(rate) if RATES_HZ.contains(&rate) => Ok(Command::Rate(rate)),
             _ => Err(ParseError::NotARate(Word::new(argument))),
@@ -514,6 +548,21 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
 fn number(text: &str) -> Option<u32> {
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
     if is_number { text.parse().ok() } else { None }
+}
+
+/// Parses degrees with up to two decimals, as hundredths of a degree.
+fn centidegrees(text: &str) -> Option<i16> {
+    let size = text.strip_prefix(['-', '+']).unwrap_or(text);
+    let (whole, decimals) = size.split_once('.').unwrap_or((size, "0"));
+    let unit = match decimals.len() {
+        1 => 10,
+        2 => 1,
+        _ => return None,
+    };
+    let hundredths = number(whole)?.checked_mul(100)?;
+    let hundredths = hundredths.checked_add(number(decimals)? * unit)?;
+    let size = i16::try_from(hundredths).ok()?;
+    Some(if text.starts_with('-') { -size } else { size })
 }
 
 /// Returns the baud rate within a tenth of this one.
@@ -583,6 +632,10 @@ mod tests {
                 "compass +y-z",
                 Command::Compass(CompassChoice::Mount(Mount::parse("+y-z").expect("a mount"))),
             ),
+            ("declination 3.5", Command::Declination(350)),
+            ("declination -22.05", Command::Declination(-2_205)),
+            ("declination +180", Command::Declination(18_000)),
+            ("declination -0.01", Command::Declination(-1)),
             ("rate 1", Command::Rate(1)),
             ("rate 1000", Command::Rate(1000)),
             ("baud 9600", Command::Baud(9600)),
@@ -661,6 +714,19 @@ mod tests {
                 "compass needs a word more: \
                  \"compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>\"",
             ),
+            (
+                "declination",
+                "declination needs a word more: \"declination <degrees>\"",
+            ),
+            (
+                "declination 180.01",
+                "\"180.01\" is no declination, which is from -180 to 180 degrees, east positive, \
+                 with up to two decimals, such as \"declination 3.5\"",
+            ),
+            (
+                "declination 3.5 E",
+                "\"E\" is too much, the form is \"declination <degrees>\"",
+            ),
             ("save now", "\"now\" is too much, the form is \"save\""),
             (
                 "rate 50 Hz",
@@ -696,10 +762,37 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_declination_has_a_sign_digits_and_up_to_two_decimals() {
+        for text in [
+            "3.",
+            ".5",
+            "3.517",
+            "--3",
+            "-+3",
+            "3e1",
+            "nan",
+            "1_0",
+            "-",
+            "3.+5",
+            "-180.01",
+            "400",
+            "3.-5",
+            "4294967297",
+            "99999999999.5",
+            "3,5",
+            "\u{663}",
+        ] {
+            let error = parse(&format!("declination {text}"));
+            let is_refused = matches!(error, Err(ParseError::NotADeclination(_)));
+            assert!(is_refused, "{text}: {error:?}");
+        }
+    }
+
     /// Text that is near to being a command.
     fn nearly() -> impl Strategy<Value = String> {
-        let words =
-            "(help|save|mount|rate|baud|calibrate|format|gyro|find|50|9600|text|\\+x-z|[ -~]{0,8})";
+        let words = "(help|save|mount|rate|baud|calibrate|format|gyro|find|declination|50|9600|\
+                     -3.5|text|\\+x-z|[ -~]{0,8})";
         proptest::collection::vec(words, 0..4).prop_map(|words| words.join(" "))
     }
 

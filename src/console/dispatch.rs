@@ -24,6 +24,7 @@ use crate::compass;
 use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record};
 use crate::telemetry;
+use crate::units::radians;
 
 /// Console: parses lines, runs their commands, and writes the answers.
 #[derive(Debug)]
@@ -166,7 +167,9 @@ impl Console {
             return refusal;
         }
         match command {
-            Command::Compass(_) | Command::Calibrate(Calibrate::Compass)
+            Command::Compass(_)
+            | Command::Declination(_)
+            | Command::Calibrate(Calibrate::Compass)
                 if !compass::IS_BUILT_IN =>
             {
                 no_compass(reply)
@@ -180,11 +183,7 @@ impl Console {
             Command::Registers => self.begin(Task::ReadBack, module, reply),
             Command::Measure(what) => measure(what, module, reply),
             Command::Arm => self.arm(module, reply),
-            Command::Disarm => {
-                self.is_armed = false;
-                module.set_armed(false);
-                reply.ok(format_args!("disarm"))
-            }
+            Command::Disarm => self.disarm(module, reply),
             Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),
             Command::Calibrate(Calibrate::Done) if self.is_compass_running() => {
                 let mount = self.mount();
@@ -214,6 +213,7 @@ impl Console {
             }
             Command::Mount(MountChoice::Named(mount)) => self.set_mount(mount, module, reply),
             Command::Compass(choice) => self.set_compass(choice, module, reply),
+            Command::Declination(angle) => self.set_declination(angle, module, reply),
             Command::Rate(rate_hz) => {
                 let preferences = Preferences {
                     rate_hz,
@@ -287,6 +287,26 @@ impl Console {
         ))
     }
 
+    /// Sets the declination, in hundredths of a degree. The compass goes on as it is.
+    fn set_declination(
+        &mut self,
+        centidegrees: i16,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        self.working.compass.declination_rad = radians(f32::from(centidegrees) * 0.01);
+        module.set_compass(&self.working.compass, self.mount());
+        let north = if centidegrees == 0 {
+            "magnetic"
+        } else {
+            "true"
+        };
+        reply.ok(format_args!(
+            "{}, the heading is from {north} north; \"save\" keeps it",
+            Command::Declination(centidegrees)
+        ))
+    }
+
     /// Refuses a command that must not run while armed, or while a procedure is running.
     fn refusal(&self, command: Command, reply: &mut Reply<'_>) -> Option<Kind> {
         use Command::{Arm, Disarm, Format, Help, Rate, Show, Status};
@@ -302,6 +322,7 @@ impl Console {
                 command,
                 Rate(_)
                     | Format(_)
+                    | Command::Declination(_)
                     | Command::Measure(_)
                     | Command::Calibrate(Calibrate::Done | Calibrate::Stop)
             );
@@ -396,6 +417,13 @@ impl Console {
             Some(name) => reply.ok(format_args!("arm: \"{name}\" is given up")),
             None => reply.ok(format_args!("arm")),
         }
+    }
+
+    /// Disarms.
+    fn disarm(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        self.is_armed = false;
+        module.set_armed(false);
+        reply.ok(format_args!("disarm"))
     }
 
     /// Aborts the running procedure.

@@ -7,7 +7,7 @@ use super::module::State;
 use super::procedure::Procedure;
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, Mount};
-use crate::compass::{Choice, Condition};
+use crate::compass::{self, Choice, Condition};
 use crate::mpu6050::Part;
 use crate::settings::{CompassSettings, Preferences, Record};
 use crate::units::{MagneticField, degrees};
@@ -223,6 +223,10 @@ impl fmt::Display for CompassSettingsText<'_> {
                 " compass_iron={}",
                 Triple(correction.hard_iron_ut, 1)
             )?;
+        }
+        if compass::IS_BUILT_IN && compass.declination_rad != 0.0 {
+            let declination_deg = degrees(compass.declination_rad);
+            write!(formatter, " declination={}", Decimal(declination_deg, 2))?;
         }
         Ok(())
     }

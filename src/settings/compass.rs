@@ -1,4 +1,4 @@
-//! Settings of the compass: part, mount and correction.
+//! Settings of the compass: part, mount, correction, and declination of the place.
 
 use crate::calibration::{CompassAlignment, CompassCorrection, Mount};
 use crate::compass::Choice;
@@ -14,6 +14,9 @@ pub struct CompassSettings {
     pub mount: Option<Mount>,
     /// Correction, if the compass was calibrated. Another mount leaves it invalid.
     pub correction: Option<CompassCorrection>,
+    /// Declination of the place, rad, east positive: the heading is then from true north. 0 for
+    /// the heading from magnetic north.
+    pub declination_rad: f32,
 }
 
 impl CompassSettings {
@@ -23,6 +26,7 @@ impl CompassSettings {
             choice,
             mount: None,
             correction: None,
+            declination_rad: 0.0,
         }
     }
 

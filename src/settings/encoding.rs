@@ -23,6 +23,10 @@ use crate::compass::Choice;
 /// Longest body, in bytes, in this and every later version.
 pub(super) const BODY_CAPACITY: usize = 240;
 
+/// True if the settings of the compass are read. The minimal firmware has no compass and never
+/// saves.
+const READS_COMPASS: bool = cfg!(any(feature = "full", not(feature = "firmware")));
+
 /// Buffer of a body.
 pub(super) type Writer = Vec<u8, BODY_CAPACITY>;
 
@@ -43,7 +47,7 @@ pub(super) trait Stored: Copy {
 pub(super) struct TooLong;
 
 impl Stored for Record {
-    const VERSION: u16 = 2;
+    const VERSION: u16 = 3;
 
     fn encode(&self, body: &mut Writer) -> Result<(), TooLong> {
         let calibration = &self.calibration;
@@ -73,11 +77,12 @@ impl Stored for Record {
         put(body, &[format.unwrap_or_default() as u8])?;
         put(body, &preferences.rate_hz.to_le_bytes())?;
         put(body, &preferences.baud.to_le_bytes())?;
-        put_compass(body, &self.compass)
+        put_compass(body, &self.compass)?;
+        put_numbers(body, &[self.compass.declination_rad])
     }
 
     fn decode(version: u16, body: &[u8]) -> Option<Self> {
-        if !matches!(version, 1 | 2) {
+        if !matches!(version, 1..=3) {
             return None;
         }
         let mut body = Reader(body);
@@ -130,11 +135,12 @@ impl Stored for Record {
         };
         // Version 1 knew no compass.
         let compass = match version {
-            1 => CompassSettings::default(),
-            _ => body.compass()?,
+            2.. if READS_COMPASS => body.compass(version)?,
+            _ => CompassSettings::default(),
         };
+        let is_read = body.0.is_empty() || !READS_COMPASS;
         let is_usable = preferences.rate_hz != 0 && preferences.baud != 0;
-        (is_usable && body.0.is_empty()).then_some(Self {
+        (is_usable && is_read).then_some(Self {
             calibration,
             preferences,
             compass,
@@ -221,7 +227,7 @@ impl Reader<'_> {
         (mount.name().as_bytes() == name).then_some(mount)
     }
 
-    fn compass(&mut self) -> Option<CompassSettings> {
+    fn compass(&mut self, version: u16) -> Option<CompassSettings> {
         let [choice] = self.take()?;
         Some(CompassSettings {
             choice: *Choice::ALL.get(usize::from(choice))?,
@@ -232,6 +238,11 @@ impl Reader<'_> {
                     hard_iron_ut: body.vector()?,
                 })
             })?,
+            // Version 2 knew no declination.
+            declination_rad: match version {
+                2 => 0.0,
+                _ => self.number()?,
+            },
         })
     }
 

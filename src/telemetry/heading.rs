@@ -5,7 +5,8 @@
 //! ```
 //!
 //! with tabs between the fields, and one line for each field in the format `teleplot`. The heading
-//! is that of body forward, clockwise from north, degrees in [0, 360). σ is in degrees.
+//! is that of body forward, degrees in [0, 360), clockwise from magnetic north, or from true north
+//! if the record has a declination. σ is in degrees.
 //! `heading_valid` is 1 with [`Flags::HEADING_VALID`], else 0. There is no line while the heading
 //! is unknown. The line of the attitude is the same with and without a compass.
 //!

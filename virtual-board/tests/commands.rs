@@ -87,6 +87,7 @@ const EVERY_COMMAND: &str = "
     20.0 save
     23.0 save
     23.2 show
+    23.3 declination 200
     23.4 arm
     23.6 forget
     23.8 status
@@ -237,7 +238,7 @@ fn a_flood_of_commands_costs_no_sample_either() {
 /// The bound that docs/commands.md states, also while commands change the calibration.
 #[test]
 fn commands_by_chance_delay_no_attitude_by_much() {
-    const COMMANDS: [&str; 16] = [
+    const COMMANDS: [&str; 17] = [
         "mount +x-z",
         "mount -x-z",
         "mount +y-z",
@@ -252,6 +253,7 @@ fn commands_by_chance_delay_no_attitude_by_much() {
         "status",
         "rate 50",
         "rate 10",
+        "declination 3.5",
         "arm",
         "disarm",
     ];

@@ -40,8 +40,8 @@ fn inverse([a, b, c]: [Vector; 3]) -> [Vector; 3] {
     [0, 1, 2].map(|row| columns.map(|column| column[row] / determinant))
 }
 
-/// The slots of a module whose compass was calibrated exactly.
-fn calibrated(config: &CompassConfig) -> Vec<u8> {
+/// The record of a module whose compass was calibrated exactly.
+fn calibrated_record(config: &CompassConfig) -> Record {
     let vector = |[x, y, z]: Vector| Vector3::new(x as f32, y as f32, z as f32);
     let matrix = inverse(config.magnetism.soft_iron).map(vector);
     let iron = vector(config.magnetism.hard_iron_ut);
@@ -51,7 +51,12 @@ fn calibrated(config: &CompassConfig) -> Vec<u8> {
         matrix,
         hard_iron_ut: Vector3::new(x, y, z),
     });
-    Slots::with_record(&record).0
+    record
+}
+
+/// The slots of a module with that record.
+fn calibrated(config: &CompassConfig) -> Vec<u8> {
+    Slots::with_record(&calibrated_record(config)).0
 }
 
 /// A flight with this kit, whose compass was calibrated.
@@ -117,6 +122,50 @@ fn a_calibrated_compass_gives_a_valid_heading_within_seconds_of_motion() {
 
 fn last_heading(outcome: &Outcome) -> HeadingEstimate {
     outcome.samples().last().unwrap().heading.unwrap()
+}
+
+/// A declination turns the heading, in memory and as text. The attitude stays that without one, to
+/// the bit.
+#[test]
+fn a_declination_turns_the_heading_and_nothing_else() {
+    let config = Kit::Gy87.compass(4, Mount::default()).unwrap();
+    // The second `compass` starts the filter afresh.
+    let restart = [(1.0, "compass off"), (1.5, "compass auto")];
+    for (stored_deg, set, others, expected_deg) in [
+        (4.5, None, &[][..], 4.5),
+        (4.5, Some((6.0, "declination -22.5")), &[], -22.5),
+        (0.0, Some((0.7, "declination 90")), &restart, 90.0),
+    ] {
+        let run = |declination_deg: f32, set: Option<(f64, &str)>| {
+            let mut record = calibrated_record(&config);
+            record.compass.declination_rad = declination_deg.to_radians();
+            let run = calibrated_flight(Kit::Gy87, 4).flash(Slots::with_record(&record).0);
+            let commands = others.iter().copied().chain(set);
+            let run = commands.fold(run, |run, (at_s, line)| run.command(at_s, line));
+            run.without_account().seconds(14.0).run().unwrap()
+        };
+        let (magnetic, turned) = (run(0.0, None), run(stored_deg, set));
+        let attitude = |sample: &Sample| sample.snapshot.attitude;
+        let attitudes =
+            |outcome: &Outcome| -> Vec<_> { outcome.samples().iter().map(attitude).collect() };
+        assert!(attitudes(&magnetic) == attitudes(&turned));
+        let memory_deg = |outcome: &Outcome| {
+            let yaw_rad = outcome.samples().last().unwrap().snapshot.euler().yaw_rad;
+            last_heading(outcome).heading_rad(yaw_rad).to_degrees()
+        };
+        let text_deg = |outcome: &Outcome| {
+            let mut lines = outcome.uart_lines.iter().rev();
+            let line = lines.find_map(|it| heading::decode(&it.text));
+            line.unwrap().heading_deg
+        };
+        for turn_deg in [
+            memory_deg(&turned) - memory_deg(&magnetic),
+            text_deg(&turned) - text_deg(&magnetic),
+        ] {
+            let error_deg = (turn_deg - expected_deg + 540.0) % 360.0 - 180.0;
+            assert!(error_deg.abs() < 0.3, "{expected_deg}: {turn_deg}");
+        }
+    }
 }
 
 /// The hard iron is found in flight.

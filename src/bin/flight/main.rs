@@ -60,7 +60,7 @@ mod app {
     use aplomb::health::Flags;
     use aplomb::mpu6050::{Config, Part};
     use aplomb::pipeline::Settings;
-    use aplomb::settings::{Record, storage};
+    use aplomb::settings::{CompassSettings, Record, storage};
     use aplomb::telemetry::Mailbox;
     use aplomb::telemetry::log::NumberedBurst;
     use aplomb::telemetry::message::Message;
@@ -222,8 +222,14 @@ mod app {
     /// Creates the compass task of a record.
     fn compass_of(record: &Record) -> CompassTask {
         let imu_mount = record.calibration.mount.unwrap_or(MOUNT);
-        let compass = record.compass;
-        CompassTask::new(compass.choice, compass.alignment(imu_mount))
+        // Without the feature the firmware has no code of the settings.
+        let compass = if compass::IS_BUILT_IN {
+            record.compass
+        } else {
+            CompassSettings::default()
+        };
+        let alignment = compass.alignment(imu_mount);
+        CompassTask::new(compass.choice, alignment, compass.declination_rad)
     }
 
     #[idle(local = [sensor, warm_start, flash], shared = [estimation, messages, requests])]

@@ -125,8 +125,11 @@ where
                 compass.choose(settings.choice);
             }
         });
-        self.estimation
-            .lock(|estimation| estimation.compass.set_alignment(alignment));
+        self.estimation.lock(|estimation| {
+            let compass = &mut estimation.compass;
+            compass.set_declination(settings.declination_rad);
+            compass.set_alignment(alignment);
+        });
     }
 
     fn start_compass_fitter(&mut self) {

@@ -270,6 +270,7 @@ fn full() -> Record {
                 hard_iron_ut: Vector3::new(-1234.5, -1234.5, -1234.5),
                 ..CompassCorrection::NONE
             }),
+            declination_rad: radians(-180.0),
         },
     }
 }
@@ -284,7 +285,7 @@ fn every_command_is_answered_with_one_line() {
              calibrate gyro|accel|level|temperature|compass|done|stop, \
              mount find|<forward><down>, \
              compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>, \
-             self-test, registers, measure on|show|off, rate <hz>, format \
+             declination <degrees>, self-test, registers, measure on|show|off, rate <hz>, format \
              text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, forget, arm, disarm",
         ),
         (
@@ -819,6 +820,61 @@ fn the_compass_is_named_mounted_and_shown() {
     );
 }
 
+#[test]
+fn a_declination_is_set_shown_and_kept() {
+    let mut harness = Harness::with(Some(full()));
+    assert_eq!(
+        harness.ask("declination 3.5"),
+        "ok declination 3.50, the heading is from true north; \"save\" keeps it"
+    );
+    // The compass goes on with its correction.
+    let mut expected = full().compass;
+    expected.declination_rad = radians(3.5);
+    let mount = full().calibration.mount.expect("it has one");
+    assert_eq!(harness.calls(), [Call::Compass(expected, mount)]);
+    assert!(harness.ask("show").ends_with(" declination=3.50"));
+    assert!(harness.console.has_unsaved());
+    harness.ask("save");
+    assert_eq!(
+        harness.calls(),
+        [Call::Begin(Task::Save(*harness.working()))]
+    );
+    harness.module.outcome = Some(Outcome::new(true, "stored"));
+    harness.poll();
+    harness.ask("declination 3.50");
+    assert!(!harness.console.has_unsaved(), "it is the same");
+    // Another compass is in the same place, and so is one without a correction.
+    harness.ask("compass ak8963");
+    assert_eq!(harness.working().compass.declination_rad, radians(3.5));
+    assert_eq!(
+        harness.ask("declination 181"),
+        "error \"181\" is no declination, which is from -180 to 180 degrees, east positive, with \
+         up to two decimals, such as \"declination 3.5\""
+    );
+    assert_eq!(
+        harness.ask("declination 0"),
+        "ok declination 0.00, the heading is from magnetic north; \"save\" keeps it"
+    );
+    assert!(!harness.ask("show").contains("declination"));
+    // A measurement does not refuse it.
+    harness.ask("calibrate gyro");
+    assert!(
+        harness
+            .ask("declination -22.05")
+            .starts_with("ok declination -22.05, ")
+    );
+    harness.ask("calibrate stop");
+    harness.ask("arm");
+    assert!(
+        harness
+            .ask("declination 3")
+            .starts_with("error refused while armed")
+    );
+    harness.ask("disarm");
+    harness.ask("forget");
+    assert_eq!(harness.working().compass.declination_rad, 0.0);
+}
+
 /// Readings of a vehicle that is turned about all axes, in a field with hard iron.
 fn turned(readings: u16) -> CompassFitter {
     let mut fitter = CompassFitter::new();
@@ -903,7 +959,7 @@ fn the_longest_answers_fit() {
     assert!(
         show.ends_with(
             " format=classic rate=1000 baud=921600 compass=qmc5883l compass_mount=-x-y \
-             compass_iron=-1234.5,-1234.5,-1234.5"
+             compass_iron=-1234.5,-1234.5,-1234.5 declination=-180.00"
         ),
         "{show}"
     );

@@ -218,6 +218,7 @@ fn record(number: u16) -> Record {
                 matrix: [vector(1.0), vector(2.0), vector(3.0)],
                 hard_iron_ut: vector(4.0),
             }),
+            declination_rad: 0.01 * x,
         },
     }
 }
@@ -256,7 +257,7 @@ fn prior_contents() -> Vec<Content> {
     let valid = |sequence, number| {
         let record = record(number);
         (
-            image(2, sequence, &body_of(&record)),
+            image(3, sequence, &body_of(&record)),
             Some((sequence, record)),
         )
     };
@@ -278,15 +279,15 @@ fn prior_contents() -> Vec<Content> {
         ("one bit flipped", flipped, None),
         ("older", older, older_record),
         ("newer", newer, newer_record),
-        ("later format, newest", image(3, 9, &[5; 200]), None),
-        ("later format, oldest", image(4, 3, &[5; 20]), None),
-        ("no sequence", image(2, 0, &body_of(&record(3))), None),
+        ("later format, newest", image(4, 9, &[5; 200]), None),
+        ("later format, oldest", image(5, 3, &[5; 20]), None),
+        ("no sequence", image(3, 0, &body_of(&record(3))), None),
         (
             "last sequence",
-            image(2, u32::MAX, &body_of(&record(3))),
+            image(3, u32::MAX, &body_of(&record(3))),
             None,
         ),
-        ("whole but empty", image(2, 9, &[]), None),
+        ("whole but empty", image(3, 9, &[]), None),
     ]
 }
 
@@ -350,14 +351,14 @@ fn a_power_cut_at_any_step_leaves_the_old_record_or_the_new_one() {
 fn a_weakly_programmed_record_is_refreshed_before_the_other_is_erased() {
     for seed in 0..20 {
         let mut flash = Nor::blank();
-        flash.set(0, &image(2, 7, &body_of(&record(1))));
-        flash.set(1, &image(2, 8, &body_of(&record(2))));
+        flash.set(0, &image(3, 7, &body_of(&record(1))));
+        flash.set(1, &image(3, 8, &body_of(&record(2))));
         // A barely programmed bit of the newer record: it reads right half of the time.
         let is_programmed = |place: &usize| flash.bytes[*place] & 1 == 0;
         let place = (SLOT + 12..SLOT + 16).find(is_programmed);
         let place = place.expect("the checksum has a zero");
         flash.weak[place] = 1;
-        let steps = 2 * 51 + 1;
+        let steps = 2 * 52 + 1;
         for step in 0..steps {
             let mut flash = flash.clone().cut_at(step, seed);
             let _ = save(&mut flash, &record(3));
@@ -408,8 +409,8 @@ fn repeated_power_cuts_never_lose_the_record() {
 fn a_power_cut_while_forgetting_never_brings_an_older_record_back() {
     for swap in [false, true] {
         let mut flash = Nor::blank();
-        flash.set(swap.into(), &image(2, 7, &body_of(&record(1))));
-        flash.set((!swap).into(), &image(2, 8, &body_of(&record(2))));
+        flash.set(swap.into(), &image(3, 7, &body_of(&record(1))));
+        flash.set((!swap).into(), &image(3, 8, &body_of(&record(2))));
         cut_everywhere(
             &flash,
             100,
@@ -439,7 +440,7 @@ fn saves_alternate_and_the_same_record_erases_nothing() {
         assert_eq!(flash.erases, 1);
         let slot = usize::from(number % 2);
         let sequence = u32::from(number) + 1;
-        let written = image(2, sequence, &body_of(&record(number)));
+        let written = image(3, sequence, &body_of(&record(number)));
         assert_eq!(flash.bytes[slot * SLOT..][..written.len()], written);
         flash.power_up();
         assert_eq!(save(&mut flash, &record(number)), Ok(()));
@@ -456,7 +457,7 @@ struct Later {
 }
 
 impl Stored for Later {
-    const VERSION: u16 = 3;
+    const VERSION: u16 = 4;
 
     fn encode(&self, body: &mut Writer) -> Result<(), TooLong> {
         self.record.encode(body)?;
@@ -466,11 +467,11 @@ impl Stored for Later {
 
     fn decode(version: u16, body: &[u8]) -> Option<Self> {
         match version {
-            1 | 2 => Record::decode(version, body).map(|record| Self { record, more: 0 }),
-            3 => {
+            1..=3 => Record::decode(version, body).map(|record| Self { record, more: 0 }),
+            4 => {
                 let (body, more) = body.split_last_chunk::<4>()?;
                 Some(Self {
-                    record: Record::decode(2, body)?,
+                    record: Record::decode(3, body)?,
                     more: u32::from_le_bytes(*more),
                 })
             }
@@ -507,26 +508,45 @@ fn a_later_firmware_reads_what_this_one_wrote() {
     );
 }
 
-/// The body of version 1 ended where the compass begins now.
+/// The body of version 2 ended where the declination begins now, that of version 1 where the
+/// compass begins.
 #[test]
 fn a_record_of_an_earlier_firmware_is_read() {
-    let mut earlier = record(1);
-    earlier.compass = CompassSettings::default();
-    let mut body = body_of(&earlier);
-    let compass = body.split_off(body.len() - 3);
+    let mut second = record(1);
+    second.compass.declination_rad = 0.0;
+    let mut body = body_of(&second);
+    assert_eq!(body.split_off(body.len() - 4), [0; 4], "no declination");
+    assert_read(2, &body, second);
+
+    let mut first = record(1);
+    first.compass = CompassSettings::default();
+    let mut body = body_of(&first);
+    let compass = body.split_off(body.len() - 7);
     assert_eq!(
-        compass,
-        [0, 0, 0],
-        "found by itself, no mount, no correction"
+        compass, [0; 7],
+        "found by itself, no mount, no correction, no declination"
     );
+    assert_read(1, &body, first);
+    // The parts of another version are no record.
+    for (version, body) in [
+        (1, body_of(&second)),
+        (2, body),
+        (3, body_of(&first)[4..].into()),
+    ] {
+        let mut flash = Nor::blank();
+        flash.set(0, &image(version, 1, &body));
+        assert_eq!(load(&mut flash).problem, Some(LoadProblem::Damaged));
+    }
+}
+
+fn assert_read(version: u16, body: &[u8], record: Record) {
     let mut flash = Nor::blank();
-    let image = image(1, 1, &body);
-    flash.bytes[..image.len()].copy_from_slice(&image);
+    flash.set(0, &image(version, 1, body));
     let expected = Loaded {
-        record: Some(earlier),
+        record: Some(record),
         problem: None,
     };
-    assert_eq!(load(&mut flash), expected);
+    assert_eq!(load(&mut flash), expected, "version {version}");
 }
 
 #[test]
@@ -538,7 +558,7 @@ fn a_later_format_is_reported_and_left_alone() {
         more: 5,
     };
     save_as(&mut flash, &later).expect("it works with power");
-    let problem = Some(LoadProblem::NewerFormat { version: 3 });
+    let problem = Some(LoadProblem::NewerFormat { version: 4 });
     let both = Loaded {
         record: Some(record(1)),
         problem,
@@ -547,7 +567,7 @@ fn a_later_format_is_reported_and_left_alone() {
     assert_eq!(
         problem.map(|problem| problem.to_string()).as_deref(),
         Some(
-            "the newest stored record has format 3, this firmware reads up to 2: update it or \
+            "the newest stored record has format 4, this firmware reads up to 3: update it or \
              save anew"
         )
     );
@@ -567,7 +587,7 @@ fn a_later_format_is_reported_and_left_alone() {
     };
     assert_eq!(load(&mut flash), saved);
     let kept = image(
-        3,
+        4,
         1,
         &[&body_of(&record(2))[..], &5u32.to_le_bytes()].concat(),
     );
@@ -577,6 +597,7 @@ fn a_later_format_is_reported_and_left_alone() {
 #[test]
 fn the_stored_format_is_the_documented_one() {
     let mut small = Record::default();
+    small.compass.declination_rad = 0.0625;
     small.calibration.mount = Mount::parse("+x+z");
     small.calibration.gyroscope = Some(GyroscopeOffset {
         offset_rad_s: Vector3::new(1.0, -2.0, 0.5),
@@ -588,23 +609,24 @@ fn the_stored_format_is_the_documented_one() {
         0, 0, 0, // temperature, accelerometer, level
         0, 50, 0, 0x00, 0xC2, 0x01, 0x00, // text, 50 Hz, 115,200 baud
         0, 0, 0, // compass found by itself, no mount, no correction
+        0, 0, 0x80, 0x3D, // declination, rad
     ];
     let mut flash = Nor::blank();
     save(&mut flash, &small).expect("it works with power");
-    let expected = image(2, 1, &body);
+    let expected = image(3, 1, &body);
     assert_eq!(flash.bytes[..expected.len()], expected);
     // The result of Python's zlib.crc32.
-    assert_eq!(expected[12..16], [152, 143, 249, 20]);
+    assert_eq!(expected[12..16], [175, 176, 36, 133]);
 }
 
 #[test]
 fn a_full_record_leaves_room_for_more() {
-    assert_eq!(HEADER_LENGTH + body_of(&record(1)).len(), 203);
+    assert_eq!(HEADER_LENGTH + body_of(&record(1)).len(), 207);
 }
 
 #[test]
 fn every_flip_of_one_or_two_bits_is_refused() {
-    let whole = image(2, 1, &body_of(&record(1)));
+    let whole = image(3, 1, &body_of(&record(1)));
     let bits = whole.len() * 8;
     for first in 0..bits {
         // All pairs in one word, and one far away.
