@@ -524,7 +524,7 @@ impl Console {
         let status = Status {
             state: &module.state(),
             calibration: &self.working.calibration,
-            has_compass_correction: self.working.compass.correction.is_some(),
+            compass: &self.working.compass,
             mount: self.mount(),
             is_armed: self.is_armed,
             has_unsaved: self.has_unsaved(),

@@ -9,6 +9,7 @@ use crate::compass::Condition;
 use crate::health::{Flags, Measurement};
 use crate::mpu6050::Part;
 use crate::settings::{CompassSettings, Record};
+use crate::telemetry::heading::Line as HeadingLine;
 
 /// Services that the console needs from the module it commands.
 pub trait Module {
@@ -114,6 +115,8 @@ pub struct State {
     pub sensor: Option<(&'static Part, u8)>,
     /// Compass.
     pub compass: Condition,
+    /// Heading at the latest attitude; `None` while it is unknown.
+    pub heading: Option<HeadingLine>,
     /// Die temperature, °C.
     pub temperature_celsius: f32,
     /// Gyroscope offset that the filter estimates, rad/s in body axes.

@@ -17,8 +17,8 @@ pub(super) struct Status<'a> {
     pub(super) state: &'a State,
     /// Calibration in use.
     pub(super) calibration: &'a Calibration,
-    /// True if the compass was calibrated.
-    pub(super) has_compass_correction: bool,
+    /// Settings of the compass in use.
+    pub(super) compass: &'a CompassSettings,
     /// Mount in use.
     pub(super) mount: Mount,
     pub(super) is_armed: bool,
@@ -31,20 +31,20 @@ pub(super) struct Status<'a> {
 
 impl fmt::Display for Status<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let yes_no = |is: bool| if is { "yes" } else { "no" };
         let state = self.state;
         let is_default = self.calibration.mount.is_none();
         write!(
             formatter,
-            "flags={} sensor={}{} mount={}{} calibrated={} bias_dps={} bias_sigma_dps={} \
+            "flags={} sensor={}{}{} mount={}{} calibrated={} bias_dps={} bias_sigma_dps={} \
              tilt_sigma_deg={} temperature_c={} armed={} unsaved={} bursts_failed={} \
              uart_errors={} lines_dropped={} frames_dropped={}{}",
             state.flags,
             SensorName(state.sensor),
             CompassText(&state.compass),
+            HeadingText(state, self.compass),
             self.mount,
             if is_default { "(default)" } else { "" },
-            CalibratedParts(self.calibration, self.has_compass_correction),
+            CalibratedParts(self.calibration, self.compass.correction.is_some()),
             Triple(state.bias_rad_s.scale(degrees(1.0)), 3),
             Decimal(degrees(state.bias_sigma_rad_s), 3),
             Decimal(degrees(state.tilt_sigma_rad), 2),
@@ -72,7 +72,7 @@ impl fmt::Display for SensorName {
     }
 }
 
-/// Name, address, fault and field of the compass; nothing without a compass.
+/// Name, address, fault, field and its strength of the compass; nothing without a compass.
 struct CompassText<'a>(&'a Condition);
 
 impl fmt::Display for CompassText<'_> {
@@ -85,10 +85,45 @@ impl fmt::Display for CompassText<'_> {
             write!(formatter, " compass_fault={}", fault.name())?;
         }
         if let Some(MagneticField { ut: [x, y, z] }) = condition.field {
-            write!(formatter, " field_ut={}", Triple(Vector3::new(x, y, z), 1))?;
+            let field = Vector3::new(x, y, z);
+            write!(formatter, " field_ut={}", Triple(field, 1))?;
+            if compass::IS_BUILT_IN {
+                write!(formatter, " strength_ut={}", Decimal(field.norm(), 1))?;
+            }
         }
         Ok(())
     }
+}
+
+/// Heading, its σ, whether it is valid, and the north it is from; nothing without a compass.
+struct HeadingText<'a>(&'a State, &'a CompassSettings);
+
+impl fmt::Display for HeadingText<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(state, settings) = self;
+        if !compass::IS_BUILT_IN || state.compass.part.is_none() {
+            return Ok(());
+        }
+        let Some(heading) = state.heading else {
+            return formatter.write_str(" heading_deg=unknown");
+        };
+        let north = if settings.declination_rad == 0.0 {
+            "magnetic"
+        } else {
+            "true"
+        };
+        write!(
+            formatter,
+            " heading_deg={} heading_sigma_deg={} heading_valid={} north={north}",
+            Decimal(heading.heading_deg, 2),
+            Decimal(heading.sigma_deg, 2),
+            yes_no(heading.is_valid),
+        )
+    }
+}
+
+const fn yes_no(is: bool) -> &'static str {
+    if is { "yes" } else { "no" }
 }
 
 /// Names of the calibrated parts.

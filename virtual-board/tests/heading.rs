@@ -100,7 +100,8 @@ fn after(outcome: &Outcome, from_s: f64) -> impl Iterator<Item = &Sample> {
 #[test]
 fn a_calibrated_compass_gives_a_valid_heading_within_seconds_of_motion() {
     for kit in KITS {
-        let outcome = calibrated_flight(kit, 4).seconds(20.0).run().unwrap();
+        let run = calibrated_flight(kit, 4).command(19.0, "status");
+        let outcome = run.seconds(20.0).run().unwrap();
         assert_eq!(outcome.issues, Vec::<String>::new());
         let share = valid_share(&outcome, 10.0);
         assert!(share > 0.98, "{kit:?}: {share}");
@@ -117,6 +118,7 @@ fn a_calibrated_compass_gives_a_valid_heading_within_seconds_of_motion() {
         let error_deg = (last.heading_deg - expected.heading_deg + 540.0) % 360.0 - 180.0;
         assert!(error_deg.abs() < 3.0, "{last:?} {expected:?}");
         assert!(outcome.uart_reports("attitude: VALID|HEADING_VALID"));
+        assert!(outcome.uart_reports(" heading_valid=yes north=magnetic mount="));
     }
 }
 
@@ -286,6 +288,15 @@ fn commands_that_change_the_compass_restart_the_heading() {
         .map(|line| line.text.as_str())
         .filter(|line| line.contains("ok status: flags="))
         .collect();
+    // The texts are those of the compass alone: the status without one has none of them.
+    assert!(
+        statuses[0].contains(" compass=QMC5883L@0x0d field_ut="),
+        "{statuses:?}"
+    );
+    assert!(statuses[0].contains(" strength_ut=49."), "{statuses:?}");
+    let heading = " heading_valid=no north=magnetic mount=";
+    assert!(statuses[0].contains(heading), "{statuses:?}");
+    assert!(!statuses[1].contains("heading"), "{statuses:?}");
     // At rest the heading is known, but nothing tells it from that of a magnet.
     assert!(!statuses[0].contains("HEADING"), "{statuses:?}");
     let known = after(&outcome, 3.5).take_while(|sample| sample.published_ns < 4_400_000_000);

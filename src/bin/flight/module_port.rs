@@ -13,6 +13,7 @@ use aplomb::console::{Module, Outcome, State, Task};
 use aplomb::fault::FaultClass;
 use aplomb::health::Measurement;
 use aplomb::settings::CompassSettings;
+use aplomb::telemetry::heading::Line as HeadingLine;
 use rtic::Mutex;
 
 use crate::requests::{
@@ -72,7 +73,9 @@ where
         };
         if let Some((mut snapshot, _)) = attitude_task::latest() {
             if compass::IS_BUILT_IN {
-                snapshot.set_heading_valid(heading::latest());
+                let heading = heading::latest();
+                snapshot.set_heading_valid(heading);
+                state.heading = heading.map(|heading| HeadingLine::new(&snapshot, &heading));
             }
             state.flags = snapshot.flags;
         }

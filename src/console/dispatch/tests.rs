@@ -19,6 +19,7 @@ use crate::health::{CoreFigures, Flags, Measurement, SampleFigures};
 use crate::mpu6050::Part;
 use crate::pipeline::Settings;
 use crate::settings::{CompassSettings, OutputFormat};
+use crate::telemetry::heading::Line as HeadingLine;
 use crate::units::{MagneticField, radians};
 
 /// Request to the module.
@@ -875,6 +876,61 @@ fn a_declination_is_set_shown_and_kept() {
     assert_eq!(harness.working().compass.declination_rad, 0.0);
 }
 
+#[test]
+fn status_has_the_heading_of_a_compass() {
+    let mut harness = Harness::new();
+    assert!(
+        !harness.ask("status").contains("heading"),
+        "there is no compass"
+    );
+    let mut state = State {
+        compass: Condition {
+            part: Some(("AK8963", 0x0C)),
+            fault: None,
+            field: Some(MagneticField {
+                ut: [18.0, -0.5, 44.0],
+            }),
+        },
+        ..State::default()
+    };
+    harness.module.state = Some(state);
+    let status = harness.ask("status");
+    let unknown = " compass=AK8963@0x0c field_ut=18.0,-0.5,44.0 strength_ut=47.5 \
+                   heading_deg=unknown mount=";
+    assert!(status.contains(unknown), "{status}");
+    state.heading = Some(HeadingLine {
+        heading_deg: 271.354,
+        sigma_deg: 2.1,
+        is_valid: true,
+    });
+    harness.module.state = Some(state);
+    let known = " heading_deg=271.35 heading_sigma_deg=2.10 heading_valid=yes north=magnetic ";
+    let status = harness.ask("status");
+    assert!(status.contains(known), "{status}");
+    harness.ask("declination 3.5");
+    state.heading = state.heading.map(|heading| HeadingLine {
+        is_valid: false,
+        ..heading
+    });
+    harness.module.state = Some(state);
+    assert!(
+        harness
+            .ask("status")
+            .contains(" heading_valid=no north=true ")
+    );
+    // A fault leaves the heading to the gyroscope.
+    state.compass.fault = Some(compass::Fault::Frozen);
+    state.compass.field = None;
+    harness.module.state = Some(state);
+    let status = harness.ask("status");
+    let faulty = " compass_fault=frozen heading_deg=271.35 ";
+    assert!(status.contains(faulty), "{status}");
+    // A vehicle without a compass has no heading, whatever it had before.
+    state.compass.part = None;
+    harness.module.state = Some(state);
+    assert!(!harness.ask("status").contains("heading"));
+}
+
 /// Readings of a vehicle that is turned about all axes, in a field with hard iron.
 fn turned(readings: u16) -> CompassFitter {
     let mut fitter = CompassFitter::new();
@@ -963,6 +1019,8 @@ fn the_longest_answers_fit() {
         ),
         "{show}"
     );
+    // The text "magnetic" is longer than "true".
+    harness.ask("declination 0");
     harness.ask("calibrate temperature");
     let long = Vector3::new(-39.99, -39.99, -39.99);
     let state = State {
@@ -974,6 +1032,11 @@ fn the_longest_answers_fit() {
             fault: None,
             field: Some(MagneticField { ut: [-1234.5; 3] }),
         },
+        heading: Some(HeadingLine {
+            heading_deg: 359.99,
+            sigma_deg: 28.65,
+            is_valid: false,
+        }),
         temperature_celsius: -39.99,
         bias_rad_s: long,
         bias_sigma_rad_s: -39.99,
