@@ -199,6 +199,19 @@ impl Kalman {
         }
     }
 
+    /// Makes tilt and bias uncertain again if the corrections of the last steps contradict the bias.
+    pub(super) fn admit_changed_bias(&mut self) {
+        let Some(change) = self.consistency.take_contradiction() else {
+            return;
+        };
+        self.interval.unseen_tilt_rad2 += change.tilt_rad2;
+        for (axis, prior) in self.prior.variance.iter_mut().enumerate() {
+            *prior += change.bias_variance;
+            let covariance = &mut self.step.covariance;
+            covariance.add_to_parameter(axis, change.bias_variance);
+        }
+    }
+
     /// Lets one parameter return towards its prior, each in turn.
     ///
     /// A first-order Gauss-Markov process (Gelb, *Applied Optimal Estimation*, 1974, §3.8): the
@@ -231,15 +244,7 @@ impl Kalman {
             return;
         }
         self.held_tilt_rad2 = self.covariance_tilt_variance();
-        let mut walk = square(tuning.gyroscope_bias_walk) * duration_s;
-        if let Some(change) = self.consistency.take_contradiction() {
-            walk += change.bias_variance;
-            self.interval.unseen_tilt_rad2 += change.tilt_rad2;
-            self.prior.variance = self
-                .prior
-                .variance
-                .map(|prior| prior + change.bias_variance);
-        }
+        let walk = square(tuning.gyroscope_bias_walk) * duration_s;
         let covariance = &mut self.step.covariance;
         let mut bias = 0.0;
         for axis in 0..3 {

@@ -360,7 +360,10 @@ impl Kalman {
                     self.watch_rest();
                     self.watch_corrections();
                 }
-                Progress::Relaxing => self.relax_parameter(self.step.duration_s()),
+                Progress::Relaxing => {
+                    self.admit_changed_bias();
+                    self.relax_parameter(self.step.duration_s());
+                }
                 Progress::Predicted => {
                     self.held_tilt_rad2 = self.step.tilt_variance_rad2();
                     self.measure();
