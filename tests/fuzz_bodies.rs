@@ -38,9 +38,12 @@ fn nearly_commands() -> impl Strategy<Value = Vec<u8>> {
 
 /// Frames of a flight log, whole and damaged, and noise.
 fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
+    use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
     use aplomb::mpu6050::Burst;
-    use aplomb::pipeline::Snapshot;
-    use aplomb::telemetry::log::{FRAME_CAPACITY, Frame, NumberedBurst, Text, encode};
+    use aplomb::pipeline::{CompassReading, Snapshot};
+    use aplomb::telemetry::log::{
+        FRAME_CAPACITY, Frame, NumberedBurst, Text, TimedHeading, encode,
+    };
     let bytes = |frame: Frame| encode(&frame, &mut [0; FRAME_CAPACITY]).to_vec();
     let burst = (any::<u32>(), any::<[u8; 14]>()).prop_map(move |(number, data)| {
         bytes(Frame::Burst(NumberedBurst {
@@ -53,8 +56,28 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
             },
         }))
     });
+    let reading = any::<(u32, [f32; 3], bool)>().prop_map(move |(number, ut, starts_filter)| {
+        bytes(Frame::Reading(CompassReading {
+            number,
+            sample_t_us: number.into(),
+            measured_us: number,
+            field: aplomb::units::MagneticField { ut },
+            knowledge: CompassKnowledge::Calibrated,
+            starts_filter,
+        }))
+    });
+    let heading = prop::option::of(any::<(f32, f32, bool)>()).prop_map(move |estimate| {
+        let estimate = estimate.map(|(yaw_offset_rad, sigma_rad, is_valid)| HeadingEstimate {
+            yaw_offset_rad,
+            sigma_rad,
+            is_valid,
+        });
+        bytes(Frame::Heading(TimedHeading { t_us: 7, estimate }))
+    });
     let piece = prop_oneof![
         4 => burst,
+        2 => reading,
+        1 => heading,
         1 => Just(bytes(Frame::Attitude(Snapshot::default()))),
         1 => "[ -~]{0,90}".prop_map(move |text| bytes(Frame::Text(Text::new(&text)))),
         1 => prop::collection::vec(any::<u8>(), 0..30),
@@ -73,8 +96,8 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
     // Bodies of frames: a kind, and bytes of about the right length, of which the first are
     // plausible.
     let body = (
-        1_u8..=5,
-        prop::sample::select(vec![29_usize, 40, 104, 20, 60]),
+        1_u8..=8,
+        prop::sample::select(vec![29_usize, 40, 104, 20, 60, 27, 15]),
         any::<u8>(),
     )
         .prop_flat_map(|(kind, length, text)| {

@@ -7,12 +7,12 @@ use aplomb::attitude::Vector3;
 use aplomb::calibration::AccelerometerCorrection;
 use aplomb::estimator::Sample;
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
-use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
+use aplomb::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, RawSample};
 use aplomb::pipeline::classic::{ClassicPipeline, Zero};
-use aplomb::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
+use aplomb::pipeline::{CompassPipeline, CompassReading, Pipeline, Settings, Snapshot};
 use aplomb::units::MagneticField;
 use aplomb_recordings::attitude::extrapolate;
 
@@ -161,6 +161,39 @@ impl Device {
         if let Variant::WithCompass(pipeline) = &mut self.pipeline {
             pipeline.update_field(field, age_us);
         }
+    }
+
+    /// Takes a logged reading, as the module's heading filter took it after the last sample. Only
+    /// the Kalman filter uses it.
+    pub fn take_reading(&mut self, reading: &CompassReading) {
+        let (pipeline, is_new) = match &self.pipeline {
+            Variant::Kalman(pipeline) => (pipeline, true),
+            Variant::WithCompass(pipeline) => (pipeline.pipeline(), reading.starts_filter),
+            Variant::AxisKalman(_) | Variant::Classic(_) => return,
+        };
+        let age_us = pipeline.reading_age_us(reading.measured_us);
+        if is_new {
+            self.restore_heading(Some(Heading::new(reading.knowledge)));
+        }
+        self.update_field(reading.field, age_us);
+    }
+
+    /// Replaces the heading filter. Without one there is no compass until the next reading.
+    pub fn restore_heading(&mut self, heading: Option<Heading>) {
+        let pipeline = match &self.pipeline {
+            Variant::Kalman(pipeline) => *pipeline,
+            Variant::WithCompass(pipeline) => *pipeline.pipeline(),
+            Variant::AxisKalman(_) | Variant::Classic(_) => return,
+        };
+        self.pipeline = match heading {
+            None => Variant::Kalman(pipeline),
+            Some(heading) => {
+                let knowledge = CompassKnowledge::Factory;
+                let mut pipeline = CompassPipeline::with_pipeline(pipeline, knowledge);
+                *pipeline.heading_filter_mut() = heading;
+                Variant::WithCompass(pipeline)
+            }
+        };
     }
 
     /// Returns the heading, if a compass shows it.

@@ -2,10 +2,11 @@
 
 use aplomb::attitude::Quaternion;
 use aplomb::estimator::REVISION;
-use aplomb::pipeline::{Settings, Snapshot};
+use aplomb::estimator::heading::HeadingEstimate;
+use aplomb::pipeline::{CompassReading, Settings, Snapshot};
 use aplomb::serialize::StateReader;
-use aplomb::telemetry::log::NumberedBurst;
-use aplomb_recordings::flight_log::{Flight, FlightLog, Steps};
+use aplomb::telemetry::log::{Configuration, HeadingState, NumberedBurst, TimedHeading};
+use aplomb_recordings::flight_log::{Flight, FlightLog, Step, Steps};
 
 use crate::device::{Device, FilterName};
 
@@ -22,6 +23,12 @@ pub struct Agreement {
     pub different: u64,
     /// Time of the first difference, µs.
     pub first_difference_us: Option<u64>,
+    /// Bursts whose headings are the flight's to the bit.
+    pub heading_exact: u64,
+    /// Logged headings that were compared with an exact one.
+    pub heading_compared: u64,
+    /// Compared headings that differ.
+    pub heading_different: u64,
     /// Revision of the filters that flew, if it is not [`REVISION`]: then nothing is exact.
     pub other_revision: Option<u16>,
 }
@@ -34,6 +41,11 @@ pub struct Replay {
     /// Number of the last burst.
     last: Option<u32>,
     is_exact: bool,
+    is_heading_exact: bool,
+    /// Number of the compass's next reading, if none is missing before.
+    next_reading: Option<u32>,
+    /// First burst of the present settings.
+    from_number: u32,
     /// Flown with these filters, so that its states apply.
     is_revision: bool,
     agreement: Agreement,
@@ -56,6 +68,9 @@ impl Replay {
             settings: first.settings,
             last: None,
             is_exact: false,
+            is_heading_exact: false,
+            next_reading: None,
+            from_number: first.from_number,
             is_revision,
             agreement: Agreement {
                 other_revision: (!is_revision).then_some(first.revision),
@@ -74,20 +89,12 @@ impl Replay {
         } = step.numbered;
         let before = self.last.replace(number);
         self.is_exact &= before.is_some_and(|before| before.checked_add(1) == Some(number));
+        self.is_heading_exact &= self.is_exact;
         if let Some(next) = &step.configuration {
-            self.change_settings(&next.settings);
+            self.change_settings(next);
         }
-        if self.is_revision
-            && let Some(state) = &step.state
-            && let Some(pipeline) = self.device.kalman_mut()
-        {
-            let mut restored = *pipeline;
-            let mut reader = StateReader::new(state);
-            restored.visit_state(&mut reader);
-            if reader.is_complete() {
-                *pipeline = restored;
-                self.is_exact = true;
-            }
+        if self.is_revision {
+            self.restore(&step);
         }
         // The log does not hold the module's checks of the full scales. Only VALID depends on them.
         let snapshot = self.device.update(&burst, flags);
@@ -98,7 +105,57 @@ impl Replay {
                 self.compare(&snapshot, flown);
             }
         }
+        if self.is_heading_exact {
+            self.agreement.heading_exact += 1;
+            if let Some(flown) = &step.heading {
+                self.compare_heading(flown);
+            }
+        }
+        if let Some(reading) = &step.reading {
+            self.take_reading(reading, burst.captured_at_us);
+        }
         Some(snapshot)
+    }
+
+    /// Continues from the states of the flight before this burst, if they are complete.
+    fn restore(&mut self, step: &Step) {
+        if let Some(state) = &step.state
+            && let Some(pipeline) = self.device.kalman_mut()
+        {
+            let mut restored = *pipeline;
+            let mut reader = StateReader::new(state);
+            restored.visit_state(&mut reader);
+            if reader.is_complete() {
+                *pipeline = restored;
+                self.is_exact = true;
+            }
+        }
+        if let Some(state) = &step.heading_state {
+            let mut restored = HeadingState {
+                next_reading: 0,
+                filter: None,
+            };
+            let mut reader = StateReader::new(state);
+            restored.visit_state(&mut reader);
+            if reader.is_complete() {
+                self.device.restore_heading(restored.filter);
+                self.next_reading = Some(restored.next_reading);
+                self.is_heading_exact = self.is_exact;
+            }
+        }
+    }
+
+    /// Adds a reading of the compass after the burst of this time.
+    fn take_reading(&mut self, reading: &CompassReading, t_us: u64) {
+        let is_next = self.next_reading == Some(reading.number);
+        let is_known = if reading.starts_filter {
+            self.is_exact
+        } else {
+            self.is_heading_exact && is_next
+        };
+        self.is_heading_exact = is_known && reading.sample_t_us == t_us;
+        self.next_reading = Some(reading.number.wrapping_add(1));
+        self.device.take_reading(reading);
     }
 
     /// Returns the pipeline.
@@ -111,12 +168,32 @@ impl Replay {
         &self.agreement
     }
 
-    fn change_settings(&mut self, settings: &Settings) {
-        if *settings != self.settings {
-            // The log does not say between which two samples the settings changed.
+    fn change_settings(&mut self, next: &Configuration) {
+        // The log does not say between which two samples the settings changed, nor which.
+        // An armed filter and another compass do not show in the settings.
+        if next.from_number != self.from_number {
             self.is_exact = false;
+            self.is_heading_exact = false;
+            self.from_number = next.from_number;
+        }
+        let settings = &next.settings;
+        if *settings != self.settings {
+            self.is_exact = false;
+            self.is_heading_exact = false;
             self.device.set_calibration(settings);
             self.settings = *settings;
+        }
+    }
+
+    fn compare_heading(&mut self, flown: &TimedHeading) {
+        self.agreement.heading_compared += 1;
+        let bits = |heading: HeadingEstimate| {
+            let (offset_rad, sigma_rad) = (heading.yaw_offset_rad, heading.sigma_rad);
+            (offset_rad.to_bits(), sigma_rad.to_bits(), heading.is_valid)
+        };
+        if flown.estimate.map(bits) != self.device.heading().map(bits) {
+            self.agreement.heading_different += 1;
+            self.agreement.first_difference_us.get_or_insert(flown.t_us);
         }
     }
 

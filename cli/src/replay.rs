@@ -24,6 +24,7 @@ use aplomb_recordings::score::{Errors, Score, up_in_sensor};
 use aplomb_recordings::terminal::print_line;
 
 use crate::device::FilterName;
+use crate::flight_replay::Agreement;
 use crate::progress;
 use crate::reading::Reading;
 use crate::source::{Point, Source};
@@ -57,7 +58,8 @@ heading_rms_deg, heading_rms_without_offset_deg, heading_offset_deg, heading_wit
 median_heading_error_per_sigma; warnings (of clipping, and of vibration that is
 too strong), if there are any; of a flight log also log with bursts_lost,
 damaged_pieces, damaged_bytes, cut_off (a gzip file that ends too early), exact, compared,
-different, revision_flown.")]
+different, revision_flown, and with a compass in it compass with readings, readings_lost,
+heading_exact, heading_compared, heading_different.")]
 pub struct Options {
     #[command(flatten)]
     reading: Reading,
@@ -111,6 +113,31 @@ struct LogSummary {
     compared: u64,
     different: u64,
     revision_flown: u16,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    compass: Option<LoggedCompass>,
+}
+
+/// Compass of a flight log, and the heading's agreement with the flight.
+#[derive(serde::Serialize)]
+struct LoggedCompass {
+    readings: u64,
+    readings_lost: u64,
+    heading_exact: u64,
+    heading_compared: u64,
+    heading_different: u64,
+}
+
+impl LoggedCompass {
+    /// Returns the figures of a replayed flight; `None` without a compass.
+    fn new(flight: &Flight, agreement: &Agreement) -> Option<Self> {
+        (flight.readings > 0).then_some(Self {
+            readings: flight.readings,
+            readings_lost: flight.readings_lost,
+            heading_exact: agreement.heading_exact,
+            heading_compared: agreement.heading_compared,
+            heading_different: agreement.heading_different,
+        })
+    }
 }
 
 impl Summary {
@@ -149,6 +176,17 @@ impl Summary {
             "exact: {} of {} attitudes; {} compared with the flight's own, {} differ",
             log.exact, self.samples, log.compared, log.different
         ));
+        if let Some(compass) = &log.compass {
+            print_line(&format!(
+                "compass: {} readings, {} lost; {} headings exact; \
+                 {} compared with the flight's own, {} differ",
+                compass.readings,
+                compass.readings_lost,
+                compass.heading_exact,
+                compass.heading_compared,
+                compass.heading_different
+            ));
+        }
         if log.revision_flown != REVISION {
             print_line(&format!(
                 "the filters that flew are of revision {}, these of {REVISION}: \
@@ -191,11 +229,12 @@ fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
             compared: agreement.compared,
             different: agreement.different,
             revision_flown: agreement.other_revision.unwrap_or(REVISION),
+            compass: LoggedCompass::new(flight, agreement),
         });
         summary.print(options.json)?;
         if let Some(t_us) = agreement.first_difference_us {
             return Err(format!(
-                "{place}: the attitude at {t_us} us is not the flight's, \
+                "{place}: the attitude or the heading at {t_us} us is not the flight's, \
                  although nothing is missing before it"
             )
             .into());

@@ -5,7 +5,8 @@
 //! housekeeping of the sensor. Each needs the bus for less than the gap between two bursts.
 //!
 //! A good reading goes to the heading filter ([`super::heading`]). Its time is that of the
-//! transfer's start, less the part's mean age of a field ([`Session::mean_age_us`]).
+//! transfer's start, less the part's mean age of a field ([`Session::mean_age_us`]). While the
+//! flight log is sent, each reading goes to its queue too.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
@@ -16,10 +17,11 @@ use crate::attitude::{BodyVector, Quaternion};
 use crate::calibration::CompassAlignment;
 use crate::calibration::compass::CompassFitter;
 use crate::compass::{Choice, Condition, Fault, PartId, Session};
-use crate::estimator::heading::CompassKnowledge;
+use crate::estimator::heading::{CompassKnowledge, Heading};
 use crate::fault::FaultClass;
-use crate::pipeline::{Pipeline, Snapshot};
+use crate::pipeline::{CompassReading, Pipeline, Snapshot};
 use crate::units::MagneticField;
+use heapless::spsc::Producer;
 
 /// Samples from a request to its outcome, to the housekeeping, and to the next request: 10 ms.
 const SAMPLES: [u8; 3] = [1, 4, 5];
@@ -41,6 +43,14 @@ pub fn take_change() -> bool {
     HAS_CHANGED.load(Ordering::Relaxed) && HAS_CHANGED.swap(false, Ordering::Relaxed)
 }
 
+/// True while the flight log needs readings.
+static IS_LOGGING: AtomicBool = AtomicBool::new(false);
+
+/// Starts or ends the flow of readings to the flight log.
+pub fn set_logging(is_logging: bool) {
+    IS_LOGGING.store(is_logging, Ordering::Relaxed);
+}
+
 /// Session with the compass, and its place in the vehicle.
 pub struct CompassTask {
     session: Session,
@@ -54,6 +64,9 @@ pub struct CompassTask {
     /// Readings for a fit, while a calibration collects them.
     fitter: Option<CompassFitter>,
     reported: (bool, Option<Fault>),
+    /// Readings that the heading filter has taken.
+    taken: u32,
+    to_log: Producer<'static, CompassReading>,
 }
 
 /// Returns what a compass of this alignment shows of its hard iron.
@@ -66,7 +79,13 @@ const fn knowledge_of(alignment: &CompassAlignment) -> CompassKnowledge {
 
 impl CompassTask {
     /// Creates the task with a compass of this choice, at a place with this declination in rad.
-    pub fn new(choice: Choice, alignment: CompassAlignment, declination_rad: f32) -> Self {
+    /// `to_log` takes readings for the flight log.
+    pub fn new(
+        choice: Choice,
+        alignment: CompassAlignment,
+        declination_rad: f32,
+        to_log: Producer<'static, CompassReading>,
+    ) -> Self {
         let mut task = Self {
             session: Session::new(choice),
             transfers: CompassTransfers::new(),
@@ -77,6 +96,8 @@ impl CompassTask {
             field: None,
             fitter: None,
             reported: (false, None),
+            taken: 0,
+            to_log,
         };
         task.heading.set_declination(declination_rad);
         task
@@ -94,20 +115,26 @@ impl CompassTask {
         self.session.restart();
     }
 
-    /// Sets the place in the vehicle. In another place the heading starts afresh.
-    pub fn set_alignment(&mut self, alignment: CompassAlignment) {
-        if alignment != self.alignment {
+    /// Sets the place in the vehicle. In another place the heading starts afresh. Returns whether
+    /// it is another place.
+    pub fn set_alignment(&mut self, alignment: CompassAlignment) -> bool {
+        let is_other = alignment != self.alignment;
+        if is_other {
             self.alignment = alignment;
             self.restart_heading();
         }
+        is_other
     }
 
-    /// Sets the declination of the place, rad. The heading turns with it.
-    pub fn set_declination(&mut self, declination_rad: f32) {
-        if declination_rad != self.declination_rad {
+    /// Sets the declination of the place, rad. The heading turns with it. Returns whether it was
+    /// another.
+    pub fn set_declination(&mut self, declination_rad: f32) -> bool {
+        let is_other = declination_rad != self.declination_rad;
+        if is_other {
             self.declination_rad = declination_rad;
             self.heading.set_declination(declination_rad);
         }
+        is_other
     }
 
     /// Starts the heading afresh, because the body axes have changed.
@@ -119,6 +146,12 @@ impl CompassTask {
     /// Returns whether the heading filter has to follow each sample.
     pub const fn has_heading(&self) -> bool {
         self.heading.is_running()
+    }
+
+    /// Returns the heading filter, or `None` while it waits for a reading, and the number of the
+    /// next reading.
+    pub const fn heading_filter(&self) -> (Option<&Heading>, u32) {
+        (self.heading.filter(), self.taken)
     }
 
     /// Lets the heading follow the last sample.
@@ -216,7 +249,22 @@ impl CompassTask {
         }
         let field = self.alignment.apply(reading_ut);
         self.field = Some(field);
-        self.heading.add_reading(pipeline, field, measured_us);
+        let starts_filter = self.heading.add_reading(pipeline, field, measured_us);
+        let number = self.taken;
+        self.taken = number.wrapping_add(1);
+        if IS_LOGGING.load(Ordering::Relaxed) {
+            // A reading without room is missing in the log, where the numbers show it.
+            let knowledge = knowledge_of(&self.alignment);
+            let reading = CompassReading {
+                number,
+                sample_t_us: snapshot.t_us,
+                measured_us,
+                field,
+                knowledge,
+                starts_filter,
+            };
+            self.to_log.enqueue(reading).ok();
+        }
     }
 
     /// Counts and flags a fault that begins, and announces any change.

@@ -66,12 +66,28 @@ impl HeadingTask {
         }
     }
 
-    /// Adds a reading that was measured at this time on the microsecond timer.
+    /// Returns the filter; `None` while it waits for a reading.
+    pub const fn filter(&self) -> Option<&Heading> {
+        if self.is_running {
+            Some(&self.filter)
+        } else {
+            None
+        }
+    }
+
+    /// Adds a reading that was measured at this time on the microsecond timer. Returns whether the
+    /// filter starts with it.
     #[inline(never)]
-    pub fn add_reading(&mut self, pipeline: &Pipeline, field: MagneticField, measured_us: u32) {
-        self.is_running = true;
+    pub fn add_reading(
+        &mut self,
+        pipeline: &Pipeline,
+        field: MagneticField,
+        measured_us: u32,
+    ) -> bool {
+        let was_running = core::mem::replace(&mut self.is_running, true);
         let age_us = pipeline.reading_age_us(measured_us);
         self.filter.add_field(field, age_us);
+        !was_running
     }
 
     /// Starts the filter again with this knowledge and declination (rad), and publishes that no
@@ -141,20 +157,32 @@ fn store(t_us: u64, estimate: Option<HeadingEstimate>) {
 /// Returns the latest heading; `None` while it is unknown. Only for tasks of lower priority than
 /// the attitude task.
 pub fn latest() -> Option<HeadingEstimate> {
+    latest_change()?.1
+}
+
+/// Returns the latest heading with the time of the sample at which it changed, µs; `None` before
+/// the first publication. The time is 0 while the filter does not run. Only for tasks of lower
+/// priority than the attitude task.
+pub fn latest_change() -> Option<(u64, Option<HeadingEstimate>)> {
     loop {
         let before = APLOMB_HEADING.sequence.load(Ordering::Acquire);
-        let [_, _, offset, sigma, state] = APLOMB_HEADING
+        if before == 0 {
+            return None;
+        }
+        let [low, high, offset, sigma, state] = APLOMB_HEADING
             .words
             .each_ref()
             .map(|word| word.load(Ordering::Relaxed));
         // The copy is complete before the count is read again.
         fence(Ordering::Acquire);
         if APLOMB_HEADING.sequence.load(Ordering::Relaxed) == before {
-            return (state & KNOWN != 0).then_some(HeadingEstimate {
+            let t_us = u64::from(high) << 32 | u64::from(low);
+            let estimate = (state & KNOWN != 0).then_some(HeadingEstimate {
                 yaw_offset_rad: f32::from_bits(offset),
                 sigma_rad: f32::from_bits(sigma),
                 is_valid: state & VALID != 0,
             });
+            return Some((t_us, estimate));
         }
     }
 }

@@ -44,6 +44,23 @@ pub struct CompassPipeline {
     heading: Heading,
 }
 
+/// Reading of a compass, with all that a heading filter needs of it. A flight log keeps it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CompassReading {
+    /// Number of readings that the module has taken before this one, since its start.
+    pub number: u32,
+    /// Time of the sample after which the heading filter took the reading, µs since start.
+    pub sample_t_us: u64,
+    /// Time of the middle of the measurement, µs since start: the low 32 bits.
+    pub measured_us: u32,
+    /// Field in body axes, corrected.
+    pub field: MagneticField,
+    /// Knowledge of the compass with which the filter has started.
+    pub knowledge: CompassKnowledge,
+    /// True if the filter starts with this reading.
+    pub starts_filter: bool,
+}
+
 impl CompassPipeline {
     /// Creates a pipeline without a burst.
     pub fn new(settings: &Settings, knowledge: CompassKnowledge) -> Self {

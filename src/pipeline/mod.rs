@@ -45,7 +45,7 @@ mod unseen;
 #[cfg(test)]
 mod tests;
 
-pub use compass::CompassPipeline;
+pub use compass::{CompassPipeline, CompassReading};
 pub use settings::Settings;
 pub use snapshot::Snapshot;
 

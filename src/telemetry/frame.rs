@@ -1,6 +1,7 @@
 //! Frames: one snapshot in each format, and how many of them the UART carries.
 
 use super::{classic, heading, log, teapot, teleplot, text};
+use crate::compass;
 use crate::estimator::heading::HeadingEstimate;
 use crate::pipeline::Snapshot;
 use crate::settings::OutputFormat;
@@ -41,8 +42,18 @@ const fn other_bytes_per_second(format: OutputFormat) -> u32 {
         // HEARTBEAT, SYS_STATUS and answers.
         OutputFormat::Mavlink => 300,
         // 1000 bursts and 1 % for a fast clock, configurations, pieces of the state.
-        OutputFormat::Log => 1010 * log::BYTES_PER_BURST as u32 + 700,
+        OutputFormat::Log => 1010 * log::BYTES_PER_BURST as u32 + 700 + compass_bytes_per_second(),
         _ => 0,
+    }
+}
+
+/// Returns the bytes per second that the flight log sends of a compass: 51 readings, seven
+/// headings, pieces of the heading filter's state.
+const fn compass_bytes_per_second() -> u32 {
+    if compass::IS_BUILT_IN {
+        (51 * log::BYTES_PER_READING + 7 * log::BYTES_PER_HEADING + 250) as u32
+    } else {
+        0
     }
 }
 

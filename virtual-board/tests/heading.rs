@@ -3,18 +3,23 @@
 
 mod common;
 
+use std::collections::BTreeMap;
+
 use aplomb::attitude::Vector3;
 use aplomb::calibration::CompassCorrection;
-use aplomb::estimator::heading::HeadingEstimate;
+use aplomb::estimator::heading::{Heading, HeadingEstimate};
 use aplomb::health::Flags;
 use aplomb::mpu6050::{Burst, PARTS};
 use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::serialize::StateReader;
 use aplomb::settings::Record;
 use aplomb::telemetry::heading;
+use aplomb::telemetry::log::HeadingState;
 use aplomb_models::compass::CompassConfig;
 use aplomb_models::motion::Mount;
 use aplomb_models::motion::geometry::Vector;
 use aplomb_models::motion::rest::Rest;
+use aplomb_recordings::flight_log::{self, Step};
 use common::firmware;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
@@ -312,4 +317,152 @@ fn commands_that_change_the_compass_restart_the_heading() {
             .count(),
         0
     );
+}
+
+/// Bits of a heading, to compare.
+fn bits(heading: Option<HeadingEstimate>) -> Option<(u32, u32, bool)> {
+    heading.map(|it| {
+        let (offset_rad, sigma_rad) = (it.yaw_offset_rad, it.sigma_rad);
+        (offset_rad.to_bits(), sigma_rad.to_bits(), it.is_valid)
+    })
+}
+
+/// Replay of a log with the library alone.
+#[derive(Default)]
+struct Replayed {
+    pipeline: Option<Pipeline>,
+    heading: Option<Heading>,
+    is_exact: bool,
+    /// Exact headings by the times of their samples.
+    headings: BTreeMap<u64, Option<HeadingEstimate>>,
+    starts: u32,
+}
+
+impl Replayed {
+    fn take(&mut self, step: &Step) {
+        let burst = &step.numbered.burst;
+        if step.configuration.is_some() {
+            // The sample before the change has lost its heading before the next one came.
+            self.headings.pop_last();
+            self.is_exact = false;
+        }
+        if let Some(state) = &step.state {
+            let part = PARTS.first().unwrap();
+            let pipeline = self
+                .pipeline
+                .get_or_insert_with(|| Pipeline::new(&Settings::new(part)));
+            let mut reader = StateReader::new(state);
+            pipeline.visit_state(&mut reader);
+            assert!(reader.is_complete());
+        }
+        let Some(pipeline) = &mut self.pipeline else {
+            return;
+        };
+        if let Some(bytes) = &step.heading_state {
+            let mut state = HeadingState {
+                next_reading: 0,
+                filter: None,
+            };
+            let mut reader = StateReader::new(bytes);
+            state.visit_state(&mut reader);
+            assert!(reader.is_complete());
+            if self.is_exact {
+                // The filter's state is the replay's, to the bit.
+                assert_eq!(self.heading, state.filter);
+            }
+            self.heading = state.filter;
+            self.is_exact = true;
+        }
+        pipeline.update(burst, step.numbered.flags);
+        if let Some(heading) = &mut self.heading {
+            pipeline.lead(heading);
+        }
+        if self.is_exact {
+            let estimate = self.heading.as_ref().and_then(Heading::estimate);
+            self.headings.insert(burst.captured_at_us, estimate);
+        }
+        if let Some(reading) = &step.reading {
+            assert_eq!(reading.sample_t_us, burst.captured_at_us);
+            if reading.starts_filter {
+                self.heading = Some(Heading::new(reading.knowledge));
+                self.is_exact = true;
+                self.starts += 1;
+            }
+            let age_us = pipeline.reading_age_us(reading.measured_us);
+            if let Some(heading) = &mut self.heading {
+                heading.add_field(reading.field, age_us);
+            }
+        }
+    }
+}
+
+/// Each heading of the flight is replayed, also after commands that change the compass.
+#[test]
+fn a_flight_log_replays_the_heading_to_the_bit() {
+    for kit in KITS {
+        let outcome = calibrated_flight(kit, 4)
+            .without_account()
+            .command(1.0, "baud 921600")
+            .command(1.5, "format log")
+            .command(14.0, "compass +x-z")
+            .command(15.5, "compass off")
+            .command(16.5, "compass auto")
+            .seconds(18.0)
+            .run()
+            .unwrap();
+        assert_eq!(outcome.summary.missed, 0);
+        let received = &outcome.record.received;
+        let bytes: Vec<u8> = received.iter().map(|received| received.byte).collect();
+        let log = flight_log::decode(&bytes).unwrap();
+        let [flight] = &log.flights[..] else {
+            panic!("{} flights", log.flights.len())
+        };
+        assert_eq!((flight.lost(), flight.readings_lost), (0, 0));
+        assert!(flight.readings > 650, "{}", flight.readings);
+        let mut replayed = Replayed::default();
+        for step in log.steps(flight).unwrap() {
+            replayed.take(&step);
+        }
+        assert_eq!(replayed.starts, 2, "after the change, and after the pause");
+        let (mut compared, mut known) = (0, 0);
+        for sample in outcome.samples() {
+            let t_us = sample.snapshot.t_us;
+            if let Some(heading) = replayed.headings.get(&t_us) {
+                assert_eq!(bits(*heading), bits(sample.heading), "{kit:?} at {t_us} us");
+                compared += 1;
+                known += u32::from(heading.is_some());
+            }
+        }
+        assert!(compared > 15_000 && known > 11_000, "{compared} {known}");
+    }
+}
+
+/// The load of the log in flight, against the documented share of the line.
+#[test]
+fn a_flight_log_with_a_compass_leaves_half_of_the_line_free() {
+    let outcome = calibrated_flight(Kit::Gy87, 4)
+        .command(1.0, "baud 921600")
+        .command(1.5, "format log")
+        .seconds(12.5)
+        .run()
+        .unwrap();
+    assert_eq!(outcome.issues, Vec::<String>::new());
+    // The copies of both states delay no attitude.
+    let summary = &outcome.summary;
+    assert_eq!(summary.missed, 0);
+    assert!(
+        summary.edge_to_attitude_us_max <= Some(395.0),
+        "{summary:?}"
+    );
+    // Ten seconds, each byte with ten bits.
+    let ten_seconds = 2_000_000_000..12_000_000_000;
+    let received = outcome.record.received.iter();
+    let bytes = received.filter(|byte| ten_seconds.contains(&byte.at_ns));
+    let bytes = bytes.count();
+    let share = bytes as f64 / 921_600.0;
+    println!(
+        "{bytes} bytes in ten seconds: {:.1} % of the line",
+        100.0 * share
+    );
+    assert!((0.44..0.5).contains(&share), "{share}");
 }

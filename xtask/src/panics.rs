@@ -18,7 +18,7 @@ struct Expected {
 }
 
 /// All of them.
-const EXPECTED: [Expected; 6] = [
+const EXPECTED: [Expected; 7] = [
     Expected {
         path: "flight::app::main::__rtic_init_resources",
         panics: &[PANIC, PANIC_FMT, BOUNDS, DIVISION, OPTION],
@@ -35,6 +35,11 @@ const EXPECTED: [Expected; 6] = [
         path: "heapless::spsc::",
         panics: &[DIVISION],
         reason: "the division by a queue's capacity, which is a constant above zero",
+    },
+    Expected {
+        path: "aplomb::board::compass::CompassTask::take_reading",
+        panics: &[DIVISION],
+        reason: "the division by the capacity of the log's queue, which is a constant above zero",
     },
     Expected {
         path: "_defmt_acquire",

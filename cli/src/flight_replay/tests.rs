@@ -1,12 +1,16 @@
 //! Tests: flights that are logged, read, and replayed.
 
+use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
+use aplomb::attitude::Vector3;
+use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{Burst, Part, RawSample, TemperatureCounts};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::log::encode;
 use aplomb::telemetry::log::{Configuration, Decoder, FRAME_CAPACITY, Frame};
+use aplomb::units::MagneticField;
 use aplomb_recordings::flight_log::{Recorder, decode};
 use aplomb_recordings::simulated::samples;
 use proptest::prelude::*;
@@ -85,6 +89,133 @@ fn ten_minutes_fit_the_line_and_replay_to_the_bit() {
             ..Agreement::default()
         }
     );
+}
+
+/// Returns the log of these bursts from an index on, with 50 readings a second, and the headings of
+/// the flight by their times.
+fn fly_with_compass(
+    bursts: &[Burst],
+    first: usize,
+) -> (Vec<u8>, BTreeMap<u64, Option<HeadingEstimate>>) {
+    let mut pipeline = Pipeline::new(&settings());
+    for burst in &bursts[..first] {
+        pipeline.update(burst, BoardFlags::empty());
+    }
+    let mut recorder = Recorder::new(Vec::new(), pipeline, first as u32);
+    let headings = bursts[first..].iter().enumerate().map(|(index, burst)| {
+        let snapshot = recorder
+            .add(burst, BoardFlags::empty())
+            .expect("memory takes everything");
+        let heading = recorder.heading();
+        if index % 20 == 7 {
+            let earth = Vector3::new(20.0, 5.0, 44.0);
+            let Vector3 { x, y, z } = snapshot.attitude.conjugate().rotate(earth);
+            let field = MagneticField {
+                ut: [x + 3.0, y, z],
+            };
+            let measured_us = snapshot.t_us as u32 - 10_300 - index as u32 % 7;
+            recorder
+                .add_reading(field, measured_us, CompassKnowledge::Factory)
+                .expect("memory takes everything");
+        }
+        (snapshot.t_us, heading)
+    });
+    let headings = headings.collect();
+    (recorder.into_inner(), headings)
+}
+
+/// Replays a flight, and returns its headings where they are exact.
+fn replayed_headings(bytes: &[u8]) -> (Vec<(u64, Option<HeadingEstimate>)>, Agreement) {
+    let log = decode(bytes).expect("few flights");
+    let mut replay = Replay::new(&log, &log.flights[0], FilterName::Kalman).expect("settings");
+    let mut headings = Vec::new();
+    let mut exact = 0;
+    while let Some(snapshot) = replay.next() {
+        if replay.agreement().heading_exact > exact {
+            headings.push((snapshot.t_us, replay.device().heading()));
+        }
+        exact = replay.agreement().heading_exact;
+    }
+    (headings, replay.agreement().clone())
+}
+
+#[test]
+fn headings_replay_to_the_bit_from_the_first_reading_on_and_from_a_state_in_flight() {
+    let bursts = bursts(30);
+    for (first, fewest) in [(0, 29_980), (12_000, 17_980)] {
+        let (bytes, flown) = fly_with_compass(&bursts, first);
+        let (headings, agreement) = replayed_headings(&bytes);
+        assert!(headings.len() > fewest, "{} of {fewest}", headings.len());
+        assert!(headings.iter().filter(|it| it.1.is_some()).count() > 10_000);
+        for (t_us, heading) in headings {
+            assert_eq!(Some(&heading), flown.get(&t_us), "{t_us}");
+        }
+        assert!(agreement.heading_compared > 40, "{agreement:?}");
+        assert_eq!(agreement.heading_different, 0);
+        assert_eq!(agreement.different, 0);
+    }
+    // A log whose beginning is lost continues with the next state, ten seconds after the first.
+    let (bytes, flown) = fly_with_compass(&bursts, 0);
+    let (headings, agreement) = replayed_headings(&bytes[bytes.len() / 30..]);
+    assert!(
+        (19_000..20_000).contains(&headings.len()),
+        "{}",
+        headings.len()
+    );
+    for (t_us, heading) in headings {
+        assert_eq!(Some(&heading), flown.get(&t_us), "{t_us}");
+    }
+    assert_eq!(agreement.heading_different, 0);
+}
+
+/// Removes the frame of the reading with this number.
+fn without_reading(bytes: &[u8], number: u32) -> Vec<u8> {
+    let mut kept = Vec::new();
+    let mut start = 0;
+    while start < bytes.len() {
+        let length = bytes[start + 1..].iter().position(|byte| *byte == 0);
+        let frame = &bytes[start..start + 2 + length.expect("a whole frame")];
+        let mut decoder = Decoder::new();
+        let decoded = frame.iter().filter_map(|byte| decoder.push(*byte)).last();
+        let is_it = matches!(decoded, Some(Frame::Reading(it)) if it.number == number);
+        if !is_it {
+            kept.extend_from_slice(frame);
+        }
+        start += frame.len();
+    }
+    kept
+}
+
+#[test]
+fn a_missing_reading_is_counted_and_its_headings_are_not_called_exact() {
+    let (bytes, flown) = fly_with_compass(&bursts(25), 0);
+    let damaged = without_reading(&bytes, 300);
+    let log = decode(&damaged).expect("few flights");
+    assert_eq!(
+        (log.flights[0].readings, log.flights[0].readings_lost),
+        (1_249, 1)
+    );
+    assert_eq!(log.flights[0].lost(), 0);
+    let (headings, agreement) = replayed_headings(&damaged);
+    assert_eq!((agreement.exact, agreement.different), (25_000, 0));
+    assert_eq!(agreement.heading_different, 0);
+    // Reading 300 comes at 6 s, the next state at 10 s.
+    let inexact = 25_000 - agreement.heading_exact;
+    assert!((3_900..4_200).contains(&inexact), "{inexact}");
+    for (t_us, heading) in headings {
+        assert_eq!(Some(&heading), flown.get(&t_us), "{t_us}");
+    }
+    // The reading just after a state is missing: the state tells that it should be there.
+    let log = decode(&bytes).expect("few flights");
+    let steps = log.steps(&log.flights[0]).expect("it is in memory");
+    let state = steps
+        .filter_map(|step| step.heading_state)
+        .nth(1)
+        .expect("a second state");
+    let (number, _) = state.split_first_chunk().expect("four bytes");
+    let (_, agreement) = replayed_headings(&without_reading(&bytes, u32::from_le_bytes(*number)));
+    assert_eq!(agreement.heading_different, 0);
+    assert!(agreement.heading_exact < 20_100, "{agreement:?}");
 }
 
 #[test]
@@ -180,7 +311,7 @@ fn a_restart_of_the_module_is_another_flight() {
 
 /// Returns a second's log, damaged, with whole frames of any numbers between.
 fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
-    static LOG: LazyLock<Vec<u8>> = LazyLock::new(|| fly(&bursts(2), 0).0);
+    static LOG: LazyLock<Vec<u8>> = LazyLock::new(|| fly_with_compass(&bursts(2), 0).0);
     let change = (any::<prop::sample::Index>(), any::<u8>());
     let burst = (any::<u32>(), any::<u64>(), any::<[u8; 14]>()).prop_map(
         |(number, captured_at_us, bytes)| {
@@ -206,7 +337,18 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
             settings,
         })
     });
-    let frame = prop_oneof![3 => burst, 1 => configuration];
+    let reading = any::<(u32, u32, [f32; 3], bool)>();
+    let reading = reading.prop_map(|(number, late_us, ut, starts_filter)| {
+        Frame::Reading(CompassReading {
+            number,
+            sample_t_us: 1_234_567 + u64::from(late_us % 4_000_000),
+            measured_us: number,
+            field: MagneticField { ut },
+            knowledge: CompassKnowledge::Calibrated,
+            starts_filter,
+        })
+    });
+    let frame = prop_oneof![3 => burst, 1 => configuration, 3 => reading];
     let insertion = (any::<prop::sample::Index>(), frame);
     (
         prop::collection::vec(change, 0..40),
@@ -255,6 +397,10 @@ proptest! {
             prop_assert_eq!(agreement.bursts, flight.bursts);
             prop_assert!(agreement.compared <= agreement.exact);
             prop_assert!(agreement.exact <= agreement.bursts);
+            prop_assert!(agreement.heading_exact <= agreement.exact);
+            if let Some(heading) = replay.device().heading() {
+                prop_assert!(heading.yaw_offset_rad.is_finite() && heading.sigma_rad.is_finite());
+            }
         }
         prop_assert!(whole <= log.counts.frames);
     }

@@ -51,6 +51,12 @@ pub struct Flight {
     pub bursts: u64,
     /// Numbers of the first and the last burst.
     numbers: Option<(u32, u32)>,
+    /// Number of readings of the compass.
+    pub readings: u64,
+    /// Readings that are missing between the first and the last.
+    pub readings_lost: u64,
+    /// Number of the last reading.
+    last_reading: Option<u32>,
 }
 
 impl FlightLog {
@@ -99,6 +105,8 @@ impl FlightLog {
         let mut flight = Flight::default();
         // Settings after the last burst belong to the next one, perhaps of another flight.
         let mut upcoming = None;
+        // Readings of the compass likewise.
+        let mut readings = Vec::new();
         for frame in frames.by_ref() {
             match frame {
                 Frame::Burst(burst) => {
@@ -112,6 +120,10 @@ impl FlightLog {
                     }
                     flight.take(upcoming.take());
                     flight.count(&burst);
+                    flight.count_readings(&mut readings);
+                }
+                Frame::Reading(reading) if readings.len() < MOST_FLIGHTS => {
+                    readings.push(reading.number);
                 }
                 Frame::Configuration(configuration) => {
                     upcoming.get_or_insert(configuration);
@@ -123,6 +135,7 @@ impl FlightLog {
             }
         }
         flight.take(upcoming);
+        flight.count_readings(&mut readings);
         flights.push(flight);
         let (counts, error) = frames.end();
         let log = Self {
@@ -156,6 +169,17 @@ impl Flight {
         self.bursts += 1;
         let first = self.numbers.map_or(burst.number, |(first, _)| first);
         self.numbers = Some((first, burst.number));
+    }
+
+    /// Counts readings of the compass, and removes them.
+    fn count_readings(&mut self, numbers: &mut Vec<u32>) {
+        for number in numbers.drain(..) {
+            self.readings += 1;
+            let step = self.last_reading.and_then(|last| number.checked_sub(last));
+            // A number that is not larger belongs to another start.
+            self.readings_lost += u64::from(step.unwrap_or(0).saturating_sub(1));
+            self.last_reading = Some(number);
+        }
     }
 }
 

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{self, Read};
 
-use aplomb::pipeline::Snapshot;
-use aplomb::telemetry::log::{Configuration, Counts, Decoder, Frame, NumberedBurst};
+use aplomb::pipeline::{CompassReading, Snapshot};
+use aplomb::telemetry::log::{Configuration, Counts, Decoder, Frame, NumberedBurst, TimedHeading};
 
 use super::StateCollector;
 
@@ -95,6 +95,14 @@ pub struct Step {
     pub state: Option<Vec<u8>>,
     /// Logged attitude of this burst's time.
     pub attitude: Option<Snapshot>,
+    /// State of the heading filter before this burst, as bytes of a
+    /// [`HeadingState`](aplomb::telemetry::log::HeadingState).
+    pub heading_state: Option<Vec<u8>>,
+    /// Reading of the compass that the heading filter took after this burst. If that burst is
+    /// missing, the reading comes with the next one.
+    pub reading: Option<CompassReading>,
+    /// Heading that changed at this burst's time.
+    pub heading: Option<TimedHeading>,
 }
 
 /// Steps of one flight, in order. Needs the same memory for a flight of any length.
@@ -111,6 +119,10 @@ pub struct Steps {
     collector: StateCollector,
     states: BTreeMap<u32, Vec<u8>>,
     attitudes: BTreeMap<u64, Snapshot>,
+    heading_collector: StateCollector,
+    heading_states: BTreeMap<u32, Vec<u8>>,
+    readings: BTreeMap<u64, CompassReading>,
+    headings: BTreeMap<u64, TimedHeading>,
     configurations: VecDeque<Configuration>,
     last_configuration: Option<Configuration>,
     is_over: bool,
@@ -128,6 +140,10 @@ impl Steps {
             collector: StateCollector::default(),
             states: BTreeMap::new(),
             attitudes: BTreeMap::new(),
+            heading_collector: StateCollector::default(),
+            heading_states: BTreeMap::new(),
+            readings: BTreeMap::new(),
+            headings: BTreeMap::new(),
             configurations: VecDeque::new(),
             last_configuration: None,
             is_over: false,
@@ -186,20 +202,62 @@ impl Steps {
                 self.last_configuration = Some(configuration);
             }
             Frame::Attitude(snapshot) => {
-                self.attitudes.insert(snapshot.t_us, snapshot);
-                if self.attitudes.len() > MOST_KEPT {
-                    self.attitudes.pop_first();
-                }
+                insert(&mut self.attitudes, snapshot.t_us, snapshot);
             }
             Frame::StatePiece(piece) => {
-                self.states.extend(self.collector.add(&piece));
-                if self.states.len() > MOST_KEPT / 1_000 {
-                    self.states.pop_first();
-                }
+                keep_state(&mut self.states, self.collector.add(&piece));
+            }
+            Frame::HeadingPiece(piece) => {
+                keep_state(&mut self.heading_states, self.heading_collector.add(&piece));
+            }
+            Frame::Reading(reading) => {
+                insert(&mut self.readings, reading.sample_t_us, reading);
+            }
+            Frame::Heading(heading) => {
+                insert(&mut self.headings, heading.t_us, heading);
             }
             _ => {}
         }
     }
+}
+
+/// Inserts a value. Of very many the first is dropped.
+fn insert<T>(values: &mut BTreeMap<u64, T>, t_us: u64, value: T) {
+    values.insert(t_us, value);
+    if values.len() > MOST_KEPT {
+        values.pop_first();
+    }
+}
+
+/// Keeps a state that is complete.
+fn keep_state(states: &mut BTreeMap<u32, Vec<u8>>, state: Option<(u32, Vec<u8>)>) {
+    states.extend(state);
+    if states.len() > MOST_KEPT / 1_000 {
+        states.pop_first();
+    }
+}
+
+/// Takes the state before the burst of this number, and drops older ones.
+fn take_state(states: &mut BTreeMap<u32, Vec<u8>>, number: u32) -> Option<Vec<u8>> {
+    while states
+        .first_key_value()
+        .is_some_and(|(first, _)| *first < number)
+    {
+        states.pop_first();
+    }
+    states.remove(&number)
+}
+
+/// Takes the last value up to this time, and drops older ones.
+fn take_until<T>(values: &mut BTreeMap<u64, T>, t_us: u64) -> Option<T> {
+    let mut last = None;
+    while values
+        .first_key_value()
+        .is_some_and(|(first, _)| *first <= t_us)
+    {
+        last = values.pop_first().map(|(_, value)| value);
+    }
+    last
 }
 
 impl Iterator for Steps {
@@ -210,20 +268,17 @@ impl Iterator for Steps {
             self.read();
         }
         let numbered = self.bursts.pop_front()?;
-        let number = numbered.number;
-        while self
-            .states
-            .first_key_value()
-            .is_some_and(|(first, _)| *first < number)
-        {
-            self.states.pop_first();
-        }
+        let (number, t_us) = (numbered.number, numbered.burst.captured_at_us);
         let changes = |next: &mut Configuration| next.from_number <= number;
+        let heading = take_until(&mut self.headings, t_us);
         Some(Step {
             numbered,
             configuration: self.configurations.pop_front_if(changes),
-            state: self.states.remove(&number),
-            attitude: self.attitudes.remove(&numbered.burst.captured_at_us),
+            state: take_state(&mut self.states, number),
+            attitude: self.attitudes.remove(&t_us),
+            heading_state: take_state(&mut self.heading_states, number),
+            reading: take_until(&mut self.readings, t_us),
+            heading: heading.filter(|heading| heading.t_us == t_us),
         })
     }
 }

@@ -59,7 +59,7 @@ mod app {
     use aplomb::fault::{ClockSource, ResetCause};
     use aplomb::health::Flags;
     use aplomb::mpu6050::{Config, Part};
-    use aplomb::pipeline::Settings;
+    use aplomb::pipeline::{CompassReading, Settings};
     use aplomb::settings::{CompassSettings, Record, storage};
     use aplomb::telemetry::Mailbox;
     use aplomb::telemetry::log::NumberedBurst;
@@ -70,7 +70,7 @@ mod app {
     use crate::commands::Commands;
     use crate::requests::{self, Estimation, Requests, StationaryMeasurement};
     use crate::supervisor;
-    use crate::telemetry::Telemetry;
+    use crate::telemetry::{Logged, Telemetry};
 
     /// Handles a stopped crystal: triggers the alarm of the burst reader, which restores the clock.
     #[allow(
@@ -85,6 +85,8 @@ mod app {
 
     /// Bursts queued for the flight log: three telemetry ticks' worth.
     const LOG_BURSTS: usize = 32;
+    /// Readings of the compass queued for the flight log, and one: 140 ms.
+    const LOG_READINGS: usize = if compass::IS_BUILT_IN { 8 } else { 2 };
     /// Mount if none is stored; set at build time.
     const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {
         None => Mount::Z_UP,
@@ -132,6 +134,7 @@ mod app {
     #[init(local = [
         uart_buffer: [u8; uart::CAPACITY] = [0; uart::CAPACITY],
         log_queue: Queue<NumberedBurst, LOG_BURSTS> = Queue::new(),
+        reading_queue: Queue<CompassReading, LOG_READINGS> = Queue::new(),
     ])]
     fn init(context: init::Context) -> (Shared, Local) {
         static RING: ReceiveRing = [const { AtomicU8::new(0) }; uart::RECEIVE_CAPACITY];
@@ -184,14 +187,9 @@ mod app {
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
         );
-        let (to_log, logged) = context.local.log_queue.split();
-        let requests = Requests {
-            sensor: None,
-            calibration: commands.record().calibration,
-            is_armed: false,
-            task: None,
-            outcome: None,
-        };
+        let (to_log, bursts) = context.local.log_queue.split();
+        let (readings_to_log, readings) = context.local.reading_queue.split();
+        let requests = Requests::new(commands.record().calibration);
         (
             Shared {
                 reader: BurstReader::start(clock),
@@ -199,7 +197,7 @@ mod app {
                 estimation: Estimation {
                     pipeline: None,
                     measurement: StationaryMeasurement::new(),
-                    compass: compass_of(commands.record()),
+                    compass: compass_of(commands.record(), readings_to_log),
                 },
                 messages,
                 requests,
@@ -209,7 +207,7 @@ mod app {
                 warm_start: start.warm_start,
                 flash,
                 to_log,
-                output: Telemetry::new(transmitter, commands, logged),
+                output: Telemetry::new(transmitter, commands, Logged { bursts, readings }),
             },
         )
     }
@@ -219,8 +217,8 @@ mod app {
         Some(Record::with_compass(COMPASS))
     }
 
-    /// Creates the compass task of a record.
-    fn compass_of(record: &Record) -> CompassTask {
+    /// Creates the compass task of a record. `to_log` takes readings for the flight log.
+    fn compass_of(record: &Record, to_log: Producer<'static, CompassReading>) -> CompassTask {
         let imu_mount = record.calibration.mount.unwrap_or(MOUNT);
         // Without the feature the firmware has no code of the settings.
         let compass = if compass::IS_BUILT_IN {
@@ -229,7 +227,7 @@ mod app {
             CompassSettings::default()
         };
         let alignment = compass.alignment(imu_mount);
-        CompassTask::new(compass.choice, alignment, compass.declination_rad)
+        CompassTask::new(compass.choice, alignment, compass.declination_rad, to_log)
     }
 
     #[idle(local = [sensor, warm_start, flash], shared = [estimation, messages, requests])]

@@ -122,17 +122,22 @@ where
             return;
         }
         let alignment = settings.alignment(imu_mount);
-        self.estimation.lock(|estimation| {
+        let (mut has_changed, number) = self.estimation.lock(|estimation| {
             let compass = &mut estimation.compass;
-            if compass.choice() != settings.choice {
+            let is_other = compass.choice() != settings.choice;
+            if is_other {
                 compass.choose(settings.choice);
             }
+            (is_other, BURST_COUNT.load(Ordering::Relaxed))
         });
-        self.estimation.lock(|estimation| {
+        has_changed |= self.estimation.lock(|estimation| {
             let compass = &mut estimation.compass;
-            compass.set_declination(settings.declination_rad);
-            compass.set_alignment(alignment);
+            let is_turned = compass.set_declination(settings.declination_rad);
+            compass.set_alignment(alignment) || is_turned
         });
+        if has_changed {
+            self.changed_at.get_or_insert(number);
+        }
     }
 
     fn start_compass_fitter(&mut self) {

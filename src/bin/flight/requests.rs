@@ -28,6 +28,19 @@ pub struct Requests {
     pub outcome: Option<Outcome>,
 }
 
+impl Requests {
+    /// Creates requests without a task, for a pipeline that starts disarmed with this calibration.
+    pub const fn new(calibration: Calibration) -> Self {
+        Self {
+            sensor: None,
+            calibration,
+            is_armed: false,
+            task: None,
+            outcome: None,
+        }
+    }
+}
+
 /// Requests to the supervisor, which polls them without a lock.
 pub static TO_SUPERVISOR: Requested = Requested::new();
 /// [`Requests::task`] is set.

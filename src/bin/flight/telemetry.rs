@@ -7,17 +7,17 @@
 use core::fmt::Write;
 use core::sync::atomic::Ordering;
 
-use aplomb::board::compass::take_change;
+use aplomb::board::compass::{set_logging, take_change};
 use aplomb::board::uart::{self, Transmitter};
 use aplomb::board::{attitude_task, burst_reader, heading, retained, timebase, watchdog};
 use aplomb::compass;
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::fault::FaultClass;
 use aplomb::health::FlagReport;
-use aplomb::pipeline::Snapshot;
+use aplomb::pipeline::{CompassReading, Snapshot};
 use aplomb::settings::OutputFormat;
 use aplomb::telemetry::heading::LINES_LENGTH as HEADING_LENGTH;
-use aplomb::telemetry::log::{self, NumberedBurst, Sender};
+use aplomb::telemetry::log::{self, NumberedBurst, Sender, TimedHeading};
 use aplomb::telemetry::message::{self, Message, Severity};
 use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Mailbox, Output, Pace};
 use heapless::spsc::Consumer;
@@ -43,11 +43,19 @@ const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM && room(ANSWER_CAPACITY) <= ua
 /// waits for the copy.
 const COPY_WINDOW_US: u32 = 900;
 
+/// Input of the flight log.
+pub struct Logged {
+    /// Bursts.
+    pub bursts: Consumer<'static, NumberedBurst>,
+    /// Readings of the compass.
+    pub readings: Consumer<'static, CompassReading>,
+}
+
 /// State of the telemetry task.
 pub struct Telemetry {
     transmitter: Transmitter,
     commands: Commands,
-    logged: Consumer<'static, NumberedBurst>,
+    logged: Logged,
     sender: Sender,
     now_us: u64,
     frames_sent: u8,
@@ -58,12 +66,8 @@ pub struct Telemetry {
 }
 
 impl Telemetry {
-    /// Creates the telemetry over this UART. `logged` delivers the bursts for the flight log.
-    pub fn new(
-        transmitter: Transmitter,
-        commands: Commands,
-        logged: Consumer<'static, NumberedBurst>,
-    ) -> Self {
+    /// Creates the telemetry over this UART. `logged` delivers the input of the flight log.
+    pub fn new(transmitter: Transmitter, commands: Commands, logged: Logged) -> Self {
         Self {
             transmitter,
             commands,
@@ -201,7 +205,11 @@ impl Telemetry {
     /// Starts or ends the flow of bursts to the log.
     fn follow_log_format(&mut self, is_log: bool) {
         if HAS_LOG && is_log != AFTER_PUBLICATION.set(LOG, is_log) {
-            while self.logged.dequeue().is_some() {}
+            while self.logged.bursts.dequeue().is_some() {}
+            if compass::IS_BUILT_IN {
+                set_logging(is_log);
+                while self.logged.readings.dequeue().is_some() {}
+            }
             self.sender.restart(BURST_COUNT.load(Ordering::Relaxed));
         }
     }
@@ -275,27 +283,38 @@ fn put_text(
 /// Writes the flight log's frames, and copies the pipeline for it when a state is due.
 fn put_log(
     sender: &mut Sender,
-    logged: &mut Consumer<'static, NumberedBurst>,
+    logged: &mut Logged,
     estimation: &mut impl Mutex<T = Estimation>,
     snapshot: Option<&Snapshot>,
     now_us: u64,
     output: &mut Output<'_>,
 ) {
-    if sender.wants_state(now_us)
+    let wants_heading = compass::IS_BUILT_IN && sender.wants_heading();
+    if (sender.wants_state(now_us) || wants_heading)
         && let Some((latest, _)) = attitude_task::latest()
         && timebase::now().wrapping_sub(latest.t_us as u32) < COPY_WINDOW_US
     {
         estimation.lock(|estimation| {
-            if let Some(pipeline) = &estimation.pipeline {
-                sender.copy_state(pipeline, BURST_COUNT.load(Ordering::Relaxed));
+            let next_number = BURST_COUNT.load(Ordering::Relaxed);
+            if wants_heading {
+                let (filter, next_reading) = estimation.compass.heading_filter();
+                sender.copy_heading(filter, next_reading, next_number);
+            } else if let Some(pipeline) = &estimation.pipeline {
+                sender.copy_state(pipeline, next_number);
             }
         });
         sender.measure_state(now_us);
     }
     if let Some(snapshot) = snapshot {
         log::put_attitude(snapshot, output);
+        if compass::IS_BUILT_IN
+            && let Some((t_us, estimate)) = heading::latest_change()
+        {
+            sender.put_heading(now_us, TimedHeading { t_us, estimate }, output);
+        }
     }
-    sender.fill(now_us, output, || logged.dequeue());
+    let Logged { bursts, readings } = logged;
+    sender.fill(now_us, output, || bursts.dequeue(), || readings.dequeue());
 }
 
 /// Writes a snapshot in a format of one frame each, and to the log over RTT if it is text.

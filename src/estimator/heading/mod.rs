@@ -128,6 +128,14 @@ impl CompassKnowledge {
         }
     }
 
+    /// Returns the name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Factory => "factory",
+            Self::Calibrated => "calibrated",
+        }
+    }
+
     /// Returns σ of the hard iron per axis, µT.
     pub const fn sigma_ut(self) -> f32 {
         match self {

@@ -2,10 +2,12 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 
+use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
 use crate::health::{BoardFlags, Flags};
 use crate::mpu6050::{BURST_LENGTH, Burst, Part};
-use crate::pipeline::{Settings, Snapshot};
+use crate::pipeline::{CompassReading, Settings, Snapshot};
 use crate::serialize::{StateReader, StateVisitor, StateWriter};
+use crate::units::MagneticField;
 
 /// Version of the frames' format. A decoder refuses a configuration of another version.
 pub const FORMAT_VERSION: u8 = 1;
@@ -24,6 +26,13 @@ pub const BYTES_PER_BURST: usize = 1 + 4 + 4 + 6 + 1 + BURST_LENGTH + CRC_LENGTH
 /// Length of an attitude's frame, in bytes: kind, time, quaternion, rates, flags, CRC, COBS, two
 /// zeros.
 pub const BYTES_PER_ATTITUDE: usize = 1 + 8 + 16 + 12 + 4 + CRC_LENGTH + 1 + 2;
+
+/// Length of a compass reading's frame, in bytes: kind, number, times of sample and measurement,
+/// knowledge, field, CRC, COBS, two zeros.
+pub const BYTES_PER_READING: usize = 1 + 4 + 6 + 4 + 1 + 12 + CRC_LENGTH + 1 + 2;
+
+/// Length of a heading's frame, in bytes: kind, time, state, offset, σ, CRC, COBS, two zeros.
+pub const BYTES_PER_HEADING: usize = 1 + 6 + 1 + 4 + 4 + CRC_LENGTH + 1 + 2;
 
 /// Length of the longest text of a message, in bytes; a longer one is cut.
 pub const TEXT_CAPACITY: usize = BODY_CAPACITY - 2;
@@ -49,6 +58,12 @@ pub enum Frame {
     StatePiece(StatePiece),
     /// Message.
     Text(Text),
+    /// Reading of the compass.
+    Reading(CompassReading),
+    /// Piece of the heading filter's state: a [`HeadingState`] as bytes.
+    HeadingPiece(StatePiece),
+    /// Heading.
+    Heading(TimedHeading),
 }
 
 /// Settings of the flight.
@@ -94,6 +109,35 @@ impl StatePiece {
     }
 }
 
+/// State of the heading filter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeadingState {
+    /// Number of the compass's next reading.
+    pub next_reading: u32,
+    /// The filter; `None` while it waits for a reading.
+    pub filter: Option<Heading>,
+}
+
+impl HeadingState {
+    /// Visits every field.
+    pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.u32(&mut self.next_reading);
+        let blank = Heading::new(CompassKnowledge::Factory);
+        visitor.optional(&mut self.filter, blank, |visitor, filter| {
+            filter.visit_state(visitor);
+        });
+    }
+}
+
+/// Heading, with the time of the sample at which it changed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimedHeading {
+    /// Time of the sample, µs since start; 0 if the filter does not run. The log keeps 48 bits.
+    pub t_us: u64,
+    /// Estimate; `None` while the heading is unknown.
+    pub estimate: Option<HeadingEstimate>,
+}
+
 /// Text of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Text {
@@ -128,6 +172,12 @@ impl Text {
 impl Frame {
     /// Returns an empty frame of this kind; `None` for an unknown kind.
     fn blank(kind: u8) -> Option<Self> {
+        const PIECE: StatePiece = StatePiece {
+            number: 0,
+            offset: 0,
+            state_length: 0,
+            data: [0; PIECE_LENGTH],
+        };
         Some(match kind {
             1 => Self::Configuration(Configuration {
                 revision: 0,
@@ -147,15 +197,23 @@ impl Frame {
                 tilt_variance_rad2: f32::INFINITY,
                 ..Snapshot::default()
             }),
-            4 => Self::StatePiece(StatePiece {
-                number: 0,
-                offset: 0,
-                state_length: 0,
-                data: [0; PIECE_LENGTH],
-            }),
+            4 => Self::StatePiece(PIECE),
             5 => Self::Text(Text {
                 bytes: [0; TEXT_CAPACITY],
                 length: 0,
+            }),
+            6 => Self::Reading(CompassReading {
+                number: 0,
+                sample_t_us: 0,
+                measured_us: 0,
+                field: MagneticField { ut: [0.0; 3] },
+                knowledge: CompassKnowledge::Factory,
+                starts_filter: false,
+            }),
+            7 => Self::HeadingPiece(PIECE),
+            8 => Self::Heading(TimedHeading {
+                t_us: 0,
+                estimate: None,
             }),
             _ => return None,
         })
@@ -169,6 +227,9 @@ impl Frame {
             Self::Attitude(_) => 3,
             Self::StatePiece(_) => 4,
             Self::Text(_) => 5,
+            Self::Reading(_) => 6,
+            Self::HeadingPiece(_) => 7,
+            Self::Heading(_) => 8,
         }
     }
 
@@ -194,11 +255,7 @@ impl Frame {
                 let mut bits = flags.bits();
                 visitor.u32(&mut bits);
                 *flags = BoardFlags::from_bits_truncate(bits);
-                let [a, b, c, d, e, f, _, _] = burst.captured_at_us.to_le_bytes();
-                let mut time = [a, b, c, d, e, f];
-                visitor.bytes(&mut time);
-                let [a, b, c, d, e, f] = time;
-                burst.captured_at_us = u64::from_le_bytes([a, b, c, d, e, f, 0, 0]);
+                visit_time(&mut burst.captured_at_us, visitor);
                 visitor.u8(&mut burst.missed_before);
                 visitor.bytes(&mut burst.bytes);
             }
@@ -218,18 +275,9 @@ impl Frame {
                 visitor.u32(&mut bits);
                 *flags = Flags::from_bits_truncate(bits);
             }
-            Self::StatePiece(piece) => {
-                visitor.u32(&mut piece.number);
-                visitor.u16(&mut piece.offset);
-                visitor.u16(&mut piece.state_length);
-                let left = usize::from(piece.state_length.saturating_sub(piece.offset));
-                if left == 0 {
-                    visitor.reject();
-                }
-                if let Some(bytes) = piece.data.get_mut(..left.min(PIECE_LENGTH)) {
-                    visitor.bytes(bytes);
-                }
-            }
+            Self::StatePiece(piece) | Self::HeadingPiece(piece) => visit_piece(piece, visitor),
+            Self::Reading(reading) => visit_reading(reading, visitor),
+            Self::Heading(heading) => visit_heading(heading, visitor),
             Self::Text(text) => {
                 visitor.u8(&mut text.length);
                 match text.bytes.get_mut(..text.length.into()) {
@@ -244,6 +292,75 @@ impl Frame {
             }
         }
     }
+}
+
+/// Visits the low 48 bits of a time, µs.
+fn visit_time(t_us: &mut u64, visitor: &mut impl StateVisitor) {
+    let [a, b, c, d, e, f, _, _] = t_us.to_le_bytes();
+    let mut time = [a, b, c, d, e, f];
+    visitor.bytes(&mut time);
+    let [a, b, c, d, e, f] = time;
+    *t_us = u64::from_le_bytes([a, b, c, d, e, f, 0, 0]);
+}
+
+/// Visits a piece of a state.
+#[inline(never)]
+fn visit_piece(piece: &mut StatePiece, visitor: &mut impl StateVisitor) {
+    visitor.u32(&mut piece.number);
+    visitor.u16(&mut piece.offset);
+    visitor.u16(&mut piece.state_length);
+    let left = usize::from(piece.state_length.saturating_sub(piece.offset));
+    if left == 0 {
+        visitor.reject();
+    }
+    if let Some(bytes) = piece.data.get_mut(..left.min(PIECE_LENGTH)) {
+        visitor.bytes(bytes);
+    }
+}
+
+/// Visits a reading of the compass.
+#[inline(never)]
+fn visit_reading(reading: &mut CompassReading, visitor: &mut impl StateVisitor) {
+    const CALIBRATED: usize = 1;
+    const STARTS: usize = 2;
+    visitor.u32(&mut reading.number);
+    visit_time(&mut reading.sample_t_us, visitor);
+    visitor.u32(&mut reading.measured_us);
+    let mut bits = match reading.knowledge {
+        CompassKnowledge::Factory => 0,
+        CompassKnowledge::Calibrated => CALIBRATED,
+    };
+    if reading.starts_filter {
+        bits |= STARTS;
+    }
+    visitor.index(&mut bits, (CALIBRATED | STARTS) + 1);
+    reading.knowledge = if bits & CALIBRATED == 0 {
+        CompassKnowledge::Factory
+    } else {
+        CompassKnowledge::Calibrated
+    };
+    reading.starts_filter = bits & STARTS != 0;
+    visitor.f32s(&mut reading.field.ut);
+}
+
+/// Visits a heading. Its frame is as long if the heading is unknown.
+#[inline(never)]
+fn visit_heading(heading: &mut TimedHeading, visitor: &mut impl StateVisitor) {
+    visit_time(&mut heading.t_us, visitor);
+    // 0: unknown, 1: known, 2: known and valid while the attitude is valid.
+    let mut state = heading
+        .estimate
+        .map_or(0, |it| 1 + usize::from(it.is_valid));
+    visitor.index(&mut state, 3);
+    let mut estimate = heading.estimate.unwrap_or(HeadingEstimate {
+        yaw_offset_rad: 0.0,
+        sigma_rad: 0.0,
+        is_valid: false,
+    });
+    visitor.f32(&mut estimate.yaw_offset_rad);
+    visitor.f32(&mut estimate.sigma_rad);
+    estimate.is_valid = state == 2;
+    heading.estimate = (state > 0).then_some(estimate);
 }
 
 /// Encodes a frame, and returns its bytes.

@@ -2,12 +2,14 @@
 
 use super::super::output::Output;
 use super::frame::{
-    BYTES_PER_BURST, Configuration, FRAME_CAPACITY, Frame, NumberedBurst, PIECE_LENGTH, StatePiece,
-    Text, encode,
+    BYTES_PER_BURST, BYTES_PER_READING, Configuration, FRAME_CAPACITY, Frame, HeadingState,
+    NumberedBurst, PIECE_LENGTH, StatePiece, Text, TimedHeading, encode,
 };
+use crate::compass;
 use crate::estimator::REVISION;
-use crate::pipeline::{Pipeline, Snapshot};
-use crate::serialize::StateWriter;
+use crate::estimator::heading::Heading;
+use crate::pipeline::{CompassReading, Pipeline, Settings, Snapshot};
+use crate::serialize::{StateVisitor, StateWriter};
 
 /// Time between two configurations, µs.
 const CONFIGURATION_PERIOD_US: u64 = 1_000_000;
@@ -15,26 +17,36 @@ const CONFIGURATION_PERIOD_US: u64 = 1_000_000;
 /// Time between two states, µs.
 const STATE_PERIOD_US: u64 = 10_000_000;
 
+/// Longest time between two frames of a heading, µs: the first may be damaged.
+const HEADING_PERIOD_US: u64 = 1_000_000;
+
 /// Pieces of the state per call, so that bursts find room.
 const PIECES_PER_CALL: usize = 4;
 
 /// Sender of a flight log.
 ///
 /// The telemetry task owns it. If [`wants_state`](Self::wants_state), the task copies the pipeline
-/// with [`copy_state`](Self::copy_state); then [`fill`](Self::fill) writes as much as there is room
-/// for.
+/// with [`copy_state`](Self::copy_state). When that state is sent, the sender
+/// [`wants_heading`](Self::wants_heading), in the same memory. [`fill`](Self::fill) writes as much
+/// as there is room for.
 #[derive(Debug, Clone)]
 pub struct Sender {
     state: Option<StateCopy>,
+    /// The heading filter's state follows the pipeline's.
+    owes_heading: bool,
+    /// Settings of the last pipeline that was copied.
+    settings: Option<Settings>,
+    heading: Option<TimedHeading>,
+    next_heading_us: u64,
     next_state_us: u64,
     next_configuration_us: u64,
     from_number: u32,
 }
 
-/// Copy of the pipeline, to be sent in pieces.
+/// Copy of a state, to be sent in pieces.
 #[derive(Debug, Clone, Copy)]
 struct StateCopy {
-    pipeline: Pipeline,
+    copied: Copied,
     number: u32,
     /// Bytes of the state that were sent.
     sent: usize,
@@ -42,11 +54,37 @@ struct StateCopy {
     length: usize,
 }
 
+/// State that is sent.
+#[derive(Debug, Clone, Copy)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "both take the same memory in turn, and nothing is allocated"
+)]
+enum Copied {
+    Pipeline(Pipeline),
+    Heading(HeadingState),
+}
+
+impl Copied {
+    fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        match self {
+            Self::Pipeline(pipeline) => pipeline.visit_state(visitor),
+            // Without a compass the firmware has no code for its state.
+            Self::Heading(heading) if compass::IS_BUILT_IN => heading.visit_state(visitor),
+            Self::Heading(_) => {}
+        }
+    }
+}
+
 impl Sender {
     /// Creates a sender for a log that begins with the burst of this number.
     pub const fn new(next_number: u32) -> Self {
         Self {
             state: None,
+            owes_heading: false,
+            settings: None,
+            heading: None,
+            next_heading_us: 0,
             next_state_us: 0,
             next_configuration_us: 0,
             from_number: next_number,
@@ -69,8 +107,37 @@ impl Sender {
     /// is locked meanwhile; [`measure_state`](Self::measure_state) must follow.
     #[inline(never)]
     pub fn copy_state(&mut self, pipeline: &Pipeline, next_number: u32) {
+        self.settings = Some(*pipeline.settings());
         self.state = Some(StateCopy {
-            pipeline: *pipeline,
+            copied: Copied::Pipeline(*pipeline),
+            number: next_number,
+            sent: 0,
+            length: 0,
+        });
+        self.owes_heading = true;
+    }
+
+    /// Returns whether the sender needs a copy of the heading filter now: the pipeline's state has
+    /// been sent.
+    pub fn wants_heading(&self) -> bool {
+        let is_sent = |state: &StateCopy| state.length > 0 && state.sent >= state.length;
+        self.owes_heading && self.state.as_ref().is_some_and(is_sent)
+    }
+
+    /// Copies the heading filter before the burst of this number, where the compass's next reading
+    /// has the number `next_reading`. `filter` is `None` while it waits for a reading. Before the
+    /// first reading there is nothing to send. [`measure_state`](Self::measure_state) must follow.
+    #[inline(never)]
+    pub fn copy_heading(&mut self, filter: Option<&Heading>, next_reading: u32, next_number: u32) {
+        self.owes_heading = false;
+        if next_reading == 0 {
+            return;
+        }
+        self.state = Some(StateCopy {
+            copied: Copied::Heading(HeadingState {
+                next_reading,
+                filter: filter.copied(),
+            }),
             number: next_number,
             sent: 0,
             length: 0,
@@ -85,33 +152,36 @@ impl Sender {
             return;
         };
         let mut measure = StateWriter::new(&mut [], 0);
-        state.pipeline.visit_state(&mut measure);
+        state.copied.visit_state(&mut measure);
         // A pipeline that still averages has no byte form; the next copy comes sooner.
         let (length, pause_us) = match measure.length() {
             Some(length) => (length, STATE_PERIOD_US),
             None => (0, CONFIGURATION_PERIOD_US),
         };
         state.length = length;
-        self.next_state_us = now_us + pause_us;
+        if let Copied::Pipeline(_) = state.copied {
+            self.next_state_us = now_us + pause_us;
+        }
     }
 
-    /// Writes as much as there is room for. `bursts` returns the oldest burst that was not sent;
-    /// `now_us` is the time since boot, µs.
+    /// Writes as much as there is room for. `bursts` and `readings` return the oldest burst and
+    /// the oldest reading of the compass that were not sent; `now_us` is the time since boot, µs.
     #[inline(never)]
     pub fn fill(
         &mut self,
         now_us: u64,
         output: &mut Output<'_>,
         mut bursts: impl FnMut() -> Option<NumberedBurst>,
+        mut readings: impl FnMut() -> Option<CompassReading>,
     ) {
         let mut bytes = [0; FRAME_CAPACITY];
-        if let Some(state) = &self.state
+        if let Some(settings) = &self.settings
             && now_us >= self.next_configuration_us
         {
             let configuration = Frame::Configuration(Configuration {
                 revision: REVISION,
                 from_number: self.from_number,
-                settings: *state.pipeline.settings(),
+                settings: *settings,
             });
             if output.put(encode(&configuration, &mut bytes)) {
                 self.next_configuration_us = now_us + CONFIGURATION_PERIOD_US;
@@ -122,6 +192,17 @@ impl Sender {
         {
             output.put(encode(&Frame::Burst(burst), &mut bytes));
         }
+        while compass::IS_BUILT_IN
+            && output.has_room(BYTES_PER_READING)
+            && let Some(reading) = readings()
+        {
+            output.put(encode(&Frame::Reading(reading), &mut bytes));
+        }
+        self.put_pieces(output, &mut bytes);
+    }
+
+    /// Writes the next pieces of the state.
+    fn put_pieces(&mut self, output: &mut Output<'_>, bytes: &mut [u8; FRAME_CAPACITY]) {
         let Some(state) = &mut self.state else {
             return;
         };
@@ -136,11 +217,29 @@ impl Sender {
                 data: [0; PIECE_LENGTH],
             };
             let mut window = StateWriter::new(&mut piece.data, state.sent);
-            state.pipeline.visit_state(&mut window);
-            if !output.put(encode(&Frame::StatePiece(piece), &mut bytes)) {
+            state.copied.visit_state(&mut window);
+            let frame = match state.copied {
+                Copied::Pipeline(_) => Frame::StatePiece(piece),
+                Copied::Heading(_) => Frame::HeadingPiece(piece),
+            };
+            if !output.put(encode(&frame, bytes)) {
                 return;
             }
             state.sent += PIECE_LENGTH;
+        }
+    }
+
+    /// Writes the latest heading if it has changed since the last one, or after a second. `now_us`
+    /// is the time since boot, µs.
+    #[inline(never)]
+    pub fn put_heading(&mut self, now_us: u64, heading: TimedHeading, output: &mut Output<'_>) {
+        if self.heading == Some(heading) && now_us < self.next_heading_us {
+            return;
+        }
+        let mut bytes = [0; FRAME_CAPACITY];
+        if output.put(encode(&Frame::Heading(heading), &mut bytes)) {
+            self.heading = Some(heading);
+            self.next_heading_us = now_us + HEADING_PERIOD_US;
         }
     }
 }

@@ -10,12 +10,14 @@ use crate::calibration::{
     AccelerometerCorrection, Calibration, GyroscopeOffset, Mount, SymmetricMatrix, TemperatureModel,
 };
 use crate::estimator::REVISION;
+use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
 use crate::health::{BoardFlags, Flags};
 use crate::mpu6050::{
     AccelerometerRange, BURST_LENGTH, Burst, Config, GyroscopeRange, LowPass, Part,
 };
-use crate::pipeline::{Pipeline, Settings, Snapshot};
-use crate::serialize::StateReader;
+use crate::pipeline::{CompassReading, Pipeline, Settings, Snapshot};
+use crate::serialize::{StateReader, StateWriter};
+use crate::units::MagneticField;
 
 /// Settings with every optional part.
 fn full_settings() -> Settings {
@@ -61,7 +63,7 @@ fn full_settings() -> Settings {
     }
 }
 
-fn examples() -> [Frame; 5] {
+fn examples() -> [Frame; 8] {
     [
         Frame::Configuration(Configuration {
             revision: 7,
@@ -91,8 +93,40 @@ fn examples() -> [Frame; 5] {
             data: [0x5A; PIECE_LENGTH],
         }),
         Frame::Text(Text::new("the sensor does not answer, 5 °C")),
+        Frame::Reading(READING),
+        Frame::HeadingPiece(StatePiece {
+            number: 9,
+            offset: 0,
+            state_length: 5,
+            data: {
+                let mut data = [0; PIECE_LENGTH];
+                data[..5].fill(0xA5);
+                data
+            },
+        }),
+        Frame::Heading(HEADING),
     ]
 }
+
+const READING: CompassReading = CompassReading {
+    number: 0x0506_0708,
+    sample_t_us: (1 << 48) - 2,
+    measured_us: u32::MAX,
+    field: MagneticField {
+        ut: [20.0, -0.0, 44.5],
+    },
+    knowledge: CompassKnowledge::Calibrated,
+    starts_filter: true,
+};
+
+const HEADING: TimedHeading = TimedHeading {
+    t_us: 0x0102_0304_0506,
+    estimate: Some(HeadingEstimate {
+        yaw_offset_rad: -1.5,
+        sigma_rad: 0.03,
+        is_valid: true,
+    }),
+};
 
 fn stream(frames: &[Frame]) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -122,7 +156,33 @@ fn every_kind_of_frame_survives() {
     }
     let (all, counts) = decoded(&stream(&frames));
     assert_eq!(all, frames);
-    assert_eq!((counts.frames, counts.damaged), (5, 0));
+    assert_eq!((counts.frames, counts.damaged), (8, 0));
+}
+
+#[test]
+fn every_knowledge_and_every_state_of_a_heading_survives() {
+    let valid = HEADING.estimate.expect("a heading");
+    let headings = [
+        None,
+        Some(valid),
+        Some(HeadingEstimate {
+            is_valid: false,
+            ..valid
+        }),
+    ];
+    let headings = headings.map(|estimate| Frame::Heading(TimedHeading { t_us: 5, estimate }));
+    let knowledge = [CompassKnowledge::Factory, CompassKnowledge::Calibrated];
+    let readings = knowledge.into_iter().flat_map(|knowledge| {
+        [false, true].map(|starts_filter| {
+            Frame::Reading(CompassReading {
+                knowledge,
+                starts_filter,
+                ..READING
+            })
+        })
+    });
+    let frames: Vec<Frame> = headings.into_iter().chain(readings).collect();
+    assert_eq!(decoded(&stream(&frames)).0, frames);
 }
 
 #[test]
@@ -130,6 +190,8 @@ fn frames_have_their_documented_lengths_and_fit_the_uart() {
     let [_, burst, attitude, ..] = examples();
     assert_eq!(stream(&[burst]).len(), BYTES_PER_BURST);
     assert_eq!(stream(&[attitude]).len(), BYTES_PER_ATTITUDE);
+    assert_eq!(stream(&[Frame::Reading(READING)]).len(), BYTES_PER_READING);
+    assert_eq!(stream(&[Frame::Heading(HEADING)]).len(), BYTES_PER_HEADING);
     // At 1 kHz with 50 attitudes, a configuration each second and a state in ten.
     let configuration = stream(&examples()[..1]).len();
     let piece = stream(&examples()[3..4]).len();
@@ -138,6 +200,19 @@ fn frames_have_their_documented_lengths_and_fit_the_uart() {
         1000 * BYTES_PER_BURST + 50 * stream(&[attitude]).len() + configuration + state / 10;
     assert!(a_second < 41_000, "{a_second}");
     assert!(a_second * 10 < 921_600 / 2, "half of the line is free");
+    // With a compass, 50 readings, seven headings and the state of the heading filter.
+    let mut heading_state = HeadingState {
+        next_reading: 1,
+        filter: Some(Heading::new(CompassKnowledge::Calibrated)),
+    };
+    let mut measure = StateWriter::new(&mut [], 0);
+    heading_state.visit_state(&mut measure);
+    let length = measure.length().expect("it has a byte form");
+    assert!(length < 1_920, "{length}");
+    let pieces = length.div_ceil(PIECE_LENGTH) * piece / 10;
+    let compass = 50 * BYTES_PER_READING + 7 * BYTES_PER_HEADING + pieces;
+    assert!(a_second + compass < 43_500, "{a_second} {compass}");
+    assert!((a_second + compass) * 10 < 921_600 / 2);
 }
 
 #[test]
@@ -150,7 +225,7 @@ fn other_lines_between_frames_are_skipped_and_counted() {
     bytes.extend(&stream(&frames)[..9]);
     bytes.extend(stream(&frames));
     let (found, counts) = decoded(&bytes);
-    assert_eq!(found.len(), 10);
+    assert_eq!(found.len(), 16);
     assert_eq!((counts.damaged, counts.damaged_bytes), (2, noise + 8));
 }
 
@@ -211,12 +286,13 @@ fn a_sender_sends_a_state_in_pieces_and_never_more_than_fits() {
         let mut buffer = [0; 512];
         let mut output = Output::new(&mut buffer);
         let limit = 10 + 10 * (round as u32 + 1);
-        sender.fill(round * 10_000, &mut output, || {
+        let bursts = || {
             (next < limit).then(|| {
                 next += 1;
                 burst(next - 1)
             })
-        });
+        };
+        sender.fill(round * 10_000, &mut output, bursts, || None);
         let length = output.length();
         all.extend_from_slice(&buffer[..length]);
     }
@@ -248,6 +324,121 @@ fn a_sender_sends_a_state_in_pieces_and_never_more_than_fits() {
     );
     assert!(matches!(frames[0], Frame::Configuration(configuration)
         if configuration.from_number == 10 && configuration.revision == REVISION));
+}
+
+/// Everything that a sender writes in one call with this much room.
+fn filled(
+    sender: &mut Sender,
+    now_us: u64,
+    room: usize,
+    mut readings: impl FnMut() -> Option<CompassReading>,
+) -> Vec<Frame> {
+    let mut buffer = vec![0; room];
+    let mut output = Output::new(&mut buffer);
+    sender.fill(now_us, &mut output, || None, &mut readings);
+    let length = output.length();
+    decoded(&buffer[..length]).0
+}
+
+#[test]
+fn the_heading_filter_follows_the_pipeline_in_pieces_and_comes_back() {
+    let pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let mut heading = Heading::new(CompassKnowledge::Calibrated);
+    heading.set_declination(0.25);
+    let mut sender = Sender::new(10);
+    assert!(!sender.wants_heading());
+    sender.copy_state(&pipeline, 10);
+    sender.measure_state(0);
+    let mut calls = 0;
+    while !sender.wants_heading() {
+        calls += 1;
+        assert!(calls < 10, "the pipeline is sent in time");
+        let frames = filled(&mut sender, calls, 992, || None);
+        assert!(!frames.iter().any(|it| matches!(it, Frame::HeadingPiece(_))));
+    }
+    sender.copy_heading(Some(&heading), 7, 42);
+    assert!(!sender.wants_heading());
+    sender.measure_state(100);
+    assert!(!sender.wants_state(9_999_000) && sender.wants_state(10_000_000));
+    let mut state = Vec::new();
+    for call in 0..10 {
+        for frame in filled(&mut sender, 101 + call, 992, || None) {
+            let Frame::HeadingPiece(piece) = frame else {
+                panic!("{frame:?}");
+            };
+            assert_eq!((piece.number, usize::from(piece.offset)), (42, state.len()));
+            state.extend_from_slice(piece.bytes());
+        }
+    }
+    let mut restored = HeadingState {
+        next_reading: 0,
+        filter: None,
+    };
+    let mut reader = StateReader::new(&state);
+    restored.visit_state(&mut reader);
+    assert!(reader.is_complete());
+    assert_eq!((restored.next_reading, restored.filter), (7, Some(heading)));
+    assert!(
+        !sender.wants_heading(),
+        "once for each state of the pipeline"
+    );
+}
+
+#[test]
+fn without_a_reading_no_heading_filter_is_sent() {
+    let mut sender = Sender::new(0);
+    sender.copy_state(&Pipeline::new(&Settings::new(&Part::MPU_6050)), 0);
+    sender.measure_state(0);
+    while !sender.wants_heading() {
+        filled(&mut sender, 1, 992, || None);
+    }
+    sender.copy_heading(None, 0, 5);
+    sender.measure_state(2);
+    assert!(!sender.wants_heading());
+    assert_eq!(filled(&mut sender, 3, 992, || None), []);
+}
+
+#[test]
+fn readings_wait_for_room_in_order() {
+    let mut sender = Sender::new(0);
+    let mut number = 0;
+    let mut readings = || {
+        number += 1;
+        Some(CompassReading { number, ..READING })
+    };
+    let room = 2 * BYTES_PER_READING + 5;
+    let mut found = filled(&mut sender, 0, room, &mut readings);
+    assert_eq!(found.len(), 2);
+    found.extend(filled(&mut sender, 1, room, &mut readings));
+    let numbers: Vec<u32> = found
+        .iter()
+        .map(|frame| match frame {
+            Frame::Reading(reading) => reading.number,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(numbers, [1, 2, 3, 4]);
+}
+
+#[test]
+fn a_heading_is_sent_when_it_changes_and_after_a_second() {
+    let mut sender = Sender::new(0);
+    let mut send = |now_us, heading| {
+        let mut buffer = [0; 64];
+        let mut output = Output::new(&mut buffer);
+        sender.put_heading(now_us, heading, &mut output);
+        let length = output.length();
+        decoded(&buffer[..length]).0
+    };
+    assert_eq!(send(0, HEADING), [Frame::Heading(HEADING)]);
+    assert_eq!(send(999_999, HEADING), []);
+    let next = TimedHeading {
+        t_us: HEADING.t_us + 1,
+        ..HEADING
+    };
+    assert_eq!(send(999_999, next), [Frame::Heading(next)]);
+    assert_eq!(send(1_999_998, next), []);
+    assert_eq!(send(1_999_999, next), [Frame::Heading(next)]);
 }
 
 proptest! {
