@@ -4,16 +4,18 @@ use std::error::Error;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use aplomb::attitude::{BodyVector, Vector3};
 use aplomb::calibration::Mount;
+use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
-use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::pipeline::{CompassReading, Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb_recordings::flight_log::{self, Recorder};
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{Lines, LogFault, Row, Rows};
+use aplomb_recordings::log::{Lines, LogFault, Row, Rows, has_compass};
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
@@ -25,8 +27,9 @@ use crate::progress;
 ///
 /// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI
 /// units, plain or gzipped. OUTPUT's name decides on its form: *.log a flight log, *bursts.csv
-/// bursts, any other *.csv a log in SI units and the sensor's axes, as `replay` reads it. A log in
-/// SI units becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out.
+/// bursts, any other *.csv a log in SI units and the sensor's axes, as `replay` reads it, with
+/// mx,my,mz in µT if a flight log has readings of a compass; they are corrected. A log in SI units
+/// becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out.
 /// Bursts and CSV logs have no place for a flight log's mount and calibration, and bursts none for
 /// its ranges: the output names the options to replay them with.
 #[derive(clap::Args)]
@@ -36,7 +39,7 @@ use crate::progress;
 
 JSON: input, output, bursts, bursts_lost, damaged_pieces,
 clipped_values (of a log in SI units, beyond the ranges), left_out (what the output has no place
-for: temperature, flags, truth).")]
+for: temperature, flags, truth, compass), readings (of a compass, if any were written).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
@@ -127,6 +130,8 @@ impl Kind {
 struct Recorded {
     burst: Burst,
     flags: BoardFlags,
+    /// Reading of the compass that was added after the burst.
+    reading: Option<CompassReading>,
     /// Values beyond the ranges, which were clipped.
     clipped_values: usize,
 }
@@ -141,13 +146,33 @@ struct Written {
     clipped_values: usize,
     /// A burst has flags, or samples before it are missing.
     has_flags: bool,
+    readings: usize,
+    /// Knowledge of the last reading.
+    knowledge: CompassKnowledge,
+    /// Ages of the readings against the samples' motion, µs.
+    ages_us: Vec<u32>,
 }
 
 impl Written {
-    fn count(&mut self, recorded: &Recorded) {
+    fn count(&mut self, recorded: &Recorded, delay_us: u32) {
+        if let Some(reading) = &recorded.reading {
+            self.readings += 1;
+            self.knowledge = reading.knowledge;
+            let motion_us = (reading.sample_t_us as u32).wrapping_sub(delay_us);
+            let age_us = motion_us.wrapping_sub(reading.measured_us) as i32;
+            self.ages_us.push(age_us.max(0).unsigned_abs());
+        }
         self.bursts += 1;
         self.clipped_values += recorded.clipped_values;
         self.has_flags |= recorded.burst.missed_before > 0 || !recorded.flags.is_empty();
+    }
+
+    /// Returns the options of `replay` for the compass.
+    fn compass_options(&mut self) -> String {
+        let middle = self.ages_us.len() / 2;
+        let age_us = *self.ages_us.select_nth_unstable(middle).1;
+        let knowledge = self.knowledge.name();
+        format!(" --compass {knowledge} --compass-delay-us {age_us}")
     }
 }
 
@@ -163,8 +188,13 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let mut found = read(options, into)?;
     let settings = Settings {
         sensor: found.config,
-        mount: options.mount.unwrap_or(Mount::Z_UP),
+        mount: options.mount.or(found.mount).unwrap_or(Mount::Z_UP),
         ..Settings::new(found.part)
+    };
+    let has_compass = found.has_readings;
+    let target = Target {
+        settings,
+        has_compass,
     };
     let write = match into {
         Kind::FlightLog => write_log,
@@ -175,7 +205,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let (mut written, mut failure) = (Written::default(), None);
     let mut bursts = found.bursts.by_ref().map_while(|recorded| match recorded {
         Ok(recorded) => {
-            written.count(&recorded);
+            written.count(&recorded, found.delay_us);
             Some(recorded)
         }
         Err(error) => {
@@ -183,12 +213,12 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             None
         }
     });
-    write(&mut file, &settings, &mut bursts).map_err(|error| file.failed(&error))?;
+    write(&mut file, &target, &mut bursts).map_err(|error| file.failed(&error))?;
     if let Some(failure) = failure {
         return Err(failure);
     }
     file.finish()?;
-    report(options, into, &found, &written)
+    report(options, into, &found, &mut written)
 }
 
 /// Prints what was written, and what was left out.
@@ -196,8 +226,9 @@ fn report(
     options: &Options,
     into: Kind,
     found: &Found,
-    written: &Written,
+    written: &mut Written,
 ) -> Result<(), Box<dyn Error>> {
+    let writes_readings = into == Kind::Csv && written.readings > 0;
     let left_out = found.left_out(into, written.has_flags);
     let summary = Summary {
         input: options.input.display().to_string(),
@@ -207,6 +238,7 @@ fn report(
         damaged_pieces: found.damaged_pieces,
         clipped_values: written.clipped_values,
         left_out,
+        readings: writes_readings.then_some(written.readings),
     };
     if options.json {
         print_line(&serde_json::to_string(&summary)?);
@@ -241,6 +273,9 @@ fn report(
                 sensor.accelerometer_range, sensor.gyroscope_range
             );
         }
+        if writes_readings {
+            replay_with += &written.compass_options();
+        }
         print_line(&format!(
             "replay it with {replay_with}; the flight's calibration is not in it"
         ));
@@ -258,6 +293,15 @@ struct Summary {
     damaged_pieces: u64,
     clipped_values: usize,
     left_out: Vec<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    readings: Option<usize>,
+}
+
+/// Properties of the recording that is written.
+struct Target {
+    settings: Settings,
+    /// Readings of a compass are written too.
+    has_compass: bool,
 }
 
 /// Recording whose bursts are still to be read.
@@ -271,6 +315,10 @@ struct Found {
     damaged_pieces: u64,
     /// The recording has a truth.
     has_truth: bool,
+    /// The recording has readings of a compass.
+    has_readings: bool,
+    /// Delay of the sensor, µs, if the recording is a flight log.
+    delay_us: u32,
     /// The recording has no temperature: 25 °C stands for it.
     is_csv: bool,
 }
@@ -282,6 +330,7 @@ impl Found {
             ("the temperature", into == Kind::Csv && !self.is_csv),
             ("the board's flags", into == Kind::Csv && has_flags),
             ("the truth", self.has_truth),
+            ("the compass", self.has_readings && into != Kind::Csv),
         ];
         let lost = lost.into_iter().filter(|(_, is_lost)| *is_lost);
         lost.map(|(name, _)| name).collect()
@@ -300,20 +349,25 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
             .as_ref()
             .ok_or_else(|| at("there is no configuration in it".to_owned()))?;
         let steps = log.steps(flight)?;
+        let Settings { part, sensor, .. } = first.settings;
+        let part_us = part.gyroscope_delay_us(sensor.low_pass).into();
         return Ok(Found {
-            config: first.settings.sensor,
+            config: sensor,
             mount: Some(first.settings.mount()),
-            part: first.settings.part,
+            part,
             bursts: Box::new(steps.map(|step| {
                 Ok(Recorded {
                     burst: step.numbered.burst,
                     flags: step.numbered.flags,
+                    reading: step.reading,
                     clipped_values: 0,
                 })
             })),
             bursts_lost: flight.lost(),
             damaged_pieces: log.counts.damaged,
             has_truth: false,
+            has_readings: flight.readings > 0,
+            delay_us: first.settings.sensor_delay_us.unwrap_or(part_us),
             is_csv: false,
         });
     }
@@ -324,16 +378,19 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         Form::Log(_) => Kind::Csv,
     };
     kind.check(options, into)?;
-    let (bursts, is_csv, has_truth): (Bursts, _, _) = match form {
+    let columns = match form {
+        Form::Bursts => 0,
+        Form::Log(columns) => columns,
+    };
+    let (bursts, is_csv): (Bursts, _) = match form {
         Form::Bursts => {
             let next = move || next_burst(&mut lines).transpose();
-            (Box::new(std::iter::from_fn(next)), false, false)
+            (Box::new(std::iter::from_fn(next)), false)
         }
         Form::Log(columns) => {
             let mut rows = Rows::new(lines, columns, options.rows, false)?;
             let next = move || next_row(&mut rows).transpose();
-            let has_truth = columns > SHORTEST_LOG;
-            (Box::new(std::iter::from_fn(next)), true, has_truth)
+            (Box::new(std::iter::from_fn(next)), true)
         }
     };
     Ok(Found {
@@ -343,7 +400,9 @@ fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
         bursts,
         bursts_lost: 0,
         damaged_pieces: 0,
-        has_truth,
+        has_truth: columns > SHORTEST_LOG + if has_compass(columns) { 3 } else { 0 },
+        has_readings: has_compass(columns),
+        delay_us: 0,
         is_csv,
     })
 }
@@ -358,6 +417,7 @@ fn next_burst(lines: &mut Lines) -> Result<Option<Recorded>, Box<dyn Error>> {
     Ok(Some(Recorded {
         burst,
         flags,
+        reading: None,
         clipped_values: 0,
     }))
 }
@@ -377,6 +437,7 @@ fn next_row(rows: &mut Rows) -> Result<Option<Recorded>, Box<dyn Error>> {
     Ok(Some(Recorded {
         burst,
         flags: BoardFlags::empty(),
+        reading: None,
         clipped_values,
     }))
 }
@@ -416,10 +477,10 @@ fn counts_of(row: &Row) -> Result<(RawSample, usize), LogFault> {
 
 fn write_log(
     file: &mut OutputFile,
-    settings: &Settings,
+    target: &Target,
     bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
-    let mut recorder = Recorder::new(file, Pipeline::new(settings), 0);
+    let mut recorder = Recorder::new(file, Pipeline::new(&target.settings), 0);
     for Recorded { burst, flags, .. } in bursts {
         recorder.add(&burst, flags)?;
     }
@@ -428,7 +489,7 @@ fn write_log(
 
 fn write_bursts(
     file: &mut OutputFile,
-    _: &Settings,
+    _: &Target,
     bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
     writeln!(file, "{}", bursts::HEADER)?;
@@ -440,12 +501,17 @@ fn write_bursts(
 
 fn write_csv(
     file: &mut OutputFile,
-    settings: &Settings,
+    target: &Target,
     bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
-    writeln!(file, "t_us,ax,ay,az,gx,gy,gz")?;
+    let Target {
+        settings,
+        has_compass,
+    } = target;
+    let field_columns = if *has_compass { ",mx,my,mz" } else { "" };
+    writeln!(file, "t_us,ax,ay,az,gx,gy,gz{field_columns}")?;
     let mut line = Vec::new();
-    for Recorded { burst, .. } in bursts {
+    for Recorded { burst, reading, .. } in bursts {
         let raw = RawSample::decode(&burst.bytes);
         let force = raw
             .accelerometer
@@ -456,6 +522,19 @@ fn write_csv(
         for value in [force.x, force.y, force.z, rates.x, rates.y, rates.z] {
             line.push(b',');
             number::append(&mut line, value);
+        }
+        match reading {
+            Some(reading) => {
+                let [x, y, z] = reading.field.ut;
+                let field = BodyVector::new(x, y, z);
+                let Vector3 { x, y, z } = settings.mount.to_sensor(field);
+                for value in [x, y, z] {
+                    line.push(b',');
+                    number::append(&mut line, value);
+                }
+            }
+            None if *has_compass => line.extend_from_slice(b",,,"),
+            None => {}
         }
         line.push(b'\n');
         file.write_all(&line)?;

@@ -5,6 +5,13 @@ mod common;
 use std::io::Write;
 use std::process::{Command, Stdio};
 
+use aplomb::calibration::Mount;
+use aplomb::estimator::heading::CompassKnowledge;
+use aplomb::health::BoardFlags;
+use aplomb::mpu6050::{Burst, Part};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::units::MagneticField;
+use aplomb_recordings::flight_log::Recorder;
 use common::{aplomb, file, path};
 
 /// Returns the message of a command that has to fail.
@@ -32,6 +39,102 @@ fn flight_log(test: &str, name: &str, seconds: &str) -> String {
     run(&["simulate", "--seconds", seconds, "--output", &csv]);
     run(&["convert", &csv, &log, "--mount", "z-down"]);
     log
+}
+
+/// Writes a flight log of three seconds at rest with a compass: 50 readings a second, 20 µT to the
+/// north and 44 µT down. The sensor is mounted with its X axis to the left.
+fn flight_log_with_compass(test: &str, name: &str) -> String {
+    let mut settings = Settings::new(&Part::MPU_6050);
+    settings.mount = Mount::parse("-y-z").unwrap();
+    let mut recorder = Recorder::new(Vec::new(), Pipeline::new(&settings), 0);
+    // Level and face up: 1 g along z at 2048 counts each. The last bit trembles.
+    let mut bytes = [0; 14];
+    bytes[4..6].copy_from_slice(&2048_i16.to_be_bytes());
+    for index in 0..3_000_u64 {
+        bytes[9] = (index * 7 % 5) as u8;
+        let burst = Burst {
+            bytes,
+            captured_at_us: 20_000 + 1_000 * index,
+            missed_before: 0,
+        };
+        recorder.add(&burst, BoardFlags::empty()).unwrap();
+        if index % 20 == 7 {
+            let field = MagneticField {
+                ut: [20.0, 1.0, 44.0],
+            };
+            let measured_us = burst.captured_at_us as u32 - 10_000;
+            let knowledge = CompassKnowledge::Calibrated;
+            recorder.add_reading(field, measured_us, knowledge).unwrap();
+        }
+    }
+    let log = file(test, name, recorder.into_inner());
+    log.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_flight_log_with_a_compass_replays_its_heading_and_becomes_a_log_with_its_field() {
+    let log = flight_log_with_compass("compass", "flight.log");
+    let [replayed, csv, again] =
+        ["replayed.csv", "flight.csv", "again.csv"].map(|name| named("compass", name));
+    let printed = run(&["replay", &log, "--output", &replayed]);
+    let told = "compass: 150 readings, 0 lost; 2992 headings exact;";
+    assert!(
+        printed.contains(told) && printed.contains(" 0 differ"),
+        "{printed}"
+    );
+    let json = run(&["replay", &log, "--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let compass = &summary["log"]["compass"];
+    assert_eq!(
+        (&compass["readings"], &compass["heading_exact"]),
+        (&150.into(), &2992.into())
+    );
+    assert_eq!(compass["heading_different"], 0);
+    let read = |name: &str| std::fs::read_to_string(name).unwrap();
+    let last_heading_deg = |table: &str| -> f32 {
+        let cells: Vec<&str> = table.lines().last().unwrap().split(',').collect();
+        cells[cells.len() - 3].parse().unwrap()
+    };
+    let expected_deg = -(1.0_f32 / 20.0).atan().to_degrees();
+    let heading_deg = last_heading_deg(&read(&replayed));
+    assert!((heading_deg - expected_deg).abs() < 0.1, "{heading_deg}");
+
+    let printed = run(&["convert", &log, &csv]);
+    let options = "--mount -y-z --compass calibrated --compass-delay-us 8100";
+    assert!(
+        printed.contains(&format!("replay it with {options};")),
+        "{printed}"
+    );
+    let table = read(&csv);
+    assert!(table.starts_with("t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n"));
+    let (with, without): (Vec<&str>, Vec<&str>) =
+        table.lines().skip(1).partition(|row| !row.ends_with(",,,"));
+    assert_eq!((with.len(), without.len()), (150, 2_850));
+    // Forward is the sensor's −y, right its −x, down its −z.
+    assert!(
+        with.iter().all(|row| row.ends_with(",-1,-20,-44")),
+        "{}",
+        with[0]
+    );
+    let replay = ["replay", &csv, "--output", &again];
+    let options: Vec<&str> = options.split(' ').collect();
+    run(&[&replay[..], &options].concat());
+    let heading_deg = last_heading_deg(&read(&again));
+    assert!((heading_deg - expected_deg).abs() < 0.1, "{heading_deg}");
+
+    let bursts = named("compass", "a-bursts.csv");
+    let printed = run(&["convert", &log, &bursts]);
+    assert!(
+        printed.contains("has no place for it: the compass"),
+        "{printed}"
+    );
+}
+
+#[test]
+fn view_takes_the_sensor_board_of_the_virtual_board() {
+    let result = aplomb(&["view", "--virtual", "--sensor", "bmp280"]);
+    let message = String::from_utf8(result.stderr).unwrap();
+    assert!(message.contains("mpu6050, mpu9250, gy87"), "{message}");
 }
 
 /// Writes two flights of different lengths into one log.

@@ -37,6 +37,9 @@ use model::{Connection, Model, Speaker};
 use player::{Player, SPEEDS};
 pub use source::{BAUD, LOG_BAUD, Link, Report, which_port};
 
+/// Sensor boards of the virtual board.
+const VIRTUAL_SENSORS: [&str; 3] = ["mpu6050", "mpu9250", "gy87"];
+
 /// Size of the picture, letters.
 const PICTURE: Rect = Rect::new(0, 0, 110, 32);
 
@@ -72,6 +75,10 @@ pub struct Options {
     /// The firmware image for the virtual board. Default: the one that `cargo xtask view` builds
     #[arg(long, value_name = "FILE", requires = "virtual_board")]
     elf: Option<PathBuf>,
+    /// The sensor board on the virtual board; mpu9250 and gy87 have a compass [default: mpu6050]
+    #[arg(long = "sensor", value_name = "NAME", requires = "virtual_board")]
+    #[arg(value_parser = VIRTUAL_SENSORS)]
+    virtual_sensor: Option<String>,
     #[command(flatten)]
     sensor: I2cOptions,
     /// Play a recording so many times as fast
@@ -116,12 +123,22 @@ impl Options {
             return Ok(Origin::Sensor(self.sensor.clone()));
         }
         if self.virtual_board {
-            return virtual_board(self.elf.as_deref()).map(Origin::VirtualBoard);
+            let mut command = virtual_board(self.elf.as_deref())?;
+            command.args(self.flight_arguments());
+            return Ok(Origin::VirtualBoard(command));
         }
         Ok(Origin::Port(
             self.port.clone().unwrap_or_default(),
             self.baud,
         ))
+    }
+
+    /// Returns the arguments of the flight on the virtual board, beside those of its image.
+    fn flight_arguments(&self) -> Vec<&str> {
+        match &self.virtual_sensor {
+            Some(name) => vec!["--sensor", name],
+            None => Vec::new(),
+        }
     }
 }
 

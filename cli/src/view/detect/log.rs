@@ -2,10 +2,12 @@
 
 use std::collections::VecDeque;
 
+use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{Part, RawSample};
 use aplomb::pipeline::{Pipeline, Snapshot};
 use aplomb::serialize::StateReader;
+use aplomb::telemetry::heading;
 use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use aplomb::units::degrees;
 use aplomb_recordings::flight_log::StateCollector;
@@ -23,6 +25,7 @@ pub struct Log {
     part: Option<&'static Part>,
     pipeline: Option<Pipeline>,
     recent: VecDeque<NumberedBurst>,
+    heading: Option<HeadingEstimate>,
     collector: StateCollector,
     /// Pieces of a message whose last piece was full, so that another may follow.
     text: String,
@@ -68,6 +71,9 @@ impl Log {
             Frame::Burst(burst) => self.burst(burst, counts),
             Frame::Attitude(snapshot) => {
                 items.push(Item::Reading(Reading::of_snapshot(&snapshot)));
+                if let Some(heading) = &self.heading {
+                    items.push(Item::Heading(heading::Line::new(&snapshot, heading)));
+                }
                 if let Some(pipeline) = &self.pipeline {
                     let held = pipeline.stale(snapshot.t_us, BoardFlags::empty());
                     items.push(Item::TiltSigma(degrees(held.tilt_sigma_rad())));
@@ -82,6 +88,7 @@ impl Log {
                     self.restore(number, &state);
                 }
             }
+            Frame::Heading(heading) => self.heading = heading.estimate,
             Frame::Text(piece) => {
                 self.text += piece.as_str();
                 if piece.as_str().len() < Self::FULL_PIECE {
@@ -101,6 +108,7 @@ impl Log {
                 _ => {
                     self.recent.clear();
                     self.pipeline = None;
+                    self.heading = None;
                 }
             }
         }

@@ -3,10 +3,12 @@
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
 use aplomb::compass::Condition;
 use aplomb::estimator::Sample;
+use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, Part};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-use aplomb::telemetry::log::{self, Frame, NumberedBurst};
+use aplomb::telemetry::heading;
+use aplomb::telemetry::log::{self, Frame, NumberedBurst, TimedHeading};
 use aplomb::telemetry::mavlink::{Session, Vehicle};
 use aplomb::telemetry::message::Severity;
 use aplomb::telemetry::{FRAME_CAPACITY, Output, encode};
@@ -430,4 +432,40 @@ fn an_attitude_table_is_read_by_its_columns() {
         ]
     );
     assert_eq!(decoder.counts().damaged, 1);
+}
+
+#[test]
+fn the_heading_of_a_log_comes_with_each_attitude_until_it_is_unknown() {
+    let estimate = HeadingEstimate {
+        yaw_offset_rad: radians(20.0),
+        sigma_rad: radians(2.0),
+        is_valid: true,
+    };
+    let bytes = |estimate| {
+        let mut bytes = Vec::new();
+        let timed = TimedHeading { t_us: 5, estimate };
+        for frame in [
+            Frame::Heading(timed),
+            Frame::Attitude(snapshot()),
+            Frame::Attitude(snapshot()),
+        ] {
+            bytes.extend_from_slice(log::encode(&frame, &mut [0; log::FRAME_CAPACITY]));
+        }
+        bytes
+    };
+    let headings = |items: &[Item]| -> Vec<heading::Line> {
+        let heading = |item: &Item| match item {
+            Item::Heading(line) => Some(*line),
+            _ => None,
+        };
+        items.iter().filter_map(heading).collect()
+    };
+    let mut decoder = Decoder::default();
+    let items = decode(&mut decoder, &bytes(Some(estimate)));
+    let found = headings(&items);
+    assert_eq!(found, [heading::Line::new(&snapshot(), &estimate); 2]);
+    assert!((found[0].heading_deg - 60.0).abs() < 0.1, "{found:?}");
+    let items = decode(&mut decoder, &bytes(None));
+    assert_eq!((readings(&items).len(), headings(&items).len()), (2, 0));
+    assert_eq!(decoder.counts().damaged, 0);
 }
