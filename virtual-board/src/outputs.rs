@@ -2,7 +2,7 @@
 //!
 //! | file | contents |
 //! |---|---|
-//! | `attitude.csv` | a row per published sample: the published snapshot |
+//! | `attitude.csv` | a row per published sample: the snapshot, and the heading of a compass |
 //! | `bursts.csv` | a row per published sample: its bytes from the bus, and the board's flags |
 //! | `truth.csv` | a row per published sample: the true motion at its edge, where it is known |
 //! | `uart.log` | the UART's bytes |
@@ -88,10 +88,16 @@ fn in_file(
 ///
 /// When the writer refuses.
 pub fn write_attitude(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
+    let has_compass = samples.iter().any(|sample| sample.heading.is_some());
+    let heading_columns = if has_compass {
+        ",heading_deg,heading_sigma_deg,yaw_offset_deg"
+    } else {
+        ""
+    };
     writeln!(
         to,
         "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
-         roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags"
+         roll_rate_dps,pitch_rate_dps,yaw_rate_dps,flags{heading_columns}"
     )?;
     for sample in samples {
         let snapshot = &sample.snapshot;
@@ -100,7 +106,7 @@ pub fn write_attitude(to: &mut impl Write, samples: &[Sample]) -> io::Result<()>
             snapshot.euler(),
             snapshot.body_rates_rad_s,
         );
-        writeln!(
+        write!(
             to,
             "{},{},{},{},{},{},{},{},{},{},{},{}",
             snapshot.t_us,
@@ -116,6 +122,18 @@ pub fn write_attitude(to: &mut impl Write, samples: &[Sample]) -> io::Result<()>
             degrees(rates.z),
             snapshot.flags,
         )?;
+        match &sample.heading {
+            Some(heading) => write!(
+                to,
+                ",{},{},{}",
+                degrees(heading.heading_rad(euler.yaw_rad)),
+                degrees(heading.sigma_rad),
+                degrees(heading.yaw_offset_rad),
+            )?,
+            None if has_compass => write!(to, ",,,")?,
+            None => {}
+        }
+        writeln!(to)?;
     }
     Ok(())
 }
