@@ -173,7 +173,9 @@ impl Device {
         };
         let age_us = pipeline.reading_age_us(reading.measured_us);
         if is_new {
-            self.restore_heading(Some(Heading::new(reading.knowledge)));
+            let mut heading = Heading::new(reading.knowledge);
+            heading.set_declination(reading.declination_rad);
+            self.restore_heading(Some(heading));
         }
         self.update_field(reading.field, age_us);
     }

@@ -261,6 +261,7 @@ impl CompassTask {
                 measured_us,
                 field,
                 knowledge,
+                declination_rad: self.declination_rad,
                 starts_filter,
             };
             self.to_log.enqueue(reading).ok();

@@ -57,6 +57,8 @@ pub struct CompassReading {
     pub field: MagneticField,
     /// Knowledge of the compass with which the filter has started.
     pub knowledge: CompassKnowledge,
+    /// Declination of the place, rad, east positive.
+    pub declination_rad: f32,
     /// True if the filter starts with this reading.
     pub starts_filter: bool,
 }

@@ -384,7 +384,9 @@ impl Replayed {
         if let Some(reading) = &step.reading {
             assert_eq!(reading.sample_t_us, burst.captured_at_us);
             if reading.starts_filter {
-                self.heading = Some(Heading::new(reading.knowledge));
+                let mut heading = Heading::new(reading.knowledge);
+                heading.set_declination(reading.declination_rad);
+                self.heading = Some(heading);
                 self.is_exact = true;
                 self.starts += 1;
             }
@@ -403,7 +405,9 @@ fn a_flight_log_replays_the_heading_to_the_bit() {
         let outcome = calibrated_flight(kit, 4)
             .without_account()
             .command(1.0, "baud 921600")
+            .command(1.2, "declination 3.5")
             .command(1.5, "format log")
+            .command(12.0, "declination -2")
             .command(14.0, "compass +x-z")
             .command(15.5, "compass off")
             .command(16.5, "compass auto")

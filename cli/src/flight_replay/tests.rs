@@ -345,6 +345,7 @@ fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
             measured_us: number,
             field: MagneticField { ut },
             knowledge: CompassKnowledge::Calibrated,
+            declination_rad: 0.1,
             starts_filter,
         })
     });

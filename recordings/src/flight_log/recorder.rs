@@ -111,6 +111,7 @@ impl<W: Write> Recorder<W> {
             measured_us,
             field,
             knowledge,
+            declination_rad: 0.0,
             starts_filter: self.heading.is_none(),
         });
         self.readings += 1;

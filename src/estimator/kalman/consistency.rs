@@ -1,20 +1,19 @@
 //! Consistency of the corrections with their covariance: finds a bias that has changed in motion.
 //!
-//! A covariance step corrects the tilt by δ. If the filter's model holds, corrections have no
-//! preferred direction, and the covariance of δ is the decrease P⁻ − P⁺ by the measurements
-//! (Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
-//! 2001, §5.4). A bias that the filter does not know turns the attitude the same way in body axes
-//! all the time, so the corrections add up there. Over the last seconds, with forgetting factor φ,
+//! A covariance step corrects the tilt by δ, north and east. If the filter's model holds,
+//! corrections have no preferred direction, and the covariance of δ is the decrease P⁻ − P⁺ by the
+//! measurements (Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and
+//! Navigation*, 2001, §5.4). A bias that the filter does not know tilts the attitude the same way
+//! all the time, so the corrections add up. Over the last seconds, with forgetting factor φ,
 //!
 //! ```text
-//! s ← φ·s + Rᵀ·δ    v ← φ²·v + tr(P⁻ − P⁺)    |s|² > 4·v: contradiction
+//! s ← φ·s + δ    v ← φ²·v + tr(P⁻ − P⁺)    |s|² > 4·v: contradiction
 //! ```
 //!
 //! The filter's model of velocity is conservative, so |s|² stays below 4·v in healthy flights and
-//! hand-held motion. A contradiction adds to the process noise of the next step: the bias may have
-//! changed by as much as the corrections show.
+//! hand-held motion. A contradiction adds process noise: the bias may have changed by as much as the
+//! corrections show.
 
-use crate::attitude::Vector3;
 use crate::serialize::StateVisitor;
 
 use super::tuning::square;
@@ -23,26 +22,20 @@ use super::tuning::square;
 const MEMORY_S: f32 = 3.0;
 /// Square of the sum, in units of its variance, from which on it contradicts the model.
 const GATE: f32 = 4.0;
-/// σ of the change of the bias, in units of the sum over the time constant. The sum is too small
-/// soon after a change.
-const BIAS_FACTOR: f32 = 1.0;
-/// Variance of the tilt, per axis, as a share of the sum's square.
-const TILT_SHARE: f32 = 1.0;
-
 /// Sums of the recent corrections.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct Consistency {
-    /// Corrections of the tilt, rad in body axes.
-    sum_rad: Vector3,
-    /// Their variance by the model, all axes together, rad².
+    /// Corrections of the tilt, rad north and east.
+    sum_rad: [f32; 2],
+    /// Their variance by the model, both axes together, rad².
     variance_rad2: f32,
 }
 
 /// Process noise of a contradiction, per axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Contradiction {
-    /// Variance of the bias's change, (rad/s)².
+    /// Variance of the bias's change, (rad/s)²: one that has turned the tilt by the sum.
     pub(super) bias_variance: f32,
     /// Variance of the tilt, rad².
     pub(super) tilt_rad2: f32,
@@ -51,36 +44,39 @@ pub(super) struct Contradiction {
 impl Consistency {
     /// No corrections.
     pub(super) const NONE: Self = Self {
-        sum_rad: Vector3::ZERO,
+        sum_rad: [0.0; 2],
         variance_rad2: 0.0,
     };
 
     /// Adds the correction of a covariance step of this length, and the decrease of the tilt's
     /// variance by its measurements.
     #[inline]
-    pub(super) fn add(&mut self, correction_rad: Vector3, decrease_rad2: f32, duration_s: f32) {
+    pub(super) fn add(&mut self, correction_rad: [f32; 2], decrease_rad2: f32, duration_s: f32) {
         let factor = 1.0 - (duration_s / MEMORY_S).min(1.0);
-        self.sum_rad = self.sum_rad.scale(factor) + correction_rad;
+        for (sum, correction) in self.sum_rad.iter_mut().zip(correction_rad) {
+            *sum = factor * *sum + correction;
+        }
         self.variance_rad2 = square(factor) * self.variance_rad2 + decrease_rad2.max(0.0);
     }
 
     /// Returns what the corrections contradict, and forgets them then.
     #[inline]
     pub(super) fn take_contradiction(&mut self) -> Option<Contradiction> {
-        let squared = self.sum_rad.dot(self.sum_rad);
+        let [north, east] = self.sum_rad;
+        let squared = square(north) + square(east);
         if squared <= GATE * self.variance_rad2 {
             return None;
         }
         *self = Self::NONE;
         Some(Contradiction {
-            bias_variance: square(BIAS_FACTOR / MEMORY_S) * squared,
-            tilt_rad2: TILT_SHARE * squared,
+            bias_variance: square(1.0 / MEMORY_S) * squared,
+            tilt_rad2: squared,
         })
     }
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.vector(&mut self.sum_rad);
+        visitor.f32s(&mut self.sum_rad);
         visitor.f32(&mut self.variance_rad2);
     }
 }
@@ -92,13 +88,13 @@ mod tests {
     #[test]
     fn corrections_that_agree_contradict_and_those_that_alternate_do_not() {
         let (mut steady, mut alternating) = (Consistency::NONE, Consistency::NONE);
-        let correction = Vector3::new(0.01, 0.0, 0.0);
+        let correction = [0.01, 0.0];
         let mut found = None;
         for index in 0..40 {
             steady.add(correction, 1.0e-4, 0.22);
             found = found.or(steady.take_contradiction().map(|it| (index, it)));
             let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
-            alternating.add(correction.scale(sign), 1.0e-4, 0.22);
+            alternating.add(correction.map(|it| sign * it), 1.0e-4, 0.22);
             assert_eq!(alternating.take_contradiction(), None);
         }
         // n corrections of σ: n² > 4·n from the fifth on, a little later for the forgetting.
@@ -112,7 +108,7 @@ mod tests {
     #[test]
     fn a_contradiction_is_told_once() {
         let mut consistency = Consistency::NONE;
-        consistency.add(Vector3::new(0.0, 0.1, 0.0), 1.0e-4, 0.22);
+        consistency.add([0.0, 0.1], 1.0e-4, 0.22);
         assert!(consistency.take_contradiction().is_some());
         assert_eq!(consistency.take_contradiction(), None);
     }

@@ -355,11 +355,7 @@ impl Kalman {
             match self.step.slice() {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
-                Progress::Propagated => self.watch_rest(),
-                Progress::Checked => {
-                    self.watch_rest();
-                    self.watch_corrections();
-                }
+                Progress::Propagated | Progress::Checked => self.watch_rest(),
                 Progress::Relaxing => {
                     self.admit_changed_bias();
                     self.relax_parameter(self.step.duration_s());
@@ -377,17 +373,6 @@ impl Kalman {
         }
     }
 
-    /// Adds the step's correction of the tilt to those that have to stay consistent.
-    fn watch_corrections(&mut self) {
-        let [north, east, ..] = self.step.correction.dynamic;
-        let body = self.nominal.attitude.conjugate();
-        self.consistency.add(
-            body.rotate(Vector3::new(north, east, 0.0)),
-            self.held_tilt_rad2 - self.step.tilt_variance_rad2(),
-            self.step.duration_s(),
-        );
-    }
-
     /// Moves the correction of the covariance step, propagated to the present, into the nominal
     /// state.
     fn correct(&mut self) {
@@ -396,6 +381,11 @@ impl Kalman {
             mut dynamic,
             parameters,
         } = self.step.correction;
+        let [north, east, ..] = dynamic;
+        let decrease_rad2 = self.held_tilt_rad2 - self.step.tilt_variance_rad2();
+        let duration_s = self.step.duration_s();
+        self.consistency
+            .add([north, east], decrease_rad2, duration_s);
         self.interval.transition.apply(&mut dynamic, &parameters);
         self.nominal.correct(&dynamic, &parameters);
         if !self.nominal.is_plausible() {

@@ -29,7 +29,7 @@ pub const BYTES_PER_ATTITUDE: usize = 1 + 8 + 16 + 12 + 4 + CRC_LENGTH + 1 + 2;
 
 /// Length of a compass reading's frame, in bytes: kind, number, times of sample and measurement,
 /// knowledge, field, CRC, COBS, two zeros.
-pub const BYTES_PER_READING: usize = 1 + 4 + 6 + 4 + 1 + 12 + CRC_LENGTH + 1 + 2;
+pub const BYTES_PER_READING: usize = 1 + 4 + 6 + 4 + 1 + 12 + 4 + CRC_LENGTH + 1 + 2;
 
 /// Length of a heading's frame, in bytes: kind, time, state, offset, σ, CRC, COBS, two zeros.
 pub const BYTES_PER_HEADING: usize = 1 + 6 + 1 + 4 + 4 + CRC_LENGTH + 1 + 2;
@@ -208,6 +208,7 @@ impl Frame {
                 measured_us: 0,
                 field: MagneticField { ut: [0.0; 3] },
                 knowledge: CompassKnowledge::Factory,
+                declination_rad: 0.0,
                 starts_filter: false,
             }),
             7 => Self::HeadingPiece(PIECE),
@@ -341,6 +342,7 @@ fn visit_reading(reading: &mut CompassReading, visitor: &mut impl StateVisitor) 
     };
     reading.starts_filter = bits & STARTS != 0;
     visitor.f32s(&mut reading.field.ut);
+    visitor.f32(&mut reading.declination_rad);
 }
 
 /// Visits a heading. Its frame is as long if the heading is unknown.

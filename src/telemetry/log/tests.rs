@@ -116,6 +116,7 @@ const READING: CompassReading = CompassReading {
         ut: [20.0, -0.0, 44.5],
     },
     knowledge: CompassKnowledge::Calibrated,
+    declination_rad: -0.05,
     starts_filter: true,
 };
 
