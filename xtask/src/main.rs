@@ -48,7 +48,7 @@ usage: cargo xtask COMMAND
   bench               compare filters on recordings or simulated flights
                       (more: `cargo xtask bench --help`)
   results [--long]    measure the figures of README.md and docs/results.md, and write both
-                      --long adds the flight of an hour and 2000 flights with faults
+                      --long adds flights of an hour and of a day, and 2000 with faults
                       --render writes the pages from docs/results.toml
                       --check fails if a page disagrees with it, and is a part of `test`
   c                   build the C library for this computer and three Cortex-M cores, and run its

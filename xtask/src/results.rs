@@ -44,7 +44,7 @@ const HELD: [(&str, f64); 9] = [
 /// Work that is asked for.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Mode {
-    /// Measures, but keeps the flight of an hour and the two thousand flights with faults.
+    /// Measures, but keeps the flights of an hour and of a day, and the campaign with faults.
     Measure,
     /// Measures everything: more than an hour.
     MeasureLong,

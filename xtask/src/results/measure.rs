@@ -30,13 +30,16 @@ const FLIGHT: [&str; 14] = [
     "stack_bytes_used",
 ];
 
+/// Length of the long flights in memory, h.
+const DAY_H: u32 = 24;
+
 /// Flights of the campaign with faults.
 const CAMPAIGN_RUNS: &str = "2000";
 
 /// Measures everything that is in the file but the figures by hand, and calls `save` after each
 /// part.
 ///
-/// `is_long` adds the flight of an hour and the campaign with faults.
+/// `is_long` adds the flights of an hour and of a day, and the campaign with faults.
 pub fn all(
     data: &mut Data,
     is_long: bool,
@@ -66,6 +69,8 @@ pub fn all(
             &hour,
             "hour",
         )?);
+        save(data)?;
+        day(data)?;
         save(data)?;
         campaign(data, &virtual_board, &default)?;
         save(data)?;
@@ -275,6 +280,35 @@ fn calibration(data: &mut Data) -> Result<(), String> {
     Ok(())
 }
 
+/// Flies the pipeline in memory for a day with each of four seeds.
+fn day(data: &mut Data) -> Result<(), String> {
+    let bench = build::bench()?;
+    let seconds = (DAY_H * 3_600).to_string();
+    let text = step::timed("measuring: flights of a day", || {
+        let failed = || format!("run `cargo xtask bench --long {seconds}` to see why it failed");
+        step::output(step::command(&bench).args(["--long", &seconds])).ok_or_else(failed)
+    })?;
+    let mut section = Section::new("day", &today()?);
+    section.put("hours", DAY_H);
+    for (seed, cells) in flight_rows(&text) {
+        section.put(seed, cells);
+    }
+    if section.figures().count() == 1 {
+        return Err("aplomb-bench printed no flights".into());
+    }
+    data.replace(section);
+    Ok(())
+}
+
+/// The rows of the table with one for each flight, after the one for hours: seed and other cells.
+fn flight_rows(text: &str) -> impl Iterator<Item = (&str, &str)> {
+    let (_, table) = text.split_once("\n\n").unwrap_or_default();
+    table.lines().skip(2).filter_map(|row| {
+        let cells = row.strip_prefix("| ")?.strip_suffix(" |")?;
+        cells.split_once(" | ")
+    })
+}
+
 /// Flies two thousand times with faults by chance.
 fn campaign(data: &mut Data, virtual_board: &Path, elf: &Path) -> Result<(), String> {
     let mut command = step::command(virtual_board);
@@ -414,6 +448,19 @@ mod tests {
             campaign_row("2000 flights from seed 1 on in 900 s, 0 failed"),
             None
         );
+    }
+
+    #[test]
+    fn the_flights_follow_the_hours() {
+        let text = "| seed | hour | rms |\n|---|---|---|\n| 1000 | 1 | 0.80° |\n\n\
+                    | seed | `VALID` | rms |\n|---|---|---|\n\
+                    | 1000 | 100.000 % | 0.81° |\n| 1001 | 99.990 % | 0.90° |\n";
+        let rows: Vec<_> = flight_rows(text).collect();
+        assert_eq!(
+            rows,
+            [("1000", "100.000 % | 0.81°"), ("1001", "99.990 % | 0.90°")]
+        );
+        assert_eq!(flight_rows("error").count(), 0);
     }
 
     #[test]

@@ -110,6 +110,7 @@ pub fn results(data: &Data) -> Result<String, String> {
         flight(data)?,
         boards(data)?,
         long_flights(data)?,
+        day(data)?,
         filters(data)?,
         cost(data)?,
         calibration(data)?,
@@ -259,6 +260,26 @@ fn long_flights(data: &Data) -> Result<String, String> {
         ),
     ];
     text.push_str(&table(["recording", "tilt error, root mean square"], rows));
+    Ok(text)
+}
+
+fn day(data: &Data) -> Result<String, String> {
+    let section = data.section("day")?;
+    let hours = section.number("hours")?;
+    let mut text = heading("Hours in the air", section)?;
+    let _ = write!(
+        text,
+        "`cargo xtask bench --long {}`: simulated flights of {hours} h in memory, a sample each \
+         ms, factory\n\
+         accelerometer, gyroscope offset of 4 °/s. All but the first minute counts.\n\n\
+         | seed | `VALID` | rms, hour 2 | rms, last hour | largest | within 3 σ | wrong while \
+         `VALID` |\n\
+         |---|---|---|---|---|---|---|\n",
+        3_600.0 * hours
+    );
+    for (seed, cells) in section.figures().filter(|(key, _)| *key != "hours") {
+        let _ = writeln!(text, "| {seed} | {cells} |");
+    }
     Ok(text)
 }
 
