@@ -14,7 +14,6 @@
 //!   shake the body in rotation too.
 
 use super::geometry::{Quaternion, Vector, add, cross, norm, scale, subtract};
-use super::sine::sines_and_cosines;
 use super::truth::STANDARD_GRAVITY_M_S2;
 
 /// Air density at sea level, 15 °C, kg/m³ (ISO 2533).
@@ -90,6 +89,19 @@ impl State {
             rotor_speeds_rad_s: [0.0; ROTORS],
             rotor_angles_rad: [0.0; ROTORS],
         }
+    }
+
+    /// The same state without the rotors' whole turns, once there are many: the sine of an angle
+    /// above 1.6 million takes ten times as long. A rotor turns so far within an hour.
+    #[must_use]
+    pub fn with_small_rotor_angles(mut self) -> Self {
+        const LARGE_RAD: f64 = 1.0e6;
+        for angle_rad in &mut self.rotor_angles_rad {
+            if *angle_rad > LARGE_RAD {
+                *angle_rad %= core::f64::consts::TAU;
+            }
+        }
+        self
     }
 
     /// The state after going at `rate` for `duration`.
@@ -209,12 +221,11 @@ impl Airframe {
             .conjugate()
             .rotate(subtract(state.velocity_m_s, wind_m_s));
         let drag = -0.5 * AIR_DENSITY_KG_M3 * self.drag_area_m2 * norm(air_velocity);
-        let phases = sines_and_cosines(&state.rotor_angles_rad);
         let mut at_rotors = [[0.0; 3]; ROTORS];
         for (rotor, &(_, _, turn)) in ROTOR_LAYOUT.iter().enumerate() {
             let speed = state.rotor_speeds_rad_s[rotor];
             let thrust = self.thrust_coefficient * speed * speed;
-            let (sine, cosine) = phases[rotor];
+            let (sine, cosine) = libm::sincos(state.rotor_angles_rad[rotor]);
             let unbalanced = self.unbalance_kg_m[rotor] * speed * speed;
             // sin 2φ = 2 sin φ cos φ.
             let rippled = self.ripple[rotor] * speed * speed * 2.0 * sine * cosine;
@@ -311,6 +322,19 @@ mod tests {
         State {
             rotor_speeds_rad_s: [speed; ROTORS],
             ..State::at_rest(Quaternion::IDENTITY)
+        }
+    }
+
+    #[test]
+    fn a_rotor_loses_whole_turns_only() {
+        let mut state = State::at_rest(Quaternion::IDENTITY);
+        state.rotor_angles_rad = [1.0, 999_999.0, 1_000_001.0, 2.5e6];
+        let small = state.with_small_rotor_angles().rotor_angles_rad;
+        assert_eq!(small[..2], state.rotor_angles_rad[..2]);
+        for (small, large) in small.into_iter().zip(state.rotor_angles_rad).skip(2) {
+            assert!((0.0..7.0).contains(&small), "{small}");
+            let turns = (large - small) / core::f64::consts::TAU;
+            assert!((turns - turns.round()).abs() < 1.0e-6, "{turns}");
         }
     }
 

@@ -17,7 +17,6 @@ pub mod poses;
 pub mod quadrotor;
 pub mod rest;
 pub mod route;
-mod sine;
 pub mod swing;
 pub mod truth;
 pub mod turn;

@@ -156,7 +156,7 @@ impl Quadrotor {
 
     fn step(&mut self) {
         let time_s = self.steps as f64 * STEP_S;
-        let start = self.segment.end;
+        let start = self.segment.end.with_small_rotor_angles();
         let start_wind_m_s = self.segment.end_wind_m_s;
         if self.steps.is_multiple_of(STEPS_PER_CONTROL) && time_s >= REST_S {
             self.control(&start, time_s - REST_S);
