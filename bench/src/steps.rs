@@ -110,7 +110,7 @@ const RECOVERED_US: u64 = 60_000_000;
 struct InFlight {
     /// Time for which the attitude was wrong and `VALID`, ms.
     wrong_ms: u32,
-    /// The same, from the recovery's deadline on.
+    /// Time of such samples from the recovery's deadline on.
     late_wrong_ms: u32,
     /// Time for which the attitude was not `VALID`, ms.
     not_valid_ms: u32,
@@ -148,8 +148,7 @@ fn step_in_flight(flight: &Recording, step_rad_s: Vector3) -> InFlight {
 }
 
 /// In flight a wrong tilt and an acceleration look alike for seconds. Before the filter watched its
-/// corrections, these flights were wrong and `VALID` for 38 s of 100 on average, and up to 60° wrong
-/// after a minute.
+/// corrections, these flights were wrong and `VALID` for 38 s of 100 on average.
 #[test]
 fn an_offset_that_changes_in_flight_is_found_and_a_healthy_flight_stays_valid() {
     // Seeds that nothing was tuned on.

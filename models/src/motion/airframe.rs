@@ -91,7 +91,7 @@ impl State {
         }
     }
 
-    /// The same state without the rotors' whole turns, once there are many: the sine of an angle
+    /// Returns the state without the rotors' whole turns, once there are many: the sine of an angle
     /// above 1.6 million takes ten times as long. A rotor turns so far within an hour.
     #[must_use]
     pub fn with_small_rotor_angles(mut self) -> Self {

@@ -1,18 +1,18 @@
 //! Consistency of the corrections with their covariance: finds a bias that has changed in motion.
 //!
 //! A covariance step corrects the tilt by δ, north and east. If the filter's model holds,
-//! corrections have no preferred direction, and the covariance of δ is the decrease P⁻ − P⁺ by the
-//! measurements (Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and
-//! Navigation*, 2001, §5.4). A bias that the filter does not know tilts the attitude the same way
-//! all the time, so the corrections add up. Over the last seconds, with forgetting factor φ,
+//! corrections have no preferred direction, and the covariance of δ is the decrease P⁻ − P⁺
+//! (Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
+//! 2001, §5.4). A bias that the filter does not know tilts the attitude the same way all the time,
+//! so the corrections add up. Over the last seconds, with forgetting factor φ,
 //!
 //! ```text
 //! s ← φ·s + δ    v ← φ²·v + tr(P⁻ − P⁺)    |s|² > 4·v: contradiction
 //! ```
 //!
-//! The filter's model of velocity is conservative, so |s|² stays below 4·v in healthy flights and
-//! hand-held motion. A contradiction adds process noise: the bias may have changed by as much as the
-//! corrections show.
+//! The filter's model of velocity is conservative. So |s|² stays below 4·v in healthy flights and
+//! hand-held motion. A contradiction adds process noise: the bias may have changed by as much as
+//! the corrections show.
 
 use crate::serialize::StateVisitor;
 
@@ -28,7 +28,7 @@ const GATE: f32 = 4.0;
 pub(super) struct Consistency {
     /// Corrections of the tilt, rad north and east.
     sum_rad: [f32; 2],
-    /// Their variance by the model, both axes together, rad².
+    /// Variance of the sum by the model, both axes together, rad².
     variance_rad2: f32,
 }
 

@@ -199,7 +199,7 @@ impl Kalman {
         }
     }
 
-    /// Makes tilt and bias uncertain again if the corrections of the last steps contradict the bias.
+    /// Makes tilt and bias uncertain again if the last steps' corrections contradict the bias.
     pub(super) fn admit_changed_bias(&mut self) {
         let Some(change) = self.consistency.take_contradiction() else {
             return;
