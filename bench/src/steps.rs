@@ -7,7 +7,7 @@ use aplomb::attitude::Vector3;
 use aplomb::estimator::Sample;
 use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
-use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb_models::motion::geometry::{Quaternion, angle_between};
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::rest::Rest;
@@ -47,6 +47,12 @@ const AXES: [[f32; 3]; 7] = [
 /// Poses: roll, pitch and yaw, rad.
 const POSES: [[f64; 3]; 2] = [[0.0, 0.0, 0.0], [0.5, -0.9, 1.0]];
 
+/// Returns each size in each direction.
+fn cases() -> Vec<(f32, [f32; 3])> {
+    let each_way = |size| AXES.map(|axis| (size, axis));
+    SIZES.into_iter().flat_map(each_way).collect()
+}
+
 /// Outcome of a step: time until the offset was known, s, and samples that were wrong and `VALID`.
 fn step(samples: &[Sample], attitude: Quaternion, step_rad_s: Vector3) -> (f64, u32) {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
@@ -67,13 +73,18 @@ fn step(samples: &[Sample], attitude: Quaternion, step_rad_s: Vector3) -> (f64, 
         if (bias - before - step_rad_s).norm() > 0.5_f32.to_radians() {
             found_s = (sample.t_us - STEP_US) as f64 * 1.0e-6;
         }
-        let found = up_in_body(snapshot.attitude);
-        let error = angle_between([found.x, found.y, found.z].map(f64::from), up).to_degrees();
-        let sigma = f64::from(snapshot.tilt_sigma_rad()).to_degrees();
-        let is_wrong = error > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * sigma);
-        wrong += u32::from(is_wrong && snapshot.flags.contains(Flags::VALID));
+        wrong += u32::from(judge(&snapshot, up).1);
     }
     (found_s, wrong)
+}
+
+/// Returns the inclination error, degrees, and whether it breaks the promise of `VALID`.
+fn judge(snapshot: &Snapshot, true_up: [f64; 3]) -> (f64, bool) {
+    let found = up_in_body(snapshot.attitude);
+    let error_deg = angle_between([found.x, found.y, found.z].map(f64::from), true_up).to_degrees();
+    let sigma_deg = f64::from(snapshot.tilt_sigma_rad()).to_degrees();
+    let is_wrong = error_deg > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * sigma_deg);
+    (error_deg, is_wrong && snapshot.flags.contains(Flags::VALID))
 }
 
 #[test]
@@ -83,10 +94,7 @@ fn an_offset_that_changes_at_rest_is_found_and_never_wrong_and_valid() {
         let motion = Box::new(Rest::new(attitude));
         let flown = samples(motion, seed, SECONDS);
         let rest = simulated::recording("rest", seed.to_string(), flown).samples;
-        let cases: Vec<(f32, [f32; 3])> = SIZES
-            .into_iter()
-            .flat_map(|size| AXES.map(|axis| (size, axis)))
-            .collect();
+        let cases = cases();
         let outcomes = parallel::map(&cases, |(size, [x, y, z])| {
             let step_rad_s = Vector3::new(*x, *y, *z).scale(size.to_radians());
             step(&rest, attitude, step_rad_s)
@@ -130,16 +138,12 @@ fn step_in_flight(flight: &Recording, step_rad_s: Vector3) -> InFlight {
         let Some(true_up) = true_up.filter(|_| sample.t_us >= FLIGHT_STEP_US) else {
             continue;
         };
-        let found = up_in_body(snapshot.attitude);
-        let error = angle_between([found.x, found.y, found.z].map(f64::from), true_up);
-        let (error, sigma) = (error.to_degrees(), snapshot.tilt_sigma_rad().to_degrees());
-        let is_wrong = error > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * f64::from(sigma));
-        let is_valid = snapshot.flags.contains(Flags::VALID);
-        outcome.wrong_ms += u32::from(is_wrong && is_valid);
-        outcome.not_valid_ms += u32::from(!is_valid);
+        let (error_deg, is_wrong) = judge(&snapshot, true_up);
+        outcome.wrong_ms += u32::from(is_wrong);
+        outcome.not_valid_ms += u32::from(!snapshot.flags.contains(Flags::VALID));
         if sample.t_us >= FLIGHT_STEP_US + RECOVERED_US {
-            outcome.late_wrong_ms += u32::from(is_wrong && is_valid);
-            squares += error * error;
+            outcome.late_wrong_ms += u32::from(is_wrong);
+            squares += error_deg * error_deg;
             rows += 1;
         }
     }
@@ -153,10 +157,7 @@ fn step_in_flight(flight: &Recording, step_rad_s: Vector3) -> InFlight {
 fn an_offset_that_changes_in_flight_is_found_and_a_healthy_flight_stays_valid() {
     // Seeds that nothing was tuned on.
     let seeds = [5_101, 5_102, 5_103, 5_104];
-    let cases: Vec<(f32, [f32; 3])> = SIZES
-        .into_iter()
-        .flat_map(|size| AXES.map(|axis| (size, axis)))
-        .collect();
+    let cases = cases();
     let outcomes = parallel::map(&seeds, |seed| {
         let motion = Box::new(Quadrotor::by_seed(*seed));
         let flown = samples(motion, *seed, FLIGHT_SECONDS);

@@ -318,7 +318,6 @@ impl Kalman {
 }
 
 /// Columns of the attitudes of a recording.
-#[derive(Default)]
 struct Columns {
     quaternion: Vec<f32>,
     rates_rad_s: Vec<f32>,
@@ -344,7 +343,8 @@ impl Kalman {
             settings.sensor.sample_rate_divider = sample_rate_divider(&times[..first]);
         }
         let mut pipeline = pipeline(&settings, self.knowledge);
-        let (mut plateaus, mut columns) = (Plateaus::default(), Columns::default());
+        let mut plateaus = Plateaus::default();
+        let mut columns = Columns::with_capacity(times.len());
         let inputs = times.iter().zip(gyro).zip(accel);
         let mount = settings.mount();
         let mut sample = |t_us: i64, gyro: [f64; 3], accel: [f64; 3]| {
@@ -371,6 +371,20 @@ impl Kalman {
 }
 
 impl Columns {
+    fn with_capacity(count: usize) -> Self {
+        let single = || Vec::with_capacity(count);
+        Self {
+            quaternion: Vec::with_capacity(4 * count),
+            rates_rad_s: Vec::with_capacity(3 * count),
+            tilt_sigma_rad: single(),
+            bias_rad_s: Vec::with_capacity(3 * count),
+            flags: Vec::with_capacity(count),
+            heading_rad: single(),
+            heading_sigma_rad: single(),
+            yaw_offset_rad: single(),
+        }
+    }
+
     fn push(&mut self, snapshot: &Snapshot, pipeline: &Pipeline, heading: Option<HeadingEstimate>) {
         let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
         let bias = pipeline.kalman().bias_rad_s();

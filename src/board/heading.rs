@@ -3,7 +3,7 @@
 //! The attitude task publishes the attitude first. Then the filter follows, and a new estimate is
 //! published, about five times a second. Deadline: that of the attitude task. No attitude waits
 //! for it. Without a reading of a compass the filter does not run, and a sample costs the check of
-//! a flag.
+//! two flags.
 //!
 //! # Publication
 //!
@@ -33,8 +33,6 @@ const VALID: u32 = 2;
 /// Heading filter of the attitude task.
 pub struct HeadingTask {
     filter: Heading,
-    /// True from the first reading on.
-    is_running: bool,
     /// Number of the estimate that was published.
     published: u8,
 }
@@ -46,19 +44,18 @@ impl HeadingTask {
         Self {
             published: filter.changes(),
             filter,
-            is_running: false,
         }
     }
 
     /// Returns whether the filter has to follow each sample.
     pub const fn is_running(&self) -> bool {
-        self.is_running
+        self.filter.is_running()
     }
 
     /// Lets the filter follow the last sample. Call it after each update of the pipeline.
     #[inline(always)]
     pub fn follow(&mut self, pipeline: &Pipeline) {
-        if self.is_running {
+        if self.is_running() {
             pipeline.lead(&mut self.filter);
             if self.filter.changes() != self.published {
                 self.publish(pipeline);
@@ -68,7 +65,7 @@ impl HeadingTask {
 
     /// Returns the filter; `None` while it waits for a reading.
     pub const fn filter(&self) -> Option<&Heading> {
-        if self.is_running {
+        if self.is_running() {
             Some(&self.filter)
         } else {
             None
@@ -84,16 +81,16 @@ impl HeadingTask {
         field: MagneticField,
         measured_us: u32,
     ) -> bool {
-        let was_running = core::mem::replace(&mut self.is_running, true);
+        let starts = !self.is_running();
         let age_us = pipeline.reading_age_us(measured_us);
         self.filter.add_field(field, age_us);
-        !was_running
+        starts
     }
 
     /// Starts the filter again with this knowledge and declination (rad), and publishes that no
     /// heading is known. This takes some 25 µs, so it is for commands, not for the attitude task.
     pub fn restart(&mut self, knowledge: CompassKnowledge, declination_rad: f32) {
-        if self.is_running {
+        if self.is_running() {
             store(0, None);
         }
         *self = Self::new(knowledge);

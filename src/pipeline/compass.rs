@@ -15,7 +15,7 @@ use crate::units::MagneticField;
 /// [`Pipeline`] with a compass.
 ///
 /// Attitude, rates and σ of the tilt are those of the pipeline, to the bit. The snapshot's flags
-/// have [`Flags::HEADING_VALID`] in addition. A pipeline without a compass pays nothing.
+/// have [`Flags::HEADING_VALID`] in addition. Before the first reading it costs nothing more.
 ///
 /// ```
 /// use aplomb::attitude::BodyVector;

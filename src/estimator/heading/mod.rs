@@ -434,10 +434,19 @@ impl Heading {
         self.reading_age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
     }
 
+    /// Returns whether the filter has started to follow samples: true from the first reading on.
+    pub const fn is_running(&self) -> bool {
+        self.has_reading || self.followed_us.is_some()
+    }
+
     /// Follows the tilt filter to its last sample, at `t_us` (µs): like [`follow`](Self::follow)
-    /// with the time since the last call. A time that is not later changes nothing.
+    /// with the time since the last call. A time that is not later changes nothing, and before the
+    /// first reading there is nothing to follow.
     #[inline]
     pub fn follow_to(&mut self, kalman: &Kalman, t_us: u64) {
+        if !self.is_running() {
+            return;
+        }
         let before_us = self.followed_us.replace(t_us);
         let step_us = t_us.saturating_sub(before_us.unwrap_or(t_us));
         if step_us > 0 {

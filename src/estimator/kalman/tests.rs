@@ -793,6 +793,7 @@ fn implausible_readings_leave_a_filter_that_recovers() {
     let (mut rests, mut slow) = (0, 0);
     for seed in 1..40 {
         let errors_deg = rests_after_implausible_readings(seed);
+        println!("{seed}: {:?}", errors_deg.iter().copied().fold(0.0_f32, f32::max));
         rests += errors_deg.len();
         slow += errors_deg.iter().filter(|error| **error > 2.0).count();
     }
