@@ -428,8 +428,10 @@ impl Judge<'_> {
                 .any(|fault| fault.start_ns < at_ns && fault.end_ns() > last_ns);
             let erases = at_ns - last_ns <= LONGEST_ERASE_NS
                 && save_ns(case).is_some_and(|save| save.start < at_ns && save.end > last_ns);
-            let starts =
-                case.loses_power() && self.starts_ns().any(|start| start.contains(&last_ns));
+            // Without its sensor a start has nothing to tell.
+            let lacks_sensor = |fault: &ScheduledFault| fault.kind.stops_sensor();
+            let starts = case.schedule.faults.iter().any(lacks_sensor)
+                && self.starts_ns().any(|start| start.contains(&last_ns));
             let mut resets = self.record.resets_ns.iter();
             held || erases || starts || resets.any(|reset_ns| (last_ns..=at_ns).contains(reset_ns))
         };
@@ -495,10 +497,21 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
     episodes
 }
 
-/// Returns the time of a save: the sensor stops.
+/// Returns the time of a save: the sensor stops. If the crystal dies in the erase, the firmware's
+/// pause is counted at a tenth of the speed until the erase ends, and lasts longer by that.
 fn save_ns(case: &Case) -> Option<std::ops::Range<u64>> {
     let start_ns = nanoseconds(case.conditions.save_s?);
-    Some(start_ns..start_ns + SAVE_NS)
+    let mut faults = case.schedule.faults.iter();
+    let slows = |fault: &ScheduledFault| {
+        fault.kind == FaultKind::CrystalDies
+            && (start_ns..start_ns + LONGEST_ERASE_NS).contains(&fault.start_ns)
+    };
+    let longer_ns = if faults.any(slows) {
+        LONGEST_ERASE_NS
+    } else {
+        0
+    };
+    Some(start_ns..start_ns + SAVE_NS + longer_ns)
 }
 
 /// Returns the time at which a fault is over, so that the firmware can recover from it.

@@ -457,6 +457,51 @@ fn a_save_may_pause_for_an_erase_and_no_longer() {
 }
 
 #[test]
+fn a_save_in_which_the_crystal_dies_may_take_longer_by_an_erase() {
+    for (faults, is_late) in [
+        ("1.9 0.1 crystal-dies", false),
+        ("1.9 0.03 sda-low", true),
+        ("2.4 0.1 crystal-dies", true),
+    ] {
+        let mut case = case(faults);
+        case.conditions.save_s = Some(1.8);
+        case.seconds = 4.0;
+        let mut record = record(&case, 1810 * MILLISECOND..3000 * MILLISECOND);
+        for sample in &mut record.samples {
+            let is_internal = faults.contains("crystal") && sample.published_ns > 1_900_000_000;
+            let internal = Flags::INTERNAL_CLOCK | Flags::DEGRADED;
+            sample.snapshot.flags.set(internal, is_internal);
+        }
+        let failures = judge(&case, &record, &[]).failures;
+        let found = failures.iter().any(|text| text.starts_with("valid again"));
+        assert_eq!(found, is_late, "{faults}: {failures:?}");
+    }
+}
+
+#[test]
+fn telemetry_may_be_silent_until_the_sensor_is_back_after_a_reset() {
+    let silence = |faults: &str| {
+        let mut case = case(faults);
+        case.seconds = 2.5;
+        let mut record = record(&case, 1800 * MILLISECOND..1_990 * MILLISECOND);
+        record.stale.clear();
+        record.resets_ns.push(1_850 * MILLISECOND);
+        let line = |at_ns| UartLine {
+            at_ns,
+            text: "roll:0.0".to_owned(),
+        };
+        let times = (300..1_850).chain(1_990..2_500).step_by(25);
+        let mut lines: Vec<UartLine> = times.map(|at| line(at * MILLISECOND)).collect();
+        lines.push(line(1_860 * MILLISECOND));
+        lines.sort_by_key(|line| line.at_ns);
+        let failures = judge(&case, &record, &lines).failures;
+        failures.iter().any(|text| text.starts_with("no line came"))
+    };
+    assert!(!silence("1.8 0.05 sensor-brownout\n1.84 0 crash"));
+    assert!(silence("1.84 0 crash"));
+}
+
+#[test]
 fn a_failure_of_the_supply_resets_and_allows_the_time_of_a_start() {
     let case = case("1.8 0.1 supply-sag:1000");
     let mut record = record(&case, 1800 * MILLISECOND..3500 * MILLISECOND);
