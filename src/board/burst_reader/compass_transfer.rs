@@ -10,7 +10,7 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fen
 
 use stm32f4xx_hal::pac::Interrupt;
 
-use super::{BurstReader, await_events, dma, i2c1, send_stop};
+use super::{BurstReader, await_events, dma, i2c1, mask_unexpected_event, send_stop};
 use crate::board::timebase;
 use crate::compass::{Bytes, LONGEST_READ, Outcome, Transfer};
 use crate::fault::{BurstFault, BurstStep};
@@ -179,7 +179,10 @@ impl BurstReader {
                 self.leave_transfer();
                 return;
             }
-            _ => return,
+            _ => {
+                mask_unexpected_event();
+                return;
+            }
         };
         self.write_events += 1;
     }

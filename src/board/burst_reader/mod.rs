@@ -12,6 +12,8 @@
 //!   its edge is aborted. After [`FAILURES_IN_A_ROW`] failures, or one that leaves the bus in an
 //!   unknown state, the reader disables itself. The supervisor then recovers the bus, and meanwhile
 //!   the alarm requests stale snapshots.
+//! - **Unexpected events.** A fault can leave a flag set that no step clears. It is masked, so that
+//!   the alarm gets its turn.
 //! - **Missing edges.** If no edge comes within [`SILENCE_DEADLINE_US`], the alarm starts the
 //!   bursts, one per sample period, until edges come again. An edge that comes too soon after the
 //!   last one starts nothing: it is a glitch, or the sensor has lost its sample rate.
@@ -243,11 +245,11 @@ impl BurstReader {
                 self.step = BurstStep::Data;
             }
             // Bytes that came before a late STOP. This read clears BTF.
-            BurstStep::Idle => {
+            BurstStep::Idle | BurstStep::Start if status.btf().bit() => {
                 i2c.dr().read();
             }
             BurstStep::Setting if compass::IS_BUILT_IN => self.on_write_event(),
-            _ => {}
+            _ => mask_unexpected_event(),
         }
     }
 
@@ -494,6 +496,19 @@ fn await_events() {
     i2c1()
         .cr2()
         .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
+}
+
+/// Masks the events if one is flagged that the present step does not expect. A flag that stays
+/// would interrupt for ever, and keep the alarm waiting. The alarm then ends the burst.
+#[cold]
+#[inline(never)]
+fn mask_unexpected_event() {
+    let i2c = i2c1();
+    let status = i2c.sr1().read();
+    let is_flagged = status.sb().bit() || status.addr().bit() || status.btf().bit();
+    if is_flagged || status.add10().bit() || status.stopf().bit() {
+        i2c.cr2().write(|w| with_clock(w).iterren().set_bit());
+    }
 }
 
 #[inline(always)]
