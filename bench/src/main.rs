@@ -27,6 +27,8 @@ mod starts;
 #[cfg(test)]
 mod steps;
 mod throughput;
+#[cfg(test)]
+mod unseen;
 mod vibration;
 
 use std::process::ExitCode;

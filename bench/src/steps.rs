@@ -79,7 +79,7 @@ fn step(samples: &[Sample], attitude: Quaternion, step_rad_s: Vector3) -> (f64, 
 }
 
 /// Returns the inclination error, degrees, and whether it breaks the promise of `VALID`.
-fn judge(snapshot: &Snapshot, true_up: [f64; 3]) -> (f64, bool) {
+pub fn judge(snapshot: &Snapshot, true_up: [f64; 3]) -> (f64, bool) {
     let found = up_in_body(snapshot.attitude);
     let error_deg = angle_between([found.x, found.y, found.z].map(f64::from), true_up).to_degrees();
     let sigma_deg = f64::from(snapshot.tilt_sigma_rad()).to_degrees();

@@ -56,10 +56,10 @@ static WARM_STARTS: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LE
 /// Index of the copy that was written last.
 static NEWEST: AtomicU8 = AtomicU8::new(0);
 
-/// Quaternion, bias, both σ; then their number and their sum.
+/// Quaternion, bias, both σ, squared velocity; then their number and their sum.
 struct Words([AtomicU32; LENGTH]);
 
-const NUMBERS: usize = 9;
+const NUMBERS: usize = 10;
 const LENGTH: usize = NUMBERS + 2;
 
 /// Typical age of the saved attitude at a warm start, in seconds. It is half the time between two
@@ -212,9 +212,23 @@ impl Words {
             tilt_sigma_rad,
             bias_rad_s: b,
             bias_sigma_rad_s,
+            squared_velocity_m2_s2,
         } = start;
         // A half-written copy fails its check, because its sum is written last.
-        let [pw, px, py, pz, pbx, pby, pbz, tilt, bias, place, _] = &self.0;
+        let [
+            pw,
+            px,
+            py,
+            pz,
+            pbx,
+            pby,
+            pbz,
+            tilt,
+            bias,
+            velocity,
+            place,
+            _,
+        ] = &self.0;
         let store = |place: &AtomicU32, value: f32| place.store(value.to_bits(), Ordering::Relaxed);
         store(pw, q.w);
         store(px, q.x);
@@ -225,6 +239,7 @@ impl Words {
         store(pbz, b.z);
         store(tilt, *tilt_sigma_rad);
         store(bias, *bias_sigma_rad_s);
+        store(velocity, *squared_velocity_m2_s2);
         place.store(number, Ordering::Relaxed);
         let [.., sum] = &self.0;
         sum.store(self.sum(), Ordering::Release);
@@ -236,7 +251,7 @@ impl Words {
         if sum.load(Ordering::Acquire) != self.sum() {
             return None;
         }
-        let [w, x, y, z, bx, by, bz, tilt, bias, number, _] = &self.0;
+        let [w, x, y, z, bx, by, bz, tilt, bias, velocity, number, _] = &self.0;
         let float = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
         let start = WarmStart {
             attitude: Quaternion::new(float(w), float(x), float(y), float(z)),
@@ -244,6 +259,7 @@ impl Words {
             tilt_sigma_rad: libm::sqrtf(float(tilt) * float(tilt) + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
             bias_rad_s: Vector3::new(float(bx), float(by), float(bz)),
             bias_sigma_rad_s: float(bias).max(BIAS_SIGMA_RAD_S),
+            squared_velocity_m2_s2: float(velocity),
         };
         let q = start.attitude;
         let is_rotation = (q.dot(q) - 1.0).abs() < 0.01;

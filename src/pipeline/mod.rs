@@ -228,6 +228,7 @@ impl Pipeline {
             tilt_sigma_rad: latest.tilt_sigma_rad(),
             bias_rad_s: self.gyroscope_offset_body_rad_s(),
             bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
+            squared_velocity_m2_s2: filter.squared_velocity_m2_s2(),
         })
     }
 

@@ -22,6 +22,9 @@ use super::tuning::square;
 const MEMORY_S: f32 = 3.0;
 /// Square of the sum, in units of its variance, from which on it contradicts the model.
 const GATE: f32 = 4.0;
+/// Variance of the sum after unseen motion, rad²: up to 4 rad contradict nothing at first.
+const UNSEEN_RAD2: f32 = 4.0;
+
 /// Sums of the recent corrections.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -47,6 +50,12 @@ impl Consistency {
         sum_rad: [0.0; 2],
         variance_rad2: 0.0,
     };
+
+    /// Allows corrections that make good for motion that no sample has shown. What they say of the
+    /// bias counts after some ten seconds: by then this variance is forgotten.
+    pub(super) fn allow_unseen_motion(&mut self) {
+        self.variance_rad2 = UNSEEN_RAD2;
+    }
 
     /// Adds the correction of a covariance step of this length, and the decrease of the tilt's
     /// variance by its measurements.

@@ -2,6 +2,7 @@
 
 use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
+use super::recent_velocity::RecentVelocity;
 use super::rest_watch::RestWatch;
 use super::tuning::square;
 use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, Tilt};
@@ -25,11 +26,28 @@ impl Kalman {
     /// Continues from an earlier run, instead of taking the tilt from the first sample. Call it
     /// before the first sample.
     pub fn resume(&mut self, start: &WarmStart) {
-        self.set_bias(start.bias_rad_s, start.bias_sigma_rad_s);
         self.nominal.attitude = start.attitude;
-        self.reset_motion(0.5 * square(start.tilt_sigma_rad) / REPORTED_VARIANCE_SCALE);
+        self.recent = RecentVelocity::kept(start.squared_velocity_m2_s2, self.tuning);
+        self.start_with(
+            start.bias_rad_s,
+            start.bias_sigma_rad_s,
+            start.tilt_sigma_rad,
+        );
+        self.consistency.allow_unseen_motion();
         self.tilt = Tilt::Resumed;
-        self.is_bias_known = start.bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
+    }
+
+    /// Starts from the present attitude with this bias, and their σ.
+    #[inline(never)]
+    pub(super) fn start_with(
+        &mut self,
+        bias_rad_s: Vector3,
+        bias_sigma_rad_s: f32,
+        tilt_sigma_rad: f32,
+    ) {
+        self.set_bias(bias_rad_s, bias_sigma_rad_s);
+        self.reset_motion(0.5 * square(tilt_sigma_rad) / REPORTED_VARIANCE_SCALE);
+        self.is_bias_known = bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
     }
 
     /// Shifts the bias estimate after the upstream compensation changed, rad/s. The attitude is

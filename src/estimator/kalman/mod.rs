@@ -435,6 +435,11 @@ impl Kalman {
         sigma(self.largest_bias_variance())
     }
 
+    /// Returns the mean squared horizontal velocity of the last seconds, (m/s)².
+    pub const fn squared_velocity_m2_s2(&self) -> f32 {
+        self.recent.squared
+    }
+
     fn largest_bias_variance(&self) -> f32 {
         let covariance = &self.step.covariance;
         let [x, y, z] = [0, 1, 2].map(|axis| covariance.parameter_variance(axis));
@@ -474,6 +479,7 @@ impl Kalman {
     pub fn inflate_tilt(&mut self, variance: f32) {
         if self.tilt != Tilt::Unknown {
             self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
+            self.consistency.allow_unseen_motion();
         }
     }
 
@@ -483,6 +489,7 @@ impl Kalman {
         if self.tilt != Tilt::Unknown {
             let tilt_variance = 0.5 * self.conservative_tilt_variance();
             self.reset_motion(tilt_variance + variance / REPORTED_VARIANCE_SCALE);
+            self.consistency.allow_unseen_motion();
         }
     }
 

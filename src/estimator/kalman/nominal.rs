@@ -127,15 +127,8 @@ impl NominalState {
     /// mean rate and force become the shorter vectors of both ends. `rate_rad_s` and `force_m_s2`
     /// are those of the sample after the pause.
     pub(super) fn bridge_pause(&mut self, rate_rad_s: Vector3, force_m_s2: Vector3) {
-        for (before, after) in [
-            (&mut self.rate_rad_s, rate_rad_s),
-            (&mut self.force_m_s2, force_m_s2),
-        ] {
-            let is_shorter = before.dot(*before) < after.dot(after);
-            let mean = if is_shorter { *before } else { after };
-            // The trapezoid of the start and the sample after has this mean.
-            *before = mean.scale(2.0) - after;
-        }
+        bridge(&mut self.rate_rad_s, rate_rad_s);
+        bridge(&mut self.force_m_s2, force_m_s2);
     }
 
     /// Integrates from the previous sample to this one by the trapezoid rule.
@@ -284,4 +277,12 @@ fn clamp(vector: Vector3, limit: f32) -> Vector3 {
         vector.y.clamp(-limit, limit),
         vector.z.clamp(-limit, limit),
     )
+}
+
+/// Replaces `before` so that the trapezoid of both ends has the mean of the shorter one.
+#[inline(never)]
+fn bridge(before: &mut Vector3, after: Vector3) {
+    let is_shorter = before.dot(*before) < after.dot(after);
+    let mean = if is_shorter { *before } else { after };
+    *before = mean.scale(2.0) - after;
 }

@@ -21,6 +21,15 @@ impl RecentVelocity {
         age_s: 0.5,
     };
 
+    /// A vehicle that has moved at this mean squared velocity, (m/s)², for long.
+    pub(super) fn kept(squared: f32, tuning: &Tuning) -> Self {
+        Self {
+            squared: squared.min(square(2.0 * tuning.velocity_noise_limit)),
+            age_s: tuning.velocity_average_s,
+            ..Self::NONE
+        }
+    }
+
     /// Adds the velocity of an interval.
     pub(super) fn update(&mut self, velocity_m_s: [f32; 2], duration_s: f32, tuning: &Tuning) {
         let share = duration_s / (tuning.velocity_smoothing_s + duration_s);

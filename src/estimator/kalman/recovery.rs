@@ -3,7 +3,6 @@
 
 use super::consistency::Consistency;
 use super::measurements::STATIONARY_FORCE_SHARE;
-use super::prior::WarmStart;
 use super::recent_velocity::RecentVelocity;
 use super::stationary::StationaryReadings;
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
@@ -47,12 +46,7 @@ impl Kalman {
         let priors = self.parameter_priors();
         self.step.covariance.reset_parameters(&priors);
         self.consistency = Consistency::NONE;
-        self.resume(&WarmStart {
-            attitude: self.nominal.attitude,
-            tilt_sigma_rad,
-            bias_rad_s,
-            bias_sigma_rad_s,
-        });
+        self.start_with(bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad);
         self.tilt = Tilt::Known;
     }
 

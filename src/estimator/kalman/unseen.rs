@@ -1,6 +1,5 @@
 //! Unobserved motion: inflates the variances for pauses and full-scale readings.
 
-use super::consistency::Consistency;
 use super::tuning::square;
 use super::{Kalman, Tilt};
 use crate::estimator::sample::Sample;
@@ -53,8 +52,6 @@ impl Kalman {
     #[cold]
     #[inline(never)]
     pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) {
-        // Corrections that unseen motion needs tell nothing of the bias.
-        self.consistency = Consistency::NONE;
         let mut hidden_rad2 = self.pause_variance_rad2(dt_s);
         let saturated_s = self.saturated_s;
         if sample.is_rate_saturated {
