@@ -13,7 +13,7 @@ use aplomb::fault::FaultClass;
 use aplomb::health::Flags;
 use aplomb_models::motion::rest::Rest;
 use common::firmware;
-use virtual_board::campaign::{Case, judge};
+use virtual_board::campaign::{self, Case, judge};
 use virtual_board::faults::{FaultKind, ScheduledFault};
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::schedule::Schedule;
@@ -435,5 +435,34 @@ fn interrupts_at_8_khz_starve_nobody() {
         );
         let gap_ns = samples.windows(2).map(|pair| pair[1] - pair[0]).max();
         assert!(gap_ns <= Some(longest_ns), "{faults}: {gap_ns:?}");
+    }
+}
+
+/// Flights of campaigns that broke a rule, each by another flaw.
+///
+/// | seed | flaw |
+/// |---|---|
+/// | 160000236 | corrections after a reset counted as a changed bias |
+/// | 160001523 | the same after false full-scale readings |
+/// | 160004010 | a warm start took the vehicle for one that stays in place |
+/// | 160000542 | a heading from before the bias was known was valid |
+/// | 160002857 | an event of the port that no step expected came again for ever |
+/// | 160004083 | the crystal died in an erase |
+/// | 170000102 | a reset while the sensor had no supply |
+#[test]
+fn flights_that_once_failed_pass() {
+    for seed in [
+        160_000_236,
+        160_001_523,
+        160_004_010,
+        160_000_542,
+        160_002_857,
+        160_004_083,
+        170_000_102,
+    ] {
+        let case = Case::by_seed(seed);
+        let outcome = case.fly(&firmware()).unwrap();
+        let failures = campaign::report(&case, &outcome).failures;
+        assert_eq!(failures, Vec::<String>::new(), "{seed}");
     }
 }

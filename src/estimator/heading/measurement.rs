@@ -133,8 +133,14 @@ impl Heading {
     }
 
     /// Adds to the time for which the body has moved, turned away from where the field was first
-    /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north.
+    /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north. While
+    /// the gyroscope's bias is unknown, no turn is known well enough.
     fn verify(&mut self, kalman: &Kalman) {
+        if !kalman.is_bias_known() {
+            self.first_attitude = None;
+            self.verified_s = 0.0;
+            return;
+        }
         let attitude = kalman.attitude_at_earth_step();
         let first = *self.first_attitude.get_or_insert(attitude);
         let Quaternion { w, x, y, z } = attitude;

@@ -14,6 +14,9 @@ pub struct Tuning {
     pub yaw_walk: f32,
     /// Random walk of the hard iron, µT/√s. Larger: follows a change sooner.
     pub hard_iron_walk: f32,
+    /// Random walk of the hard iron in a turn, µT/√rad, while the soft iron is unknown: what it
+    /// adds turns with the body, as hard iron does not.
+    pub soft_iron_walk: f32,
     /// σ of the slow local deviation, per axis, µT.
     pub deviation_ut: f32,
     /// Memory of the local deviation in motion, s: a new place has another deviation.
@@ -80,6 +83,7 @@ impl Tuning {
         field_walk: 0.02,
         yaw_walk: 0.007,
         hard_iron_walk: 0.005,
+        soft_iron_walk: 5.0,
         deviation_ut: 3.5,
         deviation_moving_s: 0.2,
         deviation_still_s: 10.0,
