@@ -2,8 +2,9 @@
 //! the larger of 15° and six σ.
 //!
 //! A third of the flights are starts beside a magnet, with motor currents. In another third the
-//! compass's readings are faulty for a time. In the last third the body swings about one axis, which
-//! shows hard iron poorly. The seed decides place, iron, motors, magnet, fault and axis. The comparison with the truth uses no code of the library.
+//! compass's readings are faulty for a time. In the last third the body swings about one axis,
+//! which shows hard iron poorly. The seed decides place, iron, motors, magnet, fault and axis. The
+//! comparison with the truth uses no code of the library.
 
 use std::fmt::Write as _;
 

@@ -26,7 +26,7 @@ const RECOVERY_US: u64 = 250_000;
 /// Full scale of the gyroscope, as a rate, °/s.
 const FULL_SCALE_DEGREES_S: f32 = 2_000.0;
 
-/// What hides the motion.
+/// Cause that hides the motion.
 #[derive(Debug, Clone, Copy)]
 enum Event {
     /// No samples: a reset by the watchdog, with a kept state up to 0.2 s old.

@@ -30,6 +30,7 @@
 mod compass_transfer;
 mod dma;
 mod link;
+mod port;
 mod settings_check;
 
 pub use compass_transfer::{CompassTransfers, set_compass_fault};
@@ -37,8 +38,6 @@ pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_c
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
-
-use stm32f4xx_hal::pac::{I2C1, i2c1};
 
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
@@ -49,6 +48,7 @@ use crate::health::BoardFlags;
 use crate::mpu6050::registers::Register;
 use crate::mpu6050::{BURST_LENGTH, Burst};
 use link::{LINK, exti, setup};
+use port::{await_events, i2c1, mask_unexpected_event, send_stop};
 
 /// Longest time from an edge to the end of its burst, in µs: twice what the bus needs.
 pub const BURST_DEADLINE_US: u32 = 800;
@@ -488,40 +488,6 @@ impl BurstReader {
     fn prepare_dma(&self) {
         dma::prepare(self.slot.bytes_address(), BURST_LENGTH as u16);
     }
-}
-
-/// Enables the interrupts of the port, and disables its DMA requests.
-#[inline(always)]
-fn await_events() {
-    i2c1()
-        .cr2()
-        .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
-}
-
-/// Masks the events if one is flagged that the present step does not expect. A flag that stays
-/// would interrupt for ever, and keep the alarm waiting. The alarm then ends the burst.
-#[cold]
-#[inline(never)]
-fn mask_unexpected_event() {
-    let i2c = i2c1();
-    let status = i2c.sr1().read();
-    let is_flagged = status.sb().bit() || status.addr().bit() || status.btf().bit();
-    if is_flagged || status.add10().bit() || status.stopf().bit() {
-        i2c.cr2().write(|w| with_clock(w).iterren().set_bit());
-    }
-}
-
-#[inline(always)]
-fn send_stop() {
-    i2c1()
-        .cr1()
-        .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
-}
-
-fn i2c1() -> &'static i2c1::RegisterBlock {
-    // SAFETY: while the reader is enabled it alone uses the bus; see `sensor_bus` for the rest of
-    // the time.
-    unsafe { &*I2C1::ptr() }
 }
 
 /// Burst with the conditions that the board reports.

@@ -12,8 +12,8 @@
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
 use super::step::Phase;
 use super::tuning::square;
-use super::{Heading, HeadingEstimate};
-use crate::attitude::{Quaternion, wrap_pi};
+use super::{CompassKnowledge, Heading, HeadingEstimate};
+use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::estimator::filter::Filter as _;
 use crate::estimator::kalman::Kalman;
 
@@ -133,21 +133,42 @@ impl Heading {
     }
 
     /// Adds to the time for which the body has moved, turned away from where the field was first
-    /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north. While
-    /// the gyroscope's bias is unknown, no turn is known well enough.
+    /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north.
+    ///
+    /// While the gyroscope's bias is unknown, no turn is known well enough. A compass that was not
+    /// calibrated needs turns about two axes: turns about one leave the hard iron along it open,
+    /// and soft iron hides the rest.
     fn verify(&mut self, kalman: &Kalman) {
         if !kalman.is_bias_known() {
-            self.first_attitude = None;
-            self.verified_s = 0.0;
+            self.forget_turns();
             return;
         }
         let attitude = kalman.attitude_at_earth_step();
         let first = *self.first_attitude.get_or_insert(attitude);
-        let Quaternion { w, x, y, z } = attitude;
-        let half_cosine = w * first.w + x * first.x + y * first.y + z * first.z;
-        if half_cosine.abs() < self.tuning.verified_half_cosine {
+        // The axis, times the sine of half the angle.
+        let Quaternion { x, y, z, .. } = first.conjugate().multiply(attitude);
+        let turn = Vector3::new(x, y, z);
+        let least = square(self.tuning.verified_half_sine);
+        if turn.dot(turn) < least {
+            return;
+        }
+        if self.first_turn == Vector3::ZERO {
+            self.first_turn = turn;
+        }
+        let along = self.first_turn;
+        let squared_along = square(along.dot(turn)) / along.dot(along);
+        self.has_two_axes |= turn.dot(turn) - squared_along > least;
+        if self.has_two_axes || self.knowledge == CompassKnowledge::Calibrated {
             self.verified_s += self.motion * self.closed().duration_s;
         }
+    }
+
+    /// Forgets where the field was first seen, and the turns since then.
+    pub(super) fn forget_turns(&mut self) {
+        self.first_attitude = None;
+        self.first_turn = Vector3::ZERO;
+        self.has_two_axes = false;
+        self.verified_s = 0.0;
     }
 
     /// Watches the innovation, and restarts the filter when it has contradicted the field for long:

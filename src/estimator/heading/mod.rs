@@ -185,6 +185,8 @@ pub struct Heading {
     has_reading: bool,
     /// Number of changes of the estimate, which wraps.
     changes: u8,
+    /// True after turns about two axes from `first_attitude`.
+    has_two_axes: bool,
     /// Time since the last earth step that was added, s.
     elapsed_s: f32,
     /// Inverse of a measurement's innovation variance, 1/µT²; from the gate to the watch, the
@@ -218,12 +220,17 @@ pub struct Heading {
     intervals: [Interval; 2],
     covariance: Covariance,
     knowledge: CompassKnowledge,
+    /// True once a sample has been followed.
+    is_following: bool,
     declination_rad: f32,
     /// Attitude when the field was first seen.
     first_attitude: Option<Quaternion>,
+    /// First large turn from there: axis in body axes, times the sine of half the angle. Zero
+    /// before.
+    first_turn: Vector3,
     estimate: Option<HeadingEstimate>,
     /// Time of the last sample that [`follow_to`](Self::follow_to) has followed, µs.
-    followed_us: Option<u64>,
+    followed_us: u64,
 }
 
 impl Heading {
@@ -258,8 +265,11 @@ impl Heading {
             inconsistency: 0.0,
             contradicted_s: 0.0,
             silent_s: 0.0,
-            followed_us: None,
+            followed_us: 0,
+            is_following: false,
             first_attitude: None,
+            first_turn: Vector3::ZERO,
+            has_two_axes: false,
             verified_s: 0.0,
             estimate: None,
             changes: 0,
@@ -361,12 +371,15 @@ impl Heading {
         ] {
             visitor.f32(field);
         }
-        visitor.optional(&mut self.followed_us, 0, StateVisitor::u64);
+        visitor.bool(&mut self.is_following);
+        visitor.u64(&mut self.followed_us);
         visitor.u8(&mut self.changes);
         let first = &mut self.first_attitude;
         visitor.optional(first, Quaternion::IDENTITY, |visitor, first| {
             visitor.quaternion(first);
         });
+        visitor.vector(&mut self.first_turn);
+        visitor.bool(&mut self.has_two_axes);
         let blank = HeadingEstimate {
             yaw_offset_rad: 0.0,
             sigma_rad: 0.0,
@@ -397,8 +410,7 @@ impl Heading {
         self.inconsistency = 0.0;
         self.contradicted_s = 0.0;
         self.excess = 0.0;
-        self.first_attitude = None;
-        self.verified_s = 0.0;
+        self.forget_turns();
     }
 
     fn set_estimate(&mut self, estimate: Option<HeadingEstimate>) {
@@ -436,7 +448,7 @@ impl Heading {
 
     /// Returns whether the filter has started to follow samples: true from the first reading on.
     pub const fn is_running(&self) -> bool {
-        self.has_reading || self.followed_us.is_some()
+        self.has_reading || self.is_following
     }
 
     /// Follows the tilt filter to its last sample, at `t_us` (µs): like [`follow`](Self::follow)
@@ -447,9 +459,9 @@ impl Heading {
         if !self.is_running() {
             return;
         }
-        let before_us = self.followed_us.replace(t_us);
-        let step_us = t_us.saturating_sub(before_us.unwrap_or(t_us));
-        if step_us > 0 {
+        let before_us = core::mem::replace(&mut self.followed_us, t_us);
+        let step_us = t_us.saturating_sub(before_us);
+        if core::mem::replace(&mut self.is_following, true) && step_us > 0 {
             let step_us = u32::try_from(step_us).unwrap_or(u32::MAX);
             self.follow(kalman, step_us as f32 * SECONDS_PER_MICROSECOND);
         }

@@ -9,9 +9,9 @@
 //! 3. *Forget* the local deviation, and add the process noise.
 //! 4. *Measure*: three rows, each by `measurement.rs`.
 
+use super::Heading;
 use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
 use super::tuning::square;
-use super::{CompassKnowledge, Heading};
 use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::{
     ERROR_STATES, FIRST_GYROSCOPE, Followed, GYROSCOPE, MEASUREMENTS, VELOCITY,
@@ -259,15 +259,11 @@ impl Heading {
         let tuning = self.tuning;
         let duration_s = self.closed().duration_s;
         let iron = square(tuning.hard_iron_walk) + tuning.excess_to_hard_iron * self.excess;
-        let turned_rad = match self.knowledge {
-            CompassKnowledge::Factory => libm::sqrtf(self.closed().squared_rate * duration_s),
-            CompassKnowledge::Calibrated => 0.0,
-        };
-        let iron = iron * duration_s + square(tuning.soft_iron_walk) * turned_rad;
         for axis in 0..3 {
             let field = square(tuning.field_walk) * duration_s;
             self.covariance.add(FIELD + axis, FIELD + axis, field);
-            self.covariance.add(IRON + axis, IRON + axis, iron);
+            self.covariance
+                .add(IRON + axis, IRON + axis, iron * duration_s);
         }
         let motion = if kalman.is_still() {
             0.0

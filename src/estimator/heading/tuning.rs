@@ -14,9 +14,6 @@ pub struct Tuning {
     pub yaw_walk: f32,
     /// Random walk of the hard iron, µT/√s. Larger: follows a change sooner.
     pub hard_iron_walk: f32,
-    /// Random walk of the hard iron in a turn, µT/√rad, while the soft iron is unknown: what it
-    /// adds turns with the body, as hard iron does not.
-    pub soft_iron_walk: f32,
     /// σ of the slow local deviation, per axis, µT.
     pub deviation_ut: f32,
     /// Memory of the local deviation in motion, s: a new place has another deviation.
@@ -69,9 +66,9 @@ pub struct Tuning {
     pub valid_inconsistency: f32,
     /// Time without readings after which the heading is not valid any more, s.
     pub valid_silence_s: f32,
-    /// Cosine of half the turn from where the field was first seen: below it the turn shows iron,
+    /// Sine of half the turn from where the field was first seen: above it the turn shows iron,
     /// magnets and a wrong mount.
-    pub verified_half_cosine: f32,
+    pub verified_half_sine: f32,
     /// Time in motion beyond that turn after which the heading may be valid, s.
     pub verified_after_s: f32,
 }
@@ -83,7 +80,6 @@ impl Tuning {
         field_walk: 0.02,
         yaw_walk: 0.007,
         hard_iron_walk: 0.005,
-        soft_iron_walk: 5.0,
         deviation_ut: 3.5,
         deviation_moving_s: 0.2,
         deviation_still_s: 10.0,
@@ -110,7 +106,7 @@ impl Tuning {
         valid_tilt_rad: 0.07,
         valid_inconsistency: 0.4,
         valid_silence_s: 1.0,
-        verified_half_cosine: 0.9945,
+        verified_half_sine: 0.105,
         verified_after_s: 2.5,
     };
 }

@@ -1,0 +1,39 @@
+//! Registers of the I2C port that more than one step of a burst writes.
+
+use stm32f4xx_hal::pac::{I2C1, i2c1};
+
+use super::super::sensor_bus::with_clock;
+
+/// Enables the interrupts of the port, and disables its DMA requests.
+#[inline(always)]
+pub(super) fn await_events() {
+    i2c1()
+        .cr2()
+        .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
+}
+
+/// Masks the events if one is flagged that the present step does not expect. A flag that stays
+/// would interrupt for ever, and keep the alarm waiting. The alarm then ends the burst.
+#[cold]
+#[inline(never)]
+pub(super) fn mask_unexpected_event() {
+    let i2c = i2c1();
+    let status = i2c.sr1().read();
+    let is_flagged = status.sb().bit() || status.addr().bit() || status.btf().bit();
+    if is_flagged || status.add10().bit() || status.stopf().bit() {
+        i2c.cr2().write(|w| with_clock(w).iterren().set_bit());
+    }
+}
+
+#[inline(always)]
+pub(super) fn send_stop() {
+    i2c1()
+        .cr1()
+        .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
+}
+
+pub(super) fn i2c1() -> &'static i2c1::RegisterBlock {
+    // SAFETY: while the reader is enabled it alone uses the bus; see `sensor_bus` for the rest of
+    // the time.
+    unsafe { &*I2C1::ptr() }
+}
