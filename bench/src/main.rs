@@ -29,6 +29,8 @@ mod steps;
 mod throughput;
 #[cfg(test)]
 mod unseen;
+#[cfg(test)]
+mod valid;
 mod vibration;
 
 use std::process::ExitCode;

@@ -4,7 +4,7 @@
 //! A third of the flights are starts beside a magnet, with motor currents. In another third the
 //! compass's readings are faulty for a time. In the last third the body swings about one axis,
 //! which shows hard iron poorly. The seed decides place, iron, motors, magnet, fault and axis. The
-//! comparison with the truth uses no code of the library.
+//! comparison with the truth uses no more of the library than its quaternion and mount.
 
 use std::fmt::Write as _;
 

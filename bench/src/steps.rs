@@ -5,19 +5,18 @@
 
 use aplomb::attitude::Vector3;
 use aplomb::estimator::Sample;
-use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
-use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-use aplomb_models::motion::geometry::{Quaternion, angle_between};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb_models::motion::geometry::Quaternion;
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::truth::up_in_body as true_up;
-use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::simulated::samples;
 
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated;
+use crate::valid::Judged;
 
 /// Time of the step, µs. The offset before is known since about 1.3 s.
 const STEP_US: u64 = 3_000_000;
@@ -25,9 +24,6 @@ const STEP_US: u64 = 3_000_000;
 const SECONDS: u64 = 12;
 /// Time in which the offset has to be found, s.
 const FOUND_S: f64 = 5.0;
-/// Largest error of a valid attitude: the larger of this angle and six σ.
-const ALLOWED_DEGREES: f64 = 5.0;
-const ALLOWED_SIGMAS: f64 = 6.0;
 /// Milliseconds that a case may be wrong while the next update of σ is awaited: a step of 20 °/s
 /// adds 0.02° in each.
 const TOLERATED_MS: u32 = 5;
@@ -73,18 +69,9 @@ fn step(samples: &[Sample], attitude: Quaternion, step_rad_s: Vector3) -> (f64, 
         if (bias - before - step_rad_s).norm() > 0.5_f32.to_radians() {
             found_s = (sample.t_us - STEP_US) as f64 * 1.0e-6;
         }
-        wrong += u32::from(judge(&snapshot, up).1);
+        wrong += u32::from(Judged::new(&snapshot, up).is_wrong);
     }
     (found_s, wrong)
-}
-
-/// Returns the inclination error, degrees, and whether it breaks the promise of `VALID`.
-pub fn judge(snapshot: &Snapshot, true_up: [f64; 3]) -> (f64, bool) {
-    let found = up_in_body(snapshot.attitude);
-    let error_deg = angle_between([found.x, found.y, found.z].map(f64::from), true_up).to_degrees();
-    let sigma_deg = f64::from(snapshot.tilt_sigma_rad()).to_degrees();
-    let is_wrong = error_deg > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * sigma_deg);
-    (error_deg, is_wrong && snapshot.flags.contains(Flags::VALID))
 }
 
 #[test]
@@ -138,12 +125,12 @@ fn step_in_flight(flight: &Recording, step_rad_s: Vector3) -> InFlight {
         let Some(true_up) = true_up.filter(|_| sample.t_us >= FLIGHT_STEP_US) else {
             continue;
         };
-        let (error_deg, is_wrong) = judge(&snapshot, true_up);
-        outcome.wrong_ms += u32::from(is_wrong);
-        outcome.not_valid_ms += u32::from(!snapshot.flags.contains(Flags::VALID));
+        let judged = Judged::new(&snapshot, true_up);
+        outcome.wrong_ms += u32::from(judged.is_wrong);
+        outcome.not_valid_ms += u32::from(!judged.is_valid);
         if sample.t_us >= FLIGHT_STEP_US + RECOVERED_US {
-            outcome.late_wrong_ms += u32::from(is_wrong);
-            squares += error_deg * error_deg;
+            outcome.late_wrong_ms += u32::from(judged.is_wrong);
+            squares += judged.error_deg * judged.error_deg;
             rows += 1;
         }
     }

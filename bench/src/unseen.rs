@@ -14,7 +14,7 @@ use aplomb_recordings::simulated::samples;
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated;
-use crate::steps::judge;
+use crate::valid::Judged;
 
 /// Length of a flight, s, and of the rest at its beginning.
 const SECONDS: u64 = 14;
@@ -29,7 +29,7 @@ const FULL_SCALE_DEGREES_S: f32 = 2_000.0;
 /// Cause that hides the motion.
 #[derive(Debug, Clone, Copy)]
 enum Event {
-    /// No samples: a reset by the watchdog, with a kept state up to 0.2 s old.
+    /// No samples come.
     Pause,
     /// A fault makes the readings of this axis full scale.
     FullScale(u32),
@@ -80,12 +80,11 @@ fn fly(seed: u64) -> Outcome {
             }
         }
         let snapshot = pipeline.update_sample(&sample);
-        if sample.t_us < end_us + RECOVERY_US {
-            continue;
-        }
-        outcome.invalid += u32::from(!snapshot.flags.contains(Flags::VALID));
         if let Some(true_up) = true_up {
-            outcome.wrong += u32::from(judge(&snapshot, *true_up).1);
+            outcome.wrong += u32::from(Judged::new(&snapshot, *true_up).is_wrong);
+        }
+        if sample.t_us >= end_us + RECOVERY_US {
+            outcome.invalid += u32::from(!snapshot.flags.contains(Flags::VALID));
         }
     }
     outcome

@@ -43,7 +43,7 @@ use kalman::Kalman;
 
 /// Revision of the filters' arithmetic. It increases with every change of an attitude, even by one
 /// bit, or of the state's layout. A flight log carries it. `tests/revision.rs` fails when the bits
-/// change and the revision does not.
+/// of its flight change and the revision does not.
 pub const REVISION: u16 = 8;
 
 /// Longest step that a filter bridges, in µs. After a longer one the motion in between is unknown.

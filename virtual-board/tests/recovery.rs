@@ -438,31 +438,52 @@ fn interrupts_at_8_khz_starve_nobody() {
     }
 }
 
-/// Flights of campaigns that broke a rule, each by another flaw.
-///
-/// | seed | flaw |
-/// |---|---|
-/// | 160000236 | corrections after a reset counted as a changed bias |
-/// | 160001523 | the same after false full-scale readings |
-/// | 160004010 | a warm start took the vehicle for one that stays in place |
-/// | 160000542 | a heading from before the bias was known was valid |
-/// | 160002857 | an event of the port that no step expected came again for ever |
-/// | 160004083 | the crystal died in an erase |
-/// | 170000102 | a reset while the sensor had no supply |
+/// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
+const ONCE_FAILED: [(u64, &str, &str); 7] = [
+    (
+        160_000_236,
+        "1.82518 0 watchdog-hang\n",
+        "corrections after a reset counted as a changed bias",
+    ),
+    (
+        160_001_523,
+        "1.787423 0.008045 saturated:gy\n2.297487 0.995394 compass-zeros\n",
+        "corrections after false full-scale readings counted as a changed bias",
+    ),
+    (
+        160_004_010,
+        "7.856856 0 watchdog-hang\n",
+        "a warm start took the vehicle for one that stays in place",
+    ),
+    (
+        160_000_542,
+        "5.309871 0.015581 compass-stall\n",
+        "turns counted for the heading before the bias was known",
+    ),
+    (
+        160_002_857,
+        "1.728188 0.014938 core-stall\n1.731902 0 sda-low:8:0x3b\n",
+        "an event of the port that no step expected came again for ever",
+    ),
+    (
+        160_004_083,
+        "1.857648 0.79074 supply-sag:2552\n1.860513 0.226667 crystal-dies\n",
+        "the rules had no time for a crystal that dies in an erase",
+    ),
+    (
+        170_000_102,
+        "1.830121 0.03403 sensor-brownout\n1.839031 0 crash\n",
+        "the rules asked for telemetry while the sensor had no supply",
+    ),
+];
+
 #[test]
 fn flights_that_once_failed_pass() {
-    for seed in [
-        160_000_236,
-        160_001_523,
-        160_004_010,
-        160_000_542,
-        160_002_857,
-        160_004_083,
-        170_000_102,
-    ] {
+    for (seed, faults, flaw) in ONCE_FAILED {
         let case = Case::by_seed(seed);
+        assert_eq!(case.schedule.to_string(), faults, "{seed}: other faults");
         let outcome = case.fly(&firmware()).unwrap();
         let failures = campaign::report(&case, &outcome).failures;
-        assert_eq!(failures, Vec::<String>::new(), "{seed}");
+        assert_eq!(failures, Vec::<String>::new(), "{seed}: {flaw}");
     }
 }

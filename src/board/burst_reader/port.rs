@@ -12,8 +12,9 @@ pub(super) fn await_events() {
         .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());
 }
 
-/// Masks the events if one is flagged that the present step does not expect. A flag that stays
-/// would interrupt for ever, and keep the alarm waiting. The alarm then ends the burst.
+/// Masks the events while a flag is set that the present step does not clear. Otherwise the
+/// interrupt would repeat, and the alarm never run. The alarm ends the burst, and a failed burst
+/// enables the events again.
 #[cold]
 #[inline(never)]
 pub(super) fn mask_unexpected_event() {

@@ -27,14 +27,15 @@
 //! - The squared innovation beyond 0.2 of the expected one adds to the noise at once, and opens b
 //!   and d for a while: a magnet may have been attached.
 //! - Before the body has moved and turned, a magnet beside it, iron on it and a wrong mount look
-//!   like north. The heading is not valid until 2.5 s of motion agree with it.
+//!   like north. The heading is not valid until 2.5 s of motion agree with it, for an uncalibrated
+//!   compass about two axes.
 //! - A lasting innovation though the field's length fits means that the field is right and the
 //!   filter wrong. It then starts afresh.
 //!
 //! # Cost
 //!
-//! Deadline: one sample. With the tilt filter a sample costs 519 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 939 at worst. Below 250 Hz a whole step runs with one sample.
+//! Deadline: one sample. With the tilt filter a sample costs 520 instructions on average on a
+//! Cortex-M4F at 1 kHz, and 945 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -104,7 +105,7 @@ const LARGEST_FIELD_UT: f32 = 15_000.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CompassKnowledge {
-    /// Nothing: the compass was never calibrated in this vehicle.
+    /// Nothing: it was never calibrated in this vehicle. A valid heading needs turns about 2 axes.
     #[default]
     Factory,
     /// Calibrated.
@@ -220,10 +221,10 @@ pub struct Heading {
     intervals: [Interval; 2],
     covariance: Covariance,
     knowledge: CompassKnowledge,
-    /// True once a sample has been followed.
+    /// True once a sample has been followed, after a reading.
     is_following: bool,
     declination_rad: f32,
-    /// Attitude when the field was first seen.
+    /// Attitude at the first reading since the bias is known.
     first_attitude: Option<Quaternion>,
     /// First large turn from there: axis in body axes, times the sine of half the angle. Zero
     /// before.
@@ -452,7 +453,7 @@ impl Heading {
     }
 
     /// Follows the tilt filter to its last sample, at `t_us` (µs): like [`follow`](Self::follow)
-    /// with the time since the last call. A time that is not later changes nothing, and before the
+    /// with the time since the last call. A time that is not later is not followed, and before the
     /// first reading there is nothing to follow.
     #[inline]
     pub fn follow_to(&mut self, kalman: &Kalman, t_us: u64) {
@@ -507,6 +508,7 @@ impl Heading {
     #[inline(never)]
     fn add_reading(&mut self, kalman: &Kalman, dt_s: f32) {
         self.has_reading = false;
+        self.is_following = true;
         if kalman.has_tilt() {
             let (field_ut, age_s) = (self.reading_ut, self.reading_age_s + dt_s);
             self.interval().add_reading(kalman, field_ut, age_s);

@@ -363,7 +363,6 @@ fn following_to_a_time_is_following_by_its_step() {
         let changes = other.changes;
         let without_time = Heading {
             followed_us: 0,
-            is_following: false,
             ..other
         };
         assert_eq!(without_time, flight.heading, "{index} {changes}");

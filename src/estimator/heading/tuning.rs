@@ -66,8 +66,8 @@ pub struct Tuning {
     pub valid_inconsistency: f32,
     /// Time without readings after which the heading is not valid any more, s.
     pub valid_silence_s: f32,
-    /// Sine of half the turn from where the field was first seen: above it the turn shows iron,
-    /// magnets and a wrong mount.
+    /// Sine of half the smallest turn that counts, about each axis: it shows iron, magnets and a
+    /// wrong mount. 0.105: 12°.
     pub verified_half_sine: f32,
     /// Time in motion beyond that turn after which the heading may be valid, s.
     pub verified_after_s: f32,

@@ -18,8 +18,8 @@ pub struct WarmStart {
     pub bias_rad_s: Vector3,
     /// σ of the bias per axis, rad/s.
     pub bias_sigma_rad_s: f32,
-    /// Mean squared velocity of the last seconds, (m/s)². The faster the vehicle moves, the less
-    /// its accelerations say of the tilt.
+    /// Mean squared horizontal velocity of the last seconds, (m/s)²: 0 for a vehicle that has
+    /// stayed in place. The faster the vehicle moves, the less its accelerations say of the tilt.
     pub squared_velocity_m2_s2: f32,
 }
 

@@ -589,7 +589,7 @@ fn known_after_a_restart_in_motion(seed: u64, off_deg_s: f32) -> u32 {
         tilt_sigma_rad: radians(21.0),
         bias_rad_s: world.bias_rad_s + Vector3::new(0.0, 0.0, radians(off_deg_s)),
         bias_sigma_rad_s: radians(0.2),
-        squared_velocity_m2_s2: 0.0,
+        squared_velocity_m2_s2: 1.0,
     });
     let mut known = 0;
     for _ in 0..20_000 {
@@ -792,12 +792,8 @@ fn three_sigma_hold_99_percent_of_the_errors() {
 #[test]
 fn implausible_readings_leave_a_filter_that_recovers() {
     let (mut rests, mut slow) = (0, 0);
-    for seed in 1..40 {
+    for seed in 1..100 {
         let errors_deg = rests_after_implausible_readings(seed);
-        println!(
-            "{seed}: {:?}",
-            errors_deg.iter().copied().fold(0.0_f32, f32::max)
-        );
         rests += errors_deg.len();
         slow += errors_deg.iter().filter(|error| **error > 2.0).count();
     }

@@ -1,5 +1,7 @@
 //! The judge of a flight: which of the campaign's rules the record of the flight breaks.
 
+use std::ops::RangeInclusive;
+
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
@@ -402,7 +404,7 @@ impl Judge<'_> {
     }
 
     /// The times from each reset to the first attitude after it, before which no telemetry is due.
-    fn starts_ns(&self) -> impl Iterator<Item = std::ops::RangeInclusive<u64>> {
+    fn starts_ns(&self) -> impl Iterator<Item = RangeInclusive<u64>> {
         self.record.resets_ns.iter().map(|&reset_ns| {
             let mut published = self.published.iter().map(|sample| sample.at_ns);
             let first_ns = published.find(|&at_ns| at_ns > reset_ns);
@@ -428,10 +430,17 @@ impl Judge<'_> {
                 .any(|fault| fault.start_ns < at_ns && fault.end_ns() > last_ns);
             let erases = at_ns - last_ns <= LONGEST_ERASE_NS
                 && save_ns(case).is_some_and(|save| save.start < at_ns && save.end > last_ns);
-            // Without its sensor a start has nothing to tell.
-            let lacks_sensor = |fault: &ScheduledFault| fault.kind.stops_sensor();
-            let starts = case.schedule.faults.iter().any(lacks_sensor)
-                && self.starts_ns().any(|start| start.contains(&last_ns));
+            // A start without its sensor sends no telemetry.
+            let lacks_sensor = |start: &RangeInclusive<u64>| {
+                case.schedule.faults.iter().any(|fault| {
+                    fault.kind.stops_sensor()
+                        && fault.start_ns <= *start.end()
+                        && end_ns(fault, self.record) >= *start.start()
+                })
+            };
+            let starts = self.starts_ns().any(|start| {
+                (*start.start()..*start.end()).contains(&last_ns) && lacks_sensor(&start)
+            });
             let mut resets = self.record.resets_ns.iter();
             held || erases || starts || resets.any(|reset_ns| (last_ns..=at_ns).contains(reset_ns))
         };
@@ -497,8 +506,8 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
     episodes
 }
 
-/// Returns the time of a save: the sensor stops. If the crystal dies in the erase, the firmware's
-/// pause is counted at a tenth of the speed until the erase ends, and lasts longer by that.
+/// Returns the time of a save: the sensor stops. If the crystal dies in the erase, the core's timer
+/// runs slower until the erase ends, and the firmware's pause lasts longer, by up to an erase.
 fn save_ns(case: &Case) -> Option<std::ops::Range<u64>> {
     let start_ns = nanoseconds(case.conditions.save_s?);
     let mut faults = case.schedule.faults.iter();

@@ -499,6 +499,7 @@ fn telemetry_may_be_silent_until_the_sensor_is_back_after_a_reset() {
     };
     assert!(!silence("1.8 0.05 sensor-brownout\n1.84 0 crash"));
     assert!(silence("1.84 0 crash"));
+    assert!(silence("1.84 0 crash\n2.3 0.05 sensor-brownout"));
 }
 
 #[test]

@@ -1,0 +1,36 @@
+//! The promise of `VALID`, for tests: a tilt is wrong by no more than the larger of 5° and six σ.
+
+use aplomb::health::Flags;
+use aplomb::pipeline::Snapshot;
+use aplomb_models::motion::geometry::{Vector, angle_between};
+use aplomb_recordings::attitude::up_in_body;
+
+/// Largest error of a valid attitude: the larger of this angle and six σ.
+const ALLOWED_DEGREES: f64 = 5.0;
+const ALLOWED_SIGMAS: f64 = 6.0;
+
+/// Attitude beside the truth.
+pub struct Judged {
+    /// Inclination error, degrees.
+    pub error_deg: f64,
+    /// True if the attitude is `VALID`.
+    pub is_valid: bool,
+    /// True if it is `VALID` and breaks the promise.
+    pub is_wrong: bool,
+}
+
+impl Judged {
+    /// Compares a snapshot with the true direction of up in body axes.
+    pub fn new(snapshot: &Snapshot, true_up: Vector) -> Self {
+        let found = up_in_body(snapshot.attitude);
+        let found = [found.x, found.y, found.z].map(f64::from);
+        let error_deg = angle_between(found, true_up).to_degrees();
+        let sigma_deg = f64::from(snapshot.tilt_sigma_rad()).to_degrees();
+        let is_valid = snapshot.flags.contains(Flags::VALID);
+        Self {
+            error_deg,
+            is_valid,
+            is_wrong: is_valid && error_deg > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * sigma_deg),
+        }
+    }
+}
