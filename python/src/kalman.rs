@@ -11,6 +11,7 @@ use library::health::Flags;
 use library::mpu6050::Part;
 use library::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
 use library::units::{MagneticField, radians};
+use numpy::ndarray::ArrayView2;
 use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike1, PyArrayLike2, PyArrayMethods as _};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -295,25 +296,84 @@ impl Kalman {
         mag: Option<Vectors<'py>>,
     ) -> PyResult<Attitudes> {
         let times = t_us.readonly().to_vec()?;
-        let (gyro, accel) = (rows(&gyro, "gyro")?, rows(&accel, "accel")?);
-        if times.len() != gyro.len() || times.len() != accel.len() {
-            return Err(PyValueError::new_err(format!(
-                "t_us has {} rows, gyro {} and accel {}: they need equal numbers",
-                times.len(),
-                gyro.len(),
-                accel.len()
-            )));
+        check_shape(&gyro, "gyro", times.len())?;
+        check_shape(&accel, "accel", times.len())?;
+        if let Some(mag) = &mag {
+            check_shape(mag, "mag", times.len())?;
         }
-        let mag = mag.map(|mag| rows(&mag, "mag")).transpose()?;
-        if let Some(mag) = mag.as_ref().filter(|mag| mag.len() != times.len()) {
-            return Err(PyValueError::new_err(format!(
-                "t_us has {} rows and mag {}: they need equal numbers",
-                times.len(),
-                mag.len()
-            )));
+        let mut run = Run::new(self, &times);
+        let mut rows = Vec::with_capacity(BLOCK_ROWS.min(times.len()));
+        let (gyro, accel) = (gyro.as_array(), accel.as_array());
+        let mag = mag.as_ref().map(|mag| mag.as_array());
+        for first in (0..times.len()).step_by(BLOCK_ROWS) {
+            // Other threads may change the arrays as soon as the lock is free.
+            let block = first..times.len().min(first + BLOCK_ROWS);
+            rows.clear();
+            rows.extend(block.map(|row| Row {
+                t_us: times[row],
+                gyro: vector(gyro, row),
+                accel: vector(accel, row),
+                mag: mag.map(|mag| vector(mag, row)),
+            }));
+            python.detach(|| run.add(&rows));
         }
-        let columns = python.detach(|| self.columns(&times, &gyro, &accel, mag.as_deref()));
-        columns.into_arrays(python, times)
+        run.columns.into_arrays(python, times)
+    }
+}
+
+/// Rows that are copied and processed at a time: they stay in the processor's cache.
+const BLOCK_ROWS: usize = 8_192;
+
+/// Row of the inputs.
+struct Row {
+    t_us: i64,
+    gyro: [f64; 3],
+    accel: [f64; 3],
+    mag: Option<[f64; 3]>,
+}
+
+/// Run over a recording.
+struct Run {
+    mount: Mount,
+    compass: Compass,
+    pipeline: CompassPipeline,
+    plateaus: Plateaus,
+    columns: Columns,
+}
+
+impl Run {
+    fn new(kalman: &Kalman, times: &[i64]) -> Self {
+        let mut settings = kalman.settings;
+        if !kalman.has_rate {
+            let first = times.len().min(ROWS_AHEAD);
+            settings.sensor.sample_rate_divider = sample_rate_divider(&times[..first]);
+        }
+        Self {
+            mount: settings.mount(),
+            compass: kalman.compass,
+            pipeline: (kalman.compass).added_to(pipeline(&settings, kalman.knowledge)),
+            plateaus: Plateaus::default(),
+            columns: Columns::with_capacity(times.len()),
+        }
+    }
+
+    fn add(&mut self, rows: &[Row]) {
+        for row in rows {
+            let sample = sample(
+                self.mount,
+                &mut self.plateaus,
+                row.t_us,
+                row.gyro,
+                row.accel,
+            );
+            let snapshot = self.pipeline.update_sample(&sample);
+            if let Some(reading) = row.mag {
+                self.compass.update(&mut self.pipeline, reading);
+            }
+            let heading = self.pipeline.heading();
+            self.columns
+                .push(&snapshot, self.pipeline.pipeline(), heading);
+        }
     }
 }
 
@@ -327,47 +387,6 @@ struct Columns {
     heading_rad: Vec<f32>,
     heading_sigma_rad: Vec<f32>,
     yaw_offset_rad: Vec<f32>,
-}
-
-impl Kalman {
-    fn columns(
-        &self,
-        times: &[i64],
-        gyro: &[[f64; 3]],
-        accel: &[[f64; 3]],
-        mag: Option<&[[f64; 3]]>,
-    ) -> Columns {
-        let mut settings = self.settings;
-        if !self.has_rate {
-            let first = times.len().min(ROWS_AHEAD);
-            settings.sensor.sample_rate_divider = sample_rate_divider(&times[..first]);
-        }
-        let mut pipeline = pipeline(&settings, self.knowledge);
-        let mut plateaus = Plateaus::default();
-        let mut columns = Columns::with_capacity(times.len());
-        let inputs = times.iter().zip(gyro).zip(accel);
-        let mount = settings.mount();
-        let mut sample = |t_us: i64, gyro: [f64; 3], accel: [f64; 3]| {
-            sample(mount, &mut plateaus, t_us, gyro, accel)
-        };
-        match mag {
-            None => {
-                for ((&t_us, &gyro), &accel) in inputs {
-                    let snapshot = pipeline.update_sample(&sample(t_us, gyro, accel));
-                    columns.push(&snapshot, &pipeline, None);
-                }
-            }
-            Some(mag) => {
-                let mut pipeline = self.compass.added_to(pipeline);
-                for (((&t_us, &gyro), &accel), &reading) in inputs.zip(mag) {
-                    let snapshot = pipeline.update_sample(&sample(t_us, gyro, accel));
-                    self.compass.update(&mut pipeline, reading);
-                    columns.push(&snapshot, pipeline.pipeline(), pipeline.heading());
-                }
-            }
-        }
-        columns
-    }
 }
 
 impl Columns {
@@ -452,15 +471,35 @@ fn sample(
     sample
 }
 
+/// Checks that an array has the shape (`count`, 3).
+fn check_shape(array: &Vectors<'_>, name: &str, count: usize) -> PyResult<()> {
+    check_columns(array, name)?;
+    let rows = array.as_array().nrows();
+    if rows == count {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!(
+        "t_us has {count} rows and {name} {rows}: they need equal numbers"
+    )))
+}
+
+fn check_columns(array: &Vectors<'_>, name: &str) -> PyResult<()> {
+    match array.as_array().ncols() {
+        3 => Ok(()),
+        columns => Err(PyValueError::new_err(format!(
+            "{name} has {columns} columns and needs three: x, y, z"
+        ))),
+    }
+}
+
+/// Returns a row of an array of shape (n, 3).
+fn vector(array: ArrayView2<'_, f64>, row: usize) -> [f64; 3] {
+    [array[(row, 0)], array[(row, 1)], array[(row, 2)]]
+}
+
 /// Returns the rows of an array of shape (n, 3).
 pub fn rows(array: &Vectors<'_>, name: &str) -> PyResult<Vec<[f64; 3]>> {
+    check_columns(array, name)?;
     let view = array.as_array();
-    if view.ncols() != 3 {
-        return Err(PyValueError::new_err(format!(
-            "{name} has {} columns and needs three: x, y, z",
-            view.ncols()
-        )));
-    }
-    let row = |row: numpy::ndarray::ArrayView1<'_, f64>| [row[0], row[1], row[2]];
-    Ok(view.rows().into_iter().map(row).collect())
+    Ok((0..view.nrows()).map(|row| vector(view, row)).collect())
 }

@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 7] = [
+const ONCE_FAILED: [(u64, &str, &str); 8] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -454,6 +454,11 @@ const ONCE_FAILED: [(u64, &str, &str); 7] = [
         160_004_010,
         "7.856856 0 watchdog-hang\n",
         "a warm start took the vehicle for one that stays in place",
+    ),
+    (
+        200_000_862,
+        "3.991758 0 watchdog-hang\n",
+        "a gate that closed before the corrections after a reset had ended",
     ),
     (
         160_000_542,

@@ -70,10 +70,7 @@ impl Kalman {
                 self.tilt = Tilt::Lost;
             }
         }
-        // A step that is long for the integration alone hides nothing.
-        if hidden_rad2 > 0.0 || sample.is_force_saturated {
-            self.inflate_tilt(hidden_rad2);
-        }
+        self.inflate_tilt(hidden_rad2);
         if sample.is_force_saturated {
             self.interval.unseen_velocity_m2_s2 += SATURATED_VELOCITY * dt_s;
         }
