@@ -153,30 +153,50 @@ impl Attitude {
 }
 
 /// Attitudes of a recording: one row for each sample.
-#[pyclass(module = "aplomb", frozen, get_all)]
+#[pyclass(module = "aplomb", frozen)]
 pub struct Attitudes {
     /// Times, microseconds: int64, shape (n,).
+    #[pyo3(get)]
     t_us: Py<PyArray1<i64>>,
     /// Body to earth, w x y z: float32, shape (n, 4).
+    #[pyo3(get)]
     quaternion: Py<PyArray2<f32>>,
     /// Body rates p, q, r without bias, rad/s: float32, shape (n, 3).
+    #[pyo3(get)]
     rates_rad_s: Py<PyArray2<f32>>,
     /// Sigma of the direction of down, rad: float32, shape (n,).
+    #[pyo3(get)]
     tilt_sigma_rad: Py<PyArray1<f32>>,
     /// Gyroscope bias about the body's axes, rad/s: float32, shape (n, 3).
+    #[pyo3(get)]
     bias_rad_s: Py<PyArray2<f32>>,
     /// Flags as numbers: uint32, shape (n,).
+    #[pyo3(get)]
     flags: Py<PyArray1<u32>>,
-    /// Direction of forward, clockwise from north, rad, NaN while unknown: float32, shape (n,).
-    heading_rad: Py<PyArray1<f32>>,
-    /// Sigma of the heading, rad, NaN while unknown: float32, shape (n,).
-    heading_sigma_rad: Py<PyArray1<f32>>,
-    /// Heading minus yaw, rad, NaN while unknown: float32, shape (n,).
-    yaw_offset_rad: Py<PyArray1<f32>>,
+    /// Heading, its sigma, and heading minus yaw; None for a run without a compass.
+    headings: Option<[Py<PyArray1<f32>>; 3]>,
 }
 
 #[pymethods]
 impl Attitudes {
+    /// Direction of forward, clockwise from north, rad, NaN while unknown: float32, shape (n,).
+    #[getter]
+    fn heading_rad(&self, python: Python<'_>) -> PyResult<Py<PyArray1<f32>>> {
+        self.heading_column(python, 0)
+    }
+
+    /// Sigma of the heading, rad, NaN while unknown: float32, shape (n,).
+    #[getter]
+    fn heading_sigma_rad(&self, python: Python<'_>) -> PyResult<Py<PyArray1<f32>>> {
+        self.heading_column(python, 1)
+    }
+
+    /// Heading minus yaw, rad, NaN while unknown: float32, shape (n,).
+    #[getter]
+    fn yaw_offset_rad(&self, python: Python<'_>) -> PyResult<Py<PyArray1<f32>>> {
+        self.heading_column(python, 2)
+    }
+
     /// Roll, pitch, yaw, rad: float32, shape (n, 3). Computed at each access.
     #[getter]
     fn euler_rad<'py>(&self, python: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
@@ -189,6 +209,21 @@ impl Attitudes {
             angles.extend([euler.roll_rad, euler.pitch_rad, euler.yaw_rad]);
         }
         PyArray1::from_vec(python, angles).reshape([table.nrows(), 3])
+    }
+}
+
+impl Attitudes {
+    /// Returns a column of `headings`. A run without a compass pays for NaN only if asked.
+    fn heading_column(&self, python: Python<'_>, place: usize) -> PyResult<Py<PyArray1<f32>>> {
+        let column = self
+            .headings
+            .as_ref()
+            .and_then(|columns| columns.get(place));
+        if let Some(column) = column {
+            return Ok(column.clone_ref(python));
+        }
+        let count = self.t_us.bind(python).len()?;
+        Ok(PyArray1::from_vec(python, vec![f32::NAN; count]).unbind())
     }
 }
 
@@ -301,7 +336,7 @@ impl Kalman {
         if let Some(mag) = &mag {
             check_shape(mag, "mag", times.len())?;
         }
-        let mut run = Run::new(self, &times);
+        let mut run = Run::new(self, &times, mag.is_some());
         let mut rows = Vec::with_capacity(BLOCK_ROWS.min(times.len()));
         let (gyro, accel) = (gyro.as_array(), accel.as_array());
         let mag = mag.as_ref().map(|mag| mag.as_array());
@@ -322,7 +357,7 @@ impl Kalman {
 }
 
 /// Rows that are copied and processed at a time: they stay in the processor's cache.
-const BLOCK_ROWS: usize = 8_192;
+const BLOCK_ROWS: usize = 2_048;
 
 /// Row of the inputs.
 struct Row {
@@ -342,7 +377,7 @@ struct Run {
 }
 
 impl Run {
-    fn new(kalman: &Kalman, times: &[i64]) -> Self {
+    fn new(kalman: &Kalman, times: &[i64], has_compass: bool) -> Self {
         let mut settings = kalman.settings;
         if !kalman.has_rate {
             let first = times.len().min(ROWS_AHEAD);
@@ -353,7 +388,7 @@ impl Run {
             compass: kalman.compass,
             pipeline: (kalman.compass).added_to(pipeline(&settings, kalman.knowledge)),
             plateaus: Plateaus::default(),
-            columns: Columns::with_capacity(times.len()),
+            columns: Columns::with_capacity(times.len(), has_compass),
         }
     }
 
@@ -384,13 +419,12 @@ struct Columns {
     tilt_sigma_rad: Vec<f32>,
     bias_rad_s: Vec<f32>,
     flags: Vec<u32>,
-    heading_rad: Vec<f32>,
-    heading_sigma_rad: Vec<f32>,
-    yaw_offset_rad: Vec<f32>,
+    /// Heading, its sigma, and heading minus yaw, of a run with a compass.
+    headings: Option<[Vec<f32>; 3]>,
 }
 
 impl Columns {
-    fn with_capacity(count: usize) -> Self {
+    fn with_capacity(count: usize, has_compass: bool) -> Self {
         let single = || Vec::with_capacity(count);
         Self {
             quaternion: Vec::with_capacity(4 * count),
@@ -398,9 +432,7 @@ impl Columns {
             tilt_sigma_rad: single(),
             bias_rad_s: Vec::with_capacity(3 * count),
             flags: Vec::with_capacity(count),
-            heading_rad: single(),
-            heading_sigma_rad: single(),
-            yaw_offset_rad: single(),
+            headings: has_compass.then(|| [single(), single(), single()]),
         }
     }
 
@@ -412,14 +444,16 @@ impl Columns {
         self.tilt_sigma_rad.push(snapshot.tilt_sigma_rad());
         self.bias_rad_s.extend([bias.x, bias.y, bias.z]);
         self.flags.push(snapshot.flags.bits());
-        let [angle, sigma, offset] = heading.map_or([f32::NAN; 3], |heading| {
-            let yaw_rad = snapshot.euler().yaw_rad;
-            let angle = heading.heading_rad(yaw_rad);
+        let Some(headings) = &mut self.headings else {
+            return;
+        };
+        let row = heading.map_or([f32::NAN; 3], |heading| {
+            let angle = heading.heading_rad(snapshot.euler().yaw_rad);
             [angle, heading.sigma_rad, heading.yaw_offset_rad]
         });
-        self.heading_rad.push(angle);
-        self.heading_sigma_rad.push(sigma);
-        self.yaw_offset_rad.push(offset);
+        for (column, value) in headings.iter_mut().zip(row) {
+            column.push(value);
+        }
     }
 
     fn into_arrays(self, python: Python<'_>, times: Vec<i64>) -> PyResult<Attitudes> {
@@ -435,9 +469,9 @@ impl Columns {
             t_us: PyArray1::from_vec(python, times).unbind(),
             tilt_sigma_rad: PyArray1::from_vec(python, self.tilt_sigma_rad).unbind(),
             flags: PyArray1::from_vec(python, self.flags).unbind(),
-            heading_rad: PyArray1::from_vec(python, self.heading_rad).unbind(),
-            heading_sigma_rad: PyArray1::from_vec(python, self.heading_sigma_rad).unbind(),
-            yaw_offset_rad: PyArray1::from_vec(python, self.yaw_offset_rad).unbind(),
+            headings: self
+                .headings
+                .map(|columns| columns.map(|column| PyArray1::from_vec(python, column).unbind())),
         })
     }
 }
