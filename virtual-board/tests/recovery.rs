@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 8] = [
+const ONCE_FAILED: [(u64, &str, &str); 9] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -479,6 +479,12 @@ const ONCE_FAILED: [(u64, &str, &str); 8] = [
         170_000_102,
         "1.830121 0.03403 sensor-brownout\n1.839031 0 crash\n",
         "the rules asked for telemetry while the sensor had no supply",
+    ),
+    (
+        210_000_570,
+        "1.848324 0 sda-low:9:0x12\n1.863888 0.115747 sensor-brownout\n\
+         2.437494 0 stack-overflow\n",
+        "the first correction after a warm start was late",
     ),
 ];
 
