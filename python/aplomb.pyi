@@ -52,7 +52,7 @@ class Kalman:
         mount: str = "z-up",
         sensor_delay_us: int = 0,
         accelerometer: Literal["factory", "six-poses", "calibrated"] = "calibrated",
-        compass: Literal["factory", "calibrated"] = "factory",
+        compass: Literal["factory", "hard-iron", "calibrated"] = "factory",
         compass_delay_us: int = 0,
         declination_deg: float = 0.0,
     ) -> None: ...

@@ -131,6 +131,8 @@ typedef enum AplombCompassKnowledge {
   APLOMB_COMPASS_KNOWLEDGE_FACTORY = 1,
   // A compass whose readings are calibrated.
   APLOMB_COMPASS_KNOWLEDGE_CALIBRATED = 2,
+  // A compass whose readings lack the hard iron that the filter found in an earlier run.
+  APLOMB_COMPASS_KNOWLEDGE_HARD_IRON = 3,
 } AplombCompassKnowledge;
 
 // Calibration of one sensor and its compass, in SI units. That of the sensor is in its own axes.

@@ -7,7 +7,7 @@ use aplomb::calibration::CompassAlignment;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part};
-use aplomb::pipeline::Settings;
+use aplomb::pipeline::{Settings, compass_knowledge};
 
 use crate::AplombStatus;
 use crate::mount;
@@ -37,6 +37,8 @@ pub enum AplombCompassKnowledge {
     Factory = 1,
     /// A compass whose readings are calibrated.
     Calibrated = 2,
+    /// A compass whose readings lack the hard iron that the filter found in an earlier run.
+    HardIron = 3,
 }
 
 /// Settings of a pipeline. Begin with `aplomb_default_settings`, and change what differs.
@@ -121,9 +123,10 @@ impl AplombSettings {
         alignment: &CompassAlignment,
     ) -> Result<CompassKnowledge, AplombStatus> {
         match self.compass_knowledge {
-            0 if alignment.correction.is_some() => Ok(CompassKnowledge::Calibrated),
-            0 | 1 => Ok(CompassKnowledge::Factory),
+            0 => Ok(compass_knowledge(alignment)),
+            1 => Ok(CompassKnowledge::Factory),
             2 => Ok(CompassKnowledge::Calibrated),
+            3 => Ok(CompassKnowledge::HardIron),
             _ => Err(AplombStatus::WrongKnowledge),
         }
     }

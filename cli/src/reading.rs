@@ -42,7 +42,7 @@ pub struct Reading {
     /// calibrated for SI units, factory for bursts and register counts]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
     accelerometer: Option<AccelerometerKnowledge>,
-    /// Knowledge of the compass's hard iron: factory, calibrated [default: factory]
+    /// Knowledge of the compass's hard iron: factory, hard-iron, calibrated [default: factory]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = compass_knowledge)]
     compass: Option<CompassKnowledge>,
     /// Age of the compass's readings against the samples of their rows, in microseconds [default:
@@ -67,7 +67,7 @@ pub struct Reading {
 
 /// Parses what is known of a compass's hard iron.
 pub fn compass_knowledge(name: &str) -> Result<CompassKnowledge, &'static str> {
-    CompassKnowledge::from_name(name).ok_or("it is factory or calibrated")
+    CompassKnowledge::from_name(name).ok_or("it is factory, hard-iron or calibrated")
 }
 
 /// Parses a declination in degrees.

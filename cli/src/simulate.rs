@@ -120,8 +120,8 @@ pub struct Options {
     /// Calibration of the simulated accelerometer: factory, six-poses, calibrated
     #[arg(long, value_name = "KNOWLEDGE", default_value = "factory", value_parser = knowledge)]
     accelerometer: AccelerometerKnowledge,
-    /// Add a compass: factory (hard iron of some 20 µT per axis, gains that differ by some 10 %)
-    /// or calibrated (0.5 µT and 1 % are left)
+    /// Add a compass: factory (hard iron of some 20 µT per axis, gains that differ by some 10 %),
+    /// hard-iron (some 4 µT and 10 % are left) or calibrated (0.5 µT and 1 % are left)
     #[arg(long, value_name = "KNOWLEDGE", value_parser = compass_knowledge)]
     compass: Option<CompassKnowledge>,
     /// Place on earth, which decides the field: berlin, oslo, denver, singapore, rio, sydney
@@ -154,6 +154,7 @@ impl Options {
     fn magnetism(&self) -> Option<Magnetism> {
         let magnetism = match self.compass? {
             CompassKnowledge::Factory => Magnetism::typical(self.seed),
+            CompassKnowledge::HardIron => Magnetism::without_most_hard_iron(self.seed),
             CompassKnowledge::Calibrated => Magnetism::calibrated(self.seed),
         };
         let closest_s = self.magnet.map(|seconds| seconds as f64);

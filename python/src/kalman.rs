@@ -36,7 +36,7 @@ pub type Times<'py> = PyArrayLike1<'py, i64, AllowTypeChange>;
 ///     Knowledge of the accelerometer's offset: "factory", "six-poses" or "calibrated".
 /// compass : str
 ///     Knowledge of the compass's hard iron: "factory" (none, so no heading before the body has
-///     turned) or "calibrated".
+///     turned), "hard-iron" (removed, as an earlier run found it) or "calibrated".
 /// compass_delay_us : int
 ///     Age of the compass's readings against the samples of their rows.
 /// declination_deg : float
@@ -63,7 +63,7 @@ impl Compass {
     /// Returns the settings, or what is wrong with them.
     fn new(knowledge: &str, delay_us: u32, declination_deg: f32) -> PyResult<Self> {
         let knowledge = CompassKnowledge::from_name(knowledge)
-            .ok_or_else(|| PyValueError::new_err("compass is factory or calibrated"))?;
+            .ok_or_else(|| PyValueError::new_err("compass is factory, hard-iron or calibrated"))?;
         if declination_deg.is_nan() || declination_deg.abs() > 180.0 {
             return Err(PyValueError::new_err(
                 "declination_deg has to be from -180 to 180",

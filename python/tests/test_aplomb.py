@@ -202,7 +202,7 @@ def test_what_is_wrong_is_named(tmp_path):
         (lambda: aplomb.Kalman(rate_hz=0), "above zero"),
         (lambda: aplomb.Kalman(accelerometer="good"), "six-poses"),
         (lambda: aplomb.Kalman().update(0, [0, 0, 0], [0, 0, 9.8]), "needs the rate"),
-        (lambda: aplomb.Kalman(compass="good"), "factory or calibrated"),
+        (lambda: aplomb.Kalman(compass="good"), "factory, hard-iron or calibrated"),
         (lambda: aplomb.Kalman(declination_deg=190), "-180 to 180"),
         (lambda: aplomb.Kalman().run(np.arange(4), zero, zero), "4 rows"),
         (lambda: aplomb.Kalman().run(np.arange(5), zero, zero, zero[:4]), "mag 4"),

@@ -17,9 +17,9 @@ use crate::attitude::{BodyVector, Quaternion};
 use crate::calibration::CompassAlignment;
 use crate::calibration::compass::CompassFitter;
 use crate::compass::{Choice, Condition, Fault, PartId, Session};
-use crate::estimator::heading::{CompassKnowledge, Heading};
+use crate::estimator::heading::Heading;
 use crate::fault::FaultClass;
-use crate::pipeline::{CompassReading, Pipeline, Snapshot};
+use crate::pipeline::{CompassReading, Pipeline, Snapshot, compass_knowledge};
 use crate::units::MagneticField;
 use heapless::spsc::Producer;
 
@@ -69,14 +69,6 @@ pub struct CompassTask {
     to_log: Producer<'static, CompassReading>,
 }
 
-/// Returns what a compass of this alignment shows of its hard iron.
-const fn knowledge_of(alignment: &CompassAlignment) -> CompassKnowledge {
-    match alignment.correction {
-        Some(_) => CompassKnowledge::Calibrated,
-        None => CompassKnowledge::Factory,
-    }
-}
-
 impl CompassTask {
     /// Creates the task with a compass of this choice, at a place with this declination in rad.
     /// `to_log` takes readings for the flight log.
@@ -91,7 +83,7 @@ impl CompassTask {
             transfers: CompassTransfers::new(),
             alignment,
             declination_rad,
-            heading: HeadingTask::new(knowledge_of(&alignment)),
+            heading: HeadingTask::new(compass_knowledge(&alignment)),
             phase: 0,
             field: None,
             fitter: None,
@@ -139,7 +131,7 @@ impl CompassTask {
 
     /// Starts the heading afresh, because the body axes have changed.
     pub fn restart_heading(&mut self) {
-        let knowledge = knowledge_of(&self.alignment);
+        let knowledge = compass_knowledge(&self.alignment);
         self.heading.restart(knowledge, self.declination_rad);
     }
 
@@ -179,6 +171,7 @@ impl CompassTask {
                 .zip(self.session.part().map(PartId::address)),
             fault: self.session.fault(),
             field: self.field,
+            hard_iron_ut: (self.heading.filter()).and_then(Heading::certain_hard_iron_ut),
         }
     }
 
@@ -254,7 +247,7 @@ impl CompassTask {
         self.taken = number.wrapping_add(1);
         if IS_LOGGING.load(Ordering::Relaxed) {
             // A reading without room is missing in the log, where the numbers show it.
-            let knowledge = knowledge_of(&self.alignment);
+            let knowledge = compass_knowledge(&self.alignment);
             let reading = CompassReading {
                 number,
                 sample_t_us: snapshot.t_us,

@@ -1,6 +1,7 @@
 //! Condition of the compass, for people.
 
 use super::fault::Fault;
+use crate::attitude::Vector3;
 use crate::units::MagneticField;
 
 /// Condition of the compass: part, fault and latest field.
@@ -13,4 +14,7 @@ pub struct Condition {
     pub fault: Option<Fault>,
     /// Latest field, calibrated; `None` without readings.
     pub field: Option<MagneticField>,
+    /// Hard iron that the heading filter has found, µT in body axes, beyond the calibration's;
+    /// `None` until it is certain.
+    pub hard_iron_ut: Option<Vector3>,
 }

@@ -157,6 +157,8 @@ pub enum MountChoice {
 pub enum CompassChoice {
     /// Uses this part.
     Part(Choice),
+    /// Keeps the hard iron that the heading filter has found.
+    Keep,
     /// Sets the mount of the compass.
     Mount(Mount),
 }
@@ -179,6 +181,7 @@ impl fmt::Display for Command {
             Self::Mount(MountChoice::Named(mount)) => write!(formatter, "mount {mount}"),
             Self::Compass(CompassChoice::Part(choice)) => write!(formatter, "compass {choice}"),
             Self::Compass(CompassChoice::Mount(mount)) => write!(formatter, "compass {mount}"),
+            Self::Compass(CompassChoice::Keep) => formatter.write_str("compass keep"),
             Self::Declination(angle) => write!(formatter, "declination {}", degrees(*angle)),
             Self::Rate(rate_hz) => write!(formatter, "rate {rate_hz}"),
             Self::Baud(baud) => write!(formatter, "baud {baud}"),
@@ -231,6 +234,20 @@ const CALIBRATIONS: [&str; 7] = {
     names
 };
 
+/// Argument of `compass` that keeps the hard iron of the heading filter.
+const KEEP: &str = "keep";
+
+/// Words that `compass` takes, beside a mount.
+const COMPASS_WORDS: [&str; Choice::WORDS.len() + 1] = {
+    let mut words = [KEEP; Choice::WORDS.len() + 1];
+    let mut index = 0;
+    while index < Choice::WORDS.len() {
+        words[index] = Choice::WORDS[index];
+        index += 1;
+    }
+    words
+};
+
 /// Forms of every command, in the order of `help`. Of two equally near ones, suggestions prefer the
 /// first.
 static FORMS: [Form; 17] = [
@@ -275,7 +292,7 @@ impl fmt::Display for Form {
             Argument::Nothing => Ok(()),
             Argument::Word(words) => write_words(formatter, words),
             Argument::Compass => {
-                write_words(formatter, &Choice::WORDS)?;
+                write_words(formatter, &COMPASS_WORDS)?;
                 formatter.write_str("|<forward><down>")
             }
             Argument::Mount => formatter.write_str(" find|<forward><down>"),
@@ -513,10 +530,11 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
             Some(mount) => Ok(Command::Mount(MountChoice::Named(mount))),
             None => Err(unknown(&["find", "z-up", "z-down"])),
         },
+        "compass" if argument == KEEP => Ok(Command::Compass(CompassChoice::Keep)),
         "compass" => match (Choice::parse(argument), Mount::parse(argument)) {
             (Some(choice), _) => Ok(Command::Compass(CompassChoice::Part(choice))),
             (None, Some(mount)) => Ok(Command::Compass(CompassChoice::Mount(mount))),
-            (None, None) => Err(unknown(&Choice::WORDS)),
+            (None, None) => Err(unknown(&COMPASS_WORDS)),
         },
         // The console refuses it, whatever the angle.
         "declination" if !compass::IS_BUILT_IN => Ok(Command::Declination(0)),
@@ -624,6 +642,7 @@ mod tests {
                 "compass auto",
                 Command::Compass(CompassChoice::Part(Choice::Auto)),
             ),
+            ("compass keep", Command::Compass(CompassChoice::Keep)),
             (
                 "compass qmc5883l",
                 Command::Compass(CompassChoice::Part(Choice::Named(PartId::Qmc5883l))),
@@ -712,7 +731,7 @@ mod tests {
             (
                 "compass",
                 "compass needs a word more: \
-                 \"compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>\"",
+                 \"compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|keep|<forward><down>\"",
             ),
             (
                 "declination",

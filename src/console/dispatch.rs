@@ -5,7 +5,7 @@ mod tests;
 
 use core::fmt;
 
-use super::answer::{Kind, Reply};
+use super::answer::{Kind, Reply, Triple};
 use super::baud::{BaudChange, BaudPoll};
 use super::command::{
     Calibrate, Command, CommandForms, CompassChoice, Measure, MountChoice, ParseError,
@@ -19,7 +19,7 @@ use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
-use crate::calibration::{Mount, NoiseModel};
+use crate::calibration::{CompassCorrection, Mount, NoiseModel};
 use crate::compass;
 use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record};
@@ -128,8 +128,11 @@ impl Console {
             BaudPoll::Answered(kind) => return Some(kind),
         }
         let mount = self.mount();
-        self.procedures
-            .poll(now_us, &mut self.working.calibration, mount, module, reply)
+        let ended =
+            self.procedures
+                .poll(now_us, &mut self.working.calibration, mount, module, reply);
+        self.move_compass(mount, module);
+        ended
             .or_else(|| {
                 if !compass::IS_BUILT_IN {
                     return None;
@@ -248,14 +251,28 @@ impl Console {
         let had_level = self.working.calibration.level.is_some();
         procedure::set_mount(&mut self.working.calibration, mount, before);
         module.set_calibration(&self.working.calibration);
-        module.set_compass(&self.working.compass, mount);
-        let has_lost = had_level && self.working.calibration.level.is_none();
-        let lost = if has_lost {
-            ", its level is to be calibrated again"
-        } else {
-            ""
+        let has_lost_level = had_level && self.working.calibration.level.is_none();
+        let has_lost_compass = self.move_compass(before, module);
+        let lost = match (has_lost_level, has_lost_compass) {
+            (true, true) => ", its level and its compass are to be calibrated again",
+            (true, false) => ", its level is to be calibrated again",
+            (false, true) => ", its compass is to be calibrated again",
+            (false, false) => "",
         };
         reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
+    }
+
+    /// Moves a compass without a mount of its own with the IMU, whose mount was this one before. A
+    /// correction that belongs to another mount is lost. Returns whether one was.
+    fn move_compass(&mut self, before: Mount, module: &mut dyn Module) -> bool {
+        let mount = self.mount();
+        let settings = &mut self.working.compass;
+        if mount == before {
+            return false;
+        }
+        let has_lost = settings.mount.is_none() && settings.correction.take().is_some();
+        module.set_compass(settings, mount);
+        has_lost
     }
 
     /// Sets the compass or its mount. A correction that belongs to another one is lost.
@@ -269,6 +286,7 @@ impl Console {
         match choice {
             CompassChoice::Part(choice) => settings.choice = choice,
             CompassChoice::Mount(mount) => settings.mount = Some(mount),
+            CompassChoice::Keep => return self.keep_hard_iron(module, reply),
         }
         let before = self.working.compass;
         if settings != before {
@@ -284,6 +302,31 @@ impl Console {
         reply.ok(format_args!(
             "{}{lost}; \"save\" keeps it",
             Command::Compass(choice)
+        ))
+    }
+
+    /// Adds the hard iron that the heading filter has found to the compass's correction.
+    fn keep_hard_iron(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        let correction = self.working.compass.correction;
+        if correction.is_some_and(|correction| correction.has_soft_iron()) {
+            return reply.error(format_args!(
+                "compass keep: it is calibrated, which is better; \"calibrate compass\" renews that"
+            ));
+        }
+        let Some(found_ut) = module.state().compass.hard_iron_ut else {
+            return reply.error(format_args!(
+                "compass keep: the hard iron is not certain yet; turn the vehicle about two axes, \
+                 until \"status\" shows hard_iron_ut"
+            ));
+        };
+        let correction = &mut self.working.compass.correction;
+        let correction = correction.get_or_insert(CompassCorrection::NONE);
+        correction.hard_iron_ut = correction.hard_iron_ut + found_ut;
+        let kept_ut = Triple(correction.hard_iron_ut, 1);
+        module.set_compass(&self.working.compass, self.mount());
+        reply.ok(format_args!(
+            "compass keep: hard iron {kept_ut} uT, and the heading starts afresh with it; \
+             \"save\" keeps it"
         ))
     }
 

@@ -44,7 +44,7 @@ impl fmt::Display for Status<'_> {
             HeadingText(state, self.compass),
             self.mount,
             if is_default { "(default)" } else { "" },
-            CalibratedParts(self.calibration, self.compass.correction.is_some()),
+            CalibratedParts(self.calibration, self.compass),
             Triple(state.bias_rad_s.scale(degrees(1.0)), 3),
             Decimal(degrees(state.bias_sigma_rad_s), 3),
             Decimal(degrees(state.tilt_sigma_rad), 2),
@@ -72,7 +72,8 @@ impl fmt::Display for SensorName {
     }
 }
 
-/// Name, address, fault, field and its strength of the compass; nothing without a compass.
+/// Name, address, fault, field, its strength and the hard iron that the heading filter has found;
+/// nothing without a compass.
 struct CompassText<'a>(&'a Condition);
 
 impl fmt::Display for CompassText<'_> {
@@ -90,6 +91,9 @@ impl fmt::Display for CompassText<'_> {
             if compass::IS_BUILT_IN {
                 write!(formatter, " strength_ut={}", Decimal(field.norm(), 1))?;
             }
+        }
+        if let Some(hard_iron_ut) = condition.hard_iron_ut {
+            write!(formatter, " hard_iron_ut={}", Triple(hard_iron_ut, 1))?;
         }
         Ok(())
     }
@@ -127,16 +131,18 @@ const fn yes_no(is: bool) -> &'static str {
 }
 
 /// Names of the calibrated parts.
-struct CalibratedParts<'a>(&'a Calibration, bool);
+struct CalibratedParts<'a>(&'a Calibration, &'a CompassSettings);
 
 impl fmt::Display for CalibratedParts<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let has_soft_iron = (self.1.correction).map(|correction| correction.has_soft_iron());
         let names = [
             (self.0.gyroscope.is_some(), "gyro"),
             (self.0.accelerometer.is_some(), "accel"),
             (self.0.level.is_some(), "level"),
             (self.0.temperature.is_some(), "temperature"),
-            (self.1, "compass"),
+            (has_soft_iron == Some(true), "compass"),
+            (has_soft_iron == Some(false), "hard-iron"),
         ];
         let mut separator = "";
         for (_, name) in names.into_iter().filter(|(is_there, _)| *is_there) {

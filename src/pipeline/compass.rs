@@ -4,7 +4,7 @@
 //! [`Pipeline::update`], publishes, and lets the heading follow with [`Pipeline::lead`].
 
 use super::{Pipeline, Settings, Snapshot};
-use crate::calibration::Calibration;
+use crate::calibration::{Calibration, CompassAlignment};
 use crate::estimator::Sample;
 use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
 use crate::health::{BoardFlags, Flags};
@@ -42,6 +42,26 @@ use crate::units::MagneticField;
 pub struct CompassPipeline {
     pipeline: Pipeline,
     heading: Heading,
+}
+
+/// Returns the knowledge of a compass with this alignment. A correction without soft iron is the
+/// hard iron of an earlier run.
+///
+/// ```
+/// use aplomb::calibration::{CompassAlignment, CompassCorrection, Mount};
+/// use aplomb::estimator::heading::CompassKnowledge;
+/// use aplomb::pipeline::compass_knowledge;
+///
+/// let correction = Some(CompassCorrection::NONE);
+/// let alignment = CompassAlignment { mount: Mount::Z_UP, correction };
+/// assert_eq!(compass_knowledge(&alignment), CompassKnowledge::HardIron);
+/// ```
+pub fn compass_knowledge(alignment: &CompassAlignment) -> CompassKnowledge {
+    match alignment.correction {
+        None => CompassKnowledge::Factory,
+        Some(correction) if correction.has_soft_iron() => CompassKnowledge::Calibrated,
+        Some(_) => CompassKnowledge::HardIron,
+    }
 }
 
 /// Reading of a compass, with all that a heading filter needs of it. A flight log keeps it.

@@ -45,7 +45,7 @@ mod unseen;
 #[cfg(test)]
 mod tests;
 
-pub use compass::{CompassPipeline, CompassReading};
+pub use compass::{CompassPipeline, CompassReading, compass_knowledge};
 pub use settings::Settings;
 pub use snapshot::Snapshot;
 

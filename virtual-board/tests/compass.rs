@@ -175,6 +175,59 @@ fn a_calibration_finds_iron_and_mount() {
     );
 }
 
+/// A flight with a compass that nobody calibrated shows its hard iron. `compass keep` and `save`
+/// give it to the next start, whose heading is known on the table.
+#[test]
+fn the_hard_iron_of_a_flight_serves_the_next_start() {
+    let mut magnetism = Magnetism::clean(EarthField::default());
+    magnetism.hard_iron_ut = [40.0, -60.0, 25.0];
+    let config = CompassConfig {
+        mount: Mount::parse("+y-z").unwrap(),
+        magnetism,
+        ..CompassConfig::new(1, Part::Qmc5883l)
+    };
+    let run = Run::new(firmware()).kit(Kit::Gy87).seed(4).seconds(30.0);
+    let outcome = run
+        .compass(config.clone())
+        .command(0.8, "compass +y-z")
+        .command(1.0, "compass keep")
+        .command(27.0, "status")
+        .command(28.0, "compass keep")
+        .command(28.5, "save")
+        .without_account()
+        .without_probe()
+        .run()
+        .unwrap();
+    assert!(outcome.uart_reports("error compass keep: the hard iron is not certain yet"));
+    assert!(outcome.uart_reports("ok compass keep: hard iron "));
+    assert!(outcome.uart_reports("done save: stored"));
+    let status = outcome.uart_lines.iter().find_map(|line| {
+        let (_, rest) = line.text.split_once(" hard_iron_ut=")?;
+        let found = rest.split_whitespace().next()?.split(',');
+        found.map(|number| number.parse().ok()).collect()
+    });
+    let found: Vec<f64> = status.unwrap_or_else(|| panic!("{:?}", outcome.uart_lines));
+    for (found, iron) in found.iter().zip(config.magnetism.hard_iron_ut) {
+        assert!((found - iron).abs() < 3.0, "{found} {iron}");
+    }
+    let outcome = Run::new(firmware())
+        .kit(Kit::Gy87)
+        .compass(config)
+        .motion(Rest::level())
+        .flash(outcome.flash.bytes.clone())
+        .seconds(6.0)
+        .command(5.0, "status")
+        .without_account()
+        .without_probe()
+        .run()
+        .unwrap();
+    assert!(outcome.uart_reports(" calibrated=hard-iron "));
+    assert!(outcome.uart_reports(" heading_valid=no north=magnetic"));
+    let heading = outcome.samples().last().unwrap().heading.unwrap();
+    let error_deg = f64::from(heading.yaw_offset_rad).to_degrees();
+    assert!(error_deg.abs() < 10.0, "{error_deg}");
+}
+
 /// A compass in a GPS module: on the main bus, and mounted otherwise than the IMU.
 #[test]
 fn the_mount_of_the_compass_is_its_own() {

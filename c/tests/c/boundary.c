@@ -60,7 +60,9 @@ static void settings_of_a_compass_are_checked(void)
     wrong.low_pass_hz = 100;
     assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_WRONG_LOW_PASS);
     wrong = settings;
-    wrong.compass_knowledge = 3;
+    wrong.compass_knowledge = APLOMB_COMPASS_KNOWLEDGE_HARD_IRON;
+    assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_OK);
+    wrong.compass_knowledge = APLOMB_COMPASS_KNOWLEDGE_HARD_IRON + 1;
     assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_WRONG_KNOWLEDGE);
     wrong = settings;
     memcpy(wrong.calibration.compass_mount, "+x+x\0\0\0", 8);

@@ -175,6 +175,17 @@ impl Magnetism {
         }
     }
 
+    /// A [`typical`](Self::typical) vehicle whose hard iron is known from an earlier flight:
+    /// some 4 µT are left.
+    #[must_use]
+    pub fn without_most_hard_iron(seed: u64) -> Self {
+        let typical = Self::typical(seed);
+        Self {
+            hard_iron_ut: scale(typical.hard_iron_ut, 0.2),
+            ..typical
+        }
+    }
+
     /// A vehicle after a calibration: 0.5 µT of hard iron and 1 % of soft iron are left.
     #[must_use]
     pub fn calibrated(seed: u64) -> Self {

@@ -25,6 +25,12 @@ impl CompassCorrection {
         hard_iron_ut: Vector3::ZERO,
     };
 
+    /// Returns whether soft iron is corrected too. Without it the hard iron is that of the heading
+    /// filter, and not that of a calibration.
+    pub fn has_soft_iron(&self) -> bool {
+        self.matrix != Self::NONE.matrix
+    }
+
     /// Corrects a reading in body axes; both are in µT.
     pub fn apply(&self, reading_ut: Vector3) -> Vector3 {
         let [x, y, z] = self.matrix.map(|row| row.dot(reading_ut));

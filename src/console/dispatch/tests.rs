@@ -285,7 +285,7 @@ fn every_command_is_answered_with_one_line() {
             "ok help: help, status, show, \
              calibrate gyro|accel|level|temperature|compass|done|stop, \
              mount find|<forward><down>, \
-             compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|<forward><down>, \
+             compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|keep|<forward><down>, \
              declination <degrees>, self-test, registers, measure on|show|off, rate <hz>, format \
              text|classic|teleplot|teapot|mavlink|log, baud <bps>, save, forget, arm, disarm",
         ),
@@ -443,6 +443,7 @@ fn commands_change_nothing_while_armed() {
         "format text",
         "mount find",
         "mount z-up",
+        "compass keep",
         "calibrate gyro",
         "calibrate accel",
         "calibrate level",
@@ -635,6 +636,7 @@ fn two_poses_find_the_mount() {
         harness.ask("mount find"),
         "ok mount find: keep it still for 2 s with the vehicle level, then with its nose down"
     );
+    harness.console.working.compass.correction = Some(CompassCorrection::NONE);
     let mount = Mount::parse("-y+z").expect("a name");
     let up_when = |body: Vector3| at_rest([0.0; 3], mount.to_sensor(BodyVector(body)));
     let level = up_when(Vector3::new(0.0, 0.0, -1.0));
@@ -650,6 +652,7 @@ fn two_poses_find_the_mount() {
         ]
     );
     assert_eq!(harness.working().calibration.mount, Some(mount));
+    assert_eq!(harness.working().compass.correction, None);
 }
 
 #[test]
@@ -890,6 +893,7 @@ fn status_has_the_heading_of_a_compass() {
             field: Some(MagneticField {
                 ut: [18.0, -0.5, 44.0],
             }),
+            hard_iron_ut: None,
         },
         ..State::default()
     };
@@ -959,6 +963,7 @@ fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
             part: Some(("AK8963", 0x0C)),
             fault: None,
             field: Some(MagneticField { ut: [1.0; 3] }),
+            hard_iron_ut: None,
         },
         ..State::default()
     });
@@ -1009,6 +1014,73 @@ fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
 }
 
 #[test]
+fn the_hard_iron_of_the_heading_filter_is_kept() {
+    let mut harness = Harness::new();
+    let refused = harness.ask("compass keep");
+    assert!(
+        refused.starts_with("error compass keep: the hard iron is not certain yet; turn"),
+        "{refused}"
+    );
+    let found = Vector3::new(30.0, -20.0, 10.0);
+    harness.module.state = Some(State {
+        compass: Condition {
+            part: Some(("AK8963", 0x0C)),
+            hard_iron_ut: Some(found),
+            ..Condition::default()
+        },
+        ..State::default()
+    });
+    let status = harness.ask("status");
+    assert!(
+        status.contains(" hard_iron_ut=30.0,-20.0,10.0 "),
+        "{status}"
+    );
+    assert_eq!(
+        harness.ask("compass keep"),
+        "ok compass keep: hard iron 30.0,-20.0,10.0 uT, and the heading starts afresh with it; \
+         \"save\" keeps it"
+    );
+    let kept = harness.console.working().compass.correction.expect("kept");
+    assert_eq!((kept.hard_iron_ut, kept.has_soft_iron()), (found, false));
+    let status = harness.ask("status");
+    assert!(status.contains(" calibrated=hard-iron "), "{status}");
+    assert!(harness.console.has_unsaved());
+    // What the filter finds later adds to it.
+    harness.ask("compass keep");
+    let kept = harness.working().compass.correction.expect("kept");
+    assert_eq!(kept.hard_iron_ut, found + found);
+    // A calibration is better.
+    let correction = &mut harness.console.working.compass.correction;
+    correction.as_mut().expect("kept").matrix[0].x = 1.1;
+    let refused = harness.ask("compass keep");
+    assert!(
+        refused.starts_with("error compass keep: it is calibrated"),
+        "{refused}"
+    );
+}
+
+/// A correction is in body axes, so it belongs to a mount of the compass: its own, or the IMU's.
+#[test]
+fn another_mount_discards_the_correction_of_the_compass() {
+    for (line, own_mount, is_kept) in [
+        ("compass +y-z", None, false),
+        ("mount +y-z", None, false),
+        ("mount +x-z", None, true),
+        ("mount +y-z", Mount::parse("+x-z"), true),
+    ] {
+        let mut harness = Harness::new();
+        let compass = &mut harness.console.working.compass;
+        compass.mount = own_mount;
+        compass.correction = Some(CompassCorrection::NONE);
+        let answer = harness.ask(line);
+        let is_there = harness.working().compass.correction.is_some();
+        assert_eq!(is_there, is_kept, "{line}");
+        let is_reported = answer.contains("to be calibrated again");
+        assert_eq!(is_reported, !is_kept, "{answer}");
+    }
+}
+
+#[test]
 fn the_longest_answers_fit() {
     let mut harness = Harness::with(Some(full()));
     let show = harness.ask("show");
@@ -1031,6 +1103,7 @@ fn the_longest_answers_fit() {
             // There is no field during a fault.
             fault: None,
             field: Some(MagneticField { ut: [-1234.5; 3] }),
+            hard_iron_ut: Some(Vector3::new(-1234.5, -1234.5, -1234.5)),
         },
         heading: Some(HeadingLine {
             heading_deg: 359.99,

@@ -135,9 +135,9 @@ impl Heading {
     /// Adds to the time for which the body has moved, turned away from where the field was first
     /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north.
     ///
-    /// While the gyroscope's bias is unknown, no turn is known well enough. A compass that was not
-    /// calibrated needs turns about two axes: turns about one leave the hard iron along it open,
-    /// and soft iron hides the rest.
+    /// While the gyroscope's bias is unknown, no turn is known well enough. A compass whose hard
+    /// iron is unknown needs turns about two axes: turns about one leave the hard iron along it
+    /// open, and soft iron hides the rest.
     fn verify(&mut self, kalman: &Kalman) {
         if !kalman.is_bias_known() {
             self.forget_turns();
@@ -158,7 +158,7 @@ impl Heading {
         let along = self.first_turn;
         let squared_along = square(along.dot(turn)) / along.dot(along);
         self.has_two_axes |= turn.dot(turn) - squared_along > least;
-        if self.has_two_axes || self.knowledge == CompassKnowledge::Calibrated {
+        if self.has_two_axes || self.knowledge != CompassKnowledge::Factory {
             self.verified_s += self.motion * self.closed().duration_s;
         }
     }
@@ -313,6 +313,10 @@ impl Heading {
         } else {
             self.silent_s + self.closed().duration_s
         };
+        let verified_after_s = match self.knowledge {
+            CompassKnowledge::Factory => tuning.verified_uncalibrated_after_s,
+            CompassKnowledge::HardIron | CompassKnowledge::Calibrated => tuning.verified_after_s,
+        };
         let estimate = (sigma_rad < tuning.known_rad).then(|| HeadingEstimate {
             yaw_offset_rad: wrap_pi(self.declination_rad - libm::atan2f(cy, cx)),
             sigma_rad,
@@ -320,7 +324,7 @@ impl Heading {
                 && kalman.tilt_variance_rad2() < square(tuning.valid_tilt_rad)
                 && self.inconsistency < tuning.valid_inconsistency
                 && self.silent_s < tuning.valid_silence_s
-                && self.verified_s > tuning.verified_after_s,
+                && self.verified_s > verified_after_s,
         });
         self.set_estimate(estimate);
         Phase::Idle

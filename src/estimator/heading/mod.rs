@@ -27,8 +27,8 @@
 //! - The squared innovation beyond 0.2 of the expected one adds to the noise at once, and opens b
 //!   and d for a while: a magnet may have been attached.
 //! - Before the body has moved and turned, a magnet beside it, iron on it and a wrong mount look
-//!   like north. The heading is not valid until 2.5 s of motion agree with it, for an uncalibrated
-//!   compass about two axes.
+//!   like north. The heading is not valid until 2.5 s of motion agree with it; for an uncalibrated
+//!   compass 6 s, with turns about two axes.
 //! - A lasting innovation though the field's length fits means that the field is right and the
 //!   filter wrong. It then starts afresh.
 //!
@@ -62,6 +62,7 @@
 
 mod covariance;
 mod interval;
+mod knowledge;
 mod measurement;
 mod step;
 mod tuning;
@@ -69,6 +70,7 @@ mod tuning;
 #[cfg(test)]
 mod tests;
 
+pub use knowledge::CompassKnowledge;
 pub use tuning::Tuning;
 
 use super::kalman::Kalman;
@@ -95,56 +97,6 @@ const MOST_SLICES: u32 = 160;
 
 /// Largest sum of a reading's components, µT: no compass of this kind reaches it.
 const LARGEST_FIELD_UT: f32 = 15_000.0;
-
-/// Knowledge of the compass's hard iron before the first reading.
-///
-/// | knowledge | σ per axis | source |
-/// |---|---|---|
-/// | factory | 200 µT | boards with speakers, screws and batteries: 60 to 300 µT |
-/// | calibrated | 0.5 µT | the residual of a calibration |
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum CompassKnowledge {
-    /// Nothing: it was never calibrated in this vehicle. A valid heading needs turns about 2 axes.
-    #[default]
-    Factory,
-    /// Calibrated.
-    Calibrated,
-}
-
-impl CompassKnowledge {
-    /// Returns the knowledge of this name: `factory` or `calibrated`.
-    ///
-    /// ```
-    /// use aplomb::estimator::heading::CompassKnowledge;
-    ///
-    /// let knowledge = CompassKnowledge::from_name("calibrated");
-    /// assert_eq!(knowledge, Some(CompassKnowledge::Calibrated));
-    /// ```
-    pub fn from_name(name: &str) -> Option<Self> {
-        match name {
-            "factory" => Some(Self::Factory),
-            "calibrated" => Some(Self::Calibrated),
-            _ => None,
-        }
-    }
-
-    /// Returns the name.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Factory => "factory",
-            Self::Calibrated => "calibrated",
-        }
-    }
-
-    /// Returns σ of the hard iron per axis, µT.
-    pub const fn sigma_ut(self) -> f32 {
-        match self {
-            Self::Factory => 200.0,
-            Self::Calibrated => 0.5,
-        }
-    }
-}
 
 /// Heading of the level frame, in which yaw is zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -333,15 +285,20 @@ impl Heading {
         Vector3::new(sigma(0), sigma(1), sigma(2))
     }
 
+    /// Returns the hard iron, µT in body axes, once it is certain enough for a later start with
+    /// [`CompassKnowledge::HardIron`]: the heading is valid, and σ of each axis is below 3 µT. `None`
+    /// for a calibrated compass, whose calibration is better.
+    pub fn certain_hard_iron_ut(&self) -> Option<Vector3> {
+        const LARGEST_VARIANCE_UT2: f32 = square(3.0);
+        let is_valid = self.estimate.is_some_and(|estimate| estimate.is_valid)
+            && self.knowledge != CompassKnowledge::Calibrated;
+        let is_certain = |state| self.covariance.entry(state, state) < LARGEST_VARIANCE_UT2;
+        (is_valid && (IRON..IRON + 3).all(is_certain)).then(|| self.hard_iron_ut())
+    }
+
     /// Visits every field but the tuning, which is static.
     pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        let mut is_calibrated = self.knowledge == CompassKnowledge::Calibrated;
-        visitor.bool(&mut is_calibrated);
-        self.knowledge = if is_calibrated {
-            CompassKnowledge::Calibrated
-        } else {
-            CompassKnowledge::Factory
-        };
+        self.knowledge.visit_state(visitor);
         self.phase.visit_state(visitor);
         let mut present = usize::from(self.present);
         visitor.index(&mut present, 2);

@@ -231,6 +231,26 @@ fn hard_iron_that_nobody_calibrated_is_found_in_motion() {
     );
 }
 
+/// A run finds the hard iron, and the next one starts with it: the heading is known without a turn,
+/// and valid after turns about one axis.
+#[test]
+fn the_hard_iron_of_an_earlier_run_serves_the_next() {
+    let mut first = Flight::new(70.0, CompassKnowledge::Factory);
+    first.iron_ut = Vector3::new(120.0, -130.0, 95.0);
+    first.rest(2.0);
+    assert_eq!(first.heading.certain_hard_iron_ut(), None);
+    first.tumble(20.0);
+    let found = first.heading.certain_hard_iron_ut().expect("it is certain");
+    let mut next = Flight::new(-20.0, CompassKnowledge::HardIron);
+    next.iron_ut = first.iron_ut - found;
+    next.rest(4.0);
+    let estimate = next.heading.estimate().expect("a heading");
+    assert!(!estimate.is_valid);
+    next.run(10.0, |t_s| Vector3::new(0.0, 0.0, libm::sinf(t_s)));
+    next.assert_error_below(8.0);
+    assert!(next.heading.estimate().expect("a heading").is_valid);
+}
+
 #[test]
 fn the_heading_survives_a_passing_magnet() {
     let mut flight = Flight::new(-120.0, CompassKnowledge::Calibrated);
@@ -405,7 +425,7 @@ fn a_restored_state_continues_to_the_bit() {
         let mut writer = StateWriter::new(&mut bytes, 0);
         copy.visit_state(&mut writer);
         let length = writer.length().expect("a byte form");
-        let mut restored = Heading::new(CompassKnowledge::Calibrated);
+        let mut restored = Heading::new(CompassKnowledge::HardIron);
         let mut reader = StateReader::new(&bytes[..length]);
         restored.visit_state(&mut reader);
         assert!(reader.is_complete());

@@ -71,6 +71,9 @@ pub struct Tuning {
     pub verified_half_sine: f32,
     /// Time in motion beyond that turn after which the heading may be valid, s.
     pub verified_after_s: f32,
+    /// `verified_after_s` for a compass whose hard iron is unknown, which hides a wrong mount for
+    /// longer.
+    pub verified_uncalibrated_after_s: f32,
 }
 
 impl Tuning {
@@ -108,6 +111,7 @@ impl Tuning {
         valid_silence_s: 1.0,
         verified_half_sine: 0.105,
         verified_after_s: 2.5,
+        verified_uncalibrated_after_s: 6.0,
     };
 }
 

@@ -324,23 +324,26 @@ fn visit_piece(piece: &mut StatePiece, visitor: &mut impl StateVisitor) {
 fn visit_reading(reading: &mut CompassReading, visitor: &mut impl StateVisitor) {
     const CALIBRATED: usize = 1;
     const STARTS: usize = 2;
+    const HARD_IRON: usize = 4;
     visitor.u32(&mut reading.number);
     visit_time(&mut reading.sample_t_us, visitor);
     visitor.u32(&mut reading.measured_us);
     let mut bits = match reading.knowledge {
         CompassKnowledge::Factory => 0,
         CompassKnowledge::Calibrated => CALIBRATED,
+        CompassKnowledge::HardIron => HARD_IRON,
     };
     if reading.starts_filter {
         bits |= STARTS;
     }
-    visitor.index(&mut bits, (CALIBRATED | STARTS) + 1);
-    reading.knowledge = if bits & CALIBRATED == 0 {
-        CompassKnowledge::Factory
-    } else {
-        CompassKnowledge::Calibrated
-    };
+    visitor.index(&mut bits, (CALIBRATED | STARTS | HARD_IRON) + 1);
     reading.starts_filter = bits & STARTS != 0;
+    match bits & !STARTS {
+        0 => reading.knowledge = CompassKnowledge::Factory,
+        CALIBRATED => reading.knowledge = CompassKnowledge::Calibrated,
+        HARD_IRON => reading.knowledge = CompassKnowledge::HardIron,
+        _ => visitor.reject(),
+    }
     visitor.f32s(&mut reading.field.ut);
     visitor.f32(&mut reading.declination_rad);
 }

@@ -172,8 +172,7 @@ fn every_knowledge_and_every_state_of_a_heading_survives() {
         }),
     ];
     let headings = headings.map(|estimate| Frame::Heading(TimedHeading { t_us: 5, estimate }));
-    let knowledge = [CompassKnowledge::Factory, CompassKnowledge::Calibrated];
-    let readings = knowledge.into_iter().flat_map(|knowledge| {
+    let readings = CompassKnowledge::ALL.into_iter().flat_map(|knowledge| {
         [false, true].map(|starts_filter| {
             Frame::Reading(CompassReading {
                 knowledge,

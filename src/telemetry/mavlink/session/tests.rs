@@ -298,6 +298,7 @@ fn a_valid_heading_is_the_yaw_and_others_are_not() {
         field: Some(MagneticField {
             ut: [20.0, -5.0, 45.0],
         }),
+        hard_iron_ut: None,
     };
     for (flags, yaw_deg) in [
         (Flags::VALID | Flags::HEADING_VALID, -30.0),
