@@ -1,15 +1,15 @@
 //! Dispatch: receives lines, and runs the command of each.
 
+mod compass_commands;
+
 #[cfg(test)]
 mod tests;
 
 use core::fmt;
 
-use super::answer::{Kind, Reply, Triple};
+use super::answer::{Kind, Reply};
 use super::baud::{BaudChange, BaudPoll};
-use super::command::{
-    Calibrate, Command, CommandForms, CompassChoice, Measure, MountChoice, ParseError,
-};
+use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, ParseError};
 use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
@@ -19,12 +19,11 @@ use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
-use crate::calibration::{CompassCorrection, Mount, NoiseModel};
+use crate::calibration::{Mount, NoiseModel};
 use crate::compass;
 use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record};
 use crate::telemetry;
-use crate::units::radians;
 
 /// Console: parses lines, runs their commands, and writes the answers.
 #[derive(Debug)]
@@ -260,94 +259,6 @@ impl Console {
             (false, false) => "",
         };
         reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
-    }
-
-    /// Moves a compass without a mount of its own with the IMU, whose mount was this one before. A
-    /// correction that belongs to another mount is lost. Returns whether one was.
-    fn move_compass(&mut self, before: Mount, module: &mut dyn Module) -> bool {
-        let mount = self.mount();
-        let settings = &mut self.working.compass;
-        if mount == before {
-            return false;
-        }
-        let has_lost = settings.mount.is_none() && settings.correction.take().is_some();
-        module.set_compass(settings, mount);
-        has_lost
-    }
-
-    /// Sets the compass or its mount. A correction that belongs to another one is lost.
-    fn set_compass(
-        &mut self,
-        choice: CompassChoice,
-        module: &mut dyn Module,
-        reply: &mut Reply<'_>,
-    ) -> Kind {
-        let mut settings = self.working.compass;
-        match choice {
-            CompassChoice::Part(choice) => settings.choice = choice,
-            CompassChoice::Mount(mount) => settings.mount = Some(mount),
-            CompassChoice::Keep => return self.keep_hard_iron(module, reply),
-        }
-        let before = self.working.compass;
-        if settings != before {
-            settings.correction = None;
-        }
-        self.working.compass = settings;
-        module.set_compass(&settings, self.mount());
-        let lost = if before.correction.is_some() && settings.correction.is_none() {
-            ", it is to be calibrated again"
-        } else {
-            ""
-        };
-        reply.ok(format_args!(
-            "{}{lost}; \"save\" keeps it",
-            Command::Compass(choice)
-        ))
-    }
-
-    /// Adds the hard iron that the heading filter has found to the compass's correction.
-    fn keep_hard_iron(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
-        let correction = self.working.compass.correction;
-        if correction.is_some_and(|correction| correction.has_soft_iron()) {
-            return reply.error(format_args!(
-                "compass keep: it is calibrated, which is better; \"calibrate compass\" renews that"
-            ));
-        }
-        let Some(found_ut) = module.state().compass.hard_iron_ut else {
-            return reply.error(format_args!(
-                "compass keep: the hard iron is not certain yet; turn the vehicle about two axes, \
-                 until \"status\" shows hard_iron_ut"
-            ));
-        };
-        let correction = &mut self.working.compass.correction;
-        let correction = correction.get_or_insert(CompassCorrection::NONE);
-        correction.hard_iron_ut = correction.hard_iron_ut + found_ut;
-        let kept_ut = Triple(correction.hard_iron_ut, 1);
-        module.set_compass(&self.working.compass, self.mount());
-        reply.ok(format_args!(
-            "compass keep: hard iron {kept_ut} uT, and the heading starts afresh with it; \
-             \"save\" keeps it"
-        ))
-    }
-
-    /// Sets the declination, in hundredths of a degree. The compass goes on as it is.
-    fn set_declination(
-        &mut self,
-        centidegrees: i16,
-        module: &mut dyn Module,
-        reply: &mut Reply<'_>,
-    ) -> Kind {
-        self.working.compass.declination_rad = radians(f32::from(centidegrees) * 0.01);
-        module.set_compass(&self.working.compass, self.mount());
-        let north = if centidegrees == 0 {
-            "magnetic"
-        } else {
-            "true"
-        };
-        reply.ok(format_args!(
-            "{}, the heading is from {north} north; \"save\" keeps it",
-            Command::Declination(centidegrees)
-        ))
     }
 
     /// Refuses a command that must not run while armed, or while a procedure is running.

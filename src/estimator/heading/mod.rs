@@ -286,8 +286,8 @@ impl Heading {
     }
 
     /// Returns the hard iron, µT in body axes, once it is certain enough for a later start with
-    /// [`CompassKnowledge::HardIron`]: the heading is valid, and σ of each axis is below 3 µT. `None`
-    /// for a calibrated compass, whose calibration is better.
+    /// [`CompassKnowledge::HardIron`]: the heading is valid, and σ of each axis is below 3 µT.
+    /// `None` for a calibrated compass, whose calibration is better.
     pub fn certain_hard_iron_ut(&self) -> Option<Vector3> {
         const LARGEST_VARIANCE_UT2: f32 = square(3.0);
         let is_valid = self.estimate.is_some_and(|estimate| estimate.is_valid)

@@ -1,0 +1,98 @@
+//! Commands that set the compass, its mount, its hard iron and the declination.
+
+use super::super::answer::{Kind, Reply, Triple};
+use super::super::command::{Command, CompassChoice};
+use super::super::module::Module;
+use super::Console;
+use crate::calibration::{CompassCorrection, Mount};
+use crate::units::radians;
+
+impl Console {
+    /// Moves a compass without a mount of its own with the IMU, whose mount was this one before. A
+    /// correction that belongs to another mount is lost. Returns whether one was.
+    pub(super) fn move_compass(&mut self, before: Mount, module: &mut dyn Module) -> bool {
+        let mount = self.mount();
+        let settings = &mut self.working.compass;
+        if mount == before {
+            return false;
+        }
+        let has_lost = settings.mount.is_none() && settings.correction.take().is_some();
+        module.set_compass(settings, mount);
+        has_lost
+    }
+
+    /// Sets the compass or its mount. A correction that belongs to another one is lost.
+    pub(super) fn set_compass(
+        &mut self,
+        choice: CompassChoice,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        let mut settings = self.working.compass;
+        match choice {
+            CompassChoice::Part(choice) => settings.choice = choice,
+            CompassChoice::Mount(mount) => settings.mount = Some(mount),
+            CompassChoice::Keep => return self.keep_hard_iron(module, reply),
+        }
+        let before = self.working.compass;
+        if settings != before {
+            settings.correction = None;
+        }
+        self.working.compass = settings;
+        module.set_compass(&settings, self.mount());
+        let lost = if before.correction.is_some() && settings.correction.is_none() {
+            ", it is to be calibrated again"
+        } else {
+            ""
+        };
+        reply.ok(format_args!(
+            "{}{lost}; \"save\" keeps it",
+            Command::Compass(choice)
+        ))
+    }
+
+    /// Adds the hard iron that the heading filter has found to the compass's correction.
+    fn keep_hard_iron(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        let correction = self.working.compass.correction;
+        if correction.is_some_and(|correction| correction.has_soft_iron()) {
+            return reply.error(format_args!(
+                "compass keep: it is calibrated, which is better; \"calibrate compass\" renews that"
+            ));
+        }
+        let Some(found_ut) = module.state().compass.hard_iron_ut else {
+            return reply.error(format_args!(
+                "compass keep: the hard iron is not certain yet; turn the vehicle about two axes, \
+                 until \"status\" shows hard_iron_ut"
+            ));
+        };
+        let correction = &mut self.working.compass.correction;
+        let correction = correction.get_or_insert(CompassCorrection::NONE);
+        correction.hard_iron_ut = correction.hard_iron_ut + found_ut;
+        let kept_ut = Triple(correction.hard_iron_ut, 1);
+        module.set_compass(&self.working.compass, self.mount());
+        reply.ok(format_args!(
+            "compass keep: hard iron {kept_ut} uT, and the heading starts afresh with it; \
+             \"save\" keeps it"
+        ))
+    }
+
+    /// Sets the declination, in hundredths of a degree. The compass goes on as it is.
+    pub(super) fn set_declination(
+        &mut self,
+        centidegrees: i16,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        self.working.compass.declination_rad = radians(f32::from(centidegrees) * 0.01);
+        module.set_compass(&self.working.compass, self.mount());
+        let north = if centidegrees == 0 {
+            "magnetic"
+        } else {
+            "true"
+        };
+        reply.ok(format_args!(
+            "{}, the heading is from {north} north; \"save\" keeps it",
+            Command::Declination(centidegrees)
+        ))
+    }
+}
