@@ -102,6 +102,13 @@ impl CompassTask {
         self.restart_heading();
     }
 
+    /// Returns the part and its factory trims for a self-test, while it gives readings.
+    pub fn to_test(&self) -> Option<(PartId, [u8; 3])> {
+        let is_running = self.session.is_running() && self.session.fault().is_none();
+        let part = self.session.part().filter(|_| is_running)?;
+        Some((part, self.session.trims()))
+    }
+
     /// Configures the compass again.
     pub fn restart(&mut self) {
         self.session.restart();

@@ -10,6 +10,7 @@ use embedded_hal::i2c::ErrorKind;
 use super::sensor_bus::{BusHeldLow, SensorBus};
 use super::timebase::Delay;
 use super::{burst_reader, retained};
+use crate::compass::{self, PartId};
 use crate::fault::FaultClass;
 use crate::mpu6050::{Condition, Config, Error, Mpu6050, Part, ReadBack, SelfTest};
 
@@ -110,6 +111,20 @@ impl Sensor {
         Self::probe(&mut self.bus)?
             .self_test(&mut Delay)
             .map_err(NotReady::Sensor)
+    }
+
+    /// Runs the self-test of a compass that is configured, and that has these factory trims. The
+    /// compass keeps the settings of the test.
+    ///
+    /// # Errors
+    /// Returns the [`compass::Fault`] if it does not answer.
+    pub fn test_compass(
+        &mut self,
+        part: PartId,
+        trims: [u8; 3],
+    ) -> Result<compass::SelfTest, compass::Fault> {
+        self.bus.recover().map_err(|_| compass::Fault::HoldsBus)?;
+        compass::driver::self_test(&mut self.bus, part, trims, &mut Delay)
     }
 
     /// Reads the sensor's settings back.

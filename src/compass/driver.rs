@@ -84,7 +84,8 @@ impl<I2C: I2c> Compass<I2C> {
     /// Returns [`Fault::Absent`] or [`Fault::Lost`] if the part does not answer.
     pub fn self_test(&mut self, delay: &mut impl DelayNs) -> Result<SelfTest, Fault> {
         let part = self.session.part().ok_or(Fault::Absent(PartId::Ak8963))?;
-        let result = self_test(&mut self.i2c, &self.session, part, delay);
+        let trims = self.session.trims();
+        let result = self_test(&mut self.i2c, part, trims, delay);
         self.session.restart();
         result
     }
@@ -100,11 +101,15 @@ impl<I2C: I2c> Compass<I2C> {
     }
 }
 
-/// Runs the self-test of a part that the session has configured.
+/// Runs the self-test of a part that a session has configured, and that has these factory trims.
+///
+/// # Errors
+///
+/// Returns [`Fault::Lost`] if the part does not answer.
 pub(crate) fn self_test<I2C: I2c>(
     i2c: &mut I2C,
-    session: &Session,
     part: PartId,
+    trims: [u8; 3],
     delay: &mut impl DelayNs,
 ) -> Result<SelfTest, Fault> {
     let chip = part.part();
@@ -145,7 +150,7 @@ pub(crate) fn self_test<I2C: I2c>(
     if !perform(i2c, transfer, &mut bytes) {
         return Err(Fault::Lost(part));
     }
-    let response = chip.adjust(chip.counts(&bytes), session.trims());
+    let response = chip.adjust(chip.counts(&bytes), trims);
     Ok(SelfTest {
         part,
         response: Some((response, plan.limits)),

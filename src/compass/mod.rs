@@ -31,7 +31,7 @@ pub const IS_BUILT_IN: bool = cfg!(any(feature = "compass", not(feature = "firmw
 mod ak8963;
 mod choice;
 mod condition;
-mod driver;
+pub(crate) mod driver;
 mod fault;
 mod hmc5883l;
 mod part;

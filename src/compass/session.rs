@@ -283,7 +283,7 @@ impl Session {
     }
 
     /// Returns the factory's sensitivity adjustments, 128 without.
-    pub(super) const fn trims(&self) -> [u8; 3] {
+    pub(crate) const fn trims(&self) -> [u8; 3] {
         self.trims
     }
 

@@ -79,7 +79,7 @@ pub trait Module {
 pub enum Task {
     /// Stores this record in flash.
     Save(Record),
-    /// Runs the sensor's self-test.
+    /// Runs the self-tests of the sensor and of the compass.
     SelfTest,
     /// Reads the sensor's settings back.
     ReadBack,
@@ -96,7 +96,7 @@ pub struct Outcome {
 
 impl Outcome {
     /// Largest length of the text, in bytes.
-    pub const CAPACITY: usize = 200;
+    pub const CAPACITY: usize = 240;
 
     /// Creates an outcome. Text beyond [`CAPACITY`](Self::CAPACITY) is left out.
     pub fn new(is_ok: bool, reason: impl fmt::Display) -> Self {

@@ -246,6 +246,43 @@ fn the_mount_of_the_compass_is_its_own() {
     assert!(is_right, "{x} {y} {z}");
 }
 
+/// `self-test` tests the compass too, where it has one. Readings come again afterwards.
+#[test]
+fn the_self_test_includes_the_compass() {
+    for (kit, part, is_behind_imu, result) in [
+        (Kit::Mpu9250, Part::Ak8963, true, "; compass passed: x "),
+        (Kit::Mpu6050, Part::Hmc5883l, false, "; compass passed: x "),
+        (
+            Kit::Gy87,
+            Part::Qmc5883l,
+            true,
+            "; a QMC5883L has no self-test",
+        ),
+    ] {
+        let outcome = at_rest(kit, part, "+x-z", is_behind_imu)
+            .seconds(6.0)
+            .command(2.0, "self-test")
+            .command(5.5, "status")
+            .run()
+            .unwrap();
+        let lines = outcome.uart_lines.iter();
+        let done = lines
+            .map(|line| &line.text)
+            .find(|text| text.contains(" self-test: "));
+        assert!(outcome.uart_reports(result), "{part:?}: {done:?}");
+        assert!(
+            outcome.uart_reports("done self-test: "),
+            "{part:?}: {done:?}"
+        );
+        let [[x, y, z]] = fields(&outcome)[..] else {
+            panic!("a field: {:?}", outcome.uart_lines);
+        };
+        let is_right = (x - 18.6).abs() < 2.5 && y.abs() < 2.5 && (z - 46.1).abs() < 2.5;
+        assert!(is_right, "{part:?}: {x} {y} {z}");
+        assert_eq!(outcome.issues, Vec::<String>::new());
+    }
+}
+
 #[test]
 fn a_compass_that_is_not_the_named_one_is_reported() {
     let named = |kit: Kit, command: &str| {

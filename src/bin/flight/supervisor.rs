@@ -12,6 +12,7 @@ use aplomb::board::sensor::{self, NotReady, Ready, Sensor};
 use aplomb::board::timebase::{self, Delay};
 use aplomb::board::watchdog;
 use aplomb::calibration::Calibration;
+use aplomb::compass::{self, PartId};
 use aplomb::console::{Outcome, Task};
 use aplomb::estimator::kalman::WarmStart;
 use aplomb::mpu6050::{self, Condition, Config, Part};
@@ -92,7 +93,14 @@ pub fn run(
             && TO_SUPERVISOR.set(TASK, false)
             && let Some(task) = requests.lock(|requests| requests.task.take())
         {
-            perform_paused(&task, sensor, flash, &mut requests);
+            let mut compass = None;
+            if compass::IS_BUILT_IN {
+                compass = estimation.lock(|estimation| estimation.compass.to_test());
+            }
+            perform_paused(&task, sensor, compass, flash, &mut requests);
+            if task == Task::SelfTest && compass.is_some() {
+                estimation.lock(|estimation| estimation.compass.restart());
+            }
         }
     }
 }
@@ -142,16 +150,20 @@ fn start_estimation(
     });
 }
 
+/// Compass to test: part, factory trims.
+type CompassToTest = Option<(PartId, [u8; 3])>;
+
 /// Performs a task, and publishes its outcome. Returns [`PAUSE_US`] after the start, or later.
 fn perform_paused(
     task: &Task,
     sensor: &mut Sensor,
+    compass: CompassToTest,
     flash: &mut CalibrationFlash,
     requests: &mut impl Mutex<T = Requests>,
 ) {
     let since = timebase::now();
     watchdog::set_limit_ms(TASK_LIMIT_MS);
-    let outcome = perform(task, sensor, flash);
+    let outcome = perform(task, sensor, compass, flash);
     watchdog::set_limit_ms(watchdog::LIMIT_MS);
     requests.lock(|requests| requests.outcome = Some(outcome));
     timebase::sleep_until(|| {
@@ -192,7 +204,12 @@ fn complaint(reason: NotReady) -> Message {
 
 /// Runs a task while the burst reader is paused.
 #[inline(never)]
-fn perform(task: &Task, sensor: &mut Sensor, flash: &mut CalibrationFlash) -> Outcome {
+fn perform(
+    task: &Task,
+    sensor: &mut Sensor,
+    compass: CompassToTest,
+    flash: &mut CalibrationFlash,
+) -> Outcome {
     match task {
         Task::Save(record) => match storage::save(flash, record) {
             Ok(()) => Outcome::new(true, "stored"),
@@ -202,9 +219,26 @@ fn perform(task: &Task, sensor: &mut Sensor, flash: &mut CalibrationFlash) -> Ou
             Ok(read) => Outcome::new(read.condition == Condition::Intact, read),
             Err(reason) => Outcome::new(false, complaint(reason)),
         },
-        Task::SelfTest => match sensor.test() {
-            Ok(result) => Outcome::new(result.has_passed() != Some(false), result),
-            Err(reason) => Outcome::new(false, complaint(reason)),
-        },
+        Task::SelfTest => self_test(sensor, compass),
+    }
+}
+
+/// Runs the self-test of the compass, and then that of the sensor: its reset would switch off the
+/// bypass to a compass behind it.
+#[inline(never)]
+fn self_test(sensor: &mut Sensor, compass: CompassToTest) -> Outcome {
+    let compass = compass.map(|(part, trims)| sensor.test_compass(part, trims));
+    let tested = match sensor.test() {
+        Ok(tested) => tested,
+        Err(reason) => return Outcome::new(false, complaint(reason)),
+    };
+    let is_ok = tested.has_passed() != Some(false);
+    match compass {
+        None => Outcome::new(is_ok, tested),
+        Some(Ok(compass)) => {
+            let is_ok = is_ok && compass.has_passed() != Some(false);
+            Outcome::new(is_ok, format_args!("{tested}; {compass}"))
+        }
+        Some(Err(fault)) => Outcome::new(false, format_args!("{tested}; compass: {fault}")),
     }
 }
