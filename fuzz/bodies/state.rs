@@ -98,12 +98,12 @@ fn written(pipeline: &mut Pipeline) -> Vec<u8> {
 }
 
 /// State of an earlier run, as kept in RAM.
-fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 40]) {
-    let [w, x, y, z, tilt, p, q, r, bias, velocity] =
+fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 48]) {
+    let [w, x, y, z, tilt, p, q, r, bias, forward, right, velocity] =
         std::array::from_fn(|place| f32::from_le_bytes(bytes.as_chunks().0[place]));
     let attitude = Quaternion::new(w, x, y, z);
     // The firmware keeps the state of a filter, and checks that the attitude is a rotation.
-    let is_usual = [tilt, p, q, r, bias, velocity]
+    let is_usual = [tilt, p, q, r, bias, forward, right, velocity]
         .iter()
         .all(|number| number.abs() <= USUAL);
     let is_rotation = (attitude.dot(attitude) - 1.0).abs() < 0.01;
@@ -115,6 +115,7 @@ fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 40]) {
         tilt_sigma_rad: tilt,
         bias_rad_s: Vector3::new(p, q, r),
         bias_sigma_rad_s: bias,
+        accelerometer_bias_m_s2: [forward, right],
         squared_velocity_m2_s2: velocity,
     });
 }

@@ -59,7 +59,7 @@ static NEWEST: AtomicU8 = AtomicU8::new(0);
 /// Quaternion, bias, both σ, squared velocity; then their number and their sum.
 struct Words([AtomicU32; LENGTH]);
 
-const NUMBERS: usize = 10;
+const NUMBERS: usize = 12;
 const LENGTH: usize = NUMBERS + 2;
 
 /// Typical age of the saved attitude at a warm start, in seconds. It is half the time between two
@@ -212,6 +212,7 @@ impl Words {
             tilt_sigma_rad,
             bias_rad_s: b,
             bias_sigma_rad_s,
+            accelerometer_bias_m_s2: [forward, right],
             squared_velocity_m2_s2,
         } = start;
         // A half-written copy fails its check, because its sum is written last.
@@ -225,6 +226,8 @@ impl Words {
             pbz,
             tilt,
             bias,
+            pforward,
+            pright,
             velocity,
             place,
             _,
@@ -239,6 +242,8 @@ impl Words {
         store(pbz, b.z);
         store(tilt, *tilt_sigma_rad);
         store(bias, *bias_sigma_rad_s);
+        store(pforward, *forward);
+        store(pright, *right);
         store(velocity, *squared_velocity_m2_s2);
         place.store(number, Ordering::Relaxed);
         let [.., sum] = &self.0;
@@ -251,7 +256,22 @@ impl Words {
         if sum.load(Ordering::Acquire) != self.sum() {
             return None;
         }
-        let [w, x, y, z, bx, by, bz, tilt, bias, velocity, number, _] = &self.0;
+        let [
+            w,
+            x,
+            y,
+            z,
+            bx,
+            by,
+            bz,
+            tilt,
+            bias,
+            forward,
+            right,
+            velocity,
+            number,
+            _,
+        ] = &self.0;
         let float = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
         let start = WarmStart {
             attitude: Quaternion::new(float(w), float(x), float(y), float(z)),
@@ -259,6 +279,7 @@ impl Words {
             tilt_sigma_rad: libm::sqrtf(float(tilt) * float(tilt) + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
             bias_rad_s: Vector3::new(float(bx), float(by), float(bz)),
             bias_sigma_rad_s: float(bias).max(BIAS_SIGMA_RAD_S),
+            accelerometer_bias_m_s2: [float(forward), float(right)],
             squared_velocity_m2_s2: float(velocity),
         };
         let q = start.attitude;

@@ -3,10 +3,12 @@
 //! All of it is in SI units and the sensor's own axes, so that a new mount or full scale leaves it
 //! valid. A part that was never measured is `None`, and the pipeline does without it.
 
+use super::level;
 use super::matrix::SymmetricMatrix;
 use super::mount::Mount;
-use crate::attitude::{Quaternion, Vector3};
+use crate::attitude::{BodyVector, Quaternion, Vector3};
 use crate::serialize::StateVisitor;
+use crate::units::STANDARD_GRAVITY_M_S2;
 
 /// Temperature of the die as long as none was measured and nothing is stored, °C.
 const ROOM_CELSIUS: f32 = 25.0;
@@ -61,6 +63,37 @@ impl Calibration {
     /// them.
     pub(crate) const fn has_gyroscope_offset(&self) -> bool {
         self.gyroscope.is_some() || self.temperature.is_some()
+    }
+
+    /// Adds an offset to the accelerometer's correction, m/s² in body axes: one that the filter
+    /// has found in motion. `mount` is the one in use.
+    ///
+    /// The level trim turns with it: where the body was level, it stays level.
+    ///
+    /// ```
+    /// use aplomb::attitude::Vector3;
+    /// use aplomb::calibration::{Calibration, Mount};
+    ///
+    /// let mut calibration = Calibration::NONE;
+    /// calibration.add_accelerometer_offset(Vector3::new(0.2, 0.1, 0.0), Mount::Z_UP);
+    /// let correction = calibration.accelerometer.expect("added");
+    /// // The sensor's Y axis points to the left.
+    /// assert_eq!(correction.offset_m_s2, Vector3::new(0.2, -0.1, 0.0));
+    /// ```
+    pub fn add_accelerometer_offset(&mut self, offset_m_s2: Vector3, mount: Mount) {
+        let to_mounted = self.level.unwrap_or(Quaternion::IDENTITY).conjugate();
+        let mounted = to_mounted.rotate(offset_m_s2);
+        let correction = self
+            .accelerometer
+            .get_or_insert(AccelerometerCorrection::NONE);
+        // The matrix is within a few percent of 1, which the offset does not notice.
+        let change = mount.to_sensor(BodyVector(mounted));
+        correction.offset_m_s2 = correction.offset_m_s2 + change;
+        if self.level.is_some() {
+            let up = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+            let when_level = to_mounted.rotate(up) - mounted;
+            self.level = level::trim(when_level).ok().or(self.level);
+        }
     }
 
     /// Visits every field.
@@ -137,6 +170,12 @@ impl AccelerometerCorrection {
         offset_m_s2: Vector3::ZERO,
         matrix: SymmetricMatrix::IDENTITY,
     };
+
+    /// Returns whether poses have shown the scale too. Without it the offset is what the filter has
+    /// found in motion.
+    pub fn is_from_poses(&self) -> bool {
+        self.matrix != SymmetricMatrix::IDENTITY
+    }
 
     /// Corrects a reading; both are m/s² in sensor axes.
     pub fn apply(&self, reading_m_s2: Vector3) -> Vector3 {

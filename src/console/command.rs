@@ -83,6 +83,8 @@ pub enum Calibrate {
     Temperature,
     /// Fits the compass's hard and soft iron, while the vehicle is turned about all axes.
     Compass,
+    /// Keeps the accelerometer's offset that the filter has found in motion.
+    Keep,
     /// Ends the running calibration with the data so far.
     Done,
     /// Aborts the running calibration.
@@ -90,12 +92,13 @@ pub enum Calibrate {
 }
 
 impl Calibrate {
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 8] = [
         Self::Gyroscope,
         Self::Accelerometer,
         Self::Level,
         Self::Temperature,
         Self::Compass,
+        Self::Keep,
         Self::Done,
         Self::Stop,
     ];
@@ -108,6 +111,7 @@ impl Calibrate {
             Self::Level => "level",
             Self::Temperature => "temperature",
             Self::Compass => "compass",
+            Self::Keep => KEEP,
             Self::Done => "done",
             Self::Stop => "stop",
         }
@@ -224,8 +228,8 @@ enum Argument {
     Baud,
 }
 
-const CALIBRATIONS: [&str; 7] = {
-    let mut names = [""; 7];
+const CALIBRATIONS: [&str; Calibrate::ALL.len()] = {
+    let mut names = [""; Calibrate::ALL.len()];
     let mut index = 0;
     while index < names.len() {
         names[index] = Calibrate::ALL[index].name();
@@ -234,7 +238,7 @@ const CALIBRATIONS: [&str; 7] = {
     names
 };
 
-/// Argument of `compass` that keeps the hard iron of the heading filter.
+/// Argument of `calibrate` and `compass` that keeps what a filter has found.
 const KEEP: &str = "keep";
 
 /// Words that `compass` takes, beside a mount.
@@ -687,7 +691,7 @@ mod tests {
 
     #[test]
     fn an_error_has_the_reason_and_the_nearest_right_form() {
-        let forms = "calibrate gyro|accel|level|temperature|compass|done|stop";
+        let forms = "calibrate gyro|accel|level|temperature|compass|keep|done|stop";
         for (text, answer) in [
             (
                 "stauts",

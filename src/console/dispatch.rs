@@ -7,7 +7,7 @@ mod tests;
 
 use core::fmt;
 
-use super::answer::{Kind, Reply};
+use super::answer::{Kind, Reply, Triple};
 use super::baud::{BaudChange, BaudPoll};
 use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, ParseError};
 use super::compass_procedure::{self, CompassProcedure};
@@ -204,6 +204,7 @@ impl Console {
                 let procedure = Procedure::accelerometer(self.procedures.noise());
                 self.start(procedure, now_us, module, reply)
             }
+            Command::Calibrate(Calibrate::Keep) => self.keep_accelerometer_offset(module, reply),
             Command::Calibrate(Calibrate::Level) => {
                 self.start(Procedure::level(), now_us, module, reply)
             }
@@ -259,6 +260,36 @@ impl Console {
             (false, false) => "",
         };
         reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
+    }
+
+    /// Adds the offset that the filter has found to the accelerometer's correction.
+    fn keep_accelerometer_offset(
+        &mut self,
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        let calibration = &mut self.working.calibration;
+        let correction = calibration.accelerometer;
+        if correction.is_some_and(|correction| correction.is_from_poses()) {
+            return reply.error(format_args!(
+                "calibrate keep: the accelerometer is calibrated, which is better; \
+                 \"calibrate accel\" renews that"
+            ));
+        }
+        let Some(found_m_s2) = module.state().accelerometer_offset_m_s2 else {
+            return reply.error(format_args!(
+                "calibrate keep: the accelerometer's offset is not certain yet; fly or turn the \
+                 vehicle, until \"status\" shows accel_offset"
+            ));
+        };
+        let mount = calibration.mount.unwrap_or(self.default_mount);
+        calibration.add_accelerometer_offset(found_m_s2, mount);
+        module.set_calibration(calibration);
+        let found_m_s2 = Triple(found_m_s2, 3);
+        reply.ok(format_args!(
+            "calibrate keep: accelerometer offset {found_m_s2} m/s2 forward, right, down; \
+             \"save\" keeps it"
+        ))
     }
 
     /// Refuses a command that must not run while armed, or while a procedure is running.

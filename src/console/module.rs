@@ -123,6 +123,9 @@ pub struct State {
     pub bias_rad_s: Vector3,
     /// σ of that offset, of the worst axis, rad/s.
     pub bias_sigma_rad_s: f32,
+    /// Offset of the accelerometer that the filter has found, m/s² in body axes, beyond the
+    /// calibration's; `None` until it is certain.
+    pub accelerometer_offset_m_s2: Option<Vector3>,
     /// σ of the tilt, rad.
     pub tilt_sigma_rad: f32,
     /// Bursts that failed since start.

@@ -35,7 +35,7 @@ impl fmt::Display for Status<'_> {
         let is_default = self.calibration.mount.is_none();
         write!(
             formatter,
-            "flags={} sensor={}{}{} mount={}{} calibrated={} bias_dps={} bias_sigma_dps={} \
+            "flags={} sensor={}{}{} mount={}{} calibrated={} bias_dps={} bias_sigma_dps={}{} \
              tilt_sigma_deg={} temperature_c={} armed={} unsaved={} bursts_failed={} \
              uart_errors={} lines_dropped={} frames_dropped={}{}",
             state.flags,
@@ -47,6 +47,7 @@ impl fmt::Display for Status<'_> {
             CalibratedParts(self.calibration, self.compass),
             Triple(state.bias_rad_s.scale(degrees(1.0)), 3),
             Decimal(degrees(state.bias_sigma_rad_s), 3),
+            AccelerometerOffset(state.accelerometer_offset_m_s2),
             Decimal(degrees(state.tilt_sigma_rad), 2),
             Decimal(state.temperature_celsius, 1),
             yes_no(self.is_armed),
@@ -99,6 +100,18 @@ impl fmt::Display for CompassText<'_> {
     }
 }
 
+/// Offset of the accelerometer that the filter has found, if there is one.
+struct AccelerometerOffset(Option<Vector3>);
+
+impl fmt::Display for AccelerometerOffset {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(offset_m_s2) => write!(formatter, " accel_offset={}", Triple(offset_m_s2, 3)),
+            None => Ok(()),
+        }
+    }
+}
+
 /// Heading, its σ, whether it is valid, and the north it is from; nothing without a compass.
 struct HeadingText<'a>(&'a State, &'a CompassSettings);
 
@@ -135,10 +148,12 @@ struct CalibratedParts<'a>(&'a Calibration, &'a CompassSettings);
 
 impl fmt::Display for CalibratedParts<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let has_poses = (self.0.accelerometer).map(|correction| correction.is_from_poses());
         let has_soft_iron = (self.1.correction).map(|correction| correction.has_soft_iron());
         let names = [
             (self.0.gyroscope.is_some(), "gyro"),
-            (self.0.accelerometer.is_some(), "accel"),
+            (has_poses == Some(true), "accel"),
+            (has_poses == Some(false), "accel-offset"),
             (self.0.level.is_some(), "level"),
             (self.0.temperature.is_some(), "temperature"),
             (has_soft_iron == Some(true), "compass"),

@@ -52,6 +52,11 @@ impl Alignment {
         -self.gyroscope.offset
     }
 
+    /// Returns the removed accelerometer offset, m/s² in body axes.
+    pub(super) fn accelerometer_offset_m_s2(&self) -> Vector3 {
+        -self.accelerometer.offset
+    }
+
     /// Sets the accelerometer's offset so that these counts become this force, m/s² in body axes.
     pub(super) fn set_accelerometer_zero(&mut self, counts: Vector3, force_m_s2: Vector3) {
         self.accelerometer.offset = force_m_s2 - self.accelerometer.turn(counts);

@@ -209,8 +209,11 @@ impl Pipeline {
 
     /// Continues from an earlier run. Call it before the first burst.
     pub fn resume(&mut self, start: &WarmStart) {
+        let [forward, right] = start.accelerometer_bias_m_s2;
+        let removed = self.alignment.accelerometer_offset_m_s2();
         let start = WarmStart {
             bias_rad_s: start.bias_rad_s - self.alignment.gyroscope_offset_rad_s(),
+            accelerometer_bias_m_s2: [forward - removed.x, right - removed.y],
             ..*start
         };
         self.kalman_mut().resume(&start);
@@ -223,11 +226,14 @@ impl Pipeline {
     pub fn warm_start(&self, latest: &Snapshot) -> Option<WarmStart> {
         let filter = self.estimator.filter();
         let is_worth_it = filter.is_bias_known() && latest.flags.contains(Flags::VALID);
+        let removed = self.alignment.accelerometer_offset_m_s2();
+        let accelerometer = removed + filter.accelerometer_bias_m_s2();
         is_worth_it.then(|| WarmStart {
             attitude: latest.attitude,
             tilt_sigma_rad: latest.tilt_sigma_rad(),
             bias_rad_s: self.gyroscope_offset_body_rad_s(),
             bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
+            accelerometer_bias_m_s2: [accelerometer.x, accelerometer.y],
             squared_velocity_m2_s2: filter.squared_velocity_m2_s2(),
         })
     }
@@ -325,6 +331,19 @@ impl Pipeline {
     /// part.
     pub fn gyroscope_offset_body_rad_s(&self) -> Vector3 {
         self.alignment.gyroscope_offset_rad_s() + self.kalman().bias_rad_s()
+    }
+
+    /// Returns the accelerometer's offset that motion has shown beyond the calibration, m/s² in
+    /// body axes; `None` until it is certain. Always `None` for an accelerometer that was
+    /// calibrated in poses, which is better.
+    ///
+    /// The next run can start with it: [`Calibration::add_accelerometer_offset`].
+    pub fn certain_accelerometer_offset_m_s2(&self) -> Option<Vector3> {
+        let correction = &self.settings.calibration.accelerometer;
+        if correction.is_some_and(|correction| correction.is_from_poses()) {
+            return None;
+        }
+        self.kalman().certain_accelerometer_bias_m_s2()
     }
 
     /// Visits the settings and every field that later attitudes depend on.

@@ -51,7 +51,7 @@ impl Settings {
         let Some(AccelerometerCorrection { matrix, .. }) = self.calibration.accelerometer else {
             return AccelerometerKnowledge::Factory;
         };
-        // Six poses do not show the cross-axis terms.
+        // Neither six poses nor a flight show the cross-axis terms.
         let has_cross_axis_terms = [matrix.xy, matrix.xz, matrix.yz] != [0.0; 3];
         if has_cross_axis_terms {
             AccelerometerKnowledge::Calibrated

@@ -476,13 +476,18 @@ fn faults_are_flagged_on_their_sample_and_nowhere_else() {
 
 /// Returns a pipeline after three seconds at rest with one count of noise, and the time in µs.
 fn settled() -> (Pipeline, u64) {
-    let mut pipeline = Pipeline::new(&settings());
+    settled_with(&settings(), LEVEL)
+}
+
+/// Returns a pipeline with these settings that has settled on this specific force, and the time.
+fn settled_with(settings: &Settings, force_m_s2: Vector3) -> (Pipeline, u64) {
+    let mut pipeline = Pipeline::new(settings);
     for index in 0..3000 {
-        let burst = noisy(index * 1000, LEVEL);
+        let burst = noisy(index * 1000, force_m_s2);
         let flags = update(&mut pipeline, &burst).flags;
         assert!(!flags.contains(Flags::VALID | Flags::CALIBRATING));
     }
-    let flags = update(&mut pipeline, &noisy(3_000_000, LEVEL)).flags;
+    let flags = update(&mut pipeline, &noisy(3_000_000, force_m_s2)).flags;
     assert_eq!(flags, Flags::VALID);
     (pipeline, 3_000_000)
 }
@@ -703,6 +708,47 @@ fn a_resumed_pipeline_continues_the_earlier_run() {
     let second = update(&mut pipeline, &noisy(6_000, LEVEL));
     assert!(second.flags.contains(Flags::VALID), "{}", second.flags);
     assert!(pipeline.gyroscope_offset_body_rad_s() == known.bias_rad_s);
+}
+
+/// The kept offset of the accelerometer is the whole one. What the next run's calibration removes
+/// is not removed twice.
+#[test]
+fn a_resumed_pipeline_knows_the_accelerometer_s_offset() {
+    let mut calibrated = settings();
+    let offset = Vector3::new(0.3, -0.2, 0.0);
+    calibrated
+        .calibration
+        .add_accelerometer_offset(offset, Mount::Z_UP);
+    let (mut pipeline, t_us) = settled_with(&calibrated, LEVEL + offset);
+    let latest = update(&mut pipeline, &noisy(t_us + 1_000, LEVEL + offset));
+    let known = pipeline.warm_start(&latest).expect("it is settled");
+    let resumed_with = |settings: &Settings| {
+        let mut pipeline = Pipeline::new(settings);
+        pipeline.resume(&known);
+        pipeline.kalman().accelerometer_bias_m_s2()
+    };
+    let difference = resumed_with(&settings()) - resumed_with(&calibrated);
+    assert!((difference - offset).norm() < 1.0e-6, "{difference:?}");
+}
+
+/// The level is where it was found, and the offset that was found there turns with it.
+#[test]
+fn an_offset_that_is_found_later_leaves_the_level() {
+    let offset = Vector3::new(0.3, -0.2, 0.0);
+    let mut settings = settings();
+    let on_the_table = LEVEL + offset + Vector3::new(0.0, 0.4, 0.0);
+    settings.calibration.level = crate::calibration::level::trim(on_the_table).ok();
+    settings
+        .calibration
+        .add_accelerometer_offset(offset, Mount::Z_UP);
+    let (mut pipeline, t_us) = settled_with(&settings, on_the_table);
+    let angles = update(&mut pipeline, &noisy(t_us + 1_000, on_the_table)).euler();
+    let tilt_deg = angles
+        .roll_rad
+        .abs()
+        .max(angles.pitch_rad.abs())
+        .to_degrees();
+    assert!(tilt_deg < 0.1, "{tilt_deg}");
 }
 
 #[test]

@@ -80,24 +80,18 @@ where
             state.flags = snapshot.flags;
         }
         state.sensor = self.requests.lock(|requests| requests.sensor);
-        let compass = &mut state.compass;
-        let copied = self.estimation.lock(|estimation| {
-            *compass = estimation.compass.condition();
-            let pipeline = estimation.pipeline.as_ref()?;
+        self.estimation.lock(|estimation| {
+            state.compass = estimation.compass.condition();
+            let Some(pipeline) = estimation.pipeline.as_ref() else {
+                return;
+            };
             let filter = pipeline.kalman();
-            Some((
-                pipeline.temperature_celsius(),
-                pipeline.gyroscope_offset_body_rad_s(),
-                filter.largest_bias_sigma_rad_s(),
-                filter.tilt_sigma_rad(),
-            ))
+            state.temperature_celsius = pipeline.temperature_celsius();
+            state.bias_rad_s = pipeline.gyroscope_offset_body_rad_s();
+            state.bias_sigma_rad_s = filter.largest_bias_sigma_rad_s();
+            state.accelerometer_offset_m_s2 = pipeline.certain_accelerometer_offset_m_s2();
+            state.tilt_sigma_rad = filter.tilt_sigma_rad();
         });
-        if let Some((temperature_celsius, bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad)) = copied {
-            state.temperature_celsius = temperature_celsius;
-            state.bias_rad_s = bias_rad_s;
-            state.bias_sigma_rad_s = bias_sigma_rad_s;
-            state.tilt_sigma_rad = tilt_sigma_rad;
-        }
         state
     }
 

@@ -283,7 +283,7 @@ fn every_command_is_answered_with_one_line() {
         (
             "help",
             "ok help: help, status, show, \
-             calibrate gyro|accel|level|temperature|compass|done|stop, \
+             calibrate gyro|accel|level|temperature|compass|keep|done|stop, \
              mount find|<forward><down>, \
              compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|keep|<forward><down>, \
              declination <degrees>, self-test, registers, measure on|show|off, rate <hz>, format \
@@ -444,6 +444,7 @@ fn commands_change_nothing_while_armed() {
         "mount find",
         "mount z-up",
         "compass keep",
+        "calibrate keep",
         "calibrate gyro",
         "calibrate accel",
         "calibrate level",
@@ -1059,6 +1060,54 @@ fn the_hard_iron_of_the_heading_filter_is_kept() {
     );
 }
 
+#[test]
+fn the_accelerometer_s_offset_of_the_filter_is_kept() {
+    let mut harness = Harness::new();
+    let refused = harness.ask("calibrate keep");
+    assert!(
+        refused.starts_with("error calibrate keep: the accelerometer's offset is not certain yet;"),
+        "{refused}"
+    );
+    harness.module.state = Some(State {
+        accelerometer_offset_m_s2: Some(Vector3::new(0.2, -0.1, 0.0)),
+        ..State::default()
+    });
+    let status = harness.ask("status");
+    assert!(
+        status.contains(" accel_offset=0.200,-0.100,0.000 "),
+        "{status}"
+    );
+    assert_eq!(
+        harness.ask("calibrate keep"),
+        "ok calibrate keep: accelerometer offset 0.200,-0.100,0.000 m/s2 forward, right, down; \
+         \"save\" keeps it"
+    );
+    assert!(matches!(
+        harness.calls()[..],
+        [Call::Calibration(calibration)] if calibration == harness.working().calibration
+    ));
+    // The default mount: the sensor's Y axis points to the left.
+    let offset = |harness: &Harness| {
+        let correction = harness.working().calibration.accelerometer;
+        correction.expect("kept").offset_m_s2
+    };
+    assert_eq!(offset(&harness), Vector3::new(0.2, 0.1, 0.0));
+    let status = harness.ask("status");
+    assert!(status.contains(" calibrated=accel-offset "), "{status}");
+    assert!(harness.console.has_unsaved());
+    // What the filter finds later adds to it.
+    harness.ask("calibrate keep");
+    assert_eq!(offset(&harness), Vector3::new(0.4, 0.2, 0.0));
+    // A calibration is better.
+    let correction = &mut harness.console.working.calibration.accelerometer;
+    correction.as_mut().expect("kept").matrix.xx = 1.01;
+    let refused = harness.ask("calibrate keep");
+    assert!(
+        refused.starts_with("error calibrate keep: the accelerometer is calibrated"),
+        "{refused}"
+    );
+}
+
 /// A correction is in body axes, so it belongs to a mount of the compass: its own, or the IMU's.
 #[test]
 fn another_mount_discards_the_correction_of_the_compass() {
@@ -1113,6 +1162,7 @@ fn the_longest_answers_fit() {
         temperature_celsius: -39.99,
         bias_rad_s: long,
         bias_sigma_rad_s: -39.99,
+        accelerometer_offset_m_s2: Some(Vector3::new(-0.999, -0.999, -0.999)),
         tilt_sigma_rad: -39.99,
         bursts_failed: u16::MAX,
         reception_errors: u32::MAX,

@@ -39,6 +39,8 @@ impl Kalman {
             start.bias_sigma_rad_s,
             start.tilt_sigma_rad,
         );
+        let [forward, right] = start.accelerometer_bias_m_s2;
+        self.nominal.accelerometer_bias_m_s2 = Vector3::new(forward, right, 0.0);
         self.interval.duration_s = EARLIER_AFTER_WARM_START_S;
         self.consistency.allow_unseen_motion();
         self.tilt = Tilt::Resumed;

@@ -458,6 +458,21 @@ impl Kalman {
         Vector3::new(sigma(0), sigma(1), sigma(2))
     }
 
+    /// Returns the accelerometer bias along the body's forward and right axes, m/s², once motion
+    /// halved its variances; `None` before. The part along the down axis is zero, because its
+    /// estimate drifts in flight.
+    ///
+    /// The next run can start with it: see `Calibration::add_accelerometer_offset`.
+    pub fn certain_accelerometer_bias_m_s2(&self) -> Option<Vector3> {
+        let variance = |axis| {
+            let covariance = &self.step.covariance;
+            covariance.parameter_variance(GYROSCOPE_PARAMETERS + axis)
+        };
+        let is_certain = 2.0 * variance(0).max(variance(1)) < square(self.accelerometer_m_s2);
+        let bias = self.nominal.accelerometer_bias_m_s2;
+        is_certain.then(|| Vector3::new(bias.x, bias.y, 0.0))
+    }
+
     /// Returns the acceleration of the body without gravity, m/s² in body axes.
     pub fn linear_acceleration_m_s2(&self) -> Vector3 {
         let attitude = self.nominal.extrapolate(0.0);

@@ -589,6 +589,7 @@ fn known_after_a_restart_in_motion(seed: u64, off_deg_s: f32) -> u32 {
         tilt_sigma_rad: radians(21.0),
         bias_rad_s: world.bias_rad_s + Vector3::new(0.0, 0.0, radians(off_deg_s)),
         bias_sigma_rad_s: radians(0.2),
+        accelerometer_bias_m_s2: [0.0; 2],
         squared_velocity_m2_s2: 1.0,
     });
     let mut known = 0;
@@ -630,6 +631,7 @@ fn a_warm_start_is_corrected_within_a_quarter_of_a_second() {
         tilt_sigma_rad: radians(40.0),
         bias_rad_s: world.bias_rad_s,
         bias_sigma_rad_s: radians(0.2),
+        accelerometer_bias_m_s2: [0.0; 2],
         squared_velocity_m2_s2: 0.0,
     });
     let sigma_deg = |estimate: Estimate| estimate.tilt_sigma_rad().to_degrees();
@@ -651,6 +653,7 @@ fn worst_in_an_acceleration(squared_velocity_m2_s2: f32) -> f32 {
         tilt_sigma_rad: radians(21.0),
         bias_rad_s: world.bias_rad_s,
         bias_sigma_rad_s: radians(0.2),
+        accelerometer_bias_m_s2: [0.0; 2],
         squared_velocity_m2_s2,
     });
     let mut worst = 0.0_f32;
@@ -668,6 +671,47 @@ fn worst_in_an_acceleration(squared_velocity_m2_s2: f32) -> f32 {
 fn a_warm_start_keeps_that_the_vehicle_moves() {
     let (moving, in_place) = (worst_in_an_acceleration(4.0), worst_in_an_acceleration(0.0));
     assert!(moving < 1.0 && in_place > 1.0, "{moving} {in_place}");
+}
+
+/// Motion shows the accelerometer's offset, and rest does not. The next run continues with it.
+#[test]
+fn motion_makes_the_accelerometer_s_offset_certain() {
+    let offset = Vector3::new(0.3, -0.2, 0.0);
+    for seed in 0..4 {
+        let mut random = Random(8000 + seed);
+        let mut world = World::at_rest(from_degrees(5.0, 0.0, 0.0));
+        world.force_bias_m_s2 = offset;
+        let mut estimator = estimator();
+        let knowledge = AccelerometerKnowledge::Factory;
+        estimator
+            .filter_mut()
+            .set_accelerometer_knowledge(knowledge);
+        world.run(&mut estimator, 60_000);
+        let certain = |estimator: &Estimator| filter(estimator).certain_accelerometer_bias_m_s2();
+        assert_eq!(certain(&estimator), None, "{seed}");
+        let mut hand = Hand::default();
+        for _ in 0..60_000 {
+            hand.moves(&mut world, &mut random);
+            world.run(&mut estimator, 1);
+        }
+        let found = certain(&estimator).expect("certain");
+        assert!(
+            (found - offset).norm() < 0.5 * offset.norm(),
+            "{seed}: {found:?}"
+        );
+        let kept = [found.x, found.y];
+        let mut next = Estimator::new();
+        next.filter_mut().resume(&WarmStart {
+            attitude: world.attitude,
+            tilt_sigma_rad: radians(1.0),
+            bias_rad_s: Vector3::ZERO,
+            bias_sigma_rad_s: radians(0.2),
+            accelerometer_bias_m_s2: kept,
+            squared_velocity_m2_s2: 0.0,
+        });
+        let resumed = filter(&next).accelerometer_bias_m_s2();
+        assert_eq!(resumed, Vector3::new(found.x, found.y, 0.0));
+    }
 }
 
 /// With an offset of 20 °/s about the vertical, motion in a hand misleads the filter. The bias
