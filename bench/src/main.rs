@@ -10,6 +10,8 @@ mod folders;
 mod gains;
 mod heading;
 mod heading_picture;
+#[cfg(test)]
+mod kept_offset;
 mod leave_one_out;
 mod long;
 mod marg;
@@ -20,6 +22,8 @@ mod promise;
 mod recording;
 mod report;
 mod rest;
+#[cfg(test)]
+mod restarts;
 mod results;
 mod simulated;
 #[cfg(test)]

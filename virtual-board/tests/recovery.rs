@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 9] = [
+const ONCE_FAILED: [(u64, &str, &str); 10] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -485,6 +485,12 @@ const ONCE_FAILED: [(u64, &str, &str); 9] = [
         "1.848324 0 sda-low:9:0x12\n1.863888 0.115747 sensor-brownout\n\
          2.437494 0 stack-overflow\n",
         "the first correction after a warm start was late",
+    ),
+    (
+        220_017_794,
+        "1.814353 0.951813 compass-overflow\n3.219091 0.860871 compass-silent\n\
+         4.473015 0 watchdog-hang\n",
+        "a warm start took the vehicle for one that stays in place, because it had hovered",
     ),
 ];
 

@@ -1,0 +1,141 @@
+//! Starts in flight with a known gyroscope offset, so that the attitude is `VALID` at once: after a
+//! reset from the state that RAM has kept, and after a power cut from the stored offset.
+
+use aplomb::estimator::kalman::WarmStart;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb_models::random::Random;
+
+use crate::parallel;
+use crate::recording::Recording;
+use crate::simulated;
+use crate::valid::Judged;
+
+/// Length of a flight, s, and of the time after a start that counts, µs.
+const SECONDS: u64 = 18;
+const JUDGED_US: u64 = 5_000_000;
+/// Times between which a vehicle starts: it has taken off, and flies on for long enough.
+const STARTS_US: [f64; 2] = [4.0e6, 12.0e6];
+/// Period with which the firmware keeps its state, µs.
+const KEEP_US: u64 = 250_000;
+/// Time within which an attitude has to be `VALID` after a reset, µs.
+const RECOVERY_US: u64 = 250_000;
+/// σ that the firmware adds to a kept tilt for its age, per axis: 30 °/s for half a second.
+const UNSEEN_DEGREES: f32 = 15.0;
+
+/// A start in a flight.
+struct Start {
+    from_us: u64,
+    kept: WarmStart,
+}
+
+#[derive(Default)]
+struct Outcome {
+    starts: u32,
+    /// Starts that were `VALID` and wrong.
+    wrong: u32,
+    /// Starts from kept state that were not `VALID` in time.
+    late: u32,
+}
+
+/// Flies without a fault, and notes what resets at random times would keep.
+fn starts(flight: &Recording, seed: u64) -> Vec<Start> {
+    let mut random = Random::new(seed, "restarts");
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let mut kept = None;
+    let mut starts = Vec::new();
+    let mut next_us = random.uniform(STARTS_US[0], 5.5e6);
+    for sample in &flight.samples {
+        let snapshot = pipeline.update_sample(sample);
+        if sample.t_us.is_multiple_of(KEEP_US) {
+            kept = pipeline.warm_start(&snapshot).or(kept);
+        }
+        let time_us = sample.t_us as f64;
+        if time_us >= next_us && time_us < STARTS_US[1] {
+            next_us += random.uniform(1.0e6, 2.5e6);
+            // The watchdog's limit, or a crash.
+            let is_hang = random.uniform(0.0, 1.0) < 0.7;
+            let (shortest, longest) = if is_hang {
+                (2.0e5, 5.6e5)
+            } else {
+                (4.0e3, 6.0e3)
+            };
+            let from_us = sample.t_us + random.uniform(shortest, longest) as u64;
+            starts.extend(kept.map(|kept| Start { from_us, kept }));
+        }
+    }
+    starts
+}
+
+/// Starts from the kept state, or else from the offset alone.
+fn judge(flight: &Recording, start: &Start, is_kept: bool, outcome: &mut Outcome) {
+    let mut settings = Settings::new(&Part::MPU_6050);
+    let offset_rad_s = start.kept.bias_rad_s;
+    if !is_kept {
+        settings.calibration.gyroscope = Some(aplomb::calibration::GyroscopeOffset {
+            offset_rad_s: settings
+                .mount
+                .to_sensor(aplomb::attitude::BodyVector(offset_rad_s)),
+            temperature_celsius: 25.0,
+        });
+    }
+    let mut pipeline = Pipeline::new(&settings);
+    if is_kept {
+        let sigma_rad = start.kept.tilt_sigma_rad;
+        let unseen_rad = UNSEEN_DEGREES.to_radians();
+        pipeline.resume(&WarmStart {
+            tilt_sigma_rad: sigma_rad.hypot(unseen_rad.hypot(unseen_rad)),
+            ..start.kept
+        });
+    }
+    let (mut is_wrong, mut is_late) = (false, false);
+    let rows = flight.samples.iter().zip(&flight.true_up);
+    for (sample, up) in rows {
+        let Some(since_us) = sample.t_us.checked_sub(start.from_us) else {
+            continue;
+        };
+        if since_us > JUDGED_US {
+            break;
+        }
+        let mut sample = *sample;
+        if !is_kept {
+            // The pipeline takes calibrated samples.
+            sample.angular_rate_rad_s = sample.angular_rate_rad_s - offset_rad_s;
+        }
+        let snapshot = pipeline.update_sample(&sample);
+        // There is none before the vehicle has left the ground.
+        let Some(up) = *up else { continue };
+        let judged = Judged::new(&snapshot, up);
+        is_wrong |= judged.is_wrong;
+        is_late |= is_kept && since_us > RECOVERY_US && !judged.is_valid;
+    }
+    outcome.starts += 1;
+    outcome.wrong += u32::from(is_wrong);
+    outcome.late += u32::from(is_late);
+}
+
+#[test]
+fn a_start_in_flight_with_a_known_offset_keeps_the_promise() {
+    // Seeds that nothing was tuned on.
+    let seeds: Vec<u64> = (610_000..610_150).collect();
+    let outcomes = parallel::map(&seeds, |seed| {
+        let flight = simulated::flight_for(*seed, SECONDS);
+        let mut outcomes = [Outcome::default(), Outcome::default()];
+        for start in starts(&flight, *seed) {
+            for (is_kept, outcome) in [true, false].into_iter().zip(&mut outcomes) {
+                judge(&flight, &start, is_kept, outcome);
+            }
+        }
+        outcomes
+    });
+    for (index, name) in ["kept state", "stored offset"].into_iter().enumerate() {
+        let sum = |figure: fn(&Outcome) -> u32| -> u32 {
+            outcomes.iter().map(|both| figure(&both[index])).sum()
+        };
+        let (starts, wrong) = (sum(|outcome| outcome.starts), sum(|outcome| outcome.wrong));
+        let late = sum(|outcome| outcome.late);
+        println!("{starts} starts from the {name}: {wrong} VALID and wrong, {late} VALID too late");
+        assert!(starts > 500, "{starts}");
+        assert_eq!((wrong, late), (0, 0), "{name}");
+    }
+}
