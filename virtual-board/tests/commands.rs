@@ -454,3 +454,35 @@ fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
     let rates = calibrated.samples()[1000].snapshot.body_rates_rad_s;
     assert!(rates.norm().to_degrees() < 0.3, "{rates:?}");
 }
+
+/// A flight shows the accelerometer's offset. `calibrate keep` and `save` give it to the next.
+#[test]
+fn the_accelerometer_s_offset_of_a_flight_serves_the_next() {
+    let mut chip = SensorErrors::typical(4);
+    chip.accelerometer.offset = [0.35, -0.35, 0.2];
+    let run = || Run::new(firmware()).sensor_errors(chip);
+    let taught = fly(run()
+        .seed(21)
+        .seconds(72.0)
+        .command(1.5, "calibrate keep")
+        .command(68.0, "status")
+        .command(69.0, "calibrate keep")
+        .command(70.0, "save"));
+    assert_eq!(taught.issues, Vec::<String>::new());
+    for text in [
+        "error calibrate keep: the accelerometer's offset is not certain yet",
+        " accel_offset=",
+        "ok calibrate keep: accelerometer offset ",
+        "done save: stored",
+    ] {
+        assert!(says(&taught, text), "{text}: {:#?}", answers(&taught));
+    }
+    let next = || run().seed(22).seconds(40.0).command(38.0, "status");
+    let untaught = fly(next());
+    let taught = fly(next().flash(taught.flash.bytes.clone()));
+    assert!(says(&taught, " calibrated=accel-offset "));
+    let [before_deg, after_deg] =
+        [untaught, taught].map(|outcome| inclination_deg(&outcome, 6.0, 40.0));
+    eprintln!("inclination error: {before_deg:.2} degrees, with the kept offset {after_deg:.2}");
+    assert!(after_deg < 0.8 * before_deg, "{before_deg} {after_deg}");
+}
