@@ -16,10 +16,11 @@ const SECONDS: u64 = 18;
 const JUDGED_US: u64 = 5_000_000;
 /// Times between which a vehicle starts: it has taken off, and flies on for long enough.
 const STARTS_US: [f64; 2] = [4.0e6, 12.0e6];
+const BETWEEN_STARTS_US: [f64; 2] = [1.0e6, 2.5e6];
 /// Period with which the firmware keeps its state, µs.
-const KEEP_US: u64 = 250_000;
-/// Time within which an attitude has to be `VALID` after a reset, µs.
-const RECOVERY_US: u64 = 250_000;
+const KEEP_US: u64 = 200_000;
+/// Time within which an attitude has to be `VALID` after a start, µs.
+const RECOVERY_US: u64 = 300_000;
 /// σ that the firmware adds to a kept tilt for its age, per axis: 30 °/s for half a second.
 const UNSEEN_DEGREES: f32 = 15.0;
 
@@ -34,7 +35,7 @@ struct Outcome {
     starts: u32,
     /// Starts that were `VALID` and wrong.
     wrong: u32,
-    /// Starts from kept state that were not `VALID` in time.
+    /// Starts that were not `VALID` in time.
     late: u32,
 }
 
@@ -44,7 +45,8 @@ fn starts(flight: &Recording, seed: u64) -> Vec<Start> {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
     let mut kept = None;
     let mut starts = Vec::new();
-    let mut next_us = random.uniform(STARTS_US[0], 5.5e6);
+    let [shortest_us, longest_us] = BETWEEN_STARTS_US;
+    let mut next_us = STARTS_US[0] + random.uniform(0.0, shortest_us);
     for sample in &flight.samples {
         let snapshot = pipeline.update_sample(sample);
         if sample.t_us.is_multiple_of(KEEP_US) {
@@ -52,7 +54,7 @@ fn starts(flight: &Recording, seed: u64) -> Vec<Start> {
         }
         let time_us = sample.t_us as f64;
         if time_us >= next_us && time_us < STARTS_US[1] {
-            next_us += random.uniform(1.0e6, 2.5e6);
+            next_us += random.uniform(shortest_us, longest_us);
             // The watchdog's limit, or a crash.
             let is_hang = random.uniform(0.0, 1.0) < 0.7;
             let (shortest, longest) = if is_hang {
@@ -88,7 +90,7 @@ fn judge(flight: &Recording, start: &Start, is_kept: bool, outcome: &mut Outcome
             ..start.kept
         });
     }
-    let (mut is_wrong, mut is_late) = (false, false);
+    let (mut is_wrong, mut is_late, mut has_been_valid) = (false, false, false);
     let rows = flight.samples.iter().zip(&flight.true_up);
     for (sample, up) in rows {
         let Some(since_us) = sample.t_us.checked_sub(start.from_us) else {
@@ -107,7 +109,8 @@ fn judge(flight: &Recording, start: &Start, is_kept: bool, outcome: &mut Outcome
         let Some(up) = *up else { continue };
         let judged = Judged::new(&snapshot, up);
         is_wrong |= judged.is_wrong;
-        is_late |= is_kept && since_us > RECOVERY_US && !judged.is_valid;
+        is_late |= since_us > RECOVERY_US && !has_been_valid;
+        has_been_valid |= judged.is_valid;
     }
     outcome.starts += 1;
     outcome.wrong += u32::from(is_wrong);

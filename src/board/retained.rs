@@ -56,7 +56,7 @@ static WARM_STARTS: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LE
 /// Index of the copy that was written last.
 static NEWEST: AtomicU8 = AtomicU8::new(0);
 
-/// Quaternion, bias, both σ, squared velocity; then their number and their sum.
+/// Quaternion, bias, both σ, accelerometer's bias, squared velocity; then their number and sum.
 struct Words([AtomicU32; LENGTH]);
 
 const NUMBERS: usize = 12;

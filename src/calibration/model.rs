@@ -68,7 +68,8 @@ impl Calibration {
     /// Adds an offset to the accelerometer's correction, m/s² in body axes: one that the filter
     /// has found in motion. `mount` is the one in use.
     ///
-    /// The level trim turns with it: where the body was level, it stays level.
+    /// The level trim turns with it: where the body was level, it stays level. A trim that would
+    /// exceed 15° stays as it is.
     ///
     /// ```
     /// use aplomb::attitude::Vector3;
@@ -86,7 +87,7 @@ impl Calibration {
         let correction = self
             .accelerometer
             .get_or_insert(AccelerometerCorrection::NONE);
-        // The matrix is within a few percent of 1, which the offset does not notice.
+        // The matrix is within a few percent of 1, so its effect on the offset is negligible.
         let change = mount.to_sensor(BodyVector(mounted));
         correction.offset_m_s2 = correction.offset_m_s2 + change;
         if self.level.is_some() {

@@ -268,6 +268,7 @@ impl Console {
         module: &mut dyn Module,
         reply: &mut Reply<'_>,
     ) -> Kind {
+        let mount = self.mount();
         let calibration = &mut self.working.calibration;
         let correction = calibration.accelerometer;
         if correction.is_some_and(|correction| correction.is_from_poses()) {
@@ -279,15 +280,14 @@ impl Console {
         let Some(found_m_s2) = module.state().accelerometer_offset_m_s2 else {
             return reply.error(format_args!(
                 "calibrate keep: the accelerometer's offset is not certain yet; fly or turn the \
-                 vehicle, until \"status\" shows accel_offset"
+                 vehicle, until \"status\" shows accel_found_m_s2"
             ));
         };
-        let mount = calibration.mount.unwrap_or(self.default_mount);
         calibration.add_accelerometer_offset(found_m_s2, mount);
         module.set_calibration(calibration);
         let found_m_s2 = Triple(found_m_s2, 3);
         reply.ok(format_args!(
-            "calibrate keep: accelerometer offset {found_m_s2} m/s2 forward, right, down; \
+            "calibrate keep: added accelerometer offset {found_m_s2} m/s2 forward, right, down; \
              \"save\" keeps it"
         ))
     }

@@ -106,7 +106,7 @@ struct AccelerometerOffset(Option<Vector3>);
 impl fmt::Display for AccelerometerOffset {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.0 {
-            Some(offset_m_s2) => write!(formatter, " accel_offset={}", Triple(offset_m_s2, 3)),
+            Some(offset_m_s2) => write!(formatter, " accel_found_m_s2={}", Triple(offset_m_s2, 3)),
             None => Ok(()),
         }
     }

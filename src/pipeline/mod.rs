@@ -378,6 +378,8 @@ impl Pipeline {
             0 => {
                 self.samples_to_temperature = TEMPERATURE_SAMPLES;
                 if self.settings.calibration.has_gyroscope_offset() {
+                    // So far the offset counted as measured at this temperature.
+                    self.estimator.restart();
                     self.apply_stored_offset();
                 }
             }

@@ -294,6 +294,29 @@ fn the_temperature_model_moves_the_offset_within_its_range() {
     }
 }
 
+/// The offset of another temperature tells nothing, as if none were stored.
+#[test]
+fn an_offset_that_was_stored_far_from_the_temperature_does_not_count() {
+    for (celsius, is_known) in [(25.0, true), (29.0, true), (31.0, false), (60.0, false)] {
+        let mut settings = settings();
+        settings.calibration.gyroscope = Some(GyroscopeOffset {
+            offset_rad_s: Vector3::ZERO,
+            temperature_celsius: 25.0,
+        });
+        let mut pipeline = Pipeline::new(&settings);
+        let mut flags = Flags::empty();
+        // For less than the second that a rest takes.
+        for index in 1..400 {
+            let mut burst = noisy(index * 1_000, LEVEL);
+            let mut sample = RawSample::decode(&burst.bytes);
+            sample.temperature = TemperatureCounts(((celsius - 36.53) * 340.0) as i16);
+            burst.bytes = sample.encode();
+            flags = update(&mut pipeline, &burst).flags;
+        }
+        assert_eq!(!flags.contains(Flags::CALIBRATING), is_known, "{celsius}");
+    }
+}
+
 #[test]
 fn a_stationary_mean_is_collected_while_the_pipeline_runs() {
     let mut pipeline = Pipeline::new(&settings());
@@ -727,8 +750,12 @@ fn a_resumed_pipeline_knows_the_accelerometer_s_offset() {
         pipeline.resume(&known);
         pipeline.kalman().accelerometer_bias_m_s2()
     };
-    let difference = resumed_with(&settings()) - resumed_with(&calibrated);
-    assert!((difference - offset).norm() < 1.0e-6, "{difference:?}");
+    let found = pipeline.kalman().accelerometer_bias_m_s2();
+    let found = Vector3::new(found.x, found.y, 0.0);
+    for (settings, expected) in [(&calibrated, found), (&settings(), found + offset)] {
+        let resumed = resumed_with(settings);
+        assert!((resumed - expected).norm() < 1.0e-6, "{resumed:?}");
+    }
 }
 
 /// The level is where it was found, and the offset that was found there turns with it.

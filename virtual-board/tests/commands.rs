@@ -471,8 +471,8 @@ fn the_accelerometer_s_offset_of_a_flight_serves_the_next() {
     assert_eq!(taught.issues, Vec::<String>::new());
     for text in [
         "error calibrate keep: the accelerometer's offset is not certain yet",
-        " accel_offset=",
-        "ok calibrate keep: accelerometer offset ",
+        " accel_found_m_s2=",
+        "ok calibrate keep: added accelerometer offset ",
         "done save: stored",
     ] {
         assert!(says(&taught, text), "{text}: {:#?}", answers(&taught));

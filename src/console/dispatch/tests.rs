@@ -1074,13 +1074,13 @@ fn the_accelerometer_s_offset_of_the_filter_is_kept() {
     });
     let status = harness.ask("status");
     assert!(
-        status.contains(" accel_offset=0.200,-0.100,0.000 "),
+        status.contains(" accel_found_m_s2=0.200,-0.100,0.000 "),
         "{status}"
     );
     assert_eq!(
         harness.ask("calibrate keep"),
-        "ok calibrate keep: accelerometer offset 0.200,-0.100,0.000 m/s2 forward, right, down; \
-         \"save\" keeps it"
+        "ok calibrate keep: added accelerometer offset 0.200,-0.100,0.000 m/s2 forward, right, \
+         down; \"save\" keeps it"
     );
     assert!(matches!(
         harness.calls()[..],

@@ -10,16 +10,19 @@ use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::sample::Sample;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// σ of a kept tilt, both axes together, rad, above which the first specific force tells more.
+/// σ of a kept tilt, both axes together, rad, from which on the tilt is not `VALID`. The first
+/// specific force then tells more.
 const USABLE_TILT_RAD: f32 = radians(30.0);
-/// Mean squared velocity of a vehicle that may move at the start, (m/s)². One in place would have
-/// its accelerations taken for tilt: of 1,000 starts in simulated flights, 45 to 62 were then
-/// `VALID` and wrong. With this velocity 0 of 10,007 were.
+/// Mean squared velocity of a vehicle that may move at the start, (m/s)²: 1 m/s on each horizontal
+/// axis. If the filter took the vehicle for one in place, it would take accelerations for tilt.
+/// Of 1,000 starts in simulated flights 45 from kept state, and 62 from a stored offset, were then
+/// `VALID` and wrong; now 0 of 10,007.
 const MAY_MOVE_M2_S2: f32 = 2.0;
 
 impl Kalman {
-    /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. The vehicle may
-    /// move, because the attitude is soon `VALID`. Call it before the first sample.
+    /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Takes the
+    /// vehicle for one that may move, because the attitude becomes `VALID` before any rest. Call
+    /// it before the first sample.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(MAY_MOVE_M2_S2, self.tuning);
         self.take_bias(bias_rad_s, sigma_rad_s);
@@ -35,9 +38,9 @@ impl Kalman {
         }
     }
 
-    /// Continues from an earlier run, instead of taking the tilt from the first sample. A tilt with
-    /// σ above 30° is taken from it all the same, and keeps its yaw. Call it before the first
-    /// sample.
+    /// Continues from an earlier run, instead of taking the tilt from the first sample. If σ of
+    /// the kept tilt is 30° or more, the first specific force sets the tilt, and yaw is kept. Call
+    /// it before the first sample.
     pub fn resume(&mut self, start: &WarmStart) {
         self.nominal.attitude = start.attitude;
         self.start_with(

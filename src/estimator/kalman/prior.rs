@@ -21,7 +21,8 @@ pub struct WarmStart {
     /// Bias of the accelerometer along the body's forward and right axes, m/s².
     pub accelerometer_bias_m_s2: [f32; 2],
     /// Mean squared horizontal velocity of the last seconds, (m/s)²: 0 for a vehicle that has
-    /// stayed in place. The faster the vehicle moves, the less its accelerations say of the tilt.
+    /// stayed in place. The filter adds 2, because the vehicle may have begun to move. The faster
+    /// it moves, the less its accelerations say of the tilt.
     pub squared_velocity_m2_s2: f32,
 }
 
@@ -57,6 +58,9 @@ impl BiasPrior {
 /// | six poses | 10 mg | cross-axis terms of ±2 % as 2.8 σ, which six poses leave; drift |
 /// | offset found in flight | 10 mg | error of the bias that 96 simulated flights left: 10 mg |
 /// | calibrated | 7 mg | drift of up to 0.86 mg/°C (§6.2) over 8 °C |
+///
+/// A flight shows the offset along the forward and right axes. The prior of the third narrows with
+/// them, which harms nothing: in level flight it does not turn the tilt.
 ///
 /// A wide prior keeps σ honest for a sensor with a large offset. A narrow one is more accurate for
 /// a calibrated sensor.
