@@ -378,7 +378,7 @@ impl Pipeline {
             0 => {
                 self.samples_to_temperature = TEMPERATURE_SAMPLES;
                 if self.settings.calibration.has_gyroscope_offset() {
-                    // So far the offset counted as measured at this temperature.
+                    // Before, the temperature was taken for that of the stored offset.
                     self.estimator.restart();
                     self.apply_stored_offset();
                 }

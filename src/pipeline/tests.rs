@@ -6,6 +6,7 @@ use crate::calibration::{
     AccelerometerCorrection, GyroscopeOffset, ImuReading, Mount, StationaryProgress,
     SymmetricMatrix, TemperatureModel,
 };
+use crate::health::LOST_TILT_RAD;
 use crate::mpu6050::{AccelerometerCounts, Config, GyroscopeCounts, Part};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
@@ -731,6 +732,24 @@ fn a_resumed_pipeline_continues_the_earlier_run() {
     let second = update(&mut pipeline, &noisy(6_000, LEVEL));
     assert!(second.flags.contains(Flags::VALID), "{}", second.flags);
     assert!(pipeline.gyroscope_offset_body_rad_s() == known.bias_rad_s);
+}
+
+/// A kept tilt that is too uncertain for `VALID` comes from the first force instead.
+#[test]
+fn a_resumed_attitude_is_valid_however_uncertain_the_kept_tilt_is() {
+    let (mut pipeline, t_us) = settled();
+    let latest = update(&mut pipeline, &noisy(t_us + 1_000, LEVEL));
+    let known = pipeline.warm_start(&latest).expect("it is settled");
+    for share in [0.1, 0.99, 1.01, 3.0] {
+        let mut pipeline = Pipeline::new(&settings());
+        pipeline.resume(&WarmStart {
+            tilt_sigma_rad: share * LOST_TILT_RAD,
+            ..known
+        });
+        update(&mut pipeline, &noisy(5_000, LEVEL));
+        let flags = update(&mut pipeline, &noisy(6_000, LEVEL)).flags;
+        assert!(flags.contains(Flags::VALID), "{share}: {flags}");
+    }
 }
 
 /// The kept offset of the accelerometer is the whole one. What the next run's calibration removes

@@ -459,7 +459,7 @@ impl Kalman {
     }
 
     /// Returns the accelerometer bias along the body's forward and right axes, m/s², once motion
-    /// halved its variances; `None` before. The part along the down axis is zero, because its
+    /// has halved its variances; `None` before. The part along the down axis is zero, because its
     /// estimate drifts in flight.
     ///
     /// The next run can start with it: see `Calibration::add_accelerometer_offset`.

@@ -685,6 +685,21 @@ fn an_acceleration_from_a_start_on_is_not_taken_for_tilt() {
     assert!(in_place > 1.0, "{in_place}");
 }
 
+/// A vehicle that has moved is taken for one that moves faster than another may.
+#[test]
+fn a_warm_start_keeps_that_the_vehicle_moves() {
+    let world = World::at_rest(from_degrees(0.0, 0.0, 0.0));
+    let squared_after = |squared_velocity_m2_s2| {
+        let mut filter = Kalman::new();
+        filter.resume(&WarmStart {
+            squared_velocity_m2_s2,
+            ..warm_start(&world)
+        });
+        filter.squared_velocity_m2_s2()
+    };
+    assert_eq!((squared_after(0.0), squared_after(4.0)), (2.0, 6.0));
+}
+
 /// Motion shows the accelerometer's offset, and rest does not. The next run continues with it.
 #[test]
 fn motion_makes_the_accelerometer_s_offset_certain() {
