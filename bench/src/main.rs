@@ -11,6 +11,8 @@ mod gains;
 mod heading;
 mod heading_picture;
 #[cfg(test)]
+mod interruptions;
+#[cfg(test)]
 mod kept_offset;
 mod leave_one_out;
 mod long;

@@ -5,26 +5,17 @@ use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::rest_watch::RestWatch;
 use super::tuning::square;
-use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, Tilt};
+use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, Tilt, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::sample::Sample;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
-
-/// σ of a kept tilt, both axes together, rad, from which on the tilt is not `VALID`. The first
-/// specific force then tells more.
-const USABLE_TILT_RAD: f32 = radians(30.0);
-/// Mean squared velocity of a vehicle that may move at the start, (m/s)²: 1 m/s on each horizontal
-/// axis. If the filter took the vehicle for one in place, it would take accelerations for tilt.
-/// Of 1,000 starts in simulated flights 45 from kept state, and 62 from a stored offset, were then
-/// `VALID` and wrong; now 0 of 10,007.
-const MAY_MOVE_M2_S2: f32 = 2.0;
 
 impl Kalman {
     /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Takes the
     /// vehicle for one that may move, because the attitude becomes `VALID` before any rest. Call
     /// it before the first sample.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
-        self.recent = RecentVelocity::kept(MAY_MOVE_M2_S2, self.tuning);
+        self.recent = RecentVelocity::kept(0.0, self.tuning);
         self.take_bias(bias_rad_s, sigma_rad_s);
     }
 
@@ -48,8 +39,7 @@ impl Kalman {
             start.bias_sigma_rad_s,
             start.tilt_sigma_rad,
         );
-        let squared = start.squared_velocity_m2_s2 + MAY_MOVE_M2_S2;
-        self.recent = RecentVelocity::kept(squared, self.tuning);
+        self.recent = RecentVelocity::kept(start.squared_velocity_m2_s2, self.tuning);
         let [forward, right] = start.accelerometer_bias_m_s2;
         self.nominal.accelerometer_bias_m_s2 = Vector3::new(forward, right, 0.0);
         self.consistency.allow_unseen_motion();
@@ -109,6 +99,7 @@ impl Kalman {
                     self.interval = Interval::EMPTY;
                 } else {
                     self.reset_motion(square(self.tuning.start_tilt_rad));
+                    self.recent.may_move();
                 }
                 if shows_gravity {
                     self.take_tilt_from(force);

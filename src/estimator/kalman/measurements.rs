@@ -7,7 +7,7 @@ use super::rest_watch::NewRest;
 use super::slices::{Measurement, State};
 use super::stationary::StationaryReadings;
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
-use super::{KNOWN_BIAS_RAD_S, Kalman, Tilt};
+use super::{KNOWN_BIAS_RAD_S, Kalman, Tilt, USABLE_TILT_RAD};
 use crate::attitude::Vector3;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
@@ -63,11 +63,15 @@ impl Kalman {
 
     /// Adds zero-rate and zero-velocity updates, each only if it passes its gate. Readings that
     /// contradict the bias make the next sample restart the filter: those of the first rest at
-    /// once, later ones when no motion can explain them.
+    /// once, later ones when no motion can explain them. So does the first rest if the tilt is not
+    /// usable, because the linear model cannot correct it.
     fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) {
         let tuning = self.tuning;
         let difference = readings.rate_rad_s - self.nominal.gyroscope_bias_rad_s;
-        if !self.has_rested && !self.passes_gate(difference, FIRST_REST_GATE_SIGMA) {
+        let covariance = &self.step.covariance;
+        let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);
+        let is_usable = tilt < square(USABLE_TILT_RAD);
+        if !self.has_rested && !(is_usable && self.passes_gate(difference, FIRST_REST_GATE_SIGMA)) {
             self.await_restart_at_rest();
             return;
         }
@@ -82,8 +86,6 @@ impl Kalman {
         }
         let mut velocity_noise = self.velocity_noise();
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
-        let covariance = &self.step.covariance;
-        let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);
         let sine_squared =
             (square(force.x) + square(force.y)) * square(1.0 / STANDARD_GRAVITY_M_S2);
         if sine_squared < 16.0 * tilt + square(STATIONARY_FORCE_SHARE) {

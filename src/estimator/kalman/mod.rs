@@ -112,6 +112,10 @@ use unseen::LONG_STEP_S;
 /// Largest σ of a known bias, per axis.
 const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
 
+/// σ of the tilt, both axes together, rad, from which on the tilt is not `VALID`. The specific force
+/// then tells more, at rest or at the start.
+const USABLE_TILT_RAD: f32 = radians(30.0);
+
 /// Scale from the filter's σ of tilt, which is conservative, to the reported σ.
 ///
 /// Vehicle velocities are not the white noise that the filter assumes, so its σ is too large on
@@ -488,24 +492,6 @@ impl Kalman {
     /// Forgets how long the sensor has been stationary, because its readings were no measurements.
     pub(crate) const fn interrupt_rest(&mut self) {
         self.stationary.interrupt();
-    }
-
-    /// Inflates the tilt by this variance per axis, rad²: motion that no sample shows.
-    pub fn inflate_tilt(&mut self, variance: f32) {
-        if self.tilt != Tilt::Unknown {
-            self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
-            self.consistency.allow_unseen_motion();
-        }
-    }
-
-    /// Inflates the tilt by this variance per axis, rad², and resets the velocity, which wrong
-    /// samples corrupt at once.
-    pub fn inflate_motion(&mut self, variance: f32) {
-        if self.tilt != Tilt::Unknown {
-            let tilt_variance = 0.5 * self.conservative_tilt_variance();
-            self.reset_motion(tilt_variance + variance / REPORTED_VARIANCE_SCALE);
-            self.consistency.allow_unseen_motion();
-        }
     }
 
     /// Visits every field but the tuning, which is static.

@@ -21,8 +21,8 @@ pub struct WarmStart {
     /// Bias of the accelerometer along the body's forward and right axes, m/s².
     pub accelerometer_bias_m_s2: [f32; 2],
     /// Mean squared horizontal velocity of the last seconds, (m/s)²: 0 for a vehicle that has
-    /// stayed in place. The filter adds 2, because the vehicle may have begun to move. The faster
-    /// it moves, the less its accelerations say of the tilt.
+    /// stayed in place. The filter assumes 2 at least, because the vehicle may have begun to move.
+    /// The faster it moves, the less its accelerations say of the tilt.
     pub squared_velocity_m2_s2: f32,
 }
 

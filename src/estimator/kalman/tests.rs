@@ -685,7 +685,7 @@ fn an_acceleration_from_a_start_on_is_not_taken_for_tilt() {
     assert!(in_place > 1.0, "{in_place}");
 }
 
-/// A vehicle that has moved is taken for one that moves faster than another may.
+/// A vehicle that has moved is taken for one that still does, and any other for one that may.
 #[test]
 fn a_warm_start_keeps_that_the_vehicle_moves() {
     let world = World::at_rest(from_degrees(0.0, 0.0, 0.0));
@@ -697,7 +697,7 @@ fn a_warm_start_keeps_that_the_vehicle_moves() {
         });
         filter.squared_velocity_m2_s2()
     };
-    assert_eq!((squared_after(0.0), squared_after(4.0)), (2.0, 6.0));
+    assert_eq!((squared_after(0.0), squared_after(4.0)), (2.0, 4.0));
 }
 
 /// Motion shows the accelerometer's offset, and rest does not. The next run continues with it.
@@ -917,8 +917,8 @@ fn implausible_readings_leave_a_filter_that_recovers() {
         rests += errors_deg.len();
         slow += errors_deg.iter().filter(|error| **error > 2.0).count();
     }
-    // After 12 s a few still converge.
-    assert!(50 * slow < rests, "{slow} of {rests}");
+    // After 12 s hardly any still converges: 4 of 8,000 with other seeds.
+    assert!(200 * slow < rests, "{slow} of {rests}");
 }
 
 /// Feeds readings that no sensor delivers, with rests of 12 s between them. Returns the tilt errors
@@ -961,16 +961,18 @@ fn rests_after_implausible_readings(seed: u64) -> Vec<f32> {
         if round % 20 == 0 {
             let mut world = World::at_rest(from_degrees(40.0 * random.next(), 30.0, 0.0));
             world.t_us = t_us;
-            let estimate = world.run(&mut estimator, 12_000);
-            let error = world.tilt_error_degrees(estimate.attitude);
-            let filter = filter(&estimator);
-            let promised = (6.0 * filter.tilt_sigma_rad().to_degrees()).max(5.0);
-            assert!(
-                error < promised,
-                "round {round} of {seed}: {error}, {promised}"
-            );
+            let mut error = 0.0;
+            for milliseconds in [3_000, 9_000] {
+                let estimate = world.run(&mut estimator, milliseconds);
+                error = world.tilt_error_degrees(estimate.attitude);
+                let sigma = filter(&estimator).tilt_sigma_rad().to_degrees();
+                assert!(
+                    !estimate.is_bias_known || error < (6.0 * sigma).max(5.0),
+                    "round {round} of {seed}: {error}, {sigma}"
+                );
+            }
             errors_deg.push(error);
-            assert!(is_positive(&dense(&filter.step.covariance)));
+            assert!(is_positive(&dense(&filter(&estimator).step.covariance)));
             t_us = world.t_us;
         }
     }

@@ -1,7 +1,7 @@
-//! Unobserved motion: inflates the variances for pauses and full-scale readings.
+//! Unobserved motion: inflates the variances for pauses, full-scale readings and frozen data.
 
 use super::tuning::square;
-use super::{Kalman, Tilt};
+use super::{Kalman, REPORTED_VARIANCE_SCALE, Tilt};
 use crate::estimator::sample::Sample;
 use crate::units::radians;
 
@@ -13,9 +13,13 @@ const PAUSE_PERIODS: f32 = 3.5;
 /// Longest pause whose length matters, s. After it the tilt is unknown.
 const LONGEST_PAUSE_S: f32 = 60.0;
 
-/// Largest σ per axis of the tilt after a pause, as a multiple of that of a start: beyond it,
-/// gravity shows the tilt better. A pause of up to half a second exceeds it if the rate changes.
-const LOST_START_SIGMAS: f32 = 1.5;
+/// Largest σ per axis of the tilt after a pause, rad: 1.5 times that of a start. Beyond it, gravity
+/// shows the tilt better. A pause of up to half a second exceeds it if the rate changes.
+const LOST_TILT_RAD: f32 = 0.3;
+
+/// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move. Below,
+/// no false correction of the tilt is large enough to matter.
+const UNCERTAIN_TILT_RAD: f32 = radians(2.0);
 
 /// Longest step in which the rate changes linearly, s.
 pub(super) const LONG_STEP_S: f32 = 15.0e-3;
@@ -27,7 +31,7 @@ const GLITCH_SHARE: f32 = 0.5;
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
 const HIDDEN_SHARE: f32 = 0.2;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
-const SATURATED_TILT: f32 = 0.3;
+const SATURATED_TILT: f32 = 0.25;
 /// Velocity variance per second of full-scale accelerometer readings, (m/s)²/s.
 const SATURATED_VELOCITY: f32 = 100.0;
 
@@ -47,6 +51,28 @@ impl Kalman {
         }
     }
 
+    /// Inflates the tilt by this variance per axis, rad²: motion that no sample shows.
+    pub fn inflate_tilt(&mut self, variance: f32) {
+        if self.tilt != Tilt::Unknown {
+            self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
+            self.consistency.allow_unseen_motion();
+            if self.interval.unseen_tilt_rad2 > square(UNCERTAIN_TILT_RAD) {
+                self.recent.may_move();
+            }
+        }
+    }
+
+    /// Inflates the tilt by this variance per axis, rad², and resets the velocity, which wrong
+    /// samples corrupt at once.
+    pub fn inflate_motion(&mut self, variance: f32) {
+        if self.tilt != Tilt::Unknown {
+            let tilt_variance = 0.5 * self.conservative_tilt_variance();
+            self.reset_motion(tilt_variance + variance / REPORTED_VARIANCE_SCALE);
+            self.consistency.allow_unseen_motion();
+            self.recent.may_move();
+        }
+    }
+
     /// Inflates the variances for the motion hidden in a step of `dt_s` seconds to this sample. If
     /// they hide the tilt, the next sample restarts it: one sample alone is not believed.
     #[cold]
@@ -59,7 +85,7 @@ impl Kalman {
             let reading = sample.angular_rate_rad_s;
             let hidden = square(HIDDEN_SHARE) * reading.dot(reading);
             hidden_rad2 += hidden * (square(self.saturated_s) - square(saturated_s));
-            self.interval.unseen_tilt_rad2 += SATURATED_TILT * dt_s;
+            hidden_rad2 += SATURATED_TILT * dt_s;
         } else {
             self.saturated_s = 0.0;
             // A body slows down in steps. A faulty sensor jumps, and its readings were no rates.
@@ -84,8 +110,7 @@ impl Kalman {
                     force_change.dot(force_change) * square(0.25 * dt_s);
                 self.nominal
                     .bridge_pause(rate_rad_s, sample.specific_force_m_s2);
-                let lost_rad2 = square(LOST_START_SIGMAS * self.tuning.start_tilt_rad);
-                if 0.5 * self.conservative_tilt_variance() > lost_rad2 {
+                if self.interval.unseen_tilt_rad2 > square(LOST_TILT_RAD) {
                     self.tilt = Tilt::Lost;
                 }
             }
