@@ -59,6 +59,13 @@ pub const LEAST_SPECIFIC_FORCE_M_S2: f32 = 0.25 * STANDARD_GRAVITY_M_S2;
 /// scale does, and so does a blow to the sensor.
 const RATE_JUMP_RAD_S: f32 = radians(50.0);
 
+/// Largest error of the clock that the sensor's own clock corrects, as a share: 8 % of the internal
+/// oscillator (STM32F405 datasheet, HSI characteristics) and 5 % of a clone. A longer or shorter
+/// period shows something else, such as a missed sample.
+const LARGEST_CLOCK_ERROR: f32 = 0.2;
+/// Share of one period in the measured unit of the clock.
+const CLOCK_SHARE: f32 = 1.0 / 64.0;
+
 /// Beyond these limits a sample is no measurement: no sensor of this family reaches a tenth of
 /// them.
 const LARGEST_SPECIFIC_FORCE_M_S2: f32 = 10_000.0;
@@ -138,6 +145,13 @@ impl<F: Filter> Estimator<F> {
     pub const fn reset_tilt(&mut self) {
         self.gate.reset();
     }
+
+    /// Corrects the clock that stamps the samples by the sensor's clock: the next sample, at `t_us`
+    /// (µs since start), comes one nominal period `period_s` after the last. Call it before the
+    /// update with each sample of a clock that is worse than the sensor's.
+    pub fn follow_sensor_clock(&mut self, t_us: u64, period_s: f32) {
+        self.gate.follow_sensor_clock(t_us, period_s);
+    }
 }
 
 impl Default for Estimator {
@@ -173,12 +187,14 @@ enum Step {
     },
 }
 
-/// Gate in front of every filter: time and rate of the last accepted sample.
+/// Gate in front of every filter: time and rate of the last accepted sample, and the clock's unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Gate {
     last_t_us: Option<u64>,
     rate_squared: f32,
+    /// Duration of a microsecond of the clock that stamps the samples, s.
+    seconds_per_us: f32,
 }
 
 impl Gate {
@@ -187,6 +203,7 @@ impl Gate {
         Self {
             last_t_us: None,
             rate_squared: 0.0,
+            seconds_per_us: SECONDS_PER_MICROSECOND,
         }
     }
 
@@ -230,14 +247,27 @@ impl Gate {
         if step_us > LONGEST_STEP_US {
             return (Step::Start, issues | Issues::GAP);
         }
-        let dt_s = step_us as u32 as f32 * SECONDS_PER_MICROSECOND;
+        let dt_s = step_us as u32 as f32 * self.seconds_per_us;
         (Step::Advance { dt_s }, issues)
+    }
+
+    /// Measures the clock's unit by the period from the last sample to this one.
+    fn follow_sensor_clock(&mut self, t_us: u64, period_s: f32) {
+        let Some(last_t_us) = self.last_t_us else {
+            return;
+        };
+        let found = period_s / t_us.saturating_sub(last_t_us) as f32;
+        let error = found - SECONDS_PER_MICROSECOND;
+        if error.abs() < LARGEST_CLOCK_ERROR * SECONDS_PER_MICROSECOND {
+            self.seconds_per_us += CLOCK_SHARE * (found - self.seconds_per_us);
+        }
     }
 
     /// Visits every field.
     fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.optional(&mut self.last_t_us, 0, StateVisitor::u64);
         visitor.f32(&mut self.rate_squared);
+        visitor.f32(&mut self.seconds_per_us);
     }
 }
 

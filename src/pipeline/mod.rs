@@ -131,8 +131,22 @@ impl Pipeline {
         if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
             self.monitor.confirm_scales();
         }
+        if board.contains(BoardFlags::INTERNAL_CLOCK) {
+            self.follow_sensor_clock(burst.captured_at_us, board);
+        }
         let sample = self.alignment.apply(&raw, burst.captured_at_us);
         self.process(&sample, flags)
+    }
+
+    /// Corrects the internal oscillator, which may be wrong by 8 %, by the sensor's clock. Bursts
+    /// that a timer has started do not show that clock.
+    #[cold]
+    #[inline(never)]
+    fn follow_sensor_clock(&mut self, t_us: u64, board: BoardFlags) {
+        if !board.contains(BoardFlags::POLLED) {
+            let period_s = 1.0 / self.settings.sensor.sample_rate_hz();
+            self.estimator.follow_sensor_clock(t_us, period_s);
+        }
     }
 
     /// Processes one calibrated sample in body axes, such as from a recording in SI units. Returns
@@ -147,8 +161,8 @@ impl Pipeline {
     /// Estimates the attitude, and completes the flags.
     #[inline]
     fn process(&mut self, sample: &Sample, mut flags: Flags) -> Snapshot {
-        self.sample = *sample;
         flags.set(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated);
+        self.sample = *sample;
         flags.set(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated);
         flags |= self.vibration.update(&sample.specific_force_m_s2);
         self.unseen.inflate(&mut self.estimator, sample, flags);

@@ -827,3 +827,39 @@ fn repeated_samples_are_flagged_as_frozen() {
         assert_eq!(flags.contains(Flags::FROZEN), index >= 22, "{index}");
     }
 }
+
+/// A turn of 90° about the forward axis in one second, by a clock that is 8 % slow, then a second of
+/// rest. The sensor's clock is right.
+fn roll_by_slow_clock(board: BoardFlags) -> f32 {
+    let mut pipeline = Pipeline::new(&settings());
+    let mut t_us = 0_u64;
+    let mut run = |rate_degrees_s: f32, milliseconds: u64| {
+        let mut last = Snapshot::default();
+        for _ in 0..milliseconds {
+            t_us += 920;
+            // The vehicle falls, so that the specific force shows no tilt.
+            let rate = Vector3::new(rate_degrees_s, 0.0, 0.0);
+            let force = if rate_degrees_s > 0.0 {
+                Vector3::ZERO
+            } else {
+                LEVEL
+            };
+            let burst = burst(Mount::Z_UP, t_us, force, rate);
+            last = pipeline.update(&burst, board);
+        }
+        last.euler().roll_rad.to_degrees()
+    };
+    run(0.0, 2_000);
+    run(90.0, 1_000)
+}
+
+#[test]
+fn the_sensor_s_clock_corrects_the_internal_oscillator() {
+    let crystal = roll_by_slow_clock(BoardFlags::empty());
+    assert!((crystal - 0.92 * 90.0).abs() < 0.5, "{crystal}");
+    let corrected = roll_by_slow_clock(BoardFlags::INTERNAL_CLOCK);
+    assert!((corrected - 90.0).abs() < 0.5, "{corrected}");
+    // A timer's bursts come at the times of the oscillator itself.
+    let polled = roll_by_slow_clock(BoardFlags::INTERNAL_CLOCK | BoardFlags::POLLED);
+    assert!((polled - crystal).abs() < 0.01, "{polled}");
+}

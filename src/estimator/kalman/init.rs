@@ -8,7 +8,7 @@ use super::tuning::square;
 use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, Tilt, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::sample::Sample;
-use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+use crate::units::STANDARD_GRAVITY_M_S2;
 
 impl Kalman {
     /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Takes the
