@@ -162,6 +162,14 @@ impl Pipeline {
     #[inline]
     fn process(&mut self, sample: &Sample, mut flags: Flags) -> Snapshot {
         flags.set(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated);
+        let held;
+        let sample = if self.unseen.may_be_false(sample) {
+            let (estimator, last) = (&mut self.estimator, &self.sample);
+            held = self.unseen.hold_false_rate(estimator, last, sample);
+            &held
+        } else {
+            sample
+        };
         self.sample = *sample;
         flags.set(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated);
         flags |= self.vibration.update(&sample.specific_force_m_s2);
@@ -331,7 +339,8 @@ impl Pipeline {
         self.estimator.filter_mut()
     }
 
-    /// Returns the last sample, calibrated, in body axes.
+    /// Returns the last sample, calibrated, in body axes. The rate before replaces a false full-scale
+    /// reading.
     pub const fn sample(&self) -> &Sample {
         &self.sample
     }
@@ -368,6 +377,8 @@ impl Pipeline {
         visitor.u8(&mut self.samples_to_temperature);
         self.monitor.visit_state(visitor);
         self.unseen.visit_state(visitor);
+        visitor.u64(&mut self.sample.t_us);
+        visitor.vector(&mut self.sample.angular_rate_rad_s);
         self.vibration.visit_state(visitor);
         self.estimator.visit_state(visitor);
         self.alignment = Alignment::new(&self.settings, self.gyroscope_offset_rad_s);

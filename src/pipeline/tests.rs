@@ -863,3 +863,80 @@ fn the_sensor_s_clock_corrects_the_internal_oscillator() {
     let polled = roll_by_slow_clock(BoardFlags::INTERNAL_CLOCK | BoardFlags::POLLED);
     assert!((polled - crystal).abs() < 0.01, "{polled}");
 }
+
+/// Rolls at 30 °/s while the gyroscope's forward axis reads this, °/s, for 50 ms. Returns the last
+/// snapshot and the true roll, degrees.
+fn roll_through(reading_degrees_s: f32) -> (Snapshot, f32) {
+    let (mut pipeline, mut t_us) = settled();
+    let (mut snapshot, mut roll_degrees) = (Snapshot::default(), 0.0);
+    for millisecond in 0..151 {
+        t_us += 1_000;
+        roll_degrees += 0.03;
+        let is_disturbed = (100..150).contains(&millisecond);
+        let reading = if is_disturbed {
+            reading_degrees_s
+        } else {
+            30.0
+        };
+        let rate = Vector3::new(reading, 0.0, 0.0);
+        let burst = burst(Mount::Z_UP, t_us, force(roll_degrees, 0.0), rate);
+        snapshot = update(&mut pipeline, &burst);
+        let is_flagged = snapshot.flags.contains(Flags::GYROSCOPE_SATURATED);
+        assert_eq!(is_flagged, is_disturbed);
+        assert!(!is_flagged || !snapshot.flags.contains(Flags::VALID));
+    }
+    (snapshot, roll_degrees)
+}
+
+#[test]
+fn a_false_full_scale_reading_turns_nothing() {
+    // At full scale 50 ms would be 100°.
+    for reading_degrees_s in [2_500.0, -2_500.0] {
+        let (snapshot, roll_degrees) = roll_through(reading_degrees_s);
+        let error = snapshot.euler().roll_rad.to_degrees() - roll_degrees;
+        let sigma = snapshot.tilt_sigma_rad().to_degrees();
+        assert!(error.abs() < 0.5, "{error}");
+        assert!((2.0..10.0).contains(&sigma), "{sigma}");
+        assert!(snapshot.flags.contains(Flags::VALID));
+    }
+}
+
+#[test]
+fn a_body_that_has_turned_at_full_scale_takes_its_tilt_from_gravity() {
+    // Full scale faster than a body can reach it, but then the body still turns fast.
+    let (mut pipeline, mut t_us) = settled();
+    let mut snapshot = Snapshot::default();
+    for millisecond in 0..51 {
+        t_us += 1_000;
+        let reading = if millisecond < 50 { 2_500.0 } else { 1_500.0 };
+        let rate = Vector3::new(reading, 0.0, 0.0);
+        let burst = burst(Mount::Z_UP, t_us, force(0.0, 40.0), rate);
+        snapshot = update(&mut pipeline, &burst);
+    }
+    let pitch_degrees = snapshot.euler().pitch_rad.to_degrees();
+    let sigma_degrees = snapshot.tilt_sigma_rad().to_degrees();
+    assert!((pitch_degrees - 40.0).abs() < 3.0, "{pitch_degrees}");
+    assert!(sigma_degrees > 10.0, "{sigma_degrees}");
+}
+
+#[test]
+fn full_scale_that_a_body_can_reach_is_a_turn() {
+    let (mut pipeline, mut t_us) = settled();
+    let (mut snapshot, mut turned_degrees) = (Snapshot::default(), 0.0);
+    // 30 °/s more each millisecond, to full scale for 50 ms.
+    for step in 0..117_u16 {
+        let rate_degrees_s = (30.0 * f32::from(step)).min(32_767.0 / 16.4);
+        turned_degrees += 1.0e-3 * rate_degrees_s;
+        t_us += 1_000;
+        let rate = Vector3::new(0.0, 0.0, rate_degrees_s);
+        snapshot = update(&mut pipeline, &burst(Mount::Z_UP, t_us, LEVEL, rate));
+    }
+    assert!(snapshot.flags.contains(Flags::GYROSCOPE_SATURATED));
+    let yaw_degrees = snapshot.euler().yaw_rad.to_degrees();
+    let error_degrees = (yaw_degrees - turned_degrees + 180.0).rem_euclid(360.0) - 180.0;
+    // The attitude leads by the delay of the low-pass filter.
+    assert!(error_degrees.abs() < 5.0, "{error_degrees}");
+    // The turn may have been faster.
+    let sigma_degrees = snapshot.tilt_sigma_rad().to_degrees();
+    assert!(sigma_degrees > 20.0, "{sigma_degrees}");
+}

@@ -1,5 +1,7 @@
-//! Unobserved motion during frozen data and under lost settings: inflates the filter's tilt.
+//! Unobserved motion during frozen data, under lost settings, and behind false full-scale readings:
+//! inflates the filter's tilt.
 
+use crate::attitude::Vector3;
 use crate::estimator::{Estimator, Sample};
 use crate::health::Flags;
 use crate::serialize::StateVisitor;
@@ -7,6 +9,16 @@ use crate::units::{SECONDS_PER_MICROSECOND, radians};
 
 /// σ per axis of the tilt from the loss of the sensor's settings until its detection, rad.
 const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);
+
+/// Largest angular acceleration of a body, rad/s²: a small quadrotor reaches 500. A gyroscope that
+/// reaches full scale faster is at fault, or was hit.
+const LARGEST_ACCELERATION_RAD_S2: f32 = 1_000.0;
+/// Longest time for which a blow may turn the body at full scale, s.
+const BLOW_S: f32 = 10.0e-3;
+/// σ per axis of the rate in a blow, as a share of the reading. Six σ exceed it.
+const BLOW_SHARE: f32 = 0.2;
+/// Hidden turn from which on gravity shows the tilt better, rad: 1.5 σ of a start.
+const LOST_TURN_RAD: f32 = 0.3;
 
 /// Flags of samples that hide motion from the filter.
 const HIDING: Flags = Flags::FROZEN.union(Flags::SENSOR_RESET);
@@ -18,6 +30,8 @@ pub(super) struct UnseenMotion {
     frozen_s: f32,
     /// Duration of frozen data before they are flagged.
     unflagged_s: f32,
+    /// Duration of the present false full-scale reading.
+    false_s: f32,
 }
 
 impl UnseenMotion {
@@ -27,7 +41,58 @@ impl UnseenMotion {
         Self {
             frozen_s: 0.0,
             unflagged_s: f32::from(frozen_samples) / sample_rate_hz,
+            false_s: 0.0,
         }
+    }
+
+    /// Returns whether a sample needs [`hold_false_rate`](Self::hold_false_rate).
+    #[inline]
+    pub(super) fn may_be_false(&self, sample: &Sample) -> bool {
+        sample.is_rate_saturated || self.false_s > 0.0
+    }
+
+    /// Returns the sample with the last rate in place of a false full-scale reading, and inflates
+    /// the filter's tilt for what it hides. `last` is the sample before, as the filter had it.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn hold_false_rate(
+        &mut self,
+        estimator: &mut Estimator,
+        last: &Sample,
+        sample: &Sample,
+    ) -> Sample {
+        let step_us = sample.t_us.saturating_sub(last.t_us);
+        let step_s = step_us as f32 * SECONDS_PER_MICROSECOND;
+        let (rate, before) = (sample.angular_rate_rad_s, last.angular_rate_rad_s);
+        let largest = before.norm() + LARGEST_ACCELERATION_RAD_S2 * step_s;
+        let was_false_s = core::mem::replace(&mut self.false_s, 0.0);
+        let filter = estimator.filter_mut();
+        if sample.is_rate_saturated && (was_false_s > 0.0 || !rate.is_within(largest)) {
+            self.false_s = was_false_s + step_s;
+            let blow = |false_s: f32| square(BLOW_SHARE * rate.norm() * false_s.min(BLOW_S));
+            let hidden = |false_s| blow(false_s) + filter.pause_variance_rad2(false_s);
+            let added = hidden(self.false_s) - hidden(was_false_s);
+            filter.interrupt_rest();
+            filter.inflate_tilt(added);
+            let hold = |rate: f32, before: f32| if rate.abs() < largest { rate } else { before };
+            return Sample {
+                angular_rate_rad_s: Vector3::new(
+                    hold(rate.x, before.x),
+                    hold(rate.y, before.y),
+                    hold(rate.z, before.z),
+                ),
+                is_rate_saturated: false,
+                ..*sample
+            };
+        }
+        // If the rate has changed meanwhile, it did so steadily.
+        let turn_rad = 0.5 * (rate - before).norm() * was_false_s;
+        if turn_rad > LOST_TURN_RAD {
+            estimator.reset_tilt();
+        } else if was_false_s > 0.0 {
+            filter.inflate_tilt(square(turn_rad));
+        }
+        *sample
     }
 
     /// Inflates the filter's tilt for the motion that a sample with these flags hides.
@@ -68,5 +133,10 @@ impl UnseenMotion {
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.f32(&mut self.frozen_s);
         visitor.f32(&mut self.unflagged_s);
+        visitor.f32(&mut self.false_s);
     }
+}
+
+fn square(number: f32) -> f32 {
+    number * number
 }

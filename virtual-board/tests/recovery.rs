@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 10] = [
+const ONCE_FAILED: [(u64, &str, &str); 11] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -491,6 +491,11 @@ const ONCE_FAILED: [(u64, &str, &str); 10] = [
         "1.814353 0.951813 compass-overflow\n3.219091 0.860871 compass-silent\n\
          4.473015 0 watchdog-hang\n",
         "a warm start took the vehicle for one that stays in place, because it had hovered",
+    ),
+    (
+        240_000_666,
+        "7.705695 0.009854 saturated:gz\n",
+        "a false full-scale reading turned the attitude, and an acceleration then set the tilt",
     ),
 ];
 
