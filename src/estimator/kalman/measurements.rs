@@ -86,10 +86,14 @@ impl Kalman {
         }
         let mut velocity_noise = self.velocity_noise();
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
+        if force.z > 0.0 {
+            self.await_restart_at_rest();
+            return;
+        }
         let sine_squared =
             (square(force.x) + square(force.y)) * square(1.0 / STANDARD_GRAVITY_M_S2);
         if sine_squared < 16.0 * tilt + square(STATIONARY_FORCE_SHARE) {
-            velocity_noise = velocity_noise.min(square(tuning.stationary_velocity_noise));
+            velocity_noise = square(tuning.stationary_velocity_noise);
             self.reset_coasting(velocity_noise / duration_s);
         }
         self.measure_velocity(velocity_noise / duration_s);

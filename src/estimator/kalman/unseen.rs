@@ -13,8 +13,9 @@ const PAUSE_PERIODS: f32 = 3.5;
 /// Longest pause whose length matters, s. After it the tilt is unknown.
 const LONGEST_PAUSE_S: f32 = 60.0;
 
-/// Largest σ per axis of the tilt after a pause, rad: 1.5 times that of a start. Beyond it, gravity
-/// shows the tilt better. A pause of up to half a second exceeds it if the rate changes.
+/// Largest σ per axis of the tilt after a pause or full-scale readings, rad: 1.5 times that of a
+/// start. Beyond it, gravity shows the tilt better. A pause of up to half a second exceeds it if the
+/// rate changes.
 const LOST_TILT_RAD: f32 = 0.3;
 
 /// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move. Below,
@@ -24,10 +25,6 @@ const UNCERTAIN_TILT_RAD: f32 = radians(2.0);
 /// Longest step in which the rate changes linearly, s.
 pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
-/// Duration of false full-scale readings after which the tilt is lost, s: 20° by then.
-const LONG_SATURATION_S: f32 = 10.0e-3;
-/// Largest rate after full-scale readings that were a fault, as a share of them.
-const GLITCH_SHARE: f32 = 0.5;
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
 const HIDDEN_SHARE: f32 = 0.2;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
@@ -53,7 +50,7 @@ impl Kalman {
 
     /// Inflates the tilt by this variance per axis, rad²: motion that no sample shows.
     pub fn inflate_tilt(&mut self, variance: f32) {
-        if self.tilt != Tilt::Unknown {
+        if self.tilt != Tilt::Unknown && variance > 0.0 {
             self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
             self.consistency.allow_unseen_motion();
             if self.interval.unseen_tilt_rad2 > square(UNCERTAIN_TILT_RAD) {
@@ -88,11 +85,8 @@ impl Kalman {
             hidden_rad2 += SATURATED_TILT * dt_s;
         } else {
             self.saturated_s = 0.0;
-            // A body slows down in steps. A faulty sensor jumps, and its readings were no rates.
             let last = self.nominal.rate_rad_s;
-            let rate = sample.angular_rate_rad_s;
-            let is_jump = rate.dot(rate) < square(GLITCH_SHARE) * last.dot(last);
-            if saturated_s > LONG_SATURATION_S && is_jump {
+            if square(HIDDEN_SHARE * saturated_s) * last.dot(last) > square(LOST_TILT_RAD) {
                 self.tilt = Tilt::Lost;
             }
         }
