@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 11] = [
+const ONCE_FAILED: [(u64, &str, &str); 12] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -496,6 +496,11 @@ const ONCE_FAILED: [(u64, &str, &str); 11] = [
         240_000_666,
         "7.705695 0.009854 saturated:gz\n",
         "a false full-scale reading turned the attitude, and an acceleration then set the tilt",
+    ),
+    (
+        260_001_681,
+        "1.777396 0.178008 ones\n2.422536 0.805087 compass-frozen\n3.608962 0.016912 core-stall\n",
+        "an edge that was pending when the reader was disabled started a burst, again and again",
     ),
 ];
 

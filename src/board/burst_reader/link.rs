@@ -161,11 +161,12 @@ pub fn enable(ready: &Ready, config: &Config) {
         *SETUP.0.get() = Setup::new(config, ready.part, period_us);
     }
     LINK.address.store(ready.address, Ordering::Relaxed);
-    LINK.is_enabled.store(true, Ordering::Release);
-    // The alarm makes the reader load the set-up before the first edge.
-    timebase::raise_burst_alarm();
     exti().pr().write(|w| w.pr1().clear_bit_by_one());
     exti().imr().write(|w| w.mr1().set_bit());
+    LINK.is_enabled.store(true, Ordering::Release);
+    // The alarm makes the reader load the set-up before the first edge. Nothing may follow it here,
+    // because a reader that fails at once has disabled itself by then.
+    timebase::raise_burst_alarm();
 }
 
 /// Stops the reader, so that the supervisor can use the bus or stall the core. A burst under way

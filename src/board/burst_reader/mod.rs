@@ -162,6 +162,8 @@ impl BurstReader {
     #[inline(never)]
     fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {
         match self.mode {
+            // The edge was pending when the reader was disabled. The bus is the supervisor's.
+            Mode::Starting if !is_enabled() => return,
             Mode::Starting => {
                 self.begin_edges();
                 self.start_burst(count, timebase);
