@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 12] = [
+const ONCE_FAILED: [(u64, &str, &str); 14] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -501,6 +501,17 @@ const ONCE_FAILED: [(u64, &str, &str); 12] = [
         260_001_681,
         "1.777396 0.178008 ones\n2.422536 0.805087 compass-frozen\n3.608962 0.016912 core-stall\n",
         "an edge that was pending when the reader was disabled started a burst, again and again",
+    ),
+    (
+        260_001_505,
+        "5.297775 0 watchdog-hang\n",
+        "corrections of a kept tilt that was 39 degrees wrong counted as a changed bias",
+    ),
+    (
+        260_002_048,
+        "5.305925 0 register-flip:0x1c:0x48\n5.741303 0.883544 compass-zeros\n\
+         7.062904 0 watchdog-hang\n",
+        "the correction by the first rest counted as a changed bias",
     ),
 ];
 

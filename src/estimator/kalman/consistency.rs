@@ -22,8 +22,9 @@ use super::tuning::square;
 const MEMORY_S: f32 = 3.0;
 /// Square of the sum, in units of its variance, from which on it contradicts the model.
 const GATE: f32 = 4.0;
-/// Variance of the sum after unseen motion, rad²: up to 4 rad contradict nothing at first.
-const UNSEEN_RAD2: f32 = 4.0;
+/// Variance of the sum after unseen motion, rad². It falls to (1°)² within 20 s: a vehicle that
+/// flies takes so long to correct a tilt error of 40°.
+const UNSEEN_RAD2: f32 = 256.0;
 
 /// Sums of the recent corrections.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,7 +53,7 @@ impl Consistency {
     };
 
     /// Widens the gate: the next corrections also remove motion that no sample has shown. They
-    /// contradict the bias again after 10 to 15 s, when this variance has decayed.
+    /// contradict the bias again after some 20 s, when this variance has decayed.
     pub(super) fn allow_unseen_motion(&mut self) {
         self.variance_rad2 = UNSEEN_RAD2;
     }

@@ -206,10 +206,15 @@ impl Kalman {
     }
 
     /// Makes tilt and bias uncertain again if the last steps' corrections contradict the bias.
+    ///
+    /// At rest they contradict nothing: the rest itself makes them agree.
     pub(super) fn admit_changed_bias(&mut self) {
         let Some(change) = self.consistency.take_contradiction() else {
             return;
         };
+        if self.stationary.quiet_s() > self.tuning.stationary_after_s {
+            return;
+        }
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
         for (axis, prior) in self.prior.variance.iter_mut().enumerate() {
             *prior += change.bias_variance;
