@@ -339,8 +339,8 @@ impl Pipeline {
         self.estimator.filter_mut()
     }
 
-    /// Returns the last sample, calibrated, in body axes. The rate before replaces a false full-scale
-    /// reading.
+    /// Returns the last sample, calibrated, in body axes. The rate before replaces a false
+    /// full-scale reading.
     pub const fn sample(&self) -> &Sample {
         &self.sample
     }

@@ -828,8 +828,8 @@ fn repeated_samples_are_flagged_as_frozen() {
     }
 }
 
-/// A turn of 90° about the forward axis in one second, by a clock that is 8 % slow, then a second of
-/// rest. The sensor's clock is right.
+/// Rests for two seconds and rolls by 90° in one, by a clock that is 8 % slow. The sensor's clock
+/// is right. Returns the roll, degrees.
 fn roll_by_slow_clock(board: BoardFlags) -> f32 {
     let mut pipeline = Pipeline::new(&settings());
     let mut t_us = 0_u64;
@@ -864,8 +864,8 @@ fn the_sensor_s_clock_corrects_the_internal_oscillator() {
     assert!((polled - crystal).abs() < 0.01, "{polled}");
 }
 
-/// Rolls at 30 °/s while the gyroscope's forward axis reads this, °/s, for 50 ms. Returns the last
-/// snapshot and the true roll, degrees.
+/// Rolls at 30 °/s while the gyroscope's forward axis reads this, °/s, for 50 ms. Returns the
+/// last snapshot and the true roll, degrees.
 fn roll_through(reading_degrees_s: f32) -> (Snapshot, f32) {
     let (mut pipeline, mut t_us) = settled();
     let (mut snapshot, mut roll_degrees) = (Snapshot::default(), 0.0);

@@ -71,7 +71,9 @@ impl Kalman {
         let covariance = &self.step.covariance;
         let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);
         let is_usable = tilt < square(USABLE_TILT_RAD);
-        if !self.has_rested && !(is_usable && self.passes_gate(difference, FIRST_REST_GATE_SIGMA)) {
+        let agrees =
+            self.has_rested || is_usable && self.passes_gate(difference, FIRST_REST_GATE_SIGMA);
+        if !agrees {
             self.await_restart_at_rest();
             return;
         }

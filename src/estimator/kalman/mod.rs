@@ -112,8 +112,8 @@ use unseen::LONG_STEP_S;
 /// Largest σ of a known bias, per axis.
 const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
 
-/// σ of the tilt, both axes together, rad, from which on the tilt is not `VALID`. The specific force
-/// then tells more, at rest or at the start.
+/// σ of the tilt, both axes together, rad, from which on the tilt is not `VALID`. The specific
+/// force then tells more, at rest or at the start.
 const USABLE_TILT_RAD: f32 = radians(30.0);
 
 /// Scale from the filter's σ of tilt, which is conservative, to the reported σ.

@@ -3,8 +3,8 @@
 use super::tuning::{Tuning, square};
 use crate::serialize::StateVisitor;
 
-/// Mean squared velocity of a vehicle that may have begun to move, (m/s)²: 1 m/s on each horizontal
-/// axis.
+/// Mean squared velocity of a vehicle that may have begun to move, (m/s)²: 1 m/s on each
+/// horizontal axis.
 ///
 /// While the tilt is uncertain, the filter would take the first accelerations of a vehicle that had
 /// stayed in place for tilt. In simulated flights 45 of 1,000 starts from kept state, 62 of 1,000
@@ -29,8 +29,8 @@ impl RecentVelocity {
         age_s: 0.5,
     };
 
-    /// A vehicle that has moved at this mean squared velocity, (m/s)², for long, and may have begun
-    /// to move.
+    /// A vehicle that has moved at this mean squared velocity, (m/s)², for long, and may have
+    /// begun to move.
     pub(super) fn kept(squared: f32, tuning: &Tuning) -> Self {
         let mut recent = Self {
             squared: squared.min(square(2.0 * tuning.velocity_noise_limit)),

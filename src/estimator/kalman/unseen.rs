@@ -14,12 +14,12 @@ const PAUSE_PERIODS: f32 = 3.5;
 const LONGEST_PAUSE_S: f32 = 60.0;
 
 /// Largest σ per axis of the tilt after a pause or full-scale readings, rad: 1.5 times that of a
-/// start. Beyond it, gravity shows the tilt better. A pause of up to half a second exceeds it if the
-/// rate changes.
+/// start. Beyond it, gravity shows the tilt better. A pause of up to half a second exceeds it if
+/// the rate changes.
 const LOST_TILT_RAD: f32 = 0.3;
 
-/// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move. Below,
-/// no false correction of the tilt is large enough to matter.
+/// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move.
+/// Below, no false correction of the tilt is large enough to matter.
 const UNCERTAIN_TILT_RAD: f32 = radians(2.0);
 
 /// Longest step in which the rate changes linearly, s.
