@@ -256,12 +256,13 @@ fn interrupt_never_coming_then_wired() {
             &outcome,
             "no data-ready edge on the INT pin: check the wire from INT to PA1",
         );
-        // The attitude continues by timer, with a flag; with the wire there are edges again.
+        // The attitude continues by timer, with a flag; with the wire there are edges again. The
+        // first comes within 1.01 ms, and a burst that the timer has started ends 0.4 ms later.
         for sample in outcome.samples() {
             let is_polled = sample.snapshot.flags.contains(Flags::POLLED);
             let at_us = sample.published_ns / 1000;
             assert!(is_polled || at_us >= 1_500_000, "{level}: {at_us} us");
-            assert!(!is_polled || at_us < 1_501_000, "{level}: {at_us} us");
+            assert!(!is_polled || at_us < 1_501_420, "{level}: {at_us} us");
         }
         assert_recovered(&outcome);
     }
