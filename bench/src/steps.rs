@@ -113,7 +113,7 @@ struct InFlight {
     late_rms_deg: f64,
 }
 
-/// Flies with a sample of each so many milliseconds.
+/// Flies with one sample per `period_ms`.
 fn step_in_flight(flight: &Recording, step_rad_s: Vector3, period_ms: u8) -> InFlight {
     let mut settings = Settings::new(&Part::MPU_6050);
     settings.sensor.sample_rate_divider = period_ms - 1;
@@ -150,7 +150,7 @@ fn an_offset_that_changes_in_flight_is_found_and_a_healthy_flight_stays_valid() 
     check_steps_in_flight(1, 0);
 }
 
-/// A step of more than 15 ms is a long one, but none that hides motion.
+/// A step of more than 15 ms hides no motion at this rate.
 #[test]
 fn an_offset_that_changes_in_flight_is_found_at_50_samples_a_second() {
     // Between two samples the rate may jump, which is not valid until the next.

@@ -62,7 +62,8 @@
 // Samples are polled: their time is uncertain by one period.
 #define APLOMB_FLAG_POLLED (1 << 17)
 
-// Times are those of an internal oscillator, accurate to 1 %.
+// Times are those of an internal oscillator, accurate to 8 %. The attitude goes by the sensor's
+// clock, so the time of a burst has to be that of its edge, unless it was polled.
 #define APLOMB_FLAG_INTERNAL_CLOCK (1 << 18)
 
 // The heading is wrong by no more than the larger of 15 degrees and six sigma.

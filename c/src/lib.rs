@@ -80,7 +80,8 @@ pub const APLOMB_FLAG_LATE: u32 = 1 << 15;
 pub const APLOMB_FLAG_TEMPERATURE: u32 = 1 << 16;
 /// Samples are polled: their time is uncertain by one period.
 pub const APLOMB_FLAG_POLLED: u32 = 1 << 17;
-/// Times are those of an internal oscillator, accurate to 1 %.
+/// Times are those of an internal oscillator, accurate to 8 %. The attitude goes by the sensor's
+/// clock, so the time of a burst has to be that of its edge, unless it was polled.
 pub const APLOMB_FLAG_INTERNAL_CLOCK: u32 = 1 << 18;
 /// The heading is wrong by no more than the larger of 15 degrees and six sigma.
 pub const APLOMB_FLAG_HEADING_VALID: u32 = 1 << 19;

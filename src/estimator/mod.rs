@@ -148,7 +148,8 @@ impl<F: Filter> Estimator<F> {
 
     /// Corrects the clock that stamps the samples by the sensor's clock: the next sample, at `t_us`
     /// (µs since start), comes one nominal period `period_s` after the last. Call it before the
-    /// update with each sample of a clock that is worse than the sensor's.
+    /// update with each sample of a clock that is worse than the sensor's. It averages over 64
+    /// periods, and ignores one that is off by 20 % or more.
     pub fn follow_sensor_clock(&mut self, t_us: u64, period_s: f32) {
         self.gate.follow_sensor_clock(t_us, period_s);
     }

@@ -13,7 +13,8 @@ pub struct Sample {
     pub specific_force_m_s2: Vector3,
     /// Angular rate in rad/s.
     pub angular_rate_rad_s: Vector3,
-    /// True if an axis of the gyroscope reads full scale.
+    /// True if an axis of the gyroscope reads full scale. Only a `Pipeline` recognises readings
+    /// that no body can turn at, and replaces them.
     pub is_rate_saturated: bool,
     /// True if an axis of the accelerometer reads full scale.
     pub is_force_saturated: bool,

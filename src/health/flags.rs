@@ -64,7 +64,9 @@ bitflags::bitflags! {
         /// No data-ready edges come. Samples are read by timer, and their time is uncertain by one
         /// period.
         const POLLED = 1 << 17;
-        /// The crystal has failed. Times are those of the internal oscillator, accurate to 1 %.
+        /// The crystal has failed. Times are those of the internal oscillator: accurate to 1 % at
+        /// 25 °C, to 8 % over temperature. The attitude goes by the sensor's clock, so the time of
+        /// a burst has to be that of its edge, unless [`Flags::POLLED`] is set.
         const INTERNAL_CLOCK = 1 << 18;
         /// The heading from a compass is wrong by no more than the larger of 15° and six σ.
         const HEADING_VALID = 1 << 19;

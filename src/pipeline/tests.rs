@@ -829,14 +829,17 @@ fn repeated_samples_are_flagged_as_frozen() {
 }
 
 /// Rests for two seconds and rolls by 90° in one, by a clock that is 8 % slow. The sensor's clock
-/// is right. Returns the roll, degrees.
+/// is right, and each tenth sample is lost. Returns the roll, degrees.
 fn roll_by_slow_clock(board: BoardFlags) -> f32 {
     let mut pipeline = Pipeline::new(&settings());
     let mut t_us = 0_u64;
     let mut run = |rate_degrees_s: f32, milliseconds: u64| {
         let mut last = Snapshot::default();
-        for _ in 0..milliseconds {
+        for millisecond in 0..milliseconds {
             t_us += 920;
+            if millisecond % 10 == 5 {
+                continue;
+            }
             // The vehicle falls, so that the specific force shows no tilt.
             let rate = Vector3::new(rate_degrees_s, 0.0, 0.0);
             let force = if rate_degrees_s > 0.0 {
@@ -905,14 +908,18 @@ fn a_false_full_scale_reading_turns_nothing() {
 fn a_body_that_has_turned_at_full_scale_takes_its_tilt_from_gravity() {
     // Full scale faster than a body can reach it, but then the body still turns fast.
     let (mut pipeline, mut t_us) = settled();
-    let mut snapshot = Snapshot::default();
-    for millisecond in 0..51 {
+    let mut run = |reading_degrees_s: f32, force_m_s2: Vector3| {
         t_us += 1_000;
-        let reading = if millisecond < 50 { 2_500.0 } else { 1_500.0 };
-        let rate = Vector3::new(reading, 0.0, 0.0);
-        let burst = burst(Mount::Z_UP, t_us, force(0.0, 40.0), rate);
-        snapshot = update(&mut pipeline, &burst);
+        let rate = Vector3::new(reading_degrees_s, 0.0, 0.0);
+        update(&mut pipeline, &burst(Mount::Z_UP, t_us, force_m_s2, rate))
+    };
+    for _ in 0..50 {
+        run(2_500.0, force(0.0, 40.0));
     }
+    // While the body falls, nothing shows the tilt.
+    let falling = run(1_500.0, Vector3::ZERO);
+    assert!(!falling.flags.contains(Flags::VALID));
+    let snapshot = run(1_500.0, force(0.0, 40.0));
     let pitch_degrees = snapshot.euler().pitch_rad.to_degrees();
     let sigma_degrees = snapshot.tilt_sigma_rad().to_degrees();
     assert!((pitch_degrees - 40.0).abs() < 3.0, "{pitch_degrees}");

@@ -17,20 +17,22 @@ const LARGEST_ACCELERATION_RAD_S2: f32 = 1_000.0;
 const BLOW_S: f32 = 10.0e-3;
 /// σ per axis of the rate in a blow, as a share of the reading. Six σ exceed it.
 const BLOW_SHARE: f32 = 0.2;
+/// Largest rate that a sensor of this family reads, with a margin, rad/s.
+const LARGEST_RATE_RAD_S: f32 = 100.0;
 /// Hidden turn from which on gravity shows the tilt better, rad: 1.5 σ of a start.
 const LOST_TURN_RAD: f32 = 0.3;
 
 /// Flags of samples that hide motion from the filter.
 const HIDING: Flags = Flags::FROZEN.union(Flags::SENSOR_RESET);
 
-/// Frozen data, and their duration.
+/// Frozen data and false full-scale readings, with their durations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct UnseenMotion {
     frozen_s: f32,
     /// Duration of frozen data before they are flagged.
     unflagged_s: f32,
-    /// Duration of the present false full-scale reading.
+    /// Duration of the present false full-scale reading, zero without one.
     false_s: f32,
 }
 
@@ -66,31 +68,35 @@ impl UnseenMotion {
         let (rate, before) = (sample.angular_rate_rad_s, last.angular_rate_rad_s);
         let largest = before.norm() + LARGEST_ACCELERATION_RAD_S2 * step_s;
         let was_false_s = core::mem::replace(&mut self.false_s, 0.0);
+        let hold = |rate: f32, before: f32| if rate.abs() < largest { rate } else { before };
+        let held = Vector3::new(
+            hold(rate.x, before.x),
+            hold(rate.y, before.y),
+            hold(rate.z, before.z),
+        );
+        let is_false = held != rate && (was_false_s > 0.0 || !rate.is_within(largest));
         let filter = estimator.filter_mut();
-        if sample.is_rate_saturated && (was_false_s > 0.0 || !rate.is_within(largest)) {
+        // The estimator rejects what no sensor of this family reads.
+        if sample.is_rate_saturated && is_false && rate.is_within(LARGEST_RATE_RAD_S) {
             self.false_s = was_false_s + step_s;
             let blow = |false_s: f32| square(BLOW_SHARE * rate.norm() * false_s.min(BLOW_S));
             let hidden = |false_s| blow(false_s) + filter.pause_variance_rad2(false_s);
             let added = hidden(self.false_s) - hidden(was_false_s);
             filter.interrupt_rest();
             filter.inflate_tilt(added);
-            let hold = |rate: f32, before: f32| if rate.abs() < largest { rate } else { before };
             return Sample {
-                angular_rate_rad_s: Vector3::new(
-                    hold(rate.x, before.x),
-                    hold(rate.y, before.y),
-                    hold(rate.z, before.z),
-                ),
+                angular_rate_rad_s: held,
                 is_rate_saturated: false,
                 ..*sample
             };
         }
         // If the rate has changed meanwhile, it did so steadily.
-        let turn_rad = 0.5 * (rate - before).norm() * was_false_s;
-        if turn_rad > LOST_TURN_RAD {
-            estimator.reset_tilt();
+        let turn_rad2 = square(0.5 * (rate - before).norm() * was_false_s);
+        let hidden_rad2 = filter.pause_variance_rad2(was_false_s);
+        if turn_rad2.max(hidden_rad2) > square(LOST_TURN_RAD) {
+            filter.lose_tilt();
         } else if was_false_s > 0.0 {
-            filter.inflate_tilt(square(turn_rad));
+            filter.inflate_tilt(turn_rad2);
         }
         *sample
     }

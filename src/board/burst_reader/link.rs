@@ -161,11 +161,8 @@ pub fn enable(ready: &Ready, config: &Config) {
         *SETUP.0.get() = Setup::new(config, ready.part, period_us);
     }
     LINK.address.store(ready.address, Ordering::Relaxed);
-    exti().pr().write(|w| w.pr1().clear_bit_by_one());
-    exti().imr().write(|w| w.mr1().set_bit());
     LINK.is_enabled.store(true, Ordering::Release);
-    // The alarm makes the reader load the set-up before the first edge. Nothing may follow it here,
-    // because a reader that fails at once has disabled itself by then.
+    // The alarm makes the reader load the set-up, and then unmask the edges.
     timebase::raise_burst_alarm();
 }
 

@@ -380,6 +380,8 @@ impl BurstReader {
         match self.mode {
             Mode::Starting => {
                 self.begin_edges();
+                exti().pr().write(|w| w.pr1().clear_bit_by_one());
+                exti().imr().write(|w| w.mr1().set_bit());
                 timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
                 return false;
             }

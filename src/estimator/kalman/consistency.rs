@@ -12,7 +12,7 @@
 //!
 //! The filter's model of velocity is conservative. So |s|² stays below 4·v in healthy flights and
 //! hand-held motion. A contradiction adds process noise: the bias may have changed by as much as
-//! the corrections show.
+//! the corrections show. At rest, unless armed, it is not taken: the rest makes corrections agree.
 
 use crate::serialize::StateVisitor;
 

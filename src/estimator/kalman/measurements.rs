@@ -64,7 +64,7 @@ impl Kalman {
     /// Adds zero-rate and zero-velocity updates, each only if it passes its gate. Readings that
     /// contradict the bias make the next sample restart the filter: those of the first rest at
     /// once, later ones when no motion can explain them. So does the first rest if the tilt is not
-    /// usable, because the linear model cannot correct it.
+    /// usable, because the linear model cannot correct it, and any rest if the tilt is upside down.
     fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) {
         let tuning = self.tuning;
         let difference = readings.rate_rad_s - self.nominal.gyroscope_bias_rad_s;
@@ -214,7 +214,7 @@ impl Kalman {
         let Some(change) = self.consistency.take_contradiction() else {
             return;
         };
-        if self.stationary.quiet_s() > self.tuning.stationary_after_s {
+        if !self.is_armed && self.stationary.quiet_s() > self.tuning.stationary_after_s {
             return;
         }
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;

@@ -49,7 +49,8 @@
 //!   counts as noise ([`Tuning::coupling`]).
 //! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and
 //!   neither runs while armed. If the first rest contradicts the state reached in motion, the
-//!   filter restarts at that rest.
+//!   filter restarts at that rest. So it does if the first rest finds the tilt too uncertain, or
+//!   any rest finds it upside down.
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show.
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
@@ -112,8 +113,8 @@ use unseen::LONG_STEP_S;
 /// Largest σ of a known bias, per axis.
 const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
 
-/// σ of the tilt, both axes together, rad, from which on the tilt is not `VALID`. The specific
-/// force then tells more, at rest or at the start.
+/// σ of the tilt, both axes together, rad, from which on the tilt is not `VALID`. At the start and
+/// at rest the specific force then shows the tilt better.
 const USABLE_TILT_RAD: f32 = radians(30.0);
 
 /// Scale from the filter's σ of tilt, which is conservative, to the reported σ.
@@ -184,7 +185,7 @@ enum Tilt {
     /// From the mean readings at rest, which contradict the state: the next sample restarts the
     /// filter.
     Restarting,
-    /// Hidden by a pause or by readings that were a fault: the next sample sets it.
+    /// Hidden by a pause or by full-scale readings: the next sample that shows gravity sets it.
     Lost,
     /// Known.
     Known,

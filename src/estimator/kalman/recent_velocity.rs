@@ -8,7 +8,7 @@ use crate::serialize::StateVisitor;
 ///
 /// While the tilt is uncertain, the filter would take the first accelerations of a vehicle that had
 /// stayed in place for tilt. In simulated flights 45 of 1,000 starts from kept state, 62 of 1,000
-/// from a stored offset, and 12 of 1,000 pauses were then `VALID` and wrong.
+/// from a stored offset, and 17 of 1,000 pauses were then `VALID` and wrong.
 const MAY_MOVE_M2_S2: f32 = 2.0;
 
 /// Recent average speed of the vehicle.

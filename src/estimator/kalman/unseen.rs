@@ -13,9 +13,9 @@ const PAUSE_PERIODS: f32 = 3.5;
 /// Longest pause whose length matters, s. After it the tilt is unknown.
 const LONGEST_PAUSE_S: f32 = 60.0;
 
-/// Largest σ per axis of the tilt after a pause or full-scale readings, rad: 1.5 times that of a
-/// start. Beyond it, gravity shows the tilt better. A pause of up to half a second exceeds it if
-/// the rate changes.
+/// Largest σ per axis of the turn that a pause or full-scale readings hide, rad: 1.5 times that of
+/// the tilt at a start. Beyond it, gravity shows the tilt better. A pause of up to half a second
+/// exceeds it if the rate changes.
 const LOST_TILT_RAD: f32 = 0.3;
 
 /// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move.
@@ -48,7 +48,9 @@ impl Kalman {
         }
     }
 
-    /// Inflates the tilt by this variance per axis, rad²: motion that no sample shows.
+    /// Inflates the tilt by this variance per axis, rad²: motion that no sample shows. For some
+    /// 20 s corrections do not contradict the gyroscope's bias. From a turn of 2° on the vehicle
+    /// may also have begun to move. Zero changes nothing.
     pub fn inflate_tilt(&mut self, variance: f32) {
         if self.tilt != Tilt::Unknown && variance > 0.0 {
             self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
@@ -59,8 +61,15 @@ impl Kalman {
         }
     }
 
+    /// Makes the next specific force that shows gravity set the tilt, which is unknown until then.
+    pub(crate) fn lose_tilt(&mut self) {
+        if self.tilt != Tilt::Unknown {
+            self.tilt = Tilt::Lost;
+        }
+    }
+
     /// Inflates the tilt by this variance per axis, rad², and resets the velocity, which wrong
-    /// samples corrupt at once.
+    /// samples corrupt at once. The vehicle may also have begun to move.
     pub fn inflate_motion(&mut self, variance: f32) {
         if self.tilt != Tilt::Unknown {
             let tilt_variance = 0.5 * self.conservative_tilt_variance();
