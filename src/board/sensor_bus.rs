@@ -255,6 +255,8 @@ impl SensorBus {
     ) -> Result<(), ErrorKind> {
         let start = timebase::now();
         loop {
+            // Before the status: after a stall of the core, an event that came in time still counts.
+            let is_late = timebase::elapsed(start, STEP_DEADLINE_US);
             let status = port().sr1().read();
             let error = if status.af().bit() {
                 Some(ErrorKind::NoAcknowledge(source))
@@ -266,7 +268,7 @@ impl SensorBus {
                 Some(ErrorKind::Overrun)
             } else if event(&status) {
                 return Ok(());
-            } else if timebase::elapsed(start, STEP_DEADLINE_US) {
+            } else if is_late {
                 Some(ErrorKind::Other)
             } else {
                 None
@@ -284,12 +286,18 @@ impl SensorBus {
 
     fn wait_until_free(&self) -> Result<(), ErrorKind> {
         let start = timebase::now();
-        while port().sr2().read().busy().bit() || port().cr1().read().stop().bit() {
+        loop {
+            // ADDR may be left of a transaction that was given up. SR1, then SR2, clears it (RM0090,
+            // 27.6.7).
+            port().sr1().read();
+            let is_busy = port().sr2().read().busy().bit();
+            if !is_busy && port().cr1().read().stop().bit_is_clear() {
+                return Ok(());
+            }
             if timebase::elapsed(start, STEP_DEADLINE_US) {
                 return Err(ErrorKind::Bus);
             }
         }
-        Ok(())
     }
 }
 

@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 14] = [
+const ONCE_FAILED: [(u64, &str, &str); 15] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -512,6 +512,11 @@ const ONCE_FAILED: [(u64, &str, &str); 14] = [
         "5.305925 0 register-flip:0x1c:0x48\n5.741303 0.883544 compass-zeros\n\
          7.062904 0 watchdog-hang\n",
         "the correction by the first rest counted as a changed bias",
+    ),
+    (
+        280_006_349,
+        "1.862873 0.013976 arbitration-lost\n1.877739 0.006498 core-stall\n",
+        "a stalled transaction left ADDR set, and SR2 was read without SR1",
     ),
 ];
 
