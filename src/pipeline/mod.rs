@@ -64,6 +64,9 @@ use unseen::UnseenMotion;
 /// Samples between two updates of the temperature compensation.
 const TEMPERATURE_SAMPLES: u8 = 64;
 
+/// Flags of a sample that is no measurement.
+const NO_MEASUREMENT: Flags = Flags::REJECTED.union(Flags::FROZEN);
+
 /// All steps from a burst to a snapshot, with their state.
 ///
 /// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
@@ -124,8 +127,8 @@ impl Pipeline {
         let mut flags = self.monitor.inspect(&burst.bytes, raw.temperature.0);
         flags |= Flags::from(board);
         flags.set(Flags::MISSED, burst.missed_before > 0);
-        if flags.contains(Flags::REJECTED) {
-            return self.hold(burst.captured_at_us, flags);
+        if flags.intersects(NO_MEASUREMENT) {
+            return self.skip(burst.captured_at_us, flags);
         }
         self.follow_temperature(raw.temperature);
         if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
@@ -170,10 +173,11 @@ impl Pipeline {
         } else {
             sample
         };
-        self.sample = *sample;
         flags.set(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated);
         flags |= self.vibration.update(&sample.specific_force_m_s2);
-        self.unseen.inflate(&mut self.estimator, sample, flags);
+        self.unseen
+            .inflate(&mut self.estimator, &self.sample, sample, flags);
+        self.sample = *sample;
         let estimate = self.estimator.update(sample);
         if !estimate.issues.is_empty() {
             flags |= flags_of(estimate.issues);
@@ -192,6 +196,16 @@ impl Pipeline {
             flags: self.monitor.judge(flags, estimate.tilt_variance_rad2),
             tilt_variance_rad2: estimate.tilt_variance_rad2,
         }
+    }
+
+    /// Skips a sample that is no measurement: for the filter it is missing.
+    #[cold]
+    #[inline(never)]
+    fn skip(&mut self, t_us: u64, flags: Flags) -> Snapshot {
+        if flags.contains(Flags::FROZEN) {
+            self.unseen.note_frozen();
+        }
+        self.hold(t_us, flags)
     }
 
     /// Returns the snapshot at `t_us` (µs since start) while no samples come: the last attitude,

@@ -228,10 +228,8 @@ fn only_a_new_mount_restarts_the_filter() {
     let tilted = force(10.0, 0.0);
     let turn = Vector3::new(0.0, 0.0, 30.0);
     for index in 0..1000_u64 {
-        update(
-            &mut pipeline,
-            &burst(Mount::Z_UP, index * 1000, tilted, turn),
-        );
+        let burst = burst(Mount::Z_UP, index * 1000, tilted, turn);
+        update(&mut pipeline, &with_noise(burst));
     }
     let yaw = pipeline.estimator.estimate().attitude.to_euler().yaw_rad;
     assert!(yaw.to_degrees() > 20.0, "{yaw}");
@@ -278,7 +276,7 @@ fn the_temperature_model_moves_the_offset_within_its_range() {
                 captured_at_us: (from + index) * 1000,
                 missed_before: 0,
             };
-            update(&mut pipeline, &burst);
+            update(&mut pipeline, &with_noise(burst));
         }
         pipeline.alignment.gyroscope_offset_rad_s().x.to_degrees()
     };
@@ -522,6 +520,12 @@ fn noisy(t_us: u64, force_m_s2: Vector3) -> Burst {
     burst(Mount::Z_UP, t_us, force_m_s2, Vector3::new(noise, 0.0, 0.0))
 }
 
+/// Changes the lowest bit of every other burst, because no sensor repeats its readings.
+fn with_noise(mut burst: Burst) -> Burst {
+    burst.bytes[13] ^= u8::from(burst.captured_at_us / 1000 % 2 == 0);
+    burst
+}
+
 #[test]
 fn a_rejected_sample_is_not_valid_and_changes_nothing() {
     for byte in [0x00, 0xFF] {
@@ -619,27 +623,42 @@ fn frozen_data_measure_no_offset() {
     assert!(flags.contains(Flags::CALIBRATING), "{flags:?}");
 }
 
+/// A sensor at rest whose gyroscope reads this rate, in °/s, while its readings repeat: such as one
+/// that was turning, or whose self-test a flipped register has switched on.
 #[test]
-fn frozen_data_inflate_sigma() {
-    let (mut pipeline, t_us) = settled();
-    let frozen = burst(Mount::Z_UP, 0, LEVEL, Vector3::new(100.0, 0.0, 0.0));
-    for step in 1..=300 {
-        let burst = Burst {
-            captured_at_us: t_us + step * 1000,
-            ..frozen
-        };
-        let flags = update(&mut pipeline, &burst).flags;
-        let is_frozen = flags.contains(Flags::FROZEN);
-        assert_eq!(is_frozen, step > 22, "{step}");
-        assert!(!flags.contains(Flags::VALID | Flags::FROZEN));
-    }
-    // The filter has turned on at 100 °/s.
-    for step in 301..=320 {
-        let snapshot = update(&mut pipeline, &noisy(t_us + step * 1000, LEVEL));
-        let turned = libm::acosf(snapshot.attitude.down_in_body().z.min(1.0));
-        let sigma = snapshot.tilt_sigma_rad();
-        assert!(turned > radians(20.0) && turned < 6.0 * sigma, "{sigma}");
-        assert!(snapshot.flags.contains(Flags::VALID));
+fn frozen_data_are_a_pause() {
+    const FLAGGED: u64 = 22;
+    for rate_degrees_s in [0.0, 100.0, 310.0] {
+        for milliseconds in [30, 100, 300, 490, 800, 3_000] {
+            let (mut pipeline, t_us) = settled();
+            let rate = Vector3::new(rate_degrees_s, 0.0, 0.0);
+            let frozen = burst(Mount::Z_UP, 0, LEVEL, rate);
+            let mut held = Snapshot::default();
+            for step in 1..=milliseconds {
+                let captured_at_us = t_us + step * 1000;
+                let burst = Burst {
+                    captured_at_us,
+                    ..frozen
+                };
+                let snapshot = update(&mut pipeline, &burst);
+                if step <= FLAGGED {
+                    held = snapshot;
+                    continue;
+                }
+                assert_eq!(snapshot.flags, Flags::FROZEN | Flags::DEGRADED, "{step}");
+                assert_eq!(snapshot.attitude, held.attitude);
+                assert_eq!(snapshot.t_us, captured_at_us);
+            }
+            for step in milliseconds + 1..milliseconds + 300 {
+                let snapshot = update(&mut pipeline, &noisy(t_us + step * 1000, LEVEL));
+                let error = libm::acosf(snapshot.attitude.down_in_body().z.min(1.0));
+                let allowed = (6.0 * snapshot.tilt_sigma_rad()).max(radians(5.0));
+                let is_valid = snapshot.flags.contains(Flags::VALID);
+                let case = (rate_degrees_s, milliseconds, step);
+                assert!(error < allowed || !is_valid, "{case:?}: {error} {allowed}");
+                assert!(is_valid || step < milliseconds + 10, "{case:?}");
+            }
+        }
     }
 }
 
@@ -848,7 +867,7 @@ fn roll_by_slow_clock(board: BoardFlags) -> f32 {
                 LEVEL
             };
             let burst = burst(Mount::Z_UP, t_us, force, rate);
-            last = pipeline.update(&burst, board);
+            last = pipeline.update(&with_noise(burst), board);
         }
         last.euler().roll_rad.to_degrees()
     };
@@ -936,7 +955,8 @@ fn full_scale_that_a_body_can_reach_is_a_turn() {
         turned_degrees += 1.0e-3 * rate_degrees_s;
         t_us += 1_000;
         let rate = Vector3::new(0.0, 0.0, rate_degrees_s);
-        snapshot = update(&mut pipeline, &burst(Mount::Z_UP, t_us, LEVEL, rate));
+        let burst = burst(Mount::Z_UP, t_us, LEVEL, rate);
+        snapshot = update(&mut pipeline, &with_noise(burst));
     }
     assert!(snapshot.flags.contains(Flags::GYROSCOPE_SATURATED));
     let yaw_degrees = snapshot.euler().yaw_rad.to_degrees();

@@ -1,7 +1,10 @@
 //! Unobserved motion during frozen data, under lost settings, and behind false full-scale readings:
 //! inflates the filter's tilt.
+//!
+//! Frozen data count as a pause: the filter does not get them.
 
 use crate::attitude::Vector3;
+use crate::estimator::kalman::Kalman;
 use crate::estimator::{Estimator, Sample};
 use crate::health::Flags;
 use crate::serialize::StateVisitor;
@@ -22,18 +25,16 @@ const LARGEST_RATE_RAD_S: f32 = 100.0;
 /// Hidden turn from which on gravity shows the tilt better, rad: 1.5 σ of a start.
 const LOST_TURN_RAD: f32 = 0.3;
 
-/// Flags of samples that hide motion from the filter.
-const HIDING: Flags = Flags::FROZEN.union(Flags::SENSOR_RESET);
-
-/// Frozen data and false full-scale readings, with their durations.
+/// False full-scale readings, with their duration, and frozen data.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct UnseenMotion {
-    frozen_s: f32,
     /// Duration of frozen data before they are flagged.
     unflagged_s: f32,
     /// Duration of the present false full-scale reading, zero without one.
     false_s: f32,
+    /// True if the last sample was frozen.
+    was_frozen: bool,
 }
 
 impl UnseenMotion {
@@ -41,9 +42,9 @@ impl UnseenMotion {
     /// repetitions.
     pub(super) fn new(sample_rate_hz: f32, frozen_samples: u8) -> Self {
         Self {
-            frozen_s: 0.0,
             unflagged_s: f32::from(frozen_samples) / sample_rate_hz,
             false_s: 0.0,
+            was_frozen: false,
         }
     }
 
@@ -101,34 +102,36 @@ impl UnseenMotion {
         *sample
     }
 
-    /// Inflates the filter's tilt for the motion that a sample with these flags hides.
+    /// Notes a frozen sample, which the filter does not get.
+    pub(super) const fn note_frozen(&mut self) {
+        self.was_frozen = true;
+    }
+
+    /// Inflates the filter's tilt for motion that was hidden before this sample, by lost settings
+    /// or frozen data. `last` is the last sample that the filter has had.
     #[inline]
-    pub(super) fn inflate(&mut self, estimator: &mut Estimator, sample: &Sample, flags: Flags) {
-        if flags.intersects(HIDING) || self.frozen_s > 0.0 {
-            self.inflate_for(estimator, sample, flags);
+    pub(super) fn inflate(
+        &mut self,
+        estimator: &mut Estimator,
+        last: &Sample,
+        sample: &Sample,
+        flags: Flags,
+    ) {
+        if self.was_frozen || flags.contains(Flags::SENSOR_RESET) {
+            self.inflate_for(estimator.filter_mut(), last, sample, flags);
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn inflate_for(&mut self, estimator: &mut Estimator, sample: &Sample, flags: Flags) {
-        let last_t_us = estimator.last_t_us().unwrap_or(sample.t_us);
-        let filter = estimator.filter_mut();
-        if flags.contains(Flags::FROZEN) {
+    fn inflate_for(&mut self, filter: &mut Kalman, last: &Sample, sample: &Sample, flags: Flags) {
+        if core::mem::replace(&mut self.was_frozen, false) {
             filter.interrupt_rest();
-            let step_us = sample.t_us.saturating_sub(last_t_us);
-            let step_us = u32::try_from(step_us).unwrap_or(u32::MAX);
-            let step_s = if self.frozen_s > 0.0 {
-                step_us as f32 * SECONDS_PER_MICROSECOND
-            } else {
-                self.unflagged_s
-            };
-            let before = filter.pause_variance_rad2(self.frozen_s);
-            self.frozen_s += step_s;
-            let after = filter.pause_variance_rad2(self.frozen_s);
-            filter.inflate_tilt(after - before);
-        } else {
-            self.frozen_s = 0.0;
+            // The rate may have been false from the first repetition on. The filter itself takes
+            // the time from the flag on for a pause.
+            let change = sample.angular_rate_rad_s - last.angular_rate_rad_s;
+            let turn_rad = change.norm() * self.unflagged_s;
+            filter.inflate_tilt(square(turn_rad));
         }
         if flags.contains(Flags::SENSOR_RESET) {
             filter.inflate_motion(WRONG_SETTINGS_TILT_RAD * WRONG_SETTINGS_TILT_RAD);
@@ -137,9 +140,9 @@ impl UnseenMotion {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32(&mut self.frozen_s);
         visitor.f32(&mut self.unflagged_s);
         visitor.f32(&mut self.false_s);
+        visitor.bool(&mut self.was_frozen);
     }
 }
 

@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 15] = [
+const ONCE_FAILED: [(u64, &str, &str); 16] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -512,6 +512,11 @@ const ONCE_FAILED: [(u64, &str, &str); 15] = [
         "5.305925 0 register-flip:0x1c:0x48\n5.741303 0.883544 compass-zeros\n\
          7.062904 0 watchdog-hang\n",
         "the correction by the first rest counted as a changed bias",
+    ),
+    (
+        280_006_098,
+        "1.853315 0 register-flip:0x1b:0x47\n1.856599 0.377846 frozen\n",
+        "the rate that frozen data repeated was integrated",
     ),
     (
         280_006_349,

@@ -1,4 +1,4 @@
-//! Unobserved motion: inflates the variances for pauses, full-scale readings and frozen data.
+//! Unobserved motion: inflates the variances for pauses and full-scale readings.
 
 use super::tuning::square;
 use super::{Kalman, REPORTED_VARIANCE_SCALE, Tilt};
