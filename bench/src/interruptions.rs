@@ -1,61 +1,98 @@
-//! Interruptions in flight: pauses without a sample, and false full-scale readings.
+//! Interruptions in flight and in a swing: pauses without a sample, false readings at full scale,
+//! and frozen readings.
+//!
+//! They hide motion from the filter, or show one that did not happen. The attitude must not be
+//! `VALID` and wrong afterwards, and a known gyroscope bias stays known.
 
-use aplomb::estimator::Sample;
-use aplomb::mpu6050::Part;
+use aplomb::health::BoardFlags;
+use aplomb::mpu6050::{Burst, Part, RawSample};
 use aplomb::pipeline::{Pipeline, Settings};
+use aplomb_models::motion::Motion;
+use aplomb_models::motion::geometry::Vector;
+use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_models::motion::swing::Swing;
+use aplomb_models::motion::truth::up_in_body;
 use aplomb_models::random::Random;
+use aplomb_recordings::simulated::{Simulated, samples};
 
 use crate::parallel;
-use crate::recording::Recording;
-use crate::simulated;
 use crate::valid::Judged;
 
-/// Length of a flight, s.
-const SECONDS: u64 = 30;
-/// Times between which an interruption begins, µs: the vehicle has taken off, and flies on.
-const BEGIN_US: [f64; 2] = [4.0e6, 14.0e6];
-/// Full scale of the gyroscope, rad/s, and of the accelerometer, m/s².
-const FULL_SCALE_RAD_S: f32 = 34.9;
-const FULL_SCALE_M_S2: f32 = 156.9;
+/// Length of a flight, s, and times between which an interruption begins: the vehicle has taken
+/// off, and flies on.
+const FLIGHT_S: u64 = 30;
+const FLIGHT_BEGIN_S: [f64; 2] = [4.0, 14.0];
+/// Length of a swing, s, and of the rest at its beginning.
+const SWING_S: u64 = 14;
+const REST_S: f64 = 2.0;
+/// Times between which an interruption begins: in the rest once the bias is known, or in the swing.
+const SWING_BEGIN_S: [f64; 2] = [1.6, 4.5];
+/// Time after an interruption of a swing in which the attitude may be invalid, µs.
+const RECOVERY_US: u64 = 250_000;
 
 #[derive(Clone, Copy, Debug)]
 enum Kind {
     /// No samples.
     Pause,
-    /// The gyroscope's forward axis reads full scale.
-    RateX,
-    /// The gyroscope's down axis reads full scale.
-    RateZ,
+    /// This axis of the gyroscope reads full scale.
+    Rate(usize),
     /// The accelerometer's forward axis reads full scale.
-    ForceX,
+    Force,
+    /// The readings repeat.
+    Frozen,
+    /// The readings repeat, and this axis of the gyroscope reads 300 °/s: a self-test that a flipped
+    /// register has switched on shows as much.
+    FrozenFalse(usize),
 }
 
-impl Kind {
-    /// Shortest and longest duration, s.
-    const fn durations_s(self) -> [f64; 2] {
-        match self {
-            Self::Pause => [0.005, 2.0],
-            Self::RateX | Self::RateZ => [0.001, 3.0],
-            Self::ForceX => [0.001, 0.1],
+/// Gyroscope counts of 300 °/s at the default range, 16.4 LSB/(°/s).
+const FALSE_COUNTS: i16 = 4_920;
+
+/// Interruption of a motion.
+#[derive(Debug)]
+struct Interruption {
+    kind: Kind,
+    from_us: u64,
+    until_us: u64,
+    is_negative: bool,
+}
+
+impl Interruption {
+    /// Begins between these times, and lasts as long as one of these durations or in between, s.
+    fn new(kind: Kind, begin_s: [f64; 2], durations_s: [f64; 2], random: &mut Random) -> Self {
+        let begin_s = random.uniform(begin_s[0], begin_s[1]);
+        let [shortest, longest] = durations_s.map(f64::ln);
+        let duration_s = random.uniform(shortest, longest).exp();
+        Self {
+            kind,
+            from_us: (begin_s * 1.0e6) as u64,
+            until_us: ((begin_s + duration_s) * 1.0e6) as u64,
+            is_negative: random.uniform(0.0, 1.0) < 0.5,
         }
     }
 
-    /// Returns the sample as it arrives during the interruption.
-    fn disturb(self, sample: &Sample, sign: f32) -> Option<Sample> {
-        let mut sample = *sample;
-        match self {
-            Self::Pause => return None,
-            Self::RateX => sample.angular_rate_rad_s.x = sign * FULL_SCALE_RAD_S,
-            Self::RateZ => sample.angular_rate_rad_s.z = sign * FULL_SCALE_RAD_S,
-            Self::ForceX => sample.specific_force_m_s2.x = sign * FULL_SCALE_M_S2,
+    /// Returns the counts that arrive instead of these; `None` in a pause. `last` arrived before.
+    fn disturb(&self, raw: &RawSample, last: &RawSample, t_us: u64) -> Option<RawSample> {
+        if !(self.from_us..self.until_us).contains(&t_us) {
+            return Some(*raw);
         }
-        sample.is_rate_saturated = matches!(self, Self::RateX | Self::RateZ);
-        sample.is_force_saturated = matches!(self, Self::ForceX);
-        Some(sample)
+        let signed = |counts: i16| if self.is_negative { -counts } else { counts };
+        let mut arrives = *raw;
+        match self.kind {
+            Kind::Pause => return None,
+            Kind::Rate(axis) => arrives.gyroscope.0[axis] = signed(i16::MAX),
+            Kind::Force => arrives.accelerometer.0[0] = signed(i16::MAX),
+            Kind::Frozen => arrives = *last,
+            Kind::FrozenFalse(axis) => {
+                arrives = *last;
+                arrives.gyroscope.0[axis] = signed(FALSE_COUNTS);
+            }
+        }
+        Some(arrives)
     }
 }
 
-/// Flight with one interruption.
+/// Counts of an interrupted motion.
 #[derive(Default)]
 struct Outcome {
     /// Samples with a truth.
@@ -64,51 +101,84 @@ struct Outcome {
     valid: u32,
     /// `VALID` ones that were wrong.
     wrong: u32,
+    /// Samples that were not `VALID` after [`RECOVERY_US`].
+    late: u32,
 }
 
-fn fly(flight: &Recording, kind: Kind, random: &mut Random) -> Outcome {
-    let [earliest, latest] = BEGIN_US;
-    let from_us = random.uniform(earliest, latest) as u64;
-    let [shortest, longest] = kind.durations_s();
-    let duration_s = random.uniform(shortest.ln(), longest.ln()).exp();
-    let until_us = from_us + (duration_s * 1.0e6) as u64;
-    let sign = if random.uniform(0.0, 1.0) < 0.5 {
-        -1.0
-    } else {
-        1.0
+fn simulate(motion: Box<dyn Motion>, seed: u64, seconds: u64) -> Vec<(Simulated, Option<Vector>)> {
+    let with_truth = |simulated: Simulated| {
+        let truth = simulated.truth;
+        let up = truth.attitude.filter(|_| truth.scored).map(up_in_body);
+        (simulated, up)
     };
-    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
-    let rows = flight.samples.iter().zip(&flight.true_up);
+    samples(motion, seed, seconds).map(with_truth).collect()
+}
+
+fn interrupt(motion: &[(Simulated, Option<Vector>)], interruption: &Interruption) -> Outcome {
+    let mut settings = Settings::new(&Part::MPU_6050);
+    settings.verifies_scales = true;
+    let mut pipeline = Pipeline::new(&settings);
     let mut outcome = Outcome::default();
-    for (sample, up) in rows {
-        let arrives = if (from_us..until_us).contains(&sample.t_us) {
-            kind.disturb(sample, sign)
-        } else {
-            Some(*sample)
+    let mut last = RawSample::default();
+    for (simulated, up) in motion {
+        let t_us = simulated.t_us;
+        let Some(raw) = interruption.disturb(&simulated.raw, &last, t_us) else {
+            continue;
         };
-        let Some(arrives) = arrives else { continue };
-        let snapshot = pipeline.update_sample(&arrives);
-        // The truth begins at take-off.
-        let Some(up) = *up else { continue };
+        last = raw;
+        let burst = Burst {
+            bytes: raw.encode(),
+            captured_at_us: t_us,
+            missed_before: 0,
+        };
+        // A board reads the flipped register back, and reports no right scale.
+        let is_flipped = raw != simulated.raw && matches!(interruption.kind, Kind::FrozenFalse(_));
+        let board = if is_flipped {
+            BoardFlags::empty()
+        } else {
+            BoardFlags::SCALES_VERIFIED
+        };
+        let snapshot = pipeline.update(&burst, board);
+        // The truth begins at take-off. A false rate is believed until it is noticed.
+        let Some(up) = up.filter(|_| !is_flipped) else {
+            continue;
+        };
         let judged = Judged::new(&snapshot, up);
         outcome.judged += 1;
         outcome.valid += u32::from(judged.is_valid);
         outcome.wrong += u32::from(judged.is_wrong);
+        let is_due = t_us >= interruption.until_us + RECOVERY_US;
+        outcome.late += u32::from(is_due && !judged.is_valid);
     }
     outcome
 }
 
 #[test]
 fn an_interruption_in_flight_keeps_the_promise() {
-    const KINDS: [Kind; 4] = [Kind::Pause, Kind::RateX, Kind::RateZ, Kind::ForceX];
+    // Kind, and its shortest and longest duration in s.
+    const KINDS: [(Kind, [f64; 2]); 7] = [
+        (Kind::Pause, [0.005, 2.0]),
+        (Kind::Rate(0), [0.001, 3.0]),
+        (Kind::Rate(2), [0.001, 3.0]),
+        (Kind::Force, [0.001, 0.1]),
+        (Kind::Frozen, [0.005, 3.0]),
+        (Kind::FrozenFalse(0), [0.03, 3.0]),
+        (Kind::FrozenFalse(1), [0.03, 3.0]),
+    ];
     // Seeds that nothing was tuned on.
     let seeds: Vec<u64> = (750_000..750_200).collect();
     let flights = parallel::map(&seeds, |seed| {
-        let flight = simulated::flight_for(*seed, SECONDS);
+        let flight = simulate(Box::new(Quadrotor::by_seed(*seed)), *seed, FLIGHT_S);
         let mut random = Random::new(*seed, "interruptions");
-        KINDS.map(|kind| [(); 2].map(|()| fly(&flight, kind, &mut random)))
+        KINDS.map(|(kind, durations_s)| {
+            [(); 2].map(|()| {
+                let begin_s = FLIGHT_BEGIN_S;
+                let interruption = Interruption::new(kind, begin_s, durations_s, &mut random);
+                interrupt(&flight, &interruption)
+            })
+        })
     });
-    for (index, kind) in KINDS.into_iter().enumerate() {
+    for (index, (kind, _)) in KINDS.into_iter().enumerate() {
         let outcomes = flights.iter().flat_map(|kinds| &kinds[index]);
         let wrong = outcomes.clone().filter(|outcome| outcome.wrong > 0).count();
         let sum = |count: fn(&Outcome) -> u32| outcomes.clone().map(count).sum::<u32>();
@@ -121,4 +191,36 @@ fn an_interruption_in_flight_keeps_the_promise() {
         assert_eq!(wrong, 0, "{kind:?}");
         assert!(valid > 0.9, "{kind:?}: {valid}");
     }
+}
+
+#[test]
+fn an_interruption_of_a_swing_costs_no_knowledge_of_the_bias() {
+    const KINDS: [(Kind, [f64; 2]); 6] = [
+        (Kind::Pause, [0.05, 0.45]),
+        (Kind::Rate(0), [0.002, 0.06]),
+        (Kind::Rate(1), [0.002, 0.06]),
+        (Kind::Rate(2), [0.002, 0.06]),
+        (Kind::Frozen, [0.005, 1.0]),
+        (Kind::FrozenFalse(1), [0.03, 1.0]),
+    ];
+    // Seeds that nothing was tuned on.
+    let seeds: Vec<u64> = (61_000..61_200).collect();
+    let failed = parallel::map(&seeds, |seed| {
+        let swing = simulate(Box::new(Swing::by_seed(*seed, REST_S)), *seed, SWING_S);
+        let mut random = Random::new(*seed, "interruptions");
+        let mut failed = Vec::new();
+        for (kind, durations_s) in KINDS {
+            let begin_s = SWING_BEGIN_S;
+            let interruption = Interruption::new(kind, begin_s, durations_s, &mut random);
+            let Outcome { wrong, late, .. } = interrupt(&swing, &interruption);
+            if wrong > 0 || late > 0 {
+                failed.push(format!(
+                    "seed {seed}, {interruption:?}: {wrong} VALID and wrong, {late} late"
+                ));
+            }
+        }
+        failed
+    })
+    .concat();
+    assert!(failed.is_empty(), "{}: {failed:#?}", failed.len());
 }

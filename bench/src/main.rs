@@ -34,8 +34,6 @@ mod starts;
 mod steps;
 mod throughput;
 #[cfg(test)]
-mod unseen;
-#[cfg(test)]
 mod valid;
 mod vibration;
 
