@@ -1,22 +1,24 @@
 //! The promise of `HEADING_VALID` in simulated flights: a valid heading is wrong by no more than
 //! the larger of 15° and six σ.
 //!
-//! A quarter of the flights are starts beside a magnet, with motor currents. In another quarter the
+//! A fifth of the flights are starts beside a magnet, with motor currents. In another fifth the
 //! compass's readings are faulty for a time. In the third the body swings about one axis, which
-//! shows hard iron poorly. The last quarter begins with the hard iron that an earlier flight of the
-//! vehicle has shown. The seed decides place, iron, motors, magnet, fault and axis. The comparison
-//! with the truth uses no more of the library than its quaternion and mount.
+//! shows hard iron poorly. The fourth begins with the hard iron that an earlier flight of the
+//! vehicle has shown. In the last the core resets in a swing or in flight, and goes on from the
+//! kept attitude. The seed decides place, iron, motors, magnet, fault and axis. The comparison with
+//! the truth uses no more of the library than its quaternion and mount.
 
 use std::fmt::Write as _;
+use std::ops::Range;
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::estimator::heading::CompassKnowledge;
-use aplomb::estimator::kalman::AccelerometerKnowledge;
+use aplomb::estimator::kalman::{AccelerometerKnowledge, WarmStart};
 use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
-use aplomb::pipeline::{CompassPipeline, Settings, Snapshot};
+use aplomb::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
 use aplomb::units::{MagneticField, degrees};
 use aplomb_models::compass::{EarthField, Magnetism, PassingMagnet};
 use aplomb_models::motion::Motion;
@@ -42,6 +44,13 @@ const ALLOWED_SIGMAS: f64 = 6.0;
 /// Largest field of the motors in a hover, µT: a compass beside the power leads.
 const LARGEST_MOTORS_UT: f64 = 10.0;
 
+/// Shortest and longest reset by the watchdog, µs.
+const RESET_US: [f64; 2] = [2.0e5, 5.6e5];
+/// Period with which the firmware keeps its state, µs.
+pub const KEEP_US: u64 = 200_000;
+/// σ that the firmware adds to a kept tilt for its age, per axis: 30 °/s for half a second.
+const UNSEEN_DEGREES: f32 = 15.0;
+
 /// Kind of flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -53,15 +62,18 @@ enum Kind {
     Swing,
     /// A swing, or a start beside a magnet, with the hard iron of an earlier flight.
     Again,
+    /// A reset of the core in a swing or in flight.
+    Reset,
 }
 
 impl Kind {
     /// The kinds, with their names.
-    const ALL: [(Self, &'static str); 4] = [
+    const ALL: [(Self, &'static str); 5] = [
         (Self::Start, "starts beside a magnet, with motor currents"),
         (Self::Faults, "flights with faulty readings"),
         (Self::Swing, "swings about one axis"),
         (Self::Again, "flights with the hard iron of an earlier one"),
+        (Self::Reset, "resets in a swing or in flight"),
     ];
 }
 
@@ -92,6 +104,9 @@ struct Flight {
     compass: FaultyCompass,
     /// Hard iron that is removed from the readings, µT in body axes.
     removed_ut: Vector3,
+    /// Time without samples, µs, after which the core goes on from the kept state; empty without a
+    /// reset.
+    reset_us: Range<u64>,
 }
 
 impl Flight {
@@ -117,7 +132,8 @@ impl Flight {
                 None => knowledge = CompassKnowledge::Factory,
             }
         }
-        let does_swing = kind == Kind::Swing || kind == Kind::Again && seed.is_multiple_of(2);
+        let may_swing = matches!(kind, Kind::Again | Kind::Reset);
+        let does_swing = kind == Kind::Swing || may_swing && seed.is_multiple_of(2);
         let quadrotor = Quadrotor::by_seed(seed);
         let (motion, beginning): (Box<dyn Motion>, _) = if does_swing {
             (Box::new(Swing::by_seed(seed, REST_S)), "swing")
@@ -131,9 +147,14 @@ impl Flight {
         } else {
             (Box::new(quadrotor), "on the ground")
         };
-        let mut fault = None;
+        let (mut fault, mut reset_us) = (None, 0..0);
         match kind {
             Kind::Swing => {}
+            Kind::Reset => {
+                let begin_us = random.uniform(5.0e6, 15.0e6) as u64;
+                let length_us = random.uniform(RESET_US[0], RESET_US[1]) as u64;
+                reset_us = begin_us..begin_us + length_us;
+            }
             Kind::Again if does_swing => {}
             Kind::Start | Kind::Again if is_in_flight => {
                 let closest_s = random.uniform(0.0, 3.0);
@@ -147,6 +168,7 @@ impl Flight {
         }
         let what = match &fault {
             Some(fault) => fault.to_string(),
+            None if kind == Kind::Reset => format!("reset at {} us", reset_us.start),
             None if !does_swing => format!("magnet, {beginning}"),
             None => beginning.to_owned(),
         };
@@ -158,6 +180,7 @@ impl Flight {
             motion,
             compass: FaultyCompass::new(compass, fault, seed),
             removed_ut,
+            reset_us,
         }
     }
 
@@ -171,6 +194,7 @@ impl Flight {
             motion: Box::new(Quadrotor::by_seed(seed + EARLIER)),
             compass: FaultyCompass::new(compass, None, seed),
             removed_ut: Vector3::ZERO,
+            reset_us: 0..0,
         }
     }
 
@@ -216,11 +240,23 @@ impl Flight {
 
     /// Runs a pipeline through the flight, and shows it after each sample.
     fn run(self, mut show: impl FnMut(&Simulated, &Snapshot, &CompassPipeline)) {
-        let mut pipeline = CompassPipeline::new(&Settings::new(&Part::MPU_6050), self.knowledge);
+        let settings = Settings::new(&Part::MPU_6050);
+        let mut pipeline = CompassPipeline::new(&settings, self.knowledge);
         let errors = errors(self.seed, AccelerometerKnowledge::Factory);
-        let mut compass = self.compass;
+        let (mut compass, mut kept) = (self.compass, None);
         for simulated in samples_with(self.motion, self.seed, errors, SECONDS) {
+            if self.reset_us.contains(&simulated.t_us) {
+                let mut fresh = Pipeline::new(&settings);
+                if let Some(kept) = kept {
+                    fresh.resume(&after_reset(kept));
+                }
+                pipeline = CompassPipeline::with_pipeline(fresh, self.knowledge);
+                continue;
+            }
             let snapshot = pipeline.update_sample(&sample(&simulated));
+            if simulated.t_us.is_multiple_of(KEEP_US) {
+                kept = pipeline.pipeline().warm_start(&snapshot).or(kept);
+            }
             if let Some(MagneticField { ut: [x, y, z] }) =
                 compass.read(simulated.t_us, &simulated.truth)
             {
@@ -241,6 +277,16 @@ impl Outcome {
             self.wrong += 1;
             self.first_s.get_or_insert(t_us as f64 * 1e-6);
         }
+    }
+}
+
+/// Returns the kept state with the σ that the firmware adds for the time of the reset.
+pub fn after_reset(kept: WarmStart) -> WarmStart {
+    let unseen_rad = UNSEEN_DEGREES.to_radians();
+    let unseen_rad = unseen_rad.hypot(unseen_rad);
+    WarmStart {
+        tilt_sigma_rad: kept.tilt_sigma_rad.hypot(unseen_rad),
+        ..kept
     }
 }
 

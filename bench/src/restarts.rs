@@ -9,6 +9,7 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::random::Random;
 
 use crate::parallel;
+use crate::promise::{KEEP_US, after_reset};
 use crate::recording::Recording;
 use crate::simulated;
 use crate::valid::Judged;
@@ -19,14 +20,10 @@ const JUDGED_US: u64 = 5_000_000;
 /// Times between which a vehicle starts: it has taken off, and flies on for long enough.
 const STARTS_US: [f64; 2] = [4.0e6, 12.0e6];
 const BETWEEN_STARTS_US: [f64; 2] = [1.0e6, 2.5e6];
-/// Period with which the firmware keeps its state, µs.
-const KEEP_US: u64 = 200_000;
 /// Time after a reset from which on every attitude has to be `VALID`, µs.
 const RECOVERY_US: u64 = 250_000;
 /// Time within which an attitude has to be `VALID` after a start from the stored offset, µs.
 const FIRST_VALID_US: u64 = 300_000;
-/// σ that the firmware adds to a kept tilt for its age, per axis: 30 °/s for half a second.
-const UNSEEN_DEGREES: f32 = 15.0;
 
 /// A start in a flight.
 struct Start {
@@ -85,12 +82,7 @@ fn judge(flight: &Recording, start: &Start, is_kept: bool, outcome: &mut Outcome
     }
     let mut pipeline = Pipeline::new(&settings);
     if is_kept {
-        let sigma_rad = start.kept.tilt_sigma_rad;
-        let unseen_rad = UNSEEN_DEGREES.to_radians();
-        pipeline.resume(&WarmStart {
-            tilt_sigma_rad: sigma_rad.hypot(unseen_rad.hypot(unseen_rad)),
-            ..start.kept
-        });
+        pipeline.resume(&after_reset(start.kept));
     }
     let (mut is_wrong, mut is_late, mut has_been_valid) = (false, false, false);
     let rows = flight.samples.iter().zip(&flight.true_up);

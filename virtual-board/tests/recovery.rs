@@ -439,7 +439,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 16] = [
+const ONCE_FAILED: [(u64, &str, &str); 17] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -522,6 +522,11 @@ const ONCE_FAILED: [(u64, &str, &str); 16] = [
         280_006_349,
         "1.862873 0.013976 arbitration-lost\n1.877739 0.006498 core-stall\n",
         "a stalled transaction left ADDR set, and SR2 was read without SR1",
+    ),
+    (
+        280_016_663,
+        "2.658328 0.917945 compass-never-ready\n3.943818 0 watchdog-hang\n",
+        "a correction of the tilt counted as a turn about a second axis, for the heading",
     ),
 ];
 

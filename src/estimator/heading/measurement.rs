@@ -135,11 +135,13 @@ impl Heading {
     /// Adds to the time for which the body has moved, turned away from where the field was first
     /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north.
     ///
-    /// While the gyroscope's bias is unknown, no turn is known well enough. A compass whose hard
-    /// iron is unknown needs turns about two axes: turns about one leave the hard iron along it
-    /// open, and soft iron hides the rest.
+    /// While the gyroscope's bias or the tilt is unknown, no turn is known well enough: a
+    /// correction of the tilt looks like one. A compass whose hard iron is unknown needs turns
+    /// about two axes: turns about one leave the hard iron along it open, and soft iron hides the
+    /// rest.
     fn verify(&mut self, kalman: &Kalman) {
-        if !kalman.is_bias_known() {
+        let is_tilt_known = kalman.tilt_variance_rad2() < square(self.tuning.valid_tilt_rad);
+        if !kalman.is_bias_known() || !is_tilt_known {
             self.forget_turns();
             return;
         }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::attitude::{BodyVector, EulerAngles, Quaternion};
+use crate::estimator::kalman::WarmStart;
 use crate::estimator::{Estimator, Sample};
 use crate::serialize::{StateReader, StateWriter};
 use crate::units::{STANDARD_GRAVITY_M_S2, degrees, radians};
@@ -164,6 +165,34 @@ fn a_magnet_beside_the_body_is_never_north() {
     flight.tumble(40.0);
     flight.assert_error_below(5.0);
     assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
+}
+
+/// A kept tilt that is 26° wrong is corrected while the body swings about one axis.
+#[test]
+fn a_correction_of_the_tilt_is_no_turn() {
+    let mut flight = Flight::new(0.0, CompassKnowledge::Factory);
+    flight.iron_ut = Vector3::new(0.0, 40.0, 0.0);
+    flight.estimator.filter_mut().resume(&WarmStart {
+        attitude: Quaternion::from_euler(EulerAngles {
+            roll_rad: radians(26.0),
+            ..EulerAngles::default()
+        }),
+        tilt_sigma_rad: radians(21.0),
+        bias_rad_s: Vector3::ZERO,
+        bias_sigma_rad_s: radians(0.1),
+        accelerometer_bias_m_s2: [0.0; 2],
+        squared_velocity_m2_s2: 0.0,
+    });
+    for _ in 0..40 {
+        flight.run(0.5, |t_s| {
+            Vector3::new(0.0, 1.2 * libm::sinf(1.5 * t_s), 0.0)
+        });
+        assert!(!flight.heading.has_two_axes, "{} us", flight.t_us);
+    }
+    let is_valid = |flight: &Flight| flight.heading.estimate().is_some_and(|it| it.is_valid);
+    assert!(!is_valid(&flight));
+    flight.tumble(20.0);
+    assert!(flight.heading.has_two_axes && is_valid(&flight));
 }
 
 #[test]
