@@ -34,14 +34,14 @@ const RECOVERY_US: u64 = 250_000;
 enum Kind {
     /// No samples.
     Pause,
-    /// This axis of the gyroscope reads full scale.
+    /// An axis of the gyroscope reads full scale.
     Rate(usize),
     /// The accelerometer's forward axis reads full scale.
     Force,
     /// The readings repeat.
     Frozen,
-    /// The readings repeat, and this axis of the gyroscope reads 300 °/s: a self-test that a flipped
-    /// register has switched on shows as much.
+    /// The readings repeat, and an axis of the gyroscope reads 300 °/s: as much as a self-test
+    /// that a flipped register has switched on.
     FrozenFalse(usize),
 }
 

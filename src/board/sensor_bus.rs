@@ -255,7 +255,7 @@ impl SensorBus {
     ) -> Result<(), ErrorKind> {
         let start = timebase::now();
         loop {
-            // Before the status: after a stall of the core, an event that came in time still counts.
+            // Before the status: after a stall of the core, an event that came in time counts.
             let is_late = timebase::elapsed(start, STEP_DEADLINE_US);
             let status = port().sr1().read();
             let error = if status.af().bit() {
@@ -287,8 +287,8 @@ impl SensorBus {
     fn wait_until_free(&self) -> Result<(), ErrorKind> {
         let start = timebase::now();
         loop {
-            // ADDR may be left of a transaction that was given up. SR1, then SR2, clears it (RM0090,
-            // 27.6.7).
+            // A transaction that was given up may have left ADDR set. Reading SR1 and then SR2
+            // clears it (RM0090, 27.6.7).
             port().sr1().read();
             let is_busy = port().sr2().read().busy().bit();
             if !is_busy && port().cr1().read().stop().bit_is_clear() {

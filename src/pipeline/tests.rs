@@ -522,7 +522,7 @@ fn noisy(t_us: u64, force_m_s2: Vector3) -> Burst {
 
 /// Changes the lowest bit of every other burst, because no sensor repeats its readings.
 fn with_noise(mut burst: Burst) -> Burst {
-    burst.bytes[13] ^= u8::from(burst.captured_at_us / 1000 % 2 == 0);
+    burst.bytes[13] ^= u8::from((burst.captured_at_us / 1000).is_multiple_of(2));
     burst
 }
 
@@ -623,8 +623,8 @@ fn frozen_data_measure_no_offset() {
     assert!(flags.contains(Flags::CALIBRATING), "{flags:?}");
 }
 
-/// A sensor at rest whose gyroscope reads this rate, in °/s, while its readings repeat: such as one
-/// that was turning, or whose self-test a flipped register has switched on.
+/// A sensor at rest whose gyroscope reads this rate, in °/s, while its readings repeat: one that
+/// was turning before, or whose self-test a flipped register has switched on.
 #[test]
 fn frozen_data_are_a_pause() {
     const FLAGGED: u64 = 22;
