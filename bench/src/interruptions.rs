@@ -139,7 +139,8 @@ fn interrupt(motion: &[(Simulated, Option<Vector>)], interruption: &Interruption
             BoardFlags::SCALES_VERIFIED
         };
         let snapshot = pipeline.update(&burst, board);
-        // The truth begins at take-off. A false rate is believed until it is noticed.
+        // The truth begins at take-off. A false rate is believed for up to 22 samples, until the
+        // data are flagged as frozen.
         let Some(up) = up.filter(|_| !is_flipped) else {
             continue;
         };
@@ -172,8 +173,8 @@ fn an_interruption_in_flight_keeps_the_promise() {
         let mut random = Random::new(*seed, "interruptions");
         KINDS.map(|(kind, durations_s)| {
             [(); 2].map(|()| {
-                let begin_s = FLIGHT_BEGIN_S;
-                let interruption = Interruption::new(kind, begin_s, durations_s, &mut random);
+                let (begin_s, random) = (FLIGHT_BEGIN_S, &mut random);
+                let interruption = Interruption::new(kind, begin_s, durations_s, random);
                 interrupt(&flight, &interruption)
             })
         })
@@ -210,8 +211,8 @@ fn an_interruption_of_a_swing_costs_no_knowledge_of_the_bias() {
         let mut random = Random::new(*seed, "interruptions");
         let mut failed = Vec::new();
         for (kind, durations_s) in KINDS {
-            let begin_s = SWING_BEGIN_S;
-            let interruption = Interruption::new(kind, begin_s, durations_s, &mut random);
+            let (begin_s, random) = (SWING_BEGIN_S, &mut random);
+            let interruption = Interruption::new(kind, begin_s, durations_s, random);
             let Outcome { wrong, late, .. } = interrupt(&swing, &interruption);
             if wrong > 0 || late > 0 {
                 failed.push(format!(

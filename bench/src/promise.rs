@@ -243,15 +243,18 @@ impl Flight {
         let settings = Settings::new(&Part::MPU_6050);
         let mut pipeline = CompassPipeline::new(&settings, self.knowledge);
         let errors = errors(self.seed, AccelerometerKnowledge::Factory);
-        let (mut compass, mut kept) = (self.compass, None);
+        let (mut compass, mut kept, mut is_reset) = (self.compass, None, false);
         for simulated in samples_with(self.motion, self.seed, errors, SECONDS) {
             if self.reset_us.contains(&simulated.t_us) {
+                is_reset = true;
+                continue;
+            }
+            if core::mem::replace(&mut is_reset, false) {
                 let mut fresh = Pipeline::new(&settings);
                 if let Some(kept) = kept {
                     fresh.resume(&after_reset(kept));
                 }
                 pipeline = CompassPipeline::with_pipeline(fresh, self.knowledge);
-                continue;
             }
             let snapshot = pipeline.update_sample(&sample(&simulated));
             if simulated.t_us.is_multiple_of(KEEP_US) {

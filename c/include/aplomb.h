@@ -32,7 +32,7 @@
 // The specific force is too small to show where down is.
 #define APLOMB_FLAG_FREE_FALL (1 << 7)
 
-// The data repeat to the last bit: the sensor sleeps, or the bus is stuck.
+// The data repeat to the last bit: the sensor sleeps, or the bus is stuck. The attitude is held.
 #define APLOMB_FLAG_FROZEN (1 << 8)
 
 // The sample was not a measurement and was ignored.

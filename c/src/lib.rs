@@ -60,7 +60,7 @@ pub const APLOMB_FLAG_GYROSCOPE_SATURATED: u32 = 1 << 5;
 pub const APLOMB_FLAG_ACCELEROMETER_SATURATED: u32 = 1 << 6;
 /// The specific force is too small to show where down is.
 pub const APLOMB_FLAG_FREE_FALL: u32 = 1 << 7;
-/// The data repeat to the last bit: the sensor sleeps, or the bus is stuck.
+/// The data repeat to the last bit: the sensor sleeps, or the bus is stuck. The attitude is held.
 pub const APLOMB_FLAG_FROZEN: u32 = 1 << 8;
 /// The sample was not a measurement and was ignored.
 pub const APLOMB_FLAG_REJECTED: u32 = 1 << 9;

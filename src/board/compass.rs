@@ -236,7 +236,9 @@ impl CompassTask {
             return;
         };
         self.report_change();
-        let Some(reading_ut) = reading else {
+        // While samples are no measurements, no attitude belongs to a reading.
+        let has_attitude = !snapshot.flags.intersects(Flags::FROZEN | Flags::REJECTED);
+        let Some(reading_ut) = reading.filter(|_| has_attitude) else {
             return;
         };
         let measured_us = started_us.wrapping_sub(self.session.mean_age_us());

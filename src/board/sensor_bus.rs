@@ -287,6 +287,7 @@ impl SensorBus {
     fn wait_until_free(&self) -> Result<(), ErrorKind> {
         let start = timebase::now();
         loop {
+            let is_late = timebase::elapsed(start, STEP_DEADLINE_US);
             // A transaction that was given up may have left ADDR set. Reading SR1 and then SR2
             // clears it (RM0090, 27.6.7).
             port().sr1().read();
@@ -294,7 +295,7 @@ impl SensorBus {
             if !is_busy && port().cr1().read().stop().bit_is_clear() {
                 return Ok(());
             }
-            if timebase::elapsed(start, STEP_DEADLINE_US) {
+            if is_late {
                 return Err(ErrorKind::Bus);
             }
         }

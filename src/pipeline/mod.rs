@@ -127,13 +127,13 @@ impl Pipeline {
         let mut flags = self.monitor.inspect(&burst.bytes, raw.temperature.0);
         flags |= Flags::from(board);
         flags.set(Flags::MISSED, burst.missed_before > 0);
+        if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
+            self.monitor.confirm_scales();
+        }
         if flags.intersects(NO_MEASUREMENT) {
             return self.skip(burst.captured_at_us, flags);
         }
         self.follow_temperature(raw.temperature);
-        if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
-            self.monitor.confirm_scales();
-        }
         if board.contains(BoardFlags::INTERNAL_CLOCK) {
             self.follow_sensor_clock(burst.captured_at_us, board);
         }
@@ -201,10 +201,9 @@ impl Pipeline {
     /// Skips a sample that is no measurement: for the filter it is missing.
     #[cold]
     #[inline(never)]
-    fn skip(&mut self, t_us: u64, flags: Flags) -> Snapshot {
-        if flags.contains(Flags::FROZEN) {
-            self.unseen.note_frozen();
-        }
+    fn skip(&mut self, t_us: u64, mut flags: Flags) -> Snapshot {
+        self.unseen.skip(flags);
+        flags.set(Flags::CALIBRATING, !self.kalman().is_bias_known());
         self.hold(t_us, flags)
     }
 
@@ -353,13 +352,13 @@ impl Pipeline {
         self.estimator.filter_mut()
     }
 
-    /// Returns the last sample, calibrated, in body axes. The rate before replaces a false
-    /// full-scale reading.
+    /// Returns the last sample that was a measurement, calibrated, in body axes. The rate before
+    /// replaces a false full-scale reading.
     pub const fn sample(&self) -> &Sample {
         &self.sample
     }
 
-    /// Returns the die temperature of the last sample, °C.
+    /// Returns the die temperature of the last sample that was a measurement, °C.
     pub const fn temperature_celsius(&self) -> f32 {
         self.temperature_celsius
     }

@@ -33,8 +33,8 @@ pub(super) struct UnseenMotion {
     unflagged_s: f32,
     /// Duration of the present false full-scale reading, zero without one.
     false_s: f32,
-    /// True if the last sample was frozen.
-    was_frozen: bool,
+    /// Flags of the samples that were skipped since the last one that the filter has had.
+    skipped: Flags,
 }
 
 impl UnseenMotion {
@@ -44,7 +44,7 @@ impl UnseenMotion {
         Self {
             unflagged_s: f32::from(frozen_samples) / sample_rate_hz,
             false_s: 0.0,
-            was_frozen: false,
+            skipped: Flags::empty(),
         }
     }
 
@@ -93,18 +93,17 @@ impl UnseenMotion {
         }
         // If the rate has changed meanwhile, it did so steadily.
         let turn_rad2 = square(0.5 * (rate - before).norm() * was_false_s);
-        let hidden_rad2 = filter.pause_variance_rad2(was_false_s);
-        if turn_rad2.max(hidden_rad2) > square(LOST_TURN_RAD) {
+        if filter.pause_variance_rad2(was_false_s) > square(LOST_TURN_RAD) {
             filter.lose_tilt();
-        } else if was_false_s > 0.0 {
-            filter.inflate_tilt(turn_rad2);
+        } else {
+            hide_turn(filter, turn_rad2);
         }
         *sample
     }
 
-    /// Notes a frozen sample, which the filter does not get.
-    pub(super) const fn note_frozen(&mut self) {
-        self.was_frozen = true;
+    /// Notes the flags of a sample that the filter does not get.
+    pub(super) fn skip(&mut self, flags: Flags) {
+        self.skipped |= flags;
     }
 
     /// Inflates the filter's tilt for motion that was hidden before this sample, by lost settings
@@ -117,7 +116,7 @@ impl UnseenMotion {
         sample: &Sample,
         flags: Flags,
     ) {
-        if self.was_frozen || flags.contains(Flags::SENSOR_RESET) {
+        if !self.skipped.is_empty() || flags.contains(Flags::SENSOR_RESET) {
             self.inflate_for(estimator.filter_mut(), last, sample, flags);
         }
     }
@@ -125,15 +124,16 @@ impl UnseenMotion {
     #[cold]
     #[inline(never)]
     fn inflate_for(&mut self, filter: &mut Kalman, last: &Sample, sample: &Sample, flags: Flags) {
-        if core::mem::replace(&mut self.was_frozen, false) {
+        let skipped = core::mem::replace(&mut self.skipped, Flags::empty());
+        // Blank data, which repeat too, were rejected from the first one on.
+        if skipped.contains(Flags::FROZEN) && !skipped.contains(Flags::REJECTED) {
             filter.interrupt_rest();
             // The rate may have been false from the first repetition on. The filter itself takes
             // the time from the flag on for a pause.
             let change = sample.angular_rate_rad_s - last.angular_rate_rad_s;
-            let turn_rad = change.norm() * self.unflagged_s;
-            filter.inflate_tilt(square(turn_rad));
+            hide_turn(filter, square(change.norm() * self.unflagged_s));
         }
-        if flags.contains(Flags::SENSOR_RESET) {
+        if (flags | skipped).contains(Flags::SENSOR_RESET) {
             filter.inflate_motion(WRONG_SETTINGS_TILT_RAD * WRONG_SETTINGS_TILT_RAD);
         }
     }
@@ -142,7 +142,19 @@ impl UnseenMotion {
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.f32(&mut self.unflagged_s);
         visitor.f32(&mut self.false_s);
-        visitor.bool(&mut self.was_frozen);
+        let mut skipped = self.skipped.bits();
+        visitor.u32(&mut skipped);
+        self.skipped = Flags::from_bits_truncate(skipped);
+    }
+}
+
+/// Inflates the tilt for a hidden turn of this variance per axis, rad². Gravity shows a tilt better
+/// that a large turn hides.
+fn hide_turn(filter: &mut Kalman, turn_rad2: f32) {
+    if turn_rad2 > square(LOST_TURN_RAD) {
+        filter.lose_tilt();
+    } else {
+        filter.inflate_tilt(turn_rad2);
     }
 }
 

@@ -135,13 +135,11 @@ impl Heading {
     /// Adds to the time for which the body has moved, turned away from where the field was first
     /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north.
     ///
-    /// While the gyroscope's bias or the tilt is unknown, no turn is known well enough: a
-    /// correction of the tilt looks like one. A compass whose hard iron is unknown needs turns
-    /// about two axes: turns about one leave the hard iron along it open, and soft iron hides the
-    /// rest.
+    /// While the gyroscope's bias is unknown, no turn is known well enough. A compass whose hard
+    /// iron is unknown needs turns about two axes: turns about one leave the hard iron along it
+    /// open, and soft iron hides the rest.
     fn verify(&mut self, kalman: &Kalman) {
-        let is_tilt_known = kalman.tilt_variance_rad2() < square(self.tuning.valid_tilt_rad);
-        if !kalman.is_bias_known() || !is_tilt_known {
+        if !kalman.is_bias_known() {
             self.forget_turns();
             return;
         }
@@ -315,6 +313,12 @@ impl Heading {
         } else {
             self.silent_s + self.closed().duration_s
         };
+        let is_tilt_known = kalman.tilt_variance_rad2() < square(tuning.valid_tilt_rad);
+        if !is_tilt_known {
+            // A correction of the tilt looks like a turn: turns count from the attitude after it.
+            self.first_attitude = None;
+            self.first_turn = Vector3::ZERO;
+        }
         let verified_after_s = match self.knowledge {
             CompassKnowledge::Factory => tuning.verified_uncalibrated_after_s,
             CompassKnowledge::HardIron | CompassKnowledge::Calibrated => tuning.verified_after_s,
@@ -323,7 +327,7 @@ impl Heading {
             yaw_offset_rad: wrap_pi(self.declination_rad - libm::atan2f(cy, cx)),
             sigma_rad,
             is_valid: sigma_rad < tuning.valid_rad
-                && kalman.tilt_variance_rad2() < square(tuning.valid_tilt_rad)
+                && is_tilt_known
                 && self.inconsistency < tuning.valid_inconsistency
                 && self.silent_s < tuning.valid_silence_s
                 && self.verified_s > verified_after_s,
