@@ -148,8 +148,8 @@ impl UnseenMotion {
     }
 }
 
-/// Inflates the tilt for a hidden turn of this variance per axis, rad². Gravity shows a tilt better
-/// that a large turn hides.
+/// Inflates the tilt for a hidden turn of this variance per axis, rad². After a large one gravity
+/// shows the tilt better.
 fn hide_turn(filter: &mut Kalman, turn_rad2: f32) {
     if turn_rad2 > square(LOST_TURN_RAD) {
         filter.lose_tilt();
