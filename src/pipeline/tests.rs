@@ -819,8 +819,8 @@ fn an_offset_that_is_found_later_leaves_the_level() {
 /// Blank data repeat too, but they count as a pause alone.
 #[test]
 fn a_pause_of_blank_data_counts_once() {
-    // 0.4 s at 30 °/s about two axes are 17°. After 30 ms a changed rate gives 5°, and would give
-    // 16° if the filter had got the repeated data until they were flagged.
+    // 0.4 s at 30 °/s about two axes are 17°. After 30 ms a changed rate gives 5°: 16° if the
+    // filter had got the repeated data.
     for (milliseconds, rate_degrees_s, largest_degrees) in [(400, 0.0, 18.0), (30, 500.0, 8.0)] {
         let (mut pipeline, t_us) = settled();
         for step in 1..=milliseconds {
