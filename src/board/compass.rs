@@ -19,6 +19,7 @@ use crate::calibration::compass::CompassFitter;
 use crate::compass::{Choice, Condition, Fault, PartId, Session};
 use crate::estimator::heading::Heading;
 use crate::fault::FaultClass;
+use crate::health::Flags;
 use crate::pipeline::{CompassReading, Pipeline, Snapshot, compass_knowledge};
 use crate::units::MagneticField;
 use heapless::spsc::Producer;
