@@ -354,34 +354,20 @@ impl Quaternion {
             // One Newton step of 1/√(1 + e) about e = 0; its error is below e² = 1e-6.
             return self.scale(1.0 - 0.5 * error);
         }
-        if (1.0e-30..1.0e30).contains(&squared) {
-            return self.scale(1.0 / libm::sqrtf(squared));
+        // 2⁹⁶ brings the square of every normal number into the range of `f32`.
+        const LARGE: f32 = 7.922_816_3e28;
+        let factor = match squared {
+            ..1.0e-30 => LARGE,
+            ..1.0e30 => 1.0,
+            _ => 1.0 / LARGE,
+        };
+        let scaled = self.scale(factor);
+        let squared = scaled.dot(scaled);
+        if squared > 0.0 && squared.is_finite() {
+            scaled.scale(1.0 / libm::sqrtf(squared))
+        } else {
+            Self::IDENTITY
         }
-        self.normalize_extreme()
-    }
-
-    /// Normalizes where the square of the length leaves the range of `f32`.
-    #[cold]
-    fn normalize_extreme(self) -> Self {
-        let largest = self
-            .w
-            .abs()
-            .max(self.x.abs())
-            .max(self.y.abs())
-            .max(self.z.abs());
-        let is_finite =
-            self.w.is_finite() && self.x.is_finite() && self.y.is_finite() && self.z.is_finite();
-        if !is_finite || largest < f32::MIN_POSITIVE {
-            return Self::IDENTITY;
-        }
-        // Division, not the reciprocal, because the reciprocal of the smallest numbers overflows.
-        let q = Self::new(
-            self.w / largest,
-            self.x / largest,
-            self.y / largest,
-            self.z / largest,
-        );
-        q.scale(1.0 / libm::sqrtf(q.dot(q)))
     }
 
     #[inline]

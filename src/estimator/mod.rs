@@ -28,6 +28,7 @@
 //! }
 //! ```
 
+pub(crate) mod arithmetic;
 pub mod classic;
 mod filter;
 pub mod heading;
@@ -39,12 +40,13 @@ pub use sample::{Estimate, Issues, Sample};
 
 use crate::serialize::StateVisitor;
 use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
+use arithmetic::square;
 use kalman::Kalman;
 
 /// Revision of the filters' arithmetic. It increases with every change of an attitude, even by one
 /// bit, or of the state's layout. A flight log carries it. `tests/revision.rs` fails when the bits
 /// of its flight change and the revision does not.
-pub const REVISION: u16 = 11;
+pub const REVISION: u16 = 12;
 
 /// Longest step that a filter bridges, in µs. After a longer one the motion in between is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
@@ -270,10 +272,6 @@ impl Gate {
         visitor.f32(&mut self.rate_squared);
         visitor.f32(&mut self.seconds_per_us);
     }
-}
-
-const fn square(number: f32) -> f32 {
-    number * number
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! Sums of one interval: from the begin of a covariance step of the tilt filter to that of the
 //! next.
 
-use super::tuning::{Tuning, square};
+use super::tuning::Tuning;
 use crate::attitude::Quaternion;
+use crate::estimator::arithmetic::square;
 use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::GYROSCOPE;
 use crate::serialize::StateVisitor;

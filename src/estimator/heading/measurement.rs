@@ -11,9 +11,9 @@
 
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
 use super::step::Phase;
-use super::tuning::square;
 use super::{CompassKnowledge, Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
+use crate::estimator::arithmetic::square;
 use crate::estimator::filter::Filter as _;
 use crate::estimator::kalman::Kalman;
 

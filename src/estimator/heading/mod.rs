@@ -73,6 +73,7 @@ mod tests;
 pub use knowledge::CompassKnowledge;
 pub use tuning::Tuning;
 
+use super::arithmetic::square;
 use super::kalman::Kalman;
 use super::kalman::follow::{ERROR_STATES, FIRST_GYROSCOPE};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
@@ -81,7 +82,6 @@ use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
 use covariance::{Covariance, CrossRow, DEVIATION, FIELD, IRON, STATES};
 use interval::Interval;
 use step::Phase;
-use tuning::square;
 
 /// Shortest time between two earth steps that are added, s. Their sums serve the covariance alone.
 const EARTH_PERIOD_S: f32 = 10.0e-3;

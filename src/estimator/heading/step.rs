@@ -11,7 +11,7 @@
 
 use super::Heading;
 use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
-use super::tuning::square;
+use crate::estimator::arithmetic::square;
 use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::{
     ERROR_STATES, FIRST_GYROSCOPE, Followed, GYROSCOPE, MEASUREMENTS, VELOCITY,

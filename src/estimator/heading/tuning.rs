@@ -120,8 +120,3 @@ impl Default for Tuning {
         Self::DEFAULT
     }
 }
-
-#[inline]
-pub(super) const fn square(number: f32) -> f32 {
-    number * number
-}

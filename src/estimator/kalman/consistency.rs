@@ -14,9 +14,8 @@
 //! hand-held motion. A contradiction adds process noise: the bias may have changed by as much as
 //! the corrections show. At rest, unless armed, it is not taken: the rest makes corrections agree.
 
+use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::serialize::StateVisitor;
-
-use super::tuning::square;
 
 /// Time constant of the sums, s. Longer: smaller changes are found. Shorter: found sooner.
 const MEMORY_S: f32 = 3.0;
@@ -62,11 +61,11 @@ impl Consistency {
     /// variance by its measurements.
     #[inline]
     pub(super) fn add(&mut self, correction_rad: [f32; 2], decrease_rad2: f32, duration_s: f32) {
-        let factor = 1.0 - (duration_s / MEMORY_S).min(1.0);
+        let factor = 1.0 - smaller(duration_s / MEMORY_S, 1.0);
         for (sum, correction) in self.sum_rad.iter_mut().zip(correction_rad) {
             *sum = factor * *sum + correction;
         }
-        self.variance_rad2 = square(factor) * self.variance_rad2 + decrease_rad2.max(0.0);
+        self.variance_rad2 = square(factor) * self.variance_rad2 + larger(decrease_rad2, 0.0);
     }
 
     /// Returns what the corrections contradict, and forgets them then.

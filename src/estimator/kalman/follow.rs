@@ -17,9 +17,9 @@
 
 use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS};
 use super::slices::{MOST_MEASUREMENTS, State};
-use super::tuning::square;
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::arithmetic::{smaller, square};
 
 /// Number of error states that a follower sees: tilt (2), velocity (2), gyroscope bias (3) and
 /// matrix (9). The accelerometer's bias is left out: its correlation with a field changes no score.
@@ -250,7 +250,7 @@ impl Kalman {
     #[inline(always)]
     pub(super) fn relaxation(&self, duration_s: f32) -> f32 {
         const TURNS: f32 = (PARAMETERS - 3) as f32;
-        1.0 - (TURNS * duration_s / self.tuning.parameter_memory_s).min(1.0)
+        1.0 - smaller(TURNS * duration_s / self.tuning.parameter_memory_s, 1.0)
     }
 
     /// Returns the yaw noise of the interval like that of the tilt, rad², for ∫|ω|² dt in

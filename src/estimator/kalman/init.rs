@@ -4,9 +4,9 @@ use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::rest_watch::RestWatch;
-use super::tuning::square;
 use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, Tilt, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::arithmetic::square;
 use crate::estimator::sample::Sample;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
@@ -19,7 +19,9 @@ impl Kalman {
         self.take_bias(bias_rad_s, sigma_rad_s);
     }
 
-    fn take_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
+    /// Takes this bias, rad/s in body axes, with this σ per axis, until a rest measures it.
+    #[inline(never)]
+    pub(super) fn take_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.nominal.set_gyroscope_bias(bias_rad_s);
         self.prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
         self.has_rested = false;
@@ -90,24 +92,35 @@ impl Kalman {
     pub(super) fn start_from(&mut self, sample: &Sample, shows_gravity: bool) {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let readings = self.stationary.readings(self.tuning);
-        match (self.tilt, readings) {
-            (Tilt::Resumed, _) => self.tilt = Tilt::Known,
-            (Tilt::Restarting, Some(readings)) => self.restart_at_rest(&readings),
-            _ => {
-                // Before the first tilt the covariance is still at its prior.
-                if self.tilt == Tilt::Unknown {
-                    self.interval = Interval::EMPTY;
-                } else {
-                    self.reset_motion(square(self.tuning.start_tilt_rad));
-                    self.recent.may_move();
-                }
-                if shows_gravity {
-                    self.take_tilt_from(force);
-                }
+        if let (Tilt::Restarting, Some(readings)) = (self.tilt, readings) {
+            self.restart_at_rest(&readings);
+        } else {
+            self.stationary.start(rate, force);
+            self.start_tilt(force, shows_gravity);
+        }
+        self.nominal.start(rate, force);
+    }
+
+    /// Takes the tilt from the specific force, body axes, unless an earlier run has kept it. Without
+    /// gravity the tilt stays unknown.
+    fn start_tilt(&mut self, force: Vector3, shows_gravity: bool) {
+        match self.tilt {
+            Tilt::Resumed => {
+                self.tilt = Tilt::Known;
+                return;
+            }
+            // The covariance is still at its prior.
+            Tilt::Unknown => self.interval = Interval::EMPTY,
+            Tilt::Restarting | Tilt::Lost | Tilt::Known => {
+                self.reset_motion(square(self.tuning.start_tilt_rad));
+                self.recent.may_move();
             }
         }
-        self.stationary.start(rate, force);
-        self.nominal.start(rate, force);
+        if shows_gravity {
+            self.take_tilt_from(force);
+        } else {
+            self.lose_tilt();
+        }
     }
 
     /// Makes this specific force, body axes, point up. The first tilt has no yaw; a later one is

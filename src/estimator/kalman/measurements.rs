@@ -3,12 +3,12 @@
 
 use super::prior::BiasPrior;
 use super::propagation::{Interval, PARAMETERS};
-use super::rest_watch::NewRest;
 use super::slices::{Measurement, State};
-use super::stationary::StationaryReadings;
-use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
+use super::stationary::{SETTLED_S, StationaryReadings};
+use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::{KNOWN_BIAS_RAD_S, Kalman, Tilt, USABLE_TILT_RAD};
 use crate::attitude::Vector3;
+use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
 /// Gate of the zero-rate update, in σ of each axis.
@@ -22,6 +22,18 @@ const COASTING_GATE_SIGMA: f32 = 3.0;
 /// σ of the bias below which one axis a step is measured at rest, rad/s.
 const WELL_KNOWN_BIAS_RAD_S: f32 = radians(0.1);
 
+/// Largest change of the specific force at rest, m/s²: after 0.6° a turn is no rest, however
+/// slow and steady it is.
+const LARGEST_DRIFT_M_S2: f32 = 0.1;
+/// Change of the specific force up to which the first rest is believed, m/s²: three σ of its
+/// noise.
+const CERTAIN_DRIFT_M_S2: f32 = 0.03;
+/// Time without motion after which the first rest is believed with a larger drift, s. By then a
+/// turn of 1 °/s about a horizontal axis has exceeded the largest one.
+const CERTAIN_REST_S: f32 = 1.1;
+/// Largest rate that a rest may hide, rad/s.
+const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
+
 /// Largest horizontal force at rest that the tilt's σ does not explain, as a share of one g: the
 /// accelerometer's bias.
 pub(super) const STATIONARY_FORCE_SHARE: f32 = 0.03;
@@ -32,8 +44,9 @@ impl Kalman {
         let duration_s = self.step.duration_s();
         self.recent
             .update(self.nominal.velocity_m_s, duration_s, self.tuning);
+        self.end_rest_if_turned();
         let stationary = self.stationary.readings(self.tuning);
-        match stationary.filter(|_| !self.is_armed) {
+        match stationary.filter(|_| !self.is_armed && (self.has_rested || self.is_rest_certain())) {
             Some(readings) => self.measure_at_rest(&readings, duration_s),
             None => {
                 self.widen_prior();
@@ -42,14 +55,45 @@ impl Kalman {
         }
     }
 
+    /// Returns whether a first rest may be believed: it measures a bias that was not known.
+    fn is_rest_certain(&self) -> bool {
+        let quiet_s = self.stationary.quiet_s();
+        quiet_s <= self.steady_until_s || quiet_s > CERTAIN_REST_S
+    }
+
+    /// Ends a rest that turns out to be a slow, steady turn: gravity has turned. If it has turned
+    /// for most of the time, and faster than the gyroscope shows, then the bias was measured in the
+    /// turn, and is unknown.
+    #[inline(never)]
+    fn end_rest_if_turned(&mut self) {
+        let quiet_s = self.stationary.quiet_s();
+        let squared_drift = self.stationary.squared_drift();
+        if squared_drift < square(CERTAIN_DRIFT_M_S2) {
+            self.steady_until_s = quiet_s;
+        }
+        let turned_s = quiet_s - SETTLED_S;
+        if squared_drift < square(LARGEST_DRIFT_M_S2) || turned_s < 0.0 {
+            return;
+        }
+        let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
+        let shown = self.stationary.average_rate_rad_s() - bias_rad_s;
+        let turned_rad_s = LARGEST_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / turned_s;
+        let is_steady_turn = 2.0 * (quiet_s - self.steady_until_s) > turned_s;
+        if self.has_rested && is_steady_turn && shown.is_within(turned_rad_s - HIDDEN_RATE_RAD_S) {
+            self.take_bias(bias_rad_s, self.tuning.gyroscope_bias_rad_s);
+        }
+        self.stationary.interrupt();
+    }
+
     /// Returns the noise density of the zero-velocity measurement in motion, (m/s)²·s.
     fn velocity_noise(&self) -> f32 {
         let tuning = self.tuning;
-        (square(tuning.velocity_noise)
-            + square(tuning.velocity_noise_per_velocity) * self.recent.squared)
-            .min(square(tuning.velocity_noise_limit))
+        let noise = square(tuning.velocity_noise)
+            + square(tuning.velocity_noise_per_velocity) * self.recent.squared;
+        smaller(noise, square(tuning.velocity_noise_limit))
     }
 
+    #[inline(never)]
     fn measure_velocity(&mut self, variance: f32) {
         let [north, east] = self.nominal.velocity_m_s;
         for (state, velocity) in [(2, north), (3, east)] {
@@ -65,6 +109,7 @@ impl Kalman {
     /// contradict the bias make the next sample restart the filter: those of the first rest at
     /// once, later ones when no motion can explain them. So does the first rest if the tilt is not
     /// usable, because the linear model cannot correct it, and any rest if the tilt is upside down.
+    #[inline(never)]
     fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) {
         let tuning = self.tuning;
         let difference = readings.rate_rad_s - self.nominal.gyroscope_bias_rad_s;
@@ -82,7 +127,7 @@ impl Kalman {
             let variance = square(tuning.stationary_rate_noise) / duration_s;
             self.measure_bias(difference, variance);
             self.rest_watch.begins = true;
-        } else if self.is_offset_wrong(readings, difference, duration_s) {
+        } else if self.is_offset_wrong(readings, difference) {
             self.await_restart_at_rest();
             return;
         }
@@ -108,19 +153,13 @@ impl Kalman {
             .update(&self.nominal, &self.stationary, self.tuning);
     }
 
-    fn is_offset_wrong(
-        &mut self,
-        readings: &StationaryReadings,
-        difference_rad_s: Vector3,
-        duration_s: f32,
-    ) -> bool {
-        let rest = NewRest {
-            mean_rate_rad_s: difference_rad_s,
-            rate_rad_s: self.nominal.rate_rad_s,
-            force_m_s2: readings.force_m_s2,
-            quiet_s: self.stationary.quiet_s(),
-        };
-        self.rest_watch.is_offset_wrong(&rest, duration_s)
+    fn is_offset_wrong(&mut self, readings: &StationaryReadings, difference: Vector3) -> bool {
+        self.rest_watch.is_offset_wrong(
+            difference,
+            self.nominal.rate_rad_s,
+            readings.force_m_s2,
+            self.stationary.quiet_s(),
+        )
     }
 
     /// Makes the next sample restart the filter from the readings at rest.
@@ -192,7 +231,7 @@ impl Kalman {
             // a start in motion, and a wrong tilt moves the bias by more than that.
             let is_known = *prior < square(KNOWN_BIAS_RAD_S);
             let least = if is_known { *prior } else { 0.02 * *prior };
-            let learned = (*prior - own).max(least);
+            let learned = larger(*prior - own, least);
             if square(bias) > square(self.tuning.prior_gate_sigma) * learned
                 && *prior < square(LARGEST_GYROSCOPE_BIAS_RAD_S)
                 && own < *prior * 1.5

@@ -96,6 +96,7 @@ pub use unseen::PAUSE_RATE_RAD_S;
 use super::filter::Filter;
 use super::sample::Sample;
 use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::arithmetic::{larger, square};
 use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 use consistency::Consistency;
@@ -107,7 +108,6 @@ use recent_velocity::RecentVelocity;
 use rest_watch::RestWatch;
 use slices::{CovarianceStep, Progress};
 use stationary::StationaryDetector;
-use tuning::square;
 use unseen::LONG_STEP_S;
 
 /// Largest σ of a known bias, per axis.
@@ -144,7 +144,7 @@ pub struct Kalman {
     delay_s: f32,
     /// Longest step that hides no motion.
     longest_step_s: f32,
-    /// Duration of the gyroscope's full-scale readings so far.
+    /// Duration of the present full-scale readings of any axis.
     saturated_s: f32,
     is_armed: bool,
     tilt: Tilt,
@@ -160,6 +160,8 @@ pub struct Kalman {
     /// Tilt variance that belongs to the nominal state while a covariance step is under way, both
     /// axes together, rad²: the step corrects the state last.
     held_tilt_rad2: f32,
+    /// Time without motion, s, until which the specific force was steady.
+    steady_until_s: f32,
     nominal: NominalState,
     interval: Interval,
     stationary: StationaryDetector,
@@ -203,13 +205,13 @@ impl Filter for Kalman {
     }
 
     fn start(&mut self, sample: &Sample, shows_gravity: bool) {
-        self.start_from(sample, shows_gravity);
+        self.start_from(sample, shows_gravity && !sample.is_force_saturated);
     }
 
     #[inline]
     fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
-        if self.tilt != Tilt::Known && shows_gravity {
-            self.start(sample, true);
+        if self.tilt != Tilt::Known && shows_gravity && !sample.is_force_saturated {
+            self.start_from(sample, true);
             return;
         }
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
@@ -297,6 +299,7 @@ impl Kalman {
             next_axis: 0,
             next_parameter: 0,
             held_tilt_rad2: 0.0,
+            steady_until_s: 0.0,
         };
         let priors = filter.parameter_priors();
         filter.step.covariance.reset_parameters(&priors);
@@ -347,8 +350,13 @@ impl Kalman {
         *east += step.gained_m_s.y;
         interval.duration_s += step.duration_s;
         interval.squared_rate += step.rotation_rad.dot(step.rotation_rad) / step.duration_s;
-        self.stationary
-            .update(rate_rad_s, force_m_s2, step.duration_s, self.tuning);
+        self.stationary.update(
+            rate_rad_s,
+            force_m_s2,
+            step.velocity_m_s,
+            step.duration_s,
+            self.tuning,
+        );
         let is_due = self.interval.duration_s >= self.tuning.covariance_period_s;
         self.has_work |= is_due && self.tilt == Tilt::Known;
     }
@@ -398,7 +406,7 @@ impl Kalman {
             return;
         }
         let [x, y, z] = self.prior.variance;
-        let is_measured = self.has_rested || x.max(y).max(z) < square(KNOWN_BIAS_RAD_S);
+        let is_measured = self.has_rested || larger(larger(x, y), z) < square(KNOWN_BIAS_RAD_S);
         self.is_bias_known = is_measured && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
     }
 
@@ -448,7 +456,7 @@ impl Kalman {
     fn largest_bias_variance(&self) -> f32 {
         let covariance = &self.step.covariance;
         let [x, y, z] = [0, 1, 2].map(|axis| covariance.parameter_variance(axis));
-        x.max(y).max(z)
+        larger(larger(x, y), z)
     }
 
     /// Returns the accelerometer bias, m/s² in body axes.
@@ -473,7 +481,7 @@ impl Kalman {
             let covariance = &self.step.covariance;
             covariance.parameter_variance(GYROSCOPE_PARAMETERS + axis)
         };
-        let is_certain = 2.0 * variance(0).max(variance(1)) < square(self.accelerometer_m_s2);
+        let is_certain = 2.0 * larger(variance(0), variance(1)) < square(self.accelerometer_m_s2);
         let bias = self.nominal.accelerometer_bias_m_s2;
         is_certain.then(|| Vector3::new(bias.x, bias.y, 0.0))
     }
@@ -530,9 +538,10 @@ impl Kalman {
         visitor.index(&mut next_parameter, PARAMETERS);
         self.next_parameter = next_parameter as u8;
         visitor.f32(&mut self.held_tilt_rad2);
+        visitor.f32(&mut self.steady_until_s);
     }
 }
 
 fn sigma(variance: f32) -> f32 {
-    libm::sqrtf(variance.max(0.0))
+    libm::sqrtf(larger(variance, 0.0))
 }

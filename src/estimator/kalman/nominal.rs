@@ -9,6 +9,7 @@ use super::tuning::{
     LARGEST_ACCELEROMETER_BIAS_M_S2, LARGEST_GYROSCOPE_BIAS_RAD_S, LARGEST_MATRIX_ERROR,
 };
 use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::arithmetic::larger;
 use crate::serialize::StateVisitor;
 
 const IDENTITY: [Vector3; 3] = [
@@ -52,6 +53,8 @@ pub(super) struct EarthStep {
     pub(super) duration_s: f32,
     /// Rotation during the step, body axes.
     pub(super) rotation_rad: Vector3,
+    /// Integral of the accelerometer's readings during the step, body axes.
+    pub(super) velocity_m_s: Vector3,
     /// Velocity gained during the step, without gravity's share removed: north, east, down.
     pub(super) gained_m_s: Vector3,
 }
@@ -174,7 +177,8 @@ impl NominalState {
             .multiply(Quaternion::from_rotation_vector(rotation_rad))
             .normalize();
         let [north, east, down] = rows_half_way(self.attitude, after);
-        let gained = self.gained_m_s - self.accelerometer_bias_m_s2.scale(t);
+        let velocity_m_s = self.gained_m_s;
+        let gained = velocity_m_s - self.accelerometer_bias_m_s2.scale(t);
         let gained_m_s = Vector3::new(north.dot(gained), east.dot(gained), down.dot(gained));
         transition.down_m_s += gained_m_s.z;
         let columns = [[north.x, east.x], [north.y, east.y], [north.z, east.z]];
@@ -198,6 +202,7 @@ impl NominalState {
         EarthStep {
             duration_s: t,
             rotation_rad,
+            velocity_m_s,
             gained_m_s,
         }
     }
@@ -257,7 +262,7 @@ fn rows_half_way(before: Quaternion, after: Quaternion) -> [Vector3; 3] {
         before.y + after.y,
         before.z + after.z,
     );
-    let s = 2.0 / (w * w + x * x + y * y + z * z).max(0.5);
+    let s = 2.0 / larger(w * w + x * x + y * y + z * z, 0.5);
     let (sx, sy, sz) = (s * x, s * y, s * z);
     [
         Vector3::new(1.0 - (y * sy + z * sz), x * sy - w * sz, x * sz + w * sy),

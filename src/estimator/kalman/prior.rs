@@ -1,8 +1,9 @@
 //! Information before the first sample: priors of the parameters, and the state of an earlier run.
 
 use super::propagation::GYROSCOPE_PARAMETERS;
-use super::tuning::{Tuning, square};
+use super::tuning::Tuning;
 use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;
 use crate::units::STANDARD_GRAVITY_M_S2;
 

@@ -1,6 +1,7 @@
 //! Recent speed of the vehicle, which sets the noise of the zero-velocity measurement.
 
-use super::tuning::{Tuning, square};
+use super::tuning::Tuning;
+use crate::estimator::arithmetic::{smaller, square};
 use crate::serialize::StateVisitor;
 
 /// Mean squared velocity of a vehicle that may have begun to move, (m/s)²: 1 m/s on each
@@ -33,7 +34,7 @@ impl RecentVelocity {
     /// begun to move.
     pub(super) fn kept(squared: f32, tuning: &Tuning) -> Self {
         let mut recent = Self {
-            squared: squared.min(square(2.0 * tuning.velocity_noise_limit)),
+            squared: smaller(squared, square(2.0 * tuning.velocity_noise_limit)),
             age_s: tuning.velocity_average_s,
             ..Self::NONE
         };
@@ -55,12 +56,12 @@ impl RecentVelocity {
             *smooth += share * (velocity - *smooth);
         }
         // A plain average at first, and an exponential one later.
-        self.age_s = (self.age_s + duration_s).min(tuning.velocity_average_s);
+        self.age_s = smaller(self.age_s + duration_s, tuning.velocity_average_s);
         let [north, east] = self.smooth_m_s;
         // A larger value would change nothing now, and the average would return slowly after a
         // knock.
         let limit = square(2.0 * tuning.velocity_noise_limit);
-        let squared = (square(north) + square(east)).min(limit);
+        let squared = smaller(square(north) + square(east), limit);
         self.squared += duration_s / (self.age_s + duration_s) * (squared - self.squared);
     }
 

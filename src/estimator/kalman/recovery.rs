@@ -5,9 +5,10 @@ use super::consistency::Consistency;
 use super::measurements::STATIONARY_FORCE_SHARE;
 use super::recent_velocity::RecentVelocity;
 use super::stationary::StationaryReadings;
-use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, square};
+use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::arithmetic::{smaller, square};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
 /// Time constant of the mean specific force that has to agree with gravity, s.
@@ -67,7 +68,7 @@ impl Kalman {
         if !is_gravity(force.dot(force)) {
             return false;
         }
-        let share = (interval.duration_s / RECOVERY_TIME_S).min(1.0);
+        let share = smaller(interval.duration_s / RECOVERY_TIME_S, 1.0);
         self.mean_force_m_s2 = self.mean_force_m_s2 + (force - self.mean_force_m_s2).scale(share);
         let mean = self.mean_force_m_s2;
         let squared = mean.dot(mean);
@@ -97,17 +98,18 @@ impl Kalman {
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
         let is_usable = (attitude.dot(attitude) - 1.0).abs() < 1.0e-3
             && bias_rad_s.is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);
-        if !is_usable {
-            self.reset();
-            return;
-        }
-        let sigma_rad_s = if self.is_bias_known {
-            KEPT_BIAS_RAD_S
-        } else {
-            self.tuning.gyroscope_bias_rad_s
+        let prior_rad_s = self.tuning.gyroscope_bias_rad_s;
+        let (bias_rad_s, sigma_rad_s) = match (is_usable, self.is_bias_known) {
+            (true, true) => (bias_rad_s, KEPT_BIAS_RAD_S),
+            (true, false) => (bias_rad_s, prior_rad_s),
+            (false, _) => (Vector3::ZERO, prior_rad_s),
         };
         self.recent = RecentVelocity::NONE;
         self.restart_with(bias_rad_s, sigma_rad_s, RECOVERED_TILT_RAD);
+        if !is_usable {
+            self.nominal.attitude = Quaternion::IDENTITY;
+            self.tilt = Tilt::Unknown;
+        }
     }
 }
 

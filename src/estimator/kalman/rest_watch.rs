@@ -9,8 +9,9 @@
 
 use super::nominal::NominalState;
 use super::stationary::StationaryDetector;
-use super::tuning::{Tuning, square};
+use super::tuning::Tuning;
 use crate::attitude::Vector3;
+use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
@@ -40,23 +41,12 @@ pub(super) struct RestWatch {
     force_m_s2: Vector3,
     /// Down at rest by the filter, body axes.
     down: Vector3,
-    /// Time for which steady readings have contradicted the offset, s.
-    contradicted_s: f32,
+    /// Time without motion, s, when the readings began to contradict the offset.
+    contradicted_from_s: f32,
+    /// The same, but for readings that have been steady besides.
+    steady_from_s: f32,
     /// Variance of the tilt that the watch adds, both axes together, rad².
     pub(super) variance_rad2: f32,
-}
-
-/// Readings of a new rest that contradict the offset.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct NewRest {
-    /// Mean rate, rad/s without the filter's bias.
-    pub(super) mean_rate_rad_s: Vector3,
-    /// Present rate, rad/s without the filter's bias.
-    pub(super) rate_rad_s: Vector3,
-    /// Mean specific force, m/s².
-    pub(super) force_m_s2: Vector3,
-    /// Time without motion, s.
-    pub(super) quiet_s: f32,
 }
 
 impl RestWatch {
@@ -65,7 +55,8 @@ impl RestWatch {
         begins: false,
         force_m_s2: Vector3::ZERO,
         down: Vector3::ZERO,
-        contradicted_s: 0.0,
+        contradicted_from_s: f32::INFINITY,
+        steady_from_s: f32::INFINITY,
         variance_rad2: 0.0,
     };
 
@@ -97,19 +88,32 @@ impl RestWatch {
         self.variance_rad2 = TURN_SHARE * turn.dot(turn);
     }
 
-    /// Adds a covariance step of a new rest whose readings contradict the offset. Returns
-    /// whether no motion explains them.
-    pub(super) fn is_offset_wrong(&mut self, rest: &NewRest, duration_s: f32) -> bool {
+    /// Adds a covariance step of a new rest whose readings contradict the offset, `quiet_s` after
+    /// the last motion. Returns whether no motion explains them.
+    ///
+    /// `mean_rate_rad_s` and `rate_rad_s` are the mean and the present rate without the filter's
+    /// bias.
+    #[inline(never)]
+    pub(super) fn is_offset_wrong(
+        &mut self,
+        mean_rate_rad_s: Vector3,
+        rate_rad_s: Vector3,
+        force_m_s2: Vector3,
+        quiet_s: f32,
+    ) -> bool {
         const HIDDEN: f32 = HIDDEN_TURN_RAD * STANDARD_GRAVITY_M_S2;
-        let change = rest.rate_rad_s - rest.mean_rate_rad_s;
-        self.contradicted_s = if change.dot(change) < square(NOISE_RATE_RAD_S) {
-            self.contradicted_s + duration_s
-        } else {
-            0.0
-        };
-        let moment = rest.mean_rate_rad_s.cross(rest.force_m_s2);
-        moment.dot(moment) * square(rest.quiet_s) > square(HIDDEN)
-            || self.contradicted_s > CERTAIN_S
+        if quiet_s < self.contradicted_from_s {
+            self.contradicted_from_s = quiet_s;
+            self.steady_from_s = quiet_s;
+        }
+        let change = rate_rad_s - mean_rate_rad_s;
+        if change.dot(change) > square(NOISE_RATE_RAD_S) {
+            self.steady_from_s = quiet_s;
+        }
+        // Before the contradiction the sensor rested, so only the time since then counts.
+        let moment = mean_rate_rad_s.cross(force_m_s2);
+        moment.dot(moment) * square(quiet_s - self.contradicted_from_s) > square(HIDDEN)
+            || quiet_s - self.steady_from_s > CERTAIN_S
     }
 
     /// Visits every field.
@@ -117,7 +121,8 @@ impl RestWatch {
         visitor.bool(&mut self.begins);
         visitor.vector(&mut self.force_m_s2);
         visitor.vector(&mut self.down);
-        visitor.f32(&mut self.contradicted_s);
+        visitor.f32(&mut self.contradicted_from_s);
+        visitor.f32(&mut self.steady_from_s);
         visitor.f32(&mut self.variance_rad2);
     }
 }

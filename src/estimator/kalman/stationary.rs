@@ -5,11 +5,18 @@
 
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, Tuning};
 use crate::attitude::Vector3;
+use crate::estimator::arithmetic::smaller;
 use crate::serialize::StateVisitor;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
 /// Time constant of the average to which readings are compared, s.
 const AVERAGING_TIME_S: f32 = 0.5;
+
+/// The same at the beginning of a time without motion, s: the average forgets the motion.
+const FORGETTING_TIME_S: f32 = 0.1;
+
+/// Length of that beginning, s.
+const FORGOTTEN_S: f32 = 0.25;
 
 /// Length of the plain average at the start, s. Until it is complete no reading counts as motion,
 /// because the sensor's low-pass filter still settles.
@@ -17,6 +24,9 @@ const FIRST_AVERAGE_S: f32 = 0.07;
 
 /// Time without motion after which the sensor is [still](StationaryDetector::is_still), s.
 const STILL_S: f32 = 0.3;
+
+/// Time without motion after which the average hardly contains what came before, s.
+pub(super) const SETTLED_S: f32 = 0.5;
 
 /// Largest error of the measured gravity, as a share of one g: 80 mg of offset and 3 % of scale
 /// (product specification §6.2).
@@ -37,6 +47,8 @@ pub(super) struct StationaryReadings {
 pub(super) struct StationaryDetector {
     average_rate_rad_s: Vector3,
     average_force_m_s2: Vector3,
+    /// The average when it had settled.
+    first_force_m_s2: Vector3,
     /// Time without motion, s. During the first average it is minus the average's length so far.
     quiet_s: f32,
 }
@@ -47,6 +59,7 @@ impl StationaryDetector {
         Self {
             average_rate_rad_s: Vector3::ZERO,
             average_force_m_s2: Vector3::ZERO,
+            first_force_m_s2: Vector3::ZERO,
             quiet_s: 0.0,
         }
     }
@@ -56,6 +69,7 @@ impl StationaryDetector {
         *self = Self {
             average_rate_rad_s: rate_rad_s,
             average_force_m_s2: force_m_s2,
+            first_force_m_s2: force_m_s2,
             quiet_s: -f32::MIN_POSITIVE,
         };
     }
@@ -65,11 +79,13 @@ impl StationaryDetector {
         self.average_rate_rad_s = self.average_rate_rad_s + change_rad_s;
     }
 
-    /// Adds a sample's readings, `duration_s` after the last ones.
+    /// Adds a sample's readings, `duration_s` after the last ones, and the integral of the specific
+    /// force over that time, m/s in body axes.
     pub(super) fn update(
         &mut self,
         rate_rad_s: Vector3,
         force_m_s2: Vector3,
+        velocity_m_s: Vector3,
         duration_s: f32,
         tuning: &Tuning,
     ) {
@@ -78,24 +94,34 @@ impl StationaryDetector {
         let is_first_average = self.quiet_s < 0.0;
         let averaged_s = if is_first_average {
             duration_s - self.quiet_s
+        } else if self.quiet_s > 0.0 && self.quiet_s < FORGOTTEN_S {
+            FORGETTING_TIME_S
         } else {
             AVERAGING_TIME_S
         };
-        let share = (duration_s / averaged_s).min(1.0);
+        let share = smaller(duration_s / averaged_s, 1.0);
         self.average_rate_rad_s = self.average_rate_rad_s + rate.scale(share);
-        self.average_force_m_s2 = self.average_force_m_s2 + force.scale(share);
-        if is_first_average {
-            let is_complete = averaged_s >= FIRST_AVERAGE_S;
-            self.quiet_s = if is_complete { averaged_s } else { -averaged_s };
-            return;
-        }
+        let mean_force = velocity_m_s.scale(1.0 / duration_s) - self.average_force_m_s2;
+        self.average_force_m_s2 = self.average_force_m_s2 + mean_force.scale(share);
         let is_quiet = rate.dot(rate) < tuning.stationary_rate_rad_s * tuning.stationary_rate_rad_s
-            && force.dot(force) < tuning.stationary_force_m_s2 * tuning.stationary_force_m_s2;
-        self.quiet_s = if is_quiet {
+            && force.dot(force) + mean_force.dot(mean_force)
+                < tuning.stationary_force_m_s2 * tuning.stationary_force_m_s2;
+        self.quiet_s = if is_first_average {
+            let is_complete = averaged_s >= FIRST_AVERAGE_S;
+            if is_complete { averaged_s } else { -averaged_s }
+        } else if is_quiet {
             self.quiet_s + duration_s
         } else {
             0.0
         };
+        if self.quiet_s < SETTLED_S {
+            self.first_force_m_s2 = self.average_force_m_s2;
+        }
+    }
+
+    /// Returns the mean rate, rad/s in body axes, bias included.
+    pub(super) const fn average_rate_rad_s(&self) -> Vector3 {
+        self.average_rate_rad_s
     }
 
     /// Returns the mean specific force, m/s² in body axes.
@@ -110,7 +136,14 @@ impl StationaryDetector {
 
     /// Forgets the time without motion: the readings were no measurements.
     pub(super) const fn interrupt(&mut self) {
-        self.quiet_s = self.quiet_s.min(0.0);
+        self.quiet_s = smaller(self.quiet_s, 0.0);
+    }
+
+    /// Returns the square of the specific force's change in the time without motion, (m/s²)². While
+    /// the sensor turns, it drifts.
+    pub(super) fn squared_drift(&self) -> f32 {
+        let drift = self.average_force_m_s2 - self.first_force_m_s2;
+        drift.dot(drift)
     }
 
     /// Returns whether the readings have not changed for a third of a second.
@@ -140,6 +173,7 @@ impl StationaryDetector {
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.vector(&mut self.average_rate_rad_s);
         visitor.vector(&mut self.average_force_m_s2);
+        visitor.vector(&mut self.first_force_m_s2);
         visitor.f32(&mut self.quiet_s);
     }
 }

@@ -136,8 +136,3 @@ impl Default for Tuning {
         Self::DEFAULT
     }
 }
-
-#[inline]
-pub(super) const fn square(number: f32) -> f32 {
-    number * number
-}

@@ -1,7 +1,7 @@
 //! Unobserved motion: inflates the variances for pauses and full-scale readings.
 
-use super::tuning::square;
 use super::{Kalman, REPORTED_VARIANCE_SCALE, Tilt};
+use crate::estimator::arithmetic::{smaller, square};
 use crate::estimator::sample::Sample;
 use crate::units::radians;
 
@@ -27,9 +27,12 @@ pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
 const HIDDEN_SHARE: f32 = 0.2;
+/// Longest pause in a rest, s. In a longer one the body may have moved.
+const LONGEST_REST_PAUSE_S: f32 = 0.1;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
 const SATURATED_TILT: f32 = 0.25;
-/// Velocity variance per second of full-scale accelerometer readings, (m/s)²/s.
+/// Velocity variance per second of full-scale accelerometer readings, (m/s)²/s. Readings without
+/// a pause add the square of the velocity that they show.
 const SATURATED_VELOCITY: f32 = 100.0;
 
 impl Kalman {
@@ -42,7 +45,7 @@ impl Kalman {
     /// Returns the tilt variance per axis that a pause of this length adds, rad².
     pub fn pause_variance_rad2(&self, pause_s: f32) -> f32 {
         if pause_s > self.longest_step_s {
-            turn_variance(PAUSE_RATE_RAD_S, pause_s.min(LONGEST_PAUSE_S))
+            turn_variance(PAUSE_RATE_RAD_S, smaller(pause_s, LONGEST_PAUSE_S))
         } else {
             0.0
         }
@@ -59,6 +62,12 @@ impl Kalman {
                 self.recent.may_move();
             }
         }
+    }
+
+    /// Inflates the tilt by this variance per axis, rad²: a turn that a sample has shown, and that
+    /// may not have happened.
+    pub(crate) fn doubt_turn(&mut self, variance: f32) {
+        self.interval.unseen_tilt_rad2 += variance;
     }
 
     /// Makes the next specific force that shows gravity set the tilt, which is unknown until then.
@@ -85,30 +94,36 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) {
         let mut hidden_rad2 = self.pause_variance_rad2(dt_s);
+        let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let saturated_s = self.saturated_s;
-        if sample.is_rate_saturated {
+        self.saturated_s = 0.0;
+        if sample.is_rate_saturated || sample.is_force_saturated {
             self.saturated_s = saturated_s + dt_s;
-            let reading = sample.angular_rate_rad_s;
-            let hidden = square(HIDDEN_SHARE) * reading.dot(reading);
-            hidden_rad2 += hidden * (square(self.saturated_s) - square(saturated_s));
-            hidden_rad2 += SATURATED_TILT * dt_s;
+            let growth = square(self.saturated_s) - square(saturated_s);
+            if sample.is_rate_saturated {
+                let hidden = square(HIDDEN_SHARE) * rate.dot(rate);
+                hidden_rad2 += hidden * growth + SATURATED_TILT * dt_s;
+            }
+            if sample.is_force_saturated {
+                self.interval.unseen_velocity_m2_s2 +=
+                    force.dot(force) * growth + SATURATED_VELOCITY * dt_s;
+            }
         } else {
-            self.saturated_s = 0.0;
             let last = self.nominal.rate_rad_s;
             if square(HIDDEN_SHARE * saturated_s) * last.dot(last) > square(LOST_TILT_RAD) {
                 self.tilt = Tilt::Lost;
             }
         }
         self.inflate_tilt(hidden_rad2);
-        if sample.is_force_saturated {
-            self.interval.unseen_velocity_m2_s2 += SATURATED_VELOCITY * dt_s;
-        }
         if dt_s > LONG_STEP_S {
             let rate_rad_s = self.nominal.rate_of(sample.angular_rate_rad_s);
             let rate_change = rate_rad_s - self.nominal.rate_rad_s;
             let force_change = sample.specific_force_m_s2 - self.nominal.force_m_s2;
             self.interval.unseen_tilt_rad2 += rate_change.dot(rate_change) * square(0.25 * dt_s);
             if dt_s > self.longest_step_s {
+                if dt_s > LONGEST_REST_PAUSE_S {
+                    self.stationary.interrupt();
+                }
                 self.interval.unseen_velocity_m2_s2 +=
                     force_change.dot(force_change) * square(0.25 * dt_s);
                 self.nominal
