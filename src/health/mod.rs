@@ -13,7 +13,7 @@
 //! use aplomb::health::{Flags, Monitor};
 //!
 //! // Bandwidth in Hz, then the temperature scale of an MPU-6050.
-//! let mut monitor = Monitor::new(188, 1.0 / 340.0, 36.53);
+//! let mut monitor = Monitor::new(1_000.0, 188, 1.0 / 340.0, 36.53);
 //! assert_eq!(monitor.inspect(&[0xFF; 14], -1), Flags::REJECTED);
 //! ```
 

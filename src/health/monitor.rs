@@ -14,15 +14,16 @@ pub const LOST_TILT_RAD: f32 = radians(30.0);
 const COLDEST_CELSIUS: f32 = -40.0;
 const HOTTEST_CELSIUS: f32 = 85.0;
 
-/// Identical samples in a row that mean [`Flags::FROZEN`], for a low-pass filter of 98 Hz and more.
+/// Time of identical samples that means [`Flags::FROZEN`], for a low-pass filter of 98 Hz and more,
+/// s.
 ///
-/// With that bandwidth, a repetition of all six axes after 11 samples of noise (product
-/// specification §6.1 and §6.2) has a probability below one in 10,000. There are two such pairs
-/// here.
-const FROZEN_SAMPLES: u8 = 22;
-/// Identical samples in a row that mean [`Flags::FROZEN`], for narrower low-pass filters. With
-/// these, successive samples often repeat.
-const FROZEN_SAMPLES_NARROW: u8 = 99;
+/// With that bandwidth, a repetition of all six axes after 11 ms of noise (product specification
+/// §6.1 and §6.2) has a probability below one in 10,000. There are two such pairs here.
+const FROZEN_S: f32 = 0.022;
+/// The same for narrower low-pass filters. With these, successive samples often repeat.
+const FROZEN_NARROW_S: f32 = 0.099;
+/// Fewest identical samples of that time, where samples are rare: a board may read one twice.
+const FEWEST_FROZEN: u8 = 5;
 
 /// Monitor of the samples: sets the flags of an attitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,18 +39,24 @@ pub struct Monitor {
 }
 
 impl Monitor {
-    /// Creates a monitor for a sensor with this gyroscope bandwidth (Hz) and temperature scale
-    /// (°C).
-    pub fn new(bandwidth_hz: u16, celsius_per_count: f32, celsius_at_zero: f32) -> Self {
+    /// Creates a monitor for a sensor with this sample rate (Hz), gyroscope bandwidth (Hz) and
+    /// temperature scale (°C).
+    pub fn new(
+        sample_rate_hz: f32,
+        bandwidth_hz: u16,
+        celsius_per_count: f32,
+        celsius_at_zero: f32,
+    ) -> Self {
+        let frozen_s = if bandwidth_hz >= 98 {
+            FROZEN_S
+        } else {
+            FROZEN_NARROW_S
+        };
         let counts = |celsius: f32| ((celsius - celsius_at_zero) / celsius_per_count) as i16;
         Self {
             last: Fingerprint::default(),
             repetitions: 0,
-            frozen_samples: if bandwidth_hz >= 98 {
-                FROZEN_SAMPLES
-            } else {
-                FROZEN_SAMPLES_NARROW
-            },
+            frozen_samples: ((frozen_s * sample_rate_hz) as u8).max(FEWEST_FROZEN),
             coldest_counts: counts(COLDEST_CELSIUS),
             hottest_counts: counts(HOTTEST_CELSIUS),
             was_still: false,
@@ -174,7 +181,7 @@ mod tests {
 
     /// Creates a monitor with the MPU-6050's scale: 340 counts per °C, 36.53 °C at zero.
     fn monitor(bandwidth_hz: u16) -> Monitor {
-        Monitor::new(bandwidth_hz, 1.0 / 340.0, 36.53)
+        Monitor::new(1_000.0, bandwidth_hz, 1.0 / 340.0, 36.53)
     }
 
     #[test]
@@ -192,6 +199,24 @@ mod tests {
             }
             bytes[0] ^= 1;
             assert!(monitor.inspect(&bytes, 0).is_empty());
+        }
+    }
+
+    #[test]
+    fn data_are_frozen_after_the_same_time_at_any_rate() {
+        for (rate_hz, bandwidth_hz, limit) in [
+            (500.0, 188, 11),
+            (200.0, 98, 5),
+            (100.0, 98, 5),
+            (100.0, 42, 9),
+            (10.0, 42, 5),
+        ] {
+            let mut monitor = Monitor::new(rate_hz, bandwidth_hz, 1.0 / 340.0, 36.53);
+            monitor.inspect(&[7; 14], 0);
+            for repetition in 1..=20 {
+                let is_frozen = monitor.inspect(&[7; 14], 0).contains(Flags::FROZEN);
+                assert_eq!(is_frozen, repetition >= limit, "{rate_hz}: {repetition}");
+            }
         }
     }
 

@@ -68,6 +68,7 @@ impl<F: Filter> ClassicPipeline<F> {
             settings: *settings,
             alignment: Alignment::new(settings, stored.offset_rad_s),
             monitor: Monitor::new(
+                sensor.sample_rate_hz(),
                 sensor.low_pass.gyroscope_bandwidth_hz(),
                 temperature.celsius_per_count,
                 temperature.celsius_at_zero,

@@ -95,6 +95,7 @@ impl Pipeline {
         let sensor = &settings.sensor;
         let temperature = settings.part.temperature;
         let monitor = Monitor::new(
+            sensor.sample_rate_hz(),
             sensor.low_pass.gyroscope_bandwidth_hz(),
             temperature.celsius_per_count,
             temperature.celsius_at_zero,
@@ -177,14 +178,15 @@ impl Pipeline {
         flags |= self.vibration.update(&sample.specific_force_m_s2);
         self.unseen
             .inflate(&mut self.estimator, &self.sample, sample, flags);
-        self.sample = *sample;
         let estimate = self.estimator.update(sample);
         if !estimate.issues.is_empty() {
             flags |= flags_of(estimate.issues);
             if estimate.issues.contains(Issues::RATE_JUMP) {
                 self.monitor.require_scale_check();
+                unseen::doubt_jump(&mut self.estimator, &self.sample, sample);
             }
         }
+        self.sample = *sample;
         if !estimate.is_bias_known {
             let is_still = self.estimator.filter().is_still();
             flags |= self.monitor.calibrating(is_still);

@@ -8,7 +8,7 @@ use crate::calibration::{
 };
 use crate::health::LOST_TILT_RAD;
 use crate::mpu6050::{AccelerometerCounts, Config, GyroscopeCounts, Part};
-use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+use crate::units::{STANDARD_GRAVITY_M_S2, degrees, radians};
 
 /// Returns the burst of body-axis values (m/s², °/s) from a sensor in this mount at ±16 g and
 /// ±2000 °/s.
@@ -606,6 +606,30 @@ fn a_gyroscope_stuck_at_full_scale_gives_no_valid_attitude() {
             let is_valid = snapshot.flags.contains(Flags::VALID);
             assert!(error < allowed || !is_valid, "{step}: {error} {sigma}");
             assert!(is_valid || step < milliseconds + 10, "{step}");
+        }
+    }
+}
+
+/// Bits that flip on the bus: the filter turns by a rate that never was.
+#[test]
+fn sigma_covers_a_false_jump_of_the_rate() {
+    for (step_us, sigma_deg) in [(1_000, 1.5..4.0), (10_000, 8.0..15.0)] {
+        let (mut pipeline, t_us) = settled();
+        for step in 1..5 {
+            let mut burst = noisy(t_us + step * step_us, LEVEL);
+            let mut raw = RawSample::decode(&burst.bytes);
+            // 1,000 °/s for one sample.
+            raw.gyroscope.0[1] += if step == 1 { 16_384 } else { 0 };
+            burst.bytes = raw.encode();
+            let snapshot = update(&mut pipeline, &burst);
+            let error = degrees(libm::acosf(snapshot.attitude.down_in_body().z.min(1.0)));
+            let sigma = degrees(snapshot.tilt_sigma_rad());
+            if step == 1 {
+                assert!(!snapshot.flags.contains(Flags::VALID));
+            } else {
+                let is_covered = error < sigma && sigma_deg.contains(&sigma);
+                assert!(is_covered, "{step} of {step_us}: {error} {sigma}");
+            }
         }
     }
 }

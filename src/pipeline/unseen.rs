@@ -4,6 +4,7 @@
 //! Frozen data count as a pause: the filter does not get them.
 
 use crate::attitude::Vector3;
+use crate::estimator::arithmetic::square;
 use crate::estimator::kalman::Kalman;
 use crate::estimator::{Estimator, Sample};
 use crate::health::Flags;
@@ -22,6 +23,8 @@ const BLOW_S: f32 = 10.0e-3;
 const BLOW_SHARE: f32 = 0.2;
 /// Largest rate that a sensor of this family reads, with a margin, rad/s.
 const LARGEST_RATE_RAD_S: f32 = 100.0;
+/// Longest step to a jump of the rate, µs. The filter itself doubts the rate in a longer one.
+const LONGEST_JUMP_US: u32 = 15_000;
 /// Hidden turn from which on gravity shows the tilt better, rad: 1.5 σ of a start.
 const LOST_TURN_RAD: f32 = 0.3;
 
@@ -148,6 +151,25 @@ impl UnseenMotion {
     }
 }
 
+/// Inflates the tilt for a jump of the rate since the sample before: the filter has turned by it,
+/// and it may be false.
+#[cold]
+#[inline(never)]
+pub(super) fn doubt_jump(estimator: &mut Estimator, last: &Sample, sample: &Sample) {
+    let step_us = sample.t_us.wrapping_sub(last.t_us) as u32;
+    if step_us <= LONGEST_JUMP_US {
+        let step_s = step_us as f32 * SECONDS_PER_MICROSECOND;
+        let change = sample.angular_rate_rad_s - last.angular_rate_rad_s;
+        let turn_rad2 = change.dot(change) * square(step_s);
+        let filter = estimator.filter_mut();
+        if turn_rad2 > square(LOST_TURN_RAD) {
+            filter.lose_tilt();
+        } else {
+            filter.doubt_turn(turn_rad2);
+        }
+    }
+}
+
 /// Inflates the tilt for a hidden turn of this variance per axis, rad². After a large one gravity
 /// shows the tilt better.
 fn hide_turn(filter: &mut Kalman, turn_rad2: f32) {
@@ -156,8 +178,4 @@ fn hide_turn(filter: &mut Kalman, turn_rad2: f32) {
     } else {
         filter.inflate_tilt(turn_rad2);
     }
-}
-
-fn square(number: f32) -> f32 {
-    number * number
 }
