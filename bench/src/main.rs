@@ -34,6 +34,8 @@ mod starts;
 mod steps;
 mod throughput;
 #[cfg(test)]
+mod turns;
+#[cfg(test)]
 mod valid;
 mod vibration;
 

@@ -4,6 +4,7 @@
 //! - [`quadrotor`]: a simulated flight with physics, by seed;
 //! - [`poses`]: a body that is laid down in one pose after the other, as a calibration asks for it;
 //! - [`rest`]: a body that stands still, or is nudged once: for tests with closed-form answers;
+//! - [`slow_turn`]: a body that turns slowly and steadily, which looks like rest;
 //! - [`swing`]: a body that swings to and fro, and motions that begin later: for short flights;
 //! - [`vibration`]: the vibration of a vehicle, on top of any of them.
 //!
@@ -17,6 +18,7 @@ pub mod poses;
 pub mod quadrotor;
 pub mod rest;
 pub mod route;
+pub mod slow_turn;
 pub mod swing;
 pub mod truth;
 pub mod turn;

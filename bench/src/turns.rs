@@ -1,0 +1,53 @@
+//! Slow, steady turns: readings that look like those of rest. The attitude must not be `VALID` and
+//! wrong, and a gyroscope bias that a rest has shown stays known.
+
+use aplomb::health::BoardFlags;
+use aplomb::mpu6050::{Burst, Part};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb_models::motion::slow_turn::SlowTurn;
+use aplomb_models::motion::truth::up_in_body;
+use aplomb_recordings::simulated::samples;
+
+use crate::parallel;
+use crate::valid::Judged;
+
+const SECONDS: u64 = 36;
+
+/// Returns the `VALID` samples, and those of them that were wrong, as shares of all.
+fn valid_and_wrong(seed: u64, from_s: f64) -> [f64; 2] {
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let (mut judged, mut valid, mut wrong) = (0, 0, 0);
+    for simulated in samples(Box::new(SlowTurn::by_seed(seed, from_s)), seed, SECONDS) {
+        let burst = Burst {
+            bytes: simulated.raw.encode(),
+            captured_at_us: simulated.t_us,
+            missed_before: 0,
+        };
+        let snapshot = pipeline.update(&burst, BoardFlags::empty());
+        let Some(attitude) = simulated.truth.attitude else {
+            continue;
+        };
+        let result = Judged::new(&snapshot, up_in_body(attitude));
+        judged += 1;
+        valid += u32::from(result.is_valid);
+        wrong += u32::from(result.is_wrong);
+    }
+    [valid, wrong].map(|count| f64::from(count) / f64::from(judged))
+}
+
+#[test]
+fn a_slow_turn_is_no_rest() {
+    // The turn's begin, and the least share of the time for which the attitudes are `VALID`.
+    // Without a rest before it there is no known bias until the turn has ended.
+    const BEGINS: [(f64, f64); 3] = [(2.0, 0.95), (0.4, 0.75), (-8.0, 0.5)];
+    // Seeds that nothing was tuned on.
+    let seeds: Vec<u64> = (830_000..830_100).collect();
+    for (from_s, least_valid) in BEGINS {
+        let turns = parallel::map(&seeds, |seed| valid_and_wrong(*seed, from_s));
+        let wrong = turns.iter().filter(|[_, wrong]| *wrong > 0.0).count();
+        let valid = turns.iter().map(|[valid, _]| valid).sum::<f64>() / turns.len() as f64;
+        println!("from {from_s} s on: {wrong} VALID and wrong, {valid:.3} VALID");
+        assert_eq!(wrong, 0, "from {from_s} s on");
+        assert!(valid > least_valid, "from {from_s} s on: {valid}");
+    }
+}
