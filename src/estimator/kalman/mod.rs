@@ -51,6 +51,9 @@
 //!   neither runs while armed. If the first rest contradicts the state reached in motion, the
 //!   filter restarts at that rest. So it does if the first rest finds the tilt too uncertain, or
 //!   any rest finds it upside down.
+//! - A slow, steady turn reads like a rest, but gravity turns in the body. A rest ends when the
+//!   specific force drifts by 0.6°. If it has drifted from the rest's beginning on, and the
+//!   gyroscope shows no turn, then the bias was measured in the turn, and is unknown again.
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show.
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
@@ -60,6 +63,8 @@
 //!   In motion, a large bias about the vertical can mislead the filter, and its σ too.
 //! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
 //!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
+//! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
+//!   Gravity does not show it.
 //! - Unsolved: after a start in motion, a bias of 20 °/s about the vertical takes over half a
 //!   minute, or is not found, because yaw is not observed. The bias stays unknown until the first
 //!   rest.
