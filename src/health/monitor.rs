@@ -20,7 +20,7 @@ const HOTTEST_CELSIUS: f32 = 85.0;
 /// With that bandwidth, a repetition of all six axes after 11 ms of noise (product specification
 /// §6.1 and §6.2) has a probability below one in 10,000. There are two such pairs here.
 const FROZEN_S: f32 = 0.022;
-/// The same for narrower low-pass filters. With these, successive samples often repeat.
+/// Time of identical samples for narrower low-pass filters, s: successive samples often repeat.
 const FROZEN_NARROW_S: f32 = 0.099;
 /// Fewest identical samples of that time, where samples are rare: a board may read one twice.
 const FEWEST_FROZEN: u8 = 5;

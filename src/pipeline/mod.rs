@@ -183,7 +183,7 @@ impl Pipeline {
             flags |= flags_of(estimate.issues);
             if estimate.issues.contains(Issues::RATE_JUMP) {
                 self.monitor.require_scale_check();
-                unseen::doubt_jump(&mut self.estimator, &self.sample, sample);
+                unseen::inflate_jump(&mut self.estimator, &self.sample, sample);
             }
         }
         self.sample = *sample;

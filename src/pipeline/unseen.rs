@@ -23,7 +23,8 @@ const BLOW_S: f32 = 10.0e-3;
 const BLOW_SHARE: f32 = 0.2;
 /// Largest rate that a sensor of this family reads, with a margin, rad/s.
 const LARGEST_RATE_RAD_S: f32 = 100.0;
-/// Longest step to a jump of the rate, µs. The filter itself doubts the rate in a longer one.
+/// Longest step to a jump of the rate, µs. A longer one is a pause: the filter itself adds the
+/// change of the rate to σ.
 const LONGEST_JUMP_US: u32 = 15_000;
 /// Hidden turn from which on gravity shows the tilt better, rad: 1.5 σ of a start.
 const LOST_TURN_RAD: f32 = 0.3;
@@ -155,7 +156,7 @@ impl UnseenMotion {
 /// and it may be false.
 #[cold]
 #[inline(never)]
-pub(super) fn doubt_jump(estimator: &mut Estimator, last: &Sample, sample: &Sample) {
+pub(super) fn inflate_jump(estimator: &mut Estimator, last: &Sample, sample: &Sample) {
     let step_us = sample.t_us.wrapping_sub(last.t_us) as u32;
     if step_us <= LONGEST_JUMP_US {
         let step_s = step_us as f32 * SECONDS_PER_MICROSECOND;
@@ -165,7 +166,7 @@ pub(super) fn doubt_jump(estimator: &mut Estimator, last: &Sample, sample: &Samp
         if turn_rad2 > square(LOST_TURN_RAD) {
             filter.lose_tilt();
         } else {
-            filter.doubt_turn(turn_rad2);
+            filter.inflate_turn(turn_rad2);
         }
     }
 }

@@ -24,8 +24,8 @@ pub struct SlowTurn {
 }
 
 impl SlowTurn {
-    /// A turn at 1 to 60 °/s that begins at `from_s` (before zero: it is under way at power-up), and
-    /// ends between 4 s and 28 s. Seven of ten axes are within 30° of the vertical.
+    /// A turn at 1 to 60 °/s that begins at `from_s` (before zero: it is under way at power-up),
+    /// and ends between 4 s and 28 s. Seven of ten axes are within 30° of the vertical.
     #[must_use]
     pub fn by_seed(seed: u64, from_s: f64) -> Self {
         let mut random = Random::new(seed, "slow turn");

@@ -101,8 +101,8 @@ impl Kalman {
         self.nominal.start(rate, force);
     }
 
-    /// Takes the tilt from the specific force, body axes, unless an earlier run has kept it. Without
-    /// gravity the tilt stays unknown.
+    /// Takes the tilt from the specific force, body axes, unless an earlier run has kept it.
+    /// Without gravity the tilt stays unknown.
     fn start_tilt(&mut self, force: Vector3, shows_gravity: bool) {
         match self.tilt {
             Tilt::Resumed => {

@@ -43,7 +43,7 @@ pub(super) struct RestWatch {
     down: Vector3,
     /// Time without motion, s, when the readings began to contradict the offset.
     contradicted_from_s: f32,
-    /// The same, but for readings that have been steady besides.
+    /// Time without motion, s, when readings that are steady too began to contradict the offset.
     steady_from_s: f32,
     /// Variance of the tilt that the watch adds, both axes together, rad².
     pub(super) variance_rad2: f32,

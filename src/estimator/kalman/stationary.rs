@@ -12,7 +12,7 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 /// Time constant of the average to which readings are compared, s.
 const AVERAGING_TIME_S: f32 = 0.5;
 
-/// The same at the beginning of a time without motion, s: the average forgets the motion.
+/// Time constant at the beginning of a time without motion, s: the average forgets the motion.
 const FORGETTING_TIME_S: f32 = 0.1;
 
 /// Length of that beginning, s.
@@ -139,8 +139,8 @@ impl StationaryDetector {
         self.quiet_s = smaller(self.quiet_s, 0.0);
     }
 
-    /// Returns the square of the specific force's change in the time without motion, (m/s²)². While
-    /// the sensor turns, it drifts.
+    /// Returns the square of the specific force's change in the time without motion, (m/s²)².
+    /// While the sensor turns, the force drifts.
     pub(super) fn squared_drift(&self) -> f32 {
         let drift = self.average_force_m_s2 - self.first_force_m_s2;
         drift.dot(drift)

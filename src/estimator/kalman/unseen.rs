@@ -66,7 +66,7 @@ impl Kalman {
 
     /// Inflates the tilt by this variance per axis, rad²: a turn that a sample has shown, and that
     /// may not have happened.
-    pub(crate) fn doubt_turn(&mut self, variance: f32) {
+    pub(crate) fn inflate_turn(&mut self, variance: f32) {
         self.interval.unseen_tilt_rad2 += variance;
     }
 
