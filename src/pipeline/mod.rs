@@ -186,7 +186,9 @@ impl Pipeline {
                 unseen::inflate_jump(&mut self.estimator, &self.sample, sample);
             }
         }
-        self.sample = *sample;
+        if !flags.contains(Flags::REJECTED) {
+            self.sample = *sample;
+        }
         if !estimate.is_bias_known {
             let is_still = self.estimator.filter().is_still();
             flags |= self.monitor.calibrating(is_still);

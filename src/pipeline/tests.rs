@@ -634,6 +634,25 @@ fn sigma_covers_a_false_jump_of_the_rate() {
     }
 }
 
+#[test]
+fn no_rejected_sample_is_the_last_measurement() {
+    let (mut pipeline, t_us) = settled();
+    let usual = *pipeline.sample();
+    let next = |rate_rad_s: f32, step: u64| Sample {
+        t_us: t_us + 1_000 * step,
+        angular_rate_rad_s: Vector3::new(rate_rad_s, 0.0, 0.0),
+        ..usual
+    };
+    for rate_rad_s in [f32::NAN, f32::INFINITY, 2.0e32] {
+        let snapshot = pipeline.update_sample(&next(rate_rad_s, 1));
+        assert!(snapshot.flags.contains(Flags::REJECTED));
+        assert_eq!(*pipeline.sample(), usual);
+    }
+    // A jump of the rate is judged by the last measurement.
+    let jump = pipeline.update_sample(&next(20.0, 2));
+    assert!(jump.tilt_sigma_rad() > 0.0, "{}", jump.tilt_sigma_rad());
+}
+
 /// A sensor that repeats its registers for three seconds.
 #[test]
 fn frozen_data_measure_no_offset() {
