@@ -48,10 +48,17 @@ enum Kind {
     /// The readings repeat, and an axis of the gyroscope reads 300 °/s: as much as a self-test
     /// that a flipped register has switched on.
     FrozenFalse(usize),
+    /// An axis of the gyroscope repeats its value.
+    StuckRate(usize),
+    /// An axis of the accelerometer repeats its value.
+    StuckForce(usize),
 }
 
 /// Gyroscope counts of 300 °/s at the default range, 16.4 LSB/(°/s).
 const FALSE_COUNTS: i16 = 4_920;
+
+/// Longest time from a motion to the flag of an axis that is stuck, µs: two windows.
+const STUCK_US: u64 = 260_000;
 
 /// Interruption of a motion.
 #[derive(Debug)]
@@ -107,6 +114,8 @@ impl Interruption {
                 arrives = *last;
                 arrives.gyroscope.0[axis] = signed(FALSE_COUNTS);
             }
+            Kind::StuckRate(axis) => arrives.gyroscope.0[axis] = last.gyroscope.0[axis],
+            Kind::StuckForce(axis) => arrives.accelerometer.0[axis] = last.accelerometer.0[axis],
         }
         Some(arrives)
     }
@@ -166,8 +175,15 @@ fn interrupt(
         };
         let snapshot = pipeline.update(&burst, board);
         // The truth begins at take-off. A false rate is believed for up to 22 samples, until the
-        // data are flagged as frozen.
-        let Some(up) = up.filter(|_| !is_flipped) else {
+        // data are flagged as frozen. So is a stuck axis, for up to two windows.
+        let is_believed = match interruption.kind {
+            Kind::FrozenFalse(_) => is_flipped,
+            Kind::StuckRate(_) | Kind::StuckForce(_) => {
+                (interruption.from_us..interruption.from_us + STUCK_US).contains(&t_us)
+            }
+            _ => false,
+        };
+        let Some(up) = up.filter(|_| !is_believed) else {
             continue;
         };
         let judged = Judged::new(&snapshot, up);
@@ -194,6 +210,17 @@ fn an_interruption_in_flight_keeps_the_promise() {
         (Kind::PauseAndForce(2), [0.55, 2.0]),
         (Kind::BitErrors(0.02), [0.5, 10.0]),
         (Kind::BitErrors(0.3), [0.02, 3.0]),
+    ];
+    keep_the_promise(&KINDS, 0);
+}
+
+#[test]
+fn a_stuck_axis_in_flight_keeps_the_promise() {
+    const KINDS: [(Kind, [f64; 2]); 4] = [
+        (Kind::StuckRate(0), [0.3, 10.0]),
+        (Kind::StuckRate(2), [0.3, 10.0]),
+        (Kind::StuckForce(0), [0.3, 10.0]),
+        (Kind::StuckForce(2), [0.3, 10.0]),
     ];
     keep_the_promise(&KINDS, 0);
 }

@@ -37,8 +37,8 @@ bitflags::bitflags! {
         const ACCELEROMETER_SATURATED = 1 << 6;
         /// The specific force is too small to show where down is. Only the gyroscope was used.
         const FREE_FALL = 1 << 7;
-        /// The data repeat to the last bit: the sensor sleeps, or the bus returns a stuck level.
-        /// The attitude is held.
+        /// The data repeat to the last bit: the sensor sleeps, or the bus returns a stuck level. Or
+        /// one axis repeats its value while another moves. The attitude is held.
         const FROZEN = 1 << 8;
         /// The sample was not a measurement and was ignored.
         const REJECTED = 1 << 9;

@@ -4,7 +4,7 @@
 //! its own σ. Therefore σ grows while samples are missing. An attitude loses `VALID` whenever a
 //! wrong sample could pass for a right one:
 //!
-//! - the sample is no measurement, or the data are frozen;
+//! - the sample is no measurement, the data are frozen, or an axis is stuck;
 //! - the temperature is outside the part's range;
 //! - the rates could come from a changed full scale, which has not been read back yet;
 //! - the gyroscope's offset is unknown.
@@ -21,6 +21,7 @@ mod flags;
 mod measurement;
 mod monitor;
 mod report;
+mod stuck_axis;
 mod vibration;
 
 pub use flags::{BoardFlags, Flags, UnknownFlag};

@@ -1,6 +1,7 @@
 //! Checks the bytes of each sample, and decides whether its attitude is valid.
 
 use super::flags::Flags;
+use super::stuck_axis::StuckAxis;
 use crate::serialize::StateVisitor;
 use crate::units::radians;
 
@@ -32,6 +33,7 @@ pub struct Monitor {
     last: Fingerprint,
     repetitions: u8,
     frozen_samples: u8,
+    stuck_axis: StuckAxis,
     coldest_counts: i16,
     hottest_counts: i16,
     was_still: bool,
@@ -57,6 +59,7 @@ impl Monitor {
             last: Fingerprint::default(),
             repetitions: 0,
             frozen_samples: ((frozen_s * sample_rate_hz) as u8).max(FEWEST_FROZEN),
+            stuck_axis: StuckAxis::new(sample_rate_hz, bandwidth_hz),
             coldest_counts: counts(COLDEST_CELSIUS),
             hottest_counts: counts(HOTTEST_CELSIUS),
             was_still: false,
@@ -80,12 +83,19 @@ impl Monitor {
         } else {
             self.last = fingerprint;
             self.repetitions = 0;
+            self.stuck_axis.update(bytes);
         }
         flags.set(Flags::REJECTED, fingerprint.is_blank());
-        flags.set(Flags::FROZEN, self.repetitions >= self.frozen_samples);
+        let is_frozen = self.repetitions >= self.frozen_samples;
+        flags.set(Flags::FROZEN, is_frozen || self.has_stuck_axis());
         let range = self.coldest_counts..=self.hottest_counts;
         flags.set(Flags::TEMPERATURE, !range.contains(&temperature_counts));
         flags
+    }
+
+    /// Returns whether one axis is frozen, and not the whole sample.
+    pub const fn has_stuck_axis(&self) -> bool {
+        self.stuck_axis.is_stuck()
     }
 
     /// Adds [`Flags::MOVED`] when the sensor begins to move before its offset is known.
@@ -139,6 +149,7 @@ impl Monitor {
         visitor.u64(&mut self.last.last);
         visitor.u8(&mut self.repetitions);
         visitor.u8(&mut self.frozen_samples);
+        self.stuck_axis.visit_state(visitor);
         visitor.i16(&mut self.coldest_counts);
         visitor.i16(&mut self.hottest_counts);
         visitor.bool(&mut self.was_still);

@@ -207,6 +207,10 @@ impl Pipeline {
     #[inline(never)]
     fn skip(&mut self, t_us: u64, mut flags: Flags) -> Snapshot {
         self.unseen.skip(flags);
+        if self.monitor.has_stuck_axis() {
+            // It has turned the attitude wrongly for a while.
+            self.kalman_mut().lose_tilt();
+        }
         flags.set(Flags::CALIBRATING, !self.kalman().is_bias_known());
         self.hold(t_us, flags)
     }

@@ -516,13 +516,15 @@ fn settled_with(settings: &Settings, force_m_s2: Vector3) -> (Pipeline, u64) {
 
 /// Returns a burst without rotation, never equal to the previous one.
 fn noisy(t_us: u64, force_m_s2: Vector3) -> Burst {
-    let noise = 0.06 * (t_us / 1000 % 2) as f32;
-    burst(Mount::Z_UP, t_us, force_m_s2, Vector3::new(noise, 0.0, 0.0))
+    with_noise(burst(Mount::Z_UP, t_us, force_m_s2, Vector3::ZERO))
 }
 
-/// Changes the lowest bit of every other burst, because no sensor repeats its readings.
+/// Changes the lowest bit of each axis at times of its own, because no sensor repeats its readings.
 fn with_noise(mut burst: Burst) -> Burst {
-    burst.bytes[13] ^= u8::from((burst.captured_at_us / 1000).is_multiple_of(2));
+    let milliseconds = burst.captured_at_us / 1000;
+    for (place, period) in [(1, 3), (3, 4), (5, 6), (9, 7), (11, 9), (13, 2)] {
+        burst.bytes[place] ^= u8::from(milliseconds.is_multiple_of(period));
+    }
     burst
 }
 
@@ -587,7 +589,7 @@ fn a_gyroscope_stuck_at_full_scale_gives_no_valid_attitude() {
         let (mut pipeline, t_us) = settled();
         for step in 1..=milliseconds {
             let mut raw = RawSample::decode(&noisy(t_us + step * 1000, LEVEL).bytes);
-            raw.gyroscope = GyroscopeCounts([i16::MAX, 0, 0]);
+            raw.gyroscope.0[0] = i16::MAX;
             let snapshot = update(
                 &mut pipeline,
                 &Burst {
@@ -969,7 +971,10 @@ fn roll_through(reading_degrees_s: f32) -> (Snapshot, f32) {
             30.0
         };
         let rate = Vector3::new(reading, 0.0, 0.0);
-        let burst = burst(Mount::Z_UP, t_us, force(roll_degrees, 0.0), rate);
+        let mut burst = burst(Mount::Z_UP, t_us, force(roll_degrees, 0.0), rate);
+        if !is_disturbed {
+            burst = with_noise(burst);
+        }
         snapshot = update(&mut pipeline, &burst);
         let is_flagged = snapshot.flags.contains(Flags::GYROSCOPE_SATURATED);
         assert_eq!(is_flagged, is_disturbed);

@@ -171,6 +171,10 @@ impl fmt::Display for Message {
             Self::SensorConfigured { part, address } => {
                 write!(formatter, "{part} at 0x{address:02x} configured")
             }
+            // Without a compass no such message comes.
+            Self::CompassConfigured { .. } | Self::CompassFailed(_) if !compass::IS_BUILT_IN => {
+                Ok(())
+            }
             Self::CompassConfigured { part, address } => {
                 write!(formatter, "compass: {part} at 0x{address:02x} configured")
             }

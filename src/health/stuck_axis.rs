@@ -1,0 +1,149 @@
+//! An axis that repeats its value while another axis changes: it is stuck.
+//!
+//! The monitor compares one sample in every 1/bandwidth of the low-pass filter, because those
+//! between have no noise of their own. It judges windows of 25 such samples: 0.13 s at 188 Hz. The
+//! noise of the product specification (§6.1, ±2000 °/s) repeats a gyroscope axis through a whole
+//! window once in 10⁸ times at most. Narrow low-pass filters leave less noise, so only a window
+//! with motion shows a stuck axis.
+
+use crate::serialize::StateVisitor;
+
+/// Words of a burst: accelerometer, temperature, gyroscope.
+const WORDS: usize = 7;
+/// All words but the temperature, a bit each.
+const AXES: u8 = 0b111_0111;
+
+/// Samples of a window.
+const WINDOW_SAMPLES: u8 = 25;
+
+/// Change within a window that noise does not reach, counts: 62 mg at ±16 g, 1 °/s at
+/// ±2000 °/s.
+const MOTION_COUNTS: [u16; WORDS] = [128, 128, 128, u16::MAX, 16, 16, 16];
+
+/// Windows over the six axes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct StuckAxis {
+    /// Samples from one that counts to the next.
+    gap: u8,
+    samples_to_next: u8,
+    samples_to_end: u8,
+    /// Axes that have changed in this window, a bit each.
+    changed: u8,
+    has_moved: bool,
+    is_stuck: bool,
+    /// Counts at the beginning of the window.
+    first: [i16; WORDS],
+}
+
+impl StuckAxis {
+    /// Creates the windows for samples at this rate (Hz) through a low-pass filter of this
+    /// bandwidth (Hz).
+    pub(super) fn new(sample_rate_hz: f32, bandwidth_hz: u16) -> Self {
+        let gap = ((sample_rate_hz / f32::from(bandwidth_hz)) as u8).max(1);
+        Self {
+            gap,
+            samples_to_next: gap,
+            samples_to_end: 0,
+            changed: 0,
+            has_moved: false,
+            is_stuck: false,
+            first: [0; WORDS],
+        }
+    }
+
+    /// Takes a sample that does not repeat the one before.
+    #[inline]
+    pub(super) fn update(&mut self, bytes: &[u8; 14]) {
+        self.samples_to_next = self.samples_to_next.wrapping_sub(1);
+        if self.samples_to_next == 0 {
+            self.samples_to_next = self.gap;
+            self.compare(bytes);
+        }
+    }
+
+    /// Returns whether an axis is stuck: from the end of a window in which it repeats its value
+    /// and another axis moves, to the end of the first one in which it does not.
+    pub(super) const fn is_stuck(&self) -> bool {
+        self.is_stuck
+    }
+
+    /// Compares a sample with the first one of the window.
+    #[cold]
+    #[inline(never)]
+    fn compare(&mut self, bytes: &[u8; 14]) {
+        if self.samples_to_end == 0 {
+            let is_one_stuck = self.changed & AXES != AXES;
+            if self.has_moved || !is_one_stuck {
+                self.is_stuck = is_one_stuck;
+            }
+            self.samples_to_end = WINDOW_SAMPLES;
+            self.changed = 0;
+            self.has_moved = false;
+        }
+        let (words, _) = bytes.as_chunks::<2>();
+        let is_first = self.samples_to_end == WINDOW_SAMPLES;
+        for (word, bytes) in words.iter().enumerate() {
+            let counts = i16::from_be_bytes(*bytes);
+            if is_first {
+                self.first[word] = counts;
+            }
+            let change = counts.abs_diff(self.first[word]);
+            self.has_moved |= change > MOTION_COUNTS[word];
+            // A turn faster than full scale repeats it too.
+            let has_changed = change > 0 || counts == i16::MAX || counts <= -i16::MAX;
+            self.changed |= u8::from(has_changed) << word;
+        }
+        self.samples_to_end -= 1;
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.u8(&mut self.gap);
+        visitor.u8(&mut self.samples_to_next);
+        visitor.u8(&mut self.samples_to_end);
+        visitor.u8(&mut self.changed);
+        visitor.bool(&mut self.has_moved);
+        visitor.bool(&mut self.is_stuck);
+        for counts in &mut self.first {
+            visitor.i16(counts);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns whether an axis is stuck after this many samples at 1 kHz. Each axis moves by a
+    /// count per sample, but for this one, which reads `value`.
+    fn is_stuck(axis: Option<usize>, value: i16, bandwidth_hz: u16, samples: i16) -> bool {
+        let mut stuck_axis = StuckAxis::new(1_000.0, bandwidth_hz);
+        for time in 0..samples {
+            let mut bytes = [0; 14];
+            for (word, bytes) in bytes.as_chunks_mut::<2>().0.iter_mut().enumerate() {
+                let counts = if axis == Some(word) { value } else { time };
+                *bytes = counts.to_be_bytes();
+            }
+            stuck_axis.update(&bytes);
+        }
+        stuck_axis.is_stuck()
+    }
+
+    #[test]
+    fn an_axis_that_repeats_its_value_in_motion_is_stuck() {
+        for (bandwidth_hz, gap) in [(188, 5), (98, 10), (42, 23), (5, 200)] {
+            let detection = 26 * gap;
+            assert!(!is_stuck(None, 0, bandwidth_hz, 3 * detection));
+            let temperature = Some(3);
+            assert!(!is_stuck(temperature, 7, bandwidth_hz, detection));
+            for axis in [0, 1, 2, 4, 5, 6].map(Some) {
+                assert!(!is_stuck(axis, 7, bandwidth_hz, detection - 1));
+                assert!(is_stuck(axis, 7, bandwidth_hz, detection));
+                for full_scale in [i16::MIN, -i16::MAX, i16::MAX] {
+                    assert!(!is_stuck(axis, full_scale, bandwidth_hz, detection));
+                }
+            }
+        }
+    }
+}
