@@ -707,6 +707,34 @@ fn frozen_data_are_a_pause() {
     }
 }
 
+/// Rolls at 50 °/s for 0.4 s, while the gyroscope's forward axis reads zero for 0.3 s.
+#[test]
+fn a_stuck_axis_is_frozen_and_gravity_shows_the_tilt_afterwards() {
+    let (mut pipeline, t_us) = settled();
+    let mut was_frozen = false;
+    for step in 1..=800_u64 {
+        let is_stuck = step <= 300;
+        let roll_degrees = 50.0e-3 * step.min(400) as f32;
+        let rate_degrees_s = if step < 400 { 50.0 } else { 0.0 };
+        let captured_at_us = t_us + step * 1_000;
+        let rate = Vector3::new(rate_degrees_s, 0.0, 0.0);
+        let force = force(roll_degrees, 0.0);
+        let mut burst = with_noise(burst(Mount::Z_UP, captured_at_us, force, rate));
+        if is_stuck {
+            burst.bytes[8..10].fill(0);
+        }
+        let snapshot = update(&mut pipeline, &burst);
+        let is_frozen = snapshot.flags.contains(Flags::FROZEN);
+        assert_eq!(is_frozen, (129..379).contains(&step), "{step}");
+        assert!(!is_frozen || !snapshot.flags.contains(Flags::VALID));
+        if was_frozen && !is_frozen {
+            let roll = degrees(snapshot.euler().roll_rad);
+            assert!((roll - 20.0).abs() < 1.0, "{roll}");
+        }
+        was_frozen = is_frozen;
+    }
+}
+
 #[test]
 fn a_temperature_outside_the_rated_range_is_not_valid() {
     for (counts, is_good) in [(-26_000, true), (-26_100, false), (16_500, false)] {
