@@ -347,7 +347,8 @@ fn eventful() -> Vec<(u64, [i16; 6])> {
     let mut t_us = 5_000;
     (0..9_000_u32)
         .map(|index| {
-            let noise = (index * 7 % 5) as i16;
+            // No axis repeats its count for long, as if it were stuck.
+            let noise = (index * 7 % 11 % 5) as i16;
             let turn = if index < 3_500 {
                 0.0
             } else {
@@ -464,15 +465,16 @@ fn bursts_go_through_the_whole_pipeline_to_the_bit() {
         } else {
             9 * (index - 1_100)
         };
-        let noise = index * 7 % 5;
+        // No axis repeats its count for long, as if it were stuck.
+        let noise = index * 7 % 11 % 5;
         for (pair, count) in bytes.chunks_exact_mut(2).zip([
             noise,
-            30,
+            30 + noise,
             2_048 - noise,
             0xF000,
             swing + noise,
-            20,
-            65_530,
+            20 - noise,
+            65_530 - noise,
         ]) {
             pair.copy_from_slice(&count.to_be_bytes());
         }
@@ -888,7 +890,7 @@ fn slow_polling_is_degraded_and_very_slow_polling_never_valid() {
     // Samples a second, whether the pipeline knows that rate, and shares of VALID and DEGRADED.
     for (rate, is_known, valid, degraded) in [
         (200, false, 0.9..1.0, 0.5..1.0),
-        (20, true, 0.9..1.0, 0.0..0.1),
+        (20, true, 0.9..1.0, 0.0..0.15),
         (5, true, 0.5..1.0, 0.5..1.0),
         (1, true, 0.0..0.01, 0.9..1.01),
     ] {
