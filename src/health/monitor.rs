@@ -94,7 +94,7 @@ impl Monitor {
     }
 
     /// Returns whether one axis is frozen, and not the whole sample.
-    pub const fn has_stuck_axis(&self) -> bool {
+    pub(crate) const fn has_stuck_axis(&self) -> bool {
         self.stuck_axis.is_stuck()
     }
 
