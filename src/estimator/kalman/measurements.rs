@@ -30,13 +30,18 @@ const LARGEST_DRIFT_M_S2: f32 = 0.1;
 const CERTAIN_DRIFT_M_S2: f32 = 0.03;
 /// Time without motion after which the first rest is believed with a larger drift, s. By then a
 /// turn of 1 °/s about a horizontal axis has exceeded the largest one.
-const CERTAIN_REST_S: f32 = 1.1;
+const CERTAIN_REST_S: f32 = 1.125;
 /// Largest rate that a rest may hide, rad/s.
 const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
 
 /// Largest horizontal force at rest that the tilt's σ does not explain, as a share of one g: the
 /// accelerometer's bias.
 pub(super) const STATIONARY_FORCE_SHARE: f32 = 0.03;
+
+/// Longest time at rest in which an acceleration explains a specific force that contradicts the
+/// tilt, per force upwards, s/(m/s²): 7.4 s if the vehicle keeps its height. Upside down there is
+/// none.
+const LONGEST_ACCELERATION_S3_M: f32 = 0.75;
 
 impl Kalman {
     /// Adds this step's measurements. The covariance is propagated to the interval's end.
@@ -108,7 +113,8 @@ impl Kalman {
     /// Adds zero-rate and zero-velocity updates, each only if it passes its gate. Readings that
     /// contradict the bias make the next sample restart the filter: those of the first rest at
     /// once, later ones when no motion can explain them. So does the first rest if the tilt is not
-    /// usable, because the linear model cannot correct it, and any rest if the tilt is upside down.
+    /// usable, because the linear model cannot correct it, and any rest whose specific force
+    /// contradicts the tilt for longer than a vehicle accelerates.
     #[inline(never)]
     fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) {
         let tuning = self.tuning;
@@ -131,19 +137,22 @@ impl Kalman {
             self.await_restart_at_rest();
             return;
         }
-        let mut velocity_noise = self.velocity_noise();
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
-        if force.z > 0.0 {
+        let up_m_s2 = -force.z;
+        let is_explained = square(force.x) + square(force.y)
+            < up_m_s2
+                * (16.0 * STANDARD_GRAVITY_M_S2 * tilt
+                    + square(STATIONARY_FORCE_SHARE) * STANDARD_GRAVITY_M_S2);
+        let is_long = self.stationary.quiet_s() > LONGEST_ACCELERATION_S3_M * up_m_s2;
+        if is_explained {
+            let variance = square(tuning.stationary_velocity_noise) / duration_s;
+            self.reset_coasting(variance);
+            self.measure_velocity(variance);
+        } else if is_long {
             self.await_restart_at_rest();
-            return;
+        } else {
+            self.measure_velocity(self.velocity_noise() / duration_s);
         }
-        let sine_squared =
-            (square(force.x) + square(force.y)) * square(1.0 / STANDARD_GRAVITY_M_S2);
-        if sine_squared < 16.0 * tilt + square(STATIONARY_FORCE_SHARE) {
-            velocity_noise = square(tuning.stationary_velocity_noise);
-            self.reset_coasting(velocity_noise / duration_s);
-        }
-        self.measure_velocity(velocity_noise / duration_s);
     }
 
     /// Compares the present readings with those of the last rest, twice in each covariance step.

@@ -439,6 +439,27 @@ fn a_wrong_upside_down_start_is_corrected() {
     }
 }
 
+/// An axis of the accelerometer is stuck at the start, and comes back: the same readings as those
+/// of a steady acceleration.
+#[test]
+fn a_rest_that_contradicts_the_tilt_for_long_corrects_it() {
+    for offset_m_s2 in [-12.0, -3.4, 1.7, 3.4, 4.5, 12.0] {
+        for stuck_ms in [900, 3_000, 6_000] {
+            for axis in [Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0)] {
+                let mut world = World::at_rest(from_degrees(-20.0, 15.0, 0.0));
+                let mut estimator = estimator();
+                world.force_bias_m_s2 = axis.scale(offset_m_s2);
+                world.run(&mut estimator, stuck_ms);
+                world.force_bias_m_s2 = Vector3::ZERO;
+                let estimate = world.run(&mut estimator, 12_000);
+                let error = world.tilt_error_degrees(estimate.attitude);
+                assert!(error < 4.0, "{offset_m_s2} for {stuck_ms} ms: {error}");
+                assert!(estimate.is_bias_known);
+            }
+        }
+    }
+}
+
 /// In a flight of the campaign, 97 ms at full scale gave a mean of one g sideways. The attitude
 /// restarted from that mean, 63° off.
 #[test]
