@@ -1,9 +1,10 @@
 //! An axis that repeats its value while another axis changes: it is stuck.
 //!
 //! The monitor compares one sample in every 1/bandwidth of the low-pass filter, because those
-//! between have no noise of their own. It judges windows of 25 such samples: 0.13 s at 188 Hz. The
-//! noise of the product specification (§6.1, ±2000 °/s) repeats a gyroscope axis through a window
-//! once in 10¹¹ times at 188 Hz, once in 40,000 at 42 Hz and once in 110 at 20 Hz. So there is no
+//! between have no noise of their own. It judges windows of 25 such samples: 0.13 s at 188 Hz.
+//!
+//! The noise of the product specification (§6.1, ±2000 °/s) repeats a gyroscope axis through a
+//! window once in 10¹¹ times at 188 Hz, in 40,000 at 42 Hz and in 110 at 20 Hz. So there is no
 //! check below 42 Hz, and only a window with motion shows a stuck axis.
 
 use crate::serialize::StateVisitor;
