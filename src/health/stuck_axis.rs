@@ -17,7 +17,7 @@ const AXES: u8 = 0b111_0111;
 /// Samples of a window.
 const WINDOW_SAMPLES: u8 = 25;
 
-/// Change within a window that noise does not reach, counts: 62 mg at ±16 g, 1 °/s at
+/// Change over a window that noise does not reach, counts: 62 mg at ±16 g, 1 °/s at
 /// ±2000 °/s.
 const MOTION_COUNTS: [u16; WORDS] = [128, 128, 128, u16::MAX, 16, 16, 16];
 
@@ -30,14 +30,13 @@ const NARROWEST_HZ: u16 = 42;
 pub(super) struct StuckAxis {
     /// Samples from one that counts to the next; 0 without a check.
     gap: u8,
-    samples_to_next: u8,
+    samples_to_next: u16,
     samples_to_end: u8,
     /// Axes that have changed in this window, a bit each.
     changed: u8,
-    has_moved: bool,
     is_stuck: bool,
-    /// Counts at the beginning of the window.
-    first: [i16; WORDS],
+    /// Bytes at the beginning of the window.
+    first: [u8; 14],
 }
 
 impl StuckAxis {
@@ -51,25 +50,20 @@ impl StuckAxis {
         };
         Self {
             gap,
-            samples_to_next: gap,
+            samples_to_next: u16::from(gap),
             samples_to_end: 0,
-            changed: 0,
-            has_moved: false,
+            changed: AXES,
             is_stuck: false,
-            first: [0; WORDS],
+            first: [0; 14],
         }
     }
 
     /// Takes a sample that does not repeat the one before.
     #[inline]
     pub(super) fn update(&mut self, bytes: &[u8; 14]) {
-        if self.gap == 0 {
-            return;
-        }
         self.samples_to_next = self.samples_to_next.wrapping_sub(1);
-        if self.samples_to_next == 0 {
-            self.samples_to_next = self.gap;
-            self.compare(bytes);
+        if self.samples_to_next == 0 && self.gap > 0 {
+            self.take(bytes);
         }
     }
 
@@ -79,46 +73,65 @@ impl StuckAxis {
         self.is_stuck
     }
 
-    /// Compares a sample with the first one of the window.
+    /// Takes a sample of the window, or the first one of the next. Once all axes have changed, the
+    /// rest of the window needs no comparison.
     #[cold]
     #[inline(never)]
-    fn compare(&mut self, bytes: &[u8; 14]) {
+    fn take(&mut self, bytes: &[u8; 14]) {
         if self.samples_to_end == 0 {
-            let is_one_stuck = self.changed & AXES != AXES;
-            if self.has_moved || !is_one_stuck {
-                self.is_stuck = is_one_stuck;
-            }
+            self.judge(bytes);
             self.samples_to_end = WINDOW_SAMPLES;
             self.changed = 0;
-            self.has_moved = false;
-        }
-        let (words, _) = bytes.as_chunks::<2>();
-        let is_first = self.samples_to_end == WINDOW_SAMPLES;
-        for (word, bytes) in words.iter().enumerate() {
-            let counts = i16::from_be_bytes(*bytes);
-            if is_first {
-                self.first[word] = counts;
+            self.first = *bytes;
+        } else {
+            let pairs = self
+                .first
+                .as_chunks::<2>()
+                .0
+                .iter()
+                .zip(bytes.as_chunks::<2>().0);
+            for (word, (first, counts)) in pairs.enumerate() {
+                self.changed |= u8::from(first != counts) << word;
             }
-            let change = counts.abs_diff(self.first[word]);
-            self.has_moved |= change > MOTION_COUNTS[word];
-            // A turn faster than full scale repeats it too.
-            let has_changed = change > 0 || counts == i16::MAX || counts <= -i16::MAX;
-            self.changed |= u8::from(has_changed) << word;
         }
         self.samples_to_end -= 1;
+        self.samples_to_next = u16::from(self.gap);
+        if self.changed & AXES == AXES {
+            self.samples_to_next *= 1 + u16::from(self.samples_to_end);
+            self.samples_to_end = 0;
+        }
+    }
+
+    /// Judges the window that ends with this sample.
+    fn judge(&mut self, last: &[u8; 14]) {
+        let mut has_moved = false;
+        let pairs = self
+            .first
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .zip(last.as_chunks::<2>().0);
+        for (word, ((first, last), motion)) in pairs.zip(MOTION_COUNTS).enumerate() {
+            let [first, last] = [*first, *last].map(i16::from_be_bytes);
+            has_moved |= last.abs_diff(first) > motion;
+            // A turn faster than full scale repeats it too.
+            let is_full_scale = first == i16::MAX || first <= -i16::MAX;
+            self.changed |= u8::from(is_full_scale) << word;
+        }
+        let is_one_stuck = self.changed & AXES != AXES;
+        if has_moved || !is_one_stuck {
+            self.is_stuck = is_one_stuck;
+        }
     }
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.u8(&mut self.gap);
-        visitor.u8(&mut self.samples_to_next);
+        visitor.u16(&mut self.samples_to_next);
         visitor.u8(&mut self.samples_to_end);
         visitor.u8(&mut self.changed);
-        visitor.bool(&mut self.has_moved);
         visitor.bool(&mut self.is_stuck);
-        for counts in &mut self.first {
-            visitor.i16(counts);
-        }
+        visitor.bytes(&mut self.first);
     }
 }
 
