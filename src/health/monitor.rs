@@ -80,14 +80,16 @@ impl Monitor {
         let fingerprint = Fingerprint::of(bytes);
         if fingerprint == self.last {
             self.repetitions = self.repetitions.saturating_add(1);
+            flags.set(Flags::FROZEN, self.repetitions >= self.frozen_samples);
         } else {
             self.last = fingerprint;
             self.repetitions = 0;
             self.stuck_axis.update(bytes);
         }
         flags.set(Flags::REJECTED, fingerprint.is_blank());
-        let is_frozen = self.repetitions >= self.frozen_samples;
-        flags.set(Flags::FROZEN, is_frozen || self.has_stuck_axis());
+        if self.has_stuck_axis() {
+            flags |= Flags::FROZEN;
+        }
         let range = self.coldest_counts..=self.hottest_counts;
         flags.set(Flags::TEMPERATURE, !range.contains(&temperature_counts));
         flags

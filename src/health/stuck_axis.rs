@@ -84,41 +84,38 @@ impl StuckAxis {
             self.changed = 0;
             self.first = *bytes;
         } else {
-            let pairs = self
-                .first
-                .as_chunks::<2>()
-                .0
-                .iter()
-                .zip(bytes.as_chunks::<2>().0);
-            for (word, (first, counts)) in pairs.enumerate() {
+            for (word, (first, counts)) in words(&self.first).zip(words(bytes)).enumerate() {
                 self.changed |= u8::from(first != counts) << word;
             }
         }
         self.samples_to_end -= 1;
         self.samples_to_next = u16::from(self.gap);
-        if self.changed & AXES == AXES {
+        if self.have_all_changed() {
             self.samples_to_next *= 1 + u16::from(self.samples_to_end);
             self.samples_to_end = 0;
         }
     }
 
-    /// Judges the window that ends with this sample.
+    const fn have_all_changed(&self) -> bool {
+        self.changed & AXES == AXES
+    }
+
+    /// Judges the window that ends with this sample. Without motion, only a change of all axes
+    /// means anything.
     fn judge(&mut self, last: &[u8; 14]) {
+        if self.have_all_changed() {
+            self.is_stuck = false;
+            return;
+        }
         let mut has_moved = false;
-        let pairs = self
-            .first
-            .as_chunks::<2>()
-            .0
-            .iter()
-            .zip(last.as_chunks::<2>().0);
+        let pairs = words(&self.first).zip(words(last));
         for (word, ((first, last), motion)) in pairs.zip(MOTION_COUNTS).enumerate() {
-            let [first, last] = [*first, *last].map(i16::from_be_bytes);
             has_moved |= last.abs_diff(first) > motion;
             // A turn faster than full scale repeats it too.
             let is_full_scale = first == i16::MAX || first <= -i16::MAX;
             self.changed |= u8::from(is_full_scale) << word;
         }
-        let is_one_stuck = self.changed & AXES != AXES;
+        let is_one_stuck = !self.have_all_changed();
         if has_moved || !is_one_stuck {
             self.is_stuck = is_one_stuck;
         }
@@ -133,6 +130,12 @@ impl StuckAxis {
         visitor.bool(&mut self.is_stuck);
         visitor.bytes(&mut self.first);
     }
+}
+
+/// Returns the words of a burst, counts.
+fn words(bytes: &[u8; 14]) -> impl Iterator<Item = i16> {
+    let words = bytes.as_chunks::<2>().0.iter();
+    words.map(|word| i16::from_be_bytes(*word))
 }
 
 #[cfg(test)]

@@ -145,8 +145,8 @@ fn scale([x, y, z]: [i16; 3], per_count: f32) -> Vector3 {
 
 #[inline]
 fn is_saturated([x, y, z]: [i16; 3]) -> bool {
-    let is_full = |count: i16| count.unsigned_abs() >= i16::MAX.unsigned_abs();
-    is_full(x) | is_full(y) | is_full(z)
+    let largest = x.unsigned_abs().max(y.unsigned_abs()).max(z.unsigned_abs());
+    largest >= i16::MAX.unsigned_abs()
 }
 
 #[cfg(test)]

@@ -124,8 +124,8 @@ impl Pipeline {
     /// burst's time.
     #[inline]
     pub fn update(&mut self, burst: &Burst, board: BoardFlags) -> Snapshot {
-        let raw = RawSample::decode(&burst.bytes);
-        let mut flags = self.monitor.inspect(&burst.bytes, raw.temperature.0);
+        let temperature = RawSample::decode(&burst.bytes).temperature;
+        let mut flags = self.monitor.inspect(&burst.bytes, temperature.0);
         flags |= Flags::from(board);
         flags.set(Flags::MISSED, burst.missed_before > 0);
         if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
@@ -134,10 +134,12 @@ impl Pipeline {
         if flags.intersects(NO_MEASUREMENT) {
             return self.skip(burst.captured_at_us, flags);
         }
-        self.follow_temperature(raw.temperature);
+        self.follow_temperature(temperature);
         if board.contains(BoardFlags::INTERNAL_CLOCK) {
             self.follow_sensor_clock(burst.captured_at_us, board);
         }
+        // Decoded only here, which takes fewer registers.
+        let raw = RawSample::decode(&burst.bytes);
         let sample = self.alignment.apply(&raw, burst.captured_at_us);
         self.process(&sample, flags)
     }

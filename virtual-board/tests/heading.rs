@@ -455,7 +455,7 @@ fn a_flight_log_with_a_compass_leaves_half_of_the_line_free() {
     let summary = &outcome.summary;
     assert_eq!(summary.missed, 0);
     assert!(
-        summary.edge_to_attitude_us_max <= Some(397.0),
+        summary.edge_to_attitude_us_max <= Some(395.0),
         "{summary:?}"
     );
     // Ten seconds, each byte with ten bits.
