@@ -211,7 +211,7 @@ fn an_interruption_in_flight_keeps_the_promise() {
         (Kind::BitErrors(0.02), [0.5, 10.0]),
         (Kind::BitErrors(0.3), [0.02, 3.0]),
     ];
-    keep_the_promise(&KINDS, 0);
+    keep_the_promise(&KINDS, 0, 0.9);
 }
 
 #[test]
@@ -222,7 +222,8 @@ fn a_stuck_axis_in_flight_keeps_the_promise() {
         (Kind::StuckForce(0), [0.3, 10.0]),
         (Kind::StuckForce(2), [0.3, 10.0]),
     ];
-    keep_the_promise(&KINDS, 0);
+    // Not valid while it is stuck.
+    keep_the_promise(&KINDS, 0, 0.88);
 }
 
 #[test]
@@ -233,11 +234,12 @@ fn an_interruption_at_100_samples_a_second_keeps_the_promise() {
         (Kind::FrozenFalse(1), [0.06, 3.0]),
         (Kind::BitErrors(0.02), [0.5, 10.0]),
     ];
-    keep_the_promise(&KINDS, 9);
+    keep_the_promise(&KINDS, 9, 0.9);
 }
 
 /// Checks flights with interruptions of these kinds, of this shortest and longest duration in s.
-fn keep_the_promise(kinds: &[(Kind, [f64; 2])], divider: u8) {
+/// More than this share of the attitudes has to be `VALID`.
+fn keep_the_promise(kinds: &[(Kind, [f64; 2])], divider: u8, least_valid: f64) {
     // Seeds that nothing was tuned on.
     let seeds: Vec<u64> = (750_000..750_200).collect();
     let flights = parallel::map(&seeds, |seed| {
@@ -263,7 +265,7 @@ fn keep_the_promise(kinds: &[(Kind, [f64; 2])], divider: u8) {
             100.0 * valid
         );
         assert_eq!(wrong, 0, "{kind:?}");
-        assert!(valid > 0.88, "{kind:?}: {valid}");
+        assert!(valid > least_valid, "{kind:?}: {valid}");
     }
 }
 
