@@ -38,10 +38,12 @@ const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
 /// accelerometer's bias.
 pub(super) const STATIONARY_FORCE_SHARE: f32 = 0.03;
 
-/// Longest time at rest in which an acceleration explains a specific force that contradicts the
-/// tilt, per force upwards, s/(m/s²): 7.4 s if the vehicle keeps its height. Upside down there is
-/// none.
-const LONGEST_ACCELERATION_S3_M: f32 = 0.75;
+/// Force upwards from which on an acceleration explains a specific force at rest that contradicts
+/// the tilt, m/s². With less the vehicle would fall, or the tilt is more than 35° wrong.
+const LEAST_UP_M_S2: f32 = 8.0;
+/// Longest time for which it explains it, per force upwards beyond that, s/(m/s²): 6.8 s if the
+/// vehicle keeps its height.
+const LONGEST_ACCELERATION_S3_M: f32 = 3.75;
 
 impl Kalman {
     /// Adds this step's measurements. The covariance is propagated to the interval's end.
@@ -69,7 +71,6 @@ impl Kalman {
     /// Ends a rest that turns out to be a slow, steady turn: gravity has turned. If it has turned
     /// for most of the time, and faster than the gyroscope shows, then the bias was measured in the
     /// turn, and is unknown.
-    #[inline(never)]
     fn end_rest_if_turned(&mut self) {
         let quiet_s = self.stationary.quiet_s();
         let squared_drift = self.stationary.squared_drift();
@@ -143,7 +144,8 @@ impl Kalman {
             < up_m_s2
                 * (16.0 * STANDARD_GRAVITY_M_S2 * tilt
                     + square(STATIONARY_FORCE_SHARE) * STANDARD_GRAVITY_M_S2);
-        let is_long = self.stationary.quiet_s() > LONGEST_ACCELERATION_S3_M * up_m_s2;
+        let is_long = self.stationary.quiet_s()
+            > LONGEST_ACCELERATION_S3_M * up_m_s2 - LONGEST_ACCELERATION_S3_M * LEAST_UP_M_S2;
         if is_explained {
             let variance = square(tuning.stationary_velocity_noise) / duration_s;
             self.reset_coasting(variance);
