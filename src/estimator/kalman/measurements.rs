@@ -53,7 +53,10 @@ impl Kalman {
             .update(self.nominal.velocity_m_s, duration_s, self.tuning);
         self.end_rest_if_turned();
         let stationary = self.stationary.readings(self.tuning);
-        match stationary.filter(|_| !self.is_armed && (self.has_rested || self.is_rest_certain())) {
+        let stationary =
+            stationary.filter(|_| !self.is_armed && (self.has_rested || self.is_rest_certain()));
+        self.is_measured_at_rest = stationary.is_some();
+        match stationary {
             Some(readings) => self.measure_at_rest(&readings, duration_s),
             None => {
                 self.widen_prior();
@@ -264,9 +267,6 @@ impl Kalman {
         let Some(change) = self.consistency.take_contradiction() else {
             return;
         };
-        if !self.is_armed && self.stationary.quiet_s() > self.tuning.stationary_after_s {
-            return;
-        }
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
         for (axis, prior) in self.prior.variance.iter_mut().enumerate() {
             *prior += change.bias_variance;

@@ -158,6 +158,8 @@ pub struct Kalman {
     is_bias_known: bool,
     /// True if the bias has been measured at rest in this run.
     has_rested: bool,
+    /// True if the covariance step under way is measured at rest.
+    is_measured_at_rest: bool,
     /// Well-known axis whose bias is measured next at rest.
     next_axis: u8,
     /// Parameter that has last returned towards its prior.
@@ -291,6 +293,7 @@ impl Kalman {
             has_work: false,
             is_bias_known: false,
             has_rested: false,
+            is_measured_at_rest: false,
             nominal: NominalState::new(),
             step: CovarianceStep::new(),
             interval: Interval::EMPTY,
@@ -399,7 +402,11 @@ impl Kalman {
             mut dynamic,
             parameters,
         } = self.step.correction;
-        let [north, east, ..] = dynamic;
+        let [mut north, mut east, ..] = dynamic;
+        if self.is_measured_at_rest {
+            // The first rest may correct much, and contradicts nothing.
+            [north, east] = [0.0; 2];
+        }
         let decrease_rad2 = self.held_tilt_rad2 - self.step.tilt_variance_rad2();
         let duration_s = self.step.duration_s();
         self.consistency
@@ -526,6 +533,7 @@ impl Kalman {
         visitor.bool(&mut self.has_work);
         visitor.bool(&mut self.is_bias_known);
         visitor.bool(&mut self.has_rested);
+        visitor.bool(&mut self.is_measured_at_rest);
         self.nominal.visit_state(visitor);
         self.step.visit_state(visitor);
         self.interval.visit_state(visitor);

@@ -472,6 +472,31 @@ fn a_rest_that_contradicts_the_tilt_for_long_corrects_it() {
     }
 }
 
+/// After a jerk at the start the first rest corrects the tilt by much. A motion that begins right
+/// then must not take the correction for a changed bias, as in campaign flight 352000409.
+#[test]
+fn motion_right_after_the_first_rest_keeps_the_bias_known() {
+    for acceleration_m_s2 in [4.0, 6.0, 7.0, 8.0, 9.0] {
+        for milliseconds in [150, 200, 250, 300, 350, 400] {
+            let mut world = World::at_rest(Quaternion::IDENTITY);
+            let mut estimator = estimator();
+            world.acceleration_m_s2.x = acceleration_m_s2;
+            world.run(&mut estimator, milliseconds);
+            world.acceleration_m_s2 = Vector3::ZERO;
+            while !world.run(&mut estimator, 1).is_bias_known {
+                assert!(world.t_us < 5_000_000, "{acceleration_m_s2}");
+            }
+            for step in 0..400 {
+                let share = libm::sinf(0.015 * step as f32);
+                world.rate_rad_s = Vector3::new(-1.0, 0.5, -1.6).scale(share);
+                let estimate = world.run(&mut estimator, 5);
+                let text = format!("{acceleration_m_s2} for {milliseconds} ms: {step}");
+                assert!(estimate.is_bias_known, "{text}");
+            }
+        }
+    }
+}
+
 /// In a flight of the campaign, 97 ms at full scale gave a mean of one g sideways. The attitude
 /// restarted from that mean, 63° off.
 #[test]
