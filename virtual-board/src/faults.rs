@@ -56,6 +56,8 @@ pub enum FaultKind {
     Ones,
     /// An axis reads full scale.
     Saturated(Axis),
+    /// An axis keeps its value, while the others go on.
+    Stuck(Axis),
     /// The temperature registers read this, in °C.
     Temperature(f64),
     /// The core executes nothing, as while the flash is erased (RM0090, 3.5.2): every interrupt is
@@ -190,6 +192,7 @@ impl FaultKind {
             Self::Zeros => "zeros",
             Self::Ones => "ones",
             Self::Saturated(_) => "saturated",
+            Self::Stuck(_) => "stuck",
             Self::Temperature(_) => "temperature",
             Self::CoreStall => "core-stall",
             Self::UartFlood => "uart-flood",
@@ -260,7 +263,7 @@ impl fmt::Display for FaultKind {
             Self::RegisterFlip(register, value) => {
                 write!(formatter, ":{register:#04x}:{value:#04x}")
             }
-            Self::Saturated(axis) => write!(formatter, ":{}", axis.name()),
+            Self::Saturated(axis) | Self::Stuck(axis) => write!(formatter, ":{}", axis.name()),
             Self::Temperature(celsius) => write!(formatter, ":{celsius}"),
             Self::CompassIdentity(identity) => write!(formatter, ":{identity:#04x}"),
             Self::SupplySag(millivolts) => write!(formatter, ":{millivolts}"),

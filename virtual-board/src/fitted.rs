@@ -249,6 +249,7 @@ impl FittedSensor {
                 FaultKind::Zeros => Some(OutputFault::All(0x00)),
                 FaultKind::Ones => Some(OutputFault::All(0xFF)),
                 FaultKind::Saturated(axis) => Some(OutputFault::FullScale(axis as usize)),
+                FaultKind::Stuck(axis) => Some(OutputFault::Stuck(axis as usize)),
                 FaultKind::Temperature(celsius) => Some(OutputFault::Temperature(celsius)),
                 _ => None,
             })

@@ -22,7 +22,7 @@ pub struct Schedule {
 }
 
 /// Every fault: its name, its parameter, and how a parameter is read.
-const FORMS: [Form; 38] = [
+const FORMS: [Form; 39] = [
     Form::new("address-nack", "[:write|read]", |text| match text {
         "" => Some(FaultKind::AddressNack(None)),
         "write" => Some(FaultKind::AddressNack(Some(Direction::Write))),
@@ -76,8 +76,7 @@ const FORMS: [Form; 38] = [
     Form::bare("zeros", FaultKind::Zeros),
     Form::bare("ones", FaultKind::Ones),
     Form::new("saturated", ":ax|ay|az|gx|gy|gz", |text| {
-        let named = Axis::NAMES.into_iter().find(|&(_, name)| name == text);
-        named.map(|(axis, _)| FaultKind::Saturated(axis))
+        axis(text).map(FaultKind::Saturated)
     }),
     Form::new("temperature", ":CELSIUS (-59 to 132)", |text| {
         let celsius: f64 = text.parse().ok()?;
@@ -104,6 +103,9 @@ const FORMS: [Form; 38] = [
     Form::bare("compass-stall", FaultKind::CompassStall),
     Form::new("supply-sag", ":MILLIVOLTS (0 to 3300)", |text| {
         number(text, 0, 3_300).map(FaultKind::SupplySag)
+    }),
+    Form::new("stuck", ":ax|ay|az|gx|gy|gz", |text| {
+        axis(text).map(FaultKind::Stuck)
     }),
 ];
 
@@ -151,6 +153,12 @@ fn number(text: &str, low: u32, high: u32) -> Option<u32> {
         None => text.parse().ok()?,
     };
     (low..=high).contains(&value).then_some(value)
+}
+
+/// An axis of the sensor by its name.
+fn axis(text: &str) -> Option<Axis> {
+    let mut names = Axis::NAMES.into_iter();
+    names.find(|&(_, name)| name == text).map(|(axis, _)| axis)
 }
 
 /// Reason for which a schedule cannot be used.

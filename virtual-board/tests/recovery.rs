@@ -24,6 +24,9 @@ const DOCUMENT: &str = include_str!("../../docs/faults.md");
 /// Start of the faults, s: the attitude is valid by then.
 const START_S: f64 = 1.8;
 
+/// Start of a stuck axis, s: it shows in motion alone, and the motion begins at 1.5 s.
+const STUCK_START_S: f64 = 2.5;
+
 /// The motion and the sensor of the flights: a swing, so that what is wrong shows.
 const SEED: u64 = 5;
 
@@ -107,7 +110,7 @@ fn duration_s(class: &str, fault: &str) -> f64 {
         "sensor-silent" | "int-missing" | "int-high" | "int-low" | "int-glitch" => 0.2,
         "compass-stall" => 0.05,
         compass if compass.starts_with("compass-") => 1.0,
-        "frozen" => 0.4,
+        "frozen" | "stuck" => 0.4,
         "probe-detach" => 0.8,
         "uart-flood" | "uart-noise" => 0.6,
         "register-flip" | "crystal-dies" | "watchdog-hang" | "crash" | "stack-overflow" => 0.0,
@@ -151,7 +154,12 @@ fn assert_class(class: &str) {
 }
 
 fn assert_row(row: &Row, class: &str, fault: &str) {
-    let line = format!("{START_S} {} {fault}", duration_s(class, fault));
+    let start_s = if class == "stuck" {
+        STUCK_START_S
+    } else {
+        START_S
+    };
+    let line = format!("{start_s} {} {fault}", duration_s(class, fault));
     let case = Case::new(SEED, Schedule::parse("test", &line).unwrap());
     let outcome = case.fly(&firmware()).unwrap();
     let report = judge(&case, &outcome.record, &outcome.uart_lines);
@@ -281,6 +289,7 @@ classes! {
     compass_identity: "compass-identity",
     compass_stall: "compass-stall",
     supply_sag: "supply-sag",
+    stuck: "stuck",
 }
 
 /// A run at rest with these faults, for rules that the table does not have.

@@ -115,6 +115,8 @@ pub enum OutputFault {
     All(u8),
     /// One axis reads positive full scale: 0 to 2 are the accelerometer's, 3 to 5 the gyroscope's.
     FullScale(usize),
+    /// One axis keeps its value, numbered as for [`OutputFault::FullScale`].
+    Stuck(usize),
     /// The temperature reads the given value, in °C.
     Temperature(f64),
 }
@@ -446,10 +448,11 @@ impl Sensor {
             match *fault {
                 OutputFault::Frozen => self.internal.bytes = before,
                 OutputFault::All(byte) => self.internal.bytes = [byte; DATA_LENGTH],
-                // The temperature lies between the two sensors.
-                OutputFault::FullScale(axis) => {
-                    let place = if axis < 3 { axis } else { axis + 1 };
-                    self.internal.put(2 * place, i16::MAX);
+                OutputFault::FullScale(axis) => self.internal.put(place_of(axis), i16::MAX),
+                OutputFault::Stuck(axis) => {
+                    let place = place_of(axis);
+                    let counts = i16::from_be_bytes([before[place], before[place + 1]]);
+                    self.internal.put(place, counts);
                 }
                 OutputFault::Temperature(celsius) => {
                     let warmer = celsius - self.identity.temperature_zero_c;
@@ -553,6 +556,11 @@ impl DataRegisters {
     fn put(&mut self, offset: usize, value: i16) {
         self.bytes[offset..offset + 2].copy_from_slice(&value.to_be_bytes());
     }
+}
+
+/// Place of an axis among the data registers: the temperature lies between the two sensors.
+fn place_of(axis: usize) -> usize {
+    2 * if axis < 3 { axis } else { axis + 1 }
 }
 
 /// Reads the settings of the signal path from the registers.

@@ -8,7 +8,7 @@ use std::fmt;
 use aplomb_models::random::Random;
 
 use super::Case;
-use crate::faults::{CORE_MILLIVOLTS, Fault, FaultKind, ScheduledFault, internal_time};
+use crate::faults::{Axis, CORE_MILLIVOLTS, Fault, FaultKind, ScheduledFault, internal_time};
 use crate::schedule::Schedule;
 
 /// The class of a start without a crystal, in the tables of a campaign.
@@ -21,6 +21,11 @@ const SAG_SHARE: f64 = 0.04;
 const CUT_SHARE: f64 = 0.02;
 /// Share of the saves in a sag that the other faults come on top of.
 const ON_TOP_SHARE: f64 = 0.3;
+/// Share of the flights with a stuck axis, the time of its beginning after that of the first
+/// fault, and its length, s.
+const STUCK_SHARE: f64 = 0.03;
+const STUCK_AFTER_S: std::ops::Range<f64> = 0.0..0.5;
+const STUCK_S: std::ops::Range<f64> = 0.02..1.5;
 
 /// Error of the internal oscillator, from −40 °C to 105 °C (STM32F405 datasheet, "HSI
 /// oscillator characteristics").
@@ -124,6 +129,36 @@ pub(super) fn draw(case: Case, is_plain: bool) -> Case {
         with_save(case, &mut random, true)
     } else {
         case
+    }
+}
+
+/// Gives some of the cases a stuck axis of the gyroscope besides, unless the core starts again: a
+/// start takes what it reads for the offset.
+pub(super) fn draw_stuck_axis(case: Case) -> Case {
+    let mut random = Random::new(case.seed, "stuck axis of a case");
+    let mut draw = |range: std::ops::Range<f64>| random.uniform(range.start, range.end);
+    let faults = &case.schedule.faults;
+    let Some(first) = faults.first() else {
+        return case;
+    };
+    if draw(0.0..1.0) >= STUCK_SHARE || faults.iter().any(|fault| fault.kind.resets()) {
+        return case;
+    }
+    let axis = [Axis::GyroscopeX, Axis::GyroscopeY, Axis::GyroscopeZ][draw(0.0..3.0) as usize % 3];
+    let microseconds = |seconds: f64| (seconds * 1e6).round() as u64 * 1_000;
+    let stuck = ScheduledFault {
+        start_ns: first.start_ns + microseconds(draw(STUCK_AFTER_S)),
+        duration_ns: microseconds(draw(STUCK_S)),
+        kind: FaultKind::Stuck(axis),
+    };
+    let mut schedule = case.schedule.clone();
+    schedule.faults.push(stuck);
+    schedule.faults.sort_by_key(|fault| fault.start_ns);
+    let new = Case::new(case.seed, schedule);
+    Case {
+        seconds: new.seconds.max(case.seconds),
+        schedule: new.schedule,
+        ..case
     }
 }
 

@@ -23,6 +23,10 @@ const ALLOWED_HEADING_DEG: f64 = 15.0;
 /// The share of fault-free time in which the attitude must be valid.
 const VALID_SHARE: f64 = 0.995;
 
+/// Longest time from the beginning of a stuck axis in motion to its flag, ns: two windows of
+/// samples.
+const STUCK_NS: u64 = 260_000_000;
+
 /// The longest pause between publications while the core runs, ns.
 const LONGEST_SILENCE_NS: u64 = 20_000_000;
 
@@ -152,7 +156,7 @@ impl Judge<'_> {
         let mut worst: Option<(f64, f64, u64)> = None;
         let mut count = 0;
         for sample in &self.published {
-            if !sample.snapshot.flags.contains(Flags::VALID) {
+            if !sample.snapshot.flags.contains(Flags::VALID) || is_unnoticed(case, sample.at_ns) {
                 continue;
             }
             let at_publication = || motion.at(sample.at_ns as f64 * 1e-9).attitude;
@@ -450,6 +454,15 @@ impl Judge<'_> {
             .map(|pair| (pair[1] - pair[0], pair[0]))
             .max_by_key(|&(gap_ns, _)| gap_ns)
     }
+}
+
+/// Returns whether an axis has been stuck for so short a time that nothing shows it yet.
+fn is_unnoticed(case: &Case, at_ns: u64) -> bool {
+    let mut faults = case.schedule.faults.iter();
+    faults.any(|fault| {
+        let from_ns = fault.start_ns;
+        matches!(fault.kind, FaultKind::Stuck(_)) && (from_ns..from_ns + STUCK_NS).contains(&at_ns)
+    })
 }
 
 /// The times at which the attitude that was published last is valid and fresh.

@@ -53,6 +53,8 @@ const BUS_DEADLINE_NS: u64 = 20_000_000;
 const RESET_DEADLINE_NS: u64 = 250_000_000;
 /// As after the first power-up: the gyroscope's offset is measured anew.
 const POWER_DEADLINE_NS: u64 = (FIRST_FAULT_S * 1e9) as u64;
+/// The tilt is lost, and found again from the flight's accelerations.
+const TILT_DEADLINE_NS: u64 = 5_000_000_000;
 
 /// The motion begins after this much rest, s: the gyroscope's offset has been measured by then.
 const MOTION_REST_S: f64 = 1.45;
@@ -96,7 +98,7 @@ impl Case {
     pub fn by_seed(seed: u64) -> Self {
         let case = Self::with_schedule_by_seed(seed);
         let is_plain = case.moving_s == 0.0 && case.seconds < LONG_S;
-        conditions::draw(case, is_plain)
+        conditions::draw_stuck_axis(conditions::draw(case, is_plain))
     }
 
     fn with_schedule_by_seed(seed: u64) -> Self {
@@ -261,6 +263,7 @@ pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
     match kind {
         FaultKind::UartFlood | FaultKind::UartNoise | FaultKind::ProbeDetach => None,
         FaultKind::CompassStall => Some(BUS_DEADLINE_NS),
+        FaultKind::Stuck(_) => Some(TILT_DEADLINE_NS),
         kind if kind.is_of_compass() => None,
         kind if kind.stops_core() => Some(POWER_DEADLINE_NS),
         FaultKind::SupplySag(_) if !kind.stops_sensor() => None,

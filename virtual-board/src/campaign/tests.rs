@@ -196,6 +196,19 @@ fn a_wrong_attitude_fails_unless_its_sigma_or_its_flags_say_so() {
 }
 
 #[test]
+fn a_stuck_axis_may_be_wrong_for_two_windows_and_no_longer() {
+    let case = case("1.8 0.03 stuck:gx");
+    for (time_ms, is_allowed) in [(1_795, false), (1_810, true), (2_050, true), (2_070, false)] {
+        let mut record = record(&case, 0..0);
+        let sample = &mut record.samples[time_ms - 300];
+        sample.snapshot.attitude.x += 0.1;
+        let failures = judge(&case, &record, &[]).failures;
+        let is_wrong = failures.iter().any(|text| text.contains("were wrong"));
+        assert_eq!(is_wrong, !is_allowed, "{time_ms}: {failures:?}");
+    }
+}
+
+#[test]
 fn caution_without_a_fault_fails() {
     let (case, mut record) = sound();
     for sample in record.samples.iter_mut().rev().take(20) {
@@ -305,7 +318,7 @@ fn the_table_counts_by_class() {
         .unwrap();
     let cells: Vec<&str> = row.split_whitespace().collect();
     assert_eq!(cells, ["sda-low", "1", "1", "1", "10.4"]);
-    assert_eq!(text.lines().count(), 40);
+    assert_eq!(text.lines().count(), 41);
 }
 
 #[test]
@@ -313,7 +326,7 @@ fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
     let mut coverage = Coverage::default();
     let (_, all_pairs) = coverage.pairs();
     let all_steps = 9 * 19;
-    assert_eq!(all_pairs, 39 * 40 / 2 - 9);
+    assert_eq!(all_pairs, 40 * 41 / 2 - 9);
     assert_eq!(coverage.steps(), (0, all_steps));
 
     // 49 ms after the end, and 51 ms after it.
@@ -331,7 +344,7 @@ fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
     assert_eq!(coverage.steps(), (2, all_steps));
     let text = coverage.to_string();
     assert!(
-        text.contains("pairs of faults within 50 ms: 1 of 771"),
+        text.contains("pairs of faults within 50 ms: 1 of 811"),
         "{text}"
     );
     assert!(
@@ -344,6 +357,7 @@ fn coverage_counts_pairs_that_are_close_and_the_steps_of_the_bus() {
 #[test]
 fn conditions_are_drawn_within_their_limits_and_a_seed_keeps_its_faults() {
     let (mut without_crystal, mut errors, mut sags, mut cuts, mut on_top) = (0, 0, 0, 0, 0);
+    let mut stuck = 0;
     for seed in 0..4_000 {
         let (case, plain) = (Case::by_seed(seed), Case::with_schedule_by_seed(seed));
         let conditions = case.conditions;
@@ -358,7 +372,14 @@ fn conditions_are_drawn_within_their_limits_and_a_seed_keeps_its_faults() {
         let is_sag = |fault: &&ScheduledFault| matches!(fault.kind, FaultKind::SupplySag(_));
         let sag = faults.iter().find(is_sag);
         assert_eq!(sag.is_some(), conditions.save_s.is_some(), "{seed}");
-        let others = faults.iter().filter(|fault| !is_sag(fault));
+        let is_stuck = |fault: &&ScheduledFault| matches!(fault.kind, FaultKind::Stuck(_));
+        if faults.iter().any(|fault| is_stuck(&fault)) {
+            assert!(!faults.iter().any(|fault| fault.kind.resets()), "{seed}");
+            stuck += 1;
+        }
+        let others = faults
+            .iter()
+            .filter(|fault| !is_sag(fault) && !is_stuck(fault));
         let later_ns: BTreeSet<u64> = others
             .clone()
             .zip(&plain.schedule.faults)
@@ -378,6 +399,7 @@ fn conditions_are_drawn_within_their_limits_and_a_seed_keeps_its_faults() {
         on_top += u32::from(later_ns.contains(&0));
     }
     assert!((150..250).contains(&without_crystal), "{without_crystal}");
+    assert!((60..160).contains(&stuck), "{stuck}");
     assert!(errors > without_crystal + 80, "{errors}");
     assert!(
         sags > 100 && cuts > 50 && on_top > 20,
