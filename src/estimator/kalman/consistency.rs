@@ -12,7 +12,7 @@
 //!
 //! The filter's model of velocity is conservative. So |s|² stays below 4·v in healthy flights and
 //! hand-held motion. A contradiction adds process noise: the bias may have changed by as much as
-//! the corrections show. At rest, unless armed, it is not taken: the rest makes corrections agree.
+//! the corrections show. The correction of the first rest does not count: it may be large.
 
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::serialize::StateVisitor;

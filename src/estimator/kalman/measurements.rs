@@ -55,7 +55,7 @@ impl Kalman {
         let stationary = self.stationary.readings(self.tuning);
         let stationary =
             stationary.filter(|_| !self.is_armed && (self.has_rested || self.is_rest_certain()));
-        self.is_measured_at_rest = stationary.is_some();
+        self.is_first_rest = stationary.is_some() && !self.has_rested;
         match stationary {
             Some(readings) => self.measure_at_rest(&readings, duration_s),
             None => {

@@ -65,9 +65,8 @@
 //!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
 //! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
 //!   Gravity does not show it.
-//! - Unsolved: after a start in motion, a bias of 20 °/s about the vertical takes over half a
-//!   minute, or is not found, because yaw is not observed. The bias stays unknown until the first
-//!   rest.
+//! - After a start in motion, a bias of 20 °/s about the vertical takes over half a minute, or is
+//!   not found, because yaw is not observed. The bias stays unknown until the first rest.
 //!
 //! # Cost
 //!
@@ -158,8 +157,8 @@ pub struct Kalman {
     is_bias_known: bool,
     /// True if the bias has been measured at rest in this run.
     has_rested: bool,
-    /// True if the covariance step under way is measured at rest.
-    is_measured_at_rest: bool,
+    /// True if the covariance step under way is the first one at rest.
+    is_first_rest: bool,
     /// Well-known axis whose bias is measured next at rest.
     next_axis: u8,
     /// Parameter that has last returned towards its prior.
@@ -293,7 +292,7 @@ impl Kalman {
             has_work: false,
             is_bias_known: false,
             has_rested: false,
-            is_measured_at_rest: false,
+            is_first_rest: false,
             nominal: NominalState::new(),
             step: CovarianceStep::new(),
             interval: Interval::EMPTY,
@@ -402,15 +401,14 @@ impl Kalman {
             mut dynamic,
             parameters,
         } = self.step.correction;
-        let [mut north, mut east, ..] = dynamic;
-        if self.is_measured_at_rest {
-            // The first rest may correct much, and contradicts nothing.
-            [north, east] = [0.0; 2];
+        // The first rest may correct much, and contradicts nothing.
+        if !self.is_first_rest {
+            let [north, east, ..] = dynamic;
+            let decrease_rad2 = self.held_tilt_rad2 - self.step.tilt_variance_rad2();
+            let duration_s = self.step.duration_s();
+            self.consistency
+                .add([north, east], decrease_rad2, duration_s);
         }
-        let decrease_rad2 = self.held_tilt_rad2 - self.step.tilt_variance_rad2();
-        let duration_s = self.step.duration_s();
-        self.consistency
-            .add([north, east], decrease_rad2, duration_s);
         self.interval.transition.apply(&mut dynamic, &parameters);
         self.nominal.correct(&dynamic, &parameters);
         if !self.nominal.is_plausible() {
@@ -533,7 +531,7 @@ impl Kalman {
         visitor.bool(&mut self.has_work);
         visitor.bool(&mut self.is_bias_known);
         visitor.bool(&mut self.has_rested);
-        visitor.bool(&mut self.is_measured_at_rest);
+        visitor.bool(&mut self.is_first_rest);
         self.nominal.visit_state(visitor);
         self.step.visit_state(visitor);
         self.interval.visit_state(visitor);
