@@ -20,7 +20,8 @@ bitflags::bitflags! {
     #[repr(transparent)]
     #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct Flags: u32 {
-        /// The gyroscope's offset is not known yet.
+        /// The gyroscope's offset is not known: no rest has shown it. σ is three times as large,
+        /// and an attitude with a smaller σ than 30° is [`Flags::VALID`] all the same.
         const CALIBRATING = 1 << 0;
         /// The sensor moved before its offset was known.
         const MOVED = 1 << 1;
@@ -82,8 +83,7 @@ bitflags::bitflags! {
 
 impl Flags {
     /// Flags of an attitude that cannot be valid.
-    pub const INVALIDATING: Self = Self::CALIBRATING
-        .union(Self::GYROSCOPE_SATURATED)
+    pub const INVALIDATING: Self = Self::GYROSCOPE_SATURATED
         .union(Self::TIME)
         .union(Self::FROZEN)
         .union(Self::REJECTED)
@@ -92,6 +92,7 @@ impl Flags {
 
     /// Flags of an attitude that is degraded.
     pub const DEGRADING: Self = Self::INVALIDATING
+        .union(Self::CALIBRATING)
         .union(Self::POLLED)
         .union(Self::INTERNAL_CLOCK)
         .union(Self::VIBRATION);

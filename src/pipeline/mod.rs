@@ -6,9 +6,9 @@
 //!
 //! Every burst gives a snapshot, from the first one on. The snapshot carries [`Flags::CALIBRATING`]
 //! until the gyroscope's offset is known: after a second of rest, or with a stored offset a quarter
-//! of a second after the start. A stored offset counts within 4.9 °C of its temperature, or within
-//! the range of a temperature model. [`Pipeline::update`] does all the work, housekeeping included,
-//! so a caller cannot forget any.
+//! of a second after the start. Until then σ is three times as large. A stored offset counts
+//! within 4.9 °C of its temperature, or within the range of a temperature model.
+//! [`Pipeline::update`] does all the work, housekeeping included, so a caller cannot forget any.
 //!
 //! Deadline: a fraction of the sample period, 1 ms. No loop's length depends on data, and no step
 //! waits.

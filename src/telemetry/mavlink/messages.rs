@@ -88,13 +88,19 @@ pub(super) fn heartbeat(vehicle: &Vehicle<'_>) -> HEARTBEAT_DATA {
         },
         system_status: match flags {
             None => MavState::MAV_STATE_CRITICAL,
-            Some(flags) if flags.contains(Flags::CALIBRATING) => MavState::MAV_STATE_CALIBRATING,
+            Some(flags) if is_calibrating(flags) => MavState::MAV_STATE_CALIBRATING,
             Some(_) if vehicle.is_armed => MavState::MAV_STATE_ACTIVE,
             Some(_) => MavState::MAV_STATE_STANDBY,
         },
         // Version of the protocol's definitions, the same for MAVLink 2.
         mavlink_version: 3,
     }
+}
+
+/// Returns whether the gyroscope's offset is not known, and the attitude is not valid for that
+/// reason.
+fn is_calibrating(flags: Flags) -> bool {
+    flags.contains(Flags::CALIBRATING) && !flags.contains(Flags::VALID)
 }
 
 /// Returns the healthy sensors of those that are there.
@@ -124,14 +130,12 @@ pub(super) fn health(
         ],
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL,
     ) | unless(
-        &[
-            Flags::CALIBRATING,
-            Flags::FROZEN,
-            Flags::REJECTED,
-            Flags::GAP,
-            Flags::TIME,
-        ],
-        MavSysStatusSensor::MAV_SYS_STATUS_AHRS,
+        &[Flags::FROZEN, Flags::REJECTED, Flags::GAP, Flags::TIME],
+        if is_calibrating(*flags) {
+            MavSysStatusSensor::empty()
+        } else {
+            MavSysStatusSensor::MAV_SYS_STATUS_AHRS
+        },
     ) | unless(
         &[Flags::COMPASS_FAULT],
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG,

@@ -274,8 +274,13 @@ impl Judge<'_> {
 
     /// Checks that the attitude is valid between the episodes.
     fn check_fault_free_time(&self, failures: &mut Vec<String>) {
-        let Some(&(first_ns, _)) = self.valid.first() else {
-            failures.push("the attitude was never valid".into());
+        // While σ falls at a start, it may pass its limit more than once.
+        let is_settled = |sample: &&Publication| {
+            let flags = sample.snapshot.flags;
+            flags.contains(Flags::VALID) && !flags.contains(Flags::CALIBRATING)
+        };
+        let Some(first_ns) = self.published.iter().find(is_settled).map(|it| it.at_ns) else {
+            failures.push("the attitude was never valid with a known offset".into());
             return;
         };
         if self

@@ -132,8 +132,9 @@ impl Lines {
     }
 
     fn attitude(&mut self, line: &Line, items: &mut Vec<Item>) {
-        if line.is_valid && self.named.intersects(Flags::INVALIDATING) {
-            // The condition that was named is over.
+        let over = Flags::INVALIDATING | Flags::CALIBRATING;
+        if line.is_valid && self.named.intersects(over) {
+            // The condition that was named is over. That of a start no message ends.
             self.named = Flags::empty();
         }
         items.push(Item::Reading(Reading::of_line(line, self.named)));

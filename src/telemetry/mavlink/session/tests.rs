@@ -254,6 +254,8 @@ fn faults_clear_the_health_bits() {
     assert_eq!(health_of(Flags::FROZEN), 0);
     assert_eq!(health_of(Flags::ACCELEROMETER_SATURATED), 0x0020_0001);
     assert_eq!(health_of(Flags::CALIBRATING), 3);
+    let started_in_motion = Flags::CALIBRATING | Flags::DEGRADED | Flags::VALID;
+    assert_eq!(health_of(started_in_motion), health_of(Flags::VALID));
     assert_eq!(health(None, present).bits(), 0);
     let with_compass = present | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG;
     assert_eq!(health_with(Flags::empty(), with_compass), 0x0020_0007);
