@@ -266,12 +266,12 @@ impl Filter for Kalman {
         match self.tilt {
             Tilt::Unknown | Tilt::Lost => f32::INFINITY,
             Tilt::Resumed | Tilt::Restarting | Tilt::Known => {
-                let scale = if self.is_bias_known {
-                    REPORTED_VARIANCE_SCALE
+                let variance = REPORTED_VARIANCE_SCALE * self.conservative_tilt_variance();
+                if self.is_bias_known {
+                    variance
                 } else {
-                    REPORTED_VARIANCE_SCALE * square(UNKNOWN_BIAS_SIGMA_SCALE)
-                };
-                scale * self.conservative_tilt_variance()
+                    square(UNKNOWN_BIAS_SIGMA_SCALE) * variance
+                }
             }
         }
     }
