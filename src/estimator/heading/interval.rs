@@ -3,7 +3,7 @@
 
 use super::tuning::Tuning;
 use crate::attitude::Quaternion;
-use crate::estimator::arithmetic::square;
+use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::GYROSCOPE;
 use crate::serialize::StateVisitor;
@@ -54,7 +54,7 @@ impl Interval {
         // |R·f + g|² without the rotation.
         let g = STANDARD_GRAVITY_M_S2;
         let squared = force.dot(force) + 2.0 * g * down.dot(force) + g * g;
-        self.squared_acceleration += squared.max(0.0) * t;
+        self.squared_acceleration += larger(squared, 0.0) * t;
         let [x, y, z, matrix @ ..] = &mut self.yaw;
         let (rows, _) = matrix.as_chunks_mut::<3>();
         for ((bias, row), down) in [x, y, z]
@@ -115,7 +115,7 @@ impl Interval {
         let rate = self.squared_rate * inverse / square(tuning.moving_rate_rad_s);
         let acceleration =
             self.squared_acceleration * inverse / square(tuning.moving_acceleration_m_s2);
-        libm::sqrtf((rate + acceleration).min(1.0))
+        libm::sqrtf(smaller(rate + acceleration, 1.0))
     }
 
     /// Visits every field.

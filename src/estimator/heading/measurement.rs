@@ -13,7 +13,7 @@ use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
 use super::step::Phase;
 use super::{CompassKnowledge, Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
-use crate::estimator::arithmetic::square;
+use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::estimator::filter::Filter as _;
 use crate::estimator::kalman::Kalman;
 
@@ -118,12 +118,12 @@ impl Heading {
         let expected = self.noise + 3.0 * noise;
         let excess = (squared - tuning.gate * expected) * (1.0 / 3.0);
         let excess = excess.clamp(0.0, 1.0e6);
-        let decay = (duration_s / tuning.excess_s).min(1.0);
+        let decay = smaller(duration_s / tuning.excess_s, 1.0);
         let limit = square(tuning.largest_excess_ut);
-        self.excess = (self.excess * (1.0 - decay)).max(excess.min(limit));
+        self.excess = larger(self.excess * (1.0 - decay), smaller(excess, limit));
         self.noise = noise + tuning.excess_to_noise * excess;
-        let share = (duration_s / tuning.consistency_s).min(1.0);
-        let ratio = (squared / expected).min(LARGEST_INCONSISTENCY);
+        let share = smaller(duration_s / tuning.consistency_s, 1.0);
+        let ratio = smaller(squared / expected, LARGEST_INCONSISTENCY);
         self.inconsistency += share * (ratio - self.inconsistency);
         if self.inconsistency > tuning.valid_inconsistency {
             self.verified_s = 0.0;
@@ -182,7 +182,7 @@ impl Heading {
         let level = square(cx) + square(cy) + square(cz);
         let length = libm::sqrtf(measured) - libm::sqrtf(level);
         let contradiction = self.inverse - tuning.restart_ratio * square(length);
-        let share = (duration_s / tuning.restart_average_s).min(1.0);
+        let share = smaller(duration_s / tuning.restart_average_s, 1.0);
         self.contradiction += share * (contradiction - self.contradiction);
         let is_lasting = self.contradiction > square(tuning.restart_floor_ut);
         self.contradicted_s = if is_lasting {
@@ -303,7 +303,7 @@ impl Heading {
             - 2.0 * cx * cy * covariance.entry(1, 0);
         let horizontal = square(cx) + square(cy) + 1.0e-3;
         let sigma_rad = if horizontal > LEAST_HORIZONTAL_UT2 {
-            libm::sqrtf(variance.max(0.0)) / horizontal
+            libm::sqrtf(larger(variance, 0.0)) / horizontal
         } else {
             f32::INFINITY
         };

@@ -73,7 +73,7 @@ mod tests;
 pub use knowledge::CompassKnowledge;
 pub use tuning::Tuning;
 
-use super::arithmetic::square;
+use super::arithmetic::{larger, square};
 use super::kalman::Kalman;
 use super::kalman::follow::{ERROR_STATES, FIRST_GYROSCOPE};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
@@ -500,7 +500,7 @@ impl Heading {
         interval.add_earth_step(kalman, elapsed_s);
         // A pause, which the tilt filter may already have used.
         let unseen = interval.unseen_rad2 + kalman.pause_variance_rad2(dt_s);
-        interval.unseen_rad2 = unseen.max(kalman.unseen_tilt_rad2());
+        interval.unseen_rad2 = larger(unseen, kalman.unseen_tilt_rad2());
         self.elapsed_s = 0.0;
         self.has_interval = true;
     }

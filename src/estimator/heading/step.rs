@@ -11,7 +11,7 @@
 
 use super::Heading;
 use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
-use crate::estimator::arithmetic::square;
+use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::estimator::kalman::Kalman;
 use crate::estimator::kalman::follow::{
     ERROR_STATES, FIRST_GYROSCOPE, Followed, GYROSCOPE, MEASUREMENTS, VELOCITY,
@@ -270,8 +270,8 @@ impl Heading {
         } else {
             self.closed().motion(tuning)
         };
-        let decay = (duration_s / tuning.moving_hold_s).min(1.0);
-        self.motion = motion.max(self.motion * (1.0 - decay));
+        let decay = smaller(duration_s / tuning.moving_hold_s, 1.0);
+        self.motion = larger(motion, self.motion * (1.0 - decay));
         Phase::Forget(DEVIATION as u8)
     }
 
