@@ -15,6 +15,8 @@ mod interruptions;
 #[cfg(test)]
 mod kept_offset;
 mod leave_one_out;
+#[cfg(test)]
+mod level_turns;
 mod long;
 mod marg;
 mod parallel;

@@ -35,7 +35,7 @@ const FLIGHT_S: u64 = 240;
 /// Time in which an attitude has to become valid, µs, and the share of the starts in which it has
 /// to.
 const VALID_WITHIN_US: u64 = 30_000_000;
-const LEAST_VALID_SHARE: f64 = 0.9;
+const LEAST_VALID_SHARE: f64 = 0.8;
 
 /// Outcome of one start.
 struct Outcome {

@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-// The gyroscope's offset is not known yet.
+// The gyroscope's offset is not known. The reported sigma is much larger.
 #define APLOMB_FLAG_CALIBRATING (1 << 0)
 
 // The sensor moved before its offset was known.
@@ -32,7 +32,8 @@
 // The specific force is too small to show where down is.
 #define APLOMB_FLAG_FREE_FALL (1 << 7)
 
-// The data repeat to the last bit: the sensor sleeps, or the bus is stuck. The attitude is held.
+// The data repeat to the last bit: the sensor sleeps, or the bus or an axis is stuck. The attitude
+// is held.
 #define APLOMB_FLAG_FROZEN (1 << 8)
 
 // The sample was not a measurement and was ignored.

@@ -44,7 +44,7 @@ pub use state::{
     APLOMB_COMPASS_PIPELINE_WORDS, APLOMB_PIPELINE_WORDS, AplombCompassPipeline, AplombPipeline,
 };
 
-/// The gyroscope's offset is not known yet.
+/// The gyroscope's offset is not known. The reported sigma is much larger.
 pub const APLOMB_FLAG_CALIBRATING: u32 = 1 << 0;
 /// The sensor moved before its offset was known.
 pub const APLOMB_FLAG_MOVED: u32 = 1 << 1;
@@ -60,7 +60,8 @@ pub const APLOMB_FLAG_GYROSCOPE_SATURATED: u32 = 1 << 5;
 pub const APLOMB_FLAG_ACCELEROMETER_SATURATED: u32 = 1 << 6;
 /// The specific force is too small to show where down is.
 pub const APLOMB_FLAG_FREE_FALL: u32 = 1 << 7;
-/// The data repeat to the last bit: the sensor sleeps, or the bus is stuck. The attitude is held.
+/// The data repeat to the last bit: the sensor sleeps, or the bus or an axis is stuck. The attitude
+/// is held.
 pub const APLOMB_FLAG_FROZEN: u32 = 1 << 8;
 /// The sample was not a measurement and was ignored.
 pub const APLOMB_FLAG_REJECTED: u32 = 1 << 9;

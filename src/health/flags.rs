@@ -20,8 +20,8 @@ bitflags::bitflags! {
     #[repr(transparent)]
     #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct Flags: u32 {
-        /// The gyroscope's offset is not known: no rest has shown it. σ is three times as large,
-        /// and an attitude with a smaller σ than 30° is [`Flags::VALID`] all the same.
+        /// The gyroscope's offset is not known: no rest has shown it yet, or it has changed since.
+        /// The reported σ is much larger, so an attitude can be [`Flags::VALID`] all the same.
         const CALIBRATING = 1 << 0;
         /// The sensor moved before its offset was known.
         const MOVED = 1 << 1;

@@ -30,7 +30,8 @@ impl FlagReport {
     /// flags if they have to be reported.
     pub fn update(&mut self, flags: Flags, now_us: u32) -> Option<Flags> {
         let lasting = flags & Flags::LASTING;
-        if lasting != self.latest || flags.contains(Flags::CALIBRATING) {
+        let is_starting = flags.contains(Flags::CALIBRATING) && !flags.contains(Flags::VALID);
+        if lasting != self.latest || is_starting {
             self.latest = lasting;
             self.latest_since_us = now_us;
         }
@@ -67,6 +68,9 @@ mod tests {
             reports
         };
         assert_eq!(reports(Flags::CALIBRATING | Flags::DEGRADED, 100), []);
+        let in_motion = Flags::VALID | Flags::DEGRADED;
+        assert_eq!(reports(in_motion | Flags::CALIBRATING, 50), [in_motion]);
+        assert_eq!(reports(Flags::VALID, 50), [Flags::VALID]);
         assert_eq!(reports(Flags::VALID, 100), []);
         let polled = Flags::VALID | Flags::DEGRADED | Flags::POLLED;
         assert_eq!(reports(polled, 10), [], "not at once");

@@ -61,13 +61,14 @@
 //!   a tilt error of some degrees looks like an acceleration.
 //! - Only a rest, of this run or an earlier one, makes the bias known ([`Filter::is_bias_known`]).
 //!   In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
-//!   the reported σ is three times as large while the bias is not known.
+//!   the reported σ is much larger while the bias is not known.
 //! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
 //!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
 //! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
 //!   Gravity does not show it.
 //! - After a start in motion, a bias of 20 °/s about the vertical takes over half a minute, or is
-//!   not found, because yaw is not observed. The bias stays unknown until the first rest.
+//!   not found, because yaw is not observed. A lasting turn is taken for a bias. The reported σ
+//!   covers both.
 //!
 //! # Cost
 //!
@@ -118,8 +119,8 @@ use unseen::LONG_STEP_S;
 /// Largest σ of a known bias, per axis.
 const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
 
-/// σ of the tilt, both axes together, rad, from which on the tilt is not `VALID`. At the start and
-/// at rest the specific force then shows the tilt better.
+/// σ of the tilt, both axes together, rad, from which on the specific force shows the tilt better:
+/// at the start, and at rest.
 const USABLE_TILT_RAD: f32 = radians(30.0);
 
 /// Scale from the filter's σ of tilt, which is conservative, to the reported σ.
@@ -130,12 +131,10 @@ const USABLE_TILT_RAD: f32 = radians(30.0);
 const REPORTED_SIGMA_SCALE: f32 = 0.92;
 const REPORTED_VARIANCE_SCALE: f32 = square(REPORTED_SIGMA_SCALE);
 
-/// Factor of the reported σ while the bias is not known.
+/// Factor of the reported σ while the bias is not known, beside the variance of a turn.
 ///
-/// A large bias about the vertical misleads the filter after a start in motion, and its σ too:
-/// while both are uncertain, the linear model leaves out their product. Of 5,360 starts in the
-/// middle of recordings and simulated flights, with biases of up to 28 °/s, 2.9 times the filter's
-/// σ would have covered each (`bench/src/starts.rs`).
+/// A large bias about the vertical misleads the filter after a start in motion: while bias and tilt
+/// are uncertain, the linear model leaves out their product.
 const UNKNOWN_BIAS_SIGMA_SCALE: f32 = 3.0;
 
 /// Period of the covariance slices, s: a step is complete before the next one is due.
@@ -260,7 +259,7 @@ impl Filter for Kalman {
     }
 
     /// Returns the tilt variance, including unobserved motion since the last covariance step.
-    /// Nine times as large while the bias is not known. Infinite without a tilt.
+    /// Much larger while the bias is not known. Infinite without a tilt.
     #[inline]
     fn tilt_variance_rad2(&self) -> f32 {
         match self.tilt {
@@ -270,7 +269,7 @@ impl Filter for Kalman {
                 if self.is_bias_known {
                     variance
                 } else {
-                    square(UNKNOWN_BIAS_SIGMA_SCALE) * variance
+                    square(UNKNOWN_BIAS_SIGMA_SCALE) * variance + self.turn_variance_rad2()
                 }
             }
         }
@@ -432,6 +431,22 @@ impl Kalman {
         let [x, y, z] = self.prior.variance;
         let is_measured = self.has_rested || larger(larger(x, y), z) < square(KNOWN_BIAS_RAD_S);
         self.is_bias_known = is_measured && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
+    }
+
+    /// Returns the variance of a bank that the filter may take for level while the bias is not
+    /// known, rad².
+    ///
+    /// A level turn reads like a tilted rest with a bias. The specific force shows the bank φ:
+    /// |f|²/g² − 1 = tan² φ. With a quarter of it, six σ are three times the bank.
+    ///
+    /// The second term falls from the start on, to (5.7°)² after 10 s: one shaken sample may have
+    /// set the tilt upside down, and the accelerometer's error may hide 20° of bank.
+    #[inline(never)]
+    fn turn_variance_rad2(&self) -> f32 {
+        const PER_SQUARED_FORCE: f32 = 1.0 / square(STANDARD_GRAVITY_M_S2);
+        let force = self.stationary.average_force_m_s2();
+        let excess = PER_SQUARED_FORCE * force.dot(force) - 1.0;
+        0.25 * excess.abs() + 1.0 / square(self.recent.age_s)
     }
 
     /// Returns the filter's own tilt variance, both axes together, rad².

@@ -19,7 +19,8 @@ pub(super) struct RecentVelocity {
     smooth_m_s: [f32; 2],
     /// Mean square of the smoothed velocity, (m/s)².
     pub(super) squared: f32,
-    age_s: f32,
+    /// Time since the start, s, and at most that of the average.
+    pub(super) age_s: f32,
 }
 
 impl RecentVelocity {

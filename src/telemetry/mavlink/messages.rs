@@ -88,8 +88,8 @@ pub(super) fn heartbeat(vehicle: &Vehicle<'_>) -> HEARTBEAT_DATA {
         },
         system_status: match flags {
             None => MavState::MAV_STATE_CRITICAL,
-            Some(flags) if is_calibrating(flags) => MavState::MAV_STATE_CALIBRATING,
             Some(_) if vehicle.is_armed => MavState::MAV_STATE_ACTIVE,
+            Some(flags) if is_calibrating(flags) => MavState::MAV_STATE_CALIBRATING,
             Some(_) => MavState::MAV_STATE_STANDBY,
         },
         // Version of the protocol's definitions, the same for MAVLink 2.

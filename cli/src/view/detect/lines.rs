@@ -134,7 +134,7 @@ impl Lines {
     fn attitude(&mut self, line: &Line, items: &mut Vec<Item>) {
         let over = Flags::INVALIDATING | Flags::CALIBRATING;
         if line.is_valid && self.named.intersects(over) {
-            // The condition that was named is over. That of a start no message ends.
+            // The condition that was named is over. No message ends `CALIBRATING`.
             self.named = Flags::empty();
         }
         items.push(Item::Reading(Reading::of_line(line, self.named)));
