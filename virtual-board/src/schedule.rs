@@ -320,6 +320,7 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
             FaultKind::RegisterFlip(registers[pick % 7], (pick / 7 % 256) as u8)
         }
         "saturated" => FaultKind::Saturated(Axis::NAMES[pick % 6].0),
+        "stuck" => FaultKind::Stuck(Axis::NAMES[pick % 6].0),
         "compass-identity" => FaultKind::CompassIdentity((pick % 64) as u8),
         "supply-sag" => FaultKind::SupplySag((pick % 3_000) as u32),
         "temperature" => FaultKind::Temperature(if pick.is_multiple_of(2) { -55.0 } else { 120.0 }),
