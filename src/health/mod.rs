@@ -6,8 +6,10 @@
 //!
 //! - the sample is no measurement, the data are frozen, or an axis is stuck;
 //! - the temperature is outside the part's range;
-//! - the rates could come from a changed full scale, which has not been read back yet;
-//! - the gyroscope's offset is unknown.
+//! - the rates could come from a changed full scale, which has not been read back yet.
+//!
+//! Nor is it `VALID` while its σ exceeds 30°. While the gyroscope's offset is unknown, σ is much
+//! larger.
 //!
 //! ```
 //! use aplomb::health::{Flags, Monitor};

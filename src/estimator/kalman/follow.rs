@@ -53,10 +53,10 @@ impl Followed {
 }
 
 impl Kalman {
-    /// Returns whether an attitude is known.
+    /// Returns whether a tilt has been set, and by more than a single sample.
     #[inline]
     pub(in crate::estimator) fn has_tilt(&self) -> bool {
-        self.tilt != Tilt::Unknown
+        self.tilt != Tilt::Unknown && !self.is_from_one_sample
     }
 
     /// Returns whether a covariance step is due or under way.

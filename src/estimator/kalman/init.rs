@@ -4,11 +4,31 @@ use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::rest_watch::RestWatch;
-use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, Tilt, USABLE_TILT_RAD};
+use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
 use crate::estimator::sample::Sample;
-use crate::units::STANDARD_GRAVITY_M_S2;
+
+/// Tilt variance per axis of a single sample's specific force, rad²: too much for `VALID`.
+pub(super) const ONE_SAMPLE_TILT_RAD2: f32 = 0.3;
+
+/// Source of the tilt, now or with the next sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) enum Tilt {
+    /// Unknown: no specific force has shown where down is.
+    Unknown,
+    /// From an earlier run: the next sample does not set it.
+    Resumed,
+    /// From the mean readings at rest, which contradict the state: the next sample restarts the
+    /// filter.
+    Restarting,
+    /// Hidden by a pause or by full-scale readings, or the first mean was not about one g: the next
+    /// sample that shows gravity sets it.
+    Lost,
+    /// Known.
+    Known,
+}
 
 impl Kalman {
     /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Takes the
@@ -25,6 +45,8 @@ impl Kalman {
         self.nominal.set_gyroscope_bias(bias_rad_s);
         self.prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
         self.has_rested = false;
+        self.is_stored_known = sigma_rad_s < KNOWN_BIAS_RAD_S;
+        self.is_bias_known = self.is_stored_known;
         for axis in 0..3 {
             let covariance = &mut self.step.covariance;
             covariance.set_parameter_variance(axis, square(sigma_rad_s));
@@ -32,7 +54,7 @@ impl Kalman {
     }
 
     /// Continues from an earlier run, instead of taking the tilt from the first sample. If σ of
-    /// the kept tilt is 30° or more, the first specific force sets the tilt, and yaw is kept. Call
+    /// the kept tilt is 30° or more, the specific force sets the tilt, and yaw is kept. Call
     /// it before the first sample.
     pub fn resume(&mut self, start: &WarmStart) {
         self.nominal.attitude = start.attitude;
@@ -62,7 +84,7 @@ impl Kalman {
     ) {
         self.take_bias(bias_rad_s, bias_sigma_rad_s);
         self.reset_motion(0.5 * square(tilt_sigma_rad) / REPORTED_VARIANCE_SCALE);
-        self.is_bias_known = bias_sigma_rad_s < KNOWN_BIAS_RAD_S;
+        self.is_from_one_sample = false;
     }
 
     /// Shifts the bias estimate after the upstream compensation changed, rad/s. The attitude is
@@ -104,17 +126,14 @@ impl Kalman {
     /// Takes the tilt from the specific force, body axes, unless an earlier run has kept it.
     /// Without gravity the tilt stays unknown.
     fn start_tilt(&mut self, force: Vector3, shows_gravity: bool) {
-        match self.tilt {
-            Tilt::Resumed => {
-                self.tilt = Tilt::Known;
-                return;
-            }
-            // The covariance is still at its prior.
-            Tilt::Unknown => self.interval = Interval::EMPTY,
-            Tilt::Restarting | Tilt::Lost | Tilt::Known => {
-                self.reset_motion(square(self.tuning.start_tilt_rad));
-                self.recent.may_move();
-            }
+        if self.tilt == Tilt::Resumed {
+            self.tilt = Tilt::Known;
+            return;
+        }
+        self.reset_motion(ONE_SAMPLE_TILT_RAD2);
+        self.is_from_one_sample = true;
+        if self.tilt != Tilt::Unknown {
+            self.recent.may_move();
         }
         if shows_gravity {
             self.take_tilt_from(force);
@@ -123,8 +142,8 @@ impl Kalman {
         }
     }
 
-    /// Makes this specific force, body axes, point up. The first tilt has no yaw; a later one is
-    /// the nearest to the present attitude.
+    /// Makes this sample's specific force, body axes, point up. The first tilt has no yaw; a later
+    /// one is the nearest to the present attitude.
     fn take_tilt_from(&mut self, force: Vector3) {
         let attitude = self.nominal.attitude;
         if self.tilt == Tilt::Unknown {
@@ -147,6 +166,6 @@ impl Kalman {
         self.rest_watch = RestWatch::NONE;
         self.interval = Interval::EMPTY;
         self.nominal.velocity_m_s = [0.0; 2];
-        self.mean_force_m_s2 = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+        self.wrong_gravity_s = 0.0;
     }
 }

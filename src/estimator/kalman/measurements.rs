@@ -57,7 +57,12 @@ impl Kalman {
             stationary.filter(|_| !self.is_armed && (self.has_rested || self.is_rest_certain()));
         self.is_first_rest = stationary.is_some() && !self.has_rested;
         match stationary {
-            Some(readings) => self.measure_at_rest(&readings, duration_s),
+            Some(readings) => {
+                if !self.measure_at_rest(&readings, duration_s) {
+                    self.tilt = Tilt::Restarting;
+                    self.is_bias_known = false;
+                }
+            }
             None => {
                 self.widen_prior();
                 self.measure_velocity(self.velocity_noise() / duration_s);
@@ -114,32 +119,23 @@ impl Kalman {
         }
     }
 
-    /// Adds zero-rate and zero-velocity updates, each only if it passes its gate. Readings that
-    /// contradict the bias make the next sample restart the filter: those of the first rest at
-    /// once, later ones when no motion can explain them. So does the first rest if the tilt is not
-    /// usable, because the linear model cannot correct it, and any rest whose specific force
-    /// contradicts the tilt for longer than a vehicle accelerates.
+    /// Adds zero-rate and zero-velocity updates, each only if it passes its gate.
+    ///
+    /// Returns whether the readings agree with the state. If they do not, the next sample has to
+    /// restart the filter from them. A first rest disagrees if it contradicts the bias, or if the
+    /// tilt is not usable, because the linear model cannot correct it. A later one contradicts the
+    /// bias only if no motion can explain it. Any rest disagrees whose specific force contradicts
+    /// the tilt for longer than a vehicle accelerates.
     #[inline(never)]
-    fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) {
+    fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) -> bool {
         let tuning = self.tuning;
         let difference = readings.rate_rad_s - self.nominal.gyroscope_bias_rad_s;
-        let covariance = &self.step.covariance;
-        let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);
+        let tilt = self.step.tilt_variance_rad2();
         let is_usable = tilt < square(USABLE_TILT_RAD);
         let agrees =
             self.has_rested || is_usable && self.passes_gate(difference, FIRST_REST_GATE_SIGMA);
         if !agrees {
-            self.await_restart_at_rest();
-            return;
-        }
-        self.has_rested = true;
-        if self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
-            let variance = square(tuning.stationary_rate_noise) / duration_s;
-            self.measure_bias(difference, variance);
-            self.rest_watch.begins = true;
-        } else if self.is_offset_wrong(readings, difference) {
-            self.await_restart_at_rest();
-            return;
+            return false;
         }
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
         let up_m_s2 = -force.z;
@@ -147,17 +143,30 @@ impl Kalman {
             < up_m_s2
                 * (16.0 * STANDARD_GRAVITY_M_S2 * tilt
                     + square(STATIONARY_FORCE_SHARE) * STANDARD_GRAVITY_M_S2);
-        let is_long = self.stationary.quiet_s()
-            > LONGEST_ACCELERATION_S3_M * up_m_s2 - LONGEST_ACCELERATION_S3_M * LEAST_UP_M_S2;
+        let is_long =
+            self.stationary.quiet_s() > LONGEST_ACCELERATION_S3_M * (up_m_s2 - LEAST_UP_M_S2);
+        if !is_explained && is_long {
+            return false;
+        }
+        // A first rest whose force does not fit the tilt measures no bias yet.
+        if is_explained || self.has_rested {
+            self.has_rested = true;
+            if self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
+                let variance = square(tuning.stationary_rate_noise) / duration_s;
+                self.measure_bias(difference, variance);
+                self.rest_watch.begins = true;
+            } else if self.is_offset_wrong(readings, difference) {
+                return false;
+            }
+        }
         if is_explained {
             let variance = square(tuning.stationary_velocity_noise) / duration_s;
             self.reset_coasting(variance);
             self.measure_velocity(variance);
-        } else if is_long {
-            self.await_restart_at_rest();
         } else {
             self.measure_velocity(self.velocity_noise() / duration_s);
         }
+        true
     }
 
     /// Compares the present readings with those of the last rest, twice in each covariance step.
@@ -174,12 +183,6 @@ impl Kalman {
             readings.force_m_s2,
             self.stationary.quiet_s(),
         )
-    }
-
-    /// Makes the next sample restart the filter from the readings at rest.
-    fn await_restart_at_rest(&mut self) {
-        self.tilt = Tilt::Restarting;
-        self.is_bias_known = false;
     }
 
     /// Resets a velocity that the tilt's error cannot explain: the vehicle moves steadily, and the
@@ -297,14 +300,14 @@ impl Kalman {
     /// Closes the interval: adds its velocity, and begins its covariance step with the process
     /// noise.
     pub(super) fn begin_covariance_step(&mut self) {
+        if self.take_tilt_from_interval() {
+            return;
+        }
         let tuning = self.tuning;
         let duration_s = self.interval.duration_s;
         let velocity = self.nominal.velocity_m_s.iter_mut();
         for (velocity, change) in velocity.zip(self.interval.velocity_m_s) {
             *velocity += change;
-        }
-        if self.recover_from_wrong_gravity() {
-            return;
         }
         self.held_tilt_rad2 = self.covariance_tilt_variance();
         let walk = square(tuning.gyroscope_bias_walk) * duration_s;

@@ -42,7 +42,10 @@
 //!
 //! # Start and rest
 //!
-//! - The first sample sets the tilt, with a large σ. There is no start-up average.
+//! - The mean specific force of the first 0.15 s sets the tilt, because one sample in vibration
+//!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. Meanwhile the
+//!   first sample sets the tilt, with a σ above 30°: it is not `VALID`. The same holds after a
+//!   pause that hides the tilt.
 //! - The bias has a prior. When a bias turns out to lie more than [`Tuning::prior_gate_sigma`]
 //!   outside it, the prior is widened.
 //! - While tilt and bias are both uncertain, their product, which the linear model leaves out,
@@ -107,6 +110,7 @@ use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 use consistency::Consistency;
 use covariance::Column;
+use init::Tilt;
 use nominal::NominalState;
 use prior::{BiasPrior, ParameterPriors};
 use propagation::{GYROSCOPE_PARAMETERS, Interval, PARAMETERS};
@@ -137,6 +141,13 @@ const REPORTED_VARIANCE_SCALE: f32 = square(REPORTED_SIGMA_SCALE);
 /// are uncertain, the linear model leaves out their product.
 const UNKNOWN_BIAS_SIGMA_SCALE: f32 = 3.0;
 
+/// σ of a bank that the accelerometer's error hides, rad.
+const HIDDEN_BANK_RAD: f32 = 0.1;
+
+/// Length of the mean specific force that sets the tilt at a start, s: more than seven periods of
+/// a vibration of 50 Hz.
+const FIRST_MEAN_S: f32 = 0.15;
+
 /// Period of the covariance slices, s: a step is complete before the next one is due.
 const SLICE_PERIOD_S: f32 = 10.5e-3;
 /// Sample period above which every sample has an earth step, s.
@@ -165,7 +176,7 @@ pub struct Kalman {
     is_bias_known: bool,
     /// True if the bias has been measured at rest in this run.
     has_rested: bool,
-    /// True if the covariance step under way is the first one at rest.
+    /// True if the covariance step under way is at rest, before any rest has been accepted.
     is_first_rest: bool,
     /// Well-known axis whose bias is measured next at rest.
     next_axis: u8,
@@ -182,29 +193,16 @@ pub struct Kalman {
     recent: RecentVelocity,
     consistency: Consistency,
     prior: BiasPrior,
-    /// Mean specific force in earth axes over the recovery time, m/s².
-    mean_force_m_s2: Vector3,
+    /// Length of the intervals of about one g and over 45° from up, s, since the last upright one.
+    wrong_gravity_s: f32,
     step: CovarianceStep,
     rest_watch: RestWatch,
     /// σ of the accelerometer's bias before the first sample, m/s².
     accelerometer_m_s2: f32,
-}
-
-/// Source of the tilt, now or with the next sample.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-enum Tilt {
-    /// Unknown: no specific force has shown where down is.
-    Unknown,
-    /// From an earlier run: the next sample does not set it.
-    Resumed,
-    /// From the mean readings at rest, which contradict the state: the next sample restarts the
-    /// filter.
-    Restarting,
-    /// Hidden by a pause or by full-scale readings: the next sample that shows gravity sets it.
-    Lost,
-    /// Known.
-    Known,
+    /// True if the stored bias, or that of a restart, was known.
+    is_stored_known: bool,
+    /// True if a single sample has set the tilt: the mean specific force will set it again.
+    is_from_one_sample: bool,
 }
 
 impl Default for Kalman {
@@ -304,8 +302,10 @@ impl Kalman {
             tilt: Tilt::Unknown,
             has_work: false,
             is_bias_known: false,
+            is_stored_known: false,
             has_rested: false,
             is_first_rest: false,
+            is_from_one_sample: false,
             nominal: NominalState::new(),
             step: CovarianceStep::new(),
             interval: Interval::EMPTY,
@@ -315,7 +315,7 @@ impl Kalman {
             rest_watch: RestWatch::NONE,
             accelerometer_m_s2,
             prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
-            mean_force_m_s2: Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2),
+            wrong_gravity_s: 0.0,
             next_axis: 0,
             next_parameter: 0,
             held_tilt_rad2: 0.0,
@@ -377,7 +377,12 @@ impl Kalman {
             step.duration_s,
             self.tuning,
         );
-        let is_due = self.interval.duration_s >= self.tuning.covariance_period_s;
+        let period_s = if self.is_from_one_sample {
+            FIRST_MEAN_S
+        } else {
+            self.tuning.covariance_period_s
+        };
+        let is_due = self.interval.duration_s >= period_s;
         self.has_work |= is_due && self.tilt == Tilt::Known;
     }
 
@@ -428,8 +433,8 @@ impl Kalman {
             self.restart_from_unusable_numbers();
             return;
         }
-        let [x, y, z] = self.prior.variance;
-        let is_measured = self.has_rested || larger(larger(x, y), z) < square(KNOWN_BIAS_RAD_S);
+        // Only a rest makes a bias known, of this run or an earlier one.
+        let is_measured = self.has_rested || self.is_stored_known;
         self.is_bias_known = is_measured && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
     }
 
@@ -437,16 +442,14 @@ impl Kalman {
     /// known, rad².
     ///
     /// A level turn reads like a tilted rest with a bias. The specific force shows the bank φ:
-    /// |f|²/g² − 1 = tan² φ. With a quarter of it, six σ are three times the bank.
-    ///
-    /// The second term falls from the start on, to (5.7°)² after 10 s: one shaken sample may have
-    /// set the tilt upside down, and the accelerometer's error may hide 20° of bank.
+    /// |f|²/g² − 1 = tan² φ. With a quarter of it, six σ are three times the bank. The
+    /// accelerometer's error may hide 20°: six of [`HIDDEN_BANK_RAD`] are 34°.
     #[inline(never)]
     fn turn_variance_rad2(&self) -> f32 {
-        const PER_SQUARED_FORCE: f32 = 1.0 / square(STANDARD_GRAVITY_M_S2);
+        const GRAVITY_SQUARED: f32 = square(STANDARD_GRAVITY_M_S2);
         let force = self.stationary.average_force_m_s2();
-        let excess = PER_SQUARED_FORCE * force.dot(force) - 1.0;
-        0.25 * excess.abs() + 1.0 / square(self.recent.age_s)
+        let excess = force.dot(force) - GRAVITY_SQUARED;
+        0.25 / GRAVITY_SQUARED * excess.abs() + square(HIDDEN_BANK_RAD)
     }
 
     /// Returns the filter's own tilt variance, both axes together, rad².
@@ -559,8 +562,10 @@ impl Kalman {
         };
         visitor.bool(&mut self.has_work);
         visitor.bool(&mut self.is_bias_known);
+        visitor.bool(&mut self.is_stored_known);
         visitor.bool(&mut self.has_rested);
         visitor.bool(&mut self.is_first_rest);
+        visitor.bool(&mut self.is_from_one_sample);
         self.nominal.visit_state(visitor);
         self.step.visit_state(visitor);
         self.interval.visit_state(visitor);
@@ -570,7 +575,7 @@ impl Kalman {
         self.rest_watch.visit_state(visitor);
         visitor.f32(&mut self.accelerometer_m_s2);
         self.prior.visit_state(visitor);
-        visitor.vector(&mut self.mean_force_m_s2);
+        visitor.f32(&mut self.wrong_gravity_s);
         let mut next_axis = usize::from(self.next_axis);
         visitor.index(&mut next_axis, 3);
         self.next_axis = next_axis as u8;

@@ -4,6 +4,7 @@
 //! it, and these sums accumulate with it. They propagate the covariance over the whole interval at
 //! once.
 
+use crate::attitude::Vector3;
 use crate::serialize::StateVisitor;
 
 /// Dynamic states, which change by themselves: tilt about north and east, velocity to north and
@@ -125,6 +126,13 @@ impl Interval {
         unseen_tilt_rad2: 0.0,
         unseen_velocity_m2_s2: 0.0,
     };
+
+    /// Returns the mean specific force in earth axes, m/s². The interval has a length.
+    pub(super) fn mean_force_m_s2(&self) -> Vector3 {
+        let [north, east] = self.velocity_m_s;
+        let gained = Vector3::new(north, east, self.transition.down_m_s);
+        gained.scale(1.0 / self.duration_s)
+    }
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {

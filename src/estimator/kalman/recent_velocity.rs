@@ -20,7 +20,7 @@ pub(super) struct RecentVelocity {
     /// Mean square of the smoothed velocity, (m/s)².
     pub(super) squared: f32,
     /// Time since the start, s, and at most that of the average.
-    pub(super) age_s: f32,
+    age_s: f32,
 }
 
 impl RecentVelocity {

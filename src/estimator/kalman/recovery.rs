@@ -1,19 +1,21 @@
-//! Restarts: at a rest that contradicts the state, from a tilt that the linear model cannot
-//! correct, from unusable numbers.
+//! Restarts: at a rest that contradicts the state, from the mean specific force, from unusable
+//! numbers.
 
 use super::consistency::Consistency;
+use super::init::ONE_SAMPLE_TILT_RAD2;
 use super::measurements::STATIONARY_FORCE_SHARE;
+use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::stationary::StationaryReadings;
 use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
-use crate::estimator::arithmetic::{smaller, square};
+use crate::estimator::arithmetic::square;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// Time constant of the mean specific force that has to agree with gravity, s.
+/// Time for which the specific force may contradict the tilt, s.
 const RECOVERY_TIME_S: f32 = 1.5;
-/// σ of the tilt after a recovery, rad.
+/// σ of the tilt after unusable numbers, rad.
 const RECOVERED_TILT_RAD: f32 = 0.3;
 
 /// σ of the tilt from the mean force at rest, both axes together, rad: the accelerometer's bias.
@@ -51,34 +53,48 @@ impl Kalman {
         self.tilt = Tilt::Known;
     }
 
-    /// Restarts the tilt when the mean specific force contradicts it: about one g for 1.5 s, over
-    /// 45° from up.
+    /// Takes the tilt from the interval's mean specific force, if a single sample has set it, or if
+    /// the force has contradicted it for 1.5 s: about one g, over 45° from up. Returns whether the
+    /// interval needs no covariance step.
     ///
-    /// No vehicle that holds its height reads this: a sideways acceleration of one g would give 1.4
-    /// g. Returns whether the tilt was restarted.
-    pub(super) fn recover_from_wrong_gravity(&mut self) -> bool {
-        let interval = &self.interval;
-        let [north, east] = interval.velocity_m_s;
-        let gained = Vector3::new(north, east, interval.transition.down_m_s);
-        let force = gained.scale(1.0 / interval.duration_s);
-        const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
-        const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
-        let is_gravity = |squared: f32| (LEAST * LEAST..GREATEST * GREATEST).contains(&squared);
-        // A knock or a full-scale reading is short, but would dominate the mean.
-        if !is_gravity(force.dot(force)) {
+    /// No vehicle that holds its height reads such a force: a sideways acceleration of one g would
+    /// give 1.4 g.
+    #[inline(never)]
+    pub(super) fn take_tilt_from_interval(&mut self) -> bool {
+        let force = self.interval.mean_force_m_s2();
+        let is_gravity = is_gravity(force);
+        if self.is_from_one_sample {
+            self.has_work = false;
+            if is_gravity {
+                self.level(force);
+                self.confirm_start();
+            } else {
+                self.tilt = Tilt::Lost;
+            }
+            return true;
+        }
+        if force.z < 0.0 && 2.0 * square(force.z) > force.dot(force) {
+            self.wrong_gravity_s = 0.0;
+        } else if is_gravity {
+            self.wrong_gravity_s += self.interval.duration_s;
+        }
+        if self.wrong_gravity_s < RECOVERY_TIME_S {
             return false;
         }
-        let share = smaller(interval.duration_s / RECOVERY_TIME_S, 1.0);
-        self.mean_force_m_s2 = self.mean_force_m_s2 + (force - self.mean_force_m_s2).scale(share);
-        let mean = self.mean_force_m_s2;
-        let squared = mean.dot(mean);
-        let is_upwards = mean.z < 0.0 && 2.0 * square(mean.z) > squared;
-        if !is_gravity(squared) || is_upwards {
-            return false;
-        }
-        self.level(mean);
-        self.reset_motion(square(RECOVERED_TILT_RAD));
+        self.level(force);
+        self.reset_motion(square(self.tuning.start_tilt_rad));
         true
+    }
+
+    /// Reduces σ of a single sample's tilt to that of a start. Nothing correlates with it yet.
+    fn confirm_start(&mut self) {
+        self.is_from_one_sample = false;
+        let start = square(self.tuning.start_tilt_rad) - ONE_SAMPLE_TILT_RAD2;
+        let change = start + self.interval.unseen_tilt_rad2;
+        for axis in 0..2 {
+            self.step.covariance.add_to_dynamic(axis, change);
+        }
+        self.interval = Interval::EMPTY;
     }
 
     /// Turns the attitude by the shortest rotation that makes this force, which is given in earth
@@ -113,7 +129,15 @@ impl Kalman {
     }
 }
 
-/// Returns the shortest rotation that turns this nonzero direction up, to (0, 0, −1).
+/// Returns whether this specific force, m/s², is about one g.
+fn is_gravity(force: Vector3) -> bool {
+    const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
+    const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
+    (square(LEAST)..square(GREATEST)).contains(&force.dot(force))
+}
+
+/// Returns the shortest rotation that turns this nonzero direction up, to (0, 0, −1), as a
+/// quaternion that is not normalised.
 fn shortest_to_up(direction: Vector3) -> Quaternion {
     let norm = direction.norm();
     // w = 1 + cos, and the axis is direction × up. Both vanish where the direction points straight
@@ -122,5 +146,5 @@ fn shortest_to_up(direction: Vector3) -> Quaternion {
     if w < 1.0e-3 * norm {
         return Quaternion::new(0.0, 1.0, 0.0, 0.0);
     }
-    Quaternion::new(w, -direction.y, direction.x, 0.0).normalize()
+    Quaternion::new(w, -direction.y, direction.x, 0.0)
 }

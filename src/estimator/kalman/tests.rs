@@ -674,9 +674,9 @@ fn a_known_bias_stays_known_after_a_restart_in_motion() {
 }
 
 /// In flight 210000570 of the fault campaign a reset followed a brown-out, so that the kept tilt
-/// was too uncertain for `VALID`. The first force is better.
+/// was too uncertain for `VALID`. The specific force is better.
 #[test]
-fn an_uncertain_kept_tilt_is_taken_from_the_first_force() {
+fn an_uncertain_kept_tilt_is_taken_from_the_specific_force() {
     let mut world = World::at_rest(from_degrees(20.0, 10.0, 70.0));
     let mut estimator = estimator();
     estimator.filter_mut().resume(&WarmStart {
@@ -684,7 +684,7 @@ fn an_uncertain_kept_tilt_is_taken_from_the_first_force() {
         tilt_sigma_rad: radians(40.0),
         ..warm_start(&world)
     });
-    let estimate = world.run(&mut estimator, 1);
+    let estimate = world.run(&mut estimator, 170);
     assert!(estimate.is_bias_known);
     let sigma_deg = degrees(estimate.tilt_sigma_rad());
     assert!(sigma_deg < 20.0, "{sigma_deg}");
@@ -982,13 +982,12 @@ fn implausible_readings_leave_a_filter_that_recovers() {
             rests += 1;
             slow += i32::from(rest.error_deg > 2.0);
             broken += i32::from(rest.is_promise_broken);
-            assert!(!rest.is_promise_broken || seed >= 40, "{seed}");
         }
     }
-    // After 12 s hardly any still converges: 4 of 8,000 with other seeds.
-    assert!(200 * slow < rests, "{slow} of {rests}");
-    // After 3 s the tilt can be upside down, with a σ of 27°: 5 of 10,000 with other seeds.
-    assert!(600 * broken < rests, "{broken} of {rests}");
+    // After 12 s hardly any still converges: 1 of 15,000 with other seeds.
+    assert!(500 * slow < rests, "{slow} of {rests}");
+    // After 3 s the tilt can be 20° wrong, with a σ of 2°: 5 of 15,000 with other seeds.
+    assert!(900 * broken < rests, "{broken} of {rests}");
 }
 
 struct RestAfterReadings {
@@ -998,7 +997,8 @@ struct RestAfterReadings {
     is_promise_broken: bool,
 }
 
-/// Feeds readings that no sensor delivers, with rests of 12 s between them.
+/// Feeds random readings of up to full scale, and some that no sensor delivers, with rests of 12 s
+/// between them.
 fn rests_after_implausible_readings(seed: u64) -> Vec<RestAfterReadings> {
     let mut rests = Vec::new();
     let mut random = Random(seed);
@@ -1013,8 +1013,8 @@ fn rests_after_implausible_readings(seed: u64) -> Vec<RestAfterReadings> {
                 1.0e-20,
                 1.0,
                 30.0,
-                900.0,
-                5.0e3,
+                160.0,
+                2.0e4,
                 f32::NAN,
                 f32::INFINITY,
             ][(random.next().abs() * 7.99) as usize];
@@ -1049,6 +1049,9 @@ fn rests_after_implausible_readings(seed: u64) -> Vec<RestAfterReadings> {
                 rest.is_promise_broken |= is_promised && rest.error_deg > (6.0 * sigma).max(5.0);
             }
             rests.push(rest);
+            while filter(&estimator).step.is_under_way() {
+                world.run(&mut estimator, 1);
+            }
             assert!(is_positive(&dense(&filter(&estimator).step.covariance)));
             t_us = world.t_us;
         }
@@ -1089,7 +1092,7 @@ fn sigma_falls_only_when_the_state_is_corrected() {
     let mut world = World::at_rest(from_degrees(10.0, -20.0, 0.0));
     world.acceleration_m_s2 = Vector3::new(3.0, 1.0, 0.0);
     let mut estimator = estimator();
-    world.run(&mut estimator, 50);
+    world.run(&mut estimator, 200);
     world.acceleration_m_s2 = Vector3::ZERO;
     let mut falls = 0;
     for _ in 0..10_000 {
@@ -1144,13 +1147,16 @@ fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
     world.rate_rad_s = Vector3::ZERO;
     let estimate = estimator.update(&world.sample(50_000));
     assert_eq!(estimate.tilt_variance_rad2, f32::INFINITY);
-    let estimate = world.run(&mut estimator, 1);
-    let error = world.tilt_error_degrees(estimate.attitude);
-    let sigma = estimate.tilt_sigma_rad().to_degrees();
-    assert!(
-        error < 1.0 && (10.0..20.0).contains(&sigma),
-        "{error}, {sigma}"
-    );
+    // At first from one sample, then from the mean of 0.15 s.
+    for (milliseconds, sigmas_degrees) in [(1, 30.0..50.0), (170, 10.0..20.0)] {
+        let estimate = world.run(&mut estimator, milliseconds);
+        let error = world.tilt_error_degrees(estimate.attitude);
+        let sigma = estimate.tilt_sigma_rad().to_degrees();
+        assert!(
+            error < 1.0 && sigmas_degrees.contains(&sigma),
+            "{error}, {sigma}"
+        );
+    }
 }
 
 /// A body whose axis goes round on a cone reads a steady rate about it, although it does not turn

@@ -34,8 +34,8 @@ pub(super) const LARGEST_MATRIX_ERROR: f32 = 0.1;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Tuning {
-    /// σ of the tilt from the first sample, per axis, rad. Larger: recovers sooner from a start in
-    /// motion. Smaller: exact sooner after a start at rest.
+    /// σ of the tilt from the mean specific force at a start, per axis, rad. Larger: recovers
+    /// sooner from a start in motion. Smaller: exact sooner after a start at rest.
     pub start_tilt_rad: f32,
     /// σ of the gyroscope bias at start, per axis, rad/s. Larger: finds a large bias sooner.
     /// Smaller: a start in motion with a small bias is calmer. The filter widens it when the data
