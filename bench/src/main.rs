@@ -29,6 +29,8 @@ mod rest;
 #[cfg(test)]
 mod restarts;
 mod results;
+#[cfg(test)]
+mod shaken_starts;
 mod simulated;
 #[cfg(test)]
 mod starts;
