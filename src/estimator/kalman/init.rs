@@ -9,8 +9,13 @@ use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
 use crate::estimator::sample::Sample;
 
-/// Tilt variance per axis of a single sample's specific force, rad²: too much for `VALID`.
-pub(super) const ONE_SAMPLE_TILT_RAD2: f32 = 0.3;
+/// Tilt variance that a single sample's specific force adds to that of a mean, both axes together,
+/// rad²: too much for `VALID`.
+const ONE_SAMPLE_TILT_RAD2: f32 = 0.5;
+
+/// Bias of the accelerometer beyond which a start forgets it, in σ of what is known of it. Flights
+/// reach three; readings that are no measurements lead beyond.
+const IMPLAUSIBLE_BIAS_SIGMA: f32 = 4.0;
 
 /// Source of the tilt, now or with the next sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -84,7 +89,6 @@ impl Kalman {
     ) {
         self.take_bias(bias_rad_s, bias_sigma_rad_s);
         self.reset_motion(0.5 * square(tilt_sigma_rad) / REPORTED_VARIANCE_SCALE);
-        self.is_from_one_sample = false;
     }
 
     /// Shifts the bias estimate after the upstream compensation changed, rad/s. The attitude is
@@ -130,7 +134,12 @@ impl Kalman {
             self.tilt = Tilt::Known;
             return;
         }
-        self.reset_motion(ONE_SAMPLE_TILT_RAD2);
+        let bias = &mut self.nominal.accelerometer_bias_m_s2;
+        if bias.dot(*bias) > square(IMPLAUSIBLE_BIAS_SIGMA * self.accelerometer_m_s2) {
+            *bias = Vector3::ZERO;
+        }
+        self.reset_motion(square(self.tuning.start_tilt_rad));
+        self.rest_watch.variance_rad2 = ONE_SAMPLE_TILT_RAD2;
         self.is_from_one_sample = true;
         if self.tilt != Tilt::Unknown {
             self.recent.may_move();

@@ -2,7 +2,6 @@
 //! numbers.
 
 use super::consistency::Consistency;
-use super::init::ONE_SAMPLE_TILT_RAD2;
 use super::measurements::STATIONARY_FORCE_SHARE;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
@@ -66,8 +65,7 @@ impl Kalman {
         if self.is_from_one_sample {
             self.has_work = false;
             if is_gravity {
-                self.level(force);
-                self.confirm_start();
+                self.confirm_start(force);
             } else {
                 self.tilt = Tilt::Lost;
             }
@@ -77,24 +75,23 @@ impl Kalman {
             self.wrong_gravity_s = 0.0;
         } else if is_gravity {
             self.wrong_gravity_s += self.interval.duration_s;
+            if self.wrong_gravity_s > RECOVERY_TIME_S {
+                self.level(force);
+                self.reset_motion(square(self.tuning.start_tilt_rad));
+                return true;
+            }
         }
-        if self.wrong_gravity_s < RECOVERY_TIME_S {
-            return false;
-        }
-        self.level(force);
-        self.reset_motion(square(self.tuning.start_tilt_rad));
-        true
+        false
     }
 
-    /// Reduces σ of a single sample's tilt to that of a start. Nothing correlates with it yet.
-    fn confirm_start(&mut self) {
-        self.is_from_one_sample = false;
-        let start = square(self.tuning.start_tilt_rad) - ONE_SAMPLE_TILT_RAD2;
-        let change = start + self.interval.unseen_tilt_rad2;
-        for axis in 0..2 {
-            self.step.covariance.add_to_dynamic(axis, change);
-        }
+    /// Takes a single sample's variance from the tilt, which a mean has set.
+    fn confirm_start(&mut self, force: Vector3) {
+        self.level(force);
+        let unseen_tilt_rad2 = self.interval.unseen_tilt_rad2;
         self.interval = Interval::EMPTY;
+        self.interval.unseen_tilt_rad2 = unseen_tilt_rad2;
+        self.rest_watch.variance_rad2 = 0.0;
+        self.is_from_one_sample = false;
     }
 
     /// Turns the attitude by the shortest rotation that makes this force, which is given in earth

@@ -684,7 +684,7 @@ fn an_uncertain_kept_tilt_is_taken_from_the_specific_force() {
         tilt_sigma_rad: radians(40.0),
         ..warm_start(&world)
     });
-    let estimate = world.run(&mut estimator, 170);
+    let estimate = world.run(&mut estimator, 240);
     assert!(estimate.is_bias_known);
     let sigma_deg = degrees(estimate.tilt_sigma_rad());
     assert!(sigma_deg < 20.0, "{sigma_deg}");
@@ -984,10 +984,10 @@ fn implausible_readings_leave_a_filter_that_recovers() {
             broken += i32::from(rest.is_promise_broken);
         }
     }
-    // After 12 s hardly any still converges: 1 of 15,000 with other seeds.
-    assert!(500 * slow < rests, "{slow} of {rests}");
-    // After 3 s the tilt can be 20° wrong, with a σ of 2°: 5 of 15,000 with other seeds.
-    assert!(900 * broken < rests, "{broken} of {rests}");
+    // After 12 s hardly any still converges: 1 of 15,000 with these and other seeds.
+    assert!(600 * slow < rests, "{slow} of {rests}");
+    // After 3 s none of the 15,000 breaks the promise.
+    assert_eq!(broken, 0, "of {rests}");
 }
 
 struct RestAfterReadings {
@@ -997,8 +997,7 @@ struct RestAfterReadings {
     is_promise_broken: bool,
 }
 
-/// Feeds random readings of up to full scale, and some that no sensor delivers, with rests of 12 s
-/// between them.
+/// Feeds readings that no sensor delivers, with rests of 12 s between them.
 fn rests_after_implausible_readings(seed: u64) -> Vec<RestAfterReadings> {
     let mut rests = Vec::new();
     let mut random = Random(seed);
@@ -1013,8 +1012,8 @@ fn rests_after_implausible_readings(seed: u64) -> Vec<RestAfterReadings> {
                 1.0e-20,
                 1.0,
                 30.0,
-                160.0,
-                2.0e4,
+                900.0,
+                5.0e3,
                 f32::NAN,
                 f32::INFINITY,
             ][(random.next().abs() * 7.99) as usize];
@@ -1147,8 +1146,8 @@ fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
     world.rate_rad_s = Vector3::ZERO;
     let estimate = estimator.update(&world.sample(50_000));
     assert_eq!(estimate.tilt_variance_rad2, f32::INFINITY);
-    // At first from one sample, then from the mean of 0.15 s.
-    for (milliseconds, sigmas_degrees) in [(1, 30.0..50.0), (170, 10.0..20.0)] {
+    // At first from one sample, then from the mean of 0.22 s.
+    for (milliseconds, sigmas_degrees) in [(1, 30.0..50.0), (240, 10.0..20.0)] {
         let estimate = world.run(&mut estimator, milliseconds);
         let error = world.tilt_error_degrees(estimate.attitude);
         let sigma = estimate.tilt_sigma_rad().to_degrees();
