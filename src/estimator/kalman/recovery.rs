@@ -84,7 +84,7 @@ impl Kalman {
         false
     }
 
-    /// Takes a single sample's variance from the tilt, which a mean has set.
+    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample.
     fn confirm_start(&mut self, force: Vector3) {
         self.level(force);
         let unseen_tilt_rad2 = self.interval.unseen_tilt_rad2;

@@ -45,8 +45,8 @@ pub(super) struct RestWatch {
     contradicted_from_s: f32,
     /// Time without motion, s, when readings that are steady too began to contradict the offset.
     steady_from_s: f32,
-    /// Variance of the tilt beside that of the covariance, both axes together, rad²: of a turn that
-    /// the specific force does not show, or of a single sample's tilt.
+    /// Variance of the tilt beside that of the covariance, both axes together, rad²: of a turn
+    /// that the specific force does not show, or of a single sample's tilt.
     pub(super) variance_rad2: f32,
 }
 
