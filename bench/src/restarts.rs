@@ -22,9 +22,10 @@ const STARTS_US: [f64; 2] = [4.0e6, 12.0e6];
 const BETWEEN_STARTS_US: [f64; 2] = [1.0e6, 2.5e6];
 /// Time after a reset from which on every attitude has to be `VALID`, µs.
 const RECOVERY_US: u64 = 250_000;
-/// Time within which nine of ten attitudes have to be `VALID` after a start from the stored offset,
-/// µs, and all of them. A manoeuvre may hide gravity.
+/// Time within which nine of ten starts have to be `VALID`, µs.
 const SOON_US: u64 = 300_000;
+/// Time within which each start from the stored offset has to be `VALID`, µs. A manoeuvre may hide
+/// gravity for most of it.
 const FIRST_VALID_US: u64 = 1_000_000;
 
 /// A start in a flight.

@@ -700,8 +700,8 @@ fn frozen_data_are_a_pause() {
                 let is_valid = snapshot.flags.contains(Flags::VALID);
                 let case = (rate_degrees_s, milliseconds, step);
                 assert!(error < allowed || !is_valid, "{case:?}: {error} {allowed}");
-                // From 0.3 s on the tilt comes from the mean force of 0.22 s.
-                let invalid = if milliseconds >= 300 { 250 } else { 10 };
+                // From 0.3 s on the tilt comes from the mean force of 0.15 s.
+                let invalid = if milliseconds >= 300 { 180 } else { 10 };
                 assert!(is_valid || step < milliseconds + invalid, "{case:?}");
             }
         }
@@ -839,8 +839,8 @@ fn a_resumed_attitude_is_valid_however_uncertain_the_kept_tilt_is() {
             tilt_sigma_rad: share * LOST_TILT_RAD,
             ..known
         });
-        // The tilt then comes from the mean specific force of 0.22 s.
-        let until_ms = if share < 1.0 { 6 } else { 250 };
+        // The tilt then comes from the mean specific force of 0.15 s.
+        let until_ms = if share < 1.0 { 6 } else { 180 };
         let mut flags = Flags::empty();
         for millisecond in 5..=until_ms {
             flags = update(&mut pipeline, &noisy(1_000 * millisecond, LEVEL)).flags;

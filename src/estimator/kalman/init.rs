@@ -13,7 +13,7 @@ use crate::estimator::sample::Sample;
 /// rad²: too much for `VALID`.
 const ONE_SAMPLE_TILT_RAD2: f32 = 0.5;
 
-/// Bias of the accelerometer beyond which a start forgets it, in σ of what is known of it. Flights
+/// Bias of the accelerometer beyond which a new start forgets it, in σ of what is known of it. Flights
 /// reach three; readings that are no measurements lead beyond.
 const IMPLAUSIBLE_BIAS_SIGMA: f32 = 4.0;
 
@@ -134,16 +134,9 @@ impl Kalman {
             self.tilt = Tilt::Known;
             return;
         }
-        let bias = &mut self.nominal.accelerometer_bias_m_s2;
-        if bias.dot(*bias) > square(IMPLAUSIBLE_BIAS_SIGMA * self.accelerometer_m_s2) {
-            *bias = Vector3::ZERO;
-        }
         self.reset_motion(square(self.tuning.start_tilt_rad));
         self.rest_watch.variance_rad2 = ONE_SAMPLE_TILT_RAD2;
         self.is_from_one_sample = true;
-        if self.tilt != Tilt::Unknown {
-            self.recent.may_move();
-        }
         if shows_gravity {
             self.take_tilt_from(force);
         } else {
@@ -151,13 +144,18 @@ impl Kalman {
         }
     }
 
-    /// Makes this sample's specific force, body axes, point up. The first tilt has no yaw; a later
-    /// one is the nearest to the present attitude.
+    /// Makes this sample's specific force, body axes, point up. The first tilt has no yaw. A later
+    /// one is the nearest to the present attitude, of a vehicle that may move.
     fn take_tilt_from(&mut self, force: Vector3) {
         let attitude = self.nominal.attitude;
         if self.tilt == Tilt::Unknown {
             self.nominal.attitude = Quaternion::from_down(-force).with_sign_of(attitude);
         } else {
+            self.recent.may_move();
+            let bias = &mut self.nominal.accelerometer_bias_m_s2;
+            if bias.dot(*bias) > square(IMPLAUSIBLE_BIAS_SIGMA * self.accelerometer_m_s2) {
+                *bias = Vector3::ZERO;
+            }
             self.level(attitude.rotate(force));
         }
         self.tilt = Tilt::Known;

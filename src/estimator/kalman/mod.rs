@@ -42,7 +42,7 @@
 //!
 //! # Start and rest
 //!
-//! - The mean specific force of the first 0.22 s sets the tilt, because one sample in vibration
+//! - The mean specific force of the first 0.15 s sets the tilt, because one sample in vibration
 //!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. Meanwhile the
 //!   first sample sets the tilt, with a σ above 30°: it is not `VALID`. The same holds after a
 //!   pause that hides the tilt.
@@ -143,6 +143,10 @@ const UNKNOWN_BIAS_SIGMA_SCALE: f32 = 3.0;
 
 /// σ of a bank that the accelerometer's error hides, rad.
 const HIDDEN_BANK_RAD: f32 = 0.1;
+
+/// Length of the mean specific force that sets the tilt at a start, s: more than seven periods of
+/// a vibration of 50 Hz.
+const FIRST_MEAN_S: f32 = 0.15;
 
 /// Period of the covariance slices, s: a step is complete before the next one is due.
 const SLICE_PERIOD_S: f32 = 10.5e-3;
@@ -373,7 +377,12 @@ impl Kalman {
             step.duration_s,
             self.tuning,
         );
-        let is_due = self.interval.duration_s >= self.tuning.covariance_period_s;
+        let period_s = if self.is_from_one_sample {
+            FIRST_MEAN_S
+        } else {
+            self.tuning.covariance_period_s
+        };
+        let is_due = self.interval.duration_s >= period_s;
         self.has_work |= is_due && self.tilt == Tilt::Known;
     }
 

@@ -6,7 +6,6 @@ use super::measurements::STATIONARY_FORCE_SHARE;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::stationary::StationaryReadings;
-use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
@@ -109,8 +108,9 @@ impl Kalman {
     pub(super) fn restart_from_unusable_numbers(&mut self) {
         let attitude = self.nominal.attitude;
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
-        let is_usable = (attitude.dot(attitude) - 1.0).abs() < 1.0e-3
-            && bias_rad_s.is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);
+        // Corrections limit the bias, so only a NaN fails.
+        let is_usable =
+            (attitude.dot(attitude) - 1.0).abs() < 1.0e-3 && !bias_rad_s.dot(bias_rad_s).is_nan();
         let prior_rad_s = self.tuning.gyroscope_bias_rad_s;
         let (bias_rad_s, sigma_rad_s) = match (is_usable, self.is_bias_known) {
             (true, true) => (bias_rad_s, KEPT_BIAS_RAD_S),

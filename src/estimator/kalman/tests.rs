@@ -684,7 +684,7 @@ fn an_uncertain_kept_tilt_is_taken_from_the_specific_force() {
         tilt_sigma_rad: radians(40.0),
         ..warm_start(&world)
     });
-    let estimate = world.run(&mut estimator, 240);
+    let estimate = world.run(&mut estimator, 170);
     assert!(estimate.is_bias_known);
     let sigma_deg = degrees(estimate.tilt_sigma_rad());
     assert!(sigma_deg < 20.0, "{sigma_deg}");
@@ -1146,8 +1146,8 @@ fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
     world.rate_rad_s = Vector3::ZERO;
     let estimate = estimator.update(&world.sample(50_000));
     assert_eq!(estimate.tilt_variance_rad2, f32::INFINITY);
-    // At first from one sample, then from the mean of 0.22 s.
-    for (milliseconds, sigmas_degrees) in [(1, 30.0..50.0), (240, 10.0..20.0)] {
+    // At first from one sample, then from the mean of 0.15 s.
+    for (milliseconds, sigmas_degrees) in [(1, 30.0..50.0), (170, 10.0..20.0)] {
         let estimate = world.run(&mut estimator, milliseconds);
         let error = world.tilt_error_degrees(estimate.attitude);
         let sigma = estimate.tilt_sigma_rad().to_degrees();
