@@ -13,8 +13,8 @@ use crate::estimator::sample::Sample;
 /// rad²: too much for `VALID`.
 const ONE_SAMPLE_TILT_RAD2: f32 = 0.5;
 
-/// Bias of the accelerometer beyond which a new start forgets it, in σ of what is known of it. Flights
-/// reach three; readings that are no measurements lead beyond.
+/// Bias of the accelerometer beyond which a new start forgets it, in σ of what is known of it.
+/// Flights reach three; readings that are no measurements lead beyond.
 const IMPLAUSIBLE_BIAS_SIGMA: f32 = 4.0;
 
 /// Source of the tilt, now or with the next sample.
