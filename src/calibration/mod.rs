@@ -48,6 +48,7 @@
 
 pub mod accelerometer;
 mod axis;
+mod cholesky;
 pub mod compass;
 mod gravity;
 pub mod level;

@@ -2,9 +2,9 @@
 
 use core::fmt;
 
+use super::super::cholesky::{Cholesky, PARAMETERS, Row};
 use super::super::matrix::SymmetricMatrix;
 use super::super::model::AccelerometerCorrection;
-use super::cholesky::{Cholesky, PARAMETERS, Row};
 use super::pose::{Pose, covers};
 use crate::attitude::Vector3;
 use crate::units::STANDARD_GRAVITY_M_S2;

@@ -28,7 +28,6 @@
 //! # Ok::<(), aplomb::calibration::accelerometer::FitError>(())
 //! ```
 
-mod cholesky;
 mod collector;
 mod fit;
 mod pose;

@@ -1,6 +1,6 @@
-//! Cholesky factor of the normal equations.
+//! Cholesky factor of the normal equations of a fit with nine parameters.
 
-/// Number of parameters: offset x, y, z; matrix xx, yy, zz, xy, xz, yz.
+/// Number of parameters.
 pub(super) const PARAMETERS: usize = 9;
 
 /// One row, or one vector of parameters.
