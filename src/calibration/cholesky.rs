@@ -6,6 +6,33 @@ pub(super) const PARAMETERS: usize = 9;
 /// One row, or one vector of parameters.
 pub(super) type Row = [f32; PARAMETERS];
 
+/// Normal equations JᵀJ·x = Jᵀr of a least-squares fit.
+pub(super) struct NormalEquations {
+    /// JᵀJ.
+    pub(super) matrix: [Row; PARAMETERS],
+    /// Jᵀr.
+    pub(super) right: Row,
+}
+
+impl NormalEquations {
+    /// No equation.
+    pub(super) const NONE: Self = Self {
+        matrix: [[0.0; PARAMETERS]; PARAMETERS],
+        right: [0.0; PARAMETERS],
+    };
+
+    /// Adds the equation row·x = value.
+    #[inline(never)]
+    pub(super) fn add(&mut self, row: &Row, value: f32) {
+        for ((sums, right), left) in self.matrix.iter_mut().zip(&mut self.right).zip(row) {
+            for (sum, other) in sums.iter_mut().zip(row) {
+                *sum += left * other;
+            }
+            *right += left * value;
+        }
+    }
+}
+
 /// Lower triangle L of a matrix L·Lᵀ.
 pub(super) struct Cholesky([Row; PARAMETERS]);
 

@@ -1,6 +1,81 @@
-//! Symmetric 3×3 matrices.
+//! 3×3 matrices.
 
 use crate::attitude::Vector3;
+
+/// 3×3 matrix.
+///
+/// ```
+/// use aplomb::attitude::Vector3;
+/// use aplomb::calibration::Matrix3;
+///
+/// let mut matrix = Matrix3::IDENTITY;
+/// matrix.rows[0].y = 0.5;
+/// let product = matrix.times(Vector3::new(1.0, 2.0, 3.0));
+/// assert_eq!(product, Vector3::new(2.0, 2.0, 3.0));
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Matrix3 {
+    /// Rows.
+    pub rows: [Vector3; 3],
+}
+
+impl Matrix3 {
+    /// Identity matrix.
+    pub const IDENTITY: Self = Self {
+        rows: [
+            Vector3::new(1.0, 0.0, 0.0),
+            Vector3::new(0.0, 1.0, 0.0),
+            Vector3::new(0.0, 0.0, 1.0),
+        ],
+    };
+
+    /// Returns the matrix of the console's `gyro-matrix`: elements by rows, less those of the
+    /// identity, in units of 10⁻⁴.
+    ///
+    /// ```
+    /// use aplomb::calibration::Matrix3;
+    ///
+    /// let matrix = Matrix3::from_ten_thousandths([-250, 0, 0, 0, 0, 0, 0, 0, 12]);
+    /// assert!((matrix.rows[0].x - 0.975).abs() < 1e-6);
+    /// assert_eq!(matrix.to_ten_thousandths()[8], 12);
+    /// ```
+    pub fn from_ten_thousandths([xx, xy, xz, yx, yy, yz, zx, zy, zz]: [i16; 9]) -> Self {
+        let row = |x, y, z| Vector3::new(f32::from(x), f32::from(y), f32::from(z)).scale(1.0e-4);
+        let mut rows = [row(xx, xy, xz), row(yx, yy, yz), row(zx, zy, zz)];
+        for (row, axis) in rows.iter_mut().zip(Self::IDENTITY.rows) {
+            *row = *row + axis;
+        }
+        Self { rows }
+    }
+
+    /// Returns the elements of the console's `gyro-matrix`; see
+    /// [`from_ten_thousandths`](Self::from_ten_thousandths).
+    pub fn to_ten_thousandths(&self) -> [i16; 9] {
+        let mut elements = [0; 9];
+        let rows = self.rows.iter().zip(Self::IDENTITY.rows);
+        let differences = rows.flat_map(|(row, axis)| {
+            let Vector3 { x, y, z } = *row - axis;
+            [x, y, z]
+        });
+        for (element, difference) in elements.iter_mut().zip(differences) {
+            *element = libm::roundf(difference * 1.0e4) as i16;
+        }
+        elements
+    }
+
+    /// Multiplies the matrix by a vector.
+    pub fn times(&self, v: Vector3) -> Vector3 {
+        let [x, y, z] = &self.rows;
+        Vector3::new(x.dot(v), y.dot(v), z.dot(v))
+    }
+}
+
+impl Default for Matrix3 {
+    fn default() -> Self {
+        Self::IDENTITY
+    }
+}
 
 /// Symmetric 3×3 matrix.
 ///
@@ -39,6 +114,17 @@ impl SymmetricMatrix {
         xz: 0.0,
         yz: 0.0,
     };
+
+    /// Returns the same matrix with all nine elements.
+    pub const fn to_matrix(self) -> Matrix3 {
+        Matrix3 {
+            rows: [
+                Vector3::new(self.xx, self.xy, self.xz),
+                Vector3::new(self.xy, self.yy, self.yz),
+                Vector3::new(self.xz, self.yz, self.zz),
+            ],
+        }
+    }
 
     /// Multiplies the matrix by a vector.
     pub fn times(&self, v: Vector3) -> Vector3 {

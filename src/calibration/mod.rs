@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`stationary`] | detects that the sensor is stationary, and averages its readings meanwhile |
 //! | [`accelerometer`] | fits offset, scale and cross-axis terms to stationary poses |
+//! | [`gyroscope`] | fits scale and cross-axis terms to turns between stationary poses |
 //! | [`compass`] | fits hard and soft iron of a compass to readings in motion |
 //! | [`level`] | finds the small rotation between the mounted sensor and the body |
 //! | [`mount_finder`] | finds which of the 24 mounts the sensor has |
@@ -51,6 +52,7 @@ mod axis;
 mod cholesky;
 pub mod compass;
 mod gravity;
+pub mod gyroscope;
 pub mod level;
 mod matrix;
 mod model;
@@ -62,7 +64,7 @@ pub mod temperature;
 
 pub use axis::{Axis, ParseAxisError, SignedAxis};
 pub use compass::{CompassAlignment, CompassCorrection};
-pub use matrix::SymmetricMatrix;
+pub use matrix::{Matrix3, SymmetricMatrix};
 pub use model::{AccelerometerCorrection, Calibration, GyroscopeOffset, TemperatureModel};
 pub use mount::{Mount, ParseMountError};
 pub use noise::{NoiseModel, SensorSetup};

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::super::cholesky::{Cholesky, PARAMETERS, Row};
+use super::super::cholesky::{Cholesky, NormalEquations, PARAMETERS};
 use super::super::matrix::SymmetricMatrix;
 use super::super::model::AccelerometerCorrection;
 use super::pose::{Pose, covers};
@@ -205,8 +205,8 @@ pub fn fit(readings: &[Vector3]) -> Result<AccelerometerFit, FitError> {
 fn solve(readings: &[Vector3], with_cross_axis: bool) -> Option<Model> {
     let mut model = Model::START;
     for _ in 0..MAX_STEPS {
-        let (normal, right) = model.equations(readings, with_cross_axis);
-        let step = Cholesky::factor(&normal)?.solve(&right);
+        let normal = model.equations(readings, with_cross_axis);
+        let step = Cholesky::factor(&normal.matrix)?.solve(&normal.right);
         let largest = step
             .iter()
             .fold(0.0_f32, |largest, part| largest.max(part.abs()));
@@ -222,8 +222,8 @@ fn solve(readings: &[Vector3], with_cross_axis: bool) -> Option<Model> {
             break;
         }
     }
-    let (normal, _) = model.equations(readings, with_cross_axis);
-    let is_well_conditioned = Cholesky::factor(&normal)?.largest_inverse_diagonal()
+    let normal = model.equations(readings, with_cross_axis);
+    let is_well_conditioned = Cholesky::factor(&normal.matrix)?.largest_inverse_diagonal()
         <= MAX_AMPLIFICATION * MAX_AMPLIFICATION;
     is_well_conditioned.then_some(model)
 }
@@ -281,10 +281,9 @@ impl Model {
             && errors.iter().all(|error| error.abs() <= MAX_MATRIX_ERROR)
     }
 
-    /// Returns JᵀJ and Jᵀr of the residual r = |f| − 1.
-    fn equations(&self, readings: &[Vector3], with_cross_axis: bool) -> ([Row; PARAMETERS], Row) {
-        let mut normal = [[0.0; PARAMETERS]; PARAMETERS];
-        let mut right = [0.0; PARAMETERS];
+    /// Returns the equations of the residual r = |f| − 1.
+    fn equations(&self, readings: &[Vector3], with_cross_axis: bool) -> NormalEquations {
+        let mut normal = NormalEquations::NONE;
         for reading in readings {
             let d = *reading - self.offset;
             let f = self.matrix.times(d);
@@ -304,22 +303,21 @@ impl Model {
                 cross * (u.x * d.z + u.z * d.x),
                 cross * (u.y * d.z + u.z * d.y),
             ];
-            let residual = norm - 1.0;
-            for ((equation, right), left) in normal.iter_mut().zip(&mut right).zip(row) {
-                for (sum, other) in equation.iter_mut().zip(row) {
-                    *sum += left * other;
-                }
-                *right += left * residual;
-            }
+            normal.add(&row, norm - 1.0);
         }
         if !with_cross_axis {
             // Three equations that keep the cross-axis terms at zero.
-            for (index, equation) in normal.iter_mut().enumerate().skip(DIAGONAL_PARAMETERS) {
+            for (index, equation) in normal
+                .matrix
+                .iter_mut()
+                .enumerate()
+                .skip(DIAGONAL_PARAMETERS)
+            {
                 if let Some(diagonal) = equation.get_mut(index) {
                     *diagonal = 1.0;
                 }
             }
         }
-        (normal, right)
+        normal
     }
 }
