@@ -4,7 +4,7 @@
 //! valid. A part that was never measured is `None`, and the pipeline does without it.
 
 use super::level;
-use super::matrix::SymmetricMatrix;
+use super::matrix::{Matrix3, SymmetricMatrix};
 use super::mount::Mount;
 use crate::attitude::{BodyVector, Quaternion, Vector3};
 use crate::serialize::StateVisitor;
@@ -37,6 +37,10 @@ pub struct Calibration {
     /// Small rotation from the mounted sensor's axes to the body's, found by
     /// [`level::trim`](super::level::trim).
     pub level: Option<Quaternion>,
+    /// Gyroscope scale and cross-axis terms: rate = matrix · (reading − offset), in sensor axes.
+    /// Inverse scale on the diagonal. The axes are those of the corrected accelerometer, so the
+    /// matrix need not be symmetric.
+    pub gyroscope_matrix: Option<Matrix3>,
 }
 
 impl Calibration {
@@ -47,6 +51,7 @@ impl Calibration {
         temperature: None,
         accelerometer: None,
         level: None,
+        gyroscope_matrix: None,
     };
 
     /// Returns the most likely die temperature before one is measured, °C: that of the stored
@@ -97,7 +102,7 @@ impl Calibration {
         }
     }
 
-    /// Visits every field.
+    /// Visits every field but the gyroscope's matrix, which flight logs of format 1 do not have.
     pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.optional(&mut self.mount, Mount::Z_UP, |visitor, mount| {
             mount.visit_state(visitor);
@@ -142,6 +147,19 @@ impl Calibration {
         visitor.optional(&mut self.level, Quaternion::IDENTITY, |visitor, level| {
             visitor.quaternion(level);
         });
+    }
+
+    /// Visits the gyroscope's matrix.
+    pub fn visit_gyroscope_matrix(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.optional(
+            &mut self.gyroscope_matrix,
+            Matrix3::IDENTITY,
+            |visitor, matrix| {
+                for row in &mut matrix.rows {
+                    visitor.vector(row);
+                }
+            },
+        );
     }
 }
 

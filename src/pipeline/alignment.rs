@@ -3,7 +3,7 @@
 
 use super::Settings;
 use crate::attitude::{BodyVector, Vector3};
-use crate::calibration::AccelerometerCorrection;
+use crate::calibration::{AccelerometerCorrection, Matrix3};
 use crate::estimator::Sample;
 use crate::mpu6050::RawSample;
 
@@ -18,23 +18,19 @@ impl Alignment {
     /// Creates the maps for these settings, which remove this gyroscope offset (rad/s in sensor
     /// axes).
     pub(super) fn new(settings: &Settings, gyroscope_offset_rad_s: Vector3) -> Self {
-        let sensor = &settings.sensor;
-        let mount = settings.mount();
-        let level = settings.calibration.level;
-        let to_body = |sensor: Vector3| {
-            let BodyVector(mounted) = mount.to_body(sensor);
-            level.map_or(mounted, |level| level.rotate(mounted))
-        };
-        let correction = settings
-            .calibration
+        let (sensor, calibration) = (&settings.sensor, &settings.calibration);
+        let correction = calibration
             .accelerometer
             .unwrap_or(AccelerometerCorrection::NONE);
         let mut accelerometer = Affine::new(
-            |sensor| to_body(correction.matrix.times(sensor)),
+            settings,
+            &correction.matrix.to_matrix(),
             sensor.accelerometer_range.m_s2_per_count(),
         );
         accelerometer.remove(correction.offset_m_s2);
-        let mut gyroscope = Affine::new(to_body, sensor.gyroscope_range.rad_s_per_count());
+        let matrix = calibration.gyroscope_matrix.unwrap_or(Matrix3::IDENTITY);
+        let mut gyroscope =
+            Affine::new(settings, &matrix, sensor.gyroscope_range.rad_s_per_count());
         gyroscope.remove(gyroscope_offset_rad_s);
         Self {
             accelerometer,
@@ -85,14 +81,18 @@ struct Affine {
 }
 
 impl Affine {
-    /// Creates the map of a linear function from units in sensor axes, with this unit per count.
-    fn new(linear: impl Fn(Vector3) -> Vector3, per_count: f32) -> Self {
+    /// Creates the map from counts with this unit, by this matrix in sensor axes, the mount and the
+    /// level. One function for both sensors, because its code is large.
+    #[inline(never)]
+    fn new(settings: &Settings, matrix: &Matrix3, per_count: f32) -> Self {
+        let level = settings.calibration.level;
+        let columns = Matrix3::IDENTITY.rows.map(|axis| {
+            let BodyVector(mounted) = settings.mount().to_body(matrix.times(axis));
+            let body = level.map_or(mounted, |level| level.rotate(mounted));
+            body.scale(per_count)
+        });
         Self {
-            columns: [
-                linear(Vector3::new(1.0, 0.0, 0.0)).scale(per_count),
-                linear(Vector3::new(0.0, 1.0, 0.0)).scale(per_count),
-                linear(Vector3::new(0.0, 0.0, 1.0)).scale(per_count),
-            ],
+            columns,
             offset: Vector3::ZERO,
             counts_per_unit: 1.0 / per_count,
         }

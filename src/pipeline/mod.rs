@@ -290,9 +290,9 @@ impl Pipeline {
 
     /// Replaces the calibration, from the next sample on.
     ///
-    /// The attitude continues, unless the mount or the level changes. Then the body axes change,
-    /// and the filter restarts. Returns whether they have changed: a heading filter of the caller
-    /// has to restart too.
+    /// The attitude continues, unless the mount, the level or the gyroscope's matrix changes. Then
+    /// the rates in body axes change, and the filter restarts. Returns whether it does: a heading
+    /// filter of the caller has to restart too.
     pub fn set_calibration(&mut self, calibration: &Calibration) -> bool {
         let before = self.settings;
         let removed_before = self.alignment.gyroscope_offset_rad_s();
@@ -301,9 +301,10 @@ impl Pipeline {
             let knowledge = self.settings.accelerometer_knowledge();
             self.kalman_mut().set_accelerometer_knowledge(knowledge);
         }
-        let has_other_axes = before.mount() != self.settings.mount()
-            || before.calibration.level != calibration.level;
-        if has_other_axes {
+        let has_other_rates = before.mount() != self.settings.mount()
+            || before.calibration.level != calibration.level
+            || before.calibration.gyroscope_matrix != calibration.gyroscope_matrix;
+        if has_other_rates {
             self.estimator.restart();
             self.monitor.restart();
             self.alignment = Alignment::new(&self.settings, self.gyroscope_offset_rad_s);
@@ -316,7 +317,7 @@ impl Pipeline {
             let change = removed_before - self.alignment.gyroscope_offset_rad_s();
             self.kalman_mut().shift_bias(change);
         }
-        has_other_axes
+        has_other_rates
     }
 
     /// Sets what is known of the accelerometer's offset, for samples that are calibrated elsewhere:
@@ -395,6 +396,7 @@ impl Pipeline {
     /// Visits the settings and every field that later attitudes depend on.
     pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         self.settings.visit_state(visitor);
+        self.settings.calibration.visit_gyroscope_matrix(visitor);
         visitor.vector(&mut self.gyroscope_offset_rad_s);
         visitor.f32(&mut self.temperature_celsius);
         visitor.u8(&mut self.samples_to_temperature);

@@ -83,7 +83,8 @@ impl Settings {
         self.delay_us() as f32 * crate::units::SECONDS_PER_MICROSECOND
     }
 
-    /// Visits every field.
+    /// Visits every field but the gyroscope's matrix, as
+    /// [`Calibration::visit_state`](Calibration::visit_state) does.
     pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         self.sensor.visit_state(visitor);
         let mut who_am_i = self.part.who_am_i;

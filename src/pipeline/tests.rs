@@ -3,7 +3,7 @@
 use super::*;
 use crate::attitude::{BodyVector, EulerAngles, Quaternion};
 use crate::calibration::{
-    AccelerometerCorrection, GyroscopeOffset, ImuReading, Mount, StationaryProgress,
+    AccelerometerCorrection, GyroscopeOffset, ImuReading, Matrix3, Mount, StationaryProgress,
     SymmetricMatrix, TemperatureModel,
 };
 use crate::health::LOST_TILT_RAD;
@@ -177,6 +177,13 @@ fn calibration() -> Calibration {
             pitch_rad: radians(-3.0),
             yaw_rad: 0.0,
         })),
+        gyroscope_matrix: Some(Matrix3 {
+            rows: [
+                Vector3::new(1.02, -0.01, 0.005),
+                Vector3::new(0.015, 0.97, -0.02),
+                Vector3::new(-0.004, 0.012, 1.01),
+            ],
+        }),
     }
 }
 
@@ -207,7 +214,8 @@ fn a_calibration_is_applied_step_by_step_in_one_map() {
     let level = calibration.level.expect("set above");
     let force = level.rotate(Mount::Z_DOWN.to_body(corrected).0);
     let rate = raw.gyroscope.to_rad_s(config.gyroscope_range) - Vector3::new(0.1, -0.2, 0.05);
-    let rate = level.rotate(Mount::Z_DOWN.to_body(rate).0);
+    let matrix = calibration.gyroscope_matrix.expect("set above");
+    let rate = level.rotate(Mount::Z_DOWN.to_body(matrix.times(rate)).0);
     let sample = pipeline.sample();
     assert!(
         (sample.specific_force_m_s2 - force).norm() < 1e-5,
@@ -218,12 +226,13 @@ fn a_calibration_is_applied_step_by_step_in_one_map() {
         "{sample:?} {rate:?}"
     );
     let offset = pipeline.gyroscope_offset_body_rad_s();
-    let expected = level.rotate(Mount::Z_DOWN.to_body(Vector3::new(0.1, -0.2, 0.05)).0);
+    let offset_in_sensor = matrix.times(Vector3::new(0.1, -0.2, 0.05));
+    let expected = level.rotate(Mount::Z_DOWN.to_body(offset_in_sensor).0);
     assert!((offset - expected).norm() < 1e-6);
 }
 
 #[test]
-fn only_a_new_mount_restarts_the_filter() {
+fn only_a_new_mount_or_gyroscope_matrix_restarts_the_filter() {
     let mut pipeline = Pipeline::new(&settings());
     let tilted = force(10.0, 0.0);
     let turn = Vector3::new(0.0, 0.0, 30.0);
@@ -242,6 +251,14 @@ fn only_a_new_mount_restarts_the_filter() {
     assert!((pipeline.gyroscope_offset_body_rad_s() - before).norm() < 1e-6);
     let after = update(&mut pipeline, &burst(Mount::Z_UP, 1_000_000, tilted, turn));
     assert!((after.euler().yaw_rad - yaw).abs() < radians(0.1));
+    let mut with_matrix = pipeline;
+    assert!(with_matrix.set_calibration(&Calibration {
+        gyroscope_matrix: calibration().gyroscope_matrix,
+        ..known
+    }));
+    let next = burst(Mount::Z_UP, 1_001_000, tilted, turn);
+    let after = update(&mut with_matrix, &next);
+    assert!(after.euler().yaw_rad.abs() < radians(0.1), "{after:?}");
     known.mount = Some(Mount::Z_DOWN);
     pipeline.set_calibration(&known);
     let after = update(

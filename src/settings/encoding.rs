@@ -15,7 +15,7 @@ use super::preferences::{OutputFormat, Preferences};
 use super::record::Record;
 use crate::attitude::{Quaternion, Vector3};
 use crate::calibration::{
-    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, Mount,
+    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, Matrix3, Mount,
     SymmetricMatrix, TemperatureModel,
 };
 use crate::compass::Choice;
@@ -47,7 +47,7 @@ pub(super) trait Stored: Copy {
 pub(super) struct TooLong;
 
 impl Stored for Record {
-    const VERSION: u16 = 3;
+    const VERSION: u16 = 4;
 
     fn encode(&self, body: &mut Writer) -> Result<(), TooLong> {
         let calibration = &self.calibration;
@@ -77,16 +77,19 @@ impl Stored for Record {
         put(body, &[format.unwrap_or_default() as u8])?;
         put(body, &preferences.rate_hz.to_le_bytes())?;
         put(body, &preferences.baud.to_le_bytes())?;
+        put_optional(body, calibration.gyroscope_matrix, |body, matrix| {
+            put_rows(body, matrix.rows)
+        })?;
         put_compass(body, &self.compass)?;
         put_numbers(body, &[self.compass.declination_rad])
     }
 
     fn decode(version: u16, body: &[u8]) -> Option<Self> {
-        if !matches!(version, 1..=3) {
+        if !matches!(version, 1..=4) {
             return None;
         }
         let mut body = Reader(body);
-        let calibration = Calibration {
+        let mut calibration = Calibration {
             mount: body.optional(Reader::mount)?,
             gyroscope: body.optional(|body| {
                 Some(GyroscopeOffset {
@@ -124,6 +127,7 @@ impl Stored for Record {
                 let [w, x, y, z] = body.numbers()?;
                 Some(Quaternion { w, x, y, z })
             })?,
+            gyroscope_matrix: None,
         };
         let preferences = Preferences {
             format: {
@@ -133,6 +137,11 @@ impl Stored for Record {
             rate_hz: u16::from_le_bytes(body.take()?),
             baud: u32::from_le_bytes(body.take()?),
         };
+        // Version 3 knew no gyroscope matrix.
+        if version >= 4 {
+            let rows = body.optional(Reader::rows)?;
+            calibration.gyroscope_matrix = rows.map(|rows| Matrix3 { rows });
+        }
         // Version 1 knew no compass.
         let compass = match version {
             2.. if READS_COMPASS => body.compass(version)?,
@@ -146,6 +155,13 @@ impl Stored for Record {
             compass,
         })
     }
+}
+
+/// Returns the body of a record; `None` if it is too long.
+pub(super) fn body(record: &Record) -> Option<Writer> {
+    let mut body = Writer::new();
+    record.encode(&mut body).ok()?;
+    Some(body)
 }
 
 // Functions that run once a save are not inlined: size counts here, time does not.
@@ -171,15 +187,17 @@ fn put_compass(body: &mut Writer, compass: &CompassSettings) -> Result<(), TooLo
     put(body, &[choice.unwrap_or_default() as u8])?;
     put_optional(body, compass.mount, put_mount)?;
     put_optional(body, compass.correction, |body, correction| {
-        for row in correction.matrix {
-            put_vector(body, row)?;
-        }
+        put_rows(body, correction.matrix)?;
         put_vector(body, correction.hard_iron_ut)
     })
 }
 
 fn put_vector(body: &mut Writer, vector: Vector3) -> Result<(), TooLong> {
     put_numbers(body, &[vector.x, vector.y, vector.z])
+}
+
+fn put_rows(body: &mut Writer, rows: [Vector3; 3]) -> Result<(), TooLong> {
+    rows.into_iter().try_for_each(|row| put_vector(body, row))
 }
 
 fn put_optional<T>(
@@ -220,6 +238,10 @@ impl Reader<'_> {
         Some(Vector3 { x, y, z })
     }
 
+    fn rows(&mut self) -> Option<[Vector3; 3]> {
+        Some([self.vector()?, self.vector()?, self.vector()?])
+    }
+
     fn mount(&mut self) -> Option<Mount> {
         let name = self.take::<4>()?;
         let mount = Mount::parse(core::str::from_utf8(&name).ok()?)?;
@@ -234,7 +256,7 @@ impl Reader<'_> {
             mount: self.optional(Self::mount)?,
             correction: self.optional(|body| {
                 Some(CompassCorrection {
-                    matrix: [body.vector()?, body.vector()?, body.vector()?],
+                    matrix: body.rows()?,
                     hard_iron_ut: body.vector()?,
                 })
             })?,

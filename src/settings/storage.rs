@@ -57,7 +57,7 @@ use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use embedded_storage::nor_flash::{MultiwriteNorFlash, NorFlash};
 
-use super::encoding::{BODY_CAPACITY, Stored, Writer};
+use super::encoding::{BODY_CAPACITY, Stored, Writer, body};
 use super::record::Record;
 
 /// Longest record with its header, in bytes, in this and every later version.
@@ -152,6 +152,11 @@ pub fn save<F: MultiwriteNorFlash>(
     record: &Record,
 ) -> Result<(), SaveError<F::Error>> {
     save_as(flash, record)
+}
+
+/// Returns whether both records have the same bytes in flash.
+pub(crate) fn has_same_bytes(left: &Record, right: &Record) -> bool {
+    body(left) == body(right)
 }
 
 /// Erases both slots, the active record last: a power cut leaves that record or none, never an

@@ -9,7 +9,7 @@ use super::super::preferences::{OutputFormat, Preferences};
 use super::*;
 use crate::attitude::{Quaternion, Vector3};
 use crate::calibration::{
-    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, Mount,
+    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, Matrix3, Mount,
     SymmetricMatrix, TemperatureModel,
 };
 use crate::compass::Choice;
@@ -205,6 +205,9 @@ fn record(number: u16) -> Record {
                 },
             }),
             level: Some(Quaternion::new(1.0, x, -x, 0.5)),
+            gyroscope_matrix: Some(Matrix3 {
+                rows: [vector(1.25), vector(-1.0), vector(2.5)],
+            }),
         },
         preferences: Preferences {
             format: OutputFormat::Classic,
@@ -257,7 +260,7 @@ fn prior_contents() -> Vec<Content> {
     let valid = |sequence, number| {
         let record = record(number);
         (
-            image(3, sequence, &body_of(&record)),
+            image(4, sequence, &body_of(&record)),
             Some((sequence, record)),
         )
     };
@@ -279,15 +282,15 @@ fn prior_contents() -> Vec<Content> {
         ("one bit flipped", flipped, None),
         ("older", older, older_record),
         ("newer", newer, newer_record),
-        ("later format, newest", image(4, 9, &[5; 200]), None),
-        ("later format, oldest", image(5, 3, &[5; 20]), None),
-        ("no sequence", image(3, 0, &body_of(&record(3))), None),
+        ("later format, newest", image(5, 9, &[5; 200]), None),
+        ("later format, oldest", image(6, 3, &[5; 20]), None),
+        ("no sequence", image(4, 0, &body_of(&record(3))), None),
         (
             "last sequence",
-            image(3, u32::MAX, &body_of(&record(3))),
+            image(4, u32::MAX, &body_of(&record(3))),
             None,
         ),
-        ("whole but empty", image(3, 9, &[]), None),
+        ("whole but empty", image(4, 9, &[]), None),
     ]
 }
 
@@ -351,8 +354,8 @@ fn a_power_cut_at_any_step_leaves_the_old_record_or_the_new_one() {
 fn a_weakly_programmed_record_is_refreshed_before_the_other_is_erased() {
     for seed in 0..20 {
         let mut flash = Nor::blank();
-        flash.set(0, &image(3, 7, &body_of(&record(1))));
-        flash.set(1, &image(3, 8, &body_of(&record(2))));
+        flash.set(0, &image(4, 7, &body_of(&record(1))));
+        flash.set(1, &image(4, 8, &body_of(&record(2))));
         // A barely programmed bit of the newer record: it reads right half of the time.
         let is_programmed = |place: &usize| flash.bytes[*place] & 1 == 0;
         let place = (SLOT + 12..SLOT + 16).find(is_programmed);
@@ -409,8 +412,8 @@ fn repeated_power_cuts_never_lose_the_record() {
 fn a_power_cut_while_forgetting_never_brings_an_older_record_back() {
     for swap in [false, true] {
         let mut flash = Nor::blank();
-        flash.set(swap.into(), &image(3, 7, &body_of(&record(1))));
-        flash.set((!swap).into(), &image(3, 8, &body_of(&record(2))));
+        flash.set(swap.into(), &image(4, 7, &body_of(&record(1))));
+        flash.set((!swap).into(), &image(4, 8, &body_of(&record(2))));
         cut_everywhere(
             &flash,
             100,
@@ -440,7 +443,7 @@ fn saves_alternate_and_the_same_record_erases_nothing() {
         assert_eq!(flash.erases, 1);
         let slot = usize::from(number % 2);
         let sequence = u32::from(number) + 1;
-        let written = image(3, sequence, &body_of(&record(number)));
+        let written = image(4, sequence, &body_of(&record(number)));
         assert_eq!(flash.bytes[slot * SLOT..][..written.len()], written);
         flash.power_up();
         assert_eq!(save(&mut flash, &record(number)), Ok(()));
@@ -457,7 +460,7 @@ struct Later {
 }
 
 impl Stored for Later {
-    const VERSION: u16 = 4;
+    const VERSION: u16 = 5;
 
     fn encode(&self, body: &mut Writer) -> Result<(), TooLong> {
         self.record.encode(body)?;
@@ -467,11 +470,11 @@ impl Stored for Later {
 
     fn decode(version: u16, body: &[u8]) -> Option<Self> {
         match version {
-            1..=3 => Record::decode(version, body).map(|record| Self { record, more: 0 }),
-            4 => {
+            1..=4 => Record::decode(version, body).map(|record| Self { record, more: 0 }),
+            5 => {
                 let (body, more) = body.split_last_chunk::<4>()?;
                 Some(Self {
-                    record: Record::decode(3, body)?,
+                    record: Record::decode(4, body)?,
                     more: u32::from_le_bytes(*more),
                 })
             }
@@ -508,30 +511,34 @@ fn a_later_firmware_reads_what_this_one_wrote() {
     );
 }
 
-/// The body of version 2 ended where the declination begins now, that of version 1 where the
-/// compass begins.
+/// The body of version 3 has no gyroscope matrix before the compass. That of version 2 ends where
+/// the declination begins now, that of version 1 where the compass begins.
 #[test]
 fn a_record_of_an_earlier_firmware_is_read() {
-    let mut second = record(1);
+    let mut third = record(1);
+    third.calibration.gyroscope_matrix = None;
+    let mut body = body_of(&third);
+    // Choice, mount and correction of the compass, and the declination.
+    let compass_length = 1 + 5 + 49 + 4;
+    let matrix = body.remove(body.len() - compass_length - 1);
+    assert_eq!(matrix, 0, "no matrix");
+    assert_read(3, &body, third);
+
+    let mut second = third;
     second.compass.declination_rad = 0.0;
-    let mut body = body_of(&second);
-    assert_eq!(body.split_off(body.len() - 4), [0; 4], "no declination");
+    assert_eq!(body.split_off(body.len() - 4).len(), 4);
     assert_read(2, &body, second);
 
-    let mut first = record(1);
+    let mut first = second;
     first.compass = CompassSettings::default();
-    let mut body = body_of(&first);
-    let compass = body.split_off(body.len() - 7);
-    assert_eq!(
-        compass, [0; 7],
-        "found by itself, no mount, no correction, no declination"
-    );
+    body.truncate(body.len() - (compass_length - 4));
     assert_read(1, &body, first);
     // The parts of another version are no record.
     for (version, body) in [
         (1, body_of(&second)),
         (2, body),
-        (3, body_of(&first)[4..].into()),
+        (3, body_of(&second)),
+        (4, body_of(&first)[4..].into()),
     ] {
         let mut flash = Nor::blank();
         flash.set(0, &image(version, 1, &body));
@@ -558,7 +565,7 @@ fn a_later_format_is_reported_and_left_alone() {
         more: 5,
     };
     save_as(&mut flash, &later).expect("it works with power");
-    let problem = Some(LoadProblem::NewerFormat { version: 4 });
+    let problem = Some(LoadProblem::NewerFormat { version: 5 });
     let both = Loaded {
         record: Some(record(1)),
         problem,
@@ -567,7 +574,7 @@ fn a_later_format_is_reported_and_left_alone() {
     assert_eq!(
         problem.map(|problem| problem.to_string()).as_deref(),
         Some(
-            "the newest stored record has format 4, this firmware reads up to 3: update it or \
+            "the newest stored record has format 5, this firmware reads up to 4: update it or \
              save anew"
         )
     );
@@ -587,7 +594,7 @@ fn a_later_format_is_reported_and_left_alone() {
     };
     assert_eq!(load(&mut flash), saved);
     let kept = image(
-        4,
+        5,
         1,
         &[&body_of(&record(2))[..], &5u32.to_le_bytes()].concat(),
     );
@@ -608,25 +615,26 @@ fn the_stored_format_is_the_documented_one() {
         1, 0, 0, 0x80, 0x3F, 0, 0, 0, 0xC0, 0, 0, 0, 0x3F, 0, 0, 0xC8, 0x41, // gyroscope
         0, 0, 0, // temperature, accelerometer, level
         0, 50, 0, 0x00, 0xC2, 0x01, 0x00, // text, 50 Hz, 115,200 baud
+        0,    // no gyroscope matrix
         0, 0, 0, // compass found by itself, no mount, no correction
         0, 0, 0x80, 0x3D, // declination, rad
     ];
     let mut flash = Nor::blank();
     save(&mut flash, &small).expect("it works with power");
-    let expected = image(3, 1, &body);
+    let expected = image(4, 1, &body);
     assert_eq!(flash.bytes[..expected.len()], expected);
     // The result of Python's zlib.crc32.
-    assert_eq!(expected[12..16], [175, 176, 36, 133]);
+    assert_eq!(expected[12..16], [150, 96, 110, 32]);
 }
 
 #[test]
 fn a_full_record_leaves_room_for_more() {
-    assert_eq!(HEADER_LENGTH + body_of(&record(1)).len(), 207);
+    assert_eq!(HEADER_LENGTH + body_of(&record(1)).len(), 244);
 }
 
 #[test]
 fn every_flip_of_one_or_two_bits_is_refused() {
-    let whole = image(3, 1, &body_of(&record(1)));
+    let whole = image(4, 1, &body_of(&record(1)));
     let bits = whole.len() * 8;
     for first in 0..bits {
         // All pairs in one word, and one far away.

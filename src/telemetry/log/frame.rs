@@ -9,8 +9,9 @@ use crate::pipeline::{CompassReading, Settings, Snapshot};
 use crate::serialize::{StateReader, StateVisitor, StateWriter};
 use crate::units::MagneticField;
 
-/// Version of the frames' format. A decoder refuses a configuration of another version.
-pub const FORMAT_VERSION: u8 = 1;
+/// Version of the frames' format. A decoder refuses a configuration of a later version. One of
+/// version 1 has no gyroscope matrix.
+pub const FORMAT_VERSION: u8 = 2;
 
 /// Length of the longest body, in bytes.
 pub const BODY_CAPACITY: usize = 240;
@@ -240,12 +241,16 @@ impl Frame {
             Self::Configuration(configuration) => {
                 let mut version = FORMAT_VERSION;
                 visitor.u8(&mut version);
-                if version != FORMAT_VERSION {
+                if !(1..=FORMAT_VERSION).contains(&version) {
                     visitor.reject();
                 }
                 visitor.u16(&mut configuration.revision);
                 visitor.u32(&mut configuration.from_number);
-                configuration.settings.visit_state(visitor);
+                let settings = &mut configuration.settings;
+                settings.visit_state(visitor);
+                if version >= 2 {
+                    settings.calibration.visit_gyroscope_matrix(visitor);
+                }
             }
             Self::Burst(NumberedBurst {
                 number,

@@ -7,7 +7,8 @@ use super::frame::CRC;
 use super::*;
 use crate::attitude::{Quaternion, Vector3};
 use crate::calibration::{
-    AccelerometerCorrection, Calibration, GyroscopeOffset, Mount, SymmetricMatrix, TemperatureModel,
+    AccelerometerCorrection, Calibration, GyroscopeOffset, Matrix3, Mount, SymmetricMatrix,
+    TemperatureModel,
 };
 use crate::estimator::REVISION;
 use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
@@ -57,6 +58,7 @@ fn full_settings() -> Settings {
                 },
             }),
             level: Some(Quaternion::IDENTITY),
+            gyroscope_matrix: Some(Matrix3 { rows: [vector; 3] }),
         },
         verifies_scales: true,
         sensor_delay_us: Some(123_456),
@@ -106,6 +108,38 @@ fn examples() -> [Frame; 8] {
         }),
         Frame::Heading(HEADING),
     ]
+}
+
+#[test]
+fn a_configuration_of_format_1_is_read_and_a_later_format_is_refused() {
+    let mut settings = full_settings();
+    settings.calibration.gyroscope_matrix = None;
+    let expected = Frame::Configuration(Configuration {
+        revision: 15,
+        from_number: 3,
+        settings,
+    });
+    let mut stuffed = stream(&[expected]);
+    let length = stuffed.len();
+    let whole = cobs::decode_in_place(&mut stuffed[1..length - 1]).expect("a frame");
+    let body = &stuffed[1..=whole - 4];
+    // Kind and version come first; format 1 ends before the matrix.
+    for (version, length, is_read) in [
+        (1, body.len() - 1, true),
+        (FORMAT_VERSION, body.len(), true),
+        (1, body.len(), false),
+        (FORMAT_VERSION, body.len() - 1, false),
+        (FORMAT_VERSION + 1, body.len(), false),
+        (0, body.len() - 1, false),
+    ] {
+        let mut body = body[..length].to_vec();
+        body[1] = version;
+        body.extend(CRC.checksum(&body).to_le_bytes());
+        let mut stuffed = [0; FRAME_CAPACITY];
+        let length = cobs::encode(&body, &mut stuffed);
+        let decoded = decode(&mut stuffed[..length]);
+        assert_eq!(decoded == Some(expected), is_read, "{version}, {length}");
+    }
 }
 
 const READING: CompassReading = CompassReading {

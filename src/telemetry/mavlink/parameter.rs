@@ -79,6 +79,7 @@ impl Parameter {
             temperature,
             accelerometer,
             level,
+            gyroscope_matrix: _,
         } = &record.calibration;
         match self {
             Self::Rate => record.preferences.rate_hz.into(),
