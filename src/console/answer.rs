@@ -14,7 +14,7 @@ use core::fmt::{self, Write};
 use crate::attitude::Vector3;
 
 /// Length of the longest answer without its line end, in bytes.
-pub const ANSWER_CAPACITY: usize = 890;
+pub const ANSWER_CAPACITY: usize = 900;
 
 /// Kind of an answer: its first word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

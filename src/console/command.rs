@@ -2,7 +2,7 @@
 //!
 //! Words are exact and lower case, so that noise is no command. The parser answers a nearly right
 //! line with the right form. A number has digits and nothing else; degrees may have a sign and two
-//! decimals.
+//! decimals, the elements of a matrix a sign.
 //!
 //! ```
 //! use aplomb::console::command::{Calibrate, Command};
@@ -22,6 +22,7 @@ use core::str::FromStr;
 use super::answer::Decimal;
 use super::line::LINE_CAPACITY;
 use super::nearest::nearest;
+use super::numbers::{centidegrees, elements, nearest_rate, number};
 use crate::calibration::Mount;
 use crate::compass::{self, Choice};
 use crate::settings::OutputFormat;
@@ -53,6 +54,9 @@ pub enum Command {
     Disarm,
     /// Starts or ends a calibration.
     Calibrate(Calibrate),
+    /// Sets the gyroscope's matrix: its nine elements by rows, less those of the identity, in units
+    /// of 10⁻⁴ and in [`MATRIX_ELEMENTS`]. `aplomb calibrate` prints them.
+    GyroscopeMatrix([i16; 9]),
     /// Sets or finds the mount.
     Mount(MountChoice),
     /// Sets the compass, or its mount.
@@ -181,6 +185,10 @@ impl fmt::Display for Command {
             Self::Arm => formatter.write_str("arm"),
             Self::Disarm => formatter.write_str("disarm"),
             Self::Calibrate(argument) => write!(formatter, "calibrate {}", argument.name()),
+            Self::GyroscopeMatrix(elements) => {
+                formatter.write_str("gyro-matrix")?;
+                write_list(formatter, elements, ",")
+            }
             Self::Mount(MountChoice::Find) => formatter.write_str("mount find"),
             Self::Mount(MountChoice::Named(mount)) => write!(formatter, "mount {mount}"),
             Self::Compass(CompassChoice::Part(choice)) => write!(formatter, "compass {choice}"),
@@ -193,6 +201,9 @@ impl fmt::Display for Command {
         }
     }
 }
+
+/// Elements that `gyro-matrix` takes, in units of 10⁻⁴.
+pub const MATRIX_ELEMENTS: core::ops::RangeInclusive<i16> = -999..=999;
 
 /// Angles that `declination` takes, hundredths of a degree.
 pub const DECLINATIONS_CENTIDEGREES: core::ops::RangeInclusive<i16> = -18_000..=18_000;
@@ -221,6 +232,7 @@ pub struct Form {
 enum Argument {
     Nothing,
     Word(&'static [&'static str]),
+    Matrix,
     Mount,
     Compass,
     Degrees,
@@ -254,11 +266,12 @@ const COMPASS_WORDS: [&str; Choice::WORDS.len() + 1] = {
 
 /// Forms of every command, in the order of `help`. Of two equally near ones, suggestions prefer the
 /// first.
-static FORMS: [Form; 17] = [
+static FORMS: [Form; 18] = [
     Form::alone("help"),
     Form::alone("status"),
     Form::alone("show"),
     Form::new("calibrate", Argument::Word(&CALIBRATIONS)),
+    Form::new("gyro-matrix", Argument::Matrix),
     Form::new("mount", Argument::Mount),
     Form::new("compass", Argument::Compass),
     Form::new("declination", Argument::Degrees),
@@ -294,11 +307,12 @@ impl fmt::Display for Form {
         formatter.write_str(self.name)?;
         match self.argument {
             Argument::Nothing => Ok(()),
-            Argument::Word(words) => write_words(formatter, words),
+            Argument::Word(words) => write_list(formatter, words, "|"),
             Argument::Compass => {
-                write_words(formatter, &COMPASS_WORDS)?;
+                write_list(formatter, &COMPASS_WORDS, "|")?;
                 formatter.write_str("|<forward><down>")
             }
+            Argument::Matrix => formatter.write_str(" <nine numbers>"),
             Argument::Mount => formatter.write_str(" find|<forward><down>"),
             Argument::Degrees => formatter.write_str(" <degrees>"),
             Argument::Hertz => formatter.write_str(" <hz>"),
@@ -307,11 +321,15 @@ impl fmt::Display for Form {
     }
 }
 
-/// Writes a blank, and the words with bars between them.
-fn write_words(formatter: &mut fmt::Formatter<'_>, words: &[&str]) -> fmt::Result {
-    words.iter().enumerate().try_for_each(|(index, word)| {
-        formatter.write_str(if index == 0 { " " } else { "|" })?;
-        formatter.write_str(word)
+/// Writes a blank, and the items with this separator between them.
+fn write_list<T: fmt::Display>(
+    formatter: &mut fmt::Formatter<'_>,
+    items: &[T],
+    separator: &str,
+) -> fmt::Result {
+    items.iter().enumerate().try_for_each(|(index, item)| {
+        let before = if index == 0 { " " } else { separator };
+        write!(formatter, "{before}{item}")
     })
 }
 
@@ -359,6 +377,8 @@ pub enum ParseError {
         /// First extra word.
         word: Word,
     },
+    /// The argument of `gyro-matrix` is not nine elements of [`MATRIX_ELEMENTS`].
+    NotAMatrix(Word),
     /// The argument of `declination` is not an angle of [`DECLINATIONS_CENTIDEGREES`].
     NotADeclination(Word),
     /// The argument of `rate` is not a number in [`RATES_HZ`].
@@ -405,6 +425,13 @@ impl fmt::Display for ParseError {
             Self::ExtraWord { form, word } => {
                 write!(formatter, "\"{word}\" is too much, the form is \"{form}\"")
             }
+            Self::NotAMatrix(word) => write!(
+                formatter,
+                "\"{word}\" is no matrix, which is nine numbers from {} to {} with commas, as \
+                 \"aplomb calibrate\" prints them",
+                MATRIX_ELEMENTS.start(),
+                MATRIX_ELEMENTS.end()
+            ),
             Self::NotADeclination(word) if compass::IS_BUILT_IN => write!(
                 formatter,
                 "\"{word}\" is no declination, which is from -180 to 180 degrees, east positive, \
@@ -529,6 +556,9 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
             .find(|known| known.name() == argument)
             .map(Command::Measure)
             .ok_or_else(|| unknown(&Measure::NAMES)),
+        "gyro-matrix" => elements(argument, MATRIX_ELEMENTS)
+            .map(Command::GyroscopeMatrix)
+            .ok_or_else(|| ParseError::NotAMatrix(Word::new(argument))),
         "mount" if argument == "find" => Ok(Command::Mount(MountChoice::Find)),
         "mount" => match Mount::parse(argument) {
             Some(mount) => Ok(Command::Mount(MountChoice::Named(mount))),
@@ -560,38 +590,10 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
             Some(rate) if BAUD_RATES.contains(&rate) => Ok(Command::Baud(rate)),
             rate => Err(ParseError::NotABaudRate {
                 word: Word::new(argument),
-                nearest: rate.and_then(nearest_baud_rate),
+                nearest: rate.and_then(|rate| nearest_rate(rate, &BAUD_RATES)),
             }),
         },
     }
-}
-
-/// Parses digits, and nothing else.
-fn number(text: &str) -> Option<u32> {
-    let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
-    if is_number { text.parse().ok() } else { None }
-}
-
-/// Parses degrees with up to two decimals, as hundredths of a degree.
-fn centidegrees(text: &str) -> Option<i16> {
-    let size = text.strip_prefix(['-', '+']).unwrap_or(text);
-    let (whole, decimals) = size.split_once('.').unwrap_or((size, "0"));
-    let unit = match decimals.len() {
-        1 => 10,
-        2 => 1,
-        _ => return None,
-    };
-    let hundredths = number(whole)?.checked_mul(100)?;
-    let hundredths = hundredths.checked_add(number(decimals)? * unit)?;
-    let size = i16::try_from(hundredths).ok()?;
-    Some(if text.starts_with('-') { -size } else { size })
-}
-
-/// Returns the baud rate within a tenth of this one.
-fn nearest_baud_rate(rate: u32) -> Option<u32> {
-    BAUD_RATES
-        .into_iter()
-        .find(|known| known.abs_diff(rate) <= known / 10)
 }
 
 #[cfg(test)]
@@ -633,6 +635,10 @@ mod tests {
             ("calibrate compass", Command::Calibrate(Calibrate::Compass)),
             ("calibrate done", Command::Calibrate(Calibrate::Done)),
             ("calibrate stop", Command::Calibrate(Calibrate::Stop)),
+            (
+                "gyro-matrix -999,0,5,-1,999,0,0,40,-0",
+                Command::GyroscopeMatrix([-999, 0, 5, -1, 999, 0, 0, 40, 0]),
+            ),
             ("mount find", Command::Mount(MountChoice::Find)),
             (
                 "mount z-down",
@@ -738,6 +744,11 @@ mod tests {
                  \"compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|keep|<forward><down>\"",
             ),
             (
+                "gyro-matrix 1,2,3",
+                "\"1,2,3\" is no matrix, which is nine numbers from -999 to 999 with commas, as \
+                 \"aplomb calibrate\" prints them",
+            ),
+            (
                 "declination",
                 "declination needs a word more: \"declination <degrees>\"",
             ),
@@ -782,6 +793,34 @@ mod tests {
             ),
         ] {
             assert_eq!(parse(text).expect_err(text).to_string(), answer);
+        }
+    }
+
+    #[test]
+    fn a_matrix_has_nine_whole_numbers_and_fits_a_line() {
+        let longest = Command::GyroscopeMatrix([*MATRIX_ELEMENTS.start(); 9]).to_string();
+        assert!(longest.len() <= LINE_CAPACITY, "{longest}");
+        assert!(parse(&longest).is_ok());
+        for text in [
+            "",
+            ",",
+            "0,0,0,0,0,0,0,0",
+            "0,0,0,0,0,0,0,0,0,",
+            "0,0,0,0,0,0,0,0,0,0",
+            "0,0,0,0,0,0,0,0,1000",
+            "0,0,0,0,0,0,0,0,-1000",
+            "0,0,0,0,0,0,0,0,70000",
+            "0,0,0,0,0.5,0,0,0,0",
+            "0,0,0,0,--5,0,0,0,0",
+            "0,0,0,0,+5,0,0,0,0",
+            "0,0,0,0,x,0,0,0,0",
+        ] {
+            let error = parse(&format!("gyro-matrix {text}"));
+            let is_refused = matches!(
+                error,
+                Err(ParseError::NotAMatrix(_) | ParseError::MissingArgument(_))
+            );
+            assert!(is_refused, "{text}: {error:?}");
         }
     }
 

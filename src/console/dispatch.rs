@@ -19,10 +19,10 @@ use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
-use crate::calibration::{Mount, NoiseModel};
+use crate::calibration::{Matrix3, Mount, NoiseModel};
 use crate::compass;
 use crate::mpu6050::Part;
-use crate::settings::{Preferences, Record};
+use crate::settings::{Preferences, Record, storage};
 use crate::telemetry;
 
 /// Console: parses lines, runs their commands, and writes the answers.
@@ -86,7 +86,7 @@ impl Console {
 
     /// Returns whether the record in use differs from the one in flash.
     pub fn has_unsaved(&self) -> bool {
-        self.working != self.stored
+        !storage::has_same_bytes(&self.working, &self.stored)
     }
 
     /// Returns whether the module is armed.
@@ -211,6 +211,7 @@ impl Console {
             Command::Calibrate(Calibrate::Temperature) => {
                 self.start(Procedure::temperature(), now_us, module, reply)
             }
+            Command::GyroscopeMatrix(elements) => self.set_gyroscope(elements, module, reply),
             Command::Mount(MountChoice::Find) => {
                 self.start(Procedure::mount(), now_us, module, reply)
             }
@@ -260,6 +261,21 @@ impl Console {
             (false, false) => "",
         };
         reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
+    }
+
+    /// Sets the gyroscope's matrix.
+    fn set_gyroscope(
+        &mut self,
+        elements: [i16; 9],
+        module: &mut dyn Module,
+        reply: &mut Reply<'_>,
+    ) -> Kind {
+        let matrix = Matrix3::from_ten_thousandths(elements);
+        self.working.calibration.gyroscope_matrix = Some(matrix);
+        module.set_calibration(&self.working.calibration);
+        reply.ok(format_args!(
+            "gyro-matrix: the filter starts again with it; \"save\" keeps it"
+        ))
     }
 
     /// Adds the offset that the filter has found to the accelerometer's correction.

@@ -52,6 +52,7 @@ mod line_errors;
 mod measurement;
 mod module;
 mod nearest;
+mod numbers;
 mod preferences;
 mod procedure;
 mod procedure_runner;

@@ -152,6 +152,7 @@ impl fmt::Display for CalibratedParts<'_> {
         let has_soft_iron = (self.1.correction).map(|correction| correction.has_soft_iron());
         let names = [
             (self.0.gyroscope.is_some(), "gyro"),
+            (self.0.gyroscope_matrix.is_some(), "gyro-scale"),
             (has_poses == Some(true), "accel"),
             (has_poses == Some(false), "accel-offset"),
             (self.0.level.is_some(), "level"),
@@ -246,6 +247,10 @@ impl fmt::Display for RecordText<'_> {
                 )?;
             }
             None => formatter.write_str("none")?,
+        }
+        if let Some(matrix) = calibration.gyroscope_matrix {
+            let [x, y, z] = matrix.rows.map(|row| Triple(row, 4));
+            write!(formatter, " gyro_matrix={x},{y},{z}")?;
         }
         let Preferences {
             format,

@@ -11,8 +11,8 @@ use crate::attitude::{BodyVector, EulerAngles, Quaternion, Vector3};
 use crate::calibration::accelerometer::Pose;
 use crate::calibration::compass::CompassFitter;
 use crate::calibration::{
-    AccelerometerCorrection, Axis, Calibration, CompassCorrection, GyroscopeOffset, MotionReason,
-    StationaryMean, StationaryProgress, SymmetricMatrix, TemperatureModel,
+    AccelerometerCorrection, Axis, Calibration, CompassCorrection, GyroscopeOffset, Matrix3,
+    MotionReason, StationaryMean, StationaryProgress, SymmetricMatrix, TemperatureModel,
 };
 use crate::compass::{Choice, Condition, PartId};
 use crate::health::{CoreFigures, Flags, Measurement, SampleFigures};
@@ -258,6 +258,7 @@ fn full() -> Record {
                 0.0,
                 0.0,
             ))),
+            gyroscope_matrix: Some(Matrix3 { rows: [long; 3] }),
         },
         preferences: Preferences {
             format: OutputFormat::Classic,
@@ -284,6 +285,7 @@ fn every_command_is_answered_with_one_line() {
             "help",
             "ok help: help, status, show, \
              calibrate gyro|accel|level|temperature|compass|keep|done|stop, \
+             gyro-matrix <nine numbers>, \
              mount find|<forward><down>, \
              compass auto|off|ak8963|qmc5883l|qmc5883p|hmc5883l|keep|<forward><down>, \
              declination <degrees>, self-test, registers, measure on|show|off, rate <hz>, format \
@@ -535,6 +537,35 @@ fn motion_restarts_the_gyroscope_and_is_reported_once_a_second() {
         ]
     );
     assert!(harness.console.has_unsaved());
+}
+
+#[test]
+fn a_gyroscope_matrix_is_set_shown_and_kept() {
+    let mut harness = Harness::new();
+    assert_eq!(
+        harness.ask("gyro-matrix -277,-150,80,118,257,-184,-92,160,-196"),
+        "ok gyro-matrix: the filter starts again with it; \"save\" keeps it"
+    );
+    let calibration = harness.working().calibration;
+    let [x, _, z] = calibration.gyroscope_matrix.expect("it is set").rows;
+    assert!((x - Vector3::new(0.9723, -0.015, 0.008)).is_within(1e-6));
+    assert!((z - Vector3::new(-0.0092, 0.016, 0.9804)).is_within(1e-6));
+    assert_eq!(harness.calls(), [Call::Calibration(calibration)]);
+    assert!(harness.console.has_unsaved());
+    let status = harness.ask("status");
+    assert!(status.contains(" calibrated=gyro-scale "), "{status}");
+    let shown = harness.ask("show");
+    assert!(
+        shown.contains(
+            " gyro_matrix=0.9723,-0.0150,0.0080,0.0118,1.0257,-0.0184,-0.0092,0.0160,0.9804 "
+        ),
+        "{shown}"
+    );
+    harness.ask("arm");
+    assert_eq!(
+        harness.ask("gyro-matrix 0,0,0,0,0,0,0,0,0"),
+        "error refused while armed: \"disarm\" first"
+    );
 }
 
 #[test]
