@@ -162,7 +162,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             print_line(&format!(
                 "There are no recordings to score here, so these are {} simulated flights of one \
                  minute: seeds {} and up, which nothing was tuned on; gyroscope offset 4 °/s, not \
-                 calibrated; accelerometer as --accelerometer states.",
+                 calibrated; the rest of the sensor as --accelerometer states.",
                 EVALUATION_SEEDS.count(),
                 EVALUATION_SEEDS.start
             ));

@@ -37,7 +37,7 @@ const _: () = assert!(TUNING_SEEDS.end <= FIRST_EVALUATION_SEED);
 /// Length of a flight, s.
 const SECONDS: u64 = 60;
 
-/// Simulates the flights of these seeds, with accelerometers that are calibrated this well.
+/// Simulates the flights of these seeds, with sensors calibrated in the poses of this knowledge.
 pub fn flights(seeds: Range<u64>, accelerometer: AccelerometerKnowledge) -> Vec<Recording> {
     let seeds: Vec<u64> = seeds.collect();
     parallel::map_with_bar("simulating", &seeds, |seed| {

@@ -6,6 +6,7 @@
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::accelerometer::{Pose, PoseCollector, PoseError};
+use aplomb::calibration::gyroscope::{TurnCollector, TurnIntegrator};
 use aplomb::calibration::level;
 use aplomb::calibration::temperature::TemperatureLearner;
 use aplomb::calibration::{
@@ -16,7 +17,8 @@ use aplomb::mpu6050::{
     AccelerometerCounts, Burst, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-use aplomb_models::motion::geometry::{angle_between, dot, norm, scale};
+use aplomb_models::motion::geometry::{Quaternion as Rotation, add};
+use aplomb_models::motion::geometry::{angle_between, cross, dot, norm, scale};
 use aplomb_models::motion::truth::STANDARD_GRAVITY_M_S2;
 use aplomb_models::motion::{Mount, Truth, Vector};
 use aplomb_models::random::Random;
@@ -41,6 +43,8 @@ struct Chip {
     errors: SensorErrors,
     path: SignalPath,
     pipeline: Pipeline,
+    /// Integral of the rates since the last pose.
+    integrator: TurnIntegrator,
     random: Random,
     now_us: u64,
 }
@@ -57,10 +61,12 @@ impl Chip {
             accelerometer_self_test: [false; 3],
         };
         let identity = Identity::of(0x68);
+        let pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
         Self {
             errors,
             path: SignalPath::new(seed, Mount::default(), errors, identity, settings),
-            pipeline: Pipeline::new(&Settings::new(&Part::MPU_6050)),
+            integrator: TurnIntegrator::new(&pipeline.settings().noise_model()),
+            pipeline,
             random: Random::new(seed, "poses"),
             now_us: 0,
         }
@@ -83,6 +89,7 @@ impl Chip {
         }
         let counts = self.path.counts();
         self.now_us += 1000;
+        self.integrator.update(counts.gyroscope, self.now_us);
         Burst {
             bytes: RawSample {
                 accelerometer: AccelerometerCounts(counts.accelerometer),
@@ -152,6 +159,33 @@ impl Chip {
             let held = scale(held, 1.0 / norm(held));
             if angle_between(held, up).to_degrees() <= POSE_ERROR_DEGREES {
                 return held;
+            }
+        }
+    }
+
+    /// Turns from one direction of up, in sensor axes, to another: by way of a third one, and about
+    /// the vertical too.
+    fn turn(&mut self, from: Vector, to: Vector) {
+        let way = [0, 1, 2].map(|_| self.random.normal());
+        let way = scale(way, 1.0 / norm(way));
+        let vertical_rad = self.random.uniform(-2.0, 2.0);
+        let steps = 800 + (self.random.uniform(0.0, 400.0) as u32);
+        for (from, to) in [(from, way), (way, to)] {
+            let axis = cross(to, from);
+            let axis = scale(axis, 1.0 / norm(axis));
+            let angle_rad = angle_between(from, to);
+            for step in 0..steps {
+                let share = (f64::from(step) + 0.5) / f64::from(steps);
+                // Slow at both ends: the integral of the bell is the angle.
+                let phase = share * std::f64::consts::TAU;
+                let turned = angle_rad * (share - phase.sin() / std::f64::consts::TAU);
+                let per_s = (1.0 - phase.cos()) * 1000.0 / f64::from(steps);
+                let up = Rotation::from_rotation_vector(scale(axis, -turned)).rotate(from);
+                let rate = add(
+                    scale(axis, angle_rad * per_s),
+                    scale(up, vertical_rad * per_s),
+                );
+                self.sample(scale(up, STANDARD_GRAVITY_M_S2), rate, ROOM_C, WARM_S);
             }
         }
     }
@@ -243,6 +277,9 @@ struct Errors {
     inclination: [f64; 3],
     /// Degrees against the body: not calibrated, calibrated.
     levelled: [f64; 2],
+    /// Share of the rate, %, against the corrected accelerometer's triad: not calibrated, twelve
+    /// poses.
+    rate: [f64; 2],
     /// °/s: one stored offset, temperature model.
     temperature: [f64; 2],
 }
@@ -266,11 +303,19 @@ impl Errors {
 
         // 2. The accelerometer in twelve poses; six of them leave the cross-axis terms open.
         let mut collector = PoseCollector::new(&scale_of);
+        let mut turns = TurnCollector::new();
         let mut six = None;
+        let mut before = FACE_UP;
         for number in 1..=12 {
             let pose = collector.next_pose();
             let held = chip.about(pose);
-            let accepted = collector.add(&chip.rest(held, 300)).expect("a new pose");
+            chip.turn(before, held);
+            before = held;
+            let mean = chip.rest(held, 300);
+            if let Some(turn) = chip.integrator.finish(&mean) {
+                turns.add(&turn);
+            }
+            let accepted = collector.add(&mean).expect("a new pose");
             assert_eq!((accepted.count, accepted.pose), (number, Some(pose)));
             if number == 6 {
                 six = Some(collector.fit().expect("six poses"));
@@ -295,7 +340,25 @@ impl Errors {
             }
         }
 
-        // 3. Level: the body's own axes, up to 30° of tilt.
+        // 3. The gyroscope, by the turns between the poses.
+        let found_turns = turns.fit(&fit.correction).expect("eleven turns");
+        assert_eq!(found_turns.turns, 11);
+        assert!(found_turns.residual_after_rad < found_turns.residual_before_rad);
+        for direction in directions() {
+            let reading = chip
+                .errors
+                .gyroscope
+                .sensitivity
+                .map(|row| dot(row, direction));
+            let truth = triad.map(|row| dot(row, direction));
+            let corrected = array(found_turns.matrix.times(vector(reading)));
+            for (worst, found) in errors.rate.iter_mut().zip([reading, corrected]) {
+                let wrong = norm(add(found, scale(truth, -1.0)));
+                *worst = worst.max(100.0 * wrong);
+            }
+        }
+
+        // 4. Level: the body's own axes, up to 30° of tilt.
         let mut calibration = *chip.pipeline.calibration();
         calibration.gyroscope = Some(found);
         calibration.accelerometer = Some(fit.correction);
@@ -314,7 +377,7 @@ impl Errors {
             }
         }
 
-        // 4. One warm-up at rest, from 10 °C air to 30: a point every other degree.
+        // 5. One warm-up at rest, from 10 °C air to 30: a point every other degree.
         let mut learner = TemperatureLearner::new();
         let force = scale(FACE_UP, STANDARD_GRAVITY_M_S2);
         for step in 0..11 {
@@ -364,6 +427,7 @@ fn two_hundred_chips_are_calibrated() {
     let offset = [0, 1].map(|index| of(&|errors| errors.offset[index]));
     let inclination = [0, 1, 2].map(|index| of(&|errors| errors.inclination[index]));
     let levelled = [0, 1].map(|index| of(&|errors| errors.levelled[index]));
+    let rate = [0, 1].map(|index| of(&|errors| errors.rate[index]));
     let temperature = [0, 1].map(|index| of(&|errors| errors.temperature[index]));
     println!(
         "{CHIPS} chips from anywhere within the datasheet's tolerance, \
@@ -377,6 +441,8 @@ fn two_hundred_chips_are_calibrated() {
     );
     inclination[1].print("inclination against the sensor's triad, six poses", "°");
     inclination[2].print("inclination against the sensor's triad, twelve poses", "°");
+    rate[0].print("rate, share of it, not calibrated", " %");
+    rate[1].print("rate, share of it, twelve poses", " %");
     levelled[0].print(
         "inclination of the body within 30° of level, not calibrated",
         "°",
@@ -392,10 +458,14 @@ fn two_hundred_chips_are_calibrated() {
     temperature[1].print("gyroscope offset over the same, temperature model", " °/s");
     assert!(offset[1].worst() <= 0.05);
     assert!(inclination[2].worst() <= 0.3);
+    assert!(rate[1].worst() <= 0.5);
     assert!(temperature[1].worst() <= 0.3);
     // The checks can fail: without a calibration the limits are exceeded.
     assert!(
-        offset[0].worst() > 15.0 && inclination[0].worst() > 3.0 && temperature[0].worst() > 2.0
+        offset[0].worst() > 15.0
+            && inclination[0].worst() > 3.0
+            && rate[0].worst() > 3.0
+            && temperature[0].worst() > 2.0
     );
 }
 

@@ -138,7 +138,7 @@ pub fn samples_with(
     })
 }
 
-/// Returns the errors of the sensor of this seed, whose accelerometer is calibrated this well. Its
+/// Returns the errors of the sensor of this seed, calibrated in the poses of this knowledge. Its
 /// gyroscope has an offset of [`BIAS_DEGREES_S`].
 pub fn errors(seed: u64, accelerometer: AccelerometerKnowledge) -> SensorErrors {
     let mut random = Random::new(seed, "uncalibrated gyroscope");
@@ -148,7 +148,7 @@ pub fn errors(seed: u64, accelerometer: AccelerometerKnowledge) -> SensorErrors 
     errors.gyroscope.offset = scale(direction, BIAS_DEGREES_S.to_radians() / length);
     match accelerometer {
         AccelerometerKnowledge::Factory => errors,
-        AccelerometerKnowledge::SixPoses => errors.with_accelerometer_calibrated(Poses::Six),
-        AccelerometerKnowledge::Calibrated => errors.with_accelerometer_calibrated(Poses::Twelve),
+        AccelerometerKnowledge::SixPoses => errors.calibrated_in(Poses::Six),
+        AccelerometerKnowledge::Calibrated => errors.calibrated_in(Poses::Twelve),
     }
 }
