@@ -1,12 +1,14 @@
-//! `aplomb calibrate`: calibration of the accelerometer and of a compass from a recording, with the
-//! device's own rule and fits.
+//! `aplomb calibrate`: calibration of the accelerometer, of the gyroscope's scale and of a compass
+//! from a recording, with the device's own rule and the library's fits.
 //!
 //! The firmware's stationary detector finds the rests, and its collector collects them. A recording
 //! without rests may hold slow moments, in which the specific force is nearly gravity. The program
 //! uses them if there are enough in every direction, and the output names this rule. Half of the
-//! poses are held out, to report the residual on poses that the fit has not seen.
+//! poses are held out, to report the residual on poses that the fit has not seen. The turns between
+//! the rests show the gyroscope's scale and cross-axis terms.
 
 mod compass;
+mod gyroscope;
 mod samples;
 
 use std::error::Error;
@@ -15,6 +17,7 @@ use std::path::{Path, PathBuf};
 
 use aplomb::attitude::Vector3;
 use aplomb::calibration::accelerometer::{self, AccelerometerFit, FitError, PoseCollector};
+use aplomb::calibration::gyroscope::GyroscopeFit;
 use aplomb::calibration::{
     ImuReading, NoiseModel, SensorSetup, StationaryDetector, StationaryMean, StationaryProgress,
     SymmetricMatrix,
@@ -34,6 +37,7 @@ use crate::input::Counts;
 use crate::progress;
 
 use compass::CompassFound;
+use gyroscope::{GyroscopeSummary, Turns};
 use samples::{Sample, finest_config, read_bursts, read_rows, to_samples};
 
 /// Length of a rest, s. The device wants a second, which a recording made by hand seldom has.
@@ -47,12 +51,13 @@ const SLOW_SPREAD_DEGREES_S: f64 = 10.0;
 /// Fewest slow moments: each is only nearly at rest.
 const LEAST_SLOW_POSES: usize = 24;
 
-/// Find the calibration of accelerometer and compass in a recording that shows the sensor from many
-/// sides.
+/// Find the calibration of accelerometer, gyroscope and compass in a recording that shows the
+/// sensor from many sides.
 ///
 /// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with --raw)
 /// or a bursts.csv, plain or gzipped. Lay the sensor on each of its six sides for two seconds; a
-/// dozen poses, edges included, show the cross-axis terms too.
+/// dozen poses, edges included, show the cross-axis terms too. The turns between them then show the
+/// scale and the cross-axis terms of the gyroscope.
 ///
 /// With the columns mx,my,mz (µT) the compass is calibrated too: turn the sensor slowly to and fro
 /// about all axes for 30 s, each side down once, away from iron. One fit with the filter's
@@ -68,7 +73,8 @@ const LEAST_SLOW_POSES: usize = 24;
 JSON: rule (rest or slow), poses, offset_m_s2, matrix (what corrects: times reading less offset),
 cross_axis_fitted, residual_before_g, residual_after_g, and held_out: fitted and held_out poses,
 residual_before_g and residual_after_g of those held out; accelerometer_refused instead, if only
-the compass was found. With a compass: compass (readings, matrix times reading less hard_iron_ut is
+the compass was found. gyroscope (turns, matrix, residual_before_deg, residual_after_deg), or
+gyroscope_refused. With a compass: compass (readings, matrix times reading less hard_iron_ut is
 the field in sensor axes; strength_ut, dip_deg, residual_ut, is_mount_that_of_the_imu), or
 compass_refused.")]
 pub struct Options {
@@ -246,6 +252,7 @@ impl Recording {
                     rule: "rest",
                     poses: rested.collector.readings().to_vec(),
                     fit,
+                    gyroscope: rested.turns.fit(&fit),
                 });
             }
             Err(error) => error,
@@ -263,6 +270,7 @@ impl Recording {
             rule: "slow",
             poses: slow.poses,
             fit,
+            gyroscope: Err("slow moments are no reference for turns: lay it still".to_owned()),
         })
     }
 
@@ -294,6 +302,7 @@ impl Recording {
         let mut detector = StationaryDetector::new(&noise, rows);
         let mut rested = Rested {
             collector: PoseCollector::new(&noise),
+            turns: Turns::new(&noise),
             rests: 0,
             repeated: 0,
             refused: Vec::new(),
@@ -301,6 +310,7 @@ impl Recording {
             taken: Vec::new(),
         };
         for sample in &self.samples {
+            rested.turns.update(sample);
             let reading = ImuReading {
                 gyroscope: sample.raw.gyroscope.0,
                 accelerometer: sample.raw.accelerometer.0,
@@ -370,6 +380,7 @@ fn statistics(counts: impl Iterator<Item = [i16; 3]> + Clone) -> Statistics {
 /// Rests by the device's rule.
 struct Rested {
     collector: PoseCollector,
+    turns: Turns,
     rests: usize,
     repeated: usize,
     refused: Vec<(String, usize)>,
@@ -380,6 +391,7 @@ struct Rested {
 impl Rested {
     fn take(&mut self, t_us: i64, mean: &StationaryMean) {
         self.rests += 1;
+        self.turns.finish(mean);
         match self.collector.add(mean) {
             Ok(accepted) => {
                 let pose = accepted
@@ -460,6 +472,7 @@ struct Found {
     rule: &'static str,
     poses: Vec<Vector3>,
     fit: AccelerometerFit,
+    gyroscope: Result<GyroscopeFit, String>,
 }
 
 /// Fit on every other pose, and its residual on the rest.
@@ -528,6 +541,7 @@ impl Found {
                 *report += "held out: half of the poses are too few to fit\n";
             }
         }
+        gyroscope::describe(&self.gyroscope, report);
     }
 
     fn summary(&self) -> Summary {
@@ -543,6 +557,8 @@ impl Found {
             residual_before_g: fit.residual_before_g,
             residual_after_g: fit.residual_after_g,
             held_out: self.held_out(),
+            gyroscope: self.gyroscope.as_ref().ok().map(GyroscopeSummary::of),
+            gyroscope_refused: self.gyroscope.as_ref().err().cloned(),
         }
     }
 }
@@ -558,6 +574,10 @@ struct Summary {
     residual_before_g: f32,
     residual_after_g: f32,
     held_out: Option<HeldOut>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gyroscope: Option<GyroscopeSummary>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gyroscope_refused: Option<String>,
 }
 
 fn rms(norms: impl Iterator<Item = f32>) -> f32 {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use aplomb::attitude::Vector3;
-use aplomb::calibration::{AccelerometerCorrection, Mount, SymmetricMatrix};
+use aplomb::calibration::{AccelerometerCorrection, Matrix3, Mount, SymmetricMatrix};
 use aplomb::mpu6050::{Burst, Config, Part, RawSample};
 use aplomb::pipeline::Settings;
 use aplomb_recordings::rate::divider_of_period;
@@ -77,7 +77,9 @@ impl I2cOptions {
         if let Some(path) = &self.calibration {
             let refuse = |reason: String| format!("{}: {reason}", path.display());
             let text = read_small(path).map_err(|error| refuse(error.to_string()))?;
-            pipeline.calibration.accelerometer = Some(correction(&text).map_err(refuse)?);
+            let (accelerometer, gyroscope) = corrections(&text).map_err(refuse)?;
+            pipeline.calibration.accelerometer = Some(accelerometer);
+            pipeline.calibration.gyroscope_matrix = gyroscope;
         }
         Ok(SensorSettings {
             config,
@@ -112,15 +114,24 @@ impl I2cOptions {
 struct Calibrated {
     offset_m_s2: [f32; 3],
     matrix: [[f32; 3]; 3],
+    gyroscope: Option<CalibratedGyroscope>,
 }
 
-fn correction(json: &str) -> Result<AccelerometerCorrection, String> {
+/// The gyroscope's part of it.
+#[derive(serde::Deserialize)]
+struct CalibratedGyroscope {
+    matrix: [[f32; 3]; 3],
+}
+
+/// Returns the correction of the accelerometer, and the matrix of the gyroscope if there is one.
+fn corrections(json: &str) -> Result<(AccelerometerCorrection, Option<Matrix3>), String> {
     let Calibrated {
         offset_m_s2: [x, y, z],
         matrix: [[xx, xy, xz], [_, yy, yz], [_, _, zz]],
+        gyroscope,
     } = serde_json::from_str(json)
         .map_err(|error| format!("{error}: write it with `aplomb calibrate --json`"))?;
-    Ok(AccelerometerCorrection {
+    let accelerometer = AccelerometerCorrection {
         offset_m_s2: Vector3::new(x, y, z),
         matrix: SymmetricMatrix {
             xx,
@@ -130,7 +141,11 @@ fn correction(json: &str) -> Result<AccelerometerCorrection, String> {
             xz,
             yz,
         },
-    })
+    };
+    let gyroscope = gyroscope.map(|found| Matrix3 {
+        rows: found.matrix.map(|[x, y, z]| Vector3::new(x, y, z)),
+    });
+    Ok((accelerometer, gyroscope))
 }
 
 /// A sensor that is read sample by sample.

@@ -83,13 +83,13 @@ impl Kind {
 
 /// Write a simulated motion with its truth as a recording.
 ///
-/// The sensor has the errors of a typical one: noise, and a gyroscope offset of 4 degrees per
-/// second, and an accelerometer that is not calibrated, or as --accelerometer states. It lies face
-/// up, X forward. One seed is one motion, to the last bit. The log has 1000 rows a second
-/// (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s; truth sensor to earth with
-/// z up; mov 1 where rows count), as `replay`, `plot`, `aplomb-bench` and `cargo xtask fly --log`
-/// read it. Samples are 1900 microseconds late, as a real sensor's are: --sensor-delay-us 1900.
-/// Give `replay` and `plot` the same --accelerometer.
+/// The sensor has the errors of a typical one: noise, a gyroscope offset of 4 degrees per second,
+/// and scales and an accelerometer offset that are not calibrated, or as --accelerometer states.
+/// It lies face up, X forward. One seed is one motion, to the last bit. The log has 1000 rows a
+/// second (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s; truth sensor to
+/// earth with z up; mov 1 where rows count), as `replay`, `plot`, `aplomb-bench` and `cargo xtask
+/// fly --log` read it. Samples are 1900 microseconds late, as a real sensor's are: --sensor-delay-
+/// us 1900. Give `replay` and `plot` the same --accelerometer.
 ///
 /// With --compass the log has the columns mx,my,mz too (µT, empty where there is no new reading;
 /// 100 readings a second). The field is the earth's, with hard and soft iron, the motors'
@@ -117,7 +117,8 @@ pub struct Options {
         value_parser = clap::value_parser!(u64).range(1..=86_400)
     )]
     seconds: u64,
-    /// Calibration of the simulated accelerometer: factory, six-poses, calibrated
+    /// Calibration of the simulated sensor: factory, six-poses, calibrated (twelve poses, whose
+    /// turns calibrate the gyroscope's scale too)
     #[arg(long, value_name = "KNOWLEDGE", default_value = "factory", value_parser = knowledge)]
     accelerometer: AccelerometerKnowledge,
     /// Add a compass: factory (hard iron of some 20 µT per axis, gains that differ by some 10 %),

@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 
 use aplomb::calibration::accelerometer::Pose;
 use aplomb_models::motion::geometry::Quaternion;
+use aplomb_models::sensor::SensorErrors;
 use common::{aplomb, file, path};
 
 const GRAVITY: f64 = 9.80665;
@@ -229,5 +230,76 @@ fn a_compass_that_was_turned_too_little_or_disturbed_is_refused_with_the_reason(
     assert!(
         disturbed.contains("compass: the readings contradict the motion"),
         "{disturbed}"
+    );
+}
+
+#[test]
+fn turns_between_twelve_poses_show_the_gyroscopes_matrix() {
+    for seed in ["7", "8", "9"] {
+        let poses = path("gyroscope", "poses.csv");
+        let simulated = aplomb(&[
+            "simulate",
+            "--kind",
+            "poses",
+            "--seed",
+            seed,
+            "--seconds",
+            "40",
+            "--output",
+            poses.to_str().unwrap(),
+        ]);
+        assert!(simulated.status.success(), "{simulated:?}");
+        let printed = aplomb(&["calibrate", poses.to_str().unwrap()]);
+        let printed = String::from_utf8(printed.stdout).unwrap();
+        assert!(printed.contains("\n11 turns, gyroscope scale and cross-axis: residual "));
+        let command = printed
+            .split_once("\non the board: gyro-matrix ")
+            .unwrap()
+            .1;
+        let typed: Vec<f64> = command
+            .trim()
+            .split(',')
+            .map(|element| element.parse().unwrap())
+            .collect();
+
+        let json = aplomb(&["calibrate", poses.to_str().unwrap(), "--json"]);
+        let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+        let found = &json["gyroscope"];
+        assert_eq!(found["turns"], 11);
+        let matrix = |row: usize, column: usize| found["matrix"][row][column].as_f64().unwrap();
+        let errors = SensorErrors::typical(seed.parse().unwrap());
+        // Both triads are small rotations away from the body's axes. The matrix leads from the
+        // gyroscope's to the accelerometer's, whose skew part the poses do not show.
+        let [rates, forces] = [errors.gyroscope, errors.accelerometer].map(|it| it.sensitivity);
+        for row in 0..3 {
+            for column in 0..3 {
+                let one = if row == column { 1.0 } else { 0.0 };
+                let typed = 1.0e-4 * typed[3 * row + column] + one;
+                assert!((typed - matrix(row, column)).abs() < 0.6e-4);
+                let turned = 0.5 * (forces[row][column] - forces[column][row]);
+                let expected = 2.0 * one - rates[row][column] + turned;
+                let error = matrix(row, column) - expected;
+                // What the first order leaves out is (3 %)².
+                assert!(error.abs() < 0.002, "{seed}, {row}, {column}: {error}");
+            }
+        }
+        assert!(found["residual_after_deg"].as_f64() < Some(0.1), "{json}");
+    }
+}
+
+#[test]
+fn without_turns_the_gyroscope_is_not_calibrated_and_the_reason_is_told() {
+    let text = recording(&Pose::GUIDE, 0.0);
+    let printed = calibrate("turns", &text, &RAW).unwrap();
+    assert!(
+        printed.ends_with("gyroscope scale not found: 0 of at least 8 turns\n"),
+        "{printed}"
+    );
+    let six = recording(&Pose::GUIDE[..6], 0.0);
+    let json = calibrate("turns-of-six", &six, &[&RAW[..], &["--json"]].concat()).unwrap();
+    let found: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(
+        found["gyroscope_refused"],
+        "it needs the accelerometer's cross-axis terms: nine poses at least"
     );
 }
