@@ -176,12 +176,17 @@ typedef struct AplombCalibration {
   char compass_mount[8];
   // Not 0 if the compass's matrix and hard iron are known.
   uint8_t has_compass;
+  // Not 0 if the gyroscope's matrix is known.
+  uint8_t has_gyroscope_matrix;
   // Zero; reserved.
-  uint8_t reserved[3];
+  uint8_t reserved[2];
   // Matrix of the compass by rows, in body axes: field = matrix * reading - hard iron.
   float compass_matrix[9];
   // Hard iron, µT in body axes.
   float compass_hard_iron_ut[3];
+  // Matrix of the gyroscope by rows: rate = matrix * (reading - offset). `aplomb calibrate`
+  // finds it.
+  float gyroscope_matrix[9];
 } AplombCalibration;
 
 // Settings of a pipeline. Begin with `aplomb_default_settings`, and change what differs.

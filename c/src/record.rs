@@ -4,8 +4,8 @@ use core::ffi::c_char;
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::{
-    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, SymmetricMatrix,
-    TemperatureModel,
+    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, Matrix3,
+    SymmetricMatrix, TemperatureModel,
 };
 use aplomb::settings::{CompassSettings, Record, storage};
 use embedded_storage::nor_flash::{
@@ -68,12 +68,17 @@ pub struct AplombCalibration {
     pub compass_mount: [c_char; 8],
     /// Not 0 if the compass's matrix and hard iron are known.
     pub has_compass: u8,
+    /// Not 0 if the gyroscope's matrix is known.
+    pub has_gyroscope_matrix: u8,
     /// Zero; reserved.
-    pub reserved: [u8; 3],
+    pub reserved: [u8; 2],
     /// Matrix of the compass by rows, in body axes: field = matrix * reading - hard iron.
     pub compass_matrix: [f32; 9],
     /// Hard iron, µT in body axes.
     pub compass_hard_iron_ut: [f32; 3],
+    /// Matrix of the gyroscope by rows: rate = matrix * (reading - offset). `aplomb calibrate`
+    /// finds it.
+    pub gyroscope_matrix: [f32; 9],
 }
 
 impl AplombCalibration {
@@ -112,6 +117,10 @@ impl AplombCalibration {
         calibration.accelerometer = (self.has_accelerometer != 0).then_some(correction);
         let [w, x, y, z] = self.level;
         calibration.level = (self.has_level != 0).then_some(Quaternion { w, x, y, z });
+        let matrix = Matrix3 {
+            rows: rows(self.gyroscope_matrix),
+        };
+        calibration.gyroscope_matrix = (self.has_gyroscope_matrix != 0).then_some(matrix);
         Ok(calibration)
     }
 
@@ -122,14 +131,9 @@ impl AplombCalibration {
             let mount = mount::parse(&self.compass_mount);
             compass.mount = Some(mount.ok_or(AplombStatus::WrongMount)?);
         }
-        let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = self.compass_matrix;
         let [x, y, z] = self.compass_hard_iron_ut;
         compass.correction = (self.has_compass != 0).then_some(CompassCorrection {
-            matrix: [
-                Vector3::new(xx, xy, xz),
-                Vector3::new(yx, yy, yz),
-                Vector3::new(zx, zy, zz),
-            ],
+            matrix: rows(self.compass_matrix),
             hard_iron_ut: Vector3::new(x, y, z),
         });
         Ok(compass)
@@ -169,17 +173,34 @@ impl From<&Record> for AplombCalibration {
             found.has_level = 1;
             found.level = [level.w, level.x, level.y, level.z];
         }
+        if let Some(matrix) = calibration.gyroscope_matrix {
+            found.has_gyroscope_matrix = 1;
+            found.gyroscope_matrix = elements(matrix.rows);
+        }
         if let Some(mount) = record.compass.mount {
             found.compass_mount = mount::padded(mount.name());
         }
         if let Some(correction) = record.compass.correction {
-            let [x, y, z] = correction.matrix.map(array);
             found.has_compass = 1;
-            found.compass_matrix = [x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]];
+            found.compass_matrix = elements(correction.matrix);
             found.compass_hard_iron_ut = array(correction.hard_iron_ut);
         }
         found
     }
+}
+
+/// Returns the rows of a matrix.
+fn rows([xx, xy, xz, yx, yy, yz, zx, zy, zz]: [f32; 9]) -> [Vector3; 3] {
+    [
+        Vector3::new(xx, xy, xz),
+        Vector3::new(yx, yy, yz),
+        Vector3::new(zx, zy, zz),
+    ]
+}
+
+/// Returns the elements of a matrix by rows.
+fn elements([x, y, z]: [Vector3; 3]) -> [f32; 9] {
+    [x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z]
 }
 
 /// Writes a calibration as a record, that of the compass included.

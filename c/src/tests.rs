@@ -104,6 +104,8 @@ fn a_record_by_chance_is_none_and_a_good_one_reads_back() {
         has_compass: 1,
         compass_matrix: [1.0, 0.5, 0.0, 0.5, 1.0, 0.0, 0.0, 0.25, 1.0],
         compass_hard_iron_ut: [10.0, -20.0, 30.0],
+        has_gyroscope_matrix: 1,
+        gyroscope_matrix: [0.97, -0.01, 0.02, 0.03, 1.01, -0.02, 0.0, 0.015, 0.99],
         ..AplombCalibration::default()
     };
     let status = aplomb_encode_record(Some(&given), Some(&mut record));

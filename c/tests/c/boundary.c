@@ -104,6 +104,8 @@ static void records_read_back(void)
         calibration.compass_matrix[i] = 1.0f + (float)i;
     }
     calibration.compass_hard_iron_ut[2] = -30.5f;
+    calibration.has_gyroscope_matrix = 1;
+    calibration.gyroscope_matrix[5] = -0.0625f;
     calibration.accelerometer_offset_m_s2[1] = 0.25f;
     for (int i = 0; i < 3; i++) {
         calibration.accelerometer_matrix[i] = 1.0f;
@@ -116,6 +118,7 @@ static void records_read_back(void)
     assert(memcmp(found.compass_matrix, calibration.compass_matrix,
                   sizeof found.compass_matrix) == 0);
     assert(found.compass_hard_iron_ut[2] == -30.5f);
+    assert(found.has_gyroscope_matrix == 1 && found.gyroscope_matrix[5] == -0.0625f);
     record.bytes[40] ^= 1;
     assert(aplomb_decode_record(&record, &found) == APLOMB_STATUS_NO_RECORD);
     for (int i = 0; i < 2000; i++) {
