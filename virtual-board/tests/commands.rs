@@ -9,7 +9,14 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
+use aplomb::calibration::accelerometer::PoseCollector;
+use aplomb::calibration::gyroscope::{TurnCollector, TurnIntegrator};
+use aplomb::calibration::{ImuReading, StationaryDetector, StationaryProgress};
+use aplomb::console::command::Command;
 use aplomb::health::Flags;
+use aplomb::mpu6050::{Part, RawSample};
+use aplomb::pipeline::Settings;
+use aplomb::telemetry::bursts;
 use aplomb_models::motion::poses::Poses;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
@@ -20,6 +27,7 @@ use common::firmware;
 use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
+use virtual_board::outputs;
 use virtual_board::script::Script;
 
 /// Makes a run that must be possible.
@@ -70,6 +78,7 @@ const EVERY_COMMAND: &str = "
     2.4 rate 20
     2.6 format classic
     3.0 format text
+    3.1 gyro-matrix 1,2,3
     3.2 calibrate gyro
     3.4 calibrate level
     8.0 calibrate level
@@ -238,7 +247,7 @@ fn a_flood_of_commands_costs_no_sample_either() {
 /// The bound that docs/commands.md states, also while commands change the calibration.
 #[test]
 fn commands_by_chance_delay_no_attitude_by_much() {
-    const COMMANDS: [&str; 17] = [
+    const COMMANDS: [&str; 18] = [
         "mount +x-z",
         "mount -x-z",
         "mount +y-z",
@@ -249,6 +258,7 @@ fn commands_by_chance_delay_no_attitude_by_much() {
         "calibrate temperature",
         "calibrate done",
         "calibrate stop",
+        "gyro-matrix 5,0,-1,0,7,0,2,0,-9",
         "show",
         "status",
         "rate 50",
@@ -485,4 +495,111 @@ fn the_accelerometer_s_offset_of_a_flight_serves_the_next() {
         [untaught, taught].map(|outcome| inclination_deg(&outcome, 6.0, 40.0));
     eprintln!("inclination error: {before_deg:.2} degrees, with the kept offset {after_deg:.2}");
     assert!(after_deg < 0.8 * before_deg, "{before_deg} {after_deg}");
+}
+
+/// Returns the command that calibrates the gyroscope, as `aplomb calibrate` finds it in a
+/// recording of twelve poses.
+fn gyroscope_matrix(recording: &Outcome) -> String {
+    let noise = Settings::new(&Part::MPU_6050).noise_model();
+    let mut detector = StationaryDetector::new(&noise, 1000);
+    let mut poses = PoseCollector::new(&noise);
+    let mut integrator = TurnIntegrator::new(&noise);
+    let mut turns = TurnCollector::new();
+    let mut file = Vec::new();
+    outputs::write_bursts(&mut file, recording.samples()).unwrap();
+    for line in String::from_utf8(file).unwrap().lines().skip(1) {
+        let (burst, _) = bursts::decode(line).unwrap();
+        let raw = RawSample::decode(&burst.bytes);
+        integrator.update(raw.gyroscope.0, burst.captured_at_us);
+        if let StationaryProgress::Done(mean) = detector.update(&ImuReading {
+            gyroscope: raw.gyroscope.0,
+            accelerometer: raw.accelerometer.0,
+            temperature_celsius: 25.0,
+        }) {
+            // A pose is seen twice, and refused the second time.
+            poses.add(&mean).ok();
+            integrator
+                .finish(&mean)
+                .iter()
+                .for_each(|turn| turns.add(turn));
+        }
+    }
+    let accelerometer = poses.fit().expect("twelve poses");
+    let gyroscope = turns.fit(&accelerometer.correction).expect("eleven turns");
+    Command::GyroscopeMatrix(gyroscope.matrix.to_ten_thousandths()).to_string()
+}
+
+/// Twelve poses show the gyroscope's scale. `gyro-matrix` and `save` give it to every flight.
+#[test]
+fn the_gyroscope_s_matrix_of_twelve_poses_serves_a_flight() {
+    let run = || Run::new(firmware()).sensor_errors(SensorErrors::typical(8));
+    let degrees = [
+        [180.0, 0.0],
+        [90.0, 0.0],
+        [-90.0, 0.0],
+        [0.0, 90.0],
+        [0.0, -90.0],
+        [45.0, 0.0],
+        [-45.0, 0.0],
+        [0.0, 45.0],
+        [0.0, -45.0],
+        [135.0, 20.0],
+        [-135.0, -20.0],
+    ];
+    let poses = degrees.iter().zip(1..).map(|([roll, pitch], nth)| {
+        let [roll, pitch] = [roll, pitch].map(|angle: &f64| angle.to_radians());
+        (
+            4.0 * f64::from(nth),
+            Quaternion::from_euler(roll, pitch, 0.0),
+        )
+    });
+    let poses = poses.chain([(48.0, Quaternion::IDENTITY)]);
+    let recording = fly(run()
+        .seconds(56.0)
+        .motion(Poses::new(&poses.collect::<Vec<_>>()))
+        .command(1.0, "calibrate accel")
+        .command(47.0, "calibrate done")
+        .command(50.0, "calibrate level")
+        .command(54.0, "save"));
+    for text in [
+        "done calibrate accel: 12 poses, offset, scale and cross-axis: residual ",
+        "done calibrate level: trim ",
+        "done save: stored",
+    ] {
+        assert!(says(&recording, text), "{text}: {:#?}", answers(&recording));
+    }
+    let command = gyroscope_matrix(&recording);
+
+    let saved = fly(run()
+        .seconds(5.0)
+        .flash(recording.flash.bytes.clone())
+        .motion(Rest::level())
+        .command(1.0, &command)
+        .command(2.0, "save"));
+    for text in ["ok gyro-matrix: ", "done save: stored"] {
+        assert!(says(&saved, text), "{text}: {:#?}", answers(&saved));
+    }
+    let flight = |run: Run, flash: &[u8]| {
+        fly(run
+            .seed(23)
+            .seconds(40.0)
+            .flash(flash.to_vec())
+            .command(38.0, "status"))
+    };
+    let mut exact = SensorErrors::typical(8);
+    exact.gyroscope.sensitivity = SensorErrors::none().gyroscope.sensitivity;
+    let exact = Run::new(firmware()).sensor_errors(exact);
+    let flights = [
+        flight(run(), &recording.flash.bytes),
+        flight(run(), &saved.flash.bytes),
+        flight(exact, &recording.flash.bytes),
+    ];
+    assert!(says(&flights[1], " calibrated=gyro-scale,accel,level "));
+    let [before, after, exact] = flights.map(|outcome| inclination_deg(&outcome, 6.0, 40.0));
+    eprintln!(
+        "inclination error: {before:.2} degrees, with the matrix {after:.2}; of a gyroscope \
+         without scale error {exact:.2}"
+    );
+    assert!(after < before - 0.2, "{before} {after}");
+    assert!(after < exact + 0.1, "{after} {exact}");
 }

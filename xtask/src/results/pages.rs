@@ -25,7 +25,7 @@ const SETS: [(&str, &str); 4] = [
     ("broad", "BROAD"),
     ("tumvi", "TUM-VI"),
     ("simulated", "simulated flights"),
-    ("calibrated", "the same flights, accelerometer calibrated"),
+    ("calibrated", "the same flights, calibrated in twelve poses"),
 ];
 
 /// Returns README.md with the table that belongs there.
