@@ -33,6 +33,8 @@ struct Bench {
     integrator: TurnIntegrator,
     turns: TurnCollector,
     now_us: u64,
+    /// Offset per specific force along the same axis, °/s per g.
+    per_g_degrees_s: f32,
 }
 
 impl Bench {
@@ -42,26 +44,32 @@ impl Bench {
             integrator: TurnIntegrator::new(&SCALE),
             turns: TurnCollector::new(),
             now_us: 0,
+            per_g_degrees_s: 0.0,
         };
         assert_eq!(bench.integrator.finish(&bench.at_rest()), None);
         bench
     }
 
+    fn up(&self) -> Vector3 {
+        let up = Vector3::new(0.0, 0.0, 1.0);
+        self.attitude.conjugate().rotate(up)
+    }
+
+    fn offset_degrees_s(&self) -> Vector3 {
+        OFFSET_DEGREES_S + self.up().scale(self.per_g_degrees_s)
+    }
+
     fn at_rest(&self) -> StationaryMean {
-        let up = self
-            .attitude
-            .conjugate()
-            .rotate(Vector3::new(0.0, 0.0, 1.0));
         StationaryMean {
-            gyroscope_counts: OFFSET_DEGREES_S.scale(SCALE.counts_per_degree_s),
-            accelerometer_counts: up.scale(SCALE.counts_per_g),
+            gyroscope_counts: self.offset_degrees_s().scale(SCALE.counts_per_degree_s),
+            accelerometer_counts: self.up().scale(SCALE.counts_per_g),
             ..StationaryMean::default()
         }
     }
 
     /// Adds a reading of this rate, rad/s in sensor axes, and turns.
     fn turn(&mut self, rate_rad_s: Vector3) {
-        let degrees_s = distorted(rate_rad_s.scale(radians(1.0).recip())) + OFFSET_DEGREES_S;
+        let degrees_s = distorted(rate_rad_s.scale(radians(1.0).recip())) + self.offset_degrees_s();
         let counts = degrees_s.scale(SCALE.counts_per_degree_s);
         let counts = [counts.x, counts.y, counts.z].map(|count| count.round() as i16);
         self.integrator.update(counts, self.now_us);
@@ -73,10 +81,7 @@ impl Bench {
 
     /// Turns to this pose by the shortest way in 2 s: fast half-way, at rest at both ends.
     fn turn_to(&mut self, pose: Pose) -> Option<Turn> {
-        let up = self
-            .attitude
-            .conjugate()
-            .rotate(Vector3::new(0.0, 0.0, 1.0));
+        let up = self.up();
         let way = shortest(pose.up(), up);
         let sine = Vector3::new(way.x, way.y, way.z);
         let angle = 2.0 * sine.norm().atan2(way.w);
@@ -149,4 +154,109 @@ fn the_guide_of_twelve_poses_finds_the_matrix() {
         text.starts_with("11 turns, gyroscope scale and cross-axis: residual "),
         "{text}"
     );
+}
+
+#[test]
+fn turns_about_one_axis_and_too_few_turns_are_refused() {
+    let x_up = through(Pose::GUIDE.into_iter().take(4));
+    let few = x_up.turns.fit(&AccelerometerCorrection::NONE);
+    assert_eq!(few, Err(GyroscopeFitError::TooFew { have: 3 }));
+    // To and fro about y alone.
+    let [up, _, forward, ..] = Pose::GUIDE;
+    let one_axis = through([up, forward].into_iter().cycle().take(12));
+    let error = one_axis
+        .turns
+        .fit(&AccelerometerCorrection::NONE)
+        .unwrap_err();
+    assert_eq!(error, GyroscopeFitError::BadGeometry);
+    assert_eq!(
+        error.to_string(),
+        "the turns do not show every axis: turn it about each level axis, both ways"
+    );
+}
+
+#[test]
+fn poses_that_moved_unseen_and_impossible_scales_are_refused() {
+    let mut bench = through(Pose::GUIDE);
+    // The sensor turns by 30° between two samples, at each pose.
+    let moved = Quaternion::from_rotation_vector(Vector3::new(0.5, 0.2, 0.0));
+    for pose in Pose::GUIDE {
+        bench.attitude = bench.attitude.multiply(moved).normalize();
+        bench.turn_to(pose);
+    }
+    let error = bench.turns.fit(&AccelerometerCorrection::NONE).unwrap_err();
+    let is_refused = matches!(
+        error,
+        GyroscopeFitError::Inconsistent { .. } | GyroscopeFitError::Implausible
+    );
+    assert!(is_refused, "{error}");
+    // A gyroscope that was read at half its scale.
+    let half = NoiseModel {
+        counts_per_degree_s: 0.5 * SCALE.counts_per_degree_s,
+        ..SCALE
+    };
+    let mut poses = Pose::GUIDE.into_iter();
+    let mut bench = Bench::new(poses.next().expect("a pose"));
+    bench.integrator = TurnIntegrator::new(&half);
+    bench.integrator.finish(&bench.at_rest());
+    for pose in poses {
+        bench.turn_to(pose);
+    }
+    let fit = bench.turns.fit(&AccelerometerCorrection::NONE);
+    assert!(fit.is_err(), "{fit:?}");
+}
+
+#[test]
+fn a_turn_with_a_gap_or_full_scale_or_in_place_is_none() {
+    let [first, second, ..] = Pose::GUIDE;
+    let mut bench = Bench::new(first);
+    assert!(bench.turn_to(second).is_some());
+    bench.now_us += 30_000;
+    bench.turn(Vector3::ZERO);
+    let far = bench.now_us;
+    assert!(
+        bench.turn_to(first).is_some(),
+        "the gap was before its start"
+    );
+    bench.turn(Vector3::ZERO);
+    bench.now_us += 30_000;
+    assert_eq!(bench.turn_to(second), None, "a gap");
+    bench.turn(Vector3::ZERO);
+    bench.now_us = far;
+    assert_eq!(bench.turn_to(first), None, "time went back");
+    bench.integrator.update([0, i16::MIN, 0], bench.now_us);
+    assert_eq!(bench.turn_to(second), None, "full scale");
+    assert_eq!(bench.integrator.finish(&bench.at_rest()), None, "no turn");
+    // Three times to and fro through 180° is too much.
+    for _ in 0..3 {
+        for sign in [1.0, -1.0] {
+            for _ in 0..1_000 {
+                bench.turn(Vector3::new(sign * radians(180.0), 0.0, 0.0));
+            }
+        }
+    }
+    assert_eq!(bench.turn_to(first), None, "to and fro");
+    assert!(bench.turn_to(second).is_some(), "the next one counts");
+}
+
+#[test]
+fn an_offset_that_depends_on_the_pose_does_not_matter() {
+    let mut bench = through(Pose::GUIDE);
+    let plain = bench
+        .turns
+        .fit(&AccelerometerCorrection::NONE)
+        .expect("a fit");
+    // 0.1 °/s per g, in a turn of 2 s: half of the change counts over the turn.
+    bench = Bench::new(Pose::GUIDE[0]);
+    bench.per_g_degrees_s = 0.1;
+    bench.integrator.finish(&bench.at_rest());
+    for pose in Pose::GUIDE.into_iter().skip(1) {
+        bench.turn_to(pose);
+    }
+    let fit = bench
+        .turns
+        .fit(&AccelerometerCorrection::NONE)
+        .expect("a fit");
+    let (plain, found) = (largest_error(&plain.matrix), largest_error(&fit.matrix));
+    assert!(found < plain + 0.0005, "{plain} {found}");
 }
