@@ -52,7 +52,13 @@ fn show_attitude<I2C: I2c>(
             }
         };
         burst.missed_before = core::mem::take(&mut failures);
-        let snapshot = pipeline.update(&burst, BoardFlags::empty());
+        let has_failed = burst.missed_before > 0;
+        let board = if has_failed {
+            BoardFlags::BUS_FAULT
+        } else {
+            BoardFlags::empty()
+        };
+        let snapshot = pipeline.update(&burst, board);
         if number.is_multiple_of(100) {
             let angles = snapshot.euler();
             let (roll, pitch) = (angles.roll_rad.to_degrees(), angles.pitch_rad.to_degrees());

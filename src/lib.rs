@@ -47,6 +47,7 @@
 //! | `defmt` | `defmt::Format` on the public types | `defmt` |
 //! | `board-…` | `board` (target only), and the firmware | `stm32f4xx-hal`, RTIC, `defmt` |
 //! | `full` | commands, MAVLink and flight log in the firmware | `mavlink` |
+//! | `compass` | `full`, and a compass and its heading in the firmware | – |
 //!
 //! | module | contents |
 //! |---|---|
@@ -66,7 +67,8 @@
 //! | `board` | pins, clocks and DMA of an STM32F4, the burst reader |
 //!
 //! Body axes are forward-right-down, earth axes are north-east-down. "North" is the heading at
-//! start, because there is no compass. Angles are radians inside and degrees in text.
+//! start; a compass adds a heading beside it ([`estimator::heading`]). Angles are radians inside,
+//! and degrees in text.
 
 #![cfg_attr(not(test), no_std)]
 #![deny(missing_docs)]

@@ -24,10 +24,10 @@ use crate::fault::FaultClass;
 use crate::health::Flags;
 use crate::pipeline::{Pipeline, Snapshot};
 
-/// Samples between two rounds of housekeeping: 22 ms. The settings of the sensor are all read back
-/// within 88 ms.
+/// Samples between two rounds of housekeeping without a compass: 22 ms. The settings of the sensor
+/// are all read back within four rounds: 88 ms.
 const HOUSEKEEPING_SAMPLES: u8 = 22;
-/// Rounds between two copies of the warm-start state: 0.2 s.
+/// Rounds between two copies of the warm-start state: 0.2 s without a compass, 0.09 s with one.
 const WARM_START_ROUNDS: u8 = 9;
 
 /// Flags that are counted when they appear, with their classes.
@@ -190,6 +190,7 @@ const WORDS: usize = 11;
 struct Published {
     /// Snapshot, word by word.
     words: [AtomicU32; WORDS],
+    /// Number of publications, zero until the first.
     sequence: AtomicU32,
 }
 
@@ -199,7 +200,7 @@ const _: () = assert!(offset_of!(Snapshot, attitude) == 8 && offset_of!(Quaterni
 const _: () = assert!(offset_of!(Snapshot, body_rates_rad_s) == 24 && offset_of!(Vector3, z) == 8);
 const _: () = assert!(offset_of!(Snapshot, tilt_variance_rad2) == 4 * (WORDS - 1));
 
-/// Number of publications, zero until the first.
+/// Latest snapshot, and the number of publications.
 #[unsafe(no_mangle)]
 static APLOMB_SNAPSHOT: Published = Published {
     words: [const { AtomicU32::new(0) }; WORDS],

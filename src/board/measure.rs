@@ -316,7 +316,7 @@ pub fn run(is_new: bool, condition: impl Fn() -> bool) {
             *figures = Figures::NONE;
         }
         figures.last = None;
-        // SAFETY: as above.
+        // SAFETY: see `Owned`; all interrupts are masked.
         unsafe { *EDGE.0.get() = Edge::NONE };
     });
     let reading_cost = READING_COST.load(Ordering::Relaxed);
@@ -335,7 +335,7 @@ pub fn run(is_new: bool, condition: impl Fn() -> bool) {
         unsafe { interrupt::enable() };
         cortex_m::asm::isb();
     }
-    // SAFETY: as above.
+    // SAFETY: the idle task runs outside of critical sections.
     unsafe { interrupt::enable() };
     use_table((&raw const __vector_table).addr());
 }
@@ -404,7 +404,7 @@ fn alone<R>(work: impl FnOnce() -> R) -> R {
     // the calibration.
     unsafe { basepri::write(1 << 4) };
     let result = work();
-    // SAFETY: as above.
+    // SAFETY: no critical section is under way, so no priority has to stay masked.
     unsafe { basepri::write(0) };
     result
 }

@@ -5,8 +5,8 @@
 //! ```
 //!
 //! Every burst gives a snapshot, from the first one on. The snapshot carries [`Flags::CALIBRATING`]
-//! until the gyroscope's offset is known: after a second of rest, or with a stored offset a quarter
-//! of a second after the start. Until then σ is much larger. A stored offset counts
+//! until the gyroscope's offset is known: after a second of rest, or with a stored offset 0.16 s
+//! after the start. Until then σ is much larger. A stored offset counts
 //! within 4.9 °C of its temperature, or within the range of a temperature model.
 //! [`Pipeline::update`] does all the work, housekeeping included, so a caller cannot forget any.
 //!

@@ -349,8 +349,9 @@ impl BurstReader {
         }
     }
 
-    /// Handles the alarm: a burst took too long, no edge came, or a stale snapshot is due. Returns
-    /// whether the attitude task has to publish one.
+    /// Handles the alarm: the crystal was lost, the reader was paused or enabled, a burst took too
+    /// long, no edge came, or a stale snapshot is due. Returns whether the attitude task has to
+    /// publish one.
     pub fn on_alarm(&mut self, timebase: &mut Timebase) -> bool {
         let has_lost_crystal = clocks::have_fallen_back();
         if has_lost_crystal {

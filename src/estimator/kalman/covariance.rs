@@ -126,7 +126,8 @@ impl Covariance {
         }
     }
 
-    /// Sets the variance of a parameter. Its correlations must be zero.
+    /// Sets the variance of a parameter, and keeps its correlations. Unless they are zero, the new
+    /// variance must not be the smaller one.
     pub(super) fn set_parameter_variance(&mut self, parameter: usize, variance: f32) {
         if let Some(own) = self.row_mut(parameter).last_mut() {
             *own = variance;

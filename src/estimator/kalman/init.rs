@@ -128,7 +128,7 @@ impl Kalman {
     }
 
     /// Takes the tilt from the specific force, body axes, unless an earlier run has kept it.
-    /// Without gravity the tilt stays unknown.
+    /// Without gravity, a tilt that was known becomes [`Tilt::Lost`].
     fn start_tilt(&mut self, force: Vector3, shows_gravity: bool) {
         if self.tilt == Tilt::Resumed {
             self.tilt = Tilt::Known;

@@ -38,11 +38,11 @@ const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
 /// accelerometer's bias.
 pub(super) const STATIONARY_FORCE_SHARE: f32 = 0.03;
 
-/// Force upwards from which on an acceleration explains a specific force at rest that contradicts
-/// the tilt, m/s². With less the vehicle would fall, or the tilt is more than 35° wrong.
+/// Force upwards from which on an acceleration may explain a force at rest that contradicts the
+/// tilt, m/s². With less the vehicle would fall, or the tilt is more than 35° wrong.
 const LEAST_UP_M_S2: f32 = 8.0;
-/// Longest time for which it explains it, per force upwards beyond that, s/(m/s²): 6.8 s if the
-/// vehicle keeps its height.
+/// Longest time for which an acceleration explains that force, per force upwards beyond
+/// [`LEAST_UP_M_S2`], s/(m/s²): 6.8 s if the vehicle keeps its height.
 const LONGEST_ACCELERATION_S3_M: f32 = 3.75;
 
 impl Kalman {
@@ -265,7 +265,7 @@ impl Kalman {
 
     /// Makes tilt and bias uncertain again if the last steps' corrections contradict the bias.
     ///
-    /// At rest they contradict nothing: the rest itself makes them agree.
+    /// The correction of the first rest is not among them.
     pub(super) fn admit_changed_bias(&mut self) {
         let Some(change) = self.consistency.take_contradiction() else {
             return;

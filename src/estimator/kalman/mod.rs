@@ -1,9 +1,9 @@
 //! One Kalman filter for tilt, velocity and the sensor's parameters.
 //!
-//! An accelerometer shows down only while nothing accelerates. This filter does not detect such
-//! moments. It integrates the specific force to a velocity, and uses the pseudo-measurement that
-//! velocities stay small. A force that integrates to an implausible velocity is no acceleration,
-//! but gravity seen in a wrong attitude.
+//! An accelerometer shows down only while nothing accelerates. In motion the filter does not detect
+//! such moments; *Start and rest* below is about rest. It integrates the specific force to a
+//! velocity, and uses the pseudo-measurement that velocities stay small. A force that integrates to
+//! an implausible velocity is no acceleration, but gravity seen in a wrong attitude.
 //!
 //! # Nominal state ([`nominal`](self))
 //!
@@ -42,10 +42,10 @@
 //!
 //! # Start and rest
 //!
-//! - The mean specific force of the first 0.15 s sets the tilt, because one sample in vibration
-//!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. Meanwhile the
-//!   first sample sets the tilt, with a σ above 30°: it is not `VALID`. The same holds after a
-//!   pause that hides the tilt.
+//! - The first sample sets a provisional tilt with a σ above 30°, so the attitude is not `VALID`.
+//!   The mean specific force of 0.15 s then replaces this tilt, because one sample in vibration
+//!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. A pause that
+//!   hides the tilt repeats both steps.
 //! - The bias has a prior. When a bias turns out to lie more than [`Tuning::prior_gate_sigma`]
 //!   outside it, the prior is widened.
 //! - While tilt and bias are both uncertain, their product, which the linear model leaves out,
@@ -62,8 +62,9 @@
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
 //!   not ([`consistency`](self)). Then bias and tilt are uncertain again. It takes seconds because
 //!   a tilt error of some degrees looks like an acceleration.
-//! - Only a rest, of this run or an earlier one, makes the bias known ([`Filter::is_bias_known`]).
-//!   In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
+//! - A rest, of this run or an earlier one, must have measured the bias before it counts as known
+//!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again.
+//! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
 //!   the reported σ is much larger while the bias is not known.
 //! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
 //!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
@@ -148,7 +149,8 @@ const HIDDEN_BANK_RAD: f32 = 0.1;
 /// a vibration of 50 Hz.
 const FIRST_MEAN_S: f32 = 0.15;
 
-/// Period of the covariance slices, s: a step is complete before the next one is due.
+/// Period of the covariance slices where samples are rare, s. At about 100 Hz a step takes longer
+/// than [`Tuning::covariance_period_s`], and the next interval is longer by that.
 const SLICE_PERIOD_S: f32 = 10.5e-3;
 /// Sample period above which every sample has an earth step, s.
 const LONG_SAMPLE_PERIOD_S: f32 = 5.5e-3;
@@ -193,7 +195,7 @@ pub struct Kalman {
     recent: RecentVelocity,
     consistency: Consistency,
     prior: BiasPrior,
-    /// Length of the intervals of about one g and over 45° from up, s, since the last upright one.
+    /// Time with a mean force of about one g, over 45° from up, s. An upright interval clears it.
     wrong_gravity_s: f32,
     step: CovarianceStep,
     rest_watch: RestWatch,
@@ -433,7 +435,7 @@ impl Kalman {
             self.restart_from_unusable_numbers();
             return;
         }
-        // Only a rest makes a bias known, of this run or an earlier one.
+        // A rest, of this run or an earlier one, must have measured the bias.
         let is_measured = self.has_rested || self.is_stored_known;
         self.is_bias_known = is_measured && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
     }
@@ -535,7 +537,7 @@ impl Kalman {
         self.nominal.force_m_s2 - self.nominal.accelerometer_bias_m_s2 + gravity
     }
 
-    /// Returns whether the readings have not changed for a third of a second.
+    /// Returns whether the readings have not changed for 0.3 s.
     pub fn is_still(&self) -> bool {
         self.stationary.is_still()
     }

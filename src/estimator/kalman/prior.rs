@@ -60,8 +60,8 @@ impl BiasPrior {
 /// | offset found in flight | 10 mg | error of the bias that 96 simulated flights left: 10 mg |
 /// | calibrated | 7 mg | drift of up to 0.86 mg/°C (§6.2) over 8 °C |
 ///
-/// A flight shows the offset along the forward and right axes. The prior of the third narrows with
-/// them, which harms nothing: in level flight it does not turn the tilt.
+/// A flight shows the offset along the forward and right axes. The prior of the down axis narrows
+/// with them, which harms nothing: in level flight this offset does not turn the tilt.
 ///
 /// A wide prior keeps σ honest for a sensor with a large offset. A narrow one is more accurate for
 /// a calibrated sensor.

@@ -51,9 +51,9 @@ impl Kalman {
         self.tilt = Tilt::Known;
     }
 
-    /// Takes the tilt from the interval's mean specific force, if a single sample has set it, or if
-    /// the force has contradicted it for 1.5 s: about one g, over 45° from up. Returns whether the
-    /// interval needs no covariance step.
+    /// Takes the tilt from the interval's mean specific force, if a single sample has set it, or
+    /// if the force has contradicted it for 1.5 s: about one g, over 45° from up. Returns whether
+    /// this ended the interval, without a covariance step.
     ///
     /// No vehicle that holds its height reads such a force: a sideways acceleration of one g would
     /// give 1.4 g.

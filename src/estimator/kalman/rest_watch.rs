@@ -31,7 +31,7 @@ const NOISE_RATE_RAD_S: f32 = radians(0.8);
 /// Time of so steady a rate after which the sensor does not turn, s.
 const CERTAIN_S: f32 = 2.6;
 
-/// Watch over a sensor that has rested.
+/// Comparison of the present readings with those of the last rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct RestWatch {

@@ -57,11 +57,11 @@ pub(super) enum Progress {
     Idle,
     /// A part of the step is done.
     Working,
-    /// The covariance is propagated to the interval's end.
+    /// The covariance is propagated to the interval's end; the return to the priors comes next.
     Propagated,
     /// A parameter may return towards its prior now.
     Relaxing,
-    /// The covariance is propagated to the interval's end: add the measurements now.
+    /// The prediction is complete: add the measurements now.
     Predicted,
     /// The covariance is complete, and its numbers are usable.
     Checked,

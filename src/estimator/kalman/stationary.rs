@@ -146,7 +146,7 @@ impl StationaryDetector {
         drift.dot(drift)
     }
 
-    /// Returns whether the readings have not changed for a third of a second.
+    /// Returns whether the readings have not changed for 0.3 s.
     pub(super) fn is_still(&self) -> bool {
         self.quiet_s > STILL_S
     }

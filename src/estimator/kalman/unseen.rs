@@ -51,9 +51,9 @@ impl Kalman {
         }
     }
 
-    /// Inflates the tilt by this variance per axis, rad²: motion that no sample shows. For some
-    /// 20 s corrections do not contradict the gyroscope's bias. From a turn of 2° on the vehicle
-    /// may also have begun to move. Zero changes nothing.
+    /// Inflates the tilt by this reported variance per axis, rad²: motion that no sample shows.
+    /// Suspends the check of consistency for some 20 s. From a turn of 2° on the vehicle may also
+    /// have begun to move. Zero changes nothing.
     pub fn inflate_tilt(&mut self, variance: f32) {
         if self.tilt != Tilt::Unknown && variance > 0.0 {
             self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
@@ -64,8 +64,8 @@ impl Kalman {
         }
     }
 
-    /// Inflates the tilt by this variance per axis, rad²: a turn that a sample has shown, and that
-    /// may not have happened.
+    /// Inflates the tilt by this variance of the filter per axis, rad²: a turn that a sample has
+    /// shown, and that may not have happened. The check of consistency goes on.
     pub(crate) fn inflate_turn(&mut self, variance: f32) {
         self.interval.unseen_tilt_rad2 += variance;
     }

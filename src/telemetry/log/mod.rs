@@ -13,12 +13,12 @@
 //! |---|---|---|
 //! | 1 | configuration: versions, settings, first burst | at start, once a second, after a change |
 //! | 2 | burst: number, board's flags, time (48 bits of µs), missed edges, 14 bytes | each |
-//! | 3 | attitude: time, rates, flags; to show, and to check a replay | at the telemetry rate |
+//! | 3 | attitude: time, quaternion, rates, flags; to check a replay | at the telemetry rate |
 //! | 4 | piece of the filter's state | at start, every ten seconds, after a change |
 //! | 5 | message as text | as it comes |
-//! | 6 | compass: number, times of sample and measurement, knowledge, field | each reading |
+//! | 6 | compass: number, times, knowledge, field, declination | each reading |
 //! | 7 | piece of the heading filter's state | after the pieces of the filter's state |
-//! | 8 | heading: time, offset to yaw, σ; to show, and to check a replay | each change |
+//! | 8 | heading: time, offset to yaw, σ; to check a replay | each change, once a second |
 //!
 //! Kinds 6 to 8 come with a compass alone. A decoder that does not know them counts them as damaged
 //! pieces, and reads the others.
