@@ -354,16 +354,18 @@ impl Quaternion {
             // One Newton step of 1/√(1 + e) about e = 0; its error is below e² = 1e-6.
             return self.scale(1.0 - 0.5 * error);
         }
-        // 2⁹⁶ brings the square of every normal number into the range of `f32`.
-        const LARGE: f32 = 7.922_816_3e28;
-        let factor = match squared {
-            ..1.0e-30 => LARGE,
-            ..1.0e30 => 1.0,
-            _ => 1.0 / LARGE,
-        };
-        let scaled = self.scale(factor);
+        // The largest component becomes 1, so that no square overflows. A NaN, an infinite or a
+        // zero quaternion gives NaN, which fails the comparison.
+        let mut largest = 0.0;
+        for component in [self.w, self.x, self.y, self.z] {
+            if component.abs() > largest {
+                largest = component.abs();
+            }
+        }
+        let Self { w, x, y, z } = self;
+        let scaled = Self::new(w / largest, x / largest, y / largest, z / largest);
         let squared = scaled.dot(scaled);
-        if squared > 0.0 && squared.is_finite() {
+        if squared >= 1.0 {
             scaled.scale(1.0 / libm::sqrtf(squared))
         } else {
             Self::IDENTITY

@@ -115,10 +115,15 @@ impl Kalman {
 
     /// Starts from the first sample, or the first after a gap: takes roll and pitch from the
     /// specific force if it shows gravity. Keeps yaw and the sensor's parameters.
-    pub(super) fn start_from(&mut self, sample: &Sample, shows_gravity: bool) {
+    ///
+    /// A rest that contradicted the state shows the tilt only if the sample follows it directly,
+    /// `dt_s` after the last one: in a pause the body may turn.
+    pub(super) fn start_from(&mut self, sample: &Sample, shows_gravity: bool, dt_s: f32) {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let readings = self.stationary.readings(self.tuning);
-        if let (Tilt::Restarting, Some(readings)) = (self.tilt, readings) {
+        if let (Tilt::Restarting, Some(readings)) = (self.tilt, readings)
+            && dt_s < self.longest_step_s
+        {
             self.restart_at_rest(&readings);
         } else {
             self.stationary.start(rate, force);

@@ -219,13 +219,14 @@ impl Filter for Kalman {
     }
 
     fn start(&mut self, sample: &Sample, shows_gravity: bool) {
-        self.start_from(sample, shows_gravity && !sample.is_force_saturated);
+        let shows_gravity = shows_gravity && !sample.is_force_saturated;
+        self.start_from(sample, shows_gravity, f32::INFINITY);
     }
 
     #[inline]
     fn update(&mut self, sample: &Sample, dt_s: f32, shows_gravity: bool) {
         if self.tilt != Tilt::Known && shows_gravity && !sample.is_force_saturated {
-            self.start_from(sample, true);
+            self.start_from(sample, true, dt_s);
             return;
         }
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);

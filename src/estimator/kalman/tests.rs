@@ -1158,6 +1158,32 @@ fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
     }
 }
 
+/// The first rest contradicts the stored offset. Then samples are missing, and the body turns.
+#[test]
+fn a_rest_before_a_pause_does_not_show_the_tilt_after_it() {
+    for pause_us in [100_000, 400_000, 2_000_000] {
+        let mut world = World::at_rest(from_degrees(10.0, -20.0, 0.0));
+        world.bias_rad_s = Vector3::new(radians(5.0), 0.0, radians(-5.0));
+        let mut estimator = estimator();
+        estimator.filter_mut().set_sample_period(1.0e-3);
+        estimator.filter_mut().set_bias(Vector3::ZERO, radians(0.1));
+        let contradicts = (0..2_000).any(|_| {
+            world.run(&mut estimator, 1);
+            filter(&estimator).tilt == Tilt::Restarting
+        });
+        assert!(contradicts);
+        world.rate_rad_s = Vector3::new(0.0, radians(45.0) * 1.0e6 / pause_us as f32, 0.0);
+        world.sample(pause_us);
+        world.rate_rad_s = Vector3::ZERO;
+        for _ in 0..1_000 {
+            let estimate = world.run(&mut estimator, 1);
+            let error = world.tilt_error_degrees(estimate.attitude);
+            let allowed = larger(5.0, 6.0 * estimate.tilt_sigma_rad().to_degrees());
+            assert!(error < allowed, "{pause_us}: {error} of {allowed}");
+        }
+    }
+}
+
 /// A body whose axis goes round on a cone reads a steady rate about it, although it does not turn
 /// about it. For a rotation by φ about u it is sin φ·du − (1 − cos φ)·u × du.
 #[test]
