@@ -51,7 +51,7 @@ impl Matrix3 {
 
     /// Returns the elements of the console's `gyro-matrix`; see
     /// [`from_ten_thousandths`](Self::from_ten_thousandths).
-    pub fn to_ten_thousandths(&self) -> [i16; 9] {
+    pub fn to_ten_thousandths(self) -> [i16; 9] {
         let mut elements = [0; 9];
         let rows = self.rows.iter().zip(Self::IDENTITY.rows);
         let differences = rows.flat_map(|(row, axis)| {

@@ -204,7 +204,7 @@ impl Equations {
             let force = accelerometer.apply(reading_g.scale(STANDARD_GRAVITY_M_S2));
             force.scale(1.0 / force.norm().max(1.0))
         };
-        let (before, after) = (up(turn.start), turn.integral.to_start(up(turn.end)));
+        let (before, after) = (up(turn.start), turn.integral.at_start(up(turn.end)));
         let middle = (before + after).scale(0.5);
         let mut slopes = [Vector3::ZERO; PARAMETERS];
         for (slope, effect) in slopes.iter_mut().zip(turn.integral.effects.as_flattened()) {

@@ -52,7 +52,7 @@ impl Integral {
     /// Adds a step with this mean rate.
     fn add(&mut self, rate_rad_s: Vector3, step_s: f32) {
         let angle = rate_rad_s.scale(step_s);
-        let turn = self.to_start(angle);
+        let turn = self.at_start(angle);
         for (j, column) in self.columns.iter_mut().enumerate() {
             // The series of the rotation to second order: 10⁻⁵ rad at 2000 °/s and 1 kHz.
             let half = turn.cross(*column).scale(0.5);
@@ -80,7 +80,7 @@ impl Integral {
     }
 
     /// Turns a vector from the present axes to those at the start.
-    pub(super) fn to_start(&self, Vector3 { x, y, z }: Vector3) -> Vector3 {
+    pub(super) fn at_start(&self, Vector3 { x, y, z }: Vector3) -> Vector3 {
         let [by_x, by_y, by_z] = self.columns;
         by_x.scale(x) + by_y.scale(y) + by_z.scale(z)
     }
