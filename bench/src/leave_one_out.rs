@@ -5,8 +5,8 @@
 //! at random. It changes one number at a time by a factor, in both directions, and keeps
 //! improvements. Without an improvement it takes a smaller factor. The cost is the product of the
 //! sets' mean errors, so every set has an equal weight. Simulated flights for tuning and for
-//! judging have different seeds. Their accelerometers are calibrated, as those of the recordings
-//! are: the prior of an accelerometer that is not calibrated is no number of the tuning.
+//! judging have different seeds. Their sensors are calibrated in twelve poses, as those of the
+//! recordings are by their makers: the prior of a factory accelerometer is no number of the tuning.
 //!
 //! The search runs twice. The first run keeps the numbers of the sensor's known errors, because the
 //! default has them from datasheets and not from recordings. The second run searches every number:

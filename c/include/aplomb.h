@@ -184,8 +184,8 @@ typedef struct AplombCalibration {
   float compass_matrix[9];
   // Hard iron, µT in body axes.
   float compass_hard_iron_ut[3];
-  // Matrix of the gyroscope by rows: rate = matrix * (reading - offset). `aplomb calibrate`
-  // finds it.
+  // Matrix of the gyroscope by rows, in sensor axes: rate = matrix * (reading - offset).
+  // `aplomb calibrate` finds it.
   float gyroscope_matrix[9];
 } AplombCalibration;
 

@@ -76,8 +76,8 @@ pub struct AplombCalibration {
     pub compass_matrix: [f32; 9],
     /// Hard iron, µT in body axes.
     pub compass_hard_iron_ut: [f32; 3],
-    /// Matrix of the gyroscope by rows: rate = matrix * (reading - offset). `aplomb calibrate`
-    /// finds it.
+    /// Matrix of the gyroscope by rows, in sensor axes: rate = matrix * (reading - offset).
+    /// `aplomb calibrate` finds it.
     pub gyroscope_matrix: [f32; 9],
 }
 

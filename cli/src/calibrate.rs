@@ -83,7 +83,7 @@ pub struct Options {
     input: Option<PathBuf>,
     #[command(flatten)]
     sensor: I2cOptions,
-    /// Time to show that sensor from its six sides
+    /// Time to lay that sensor in its poses
     #[arg(
         long,
         value_name = "S",
@@ -204,7 +204,8 @@ impl Recording {
             let name = path.display();
             return Err(format!(
                 "{name}: it is a flight log. Make bursts of it, and calibrate from them with the \
-                 options that `convert` prints: aplomb convert {name} poses-bursts.csv"
+                 --accel-range and --gyro-range that `convert` prints: aplomb convert {name} \
+                 poses-bursts.csv"
             )
             .into());
         }
@@ -242,7 +243,8 @@ impl Recording {
         Self { settings, samples }
     }
 
-    /// Finds the calibration of the accelerometer. The error is the reason why there is none.
+    /// Finds the calibration of the accelerometer, and of the gyroscope's scale. The error is the
+    /// reason why there is none.
     fn accelerometer(&self, report: &mut String) -> Result<Found, String> {
         let rested = self.rests();
         let error = match accelerometer::fit(rested.collector.readings()) {

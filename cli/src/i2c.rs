@@ -41,7 +41,7 @@ pub struct I2cOptions {
     /// Mount of that sensor: the body's forward and down axes in sensor axes, such as +x-z
     #[arg(long = "sensor-mount", requires = "i2c", allow_hyphen_values = true)]
     mount: Option<Mount>,
-    /// The accelerometer's calibration: what `aplomb calibrate` prints as JSON
+    /// The calibration of accelerometer and gyroscope: what `aplomb calibrate` prints as JSON
     #[arg(long, requires = "i2c", value_name = "FILE")]
     calibration: Option<PathBuf>,
 }
@@ -93,7 +93,10 @@ impl I2cOptions {
     /// Samples for so many seconds, to calibrate. Returns times, µs, counts and the configuration.
     pub fn collect(&self, seconds: u64) -> Result<(Vec<(i64, RawSample)>, Config), String> {
         let (mut sensor, config) = self.open()?;
-        eprintln!("lay the sensor on each of its six sides for 2 s, in any order; {seconds} s");
+        eprintln!(
+            "lay the sensor on each of its six sides, then in six poses halfway between two \
+             sides, 2 s in each; {seconds} s"
+        );
         let (started, duration) = (Instant::now(), Duration::from_secs(seconds));
         let mut samples = Vec::new();
         while started.elapsed() < duration {

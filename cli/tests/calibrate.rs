@@ -288,6 +288,43 @@ fn turns_between_twelve_poses_show_the_gyroscopes_matrix() {
 }
 
 #[test]
+fn a_slow_recording_finds_the_same_matrix_and_one_with_gaps_names_them() {
+    let poses = path("slow", "poses.csv");
+    let simulated = aplomb(&[
+        "simulate",
+        "--kind",
+        "poses",
+        "--seed",
+        "7",
+        "--seconds",
+        "40",
+        "--output",
+        poses.to_str().unwrap(),
+    ]);
+    assert!(simulated.status.success(), "{simulated:?}");
+    let text = std::fs::read_to_string(&poses).unwrap();
+    let every = |step: usize| -> String {
+        let rows = text.lines().skip(1).step_by(step);
+        let header = text.lines().next().into_iter();
+        header.chain(rows).flat_map(|row| [row, "\n"]).collect()
+    };
+    let diagonal = |step: usize| -> [f64; 3] {
+        let json = calibrate("slow", &every(step), &["--json"]).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+        [0, 1, 2].map(|axis| json["gyroscope"]["matrix"][axis][axis].as_f64().unwrap())
+    };
+    // 1 kHz and 100 Hz.
+    for (fast, slow) in diagonal(1).into_iter().zip(diagonal(10)) {
+        assert!((fast - slow).abs() < 0.001, "{fast} {slow}");
+    }
+    let printed = calibrate("gaps", &every(33), &[]).unwrap();
+    assert!(
+        printed.contains("have a gap of more than 25 ms or a full-scale rate: record at 100 Hz"),
+        "{printed}"
+    );
+}
+
+#[test]
 fn without_turns_the_gyroscope_is_not_calibrated_and_the_reason_is_told() {
     let text = recording(&Pose::GUIDE, 0.0);
     let printed = calibrate("turns", &text, &RAW).unwrap();

@@ -74,7 +74,7 @@ impl Cholesky {
     }
 
     /// Returns the largest element on the diagonal of the inverse matrix: the largest variance of
-    /// a parameter per variance of a pose.
+    /// a parameter per variance of an equation.
     pub(super) fn largest_inverse_diagonal(&self) -> f32 {
         let mut largest = 0.0_f32;
         for index in 0..PARAMETERS {

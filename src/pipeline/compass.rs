@@ -116,8 +116,8 @@ impl CompassPipeline {
         self.heading.add_field(field, age_us);
     }
 
-    /// Replaces the calibration of the sensor like [`Pipeline::set_calibration`]. If the body axes
-    /// change, the heading starts again too.
+    /// Replaces the calibration of the sensor like [`Pipeline::set_calibration`]. If that
+    /// restarts the filter, the heading starts again too.
     pub fn set_calibration(&mut self, calibration: &Calibration) {
         if self.pipeline.set_calibration(calibration) {
             self.heading.reset();

@@ -11,6 +11,10 @@ use super::samples::Sample;
 pub struct Turns {
     integrator: TurnIntegrator,
     collector: TurnCollector,
+    /// Number of rests.
+    rests: usize,
+    /// Number of turns with a gap or a full-scale rate.
+    lost: usize,
 }
 
 impl Turns {
@@ -19,6 +23,8 @@ impl Turns {
         Self {
             integrator: TurnIntegrator::new(noise),
             collector: TurnCollector::new(),
+            rests: 0,
+            lost: 0,
         }
     }
 
@@ -30,6 +36,10 @@ impl Turns {
 
     /// Ends the turn at this rest.
     pub fn finish(&mut self, at_rest: &StationaryMean) {
+        if self.rests > 0 && self.integrator.is_waiting() {
+            self.lost += 1;
+        }
+        self.rests += 1;
         if let Some(turn) = self.integrator.finish(at_rest) {
             self.collector.add(&turn);
         }
@@ -42,9 +52,14 @@ impl Turns {
                 "it needs the accelerometer's cross-axis terms: nine poses at least".into(),
             );
         }
-        self.collector
-            .fit(&accelerometer.correction)
-            .map_err(|error| error.to_string())
+        let fit = self.collector.fit(&accelerometer.correction);
+        fit.map_err(|error| match self.lost {
+            0 => error.to_string(),
+            lost => format!(
+                "{error}; {lost} have a gap of more than 25 ms or a full-scale rate: record at \
+                 100 Hz or more, and turn it more slowly"
+            ),
+        })
     }
 }
 

@@ -98,14 +98,14 @@ where
     fn set_calibration(&mut self, calibration: &Calibration) {
         self.requests
             .lock(|requests| requests.calibration = *calibration);
-        let mut has_other_axes = false;
+        let mut has_restarted = false;
         self.changed_at = self.estimation.lock(|estimation| {
             let pipeline = estimation.pipeline.as_mut()?;
-            has_other_axes = pipeline.set_calibration(calibration);
+            has_restarted = pipeline.set_calibration(calibration);
             Some(BURST_COUNT.load(Ordering::Relaxed))
         });
         // A lock of its own: the attitude task waits for one restart, not for both.
-        if compass::IS_BUILT_IN && has_other_axes {
+        if compass::IS_BUILT_IN && has_restarted {
             self.estimation
                 .lock(|estimation| estimation.compass.restart_heading());
         }

@@ -18,8 +18,8 @@ pub const MIN_TURNS: usize = 8;
 /// have 0.7.
 const MAX_AMPLIFICATION: f32 = 1.5;
 /// Largest scale error or cross-axis term of a sensor: 3 % and 2 % (product specification §6.1),
-/// and a margin.
-const MAX_MATRIX_ERROR: f32 = 0.1;
+/// and a margin. The console's `gyro-matrix` takes no more.
+const MAX_MATRIX_ERROR: f32 = 0.0999;
 /// Largest residual of turns between poses at rest, rad.
 const MAX_RESIDUAL_RAD: f32 = radians(1.0);
 
@@ -82,7 +82,7 @@ impl fmt::Display for GyroscopeFitError {
         match self {
             Self::TooFew { have } => write!(formatter, "{have} of at least {MIN_TURNS} turns"),
             Self::BadGeometry => formatter.write_str(
-                "the turns do not show every axis: turn it about each level axis, both ways",
+                "the turns do not show every axis: lay it in the twelve poses, in another order",
             ),
             Self::Implausible => formatter.write_str(
                 "no sensor has such scales: were all poses at rest, and is the range right?",

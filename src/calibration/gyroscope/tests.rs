@@ -171,7 +171,7 @@ fn turns_about_one_axis_and_too_few_turns_are_refused() {
     assert_eq!(error, GyroscopeFitError::BadGeometry);
     assert_eq!(
         error.to_string(),
-        "the turns do not show every axis: turn it about each level axis, both ways"
+        "the turns do not show every axis: lay it in the twelve poses, in another order"
     );
 }
 
@@ -224,7 +224,9 @@ fn a_turn_with_a_gap_or_full_scale_or_in_place_is_none() {
     bench.turn(Vector3::ZERO);
     bench.now_us = far;
     assert_eq!(bench.turn_to(first), None, "time went back");
+    assert!(!bench.integrator.is_waiting());
     bench.integrator.update([0, i16::MIN, 0], bench.now_us);
+    assert!(bench.integrator.is_waiting());
     assert_eq!(bench.turn_to(second), None, "full scale");
     assert_eq!(bench.integrator.finish(&bench.at_rest()), None, "no turn");
     // Three times to and fro through 180° is too much.

@@ -54,10 +54,11 @@ impl Integral {
         let angle = rate_rad_s.scale(step_s);
         let turn = self.at_start(angle);
         for (j, column) in self.columns.iter_mut().enumerate() {
-            // The series of the rotation to second order: 10⁻⁵ rad at 2000 °/s and 1 kHz.
+            // The series of the rotation to third order: 4e-6 rad wrong in a step of 0.1 rad.
             let half = turn.cross(*column).scale(0.5);
+            let square = turn.cross(half);
             let half_way = *column + half;
-            *column = half_way + half + turn.cross(half);
+            *column = half_way + half + square + turn.cross(square).scale(1.0 / 3.0);
             if let (Some([x, y, z]), Some(offset)) =
                 (self.effects.get_mut(j), self.offset_effects.get_mut(j))
             {
@@ -117,6 +118,12 @@ impl TurnIntegrator {
             rate_rad_s: Vector3::ZERO,
             integral: Integral::START,
         }
+    }
+
+    /// Returns whether it waits for a pose: before the first one, and after a gap or a full-scale
+    /// reading.
+    pub const fn is_waiting(&self) -> bool {
+        self.start.is_none()
     }
 
     /// Adds a reading of the gyroscope, counts about sensor x, y, z, at `t_us` of any clock.
