@@ -8,7 +8,6 @@ use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb_models::compass::{EarthField, Magnetism, PassingMagnet};
 use aplomb_models::motion::Motion;
-use aplomb_models::motion::geometry::Quaternion;
 use aplomb_models::motion::poses::Poses;
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::rest::Rest;
@@ -54,29 +53,7 @@ impl Kind {
             Self::Flight => Box::new(Quadrotor::by_seed(seed)),
             Self::Swing => Box::new(Swing::by_seed(seed, 3.0)),
             Self::Rest => Box::new(Rest::level()),
-            Self::Poses => {
-                let degrees = [
-                    [180.0, 0.0],
-                    [90.0, 0.0],
-                    [-90.0, 0.0],
-                    [0.0, 90.0],
-                    [0.0, -90.0],
-                    [45.0, 0.0],
-                    [-45.0, 0.0],
-                    [0.0, 45.0],
-                    [0.0, -45.0],
-                    [135.0, 20.0],
-                    [-135.0, -20.0],
-                ];
-                let poses = degrees.iter().zip(1..).map(|([roll, pitch], nth)| {
-                    let [roll, pitch] = [roll, pitch].map(|angle: &f64| angle.to_radians());
-                    (
-                        f64::from(nth) * POSE_S,
-                        Quaternion::from_euler(roll, pitch, 0.0),
-                    )
-                });
-                Box::new(Poses::new(&poses.collect::<Vec<_>>()))
-            }
+            Self::Poses => Box::new(Poses::twelve(POSE_S)),
         }
     }
 }

@@ -3,6 +3,7 @@
 mod common;
 
 use std::fmt::Write as _;
+use std::path::PathBuf;
 
 use aplomb::calibration::accelerometer::Pose;
 use aplomb_models::motion::geometry::Quaternion;
@@ -233,22 +234,28 @@ fn a_compass_that_was_turned_too_little_or_disturbed_is_refused_with_the_reason(
     );
 }
 
+/// Writes a simulated recording of twelve poses, and returns its path.
+fn simulated_poses(test: &str, seed: &str) -> PathBuf {
+    let poses = path(test, "poses.csv");
+    let simulated = aplomb(&[
+        "simulate",
+        "--kind",
+        "poses",
+        "--seconds",
+        "40",
+        "--seed",
+        seed,
+        "--output",
+        poses.to_str().unwrap(),
+    ]);
+    assert!(simulated.status.success(), "{simulated:?}");
+    poses
+}
+
 #[test]
 fn turns_between_twelve_poses_show_the_gyroscopes_matrix() {
     for seed in ["7", "8", "9"] {
-        let poses = path("gyroscope", "poses.csv");
-        let simulated = aplomb(&[
-            "simulate",
-            "--kind",
-            "poses",
-            "--seed",
-            seed,
-            "--seconds",
-            "40",
-            "--output",
-            poses.to_str().unwrap(),
-        ]);
-        assert!(simulated.status.success(), "{simulated:?}");
+        let poses = simulated_poses("gyroscope", seed);
         let printed = aplomb(&["calibrate", poses.to_str().unwrap()]);
         let printed = String::from_utf8(printed.stdout).unwrap();
         assert!(printed.contains("\n11 turns, gyroscope scale and cross-axis: residual "));
@@ -289,19 +296,7 @@ fn turns_between_twelve_poses_show_the_gyroscopes_matrix() {
 
 #[test]
 fn a_slow_recording_finds_the_same_matrix_and_one_with_gaps_names_them() {
-    let poses = path("slow", "poses.csv");
-    let simulated = aplomb(&[
-        "simulate",
-        "--kind",
-        "poses",
-        "--seed",
-        "7",
-        "--seconds",
-        "40",
-        "--output",
-        poses.to_str().unwrap(),
-    ]);
-    assert!(simulated.status.success(), "{simulated:?}");
+    let poses = simulated_poses("slow", "7");
     let text = std::fs::read_to_string(&poses).unwrap();
     let every = |step: usize| -> String {
         let rows = text.lines().skip(1).step_by(step);

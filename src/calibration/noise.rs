@@ -69,6 +69,17 @@ pub struct NoiseModel {
 }
 
 impl NoiseModel {
+    /// Scale and noise at ±2000 °/s and ±16 g.
+    #[cfg(test)]
+    pub(super) const FOR_TESTS: Self = Self {
+        counts_per_degree_s: 16.4,
+        counts_per_g: 2048.0,
+        gyroscope_sigma_counts: 1.2,
+        accelerometer_sigma_counts: 11.0,
+        gyroscope_correlation: 2.7,
+        accelerometer_correlation: 2.7,
+    };
+
     /// Derives the noise of a sensor from the datasheet's noise densities.
     ///
     /// A density times the square root of the bandwidth B is the σ of one sample. At the sample

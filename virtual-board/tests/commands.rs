@@ -533,37 +533,14 @@ fn gyroscope_matrix(recording: &Outcome) -> String {
 #[test]
 fn the_gyroscope_s_matrix_of_twelve_poses_serves_a_flight() {
     let run = || Run::new(firmware()).sensor_errors(SensorErrors::typical(8));
-    let degrees = [
-        [180.0, 0.0],
-        [90.0, 0.0],
-        [-90.0, 0.0],
-        [0.0, 90.0],
-        [0.0, -90.0],
-        [45.0, 0.0],
-        [-45.0, 0.0],
-        [0.0, 45.0],
-        [0.0, -45.0],
-        [135.0, 20.0],
-        [-135.0, -20.0],
-    ];
-    let poses = degrees.iter().zip(1..).map(|([roll, pitch], nth)| {
-        let [roll, pitch] = [roll, pitch].map(|angle: &f64| angle.to_radians());
-        (
-            4.0 * f64::from(nth),
-            Quaternion::from_euler(roll, pitch, 0.0),
-        )
-    });
-    let poses = poses.chain([(48.0, Quaternion::IDENTITY)]);
     let recording = fly(run()
-        .seconds(56.0)
-        .motion(Poses::new(&poses.collect::<Vec<_>>()))
+        .seconds(52.0)
+        .motion(Poses::twelve(4.0))
         .command(1.0, "calibrate accel")
-        .command(47.0, "calibrate done")
-        .command(50.0, "calibrate level")
-        .command(54.0, "save"));
+        .command(48.0, "calibrate done")
+        .command(49.0, "save"));
     for text in [
         "done calibrate accel: 12 poses, offset, scale and cross-axis: residual ",
-        "done calibrate level: trim ",
         "done save: stored",
     ] {
         assert!(says(&recording, text), "{text}: {:#?}", answers(&recording));
@@ -594,7 +571,7 @@ fn the_gyroscope_s_matrix_of_twelve_poses_serves_a_flight() {
         flight(run(), &saved.flash.bytes),
         flight(exact, &recording.flash.bytes),
     ];
-    assert!(says(&flights[1], " calibrated=gyro-scale,accel,level "));
+    assert!(says(&flights[1], " calibrated=gyro-scale,accel "));
     let [before, after, exact] = flights.map(|outcome| inclination_deg(&outcome, 6.0, 40.0));
     eprintln!(
         "inclination error: {before:.2} degrees, with the matrix {after:.2}; of a gyroscope \

@@ -33,6 +33,32 @@ impl Poses {
             .collect();
         Self { turns }
     }
+
+    /// The twelve poses of a calibration, of which the first is level: the six sides, then six
+    /// poses halfway between sides. Each is held for `period_s`, its turn included.
+    #[must_use]
+    pub fn twelve(period_s: f64) -> Self {
+        // Roll and pitch, degrees.
+        let degrees = [
+            [180.0, 0.0],
+            [90.0, 0.0],
+            [-90.0, 0.0],
+            [0.0, 90.0],
+            [0.0, -90.0],
+            [45.0, 0.0],
+            [-45.0, 0.0],
+            [0.0, 45.0],
+            [0.0, -45.0],
+            [135.0, 20.0],
+            [-135.0, -20.0],
+        ];
+        let poses = degrees.map(|angles: [f64; 2]| {
+            let [roll, pitch] = angles.map(f64::to_radians);
+            Quaternion::from_euler(roll, pitch, 0.0)
+        });
+        let times = (1..).map(|nth| f64::from(nth) * period_s);
+        Self::new(&times.zip(poses).collect::<Vec<_>>())
+    }
 }
 
 impl Motion for Poses {

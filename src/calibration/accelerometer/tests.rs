@@ -5,14 +5,7 @@ use crate::attitude::Vector3;
 use crate::calibration::{NoiseModel, StationaryMean};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-const SCALE: NoiseModel = NoiseModel {
-    counts_per_degree_s: 16.4,
-    counts_per_g: 2048.0,
-    gyroscope_sigma_counts: 1.2,
-    accelerometer_sigma_counts: 11.0,
-    gyroscope_correlation: 2.7,
-    accelerometer_correlation: 2.7,
-};
+const SCALE: NoiseModel = NoiseModel::FOR_TESTS;
 
 /// A sensor with every error: reading = S·f + o, in g.
 fn reading(force: Vector3) -> Vector3 {

@@ -1,5 +1,6 @@
 //! Integral of the rates from one stationary pose to the next.
 
+use super::super::matrix::Matrix3;
 use super::super::noise::NoiseModel;
 use super::super::stationary::StationaryMean;
 use crate::attitude::Vector3;
@@ -39,11 +40,7 @@ pub(super) struct Integral {
 
 impl Integral {
     const START: Self = Self {
-        columns: [
-            Vector3::new(1.0, 0.0, 0.0),
-            Vector3::new(0.0, 1.0, 0.0),
-            Vector3::new(0.0, 0.0, 1.0),
-        ],
+        columns: Matrix3::IDENTITY.rows,
         effects: [[Vector3::ZERO; 3]; 3],
         offset_effects: [Vector3::ZERO; 3],
         path_rad: 0.0,
