@@ -29,7 +29,7 @@ pub const FIRST_EVALUATION_SEED: u64 = 1_000;
 pub const TUNING_SEEDS: Range<u64> = 1..13;
 
 /// Seeds of the flights that filters are judged on.
-pub const EVALUATION_SEEDS: Range<u64> = FIRST_EVALUATION_SEED..FIRST_EVALUATION_SEED + 8;
+pub const EVALUATION_SEEDS: Range<u64> = FIRST_EVALUATION_SEED..FIRST_EVALUATION_SEED + 24;
 
 // Filters are not judged on the flights that they were tuned on.
 const _: () = assert!(TUNING_SEEDS.end <= FIRST_EVALUATION_SEED);

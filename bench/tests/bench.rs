@@ -264,7 +264,7 @@ fn without_recordings_flights_are_simulated_and_it_says_so() {
     let printed = String::from_utf8(result.stdout).unwrap();
     assert!(result.status.success());
     assert!(printed.contains("simulated flights"), "{printed}");
-    assert!(printed.contains("simulated (8)"), "{printed}");
+    assert!(printed.contains("simulated (24)"), "{printed}");
     let csv = std::fs::read_to_string(output.join("accuracy.csv")).unwrap();
     assert!(
         csv.contains("simulated,flight 1000,truth,1900,vqf,"),
