@@ -1,7 +1,7 @@
 //! The filters to compare, the library's own and others, behind one interface.
 
 use aplomb::estimator::classic::{AxisKalman, Tutorial};
-use aplomb::estimator::kalman::{AccelerometerKnowledge, Kalman, Tuning};
+use aplomb::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge, Kalman, Tuning};
 use aplomb::estimator::{Estimate, Estimator, Sample};
 use aplomb_recordings::attitude::extrapolate;
 
@@ -104,12 +104,13 @@ impl Filter {
         Self::with_gains(choice, step_s, delay_us, None)
     }
 
-    /// Sets what is known of the accelerometer's offset. Only the Kalman filter uses it.
-    pub fn with_accelerometer_knowledge(mut self, knowledge: AccelerometerKnowledge) -> Self {
+    /// Sets what is known of the accelerometer's offset, and of the gyroscope beside it. Only the
+    /// Kalman filter uses it.
+    pub fn with_knowledge(mut self, accelerometer: AccelerometerKnowledge) -> Self {
         if let Variant::Kalman(estimator) = &mut self.variant {
-            estimator
-                .filter_mut()
-                .set_accelerometer_knowledge(knowledge);
+            let filter = estimator.filter_mut();
+            filter.set_accelerometer_knowledge(accelerometer);
+            filter.set_gyroscope_knowledge(GyroscopeKnowledge::beside(accelerometer));
         }
         self
     }

@@ -33,27 +33,21 @@ const MOST_ROUNDS: usize = 5;
 const LEAST_GAIN: f64 = 5e-4;
 
 /// Numbers of [`Tuning`] that are known properties of such sensors.
-const SENSOR: [&str; 8] = [
+const SENSOR: [&str; 5] = [
     "start_tilt_rad",
     "gyroscope_bias_rad_s",
     "start_velocity_m_s",
-    "accelerometer_bias_m_s2",
-    "gyroscope_scale",
-    "gyroscope_misalignment_rad",
     "gyroscope_bias_walk",
     "parameter_memory_s",
 ];
 
 /// Returns the numbers of a tuning that decide on accuracy, without those that only cost time.
-fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 24] {
+fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 21] {
     // Every field has a name here, so that the compiler reports a new one.
     let Tuning {
         start_tilt_rad,
         gyroscope_bias_rad_s,
         start_velocity_m_s,
-        accelerometer_bias_m_s2,
-        gyroscope_scale,
-        gyroscope_misalignment_rad,
         rate_noise,
         rate_noise_per_rate,
         gyroscope_bias_walk,
@@ -79,9 +73,6 @@ fn numbers(tuning: &mut Tuning) -> [(&'static str, &mut f32); 24] {
         ("start_tilt_rad", start_tilt_rad),
         ("gyroscope_bias_rad_s", gyroscope_bias_rad_s),
         ("start_velocity_m_s", start_velocity_m_s),
-        ("accelerometer_bias_m_s2", accelerometer_bias_m_s2),
-        ("gyroscope_scale", gyroscope_scale),
-        ("gyroscope_misalignment_rad", gyroscope_misalignment_rad),
         ("rate_noise", rate_noise),
         ("rate_noise_per_rate", rate_noise_per_rate),
         ("gyroscope_bias_walk", gyroscope_bias_walk),
@@ -192,7 +183,8 @@ fn errors(recordings: &[Recording], tuning: &Tuning) -> Vec<f64> {
     // A filter borrows its tuning for ever. A search leaks some hundred kilobytes.
     let tuning: &'static Tuning = Box::leak(Box::new(*tuning));
     let mut errors = parallel::map(recordings, |recording| {
-        recording.rms(Filter::with_tuning(tuning, recording.delay_us))
+        let filter = Filter::with_tuning(tuning, recording.delay_us);
+        recording.rms(filter.with_knowledge(recording.accelerometer))
     });
     errors.sort_by(f64::total_cmp);
     errors

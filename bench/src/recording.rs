@@ -233,8 +233,8 @@ impl Recording {
     pub fn score(&self, choice: Choice) -> Option<Score> {
         let mut errors = Errors::default();
         let has_sigma = self.reference == Reference::Truth;
-        let filter = Filter::new(choice, self.step_s(), self.delay_us)
-            .with_accelerometer_knowledge(self.accelerometer);
+        let filter =
+            Filter::new(choice, self.step_s(), self.delay_us).with_knowledge(self.accelerometer);
         self.run(filter, |estimated, true_up, sigma_rad| {
             errors.add(estimated, true_up, sigma_rad.filter(|_| has_sigma));
         });

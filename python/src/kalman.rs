@@ -33,7 +33,8 @@ pub type Times<'py> = PyArrayLike1<'py, i64, AllowTypeChange>;
 /// sensor_delay_us : int
 ///     Age of a sample's content at its time. Attitudes are extrapolated by it.
 /// accelerometer : str
-///     Knowledge of the accelerometer's offset: "factory", "six-poses" or "calibrated".
+///     Knowledge of the accelerometer's offset: "factory", "six-poses" or "calibrated". A
+///     calibrated sensor has a calibrated gyroscope too.
 /// compass : str
 ///     Knowledge of the compass's hard iron: "factory" (none, so no heading before the body has
 ///     turned), "hard-iron" (removed, as an earlier run found it) or "calibrated".

@@ -51,7 +51,7 @@ pub use snapshot::Snapshot;
 
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, StationaryDetector, StationaryMean};
-use crate::estimator::kalman::{AccelerometerKnowledge, Kalman, WarmStart};
+use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge, Kalman, WarmStart};
 use crate::estimator::{Estimator, Filter, Issues, Sample};
 use crate::health::{BoardFlags, Flags, Monitor, Vibration};
 use crate::mpu6050::{Burst, RawSample, TemperatureCounts};
@@ -116,6 +116,7 @@ impl Pipeline {
         filter.set_delay(settings.delay_s());
         filter.set_sample_period(1.0 / sensor.sample_rate_hz());
         filter.set_accelerometer_knowledge(settings.accelerometer_knowledge());
+        filter.set_gyroscope_knowledge(settings.gyroscope_knowledge());
         pipeline.apply_stored_offset();
         pipeline
     }
@@ -305,6 +306,8 @@ impl Pipeline {
             || before.calibration.level != calibration.level
             || before.calibration.gyroscope_matrix != calibration.gyroscope_matrix;
         if has_other_rates {
+            let knowledge = self.settings.gyroscope_knowledge();
+            self.kalman_mut().set_gyroscope_knowledge(knowledge);
             self.estimator.restart();
             self.monitor.restart();
             self.alignment = Alignment::new(&self.settings, self.gyroscope_offset_rad_s);
@@ -321,9 +324,12 @@ impl Pipeline {
     }
 
     /// Sets what is known of the accelerometer's offset, for samples that are calibrated elsewhere:
-    /// those of a recording in SI units. Default: by the calibration of the settings.
+    /// those of a recording in SI units. With a calibrated accelerometer the gyroscope's scale and
+    /// cross-axis terms are calibrated too. Default: by the calibration of the settings.
     pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
-        self.kalman_mut().set_accelerometer_knowledge(knowledge);
+        let kalman = self.kalman_mut();
+        kalman.set_accelerometer_knowledge(knowledge);
+        kalman.set_gyroscope_knowledge(GyroscopeKnowledge::beside(knowledge));
     }
 
     /// Arms (`true`) the filter. An armed filter skips the updates that are only safe on the

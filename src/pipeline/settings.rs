@@ -1,7 +1,7 @@
 //! Settings of a pipeline: sensor configuration, part, mount and calibration.
 
 use crate::calibration::{AccelerometerCorrection, Calibration, Mount, NoiseModel, SensorSetup};
-use crate::estimator::kalman::AccelerometerKnowledge;
+use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge};
 use crate::mpu6050::{Config, Part};
 use crate::serialize::StateVisitor;
 
@@ -57,6 +57,15 @@ impl Settings {
             AccelerometerKnowledge::Calibrated
         } else {
             AccelerometerKnowledge::SixPoses
+        }
+    }
+
+    /// Returns what the calibration tells of the gyroscope's scale and cross-axis terms.
+    pub(super) fn gyroscope_knowledge(&self) -> GyroscopeKnowledge {
+        if self.calibration.gyroscope_matrix.is_some() {
+            GyroscopeKnowledge::Calibrated
+        } else {
+            GyroscopeKnowledge::Factory
         }
     }
 

@@ -14,11 +14,19 @@
 //! half. Operations on X and C work on one row each, so that a caller can spread them over several
 //! samples.
 
-use super::prior::ParameterPriors;
-use super::propagation::{DYNAMIC, Effect, GYROSCOPE_PARAMETERS, PARAMETERS, Transition};
+use super::prior::{FIRST_WITH_PRIOR, ParameterPriors};
+use super::propagation::{DYNAMIC, Effect, GYROSCOPE_PARAMETERS, PARAMETERS, State, Transition};
 use crate::serialize::StateVisitor;
 
 const TRIANGLE: usize = PARAMETERS * (PARAMETERS + 1) / 2;
+
+/// Entries of the triangle for the gyroscope's bias.
+const BIAS_ENTRIES: usize = 6;
+
+/// Returns the place of a parameter's variance in the triangle.
+const fn diagonal(parameter: usize) -> usize {
+    parameter * (parameter + 3) / 2
+}
 
 /// Covariance of the error state.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,6 +59,15 @@ impl Column {
         entries.map(|entry| entry.abs()).sum::<f32>() < 1.0e4
     }
 
+    /// Returns the entry of a state.
+    pub(super) fn entry(&self, state: State) -> Option<f32> {
+        match state {
+            State::Dynamic(state) => self.dynamic.get(state),
+            State::Parameter(parameter) => self.parameters.get(parameter),
+        }
+        .copied()
+    }
+
     /// Adds a multiple of another column.
     pub(super) fn add(&mut self, other: &Self, factor: f32) {
         for (entry, other) in self.dynamic.iter_mut().zip(&other.dynamic) {
@@ -76,38 +93,6 @@ impl Covariance {
         triangle: [0.0; TRIANGLE],
     };
 
-    /// Sets the parameters' variances, and all correlations between them to zero.
-    #[inline(never)]
-    pub(super) fn reset_parameters(&mut self, priors: &ParameterPriors<'_>) {
-        self.triangle.fill(0.0);
-        let [bias, scale, skew, accelerometer] = priors.variances();
-        let variances = [
-            bias,
-            bias,
-            bias, // gyroscope bias
-            scale,
-            skew,
-            skew, // gyroscope matrix, by rows
-            skew,
-            scale,
-            skew, //
-            skew,
-            skew,
-            scale, //
-            accelerometer,
-            accelerometer,
-            accelerometer,
-        ];
-        let mut end = 0;
-        for (parameter, variance) in variances.into_iter().enumerate() {
-            end += parameter;
-            if let Some(own) = self.triangle.get_mut(end) {
-                *own = variance;
-            }
-            end += 1;
-        }
-    }
-
     /// Returns the variance of a dynamic state.
     #[inline]
     pub(super) fn dynamic_variance(&self, state: usize) -> f32 {
@@ -120,17 +105,27 @@ impl Covariance {
     /// Returns the variance of a parameter.
     #[inline]
     pub(super) fn parameter_variance(&self, parameter: usize) -> f32 {
-        match self.row(parameter).last() {
+        match self.triangle.get(diagonal(parameter)) {
             Some(variance) => *variance,
             None => 0.0,
         }
     }
 
-    /// Sets the variance of a parameter, and keeps its correlations. Unless they are zero, the new
-    /// variance must not be the smaller one.
-    pub(super) fn set_parameter_variance(&mut self, parameter: usize, variance: f32) {
-        if let Some(own) = self.row_mut(parameter).last_mut() {
-            *own = variance;
+    /// Sets the variances of the gyroscope's bias, and keeps its correlations with other states.
+    /// Unless they are zero, no variance must become smaller.
+    pub(super) fn reset_bias(&mut self, [x, y, z]: [f32; 3]) {
+        if let Some(bias) = self.triangle.first_chunk_mut::<BIAS_ENTRIES>() {
+            *bias = [x, 0.0, y, 0.0, 0.0, z];
+        }
+    }
+
+    /// Sets the variance of each parameter but the gyroscope's bias to its prior, and its
+    /// correlations with other parameters to zero.
+    pub(super) fn reset_parameters(&mut self, priors: &ParameterPriors) {
+        let (_, rest) = self.triangle.split_at_mut(BIAS_ENTRIES);
+        rest.fill(0.0);
+        for parameter in FIRST_WITH_PRIOR..PARAMETERS {
+            self.add_to_parameter(parameter, priors.variance(parameter));
         }
     }
 
@@ -147,12 +142,13 @@ impl Covariance {
 
     /// Adds to the variance of a parameter.
     pub(super) fn add_to_parameter(&mut self, parameter: usize, variance: f32) {
-        if let Some(own) = self.row_mut(parameter).last_mut() {
+        if let Some(own) = self.triangle.get_mut(diagonal(parameter)) {
             *own += variance;
         }
     }
 
     /// Scales the error of a parameter, and adds to its variance.
+    #[inline(never)]
     pub(super) fn scale_parameter(&mut self, parameter: usize, factor: f32, added: f32) {
         if let Some(row) = self.cross.get_mut(parameter) {
             row.iter_mut().for_each(|entry| *entry *= factor);
@@ -162,7 +158,7 @@ impl Covariance {
         if let Some(own) = row.last_mut() {
             *own = *own * factor + added;
         }
-        let mut index = parameter * (parameter + 1) / 2 + parameter;
+        let mut index = diagonal(parameter);
         for other in parameter + 1..PARAMETERS {
             index += other;
             if let Some(entry) = self.triangle.get_mut(index) {

@@ -15,8 +15,8 @@
 //! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in
 //! terms of the covariance afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
 
-use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS};
-use super::slices::{MOST_MEASUREMENTS, State};
+use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS, State};
+use super::slices::MOST_MEASUREMENTS;
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::{smaller, square};

@@ -4,9 +4,10 @@ use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::rest_watch::RestWatch;
+use super::unseen::LONGEST_REST_PAUSE_S;
 use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
-use crate::estimator::arithmetic::square;
+use crate::estimator::arithmetic::{smaller, square};
 use crate::estimator::sample::Sample;
 
 /// Tilt variance that a single sample's specific force adds to that of a mean, both axes together,
@@ -49,13 +50,15 @@ impl Kalman {
     pub(super) fn take_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.nominal.set_gyroscope_bias(bias_rad_s);
         self.prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
-        self.has_rested = false;
         self.is_stored_known = sigma_rad_s < KNOWN_BIAS_RAD_S;
         self.is_bias_known = self.is_stored_known;
-        for axis in 0..3 {
-            let covariance = &mut self.step.covariance;
-            covariance.set_parameter_variance(axis, square(sigma_rad_s));
-        }
+        self.forget_rest();
+    }
+
+    /// Returns the bias's variances to their prior, until a rest measures the bias.
+    fn forget_rest(&mut self) {
+        self.has_rested = false;
+        self.step.covariance.reset_bias(self.prior.variance);
     }
 
     /// Continues from an earlier run, instead of taking the tilt from the first sample. If σ of
@@ -108,7 +111,7 @@ impl Kalman {
             delay_s: self.delay_s,
             longest_step_s: self.longest_step_s,
             is_armed: self.is_armed,
-            ..Self::fresh(self.tuning, self.accelerometer_m_s2)
+            ..Self::fresh(self.tuning, self.priors)
         };
         self.nominal.attitude = attitude;
     }
@@ -122,7 +125,7 @@ impl Kalman {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let readings = self.stationary.readings(self.tuning);
         if let (Tilt::Restarting, Some(readings)) = (self.tilt, readings)
-            && dt_s < self.longest_step_s
+            && dt_s < smaller(self.longest_step_s, LONGEST_REST_PAUSE_S)
         {
             self.restart_at_rest(&readings);
         } else {
@@ -157,9 +160,9 @@ impl Kalman {
             self.nominal.attitude = Quaternion::from_down(-force).with_sign_of(attitude);
         } else {
             self.recent.may_move();
-            let bias = &mut self.nominal.accelerometer_bias_m_s2;
-            if bias.dot(*bias) > square(IMPLAUSIBLE_BIAS_SIGMA * self.accelerometer_m_s2) {
-                *bias = Vector3::ZERO;
+            let bias = self.nominal.accelerometer_bias_m_s2;
+            if bias.dot(bias) > square(IMPLAUSIBLE_BIAS_SIGMA * self.priors.accelerometer_m_s2) {
+                self.reset_parameters();
             }
             self.level(attitude.rotate(force));
         }
@@ -168,8 +171,14 @@ impl Kalman {
 
     /// Resets tilt (variance per axis, rad²) and velocity, and abandons the covariance step under
     /// way.
+    ///
+    /// A first rest counts only as a whole: its step reduces the variance of the bias first, and
+    /// corrects the bias last.
     #[inline(never)]
     pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
+        if self.is_first_rest && self.step.is_under_way() {
+            self.forget_rest();
+        }
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;
         covariance.reset_motion(tilt_variance, velocity_variance);

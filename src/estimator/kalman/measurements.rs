@@ -1,9 +1,9 @@
 //! Measurements of a covariance step: zero velocity, zero rate at rest, and the width of the bias
 //! prior.
 
-use super::prior::BiasPrior;
-use super::propagation::{Interval, PARAMETERS};
-use super::slices::{Measurement, State};
+use super::prior::{BiasPrior, FIRST_WITH_PRIOR};
+use super::propagation::{Interval, PARAMETERS, State};
+use super::slices::Measurement;
 use super::stationary::{SETTLED_S, StationaryReadings};
 use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::{KNOWN_BIAS_RAD_S, Kalman, Tilt, USABLE_TILT_RAD};
@@ -284,14 +284,13 @@ impl Kalman {
     /// deviation decays by φ, and noise of (1 − φ²) times the prior's variance keeps the prior
     /// stationary. One parameter a step is cheap, and its turn comes every three seconds.
     pub(super) fn relax_parameter(&mut self, duration_s: f32) {
-        const FIRST: u8 = 3;
-        self.next_parameter = match self.next_parameter + 1 {
-            next if next > FIRST && usize::from(next) < PARAMETERS => next,
-            _ => FIRST,
+        let parameter = match usize::from(self.next_parameter) + 1 {
+            next @ FIRST_WITH_PRIOR..PARAMETERS => next,
+            _ => FIRST_WITH_PRIOR,
         };
-        let parameter = usize::from(self.next_parameter);
+        self.next_parameter = parameter as u8;
         let factor = self.relaxation(duration_s);
-        let added = (1.0 - square(factor)) * self.parameter_priors().variance(parameter);
+        let added = (1.0 - square(factor)) * self.priors.variance(parameter);
         let covariance = &mut self.step.covariance;
         covariance.scale_parameter(parameter, factor, added);
         self.nominal.scale_parameter(parameter, factor);

@@ -99,7 +99,7 @@ mod unseen;
 #[cfg(test)]
 mod tests;
 
-pub use prior::{AccelerometerKnowledge, WarmStart};
+pub use prior::{AccelerometerKnowledge, GyroscopeKnowledge, WarmStart};
 pub use tuning::Tuning;
 pub use unseen::PAUSE_RATE_RAD_S;
 
@@ -197,10 +197,9 @@ pub struct Kalman {
     prior: BiasPrior,
     /// Time with a mean force of about one g, over 45° from up, s. An upright interval clears it.
     wrong_gravity_s: f32,
-    step: CovarianceStep,
+    priors: ParameterPriors,
     rest_watch: RestWatch,
-    /// σ of the accelerometer's bias before the first sample, m/s².
-    accelerometer_m_s2: f32,
+    step: CovarianceStep,
     /// True if the stored bias, or that of a restart, was known.
     is_stored_known: bool,
     /// True if a single sample has set the tilt: the mean specific force will set it again.
@@ -292,10 +291,12 @@ impl Kalman {
 
     /// Creates a filter with this tuning.
     pub fn with_tuning(tuning: &'static Tuning) -> Self {
-        Self::fresh(tuning, tuning.accelerometer_bias_m_s2)
+        let accelerometer = AccelerometerKnowledge::default();
+        let gyroscope = GyroscopeKnowledge::default();
+        Self::fresh(tuning, ParameterPriors::new(accelerometer, gyroscope))
     }
 
-    fn fresh(tuning: &'static Tuning, accelerometer_m_s2: f32) -> Self {
+    fn fresh(tuning: &'static Tuning, priors: ParameterPriors) -> Self {
         let mut filter = Self {
             tuning,
             delay_s: 0.0,
@@ -316,7 +317,7 @@ impl Kalman {
             recent: RecentVelocity::NONE,
             consistency: Consistency::NONE,
             rest_watch: RestWatch::NONE,
-            accelerometer_m_s2,
+            priors,
             prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
             wrong_gravity_s: 0.0,
             next_axis: 0,
@@ -324,9 +325,12 @@ impl Kalman {
             held_tilt_rad2: 0.0,
             steady_until_s: 0.0,
         };
-        let priors = filter.parameter_priors();
-        filter.step.covariance.reset_parameters(&priors);
-        filter.reset_motion(square(tuning.start_tilt_rad));
+        filter.restart_with(
+            Vector3::ZERO,
+            tuning.gyroscope_bias_rad_s,
+            tuning.start_tilt_rad,
+        );
+        filter.tilt = Tilt::Unknown;
         filter
     }
 
@@ -335,26 +339,26 @@ impl Kalman {
         self.delay_s = delay_s;
     }
 
-    /// Sets what is known of the accelerometer's offset, and forgets what motion has shown of it.
-    /// Default: calibrated.
+    /// Sets what is known of the accelerometer's offset, and forgets what motion has shown of every
+    /// parameter but the gyroscope's bias. Default: calibrated.
     pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
-        self.accelerometer_m_s2 = knowledge.sigma_m_s2();
+        self.priors.accelerometer_m_s2 = knowledge.sigma_m_s2();
+        self.forget_parameters();
+    }
+
+    /// Sets what is known of the gyroscope's scale and cross-axis terms, and forgets what motion
+    /// has shown of every parameter but its bias. Default: calibrated.
+    pub fn set_gyroscope_knowledge(&mut self, knowledge: GyroscopeKnowledge) {
+        self.priors.gyroscope_scale = knowledge.scale_sigma();
+        self.priors.gyroscope_misalignment_rad = knowledge.misalignment_sigma_rad();
+        self.forget_parameters();
+    }
+
+    fn forget_parameters(&mut self) {
         if self.tilt == Tilt::Known {
             self.reset_motion(0.5 * self.conservative_tilt_variance());
         }
-        let variance = square(self.accelerometer_m_s2);
-        for parameter in GYROSCOPE_PARAMETERS..PARAMETERS {
-            let covariance = &mut self.step.covariance;
-            covariance.scale_parameter(parameter, 0.0, variance);
-            self.nominal.scale_parameter(parameter, 0.0);
-        }
-    }
-
-    fn parameter_priors(&self) -> ParameterPriors<'static> {
-        ParameterPriors {
-            tuning: self.tuning,
-            accelerometer_m_s2: self.accelerometer_m_s2,
-        }
+        self.reset_parameters();
     }
 
     /// Disables (`true`) the zero-rate and zero-velocity updates, which are only safe on the
@@ -526,7 +530,8 @@ impl Kalman {
             let covariance = &self.step.covariance;
             covariance.parameter_variance(GYROSCOPE_PARAMETERS + axis)
         };
-        let is_certain = 2.0 * larger(variance(0), variance(1)) < square(self.accelerometer_m_s2);
+        let is_certain =
+            2.0 * larger(variance(0), variance(1)) < square(self.priors.accelerometer_m_s2);
         let bias = self.nominal.accelerometer_bias_m_s2;
         is_certain.then(|| Vector3::new(bias.x, bias.y, 0.0))
     }
@@ -576,7 +581,7 @@ impl Kalman {
         self.recent.visit_state(visitor);
         self.consistency.visit_state(visitor);
         self.rest_watch.visit_state(visitor);
-        visitor.f32(&mut self.accelerometer_m_s2);
+        self.priors.visit_state(visitor);
         self.prior.visit_state(visitor);
         visitor.f32(&mut self.wrong_gravity_s);
         let mut next_axis = usize::from(self.next_axis);

@@ -1,7 +1,6 @@
 //! Information before the first sample: priors of the parameters, and the state of an earlier run.
 
 use super::propagation::GYROSCOPE_PARAMETERS;
-use super::tuning::Tuning;
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;
@@ -55,7 +54,7 @@ impl BiasPrior {
 ///
 /// | knowledge | σ per axis | source |
 /// |---|---|---|
-/// | factory | 18 mg | ±50 mg x and y, ±80 mg z (product specification §6.2) as 2.8 to 4.4 σ |
+/// | factory | 20 mg | ±50 mg x and y (product specification §6.2), cross-axis ±2 %, as 2.8 σ |
 /// | six poses | 10 mg | cross-axis terms of ±2 % as 2.8 σ, which six poses leave; drift |
 /// | offset found in flight | 10 mg | error of the bias that 96 simulated flights left: 10 mg |
 /// | calibrated | 7 mg | drift of up to 0.86 mg/°C (§6.2) over 8 °C |
@@ -99,7 +98,7 @@ impl AccelerometerKnowledge {
     /// Returns σ of the offset per axis, m/s².
     pub const fn sigma_m_s2(self) -> f32 {
         let sigma_g = match self {
-            Self::Factory => 0.018,
+            Self::Factory => 0.020,
             Self::SixPoses => 0.010,
             Self::Calibrated => 0.007,
         };
@@ -107,34 +106,90 @@ impl AccelerometerKnowledge {
     }
 }
 
-/// Priors of the parameters: those of the tuning, and of what is known of this sensor.
+/// Knowledge of the gyroscope's scale and cross-axis terms, which decides their priors.
+///
+/// | knowledge | σ of a scale | σ of a cross-axis term | source |
+/// |---|---|---|---|
+/// | factory | 1.1 % | 0.7 % | ±3 % and ±2 % (product specification §6.1) as 2.8 σ |
+/// | calibrated | 0.6 % | 0.3 % | error of a fit 0.28 %; ±2 % over temperature (§6.1) |
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum GyroscopeKnowledge {
+    /// Nothing but the datasheet.
+    Factory,
+    /// Calibrated by the turns between twelve poses, or by its maker.
+    #[default]
+    Calibrated,
+}
+
+impl GyroscopeKnowledge {
+    /// Returns the knowledge of a gyroscope whose accelerometer is known like this: the turns
+    /// between the twelve poses that calibrate the one calibrate the other.
+    pub const fn beside(accelerometer: AccelerometerKnowledge) -> Self {
+        match accelerometer {
+            AccelerometerKnowledge::Factory | AccelerometerKnowledge::SixPoses => Self::Factory,
+            AccelerometerKnowledge::Calibrated => Self::Calibrated,
+        }
+    }
+
+    /// Returns σ of each scale, 1.
+    pub const fn scale_sigma(self) -> f32 {
+        match self {
+            Self::Factory => 0.011,
+            Self::Calibrated => 0.006,
+        }
+    }
+
+    /// Returns σ of each cross-axis term, rad.
+    pub const fn misalignment_sigma_rad(self) -> f32 {
+        match self {
+            Self::Factory => 0.007,
+            Self::Calibrated => 0.003,
+        }
+    }
+}
+
+/// First parameter that returns to a fixed prior. Those before it are the gyroscope's bias.
+pub(super) const FIRST_WITH_PRIOR: usize = 3;
+
+/// σ of each parameter before the first sample, but for the gyroscope's bias.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct ParameterPriors<'a> {
-    /// Tuning, for the gyroscope's matrix.
-    pub(super) tuning: &'a Tuning,
-    /// σ of the accelerometer's bias, m/s².
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct ParameterPriors {
+    /// σ of each scale of the gyroscope, 1.
+    pub(super) gyroscope_scale: f32,
+    /// σ of each cross-axis term of the gyroscope, rad.
+    pub(super) gyroscope_misalignment_rad: f32,
+    /// σ of the accelerometer's bias per axis, m/s².
     pub(super) accelerometer_m_s2: f32,
 }
 
-impl ParameterPriors<'_> {
-    /// Returns the variances before the first sample of a bias of the gyroscope, a scale, a
-    /// misalignment, and a bias of the accelerometer.
-    pub(super) fn variances(&self) -> [f32; 4] {
-        [
-            square(self.tuning.gyroscope_bias_rad_s),
-            square(self.tuning.gyroscope_scale),
-            square(self.tuning.gyroscope_misalignment_rad),
-            square(self.accelerometer_m_s2),
-        ]
+impl ParameterPriors {
+    /// Creates the priors of a sensor of which this is known.
+    pub(super) const fn new(
+        accelerometer: AccelerometerKnowledge,
+        gyroscope: GyroscopeKnowledge,
+    ) -> Self {
+        Self {
+            gyroscope_scale: gyroscope.scale_sigma(),
+            gyroscope_misalignment_rad: gyroscope.misalignment_sigma_rad(),
+            accelerometer_m_s2: accelerometer.sigma_m_s2(),
+        }
     }
 
     /// Returns the variance before the first sample of a parameter that is no gyroscope bias.
     #[inline]
     pub(super) fn variance(&self, parameter: usize) -> f32 {
         square(match parameter {
-            3 | 7 | 11 => self.tuning.gyroscope_scale,
-            ..GYROSCOPE_PARAMETERS => self.tuning.gyroscope_misalignment_rad,
+            3 | 7 | 11 => self.gyroscope_scale,
+            ..GYROSCOPE_PARAMETERS => self.gyroscope_misalignment_rad,
             _ => self.accelerometer_m_s2,
         })
+    }
+
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.f32(&mut self.gyroscope_scale);
+        visitor.f32(&mut self.gyroscope_misalignment_rad);
+        visitor.f32(&mut self.accelerometer_m_s2);
     }
 }

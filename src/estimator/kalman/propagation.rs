@@ -16,6 +16,16 @@ pub(super) const PARAMETERS: usize = 15;
 /// The gyroscope's parameters, which come first. The accelerometer's bias is the rest.
 pub(super) const GYROSCOPE_PARAMETERS: usize = 12;
 
+/// A state of the filter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) enum State {
+    /// A dynamic state, by index.
+    Dynamic(usize),
+    /// A parameter, by index.
+    Parameter(usize),
+}
+
 /// The error's transition over an interval: `dynamic ← A·dynamic − B·parameters`.
 ///
 /// A is the identity but for the velocity error that a tilt error gathers under the specific force.

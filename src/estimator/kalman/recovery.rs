@@ -42,13 +42,22 @@ impl Kalman {
     /// Restarts from the present attitude with this bias, their σ, and the priors of the other
     /// parameters.
     #[inline(never)]
-    fn restart_with(&mut self, bias_rad_s: Vector3, bias_sigma_rad_s: f32, tilt_sigma_rad: f32) {
-        self.nominal.reset_parameters();
-        let priors = self.parameter_priors();
-        self.step.covariance.reset_parameters(&priors);
+    pub(super) fn restart_with(
+        &mut self,
+        bias_rad_s: Vector3,
+        bias_sigma_rad_s: f32,
+        tilt_sigma_rad: f32,
+    ) {
+        self.reset_parameters();
         self.consistency = Consistency::NONE;
         self.start_with(bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad);
         self.tilt = Tilt::Known;
+    }
+
+    /// Returns every parameter but the gyroscope's bias to its prior.
+    pub(super) fn reset_parameters(&mut self) {
+        self.nominal.reset_parameters();
+        self.step.covariance.reset_parameters(&self.priors);
     }
 
     /// Takes the tilt from the interval's mean specific force, if a single sample has set it, or

@@ -13,7 +13,7 @@
 //! propagates it to the present.
 
 use super::covariance::{Column, Covariance};
-use super::propagation::{DYNAMIC, PARAMETERS, Transition};
+use super::propagation::{DYNAMIC, PARAMETERS, State, Transition};
 use crate::serialize::StateVisitor;
 
 /// Most measurements of a step: two of the velocity, three of the gyroscope's bias.
@@ -83,16 +83,6 @@ pub(super) struct Measurement {
     pub(super) variance: f32,
 }
 
-/// A state of the filter.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) enum State {
-    /// A dynamic state, by index.
-    Dynamic(usize),
-    /// A parameter, by index.
-    Parameter(usize),
-}
-
 /// Covariance, and the step in progress.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -103,7 +93,9 @@ pub(super) struct CovarianceStep {
     phase: Phase,
     transition: Transition,
     duration_s: f32,
-    measurements: [Option<Measurement>; MOST_MEASUREMENTS],
+    measurements: [Measurement; MOST_MEASUREMENTS],
+    /// Number of measurements of this step.
+    measured: usize,
     /// h of the measurement being applied.
     column: Column,
     /// 1/s of the measurement being applied.
@@ -119,7 +111,8 @@ impl CovarianceStep {
             phase: Phase::Idle,
             transition: Transition::IDENTITY,
             duration_s: 0.0,
-            measurements: [None; MOST_MEASUREMENTS],
+            measurements: [Measurement::BLANK; MOST_MEASUREMENTS],
+            measured: 0,
             column: Column::ZERO,
             inverse: 0.0,
         }
@@ -137,7 +130,7 @@ impl CovarianceStep {
 
     /// Returns a measurement of the step.
     pub(super) fn measurement(&self, index: usize) -> Option<Measurement> {
-        *self.measurements.get(index)?
+        self.measurements.get(..self.measured)?.get(index).copied()
     }
 
     /// Returns whether a step has begun and not ended: the covariance is then not that of the
@@ -170,7 +163,7 @@ impl CovarianceStep {
         self.duration_s = duration_s;
         self.transition = *transition;
         self.correction = Column::ZERO;
-        self.measurements = [None; MOST_MEASUREMENTS];
+        self.measured = 0;
         self.covariance.propagate_dynamic(transition);
         let noise = [tilt_noise, tilt_noise, velocity_noise, velocity_noise];
         for (state, variance) in noise.into_iter().enumerate() {
@@ -181,8 +174,9 @@ impl CovarianceStep {
 
     /// Adds a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`].
     pub(super) fn measure(&mut self, measurement: Measurement) {
-        if let Some(free) = self.measurements.iter_mut().find(|place| place.is_none()) {
-            *free = Some(measurement);
+        if let Some(free) = self.measurements.get_mut(self.measured) {
+            *free = measurement;
+            self.measured += 1;
         }
     }
 
@@ -264,23 +258,16 @@ impl CovarianceStep {
 
     /// Applies the measurement of this index to δ and M. Returns the next phase.
     fn correct(&mut self, index: usize) -> Phase {
-        let Some(Some(measurement)) = self.measurements.get(index) else {
+        let Some(measurement) = self.measurement(index) else {
             return Phase::Check;
         };
-        let (column, own, corrected) = match measurement.state {
-            State::Dynamic(state) => {
-                let column = self.covariance.dynamic_column(state);
-                let own = column.dynamic.get(state).copied();
-                (column, own, self.correction.dynamic.get(state).copied())
-            }
-            State::Parameter(parameter) => {
-                let column = self.covariance.parameter_column(parameter);
-                let own = column.parameters.get(parameter).copied();
-                let corrected = self.correction.parameters.get(parameter).copied();
-                (column, own, corrected)
-            }
+        let state = measurement.state;
+        let column = match state {
+            State::Dynamic(state) => self.covariance.dynamic_column(state),
+            State::Parameter(parameter) => self.covariance.parameter_column(parameter),
         };
-        let (Some(own), Some(corrected)) = (own, corrected) else {
+        let (Some(own), Some(corrected)) = (column.entry(state), self.correction.entry(state))
+        else {
             return Phase::Check;
         };
         self.inverse = 1.0 / (own + measurement.variance);
@@ -299,21 +286,21 @@ impl CovarianceStep {
         self.transition.visit_state(visitor);
         visitor.f32(&mut self.duration_s);
         for measurement in &mut self.measurements {
-            let blank = Measurement {
-                state: State::Dynamic(0),
-                innovation: 0.0,
-                variance: 0.0,
-            };
-            visitor.optional(measurement, blank, |visitor, measurement| {
-                measurement.visit_state(visitor);
-            });
+            measurement.visit_state(visitor);
         }
+        visitor.index(&mut self.measured, MOST_MEASUREMENTS + 1);
         self.column.visit_state(visitor);
         visitor.f32(&mut self.inverse);
     }
 }
 
 impl Measurement {
+    const BLANK: Self = Self {
+        state: State::Dynamic(0),
+        innovation: 0.0,
+        variance: 0.0,
+    };
+
     fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         let (mut is_parameter, mut index) = match self.state {
             State::Dynamic(index) => (false, index),

@@ -2,8 +2,8 @@
 //! `f64`.
 
 use super::covariance::Covariance;
-use super::propagation::{DYNAMIC, PARAMETERS, Transition};
-use super::slices::{Measurement, State};
+use super::propagation::{DYNAMIC, PARAMETERS, State, Transition};
+use super::slices::Measurement;
 use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::*;
 use crate::estimator::tests::{angle_between, from_degrees, sample};
@@ -139,10 +139,9 @@ fn random_transition(random: &mut Random) -> Transition {
 fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
     let mut random = Random(1);
     let mut step = CovarianceStep::new();
-    step.covariance
-        .reset_parameters(&Kalman::new().parameter_priors());
+    step.covariance = Kalman::new().step.covariance;
     for (axis, variance) in [0.01, 0.02, 0.03].into_iter().enumerate() {
-        step.covariance.set_parameter_variance(axis, variance);
+        step.covariance.scale_parameter(axis, 0.0, variance);
     }
     for (state, variance) in [0.04, 0.04, 0.01, 0.01].into_iter().enumerate() {
         step.covariance.reset_dynamic(state, variance);
@@ -1161,11 +1160,14 @@ fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
 /// The first rest contradicts the stored offset. Then samples are missing, and the body turns.
 #[test]
 fn a_rest_before_a_pause_does_not_show_the_tilt_after_it() {
-    for pause_us in [100_000, 400_000, 2_000_000] {
+    let pauses_us = [100_000, 400_000, 2_000_000].into_iter();
+    let known_period = pauses_us.clone().map(|pause_us| (pause_us, 1.0e-3));
+    // Without a sample period no step is a pause, so that σ does not grow in it.
+    for (pause_us, period_s) in known_period.chain([(400_000, f32::INFINITY)]) {
         let mut world = World::at_rest(from_degrees(10.0, -20.0, 0.0));
         world.bias_rad_s = Vector3::new(radians(5.0), 0.0, radians(-5.0));
         let mut estimator = estimator();
-        estimator.filter_mut().set_sample_period(1.0e-3);
+        estimator.filter_mut().set_sample_period(period_s);
         estimator.filter_mut().set_bias(Vector3::ZERO, radians(0.1));
         let contradicts = (0..2_000).any(|_| {
             world.run(&mut estimator, 1);
@@ -1182,6 +1184,51 @@ fn a_rest_before_a_pause_does_not_show_the_tilt_after_it() {
             assert!(error < allowed, "{pause_us}: {error} of {allowed}");
         }
     }
+}
+
+/// The step of the first rest reduces the bias's variance first, and corrects the bias last. A
+/// wrong sample between both abandons it.
+#[test]
+fn a_first_rest_that_is_cut_short_measures_no_bias() {
+    let mut cut_short = 0;
+    for slices in 1..60 {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
+        let mut estimator = estimator();
+        while !filter(&estimator).is_first_rest {
+            world.run(&mut estimator, 1);
+        }
+        world.run(&mut estimator, slices);
+        let filter = estimator.filter_mut();
+        cut_short += u32::from(filter.step.is_under_way());
+        filter.inflate_motion(0.01);
+        assert!(is_positive(&dense(&filter.step.covariance)), "{slices}");
+        let error = filter.bias_rad_s() - world.bias_rad_s;
+        let largest = error.x.abs().max(error.y.abs()).max(error.z.abs());
+        let sigma = libm::sqrtf(filter.largest_bias_variance());
+        assert!(largest < 6.0 * sigma, "{slices}: {largest} of {sigma}");
+        let estimate = world.run(&mut estimator, 3_000);
+        assert!(estimate.is_bias_known, "{slices}");
+    }
+    assert!(cut_short > 20, "{cut_short}");
+}
+
+/// Readings that are no measurements have led the bias astray, and made it certain.
+#[test]
+fn a_start_that_forgets_an_implausible_bias_is_uncertain_of_it() {
+    let mut world = World::at_rest(from_degrees(5.0, -3.0, 0.0));
+    let mut estimator = estimator();
+    world.run(&mut estimator, 3_000);
+    let filter = estimator.filter_mut();
+    filter.nominal.accelerometer_bias_m_s2 = Vector3::new(1.0, 0.0, 0.0);
+    filter.step.covariance.scale_parameter(12, 0.0, 1.0e-6);
+    filter.lose_tilt();
+    world.run(&mut estimator, 1);
+    let filter = estimator.filter();
+    assert_eq!(filter.accelerometer_bias_m_s2(), Vector3::ZERO);
+    let sigma = filter.accelerometer_bias_sigma_m_s2().x;
+    let prior = AccelerometerKnowledge::Calibrated.sigma_m_s2();
+    assert!((sigma / prior - 1.0).abs() < 1.0e-3, "{sigma}");
 }
 
 /// A body whose axis goes round on a cone reads a steady rate about it, although it does not turn
@@ -1240,7 +1287,7 @@ fn parameters_return_to_their_priors() {
     let mut estimator = estimator();
     world.run(&mut estimator, 1000);
     let filter = estimator.filter_mut();
-    let priors = filter.parameter_priors();
+    let priors = filter.priors;
     for parameter in 3..PARAMETERS {
         let variance = 0.01 * priors.variance(parameter);
         filter
@@ -1380,6 +1427,23 @@ fn an_unknown_accelerometer_has_a_larger_sigma_at_rest() {
     assert!((sigmas.x - AccelerometerKnowledge::Factory.sigma_m_s2()).abs() < 1.0e-4);
     let after = world.run(&mut estimator, 1);
     assert!(angle_between(before.attitude, after.attitude) < radians(0.1));
+}
+
+/// In a turn by 90° the scale counts: a calibrated gyroscope has less of an error than a factory
+/// one.
+#[test]
+fn a_calibrated_gyroscope_has_a_smaller_sigma_in_a_turn() {
+    let sigma_after_turns = |knowledge| {
+        let mut world = World::at_rest(from_degrees(0.0, 60.0, 0.0));
+        let mut estimator = estimator();
+        estimator.filter_mut().set_gyroscope_knowledge(knowledge);
+        world.run(&mut estimator, 3_000);
+        world.rate_rad_s = Vector3::new(radians(90.0), 0.0, 0.0);
+        world.run(&mut estimator, 1_000).tilt_sigma_rad()
+    };
+    let factory = sigma_after_turns(GyroscopeKnowledge::Factory);
+    let calibrated = sigma_after_turns(GyroscopeKnowledge::Calibrated);
+    assert!(calibrated < 0.8 * factory, "{calibrated} of {factory}");
 }
 
 /// A gyroscope that clips for a moment keeps the attitude: gravity alone would know less in motion.
