@@ -231,6 +231,38 @@ fn a_calibration_is_applied_step_by_step_in_one_map() {
     assert!((offset - expected).norm() < 1e-6);
 }
 
+/// A matrix states that the gyroscope is calibrated: σ grows less in a turn, whether the pipeline
+/// starts with the matrix or gets it later.
+#[test]
+fn a_gyroscope_matrix_narrows_the_prior_of_the_scale() {
+    let known = Calibration {
+        gyroscope_matrix: Some(Matrix3::IDENTITY),
+        ..Calibration::NONE
+    };
+    let sigma_after_a_turn = |first: Calibration, second: Calibration| {
+        let mut pipeline = Pipeline::new(&Settings {
+            calibration: first,
+            ..settings()
+        });
+        pipeline.set_calibration(&second);
+        let mut last = Snapshot::default();
+        for index in 0..4_000_u64 {
+            let turned = index.saturating_sub(3_000) as f32 * 0.09;
+            let rate = if turned > 0.0 { 90.0 } else { 0.0 };
+            let rate = Vector3::new(rate, 0.0, 0.0);
+            let burst = burst(Mount::Z_UP, index * 1000, force(turned, 0.0), rate);
+            last = update(&mut pipeline, &with_noise(burst));
+        }
+        last.tilt_sigma_rad()
+    };
+    let factory = sigma_after_a_turn(Calibration::NONE, Calibration::NONE);
+    let started = sigma_after_a_turn(known, known);
+    let set = sigma_after_a_turn(Calibration::NONE, known);
+    let removed = sigma_after_a_turn(known, Calibration::NONE);
+    assert!(started < 0.95 * factory, "{started} of {factory}");
+    assert_eq!((set, removed), (started, factory));
+}
+
 #[test]
 fn only_a_new_mount_or_gyroscope_matrix_restarts_the_filter() {
     let mut pipeline = Pipeline::new(&settings());
