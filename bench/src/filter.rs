@@ -110,7 +110,7 @@ impl Filter {
         if let Variant::Kalman(estimator) = &mut self.variant {
             let filter = estimator.filter_mut();
             filter.set_accelerometer_knowledge(accelerometer);
-            filter.set_gyroscope_knowledge(GyroscopeKnowledge::beside(accelerometer));
+            filter.set_gyroscope_knowledge(GyroscopeKnowledge::implied_by(accelerometer));
         }
         self
     }

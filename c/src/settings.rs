@@ -23,7 +23,7 @@ pub enum AplombAccelerometerKnowledge {
     Factory = 1,
     /// Calibrated on six sides.
     SixPoses = 2,
-    /// Calibrated with cross-axis terms, and so the gyroscope.
+    /// Calibrated with cross-axis terms. Implies a calibrated gyroscope.
     Calibrated = 3,
 }
 

@@ -263,7 +263,7 @@ impl Console {
         reply.ok(format_args!("mount {mount}{lost}; \"save\" keeps it"))
     }
 
-    /// Sets the gyroscope's matrix.
+    /// Sets the gyroscope's matrix. Nine zeros remove it.
     fn set_gyroscope(
         &mut self,
         elements: [i16; 9],
@@ -271,7 +271,8 @@ impl Console {
         reply: &mut Reply<'_>,
     ) -> Kind {
         let matrix = Matrix3::from_ten_thousandths(elements);
-        self.working.calibration.gyroscope_matrix = Some(matrix);
+        let is_given = elements != [0; 9];
+        self.working.calibration.gyroscope_matrix = is_given.then_some(matrix);
         module.set_calibration(&self.working.calibration);
         reply.ok(format_args!(
             "gyro-matrix: the filter starts again with it; \"save\" keeps it"

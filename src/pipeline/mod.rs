@@ -305,9 +305,11 @@ impl Pipeline {
         let has_other_rates = before.mount() != self.settings.mount()
             || before.calibration.level != calibration.level
             || before.calibration.gyroscope_matrix != calibration.gyroscope_matrix;
-        if has_other_rates {
+        if before.calibration.gyroscope_matrix != calibration.gyroscope_matrix {
             let knowledge = self.settings.gyroscope_knowledge();
             self.kalman_mut().set_gyroscope_knowledge(knowledge);
+        }
+        if has_other_rates {
             self.estimator.restart();
             self.monitor.restart();
             self.alignment = Alignment::new(&self.settings, self.gyroscope_offset_rad_s);
@@ -327,9 +329,13 @@ impl Pipeline {
     /// those of a recording in SI units. With a calibrated accelerometer the gyroscope's scale and
     /// cross-axis terms are calibrated too. Default: by the calibration of the settings.
     pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
+        let gyroscope = match self.settings.gyroscope_knowledge() {
+            GyroscopeKnowledge::Calibrated => GyroscopeKnowledge::Calibrated,
+            GyroscopeKnowledge::Factory => GyroscopeKnowledge::implied_by(knowledge),
+        };
         let kalman = self.kalman_mut();
         kalman.set_accelerometer_knowledge(knowledge);
-        kalman.set_gyroscope_knowledge(GyroscopeKnowledge::beside(knowledge));
+        kalman.set_gyroscope_knowledge(gyroscope);
     }
 
     /// Arms (`true`) the filter. An armed filter skips the updates that are only safe on the

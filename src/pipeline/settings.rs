@@ -60,7 +60,7 @@ impl Settings {
         }
     }
 
-    /// Returns what the calibration tells of the gyroscope's scale and cross-axis terms.
+    /// Returns the knowledge of the gyroscope's scale that the calibration implies.
     pub(super) fn gyroscope_knowledge(&self) -> GyroscopeKnowledge {
         if self.calibration.gyroscope_matrix.is_some() {
             GyroscopeKnowledge::Calibrated

@@ -101,10 +101,11 @@ impl Kalman {
         covariance.cross_entry(0, 2) == 0.0 && covariance.cross_entry(0, 3) == 0.0
     }
 
-    /// Returns whether the parameters have just been reset: they do not correlate.
+    /// Returns whether the parameters have just been reset: the gyroscope's matrix does not
+    /// correlate with its bias.
     pub(in crate::estimator) fn are_parameters_reset(&self) -> bool {
-        let [_, y, z, ..] = self.step.covariance.parameter_column(0).parameters;
-        y == 0.0 && z == 0.0
+        let [_, _, _, x, y, ..] = self.step.covariance.parameter_column(0).parameters;
+        x == 0.0 && y == 0.0
     }
 
     /// Returns the attitude at the last earth step.

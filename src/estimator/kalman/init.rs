@@ -4,10 +4,9 @@ use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::rest_watch::RestWatch;
-use super::unseen::LONGEST_REST_PAUSE_S;
 use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
-use crate::estimator::arithmetic::{smaller, square};
+use crate::estimator::arithmetic::square;
 use crate::estimator::sample::Sample;
 
 /// Tilt variance that a single sample's specific force adds to that of a mean, both axes together,
@@ -52,11 +51,11 @@ impl Kalman {
         self.prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
         self.is_stored_known = sigma_rad_s < KNOWN_BIAS_RAD_S;
         self.is_bias_known = self.is_stored_known;
-        self.forget_rest();
+        self.discard_measured_bias();
     }
 
     /// Returns the bias's variances to their prior, until a rest measures the bias.
-    fn forget_rest(&mut self) {
+    pub(super) fn discard_measured_bias(&mut self) {
         self.has_rested = false;
         self.step.covariance.reset_bias(self.prior.variance);
     }
@@ -125,7 +124,7 @@ impl Kalman {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let readings = self.stationary.readings(self.tuning);
         if let (Tilt::Restarting, Some(readings)) = (self.tilt, readings)
-            && dt_s < smaller(self.longest_step_s, LONGEST_REST_PAUSE_S)
+            && dt_s < self.longest_step_s
         {
             self.restart_at_rest(&readings);
         } else {
@@ -172,12 +171,12 @@ impl Kalman {
     /// Resets tilt (variance per axis, rad²) and velocity, and abandons the covariance step under
     /// way.
     ///
-    /// A first rest counts only as a whole: its step reduces the variance of the bias first, and
-    /// corrects the bias last.
+    /// An abandoned step of a first rest has reduced the bias's variance, but not corrected the
+    /// bias. Its variance is therefore reset.
     #[inline(never)]
     pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
         if self.is_first_rest && self.step.is_under_way() {
-            self.forget_rest();
+            self.discard_measured_bias();
         }
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;

@@ -325,12 +325,9 @@ impl Kalman {
             held_tilt_rad2: 0.0,
             steady_until_s: 0.0,
         };
-        filter.restart_with(
-            Vector3::ZERO,
-            tuning.gyroscope_bias_rad_s,
-            tuning.start_tilt_rad,
-        );
-        filter.tilt = Tilt::Unknown;
+        filter.reset_parameters();
+        filter.discard_measured_bias();
+        filter.reset_motion(square(tuning.start_tilt_rad));
         filter
     }
 
@@ -355,9 +352,7 @@ impl Kalman {
     }
 
     fn forget_parameters(&mut self) {
-        if self.tilt == Tilt::Known {
-            self.reset_motion(0.5 * self.conservative_tilt_variance());
-        }
+        self.reset_motion(0.5 * self.conservative_tilt_variance());
         self.reset_parameters();
     }
 
@@ -434,6 +429,7 @@ impl Kalman {
             self.consistency
                 .add([north, east], decrease_rad2, duration_s);
         }
+        self.is_first_rest = false;
         self.interval.transition.apply(&mut dynamic, &parameters);
         self.nominal.correct(&dynamic, &parameters);
         if !self.nominal.is_plausible() {
@@ -531,7 +527,7 @@ impl Kalman {
             covariance.parameter_variance(GYROSCOPE_PARAMETERS + axis)
         };
         let is_certain =
-            2.0 * larger(variance(0), variance(1)) < square(self.priors.accelerometer_m_s2);
+            2.5 * larger(variance(0), variance(1)) < square(self.priors.accelerometer_m_s2);
         let bias = self.nominal.accelerometer_bias_m_s2;
         is_certain.then(|| Vector3::new(bias.x, bias.y, 0.0))
     }

@@ -115,7 +115,7 @@ impl AccelerometerKnowledge {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum GyroscopeKnowledge {
-    /// Nothing but the datasheet.
+    /// Not calibrated: the datasheet's tolerances.
     Factory,
     /// Calibrated by the turns between twelve poses, or by its maker.
     #[default]
@@ -123,9 +123,9 @@ pub enum GyroscopeKnowledge {
 }
 
 impl GyroscopeKnowledge {
-    /// Returns the knowledge of a gyroscope whose accelerometer is known like this: the turns
-    /// between the twelve poses that calibrate the one calibrate the other.
-    pub const fn beside(accelerometer: AccelerometerKnowledge) -> Self {
+    /// Returns the knowledge that a calibration of the accelerometer implies: twelve poses, or the
+    /// maker, calibrate both.
+    pub const fn implied_by(accelerometer: AccelerometerKnowledge) -> Self {
         match accelerometer {
             AccelerometerKnowledge::Factory | AccelerometerKnowledge::SixPoses => Self::Factory,
             AccelerometerKnowledge::Calibrated => Self::Calibrated,

@@ -42,12 +42,7 @@ impl Kalman {
     /// Restarts from the present attitude with this bias, their σ, and the priors of the other
     /// parameters.
     #[inline(never)]
-    pub(super) fn restart_with(
-        &mut self,
-        bias_rad_s: Vector3,
-        bias_sigma_rad_s: f32,
-        tilt_sigma_rad: f32,
-    ) {
+    fn restart_with(&mut self, bias_rad_s: Vector3, bias_sigma_rad_s: f32, tilt_sigma_rad: f32) {
         self.reset_parameters();
         self.consistency = Consistency::NONE;
         self.start_with(bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad);

@@ -103,7 +103,7 @@ impl RestWatch {
         quiet_s: f32,
     ) -> bool {
         const HIDDEN: f32 = HIDDEN_TURN_RAD * STANDARD_GRAVITY_M_S2;
-        if quiet_s < self.contradicted_from_s {
+        if quiet_s < self.steady_from_s {
             self.contradicted_from_s = quiet_s;
             self.steady_from_s = quiet_s;
         }

@@ -1160,14 +1160,11 @@ fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
 /// The first rest contradicts the stored offset. Then samples are missing, and the body turns.
 #[test]
 fn a_rest_before_a_pause_does_not_show_the_tilt_after_it() {
-    let pauses_us = [100_000, 400_000, 2_000_000].into_iter();
-    let known_period = pauses_us.clone().map(|pause_us| (pause_us, 1.0e-3));
-    // Without a sample period no step is a pause, so that σ does not grow in it.
-    for (pause_us, period_s) in known_period.chain([(400_000, f32::INFINITY)]) {
+    for pause_us in [100_000, 400_000, 2_000_000] {
         let mut world = World::at_rest(from_degrees(10.0, -20.0, 0.0));
         world.bias_rad_s = Vector3::new(radians(5.0), 0.0, radians(-5.0));
         let mut estimator = estimator();
-        estimator.filter_mut().set_sample_period(period_s);
+        estimator.filter_mut().set_sample_period(1.0e-3);
         estimator.filter_mut().set_bias(Vector3::ZERO, radians(0.1));
         let contradicts = (0..2_000).any(|_| {
             world.run(&mut estimator, 1);

@@ -18,9 +18,9 @@
 //!   the error is 0.49° (median) and 0.52° (mean). On the twelve flights of the choice it is
 //!   0.57° and 0.83°.
 //!
-//! The priors of scale, misalignment and accelerometer bias are no tuning:
-//! [`GyroscopeKnowledge`](super::GyroscopeKnowledge) and
-//! [`AccelerometerKnowledge`](super::AccelerometerKnowledge) have them.
+//! The priors of scale, misalignment and accelerometer bias are not part of the tuning. They follow
+//! from [`GyroscopeKnowledge`](super::GyroscopeKnowledge) and
+//! [`AccelerometerKnowledge`](super::AccelerometerKnowledge).
 
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 

@@ -28,7 +28,7 @@ pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
 const HIDDEN_SHARE: f32 = 0.2;
 /// Longest pause in a rest, s. In a longer one the body may have moved.
-pub(super) const LONGEST_REST_PAUSE_S: f32 = 0.1;
+const LONGEST_REST_PAUSE_S: f32 = 0.1;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
 const SATURATED_TILT: f32 = 0.25;
 /// Velocity variance per second of full-scale accelerometer readings, (m/s)²/s. Readings without
