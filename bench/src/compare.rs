@@ -62,7 +62,7 @@ pub struct Options {
     /// mpu6050-raw=8,250]
     #[arg(long = "counts", value_name = "SET=G,DPS", value_parser = parse_ranges)]
     ranges: Vec<(String, Ranges)>,
-    /// Knowledge of the accelerometers' offsets: factory, six-poses, calibrated [default:
+    /// Knowledge of the sensors: factory, six-poses, calibrated (the gyroscope too) [default:
     /// calibrated for SI units, factory for counts and simulated flights, whose sensors are then
     /// calibrated so]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]

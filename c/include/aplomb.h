@@ -121,7 +121,7 @@ typedef enum AplombAccelerometerKnowledge {
   APLOMB_ACCELEROMETER_KNOWLEDGE_FACTORY = 1,
   // Calibrated on six sides.
   APLOMB_ACCELEROMETER_KNOWLEDGE_SIX_POSES = 2,
-  // Calibrated with cross-axis terms, and so the gyroscope.
+  // Calibrated with cross-axis terms. Implies a calibrated gyroscope.
   APLOMB_ACCELEROMETER_KNOWLEDGE_CALIBRATED = 3,
 } AplombAccelerometerKnowledge;
 

@@ -107,7 +107,7 @@ pub struct LogOptions {
     pub delay_us: u32,
     /// Ranges of the register counts, if the log holds counts.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
-    /// Knowledge of the accelerometer's offset; `None` for the default of the kind.
+    /// Knowledge of accelerometer and gyroscope; `None` for the default of the kind.
     pub accelerometer: Option<AccelerometerKnowledge>,
     /// Compass, if the log has its columns.
     pub compass: CompassOptions,

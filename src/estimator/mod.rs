@@ -166,7 +166,13 @@ impl Default for Estimator {
 }
 
 impl Estimator {
-    /// Creates an estimator with the default filter. The first sample starts it.
+    /// Creates an estimator with the default filter, for a calibrated sensor. The first sample
+    /// starts it.
+    ///
+    /// For another sensor call
+    /// [`set_accelerometer_knowledge`](Kalman::set_accelerometer_knowledge) and
+    /// [`set_gyroscope_knowledge`](Kalman::set_gyroscope_knowledge) of
+    /// [`filter_mut`](Self::filter_mut).
     pub fn new() -> Self {
         Self::with_filter(Kalman::new())
     }
