@@ -138,6 +138,29 @@ mod tests {
         assert!(copy.warnings()[0].starts_with("simulated/flight 1000: clipped: "));
     }
 
+    /// A tilt that full scale hides is kept: gravity alone knows less of a body that turns so fast.
+    #[test]
+    fn a_clipped_gyroscope_costs_less_than_it_costs_vqf() {
+        let broad = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/broad");
+        if !broad.is_dir() {
+            println!("skipped: there are no recordings of BROAD");
+            return;
+        }
+        let paths = [broad];
+        let folders = Folders {
+            paths: &paths,
+            ..Folders::default()
+        };
+        let (recordings, _) = folders.read().unwrap();
+        for share in [0.6, 0.5] {
+            let outcomes = parallel::map(&recordings, |one| run(one, share));
+            let of = |rms: fn(&Outcome) -> f64| -> Vec<f64> { outcomes.iter().map(rms).collect() };
+            let ours = mean(&of(|outcome| outcome.marked[0]));
+            let vqf = mean(&of(|outcome| outcome.vqf[0]));
+            assert!(ours < 0.8 * vqf, "{share}: {ours} and {vqf}");
+        }
+    }
+
     #[test]
     fn recordings_at_hand_are_not_clipped_but_their_clipped_copies_are() {
         let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");

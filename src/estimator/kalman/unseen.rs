@@ -1,6 +1,6 @@
 //! Unobserved motion: inflates the variances for pauses and full-scale readings.
 
-use super::{Kalman, REPORTED_VARIANCE_SCALE, Tilt};
+use super::{Kalman, REPORTED_VARIANCE_SCALE, Tilt, USABLE_TILT_RAD};
 use crate::estimator::arithmetic::{smaller, square};
 use crate::estimator::sample::Sample;
 use crate::units::radians;
@@ -13,9 +13,10 @@ const PAUSE_PERIODS: f32 = 3.5;
 /// Longest pause whose length matters, s. After it the tilt is unknown.
 const LONGEST_PAUSE_S: f32 = 60.0;
 
-/// Largest σ per axis of the turn that a pause or full-scale readings hide, rad: 1.5 times that of
-/// the tilt at a start. Beyond it, gravity shows the tilt better. A pause of up to half a second
-/// exceeds it if the rate changes.
+/// Largest σ per axis of the turn that a pause hides, rad: 1.5 times that of the tilt at a start.
+/// Beyond it, gravity shows the tilt better. A pause of up to half a second exceeds it if the rate
+/// changes. After full-scale readings the limit is [`USABLE_TILT_RAD`], because a body that turns
+/// so fast also accelerates.
 const LOST_TILT_RAD: f32 = 0.3;
 
 /// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move.
@@ -110,7 +111,7 @@ impl Kalman {
             }
         } else {
             let last = self.nominal.rate_rad_s;
-            if square(HIDDEN_SHARE * saturated_s) * last.dot(last) > square(LOST_TILT_RAD) {
+            if square(HIDDEN_SHARE * saturated_s) * last.dot(last) > square(USABLE_TILT_RAD) {
                 self.tilt = Tilt::Lost;
             }
         }
