@@ -104,7 +104,7 @@ impl Filter {
         Self::with_gains(choice, step_s, delay_us, None)
     }
 
-    /// Sets what is known of the accelerometer's offset, and of the gyroscope beside it. Only the
+    /// Sets what is known of the accelerometer, and what that implies of the gyroscope. Only the
     /// Kalman filter uses it.
     pub fn with_knowledge(mut self, accelerometer: AccelerometerKnowledge) -> Self {
         if let Variant::Kalman(estimator) = &mut self.variant {

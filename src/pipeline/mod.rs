@@ -302,10 +302,11 @@ impl Pipeline {
             let knowledge = self.settings.accelerometer_knowledge();
             self.kalman_mut().set_accelerometer_knowledge(knowledge);
         }
-        let has_other_rates = before.mount() != self.settings.mount()
-            || before.calibration.level != calibration.level
-            || before.calibration.gyroscope_matrix != calibration.gyroscope_matrix;
-        if before.calibration.gyroscope_matrix != calibration.gyroscope_matrix {
+        let has_other_matrix = before.calibration.gyroscope_matrix != calibration.gyroscope_matrix;
+        let has_other_rates = has_other_matrix
+            || before.mount() != self.settings.mount()
+            || before.calibration.level != calibration.level;
+        if has_other_matrix {
             let knowledge = self.settings.gyroscope_knowledge();
             self.kalman_mut().set_gyroscope_knowledge(knowledge);
         }

@@ -239,12 +239,15 @@ fn a_gyroscope_matrix_narrows_the_prior_of_the_scale() {
         gyroscope_matrix: Some(Matrix3::IDENTITY),
         ..Calibration::NONE
     };
-    let sigma_after_a_turn = |first: Calibration, second: Calibration| {
+    let pipeline = |first: Calibration, second: Calibration| {
         let mut pipeline = Pipeline::new(&Settings {
             calibration: first,
             ..settings()
         });
         pipeline.set_calibration(&second);
+        pipeline
+    };
+    let sigma_after_a_turn = |mut pipeline: Pipeline| {
         let mut last = Snapshot::default();
         for index in 0..4_000_u64 {
             let turned = index.saturating_sub(3_000) as f32 * 0.09;
@@ -255,12 +258,16 @@ fn a_gyroscope_matrix_narrows_the_prior_of_the_scale() {
         }
         last.tilt_sigma_rad()
     };
-    let factory = sigma_after_a_turn(Calibration::NONE, Calibration::NONE);
-    let started = sigma_after_a_turn(known, known);
-    let set = sigma_after_a_turn(Calibration::NONE, known);
-    let removed = sigma_after_a_turn(known, Calibration::NONE);
+    let factory = sigma_after_a_turn(pipeline(Calibration::NONE, Calibration::NONE));
+    let started = sigma_after_a_turn(pipeline(known, known));
+    let set = sigma_after_a_turn(pipeline(Calibration::NONE, known));
+    let removed = sigma_after_a_turn(pipeline(known, Calibration::NONE));
     assert!(started < 0.95 * factory, "{started} of {factory}");
     assert_eq!((set, removed), (started, factory));
+    // What is stated of the accelerometer does not take the matrix away.
+    let mut stated = pipeline(known, known);
+    stated.set_accelerometer_knowledge(AccelerometerKnowledge::Factory);
+    assert_eq!(sigma_after_a_turn(stated), started);
 }
 
 #[test]

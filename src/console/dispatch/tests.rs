@@ -561,6 +561,10 @@ fn a_gyroscope_matrix_is_set_shown_and_kept() {
         ),
         "{shown}"
     );
+    harness.ask("gyro-matrix 0,0,0,0,0,0,0,0,0");
+    assert_eq!(harness.working().calibration.gyroscope_matrix, None);
+    let status = harness.ask("status");
+    assert!(status.contains(" calibrated=none "), "{status}");
     harness.ask("arm");
     assert_eq!(
         harness.ask("gyro-matrix 0,0,0,0,0,0,0,0,0"),

@@ -1210,6 +1210,28 @@ fn a_first_rest_that_is_cut_short_measures_no_bias() {
     assert!(cut_short > 20, "{cut_short}");
 }
 
+/// The step after a first rest is abandoned: the rest has measured the bias all the same.
+#[test]
+fn a_first_rest_counts_once_its_step_is_complete() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
+    let mut estimator = estimator();
+    while !filter(&estimator).is_first_rest {
+        world.run(&mut estimator, 1);
+    }
+    // To the end of this step, and to the beginning of the next one.
+    for is_under_way in [false, true] {
+        while filter(&estimator).step.is_under_way() != is_under_way {
+            world.run(&mut estimator, 1);
+        }
+    }
+    let filter = estimator.filter_mut();
+    let before = filter.largest_bias_variance();
+    filter.inflate_motion(0.01);
+    assert!(filter.has_rested);
+    assert_eq!(filter.largest_bias_variance(), before);
+}
+
 /// Readings that are no measurements have led the bias astray, and made it certain.
 #[test]
 fn a_start_that_forgets_an_implausible_bias_is_uncertain_of_it() {
@@ -1465,6 +1487,46 @@ fn a_short_full_scale_reading_does_not_restart_the_filter() {
     let error = world.tilt_error_degrees(estimate.attitude);
     assert!(error < 20.0, "{error}");
     assert!(error < degrees(6.0 * estimate.tilt_sigma_rad()), "{error}");
+}
+
+/// Full scale at 400 °/s hides 24° in 0.3 s and 36° in 0.45 s. Gravity shows the tilt better
+/// from 30° on.
+#[test]
+fn full_scale_readings_lose_the_tilt_only_if_they_hide_much() {
+    for (milliseconds, expected) in [(300, Tilt::Known), (450, Tilt::Lost)] {
+        let mut world = World::at_rest(from_degrees(30.0, 0.0, 90.0));
+        let mut estimator = estimator();
+        world.run(&mut estimator, 4_000);
+        for _ in 0..milliseconds {
+            let mut sample = world.sample(1_000);
+            sample.is_rate_saturated = true;
+            sample.angular_rate_rad_s.z = radians(400.0);
+            estimator.update(&sample);
+        }
+        let mut sample = world.sample(1_000);
+        sample.angular_rate_rad_s.z = radians(390.0);
+        estimator.update(&sample);
+        assert_eq!(filter(&estimator).tilt, expected, "{milliseconds} ms");
+    }
+}
+
+/// The heading drops its correlations with parameters that no longer exist, and no others.
+#[test]
+fn a_reset_of_the_parameters_shows() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut random = Random(3);
+    let mut hand = Hand::default();
+    let mut estimator = estimator();
+    for _ in 0..10_000 {
+        hand.moves(&mut world, &mut random);
+        world.run(&mut estimator, 1);
+    }
+    let filter = estimator.filter_mut();
+    assert!(!filter.are_parameters_reset());
+    filter.discard_measured_bias();
+    assert!(!filter.are_parameters_reset());
+    filter.set_accelerometer_knowledge(AccelerometerKnowledge::Factory);
+    assert!(filter.are_parameters_reset());
 }
 
 /// A turn about a slanted axis that neither sensor shows as motion. Without a rest before it, it
