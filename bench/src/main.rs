@@ -10,6 +10,7 @@ mod folders;
 mod gains;
 mod heading;
 mod heading_picture;
+mod heading_starts;
 #[cfg(test)]
 mod interruptions;
 #[cfg(test)]

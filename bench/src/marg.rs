@@ -156,7 +156,7 @@ impl Filter for Vqf9 {
             is_disturbed: true,
             undisturbed_s: 0.0,
             candidate_s: 0.0,
-            rejected_s: 0.0,
+            rejected_s: REJECTION_S,
         }
     }
 

@@ -3,6 +3,7 @@
 use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
+use super::recovery::ForceSum;
 use super::rest_watch::RestWatch;
 use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
@@ -175,17 +176,16 @@ impl Kalman {
     /// bias. Its variance is therefore reset.
     #[inline(never)]
     pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
-        if self.is_first_rest && self.step.is_under_way() {
+        if self.step.abandon() && self.is_first_rest {
             self.discard_measured_bias();
         }
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;
         covariance.reset_motion(tilt_variance, velocity_variance);
-        self.step.abandon();
         self.has_work = false;
         self.rest_watch = RestWatch::NONE;
         self.interval = Interval::EMPTY;
         self.nominal.velocity_m_s = [0.0; 2];
-        self.wrong_gravity_s = 0.0;
+        self.force_sum = ForceSum::NONE;
     }
 }

@@ -116,6 +116,7 @@ use nominal::NominalState;
 use prior::{BiasPrior, ParameterPriors};
 use propagation::{GYROSCOPE_PARAMETERS, Interval, PARAMETERS};
 use recent_velocity::RecentVelocity;
+use recovery::ForceSum;
 use rest_watch::RestWatch;
 use slices::{CovarianceStep, Progress};
 use stationary::StationaryDetector;
@@ -195,8 +196,7 @@ pub struct Kalman {
     recent: RecentVelocity,
     consistency: Consistency,
     prior: BiasPrior,
-    /// Time with a mean force of about one g, over 45° from up, s. An upright interval clears it.
-    wrong_gravity_s: f32,
+    force_sum: ForceSum,
     priors: ParameterPriors,
     rest_watch: RestWatch,
     step: CovarianceStep,
@@ -319,7 +319,7 @@ impl Kalman {
             rest_watch: RestWatch::NONE,
             priors,
             prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
-            wrong_gravity_s: 0.0,
+            force_sum: ForceSum::NONE,
             next_axis: 0,
             next_parameter: 0,
             held_tilt_rad2: 0.0,
@@ -579,7 +579,7 @@ impl Kalman {
         self.rest_watch.visit_state(visitor);
         self.priors.visit_state(visitor);
         self.prior.visit_state(visitor);
-        visitor.f32(&mut self.wrong_gravity_s);
+        self.force_sum.visit_state(visitor);
         let mut next_axis = usize::from(self.next_axis);
         visitor.index(&mut next_axis, 3);
         self.next_axis = next_axis as u8;

@@ -137,11 +137,10 @@ impl Interval {
         unseen_velocity_m2_s2: 0.0,
     };
 
-    /// Returns the mean specific force in earth axes, m/s². The interval has a length.
-    pub(super) fn mean_force_m_s2(&self) -> Vector3 {
+    /// Returns the integral of the specific force in earth axes, m/s.
+    pub(super) fn gained_m_s(&self) -> Vector3 {
         let [north, east] = self.velocity_m_s;
-        let gained = Vector3::new(north, east, self.transition.down_m_s);
-        gained.scale(1.0 / self.duration_s)
+        Vector3::new(north, east, self.transition.down_m_s)
     }
 
     /// Visits every field.

@@ -6,13 +6,20 @@ use super::measurements::STATIONARY_FORCE_SHARE;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::stationary::StationaryReadings;
-use super::{Kalman, Tilt};
+use super::{Kalman, Tilt, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
+use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// Time for which the specific force may contradict the tilt, s.
-const RECOVERY_TIME_S: f32 = 1.5;
+/// Averaging time of the specific force that may contradict the tilt, s. A vehicle that dashes
+/// sideways at 60° contradicts it for seven tenths of that.
+const FORCE_AVERAGE_S: f32 = 2.0;
+/// Averaging time while the tilt is uncertain, s: after a start in motion, it may be wrong by any
+/// angle.
+const UNCERTAIN_FORCE_AVERAGE_S: f32 = 0.7;
+/// σ of the tilt, both axes together, rad, from which on six σ include 45°.
+const UNCERTAIN_TILT_RAD: f32 = radians(7.5);
 /// σ of the tilt after unusable numbers, rad.
 const RECOVERED_TILT_RAD: f32 = 0.3;
 
@@ -55,36 +62,43 @@ impl Kalman {
         self.step.covariance.reset_parameters(&self.priors);
     }
 
-    /// Takes the tilt from the interval's mean specific force, if a single sample has set it, or
-    /// if the force has contradicted it for 1.5 s: about one g, over 45° from up. Returns whether
-    /// this ended the interval, without a covariance step.
+    /// Takes the tilt from the mean specific force: from that of the interval, if a single sample
+    /// has set it; or from that of some time, if it contradicts the tilt: about one g, over 45°
+    /// from up. Returns whether it has compared them; the next slice begins the step then.
     ///
     /// No vehicle that holds its height reads such a force: a sideways acceleration of one g would
     /// give 1.4 g.
     #[inline(never)]
-    pub(super) fn take_tilt_from_interval(&mut self) -> bool {
-        let force = self.interval.mean_force_m_s2();
-        let is_gravity = is_gravity(force);
+    pub(super) fn compare_force(&mut self) -> bool {
+        let average_s = if self.is_from_one_sample {
+            self.add_force();
+            0.0
+        } else if self.step.tilt_variance_rad2() < square(UNCERTAIN_TILT_RAD) {
+            FORCE_AVERAGE_S
+        } else {
+            UNCERTAIN_FORCE_AVERAGE_S
+        };
+        let sum = &mut self.force_sum;
+        if sum.duration_s < average_s {
+            return false;
+        }
+        // Without usable readings the mean is a NaN, and not gravity.
+        let mean = sum.integral_m_s.scale(1.0 / sum.duration_s);
+        *sum = ForceSum::NONE;
+        let is_gravity = is_gravity(mean);
+        let is_up = mean.z < 0.0 && 2.0 * square(mean.z) > mean.dot(mean);
         if self.is_from_one_sample {
             self.has_work = false;
             if is_gravity {
-                self.confirm_start(force);
+                self.confirm_start(mean);
             } else {
                 self.tilt = Tilt::Lost;
             }
-            return true;
+        } else if is_gravity && !is_up {
+            self.level(mean);
+            self.reset_motion(square(self.tuning.start_tilt_rad));
         }
-        if force.z < 0.0 && 2.0 * square(force.z) > force.dot(force) {
-            self.wrong_gravity_s = 0.0;
-        } else if is_gravity {
-            self.wrong_gravity_s += self.interval.duration_s;
-            if self.wrong_gravity_s > RECOVERY_TIME_S {
-                self.level(force);
-                self.reset_motion(square(self.tuning.start_tilt_rad));
-                return true;
-            }
-        }
-        false
+        true
     }
 
     /// Takes the tilt from this mean force, earth axes, instead of that of a single sample.
@@ -95,6 +109,15 @@ impl Kalman {
         self.interval.unseen_tilt_rad2 = unseen_tilt_rad2;
         self.rest_watch.variance_rad2 = 0.0;
         self.is_from_one_sample = false;
+    }
+
+    /// Adds the interval to the force that is compared, unless its readings hide some.
+    pub(super) fn add_force(&mut self) {
+        if self.interval.unseen_velocity_m2_s2 == 0.0 {
+            let sum = &mut self.force_sum;
+            sum.integral_m_s = sum.integral_m_s + self.interval.gained_m_s();
+            sum.duration_s += self.interval.duration_s;
+        }
     }
 
     /// Turns the attitude by the shortest rotation that makes this force, which is given in earth
@@ -127,6 +150,27 @@ impl Kalman {
             self.nominal.attitude = Quaternion::IDENTITY;
             self.tilt = Tilt::Unknown;
         }
+    }
+}
+
+/// Specific force over some time, for its mean.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct ForceSum {
+    /// Integral of the force, earth axes.
+    integral_m_s: Vector3,
+    duration_s: f32,
+}
+
+impl ForceSum {
+    pub(super) const NONE: Self = Self {
+        integral_m_s: Vector3::ZERO,
+        duration_s: 0.0,
+    };
+
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.vector(&mut self.integral_m_s);
+        visitor.f32(&mut self.duration_s);
     }
 }
 

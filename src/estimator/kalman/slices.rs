@@ -146,9 +146,15 @@ impl CovarianceStep {
         self.covariance.dynamic_variance(0) + self.covariance.dynamic_variance(1)
     }
 
-    /// Drops the rest of a step.
-    pub(super) fn abandon(&mut self) {
-        self.phase = Phase::Idle;
+    /// Drops the rest of a step, but for the measurement that is being applied: a covariance that
+    /// has only a part of it may have no meaning. Returns whether a step was under way.
+    pub(super) fn abandon(&mut self) -> bool {
+        if let Phase::CorrectRows(_, row) = self.phase {
+            for row in row..=LAST_ROW / 2 {
+                self.correct_row_pair(row);
+            }
+        }
+        core::mem::replace(&mut self.phase, Phase::Idle) != Phase::Idle
     }
 
     /// Begins a step over an interval that adds these variances to each axis of tilt (rad²) and

@@ -1183,6 +1183,53 @@ fn a_rest_before_a_pause_does_not_show_the_tilt_after_it() {
     }
 }
 
+/// Found in a recording that starts in fast motion: the tilt was 170° wrong for 20 s, because no
+/// interval of the shaking showed gravity for long.
+#[test]
+fn shaking_does_not_hide_that_the_tilt_is_wrong() {
+    for seed in 1..20 {
+        let mut random = Random(seed);
+        let attitude = from_degrees(180.0 * random.next(), 80.0 * random.next(), 0.0);
+        let mut world = World::at_rest(attitude);
+        let mut estimator = estimator();
+        world.run(&mut estimator, 400);
+        let over = Quaternion::from_rotation_vector(Vector3::new(2.8, 0.3 * random.next(), 0.0));
+        let filter = estimator.filter_mut();
+        filter.nominal.attitude = over.multiply(filter.nominal.attitude);
+        filter.reset_motion(square(filter.tuning.start_tilt_rad));
+        let shaking = random.vector(12.0);
+        let phase = 3.0 * random.next();
+        let mut error = f32::INFINITY;
+        for millisecond in 0..3_000_u16 {
+            let wave = (0.02 * f32::from(millisecond) + phase).sin();
+            world.acceleration_m_s2 = shaking.scale(wave);
+            let estimate = world.run(&mut estimator, 1);
+            error = world.tilt_error_degrees(estimate.attitude);
+        }
+        assert!(error < 40.0, "{seed}: {error}");
+    }
+}
+
+/// A drone that dashes sideways with 1.1 g, and falls with 0.3 g, reads a force 58° from up.
+#[test]
+fn a_dash_is_no_wrong_tilt() {
+    for begin_ms in (0..2_000).step_by(100) {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        let mut estimator = estimator();
+        world.run(&mut estimator, 3_000 + begin_ms);
+        let mut worst: f32 = 0.0;
+        let dash = Vector3::new(11.0, 0.0, 3.0);
+        for (acceleration_m_s2, milliseconds) in [(dash, 1_200), (-dash, 1_200)] {
+            world.acceleration_m_s2 = acceleration_m_s2;
+            for _ in 0..milliseconds {
+                let estimate = world.run(&mut estimator, 1);
+                worst = worst.max(world.tilt_error_degrees(estimate.attitude));
+            }
+        }
+        assert!(worst < 10.0, "{begin_ms}: {worst}");
+    }
+}
+
 /// The step of the first rest reduces the bias's variance first, and corrects the bias last. A
 /// wrong sample between both abandons it.
 #[test]
@@ -1206,6 +1253,34 @@ fn a_first_rest_that_is_cut_short_measures_no_bias() {
         assert!(largest < 6.0 * sigma, "{slices}: {largest} of {sigma}");
         let estimate = world.run(&mut estimator, 3_000);
         assert!(estimate.is_bias_known, "{slices}");
+    }
+    assert!(cut_short > 20, "{cut_short}");
+}
+
+/// A rest measures a bias that motion has contradicted. A wrong sample abandons its step while a
+/// measurement is being applied.
+#[test]
+fn an_abandoned_step_leaves_a_positive_covariance() {
+    let mut cut_short = 0;
+    for slices in 0..60 {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        let mut estimator = estimator();
+        world.run(&mut estimator, 3_000);
+        let filter = estimator.filter_mut();
+        for axis in 0..3 {
+            let covariance = &mut filter.step.covariance;
+            covariance.add_to_parameter(axis, square(radians(6.0)));
+        }
+        filter.stationary.interrupt();
+        world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
+        while !self::filter(&estimator).rest_watch.begins {
+            world.run(&mut estimator, 1);
+        }
+        world.run(&mut estimator, slices);
+        let filter = estimator.filter_mut();
+        cut_short += u32::from(filter.step.is_under_way());
+        filter.inflate_motion(0.01);
+        assert!(is_positive(&dense(&filter.step.covariance)), "{slices}");
     }
     assert!(cut_short > 20, "{cut_short}");
 }
