@@ -21,7 +21,7 @@ use crate::recording::{Recording, Reference};
 use crate::results::{Row, Set, summarise};
 use crate::simulated::{self, EVALUATION_SEEDS};
 use crate::{
-    accuracy, clipping, gains, heading, heading_picture, heading_starts, leave_one_out, long,
+    accuracy, clipping, gains, heading, heading_picture, leave_one_out, long, motion_starts,
     parallel, picture, promise, report, throughput, vibration,
 };
 
@@ -100,10 +100,11 @@ pub struct Options {
     #[arg(long, value_name = "FLIGHTS", group = "instead", num_args = 0..=1,
         default_missing_value = "500", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     heading_promise: Option<u64>,
-    /// Instead: the heading of the library and of VQF 9D on the recordings with a compass, after
-    /// starts in motion, and with 200 µT of hard iron that nobody calibrated
+    /// Instead: the error of the default filter and of VQF after starts in the middle of the
+    /// motion: of the tilt, and of the heading where there is a compass; and the heading with
+    /// 200 µT of hard iron that nobody calibrated
     #[arg(long, group = "instead")]
-    heading_starts: bool,
+    motion_starts: bool,
     /// Instead: draw the default filter, VQF and the classic one through a simulated flight, as a
     /// PNG file
     #[arg(long, value_name = "FILE", group = "instead")]
@@ -150,15 +151,15 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             print_line(warning);
         }
     }
+    if options.motion_starts {
+        print_line(motion_starts::tables(&recordings)?.trim());
+        return Ok(());
+    }
     let (with_compass, mut recordings): (Vec<Recording>, Vec<Recording>) = recordings
         .into_iter()
         .partition(|recording| recording.compass.is_some());
     if options.clipping {
         print_line(clipping::table(&recordings)?.trim_end());
-        return Ok(());
-    }
-    if options.heading_starts {
-        print_line(heading_starts::tables(&with_compass)?.trim_end());
         return Ok(());
     }
     if options.leave_one_out || options.scan_gains {

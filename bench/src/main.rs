@@ -10,7 +10,6 @@ mod folders;
 mod gains;
 mod heading;
 mod heading_picture;
-mod heading_starts;
 #[cfg(test)]
 mod interruptions;
 #[cfg(test)]
@@ -20,6 +19,7 @@ mod leave_one_out;
 mod level_turns;
 mod long;
 mod marg;
+mod motion_starts;
 mod parallel;
 mod peers;
 mod picture;

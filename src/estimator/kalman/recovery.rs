@@ -6,7 +6,7 @@ use super::measurements::STATIONARY_FORCE_SHARE;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::stationary::StationaryReadings;
-use super::{Kalman, Tilt, USABLE_TILT_RAD};
+use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;

@@ -1,26 +1,29 @@
-//! Headings of the recordings with a compass after a hard beginning: in the middle of the motion,
-//! and with hard iron that nobody calibrated.
+//! Errors after a hard beginning: tilt and heading after starts in the middle of a recording's
+//! motion, and the heading with hard iron that nobody calibrated.
 //!
-//! Both cut or change copies of the recordings. A start in motion knows neither the gyroscope's
+//! All cut or change copies of the recordings. A start in motion knows neither the gyroscope's
 //! bias nor the tilt. The hard iron is constant in body axes.
 
 use std::fmt::Write as _;
 
 use aplomb::attitude::Quaternion;
 use aplomb::estimator::heading::CompassKnowledge;
+use aplomb_models::motion::geometry::angle_between;
+use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::heading::error_deg;
 use aplomb_recordings::score::{mean, median};
 
 use crate::compass::Compass;
+use crate::filter::{self, Filter};
 use crate::heading;
-use crate::marg::Choice;
+use crate::marg;
 use crate::parallel;
-use crate::recording::Recording;
+use crate::recording::{Recording, Reference};
 
 /// Time from one start in motion to the next, s.
 const START_PERIOD_S: u64 = 4;
 /// Times after a start at which its error counts, s.
-const AFTER_S: [u64; 3] = [5, 10, 20];
+const AFTER_S: [u64; 4] = [2, 5, 10, 20];
 /// Share of the starts that have at most the reported error.
 const SHARE: f64 = 0.9;
 /// Error of a heading that is unknown, degrees.
@@ -40,11 +43,35 @@ enum Runs {
 }
 
 impl Runs {
-    const ALL: [(Self, &'static str); 2] = [(Self::Ours, "aplomb"), (Self::Vqf, "VQF 9D")];
+    const ALL: [(Self, &'static str); 2] = [(Self::Ours, "aplomb"), (Self::Vqf, "VQF")];
 
-    /// Calls `note` with the time of each row that has a truth, µs, and the heading's error there,
-    /// degrees.
-    fn errors(self, recording: &Recording, mut note: impl FnMut(u64, f64)) {
+    /// Calls `note` with the time of each row that has a truth, µs, and the error there, degrees:
+    /// of the heading if the recording has a compass, else of the tilt.
+    fn errors(self, recording: &Recording, note: impl FnMut(u64, f64)) {
+        if recording.compass.is_some() {
+            self.heading_errors(recording, note);
+        } else {
+            self.tilt_errors(recording, note);
+        }
+    }
+
+    fn tilt_errors(self, recording: &Recording, mut note: impl FnMut(u64, f64)) {
+        let choice = match self {
+            Self::Ours => filter::Choice::Kalman,
+            Self::Vqf => filter::Choice::Vqf,
+        };
+        let mut filter = Filter::new(choice, recording.step_s(), recording.delay_us)
+            .with_knowledge(recording.accelerometer);
+        for (sample, true_up) in recording.samples.iter().zip(&recording.true_up) {
+            let up = up_in_body(filter.update(sample).attitude);
+            if let Some(true_up) = *true_up {
+                let up = [up.x, up.y, up.z].map(f64::from);
+                note(sample.t_us, angle_between(up, true_up).to_degrees());
+            }
+        }
+    }
+
+    fn heading_errors(self, recording: &Recording, mut note: impl FnMut(u64, f64)) {
         let Some(compass) = &recording.compass else {
             return;
         };
@@ -61,65 +88,87 @@ impl Runs {
             Self::Ours => heading::run(recording, |index, heading| {
                 add(index, heading.map(|(attitude, _)| attitude));
             }),
-            Self::Vqf => heading::run_peer(Choice::Vqf, recording, |index, attitude| {
+            Self::Vqf => heading::run_peer(marg::Choice::Vqf, recording, |index, attitude| {
                 add(index, Some(attitude));
             }),
         }
     }
 }
 
-/// Returns both tables.
+/// Returns the tables.
 pub fn tables(recordings: &[Recording]) -> Result<String, String> {
-    if recordings.is_empty() {
-        return Err("there are no recordings with a compass: name their folder".into());
+    let with_truth = |recording: &&Recording| {
+        recording.compass.is_some() || recording.reference == Reference::Truth
+    };
+    let recordings: Vec<&Recording> = recordings.iter().filter(with_truth).collect();
+    let mut sets: Vec<&str> = recordings.iter().map(|one| one.set.as_str()).collect();
+    sets.dedup();
+    let mut text = String::new();
+    for set in sets {
+        let of_set = recordings.iter().filter(|one| one.set == set).copied();
+        let of_set: Vec<&Recording> = of_set.collect();
+        add_starts(&mut text, set, &of_set);
+        if of_set.iter().all(|one| one.compass.is_some()) {
+            add_hard_iron(&mut text, set, &of_set);
+        }
     }
-    let starts: Vec<Recording> = recordings.iter().flat_map(starts_in_motion).collect();
-    let mut text = format!(
-        "{} starts in motion: error in degrees that {:.0} % have at most\n\n\
-         | filter | after 5 s | after 10 s | after 20 s |\n|---|---|---|---|\n",
-        starts.len(),
-        100.0 * SHARE
-    );
-    for (runs, name) in Runs::ALL {
-        let run = |start: &Recording| errors_after(runs, start);
-        let errors = parallel::map_with_bar("starting", &starts, run);
-        let cells = [0, 1, 2].map(|place| {
-            let errors = errors.iter().map(|errors| errors[place]).collect();
-            format!("{:.1}", largest_of_share(errors))
-        });
-        let _ = writeln!(text, "| {name} | {} |", cells.join(" | "));
-    }
-    let _ = write!(
-        text,
-        "\n200 µT of hard iron that nobody calibrated: root mean square in degrees over the \
-         moving rows after {FOUND_AFTER_S} s of motion, median/mean over {} recordings\n\n\
-         | filter | error |\n|---|---|\n",
-        recordings.len()
-    );
-    let with_iron: Vec<Recording> = recordings.iter().map(with_hard_iron).collect();
-    for (runs, name) in Runs::ALL {
-        let mut errors = parallel::map(&with_iron, |recording| error_once_found(runs, recording));
-        errors.sort_by(f64::total_cmp);
-        let _ = writeln!(
-            text,
-            "| {name} | {:.2}/{:.2} |",
-            median(&errors),
-            mean(&errors)
-        );
+    if text.is_empty() {
+        return Err("there are no recordings with truth: name their folder".into());
     }
     Ok(text)
 }
 
+/// Adds the table of the starts in motion.
+fn add_starts(text: &mut String, set: &str, recordings: &[&Recording]) {
+    let starts = recordings.iter().flat_map(|one| starts_in_motion(one));
+    let starts: Vec<Recording> = starts.collect();
+    let has_compass = starts.iter().all(|start| start.compass.is_some());
+    let _ = write!(
+        text,
+        "\n{set}, {} starts in motion: {} error in degrees that {:.0} % have at most, and the \
+         largest one\n\n\
+         | filter | after 2 s | after 5 s | after 10 s | after 20 s |\n|---|---|---|---|---|\n",
+        starts.len(),
+        if has_compass { "heading" } else { "tilt" },
+        100.0 * SHARE,
+    );
+    for (runs, name) in Runs::ALL {
+        let run = |start: &Recording| errors_after(runs, start);
+        let errors = parallel::map_with_bar("starting", &starts, run);
+        let cells = [0, 1, 2, 3].map(|place| {
+            let mut errors: Vec<f64> = errors.iter().map(|errors| errors[place]).collect();
+            errors.sort_by(f64::total_cmp);
+            let largest = errors.last().copied().unwrap_or(UNKNOWN_DEG);
+            format!("{:.1}, {largest:.1}", largest_of_share(&errors))
+        });
+        let _ = writeln!(text, "| {name} | {} |", cells.join(" | "));
+    }
+}
+
+/// Adds the table of the headings with hard iron.
+fn add_hard_iron(text: &mut String, set: &str, recordings: &[&Recording]) {
+    let _ = write!(
+        text,
+        "\n{set}, 200 µT of hard iron that nobody calibrated: heading error, root mean square in \
+         degrees over the moving rows after {FOUND_AFTER_S} s of motion, median/mean over {} \
+         recordings\n\n| filter | error |\n|---|---|\n",
+        recordings.len()
+    );
+    let with_iron: Vec<Recording> = recordings.iter().map(|one| with_hard_iron(one)).collect();
+    for (runs, name) in Runs::ALL {
+        let mut errors = parallel::map(&with_iron, |recording| error_once_found(runs, recording));
+        errors.sort_by(f64::total_cmp);
+        let (median, mean) = (median(&errors), mean(&errors));
+        let _ = writeln!(text, "| {name} | {median:.2}/{mean:.2} |");
+    }
+}
+
 /// Cuts a recording at regular times, where it moves and goes on for long enough.
 fn starts_in_motion(recording: &Recording) -> Vec<Recording> {
-    let (Some(compass), Some(first), Some(last)) = (
-        &recording.compass,
-        recording.samples.first(),
-        recording.samples.last(),
-    ) else {
+    let (Some(first), Some(last)) = (recording.samples.first(), recording.samples.last()) else {
         return Vec::new();
     };
-    let longest_us = (AFTER_S[2] + 1) * MICROSECONDS;
+    let longest_us = (AFTER_S[3] + 1) * MICROSECONDS;
     let times = (first.t_us..last.t_us.saturating_sub(longest_us))
         .step_by((START_PERIOD_S * MICROSECONDS) as usize);
     let place = |t_us| {
@@ -129,11 +178,11 @@ fn starts_in_motion(recording: &Recording) -> Vec<Recording> {
     };
     let starts = times.filter_map(|t_us| {
         let rows = place(t_us)..place(t_us + longest_us);
-        let moves = compass.truth.get(rows.start)?.is_some();
+        let moves = recording.true_up.get(rows.start)?.is_some();
         moves.then(|| Recording {
             samples: recording.samples[rows.clone()].to_vec(),
             true_up: recording.true_up[rows.clone()].to_vec(),
-            compass: Some(Compass {
+            compass: recording.compass.as_ref().map(|compass| Compass {
                 fields: compass.fields[rows.clone()].to_vec(),
                 truth: compass.truth[rows].to_vec(),
                 ..*compass
@@ -148,8 +197,8 @@ fn starts_in_motion(recording: &Recording) -> Vec<Recording> {
 }
 
 /// Returns the error of the last row that counts before each of the times after a start.
-fn errors_after(runs: Runs, start: &Recording) -> [f64; 3] {
-    let mut errors = [UNKNOWN_DEG; 3];
+fn errors_after(runs: Runs, start: &Recording) -> [f64; 4] {
+    let mut errors = [UNKNOWN_DEG; 4];
     let first_us = start.samples.first().map_or(0, |first| first.t_us);
     runs.errors(start, |t_us, error| {
         for (place, after_s) in errors.iter_mut().zip(AFTER_S) {
@@ -161,8 +210,8 @@ fn errors_after(runs: Runs, start: &Recording) -> [f64; 3] {
     errors
 }
 
-fn largest_of_share(mut errors: Vec<f64>) -> f64 {
-    errors.sort_by(f64::total_cmp);
+/// Returns the error that the share has at most.
+fn largest_of_share(errors: &[f64]) -> f64 {
     let place = (SHARE * errors.len() as f64) as usize;
     errors.get(place).copied().unwrap_or(UNKNOWN_DEG)
 }
@@ -197,9 +246,12 @@ fn error_once_found(runs: Runs, recording: &Recording) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::path::Path;
+
     use aplomb_models::compass::Magnetism;
     use aplomb_recordings::simulated::errors;
 
+    use crate::folders::Folders;
     use crate::simulated::{FIRST_EVALUATION_SEED as SEED, flight_with_compass};
     use aplomb::estimator::kalman::AccelerometerKnowledge;
 
@@ -234,11 +286,37 @@ mod tests {
     #[test]
     fn a_heading_counts_where_it_is_known() {
         let mut flight = flight();
-        let [_, _, late] = errors_after(Runs::Ours, &flight);
+        let [.., late] = errors_after(Runs::Ours, &flight);
         assert!(late < 5.0, "{late}");
         let compass = flight.compass.as_mut().unwrap();
         compass.fields.fill(None);
-        assert_eq!(errors_after(Runs::Ours, &flight), [UNKNOWN_DEG; 3]);
+        assert_eq!(errors_after(Runs::Ours, &flight), [UNKNOWN_DEG; 4]);
+    }
+
+    /// A tilt that was wrong in fast motion stayed wrong for 20 s.
+    #[test]
+    fn a_start_in_a_recording_finds_its_tilt() {
+        let broad = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/broad");
+        if !broad.is_dir() {
+            println!("skipped: there are no recordings of BROAD");
+            return;
+        }
+        let paths = [broad];
+        let folders = Folders {
+            paths: &paths,
+            ..Folders::default()
+        };
+        let (recordings, _) = folders.read().unwrap();
+        let starts: Vec<Recording> = recordings.iter().flat_map(starts_in_motion).collect();
+        let errors = parallel::map(&starts, |start| errors_after(Runs::Ours, start));
+        let largest = |place: usize| {
+            let mut errors: Vec<f64> = errors.iter().map(|errors| errors[place]).collect();
+            errors.sort_by(f64::total_cmp);
+            (largest_of_share(&errors), errors.last().copied().unwrap())
+        };
+        let (early, late) = (largest(1), largest(3));
+        assert!(early.0 < 10.0 && early.1 < 120.0, "{early:?}");
+        assert!(late.0 < 3.0 && late.1 < 40.0, "{late:?}");
     }
 
     /// VQF takes the iron for the field, so its error shows that the iron is there.
@@ -252,8 +330,8 @@ mod tests {
 
     #[test]
     fn a_share_of_the_errors_is_at_most_the_reported_one() {
-        let errors = (0..100).rev().map(f64::from).collect();
-        assert_eq!(largest_of_share(errors), 90.0);
-        assert_eq!(largest_of_share(Vec::new()), UNKNOWN_DEG);
+        let errors: Vec<f64> = (0..100).map(f64::from).collect();
+        assert_eq!(largest_of_share(&errors), 90.0);
+        assert_eq!(largest_of_share(&[]), UNKNOWN_DEG);
     }
 }
