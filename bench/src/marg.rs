@@ -156,6 +156,7 @@ impl Filter for Vqf9 {
             is_disturbed: true,
             undisturbed_s: 0.0,
             candidate_s: 0.0,
+            // The first field is followed, slowly, before it is accepted.
             rejected_s: REJECTION_S,
         }
     }

@@ -35,7 +35,7 @@
 //! # Cost
 //!
 //! Deadline: one sample. With the tilt filter a sample costs 450 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 914 at worst. Below 250 Hz a whole step runs with one sample.
+//! Cortex-M4F at 1 kHz, and 915 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -75,7 +75,7 @@ pub use tuning::Tuning;
 
 use super::arithmetic::{larger, square};
 use super::kalman::Kalman;
-use super::kalman::follow::{ERROR_STATES, FIRST_GYROSCOPE};
+use super::kalman::follow::ERROR_STATES;
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::serialize::StateVisitor;
 use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
@@ -450,7 +450,7 @@ impl Heading {
             Phase::Idle => {}
             Phase::Waiting => {
                 if kalman.is_motion_reset() {
-                    self.follow_reset(kalman);
+                    self.follow_reset();
                 } else if !kalman.is_step_under_way() {
                     self.phase = Phase::Propagate(0);
                     if dt_s > LONGEST_SLICED_S {
@@ -533,7 +533,7 @@ impl Heading {
     fn close(&mut self, kalman: &Kalman) {
         self.has_interval = false;
         if kalman.is_motion_reset() {
-            self.follow_reset(kalman);
+            self.follow_reset();
             return;
         }
         *self.closed_mut() = Interval::EMPTY;
@@ -541,16 +541,12 @@ impl Heading {
         self.phase = Phase::Waiting;
     }
 
-    /// Forgets the field after a reset of the tilt.
+    /// Forgets the field after a reset of the tilt, and the correlations with the tilt filter: it
+    /// may have abandoned a step, or reset the parameters.
     #[cold]
     #[inline(never)]
-    fn follow_reset(&mut self, kalman: &Kalman) {
-        let known = if kalman.are_parameters_reset() {
-            ERROR_STATES
-        } else {
-            FIRST_GYROSCOPE
-        };
-        for state in 0..known {
+    fn follow_reset(&mut self) {
+        for state in 0..ERROR_STATES {
             self.covariance.scale_cross(state, 0.0);
         }
         self.reset_field();

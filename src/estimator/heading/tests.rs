@@ -346,6 +346,23 @@ fn a_gap_forgets_the_heading_and_finds_it_again() {
     flight.assert_error_below(1.5);
 }
 
+/// The tilt filter may have abandoned a step: its parameters know more, and the correlations do not.
+#[test]
+fn a_gap_forgets_the_correlations_with_the_tilt_filter() {
+    let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    flight.tumble(20.0);
+    let correlates = |flight: &Flight| {
+        let mut entries = flight.heading.covariance.cross.iter().flatten();
+        entries.any(|entry| *entry != 0.0)
+    };
+    assert!(correlates(&flight));
+    flight.t_us += 2_000_000;
+    flight.reading_us = flight.t_us;
+    flight.step(Vector3::ZERO);
+    assert!(!correlates(&flight));
+}
+
 #[test]
 fn a_pause_widens_the_heading() {
     let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);

@@ -101,13 +101,6 @@ impl Kalman {
         covariance.cross_entry(0, 2) == 0.0 && covariance.cross_entry(0, 3) == 0.0
     }
 
-    /// Returns whether the parameters have just been reset: the gyroscope's matrix does not
-    /// correlate with its bias.
-    pub(in crate::estimator) fn are_parameters_reset(&self) -> bool {
-        let [_, _, _, x, y, ..] = self.step.covariance.parameter_column(0).parameters;
-        x == 0.0 && y == 0.0
-    }
-
     /// Returns the attitude at the last earth step.
     #[inline]
     pub(in crate::estimator) fn attitude_at_earth_step(&self) -> Quaternion {

@@ -56,6 +56,7 @@ impl Kalman {
     }
 
     /// Returns the bias's variances to their prior, until a rest measures the bias.
+    #[inline(never)]
     pub(super) fn discard_measured_bias(&mut self) {
         self.has_rested = false;
         self.step.covariance.reset_bias(self.prior.variance);
@@ -176,7 +177,8 @@ impl Kalman {
     /// bias. Its variance is therefore reset.
     #[inline(never)]
     pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
-        if self.step.abandon() && self.is_first_rest {
+        self.step.abandon();
+        if self.is_first_rest {
             self.discard_measured_bias();
         }
         let velocity_variance = square(self.tuning.start_velocity_m_s);

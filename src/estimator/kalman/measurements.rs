@@ -79,7 +79,6 @@ impl Kalman {
     /// Ends a rest that turns out to be a slow, steady turn: gravity has turned. If it has turned
     /// for most of the time, and faster than the gyroscope shows, then the bias was measured in the
     /// turn, and is unknown.
-    #[inline(never)]
     fn end_rest_if_turned(&mut self) {
         let quiet_s = self.stationary.quiet_s();
         let squared_drift = self.stationary.squared_drift();
@@ -297,13 +296,14 @@ impl Kalman {
         self.nominal.scale_parameter(parameter, factor);
     }
 
-    /// Closes the interval: adds its velocity, and begins its covariance step with the process
-    /// noise.
+    /// Checks the tilt. The next slice closes the interval: it adds its velocity, and begins its
+    /// covariance step with the process noise.
     pub(super) fn begin_covariance_step(&mut self) {
-        if self.compare_force() {
+        self.is_tilt_checked = !self.is_tilt_checked;
+        if self.is_tilt_checked {
+            self.check_tilt();
             return;
         }
-        self.add_force();
         let tuning = self.tuning;
         let duration_s = self.interval.duration_s;
         let velocity = self.nominal.velocity_m_s.iter_mut();

@@ -12,14 +12,11 @@ use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// Averaging time of the specific force that may contradict the tilt, s. A vehicle that dashes
-/// sideways at 60° contradicts it for seven tenths of that.
-const FORCE_AVERAGE_S: f32 = 2.0;
-/// Averaging time while the tilt is uncertain, s: after a start in motion, it may be wrong by any
-/// angle.
-const UNCERTAIN_FORCE_AVERAGE_S: f32 = 0.7;
-/// σ of the tilt, both axes together, rad, from which on six σ include 45°.
-const UNCERTAIN_TILT_RAD: f32 = radians(7.5);
+/// Time for which the specific force contradicts the tilt before it is believed, s: longer than a
+/// vehicle dashes while it falls.
+const AVERAGE_S: f32 = 1.3;
+/// σ of the tilt, both axes together, rad, from which on it is ambiguous: six σ are 60°.
+const AMBIGUOUS_TILT_RAD: f32 = radians(10.0);
 /// σ of the tilt after unusable numbers, rad.
 const RECOVERED_TILT_RAD: f32 = 0.3;
 
@@ -62,62 +59,55 @@ impl Kalman {
         self.step.covariance.reset_parameters(&self.priors);
     }
 
-    /// Takes the tilt from the mean specific force: from that of the interval, if a single sample
-    /// has set it; or from that of some time, if it contradicts the tilt: about one g, over 45°
-    /// from up. Returns whether it has compared them; the next slice begins the step then.
+    /// Checks the tilt against the mean specific force. Sets the tilt from it if a single sample
+    /// has set the tilt, or if the mean is about one g and over 45° from up. Both end the interval
+    /// without a covariance step.
     ///
     /// No vehicle that holds its height reads such a force: a sideways acceleration of one g would
-    /// give 1.4 g.
+    /// give 1.4 g. But a vehicle that dashes and falls may have such a mean. So each interval has
+    /// to contradict a tilt that is not ambiguous. Shaking hides gravity from single intervals, so
+    /// the mean alone counts while the tilt is ambiguous, as after a start in motion.
     #[inline(never)]
-    pub(super) fn compare_force(&mut self) -> bool {
-        let average_s = if self.is_from_one_sample {
-            self.add_force();
-            0.0
-        } else if self.step.tilt_variance_rad2() < square(UNCERTAIN_TILT_RAD) {
-            FORCE_AVERAGE_S
-        } else {
-            UNCERTAIN_FORCE_AVERAGE_S
-        };
-        let sum = &mut self.force_sum;
-        if sum.duration_s < average_s {
-            return false;
-        }
-        // Without usable readings the mean is a NaN, and not gravity.
-        let mean = sum.integral_m_s.scale(1.0 / sum.duration_s);
-        *sum = ForceSum::NONE;
-        let is_gravity = is_gravity(mean);
-        let is_up = mean.z < 0.0 && 2.0 * square(mean.z) > mean.dot(mean);
+    pub(super) fn check_tilt(&mut self) {
+        let duration_s = self.interval.duration_s;
+        let gained_m_s = self.interval.gained_m_s();
+        let force = gained_m_s.scale(1.0 / duration_s);
         if self.is_from_one_sample {
-            self.has_work = false;
-            if is_gravity {
-                self.confirm_start(mean);
-            } else {
-                self.tilt = Tilt::Lost;
-            }
-        } else if is_gravity && !is_up {
-            self.level(mean);
-            self.reset_motion(square(self.tuning.start_tilt_rad));
+            self.confirm_start(force);
+            return;
         }
-        true
+        let is_ambiguous = self.step.tilt_variance_rad2() > square(AMBIGUOUS_TILT_RAD);
+        let sum = &mut self.force_sum;
+        if !is_ambiguous && is_gravity_up(force) != Some(false) {
+            *sum = ForceSum::NONE;
+            return;
+        }
+        sum.integral_m_s = sum.integral_m_s + gained_m_s;
+        sum.duration_s += duration_s;
+        if sum.duration_s > AVERAGE_S {
+            let mean = sum.integral_m_s.scale(1.0 / sum.duration_s);
+            *sum = ForceSum::NONE;
+            if is_gravity_up(mean) == Some(false) {
+                self.level(mean);
+                self.reset_motion(square(self.tuning.start_tilt_rad));
+            }
+        }
     }
 
-    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample.
+    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. If it is
+    /// not about one g, the next sample sets the tilt again.
     fn confirm_start(&mut self, force: Vector3) {
+        self.has_work = false;
+        if is_gravity_up(force).is_none() {
+            self.tilt = Tilt::Lost;
+            return;
+        }
         self.level(force);
         let unseen_tilt_rad2 = self.interval.unseen_tilt_rad2;
         self.interval = Interval::EMPTY;
         self.interval.unseen_tilt_rad2 = unseen_tilt_rad2;
         self.rest_watch.variance_rad2 = 0.0;
         self.is_from_one_sample = false;
-    }
-
-    /// Adds the interval to the force that is compared, unless its readings hide some.
-    pub(super) fn add_force(&mut self) {
-        if self.interval.unseen_velocity_m2_s2 == 0.0 {
-            let sum = &mut self.force_sum;
-            sum.integral_m_s = sum.integral_m_s + self.interval.gained_m_s();
-            sum.duration_s += self.interval.duration_s;
-        }
     }
 
     /// Turns the attitude by the shortest rotation that makes this force, which is given in earth
@@ -174,11 +164,16 @@ impl ForceSum {
     }
 }
 
-/// Returns whether this specific force, m/s², is about one g.
-fn is_gravity(force: Vector3) -> bool {
+/// Returns whether this specific force, m/s² in earth axes, is within 45° of up; `None` if it is not
+/// about one g.
+#[inline(never)]
+fn is_gravity_up(force: Vector3) -> Option<bool> {
     const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
     const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
-    (square(LEAST)..square(GREATEST)).contains(&force.dot(force))
+    let squared = force.dot(force);
+    (square(LEAST)..square(GREATEST))
+        .contains(&squared)
+        .then_some(-2.0 * force.z * force.z.abs() > squared)
 }
 
 /// Returns the shortest rotation that turns this nonzero direction up, to (0, 0, −1), as a

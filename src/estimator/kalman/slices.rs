@@ -146,15 +146,15 @@ impl CovarianceStep {
         self.covariance.dynamic_variance(0) + self.covariance.dynamic_variance(1)
     }
 
-    /// Drops the rest of a step, but for the measurement that is being applied: a covariance that
-    /// has only a part of it may have no meaning. Returns whether a step was under way.
-    pub(super) fn abandon(&mut self) -> bool {
+    /// Drops the rest of the step. Completes the measurement that is being applied first, because
+    /// half of one can make the covariance indefinite: at most eight pairs of rows.
+    pub(super) fn abandon(&mut self) {
         if let Phase::CorrectRows(_, row) = self.phase {
-            for row in row..=LAST_ROW / 2 {
+            for row in row..LAST_ROW / 2 + 1 {
                 self.correct_row_pair(row);
             }
         }
-        core::mem::replace(&mut self.phase, Phase::Idle) != Phase::Idle
+        self.phase = Phase::Idle;
     }
 
     /// Begins a step over an interval that adds these variances to each axis of tilt (rad²) and
@@ -263,6 +263,7 @@ impl CovarianceStep {
     }
 
     /// Applies the measurement of this index to δ and M. Returns the next phase.
+    #[inline(never)]
     fn correct(&mut self, index: usize) -> Phase {
         let Some(measurement) = self.measurement(index) else {
             return Phase::Check;
@@ -341,7 +342,7 @@ impl Phase {
         visitor.index(&mut kind, 10);
         // A row or index out of range does no harm: both are checked where they are used.
         visitor.index(&mut first, PARAMETERS + 1);
-        visitor.index(&mut second, PARAMETERS + 1);
+        visitor.index(&mut second, LAST_ROW / 2 + 1);
         *self = match kind {
             1 => Self::PropagateCross(first),
             2 => Self::PropagateParameters(first),
