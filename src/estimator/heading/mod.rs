@@ -22,7 +22,7 @@
 //!
 //! # Disturbances
 //!
-//! - d is a property of the place: it forgets in 10 s at rest, and in 0.1 s in motion. So at rest a
+//! - d is a property of the place: it forgets in 10 s at rest, and in 0.2 s in motion. So at rest a
 //!   wrong field is believed once, and averages no further; in motion it averages out.
 //! - The squared innovation beyond 0.2 of the expected one adds to the noise at once, and opens b
 //!   and d for a while: a magnet may have been attached.
@@ -35,7 +35,7 @@
 //! # Cost
 //!
 //! Deadline: one sample. With the tilt filter a sample costs 450 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 915 at worst. Below 250 Hz a whole step runs with one sample.
+//! Cortex-M4F at 1 kHz, and 872 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;

@@ -85,7 +85,7 @@ impl Tuning {
         yaw_walk: 0.007,
         hard_iron_walk: 0.005,
         deviation_ut: 3.5,
-        deviation_moving_s: 0.1,
+        deviation_moving_s: 0.2,
         deviation_still_s: 10.0,
         moving_rate_rad_s: 0.5,
         moving_acceleration_m_s2: 2.0,
