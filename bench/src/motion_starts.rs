@@ -150,8 +150,8 @@ fn add_hard_iron(text: &mut String, set: &str, recordings: &[&Recording]) {
     let _ = write!(
         text,
         "\n{set}, 200 µT of hard iron that nobody calibrated: heading error, root mean square in \
-         degrees over the moving rows from {FOUND_AFTER_S} s after the first one on, median/mean over {} \
-         recordings\n\n| filter | error |\n|---|---|\n",
+         degrees over the moving rows from {FOUND_AFTER_S} s after the first one on, median/mean \
+         over {} recordings\n\n| filter | error |\n|---|---|\n",
         recordings.len()
     );
     let with_iron: Vec<Recording> = recordings.iter().map(|one| with_hard_iron(one)).collect();

@@ -346,7 +346,7 @@ fn a_gap_forgets_the_heading_and_finds_it_again() {
     flight.assert_error_below(1.5);
 }
 
-/// The tilt filter may have abandoned a step: its parameters know more, and the correlations do not.
+/// The tilt filter may have abandoned a step, and know more than the correlations show.
 #[test]
 fn a_gap_forgets_the_correlations_with_the_tilt_filter() {
     let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);

@@ -54,11 +54,10 @@
 //!   neither runs while armed. If the first rest contradicts the state reached in motion, the
 //!   filter restarts at that rest. So it does if the first rest finds the tilt too uncertain, or
 //!   any rest finds it upside down.
-//! - In motion, the mean specific force of 1.3 s contradicts a tilt that is over 45° wrong. It then
-//!   sets the tilt.
+//! - In motion, the mean specific force of 1.3 s sets a tilt that it shows to be over 45° wrong.
 //! - A slow, steady turn reads like a rest, but gravity turns in the body. A rest ends when the
-//!   specific force drifts by 0.6°. If it has drifted from the rest's beginning on, and the
-//!   gyroscope shows no turn, then the bias was measured in the turn, and is unknown again.
+//!   force drifts by 0.6°. If it has drifted from the rest's beginning on, and the gyroscope shows
+//!   no turn, then the bias was measured in the turn, and is unknown again.
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show.
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
@@ -71,7 +70,6 @@
 //! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
 //!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
 //! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
-//!   Gravity does not show it.
 //! - After a start in motion, a bias of 20 °/s about the vertical takes over half a minute, or is
 //!   not found, because yaw is not observed. A lasting turn is taken for a bias. The reported σ
 //!   covers both.
@@ -178,8 +176,7 @@ pub struct Kalman {
     tilt: Tilt,
     /// True if a covariance step is due or under way.
     has_work: bool,
-    /// True between a check of the tilt and the begin of a covariance step. A reset in between skips
-    /// the next check.
+    /// True between a check of the tilt and the next step. A reset then skips the next check.
     is_tilt_checked: bool,
     is_bias_known: bool,
     /// True if the bias has been measured at rest in this run.

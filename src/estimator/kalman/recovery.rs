@@ -94,8 +94,8 @@ impl Kalman {
         }
     }
 
-    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. If it is
-    /// not about one g, the next sample sets the tilt again.
+    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. If it
+    /// is not about one g, the next sample sets the tilt again.
     fn confirm_start(&mut self, force: Vector3) {
         self.has_work = false;
         if is_gravity_up(force).is_none() {
@@ -164,8 +164,8 @@ impl ForceSum {
     }
 }
 
-/// Returns whether this specific force, m/s² in earth axes, is within 45° of up; `None` if it is not
-/// about one g.
+/// Returns whether this specific force, m/s² in earth axes, is within 45° of up; `None` if it is
+/// not about one g.
 #[inline(never)]
 fn is_gravity_up(force: Vector3) -> Option<bool> {
     const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;

@@ -1236,7 +1236,7 @@ fn a_dash_is_no_wrong_tilt() {
     }
 }
 
-/// What was seen before a reset of the motion says nothing of the tilt after it.
+/// The forces before a reset of the motion say nothing of the tilt after it.
 #[test]
 fn a_reset_of_the_motion_begins_the_comparison_anew() {
     let mut world = World::at_rest(Quaternion::IDENTITY);
