@@ -108,11 +108,10 @@ fn clipped(recording: &Recording, share: f64) -> Recording {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::folders::Folders;
+    use crate::folders::recordings_of;
     use crate::simulated::flight_for;
     use aplomb::attitude::Vector3;
     use aplomb::estimator::Sample;
-    use std::path::Path;
 
     /// Smallest full scale that the detector takes for one, rad/s.
     const LEAST_RATE_RAD_S: f32 = 100.0 * std::f32::consts::PI / 180.0;
@@ -141,17 +140,9 @@ mod tests {
     /// A tilt that full scale hides is kept: gravity alone knows less of a body that turns so fast.
     #[test]
     fn a_clipped_gyroscope_costs_less_than_it_costs_vqf() {
-        let broad = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/broad");
-        if !broad.is_dir() {
-            println!("skipped: there are no recordings of BROAD");
+        let Some(recordings) = recordings_of(&["broad"]) else {
             return;
-        }
-        let paths = [broad];
-        let folders = Folders {
-            paths: &paths,
-            ..Folders::default()
         };
-        let (recordings, _) = folders.read().unwrap();
         for share in [0.6, 0.5] {
             let outcomes = parallel::map(&recordings, |one| run(one, share));
             let of = |rms: fn(&Outcome) -> f64| -> Vec<f64> { outcomes.iter().map(rms).collect() };
@@ -163,17 +154,9 @@ mod tests {
 
     #[test]
     fn recordings_at_hand_are_not_clipped_but_their_clipped_copies_are() {
-        let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
-        let sets = ["broad", "tumvi", "xio"].map(|set| data.join(set));
-        if !sets.iter().all(|set| set.is_dir()) {
-            println!("skipped: there are no recordings of BROAD, TUM-VI and xio");
+        let Some(recordings) = recordings_of(&["broad", "tumvi", "xio"]) else {
             return;
-        }
-        let folders = Folders {
-            paths: &sets,
-            ..Folders::default()
         };
-        let (recordings, _) = folders.read().unwrap();
         assert!(recordings.len() >= 18, "{}", recordings.len());
         let mut found = 0;
         for recording in &recordings {

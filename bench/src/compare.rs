@@ -138,7 +138,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         compass_delays_us: &options.compass_delays_us,
         ranges: &options.ranges,
     };
-    let (recordings, not_scored) = folders.read()?;
+    let (mut recordings, not_scored) = folders.read()?;
     if recordings.is_empty() && !options.folders.is_empty() {
         return Err(folders.nothing_to_score(&not_scored).into());
     }
@@ -149,6 +149,11 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         }
         for warning in &warnings {
             print_line(warning);
+        }
+    }
+    if let Some(knowledge) = options.accelerometer {
+        for recording in &mut recordings {
+            recording.accelerometer = knowledge;
         }
     }
     if options.motion_starts {
@@ -180,11 +185,6 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             .accelerometer
             .unwrap_or(AccelerometerKnowledge::Factory);
         recordings = simulated::flights(EVALUATION_SEEDS, knowledge);
-    }
-    if let Some(knowledge) = options.accelerometer {
-        for recording in &mut recordings {
-            recording.accelerometer = knowledge;
-        }
     }
     let rows = score(&recordings);
     let names = Choice::ALL.map(Choice::name);

@@ -60,6 +60,25 @@ impl fmt::Display for NotScored {
     }
 }
 
+/// Returns the recordings of these sets, for a test; says that it is skipped if one is missing.
+#[cfg(test)]
+pub fn recordings_of(sets: &[&str]) -> Option<Vec<Recording>> {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("..")
+        .join(DEFAULT_FOLDER);
+    let paths: Vec<PathBuf> = sets.iter().map(|set| data.join(set)).collect();
+    if !paths.iter().all(|path| path.is_dir()) {
+        println!("skipped: there are no recordings of {}", sets.join(", "));
+        return None;
+    }
+    let folders = Folders {
+        paths: &paths,
+        ..Folders::default()
+    };
+    let (recordings, _) = folders.read().expect("recordings that can be read");
+    Some(recordings)
+}
+
 impl Folders<'_> {
     /// Reads every recording, and returns those that can be scored and those that cannot.
     pub fn read(&self) -> Result<(Vec<Recording>, Vec<NotScored>), Box<dyn Error>> {

@@ -4,15 +4,14 @@
 //! The truth is that of the recordings and of the simulation. The comparison uses no more of
 //! the library than its quaternion.
 
-use std::path::Path;
-
 use aplomb::attitude::Vector3;
 use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 
+use crate::folders::recordings_of;
 use crate::parallel;
-use crate::recording::{Found, Handling, Recording};
+use crate::recording::Recording;
 use crate::simulated;
 use crate::valid::Judged;
 
@@ -138,25 +137,6 @@ fn a_start_in_flight_is_never_wrong_and_valid() {
 
 #[test]
 fn a_start_in_a_recording_is_never_wrong_and_valid() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
-    let mut recordings = Vec::new();
-    for (set, delay_us) in [("broad", 4_000), ("tumvi", 0)] {
-        let Ok(files) = std::fs::read_dir(folder.join(set)) else {
-            println!("skipped: there are no recordings of {set}");
-            continue;
-        };
-        for file in files {
-            let path = file.expect("a folder that can be read").path();
-            let handling = Handling {
-                delay_us,
-                ..Handling::default()
-            };
-            match Recording::read(&path, handling) {
-                Ok(Found::Recording(recording)) => recordings.push(recording),
-                Ok(Found::Unusable(_)) => {}
-                Err(error) => panic!("{error}"),
-            }
-        }
-    }
-    hold_to_the_rule(&starts(&recordings));
+    let sets = ["broad", "tumvi"].map(|set| recordings_of(&[set]).unwrap_or_default());
+    hold_to_the_rule(&starts(&sets.concat()));
 }

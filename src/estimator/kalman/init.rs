@@ -185,6 +185,7 @@ impl Kalman {
         let covariance = &mut self.step.covariance;
         covariance.reset_motion(tilt_variance, velocity_variance);
         self.has_work = false;
+        self.is_tilt_checked = false;
         self.rest_watch = RestWatch::NONE;
         self.interval = Interval::EMPTY;
         self.nominal.velocity_m_s = [0.0; 2];

@@ -176,7 +176,7 @@ pub struct Kalman {
     tilt: Tilt,
     /// True if a covariance step is due or under way.
     has_work: bool,
-    /// True between a check of the tilt and the next step. A reset then skips the next check.
+    /// True if the tilt has been checked for the covariance step that is due.
     is_tilt_checked: bool,
     is_bias_known: bool,
     /// True if the bias has been measured at rest in this run.

@@ -14,7 +14,7 @@ use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
 /// Time for which the specific force contradicts the tilt before it is believed, s: longer than a
 /// vehicle dashes while it falls.
-const AVERAGE_S: f32 = 1.3;
+const CONTRADICTION_S: f32 = 1.3;
 /// σ of the tilt, both axes together, rad, from which on it is ambiguous: six σ are 60°.
 const AMBIGUOUS_TILT_RAD: f32 = radians(10.0);
 /// σ of the tilt after unusable numbers, rad.
@@ -84,7 +84,7 @@ impl Kalman {
         }
         sum.integral_m_s = sum.integral_m_s + gained_m_s;
         sum.duration_s += duration_s;
-        if sum.duration_s > AVERAGE_S {
+        if sum.duration_s > CONTRADICTION_S {
             let mean = sum.integral_m_s.scale(1.0 / sum.duration_s);
             *sum = ForceSum::NONE;
             if is_gravity_up(mean) == Some(false) {
@@ -98,6 +98,7 @@ impl Kalman {
     /// is not about one g, the next sample sets the tilt again.
     fn confirm_start(&mut self, force: Vector3) {
         self.has_work = false;
+        self.is_tilt_checked = false;
         if is_gravity_up(force).is_none() {
             self.tilt = Tilt::Lost;
             return;
@@ -171,9 +172,11 @@ fn is_gravity_up(force: Vector3) -> Option<bool> {
     const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
     const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
     let squared = force.dot(force);
+    // Within 45°, z is negative, and its square more than half of the whole.
+    let is_up = -2.0 * force.z * force.z.abs() > squared;
     (square(LEAST)..square(GREATEST))
         .contains(&squared)
-        .then_some(-2.0 * force.z * force.z.abs() > squared)
+        .then_some(is_up)
 }
 
 /// Returns the shortest rotation that turns this nonzero direction up, to (0, 0, −1), as a

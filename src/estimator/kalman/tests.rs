@@ -8,6 +8,7 @@ use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::*;
 use crate::estimator::tests::{angle_between, from_degrees, sample};
 use crate::estimator::{Estimate, Estimator};
+use crate::serialize::{StateReader, StateWriter};
 use crate::units::degrees;
 
 const STATES: usize = DYNAMIC + PARAMETERS;
@@ -350,6 +351,16 @@ impl World {
         }
         estimate
     }
+
+    /// Runs this number of milliseconds at 1 kHz, and returns the largest error of the tilt.
+    fn worst_error_degrees(&mut self, estimator: &mut Estimator, milliseconds: u32) -> f32 {
+        let mut worst: f32 = 0.0;
+        for _ in 0..milliseconds {
+            let estimate = self.run(estimator, 1);
+            worst = worst.max(self.tilt_error_degrees(estimate.attitude));
+        }
+        worst
+    }
 }
 
 /// Motion of a hand, which returns to its start.
@@ -516,11 +527,7 @@ fn short_full_scale_readings_are_not_used_as_gravity() {
                 sample.is_force_saturated = true;
                 estimator.update(&sample);
             }
-            let mut worst: f32 = 0.0;
-            for _ in 0..40 {
-                let estimate = world.run(&mut estimator, 50);
-                worst = worst.max(world.tilt_error_degrees(estimate.attitude));
-            }
+            let worst = world.worst_error_degrees(&mut estimator, 2_000);
             assert!(worst < 20.0, "{milliseconds} ms: {worst}");
         }
     }
@@ -532,11 +539,7 @@ fn a_long_acceleration_tilts_little_and_briefly() {
     let mut estimator = estimator();
     world.run(&mut estimator, 20_000);
     world.acceleration_m_s2 = Vector3::new(3.0, 0.0, 0.0);
-    let mut worst: f32 = 0.0;
-    for _ in 0..50 {
-        let estimate = world.run(&mut estimator, 100);
-        worst = worst.max(world.tilt_error_degrees(estimate.attitude));
-    }
+    let worst = world.worst_error_degrees(&mut estimator, 5_000);
     world.acceleration_m_s2 = Vector3::ZERO;
     assert!(worst < 3.5, "{worst}");
     let estimate = world.run(&mut estimator, 5_000);
@@ -1216,8 +1219,8 @@ fn shaking_does_not_hide_that_the_tilt_is_wrong() {
 fn a_dash_is_no_wrong_tilt() {
     let dash = [(11.0, 3.0, 1_200), (-11.0, -3.0, 1_200)];
     let bank_and_fall = [(17.0, 0.0, 1_100), (0.0, 9.0, 440), (-17.0, -3.6, 1_100)];
-    let climb = [(13.8, 4.8, 1_200), (-13.8, -4.8, 1_200), (0.0, 0.0, 1_000)];
-    for manoeuvre in [dash.as_slice(), &bank_and_fall, &climb] {
+    let steep_bank = [(13.8, 4.8, 1_200), (-13.8, -4.8, 1_200), (0.0, 0.0, 1_000)];
+    for manoeuvre in [dash.as_slice(), &bank_and_fall, &steep_bank] {
         for begin_ms in (0..2_000).step_by(100) {
             let mut world = World::at_rest(Quaternion::IDENTITY);
             let mut estimator = estimator();
@@ -1226,14 +1229,65 @@ fn a_dash_is_no_wrong_tilt() {
             for (north, down, milliseconds) in manoeuvre.iter().copied().chain([(0.0, 0.0, 2_500)])
             {
                 world.acceleration_m_s2 = Vector3::new(north, 0.0, down);
-                for _ in 0..milliseconds {
-                    let estimate = world.run(&mut estimator, 1);
-                    worst = worst.max(world.tilt_error_degrees(estimate.attitude));
-                }
+                worst = worst.max(world.worst_error_degrees(&mut estimator, milliseconds));
             }
             assert!(worst < 10.0, "{manoeuvre:?} at {begin_ms} ms: {worst}");
         }
     }
+}
+
+/// The mean of the first start is no gravity. The second start is no less careful.
+#[test]
+fn each_start_is_confirmed_before_the_first_step() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 1);
+    world.acceleration_m_s2 = Vector3::new(0.0, 0.0, -8.0);
+    while filter(&estimator).tilt == Tilt::Known {
+        world.run(&mut estimator, 1);
+    }
+    world.acceleration_m_s2 = Vector3::ZERO;
+    while !filter(&estimator).step.is_under_way() {
+        world.run(&mut estimator, 1);
+        let filter = filter(&estimator);
+        assert!(!filter.is_tilt_checked || filter.has_work);
+    }
+    assert!(!filter(&estimator).is_from_one_sample);
+}
+
+/// Memory after a reset, or a flight log, may hold any bytes.
+#[test]
+fn a_state_with_a_changed_byte_is_refused_or_goes_on() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 1_500);
+    let (mut accepted, mut refused) = (0, 0);
+    // All slices of a covariance step.
+    for _ in 0..24 {
+        world.run(&mut estimator, 10);
+        let sample = world.sample(1_000);
+        let mut bytes = [0; 4_000];
+        let mut writer = StateWriter::new(&mut bytes, 0);
+        estimator.filter_mut().visit_state(&mut writer);
+        let length = writer.length().expect("this state has a byte form");
+        for (place, value) in (0..length).flat_map(|place| [14, 15, 255].map(|it| (place, it))) {
+            let mut changed = bytes;
+            changed[place] = value;
+            let mut restored = *filter(&estimator);
+            let mut reader = StateReader::new(&changed[..length]);
+            restored.visit_state(&mut reader);
+            if reader.is_complete() {
+                accepted += 1;
+                for _ in 0..5 {
+                    restored.update(&sample, 1.0e-3, true);
+                }
+            } else {
+                refused += 1;
+            }
+        }
+    }
+    assert!(accepted > 50_000, "{accepted}");
+    assert!(refused > 500, "{refused}");
 }
 
 /// The forces before a reset of the motion say nothing of the tilt after it.
