@@ -94,7 +94,7 @@ impl AttitudeTask {
             {
                 compass.follow(pipeline);
             }
-            self.keep_house(pipeline, compass, &snapshot);
+            self.step_housekeeping(pipeline, compass, &snapshot);
             return self.take_flags(snapshot.flags);
         }
         let (t_us, board) = burst_reader::take_stale()?;
@@ -106,7 +106,7 @@ impl AttitudeTask {
 
     /// Requests checks of the sensor's settings, and does the periodic work.
     #[inline(always)]
-    fn keep_house(
+    fn step_housekeeping(
         &mut self,
         pipeline: &mut Pipeline,
         compass: Option<&mut CompassTask>,
@@ -117,12 +117,12 @@ impl AttitudeTask {
         }
         self.samples_to_housekeeping -= 1;
         if self.samples_to_housekeeping == 0 {
-            self.run_round(pipeline, compass, snapshot);
+            self.run_housekeeping(pipeline, compass, snapshot);
         }
     }
 
     #[inline(never)]
-    fn run_round(
+    fn run_housekeeping(
         &mut self,
         pipeline: &mut Pipeline,
         compass: Option<&mut CompassTask>,

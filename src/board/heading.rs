@@ -56,7 +56,7 @@ impl HeadingTask {
     #[inline(always)]
     pub fn follow(&mut self, pipeline: &Pipeline) {
         if self.is_running() {
-            pipeline.lead(&mut self.filter);
+            pipeline.update_heading(&mut self.filter);
             if self.filter.changes() != self.published {
                 self.publish(pipeline);
             }

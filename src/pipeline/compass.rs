@@ -1,7 +1,7 @@
 //! A pipeline with a compass: the attitude as without one, and a heading beside it.
 //!
 //! [`CompassPipeline`] does both in one call. Firmware publishes the attitude first: it calls
-//! [`Pipeline::update`], publishes, and lets the heading follow with [`Pipeline::lead`].
+//! [`Pipeline::update`], publishes, and updates the heading with [`Pipeline::update_heading`].
 
 use super::{Pipeline, Settings, Snapshot};
 use crate::calibration::{Calibration, CompassAlignment};
@@ -157,16 +157,16 @@ impl CompassPipeline {
 
     /// Lets the heading filter follow the sample, and sets its flag.
     fn follow(&mut self, mut snapshot: Snapshot) -> Snapshot {
-        self.pipeline.lead(&mut self.heading);
+        self.pipeline.update_heading(&mut self.heading);
         snapshot.set_heading_valid(self.heading());
         snapshot
     }
 }
 
 impl Pipeline {
-    /// Lets a heading filter follow the last sample. Call it after each update.
+    /// Updates a heading filter with the last sample. Call it after each [`update`](Self::update).
     #[inline]
-    pub fn lead(&self, heading: &mut Heading) {
+    pub fn update_heading(&self, heading: &mut Heading) {
         if let Some(t_us) = self.estimator.last_t_us() {
             heading.follow_to(self.kalman(), t_us);
         }
@@ -262,7 +262,7 @@ mod tests {
             let sample = Sample::new(1_000 * index, force, rate);
             let expected = whole.update_sample(&sample);
             let mut snapshot = pipeline.update_sample(&sample);
-            pipeline.lead(&mut heading);
+            pipeline.update_heading(&mut heading);
             snapshot.set_heading_valid(heading.estimate());
             assert_eq!(snapshot, expected, "{index}");
             if index % 20 == 7 {

@@ -100,7 +100,7 @@ impl UnseenMotion {
         if filter.pause_variance_rad2(was_false_s) > square(LOST_TURN_RAD) {
             filter.lose_tilt();
         } else {
-            hide_turn(filter, turn_rad2);
+            inflate_hidden_turn(filter, turn_rad2);
         }
         *sample
     }
@@ -135,7 +135,7 @@ impl UnseenMotion {
             // The rate may have been false from the first repetition on. The filter itself takes
             // the time from the flag on for a pause.
             let change = sample.angular_rate_rad_s - last.angular_rate_rad_s;
-            hide_turn(filter, square(change.norm() * self.unflagged_s));
+            inflate_hidden_turn(filter, square(change.norm() * self.unflagged_s));
         }
         if (flags | skipped).contains(Flags::SENSOR_RESET) {
             filter.inflate_motion(WRONG_SETTINGS_TILT_RAD * WRONG_SETTINGS_TILT_RAD);
@@ -173,7 +173,7 @@ pub(super) fn inflate_jump(estimator: &mut Estimator, last: &Sample, sample: &Sa
 
 /// Inflates the tilt for a hidden turn of this variance per axis, rad². After a large one gravity
 /// shows the tilt better.
-fn hide_turn(filter: &mut Kalman, turn_rad2: f32) {
+fn inflate_hidden_turn(filter: &mut Kalman, turn_rad2: f32) {
     if turn_rad2 > square(LOST_TURN_RAD) {
         filter.lose_tilt();
     } else {

@@ -375,7 +375,7 @@ impl Replayed {
         }
         pipeline.update(burst, step.numbered.flags);
         if let Some(heading) = &mut self.heading {
-            pipeline.lead(heading);
+            pipeline.update_heading(heading);
         }
         if self.is_exact {
             let estimate = self.heading.as_ref().and_then(Heading::estimate);

@@ -73,7 +73,7 @@ impl<W: Write> Recorder<W> {
             .fill(now_us, &mut output, || burst_to_send.take(), || None);
         let snapshot = self.pipeline.update(burst, flags);
         if let Some(heading) = &mut self.heading {
-            self.pipeline.lead(heading);
+            self.pipeline.update_heading(heading);
             let changes = heading.changes();
             if self.changed.is_none_or(|(_, known)| known != changes) {
                 self.changed = Some((now_us, changes));

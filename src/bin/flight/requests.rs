@@ -42,7 +42,7 @@ impl Requests {
 }
 
 /// Requests to the supervisor, which polls them without a lock.
-pub static TO_SUPERVISOR: Requested = Requested::new();
+pub static TO_SUPERVISOR: RequestBits = RequestBits::new();
 /// [`Requests::task`] is set.
 pub const TASK: u8 = 1;
 /// A measurement is wanted.
@@ -53,7 +53,7 @@ pub const MEASUREMENT: u8 = 2;
 pub const NEW_MEASUREMENT: u8 = 4;
 
 /// Work of the attitude task after each publication, besides counting it.
-pub static AFTER_PUBLICATION: Requested = Requested::new();
+pub static AFTER_PUBLICATION: RequestBits = RequestBits::new();
 /// The flight log needs bursts.
 pub const LOG: u8 = 1;
 /// A calibration procedure measures at rest.
@@ -71,9 +71,9 @@ pub struct Latest {
 }
 
 /// Bits that one task sets and another polls.
-pub struct Requested(AtomicU8);
+pub struct RequestBits(AtomicU8);
 
-impl Requested {
+impl RequestBits {
     const fn new() -> Self {
         Self(AtomicU8::new(0))
     }

@@ -10,7 +10,7 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fen
 
 use stm32f4xx_hal::pac::Interrupt;
 
-use super::{BurstReader, await_events, dma, i2c1, mask_unexpected_event, send_stop};
+use super::{BurstReader, dma, enable_event_interrupts, i2c1, mask_unexpected_event, send_stop};
 use crate::board::timebase;
 use crate::compass::{Bytes, LONGEST_READ, Outcome, Transfer};
 use crate::fault::{BurstFault, BurstStep};
@@ -20,7 +20,7 @@ use crate::health::BoardFlags;
 /// µs after the burst before.
 const DEADLINE_US: u32 = 500;
 
-/// State of the mail: none, or stages of one transfer.
+/// State of the slot: none, or stages of one transfer.
 const FREE: u8 = 0;
 const REQUESTED: u8 = 1;
 const RUNNING: u8 = 2;
@@ -30,7 +30,7 @@ const NO_ANSWER: u8 = 5;
 const HUNG: u8 = 6;
 
 /// Transfer, its bytes, and its start.
-struct Mail {
+struct TransferSlot {
     state: AtomicU8,
     started_us: AtomicU32,
     transfer: UnsafeCell<Transfer>,
@@ -40,9 +40,9 @@ struct Mail {
 // SAFETY: the state gives the transfer and the bytes to one side at a time: to the attitude task
 // while it is `FREE` or shows an outcome, to the reader and DMA while it is `REQUESTED` or
 // `RUNNING`.
-unsafe impl Sync for Mail {}
+unsafe impl Sync for TransferSlot {}
 
-static MAIL: Mail = Mail {
+static TRANSFER_SLOT: TransferSlot = TransferSlot {
     state: AtomicU8::new(FREE),
     started_us: AtomicU32::new(0),
     transfer: UnsafeCell::new(Transfer::Read {
@@ -72,13 +72,13 @@ impl CompassTransfers {
 
     /// Requests a transfer. Returns false, and does nothing, while one is under way.
     pub fn request(&mut self, transfer: Transfer) -> bool {
-        if MAIL.state.load(Ordering::Relaxed) != FREE {
+        if TRANSFER_SLOT.state.load(Ordering::Relaxed) != FREE {
             return false;
         }
         // SAFETY: the state is `FREE`, so the reader does not look at the transfer.
-        unsafe { *MAIL.transfer.get() = transfer };
+        unsafe { *TRANSFER_SLOT.transfer.get() = transfer };
         compiler_fence(Ordering::Release);
-        MAIL.state.store(REQUESTED, Ordering::Relaxed);
+        TRANSFER_SLOT.state.store(REQUESTED, Ordering::Relaxed);
         super::request_check();
         true
     }
@@ -86,11 +86,11 @@ impl CompassTransfers {
     /// Takes the outcome of the transfer: `work` gets it, and the time of the transfer's start on
     /// the microsecond timer. `None` while there is no outcome.
     pub fn take<R>(&mut self, work: impl FnOnce(&Outcome<'_>, u32) -> R) -> Option<R> {
-        let state = MAIL.state.load(Ordering::Relaxed);
+        let state = TRANSFER_SLOT.state.load(Ordering::Relaxed);
         compiler_fence(Ordering::Acquire);
         let outcome = match state {
             // SAFETY: the transfer has ended, so DMA does not write the bytes.
-            READ => Outcome::Read(unsafe { &*MAIL.bytes.get() }),
+            READ => Outcome::Read(unsafe { &*TRANSFER_SLOT.bytes.get() }),
             WRITTEN => Outcome::Written,
             NO_ANSWER => Outcome::NoAnswer,
             HUNG => Outcome::Hung,
@@ -101,9 +101,9 @@ impl CompassTransfers {
             }
             _ => return None,
         };
-        let result = work(&outcome, MAIL.started_us.load(Ordering::Relaxed));
+        let result = work(&outcome, TRANSFER_SLOT.started_us.load(Ordering::Relaxed));
         compiler_fence(Ordering::Release);
-        MAIL.state.store(FREE, Ordering::Relaxed);
+        TRANSFER_SLOT.state.store(FREE, Ordering::Relaxed);
         Some(result)
     }
 }
@@ -120,18 +120,18 @@ impl BurstReader {
         let has_fault = HAS_FAULT.load(Ordering::Relaxed);
         self.latched_flags.set(BoardFlags::COMPASS_FAULT, has_fault);
         self.flags.set(BoardFlags::COMPASS_FAULT, has_fault);
-        if MAIL.state.load(Ordering::Relaxed) != REQUESTED {
+        if TRANSFER_SLOT.state.load(Ordering::Relaxed) != REQUESTED {
             return false;
         }
         compiler_fence(Ordering::Acquire);
         let now = timebase::now();
-        MAIL.started_us.store(now, Ordering::Relaxed);
-        MAIL.state.store(RUNNING, Ordering::Relaxed);
+        TRANSFER_SLOT.started_us.store(now, Ordering::Relaxed);
+        TRANSFER_SLOT.state.store(RUNNING, Ordering::Relaxed);
         timebase::set_burst_alarm(now.wrapping_add(DEADLINE_US));
         self.is_check = true;
         self.is_compass = true;
         // SAFETY: the state gives the transfer to the reader.
-        match unsafe { *MAIL.transfer.get() } {
+        match unsafe { *TRANSFER_SLOT.transfer.get() } {
             Transfer::Read {
                 address,
                 register,
@@ -140,7 +140,7 @@ impl BurstReader {
                 self.address_byte = address << 1;
                 self.pointer = register;
                 let length = u16::from(length).min(LONGEST_READ as u16);
-                dma::prepare(MAIL.bytes.get() as u32, length);
+                dma::prepare(TRANSFER_SLOT.bytes.get() as u32, length);
                 self.send_start();
             }
             Transfer::Write { .. } => {
@@ -161,7 +161,7 @@ impl BurstReader {
             address,
             register,
             value,
-        } = (unsafe { *MAIL.transfer.get() })
+        } = (unsafe { *TRANSFER_SLOT.transfer.get() })
         else {
             return;
         };
@@ -175,7 +175,7 @@ impl BurstReader {
             }
             2 if status.btf().bit() => i2c.dr().write(|w| w.dr().set(value)),
             3 if status.btf().bit() => {
-                MAIL.state.store(WRITTEN, Ordering::Release);
+                TRANSFER_SLOT.state.store(WRITTEN, Ordering::Release);
                 self.leave_transfer();
                 return;
             }
@@ -191,16 +191,16 @@ impl BurstReader {
     pub(super) fn end_read(&mut self) {
         let is_suspect = core::mem::take(&mut self.is_suspect);
         let state = if is_suspect { NO_ANSWER } else { READ };
-        MAIL.state.store(state, Ordering::Release);
+        TRANSFER_SLOT.state.store(state, Ordering::Release);
     }
 
     /// Handles a failed transfer. Returns true if the bus is free, and nothing else has to be done.
     pub(super) fn fail_transfer(&mut self, fault: BurstFault) -> bool {
         let is_bus_known = matches!(fault, BurstFault::NotAcknowledged | BurstFault::BusError);
         let state = if is_bus_known { NO_ANSWER } else { HUNG };
-        MAIL.state.store(state, Ordering::Release);
+        TRANSFER_SLOT.state.store(state, Ordering::Release);
         if is_bus_known {
-            await_events();
+            enable_event_interrupts();
             dma::stop();
             self.leave_transfer();
         }

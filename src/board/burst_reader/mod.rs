@@ -48,7 +48,7 @@ use crate::health::BoardFlags;
 use crate::mpu6050::registers::Register;
 use crate::mpu6050::{BURST_LENGTH, Burst};
 use link::{LINK, exti, setup};
-use port::{await_events, i2c1, mask_unexpected_event, send_stop};
+use port::{enable_event_interrupts, i2c1, mask_unexpected_event, send_stop};
 
 /// Longest time from an edge to the end of its burst, in µs: twice what the bus needs.
 pub const BURST_DEADLINE_US: u32 = 800;
@@ -270,7 +270,7 @@ impl BurstReader {
         }
         // Ends the DMA requests. The port clocks on until STOP, and such a byte must not become the
         // first one of the next burst.
-        await_events();
+        enable_event_interrupts();
         if self.is_check {
             self.end_check(timebase);
             return false;
@@ -396,7 +396,7 @@ impl BurstReader {
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
-        await_events();
+        enable_event_interrupts();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.flags.remove(BoardFlags::SCALES_VERIFIED);
         self.flags |= self.latched_flags | LINK.take_notes();
@@ -457,7 +457,7 @@ impl BurstReader {
         LINK.record(failure);
         retained::count(failure.class());
         self.flags |= BoardFlags::BUS_FAULT;
-        await_events();
+        enable_event_interrupts();
         self.is_suspect = false;
         // After any other fault a START may be pending. The recovery then resets the port.
         let is_bus_known = matches!(fault, BurstFault::NotAcknowledged | BurstFault::BusError);

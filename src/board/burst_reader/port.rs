@@ -6,7 +6,7 @@ use super::super::sensor_bus::with_clock;
 
 /// Enables the interrupts of the port, and disables its DMA requests.
 #[inline(always)]
-pub(super) fn await_events() {
+pub(super) fn enable_event_interrupts() {
     i2c1()
         .cr2()
         .write(|w| with_clock(w).itevten().set_bit().iterren().set_bit());

@@ -31,7 +31,7 @@ impl BurstReader {
     pub(super) fn end_check(&mut self, timebase: &mut Timebase) {
         if compass::IS_BUILT_IN && self.is_compass {
             self.end_read();
-            self.end_errand(true, timebase);
+            self.resume_bursts(true, timebase);
             return;
         }
         // SAFETY: the transfer into these bytes is complete.
@@ -42,7 +42,7 @@ impl BurstReader {
             self.flags |= BoardFlags::SCALES_VERIFIED;
         }
         self.next_check = self.next_check.wrapping_add(1);
-        self.end_errand(is_intact, timebase);
+        self.resume_bursts(is_intact, timebase);
         if !is_intact {
             // The supervisor checks again, and counts the fault.
             self.disable();
@@ -50,7 +50,7 @@ impl BurstReader {
     }
 
     /// Returns to bursts, with the one of an edge that has come meanwhile.
-    pub(super) fn end_errand(&mut self, is_intact: bool, timebase: &mut Timebase) {
+    pub(super) fn resume_bursts(&mut self, is_intact: bool, timebase: &mut Timebase) {
         self.return_to_bursts();
         let is_edge_waiting = core::mem::take(&mut self.is_edge_waiting);
         if is_edge_waiting && is_intact {

@@ -49,7 +49,7 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn take_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.nominal.set_gyroscope_bias(bias_rad_s);
-        self.prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
+        self.bias_prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
         self.is_stored_known = sigma_rad_s < KNOWN_BIAS_RAD_S;
         self.is_bias_known = self.is_stored_known;
         self.discard_measured_bias();
@@ -59,7 +59,7 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn discard_measured_bias(&mut self) {
         self.has_rested = false;
-        self.step.covariance.reset_bias(self.prior.variance);
+        self.step.covariance.reset_bias(self.bias_prior.variance);
     }
 
     /// Continues from an earlier run, instead of taking the tilt from the first sample. If σ of
@@ -100,7 +100,7 @@ impl Kalman {
     pub(crate) fn shift_bias(&mut self, change_rad_s: Vector3) {
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s + change_rad_s;
         self.nominal.set_gyroscope_bias(bias_rad_s);
-        self.prior.mean_rad_s = self.prior.mean_rad_s + change_rad_s;
+        self.bias_prior.mean_rad_s = self.bias_prior.mean_rad_s + change_rad_s;
         self.stationary.shift_rate(change_rad_s);
     }
 
@@ -112,7 +112,7 @@ impl Kalman {
             delay_s: self.delay_s,
             longest_step_s: self.longest_step_s,
             is_armed: self.is_armed,
-            ..Self::fresh(self.tuning, self.priors)
+            ..Self::fresh(self.tuning, self.parameter_priors)
         };
         self.nominal.attitude = attitude;
     }
@@ -162,7 +162,9 @@ impl Kalman {
         } else {
             self.recent.may_move();
             let bias = self.nominal.accelerometer_bias_m_s2;
-            if bias.dot(bias) > square(IMPLAUSIBLE_BIAS_SIGMA * self.priors.accelerometer_m_s2) {
+            if bias.dot(bias)
+                > square(IMPLAUSIBLE_BIAS_SIGMA * self.parameter_priors.accelerometer_m_s2)
+            {
                 self.reset_parameters();
             }
             self.level(attitude.rotate(force));

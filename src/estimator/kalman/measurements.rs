@@ -238,11 +238,11 @@ impl Kalman {
     fn widen_prior(&mut self) {
         let BiasPrior {
             mean_rad_s,
-            variance: priors,
-        } = &mut self.prior;
+            variance: variances,
+        } = &mut self.bias_prior;
         let bias = self.nominal.gyroscope_bias_rad_s - *mean_rad_s;
         let deviations = [bias.x, bias.y, bias.z];
-        for (axis, (bias, prior)) in deviations.into_iter().zip(priors).enumerate() {
+        for (axis, (bias, prior)) in deviations.into_iter().zip(variances).enumerate() {
             let own = self.step.covariance.parameter_variance(axis);
             // A known bias is contradicted only beyond its own σ: little was learned seconds after
             // a start in motion, and a wrong tilt moves the bias by more than that.
@@ -271,7 +271,7 @@ impl Kalman {
             return;
         };
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
-        for (axis, prior) in self.prior.variance.iter_mut().enumerate() {
+        for (axis, prior) in self.bias_prior.variance.iter_mut().enumerate() {
             *prior += change.bias_variance;
             let covariance = &mut self.step.covariance;
             covariance.add_to_parameter(axis, change.bias_variance);
@@ -290,7 +290,7 @@ impl Kalman {
         };
         self.next_parameter = parameter as u8;
         let factor = self.relaxation(duration_s);
-        let added = (1.0 - square(factor)) * self.priors.variance(parameter);
+        let added = (1.0 - square(factor)) * self.parameter_priors.variance(parameter);
         let covariance = &mut self.step.covariance;
         covariance.scale_parameter(parameter, factor, added);
         self.nominal.scale_parameter(parameter, factor);

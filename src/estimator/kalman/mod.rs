@@ -197,9 +197,9 @@ pub struct Kalman {
     stationary: StationaryDetector,
     recent: RecentVelocity,
     consistency: Consistency,
-    prior: BiasPrior,
+    bias_prior: BiasPrior,
     force_sum: ForceSum,
-    priors: ParameterPriors,
+    parameter_priors: ParameterPriors,
     rest_watch: RestWatch,
     step: CovarianceStep,
     /// True if the stored bias, or that of a restart, was known.
@@ -298,7 +298,7 @@ impl Kalman {
         Self::fresh(tuning, ParameterPriors::new(accelerometer, gyroscope))
     }
 
-    fn fresh(tuning: &'static Tuning, priors: ParameterPriors) -> Self {
+    fn fresh(tuning: &'static Tuning, parameter_priors: ParameterPriors) -> Self {
         let mut filter = Self {
             tuning,
             delay_s: 0.0,
@@ -320,8 +320,8 @@ impl Kalman {
             recent: RecentVelocity::NONE,
             consistency: Consistency::NONE,
             rest_watch: RestWatch::NONE,
-            priors,
-            prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
+            parameter_priors,
+            bias_prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
             force_sum: ForceSum::NONE,
             next_axis: 0,
             next_parameter: 0,
@@ -342,15 +342,15 @@ impl Kalman {
     /// Sets what is known of the accelerometer's offset, and forgets what motion has shown of every
     /// parameter but the gyroscope's bias. Default: calibrated.
     pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
-        self.priors.accelerometer_m_s2 = knowledge.sigma_m_s2();
+        self.parameter_priors.accelerometer_m_s2 = knowledge.sigma_m_s2();
         self.forget_parameters();
     }
 
     /// Sets what is known of the gyroscope's scale and cross-axis terms, and forgets what motion
     /// has shown of every parameter but its bias. Default: calibrated.
     pub fn set_gyroscope_knowledge(&mut self, knowledge: GyroscopeKnowledge) {
-        self.priors.gyroscope_scale = knowledge.scale_sigma();
-        self.priors.gyroscope_misalignment_rad = knowledge.misalignment_sigma_rad();
+        self.parameter_priors.gyroscope_scale = knowledge.scale_sigma();
+        self.parameter_priors.gyroscope_misalignment_rad = knowledge.misalignment_sigma_rad();
         self.forget_parameters();
     }
 
@@ -529,8 +529,8 @@ impl Kalman {
             let covariance = &self.step.covariance;
             covariance.parameter_variance(GYROSCOPE_PARAMETERS + axis)
         };
-        let is_certain =
-            2.5 * larger(variance(0), variance(1)) < square(self.priors.accelerometer_m_s2);
+        let is_certain = 2.5 * larger(variance(0), variance(1))
+            < square(self.parameter_priors.accelerometer_m_s2);
         let bias = self.nominal.accelerometer_bias_m_s2;
         is_certain.then(|| Vector3::new(bias.x, bias.y, 0.0))
     }
@@ -581,8 +581,8 @@ impl Kalman {
         self.recent.visit_state(visitor);
         self.consistency.visit_state(visitor);
         self.rest_watch.visit_state(visitor);
-        self.priors.visit_state(visitor);
-        self.prior.visit_state(visitor);
+        self.parameter_priors.visit_state(visitor);
+        self.bias_prior.visit_state(visitor);
         self.force_sum.visit_state(visitor);
         let mut next_axis = usize::from(self.next_axis);
         visitor.index(&mut next_axis, 3);

@@ -56,7 +56,9 @@ impl Kalman {
     /// Returns every parameter but the gyroscope's bias to its prior.
     pub(super) fn reset_parameters(&mut self) {
         self.nominal.reset_parameters();
-        self.step.covariance.reset_parameters(&self.priors);
+        self.step
+            .covariance
+            .reset_parameters(&self.parameter_priors);
     }
 
     /// Checks the tilt against the mean specific force. Sets the tilt from it if a single sample

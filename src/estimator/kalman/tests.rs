@@ -1456,7 +1456,7 @@ fn parameters_return_to_their_priors() {
     let mut estimator = estimator();
     world.run(&mut estimator, 1000);
     let filter = estimator.filter_mut();
-    let priors = filter.priors;
+    let priors = filter.parameter_priors;
     for parameter in 3..PARAMETERS {
         let variance = 0.01 * priors.variance(parameter);
         filter
