@@ -74,7 +74,8 @@ pub(super) enum Phase {
 }
 
 impl Heading {
-    /// Runs a slice.
+    /// Runs a slice. Inlined into a loop, each call would compute the addresses of every phase.
+    #[inline(never)]
     pub(super) fn slice(&mut self, kalman: &Kalman) {
         self.phase = match self.phase {
             Phase::Idle => Phase::Idle,
