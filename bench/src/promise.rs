@@ -380,4 +380,18 @@ mod tests {
         let (kept, _) = kept.split_once(' ').expect("a count");
         assert!(kept.parse::<u32>().expect("a count") > 20, "{summary}");
     }
+    /// Without the accelerometer's bias among the errors that the heading follows, its covariance
+    /// became indefinite in these swings, and it restarted.
+    #[test]
+    fn a_swing_keeps_its_heading() {
+        for (kind, seed) in [(Kind::Swing, 20_243), (Kind::Again, 20_190)] {
+            let mut lost_us = None;
+            Flight::new(kind, seed).run(|simulated, _, pipeline| {
+                if simulated.t_us > 5_000_000 && pipeline.heading().is_none() {
+                    lost_us.get_or_insert(simulated.t_us);
+                }
+            });
+            assert_eq!(lost_us, None, "seed {seed}");
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! Covariance of the field states, and their cross-covariance with the tilt filter's error states.
 //!
 //! ```text
-//! O: 9 × 9, lower triangle by rows      X: 6 × 16, field and hard iron with the error states
+//! O: 9 × 9, lower triangle by rows      X: 6 × 19, field and hard iron with the error states
 //! ```
 //!
 //! The local deviation forgets within seconds. Its correlation with the error states changes no

@@ -367,14 +367,14 @@ impl Covariance {
         [north, both, east]
     }
 
-    /// Adds the columns of tilt or velocity, north and east, times these factors, without the
-    /// accelerometer's bias. `first` is the first of the two states.
+    /// Adds the columns of tilt or velocity, north and east, times these factors. `first` is the
+    /// first of the two states.
     pub(super) fn add_dynamic_columns(
         &self,
         first: usize,
         [north, east]: [f32; 2],
         dynamic: &mut [f32; DYNAMIC],
-        gyroscope: &mut [f32; GYROSCOPE_PARAMETERS],
+        parameters: &mut [f32; PARAMETERS],
     ) {
         // M is symmetric.
         let rows = (self.dynamic.get(first), self.dynamic.get(first + 1));
@@ -384,30 +384,30 @@ impl Covariance {
             }
         }
         if first == 0 {
-            for (sum, [n, e, _, _]) in gyroscope.iter_mut().zip(&self.cross) {
+            for (sum, [n, e, _, _]) in parameters.iter_mut().zip(&self.cross) {
                 *sum += north * n + east * e;
             }
         } else {
-            for (sum, [_, _, n, e]) in gyroscope.iter_mut().zip(&self.cross) {
+            for (sum, [_, _, n, e]) in parameters.iter_mut().zip(&self.cross) {
                 *sum += north * n + east * e;
             }
         }
     }
 
-    /// Adds the column of a gyroscope parameter times a factor, without the accelerometer's bias.
+    /// Adds the column of a parameter times a factor.
     pub(super) fn add_parameter_column(
         &self,
         parameter: usize,
         factor: f32,
         dynamic: &mut [f32; DYNAMIC],
-        gyroscope: &mut [f32; GYROSCOPE_PARAMETERS],
+        parameters: &mut [f32; PARAMETERS],
     ) {
         if let Some(row) = self.cross.get(parameter) {
             for (sum, entry) in dynamic.iter_mut().zip(row) {
                 *sum += factor * entry;
             }
         }
-        let (before, after) = gyroscope.split_at_mut(GYROSCOPE_PARAMETERS.min(parameter + 1));
+        let (before, after) = parameters.split_at_mut(PARAMETERS.min(parameter + 1));
         for (sum, entry) in before.iter_mut().zip(self.row(parameter)) {
             *sum += factor * entry;
         }
@@ -420,24 +420,26 @@ impl Covariance {
         }
     }
 
-    /// Adds a row of X and C to the product of the gyroscope's part of the covariance with a
-    /// vector. All rows make the whole product.
+    /// Adds a row of X and C to the product of the covariance with a vector that has entries at the
+    /// gyroscope's parameters only. All rows make the whole product.
     pub(super) fn add_row_product(
         &self,
         parameter: usize,
         vector: &[f32; GYROSCOPE_PARAMETERS],
         dynamic: &mut [f32; DYNAMIC],
-        gyroscope: &mut [f32; GYROSCOPE_PARAMETERS],
+        parameters: &mut [f32; PARAMETERS],
     ) {
         let Some((variance, row)) = self.row(parameter).split_last() else {
             return;
         };
-        let Some((before, [own, ..])) = gyroscope.split_at_mut_checked(parameter) else {
+        let Some((before, [own, ..])) = parameters.split_at_mut_checked(parameter) else {
             return;
         };
-        let (Some(factor), Some(cross)) = (vector.get(parameter), self.cross.get(parameter)) else {
+        let Some(cross) = self.cross.get(parameter) else {
             return;
         };
+        // A row of the accelerometer's bias has no entry.
+        let factor = vector.get(parameter).copied().unwrap_or(0.0);
         for (sum, entry) in dynamic.iter_mut().zip(cross) {
             *sum += factor * entry;
         }

@@ -21,9 +21,11 @@ use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::{smaller, square};
 
-/// Number of error states that a follower sees: tilt (2), velocity (2), gyroscope bias (3) and
-/// matrix (9). The accelerometer's bias is left out: its correlation with a field changes no score.
-pub(in crate::estimator) const ERROR_STATES: usize = DYNAMIC + GYROSCOPE_PARAMETERS;
+/// Number of error states: tilt (2), velocity (2), gyroscope bias (3) and matrix (9), accelerometer
+/// bias (3). A follower needs all of them. The errors of tilt and accelerometer bias mostly cancel
+/// in the velocity. Without the bias, each measured velocity would shrink the follower's covariance
+/// by too much, until it is indefinite.
+pub(in crate::estimator) const ERROR_STATES: usize = DYNAMIC + PARAMETERS;
 
 /// Error states of the velocity.
 pub(in crate::estimator) const VELOCITY: core::ops::Range<usize> = 2..DYNAMIC;
@@ -157,7 +159,7 @@ impl Kalman {
         column: &mut [f32; ERROR_STATES],
     ) {
         if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
-            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
+            && let Some(parameters) = rest.first_chunk_mut::<PARAMETERS>()
         {
             let covariance = &self.step.covariance;
             covariance.add_dynamic_columns(first, factors, dynamic, parameters);
@@ -172,9 +174,9 @@ impl Kalman {
         vector: &[f32; GYROSCOPE_PARAMETERS],
         column: &mut [f32; ERROR_STATES],
     ) -> bool {
-        let last = (GYROSCOPE_PARAMETERS - 1).saturating_sub(part);
+        let last = (PARAMETERS - 1).saturating_sub(part);
         if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
-            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
+            && let Some(parameters) = rest.first_chunk_mut::<PARAMETERS>()
         {
             let covariance = &self.step.covariance;
             covariance.add_row_product(last, vector, dynamic, parameters);
@@ -188,9 +190,9 @@ impl Kalman {
     /// Propagates a row of the cross-covariance through the last covariance step.
     pub(in crate::estimator) fn propagate_row(&self, row: &mut [f32; ERROR_STATES]) {
         if let Some((dynamic, rest)) = row.split_first_chunk_mut::<DYNAMIC>()
-            && let Some(parameters) = rest.first_chunk::<GYROSCOPE_PARAMETERS>()
+            && let Some(parameters) = rest.first_chunk::<PARAMETERS>()
         {
-            self.step.transition().apply_to_tilt(dynamic, parameters);
+            self.step.transition().apply(dynamic, parameters);
         }
     }
 
@@ -227,7 +229,7 @@ impl Kalman {
         column: &mut [f32; ERROR_STATES],
     ) {
         if let Some((dynamic, rest)) = column.split_first_chunk_mut::<DYNAMIC>()
-            && let Some(parameters) = rest.first_chunk_mut::<GYROSCOPE_PARAMETERS>()
+            && let Some(parameters) = rest.first_chunk_mut::<PARAMETERS>()
         {
             let covariance = &self.step.covariance;
             covariance.add_parameter_column(parameter, factor, dynamic, parameters);

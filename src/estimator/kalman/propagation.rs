@@ -75,23 +75,6 @@ impl Transition {
         dynamic[1] -= east;
     }
 
-    /// Propagates an error like [`apply`](Self::apply), for an exact accelerometer.
-    pub(super) fn apply_to_tilt(
-        &self,
-        dynamic: &mut [f32; DYNAMIC],
-        gyroscope: &[f32; GYROSCOPE_PARAMETERS],
-    ) {
-        let [mut north, mut east] = [0.0; 2];
-        for (b, parameter) in self.tilt.iter().zip(gyroscope) {
-            north += b[0] * parameter;
-            east += b[1] * parameter;
-        }
-        dynamic[2] += self.down_m_s * dynamic[1];
-        dynamic[3] -= self.down_m_s * dynamic[0];
-        dynamic[0] -= north;
-        dynamic[1] -= east;
-    }
-
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.f32s(self.tilt.as_flattened_mut());
