@@ -11,7 +11,7 @@
 
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
 use super::step::Phase;
-use super::{CompassKnowledge, Heading, HeadingEstimate};
+use super::{Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::estimator::filter::Filter as _;
@@ -158,7 +158,7 @@ impl Heading {
         let along = self.first_turn;
         let squared_along = square(along.dot(turn)) / along.dot(along);
         self.has_two_axes |= turn.dot(turn) - squared_along > least;
-        if self.has_two_axes || self.knowledge != CompassKnowledge::Factory {
+        if self.has_two_axes || self.is_iron_known {
             self.verified_s += self.motion * self.closed().duration_s;
         }
     }
@@ -319,9 +319,10 @@ impl Heading {
             self.first_attitude = None;
             self.first_turn = Vector3::ZERO;
         }
-        let verified_after_s = match self.knowledge {
-            CompassKnowledge::Factory => tuning.verified_uncalibrated_after_s,
-            CompassKnowledge::HardIron | CompassKnowledge::Calibrated => tuning.verified_after_s,
+        let verified_after_s = if self.is_iron_known {
+            tuning.verified_after_s
+        } else {
+            tuning.verified_uncalibrated_after_s
         };
         let estimate = (sigma_rad < tuning.known_rad).then(|| HeadingEstimate {
             yaw_offset_rad: wrap_pi(self.declination_rad - libm::atan2f(cy, cx)),

@@ -15,9 +15,9 @@
 //! # Passive
 //!
 //! The filter reads the tilt filter and changes nothing in it, so the attitude with a compass is
-//! that without one, to the bit. A magnet cannot tilt the horizon. The errors of tilt, velocity
-//! and gyroscope are *considered*: X, their cross-covariance with c and b, follows each of the tilt
-//! filter's covariance steps. A gain on the gyroscope's bias was tried on 14 trials and left out,
+//! that without one, to the bit. A magnet cannot tilt the horizon. The errors of all its states are
+//! *considered*: X, their cross-covariance with c and b, follows each of the tilt filter's
+//! covariance steps. A gain on the gyroscope's bias was tried on 14 trials and left out,
 //! because it improved no score.
 //!
 //! # Disturbances
@@ -30,12 +30,12 @@
 //!   like north. The heading is not valid until 2.5 s of motion agree with it; for an uncalibrated
 //!   compass 6 s, with turns about two axes.
 //! - A lasting innovation though the field's length fits means that the field is right and the
-//!   filter wrong. It then starts afresh.
+//!   filter wrong. It then starts afresh with uncertain hard iron, so a calibration counts no more.
 //!
 //! # Cost
 //!
-//! Deadline: one sample. With the tilt filter a sample costs 450 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 872 at worst. Below 250 Hz a whole step runs with one sample.
+//! Deadline: one sample. With the tilt filter a sample costs 458 instructions on average on a
+//! Cortex-M4F at 1 kHz, and 871 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -140,6 +140,8 @@ pub struct Heading {
     changes: u8,
     /// True after turns about two axes from `first_attitude`.
     has_two_axes: bool,
+    /// True if a calibration or an earlier flight has given the hard iron, until a restart.
+    is_iron_known: bool,
     /// Time since the last earth step that was added, s.
     elapsed_s: f32,
     /// Inverse of a measurement's innovation variance, 1/µT²; from the gate to the watch, the
@@ -223,6 +225,7 @@ impl Heading {
             first_attitude: None,
             first_turn: Vector3::ZERO,
             has_two_axes: false,
+            is_iron_known: knowledge != CompassKnowledge::Factory,
             verified_s: 0.0,
             estimate: None,
             changes: 0,
@@ -338,6 +341,7 @@ impl Heading {
         });
         visitor.vector(&mut self.first_turn);
         visitor.bool(&mut self.has_two_axes);
+        visitor.bool(&mut self.is_iron_known);
         let blank = HeadingEstimate {
             yaw_offset_rad: 0.0,
             sigma_rad: 0.0,
@@ -384,6 +388,7 @@ impl Heading {
 
     fn restart(&mut self) {
         self.reset_field();
+        self.is_iron_known = false;
         let iron = square(self.knowledge.sigma_ut()) + square(self.tuning.restart_hard_iron_ut);
         self.reset_iron(iron);
         if !self.state.iter().all(|state| state.abs() < 1.0e4) {

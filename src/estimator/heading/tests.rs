@@ -210,6 +210,26 @@ fn a_restart_has_no_heading_before_a_reading() {
     assert!(flight.heading.contradicted_s < 10.0, "it has restarted");
 }
 
+/// A restart opens the hard iron, which turns about one axis do not show.
+#[test]
+fn after_a_restart_turns_about_one_axis_are_too_few() {
+    let is_valid = |flight: &Flight| flight.heading.estimate().is_some_and(|it| it.is_valid);
+    for knowledge in [CompassKnowledge::Calibrated, CompassKnowledge::HardIron] {
+        let mut flight = Flight::new(20.0, knowledge);
+        flight.rest(3.0);
+        flight.tumble(10.0);
+        assert!(is_valid(&flight));
+        flight.heading.contradiction = 1.0e6;
+        flight.heading.contradicted_s = 1.0e3;
+        for _ in 0..30 {
+            flight.run(1.0, |t_s| Vector3::new(0.0, 0.0, libm::sinf(t_s)));
+            assert!(!is_valid(&flight), "{} us", flight.t_us);
+        }
+        flight.tumble(20.0);
+        assert!(is_valid(&flight));
+    }
+}
+
 #[test]
 fn a_reset_keeps_the_settings_alone() {
     let mut flight = Flight::new(20.0, CompassKnowledge::Factory);
