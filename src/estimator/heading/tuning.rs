@@ -84,7 +84,7 @@ impl Tuning {
         field_walk: 0.02,
         yaw_walk: 0.007,
         hard_iron_walk: 0.005,
-        deviation_ut: 3.5,
+        deviation_ut: 3.0,
         deviation_moving_s: 0.2,
         deviation_still_s: 10.0,
         moving_rate_rad_s: 0.5,
