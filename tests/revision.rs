@@ -1,17 +1,26 @@
 //! Tests that the filters' revision identifies their bits, and that a filter's state is complete.
 
+use aplomb::attitude::Vector3;
 use aplomb::estimator::REVISION;
+use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
-use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::pipeline::{CompassPipeline, Pipeline, Settings};
 use aplomb::serialize::{StateReader, StateWriter};
+use aplomb::units::MagneticField;
 
 /// Hash of all attitudes of the flight below. If this test fails, the filter's attitudes differ
 /// from those in logs of this revision. Then increase `REVISION` in `src/estimator/mod.rs`, and put
 /// the new hash here.
 const EXPECTED: (u16, u64) = (18, 0xECCA_B05A_B90F_BA42);
+
+/// Hash of all headings of that flight, likewise.
+const EXPECTED_HEADINGS: (u16, u64) = (18, 0x1411_4E03_7597_C744);
+
+/// Start of a hash.
+const EMPTY_HASH: u64 = 0xCBF2_9CE4_8422_2325;
 
 /// Flight of ten seconds at about 1 kHz: rest, then turns and shaking. It includes gaps,
 /// saturation, free fall, frozen data, a sensor that has lost its settings, and a crystal that
@@ -92,23 +101,50 @@ fn step(pipeline: &mut Pipeline, (burst, board): &(Burst, BoardFlags)) -> ([u32;
     (bits, snapshot.flags)
 }
 
+/// Adds to a hash: FNV-1a, 64 bits.
+fn add_to_hash(hash: u64, bits: &[u32]) -> u64 {
+    let bytes = bits.iter().flat_map(|bits| bits.to_le_bytes());
+    bytes.fold(hash, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3)
+    })
+}
+
 #[test]
 fn attitudes_of_this_revision_have_this_hash() {
     let mut pipeline = pipeline();
-    // FNV-1a, 64 bits.
-    let found = flight().fold(0xCBF2_9CE4_8422_2325_u64, |hash, burst| {
-        step(&mut pipeline, &burst)
-            .0
-            .iter()
-            .flat_map(|bits| bits.to_le_bytes())
-            .fold(hash, |hash, byte| {
-                (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3)
-            })
+    let found = flight().fold(EMPTY_HASH, |hash, burst| {
+        add_to_hash(hash, &step(&mut pipeline, &burst).0)
     });
     assert_eq!(
         (REVISION, found),
         EXPECTED,
         "raise REVISION and put this hash into EXPECTED: {found:#x?}"
+    );
+}
+
+#[test]
+fn headings_of_this_revision_have_this_hash() {
+    let settings = Settings::new(&Part::MPU_6050);
+    let mut pipeline = CompassPipeline::new(&settings, CompassKnowledge::Calibrated);
+    let (mut found, mut headings) = (EMPTY_HASH, 0);
+    for (index, (burst, board)) in flight().enumerate() {
+        let attitude = pipeline.update(&burst, board).attitude;
+        if index % 10 == 0 {
+            let earth_ut = Vector3::new(20.0, 0.0, 44.0);
+            let Vector3 { x, y, z } = attitude.conjugate().rotate(earth_ut);
+            pipeline.update_field(MagneticField { ut: [x, y, z] }, 2_000);
+        }
+        if let Some(heading) = pipeline.heading() {
+            let bits = [heading.yaw_offset_rad, heading.sigma_rad].map(f32::to_bits);
+            found = add_to_hash(found, &bits);
+            headings += 1;
+        }
+    }
+    assert!(headings > 5_000, "{headings}");
+    assert_eq!(
+        (REVISION, found),
+        EXPECTED_HEADINGS,
+        "raise REVISION and put this hash into EXPECTED_HEADINGS: {found:#x?}"
     );
 }
 

@@ -380,6 +380,7 @@ mod tests {
         let (kept, _) = kept.split_once(' ').expect("a count");
         assert!(kept.parse::<u32>().expect("a count") > 20, "{summary}");
     }
+
     /// Without the accelerometer's bias among the errors that the heading follows, its covariance
     /// became indefinite in these swings, and it restarted.
     #[test]

@@ -94,7 +94,7 @@ impl AttitudeTask {
             {
                 compass.follow(pipeline);
             }
-            self.step_housekeeping(pipeline, compass, &snapshot);
+            self.finish_sample(pipeline, compass, &snapshot);
             return self.take_flags(snapshot.flags);
         }
         let (t_us, board) = burst_reader::take_stale()?;
@@ -106,7 +106,7 @@ impl AttitudeTask {
 
     /// Requests checks of the sensor's settings, and does the periodic work.
     #[inline(always)]
-    fn step_housekeeping(
+    fn finish_sample(
         &mut self,
         pipeline: &mut Pipeline,
         compass: Option<&mut CompassTask>,

@@ -30,12 +30,13 @@
 //!   like north. The heading is not valid until 2.5 s of motion agree with it; for an uncalibrated
 //!   compass 6 s, with turns about two axes.
 //! - A lasting innovation though the field's length fits means that the field is right and the
-//!   filter wrong. It then starts afresh with uncertain hard iron, so a calibration counts no more.
+//!   filter wrong. It then starts afresh, with uncertain hard iron. From then on the heading needs
+//!   what an uncalibrated compass needs.
 //!
 //! # Cost
 //!
-//! Deadline: one sample. With the tilt filter a sample costs 458 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 871 at worst. Below 250 Hz a whole step runs with one sample.
+//! Deadline: one sample. With the tilt filter a sample costs 465 instructions on average on a
+//! Cortex-M4F at 1 kHz, and 873 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -290,7 +291,7 @@ impl Heading {
 
     /// Returns the hard iron, µT in body axes, once it is certain enough for a later start with
     /// [`CompassKnowledge::HardIron`]: the heading is valid, and σ of each axis is below 3 µT.
-    /// `None` for a calibrated compass, whose calibration is better.
+    /// `None` for a calibrated compass: a new calibration is better.
     pub fn certain_hard_iron_ut(&self) -> Option<Vector3> {
         const LARGEST_VARIANCE_UT2: f32 = square(3.0);
         let is_valid = self.estimate.is_some_and(|estimate| estimate.is_valid)
@@ -433,13 +434,16 @@ impl Heading {
     /// Follows the tilt filter, after each of its samples, `dt_s` seconds after the previous one.
     #[inline]
     pub fn follow(&mut self, kalman: &Kalman, dt_s: f32) {
+        if kalman.is_motion_reset() && self.covariance.is_correlated() {
+            self.follow_reset();
+        }
         self.elapsed_s += dt_s;
         let is_earth_step = kalman.is_at_earth_step();
         if is_earth_step && self.elapsed_s > EARTH_PERIOD_S {
             self.add_earth_step(kalman, dt_s);
         }
         if kalman.interval_s() == 0.0 && self.has_interval {
-            self.close(kalman);
+            self.close();
             // The tilt filter has just begun a step: the reading can wait.
             self.reading_age_s += dt_s;
             return;
@@ -454,9 +458,7 @@ impl Heading {
         match self.phase {
             Phase::Idle => {}
             Phase::Waiting => {
-                if kalman.is_motion_reset() {
-                    self.follow_reset();
-                } else if !kalman.is_step_under_way() {
+                if !kalman.is_step_under_way() {
                     self.phase = Phase::Propagate(0);
                     if dt_s > LONGEST_SLICED_S {
                         self.run_slices(kalman, dt_s, false);
@@ -535,12 +537,8 @@ impl Heading {
 
     /// Closes the interval: its step follows that of the tilt filter.
     #[inline(never)]
-    fn close(&mut self, kalman: &Kalman) {
+    fn close(&mut self) {
         self.has_interval = false;
-        if kalman.is_motion_reset() {
-            self.follow_reset();
-            return;
-        }
         *self.closed_mut() = Interval::EMPTY;
         self.present ^= 1;
         self.phase = Phase::Waiting;

@@ -39,7 +39,7 @@ pub(super) enum Phase {
     Follow(u8, u8),
     /// A row of O by the tilt filter's measurements, from this index on.
     FollowOwn(u8, u8),
-    /// Covariance of the drift of yaw with the error states, from this parameter on.
+    /// Covariance of the drift of yaw with the error states, from this pair of parameters on.
     Drift(u8),
     /// Covariance of the drift of yaw with the field states.
     Turn,

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::attitude::{BodyVector, EulerAngles, Quaternion};
-use crate::estimator::kalman::WarmStart;
+use crate::estimator::kalman::{AccelerometerKnowledge, WarmStart};
 use crate::estimator::{Estimator, Sample};
 use crate::serialize::{StateReader, StateWriter};
 use crate::units::{STANDARD_GRAVITY_M_S2, degrees, radians};
@@ -225,6 +225,9 @@ fn after_a_restart_turns_about_one_axis_are_too_few() {
             flight.run(1.0, |t_s| Vector3::new(0.0, 0.0, libm::sinf(t_s)));
             assert!(!is_valid(&flight), "{} us", flight.t_us);
         }
+        // Only the second axis is missing.
+        assert!(flight.heading.inconsistency < flight.heading.tuning.valid_inconsistency);
+        assert!(!flight.heading.has_two_axes);
         flight.tumble(20.0);
         assert!(is_valid(&flight));
     }
@@ -381,6 +384,116 @@ fn a_gap_forgets_the_correlations_with_the_tilt_filter() {
     flight.reading_us = flight.t_us;
     flight.step(Vector3::ZERO);
     assert!(!correlates(&flight));
+}
+
+/// A changed knowledge resets the tilt filter before it gets the next sample.
+#[test]
+fn a_reset_between_two_samples_is_noticed() {
+    let kinds = [
+        AccelerometerKnowledge::Calibrated,
+        AccelerometerKnowledge::Factory,
+    ];
+    for step_us in [1_000, 4_000, 20_000] {
+        let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
+        flight.step_us = step_us;
+        flight.rest(3.0);
+        for (trial, kind) in kinds.into_iter().cycle().take(40).enumerate() {
+            flight.tumble(0.5 + 0.001 * trial as f32);
+            assert!(flight.heading.covariance.is_correlated());
+            flight
+                .estimator
+                .filter_mut()
+                .set_accelerometer_knowledge(kind);
+            flight.step(Vector3::ZERO);
+            let mut entries = flight.heading.covariance.cross.iter().flatten();
+            assert!(
+                entries.all(|entry| *entry == 0.0),
+                "{step_us} us, trial {trial}"
+            );
+        }
+    }
+}
+
+/// Returns the joint covariance of the heading filter and the tilt filter.
+fn joint_covariance(flight: &Flight) -> [[f64; JOINT]; JOINT] {
+    let (heading, kalman) = (&flight.heading.covariance, flight.estimator.filter());
+    let mut joint = [[0.0; JOINT]; JOINT];
+    for row in 0..STATES {
+        for column in 0..STATES {
+            joint[row][column] = heading.entry(row, column).into();
+        }
+        for state in 0..ERROR_STATES {
+            let entry = heading.cross_entry(row, state).into();
+            joint[row][STATES + state] = entry;
+            joint[STATES + state][row] = entry;
+        }
+    }
+    for state in 0..ERROR_STATES {
+        let mut column = [0.0; ERROR_STATES];
+        match state {
+            0 => kalman.add_tilt_columns([1.0, 0.0], &mut column),
+            1 => kalman.add_tilt_columns([0.0, 1.0], &mut column),
+            2 => kalman.add_velocity_columns([1.0, 0.0], &mut column),
+            3 => kalman.add_velocity_columns([0.0, 1.0], &mut column),
+            _ => kalman.add_parameter_column(state - 4, 1.0, &mut column),
+        }
+        for (other, entry) in column.into_iter().enumerate() {
+            joint[STATES + state][STATES + other] = entry.into();
+        }
+    }
+    joint
+}
+
+const JOINT: usize = STATES + ERROR_STATES;
+
+/// Returns the least pivot of a covariance's correlation matrix: positive if it is definite.
+fn least_pivot(covariance: &[[f64; JOINT]; JOINT]) -> f64 {
+    let sigma: [f64; JOINT] = core::array::from_fn(|state| covariance[state][state].sqrt());
+    let mut rest = *covariance;
+    for (row, entries) in rest.iter_mut().enumerate() {
+        for (column, entry) in entries.iter_mut().enumerate() {
+            *entry /= sigma[row] * sigma[column];
+        }
+    }
+    let mut least = f64::INFINITY;
+    for pivot in 0..JOINT {
+        let pivots = rest[pivot];
+        least = least.min(pivots[pivot]);
+        for entries in rest.iter_mut().skip(pivot + 1) {
+            let factor = entries[pivot] / pivots[pivot];
+            for (entry, above) in entries.iter_mut().zip(pivots) {
+                *entry -= factor * above;
+            }
+        }
+    }
+    least
+}
+
+/// The heading filter has to repeat each step of the tilt filter. Otherwise measurements of the one
+/// shrink the covariance of the other by too much.
+#[test]
+fn the_joint_covariance_is_positive_definite() {
+    let swing = |t_s: f32| Vector3::new(-0.65, -0.7, -0.3).scale(2.0 * libm::sinf(2.5 * t_s));
+    for knowledge in CompassKnowledge::ALL {
+        let mut flight = Flight::new(20.0, knowledge);
+        flight.step_us = 1_000;
+        flight.rest(2.0);
+        let mut checks = 0;
+        for second in 0..90 {
+            match second {
+                0..40 => flight.run(1.0, swing),
+                60..70 => flight.tumble(1.0),
+                _ => flight.rest(1.0),
+            }
+            if flight.heading.phase == Phase::Idle && !flight.estimator.filter().is_step_under_way()
+            {
+                let least = least_pivot(&joint_covariance(&flight));
+                assert!(least > 0.0, "{knowledge:?}, {second} s: {least}");
+                checks += 1;
+            }
+        }
+        assert!(checks > 20, "{checks}");
+    }
 }
 
 #[test]

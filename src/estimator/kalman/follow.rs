@@ -166,8 +166,9 @@ impl Kalman {
         }
     }
 
-    /// Adds two rows of the covariance, a short and a long one, to its product with a vector that
-    /// has entries at the gyroscope's parameters only. Returns false after the last rows.
+    /// Adds two rows of the covariance, a short and a long one, or the middle one, to its product
+    /// with a vector that has entries at the gyroscope's parameters only. Returns false after the
+    /// last rows.
     pub(in crate::estimator) fn add_product(
         &self,
         part: usize,

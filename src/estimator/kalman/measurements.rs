@@ -242,23 +242,27 @@ impl Kalman {
         } = &mut self.bias_prior;
         let bias = self.nominal.gyroscope_bias_rad_s - *mean_rad_s;
         let deviations = [bias.x, bias.y, bias.z];
-        for (axis, (bias, prior)) in deviations.into_iter().zip(variances).enumerate() {
+        for (axis, (bias, variance)) in deviations.into_iter().zip(variances).enumerate() {
             let own = self.step.covariance.parameter_variance(axis);
             // A known bias is contradicted only beyond its own σ: little was learned seconds after
             // a start in motion, and a wrong tilt moves the bias by more than that.
-            let is_known = *prior < square(KNOWN_BIAS_RAD_S);
-            let least = if is_known { *prior } else { 0.02 * *prior };
-            let learned = larger(*prior - own, least);
+            let is_known = *variance < square(KNOWN_BIAS_RAD_S);
+            let least = if is_known {
+                *variance
+            } else {
+                0.02 * *variance
+            };
+            let learned = larger(*variance - own, least);
             if square(bias) > square(self.tuning.prior_gate_sigma) * learned
-                && *prior < square(LARGEST_GYROSCOPE_BIAS_RAD_S)
-                && own < *prior * 1.5
+                && *variance < square(LARGEST_GYROSCOPE_BIAS_RAD_S)
+                && own < *variance * 1.5
             {
                 self.step.measure(Measurement {
                     state: State::Parameter(axis),
                     innovation: -bias,
-                    variance: -2.0 * *prior,
+                    variance: -2.0 * *variance,
                 });
-                *prior *= 2.0;
+                *variance *= 2.0;
             }
         }
     }
