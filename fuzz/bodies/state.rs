@@ -1,12 +1,14 @@
-//! Random bytes as a filter's state, from a flight log or from RAM after a reset: later samples
-//! still give attitudes.
+//! Random bytes as the filters' state, from a flight log or from RAM after a reset: later samples
+//! still give attitudes and headings.
 
 use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::WarmStart;
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{Burst, Part};
-use aplomb::pipeline::{Pipeline, Settings, Snapshot};
+use aplomb::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
 use aplomb::serialize::{StateReader, StateWriter};
+use aplomb::units::MagneticField;
 
 /// Bytes of a burst, its distance from the last one in ms, and the board's flags.
 const STEP: usize = 14 + 2;
@@ -28,26 +30,37 @@ pub fn run(bytes: &[u8]) {
         ..Settings::new(&Part::MPU_6050)
     };
     let mut pipeline = Pipeline::new(&settings);
-    let mut t_us = 1_000;
     let is_restored = kind & 8 == 0;
-    let before = if is_restored { kind >> 4 } else { 0 };
-    for _ in 0..before {
-        t_us += 1_000;
-        let mut bytes = [0x11; 14];
-        bytes[13] = t_us as u8;
-        pipeline.update(&burst(bytes, t_us), BoardFlags::empty());
-    }
-    let rest = if is_restored {
-        let (changed, rest) = rest.split_at(rest.len().min(3 * usize::from(*changes)));
-        restored(&mut pipeline, changed);
-        rest
-    } else {
-        let Some((known, rest)) = rest.split_first_chunk() else {
+    let mut rest = rest;
+    if !is_restored {
+        let Some((known, later)) = rest.split_first_chunk() else {
             return;
         };
         resumed(&mut pipeline, known);
-        rest
-    };
+        rest = later;
+    }
+    let knowledge = [
+        CompassKnowledge::Factory,
+        CompassKnowledge::HardIron,
+        CompassKnowledge::Calibrated,
+        CompassKnowledge::Calibrated,
+    ];
+    let knowledge = knowledge[usize::from(kind >> 1 & 3)];
+    let mut pipeline = CompassPipeline::with_pipeline(pipeline, knowledge);
+    let mut t_us = 1_000;
+    if is_restored {
+        // Up to 0.5 s: longer than a step of the heading.
+        for _ in 0..32 * u32::from(kind >> 4) {
+            t_us += 1_000;
+            let mut bytes = [0x11; 14];
+            bytes[13] = t_us as u8;
+            pipeline.update(&burst(bytes, t_us), BoardFlags::empty());
+            pipeline.update_field(field([20, 1, 44]), 0);
+        }
+        let (changed, later) = rest.split_at(rest.len().min(3 * usize::from(*changes)));
+        restored(&mut pipeline, changed);
+        rest = later;
+    }
     for step in rest.as_chunks::<STEP>().0 {
         let [bytes @ .., pause, flags] = *step;
         t_us += 1_000 * (1 + u64::from(pause).pow(2));
@@ -55,17 +68,20 @@ pub fn run(bytes: &[u8]) {
         let flags = BoardFlags::from_bits_truncate(bits);
         let burst = burst(bytes, t_us);
         let snapshot = pipeline.update(&burst, flags);
-        let stale = pipeline.stale(t_us + 5_000, flags);
-        // After a state that no filter can reach, only finite output is required.
+        let stale = pipeline.pipeline().stale(t_us + 5_000, flags);
+        let [x, y, z, age, ..] = bytes;
+        pipeline.update_field(field([x, y, z]), 100 * u32::from(age));
+        // After a state that no filter can reach, nothing may panic, and no more is required.
         if !is_restored {
             check(&snapshot);
             check(&stale);
+            check_heading(&pipeline);
         }
     }
 }
 
 /// Applies changes to the pipeline's state; a refused state changes nothing.
-fn restored(pipeline: &mut Pipeline, changes: &[u8]) {
+fn restored(pipeline: &mut CompassPipeline, changes: &[u8]) {
     let mut state = written(pipeline);
     for [high, low, bits] in changes.as_chunks().0 {
         let place = usize::from(u16::from_be_bytes([*high, *low]));
@@ -82,14 +98,14 @@ fn restored(pipeline: &mut Pipeline, changes: &[u8]) {
     *pipeline = changed;
 }
 
-fn read(mut pipeline: Pipeline, state: &[u8]) -> Option<Pipeline> {
+fn read(mut pipeline: CompassPipeline, state: &[u8]) -> Option<CompassPipeline> {
     let mut reader = StateReader::new(state);
     pipeline.visit_state(&mut reader);
     reader.is_complete().then_some(pipeline)
 }
 
-fn written(pipeline: &mut Pipeline) -> Vec<u8> {
-    let mut bytes = vec![0; 4096];
+fn written(pipeline: &mut CompassPipeline) -> Vec<u8> {
+    let mut bytes = vec![0; 8192];
     let mut window = StateWriter::new(&mut bytes, 0);
     pipeline.visit_state(&mut window);
     let length = window.length().expect("it goes into bytes");
@@ -125,6 +141,20 @@ fn burst(bytes: [u8; 14], captured_at_us: u64) -> Burst {
         bytes,
         captured_at_us,
         missed_before: 0,
+    }
+}
+
+/// A field of up to 127 µT per axis.
+fn field(bytes: [u8; 3]) -> MagneticField {
+    MagneticField {
+        ut: bytes.map(|byte| f32::from(byte.cast_signed())),
+    }
+}
+
+fn check_heading(pipeline: &CompassPipeline) {
+    if let Some(heading) = pipeline.heading() {
+        let is_angle = heading.yaw_offset_rad.abs() < 3.2;
+        assert!(is_angle && heading.sigma_rad >= 0.0, "{heading:?}");
     }
 }
 

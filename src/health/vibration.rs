@@ -81,7 +81,7 @@ impl Vibration {
         self.samples_to_force = self.gap;
         self.sum = self.sum + force_m_s2;
         self.squares += force_m_s2.dot(force_m_s2);
-        self.forces += 1;
+        self.forces = self.forces.wrapping_add(1);
         if self.forces >= WINDOW_FORCES {
             self.close_window();
         }
@@ -94,7 +94,7 @@ impl Vibration {
         self.forces = 0;
         self.sum = Vector3::ZERO;
         self.squares = 0.0;
-        self.windows += 1;
+        self.windows = self.windows.wrapping_add(1);
         if self.windows >= WINDOWS {
             self.windows = 0;
             self.flags.set(Flags::VIBRATION, self.deviations > LIMIT);
