@@ -414,21 +414,12 @@ fn a_reset_between_two_samples_is_noticed() {
     }
 }
 
+const JOINT: usize = STATES + ERROR_STATES;
+
 /// Returns the joint covariance of the heading filter and the tilt filter.
 fn joint_covariance(flight: &Flight) -> [[f64; JOINT]; JOINT] {
     let (heading, kalman) = (&flight.heading.covariance, flight.estimator.filter());
-    let mut joint = [[0.0; JOINT]; JOINT];
-    for row in 0..STATES {
-        for column in 0..STATES {
-            joint[row][column] = heading.entry(row, column).into();
-        }
-        for state in 0..ERROR_STATES {
-            let entry = heading.cross_entry(row, state).into();
-            joint[row][STATES + state] = entry;
-            joint[STATES + state][row] = entry;
-        }
-    }
-    for state in 0..ERROR_STATES {
+    let of_kalman: [_; ERROR_STATES] = core::array::from_fn(|state| {
         let mut column = [0.0; ERROR_STATES];
         match state {
             0 => kalman.add_tilt_columns([1.0, 0.0], &mut column),
@@ -437,14 +428,16 @@ fn joint_covariance(flight: &Flight) -> [[f64; JOINT]; JOINT] {
             3 => kalman.add_velocity_columns([0.0, 1.0], &mut column),
             _ => kalman.add_parameter_column(state - 4, 1.0, &mut column),
         }
-        for (other, entry) in column.into_iter().enumerate() {
-            joint[STATES + state][STATES + other] = entry.into();
-        }
-    }
-    joint
+        column
+    });
+    let entry = |row: usize, column: usize| match (row < STATES, column < STATES) {
+        (true, true) => heading.entry(row, column),
+        (true, false) => heading.cross_entry(row, column - STATES),
+        (false, true) => heading.cross_entry(column, row - STATES),
+        (false, false) => of_kalman[row - STATES][column - STATES],
+    };
+    core::array::from_fn(|row| core::array::from_fn(|column| entry(row, column).into()))
 }
-
-const JOINT: usize = STATES + ERROR_STATES;
 
 /// Returns the least pivot of a covariance's correlation matrix: positive if it is definite.
 fn least_pivot(covariance: &[[f64; JOINT]; JOINT]) -> f64 {
