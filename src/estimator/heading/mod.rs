@@ -554,6 +554,7 @@ impl Heading {
         }
         self.reset_field();
         self.intervals = [Interval::EMPTY; 2];
+        self.has_interval = false;
         self.phase = Phase::Idle;
     }
 }

@@ -410,6 +410,12 @@ fn a_reset_between_two_samples_is_noticed() {
                 entries.all(|entry| *entry == 0.0),
                 "{step_us} us, trial {trial}"
             );
+            // No step follows over an interval of no length.
+            assert_eq!(
+                flight.heading.phase,
+                Phase::Idle,
+                "{step_us} us, trial {trial}"
+            );
         }
     }
 }
