@@ -434,7 +434,9 @@ impl Heading {
     /// Follows the tilt filter, after each of its samples, `dt_s` seconds after the previous one.
     #[inline]
     pub fn follow(&mut self, kalman: &Kalman, dt_s: f32) {
-        if kalman.is_motion_reset() && self.covariance.is_correlated() {
+        if kalman.is_motion_reset()
+            && (self.covariance.is_correlated() || self.phase != Phase::Idle)
+        {
             self.follow_reset();
         }
         self.elapsed_s += dt_s;

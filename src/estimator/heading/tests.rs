@@ -420,6 +420,24 @@ fn a_reset_between_two_samples_is_noticed() {
     }
 }
 
+#[test]
+fn a_reset_ends_a_step_that_has_begun_before_any_measurement() {
+    let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
+    while flight.heading.phase == Phase::Idle {
+        flight.step(Vector3::ZERO);
+    }
+    assert!(!flight.heading.covariance.is_correlated());
+    flight
+        .estimator
+        .filter_mut()
+        .set_accelerometer_knowledge(AccelerometerKnowledge::Factory);
+    flight.step(Vector3::ZERO);
+    assert_eq!(flight.heading.phase, Phase::Idle);
+    // It goes on as after any start.
+    flight.rest(1.0);
+    assert!(flight.heading.covariance.is_correlated());
+}
+
 const JOINT: usize = STATES + ERROR_STATES;
 
 /// Returns the joint covariance of the heading filter and the tilt filter.
