@@ -143,6 +143,34 @@ fn step_in_flight(flight: &Recording, step_rad_s: Vector3, period_ms: u8) -> InF
     outcome
 }
 
+/// A flight whose gyroscope has had a large offset from the beginning. The first rest measures it.
+#[test]
+fn an_offset_that_stays_costs_no_flight_its_attitude() {
+    // Before, the filter took the first rest's offset for a prior to be widened: flight 2110 was
+    // 45° off.
+    let seeds: Vec<u64> = (2_101..2_113).collect();
+    let outcomes = parallel::map(&seeds, |seed| {
+        let flight = simulated::flight_for(*seed, 240);
+        let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+        let offset_rad_s = Vector3::new(20.0_f32.to_radians(), 0.0, 0.0);
+        let (mut largest_deg, mut not_valid) = (0.0_f64, 0);
+        for (sample, true_up) in flight.samples.iter().zip(&flight.true_up) {
+            let mut sample = *sample;
+            sample.angular_rate_rad_s = sample.angular_rate_rad_s + offset_rad_s;
+            let snapshot = pipeline.update_sample(&sample);
+            let Some(true_up) = *true_up else { continue };
+            let judged = Judged::new(&snapshot, true_up);
+            largest_deg = largest_deg.max(judged.error_deg);
+            not_valid += u32::from(!judged.is_valid);
+        }
+        (largest_deg, not_valid)
+    });
+    for (seed, (largest_deg, not_valid)) in seeds.iter().zip(outcomes) {
+        assert!(largest_deg < 10.0, "{seed}: {largest_deg} degrees");
+        assert_eq!(not_valid, 0, "{seed}");
+    }
+}
+
 /// In flight a wrong tilt and an acceleration look alike for seconds. Before the filter watched its
 /// corrections, these flights were wrong and `VALID` for 38 s of 100 on average.
 #[test]
@@ -178,7 +206,7 @@ fn check_steps_in_flight(period_ms: u8, flagged_ms: u32) {
     let (mut wrong_ms, mut late_deg) = (0, 0.0);
     for (seed, outcomes) in seeds.iter().zip(&outcomes) {
         for (case, outcome) in cases.iter().zip(outcomes) {
-            assert!(outcome.wrong_ms < 25_000, "{seed} {case:?}: {outcome:?}");
+            assert!(outcome.wrong_ms < 16_000, "{seed} {case:?}: {outcome:?}");
             // A change about the vertical shows only by what turns and tilts make of it.
             let late_ms = if case.1[2].abs() == 1.0 { 4_000 } else { 0 };
             assert!(
@@ -192,7 +220,10 @@ fn check_steps_in_flight(period_ms: u8, flagged_ms: u32) {
     let flights = (seeds.len() * cases.len()) as f64;
     let mean_s = f64::from(wrong_ms) / 1_000.0 / flights;
     let mean_deg = late_deg / flights;
-    println!("wrong and VALID for {mean_s:.1} s, {mean_deg:.1} degrees after a minute, mean");
-    assert!(mean_s < 9.0, "{mean_s} s");
+    let worst_ms = outcomes.iter().flatten().map(|outcome| outcome.wrong_ms);
+    let worst_s = f64::from(worst_ms.max().unwrap_or(0)) / 1_000.0;
+    println!("wrong and VALID for {mean_s:.1} s on average, at most {worst_s:.1} s");
+    println!("{mean_deg:.1} degrees after a minute, mean");
+    assert!(mean_s < 3.0, "{mean_s} s");
     assert!(mean_deg < 5.0, "{mean_deg} degrees");
 }

@@ -168,6 +168,7 @@ impl Covariance {
     }
 
     /// Sets the variance of a dynamic state, and its correlations to zero.
+    #[inline(never)]
     pub(super) fn reset_dynamic(&mut self, state: usize, variance: f32) {
         for (index, row) in self.dynamic.iter_mut().enumerate() {
             if index == state {

@@ -84,7 +84,6 @@ impl Kalman {
     }
 
     /// Starts from the present attitude with this bias, and their σ.
-    #[inline(never)]
     pub(super) fn start_with(
         &mut self,
         bias_rad_s: Vector3,

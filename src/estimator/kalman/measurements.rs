@@ -64,7 +64,9 @@ impl Kalman {
                 }
             }
             None => {
-                self.widen_prior();
+                if !self.has_rested {
+                    self.widen_prior();
+                }
                 self.measure_velocity(self.velocity_noise() / duration_s);
             }
         }
@@ -79,6 +81,7 @@ impl Kalman {
     /// Ends a rest that turns out to be a slow, steady turn: gravity has turned. If it has turned
     /// for most of the time, and faster than the gyroscope shows, then the bias was measured in the
     /// turn, and is unknown.
+    #[inline(never)]
     fn end_rest_if_turned(&mut self) {
         let quiet_s = self.stationary.quiet_s();
         let squared_drift = self.stationary.squared_drift();
@@ -169,11 +172,15 @@ impl Kalman {
         true
     }
 
-    /// Compares the present readings with those of the last rest, twice in each covariance step.
+    /// Compares the present readings with those of the last rest, and the corrections with their
+    /// covariance, twice in each covariance step.
     #[inline(never)]
-    pub(super) fn watch_rest(&mut self) {
+    pub(super) fn watch(&mut self) {
         self.rest_watch
             .update(&self.nominal, &self.stationary, self.tuning);
+        if let Some(tilt_rad2) = self.consistency.suspected_tilt_rad2(self.recent.squared) {
+            self.rest_watch.variance_rad2 += tilt_rad2;
+        }
     }
 
     fn is_offset_wrong(&mut self, readings: &StationaryReadings, difference: Vector3) -> bool {
@@ -230,7 +237,8 @@ impl Kalman {
         })
     }
 
-    /// Doubles the prior variance of a bias that has turned out to lie outside its prior.
+    /// Doubles the prior variance of a bias that has turned out to lie outside its prior. Once a
+    /// rest has measured the bias, nothing of the prior is left that could be removed.
     ///
     /// The prior is a measurement of the bias with variance p. Replacing p by 2p removes a
     /// measurement of variance 2p, which is the same as adding one of variance −2p. Repeated,
@@ -271,13 +279,12 @@ impl Kalman {
     ///
     /// The correction of the first rest is not among them.
     pub(super) fn admit_changed_bias(&mut self) {
-        let Some(change) = self.consistency.take_contradiction() else {
+        let Some(change) = self.consistency.take_contradiction(self.recent.squared) else {
             return;
         };
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
-        for (axis, prior) in self.bias_prior.variance.iter_mut().enumerate() {
-            *prior += change.bias_variance;
-            let covariance = &mut self.step.covariance;
+        let covariance = &mut self.step.covariance;
+        for axis in 0..3 {
             covariance.add_to_parameter(axis, change.bias_variance);
         }
     }

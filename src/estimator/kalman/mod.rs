@@ -46,8 +46,8 @@
 //!   The mean specific force of 0.15 s then replaces this tilt, because one sample in vibration
 //!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. A pause that
 //!   hides the tilt repeats both steps.
-//! - The bias has a prior. When a bias turns out to lie more than [`Tuning::prior_gate_sigma`]
-//!   outside it, the prior is widened.
+//! - The bias has a prior. If the bias lies more than [`Tuning::prior_gate_sigma`] outside it, the
+//!   prior is widened, until a rest of this run has measured the bias.
 //! - While tilt and bias are both uncertain, their product, which the linear model leaves out,
 //!   counts as noise ([`Tuning::coupling`]).
 //! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and
@@ -61,8 +61,8 @@
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show.
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
-//!   not ([`consistency`](self)). Then bias and tilt are uncertain again. It takes seconds because
-//!   a tilt error of some degrees looks like an acceleration.
+//!   not ([`consistency`](self)). σ grows at the first suspicion; later bias and tilt are uncertain
+//!   again. It takes seconds because a tilt error of some degrees looks like an acceleration.
 //! - A rest, of this run or an earlier one, must have measured the bias before it counts as known
 //!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
@@ -398,7 +398,7 @@ impl Kalman {
             match self.step.slice() {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
-                Progress::Propagated | Progress::Checked => self.watch_rest(),
+                Progress::Propagated | Progress::Checked => self.watch(),
                 Progress::Relaxing => {
                     self.admit_changed_bias();
                     self.relax_parameter(self.step.duration_s());

@@ -46,7 +46,8 @@ pub(super) struct RestWatch {
     /// Time without motion, s, when readings that are steady too began to contradict the offset.
     steady_from_s: f32,
     /// Variance of the tilt beside that of the covariance, both axes together, rad²: of a turn
-    /// that the specific force does not show, or of a single sample's tilt.
+    /// that the specific force does not show, of a single sample's tilt, or of a suspicion of
+    /// [`consistency`](super::consistency).
     pub(super) variance_rad2: f32,
 }
 
@@ -94,7 +95,6 @@ impl RestWatch {
     ///
     /// `mean_rate_rad_s` and `rate_rad_s` are the mean and the present rate without the filter's
     /// bias.
-    #[inline(never)]
     pub(super) fn is_offset_wrong(
         &mut self,
         mean_rate_rad_s: Vector3,
