@@ -64,7 +64,7 @@ impl Kalman {
                 }
             }
             None => {
-                if !self.has_rested {
+                if !self.is_bias_measured() {
                     self.widen_prior();
                 }
                 self.measure_velocity(self.velocity_noise() / duration_s);
@@ -172,13 +172,15 @@ impl Kalman {
         true
     }
 
-    /// Compares the present readings with those of the last rest, and the corrections with their
-    /// covariance, twice in each covariance step.
+    /// Compares the present readings with those of the last rest, and in motion the corrections
+    /// with their covariance, twice in each covariance step.
     #[inline(never)]
-    pub(super) fn watch(&mut self) {
+    pub(super) fn watch_rest_and_consistency(&mut self) {
         self.rest_watch
             .update(&self.nominal, &self.stationary, self.tuning);
-        if let Some(tilt_rad2) = self.consistency.suspected_tilt_rad2(self.recent.squared) {
+        let suspected = self.consistency.suspected_tilt_rad2(self.recent.squared);
+        if let Some(tilt_rad2) = suspected.filter(|_| !self.stationary.is_still()) {
+            // The update has just set the variance.
             self.rest_watch.variance_rad2 += tilt_rad2;
         }
     }
@@ -237,8 +239,13 @@ impl Kalman {
         })
     }
 
-    /// Doubles the prior variance of a bias that has turned out to lie outside its prior. Once a
-    /// rest has measured the bias, nothing of the prior is left that could be removed.
+    /// Returns whether a rest, of this run or an earlier one, has measured the bias.
+    pub(super) fn is_bias_measured(&self) -> bool {
+        self.has_rested || self.is_stored_known
+    }
+
+    /// Doubles the prior variance of a bias that has turned out to lie outside its prior, unless a
+    /// rest has measured the bias: the rest's measurement is no prior.
     ///
     /// The prior is a measurement of the bias with variance p. Replacing p by 2p removes a
     /// measurement of variance 2p, which is the same as adding one of variance −2p. Repeated,
@@ -252,15 +259,7 @@ impl Kalman {
         let deviations = [bias.x, bias.y, bias.z];
         for (axis, (bias, variance)) in deviations.into_iter().zip(variances).enumerate() {
             let own = self.step.covariance.parameter_variance(axis);
-            // A known bias is contradicted only beyond its own σ: little was learned seconds after
-            // a start in motion, and a wrong tilt moves the bias by more than that.
-            let is_known = *variance < square(KNOWN_BIAS_RAD_S);
-            let least = if is_known {
-                *variance
-            } else {
-                0.02 * *variance
-            };
-            let learned = larger(*variance - own, least);
+            let learned = larger(*variance - own, 0.02 * *variance);
             if square(bias) > square(self.tuning.prior_gate_sigma) * learned
                 && *variance < square(LARGEST_GYROSCOPE_BIAS_RAD_S)
                 && own < *variance * 1.5
@@ -279,12 +278,15 @@ impl Kalman {
     ///
     /// The correction of the first rest is not among them.
     pub(super) fn admit_changed_bias(&mut self) {
-        let Some(change) = self.consistency.take_contradiction(self.recent.squared) else {
+        let Some(change) = self.consistency.take_contradiction() else {
             return;
         };
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
-        let covariance = &mut self.step.covariance;
+        for prior in &mut self.bias_prior.variance {
+            *prior += change.bias_variance;
+        }
         for axis in 0..3 {
+            let covariance = &mut self.step.covariance;
             covariance.add_to_parameter(axis, change.bias_variance);
         }
     }

@@ -61,8 +61,8 @@
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show.
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
-//!   not ([`consistency`](self)). σ grows at the first suspicion; later bias and tilt are uncertain
-//!   again. It takes seconds because a tilt error of some degrees looks like an acceleration.
+//!   not ([`consistency`](self)). The reported σ grows at the first suspicion; later bias and tilt
+//!   are uncertain again. It takes seconds because a tilt error looks like an acceleration.
 //! - A rest, of this run or an earlier one, must have measured the bias before it counts as known
 //!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
@@ -398,7 +398,7 @@ impl Kalman {
             match self.step.slice() {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
-                Progress::Propagated | Progress::Checked => self.watch(),
+                Progress::Propagated | Progress::Checked => self.watch_rest_and_consistency(),
                 Progress::Relaxing => {
                     self.admit_changed_bias();
                     self.relax_parameter(self.step.duration_s());
@@ -439,9 +439,8 @@ impl Kalman {
             self.restart_from_unusable_numbers();
             return;
         }
-        // A rest, of this run or an earlier one, must have measured the bias.
-        let is_measured = self.has_rested || self.is_stored_known;
-        self.is_bias_known = is_measured && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
+        self.is_bias_known =
+            self.is_bias_measured() && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
     }
 
     /// Returns the variance of a bank that the filter may take for level while the bias is not
