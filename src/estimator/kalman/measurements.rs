@@ -6,7 +6,7 @@ use super::propagation::{Interval, PARAMETERS, State};
 use super::slices::Measurement;
 use super::stationary::{SETTLED_S, StationaryReadings};
 use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
-use super::{KNOWN_BIAS_RAD_S, Kalman, Tilt, USABLE_TILT_RAD};
+use super::{Kalman, Tilt, USABLE_TILT_RAD};
 use crate::attitude::Vector3;
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
