@@ -44,7 +44,14 @@ pub fn prove_no_panic(toolchain: &Toolchain) -> Result<(), String> {
 /// Lints all of them, with the firmware's profile: its dependencies are checked already.
 pub fn lint(toolchain: &Toolchain) -> Result<(), String> {
     let mut clippy = toolchain.cargo("clippy");
-    clippy.args(["--profile", "firmware", "-p", "aplomb-rigs", "--lib", "--bins"]);
+    clippy.args([
+        "--profile",
+        "firmware",
+        "-p",
+        "aplomb-rigs",
+        "--lib",
+        "--bins",
+    ]);
     clippy.args(["--features", "bare,qemu,cost"]);
     step::run(clippy.args(["--", "-D", "warnings"]))
 }
