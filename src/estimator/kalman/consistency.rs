@@ -17,15 +17,13 @@
 //!
 //! A contradiction adds process noise: the bias may have changed by as much as the corrections
 //! show. A suspicion changes nothing but the reported σ. A filter that is sure of its bias
-//! corrects little, so s is much smaller than the tilt's error. The estimated velocity u shows
-//! more of it. An error that grows evenly to θ within T = 3 s adds g·θ·T/2 to u, so 2·u/(g·T)
-//! is about as large as θ, or larger: the vehicle moves, too. A quarter of it adds to σ.
+//! corrects little, so for seconds s is much smaller than the tilt's error.
 //!
 //! The correction of the first rest does not count: it may be large.
 
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::serialize::StateVisitor;
-use crate::units::STANDARD_GRAVITY_M_S2;
+use crate::units::radians;
 
 /// Time constant of the sums, s. Longer: smaller changes are found. Shorter: found sooner.
 const MEMORY_S: f32 = 3.0;
@@ -33,10 +31,10 @@ const MEMORY_S: f32 = 3.0;
 /// the model.
 const SUSPICION_GATE: f32 = 1.0;
 const CONTRADICTION_GATE: f32 = 4.0;
-/// Tilt error that gathers a velocity within the memory, rad/(m/s).
-const TILT_PER_VELOCITY: f32 = 2.0 / (STANDARD_GRAVITY_M_S2 * MEMORY_S);
-/// σ of a suspicion, as a share of that error: six σ cover it one and a half times.
-const SUSPECTED_SHARE: f32 = 0.25;
+/// Least σ of the tilt while the sum is suspicious, both axes together, rad: as reported, 4°. So
+/// six σ are 24°. Healthy flights raise suspicions too: it is below the limits of `DEGRADED` and
+/// of a valid heading.
+pub(super) const SUSPICION_RAD: f32 = radians(4.3);
 /// Variance of the sum after unseen motion, rad². It falls to (1°)² within 20 s: a vehicle that
 /// flies takes so long to correct a tilt error of 40°.
 const UNSEEN_RAD2: f32 = 256.0;
@@ -97,13 +95,10 @@ impl Consistency {
         })
     }
 
-    /// Returns the tilt's variance of a suspicion, both axes together, rad²; `None` without one.
-    ///
-    /// `squared_velocity` is the mean square of the filter's velocity of the last seconds, (m/s)².
+    /// Returns whether the corrections are suspicious.
     #[inline]
-    pub(super) fn suspected_tilt_rad2(&self, squared_velocity: f32) -> Option<f32> {
-        let is_suspicion = self.squared() > SUSPICION_GATE * self.variance_rad2;
-        is_suspicion.then_some(square(SUSPECTED_SHARE * TILT_PER_VELOCITY) * squared_velocity)
+    pub(super) fn is_suspicious(&self) -> bool {
+        self.squared() > SUSPICION_GATE * self.variance_rad2
     }
 
     /// Returns the square of the sum, rad².
@@ -145,22 +140,16 @@ mod tests {
     }
 
     #[test]
-    fn a_suspicion_comes_before_the_contradiction_and_counts_the_velocity() {
+    fn a_suspicion_comes_before_the_contradiction() {
         let mut consistency = Consistency::NONE;
         let mut suspicions = 0;
         for _ in 0..40 {
             consistency.add([0.0, 0.01], 1.0e-4, 0.22);
-            let suspected_rad2 = consistency.suspected_tilt_rad2(square(6.0));
+            suspicions += u32::from(consistency.is_suspicious());
             if consistency.take_contradiction().is_some() {
-                assert!(suspicions > 2, "{suspicions}");
-                assert_eq!(consistency.suspected_tilt_rad2(square(6.0)), None);
+                assert!(suspicions > 3, "{suspicions}");
+                assert!(!consistency.is_suspicious());
                 return;
-            }
-            if let Some(variance) = suspected_rad2 {
-                // In 3 s an error that grows evenly to 23.4° gathers 6 m/s: 9.81·0.408·3/2.
-                let sigma_deg = libm::sqrtf(variance).to_degrees();
-                assert!((sigma_deg - 23.4 / 4.0).abs() < 0.05, "{sigma_deg}");
-                suspicions += 1;
             }
         }
         panic!("no contradiction");

@@ -1,6 +1,7 @@
 //! Measurements of a covariance step: zero velocity, zero rate at rest, and the width of the bias
 //! prior.
 
+use super::consistency::SUSPICION_RAD;
 use super::prior::{BiasPrior, FIRST_WITH_PRIOR};
 use super::propagation::{Interval, PARAMETERS, State};
 use super::slices::Measurement;
@@ -178,10 +179,9 @@ impl Kalman {
     pub(super) fn watch_rest_and_consistency(&mut self) {
         self.rest_watch
             .update(&self.nominal, &self.stationary, self.tuning);
-        let suspected = self.consistency.suspected_tilt_rad2(self.recent.squared);
-        if let Some(tilt_rad2) = suspected.filter(|_| !self.stationary.is_still()) {
-            // The update has just set the variance.
-            self.rest_watch.variance_rad2 += tilt_rad2;
+        if self.consistency.is_suspicious() && !self.stationary.is_still() {
+            let missing = square(SUSPICION_RAD) - self.held_tilt_rad2;
+            self.rest_watch.variance_rad2 = larger(self.rest_watch.variance_rad2, missing);
         }
     }
 
