@@ -47,7 +47,7 @@
 //!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. A pause that
 //!   hides the tilt repeats both steps.
 //! - The bias has a prior. If the bias lies more than [`Tuning::prior_gate_sigma`] outside it, the
-//!   prior is widened, until a rest of this run has measured the bias.
+//!   prior is widened, unless a rest of this run or an earlier one has measured the bias.
 //! - While tilt and bias are both uncertain, their product, which the linear model leaves out,
 //!   counts as noise ([`Tuning::coupling`]).
 //! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and
