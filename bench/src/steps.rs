@@ -8,7 +8,7 @@ use aplomb::calibration::GyroscopeOffset;
 use aplomb::estimator::Sample;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
-use aplomb_models::motion::geometry::Quaternion;
+use aplomb_models::motion::geometry::{Quaternion, Vector};
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::truth::up_in_body as true_up;
@@ -98,10 +98,10 @@ fn an_offset_that_changes_at_rest_is_found_and_never_wrong_and_valid() {
 const FLIGHT_STEP_US: u64 = 40_000_000;
 /// Length of the flights, s.
 const FLIGHT_SECONDS: u64 = 140;
-/// Time after the step from which on the attitude has to be right again, µs.
+/// Time after the change from which on the attitude has to be right again, µs.
 const RECOVERED_US: u64 = 60_000_000;
 
-/// Outcome of a step in flight.
+/// Outcome of a changed rate in flight.
 #[derive(Debug, Default)]
 struct InFlight {
     /// Time for which the attitude was wrong and `VALID`, ms.
@@ -110,38 +110,54 @@ struct InFlight {
     late_wrong_ms: u32,
     /// Time for which the attitude was not `VALID`, ms.
     not_valid_ms: u32,
+    /// Largest inclination error.
+    largest_deg: f64,
     /// Inclination error from the recovery's deadline on, root mean square.
     late_rms_deg: f64,
 }
 
-/// Flies with one sample per `period_ms`.
-fn step_in_flight(flight: &Recording, step_rad_s: Vector3, period_ms: u8) -> InFlight {
-    let mut settings = Settings::new(&Part::MPU_6050);
-    settings.sensor.sample_rate_divider = period_ms - 1;
-    let mut pipeline = Pipeline::new(&settings);
-    let (mut outcome, mut squares, mut rows) = (InFlight::default(), 0.0, 0_u32);
-    let samples = flight.samples.iter().zip(&flight.true_up);
-    for (sample, true_up) in samples.step_by(period_ms.into()) {
+/// Flies these rows, samples and true directions of up, one per `period_ms`. From `from_us` on,
+/// the rates change by `change_rad_s`, and the attitudes count.
+fn fly<'a>(
+    mut pipeline: Pipeline,
+    rows: impl Iterator<Item = (&'a Sample, &'a Option<Vector>)>,
+    (from_us, change_rad_s): (u64, Vector3),
+    period_ms: u8,
+) -> InFlight {
+    let (mut outcome, mut squares, mut late) = (InFlight::default(), 0.0, 0_u32);
+    for (sample, true_up) in rows {
         let mut sample = *sample;
-        if sample.t_us >= FLIGHT_STEP_US {
-            sample.angular_rate_rad_s = sample.angular_rate_rad_s + step_rad_s;
+        if sample.t_us >= from_us {
+            sample.angular_rate_rad_s = sample.angular_rate_rad_s + change_rad_s;
         }
         let snapshot = pipeline.update_sample(&sample);
-        let Some(true_up) = true_up.filter(|_| sample.t_us >= FLIGHT_STEP_US) else {
+        let Some(true_up) = true_up.filter(|_| sample.t_us >= from_us) else {
             continue;
         };
         let judged = Judged::new(&snapshot, true_up);
         let wrong_ms = u32::from(judged.is_wrong) * u32::from(period_ms);
         outcome.wrong_ms += wrong_ms;
         outcome.not_valid_ms += u32::from(!judged.is_valid) * u32::from(period_ms);
-        if sample.t_us >= FLIGHT_STEP_US + RECOVERED_US {
+        outcome.largest_deg = outcome.largest_deg.max(judged.error_deg);
+        if sample.t_us >= from_us + RECOVERED_US {
             outcome.late_wrong_ms += wrong_ms;
             squares += judged.error_deg * judged.error_deg;
-            rows += 1;
+            late += 1;
         }
     }
-    outcome.late_rms_deg = (squares / f64::from(rows)).sqrt();
+    assert!(late > 0, "no row with truth after the recovery's deadline");
+    outcome.late_rms_deg = (squares / f64::from(late)).sqrt();
     outcome
+}
+
+/// Flies with one sample per `period_ms`.
+fn step_in_flight(flight: &Recording, step_rad_s: Vector3, period_ms: u8) -> InFlight {
+    let mut settings = Settings::new(&Part::MPU_6050);
+    settings.sensor.sample_rate_divider = period_ms - 1;
+    let rows = flight.samples.iter().zip(&flight.true_up);
+    let rows = rows.step_by(period_ms.into());
+    let step = (FLIGHT_STEP_US, step_rad_s);
+    fly(Pipeline::new(&settings), rows, step, period_ms)
 }
 
 /// A flight whose gyroscope has had a large offset from the beginning. The first rest measures it.
@@ -151,27 +167,20 @@ fn an_offset_that_stays_costs_no_flight_its_attitude() {
     let seeds: Vec<u64> = (2_101..2_113).collect();
     let outcomes = parallel::map(&seeds, |seed| {
         let flight = simulated::flight_for(*seed, 240);
-        let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+        let rows = flight.samples.iter().zip(&flight.true_up);
         let offset_rad_s = Vector3::new(20.0_f32.to_radians(), 0.0, 0.0);
-        let (mut largest_deg, mut not_valid, mut rows) = (0.0_f64, 0, 0);
-        for (sample, true_up) in flight.samples.iter().zip(&flight.true_up) {
-            let mut sample = *sample;
-            sample.angular_rate_rad_s = sample.angular_rate_rad_s + offset_rad_s;
-            let snapshot = pipeline.update_sample(&sample);
-            let Some(true_up) = *true_up else { continue };
-            let judged = Judged::new(&snapshot, true_up);
-            largest_deg = largest_deg.max(judged.error_deg);
-            not_valid += u32::from(!judged.is_valid || judged.is_wrong);
-            rows += 1;
-        }
-        (largest_deg, not_valid, rows)
+        let pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+        fly(pipeline, rows, (0, offset_rad_s), 1)
     });
-    for (seed, (largest_deg, not_valid, rows)) in seeds.iter().zip(outcomes) {
-        assert!(rows > 200_000, "{seed}: {rows} rows with truth");
-        assert!(largest_deg < 10.0, "{seed}: {largest_deg} degrees");
-        assert_eq!(not_valid, 0, "{seed}");
+    for (seed, outcome) in seeds.iter().zip(outcomes) {
+        assert!(outcome.largest_deg < 10.0, "{seed}: {outcome:?}");
+        assert_eq!(outcome.not_valid_ms, 0, "{seed}: {outcome:?}");
+        assert_eq!(outcome.wrong_ms, 0, "{seed}: {outcome:?}");
     }
 }
+
+/// Time of a start in flight, µs: some seconds after take-off.
+const FLIGHT_START_US: u64 = 9_000_000;
 
 /// A start in flight from a stored offset that has changed since. Before, the filter widened the
 /// stored offset like a prior: a minute later such flights were 1.9° to 4.7° off.
@@ -179,54 +188,51 @@ fn an_offset_that_stays_costs_no_flight_its_attitude() {
 fn a_start_in_flight_survives_a_stored_offset_that_has_changed() {
     // Seeds that nothing was tuned on.
     let seeds: Vec<u64> = (5_301..5_307).collect();
+    // Changes, °/s; most seconds wrong and `VALID`; largest error after a minute, degrees.
+    let cases = [(0.0_f32, 0.1, 2.0), (2.0, 2.0, 3.5), (8.0, 3.5, 4.5)];
     let outcomes = parallel::map(&seeds, |seed| {
         let flight = simulated::flight_for(*seed, 100);
-        let mut at_rest = Pipeline::new(&Settings::new(&Part::MPU_6050));
-        let rest = flight.samples.iter();
-        for sample in rest.take_while(|sample| sample.t_us < STEP_US) {
-            at_rest.update_sample(sample);
-        }
-        let stored_rad_s = at_rest.kalman().bias_rad_s();
-        let change = |degrees_s: f32| Vector3::new(degrees_s.to_radians(), 0.0, 0.0);
-        [0.0, 2.0, 8.0].map(|degrees_s| start_in_flight(&flight, stored_rad_s, change(degrees_s)))
+        let stored_rad_s = offset_at_rest(&flight);
+        cases.map(|(degrees_s, ..)| {
+            let change_rad_s = Vector3::new(degrees_s.to_radians(), 0.0, 0.0);
+            start_in_flight(&flight, stored_rad_s, change_rad_s)
+        })
     });
-    for (case, (most_wrong_s, most_deg)) in [(0.1, 2.0), (2.0, 3.5), (3.5, 4.5)].iter().enumerate()
-    {
-        let cases = || outcomes.iter().filter_map(|outcome| outcome.get(case));
-        let flights = outcomes.len() as f64;
-        let wrong_s: f64 = cases().map(|(wrong_s, _)| wrong_s).sum::<f64>() / flights;
-        let late_deg: f64 = cases().map(|(_, late_deg)| late_deg).sum::<f64>() / flights;
-        println!("case {case}: wrong and VALID for {wrong_s:.1} s, {late_deg:.1} degrees later");
-        assert!(wrong_s < *most_wrong_s && late_deg < *most_deg, "{case}");
+    for (case, (degrees_s, most_s, most_deg)) in cases.into_iter().enumerate() {
+        let mean = |value: fn(&InFlight) -> f64| {
+            let of_case = outcomes.iter().map(|outcomes| value(&outcomes[case]));
+            of_case.sum::<f64>() / seeds.len() as f64
+        };
+        let wrong_s = mean(|outcome| f64::from(outcome.wrong_ms) / 1_000.0);
+        let late_deg = mean(|outcome| outcome.late_rms_deg);
+        println!("{degrees_s} °/s: wrong and VALID for {wrong_s:.1} s, later {late_deg:.1}°");
+        assert!(wrong_s < most_s, "{degrees_s} °/s: {wrong_s} s");
+        assert!(late_deg < most_deg, "{degrees_s} °/s: {late_deg} degrees");
     }
 }
 
-/// Starts in flight with this stored offset, which has changed by `change_rad_s` since. Returns the
-/// time for which the attitude was wrong and `VALID`, s, and the error from a minute on, degrees
-/// rms.
-fn start_in_flight(flight: &Recording, stored_rad_s: Vector3, change_rad_s: Vector3) -> (f64, f64) {
+/// Returns the gyroscope's offset by the rest before take-off.
+fn offset_at_rest(flight: &Recording) -> Vector3 {
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let rest = flight.samples.iter();
+    for sample in rest.take_while(|sample| sample.t_us < STEP_US) {
+        pipeline.update_sample(sample);
+    }
+    pipeline.kalman().bias_rad_s()
+}
+
+/// Starts in flight with this stored offset, which has changed by `change_rad_s` since.
+fn start_in_flight(flight: &Recording, stored_rad_s: Vector3, change_rad_s: Vector3) -> InFlight {
     let mut settings = Settings::new(&Part::MPU_6050);
     settings.calibration.gyroscope = Some(GyroscopeOffset {
         offset_rad_s: settings.mount.to_sensor(BodyVector(stored_rad_s)),
         temperature_celsius: 25.0,
     });
-    let mut pipeline = Pipeline::new(&settings);
-    let (mut wrong_s, mut squares, mut rows) = (0.0, 0.0, 0_u32);
-    let rows_in_flight = flight.samples.iter().zip(&flight.true_up);
-    for (sample, true_up) in rows_in_flight.skip_while(|(sample, _)| sample.t_us < 9_000_000) {
-        let mut sample = *sample;
-        // The pipeline takes calibrated samples.
-        sample.angular_rate_rad_s = sample.angular_rate_rad_s - stored_rad_s + change_rad_s;
-        let snapshot = pipeline.update_sample(&sample);
-        let Some(true_up) = *true_up else { continue };
-        let judged = Judged::new(&snapshot, true_up);
-        wrong_s += f64::from(u8::from(judged.is_wrong)) * 1.0e-3;
-        if sample.t_us > RECOVERED_US {
-            squares += judged.error_deg * judged.error_deg;
-            rows += 1;
-        }
-    }
-    (wrong_s, (squares / f64::from(rows)).sqrt())
+    let rows = flight.samples.iter().zip(&flight.true_up);
+    let rows = rows.skip_while(|(sample, _)| sample.t_us < FLIGHT_START_US);
+    // The pipeline takes calibrated samples.
+    let change = (FLIGHT_START_US, change_rad_s - stored_rad_s);
+    fly(Pipeline::new(&settings), rows, change, 1)
 }
 
 /// In flight a wrong tilt and an acceleration look alike for seconds. Before the filter watched its

@@ -313,9 +313,8 @@ impl Heading {
         } else {
             self.silent_s + self.closed().duration_s
         };
-        let largest_tilt_rad2 = square(tuning.valid_tilt_rad);
-        let [north, _, east] = kalman.tilt_covariance();
-        if north + east > largest_tilt_rad2 {
+        let is_tilt_known = kalman.tilt_variance_rad2() < square(tuning.valid_tilt_rad);
+        if !is_tilt_known {
             // A correction of the tilt looks like a turn: turns count from the attitude after it.
             self.first_attitude = None;
             self.first_turn = Vector3::ZERO;
@@ -329,7 +328,7 @@ impl Heading {
             yaw_offset_rad: wrap_pi(self.declination_rad - libm::atan2f(cy, cx)),
             sigma_rad,
             is_valid: sigma_rad < tuning.valid_rad
-                && kalman.tilt_variance_rad2() < largest_tilt_rad2
+                && is_tilt_known
                 && self.inconsistency < tuning.valid_inconsistency
                 && self.silent_s < tuning.valid_silence_s
                 && self.verified_s > verified_after_s,

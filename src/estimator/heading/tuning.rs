@@ -61,8 +61,7 @@ pub struct Tuning {
     pub known_rad: f32,
     /// σ of the heading below which it may be valid, rad.
     pub valid_rad: f32,
-    /// σ of the tilt below which turns count (by the covariance) and the heading may be valid (as
-    /// reported), rad.
+    /// σ of the tilt below which turns count and the heading may be valid, rad.
     pub valid_tilt_rad: f32,
     /// Mean squared innovation per expected one below which the heading may be valid.
     pub valid_inconsistency: f32,
