@@ -320,7 +320,7 @@ impl Kalman {
         let tuning = self.tuning;
         let duration_s = self.interval.duration_s;
         let velocity = self.nominal.velocity_m_s.iter_mut();
-        for (velocity, change) in velocity.zip(self.interval.velocity_m_s) {
+        for (velocity, change) in velocity.zip(self.interval.velocity_change_m_s) {
             *velocity += change;
         }
         self.held_tilt_rad2 = self.covariance_tilt_variance();

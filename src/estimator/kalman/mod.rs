@@ -370,15 +370,15 @@ impl Kalman {
     fn step_in_earth_axes(&mut self, rate_rad_s: Vector3, force_m_s2: Vector3) {
         let interval = &mut self.interval;
         let step = self.nominal.step_in_earth_axes(&mut interval.transition);
-        let [north, east] = &mut interval.velocity_m_s;
-        *north += step.gained_m_s.x;
-        *east += step.gained_m_s.y;
+        let [north, east] = &mut interval.velocity_change_m_s;
+        *north += step.force_integral_ned_m_s.x;
+        *east += step.force_integral_ned_m_s.y;
         interval.duration_s += step.duration_s;
         interval.squared_rate += step.rotation_rad.dot(step.rotation_rad) / step.duration_s;
         self.stationary.update(
             rate_rad_s,
             force_m_s2,
-            step.velocity_m_s,
+            step.force_integral_body_m_s,
             step.duration_s,
             self.tuning,
         );

@@ -40,8 +40,8 @@ pub(super) struct NominalState {
     pub(super) force_m_s2: Vector3,
     /// Rotation since the last earth step, body axes.
     pub(super) rotation_rad: Vector3,
-    /// Velocity gained since the last earth step, body axes, bias included.
-    gained_m_s: Vector3,
+    /// Integral of the specific force since the last earth step, body axes, bias included.
+    force_integral_m_s: Vector3,
     /// Time since the last earth step, s.
     pub(super) elapsed_s: f32,
 }
@@ -53,10 +53,10 @@ pub(super) struct EarthStep {
     pub(super) duration_s: f32,
     /// Rotation during the step, body axes.
     pub(super) rotation_rad: Vector3,
-    /// Integral of the accelerometer's readings during the step, body axes.
-    pub(super) velocity_m_s: Vector3,
-    /// Velocity gained during the step, without gravity's share removed: north, east, down.
-    pub(super) gained_m_s: Vector3,
+    /// Integral of the specific force during the step, body axes, bias included.
+    pub(super) force_integral_body_m_s: Vector3,
+    /// Integral of the specific force during the step, without bias: north, east, down.
+    pub(super) force_integral_ned_m_s: Vector3,
 }
 
 impl NominalState {
@@ -72,7 +72,7 @@ impl NominalState {
             rate_rad_s: Vector3::ZERO,
             force_m_s2: Vector3::ZERO,
             rotation_rad: Vector3::ZERO,
-            gained_m_s: Vector3::ZERO,
+            force_integral_m_s: Vector3::ZERO,
             elapsed_s: 0.0,
         }
     }
@@ -122,7 +122,7 @@ impl NominalState {
         self.rate_rad_s = self.rate_of(rate_reading);
         self.force_m_s2 = force_m_s2;
         self.rotation_rad = Vector3::ZERO;
-        self.gained_m_s = Vector3::ZERO;
+        self.force_integral_m_s = Vector3::ZERO;
         self.elapsed_s = 0.0;
     }
 
@@ -147,12 +147,16 @@ impl NominalState {
     ) -> f32 {
         let rate_rad_s = self.rate_of(rate_reading);
         let quarter_s = 0.25 * dt_s;
-        // Halves of Δθ and Δv.
-        let turn = (self.rate_rad_s + rate_rad_s).scale(quarter_s);
-        let gain = (self.force_m_s2 + force_m_s2).scale(quarter_s);
-        let (rotation, gained) = (self.rotation_rad, self.gained_m_s);
-        self.rotation_rad = rotation + turn + turn + rotation.cross(turn);
-        self.gained_m_s = gained + gain + gain + rotation.cross(gain) + gained.cross(turn);
+        // ½·Δθ and ½·Δv.
+        let half_angle = (self.rate_rad_s + rate_rad_s).scale(quarter_s);
+        let half_velocity = (self.force_m_s2 + force_m_s2).scale(quarter_s);
+        let (rotation, velocity) = (self.rotation_rad, self.force_integral_m_s);
+        self.rotation_rad = rotation + half_angle + half_angle + rotation.cross(half_angle);
+        self.force_integral_m_s = velocity
+            + half_velocity
+            + half_velocity
+            + rotation.cross(half_velocity)
+            + velocity.cross(half_angle);
         self.rate_rad_s = rate_rad_s;
         self.force_m_s2 = force_m_s2;
         self.elapsed_s += dt_s;
@@ -177,10 +181,11 @@ impl NominalState {
             .multiply(Quaternion::from_rotation_vector(rotation_rad))
             .normalize();
         let [north, east, down] = rows_half_way(self.attitude, after);
-        let velocity_m_s = self.gained_m_s;
-        let gained = velocity_m_s - self.accelerometer_bias_m_s2.scale(t);
-        let gained_m_s = Vector3::new(north.dot(gained), east.dot(gained), down.dot(gained));
-        transition.down_m_s += gained_m_s.z;
+        let force_integral_body_m_s = self.force_integral_m_s;
+        let unbiased = force_integral_body_m_s - self.accelerometer_bias_m_s2.scale(t);
+        let force_integral_ned_m_s =
+            Vector3::new(north.dot(unbiased), east.dot(unbiased), down.dot(unbiased));
+        transition.down_m_s += force_integral_ned_m_s.z;
         let columns = [[north.x, east.x], [north.y, east.y], [north.z, east.z]];
         let add = |sum: &mut [f32; 2], [n, e]: [f32; 2], factor: f32| {
             sum[0] += n * factor;
@@ -197,13 +202,13 @@ impl NominalState {
         }
         self.attitude = after;
         self.rotation_rad = Vector3::ZERO;
-        self.gained_m_s = Vector3::ZERO;
+        self.force_integral_m_s = Vector3::ZERO;
         self.elapsed_s = 0.0;
         EarthStep {
             duration_s: t,
             rotation_rad,
-            velocity_m_s,
-            gained_m_s,
+            force_integral_body_m_s,
+            force_integral_ned_m_s,
         }
     }
 
@@ -248,7 +253,7 @@ impl NominalState {
         visitor.vector(&mut self.rate_rad_s);
         visitor.vector(&mut self.force_m_s2);
         visitor.vector(&mut self.rotation_rad);
-        visitor.vector(&mut self.gained_m_s);
+        visitor.vector(&mut self.force_integral_m_s);
         visitor.f32(&mut self.elapsed_s);
     }
 }

@@ -98,7 +98,7 @@ pub(super) struct Interval {
     /// The error's transition.
     pub(super) transition: Transition,
     /// Change of the horizontal velocity, north and east.
-    pub(super) velocity_m_s: [f32; 2],
+    pub(super) velocity_change_m_s: [f32; 2],
     /// Length of the interval.
     pub(super) duration_s: f32,
     /// ∫|ω|² dt, rad²/s.
@@ -113,23 +113,23 @@ impl Interval {
     /// Interval of no length.
     pub(super) const EMPTY: Self = Self {
         transition: Transition::IDENTITY,
-        velocity_m_s: [0.0; 2],
+        velocity_change_m_s: [0.0; 2],
         duration_s: 0.0,
         squared_rate: 0.0,
         unseen_tilt_rad2: 0.0,
         unseen_velocity_m2_s2: 0.0,
     };
 
-    /// Returns the integral of the specific force in earth axes, m/s.
-    pub(super) fn gained_m_s(&self) -> Vector3 {
-        let [north, east] = self.velocity_m_s;
+    /// Returns the integral of the specific force without bias, m/s: north, east, down.
+    pub(super) fn force_integral_ned_m_s(&self) -> Vector3 {
+        let [north, east] = self.velocity_change_m_s;
         Vector3::new(north, east, self.transition.down_m_s)
     }
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         self.transition.visit_state(visitor);
-        visitor.f32s(&mut self.velocity_m_s);
+        visitor.f32s(&mut self.velocity_change_m_s);
         visitor.f32(&mut self.duration_s);
         visitor.f32(&mut self.squared_rate);
         visitor.f32(&mut self.unseen_tilt_rad2);

@@ -72,8 +72,8 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn check_tilt(&mut self) {
         let duration_s = self.interval.duration_s;
-        let gained_m_s = self.interval.gained_m_s();
-        let force = gained_m_s.scale(1.0 / duration_s);
+        let force_integral_m_s = self.interval.force_integral_ned_m_s();
+        let force = force_integral_m_s.scale(1.0 / duration_s);
         if self.is_from_one_sample {
             self.confirm_start(force);
             return;
@@ -84,7 +84,7 @@ impl Kalman {
             *sum = ForceSum::NONE;
             return;
         }
-        sum.integral_m_s = sum.integral_m_s + gained_m_s;
+        sum.integral_m_s = sum.integral_m_s + force_integral_m_s;
         sum.duration_s += duration_s;
         if sum.duration_s > CONTRADICTION_S {
             let mean = sum.integral_m_s.scale(1.0 / sum.duration_s);

@@ -92,7 +92,7 @@ impl StationaryDetector {
         &mut self,
         rate_rad_s: Vector3,
         force_m_s2: Vector3,
-        velocity_m_s: Vector3,
+        force_integral_m_s: Vector3,
         duration_s: f32,
         tuning: &Tuning,
     ) {
@@ -108,7 +108,7 @@ impl StationaryDetector {
         };
         let share = smaller(duration_s / averaged_s, 1.0);
         self.average_rate_rad_s = self.average_rate_rad_s + rate.scale(share);
-        let mean_force = velocity_m_s.scale(1.0 / duration_s) - self.average_force_m_s2;
+        let mean_force = force_integral_m_s.scale(1.0 / duration_s) - self.average_force_m_s2;
         self.average_force_m_s2 = self.average_force_m_s2 + mean_force.scale(share);
         let is_quiet = rate.dot(rate) < tuning.stationary_rate_rad_s * tuning.stationary_rate_rad_s
             && force.dot(force) + mean_force.dot(mean_force)

@@ -244,8 +244,8 @@ fn the_transition_is_the_derivative_of_the_nominal_state() {
             mean.integrate(rate, force, 1.0e-3);
             if index % 8 == 7 {
                 let step = mean.step_in_earth_axes(&mut transition);
-                velocity[0] += step.gained_m_s.x;
-                velocity[1] += step.gained_m_s.y;
+                velocity[0] += step.force_integral_ned_m_s.x;
+                velocity[1] += step.force_integral_ned_m_s.y;
             }
         }
         (mean.attitude, velocity, transition)
@@ -1426,7 +1426,10 @@ fn rotation_and_velocity_of_a_cone_are_integrated_between_earth_steps() {
         if index == 0 {
             nominal.start(rate, force);
         } else if nominal.integrate(rate, force, STEP_S) > 0.0199 {
-            gained = gained + nominal.step_in_earth_axes(&mut transition).gained_m_s;
+            gained = gained
+                + nominal
+                    .step_in_earth_axes(&mut transition)
+                    .force_integral_ned_m_s;
         }
     }
     let turned = attitude(1.0).conjugate().multiply(nominal.attitude);
