@@ -15,7 +15,9 @@
 //! samples.
 
 use super::prior::{FIRST_WITH_PRIOR, ParameterPriors};
-use super::propagation::{DYNAMIC, Effect, GYROSCOPE_PARAMETERS, PARAMETERS, State, Transition};
+use super::propagation::{
+    DYNAMIC, Effect, GYROSCOPE_PARAMETERS, PARAMETERS, State, TILT_EAST, TILT_NORTH, Transition,
+};
 use crate::serialize::StateVisitor;
 
 const TRIANGLE: usize = PARAMETERS * (PARAMETERS + 1) / 2;
@@ -100,6 +102,12 @@ impl Covariance {
             Some(variance) => *variance,
             None => 0.0,
         }
+    }
+
+    /// Returns the variance of the tilt, both axes together, rad².
+    #[inline]
+    pub(super) fn tilt_variance(&self) -> f32 {
+        self.dynamic_variance(TILT_NORTH) + self.dynamic_variance(TILT_EAST)
     }
 
     /// Returns the variance of a parameter.
@@ -384,7 +392,7 @@ impl Covariance {
                 *sum += north * n + east * e;
             }
         }
-        if first == 0 {
+        if first == TILT_NORTH {
             for (sum, [n, e, _, _]) in parameters.iter_mut().zip(&self.cross) {
                 *sum += north * n + east * e;
             }

@@ -15,7 +15,9 @@
 //! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in
 //! terms of the covariance afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
 
-use super::propagation::{DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS, State};
+use super::propagation::{
+    DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS, State, TILT_EAST, TILT_NORTH, VELOCITY_NORTH,
+};
 use super::slices::MOST_MEASUREMENTS;
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
@@ -28,7 +30,7 @@ use crate::estimator::arithmetic::{smaller, square};
 pub(in crate::estimator) const ERROR_STATES: usize = DYNAMIC + PARAMETERS;
 
 /// Error states of the velocity.
-pub(in crate::estimator) const VELOCITY: core::ops::Range<usize> = 2..DYNAMIC;
+pub(in crate::estimator) const VELOCITY: core::ops::Range<usize> = VELOCITY_NORTH..DYNAMIC;
 /// First of the gyroscope's parameters among the error states.
 pub(in crate::estimator) const FIRST_GYROSCOPE: usize = DYNAMIC;
 /// Number of the gyroscope's parameters.
@@ -94,13 +96,15 @@ impl Kalman {
     pub(in crate::estimator) fn is_motion_reset(&self) -> bool {
         let covariance = &self.step.covariance;
         let is_reset = |state| covariance.cross_entry(0, state) == 0.0;
-        !self.step.is_under_way() && is_reset(0) && is_reset(1)
+        !self.step.is_under_way() && is_reset(TILT_NORTH) && is_reset(TILT_EAST)
     }
 
     /// Returns whether the velocity has been reset alone: it correlates with no parameter.
     pub(in crate::estimator) fn is_velocity_reset(&self) -> bool {
         let covariance = &self.step.covariance;
-        covariance.cross_entry(0, 2) == 0.0 && covariance.cross_entry(0, 3) == 0.0
+        VELOCITY
+            .into_iter()
+            .all(|state| covariance.cross_entry(0, state) == 0.0)
     }
 
     /// Returns the attitude at the last earth step.
@@ -139,7 +143,7 @@ impl Kalman {
         factors: [f32; 2],
         column: &mut [f32; ERROR_STATES],
     ) {
-        self.add_dynamic_columns(0, factors, column);
+        self.add_dynamic_columns(TILT_NORTH, factors, column);
     }
 
     /// Adds the columns of the velocity, north and east, times these factors.

@@ -3,7 +3,7 @@
 
 use super::consistency::SUSPICION_RAD;
 use super::prior::{BiasPrior, FIRST_WITH_PRIOR};
-use super::propagation::{Interval, PARAMETERS, State};
+use super::propagation::{Interval, PARAMETERS, State, VELOCITY_EAST, VELOCITY_NORTH};
 use super::slices::Measurement;
 use super::stationary::{SETTLED_S, StationaryReadings};
 use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
@@ -114,7 +114,7 @@ impl Kalman {
     #[inline(never)]
     fn measure_velocity(&mut self, variance: f32) {
         let [north, east] = self.nominal.velocity_m_s;
-        for (state, velocity) in [(2, north), (3, east)] {
+        for (state, velocity) in [(VELOCITY_NORTH, north), (VELOCITY_EAST, east)] {
             self.step.measure(Measurement {
                 state: State::Dynamic(state),
                 innovation: -velocity,
@@ -199,11 +199,12 @@ impl Kalman {
     fn reset_coasting(&mut self, variance: f32) {
         let [north, east] = self.nominal.velocity_m_s;
         let covariance = &mut self.step.covariance;
-        let explained =
-            covariance.dynamic_variance(2) + covariance.dynamic_variance(3) + 2.0 * variance;
+        let explained = covariance.dynamic_variance(VELOCITY_NORTH)
+            + covariance.dynamic_variance(VELOCITY_EAST)
+            + 2.0 * variance;
         if square(north) + square(east) > square(COASTING_GATE_SIGMA) * explained {
-            covariance.reset_dynamic(2, variance);
-            covariance.reset_dynamic(3, variance);
+            covariance.reset_dynamic(VELOCITY_NORTH, variance);
+            covariance.reset_dynamic(VELOCITY_EAST, variance);
             self.nominal.velocity_m_s = [0.0; 2];
         }
     }
@@ -331,7 +332,7 @@ impl Kalman {
             bias += covariance.parameter_variance(axis);
             covariance.add_to_parameter(axis, walk);
         }
-        let tilt = covariance.dynamic_variance(0) + covariance.dynamic_variance(1);
+        let tilt = covariance.tilt_variance();
         let density = square(tuning.rate_noise) + square(tuning.coupling) * bias * tilt;
         let tilt_noise = density * duration_s
             + square(tuning.rate_noise_per_rate) * self.interval.squared_rate

@@ -181,6 +181,7 @@ impl ParameterPriors {
     #[inline]
     pub(super) fn variance(&self, parameter: usize) -> f32 {
         square(match parameter {
+            // The diagonal of the gyroscope's matrix.
             3 | 7 | 11 => self.gyroscope_scale,
             ..GYROSCOPE_PARAMETERS => self.gyroscope_misalignment_rad,
             _ => self.accelerometer_m_s2,

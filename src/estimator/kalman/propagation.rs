@@ -10,6 +10,10 @@ use crate::serialize::StateVisitor;
 /// Dynamic states, which change by themselves: tilt about north and east, velocity to north and
 /// east.
 pub(super) const DYNAMIC: usize = 4;
+pub(super) const TILT_NORTH: usize = 0;
+pub(super) const TILT_EAST: usize = 1;
+pub(super) const VELOCITY_NORTH: usize = 2;
+pub(super) const VELOCITY_EAST: usize = 3;
 /// Parameter states of the sensor: gyroscope bias (3), gyroscope matrix by rows (9), accelerometer
 /// bias (3).
 pub(super) const PARAMETERS: usize = 15;

@@ -13,7 +13,7 @@
 //! propagates it to the present.
 
 use super::covariance::{Column, Covariance};
-use super::propagation::{DYNAMIC, PARAMETERS, State, Transition};
+use super::propagation::{DYNAMIC, PARAMETERS, State, TILT_NORTH, Transition};
 use crate::serialize::StateVisitor;
 
 /// Most measurements of a step: two of the velocity, three of the gyroscope's bias.
@@ -143,7 +143,7 @@ impl CovarianceStep {
     /// Returns the tilt variance, both axes together, rad².
     #[inline]
     pub(super) fn tilt_variance_rad2(&self) -> f32 {
-        self.covariance.dynamic_variance(0) + self.covariance.dynamic_variance(1)
+        self.covariance.tilt_variance()
     }
 
     /// Drops the rest of the step. Completes the measurement that is being applied first, because
@@ -303,7 +303,7 @@ impl CovarianceStep {
 
 impl Measurement {
     const BLANK: Self = Self {
-        state: State::Dynamic(0),
+        state: State::Dynamic(TILT_NORTH),
         innovation: 0.0,
         variance: 0.0,
     };
