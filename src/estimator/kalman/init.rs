@@ -5,7 +5,8 @@ use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::recovery::ForceSum;
 use super::rest_watch::RestWatch;
-use super::{KNOWN_BIAS_RAD_S, Kalman, REPORTED_VARIANCE_SCALE, USABLE_TILT_RAD};
+use super::tilt_variance::REPORTED_VARIANCE_SCALE;
+use super::{KNOWN_BIAS_RAD_S, Kalman, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
 use crate::estimator::sample::Sample;
@@ -143,7 +144,7 @@ impl Kalman {
             return;
         }
         self.reset_motion(square(self.tuning.start_tilt_rad));
-        self.rest_watch.variance_rad2 = ONE_SAMPLE_TILT_RAD2;
+        self.extra_tilt_rad2 = ONE_SAMPLE_TILT_RAD2;
         self.is_from_one_sample = true;
         if shows_gravity {
             self.take_tilt_from(force);
@@ -188,6 +189,7 @@ impl Kalman {
         self.has_work = false;
         self.is_tilt_checked = false;
         self.rest_watch = RestWatch::NONE;
+        self.extra_tilt_rad2 = 0.0;
         self.interval = Interval::EMPTY;
         self.nominal.velocity_m_s = [0.0; 2];
         self.force_sum = ForceSum::NONE;

@@ -177,11 +177,12 @@ impl Kalman {
     /// with their covariance, twice in each covariance step.
     #[inline(never)]
     pub(super) fn watch_rest_and_consistency(&mut self) {
-        self.rest_watch
+        self.extra_tilt_rad2 = self
+            .rest_watch
             .update(&self.nominal, &self.stationary, self.tuning);
         if self.consistency.is_suspicious() && !self.stationary.is_still() {
             let missing = square(SUSPICION_RAD) - self.held_tilt_rad2;
-            self.rest_watch.variance_rad2 = larger(self.rest_watch.variance_rad2, missing);
+            self.extra_tilt_rad2 = larger(self.extra_tilt_rad2, missing);
         }
     }
 

@@ -93,6 +93,7 @@ mod recovery;
 mod rest_watch;
 mod slices;
 mod stationary;
+mod tilt_variance;
 mod tuning;
 mod unseen;
 
@@ -128,23 +129,6 @@ const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
 /// σ of the tilt, both axes together, rad, from which on the specific force shows the tilt better:
 /// at the start, and at rest.
 const USABLE_TILT_RAD: f32 = radians(30.0);
-
-/// Scale from the filter's σ of tilt, which is conservative, to the reported σ.
-///
-/// Vehicle velocities are not the white noise that the filter assumes, so its σ is too large on
-/// every set of recordings with truth. The scale is no smaller, so that 3 σ hold 99 % of the
-/// errors of each set. A single recording may have less, such as 98.6 % of one room of TUM-VI.
-const REPORTED_SIGMA_SCALE: f32 = 0.92;
-const REPORTED_VARIANCE_SCALE: f32 = square(REPORTED_SIGMA_SCALE);
-
-/// Factor of the reported σ while the bias is not known, beside the variance of a turn.
-///
-/// A large bias about the vertical misleads the filter after a start in motion: while bias and tilt
-/// are uncertain, the linear model leaves out their product.
-const UNKNOWN_BIAS_SIGMA_SCALE: f32 = 3.0;
-
-/// σ of a bank that the accelerometer's error hides, rad.
-const HIDDEN_BANK_RAD: f32 = 0.1;
 
 /// Length of the mean specific force that sets the tilt at a start, s: more than seven periods of
 /// a vibration of 50 Hz.
@@ -201,6 +185,9 @@ pub struct Kalman {
     force_sum: ForceSum,
     parameter_priors: ParameterPriors,
     rest_watch: RestWatch,
+    /// Tilt variance that is reported beside the covariance's, both axes together, rad²: see
+    /// `tilt_variance.rs`.
+    extra_tilt_rad2: f32,
     step: CovarianceStep,
     /// True if the stored bias, or that of a restart, was known.
     is_stored_known: bool,
@@ -264,17 +251,7 @@ impl Filter for Kalman {
     /// Much larger while the bias is not known. Infinite without a tilt.
     #[inline]
     fn tilt_variance_rad2(&self) -> f32 {
-        match self.tilt {
-            Tilt::Unknown | Tilt::Lost => f32::INFINITY,
-            Tilt::Resumed | Tilt::Restarting | Tilt::Known => {
-                let variance = REPORTED_VARIANCE_SCALE * self.conservative_tilt_variance();
-                if self.is_bias_known {
-                    variance
-                } else {
-                    square(UNKNOWN_BIAS_SIGMA_SCALE) * variance + self.turn_variance_rad2()
-                }
-            }
-        }
+        self.reported_tilt_variance()
     }
 
     /// Returns whether the bias is known. It must have been measured at rest, in this run or that
@@ -320,6 +297,7 @@ impl Kalman {
             recent: RecentVelocity::NONE,
             consistency: Consistency::NONE,
             rest_watch: RestWatch::NONE,
+            extra_tilt_rad2: 0.0,
             parameter_priors,
             bias_prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
             force_sum: ForceSum::NONE,
@@ -355,7 +333,7 @@ impl Kalman {
     }
 
     fn forget_parameters(&mut self) {
-        self.reset_motion(0.5 * self.conservative_tilt_variance());
+        self.reset_motion(0.5 * self.total_tilt_variance());
         self.reset_parameters();
     }
 
@@ -441,42 +419,6 @@ impl Kalman {
         }
         self.is_bias_known =
             self.is_bias_measured() && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
-    }
-
-    /// Returns the variance of a bank that the filter may take for level while the bias is not
-    /// known, rad².
-    ///
-    /// A level turn reads like a tilted rest with a bias. The specific force shows the bank φ:
-    /// |f|²/g² − 1 = tan² φ. With a quarter of it, six σ are three times the bank. The
-    /// accelerometer's error may hide 20°: six of [`HIDDEN_BANK_RAD`] are 34°.
-    #[inline(never)]
-    fn turn_variance_rad2(&self) -> f32 {
-        const GRAVITY_SQUARED: f32 = square(STANDARD_GRAVITY_M_S2);
-        let force = self.stationary.average_force_m_s2();
-        let excess = force.dot(force) - GRAVITY_SQUARED;
-        0.25 / GRAVITY_SQUARED * excess.abs() + square(HIDDEN_BANK_RAD)
-    }
-
-    /// Returns the filter's own tilt variance, both axes together, rad².
-    #[inline]
-    fn conservative_tilt_variance(&self) -> f32 {
-        self.covariance_tilt_variance() + self.rest_watch.variance_rad2
-    }
-
-    /// Returns the tilt variance that belongs to the nominal state, both axes together, rad².
-    #[inline]
-    fn covariance_tilt_variance(&self) -> f32 {
-        let tilt_rad2 = if self.step.is_under_way() {
-            self.held_tilt_rad2
-        } else {
-            self.step.tilt_variance_rad2()
-        };
-        tilt_rad2 + 2.0 * self.interval.unseen_tilt_rad2
-    }
-
-    /// Returns σ of the direction of down, both axes together, rad. Infinite without a tilt.
-    pub fn tilt_sigma_rad(&self) -> f32 {
-        sigma(self.tilt_variance_rad2())
     }
 
     /// Returns the gyroscope bias, rad/s in body axes.
@@ -580,6 +522,7 @@ impl Kalman {
         self.recent.visit_state(visitor);
         self.consistency.visit_state(visitor);
         self.rest_watch.visit_state(visitor);
+        visitor.f32(&mut self.extra_tilt_rad2);
         self.parameter_priors.visit_state(visitor);
         self.bias_prior.visit_state(visitor);
         self.force_sum.visit_state(visitor);

@@ -109,7 +109,7 @@ impl Kalman {
         let unseen_tilt_rad2 = self.interval.unseen_tilt_rad2;
         self.interval = Interval::EMPTY;
         self.interval.unseen_tilt_rad2 = unseen_tilt_rad2;
-        self.rest_watch.variance_rad2 = 0.0;
+        self.extra_tilt_rad2 = 0.0;
         self.is_from_one_sample = false;
     }
 

@@ -45,10 +45,6 @@ pub(super) struct RestWatch {
     contradicted_from_s: f32,
     /// Time without motion, s, when readings that are steady too began to contradict the offset.
     steady_from_s: f32,
-    /// Variance of the tilt beside that of the covariance, both axes together, rad²: of a turn
-    /// that the specific force does not show, of a single sample's tilt, or of a suspicion of
-    /// [`consistency`](super::consistency).
-    pub(super) variance_rad2: f32,
 }
 
 impl RestWatch {
@@ -59,17 +55,17 @@ impl RestWatch {
         down: Vector3::ZERO,
         contradicted_from_s: f32::INFINITY,
         steady_from_s: f32::INFINITY,
-        variance_rad2: 0.0,
     };
 
-    /// Compares the present specific force and attitude with those of the rest. The watch ends when
-    /// the specific force changes.
+    /// Compares the present specific force and attitude with those of the rest. Returns the tilt
+    /// variance of a turn that the specific force does not show, both axes together, rad². The
+    /// watch ends when the specific force changes.
     pub(super) fn update(
         &mut self,
         nominal: &NominalState,
         stationary: &StationaryDetector,
         tuning: &Tuning,
-    ) {
+    ) -> f32 {
         let down = nominal.attitude.down_in_body();
         if self.begins {
             *self = Self {
@@ -81,13 +77,12 @@ impl RestWatch {
         let change = nominal.force_m_s2 - self.force_m_s2;
         if change.dot(change) > square(tuning.stationary_force_m_s2) {
             self.force_m_s2 = Vector3::ZERO;
-            self.variance_rad2 = 0.0;
-            return;
+            return 0.0;
         }
         // The turn goes on until the next update.
         let later = down.cross(nominal.rate_rad_s).scale(UPDATE_PERIOD_S);
         let turn = down - self.down + later;
-        self.variance_rad2 = TURN_SHARE * turn.dot(turn);
+        TURN_SHARE * turn.dot(turn)
     }
 
     /// Adds a covariance step of a new rest whose readings contradict the offset, `quiet_s` after
@@ -124,6 +119,5 @@ impl RestWatch {
         visitor.vector(&mut self.down);
         visitor.f32(&mut self.contradicted_from_s);
         visitor.f32(&mut self.steady_from_s);
-        visitor.f32(&mut self.variance_rad2);
     }
 }

@@ -4,6 +4,7 @@
 use super::covariance::Covariance;
 use super::propagation::{DYNAMIC, PARAMETERS, State, Transition};
 use super::slices::Measurement;
+use super::tilt_variance::{REPORTED_SIGMA_SCALE, UNKNOWN_BIAS_SIGMA_SCALE};
 use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::*;
 use crate::estimator::tests::{angle_between, from_degrees, sample};

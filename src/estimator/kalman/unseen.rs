@@ -1,6 +1,7 @@
 //! Unobserved motion: inflates the variances for pauses and full-scale readings.
 
-use super::{Kalman, REPORTED_VARIANCE_SCALE, Tilt, USABLE_TILT_RAD};
+use super::tilt_variance::REPORTED_VARIANCE_SCALE;
+use super::{Kalman, Tilt, USABLE_TILT_RAD};
 use crate::estimator::arithmetic::{smaller, square};
 use crate::estimator::sample::Sample;
 use crate::units::radians;
@@ -82,7 +83,7 @@ impl Kalman {
     /// samples corrupt at once. The vehicle may also have begun to move.
     pub fn inflate_motion(&mut self, variance: f32) {
         if self.tilt != Tilt::Unknown {
-            let tilt_variance = 0.5 * self.conservative_tilt_variance();
+            let tilt_variance = 0.5 * self.total_tilt_variance();
             self.reset_motion(tilt_variance + variance / REPORTED_VARIANCE_SCALE);
             self.consistency.allow_unseen_motion();
             self.recent.may_move();
