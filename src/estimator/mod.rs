@@ -67,13 +67,13 @@ const RATE_JUMP_RAD_S: f32 = radians(50.0);
 /// oscillator (STM32F405 datasheet, HSI characteristics) and 5 % of a clone. A longer or shorter
 /// period shows something else, such as a missed sample.
 const LARGEST_CLOCK_ERROR: f32 = 0.2;
-/// Share of one period in the measured unit of the clock.
+/// Weight of one period in the average of the clock's unit.
 const CLOCK_SHARE: f32 = 1.0 / 64.0;
 
-/// Beyond these limits a sample is no measurement: no sensor of this family reaches a tenth of
+/// From these limits on a sample is no measurement: no sensor of this family reaches a tenth of
 /// them.
-const LARGEST_SPECIFIC_FORCE_M_S2: f32 = 10_000.0;
-const LARGEST_RATE_RAD_S: f32 = 1_000.0;
+const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f32 = 10_000.0;
+const IMPLAUSIBLE_RATE_RAD_S: f32 = 1_000.0;
 
 /// Filter with its gate. The attitude stays a finite rotation for any input, and good samples
 /// restore it.
@@ -142,12 +142,6 @@ impl<F: Filter> Estimator<F> {
     pub fn restart(&mut self) {
         self.gate.reset();
         self.filter.restart();
-    }
-
-    /// Makes the next sample set the tilt from its specific force, as after a gap. Yaw and the
-    /// sensor's parameters are kept.
-    pub const fn reset_tilt(&mut self) {
-        self.gate.reset();
     }
 
     /// Corrects the clock that stamps the samples by the sensor's clock: the next sample, at `t_us`
@@ -235,8 +229,8 @@ impl Gate {
         let rate = sample.angular_rate_rad_s;
         let (force_squared, rate_squared) = (force.dot(force), rate.dot(rate));
         // A NaN fails every comparison.
-        let is_measurement = force_squared <= square(LARGEST_SPECIFIC_FORCE_M_S2)
-            && rate_squared <= square(LARGEST_RATE_RAD_S);
+        let is_measurement = force_squared <= square(IMPLAUSIBLE_SPECIFIC_FORCE_M_S2)
+            && rate_squared <= square(IMPLAUSIBLE_RATE_RAD_S);
         if !is_measurement {
             return (Step::Hold, Issues::REJECTED);
         }

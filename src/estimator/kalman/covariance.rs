@@ -6,13 +6,13 @@
 //!
 //! ```text
 //!      dynamic  parameters
-//! P = [   M        Xᵀ    ]   M: 4 × 4, full      X: 15 × 4
-//!     [   X        C     ]   C: 15 × 15, lower triangle by rows
+//! P = [  P_dd     P_pdᵀ  ]   P_dd: 4 × 4, full      P_pd: 15 × 4
+//!     [  P_pd     P_pp   ]   P_pp: 15 × 15, lower triangle by rows
 //! ```
 //!
-//! C cannot become asymmetric, because only half of it is stored. M is mirrored from its lower
-//! half. Operations on X and C work on one row each, so that a caller can spread them over several
-//! samples.
+//! P_pp cannot become asymmetric, because only half of it is stored. P_dd is mirrored from its
+//! lower half. Operations on P_pd and P_pp work on one row each, so that a caller can spread them
+//! over several samples.
 
 use super::prior::{FIRST_WITH_PRIOR, ParameterPriors};
 use super::propagation::{
@@ -205,7 +205,7 @@ impl Covariance {
         ];
     }
 
-    /// Propagates M: M ← A·M·Aᵀ.
+    /// Propagates P_dd: P_dd ← A·P_dd·Aᵀ.
     pub(super) fn propagate_dynamic(&mut self, transition: &Transition) {
         let f = transition.down_m_s;
         let [north, east, north_m_s, east_m_s] = &mut self.dynamic;
@@ -219,7 +219,7 @@ impl Covariance {
         }
     }
 
-    /// Propagates a row of X: X ← X·Aᵀ; then M ← M − B·X for that row.
+    /// Propagates a row of P_pd: P_pd ← P_pd·Aᵀ; then P_dd ← P_dd − B·P_pd for that row.
     pub(super) fn propagate_cross(&mut self, parameter: usize, transition: &Transition) {
         let f = transition.down_m_s;
         let Some(row) = self.cross.get_mut(parameter) else {
@@ -227,7 +227,7 @@ impl Covariance {
         };
         row[2] += f * row[1];
         row[3] -= f * row[0];
-        // Only the lower half of M; `complete_dynamic` computes the rest.
+        // Only the lower half of P_dd; `complete_dynamic` computes the rest.
         let [first, second, third, fourth] = &mut self.dynamic;
         match transition.effect(parameter) {
             Effect::Tilt(b) => {
@@ -246,8 +246,8 @@ impl Covariance {
         }
     }
 
-    /// Propagates C into X for a row of C: X ← X − C·Bᵀ. Each entry of the row represents
-    /// two of C.
+    /// Propagates P_pp into P_pd for a row of P_pp: P_pd ← P_pd − P_pp·Bᵀ. Each entry of the row
+    /// represents two of P_pp.
     pub(super) fn propagate_parameters(&mut self, parameter: usize, transition: &Transition) {
         let start = parameter * (parameter + 1) / 2;
         let Some(row) = self.triangle.get(start..start + parameter + 1) else {
@@ -300,8 +300,8 @@ impl Covariance {
         }
     }
 
-    /// Completes the propagation of M from the propagated X: M ← M − X·Bᵀ. M is then
-    /// symmetric.
+    /// Completes the propagation of P_dd from the propagated P_pd: P_dd ← P_dd − P_pd·Bᵀ. P_dd is
+    /// then symmetric.
     pub(super) fn complete_dynamic(&mut self, transition: &Transition) {
         // Only the lower half, with the terms that `propagate_cross` leaves out.
         let [first, second, third, fourth] = &mut self.dynamic;
@@ -361,7 +361,7 @@ impl Covariance {
         column
     }
 
-    /// Returns an entry of X, or zero.
+    /// Returns an entry of P_pd, or zero.
     pub(super) fn cross_entry(&self, parameter: usize, state: usize) -> f32 {
         let row = self.cross.get(parameter);
         match row.and_then(|row| row.get(state)) {
@@ -385,7 +385,7 @@ impl Covariance {
         dynamic: &mut [f32; DYNAMIC],
         parameters: &mut [f32; PARAMETERS],
     ) {
-        // M is symmetric.
+        // P_dd is symmetric.
         let rows = (self.dynamic.get(first), self.dynamic.get(first + 1));
         if let (Some(to_north), Some(to_east)) = rows {
             for ((sum, n), e) in dynamic.iter_mut().zip(to_north).zip(to_east) {
@@ -429,8 +429,8 @@ impl Covariance {
         }
     }
 
-    /// Adds a row of X and C to the product of the covariance with a vector that has entries at the
-    /// gyroscope's parameters only. All rows make the whole product.
+    /// Adds a row of P_pd and P_pp to the product of the covariance with a vector that has entries
+    /// at the gyroscope's parameters only. All rows make the whole product.
     pub(super) fn add_row_product(
         &self,
         parameter: usize,
@@ -460,7 +460,7 @@ impl Covariance {
         *own += sum;
     }
 
-    /// Applies a measurement to M: P ← P − h·hᵀ/s, with the column h and `inverse` = 1/s.
+    /// Applies a measurement to P_dd: P ← P − h·hᵀ/s, with the column h and `inverse` = 1/s.
     pub(super) fn correct_dynamic(&mut self, h: &Column, inverse: f32) {
         for row in 0..DYNAMIC {
             let gain = h.dynamic[row] * inverse;
@@ -472,7 +472,7 @@ impl Covariance {
         }
     }
 
-    /// Applies a measurement to a row of X and C: P ← P − h·hᵀ/s.
+    /// Applies a measurement to a row of P_pd and P_pp: P ← P − h·hᵀ/s.
     pub(super) fn correct_parameter(&mut self, parameter: usize, h: &Column, inverse: f32) {
         let Some(own) = h.parameters.get(parameter) else {
             return;

@@ -1,4 +1,20 @@
 //! Start of the filter: from a first sample, from a stored bias, or from an earlier run.
+//!
+//! What each start or reset makes of the state (– : nothing). All but `set_bias` abandon a
+//! covariance step under way.
+//!
+//! | method | when | tilt | velocity | bias | other parameters |
+//! |---|---|---|---|---|---|
+//! | `new`, `Filter::restart` | before the first sample; other axes | unknown, yaw zero | 0 | prior | priors |
+//! | `set_bias` | a stored offset counts | – | – | stored | – |
+//! | `resume` | after a reset of the core | kept | 0 | kept | kept: accelerometer |
+//! | `start_from` | first sample; gap; tilt hidden | by one sample, yaw kept | 0 | – | – |
+//! | `confirm_start` | 0.15 s later | by the mean force | – | – | – |
+//! | `check_tilt` | 1.3 s of force contradict the tilt | by the mean force | 0 | – | – |
+//! | `restart_at_rest` | a rest contradicts the state | by the rest's force | 0 | by the rest's rate | priors |
+//! | `forget_parameters` | another calibration | kept | 0 | – | priors |
+//! | `inflate_motion` | the sensor has lost its settings | kept, σ grows | 0 | – | – |
+//! | `restart_from_unusable_numbers` | numbers that no sensor gives | kept, σ 17° | 0 | kept | priors |
 
 use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
@@ -43,22 +59,22 @@ impl Kalman {
     /// it before the first sample.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);
-        self.take_bias(bias_rad_s, sigma_rad_s);
+        self.set_bias_prior(bias_rad_s, sigma_rad_s);
     }
 
-    /// Takes this bias, rad/s in body axes, with this σ per axis, until a rest measures it.
+    /// Sets the bias, rad/s in body axes, and its σ per axis, until a rest measures it.
     #[inline(never)]
-    pub(super) fn take_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
+    pub(super) fn set_bias_prior(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.nominal.set_gyroscope_bias(bias_rad_s);
         self.bias_prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
         self.is_stored_known = sigma_rad_s < KNOWN_BIAS_RAD_S;
         self.is_bias_known = self.is_stored_known;
-        self.discard_measured_bias();
+        self.return_bias_to_prior();
     }
 
     /// Returns the bias's variances to their prior, until a rest measures the bias.
     #[inline(never)]
-    pub(super) fn discard_measured_bias(&mut self) {
+    pub(super) fn return_bias_to_prior(&mut self) {
         self.has_rested = false;
         self.step.covariance.reset_bias(self.bias_prior.variance);
     }
@@ -68,7 +84,7 @@ impl Kalman {
     /// it before the first sample.
     pub fn resume(&mut self, start: &WarmStart) {
         self.nominal.attitude = start.attitude;
-        self.start_with(
+        self.start_from_attitude(
             start.bias_rad_s,
             start.bias_sigma_rad_s,
             start.tilt_sigma_rad,
@@ -84,14 +100,14 @@ impl Kalman {
         };
     }
 
-    /// Starts from the present attitude with this bias, and their σ.
-    pub(super) fn start_with(
+    /// Starts from the present attitude with this bias, and their σ. Keeps the other parameters.
+    pub(super) fn start_from_attitude(
         &mut self,
         bias_rad_s: Vector3,
         bias_sigma_rad_s: f32,
         tilt_sigma_rad: f32,
     ) {
-        self.take_bias(bias_rad_s, bias_sigma_rad_s);
+        self.set_bias_prior(bias_rad_s, bias_sigma_rad_s);
         self.reset_motion(0.5 * square(tilt_sigma_rad) / REPORTED_VARIANCE_SCALE);
     }
 
@@ -102,19 +118,6 @@ impl Kalman {
         self.nominal.set_gyroscope_bias(bias_rad_s);
         self.bias_prior.mean_rad_s = self.bias_prior.mean_rad_s + change_rad_s;
         self.stationary.shift_rate(change_rad_s);
-    }
-
-    /// Resets everything but the settings and the quaternion's sign. Yaw starts at zero again.
-    #[inline(never)]
-    pub(super) fn reset(&mut self) {
-        let attitude = Quaternion::IDENTITY.with_sign_of(self.nominal.attitude);
-        *self = Self {
-            delay_s: self.delay_s,
-            longest_step_s: self.longest_step_s,
-            is_armed: self.is_armed,
-            ..Self::fresh(self.tuning, self.parameter_priors)
-        };
-        self.nominal.attitude = attitude;
     }
 
     /// Starts from the first sample, or the first after a gap: takes roll and pitch from the
@@ -147,7 +150,7 @@ impl Kalman {
         self.extra_tilt_rad2 = ONE_SAMPLE_TILT_RAD2;
         self.is_from_one_sample = true;
         if shows_gravity {
-            self.take_tilt_from(force);
+            self.level_to(force);
         } else {
             self.lose_tilt();
         }
@@ -155,7 +158,7 @@ impl Kalman {
 
     /// Makes this sample's specific force, body axes, point up. The first tilt has no yaw. A later
     /// one is the nearest to the present attitude, of a vehicle that may move.
-    fn take_tilt_from(&mut self, force: Vector3) {
+    fn level_to(&mut self, force: Vector3) {
         let attitude = self.nominal.attitude;
         if self.tilt == Tilt::Unknown {
             self.nominal.attitude = Quaternion::from_down(-force).with_sign_of(attitude);
@@ -181,7 +184,7 @@ impl Kalman {
     pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
         self.step.abandon();
         if self.is_first_rest {
-            self.discard_measured_bias();
+            self.return_bias_to_prior();
         }
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;

@@ -35,6 +35,8 @@ const CERTAIN_REST_S: f32 = 1.125;
 /// Largest rate that a rest may hide, rad/s.
 const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
 
+/// Gate of the horizontal force at rest, in σ of the tilt.
+const STATIONARY_FORCE_GATE_SIGMA: f32 = 4.0;
 /// Largest horizontal force at rest that the tilt's σ does not explain, as a share of one g: the
 /// accelerometer's bias.
 pub(super) const STATIONARY_FORCE_SHARE: f32 = 0.03;
@@ -98,7 +100,7 @@ impl Kalman {
         let turned_rad_s = LARGEST_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / turned_s;
         let is_steady_turn = 2.0 * (quiet_s - self.steady_until_s) > turned_s;
         if self.has_rested && is_steady_turn && shown.is_within(turned_rad_s - HIDDEN_RATE_RAD_S) {
-            self.take_bias(bias_rad_s, self.tuning.gyroscope_bias_rad_s);
+            self.set_bias_prior(bias_rad_s, self.tuning.gyroscope_bias_rad_s);
         }
         self.stationary.interrupt();
     }
@@ -145,7 +147,7 @@ impl Kalman {
         let up_m_s2 = -force.z;
         let is_explained = square(force.x) + square(force.y)
             < up_m_s2
-                * (16.0 * STANDARD_GRAVITY_M_S2 * tilt
+                * (square(STATIONARY_FORCE_GATE_SIGMA) * STANDARD_GRAVITY_M_S2 * tilt
                     + square(STATIONARY_FORCE_SHARE) * STANDARD_GRAVITY_M_S2);
         let is_long =
             self.stationary.quiet_s() > LONGEST_ACCELERATION_S3_M * (up_m_s2 - LEAST_UP_M_S2);
@@ -231,7 +233,9 @@ impl Kalman {
         }
     }
 
-    /// Returns whether a bias innovation, rad/s, is within this number of σ on each axis.
+    /// Returns whether a bias innovation, rad/s, is within this number of σ on each axis: of the
+    /// bias before the update, and of the mean rate of one second at rest. The update averages over
+    /// less, so the gate is stricter than σ of its innovation.
     fn passes_gate(&self, difference: Vector3, sigmas: f32) -> bool {
         let noise = square(self.tuning.stationary_rate_noise);
         let differences = [difference.x, difference.y, difference.z];

@@ -1,8 +1,7 @@
 //! One Kalman filter for tilt, velocity and the sensor's parameters.
 //!
-//! An accelerometer shows down only while nothing accelerates. In motion the filter does not detect
-//! such moments; *Start and rest* below is about rest. It integrates the specific force to a
-//! velocity, and uses the pseudo-measurement that velocities stay small. A force that integrates to
+//! An accelerometer shows down only while nothing accelerates. In motion the filter does not try to
+//! detect such moments. It integrates the specific force to a velocity, and uses the pseudo-measurement that velocities stay small. A force that integrates to
 //! an implausible velocity is no acceleration, but gravity seen in a wrong attitude.
 //!
 //! # Nominal state ([`nominal`](self))
@@ -52,8 +51,9 @@
 //!   counts as noise ([`Tuning::coupling`]).
 //! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and
 //!   neither runs while armed. If the first rest contradicts the state reached in motion, the
-//!   filter restarts at that rest. So it does if the first rest finds the tilt too uncertain, or
-//!   any rest finds it upside down.
+//!   filter restarts at that rest. So it does if the first rest finds the tilt too uncertain. A
+//!   rest whose force contradicts the tilt for longer than a vehicle accelerates restarts it too:
+//!   at once if the tilt is over 35° wrong, after 6.8 s if it is nearly level.
 //! - In motion, the mean specific force of 1.3 s sets a tilt that it shows to be over 45° wrong.
 //! - A slow, steady turn reads like a rest, but gravity turns in the body. A rest ends when the
 //!   force drifts by 0.6°. If it has drifted from the rest's beginning on, and the gyroscope shows
@@ -134,8 +134,9 @@ const USABLE_TILT_RAD: f32 = radians(30.0);
 /// a vibration of 50 Hz.
 const FIRST_MEAN_S: f32 = 0.15;
 
-/// Period of the covariance slices where samples are rare, s. At about 100 Hz a step takes longer
-/// than [`Tuning::covariance_period_s`], and the next interval is longer by that.
+/// Time per slice of a covariance step, s: a longer sample period runs several slices with each
+/// sample. At about 100 Hz a step takes longer than [`Tuning::covariance_period_s`], and the next
+/// interval is longer by that.
 const SLICE_PERIOD_S: f32 = 10.5e-3;
 /// Sample period above which every sample has an earth step, s.
 const LONG_SAMPLE_PERIOD_S: f32 = 5.5e-3;
@@ -202,8 +203,16 @@ impl Default for Kalman {
 }
 
 impl Filter for Kalman {
+    #[inline(never)]
     fn restart(&mut self) {
-        self.reset();
+        let attitude = Quaternion::IDENTITY.with_sign_of(self.nominal.attitude);
+        *self = Self {
+            delay_s: self.delay_s,
+            longest_step_s: self.longest_step_s,
+            is_armed: self.is_armed,
+            ..Self::fresh(self.tuning, self.parameter_priors)
+        };
+        self.nominal.attitude = attitude;
     }
 
     fn start(&mut self, sample: &Sample, shows_gravity: bool) {
@@ -307,7 +316,7 @@ impl Kalman {
             steady_until_s: 0.0,
         };
         filter.reset_parameters();
-        filter.discard_measured_bias();
+        filter.return_bias_to_prior();
         filter.reset_motion(square(tuning.start_tilt_rad));
         filter
     }

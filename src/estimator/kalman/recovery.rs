@@ -35,7 +35,7 @@ impl Kalman {
     pub(super) fn restart_at_rest(&mut self, readings: &StationaryReadings) {
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
         self.level(force);
-        self.restart_with(
+        self.restart_from(
             readings.rate_rad_s,
             STATIONARY_BIAS_RAD_S,
             STATIONARY_TILT_RAD,
@@ -46,10 +46,10 @@ impl Kalman {
     /// Restarts from the present attitude with this bias, their σ, and the priors of the other
     /// parameters.
     #[inline(never)]
-    fn restart_with(&mut self, bias_rad_s: Vector3, bias_sigma_rad_s: f32, tilt_sigma_rad: f32) {
+    fn restart_from(&mut self, bias_rad_s: Vector3, bias_sigma_rad_s: f32, tilt_sigma_rad: f32) {
         self.reset_parameters();
         self.consistency = Consistency::NONE;
-        self.start_with(bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad);
+        self.start_from_attitude(bias_rad_s, bias_sigma_rad_s, tilt_sigma_rad);
         self.tilt = Tilt::Known;
     }
 
@@ -138,7 +138,7 @@ impl Kalman {
             (false, _) => (Vector3::ZERO, prior_rad_s),
         };
         self.recent = RecentVelocity::NONE;
-        self.restart_with(bias_rad_s, sigma_rad_s, RECOVERED_TILT_RAD);
+        self.restart_from(bias_rad_s, sigma_rad_s, RECOVERED_TILT_RAD);
         if !is_usable {
             self.nominal.attitude = Quaternion::IDENTITY;
             self.tilt = Tilt::Unknown;

@@ -21,7 +21,7 @@ pub(super) const MOST_MEASUREMENTS: usize = 5;
 
 const LAST_ROW: usize = PARAMETERS - 1;
 
-/// Rows of the block X in a slice.
+/// Rows of the block P_pd in a slice.
 const CROSS_ROWS: usize = 8;
 
 /// The next slice.
@@ -30,11 +30,11 @@ const CROSS_ROWS: usize = 8;
 enum Phase {
     /// No step is under way.
     Idle,
-    /// F·P·Fᵀ: the block X by A, from this row on.
+    /// F·P·Fᵀ: the block P_pd by A, from this row on.
     PropagateCross(usize),
-    /// F·P·Fᵀ: the block C into X, from this row of C on.
+    /// F·P·Fᵀ: the block P_pp into P_pd, from this row of P_pp on.
     PropagateParameters(usize),
-    /// F·P·Fᵀ: the block X into M.
+    /// F·P·Fᵀ: the block P_pd into P_dd.
     CompleteDynamic,
     /// The caller lets a parameter return towards its prior.
     Relax,
@@ -262,7 +262,7 @@ impl CovarianceStep {
         }
     }
 
-    /// Applies the measurement of this index to δ and M. Returns the next phase.
+    /// Applies the measurement of this index to δ and P_dd. Returns the next phase.
     #[inline(never)]
     fn correct(&mut self, index: usize) -> Phase {
         let Some(measurement) = self.measurement(index) else {
