@@ -246,8 +246,9 @@ impl Covariance {
         }
     }
 
-    /// Propagates P_pp into P_pd for a row of P_pp: P_pd ← P_pd − P_pp·Bᵀ. Each entry of the row
-    /// represents two of P_pp.
+    /// Propagates a row of P_pp into P_pd: P_pd ← P_pd − P_pp·Bᵀ.
+    ///
+    /// Each entry of the row represents two of P_pp.
     pub(super) fn propagate_parameters(&mut self, parameter: usize, transition: &Transition) {
         let start = parameter * (parameter + 1) / 2;
         let Some(row) = self.triangle.get(start..start + parameter + 1) else {
@@ -300,8 +301,9 @@ impl Covariance {
         }
     }
 
-    /// Completes the propagation of P_dd from the propagated P_pd: P_dd ← P_dd − P_pd·Bᵀ. P_dd is
-    /// then symmetric.
+    /// Completes P_dd from the propagated P_pd: P_dd ← P_dd − P_pd·Bᵀ.
+    ///
+    /// P_dd is then symmetric.
     pub(super) fn complete_dynamic(&mut self, transition: &Transition) {
         // Only the lower half, with the terms that `propagate_cross` leaves out.
         let [first, second, third, fourth] = &mut self.dynamic;

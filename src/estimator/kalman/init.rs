@@ -1,20 +1,20 @@
 //! Start of the filter: from a first sample, from a stored bias, or from an earlier run.
 //!
-//! What each start or reset makes of the state (– : nothing). All but `set_bias` abandon a
-//! covariance step under way.
+//! What each start or reset makes of the state (– : nothing). The velocity becomes zero but for
+//! `set_bias` and `confirm_start`, and a covariance step under way ends.
 //!
-//! | method | when | tilt | velocity | bias | other parameters |
-//! |---|---|---|---|---|---|
-//! | `new`, `Filter::restart` | before the first sample; other axes | unknown, yaw zero | 0 | prior | priors |
-//! | `set_bias` | a stored offset counts | – | – | stored | – |
-//! | `resume` | after a reset of the core | kept | 0 | kept | kept: accelerometer |
-//! | `start_from` | first sample; gap; tilt hidden | by one sample, yaw kept | 0 | – | – |
-//! | `confirm_start` | 0.15 s later | by the mean force | – | – | – |
-//! | `check_tilt` | 1.3 s of force contradict the tilt | by the mean force | 0 | – | – |
-//! | `restart_at_rest` | a rest contradicts the state | by the rest's force | 0 | by the rest's rate | priors |
-//! | `forget_parameters` | another calibration | kept | 0 | – | priors |
-//! | `inflate_motion` | the sensor has lost its settings | kept, σ grows | 0 | – | – |
-//! | `restart_from_unusable_numbers` | numbers that no sensor gives | kept, σ 17° | 0 | kept | priors |
+//! | method | when | tilt | bias | other parameters |
+//! |---|---|---|---|---|
+//! | `new`, `restart` | first of all; other axes | unknown, yaw zero | prior | priors |
+//! | `set_bias` | a stored offset counts | – | stored | – |
+//! | `resume` | the core was reset | kept | kept | kept: accelerometer |
+//! | `start_from` | first sample; gap; tilt hidden | by one sample, yaw kept | – | – |
+//! | `confirm_start` | 0.15 s later | by the mean force | – | – |
+//! | `check_tilt` | 1.3 s of force contradict it | by the mean force | – | – |
+//! | `restart_at_rest` | a rest contradicts the state | by its force | by its rate | priors |
+//! | `forget_parameters` | another calibration | kept | – | priors |
+//! | `inflate_motion` | the sensor lost its settings | kept, σ grows | – | – |
+//! | `restart_from_unusable_numbers` | no sensor's numbers | kept, σ 17° | kept | priors |
 
 use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;

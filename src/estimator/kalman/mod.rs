@@ -1,8 +1,9 @@
 //! One Kalman filter for tilt, velocity and the sensor's parameters.
 //!
 //! An accelerometer shows down only while nothing accelerates. In motion the filter does not try to
-//! detect such moments. It integrates the specific force to a velocity, and uses the pseudo-measurement that velocities stay small. A force that integrates to
-//! an implausible velocity is no acceleration, but gravity seen in a wrong attitude.
+//! detect such moments. It integrates the specific force to a velocity, and uses the
+//! pseudo-measurement that velocities stay small. A force that integrates to an implausible
+//! velocity is no acceleration, but gravity seen in a wrong attitude.
 //!
 //! # Nominal state ([`nominal`](self))
 //!

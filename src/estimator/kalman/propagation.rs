@@ -30,8 +30,9 @@ pub(super) enum State {
     Parameter(usize),
 }
 
-/// The error's transition over an interval: `dynamic ← A·dynamic − B·parameters`. The parameters
-/// stay, so F = [A, −B; 0, I].
+/// The error's transition over an interval: `dynamic ← A·dynamic − B·parameters`.
+///
+/// The parameters stay, so F = [A, −B; 0, I].
 ///
 /// A is the identity but for the velocity error that a tilt error gathers under the specific force.
 #[derive(Debug, Clone, Copy, PartialEq)]
