@@ -327,6 +327,20 @@ impl Quaternion {
         Self::new(cr * cp, sr * cp, cr * sp, -sr * sp).normalize()
     }
 
+    /// Returns the rows of the rotation matrix of a quaternion with this squared norm. The rows
+    /// turn body axes to earth axes: north, east, down.
+    #[inline]
+    pub(crate) fn matrix_rows(self, squared_norm: f32) -> [Vector3; 3] {
+        let Self { w, x, y, z } = self;
+        let s = 2.0 / squared_norm;
+        let (sx, sy, sz) = (s * x, s * y, s * z);
+        [
+            Vector3::new(1.0 - (y * sy + z * sz), x * sy - w * sz, x * sz + w * sy),
+            Vector3::new(x * sy + w * sz, 1.0 - (x * sx + z * sz), y * sz - w * sx),
+            Vector3::new(x * sz - w * sy, y * sz + w * sx, 1.0 - (x * sx + y * sy)),
+        ]
+    }
+
     /// Returns the four-dimensional scalar product, near ±1 for nearly equal rotations.
     #[inline]
     pub fn dot(self, other: Self) -> f32 {

@@ -99,9 +99,9 @@ impl<F: Filter> Estimator<F> {
         let (step, issues) = self.gate.check(sample);
         let shows_gravity = !issues.contains(Issues::NO_GRAVITY);
         match step {
-            Step::Hold => {}
-            Step::Start => self.filter.start(sample, shows_gravity),
-            Step::Advance { dt_s } => self.filter.update(sample, dt_s, shows_gravity),
+            GateDecision::Hold => {}
+            GateDecision::Start => self.filter.start(sample, shows_gravity),
+            GateDecision::Advance { dt_s } => self.filter.update(sample, dt_s, shows_gravity),
         }
         self.estimate_with(issues)
     }
@@ -180,7 +180,7 @@ impl Estimator {
 
 /// Action of the filter on a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Step {
+enum GateDecision {
     /// Holds the attitude.
     Hold,
     /// Starts from the sample, which is the first one or the first after a gap.
@@ -224,7 +224,7 @@ impl Gate {
 
     /// Checks a sample. Returns the filter's action and the issues found.
     #[inline]
-    fn check(&mut self, sample: &Sample) -> (Step, Issues) {
+    fn check(&mut self, sample: &Sample) -> (GateDecision, Issues) {
         let force = sample.specific_force_m_s2;
         let rate = sample.angular_rate_rad_s;
         let (force_squared, rate_squared) = (force.dot(force), rate.dot(rate));
@@ -232,7 +232,7 @@ impl Gate {
         let is_measurement = force_squared <= square(IMPLAUSIBLE_SPECIFIC_FORCE_M_S2)
             && rate_squared <= square(IMPLAUSIBLE_RATE_RAD_S);
         if !is_measurement {
-            return (Step::Hold, Issues::REJECTED);
+            return (GateDecision::Hold, Issues::REJECTED);
         }
         let mut issues = Issues::empty();
         if force_squared < square(LEAST_SPECIFIC_FORCE_M_S2) {
@@ -243,17 +243,17 @@ impl Gate {
         }
         self.rate_squared = rate_squared;
         let Some(last_t_us) = self.last_t_us.replace(sample.t_us) else {
-            return (Step::Start, issues);
+            return (GateDecision::Start, issues);
         };
         if sample.t_us <= last_t_us {
-            return (Step::Hold, issues | Issues::TIME_WENT_BACK);
+            return (GateDecision::Hold, issues | Issues::TIME_WENT_BACK);
         }
         let step_us = sample.t_us - last_t_us;
         if step_us > LONGEST_STEP_US {
-            return (Step::Start, issues | Issues::GAP);
+            return (GateDecision::Start, issues | Issues::GAP);
         }
         let dt_s = step_us as u32 as f32 * self.seconds_per_us;
-        (Step::Advance { dt_s }, issues)
+        (GateDecision::Advance { dt_s }, issues)
     }
 
     /// Measures the clock's unit by the period from the last sample to this one.

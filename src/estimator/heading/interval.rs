@@ -15,8 +15,8 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 pub(super) struct Interval {
     /// Sum of the readings in level axes, µT.
     pub(super) field_ut: [f32; 3],
-    /// Sum of the rotation matrices at the readings, by rows.
-    pub(super) turn: [[f32; 3]; 3],
+    /// Sum of the rotation matrices at the readings, by rows; W of the measurement once closed.
+    pub(super) rotation: [[f32; 3]; 3],
     /// Number of readings.
     pub(super) readings: f32,
     /// Effect of each gyroscope parameter on yaw: ∫R_down dt, and ∫R_down,j·ω_l dt.
@@ -35,7 +35,7 @@ impl Interval {
     /// Interval of no length.
     pub(super) const EMPTY: Self = Self {
         field_ut: [0.0; 3],
-        turn: [[0.0; 3]; 3],
+        rotation: [[0.0; 3]; 3],
         readings: 0.0,
         yaw: [0.0; GYROSCOPE],
         duration_s: 0.0,
@@ -72,23 +72,16 @@ impl Interval {
 
     /// Adds a reading, whose motion was `age_s` before that of the last sample.
     pub(super) fn add_reading(&mut self, kalman: &Kalman, [mx, my, mz]: [f32; 3], age_s: f32) {
-        // A turn of 2·atan(φ/2): for φ = 0.2 rad it is short by 0.04°.
+        // A rotation of 2·atan(φ/2): for φ = 0.2 rad it is short by 0.04°.
         let half = kalman.rotation_since_earth_step(age_s).scale(0.5);
-        let turn = Quaternion::new(1.0, half.x, half.y, half.z);
-        let Quaternion { w, x, y, z } = kalman.attitude_at_earth_step().multiply(turn);
-        let s = 2.0 / (1.0 + half.dot(half));
-        let (sx, sy, sz) = (s * x, s * y, s * z);
-        let rows = [
-            [1.0 - (y * sy + z * sz), x * sy - w * sz, x * sz + w * sy],
-            [x * sy + w * sz, 1.0 - (x * sx + z * sz), y * sz - w * sx],
-            [x * sz - w * sy, y * sz + w * sx, 1.0 - (x * sx + y * sy)],
-        ];
-        for ((sum, turn), row) in self.field_ut.iter_mut().zip(&mut self.turn).zip(rows) {
-            let [rx, ry, rz] = row;
-            *sum += rx * mx + ry * my + rz * mz;
-            turn[0] += rx;
-            turn[1] += ry;
-            turn[2] += rz;
+        let rotation = Quaternion::new(1.0, half.x, half.y, half.z);
+        let attitude = kalman.attitude_at_earth_step().multiply(rotation);
+        let rows = attitude.matrix_rows(1.0 + half.dot(half));
+        for ((sum, rotation), row) in self.field_ut.iter_mut().zip(&mut self.rotation).zip(rows) {
+            *sum += row.x * mx + row.y * my + row.z * mz;
+            rotation[0] += row.x;
+            rotation[1] += row.y;
+            rotation[2] += row.z;
         }
         self.readings += 1.0;
     }
@@ -97,7 +90,7 @@ impl Interval {
     pub(super) fn close(&mut self) {
         if self.readings > 0.0 {
             let share = 1.0 / self.readings;
-            let sums = self.turn.as_flattened_mut().iter_mut();
+            let sums = self.rotation.as_flattened_mut().iter_mut();
             for sum in sums.chain(&mut self.field_ut) {
                 *sum *= share;
             }
@@ -121,7 +114,7 @@ impl Interval {
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.f32s(&mut self.field_ut);
-        visitor.f32s(self.turn.as_flattened_mut());
+        visitor.f32s(self.rotation.as_flattened_mut());
         visitor.f32(&mut self.readings);
         visitor.f32s(&mut self.yaw);
         visitor.f32(&mut self.duration_s);

@@ -38,7 +38,7 @@ impl Heading {
     fn measured(&self) -> [f32; 3] {
         let [.., bx, by, bz, _, _, _] = self.state;
         let mut measured = self.closed().field_ut;
-        for (sum, [x, y, z]) in measured.iter_mut().zip(&self.closed().turn) {
+        for (sum, [x, y, z]) in measured.iter_mut().zip(&self.closed().rotation) {
             *sum -= x * bx + y * by + z * bz;
         }
         measured
@@ -54,7 +54,7 @@ impl Heading {
     /// Returns the measurement's row of an axis.
     fn row(&self, axis: usize) -> Row {
         let [x, y, z] = self.measured();
-        let [first, second, third] = self.closed().turn;
+        let [first, second, third] = self.closed().rotation;
         match axis {
             0 => Row {
                 iron: first,

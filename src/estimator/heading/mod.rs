@@ -522,7 +522,7 @@ impl Heading {
     /// filter is about to begin its next step.
     #[inline(never)]
     fn run_slices(&mut self, kalman: &Kalman, dt_s: f32, is_earth_step: bool) {
-        let slices = if kalman.has_work() || dt_s > LONGEST_SLICED_S {
+        let slices = if kalman.is_step_pending() || dt_s > LONGEST_SLICED_S {
             MOST_SLICES
         } else if is_earth_step && dt_s < LONG_SAMPLE_PERIOD_S {
             0

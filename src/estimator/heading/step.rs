@@ -2,7 +2,7 @@
 //! over the same interval.
 //!
 //! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/follow.rs`).
-//! 2. *Turn* the field by the drift of yaw. The gyroscope's errors e turn the level frame by W·e
+//! 2. *Rotate* the field by the drift of yaw. The gyroscope's errors e turn the level frame by W·e
 //!    about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
 //!    over an interval, so those after the tilt filter's correction δ serve: c moves by δ, and
 //!    its covariance by what is left.
@@ -42,11 +42,11 @@ pub(super) enum Phase {
     /// Covariance of the drift of yaw with the error states, from this pair of parameters on.
     Drift(u8),
     /// Covariance of the drift of yaw with the field states.
-    Turn,
+    ProjectDrift,
     /// Field and O by the drift of yaw.
-    TurnField,
+    RotateField,
     /// X by the drift of yaw.
-    TurnCross,
+    RotateCross,
     /// Process noise of field and hard iron.
     Walk,
     /// A state of the local deviation.
@@ -85,9 +85,9 @@ impl Heading {
             Phase::Follow(row, index) => self.follow_measurement(kalman, row, index),
             Phase::FollowOwn(row, index) => self.follow_own(kalman, row, index),
             Phase::Drift(parameter) => self.drift(kalman, parameter),
-            Phase::Turn => self.project_drift(),
-            Phase::TurnField => self.turn_field(kalman),
-            Phase::TurnCross => self.turn_cross(kalman),
+            Phase::ProjectDrift => self.project_drift(),
+            Phase::RotateField => self.rotate_field(kalman),
+            Phase::RotateCross => self.rotate_cross(kalman),
             Phase::Walk => self.walk(kalman),
             Phase::Forget(state) => self.forget(state),
             Phase::Expect(axis) => self.expect(kalman, axis),
@@ -202,7 +202,7 @@ impl Heading {
         if is_more {
             Phase::Drift(part + 1)
         } else {
-            Phase::Turn
+            Phase::ProjectDrift
         }
     }
 
@@ -214,11 +214,11 @@ impl Heading {
             *entry = dot(yaw, gyroscope(row));
         }
         self.own = own;
-        Phase::TurnField
+        Phase::RotateField
     }
 
-    /// Turns the field by the drift of yaw, and O with it.
-    fn turn_field(&mut self, kalman: &Kalman) -> Phase {
+    /// Rotates the field by the drift of yaw, and O with it.
+    fn rotate_field(&mut self, kalman: &Kalman) -> Phase {
         let known = dot(&self.closed().yaw, gyroscope(&self.column));
         let variance = known + self.yaw_noise_rad2(kalman);
         let [x, y, ..] = self.state;
@@ -232,11 +232,11 @@ impl Heading {
             covariance.add(row + 2, 0, gx * entry);
             covariance.add(row + 2, 1, gy * entry);
         }
-        Phase::TurnCross
+        Phase::RotateCross
     }
 
-    /// Turns X by the drift of yaw.
-    fn turn_cross(&mut self, kalman: &Kalman) -> Phase {
+    /// Rotates X by the drift of yaw.
+    fn rotate_cross(&mut self, kalman: &Kalman) -> Phase {
         let turn_rad = dot(&self.closed().yaw, kalman.gyroscope_correction());
         let [x, y, ..] = &mut self.state;
         let (gx, gy) = (-*y, *x);
@@ -328,9 +328,9 @@ impl Phase {
             Self::Follow(row, index) => (4, row, index),
             Self::FollowOwn(row, index) => (5, row, index),
             Self::Drift(part) => (6, part, 0),
-            Self::Turn => (7, 0, 0),
-            Self::TurnField => (8, 0, 0),
-            Self::TurnCross => (9, 0, 0),
+            Self::ProjectDrift => (7, 0, 0),
+            Self::RotateField => (8, 0, 0),
+            Self::RotateCross => (9, 0, 0),
             Self::Walk => (10, 0, 0),
             Self::Forget(state) => (11, state, 0),
             Self::Expect(axis) => (12, axis, 0),
@@ -357,9 +357,9 @@ impl Phase {
             4 => Self::Follow(first, second),
             5 => Self::FollowOwn(first, second),
             6 => Self::Drift(first),
-            7 => Self::Turn,
-            8 => Self::TurnField,
-            9 => Self::TurnCross,
+            7 => Self::ProjectDrift,
+            8 => Self::RotateField,
+            9 => Self::RotateCross,
             10 => Self::Walk,
             11 => Self::Forget(first),
             12 => Self::Expect(first),

@@ -65,8 +65,8 @@ impl Kalman {
 
     /// Returns whether a covariance step is due or under way.
     #[inline]
-    pub(in crate::estimator) fn has_work(&self) -> bool {
-        self.has_work
+    pub(in crate::estimator) fn is_step_pending(&self) -> bool {
+        self.is_step_pending
     }
 
     /// Returns whether a covariance step is under way. Its result is not that of the state then.

@@ -117,7 +117,7 @@ impl Kalman {
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s + change_rad_s;
         self.nominal.set_gyroscope_bias(bias_rad_s);
         self.bias_prior.mean_rad_s = self.bias_prior.mean_rad_s + change_rad_s;
-        self.stationary.shift_rate(change_rad_s);
+        self.rest_detector.shift_rate(change_rad_s);
     }
 
     /// Starts from the first sample, or the first after a gap: takes roll and pitch from the
@@ -127,13 +127,13 @@ impl Kalman {
     /// `dt_s` after the last one: in a pause the body may turn.
     pub(super) fn start_from(&mut self, sample: &Sample, shows_gravity: bool, dt_s: f32) {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
-        let readings = self.stationary.readings(self.tuning);
+        let readings = self.rest_detector.readings(self.tuning);
         if let (Tilt::Restarting, Some(readings)) = (self.tilt, readings)
             && dt_s < self.longest_step_s
         {
             self.restart_at_rest(&readings);
         } else {
-            self.stationary.start(rate, force);
+            self.rest_detector.start(rate, force);
             self.start_tilt(force, shows_gravity);
         }
         self.nominal.start(rate, force);
@@ -189,7 +189,7 @@ impl Kalman {
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;
         covariance.reset_motion(tilt_variance, velocity_variance);
-        self.has_work = false;
+        self.is_step_pending = false;
         self.is_tilt_checked = false;
         self.rest_watch = RestWatch::NONE;
         self.extra_tilt_rad2 = 0.0;

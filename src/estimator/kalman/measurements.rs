@@ -4,8 +4,8 @@
 use super::consistency::SUSPICION_RAD;
 use super::prior::{BiasPrior, FIRST_WITH_PRIOR};
 use super::propagation::{Interval, PARAMETERS, State, VELOCITY_EAST, VELOCITY_NORTH};
+use super::rest_detector::{RestReadings, SETTLED_S};
 use super::slices::Measurement;
-use super::stationary::{SETTLED_S, StationaryReadings};
 use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::{Kalman, Tilt, USABLE_TILT_RAD};
 use crate::attitude::Vector3;
@@ -55,7 +55,7 @@ impl Kalman {
         self.recent
             .update(self.nominal.velocity_m_s, duration_s, self.tuning);
         self.end_rest_if_turned();
-        let stationary = self.stationary.readings(self.tuning);
+        let stationary = self.rest_detector.readings(self.tuning);
         let stationary =
             stationary.filter(|_| !self.is_armed && (self.has_rested || self.is_rest_certain()));
         self.is_first_rest = stationary.is_some() && !self.has_rested;
@@ -77,7 +77,7 @@ impl Kalman {
 
     /// Returns whether a first rest may be believed: it measures a bias that was not known.
     fn is_rest_certain(&self) -> bool {
-        let quiet_s = self.stationary.quiet_s();
+        let quiet_s = self.rest_detector.quiet_s();
         quiet_s <= self.steady_until_s || quiet_s > CERTAIN_REST_S
     }
 
@@ -86,8 +86,8 @@ impl Kalman {
     /// turn, and is unknown.
     #[inline(never)]
     fn end_rest_if_turned(&mut self) {
-        let quiet_s = self.stationary.quiet_s();
-        let squared_drift = self.stationary.squared_drift();
+        let quiet_s = self.rest_detector.quiet_s();
+        let squared_drift = self.rest_detector.squared_drift();
         if squared_drift < square(CERTAIN_DRIFT_M_S2) {
             self.steady_until_s = quiet_s;
         }
@@ -96,13 +96,13 @@ impl Kalman {
             return;
         }
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
-        let shown = self.stationary.average_rate_rad_s() - bias_rad_s;
+        let shown = self.rest_detector.average_rate_rad_s() - bias_rad_s;
         let turned_rad_s = LARGEST_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / turned_s;
         let is_steady_turn = 2.0 * (quiet_s - self.steady_until_s) > turned_s;
         if self.has_rested && is_steady_turn && shown.is_within(turned_rad_s - HIDDEN_RATE_RAD_S) {
             self.set_bias_prior(bias_rad_s, self.tuning.gyroscope_bias_rad_s);
         }
-        self.stationary.interrupt();
+        self.rest_detector.interrupt();
     }
 
     /// Returns the noise density of the zero-velocity measurement in motion, (m/s)²·s.
@@ -133,7 +133,7 @@ impl Kalman {
     /// bias only if no motion can explain it. Any rest disagrees whose specific force contradicts
     /// the tilt for longer than a vehicle accelerates.
     #[inline(never)]
-    fn measure_at_rest(&mut self, readings: &StationaryReadings, duration_s: f32) -> bool {
+    fn measure_at_rest(&mut self, readings: &RestReadings, duration_s: f32) -> bool {
         let tuning = self.tuning;
         let difference = readings.rate_rad_s - self.nominal.gyroscope_bias_rad_s;
         let tilt = self.step.tilt_variance_rad2();
@@ -150,7 +150,7 @@ impl Kalman {
                 * (square(STATIONARY_FORCE_GATE_SIGMA) * STANDARD_GRAVITY_M_S2 * tilt
                     + square(STATIONARY_FORCE_SHARE) * STANDARD_GRAVITY_M_S2);
         let is_long =
-            self.stationary.quiet_s() > LONGEST_ACCELERATION_S3_M * (up_m_s2 - LEAST_UP_M_S2);
+            self.rest_detector.quiet_s() > LONGEST_ACCELERATION_S3_M * (up_m_s2 - LEAST_UP_M_S2);
         if !is_explained && is_long {
             return false;
         }
@@ -179,21 +179,21 @@ impl Kalman {
     /// with their covariance, twice in each covariance step.
     #[inline(never)]
     pub(super) fn watch_rest_and_consistency(&mut self) {
-        self.extra_tilt_rad2 = self
-            .rest_watch
-            .update(&self.nominal, &self.stationary, self.tuning);
-        if self.consistency.is_suspicious() && !self.stationary.is_still() {
+        self.extra_tilt_rad2 =
+            self.rest_watch
+                .update(&self.nominal, &self.rest_detector, self.tuning);
+        if self.consistency.is_suspicious() && !self.rest_detector.is_still() {
             let missing = square(SUSPICION_RAD) - self.held_tilt_rad2;
             self.extra_tilt_rad2 = larger(self.extra_tilt_rad2, missing);
         }
     }
 
-    fn is_offset_wrong(&mut self, readings: &StationaryReadings, difference: Vector3) -> bool {
+    fn is_offset_wrong(&mut self, readings: &RestReadings, difference: Vector3) -> bool {
         self.rest_watch.is_offset_wrong(
             difference,
             self.nominal.rate_rad_s,
             readings.force_m_s2,
-            self.stationary.quiet_s(),
+            self.rest_detector.quiet_s(),
         )
     }
 
@@ -343,7 +343,7 @@ impl Kalman {
             + square(tuning.rate_noise_per_rate) * self.interval.squared_rate
             + self.interval.unseen_tilt_rad2;
         // A still sensor does not shake, even after much motion.
-        let shaking = if self.stationary.is_still() {
+        let shaking = if self.rest_detector.is_still() {
             0.0
         } else {
             square(tuning.force_noise_per_velocity) * self.recent.squared

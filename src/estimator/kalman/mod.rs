@@ -91,9 +91,9 @@ mod prior;
 mod propagation;
 mod recent_velocity;
 mod recovery;
+mod rest_detector;
 mod rest_watch;
 mod slices;
-mod stationary;
 mod tilt_variance;
 mod tuning;
 mod unseen;
@@ -119,9 +119,9 @@ use prior::{BiasPrior, ParameterPriors};
 use propagation::{GYROSCOPE_PARAMETERS, Interval, PARAMETERS};
 use recent_velocity::RecentVelocity;
 use recovery::ForceSum;
+use rest_detector::RestDetector;
 use rest_watch::RestWatch;
 use slices::{CovarianceStep, Progress};
-use stationary::StationaryDetector;
 use unseen::LONG_STEP_S;
 
 /// Largest σ of a known bias, per axis.
@@ -161,7 +161,7 @@ pub struct Kalman {
     is_armed: bool,
     tilt: Tilt,
     /// True if a covariance step is due or under way.
-    has_work: bool,
+    is_step_pending: bool,
     /// True if the tilt has been checked for the covariance step that is due.
     is_tilt_checked: bool,
     is_bias_known: bool,
@@ -180,7 +180,7 @@ pub struct Kalman {
     steady_until_s: f32,
     nominal: NominalState,
     interval: Interval,
-    stationary: StationaryDetector,
+    rest_detector: RestDetector,
     recent: RecentVelocity,
     consistency: Consistency,
     bias_prior: BiasPrior,
@@ -239,7 +239,7 @@ impl Filter for Kalman {
             self.step_in_earth_axes(rate, force);
         }
         // One slice a sample, but none beside an earth step; more where samples are rare.
-        if self.has_work && (!is_earth_step || dt_s > LONG_SAMPLE_PERIOD_S) {
+        if self.is_step_pending && (!is_earth_step || dt_s > LONG_SAMPLE_PERIOD_S) {
             let slices = 1 + ((dt_s * (1.0 / SLICE_PERIOD_S)) as u32).min(MOST_SLICES);
             self.run_slices(slices);
         }
@@ -293,7 +293,7 @@ impl Kalman {
             saturated_s: 0.0,
             is_armed: false,
             tilt: Tilt::Unknown,
-            has_work: false,
+            is_step_pending: false,
             is_tilt_checked: false,
             is_bias_known: false,
             is_stored_known: false,
@@ -303,7 +303,7 @@ impl Kalman {
             nominal: NominalState::new(),
             step: CovarianceStep::new(),
             interval: Interval::EMPTY,
-            stationary: StationaryDetector::new(),
+            rest_detector: RestDetector::new(),
             recent: RecentVelocity::NONE,
             consistency: Consistency::NONE,
             rest_watch: RestWatch::NONE,
@@ -363,7 +363,7 @@ impl Kalman {
         *east += step.force_integral_ned_m_s.y;
         interval.duration_s += step.duration_s;
         interval.squared_rate += step.rotation_rad.dot(step.rotation_rad) / step.duration_s;
-        self.stationary.update(
+        self.rest_detector.update(
             rate_rad_s,
             force_m_s2,
             step.force_integral_body_m_s,
@@ -376,7 +376,7 @@ impl Kalman {
             self.tuning.covariance_period_s
         };
         let is_due = self.interval.duration_s >= period_s;
-        self.has_work |= is_due && self.tilt == Tilt::Known;
+        self.is_step_pending |= is_due && self.tilt == Tilt::Known;
     }
 
     /// Runs slices of the covariance step.
@@ -398,7 +398,7 @@ impl Kalman {
                 Progress::Corrected => self.correct(),
                 Progress::Unsound => self.restart_from_unusable_numbers(),
             }
-            if !self.has_work {
+            if !self.is_step_pending {
                 return;
             }
         }
@@ -407,7 +407,7 @@ impl Kalman {
     /// Moves the correction of the covariance step, propagated to the present, into the nominal
     /// state.
     fn correct(&mut self) {
-        self.has_work = false;
+        self.is_step_pending = false;
         let Column {
             mut dynamic,
             parameters,
@@ -495,12 +495,12 @@ impl Kalman {
 
     /// Returns whether the readings have not changed for 0.3 s.
     pub fn is_still(&self) -> bool {
-        self.stationary.is_still()
+        self.rest_detector.is_still()
     }
 
     /// Forgets how long the sensor has been stationary, because its readings were no measurements.
     pub(crate) const fn interrupt_rest(&mut self) {
-        self.stationary.interrupt();
+        self.rest_detector.interrupt();
     }
 
     /// Visits every field but the tuning, which is static.
@@ -518,7 +518,7 @@ impl Kalman {
             3 => Tilt::Lost,
             _ => Tilt::Known,
         };
-        visitor.bool(&mut self.has_work);
+        visitor.bool(&mut self.is_step_pending);
         visitor.bool(&mut self.is_tilt_checked);
         visitor.bool(&mut self.is_bias_known);
         visitor.bool(&mut self.is_stored_known);
@@ -528,7 +528,7 @@ impl Kalman {
         self.nominal.visit_state(visitor);
         self.step.visit_state(visitor);
         self.interval.visit_state(visitor);
-        self.stationary.visit_state(visitor);
+        self.rest_detector.visit_state(visitor);
         self.recent.visit_state(visitor);
         self.consistency.visit_state(visitor);
         self.rest_watch.visit_state(visitor);

@@ -260,20 +260,14 @@ impl NominalState {
 
 /// Returns the rows of the rotation matrix half-way between two attitudes: north, east, down.
 fn rows_half_way(before: Quaternion, after: Quaternion) -> [Vector3; 3] {
-    // The chord's middle; s normalizes its length.
-    let (w, x, y, z) = (
+    let middle_of_chord = Quaternion::new(
         before.w + after.w,
         before.x + after.x,
         before.y + after.y,
         before.z + after.z,
     );
-    let s = 2.0 / larger(w * w + x * x + y * y + z * z, 0.5);
-    let (sx, sy, sz) = (s * x, s * y, s * z);
-    [
-        Vector3::new(1.0 - (y * sy + z * sz), x * sy - w * sz, x * sz + w * sy),
-        Vector3::new(x * sy + w * sz, 1.0 - (x * sx + z * sz), y * sz - w * sx),
-        Vector3::new(x * sz - w * sy, y * sz + w * sx, 1.0 - (x * sx + y * sy)),
-    ]
+    let squared_norm = larger(middle_of_chord.dot(middle_of_chord), 0.5);
+    middle_of_chord.matrix_rows(squared_norm)
 }
 
 #[inline]

@@ -5,7 +5,7 @@ use super::consistency::Consistency;
 use super::measurements::STATIONARY_FORCE_SHARE;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
-use super::stationary::StationaryReadings;
+use super::rest_detector::RestReadings;
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
@@ -32,7 +32,7 @@ const KEPT_BIAS_RAD_S: f32 = radians(0.4);
 impl Kalman {
     /// Restarts from the mean readings at rest: takes bias and tilt from them, and resets the other
     /// parameters.
-    pub(super) fn restart_at_rest(&mut self, readings: &StationaryReadings) {
+    pub(super) fn restart_at_rest(&mut self, readings: &RestReadings) {
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
         self.level(force);
         self.restart_from(
@@ -99,7 +99,7 @@ impl Kalman {
     /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. If it
     /// is not about one g, the next sample sets the tilt again.
     fn confirm_start(&mut self, force: Vector3) {
-        self.has_work = false;
+        self.is_step_pending = false;
         self.is_tilt_checked = false;
         if is_gravity_up(force).is_none() {
             self.tilt = Tilt::Lost;

@@ -8,7 +8,7 @@
 //! readings: gravity would have turned, or no hand and no vehicle turns so steadily.
 
 use super::nominal::NominalState;
-use super::stationary::StationaryDetector;
+use super::rest_detector::RestDetector;
 use super::tuning::Tuning;
 use crate::attitude::Vector3;
 use crate::estimator::arithmetic::square;
@@ -63,13 +63,13 @@ impl RestWatch {
     pub(super) fn update(
         &mut self,
         nominal: &NominalState,
-        stationary: &StationaryDetector,
+        rest_detector: &RestDetector,
         tuning: &Tuning,
     ) -> f32 {
         let down = nominal.attitude.down_in_body();
         if self.begins {
             *self = Self {
-                force_m_s2: stationary.average_force_m_s2(),
+                force_m_s2: rest_detector.average_force_m_s2(),
                 down,
                 ..Self::NONE
             };

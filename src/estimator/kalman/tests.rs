@@ -1251,7 +1251,7 @@ fn each_start_is_confirmed_before_the_first_step() {
     while !filter(&estimator).step.is_under_way() {
         world.run(&mut estimator, 1);
         let filter = filter(&estimator);
-        assert!(!filter.is_tilt_checked || filter.has_work);
+        assert!(!filter.is_tilt_checked || filter.is_step_pending);
     }
     assert!(!filter(&estimator).is_from_one_sample);
 }
@@ -1347,7 +1347,7 @@ fn an_abandoned_step_leaves_a_positive_covariance() {
             let covariance = &mut filter.step.covariance;
             covariance.add_to_parameter(axis, square(radians(6.0)));
         }
-        filter.stationary.interrupt();
+        filter.rest_detector.interrupt();
         world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
         while !self::filter(&estimator).rest_watch.begins {
             world.run(&mut estimator, 1);

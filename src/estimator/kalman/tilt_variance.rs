@@ -88,7 +88,7 @@ impl Kalman {
     #[inline(never)]
     fn bank_variance(&self) -> f32 {
         const GRAVITY_SQUARED: f32 = square(STANDARD_GRAVITY_M_S2);
-        let force = self.stationary.average_force_m_s2();
+        let force = self.rest_detector.average_force_m_s2();
         let excess = force.dot(force) - GRAVITY_SQUARED;
         0.25 / GRAVITY_SQUARED * excess.abs() + square(HIDDEN_BANK_RAD)
     }

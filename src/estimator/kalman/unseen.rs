@@ -18,7 +18,7 @@ const LONGEST_PAUSE_S: f32 = 60.0;
 /// Beyond it, gravity shows the tilt better. A pause of up to half a second exceeds it if the rate
 /// changes. After full-scale readings the limit is [`USABLE_TILT_RAD`], because a body that turns
 /// so fast also accelerates.
-const LOST_TILT_RAD: f32 = 0.3;
+const PAUSE_TILT_LIMIT_RAD: f32 = 0.3;
 
 /// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move.
 /// Below, no false correction of the tilt is large enough to matter.
@@ -124,13 +124,13 @@ impl Kalman {
             self.interval.unseen_tilt_rad2 += rate_change.dot(rate_change) * square(0.25 * dt_s);
             if dt_s > self.longest_step_s {
                 if dt_s > LONGEST_REST_PAUSE_S {
-                    self.stationary.interrupt();
+                    self.rest_detector.interrupt();
                 }
                 self.interval.unseen_velocity_m2_s2 +=
                     force_change.dot(force_change) * square(0.25 * dt_s);
                 self.nominal
                     .bridge_pause(rate_rad_s, sample.specific_force_m_s2);
-                if self.interval.unseen_tilt_rad2 > square(LOST_TILT_RAD) {
+                if self.interval.unseen_tilt_rad2 > square(PAUSE_TILT_LIMIT_RAD) {
                     self.tilt = Tilt::Lost;
                 }
             }

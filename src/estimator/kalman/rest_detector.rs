@@ -22,7 +22,7 @@ const FORGOTTEN_S: f32 = 0.25;
 /// because the sensor's low-pass filter still settles.
 const FIRST_AVERAGE_S: f32 = 0.07;
 
-/// Time without motion after which the sensor is [still](StationaryDetector::is_still), s.
+/// Time without motion after which the sensor is [still](RestDetector::is_still), s.
 const STILL_S: f32 = 0.3;
 
 /// Time without motion after which the average hardly contains what came before, s.
@@ -41,7 +41,7 @@ const GRAVITY_TOLERANCE: f32 = 0.12;
 
 /// Mean readings of a stationary sensor, in body axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct StationaryReadings {
+pub(super) struct RestReadings {
     /// The gyroscope's reading, which is its bias.
     pub(super) rate_rad_s: Vector3,
     /// The accelerometer's reading: gravity upwards, plus its bias.
@@ -51,7 +51,7 @@ pub(super) struct StationaryReadings {
 /// Stationary detector: the average readings, and the time without motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct StationaryDetector {
+pub(super) struct RestDetector {
     average_rate_rad_s: Vector3,
     average_force_m_s2: Vector3,
     /// The average when it had settled.
@@ -60,7 +60,7 @@ pub(super) struct StationaryDetector {
     quiet_s: f32,
 }
 
-impl StationaryDetector {
+impl RestDetector {
     /// Creates a detector without readings.
     pub(super) const fn new() -> Self {
         Self {
@@ -164,7 +164,7 @@ impl StationaryDetector {
     }
 
     /// Returns the mean readings, if the sensor is stationary.
-    pub(super) fn readings(&self, tuning: &Tuning) -> Option<StationaryReadings> {
+    pub(super) fn readings(&self, tuning: &Tuning) -> Option<RestReadings> {
         const LEAST: f32 = (1.0 - GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
         const GREATEST: f32 = (1.0 + GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
         let force_m_s2 = self.average_force_m_s2;
@@ -175,7 +175,7 @@ impl StationaryDetector {
             .average_rate_rad_s
             .is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);
         let is_stationary = self.quiet_s > tuning.stationary_after_s && is_gravity && is_bias;
-        is_stationary.then_some(StationaryReadings {
+        is_stationary.then_some(RestReadings {
             rate_rad_s: self.average_rate_rad_s,
             force_m_s2,
         })
@@ -201,7 +201,7 @@ mod tests {
         const STEP_S: f32 = 0.02;
         const STEPS: u32 = 9_000 * 50;
         let force = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
-        let mut detector = StationaryDetector::new();
+        let mut detector = RestDetector::new();
         detector.start(Vector3::ZERO, force);
         for step in 0..STEPS {
             let before_s = detector.quiet_s();
