@@ -13,6 +13,9 @@ const HEADER: &str = "\
 
 /// Name of a section's line with the date of its measurement.
 pub const DATE: &str = "date";
+/// Name of a section's line with the revision of the filters that were measured. Sections without
+/// it are measured anew with each change of the filters.
+pub const REVISION: &str = "revision";
 
 /// The contents of the file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -38,14 +41,22 @@ impl Section {
         section
     }
 
+    /// Adds the revision of the filters, after the date.
+    pub fn with_revision(mut self, revision: u16) -> Self {
+        let line = (REVISION.to_owned(), revision.to_string());
+        self.lines.insert(1.min(self.lines.len()), line);
+        self
+    }
+
     /// Appends a line.
     pub fn put(&mut self, key: &str, value: impl ToString) {
         self.lines.push((key.to_owned(), value.to_string()));
     }
 
-    /// All keys and values but the date.
+    /// All keys and values but date and revision.
     pub fn figures(&self) -> impl Iterator<Item = (&str, &str)> {
-        let lines = self.lines.iter().filter(|(key, _)| key != DATE);
+        let is_figure = |key: &str| ![DATE, REVISION].contains(&key);
+        let lines = self.lines.iter().filter(move |(key, _)| is_figure(key));
         lines.map(|(key, value)| (key.as_str(), value.as_str()))
     }
 
@@ -162,6 +173,14 @@ mod tests {
         let fly = data.section("fly").expect("a section");
         assert_eq!(fly.number("load_percent"), Ok(0.89));
         assert_eq!(fly.figures().count(), 3);
+        let fly = fly.clone().with_revision(19);
+        assert_eq!(fly.figures().count(), 3);
+        data.replace(fly);
+        assert!(
+            data.to_text()
+                .contains("date = \"2026-11-22\"\nrevision = 19\nmissed = 0\n")
+        );
+        let fly = data.section("fly").expect("a section");
         assert!(
             fly.number("kalman + sigma")
                 .is_err_and(|e| e.contains("0.38/0.44"))

@@ -30,11 +30,15 @@ const FLIGHT: [&str; 14] = [
     "stack_bytes_used",
 ];
 
+/// File and line with the revision of the filters.
+const ESTIMATOR: &str = "src/estimator/mod.rs";
+const REVISION_LINE: &str = "pub const REVISION: u16 = ";
+
 /// Length of the long flights in memory, h.
 const DAY_H: u32 = 24;
 
 /// Flights of the campaign with faults.
-const CAMPAIGN_RUNS: &str = "2000";
+pub const CAMPAIGN_RUNS: &str = "2000";
 
 /// Measures everything that is in the file but the figures by hand, and calls `save` after each
 /// part.
@@ -45,6 +49,8 @@ pub fn all(
     is_long: bool,
     save: impl Fn(&Data) -> Result<(), String>,
 ) -> Result<(), String> {
+    // First, because the source may change while the programs that are built from it run.
+    let revision = revision_of(&super::read(ESTIMATOR)?)?;
     let toolchain = Toolchain::for_target()?;
     let virtual_board = build::virtual_board()?;
     let default = flights(data, &toolchain, &virtual_board)?;
@@ -61,18 +67,14 @@ pub fn all(
     filters(data)?;
     save(data)?;
     if is_long {
-        let hour = ["--seconds", "3600"];
-        data.replace(fly(
-            &virtual_board,
-            &default,
-            Board::default(),
-            &hour,
-            "hour",
-        )?);
+        let (board, hour) = (Board::default(), ["--seconds", "3600"]);
+        let hour = fly(&virtual_board, &default, board, &hour, "hour")?;
+        data.replace(hour.with_revision(revision));
         save(data)?;
-        day(data)?;
+        data.replace(day()?.with_revision(revision));
         save(data)?;
-        campaign(data, &virtual_board, &default)?;
+        let campaign = campaign(&virtual_board, &default)?;
+        data.replace(campaign.with_revision(revision));
         save(data)?;
     }
     Ok(())
@@ -281,7 +283,7 @@ fn calibration(data: &mut Data) -> Result<(), String> {
 }
 
 /// Flies the pipeline in memory for a day with each of four seeds.
-fn day(data: &mut Data) -> Result<(), String> {
+fn day() -> Result<Section, String> {
     let bench = build::bench()?;
     let seconds = (DAY_H * 3_600).to_string();
     let text = step::timed("measuring: flights of a day", || {
@@ -296,8 +298,7 @@ fn day(data: &mut Data) -> Result<(), String> {
     if section.figures().count() == 1 {
         return Err("aplomb-bench printed no flights".into());
     }
-    data.replace(section);
-    Ok(())
+    Ok(section)
 }
 
 /// The rows of the table with one for each flight, after the one for hours: seed and other cells.
@@ -310,7 +311,7 @@ fn flight_rows(text: &str) -> impl Iterator<Item = (&str, &str)> {
 }
 
 /// Flies two thousand times with faults by chance.
-fn campaign(data: &mut Data, virtual_board: &Path, elf: &Path) -> Result<(), String> {
+fn campaign(virtual_board: &Path, elf: &Path) -> Result<Section, String> {
     let mut command = step::command(virtual_board);
     command.args(["faults", "--runs", CAMPAIGN_RUNS, "--elf"]);
     let text = step::timed("measuring: flights with faults", || {
@@ -318,8 +319,13 @@ fn campaign(data: &mut Data, virtual_board: &Path, elf: &Path) -> Result<(), Str
         step::output(command.arg(elf)).ok_or_else(failed)
     })?;
     let mut section = Section::new("campaign", &today()?);
-    section.put("runs", CAMPAIGN_RUNS);
-    section.put("failed", 0);
+    let [runs, seed, failed] = text
+        .lines()
+        .find_map(campaign_result)
+        .ok_or("the campaign printed no result")?;
+    section.put("runs", runs);
+    section.put("seed", seed);
+    section.put("failed", failed);
     let (_, rows) = text
         .split_once("worst recovery ms\n")
         .ok_or("the campaign printed no table")?;
@@ -327,8 +333,16 @@ fn campaign(data: &mut Data, virtual_board: &Path, elf: &Path) -> Result<(), Str
         let (fault, cells) = row;
         section.put(fault, cells);
     }
-    data.replace(section);
-    Ok(())
+    Ok(section)
+}
+
+/// The last line of the campaign: flights, seed of the first one, failed flights.
+fn campaign_result(line: &str) -> Option<[u64; 3]> {
+    let (runs, rest) = line.split_once(" flights from seed ")?;
+    let (seed, rest) = rest.split_once(" on in ")?;
+    let (_, failed) = rest.strip_suffix(" failed")?.rsplit_once(", ")?;
+    let number = |text: &str| text.parse().ok();
+    Some([number(runs)?, number(seed)?, number(failed)?])
 }
 
 /// A row of the campaign's table: the fault, then runs, recovered, worst recovery in ms.
@@ -338,6 +352,13 @@ fn campaign_row(row: &str) -> Option<(&str, String)> {
         return None;
     };
     Some((fault, format!("{runs} {recovered} {worst}")))
+}
+
+/// Reads the revision of the filters in their source.
+fn revision_of(source: &str) -> Result<u16, String> {
+    let line = source.lines().find_map(|l| l.strip_prefix(REVISION_LINE));
+    let number = line.and_then(|rest| rest.strip_suffix(';')?.parse().ok());
+    number.ok_or_else(|| format!("{ESTIMATOR} has no line `{REVISION_LINE}…;`"))
 }
 
 /// A row of the table of costs as a line of the data file.
@@ -444,10 +465,19 @@ mod tests {
     fn rows_of_the_campaign_are_read() {
         let row = "sda-low                 93        93         93               9.0";
         assert_eq!(campaign_row(row), Some(("sda-low", "93 93 9.0".to_owned())));
-        assert_eq!(
-            campaign_row("2000 flights from seed 1 on in 900 s, 0 failed"),
-            None
-        );
+        let last = "2000 flights from seed 1 on in 900 s, 0 failed";
+        assert_eq!(campaign_row(last), None);
+        assert_eq!(campaign_result(last), Some([2000, 1, 0]));
+        assert_eq!(campaign_result(row), None);
+    }
+
+    #[test]
+    fn the_revision_is_that_of_the_source() {
+        let source = "//! a\n\npub const REVISION: u16 = 19;\n";
+        assert_eq!(revision_of(source), Ok(19));
+        assert!(revision_of("const REVISION: u16 = 19;").is_err_and(|e| e.contains(ESTIMATOR)));
+        let committed = super::super::read(ESTIMATOR).expect("the source is there");
+        assert!(revision_of(&committed).is_ok_and(|revision| revision >= 19));
     }
 
     #[test]

@@ -2,17 +2,21 @@
 
 use std::fmt::Write as _;
 
-use super::data::{DATE, Data, Section};
+use super::data::{DATE, Data, REVISION, Section};
+use super::measure::CAMPAIGN_RUNS;
 use crate::build::BOARDS;
 
 /// Lines around the generated part of README.md.
 const START: &str = "<!-- results: written by `cargo xtask results` -->\n";
 const END: &str = "<!-- end of results -->\n";
 
+/// Longest line of a paragraph, in bytes.
+const COLUMNS: usize = 98;
+
 /// Filters in the tables of accuracy: key, text, and key of the cost.
 const FILTERS: [(&str, &str); 4] = [
     ("kalman", "`kalman`, the default"),
-    ("vqf", "VQF (`vqf` 0.4.1, two slips mended)"),
+    ("vqf", "VQF (`vqf` 0.4.1, two bugs fixed)"),
     (
         "axis-kalman",
         "`axis-kalman`, the tutorial's with one filter per axis",
@@ -117,13 +121,16 @@ pub fn results(data: &Data) -> Result<String, String> {
         campaign(data)?,
         by_hand(data)?,
     ];
-    let mut text = String::from(
-        "# Results\n\n\
-         `cargo xtask results` measures these figures and writes this page from\n\
-         [results.toml](results.toml). Do not edit it. [accuracy.md](accuracy.md) explains the \
-         method.\n\
-         Nothing here was measured on a real board. The virtual board counts instructions, not \
-         cycles.\n",
+    let mut text = format!(
+        "# Results\n\n{}",
+        paragraph(
+            "`cargo xtask results` measures these figures and writes this page from \
+             [results.toml](results.toml). Do not edit it. [accuracy.md](accuracy.md) explains the \
+             method. Nothing here was measured on a real board. The virtual board counts \
+             instructions, not cycles. Measurements that take hours are kept while the filters \
+             change. They name the revision of the filters, which \
+             [CHANGELOG.md](../CHANGELOG.md#revisions-of-the-filters) lists."
+        )
     );
     for part in parts {
         text.push('\n');
@@ -134,14 +141,13 @@ pub fn results(data: &Data) -> Result<String, String> {
 
 fn flight(data: &Data) -> Result<String, String> {
     let fly = data.section("fly")?;
-    let mut text = heading("One minute on the default board", fly)?;
-    text.push_str(
-        "`cargo xtask fly --seconds 60`: a simulated quadrotor with manoeuvres of up to 1 g, on \
-         an\n\
-         STM32F405 at 168 MHz with 1,000 samples a second, a bus of 400 kHz, and text at 50 Hz \
-         on UART\n\
-         and in the firmware log. Two runs with one seed write identical files.\n\n",
-    );
+    let mut text = opening(
+        "One minute on the default board",
+        fly,
+        "`cargo xtask fly --seconds 60`: a simulated quadrotor with manoeuvres of up to 1 g, on an \
+         STM32F405 at 168 MHz with 1,000 samples a second, a bus of 400 kHz, and text at 50 Hz on \
+         UART and in the firmware log. Two runs with one seed write identical files.",
+    )?;
     let rows = [
         ("samples", count(fly, "samples")?),
         (
@@ -199,24 +205,27 @@ fn flight(data: &Data) -> Result<String, String> {
     ];
     text.push_str(&table(["figure", "measured"], rows));
     let size = data.section("size")?;
-    let _ = write!(
-        text,
-        "\nThe build without compass takes {} bytes of flash. The minimal build, without \
-         commands,\nMAVLink, flight log and compass, takes {} bytes. The Kalman filter alone adds \
-         {} bytes to\nan empty image. The example `rtic.rs` takes {} bytes.\n",
+    text.push('\n');
+    text.push_str(&paragraph(&format!(
+        "With the profile `firmware`, for size, the build without compass takes {} bytes of flash, \
+         the minimal build (without commands, MAVLink, flight log and compass) {}, and the example \
+         `rtic.rs` {}. The Kalman filter alone adds {} bytes to an empty image.",
         count(size, "without_compass_flash_bytes")?,
         count(size, "minimal_flash_bytes")?,
-        count(size, "kalman_flash_bytes")?,
-        count(size, "rtic_flash_bytes")?
-    );
+        count(size, "rtic_flash_bytes")?,
+        count(size, "kalman_flash_bytes")?
+    )));
     Ok(text)
 }
 
 fn boards(data: &Data) -> Result<String, String> {
-    let mut text = heading("Every board", data.section("board.stm32f405")?)?;
+    let mut text = opening(
+        "Every board",
+        data.section("board.stm32f405")?,
+        "`cargo xtask fly --seconds 20 --board NAME`.",
+    )?;
     text.push_str(
-        "`cargo xtask fly --seconds 20 --board NAME`.\n\n\
-         | board | flash, bytes | RAM, bytes | edge to attitude, at most | load | missed |\n\
+        "| board | flash, bytes | RAM, bytes | edge to attitude, at most | load | missed |\n\
          |---|---|---|---|---|---|\n",
     );
     for board in BOARDS {
@@ -237,18 +246,21 @@ fn boards(data: &Data) -> Result<String, String> {
 
 fn long_flights(data: &Data) -> Result<String, String> {
     let (hour, recorded) = (data.section("hour")?, data.section("recorded")?);
-    let mut text = heading("An hour, and recorded motion", hour)?;
-    let _ = write!(
-        text,
-        "`cargo xtask fly --seconds 3600` takes 2 GB of memory and some minutes: {} samples, {} \
-         missed,\n\
-         {} from edge to attitude at most, tilt error {}° root mean square.\n\n\
-         `cargo xtask fly --log FILE` flies a recording of a real sensor's motion:\n\n",
+    let flown = format!(
+        "`cargo xtask fly --seconds 3600`, a part of `cargo xtask results --long`, takes 2 GB of \
+         memory and some minutes: {} samples, {} missed, {} from edge to attitude at most, tilt \
+         error {}° root mean square.",
         count(hour, "samples")?,
         count(hour, "missed")?,
         us(hour, "edge_to_attitude_us_max")?,
         fixed(hour, "inclination_rms_deg", 2)?
     );
+    let mut text = opening("An hour, and recorded motion", hour, &flown)?;
+    text.push_str(&paragraph(&format!(
+        "`cargo xtask fly --log FILE` flies a recording of a real sensor's motion ({}):",
+        recorded.text(DATE)?
+    )));
+    text.push('\n');
     let rows = [
         (
             "`broad/01.csv.gz`: slow rotation by a person",
@@ -266,16 +278,17 @@ fn long_flights(data: &Data) -> Result<String, String> {
 fn day(data: &Data) -> Result<String, String> {
     let section = data.section("day")?;
     let hours = section.number("hours")?;
-    let mut text = heading("Hours in the air", section)?;
-    let _ = write!(
-        text,
-        "`cargo xtask bench --long {}`: simulated flights of {hours} h in memory, a sample each \
-         ms, factory\n\
-         accelerometer, gyroscope offset of 4 °/s. All but the first minute counts.\n\n\
-         | seed | `VALID` | rms, hour 2 | rms, last hour | largest | within 3 σ | wrong while \
+    let flown = format!(
+        "`cargo xtask bench --long {}`, a part of `cargo xtask results --long`: simulated flights \
+         of {hours} h in memory, a sample each ms, factory accelerometer, gyroscope offset of \
+         4 °/s. All but the first minute counts.",
+        3_600.0 * hours
+    );
+    let mut text = opening("Hours in the air", section, &flown)?;
+    text.push_str(
+        "| seed | `VALID` | rms, hour 2 | rms, last hour | largest | within 3 σ | wrong while \
          `VALID` |\n\
          |---|---|---|---|---|---|---|\n",
-        3_600.0 * hours
     );
     for (seed, cells) in section.figures().filter(|(key, _)| *key != "hours") {
         let _ = writeln!(text, "| {seed} | {cells} |");
@@ -284,12 +297,13 @@ fn day(data: &Data) -> Result<String, String> {
 }
 
 fn filters(data: &Data) -> Result<String, String> {
-    let mut text = heading("Filters side by side", data.section("filters.broad")?)?;
-    text.push_str(
+    let mut text = opening(
+        "Filters side by side",
+        data.section("filters.broad")?,
         "`cargo xtask bench`: the error of the tilt in degrees, root mean square over the rows \
-         that count\n\
-         after 5 s, as median/mean over the recordings.\n\n| filter |",
-    );
+         that count after 5 s, as median/mean over the recordings.",
+    )?;
+    text.push_str("| filter |");
     for (set, title) in SETS {
         let section = data.section(&format!("filters.{set}"))?;
         let _ = write!(text, " {title}, {} |", section.text("recordings")?);
@@ -306,14 +320,17 @@ fn filters(data: &Data) -> Result<String, String> {
         text.push('\n');
     }
     let left_out = data.section("leave-one-out")?;
-    let _ = write!(
-        text,
-        "\n`cargo xtask bench --leave-one-out` tunes on all sets but one and judges on that one \
-         ({}):\n\n\
-         | left out | default tuning | tuned, the sensor's known errors stay | tuned, every \
+    text.push('\n');
+    text.push_str(&paragraph(&format!(
+        "`cargo xtask bench --leave-one-out` ({}, revision {}) tunes on all sets but one and \
+         judges on it:",
+        left_out.text(DATE)?,
+        left_out.text(REVISION)?
+    )));
+    text.push_str(
+        "\n| left out | default tuning | tuned, the sensor's known errors stay | tuned, every \
          number | VQF |\n\
          |---|---|---|---|---|\n",
-        left_out.text(DATE)?
     );
     for (set, cells) in left_out.figures() {
         let _ = writeln!(text, "| {set} | {cells} |");
@@ -322,13 +339,16 @@ fn filters(data: &Data) -> Result<String, String> {
 }
 
 fn cost(data: &Data) -> Result<String, String> {
-    let cost = data.section("cost")?;
-    let mut text = heading("Cost of one update", cost)?;
+    let (cost, size) = (data.section("cost")?, data.section("size")?);
+    let measured = format!(
+        "`cargo xtask cost`: a sample in, quaternion and body rates out, on a Cortex-M4F in QEMU, \
+         held to `tests/golden/cost.txt`. Flash and RAM are bytes. The profile is `rigs`, for \
+         speed. With `firmware`, for size, the Kalman filter takes {} bytes of flash.",
+        count(size, "kalman_flash_bytes")?
+    );
+    let mut text = opening("Cost of one update", cost, &measured)?;
     text.push_str(
-        "`cargo xtask cost`: a sample in, quaternion and body rates out, on a Cortex-M4F in \
-         QEMU, held to\n\
-         `tests/golden/cost.txt`. Flash and RAM are bytes.\n\n\
-         | filter | instructions, mean | worst after the first | first | flash | RAM |\n\
+        "| filter | instructions, mean | worst after the first | first | flash | RAM |\n\
          |---|---|---|---|---|---|\n",
     );
     for (filter, cells) in cost.figures() {
@@ -343,30 +363,30 @@ fn cost(data: &Data) -> Result<String, String> {
 
 fn calibration(data: &Data) -> Result<String, String> {
     let section = data.section("calibration")?;
-    let mut text = heading("Calibration of two hundred simulated chips", section)?;
-    text.push_str(
-        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off\n\
-         (`models/tests/calibration.rs`).\n\n",
-    );
+    let mut text = opening(
+        "Calibration of two hundred simulated chips",
+        section,
+        "Chips from anywhere in the datasheet's tolerance, poses up to 5° off \
+         (`models/tests/calibration.rs`).",
+    )?;
     text.push_str(&table(["figure", "measured"], section.figures()));
     Ok(text)
 }
 
 fn campaign(data: &Data) -> Result<String, String> {
     let campaign = data.section("campaign")?;
-    let mut text = heading("Flights with faults by chance", campaign)?;
-    let runs = count(campaign, "runs")?;
-    let _ = write!(
-        text,
-        "`cargo xtask faults --runs {}`: {runs} flights, {} failed. \"Worst\" is the longest \
-         recovery of an\n\
-         episode that the fault was a part of, often with another beside it. \
-         [faults.md](faults.md) lists\n\
-         what must hold in every flight.\n\n\
-         | fault | runs | recovered | worst |\n|---|---|---|---|\n",
-        runs.replace(',', ""),
+    let flown = format!(
+        "`cargo xtask faults --runs {} --seed {}`: {} flights, {} failed. \
+         `cargo xtask results --long` flies {CAMPAIGN_RUNS} from seed 1 on. \"Worst\" is the \
+         longest recovery of an episode that the fault was a part of, often with another beside \
+         it. [faults.md](faults.md) lists what must hold in every flight.",
+        campaign.text("runs")?,
+        campaign.text("seed")?,
+        count(campaign, "runs")?,
         count(campaign, "failed")?
     );
+    let mut text = opening("Flights with faults by chance", campaign, &flown)?;
+    text.push_str("| fault | runs | recovered | worst |\n|---|---|---|---|\n");
     for (fault, cells) in campaign.figures() {
         if let [runs, recovered, worst] = cells.split(' ').collect::<Vec<_>>()[..] {
             let _ = writeln!(text, "| `{fault}` | {runs} | {recovered} | {worst} ms |");
@@ -377,17 +397,46 @@ fn campaign(data: &Data) -> Result<String, String> {
 
 fn by_hand(data: &Data) -> Result<String, String> {
     let section = data.section("by-hand")?;
-    let mut text = heading("Measured by hand", section)?;
-    text.push_str("`cargo xtask results` keeps these as they are in results.toml.\n\n");
-    text.push_str(&table(["figure", "measured"], section.figures()));
+    let mut text = String::from(
+        "## Measured by hand\n\n\
+         `cargo xtask results` keeps these as they are in results.toml.\n\n\
+         | figure | measured | date, revision |\n|---|---|---|\n",
+    );
+    for (figure, cells) in section.figures() {
+        let _ = writeln!(text, "| {figure} | {cells} |");
+    }
     Ok(text)
 }
 
-fn heading(title: &str, section: &Section) -> Result<String, String> {
-    Ok(format!(
-        "## {title}\n\nMeasured on {}.\n",
-        section.text(DATE)?
-    ))
+/// A heading, and the paragraph below it: date, revision where the section has one, and the text.
+fn opening(title: &str, section: &Section, text: &str) -> Result<String, String> {
+    let revision = match section.text(REVISION) {
+        Ok(revision) => format!(" with revision {revision} of the filters"),
+        Err(_) => String::new(),
+    };
+    let date = section.text(DATE)?;
+    let text = paragraph(&format!("Measured on {date}{revision}. {text}"));
+    Ok(format!("## {title}\n\n{text}\n"))
+}
+
+/// Breaks a text into lines of at most [`COLUMNS`] bytes. A piece of code stays in one line.
+fn paragraph(text: &str) -> String {
+    let (mut lines, mut column) = (String::new(), 0);
+    let mut is_code = false;
+    for word in text.split_inclusive(|c| {
+        is_code ^= c == '`';
+        c == ' ' && !is_code
+    }) {
+        if column > 0 && column + word.trim_end().len() > COLUMNS {
+            lines.truncate(lines.trim_end().len());
+            lines.push('\n');
+            column = 0;
+        }
+        lines.push_str(word);
+        column += word.len();
+    }
+    lines.push('\n');
+    lines
 }
 
 fn table<K: AsRef<str>, V: AsRef<str>>(
@@ -444,6 +493,17 @@ mod tests {
     }
 
     #[test]
+    fn paragraphs_have_short_lines_and_whole_pieces_of_code() {
+        let word = "x".repeat(48);
+        assert_eq!(
+            paragraph(&format!("{word} {word}")),
+            format!("{word} {word}\n")
+        );
+        let broken = format!("{word} {word}\n`a b` c\n");
+        assert_eq!(paragraph(&format!("{word} {word} `a b` c")), broken);
+    }
+
+    #[test]
     fn the_readme_keeps_all_but_the_table() {
         let data = committed();
         let before = format!("# a\n\n{START}old\n{END}\nrest\n");
@@ -467,5 +527,22 @@ mod tests {
             assert!(page.contains(&format!("| `{}` |", board.name)));
         }
         assert!(page.contains("| `sda-low` |"));
+    }
+
+    #[test]
+    fn a_long_measurement_names_its_revision() {
+        let section = Section::new("day", "2026-11-22");
+        let short = "## A\n\nMeasured on 2026-11-22. B.\n\n".to_owned();
+        assert_eq!(opening("A", &section, "B."), Ok(short));
+        let long = "## A\n\nMeasured on 2026-11-22 with revision 19 of the filters. B.\n\n";
+        let opened = opening("A", &section.with_revision(19), "B.");
+        assert_eq!(opened.as_deref(), Ok(long));
+        let data = committed();
+        for name in ["hour", "day", "campaign", "leave-one-out"] {
+            assert!(
+                data.section(name).is_ok_and(|s| s.text(REVISION).is_ok()),
+                "{name}"
+            );
+        }
     }
 }
