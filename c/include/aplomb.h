@@ -346,8 +346,8 @@ enum AplombStatus aplomb_stale(struct AplombPipeline *pipeline,
                                uint64_t t_us,
                                struct AplombSnapshot *snapshot);
 
-// Switches between ground and flight. Armed, the filter never takes a steady turn for a gyroscope
-// offset.
+// Switches between ground and flight. Armed, the filter makes no zero-rate and no zero-velocity
+// updates, so it cannot mistake a steady turn for a rest.
 enum AplombStatus aplomb_set_armed(struct AplombPipeline *pipeline,
                                    bool is_armed);
 

@@ -350,8 +350,8 @@ pub extern "C" fn aplomb_stale(
     })
 }
 
-/// Switches between ground and flight. Armed, the filter never takes a steady turn for a gyroscope
-/// offset.
+/// Switches between ground and flight. Armed, the filter makes no zero-rate and no zero-velocity
+/// updates, so it cannot mistake a steady turn for a rest.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_set_armed(

@@ -30,7 +30,7 @@
 //!   like north. The heading is not valid until 2.5 s of motion agree with it; for an uncalibrated
 //!   compass 6 s, with turns about two axes.
 //! - A lasting innovation though the field's length fits means that the field is right and the
-//!   filter wrong. It then starts afresh, with uncertain hard iron. From then on the heading needs
+//!   filter wrong. It then restarts, with uncertain hard iron. From then on the heading needs
 //!   what an uncalibrated compass needs.
 //!
 //! # Cost
