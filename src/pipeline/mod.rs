@@ -170,9 +170,9 @@ impl Pipeline {
     fn process(&mut self, sample: &Sample, mut flags: Flags) -> Snapshot {
         flags.set(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated);
         let held;
-        let sample = if self.unseen.may_be_false(sample) {
+        let sample = if self.unseen.may_be_spurious(sample) {
             let (estimator, last) = (&mut self.estimator, &self.sample);
-            held = self.unseen.hold_false_rate(estimator, last, sample);
+            held = self.unseen.replace_spurious_rate(estimator, last, sample);
             &held
         } else {
             sample
@@ -377,7 +377,7 @@ impl Pipeline {
     }
 
     /// Returns the last sample that was a measurement, calibrated, in body axes. The rate before
-    /// replaces a false full-scale reading.
+    /// replaces a spurious full-scale reading.
     pub const fn sample(&self) -> &Sample {
         &self.sample
     }
