@@ -1,5 +1,5 @@
-//! Unobserved motion during frozen data, under lost settings, and behind spurious full-scale
-//! readings: inflates the filter's tilt.
+//! Suspect data: spurious full-scale readings, frozen data, and samples under lost settings.
+//! Inflates the filter's tilt for the motion that they hide.
 //!
 //! Frozen data count as a pause: the filter does not get them.
 
@@ -32,7 +32,7 @@ const LOST_TURN_RAD: f32 = 0.3;
 /// Spurious full-scale readings, with their duration, and frozen data.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct UnseenMotion {
+pub(super) struct SuspectData {
     /// Duration of frozen data before they are flagged.
     unflagged_s: f32,
     /// Duration of the present spurious full-scale reading, zero without one.
@@ -41,7 +41,7 @@ pub(super) struct UnseenMotion {
     skipped: Flags,
 }
 
-impl UnseenMotion {
+impl SuspectData {
     /// Creates the state for samples at this rate, which are flagged as frozen after this many
     /// repetitions.
     pub(super) fn new(sample_rate_hz: f32, frozen_samples: u8) -> Self {
@@ -59,8 +59,8 @@ impl UnseenMotion {
     }
 
     /// Returns the sample with the last rate in place of a spurious full-scale reading, and
-    /// inflates the filter's tilt for what it hides. `last` is the sample before, as the
-    /// filter had it.
+    /// inflates the filter's tilt for what it hides. `last` is the sample before, as the filter
+    /// had it.
     #[cold]
     #[inline(never)]
     pub(super) fn replace_spurious_rate(
