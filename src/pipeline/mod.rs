@@ -139,7 +139,7 @@ impl Pipeline {
         if board.contains(BoardFlags::INTERNAL_CLOCK) {
             self.follow_sensor_clock(burst.captured_at_us, board);
         }
-        // Decoded only here, which takes fewer registers.
+        // The other readings are decoded only here, which takes fewer registers.
         let raw = RawSample::decode(&burst.bytes);
         let sample = self.alignment.apply(&raw, burst.captured_at_us);
         self.process(&sample, flags)

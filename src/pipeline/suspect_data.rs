@@ -82,7 +82,8 @@ impl SuspectData {
         );
         let is_spurious = held != rate && (was_spurious_s > 0.0 || !rate.is_within(largest));
         let filter = estimator.filter_mut();
-        // The estimator rejects what no sensor of this family reads.
+        // No sensor of this family gives a larger rate. The estimator then gets it as it is, and
+        // rejects it beyond a limit of its own.
         if sample.is_rate_saturated && is_spurious && rate.is_within(LARGEST_SENSOR_RATE_RAD_S) {
             self.spurious_s = was_spurious_s + step_s;
             let blow = |spurious_s: f32| square(BLOW_SHARE * rate.norm() * spurious_s.min(BLOW_S));
