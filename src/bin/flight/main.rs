@@ -21,8 +21,10 @@
 #![no_std]
 #![no_main]
 
+mod after_publication;
 #[cfg_attr(not(feature = "full"), path = "commands_absent.rs")]
 mod commands;
+mod estimation;
 #[cfg(feature = "full")]
 mod module_port;
 mod requests;
@@ -67,8 +69,10 @@ mod app {
     use heapless::spsc::{Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
+    use crate::after_publication::{StationaryMeasurement, after_publication};
     use crate::commands::Commands;
-    use crate::requests::{self, Estimation, Requests, StationaryMeasurement};
+    use crate::estimation::Estimation;
+    use crate::requests::Requests;
     use crate::supervisor;
     use crate::telemetry::{Logged, Telemetry};
 
@@ -309,7 +313,7 @@ mod app {
             let part = pipeline.settings().part;
             let compass = compass::IS_BUILT_IN.then_some(&mut estimation.compass);
             task.run(pipeline, compass, |received| {
-                requests::after_publication(received, part, &mut estimation.measurement, to_log);
+                after_publication(received, part, &mut estimation.measurement, to_log);
             })
         });
         if let Some(message) = change.and_then(message_of) {
