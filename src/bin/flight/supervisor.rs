@@ -96,7 +96,7 @@ pub fn run(
         {
             let mut compass = None;
             if compass::IS_BUILT_IN {
-                compass = estimation.lock(|estimation| estimation.compass.to_test());
+                compass = estimation.lock(|estimation| estimation.compass.compass_under_test());
             }
             perform_paused(&task, sensor, compass, flash, &mut requests);
             if task == Task::SelfTest && compass.is_some() {
