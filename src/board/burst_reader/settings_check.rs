@@ -1,7 +1,8 @@
 //! Check of the sensor's settings between two bursts: reads a few of them back.
 //!
 //! The check takes the same steps as a burst, but DMA writes elsewhere. A wrong setting disables
-//! the reader, and the supervisor configures the sensor again.
+//! the reader, and the supervisor configures the sensor again. The request for a check starts a
+//! transfer with the compass instead, if there is one.
 
 use core::cell::UnsafeCell;
 
@@ -70,9 +71,9 @@ impl BurstReader {
         timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
     }
 
-    /// Handles SPI1, which [`request_check`](super::request_check) pends: reads some settings back
-    /// if the bus is free.
-    pub fn on_check_request(&mut self) {
+    /// Handles SPI1, which [`request_check`](super::request_check) pends. If the bus is free,
+    /// starts the requested transfer with the compass, or else a check of some settings.
+    pub fn on_transfer_request(&mut self) {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
             && i2c1().cr1().read().stop().bit_is_clear();
