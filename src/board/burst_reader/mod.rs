@@ -60,8 +60,8 @@ pub const FAILURES_IN_A_ROW: u8 = 3;
 const STALE_PERIOD_US: u32 = 5_000;
 /// Time from a check to the next burst while the alarm starts the bursts, in µs.
 const POLL_AFTER_CHECK_US: u32 = 300;
-/// Period longer than any between edges: every edge is examined.
-const NO_PERIOD_US: u32 = u32::MAX;
+/// Shortest period with which every edge is examined, because each comes sooner.
+const EXAMINE_EVERY_EDGE_US: u32 = u32::MAX;
 
 /// Burst reader. All its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
@@ -128,7 +128,7 @@ impl BurstReader {
             pointer: Register::AccelerometerXHigh.address(),
             slot: Slot::First,
             captured_at_us: 0,
-            shortest_period_us: NO_PERIOD_US,
+            shortest_period_us: EXAMINE_EVERY_EDGE_US,
             silence_us: SILENCE_DEADLINE_US,
             address_byte: 0,
             flags: latched_flags,
@@ -420,7 +420,7 @@ impl BurstReader {
 
     fn poll_instead_of_edges(&mut self) {
         self.mode = Mode::Polling;
-        self.shortest_period_us = NO_PERIOD_US;
+        self.shortest_period_us = EXAMINE_EVERY_EDGE_US;
         self.silence_us = setup().period_us;
         self.latch(BoardFlags::POLLED);
         retained::count(if pins::interrupt_is_high() {
@@ -481,7 +481,7 @@ impl BurstReader {
     /// Releases the bus to the supervisor. The alarm then publishes a stale snapshot immediately.
     fn disable(&mut self) {
         self.mode = Mode::Starting;
-        self.shortest_period_us = NO_PERIOD_US;
+        self.shortest_period_us = EXAMINE_EVERY_EDGE_US;
         exti().imr().reset();
         i2c1().cr2().write(|w| with_clock(w));
         LINK.is_enabled.store(false, Ordering::Release);
