@@ -27,6 +27,7 @@
 //! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude
 //!   task busy are counted. The next good burst carries the count as `missed_before`.
 
+mod alarm;
 mod compass_transfer;
 mod dma;
 mod link;
@@ -39,9 +40,9 @@ pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_c
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
 
+use super::retained;
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
-use super::{clocks, pins, retained};
 use crate::compass;
 use crate::fault::{BurstFailure, BurstFault, BurstStep, ClockSource, FaultClass};
 use crate::health::BoardFlags;
@@ -349,50 +350,6 @@ impl BurstReader {
         }
     }
 
-    /// Handles the alarm: the crystal was lost, the reader was paused or enabled, a burst took too
-    /// long, no edge came, or a stale snapshot is due. Returns whether the attitude task has to
-    /// publish one.
-    pub fn on_alarm(&mut self, timebase: &mut Timebase) -> bool {
-        let has_lost_crystal = clocks::have_fallen_back();
-        if has_lost_crystal {
-            clocks::restore();
-            self.latch(BoardFlags::INTERNAL_CLOCK);
-            if self.mode == Mode::Edges {
-                self.shortest_period_us = self.shortest_period_us();
-            }
-        }
-        if !is_enabled() {
-            timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
-            let t_us = timebase.extend(timebase::now());
-            LINK.request_stale(t_us, self.flags | self.latched_flags);
-            return true;
-        }
-        if LINK.is_pause_wanted.swap(false, Ordering::Relaxed) && self.step == BurstStep::Idle {
-            self.disable();
-            return false;
-        }
-        if has_lost_crystal && !timebase::burst_alarm_is_due() {
-            return false;
-        }
-        if self.step != BurstStep::Idle {
-            self.fail(BurstFault::Deadline);
-            return false;
-        }
-        match self.mode {
-            Mode::Starting => {
-                self.begin_edges();
-                exti().pr().write(|w| w.pr1().clear_bit_by_one());
-                exti().imr().write(|w| w.mr1().set_bit());
-                timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
-                return false;
-            }
-            Mode::Edges => self.poll_instead_of_edges(),
-            Mode::Polling => {}
-        }
-        self.start_burst(timebase::now(), timebase);
-        false
-    }
-
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
@@ -416,22 +373,6 @@ impl BurstReader {
     fn shortest_period_us(&self) -> u32 {
         let flags = self.latched_flags;
         setup().shortest_period_us(flags.contains(BoardFlags::INTERNAL_CLOCK))
-    }
-
-    fn poll_instead_of_edges(&mut self) {
-        self.mode = Mode::Polling;
-        self.shortest_period_us = EXAMINE_EVERY_EDGE_US;
-        self.silence_us = setup().period_us;
-        self.latch(BoardFlags::POLLED);
-        retained::count(if pins::interrupt_is_high() {
-            FaultClass::InterruptStuckHigh
-        } else {
-            FaultClass::InterruptMissing
-        });
-        LINK.record(BurstFailure {
-            fault: BurstFault::NoDataReady,
-            step: BurstStep::Idle,
-        });
     }
 
     /// Reports this condition with every burst from now on.
