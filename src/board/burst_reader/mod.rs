@@ -33,6 +33,7 @@ mod dma;
 mod link;
 mod port;
 mod settings_check;
+mod transaction;
 
 pub use compass_transfer::{CompassTransfers, set_compass_fault};
 pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_check, take_stale};
@@ -50,6 +51,7 @@ use crate::mpu6050::registers::Register;
 use crate::mpu6050::{BURST_LENGTH, Burst};
 use link::{LINK, exti, setup};
 use port::{enable_event_interrupts, i2c1, mask_unexpected_event, send_stop};
+use transaction::Transaction;
 
 /// Longest time from an edge to the end of its burst, in µs: twice what the bus needs.
 pub const BURST_DEADLINE_US: u32 = 800;
@@ -67,14 +69,9 @@ const EXAMINE_EVERY_EDGE_US: u32 = u32::MAX;
 /// Burst reader. All its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
-    /// True if the present steps read settings back, instead of a burst.
-    is_check: bool,
+    transaction: Transaction,
     /// True if a bus error has been flagged while the sensor sent.
     is_suspect: bool,
-    /// True if the present steps are a transfer with the compass, which is a check too.
-    is_compass: bool,
-    /// Events of a write that have come.
-    write_events: u8,
     /// First register of the present steps.
     pointer: u8,
     /// Slot that DMA fills.
@@ -95,7 +92,7 @@ pub struct BurstReader {
     missed: u8,
     mode: Mode,
     failures_in_a_row: u8,
-    /// True if an edge has come during a check.
+    /// True if an edge has come during a transaction that is no burst.
     is_edge_waiting: bool,
     next_check: u8,
 }
@@ -122,10 +119,8 @@ impl BurstReader {
         };
         let reader = Self {
             step: BurstStep::Idle,
-            is_check: false,
+            transaction: Transaction::Burst,
             is_suspect: false,
-            is_compass: false,
-            write_events: 0,
             pointer: Register::AccelerometerXHigh.address(),
             slot: Slot::First,
             captured_at_us: 0,
@@ -158,7 +153,7 @@ impl BurstReader {
         self.start_burst(count, timebase);
     }
 
-    /// Handles an edge that comes too soon, during a burst or a check, or as the first one.
+    /// Handles an edge that comes too soon, during a transaction, or as the first one.
     #[cold]
     #[inline(never)]
     fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {
@@ -177,7 +172,7 @@ impl BurstReader {
                 return;
             }
             Mode::Edges => {
-                if self.step != BurstStep::Idle && !self.is_check {
+                if self.step != BurstStep::Idle && self.transaction.is_burst() {
                     self.count_missed();
                 }
             }
@@ -185,7 +180,7 @@ impl BurstReader {
         if self.step == BurstStep::Idle {
             self.start_burst(count, timebase);
         } else {
-            self.is_edge_waiting = self.is_check;
+            self.is_edge_waiting = !self.transaction.is_burst();
         }
     }
 
@@ -272,8 +267,8 @@ impl BurstReader {
         // Ends the DMA requests. The port clocks on until STOP, and such a byte must not become the
         // first one of the next burst.
         enable_event_interrupts();
-        if self.is_check {
-            self.end_check(timebase);
+        if !self.transaction.is_burst() {
+            self.end_other_read(timebase);
             return false;
         }
         if self.is_suspect && self.has_lost_sensor() {
@@ -319,8 +314,7 @@ impl BurstReader {
 
     /// Makes the next steps read a burst.
     fn return_to_bursts(&mut self) {
-        self.is_check = false;
-        self.is_compass = false;
+        self.transaction = Transaction::Burst;
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.pointer = Register::AccelerometerXHigh.address();
         self.step = BurstStep::Idle;
@@ -388,7 +382,7 @@ impl BurstReader {
     #[cold]
     #[inline(never)]
     fn fail(&mut self, fault: BurstFault) {
-        if compass::IS_BUILT_IN && self.is_compass && self.fail_transfer(fault) {
+        if compass::IS_BUILT_IN && self.transaction.is_of_compass() && self.fail_transfer(fault) {
             return;
         }
         let failure = BurstFailure {
@@ -405,7 +399,7 @@ impl BurstReader {
         if is_bus_known {
             send_stop();
         }
-        if !self.is_check {
+        if self.transaction.is_burst() {
             self.count_missed();
         }
         dma::stop();

@@ -8,8 +8,8 @@ use core::cell::UnsafeCell;
 
 use super::link::{CHECKS, setup};
 use super::{
-    BURST_DEADLINE_US, BurstReader, Mode, POLL_AFTER_CHECK_US, SILENCE_DEADLINE_US, dma, i2c1,
-    is_enabled, send_stop,
+    BURST_DEADLINE_US, BurstReader, Mode, POLL_AFTER_CHECK_US, SILENCE_DEADLINE_US, Transaction,
+    dma, i2c1, is_enabled, send_stop,
 };
 use crate::board::timebase::{self, Timebase};
 use crate::compass;
@@ -26,12 +26,12 @@ unsafe impl Sync for CheckedBytes {}
 static CHECKED: CheckedBytes = CheckedBytes(UnsafeCell::new([0; Check::LONGEST]));
 
 impl BurstReader {
-    /// Compares the settings that were read back, and starts the burst of an edge that has come
-    /// meanwhile.
+    /// Ends a read of settings or of the compass. Compares settings that were read back, and starts
+    /// the burst of an edge that has come meanwhile.
     #[inline(never)]
-    pub(super) fn end_check(&mut self, timebase: &mut Timebase) {
-        if compass::IS_BUILT_IN && self.is_compass {
-            self.end_read();
+    pub(super) fn end_other_read(&mut self, timebase: &mut Timebase) {
+        if compass::IS_BUILT_IN && self.transaction.is_of_compass() {
+            self.end_compass_read();
             self.resume_bursts(true, timebase);
             return;
         }
@@ -84,7 +84,7 @@ impl BurstReader {
             return;
         }
         let check = self.check();
-        self.is_check = true;
+        self.transaction = Transaction::SettingsCheck;
         self.pointer = check.first.address();
         timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
         dma::prepare(CHECKED.0.get() as u32, check.length as u16);
