@@ -1,5 +1,7 @@
-//! Faults between the sensor's pins and the pipeline: values that the board produces and the
-//! telemetry prints.
+//! Faults of bus, sensor, data, outputs, clock and processor, in classes that are counted. Also the
+//! causes of a reset, and the layout of the health report in RAM.
+//!
+//! The board produces these values, and telemetry prints them.
 //!
 //! A failed burst is never published. The next good one holds the number of samples lost before it.
 //!
@@ -253,8 +255,8 @@ impl ResetCause {
 pub enum ClockSource {
     /// The board's crystal, or the clock that another chip drives into its pin.
     Crystal,
-    /// The chip's own oscillator, because no crystal answered. Times are right to 1 % only
-    /// (STM32F405 datasheet, table "HSI oscillator characteristics").
+    /// The chip's own oscillator, because no crystal answered. Times are accurate to 1 % at 25 °C,
+    /// to 8 % over temperature (STM32F405 datasheet, table "HSI oscillator characteristics").
     InternalOscillator,
 }
 

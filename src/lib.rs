@@ -58,7 +58,7 @@
 //! | [`calibration`] | stationary detector and fits: offsets, poses, level, mount, temperature |
 //! | [`settings`] | content of the flash: the calibration and the outputs' preferences |
 //! | [`estimator`] | the gate, the Kalman filter and the tutorial's filters |
-//! | [`fault`] | faults between the sensor's pins and the pipeline |
+//! | [`fault`] | classes of faults, causes of a reset, layout of the health report |
 //! | [`health`] | the flags of every attitude, and the monitor that sets them |
 //! | [`pipeline`] | the order of the steps |
 //! | [`serialize`] | visits every field of a state: flight logs that replay to the bit |

@@ -8,8 +8,9 @@
 //!   is sent in pieces.
 //! - [`StateReader`] sets the fields from bytes.
 //!
-//! Integers are little-endian, floats are their IEEE 754 bits. The layout belongs to one
-//! [`REVISION`](crate::estimator::REVISION) of the filters; other revisions cannot read it.
+//! Integers are little-endian, floats are their IEEE 754 bits. The layout of a
+//! filter's state belongs to one [`REVISION`](crate::estimator::REVISION); other revisions cannot
+//! read it. The layout of [`Settings`](crate::pipeline::Settings) is the same in all revisions.
 //!
 //! ```
 //! use aplomb::mpu6050::Part;

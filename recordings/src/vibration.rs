@@ -5,6 +5,10 @@
 //! limit comes from the measured table in `docs/accuracy.md`: above it the tilt can be wrong by a
 //! degree and more, and the converters may clip ahead of the low-pass filter, where no flag can
 //! show it.
+//!
+//! The library's flag `VIBRATION` has the same limit. To cost little, it takes 50 forces a second,
+//! and needs a window of 0.2 s. This measurement takes every sample, at any rate, and also returns
+//! the strength.
 
 use aplomb_models::motion::Vector;
 use aplomb_models::motion::geometry::{add, dot, scale};

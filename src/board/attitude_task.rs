@@ -136,7 +136,7 @@ impl AttitudeTask {
             let round = compass.round(HOUSEKEEPING_SAMPLES, pipeline, snapshot);
             self.samples_to_housekeeping = round.samples;
             self.has_heading = compass.has_heading();
-            if !round.keeps_house {
+            if !round.is_housekeeping_due {
                 return;
             }
         }

@@ -1,7 +1,7 @@
-//! Compass task: runs the compass's session in the attitude task, one transfer per turn.
+//! Compass task: runs the compass's session in the attitude task, one transfer per cycle.
 //!
 //! The attitude task calls [`round`](CompassTask::round) every few samples, after publication. A
-//! turn has three rounds: request of the transfer, its outcome one sample later, and the
+//! cycle has three rounds: request of the transfer, its outcome one sample later, and the
 //! housekeeping of the sensor. Each needs the bus for less than the gap between two bursts.
 //!
 //! A good reading goes to the heading filter ([`super::heading`]). Its time is that of the
@@ -33,7 +33,7 @@ pub struct Round {
     /// Samples until the next round.
     pub samples: u8,
     /// True if it is a round of the sensor's housekeeping.
-    pub keeps_house: bool,
+    pub is_housekeeping_due: bool,
 }
 
 /// True if the state has changed since telemetry reported it.
@@ -104,7 +104,7 @@ impl CompassTask {
     }
 
     /// Returns the part and its factory trims for a self-test, while it gives readings.
-    pub fn to_test(&self) -> Option<(PartId, [u8; 3])> {
+    pub fn compass_under_test(&self) -> Option<(PartId, [u8; 3])> {
         let is_running = self.session.is_running() && self.session.fault().is_none();
         let part = self.session.part().filter(|_| is_running)?;
         Some((part, self.session.trims()))
@@ -115,8 +115,8 @@ impl CompassTask {
         self.session.restart();
     }
 
-    /// Sets the place in the vehicle. In another place the heading starts afresh. Returns whether
-    /// it is another place.
+    /// Sets the place in the vehicle. In another place the heading restarts. Returns whether it is
+    /// another place.
     pub fn set_alignment(&mut self, alignment: CompassAlignment) -> bool {
         let is_other = alignment != self.alignment;
         if is_other {
@@ -137,7 +137,7 @@ impl CompassTask {
         is_other
     }
 
-    /// Starts the heading afresh, because the body axes have changed.
+    /// Restarts the heading, because the body axes have changed.
     pub fn restart_heading(&mut self) {
         let knowledge = compass_knowledge(&self.alignment);
         self.heading.restart(knowledge, self.declination_rad);
@@ -198,12 +198,17 @@ impl CompassTask {
         self.fitter
     }
 
-    /// Performs a round. `without` is the number of samples between two rounds of housekeeping
-    /// without a compass.
-    pub fn round(&mut self, without: u8, pipeline: &Pipeline, snapshot: &Snapshot) -> Round {
+    /// Performs a round. `housekeeping_samples` is the number of samples between two rounds of
+    /// housekeeping without a compass.
+    pub fn round(
+        &mut self,
+        housekeeping_samples: u8,
+        pipeline: &Pipeline,
+        snapshot: &Snapshot,
+    ) -> Round {
         let mut round = Round {
-            samples: without,
-            keeps_house: true,
+            samples: housekeeping_samples,
+            is_housekeeping_due: true,
         };
         if self.session.is_idle() {
             self.report_change();
@@ -218,7 +223,7 @@ impl CompassTask {
             1 => self.take_reading(pipeline, snapshot),
             _ => {}
         }
-        round.keeps_house = self.phase == 2;
+        round.is_housekeeping_due = self.phase == 2;
         if let Some(samples) = SAMPLES.get(usize::from(self.phase)) {
             round.samples = *samples;
         }

@@ -10,8 +10,9 @@
 //! | [`mount_finder`] | finds which of the 24 mounts the sensor has |
 //! | [`temperature`] | fits the gyroscope's offset over the die temperature |
 //!
-//! Every fit takes the [`StationaryMean`]s of the detector. The results are the fields of a
-//! [`Calibration`], in SI units and sensor axes: a new mount or full scale leaves them valid.
+//! All fits but the compass's start from the [`StationaryMean`]s of the detector. The gyroscope's
+//! takes the turns between them too. The results are the fields of a [`Calibration`], in SI units
+//! and sensor axes: a new mount or full scale leaves them valid.
 //!
 //! ```
 //! use aplomb::calibration::{

@@ -19,15 +19,15 @@
 //! assert_eq!(monitor.inspect(&[0xFF; 14], -1), Flags::REJECTED);
 //! ```
 
+mod flag_report;
 mod flags;
-mod measurement;
 mod monitor;
-mod report;
+mod self_measurement;
 mod stuck_axis;
 mod vibration;
 
+pub use flag_report::FlagReport;
 pub use flags::{BoardFlags, Flags, UnknownFlag};
-pub use measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};
 pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
-pub use report::FlagReport;
+pub use self_measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};
 pub(crate) use vibration::Vibration;

@@ -7,6 +7,9 @@
 //!
 //! A force every 13 to 24 ms is enough: 50 a second at 1 kHz. The gap varies, because a fixed one
 //! would show a vibration of that period as a constant.
+//!
+//! The measurement of a recording in `recordings/src/vibration.rs` has the same limit. It takes
+//! every sample, so a window of 0.1 s is enough there. Here that would hold five forces only.
 
 use super::flags::Flags;
 use crate::attitude::Vector3;

@@ -55,7 +55,7 @@ impl Alignment {
 
     /// Sets the accelerometer's offset so that these counts become this force, m/s² in body axes.
     pub(super) fn set_accelerometer_zero(&mut self, counts: Vector3, force_m_s2: Vector3) {
-        self.accelerometer.offset = force_m_s2 - self.accelerometer.turn(counts);
+        self.accelerometer.offset = force_m_s2 - self.accelerometer.linear(counts);
     }
 
     /// Returns the sample of these counts.
@@ -100,16 +100,17 @@ impl Affine {
 
     /// Sets the reading that becomes zero, in units along the sensor's axes.
     fn remove(&mut self, reading: Vector3) {
-        self.offset = -self.turn(reading.scale(self.counts_per_unit));
+        self.offset = -self.linear(reading.scale(self.counts_per_unit));
     }
 
     #[inline]
     fn apply(&self, [x, y, z]: [i16; 3]) -> Vector3 {
-        self.turn(Vector3::new(f32::from(x), f32::from(y), f32::from(z))) + self.offset
+        self.linear(Vector3::new(f32::from(x), f32::from(y), f32::from(z))) + self.offset
     }
 
+    /// Returns the linear part of the map: Σ column · count.
     #[inline]
-    fn turn(&self, counts: Vector3) -> Vector3 {
+    fn linear(&self, counts: Vector3) -> Vector3 {
         let [x, y, z] = self.columns;
         x.scale(counts.x) + y.scale(counts.y) + z.scale(counts.z)
     }

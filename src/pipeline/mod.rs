@@ -40,7 +40,7 @@ mod compass;
 mod offset;
 mod settings;
 mod snapshot;
-mod unseen;
+mod suspect_data;
 
 #[cfg(test)]
 mod tests;
@@ -59,7 +59,7 @@ use crate::serialize::StateVisitor;
 use crate::units::SECONDS_PER_MICROSECOND;
 use alignment::Alignment;
 use offset::StoredOffset;
-use unseen::UnseenMotion;
+use suspect_data::SuspectData;
 
 /// Samples between two updates of the temperature compensation.
 const TEMPERATURE_SAMPLES: u8 = 64;
@@ -82,7 +82,7 @@ pub struct Pipeline {
     /// Samples until the temperature compensation is updated; zero before the first sample.
     samples_to_temperature: u8,
     monitor: Monitor,
-    unseen: UnseenMotion,
+    suspect: SuspectData,
     sample: Sample,
     estimator: Estimator,
     settings: Settings,
@@ -107,7 +107,7 @@ impl Pipeline {
             temperature_celsius: settings.calibration.usual_celsius(),
             samples_to_temperature: 0,
             monitor,
-            unseen: UnseenMotion::new(sensor.sample_rate_hz(), monitor.frozen_samples()),
+            suspect: SuspectData::new(sensor.sample_rate_hz(), monitor.frozen_samples()),
             vibration: Vibration::new(sensor.sample_rate_hz()),
             estimator: Estimator::new(),
             sample: Sample::default(),
@@ -139,7 +139,7 @@ impl Pipeline {
         if board.contains(BoardFlags::INTERNAL_CLOCK) {
             self.follow_sensor_clock(burst.captured_at_us, board);
         }
-        // Decoded only here, which takes fewer registers.
+        // The other readings are decoded only here, which takes fewer registers.
         let raw = RawSample::decode(&burst.bytes);
         let sample = self.alignment.apply(&raw, burst.captured_at_us);
         self.process(&sample, flags)
@@ -170,23 +170,23 @@ impl Pipeline {
     fn process(&mut self, sample: &Sample, mut flags: Flags) -> Snapshot {
         flags.set(Flags::GYROSCOPE_SATURATED, sample.is_rate_saturated);
         let held;
-        let sample = if self.unseen.may_be_false(sample) {
+        let sample = if self.suspect.may_be_spurious(sample) {
             let (estimator, last) = (&mut self.estimator, &self.sample);
-            held = self.unseen.hold_false_rate(estimator, last, sample);
+            held = self.suspect.replace_spurious_rate(estimator, last, sample);
             &held
         } else {
             sample
         };
         flags.set(Flags::ACCELEROMETER_SATURATED, sample.is_force_saturated);
         flags |= self.vibration.update(&sample.specific_force_m_s2);
-        self.unseen
+        self.suspect
             .inflate(&mut self.estimator, &self.sample, sample, flags);
         let estimate = self.estimator.update(sample);
         if !estimate.issues.is_empty() {
             flags |= flags_of(estimate.issues);
             if estimate.issues.contains(Issues::RATE_JUMP) {
                 self.monitor.require_scale_check();
-                unseen::inflate_jump(&mut self.estimator, &self.sample, sample);
+                suspect_data::inflate_jump(&mut self.estimator, &self.sample, sample);
             }
         }
         if !flags.contains(Flags::REJECTED) {
@@ -209,7 +209,7 @@ impl Pipeline {
     #[cold]
     #[inline(never)]
     fn skip(&mut self, t_us: u64, mut flags: Flags) -> Snapshot {
-        self.unseen.skip(flags);
+        self.suspect.skip(flags);
         if self.monitor.has_stuck_axis() {
             // It has turned the attitude wrongly for a while.
             self.kalman_mut().lose_tilt();
@@ -377,7 +377,7 @@ impl Pipeline {
     }
 
     /// Returns the last sample that was a measurement, calibrated, in body axes. The rate before
-    /// replaces a false full-scale reading.
+    /// replaces a spurious full-scale reading.
     pub const fn sample(&self) -> &Sample {
         &self.sample
     }
@@ -414,7 +414,7 @@ impl Pipeline {
         visitor.f32(&mut self.temperature_celsius);
         visitor.u8(&mut self.samples_to_temperature);
         self.monitor.visit_state(visitor);
-        self.unseen.visit_state(visitor);
+        self.suspect.visit_state(visitor);
         visitor.u64(&mut self.sample.t_us);
         visitor.vector(&mut self.sample.angular_rate_rad_s);
         self.vibration.visit_state(visitor);

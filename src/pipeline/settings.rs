@@ -105,7 +105,8 @@ impl Settings {
         self.mount.visit_state(visitor);
         self.calibration.visit_state(visitor);
         visitor.bool(&mut self.verifies_scales);
-        // Logs of revision 2 and before have the samples of a start-up average here.
+        // Unused. Logs of revision 2 and before have the samples of a start-up average here, and
+        // their settings are read too.
         visitor.u16(&mut 0);
         visitor.optional(&mut self.sensor_delay_us, 0, |visitor, delay_us| {
             visitor.u32(delay_us);

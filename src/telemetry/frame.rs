@@ -177,7 +177,7 @@ mod tests {
         assert!(largest_rate_hz(OutputFormat::Log, 921_600) > 1000);
     }
 
-    /// The table in README.md.
+    /// The table in `docs/telemetry.md`.
     #[test]
     fn the_highest_rates_are_the_documented_ones() {
         let rows = OutputFormat::ALL.map(|format| {

@@ -18,8 +18,9 @@ use aplomb::telemetry::mavlink::Vehicle;
 use aplomb::telemetry::message::Severity;
 use rtic::Mutex;
 
+use crate::estimation::{Estimation, Latest};
 use crate::module_port::ModulePort;
-use crate::requests::{Estimation, Latest, Requests};
+use crate::requests::Requests;
 
 /// Console and ground station, with the bytes that they receive.
 pub struct Commands {

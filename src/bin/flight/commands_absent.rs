@@ -11,7 +11,8 @@ use aplomb::telemetry::Output;
 use aplomb::telemetry::message::Severity;
 use rtic::Mutex;
 
-use crate::requests::{Estimation, Latest, Requests};
+use crate::estimation::{Estimation, Latest};
+use crate::requests::Requests;
 
 /// The stored record.
 pub struct Commands(Record);

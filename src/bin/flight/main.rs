@@ -6,11 +6,16 @@
 //! | `data_ready` | 4 | INT pin | the next bus event, 22 µs |
 //! | `bus_event`, `bus_error` | 4 | I2C1 | the next bus event, 22 µs |
 //! | `transfer_complete` | 4 | DMA1 stream 0 | the next bus event, 22 µs |
-//! | `check_settings` | 4 | `attitude`, every 22 ms | the next bus event, 22 µs |
+//! | `transfer_request` | 4 | `attitude`, for the work below | the next bus event, 22 µs |
 //! | `time` | 4 | TIM5: counter wrap, alarms, telemetry ticks | the next bus event, 22 µs |
 //! | `attitude` | 3 | `transfer_complete` | the end of the next burst, 1 ms |
 //! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: drops lines |
 //! | `idle`, the supervisor | 0 | – | nothing |
+//!
+//! `transfer_request` starts a check of the sensor's settings, or a transfer with the compass.
+//! `attitude` requests a check every 22 ms, or every 10 ms with a compass. It requests one after
+//! each burst while the bursts are polled, and after a jump of the rate until the full scales are
+//! read back.
 //!
 //! Larger numbers are more urgent in RTIC. `attitude` uses the vector of SPI3, an unused
 //! peripheral, which `transfer_complete` pends. SPI2 dispatches `telemetry`.
@@ -21,8 +26,10 @@
 #![no_std]
 #![no_main]
 
+mod after_publication;
 #[cfg_attr(not(feature = "full"), path = "commands_absent.rs")]
 mod commands;
+mod estimation;
 #[cfg(feature = "full")]
 mod module_port;
 mod requests;
@@ -67,8 +74,10 @@ mod app {
     use heapless::spsc::{Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
+    use crate::after_publication::{StationaryMeasurement, after_publication};
     use crate::commands::Commands;
-    use crate::requests::{self, Estimation, Requests, StationaryMeasurement};
+    use crate::estimation::Estimation;
+    use crate::requests::Requests;
     use crate::supervisor;
     use crate::telemetry::{Logged, Telemetry};
 
@@ -266,8 +275,8 @@ mod app {
     }
 
     #[task(binds = SPI1, priority = 4, shared = [reader])]
-    fn check_settings(context: check_settings::Context) {
-        context.shared.reader.on_check_request();
+    fn transfer_request(context: transfer_request::Context) {
+        context.shared.reader.on_transfer_request();
     }
 
     #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]
@@ -309,7 +318,7 @@ mod app {
             let part = pipeline.settings().part;
             let compass = compass::IS_BUILT_IN.then_some(&mut estimation.compass);
             task.run(pipeline, compass, |received| {
-                requests::after_publication(received, part, &mut estimation.measurement, to_log);
+                after_publication(received, part, &mut estimation.measurement, to_log);
             })
         });
         if let Some(message) = change.and_then(message_of) {

@@ -16,9 +16,9 @@ use aplomb::settings::CompassSettings;
 use aplomb::telemetry::heading::Line as HeadingLine;
 use rtic::Mutex;
 
-use crate::requests::{
-    BURST_COUNT, Estimation, MEASUREMENT, NEW_MEASUREMENT, Requests, TASK, TO_SUPERVISOR,
-};
+use crate::after_publication::BURST_COUNT;
+use crate::estimation::Estimation;
+use crate::requests::{MEASUREMENT, NEW_MEASUREMENT, Requests, TASK, TO_SUPERVISOR};
 
 /// Port to the module, for one telemetry tick.
 pub struct ModulePort<'a, E, R> {

@@ -23,9 +23,10 @@ use aplomb::telemetry::message::Message;
 use embedded_hal::delay::DelayNs;
 use rtic::Mutex;
 
+use crate::estimation::Estimation;
 #[cfg(feature = "full")]
 use crate::requests::{AFTER_PUBLICATION, FIGURES, MEASUREMENT, NEW_MEASUREMENT};
-use crate::requests::{Estimation, Requests, TASK, TO_SUPERVISOR};
+use crate::requests::{Requests, TASK, TO_SUPERVISOR};
 
 /// Longest duration of a task, in ms. Erasing a 16 KiB sector stalls the core for up to half a
 /// second (STM32F405 datasheet, table "Flash memory programming"). The sensor's self-test takes a
@@ -95,7 +96,7 @@ pub fn run(
         {
             let mut compass = None;
             if compass::IS_BUILT_IN {
-                compass = estimation.lock(|estimation| estimation.compass.to_test());
+                compass = estimation.lock(|estimation| estimation.compass.compass_under_test());
             }
             perform_paused(&task, sensor, compass, flash, &mut requests);
             if task == Task::SelfTest && compass.is_some() {

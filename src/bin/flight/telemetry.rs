@@ -23,8 +23,10 @@ use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Mailbox, Output, Pace};
 use heapless::spsc::Consumer;
 use rtic::Mutex;
 
+use crate::after_publication::BURST_COUNT;
 use crate::commands::Commands;
-use crate::requests::{AFTER_PUBLICATION, BURST_COUNT, Estimation, LOG, Latest, Requests};
+use crate::estimation::{Estimation, Latest};
+use crate::requests::{AFTER_PUBLICATION, LOG, Requests};
 
 /// True if this build sends the flight log.
 const HAS_LOG: bool = cfg!(feature = "full");

@@ -10,7 +10,9 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fen
 
 use stm32f4xx_hal::pac::Interrupt;
 
-use super::{BurstReader, dma, enable_event_interrupts, i2c1, mask_unexpected_event, send_stop};
+use super::{
+    BurstReader, Transaction, dma, enable_event_interrupts, i2c1, mask_unexpected_event, send_stop,
+};
 use crate::board::timebase;
 use crate::compass::{Bytes, LONGEST_READ, Outcome, Transfer};
 use crate::fault::{BurstFault, BurstStep};
@@ -128,8 +130,6 @@ impl BurstReader {
         TRANSFER_SLOT.started_us.store(now, Ordering::Relaxed);
         TRANSFER_SLOT.state.store(RUNNING, Ordering::Relaxed);
         timebase::set_burst_alarm(now.wrapping_add(DEADLINE_US));
-        self.is_check = true;
-        self.is_compass = true;
         // SAFETY: the state gives the transfer to the reader.
         match unsafe { *TRANSFER_SLOT.transfer.get() } {
             Transfer::Read {
@@ -137,6 +137,7 @@ impl BurstReader {
                 register,
                 length,
             } => {
+                self.transaction = Transaction::CompassRead;
                 self.address_byte = address << 1;
                 self.pointer = register;
                 let length = u16::from(length).min(LONGEST_READ as u16);
@@ -144,7 +145,7 @@ impl BurstReader {
                 self.send_start();
             }
             Transfer::Write { .. } => {
-                self.write_events = 0;
+                self.transaction = Transaction::CompassWrite { events: 0 };
                 self.send_start();
                 self.step = BurstStep::Setting;
             }
@@ -165,9 +166,12 @@ impl BurstReader {
         else {
             return;
         };
+        let Transaction::CompassWrite { events } = &mut self.transaction else {
+            return;
+        };
         let i2c = i2c1();
         let status = i2c.sr1().read();
-        match self.write_events {
+        match *events {
             0 if status.sb().bit() => i2c.dr().write(|w| w.dr().set(address << 1)),
             1 if status.addr().bit() => {
                 i2c.sr2().read();
@@ -184,11 +188,11 @@ impl BurstReader {
                 return;
             }
         };
-        self.write_events += 1;
+        *events += 1;
     }
 
     /// Ends a read. Bytes that came with a bus error do not count.
-    pub(super) fn end_read(&mut self) {
+    pub(super) fn end_compass_read(&mut self) {
         let is_suspect = core::mem::take(&mut self.is_suspect);
         let state = if is_suspect { NO_ANSWER } else { READ };
         TRANSFER_SLOT.state.store(state, Ordering::Release);

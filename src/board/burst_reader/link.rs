@@ -137,10 +137,12 @@ pub fn take_stale() -> Option<(u64, BoardFlags)> {
     ))
 }
 
-/// Requests the reader to read some settings back now. Only the attitude task calls this, after a
-/// burst, when the bus is free. The request pends the interrupt of SPI1, an unused peripheral. The
-/// application binds that interrupt, at the priority of the others that share the reader, to
-/// [`on_check_request`](super::BurstReader::on_check_request).
+/// Requests the reader to read some settings back now. A requested transfer with the compass takes
+/// the place of that check. Only the attitude task calls this, after a burst, when the bus is free.
+///
+/// The request pends the interrupt of SPI1, an unused peripheral. The application binds that
+/// interrupt, at the priority of the others that share the reader, to
+/// [`on_transfer_request`](super::BurstReader::on_transfer_request).
 pub fn request_check() {
     cortex_m::peripheral::NVIC::pend(Interrupt::SPI1);
 }

@@ -27,11 +27,13 @@
 //! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude
 //!   task busy are counted. The next good burst carries the count as `missed_before`.
 
+mod alarm;
 mod compass_transfer;
 mod dma;
 mod link;
 mod port;
 mod settings_check;
+mod transaction;
 
 pub use compass_transfer::{CompassTransfers, set_compass_fault};
 pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_check, take_stale};
@@ -39,9 +41,9 @@ pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_c
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
 
+use super::retained;
 use super::sensor_bus::with_clock;
 use super::timebase::{self, Timebase};
-use super::{clocks, pins, retained};
 use crate::compass;
 use crate::fault::{BurstFailure, BurstFault, BurstStep, ClockSource, FaultClass};
 use crate::health::BoardFlags;
@@ -49,6 +51,7 @@ use crate::mpu6050::registers::Register;
 use crate::mpu6050::{BURST_LENGTH, Burst};
 use link::{LINK, exti, setup};
 use port::{enable_event_interrupts, i2c1, mask_unexpected_event, send_stop};
+use transaction::Transaction;
 
 /// Longest time from an edge to the end of its burst, in µs: twice what the bus needs.
 pub const BURST_DEADLINE_US: u32 = 800;
@@ -60,20 +63,15 @@ pub const FAILURES_IN_A_ROW: u8 = 3;
 const STALE_PERIOD_US: u32 = 5_000;
 /// Time from a check to the next burst while the alarm starts the bursts, in µs.
 const POLL_AFTER_CHECK_US: u32 = 300;
-/// Period longer than any between edges: every edge is examined.
-const NO_PERIOD_US: u32 = u32::MAX;
+/// Shortest period with which every edge is examined, because each comes sooner.
+const EXAMINE_EVERY_EDGE_US: u32 = u32::MAX;
 
 /// Burst reader. All its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
     step: BurstStep,
-    /// True if the present steps read settings back, instead of a burst.
-    is_check: bool,
+    transaction: Transaction,
     /// True if a bus error has been flagged while the sensor sent.
     is_suspect: bool,
-    /// True if the present steps are a transfer with the compass, which is a check too.
-    is_compass: bool,
-    /// Events of a write that have come.
-    write_events: u8,
     /// First register of the present steps.
     pointer: u8,
     /// Slot that DMA fills.
@@ -94,7 +92,7 @@ pub struct BurstReader {
     missed: u8,
     mode: Mode,
     failures_in_a_row: u8,
-    /// True if an edge has come during a check.
+    /// True if an edge has come during a transaction that is no burst.
     is_edge_waiting: bool,
     next_check: u8,
 }
@@ -121,14 +119,12 @@ impl BurstReader {
         };
         let reader = Self {
             step: BurstStep::Idle,
-            is_check: false,
+            transaction: Transaction::Burst,
             is_suspect: false,
-            is_compass: false,
-            write_events: 0,
             pointer: Register::AccelerometerXHigh.address(),
             slot: Slot::First,
             captured_at_us: 0,
-            shortest_period_us: NO_PERIOD_US,
+            shortest_period_us: EXAMINE_EVERY_EDGE_US,
             silence_us: SILENCE_DEADLINE_US,
             address_byte: 0,
             flags: latched_flags,
@@ -157,7 +153,7 @@ impl BurstReader {
         self.start_burst(count, timebase);
     }
 
-    /// Handles an edge that comes too soon, during a burst or a check, or as the first one.
+    /// Handles an edge that comes too soon, during a transaction, or as the first one.
     #[cold]
     #[inline(never)]
     fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {
@@ -176,7 +172,7 @@ impl BurstReader {
                 return;
             }
             Mode::Edges => {
-                if self.step != BurstStep::Idle && !self.is_check {
+                if self.step != BurstStep::Idle && self.transaction.is_burst() {
                     self.count_missed();
                 }
             }
@@ -184,7 +180,7 @@ impl BurstReader {
         if self.step == BurstStep::Idle {
             self.start_burst(count, timebase);
         } else {
-            self.is_edge_waiting = self.is_check;
+            self.is_edge_waiting = !self.transaction.is_burst();
         }
     }
 
@@ -271,8 +267,8 @@ impl BurstReader {
         // Ends the DMA requests. The port clocks on until STOP, and such a byte must not become the
         // first one of the next burst.
         enable_event_interrupts();
-        if self.is_check {
-            self.end_check(timebase);
+        if !self.transaction.is_burst() {
+            self.end_other_read(timebase);
             return false;
         }
         if self.is_suspect && self.has_lost_sensor() {
@@ -318,8 +314,7 @@ impl BurstReader {
 
     /// Makes the next steps read a burst.
     fn return_to_bursts(&mut self) {
-        self.is_check = false;
-        self.is_compass = false;
+        self.transaction = Transaction::Burst;
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.pointer = Register::AccelerometerXHigh.address();
         self.step = BurstStep::Idle;
@@ -349,50 +344,6 @@ impl BurstReader {
         }
     }
 
-    /// Handles the alarm: the crystal was lost, the reader was paused or enabled, a burst took too
-    /// long, no edge came, or a stale snapshot is due. Returns whether the attitude task has to
-    /// publish one.
-    pub fn on_alarm(&mut self, timebase: &mut Timebase) -> bool {
-        let has_lost_crystal = clocks::have_fallen_back();
-        if has_lost_crystal {
-            clocks::restore();
-            self.latch(BoardFlags::INTERNAL_CLOCK);
-            if self.mode == Mode::Edges {
-                self.shortest_period_us = self.shortest_period_us();
-            }
-        }
-        if !is_enabled() {
-            timebase::set_burst_alarm(timebase::now().wrapping_add(STALE_PERIOD_US));
-            let t_us = timebase.extend(timebase::now());
-            LINK.request_stale(t_us, self.flags | self.latched_flags);
-            return true;
-        }
-        if LINK.is_pause_wanted.swap(false, Ordering::Relaxed) && self.step == BurstStep::Idle {
-            self.disable();
-            return false;
-        }
-        if has_lost_crystal && !timebase::burst_alarm_is_due() {
-            return false;
-        }
-        if self.step != BurstStep::Idle {
-            self.fail(BurstFault::Deadline);
-            return false;
-        }
-        match self.mode {
-            Mode::Starting => {
-                self.begin_edges();
-                exti().pr().write(|w| w.pr1().clear_bit_by_one());
-                exti().imr().write(|w| w.mr1().set_bit());
-                timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));
-                return false;
-            }
-            Mode::Edges => self.poll_instead_of_edges(),
-            Mode::Polling => {}
-        }
-        self.start_burst(timebase::now(), timebase);
-        false
-    }
-
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
@@ -418,22 +369,6 @@ impl BurstReader {
         setup().shortest_period_us(flags.contains(BoardFlags::INTERNAL_CLOCK))
     }
 
-    fn poll_instead_of_edges(&mut self) {
-        self.mode = Mode::Polling;
-        self.shortest_period_us = NO_PERIOD_US;
-        self.silence_us = setup().period_us;
-        self.latch(BoardFlags::POLLED);
-        retained::count(if pins::interrupt_is_high() {
-            FaultClass::InterruptStuckHigh
-        } else {
-            FaultClass::InterruptMissing
-        });
-        LINK.record(BurstFailure {
-            fault: BurstFault::NoDataReady,
-            step: BurstStep::Idle,
-        });
-    }
-
     /// Reports this condition with every burst from now on.
     fn latch(&mut self, flag: BoardFlags) {
         self.latched_flags |= flag;
@@ -447,7 +382,7 @@ impl BurstReader {
     #[cold]
     #[inline(never)]
     fn fail(&mut self, fault: BurstFault) {
-        if compass::IS_BUILT_IN && self.is_compass && self.fail_transfer(fault) {
+        if compass::IS_BUILT_IN && self.transaction.is_of_compass() && self.fail_transfer(fault) {
             return;
         }
         let failure = BurstFailure {
@@ -464,7 +399,7 @@ impl BurstReader {
         if is_bus_known {
             send_stop();
         }
-        if !self.is_check {
+        if self.transaction.is_burst() {
             self.count_missed();
         }
         dma::stop();
@@ -481,7 +416,7 @@ impl BurstReader {
     /// Releases the bus to the supervisor. The alarm then publishes a stale snapshot immediately.
     fn disable(&mut self) {
         self.mode = Mode::Starting;
-        self.shortest_period_us = NO_PERIOD_US;
+        self.shortest_period_us = EXAMINE_EVERY_EDGE_US;
         exti().imr().reset();
         i2c1().cr2().write(|w| with_clock(w));
         LINK.is_enabled.store(false, Ordering::Release);

@@ -1,14 +1,15 @@
 //! Check of the sensor's settings between two bursts: reads a few of them back.
 //!
 //! The check takes the same steps as a burst, but DMA writes elsewhere. A wrong setting disables
-//! the reader, and the supervisor configures the sensor again.
+//! the reader, and the supervisor configures the sensor again. The request for a check starts a
+//! transfer with the compass instead, if there is one.
 
 use core::cell::UnsafeCell;
 
 use super::link::{CHECKS, setup};
 use super::{
-    BURST_DEADLINE_US, BurstReader, Mode, POLL_AFTER_CHECK_US, SILENCE_DEADLINE_US, dma, i2c1,
-    is_enabled, send_stop,
+    BURST_DEADLINE_US, BurstReader, Mode, POLL_AFTER_CHECK_US, SILENCE_DEADLINE_US, Transaction,
+    dma, i2c1, is_enabled, send_stop,
 };
 use crate::board::timebase::{self, Timebase};
 use crate::compass;
@@ -25,12 +26,12 @@ unsafe impl Sync for CheckedBytes {}
 static CHECKED: CheckedBytes = CheckedBytes(UnsafeCell::new([0; Check::LONGEST]));
 
 impl BurstReader {
-    /// Compares the settings that were read back, and starts the burst of an edge that has come
-    /// meanwhile.
+    /// Ends a read of settings or of the compass. Compares settings that were read back, and starts
+    /// the burst of an edge that has come meanwhile.
     #[inline(never)]
-    pub(super) fn end_check(&mut self, timebase: &mut Timebase) {
-        if compass::IS_BUILT_IN && self.is_compass {
-            self.end_read();
+    pub(super) fn end_other_read(&mut self, timebase: &mut Timebase) {
+        if compass::IS_BUILT_IN && self.transaction.is_of_compass() {
+            self.end_compass_read();
             self.resume_bursts(true, timebase);
             return;
         }
@@ -70,9 +71,9 @@ impl BurstReader {
         timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
     }
 
-    /// Handles SPI1, which [`request_check`](super::request_check) pends: reads some settings back
-    /// if the bus is free.
-    pub fn on_check_request(&mut self) {
+    /// Handles SPI1, which [`request_check`](super::request_check) pends. If the bus is free,
+    /// starts the requested transfer with the compass, or else a check of some settings.
+    pub fn on_transfer_request(&mut self) {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
             && i2c1().cr1().read().stop().bit_is_clear();
@@ -83,7 +84,7 @@ impl BurstReader {
             return;
         }
         let check = self.check();
-        self.is_check = true;
+        self.transaction = Transaction::SettingsCheck;
         self.pointer = check.first.address();
         timebase::set_burst_alarm(timebase::now().wrapping_add(BURST_DEADLINE_US));
         dma::prepare(CHECKED.0.get() as u32, check.length as u16);

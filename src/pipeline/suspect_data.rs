@@ -1,5 +1,5 @@
-//! Unobserved motion during frozen data, under lost settings, and behind false full-scale readings:
-//! inflates the filter's tilt.
+//! Suspect data: spurious full-scale readings, frozen data, and samples under lost settings.
+//! Inflates the filter's tilt for the motion that they hide.
 //!
 //! Frozen data count as a pause: the filter does not get them.
 
@@ -22,47 +22,48 @@ const BLOW_S: f32 = 10.0e-3;
 /// σ per axis of the rate in a blow, as a share of the reading. Six σ exceed it.
 const BLOW_SHARE: f32 = 0.2;
 /// Largest rate that a sensor of this family reads, with a margin, rad/s.
-const LARGEST_RATE_RAD_S: f32 = 100.0;
+const LARGEST_SENSOR_RATE_RAD_S: f32 = 100.0;
 /// Longest step to a jump of the rate, µs. A longer one is a pause: the filter itself adds the
 /// change of the rate to σ.
 const LONGEST_JUMP_US: u32 = 15_000;
 /// Hidden turn from which on gravity shows the tilt better, rad: 1.5 σ of a start.
 const LOST_TURN_RAD: f32 = 0.3;
 
-/// False full-scale readings, with their duration, and frozen data.
+/// Spurious full-scale readings, with their duration, and frozen data.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct UnseenMotion {
+pub(super) struct SuspectData {
     /// Duration of frozen data before they are flagged.
     unflagged_s: f32,
-    /// Duration of the present false full-scale reading, zero without one.
-    false_s: f32,
+    /// Duration of the present spurious full-scale reading, zero without one.
+    spurious_s: f32,
     /// Flags of the samples that were skipped since the last one that the filter has had.
     skipped: Flags,
 }
 
-impl UnseenMotion {
+impl SuspectData {
     /// Creates the state for samples at this rate, which are flagged as frozen after this many
     /// repetitions.
     pub(super) fn new(sample_rate_hz: f32, frozen_samples: u8) -> Self {
         Self {
             unflagged_s: f32::from(frozen_samples) / sample_rate_hz,
-            false_s: 0.0,
+            spurious_s: 0.0,
             skipped: Flags::empty(),
         }
     }
 
-    /// Returns whether a sample needs [`hold_false_rate`](Self::hold_false_rate).
+    /// Returns whether a sample needs [`replace_spurious_rate`](Self::replace_spurious_rate).
     #[inline]
-    pub(super) fn may_be_false(&self, sample: &Sample) -> bool {
-        sample.is_rate_saturated || self.false_s > 0.0
+    pub(super) fn may_be_spurious(&self, sample: &Sample) -> bool {
+        sample.is_rate_saturated || self.spurious_s > 0.0
     }
 
-    /// Returns the sample with the last rate in place of a false full-scale reading, and inflates
-    /// the filter's tilt for what it hides. `last` is the sample before, as the filter had it.
+    /// Returns the sample with the last rate in place of a spurious full-scale reading, and
+    /// inflates the filter's tilt for what it hides. `last` is the sample before, as the filter
+    /// had it.
     #[cold]
     #[inline(never)]
-    pub(super) fn hold_false_rate(
+    pub(super) fn replace_spurious_rate(
         &mut self,
         estimator: &mut Estimator,
         last: &Sample,
@@ -72,21 +73,22 @@ impl UnseenMotion {
         let step_s = step_us as f32 * SECONDS_PER_MICROSECOND;
         let (rate, before) = (sample.angular_rate_rad_s, last.angular_rate_rad_s);
         let largest = before.norm() + LARGEST_ACCELERATION_RAD_S2 * step_s;
-        let was_false_s = core::mem::replace(&mut self.false_s, 0.0);
+        let was_spurious_s = core::mem::replace(&mut self.spurious_s, 0.0);
         let hold = |rate: f32, before: f32| if rate.abs() < largest { rate } else { before };
         let held = Vector3::new(
             hold(rate.x, before.x),
             hold(rate.y, before.y),
             hold(rate.z, before.z),
         );
-        let is_false = held != rate && (was_false_s > 0.0 || !rate.is_within(largest));
+        let is_spurious = held != rate && (was_spurious_s > 0.0 || !rate.is_within(largest));
         let filter = estimator.filter_mut();
-        // The estimator rejects what no sensor of this family reads.
-        if sample.is_rate_saturated && is_false && rate.is_within(LARGEST_RATE_RAD_S) {
-            self.false_s = was_false_s + step_s;
-            let blow = |false_s: f32| square(BLOW_SHARE * rate.norm() * false_s.min(BLOW_S));
-            let hidden = |false_s| blow(false_s) + filter.pause_variance_rad2(false_s);
-            let added = hidden(self.false_s) - hidden(was_false_s);
+        // No sensor of this family gives a larger rate. The estimator then gets it as it is, and
+        // rejects it beyond a limit of its own.
+        if sample.is_rate_saturated && is_spurious && rate.is_within(LARGEST_SENSOR_RATE_RAD_S) {
+            self.spurious_s = was_spurious_s + step_s;
+            let blow = |spurious_s: f32| square(BLOW_SHARE * rate.norm() * spurious_s.min(BLOW_S));
+            let hidden = |spurious_s| blow(spurious_s) + filter.pause_variance_rad2(spurious_s);
+            let added = hidden(self.spurious_s) - hidden(was_spurious_s);
             filter.interrupt_rest();
             filter.inflate_tilt(added);
             return Sample {
@@ -96,8 +98,8 @@ impl UnseenMotion {
             };
         }
         // If the rate has changed meanwhile, it did so steadily.
-        let turn_rad2 = square(0.5 * (rate - before).norm() * was_false_s);
-        if filter.pause_variance_rad2(was_false_s) > square(LOST_TURN_RAD) {
+        let turn_rad2 = square(0.5 * (rate - before).norm() * was_spurious_s);
+        if filter.pause_variance_rad2(was_spurious_s) > square(LOST_TURN_RAD) {
             filter.lose_tilt();
         } else {
             inflate_hidden_turn(filter, turn_rad2);
@@ -145,7 +147,7 @@ impl UnseenMotion {
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.f32(&mut self.unflagged_s);
-        visitor.f32(&mut self.false_s);
+        visitor.f32(&mut self.spurious_s);
         let mut skipped = self.skipped.bits();
         visitor.u32(&mut skipped);
         self.skipped = Flags::from_bits_truncate(skipped);

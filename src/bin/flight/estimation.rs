@@ -1,0 +1,30 @@
+//! State of the estimation, which the tasks share under one lock, and its result as telemetry sends
+//! it.
+
+use aplomb::board::compass::CompassTask;
+use aplomb::estimator::heading::HeadingEstimate;
+use aplomb::pipeline::{Pipeline, Snapshot};
+
+use crate::after_publication::StationaryMeasurement;
+
+/// Data of the attitude task: the pipeline, and the stationary detector of a calibration procedure.
+///
+/// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
+/// code.
+#[repr(C)]
+pub struct Estimation {
+    /// The pipeline; `None` before the sensor is found.
+    pub pipeline: Option<Pipeline>,
+    /// The stationary measurement that a calibration procedure has started.
+    pub measurement: StationaryMeasurement,
+    /// The compass.
+    pub compass: CompassTask,
+}
+
+/// Latest attitude with its heading, as telemetry sends them.
+pub struct Latest {
+    /// Attitude. Its flags include that of the heading.
+    pub snapshot: Snapshot,
+    /// Heading; `None` while it is unknown.
+    pub heading: Option<HeadingEstimate>,
+}
