@@ -37,6 +37,8 @@ mod simulated;
 mod starts;
 #[cfg(test)]
 mod steps;
+#[cfg(test)]
+mod straights;
 mod throughput;
 #[cfg(test)]
 mod turns;

@@ -427,7 +427,7 @@ impl Pipeline {
         let stored = StoredOffset::at(&self.settings.calibration, self.temperature_celsius);
         self.set_gyroscope_offset(stored.offset_rad_s);
         if stored.is_known() {
-            let sigma_rad_s = stored.sigma_rad_s;
+            let sigma_rad_s = stored.start_sigma_rad_s();
             self.kalman_mut().set_bias(Vector3::ZERO, sigma_rad_s);
         }
     }

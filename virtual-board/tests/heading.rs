@@ -136,7 +136,7 @@ fn last_heading(outcome: &Outcome) -> HeadingEstimate {
 #[test]
 fn a_declination_turns_the_heading_and_nothing_else() {
     let config = Kit::Gy87.compass(4, Mount::default()).unwrap();
-    // The second `compass` starts the filter afresh.
+    // The second `compass` restarts the filter.
     let restart = [(1.0, "compass off"), (1.5, "compass auto")];
     for (stored_deg, set, others, expected_deg) in [
         (4.5, None, &[][..], 4.5),

@@ -71,7 +71,7 @@ impl Console {
         let kept_ut = Triple(correction.hard_iron_ut, 1);
         module.set_compass(&self.working.compass, self.mount());
         reply.ok(format_args!(
-            "compass keep: hard iron {kept_ut} uT, and the heading starts afresh with it; \
+            "compass keep: hard iron {kept_ut} uT, and the heading restarts with it; \
              \"save\" keeps it"
         ))
     }

@@ -1073,7 +1073,7 @@ fn the_hard_iron_of_the_heading_filter_is_kept() {
     );
     assert_eq!(
         harness.ask("compass keep"),
-        "ok compass keep: hard iron 30.0,-20.0,10.0 uT, and the heading starts afresh with it; \
+        "ok compass keep: hard iron 30.0,-20.0,10.0 uT, and the heading restarts with it; \
          \"save\" keeps it"
     );
     let kept = harness.console.working().compass.correction.expect("kept");

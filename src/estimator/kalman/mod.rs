@@ -127,6 +127,9 @@ use unseen::LONG_STEP_S;
 /// Largest σ of a known bias, per axis.
 const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
 
+/// Largest σ of a stored bias that is confirmed, per axis.
+const CONFIRMED_BIAS_RAD_S: f32 = radians(0.2);
+
 /// σ of the tilt, both axes together, rad, from which on the specific force shows the tilt better:
 /// at the start, and at rest.
 const USABLE_TILT_RAD: f32 = radians(30.0);
@@ -193,6 +196,8 @@ pub struct Kalman {
     step: CovarianceStep,
     /// True if the stored bias, or that of a restart, was known.
     is_stored_known: bool,
+    /// True until rest or motion has confirmed the stored bias.
+    is_stored_in_doubt: bool,
     /// True if a single sample has set the tilt: the mean specific force will set it again.
     is_from_one_sample: bool,
 }
@@ -297,6 +302,7 @@ impl Kalman {
             is_tilt_checked: false,
             is_bias_known: false,
             is_stored_known: false,
+            is_stored_in_doubt: false,
             has_rested: false,
             is_first_rest: false,
             is_from_one_sample: false,
@@ -427,8 +433,9 @@ impl Kalman {
             self.restart_from_unusable_numbers();
             return;
         }
-        self.is_bias_known =
-            self.is_bias_measured() && self.largest_bias_variance() < square(KNOWN_BIAS_RAD_S);
+        let variance = self.largest_bias_variance();
+        self.is_bias_known = self.is_bias_measured() && variance < square(KNOWN_BIAS_RAD_S);
+        self.is_stored_in_doubt &= variance > square(CONFIRMED_BIAS_RAD_S);
     }
 
     /// Returns the gyroscope bias, rad/s in body axes.
@@ -522,6 +529,7 @@ impl Kalman {
         visitor.bool(&mut self.is_tilt_checked);
         visitor.bool(&mut self.is_bias_known);
         visitor.bool(&mut self.is_stored_known);
+        visitor.bool(&mut self.is_stored_in_doubt);
         visitor.bool(&mut self.has_rested);
         visitor.bool(&mut self.is_first_rest);
         visitor.bool(&mut self.is_from_one_sample);
