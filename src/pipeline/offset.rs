@@ -2,16 +2,15 @@
 
 use crate::attitude::Vector3;
 use crate::calibration::Calibration;
-use crate::estimator::arithmetic::square;
+use crate::estimator::arithmetic::{larger, square};
 use crate::units::radians;
 
 /// σ of a stored offset at the temperature of its measurement, rad/s: the offset changes with the
 /// pose (0.1 °/s per g, product specification §6.1).
 const STORED_SIGMA_RAD_S: f32 = radians(0.1);
-/// σ of the change from one power-up to the next and with age, rad/s. The product specification has
-/// no figure for it. So that 2 °/s are within six σ, and that an offset at its own temperature still
-/// counts as known.
-const LATER_CHANGE_SIGMA_RAD_S: f32 = radians(0.34);
+/// Least σ of a stored offset at a start, rad/s: it changes with each power-up and with age. The
+/// product specification has no figure for that. So a change of 2 °/s is within six σ.
+const LEAST_START_SIGMA_RAD_S: f32 = radians(0.35);
 /// σ that each °C of difference adds, rad/s: ±20 °/s over −40 to 85 °C (product
 /// specification §6.1) is 0.16 at most.
 const STORED_SIGMA_PER_CELSIUS: f32 = radians(0.1);
@@ -58,9 +57,9 @@ impl StoredOffset {
         }
     }
 
-    /// Returns σ per axis for a start, rad/s: the offset may have changed since its measurement.
+    /// Returns σ per axis at a start, rad/s: the offset may have changed since its measurement.
     pub(super) fn start_sigma_rad_s(&self) -> f32 {
-        libm::sqrtf(square(self.sigma_rad_s) + square(LATER_CHANGE_SIGMA_RAD_S))
+        larger(self.sigma_rad_s, LEAST_START_SIGMA_RAD_S)
     }
 
     /// Returns whether the offset is better than the filter's own prior.

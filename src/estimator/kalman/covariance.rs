@@ -119,6 +119,13 @@ impl Covariance {
         }
     }
 
+    /// Returns the variances of the gyroscope's bias.
+    #[inline]
+    pub(super) fn bias_variances(&self) -> [f32; 3] {
+        let [x, _, y, _, _, z, ..] = self.triangle;
+        [x, y, z]
+    }
+
     /// Sets the variances of the gyroscope's bias, and keeps its correlations with other states.
     /// Unless they are zero, no variance must become smaller.
     pub(super) fn reset_bias(&mut self, [x, y, z]: [f32; 3]) {

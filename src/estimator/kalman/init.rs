@@ -60,7 +60,7 @@ impl Kalman {
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);
         self.set_bias_prior(bias_rad_s, sigma_rad_s);
-        self.is_stored_in_doubt = true;
+        self.is_stored_unconfirmed = true;
     }
 
     /// Sets the bias, rad/s in body axes, and its σ per axis, until a rest measures it.

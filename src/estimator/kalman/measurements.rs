@@ -182,8 +182,8 @@ impl Kalman {
         self.extra_tilt_rad2 =
             self.rest_watch
                 .update(&self.nominal, &self.rest_detector, self.tuning);
-        let may_be_wrong = self.is_stored_in_doubt || self.consistency.is_suspicious();
-        if may_be_wrong && !self.rest_detector.is_still() {
+        let is_uncertain = self.is_stored_unconfirmed || self.consistency.is_suspicious();
+        if is_uncertain && !self.rest_detector.is_still() {
             let missing = square(SUSPICION_RAD) - self.held_tilt_rad2;
             self.extra_tilt_rad2 = larger(self.extra_tilt_rad2, missing);
         }

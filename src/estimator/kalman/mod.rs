@@ -197,7 +197,7 @@ pub struct Kalman {
     /// True if the stored bias, or that of a restart, was known.
     is_stored_known: bool,
     /// True until rest or motion has confirmed the stored bias.
-    is_stored_in_doubt: bool,
+    is_stored_unconfirmed: bool,
     /// True if a single sample has set the tilt: the mean specific force will set it again.
     is_from_one_sample: bool,
 }
@@ -302,7 +302,7 @@ impl Kalman {
             is_tilt_checked: false,
             is_bias_known: false,
             is_stored_known: false,
-            is_stored_in_doubt: false,
+            is_stored_unconfirmed: false,
             has_rested: false,
             is_first_rest: false,
             is_from_one_sample: false,
@@ -435,7 +435,7 @@ impl Kalman {
         }
         let variance = self.largest_bias_variance();
         self.is_bias_known = self.is_bias_measured() && variance < square(KNOWN_BIAS_RAD_S);
-        self.is_stored_in_doubt &= variance > square(CONFIRMED_BIAS_RAD_S);
+        self.is_stored_unconfirmed &= variance > square(CONFIRMED_BIAS_RAD_S);
     }
 
     /// Returns the gyroscope bias, rad/s in body axes.
@@ -445,8 +445,8 @@ impl Kalman {
 
     /// Returns σ of [`bias_rad_s`](Self::bias_rad_s), rad/s.
     pub fn bias_sigma_rad_s(&self) -> Vector3 {
-        let sigma = |axis| sigma(self.step.covariance.parameter_variance(axis));
-        Vector3::new(sigma(0), sigma(1), sigma(2))
+        let [x, y, z] = self.step.covariance.bias_variances().map(sigma);
+        Vector3::new(x, y, z)
     }
 
     /// Returns σ of the bias of the worst axis, rad/s.
@@ -460,8 +460,7 @@ impl Kalman {
     }
 
     fn largest_bias_variance(&self) -> f32 {
-        let covariance = &self.step.covariance;
-        let [x, y, z] = [0, 1, 2].map(|axis| covariance.parameter_variance(axis));
+        let [x, y, z] = self.step.covariance.bias_variances();
         larger(larger(x, y), z)
     }
 
@@ -529,7 +528,7 @@ impl Kalman {
         visitor.bool(&mut self.is_tilt_checked);
         visitor.bool(&mut self.is_bias_known);
         visitor.bool(&mut self.is_stored_known);
-        visitor.bool(&mut self.is_stored_in_doubt);
+        visitor.bool(&mut self.is_stored_unconfirmed);
         visitor.bool(&mut self.has_rested);
         visitor.bool(&mut self.is_first_rest);
         visitor.bool(&mut self.is_from_one_sample);
