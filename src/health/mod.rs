@@ -23,6 +23,8 @@ mod flags;
 mod measurement;
 mod monitor;
 mod report;
+#[cfg(not(feature = "firmware"))]
+mod sample_monitor;
 mod stuck_axis;
 mod vibration;
 
@@ -30,4 +32,6 @@ pub use flags::{BoardFlags, Flags, UnknownFlag};
 pub use measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};
 pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
 pub use report::FlagReport;
+#[cfg(not(feature = "firmware"))]
+pub(crate) use sample_monitor::{SampleMonitor, Sampling};
 pub(crate) use vibration::Vibration;
