@@ -76,3 +76,38 @@ fn vibration_is_reported_when_it_is_too_strong() {
         assert_eq!(printed.contains(message), is_too_strong, "{printed}");
     }
 }
+
+/// Returns a simulated flight whose columns keep their values from 15 s to 20 s.
+fn stuck(columns: &[usize]) -> String {
+    let flight = path("warnings", "flight.csv");
+    let output = flight.to_str().unwrap();
+    run(&["simulate", "--seconds", "25", "--output", output]);
+    let text = std::fs::read_to_string(&flight).unwrap();
+    let mut rows: Vec<Vec<&str>> = text.lines().map(|row| row.split(',').collect()).collect();
+    let held = rows[15_000].clone();
+    for row in &mut rows[15_001..20_000] {
+        for &column in columns {
+            row[column] = held[column];
+        }
+    }
+    let rows: Vec<String> = rows.into_iter().map(|row| row.join(",")).collect();
+    rows.join("\n")
+}
+
+#[test]
+fn a_stuck_axis_of_a_recording_is_frozen_like_that_of_bursts() {
+    // From 0.26 s after the start of the motion to one window after its end.
+    for (columns, frozen) in [
+        (&[][..], 0..1),
+        (&[4], 4_500..5_200),
+        (&[1], 4_500..5_200),
+        (&[4, 5, 6], 4_500..5_200),
+        (&[1, 2, 3, 4, 5, 6], 4_880..4_920),
+    ] {
+        let input = file("warnings", "stuck.csv", stuck(columns));
+        let printed = run(&["replay", input.to_str().unwrap(), "--json"]);
+        let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
+        let rows = json["flags"]["FROZEN"].as_u64().unwrap_or(0);
+        assert!(frozen.contains(&rows), "{columns:?}: {rows}");
+    }
+}

@@ -22,6 +22,8 @@
 mod flag_report;
 mod flags;
 mod monitor;
+#[cfg(not(feature = "firmware"))]
+mod sample_monitor;
 mod self_measurement;
 mod stuck_axis;
 mod vibration;
@@ -29,5 +31,7 @@ mod vibration;
 pub use flag_report::FlagReport;
 pub use flags::{BoardFlags, Flags, UnknownFlag};
 pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
+#[cfg(not(feature = "firmware"))]
+pub(crate) use sample_monitor::{SampleMonitor, Sampling};
 pub use self_measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};
 pub(crate) use vibration::Vibration;

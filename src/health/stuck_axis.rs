@@ -6,16 +6,16 @@
 //! The noise of the product specification (§6.1, ±2000 °/s) repeats a gyroscope axis through a
 //! window once in 10¹¹ times at 188 Hz, in 40,000 at 42 Hz and in 110 at 20 Hz. So there is no
 //! check below 42 Hz, and only a window with motion shows a stuck axis.
+//!
+//! `SampleMonitor` has the same windows for samples in SI units.
 
 use crate::serialize::StateVisitor;
 
 /// Words of a burst: accelerometer, temperature, gyroscope.
 const WORDS: usize = 7;
-/// All words but the temperature, a bit each.
-const AXES: u8 = 0b111_0111;
 
 /// Samples of a window.
-const WINDOW_SAMPLES: u8 = 25;
+pub(super) const WINDOW_SAMPLES: u8 = 25;
 
 /// Change over a window that noise does not reach, counts: 62 mg at ±16 g, 1 °/s at
 /// ±2000 °/s.
@@ -24,10 +24,48 @@ const MOTION_COUNTS: [u16; WORDS] = [128, 128, 128, u16::MAX, 16, 16, 16];
 /// Narrowest low-pass filter that leaves enough noise, Hz.
 const NARROWEST_HZ: u16 = 42;
 
+/// Values of a sample: those of a burst, or of a sample in SI units.
+pub(super) trait Values: Copy + Default {
+    /// Axes, a bit each.
+    const AXES: u8;
+
+    /// Adds the axes that differ from those of a later sample, a bit each.
+    fn add_changed(&self, later: &Self, changed: &mut u8);
+
+    /// Adds the axes that repeat for another reason than a fault, a bit each. `last` is the last
+    /// sample of the window. Returns whether an axis has moved since the first one.
+    fn add_excused(&self, last: &Self, changed: &mut u8) -> bool;
+}
+
+impl Values for [u8; 14] {
+    /// All words but the temperature.
+    const AXES: u8 = 0b111_0111;
+
+    #[inline]
+    fn add_changed(&self, later: &Self, changed: &mut u8) {
+        for (word, (first, counts)) in words(self).zip(words(later)).enumerate() {
+            *changed |= u8::from(first != counts) << word;
+        }
+    }
+
+    #[inline]
+    fn add_excused(&self, last: &Self, changed: &mut u8) -> bool {
+        let mut has_moved = false;
+        let pairs = words(self).zip(words(last));
+        for (word, ((first, last), motion)) in pairs.zip(MOTION_COUNTS).enumerate() {
+            has_moved |= last.abs_diff(first) > motion;
+            // A turn faster than full scale repeats it too.
+            let is_full_scale = first == i16::MAX || first <= -i16::MAX;
+            *changed |= u8::from(is_full_scale) << word;
+        }
+        has_moved
+    }
+}
+
 /// Windows over the six axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct StuckAxis {
+pub(super) struct StuckAxis<V = [u8; 14]> {
     /// Samples from one that counts to the next; 0 without a check.
     gap: u8,
     samples_to_next: u16,
@@ -35,8 +73,8 @@ pub(super) struct StuckAxis {
     /// Axes that have changed in this window, a bit each.
     changed: u8,
     is_stuck: bool,
-    /// Bytes at the beginning of the window.
-    first: [u8; 14],
+    /// Values at the beginning of the window.
+    first: V,
 }
 
 impl StuckAxis {
@@ -48,22 +86,39 @@ impl StuckAxis {
         } else {
             ((sample_rate_hz / f32::from(bandwidth_hz)) as u8).max(1)
         };
+        Self::with_gap(gap)
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.u8(&mut self.gap);
+        visitor.u16(&mut self.samples_to_next);
+        visitor.u8(&mut self.samples_to_end);
+        visitor.u8(&mut self.changed);
+        visitor.bool(&mut self.is_stuck);
+        visitor.bytes(&mut self.first);
+    }
+}
+
+impl<V: Values> StuckAxis<V> {
+    /// Creates the windows for one sample in each `gap`; none with 0.
+    pub(super) fn with_gap(gap: u8) -> Self {
         Self {
             gap,
             samples_to_next: u16::from(gap),
             samples_to_end: 0,
-            changed: AXES,
+            changed: V::AXES,
             is_stuck: false,
-            first: [0; 14],
+            first: V::default(),
         }
     }
 
     /// Takes a sample that does not repeat the one before.
     #[inline]
-    pub(super) fn update(&mut self, bytes: &[u8; 14]) {
+    pub(super) fn update(&mut self, values: &V) {
         self.samples_to_next = self.samples_to_next.wrapping_sub(1);
         if self.samples_to_next == 0 && self.gap > 0 {
-            self.take(bytes);
+            self.take(values);
         }
     }
 
@@ -77,16 +132,14 @@ impl StuckAxis {
     /// rest of the window needs no comparison.
     #[cold]
     #[inline(never)]
-    fn take(&mut self, bytes: &[u8; 14]) {
+    fn take(&mut self, values: &V) {
         if self.samples_to_end == 0 {
-            self.judge(bytes);
+            self.judge(values);
             self.samples_to_end = WINDOW_SAMPLES;
             self.changed = 0;
-            self.first = *bytes;
+            self.first = *values;
         } else {
-            for (word, (first, counts)) in words(&self.first).zip(words(bytes)).enumerate() {
-                self.changed |= u8::from(first != counts) << word;
-            }
+            self.first.add_changed(values, &mut self.changed);
         }
         self.samples_to_end -= 1;
         self.samples_to_next = u16::from(self.gap);
@@ -96,39 +149,22 @@ impl StuckAxis {
         }
     }
 
-    const fn have_all_changed(&self) -> bool {
-        self.changed & AXES == AXES
+    fn have_all_changed(&self) -> bool {
+        self.changed & V::AXES == V::AXES
     }
 
     /// Judges the window that ends with this sample. Without motion, only a change of all axes
     /// means anything.
-    fn judge(&mut self, last: &[u8; 14]) {
+    fn judge(&mut self, last: &V) {
         if self.have_all_changed() {
             self.is_stuck = false;
             return;
         }
-        let mut has_moved = false;
-        let pairs = words(&self.first).zip(words(last));
-        for (word, ((first, last), motion)) in pairs.zip(MOTION_COUNTS).enumerate() {
-            has_moved |= last.abs_diff(first) > motion;
-            // A turn faster than full scale repeats it too.
-            let is_full_scale = first == i16::MAX || first <= -i16::MAX;
-            self.changed |= u8::from(is_full_scale) << word;
-        }
+        let has_moved = self.first.add_excused(last, &mut self.changed);
         let is_one_stuck = !self.have_all_changed();
         if has_moved || !is_one_stuck {
             self.is_stuck = is_one_stuck;
         }
-    }
-
-    /// Visits every field.
-    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.u8(&mut self.gap);
-        visitor.u16(&mut self.samples_to_next);
-        visitor.u8(&mut self.samples_to_end);
-        visitor.u8(&mut self.changed);
-        visitor.bool(&mut self.is_stuck);
-        visitor.bytes(&mut self.first);
     }
 }
 

@@ -54,6 +54,8 @@ use crate::calibration::{Calibration, StationaryDetector, StationaryMean};
 use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge, Kalman, WarmStart};
 use crate::estimator::{Estimator, Filter, Issues, Sample};
 use crate::health::{BoardFlags, Flags, Monitor, Vibration};
+#[cfg(not(feature = "firmware"))]
+use crate::health::{SampleMonitor, Sampling};
 use crate::mpu6050::{Burst, RawSample, TemperatureCounts};
 use crate::serialize::StateVisitor;
 use crate::units::SECONDS_PER_MICROSECOND;
@@ -87,6 +89,9 @@ pub struct Pipeline {
     estimator: Estimator,
     settings: Settings,
     vibration: Vibration,
+    /// The firmware takes bursts only, and has no memory to spare.
+    #[cfg(not(feature = "firmware"))]
+    sample_monitor: SampleMonitor,
 }
 
 impl Pipeline {
@@ -111,6 +116,8 @@ impl Pipeline {
             vibration: Vibration::new(sensor.sample_rate_hz()),
             estimator: Estimator::new(),
             sample: Sample::default(),
+            #[cfg(not(feature = "firmware"))]
+            sample_monitor: SampleMonitor::new(),
         };
         let filter = pipeline.estimator.filter_mut();
         filter.set_delay(settings.delay_s());
@@ -159,10 +166,30 @@ impl Pipeline {
     /// Processes one calibrated sample in body axes, such as from a recording in SI units. Returns
     /// the attitude at the sample's time.
     ///
-    /// Skips the checks that need the sensor's bytes: blank and frozen data, and the temperature.
+    /// Skips the checks that need the sensor's bytes: blank data and the temperature. Frozen data
+    /// and a stuck axis are flagged [`Flags::FROZEN`] only after a second or two of rest, in which
+    /// the noise shows that the values do not repeat for another reason.
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
         self.monitor.confirm_scales();
+        #[cfg(not(feature = "firmware"))]
+        if self.is_frozen(sample) {
+            // Frozen rates have turned the attitude for a while.
+            self.kalman_mut().lose_tilt();
+            return self.skip(sample.t_us, Flags::FROZEN);
+        }
         self.process(sample, Flags::empty())
+    }
+
+    #[cfg(not(feature = "firmware"))]
+    fn is_frozen(&mut self, sample: &Sample) -> bool {
+        let values = [sample.specific_force_m_s2, sample.angular_rate_rad_s];
+        let is_saturated = [sample.is_force_saturated, sample.is_rate_saturated];
+        let sensor = &self.settings.sensor;
+        let sampling = Sampling {
+            rate_hz: sensor.sample_rate_hz(),
+            bandwidth_hz: sensor.low_pass.gyroscope_bandwidth_hz(),
+        };
+        (self.sample_monitor).is_frozen(values, is_saturated, sampling)
     }
 
     /// Estimates the attitude, and completes the flags.
