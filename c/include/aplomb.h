@@ -348,8 +348,7 @@ enum AplombStatus aplomb_stale(struct AplombPipeline *pipeline,
 
 // Switches between ground and flight. Armed, the filter makes no zero-rate and no zero-velocity
 // updates, so it cannot mistake a steady turn for a rest.
-enum AplombStatus aplomb_set_armed(struct AplombPipeline *pipeline,
-                                   bool is_armed);
+enum AplombStatus aplomb_set_armed(struct AplombPipeline *pipeline, bool is_armed);
 
 // Starts a pipeline with a compass, in memory with any contents. Attitude, rates and tilt sigma
 // are those of `AplombPipeline`, to the bit.
