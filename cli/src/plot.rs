@@ -108,6 +108,13 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         )
         .into());
     }
+    if let Some(path) = options.truth.as_ref().filter(|_| figure.has_two_truths) {
+        eprintln!(
+            "note: the truth is that of {}, not that of {}",
+            path.display(),
+            input.display()
+        );
+    }
     let picture = figure.chart(&name.to_string_lossy()).draw();
     let contents = match is_vector {
         true => picture.svg().into_bytes(),

@@ -160,6 +160,13 @@ fn describe(magnetism: &Magnetism) -> String {
 
 /// Writes the log.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    if let Some(closest_s) = options.magnet.filter(|at_s| *at_s > options.seconds) {
+        return Err(format!(
+            "--magnet {closest_s} is after the end: the recording takes {} s (--seconds)",
+            options.seconds
+        )
+        .into());
+    }
     let mut file = OutputFile::create(&options.output, &[])?;
     let rows = options.seconds * 1_000;
     let bar = progress::bar("simulating", rows);

@@ -53,6 +53,159 @@ fn turned(time: f64, force: f64, rate: f64) -> String {
 }
 
 #[test]
+fn every_reader_names_other_formats_and_what_to_do() {
+    let text = turned(1.0, 1.0, 1.0);
+    let utf_16 = |mark: &str| -> Vec<u8> {
+        let characters = format!("{mark}{text}");
+        characters
+            .encode_utf16()
+            .flat_map(u16::to_le_bytes)
+            .collect()
+    };
+    let zipped = |bytes: &[u8]| {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    };
+    let tail: Vec<u8> = (0..200).collect();
+    let cases = [
+        ("mark", utf_16("\u{FEFF}"), "UTF-16 text: save it as UTF-8"),
+        ("utf16", utf_16(""), "UTF-16 text: save it as UTF-8"),
+        ("zip", [b"PK\x03\x04", &tail[..]].concat(), "ZIP archive"),
+        ("bz2", [b"BZh91AY&SY", &tail[..]].concat(), "bunzip2"),
+        ("png", [b"\x89PNG\r\n\x1A\n", &tail[..]].concat(), "picture"),
+        (
+            "twice",
+            zipped(&zipped(text.as_bytes())),
+            "gzip inside gzip",
+        ),
+        (
+            "returns",
+            text.replace('\n', "\r").into_bytes(),
+            "carriage returns",
+        ),
+        (
+            "short",
+            text[..200].replace('\n', "\r").into_bytes(),
+            "carriage returns",
+        ),
+        (
+            "latin",
+            [b"# \xE4\n", text.as_bytes()].concat(),
+            "is not UTF-8 text",
+        ),
+    ];
+    for (name, bytes, expected) in cases {
+        let input = file("formats", &format!("{name}.csv"), bytes);
+        for (command, more) in readers("formats") {
+            let message = refusal(command, &input, &more);
+            assert!(message.contains(expected), "{command} {name}: {message}");
+        }
+    }
+}
+
+#[test]
+fn columns_are_found_by_name_whatever_their_order() {
+    let text = turned(1.0, 1.0, 1.0);
+    let expected = path("columns", "expected.csv");
+    let found = path("columns", "found.csv");
+    let replay = |text: &str, output: &Path| {
+        let input = file("columns", "input.csv", text);
+        let input = input.to_str().unwrap();
+        let result = aplomb(&["replay", input, "--output", output.to_str().unwrap()]);
+        let errors = String::from_utf8(result.stderr).unwrap();
+        assert!(result.status.success(), "{errors}");
+        errors
+    };
+    assert_eq!(replay(&text, &expected), "");
+    let expected = std::fs::read(expected).unwrap();
+    let other = |more: [&str; 2]| {
+        text.lines()
+            .enumerate()
+            .fold(String::new(), |mut other, (row, line)| {
+                let cells: Vec<&str> = line.split(',').collect();
+                let more = more[usize::from(row > 0)];
+                let [t, ax, ay, az, gx, gy, gz] = cells[..] else {
+                    panic!("{line}")
+                };
+                writeln!(other, "{gx}, {gy},{gz} ,{t},{az},{ay},{ax}{more}").unwrap();
+                other
+            })
+    };
+    for (more, note) in [
+        (["", ""], ""),
+        ([",", ","], ""),
+        ([",temp", ",25.5"], "columns that are not used: temp"),
+    ] {
+        let errors = replay(&other(more), &found);
+        assert!(
+            errors.contains(note) && errors.is_empty() == note.is_empty(),
+            "{errors}"
+        );
+        assert_eq!(std::fs::read(&found).unwrap(), expected);
+    }
+    let spaces = text.replace(',', ", ");
+    assert_eq!(replay(&spaces, &found), "");
+    assert_eq!(std::fs::read(&found).unwrap(), expected);
+    let input = file("columns", "cells.csv", other([",temp", ""]));
+    let message = refusal("replay", &input, &[]);
+    assert!(
+        message.contains("7 columns, but the header has 8"),
+        "{message}"
+    );
+}
+
+#[test]
+fn rows_are_left_out_only_where_good_ones_remain() {
+    let text = turned(1.0, 1.0, 1.0);
+    let (header, rows) = text.split_once('\n').unwrap();
+    let offer = "--bad-rows skip";
+    for (name, text, is_offered) in [
+        (
+            "separator",
+            format!("{header}\n{}", rows.replace(',', ";")),
+            false,
+        ),
+        (
+            "cells",
+            format!("{header}\n{}", rows.replace('\n', ",\n")),
+            false,
+        ),
+        (
+            "times",
+            format!("{header}\n{}", "5,0,0,9.81,0,0,0\n".repeat(300)),
+            false,
+        ),
+        ("last", format!("{text}20000000,0,0"), true),
+        ("first", format!("{header}\n# lap\n{rows}"), true),
+    ] {
+        let input = file("skipped", &format!("{name}.csv"), text);
+        let message = refusal("replay", &input, &[]);
+        assert_eq!(message.contains(offer), is_offered, "{name}: {message}");
+    }
+}
+
+#[test]
+fn a_time_unit_that_makes_every_row_a_gap_is_reported() {
+    let input = file("steps", "steps.csv", turned(1.0, 1.0, 1.0));
+    for (unit, expected) in [
+        ("us", None),
+        ("ms", Some("mostly 10000000 µs")),
+        ("ns", Some("mostly 10 µs")),
+    ] {
+        let result = aplomb(&["replay", input.to_str().unwrap(), "--time-unit", unit]);
+        let errors = String::from_utf8(result.stderr).unwrap();
+        match expected {
+            None => assert_eq!(errors, "", "{unit}"),
+            Some(step) => assert!(
+                errors.contains(step) && errors.contains("check --time-unit"),
+                "{unit}: {errors}"
+            ),
+        }
+    }
+}
+
+#[test]
 fn every_reader_names_the_wrong_unit_and_takes_the_option_that_converts() {
     for (name, time, force, rate, option) in [
         ("ms", 1e-3, 1.0, 1.0, "--time-unit ms"),

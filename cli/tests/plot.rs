@@ -308,3 +308,43 @@ fn what_cannot_be_drawn_is_refused() {
         "replace the input",
     );
 }
+
+#[test]
+fn the_truth_of_a_file_goes_before_that_of_the_recording() {
+    let input = path("truths", "flight.csv");
+    let (input, picture) = (input.to_str().unwrap(), path("truths", "flight.png"));
+    let picture = picture.to_str().unwrap();
+    let simulated = aplomb(&["simulate", "--seconds", "8", "--output", input]);
+    assert!(simulated.status.success());
+    let other = path("truths", "other.csv");
+    std::fs::copy(input, &other).unwrap();
+    let other = other.to_str().unwrap();
+    let errors = |more: &[&str]| {
+        let drawn = aplomb(&[&["plot", input, "--output", picture], more].concat());
+        assert!(drawn.status.success());
+        String::from_utf8(drawn.stderr).unwrap()
+    };
+    assert_eq!(errors(&[]), "");
+    let expected = format!("note: the truth is that of {other}, not that of {input}\n");
+    assert_eq!(errors(&["--truth", other]), expected);
+}
+
+#[test]
+fn a_magnet_after_the_end_is_refused() {
+    let output = path("magnet", "magnet.csv");
+    let output = output.to_str().unwrap();
+    for (at_s, is_refused) in [("3", false), ("4", true)] {
+        let arguments = [
+            "simulate",
+            "--seconds",
+            "3",
+            "--compass",
+            "calibrated",
+            "--magnet",
+            at_s,
+        ];
+        let result = aplomb(&[&arguments[..], &["--output", output]].concat());
+        let errors = String::from_utf8(result.stderr).unwrap();
+        assert_eq!(errors.contains("is after the end"), is_refused, "{errors}");
+    }
+}

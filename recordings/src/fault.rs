@@ -4,6 +4,7 @@ use std::fmt;
 use std::io;
 use std::path::PathBuf;
 
+use crate::columns::difference;
 use crate::quote::quote;
 
 /// Bytes of the longest line. A row of the widest table has about 1,000.
@@ -65,8 +66,14 @@ pub enum LogFault {
     /// The line has more bytes than any row.
     #[error("the line has more than {LONGEST_LINE} bytes: this is no table of a recording")]
     LineTooLong,
+    /// The file has another format.
+    #[error("this is {0}")]
+    OtherFormat(&'static str),
+    /// The lines end with carriage returns alone.
+    #[error("the lines end with carriage returns alone: save the file with line feeds")]
+    CarriageReturns,
     /// The line is not text.
-    #[error("the line is not UTF-8 text")]
+    #[error("the line is not UTF-8 text: save the file as UTF-8")]
     NotText,
     /// The file is not a text with columns: perhaps a flight log.
     #[error(
@@ -85,8 +92,8 @@ pub enum LogFault {
     /// The header is not that of a log.
     #[error(
         "the header is \"{}\", but must be \
-         t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]",
-        quote(.0)
+         t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]{}",
+        quote(.0), difference(.0)
     )]
     Header(String),
     /// The row has more or fewer cells than the header.
@@ -187,6 +194,8 @@ impl LogFault {
             | Self::Read(_)
             | Self::Gzip(_)
             | Self::Empty
+            | Self::OtherFormat(_)
+            | Self::CarriageReturns
             | Self::NoTable { .. }
             | Self::Header(_)
             | Self::Unit(_)

@@ -4,6 +4,7 @@ use std::error::Error;
 
 use aplomb::telemetry::bursts;
 
+use crate::columns::Order;
 use crate::fault::{LogError, LogFault};
 use crate::lines::Lines;
 use crate::row::column_count;
@@ -36,7 +37,8 @@ impl Form {
     }
 }
 
-/// Reads the header of a table: the next line that is no comment.
+/// Reads the header of a table: the next line that is no comment. From then on the columns of a
+/// log come in their usual order, whatever that of the table is, without those of other names.
 ///
 /// # Errors
 ///
@@ -47,9 +49,23 @@ pub fn header(lines: &mut Lines) -> Result<String, LogError> {
             // A table has no zero bytes, but a flight log has.
             Ok(Some(line)) if line.contains('\0') => break,
             Ok(Some(line)) if line.starts_with('#') => {}
-            Ok(Some(header)) => return Ok(header.to_owned()),
+            Ok(Some(header)) => {
+                let header = header.to_owned();
+                if column_count(&header).is_none()
+                    && let Some((order, header)) = Order::of(&header)
+                {
+                    lines.set_order(order);
+                    return Ok(header);
+                }
+                return Ok(header);
+            }
             Ok(None) => return Err(lines.refuse_file(LogFault::Empty)),
-            Err(error) if matches!(error.reason, LogFault::NotText) => break,
+            Err(error) if matches!(error.reason, LogFault::NotText) => {
+                if lines.is_of_a_text() {
+                    return Err(lines.refuse(LogFault::NotText));
+                }
+                break;
+            }
             Err(error) => return Err(error),
         }
     }

@@ -24,10 +24,12 @@
 
 pub mod attitude;
 pub mod attitude_table;
+mod columns;
 pub mod counts;
 pub mod distribution;
 mod fault;
 pub mod flight_log;
+mod foreign;
 pub mod form;
 pub mod heading;
 mod lines;

@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 
 use flate2::bufread::MultiGzDecoder;
 
+use crate::columns::Order;
 use crate::fault::{LONGEST_LINE, LogError, LogFault};
+use crate::foreign::format_of;
+use crate::quote::quote;
 
 /// Byte order mark: U+FEFF in UTF-8.
 const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
@@ -24,6 +27,8 @@ pub struct Lines {
     is_unread: bool,
     /// Number of the last line, counted from 1.
     number: u64,
+    /// Order of the columns, if it is not that of a log, and the last line in that of a log.
+    order: Option<(Order, String)>,
 }
 
 impl Lines {
@@ -81,6 +86,7 @@ impl Lines {
             line: Vec::new(),
             is_unread: false,
             number: 0,
+            order: None,
         })
     }
 
@@ -107,10 +113,32 @@ impl Lines {
             Some(rest) if self.number == 1 => rest,
             _ => &self.line,
         };
-        match std::str::from_utf8(line) {
-            Ok(line) => Ok(Some(line)),
-            Err(_) => Err(self.refuse(LogFault::NotText)),
+        let Ok(line) = std::str::from_utf8(line) else {
+            return Err(self.refuse(LogFault::NotText));
+        };
+        let Some((order, arranged)) = &mut self.order else {
+            return Ok(Some(line));
+        };
+        if !order.arrange(line, arranged) {
+            let (found, expected) = (line.split(',').count(), order.cells);
+            return Err(self.refuse(LogFault::ColumnCount { found, expected }));
         }
+        Ok(self.order.as_ref().map(|(_, arranged)| arranged.as_str()))
+    }
+
+    /// Sets the order of the columns of the next lines. Reports on standard error which are unused.
+    pub(crate) fn set_order(&mut self, order: Order) {
+        if !order.unused.is_empty() {
+            let names = quote(&order.unused.join(","));
+            eprintln!("note: {}: columns that are not used: {names}", self.name());
+        }
+        self.order = Some((order, String::new()));
+    }
+
+    /// Returns whether the last line is that of a text, whatever its encoding.
+    pub(crate) fn is_of_a_text(&self) -> bool {
+        let is_control = |byte: &u8| byte.is_ascii_control() && !byte.is_ascii_whitespace();
+        !self.line.iter().any(is_control)
     }
 
     /// Reads a line, without its end. Returns false at the end of the file.
@@ -127,12 +155,22 @@ impl Lines {
             if buffer.is_empty() {
                 break;
             }
+            if is_end
+                && self.number == 1
+                && let Some(format) = format_of(buffer)
+            {
+                return Err(LogFault::OtherFormat(format));
+            }
             is_end = false;
             let end = memchr::memchr(b'\n', buffer);
             let part = &buffer[..end.unwrap_or(buffer.len())];
             // Refused before it is stored: a line without end would fill the memory.
             if self.line.len() + part.len() > LONGEST_LINE {
-                return Err(LogFault::LineTooLong);
+                let is_ended = [part, &self.line].iter().any(|line| line.contains(&b'\r'));
+                return Err(match is_ended {
+                    true => LogFault::CarriageReturns,
+                    false => LogFault::LineTooLong,
+                });
             }
             self.line.extend_from_slice(part);
             let used = part.len() + usize::from(end.is_some());

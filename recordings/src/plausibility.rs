@@ -33,6 +33,8 @@ const LONGEST_GAP_US: u64 = 3_600_000_000;
 const SHORTEST_STEP_US: f64 = 31.0;
 /// Longest plausible time between rows, µs: 5 rows a second are of no use to a filter.
 const LONGEST_STEP_US: f64 = 200_000.0;
+/// Time between rows from which on each row is flagged `GAP`, µs.
+const GAP_US: f64 = 500_000.0;
 
 /// Judge of a log's rows, in their order.
 #[derive(Clone, Debug)]
@@ -85,6 +87,31 @@ impl Judge {
             force_unit(median(forces))?;
         }
         Ok(())
+    }
+
+    /// Returns a warning on the time between these first rows, if no filter can use such rows.
+    pub fn time_warning<'a>(&self, rows: impl Iterator<Item = &'a Row>) -> Option<String> {
+        let times: Vec<i64> = rows.map(|row| row.time_us).collect();
+        if times.len() < FEWEST_JUDGED_ROWS {
+            return None;
+        }
+        let steps = times
+            .windows(2)
+            .map(|pair| pair[1].abs_diff(pair[0]) as f64);
+        let step = median(steps.filter(|step| *step > 0.0).collect())?;
+        let is_usual = (SHORTEST_STEP_US..=GAP_US).contains(&step);
+        (!is_usual).then(|| {
+            format!(
+                "the time between rows is mostly {step:.0} µs, where 31 to 500,000 µs are usual: \
+                 check --time-unit"
+            )
+        })
+    }
+
+    /// Returns whether a row was accepted.
+    #[must_use]
+    pub fn has_row(&self) -> bool {
+        self.before_us.is_some()
     }
 
     /// Checks that a sensor can have measured this row, after the accepted rows before it.

@@ -10,10 +10,10 @@ pub(crate) const COLUMNS: [&str; 12] = [
 ];
 
 /// Columns of a compass, which stand before `qw`.
-const COMPASS: [&str; 3] = ["mx", "my", "mz"];
+pub(crate) const COMPASS: [&str; 3] = ["mx", "my", "mz"];
 
 /// Columns before those of a compass.
-const SENSOR_COLUMNS: usize = 7;
+pub(crate) const SENSOR_COLUMNS: usize = 7;
 
 /// Largest plausible magnetic field, µT: the compasses of this kind end at 4,912 µT.
 const LARGEST_FIELD_UT: f64 = 10_000.0;
@@ -79,7 +79,7 @@ pub(crate) fn parse_row_with(
         0
     };
     let mut found: usize = 0;
-    for cell in line.split(',') {
+    for cell in line.split(',').map(str::trim) {
         let place = match found.checked_sub(SENSOR_COLUMNS) {
             Some(index) if index < compass => field_cells.get_mut(index),
             Some(_) => cells.get_mut(found - compass),

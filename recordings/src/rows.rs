@@ -8,6 +8,9 @@ use crate::plausibility::{JUDGED_ROWS, Judge};
 use crate::row::{Row, parse_row_with};
 use crate::units::{BadRows, RowOptions};
 
+/// Lines after a bad one that are read for one that is good.
+const LINES_AFTER: usize = 100;
+
 /// Rows of a log in SI units, or counts, one after the other. Needs the same memory for any log.
 pub struct Rows {
     lines: Lines,
@@ -65,10 +68,14 @@ impl Rows {
             rows.line = rows.ahead.front().map_or(0, |(line, _)| *line);
             return Err(rows.refuse(fault));
         }
-        match early_fault {
-            Some(error) => Err(error),
-            None => Ok(rows),
+        if let Some(error) = early_fault {
+            return Err(error);
         }
+        let first = rows.ahead.iter().map(|(_, row)| row);
+        if let Some(warning) = rows.judge.time_warning(first) {
+            eprintln!("warning: {}: {warning}", rows.lines.name());
+        }
+        Ok(rows)
     }
 
     /// Returns the next row; `None` after the last.
@@ -157,7 +164,7 @@ impl Rows {
     fn skip_or_refuse(&mut self, mut error: LogError) -> Result<(), LogError> {
         let is_of_a_row = error.reason.is_of_a_row();
         if !is_of_a_row || self.rule() != BadRows::Skip {
-            error.can_be_skipped = is_of_a_row;
+            error.can_be_skipped = is_of_a_row && self.has_good_rows();
             return Err(error);
         }
         // A line without end cannot be left out.
@@ -167,6 +174,27 @@ impl Rows {
         self.skipped += 1;
         self.first_skipped.get_or_insert(error);
         Ok(())
+    }
+
+    /// Returns whether rows are left without the bad ones: one of the next, or one before the end.
+    fn has_good_rows(&mut self) -> bool {
+        let mut judge = self.judge.clone();
+        if self.ahead.iter().any(|(_, row)| judge.row(row).is_ok()) {
+            return true;
+        }
+        for _ in 0..LINES_AFTER {
+            let Ok(Some(line)) = self.lines.next_line() else {
+                return self.judge.has_row() && self.ahead.is_empty();
+            };
+            let row = parse_row_with(line, self.columns, |cell| self.options.time_us(cell));
+            if row.is_ok_and(|mut row| {
+                self.options.convert(&mut row);
+                judge.row(&row).is_ok()
+            }) {
+                return true;
+            }
+        }
+        false
     }
 
     /// Reports once, on standard error, what was left out.

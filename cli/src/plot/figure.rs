@@ -46,6 +46,8 @@ pub struct Figure {
     /// Sum of the squared errors of the rows that count.
     squares: f64,
     scored: u64,
+    /// The rows have a truth too, beside that of the file.
+    pub has_two_truths: bool,
     three_sigma: Trace,
     flags: Timeline<FlagPiece>,
     /// Number of valid rows, if flags are known.
@@ -86,6 +88,7 @@ impl Figure {
             errors: Trace::default(),
             squares: 0.0,
             scored: 0,
+            has_two_truths: false,
             three_sigma: Trace::default(),
             flags: Timeline::default(),
             valid: source.has_flags().then_some(0),
@@ -96,6 +99,7 @@ impl Figure {
         while let Some(mut point) = source.next()? {
             let truth = match &mut truth {
                 Some(file) => {
+                    figure.has_two_truths |= point.truth.is_some();
                     let row = file.at(point.t_us)?;
                     point.counts = row.is_some_and(|row| row.counts);
                     row.and_then(|row| row.attitude)

@@ -9,6 +9,7 @@ use aplomb::units::radians;
 use aplomb_models::motion;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::attitude_table::Columns;
+use aplomb_recordings::form::header;
 use aplomb_recordings::log::{Lines, LogFault, column_count, parse_row};
 use aplomb_recordings::motion::body_to_earth;
 
@@ -84,7 +85,7 @@ impl TruthFile {
     pub fn open(path: &Path, mount: Mount) -> Result<Self, Box<dyn Error>> {
         let mount = modelled(mount)?;
         let mut lines = progress::lines(path)?;
-        let header = lines.next_line()?.unwrap_or_default().to_owned();
+        let header = header(&mut lines)?;
         let mut file = if let Some(columns) = Columns::of(&header) {
             let mut table = Table { lines, columns };
             Self::new(move || {

@@ -17,6 +17,7 @@ use std::sync::Arc;
 
 use aplomb::telemetry::log::{Configuration, Counts, Frame, NumberedBurst, StatePiece};
 
+use crate::foreign::format_of;
 use steps::Frames;
 
 /// Bytes at a file's start in which [`is_flight_log`] searches a frame.
@@ -183,7 +184,7 @@ impl Flight {
     }
 }
 
-/// Returns whether a file is a flight log: a text has no zero bytes.
+/// Returns whether a file is a flight log: a text has no zero bytes, others have a signature.
 #[must_use]
 pub fn is_flight_log(path: &Path) -> bool {
     // Reading a pipe would consume its bytes.
@@ -195,7 +196,7 @@ pub fn is_flight_log(path: &Path) -> bool {
         // The bytes before an error are enough.
         let _ = file.take(INSPECTED_BYTES as u64).read_to_end(&mut bytes);
     }
-    bytes.contains(&0)
+    bytes.contains(&0) && format_of(&bytes).is_none()
 }
 
 /// Reads a log, plain or gzipped, for its summary. If it cannot be read to its end, warns on
