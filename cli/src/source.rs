@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use std::error::Error;
 
-use aplomb::attitude::{Quaternion, Vector3};
+use aplomb::attitude::{BodyVector, Quaternion, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
@@ -23,6 +23,7 @@ use aplomb_recordings::log::{Lines, Row, Rows, has_compass};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, sample_rate_divider, unsigned};
 use aplomb_recordings::score::START_US;
+use aplomb_recordings::turns::Turns;
 use aplomb_recordings::units::RowOptions;
 
 use crate::device::{Device, FilterName};
@@ -134,6 +135,8 @@ pub struct Log {
     ahead: VecDeque<LogRow>,
     device: Device,
     plateaus: Plateaus,
+    turns: Turns,
+    has_warned: bool,
 }
 
 /// Row of a log.
@@ -165,6 +168,8 @@ impl Log {
             ahead: VecDeque::new(),
             device: Device::for_samples(options.filter, &settings, options.delay_us),
             plateaus: Plateaus::default(),
+            turns: Turns::default(),
+            has_warned: false,
         };
         while log.ahead.len() < ROWS_AHEAD
             && let Some(row) = log.read()?
@@ -189,6 +194,7 @@ impl Log {
 
     fn read(&mut self) -> Result<Option<LogRow>, Box<dyn Error>> {
         let Some(row) = self.rows.next_row()? else {
+            self.warn();
             return Ok(None);
         };
         let mut sample = self
@@ -199,6 +205,16 @@ impl Log {
             let clipped = (self.plateaus).check(row.specific_force_m_s2, row.rates_rad_s);
             (sample.is_force_saturated, sample.is_rate_saturated) = (clipped.force, clipped.rate);
         }
+        let sensor = |body| {
+            let Vector3 { x, y, z } = self.options.mount.to_sensor(BodyVector(body));
+            [x, y, z].map(f64::from)
+        };
+        self.turns.add(
+            row.time_us,
+            sensor(sample.specific_force_m_s2),
+            sensor(sample.angular_rate_rad_s),
+            sample.is_force_saturated || sample.is_rate_saturated,
+        );
         Ok(Some(LogRow {
             t_us: row.time_us,
             sample,
@@ -209,6 +225,17 @@ impl Log {
             truth: row.attitude,
             counts: row.moving,
         }))
+    }
+}
+
+impl Log {
+    /// Reports once, on standard error, rates that do not fit the force.
+    fn warn(&mut self) {
+        if !std::mem::replace(&mut self.has_warned, true)
+            && let Some(warning) = self.turns.warning()
+        {
+            eprintln!("warning: {}: {warning}", self.rows.name());
+        }
     }
 }
 

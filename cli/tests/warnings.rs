@@ -111,3 +111,26 @@ fn a_stuck_axis_of_a_recording_is_frozen_like_that_of_bursts() {
         assert!(frozen.contains(&rows), "{columns:?}: {rows}");
     }
 }
+
+#[test]
+fn rates_that_do_not_fit_the_force_are_reported() {
+    let input = file("warnings", "rolls.csv", log(1_000.0, 0.0));
+    let picture = path("warnings", "rolls.png");
+    let (input, picture) = (input.to_str().unwrap(), picture.to_str().unwrap());
+    for command in [
+        &["replay", input][..],
+        &["plot", input, "--output", picture],
+    ] {
+        let errors = |more: &[&str]| {
+            let result = aplomb(&[command, more].concat());
+            assert!(result.status.success());
+            String::from_utf8(result.stderr).unwrap()
+        };
+        assert_eq!(errors(&[]), "");
+        let warning = errors(&["--rate-unit", "deg/s"]);
+        assert_eq!(warning.lines().count(), 1, "{warning}");
+        let expected = "turns about x of the force, the gyroscope turns otherwise, mostly by 0.02";
+        assert!(warning.contains(expected), "{warning}");
+        assert!(warning.contains("--rate-unit"), "{warning}");
+    }
+}

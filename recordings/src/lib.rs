@@ -10,6 +10,7 @@
 //!   [`simulated_compass`]: a compass beside it;
 //! - [`rate`]: the sample rate of a log;
 //! - [`plateau`]: clipping; [`vibration`]: vibration that is too strong;
+//! - [`turns`]: rates that do not fit the force;
 //! - [`number`]: numbers as text, fast;
 //! - [`distribution`]: quantiles in bounded memory;
 //! - [`score`]: errors of attitudes against the truth, [`heading`]: those of headings;
@@ -49,5 +50,6 @@ pub mod simulated;
 pub mod simulated_compass;
 pub mod terminal;
 pub mod text;
+pub mod turns;
 pub mod units;
 pub mod vibration;

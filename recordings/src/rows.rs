@@ -115,6 +115,12 @@ impl Rows {
         }
     }
 
+    /// Returns the name of the input, for messages.
+    #[must_use]
+    pub fn name(&self) -> String {
+        self.lines.name()
+    }
+
     /// Returns the place of the last row: the file and the number of the line.
     #[must_use]
     pub fn place(&self) -> String {
