@@ -170,11 +170,12 @@ impl Noise {
             (self.first, self.reversals) = (*values, [0; AXES]);
             self.samples_to_end = WINDOW_SAMPLES;
         }
-        for (axis, (value, last)) in values.iter().zip(&self.last).enumerate() {
+        let axes = self.reversals.iter_mut().zip(values).zip(&self.last);
+        for (axis, ((reversals, value), last)) in axes.enumerate() {
             let is_rising = value > last;
             if value != last && is_rising != (self.is_rising >> axis & 1 != 0) {
                 self.is_rising ^= 1 << axis;
-                self.reversals[axis] += 1;
+                *reversals += 1;
             }
         }
         self.last = *values;
