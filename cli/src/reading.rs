@@ -40,7 +40,7 @@ pub struct Reading {
     sensor_delay_us: Option<u32>,
     /// Knowledge of the accelerometer's offset: factory, six-poses, calibrated [default:
     /// calibrated for SI units, factory for bursts and register counts]. A calibrated sensor has a
-    /// calibrated gyroscope too. If in doubt, choose factory: calibrated for a factory chip makes
+    /// calibrated gyroscope too. If unsure, choose factory: calibrated for a factory chip makes
     /// sigma up to two times too small, factory for a calibrated one costs a tenth of the accuracy
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
     accelerometer: Option<AccelerometerKnowledge>,
