@@ -1,7 +1,7 @@
 //! Start of the filter: from a first sample, from a stored bias, or from an earlier run.
 //!
-//! What each start or reset makes of the state (– : nothing). The velocity becomes zero but for
-//! `set_bias` and `confirm_start`, and a covariance step under way ends.
+//! The table lists what each start or reset makes of the state (– : nothing). The velocity becomes
+//! zero but for `set_bias` and `confirm_start`, and a covariance step under way ends.
 //!
 //! | method | when | tilt | bias | other parameters |
 //! |---|---|---|---|---|
