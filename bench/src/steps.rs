@@ -3,8 +3,7 @@
 //!
 //! The sensor is the modelled one, as it leaves the factory. The truth is that of the simulation.
 
-use aplomb::attitude::{BodyVector, Vector3};
-use aplomb::calibration::GyroscopeOffset;
+use aplomb::attitude::Vector3;
 use aplomb::estimator::Sample;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
@@ -16,6 +15,7 @@ use aplomb_recordings::simulated::samples;
 
 use crate::parallel;
 use crate::recording::Recording;
+use crate::restarts::with_stored_offset;
 use crate::simulated;
 use crate::valid::Judged;
 
@@ -223,11 +223,7 @@ fn offset_at_rest(flight: &Recording) -> Vector3 {
 
 /// Starts in flight with this stored offset, which has changed by `change_rad_s` since.
 fn start_in_flight(flight: &Recording, stored_rad_s: Vector3, change_rad_s: Vector3) -> InFlight {
-    let mut settings = Settings::new(&Part::MPU_6050);
-    settings.calibration.gyroscope = Some(GyroscopeOffset {
-        offset_rad_s: settings.mount.to_sensor(BodyVector(stored_rad_s)),
-        temperature_celsius: 25.0,
-    });
+    let settings = with_stored_offset(stored_rad_s);
     let rows = flight.samples.iter().zip(&flight.true_up);
     let rows = rows.skip_while(|(sample, _)| sample.t_us < FLIGHT_START_US);
     // The pipeline takes calibrated samples.

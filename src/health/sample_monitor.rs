@@ -186,9 +186,10 @@ impl Noise {
     fn score(&mut self) {
         for (score, reversals) in self.scores.iter_mut().zip(self.reversals) {
             if *score < PROVEN {
-                *score = match reversals < NOISE_REVERSALS {
-                    true => score.saturating_sub(LOSS),
-                    false => *score + 1,
+                *score = if reversals < NOISE_REVERSALS {
+                    score.saturating_sub(LOSS)
+                } else {
+                    *score + 1
                 };
             }
         }

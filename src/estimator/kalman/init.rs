@@ -1,7 +1,7 @@
 //! Start of the filter: from a first sample, from a stored bias, or from an earlier run.
 //!
-//! The table lists what each start or reset makes of the state (– : nothing). The velocity becomes
-//! zero but for `set_bias` and `confirm_start`, and a covariance step under way ends.
+//! The table lists the effect of each start or reset (–: none). The velocity becomes zero but for
+//! `set_bias` and `confirm_start`, and a covariance step under way ends.
 //!
 //! | method | when | tilt | bias | other parameters |
 //! |---|---|---|---|---|
@@ -54,9 +54,12 @@ pub(super) enum Tilt {
 }
 
 impl Kalman {
-    /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Takes the
-    /// vehicle for one that may move, because the attitude becomes `VALID` before any rest. Call
-    /// it before the first sample.
+    /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Call it before
+    /// the first sample.
+    ///
+    /// The bias may have changed since: σ of the tilt is at least 4° until rest or motion has
+    /// confirmed it, with σ below 0.2 °/s. The vehicle may move, because the attitude becomes
+    /// `VALID` before any rest.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);
         self.set_bias_prior(bias_rad_s, sigma_rad_s);

@@ -64,6 +64,8 @@
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
 //!   not ([`consistency`](self)). The reported σ grows at the first suspicion; later bias and tilt
 //!   are uncertain again. It takes seconds because a tilt error looks like an acceleration.
+//! - A stored bias may have changed since it was measured. The reported σ is at least 4° until
+//!   rest or motion has confirmed it.
 //! - A rest, of this run or an earlier one, must have measured the bias before it counts as known
 //!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore

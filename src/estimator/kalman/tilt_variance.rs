@@ -16,7 +16,8 @@
 //!
 //! - After a start the tilt is that of a single sample (`init.rs`).
 //! - Once the sensor has rested, it may turn while the specific force does not (`rest_watch.rs`).
-//! - In motion the corrections are suspicious (`consistency.rs`).
+//! - In motion the corrections are suspicious (`consistency.rs`), or a stored bias is not confirmed
+//!   (`set_bias` in `init.rs`).
 
 use super::{Kalman, Tilt, sigma};
 use crate::estimator::arithmetic::square;
