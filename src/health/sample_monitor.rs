@@ -61,10 +61,14 @@ pub(crate) struct Sampling {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(crate) struct SampleMonitor {
-    last: [f32; AXES],
-    repetitions: u16,
-    longest: u16,
+    is_frozen: bool,
     samples_to_next: u8,
+    /// Last sample that was compared.
+    last: [f32; AXES],
+    /// Compared samples in a row that repeat it.
+    repetitions: u16,
+    /// Most repetitions of a held value.
+    longest: u16,
     noise: Noise,
     stuck_axis: StuckAxis<Axes>,
 }
@@ -73,10 +77,11 @@ impl SampleMonitor {
     /// Creates a monitor without a sample.
     pub(crate) fn new() -> Self {
         Self {
+            is_frozen: false,
+            samples_to_next: 1,
             last: [0.0; AXES],
             repetitions: 0,
             longest: 0,
-            samples_to_next: 1,
             noise: Noise::default(),
             stuck_axis: StuckAxis::with_gap(1),
         }
@@ -84,45 +89,64 @@ impl SampleMonitor {
 
     /// Takes force (m/s²) and rates (rad/s), and whether each of them reads full scale. Returns
     /// whether the sample is frozen, or one of its axes is.
+    #[inline]
     pub(crate) fn is_frozen(
         &mut self,
-        [force, rates]: [Vector3; 2],
+        values: [&Vector3; 2],
+        is_saturated: [bool; 2],
+        sampling: impl Fn() -> Sampling,
+    ) -> bool {
+        self.samples_to_next -= 1;
+        if self.samples_to_next == 0 {
+            self.compare(values, is_saturated, sampling());
+        }
+        self.is_frozen
+    }
+
+    /// Compares a sample with the last one. The samples of a repetition are all compared once it
+    /// is frozen, to see its end at once.
+    #[inline(never)]
+    fn compare(
+        &mut self,
+        [force, rates]: [&Vector3; 2],
         is_saturated: [bool; 2],
         sampling: Sampling,
-    ) -> bool {
+    ) {
         let values = [force.x, force.y, force.z, rates.x, rates.y, rates.z];
+        // Samples between have no noise of their own.
+        let gap = ((sampling.rate_hz / f32::from(sampling.bandwidth_hz)) as u8).max(1);
+        let frozen_samples = (FROZEN_S * sampling.rate_hz) as u16 / u16::from(gap);
+        let held = self.longest.saturating_mul(HELD);
+        let limit = frozen_samples.max(FEWEST_FROZEN).max(held);
         if difference(&self.last, &values) == 0 {
             self.repetitions = self.repetitions.saturating_add(1);
-            return self.is_repeated(sampling) || self.has_stuck_axis();
+        } else {
+            if !self.is_repeated(limit) {
+                self.longest = self.longest.max(self.repetitions);
+            }
+            self.repetitions = 0;
+            self.last = values;
+            self.check_axes(values, is_saturated);
         }
-        if !self.is_repeated(sampling) {
-            self.longest = self.longest.max(self.repetitions);
-        }
-        self.last = values;
-        self.repetitions = 0;
-        self.samples_to_next -= 1;
+        let is_repeated = self.is_repeated(limit);
+        self.samples_to_next = if is_repeated { 1 } else { gap };
+        self.is_frozen = is_repeated || self.stuck_axis.is_stuck();
+    }
+
+    fn is_repeated(&self, limit: u16) -> bool {
+        self.repetitions >= limit && self.noise.unproven() == 0
+    }
+
+    /// Checks the axes of a sample that does not repeat the last one.
+    fn check_axes(&mut self, values: [f32; AXES], is_saturated: [bool; 2]) {
         // The estimator rejects what is no number.
-        if self.samples_to_next == 0 && values.iter().all(|value| value.is_finite()) {
-            self.noise.update(&values);
+        if values.iter().all(|value| value.is_finite()) {
+            if self.noise.unproven() != 0 {
+                self.noise.update(&values);
+            }
             let excused = self.noise.unproven() | saturated(is_saturated);
             self.stuck_axis.update(&Axes { values, excused });
         }
-        if self.samples_to_next == 0 {
-            let gap = sampling.rate_hz / f32::from(sampling.bandwidth_hz);
-            self.samples_to_next = (gap as u8).max(1);
-        }
-        self.has_stuck_axis()
-    }
-
-    fn has_stuck_axis(&self) -> bool {
-        self.stuck_axis.is_stuck()
-    }
-
-    fn is_repeated(&self, sampling: Sampling) -> bool {
-        let frozen_samples = (FROZEN_S * sampling.rate_hz) as u16;
-        let held = self.longest.saturating_mul(HELD);
-        let limit = frozen_samples.max(FEWEST_FROZEN).max(held);
-        self.noise.unproven() == 0 && self.repetitions >= limit
     }
 }
 
@@ -310,7 +334,7 @@ mod tests {
                 let [ax, ay, az, gx, gy, gz] = held;
                 let values = [Vector3::new(ax, ay, az), Vector3::new(gx, gy, gz)];
                 for _ in 0..self.rows {
-                    if monitor.is_frozen(values, [false; 2], sampling) {
+                    if monitor.is_frozen([&values[0], &values[1]], [false; 2], || sampling) {
                         frozen = Some((frozen.map_or(t_s, |(first, _)| first), t_s));
                     }
                 }
@@ -386,7 +410,7 @@ mod tests {
             };
             let values = [force, Vector3::new(gx, noise[4], gz)];
             assert!(
-                !monitor.is_frozen(values, [false, is_turning], SAMPLING),
+                !monitor.is_frozen([&values[0], &values[1]], [false, is_turning], || SAMPLING),
                 "{index}"
             );
         }
@@ -397,7 +421,7 @@ mod tests {
         let mut monitor = SampleMonitor::new();
         for value in [f32::NAN, f32::INFINITY, f32::MAX, -f32::MAX].repeat(300) {
             let vector = Vector3::new(value, value, value);
-            assert!(!monitor.is_frozen([vector; 2], [false; 2], SAMPLING));
+            assert!(!monitor.is_frozen([&vector; 2], [false; 2], || SAMPLING));
         }
         assert_eq!(monitor.noise.unproven(), ALL_AXES);
     }

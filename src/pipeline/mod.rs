@@ -181,11 +181,12 @@ impl Pipeline {
     }
 
     #[cfg(not(feature = "firmware"))]
+    #[inline]
     fn is_frozen(&mut self, sample: &Sample) -> bool {
-        let values = [sample.specific_force_m_s2, sample.angular_rate_rad_s];
+        let values = [&sample.specific_force_m_s2, &sample.angular_rate_rad_s];
         let is_saturated = [sample.is_force_saturated, sample.is_rate_saturated];
         let sensor = &self.settings.sensor;
-        let sampling = Sampling {
+        let sampling = || Sampling {
             rate_hz: sensor.sample_rate_hz(),
             bandwidth_hz: sensor.low_pass.gyroscope_bandwidth_hz(),
         };

@@ -253,7 +253,7 @@ impl Filter for Kalman {
     }
 
     /// Returns the attitude, extrapolated by the sensor's delay.
-    #[inline]
+    #[inline(always)]
     fn attitude(&self) -> Quaternion {
         self.nominal.extrapolate(self.delay_s)
     }

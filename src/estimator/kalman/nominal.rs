@@ -164,7 +164,7 @@ impl NominalState {
     }
 
     /// Returns the attitude this long after the last sample's motion, at its rate.
-    #[inline]
+    #[inline(always)]
     pub(super) fn extrapolate(&self, delay_s: f32) -> Quaternion {
         let rotation_rad = self.rotation_rad + self.rate_rad_s.scale(delay_s);
         self.attitude
