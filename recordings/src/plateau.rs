@@ -113,8 +113,9 @@ impl Plateaus {
 #[derive(Clone, Debug)]
 struct Axis {
     least: f64,
-    before: Option<f64>,
-    /// Last difference between two samples.
+    /// Sample before; NaN before the first.
+    before: f64,
+    /// Last difference between two samples; NaN before the second.
     step: f64,
     /// Smallest difference between two samples.
     resolution: f64,
@@ -126,20 +127,21 @@ impl Axis {
     fn new(least: f64) -> Self {
         Self {
             least,
-            before: None,
-            step: 0.0,
+            before: f64::NAN,
+            step: f64::NAN,
             resolution: f64::INFINITY,
             ends: [End::default(); 2],
         }
     }
 
     /// Takes the next value, and returns true if it is clipped.
+    #[inline]
     fn add(&mut self, value: f64) -> bool {
-        let before = self.before.replace(value).unwrap_or(value);
+        let before = std::mem::replace(&mut self.before, value);
         let step = value - before;
         let step_before = std::mem::replace(&mut self.step, step);
-        if step.abs() > value.abs() * TOLERANCE {
-            self.resolution = self.resolution.min(step.abs());
+        if step.abs() < self.resolution && step.abs() > value.abs() * TOLERANCE {
+            self.resolution = step.abs();
         }
         if value.abs() < self.least {
             return false;
@@ -177,6 +179,8 @@ impl End {
     }
 
     /// Takes a value, the one before it and the step to that, and returns true if it is clipped.
+    #[cold]
+    #[inline(never)]
     fn add(&mut self, value: f64, before: f64, step_before: f64, least_step: f64) -> bool {
         let margin = TOLERANCE * value;
         if value > self.value + margin {
