@@ -338,35 +338,29 @@ impl Kalman {
             check_shape(mag, "mag", times.len())?;
         }
         let mut run = Run::new(self, &times, mag.is_some());
-        let mut rows = Vec::with_capacity(BLOCK_ROWS.min(times.len()));
         let (gyro, accel) = (gyro.as_array(), accel.as_array());
         let mag = mag.as_ref().map(|mag| mag.as_array());
         for first in (0..times.len()).step_by(BLOCK_ROWS) {
-            // Other threads may change the arrays as soon as the lock is free.
             let block = first..times.len().min(first + BLOCK_ROWS);
-            rows.clear();
-            rows.extend(block.map(|row| Row {
-                t_us: times[row],
-                gyro: vector(gyro, row),
-                accel: vector(accel, row),
-                mag: mag.map(|mag| vector(mag, row)),
-            }));
-            python.detach(|| run.add(&rows));
+            // Other threads may change the arrays as soon as the lock is free.
+            run.samples.clear();
+            for row in block.clone() {
+                let (gyro, accel) = (vector(gyro, row), vector(accel, row));
+                let sample = sample(run.mount, &mut run.plateaus, times[row], gyro, accel);
+                run.samples.push(sample);
+            }
+            run.readings.clear();
+            if let Some(mag) = mag {
+                run.readings.extend(block.map(|row| vector(mag, row)));
+            }
+            python.detach(|| run.process());
         }
         run.columns.into_arrays(python, times)
     }
 }
 
-/// Rows that are copied and processed at a time: they stay in the processor's cache.
+/// Rows that are read and processed at a time: they stay in the processor's cache.
 const BLOCK_ROWS: usize = 2_048;
-
-/// Row of the inputs.
-struct Row {
-    t_us: i64,
-    gyro: [f64; 3],
-    accel: [f64; 3],
-    mag: Option<[f64; 3]>,
-}
 
 /// Run over a recording.
 struct Run {
@@ -375,6 +369,10 @@ struct Run {
     pipeline: CompassPipeline,
     plateaus: Plateaus,
     columns: Columns,
+    /// Samples of a block.
+    samples: Vec<Sample>,
+    /// Readings of the compass beside them; none without a compass.
+    readings: Vec<[f64; 3]>,
 }
 
 impl Run {
@@ -390,21 +388,17 @@ impl Run {
             pipeline: (kalman.compass).added_to(pipeline(&settings, kalman.knowledge)),
             plateaus: Plateaus::default(),
             columns: Columns::with_capacity(times.len(), has_compass),
+            samples: Vec::with_capacity(BLOCK_ROWS.min(times.len())),
+            readings: Vec::new(),
         }
     }
 
-    fn add(&mut self, rows: &[Row]) {
-        for row in rows {
-            let sample = sample(
-                self.mount,
-                &mut self.plateaus,
-                row.t_us,
-                row.gyro,
-                row.accel,
-            );
-            let snapshot = self.pipeline.update_sample(&sample);
-            if let Some(reading) = row.mag {
-                self.compass.update(&mut self.pipeline, reading);
+    /// Processes the samples of a block.
+    fn process(&mut self) {
+        for (row, sample) in self.samples.iter().enumerate() {
+            let snapshot = self.pipeline.update_sample(sample);
+            if let Some(reading) = self.readings.get(row) {
+                self.compass.update(&mut self.pipeline, *reading);
             }
             let heading = self.pipeline.heading();
             self.columns
@@ -415,10 +409,10 @@ impl Run {
 
 /// Columns of the attitudes of a recording.
 struct Columns {
-    quaternion: Vec<f32>,
-    rates_rad_s: Vec<f32>,
+    quaternion: Vec<[f32; 4]>,
+    rates_rad_s: Vec<[f32; 3]>,
     tilt_sigma_rad: Vec<f32>,
-    bias_rad_s: Vec<f32>,
+    bias_rad_s: Vec<[f32; 3]>,
     flags: Vec<u32>,
     /// Heading, its sigma, and heading minus yaw, of a run with a compass.
     headings: Option<[Vec<f32>; 3]>,
@@ -428,10 +422,10 @@ impl Columns {
     fn with_capacity(count: usize, has_compass: bool) -> Self {
         let single = || Vec::with_capacity(count);
         Self {
-            quaternion: Vec::with_capacity(4 * count),
-            rates_rad_s: Vec::with_capacity(3 * count),
+            quaternion: Vec::with_capacity(count),
+            rates_rad_s: Vec::with_capacity(count),
             tilt_sigma_rad: single(),
-            bias_rad_s: Vec::with_capacity(3 * count),
+            bias_rad_s: Vec::with_capacity(count),
             flags: Vec::with_capacity(count),
             headings: has_compass.then(|| [single(), single(), single()]),
         }
@@ -440,10 +434,10 @@ impl Columns {
     fn push(&mut self, snapshot: &Snapshot, pipeline: &Pipeline, heading: Option<HeadingEstimate>) {
         let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
         let bias = pipeline.kalman().bias_rad_s();
-        self.quaternion.extend([q.w, q.x, q.y, q.z]);
-        self.rates_rad_s.extend([rates.x, rates.y, rates.z]);
+        self.quaternion.push([q.w, q.x, q.y, q.z]);
+        self.rates_rad_s.push([rates.x, rates.y, rates.z]);
         self.tilt_sigma_rad.push(snapshot.tilt_sigma_rad());
-        self.bias_rad_s.extend([bias.x, bias.y, bias.z]);
+        self.bias_rad_s.push([bias.x, bias.y, bias.z]);
         self.flags.push(snapshot.flags.bits());
         let Some(headings) = &mut self.headings else {
             return;
@@ -458,15 +452,10 @@ impl Columns {
     }
 
     fn into_arrays(self, python: Python<'_>, times: Vec<i64>) -> PyResult<Attitudes> {
-        let count = times.len();
-        let table = |values: Vec<f32>, columns: usize| {
-            let array = PyArray1::from_vec(python, values);
-            Ok::<_, PyErr>(array.reshape([count, columns])?.unbind())
-        };
         Ok(Attitudes {
-            quaternion: table(self.quaternion, 4)?,
-            rates_rad_s: table(self.rates_rad_s, 3)?,
-            bias_rad_s: table(self.bias_rad_s, 3)?,
+            quaternion: table(python, self.quaternion)?,
+            rates_rad_s: table(python, self.rates_rad_s)?,
+            bias_rad_s: table(python, self.bias_rad_s)?,
             t_us: PyArray1::from_vec(python, times).unbind(),
             tilt_sigma_rad: PyArray1::from_vec(python, self.tilt_sigma_rad).unbind(),
             flags: PyArray1::from_vec(python, self.flags).unbind(),
@@ -475,6 +464,16 @@ impl Columns {
                 .map(|columns| columns.map(|column| PyArray1::from_vec(python, column).unbind())),
         })
     }
+}
+
+/// Makes an array of shape (n, `COLUMNS`).
+fn table<const COLUMNS: usize>(
+    python: Python<'_>,
+    rows: Vec<[f32; COLUMNS]>,
+) -> PyResult<Py<PyArray2<f32>>> {
+    let shape = [rows.len(), COLUMNS];
+    let array = PyArray1::from_vec(python, rows.into_flattened());
+    Ok(array.reshape(shape)?.unbind())
 }
 
 /// Returns the names of flags, such as "VALID|DEGRADED".
