@@ -4,6 +4,8 @@ mod accuracy;
 mod clipping;
 mod compare;
 mod compass;
+#[cfg(test)]
+mod drift;
 mod faulty_compass;
 mod filter;
 mod folders;

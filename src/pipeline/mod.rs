@@ -41,6 +41,7 @@ mod offset;
 mod settings;
 mod snapshot;
 mod suspect_data;
+mod thermal_drift;
 
 #[cfg(test)]
 mod tests;
@@ -62,6 +63,7 @@ use crate::units::SECONDS_PER_MICROSECOND;
 use alignment::Alignment;
 use offset::StoredOffset;
 use suspect_data::SuspectData;
+use thermal_drift::ThermalDrift;
 
 /// Samples between two updates of the temperature compensation.
 const TEMPERATURE_SAMPLES: u8 = 64;
@@ -83,6 +85,7 @@ pub struct Pipeline {
     temperature_celsius: f32,
     /// Samples until the temperature compensation is updated; zero before the first sample.
     samples_to_temperature: u8,
+    thermal_drift: ThermalDrift,
     monitor: Monitor,
     suspect: SuspectData,
     sample: Sample,
@@ -111,6 +114,7 @@ impl Pipeline {
             gyroscope_offset_rad_s: Vector3::ZERO,
             temperature_celsius: settings.calibration.usual_celsius(),
             samples_to_temperature: 0,
+            thermal_drift: ThermalDrift::NONE,
             monitor,
             suspect: SuspectData::new(sensor.sample_rate_hz(), monitor.frozen_samples()),
             vibration: Vibration::new(sensor.sample_rate_hz()),
@@ -441,6 +445,7 @@ impl Pipeline {
         visitor.vector(&mut self.gyroscope_offset_rad_s);
         visitor.f32(&mut self.temperature_celsius);
         visitor.u8(&mut self.samples_to_temperature);
+        self.thermal_drift.visit_state(visitor);
         self.monitor.visit_state(visitor);
         self.suspect.visit_state(visitor);
         visitor.u64(&mut self.sample.t_us);
@@ -489,10 +494,14 @@ impl Pipeline {
         let is_in_range = calibration
             .temperature
             .is_some_and(|model| model.offset_at(celsius).1 > 0.0);
+        let dt_s = f32::from(TEMPERATURE_SAMPLES) / self.settings.sensor.sample_rate_hz();
+        let mut walk = self.thermal_drift.walk(celsius, dt_s);
         if is_in_range {
             let stored = StoredOffset::at(calibration, celsius);
             self.set_gyroscope_offset(stored.offset_rad_s);
+            walk = 0.0;
         }
+        self.kalman_mut().set_added_bias_walk(walk);
     }
 
     fn set_gyroscope_offset(&mut self, offset_rad_s: Vector3) {

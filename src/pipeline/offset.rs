@@ -13,7 +13,7 @@ const STORED_SIGMA_RAD_S: f32 = radians(0.1);
 const LEAST_START_SIGMA_RAD_S: f32 = radians(0.35);
 /// σ that each °C of difference adds, rad/s: ±20 °/s over −40 to 85 °C (product
 /// specification §6.1) is 0.16 at most.
-const STORED_SIGMA_PER_CELSIUS: f32 = radians(0.1);
+pub(super) const SIGMA_PER_CELSIUS_RAD_S: f32 = radians(0.1);
 /// σ of an unknown offset, rad/s. From this value on the filter's own prior is better.
 const UNKNOWN_SIGMA_RAD_S: f32 = radians(3.0);
 /// σ of the temperature model within its range, rad/s.
@@ -49,7 +49,7 @@ impl StoredOffset {
                 sigma_rad_s: UNKNOWN_SIGMA_RAD_S,
             };
         };
-        let drift = STORED_SIGMA_PER_CELSIUS * (celsius - measured.temperature_celsius);
+        let drift = SIGMA_PER_CELSIUS_RAD_S * (celsius - measured.temperature_celsius);
         let variance = square(STORED_SIGMA_RAD_S) + square(drift);
         Self {
             offset_rad_s: measured.offset_rad_s,

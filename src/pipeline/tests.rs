@@ -372,6 +372,36 @@ fn an_offset_that_was_stored_far_from_the_temperature_does_not_count() {
     }
 }
 
+/// Without a temperature model the offset may follow the temperature.
+#[test]
+fn a_temperature_that_changes_widens_the_bias_unless_a_model_follows_it() {
+    let sigma_rad_s = |celsius_per_minute: f32, has_model: bool| {
+        let mut settings = settings();
+        settings.calibration.temperature = has_model.then_some(TemperatureModel {
+            reference_celsius: 25.0,
+            offset_rad_s: Vector3::ZERO,
+            slope_rad_s_per_celsius: Vector3::ZERO,
+            curvature_rad_s_per_celsius2: Vector3::ZERO,
+            coldest_celsius: 20.0,
+            warmest_celsius: 60.0,
+        });
+        let mut pipeline = Pipeline::new(&settings);
+        for index in 1..20_000 {
+            let mut burst = noisy(index * 1_000, LEVEL);
+            let mut sample = RawSample::decode(&burst.bytes);
+            let celsius = 30.0 + celsius_per_minute * index as f32 / 60_000.0;
+            sample.temperature = TemperatureCounts(((celsius - 36.53) * 340.0) as i16);
+            burst.bytes = sample.encode();
+            update(&mut pipeline, &burst);
+        }
+        pipeline.kalman().largest_bias_sigma_rad_s()
+    };
+    let steady = sigma_rad_s(0.0, false);
+    let warming = sigma_rad_s(6.0, false);
+    assert!(warming > 1.3 * steady, "{warming} {steady}");
+    assert_eq!(sigma_rad_s(6.0, true), sigma_rad_s(0.0, true));
+}
+
 #[test]
 fn a_stationary_mean_is_collected_while_the_pipeline_runs() {
     let mut pipeline = Pipeline::new(&settings());

@@ -331,7 +331,7 @@ impl Kalman {
             *velocity += change;
         }
         self.held_tilt_rad2 = self.covariance_tilt_variance();
-        let walk = square(tuning.gyroscope_bias_walk) * duration_s;
+        let walk = (square(tuning.gyroscope_bias_walk) + self.added_bias_walk) * duration_s;
         let covariance = &mut self.step.covariance;
         let mut bias = 0.0;
         for axis in 0..3 {

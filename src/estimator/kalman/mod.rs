@@ -196,6 +196,8 @@ pub struct Kalman {
     /// `tilt_variance.rs`.
     extra_tilt_rad2: f32,
     step: CovarianceStep,
+    /// Variance that the bias gains in a second beyond the tuning's random walk, rad²/s³.
+    added_bias_walk: f32,
     /// True if the stored bias, or that of a restart, was known.
     is_stored_known: bool,
     /// True until rest or motion has confirmed the stored bias.
@@ -316,6 +318,7 @@ impl Kalman {
             consistency: Consistency::NONE,
             rest_watch: RestWatch::NONE,
             extra_tilt_rad2: 0.0,
+            added_bias_walk: 0.0,
             parameter_priors,
             bias_prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
             force_sum: ForceSum::NONE,
@@ -333,6 +336,12 @@ impl Kalman {
     /// Sets the delay of the sensor, s. The attitude is extrapolated by it to the sample's time.
     pub const fn set_delay(&mut self, delay_s: f32) {
         self.delay_s = delay_s;
+    }
+
+    /// Sets the variance that the gyroscope's bias gains in a second beyond the tuning's random
+    /// walk, rad²/s³, from 0. Default: 0. A temperature that changes shows a bias that does too.
+    pub const fn set_added_bias_walk(&mut self, added_rad2_s3: f32) {
+        self.added_bias_walk = added_rad2_s3;
     }
 
     /// Sets what is known of the accelerometer's offset, and forgets what motion has shown of every
@@ -542,6 +551,7 @@ impl Kalman {
         self.consistency.visit_state(visitor);
         self.rest_watch.visit_state(visitor);
         visitor.f32(&mut self.extra_tilt_rad2);
+        visitor.f32(&mut self.added_bias_walk);
         self.parameter_priors.visit_state(visitor);
         self.bias_prior.visit_state(visitor);
         self.force_sum.visit_state(visitor);

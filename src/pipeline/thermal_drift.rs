@@ -1,0 +1,100 @@
+//! Drift of the gyroscope's offset while the die warms or cools.
+//!
+//! The offset follows the die's temperature, by up to 0.16 °/s per °C. A filter that takes it for
+//! constant turns the drift into tilt. So the offset's random walk grows with the difference of the
+//! temperature from its average: over the averaging time, σ of the walk is that of the change.
+
+use super::offset::SIGMA_PER_CELSIUS_RAD_S;
+use crate::estimator::arithmetic::square;
+use crate::serialize::StateVisitor;
+
+/// Averaging time of the temperature, s.
+const AVERAGE_S: f32 = 30.0;
+/// No temperature yet.
+const NONE_CELSIUS: f32 = -273.0;
+
+/// Average of the die's temperature.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct ThermalDrift {
+    average_celsius: f32,
+}
+
+impl ThermalDrift {
+    pub(super) const NONE: Self = Self {
+        average_celsius: NONE_CELSIUS,
+    };
+
+    /// Takes the temperature `dt_s` after the last one. Returns the variance that the offset's
+    /// random walk gains, rad²/s² per second.
+    pub(super) fn walk(&mut self, celsius: f32, dt_s: f32) -> f32 {
+        if self.average_celsius == NONE_CELSIUS {
+            self.average_celsius = celsius;
+        }
+        let difference = celsius - self.average_celsius;
+        self.average_celsius += difference * (dt_s / AVERAGE_S).min(1.0);
+        square(SIGMA_PER_CELSIUS_RAD_S * difference) / AVERAGE_S
+    }
+
+    /// Visits every field.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        visitor.f32(&mut self.average_celsius);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::radians;
+
+    /// Time between two temperatures, s.
+    const STEP_S: f32 = 0.064;
+
+    /// Returns σ of what a walk adds in a minute of a temperature that changes by this much, after
+    /// a minute of the same, rad/s.
+    fn sigma_of_a_minute(celsius_per_minute: f32) -> f32 {
+        let mut drift = ThermalDrift::NONE;
+        let steps = (60.0 / STEP_S) as u16;
+        let mut variance = 0.0;
+        for step in 0..2 * steps {
+            let minutes = f32::from(step) / f32::from(steps);
+            let walk = drift.walk(20.0 + celsius_per_minute * minutes, STEP_S);
+            if step >= steps {
+                variance += walk * STEP_S;
+            }
+        }
+        libm::sqrtf(variance)
+    }
+
+    #[test]
+    fn the_walk_of_a_minute_covers_most_of_the_drift_of_a_minute() {
+        // The walk of each averaging time is that of its change; two of them are a minute.
+        assert_eq!(sigma_of_a_minute(0.0), 0.0);
+        for celsius in [1.0, 6.0, -6.0_f32] {
+            let share = sigma_of_a_minute(celsius) / (celsius.abs() * SIGMA_PER_CELSIUS_RAD_S);
+            assert!((0.6..0.72).contains(&share), "{celsius}: {share}");
+        }
+    }
+
+    #[test]
+    fn the_first_temperature_is_no_change_and_a_wrong_one_adds_little() {
+        let mut drift = ThermalDrift::NONE;
+        assert_eq!(drift.walk(-30.0, STEP_S), 0.0);
+        assert_eq!(drift.walk(-30.0, STEP_S), 0.0);
+        // A single temperature that is 100 °C off.
+        let mut variance = drift.walk(70.0, STEP_S) * STEP_S;
+        for _ in 0..1_000 {
+            variance += drift.walk(-30.0, STEP_S) * STEP_S;
+        }
+        assert!(libm::sqrtf(variance) < radians(0.6), "{variance}");
+    }
+
+    #[test]
+    fn slow_bursts_follow_the_temperature_at_once() {
+        // Bursts of 1 Hz: 64 of them take longer than the average.
+        let mut drift = ThermalDrift::NONE;
+        drift.walk(20.0, 64.0);
+        assert!(drift.walk(30.0, 64.0) > 0.0);
+        assert_eq!(drift.walk(30.0, 64.0), 0.0);
+    }
+}
