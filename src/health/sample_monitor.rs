@@ -42,7 +42,7 @@ const LOSS: u8 = 3;
 
 /// Time of identical samples that are frozen, s. A logger may write a sample for a few rows.
 const FROZEN_S: f32 = 0.099;
-/// Fewest identical samples of that time.
+/// Fewest compared samples that repeat within it.
 const FEWEST_FROZEN: u16 = 5;
 
 /// Repetitions of a held value that are no fault, as a multiple of the longest before.

@@ -150,7 +150,7 @@ impl fmt::Display for Message {
                     ClockSource::Crystal => "from the crystal",
                     ClockSource::InternalOscillator => {
                         "from the internal oscillator: no crystal answered, \
-                         times are right to 1 % only"
+                         times are off by up to 8 %"
                     }
                 })
             }
