@@ -2,17 +2,19 @@
 //!
 //! Registers have a known resolution and noise, samples do not: a table may hold few digits, or a
 //! simulation without noise. Therefore an axis counts only once it has shown noise. A window of 25
-//! samples in which no axis moves shows the noise of an axis that reads both above and below its
-//! first value. Eight such windows, minus three for each one without, prove it. An axis of half a
-//! digit of noise proves it, and repeats a window once in 10⁷ times.
+//! samples in which no axis moves shows the noise of an axis that turns back eight times, and reads
+//! three values: between two digits, little noise reads both. Eight such windows, minus three for
+//! each one without, prove it. An axis of half a digit of noise proves it, and repeats a window
+//! once in 10⁷ times.
 //!
 //! - An axis that has proved its noise and repeats its value is stuck, by the windows of
 //!   [`StuckAxis`].
 //! - Once all axes have proved theirs, samples that repeat as a whole are frozen: after the time
-//!   that holds for bursts, and four times the longest repetition before. A recording whose values
-//!   are held for several rows stays unflagged.
+//!   that holds for bursts, and four times the longest of two repetitions in a row before. A
+//!   recording whose values are held for several rows stays unflagged.
 //!
-//! Without a second or two of rest, nothing is flagged.
+//! Without 200 samples of rest, 1/bandwidth apart, nothing is flagged: 1.1 s of a fast recording,
+//! and 4 s at 50 Hz.
 
 use super::stuck_axis::{StuckAxis, Values, WINDOW_SAMPLES};
 use crate::attitude::Vector3;
@@ -45,7 +47,7 @@ const FROZEN_S: f32 = 0.099;
 /// Fewest compared samples that repeat within it.
 const FEWEST_FROZEN: u16 = 5;
 
-/// Repetitions of a held value that are no fault, as a multiple of the longest before.
+/// Repetitions that are no fault, as a multiple of those of held values.
 const HELD: u16 = 4;
 
 /// Sampling of a sensor.
@@ -67,8 +69,10 @@ pub(crate) struct SampleMonitor {
     last: [f32; AXES],
     /// Compared samples in a row that repeat it.
     repetitions: u16,
-    /// Most repetitions of a held value.
-    longest: u16,
+    /// Repetitions of the value before.
+    repetitions_before: u16,
+    /// Most repetitions of two values in a row: each value is held for so long.
+    held: u16,
     noise: Noise,
     stuck_axis: StuckAxis<Axes>,
 }
@@ -81,7 +85,8 @@ impl SampleMonitor {
             samples_to_next: 1,
             last: [0.0; AXES],
             repetitions: 0,
-            longest: 0,
+            repetitions_before: 0,
+            held: 0,
             noise: Noise::default(),
             stuck_axis: StuckAxis::with_gap(1),
         }
@@ -116,13 +121,15 @@ impl SampleMonitor {
         // Samples between have no noise of their own.
         let gap = ((sampling.rate_hz / f32::from(sampling.bandwidth_hz)) as u8).max(1);
         let frozen_samples = (FROZEN_S * sampling.rate_hz) as u16 / u16::from(gap);
-        let held = self.longest.saturating_mul(HELD);
+        let held = self.held.saturating_mul(HELD);
         let limit = frozen_samples.max(FEWEST_FROZEN).max(held);
         if difference(&self.last, &values) == 0 {
             self.repetitions = self.repetitions.saturating_add(1);
         } else {
             if !self.is_repeated(limit) {
-                self.longest = self.longest.max(self.repetitions);
+                let both = self.repetitions.min(self.repetitions_before);
+                self.held = self.held.max(both);
+                self.repetitions_before = self.repetitions;
             }
             self.repetitions = 0;
             self.last = values;
@@ -178,6 +185,10 @@ impl Values for Axes {
 struct Noise {
     first: [f32; AXES],
     last: [f32; AXES],
+    /// Second value of each axis in the window, once it has one.
+    second: [Option<f32>; AXES],
+    /// Axes that have read a third value, a bit each.
+    third: u8,
     samples_to_end: u8,
     /// Axes whose last change was upwards, a bit each.
     is_rising: u8,
@@ -192,6 +203,7 @@ impl Noise {
                 self.score();
             }
             (self.first, self.reversals) = (*values, [0; AXES]);
+            (self.second, self.third) = ([None; AXES], 0);
             self.samples_to_end = WINDOW_SAMPLES;
         }
         let axes = self.reversals.iter_mut().zip(values).zip(&self.last);
@@ -201,6 +213,10 @@ impl Noise {
                 self.is_rising ^= 1 << axis;
                 *reversals += 1;
             }
+            if *value != self.first[axis] {
+                let second = *self.second[axis].get_or_insert(*value);
+                self.third |= u8::from(*value != second) << axis;
+            }
         }
         self.last = *values;
         self.samples_to_end -= 1;
@@ -208,9 +224,11 @@ impl Noise {
 
     /// Scores a window without motion. A proof is final.
     fn score(&mut self) {
-        for (score, reversals) in self.scores.iter_mut().zip(self.reversals) {
+        let axes = self.scores.iter_mut().zip(self.reversals);
+        for (axis, (score, reversals)) in axes.enumerate() {
             if *score < PROVEN {
-                *score = if reversals < NOISE_REVERSALS {
+                let has_third = self.third >> axis & 1 != 0;
+                *score = if reversals < NOISE_REVERSALS || !has_third {
                     score.saturating_sub(LOSS)
                 } else {
                     *score + 1
@@ -372,6 +390,46 @@ mod tests {
             let (first_s, last_s) = swing.frozen_s().expect("frozen samples");
             assert!((8.09..8.12).contains(&first_s), "{rows}: {first_s}");
             assert!((11.98..12.0).contains(&last_s), "{rows}: {last_s}");
+        }
+    }
+
+    /// Returns the first frozen sample of a sensor at rest whose samples repeat over these ranges.
+    fn first_frozen(repeats: &[core::ops::Range<u32>]) -> Option<u32> {
+        let mut random = Random(3);
+        let mut monitor = SampleMonitor::new();
+        let mut values = [Vector3::ZERO; 2];
+        (0..4_000).find(|index| {
+            if !repeats.iter().any(|range| range.contains(index)) {
+                let [x, y, z, p, q, r] = [0; AXES].map(|_| 0.001 * random.normal());
+                values = [Vector3::new(x, y, z - 9.81), Vector3::new(p, q, r)];
+            }
+            monitor.is_frozen([&values[0], &values[1]], [false; 2], || SAMPLING)
+        })
+    }
+
+    #[test]
+    fn a_repetition_before_does_not_delay_the_flag() {
+        // A tenth of a second is 28 samples.
+        let soon = 3_026..3_032;
+        assert!(soon.contains(&first_frozen(&[3_000..3_300]).expect("a freeze")));
+        for before in [0..300, 2_000..2_025, 2_975..2_999] {
+            let frozen = first_frozen(&[before.clone(), 3_000..3_300]).expect("a freeze");
+            assert!(soon.contains(&frozen), "{before:?}: {frozen}");
+        }
+    }
+
+    #[test]
+    fn little_noise_between_two_digits_is_no_proof() {
+        let mut random = Random(4);
+        let mut monitor = SampleMonitor::new();
+        for index in 0..6_000 {
+            // From between two digits to the middle of one.
+            let offset = if index < 3_000 { 3.5 } else { 3.0 };
+            let [x, y, z, p, q, r] =
+                [0; AXES].map(|_| libm::roundf(offset + 0.15 * random.normal()) * 0.001);
+            let values = [Vector3::new(x, y, z - 9.81), Vector3::new(p, q, r)];
+            let is_frozen = monitor.is_frozen([&values[0], &values[1]], [false; 2], || SAMPLING);
+            assert!(!is_frozen, "{index}");
         }
     }
 
