@@ -171,8 +171,8 @@ impl Pipeline {
     /// the attitude at the sample's time.
     ///
     /// Skips the checks that need the sensor's bytes: blank data and the temperature. Frozen data
-    /// and a stuck axis are flagged [`Flags::FROZEN`] only after a second or two of rest, in which
-    /// the noise shows that the values do not repeat for another reason.
+    /// and a stuck axis are flagged [`Flags::FROZEN`] only after a rest of 200 samples, one in each
+    /// 1/bandwidth. Their noise shows that the values do not repeat for another reason.
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
         self.monitor.confirm_scales();
         #[cfg(not(feature = "firmware"))]
@@ -487,19 +487,26 @@ impl Pipeline {
         }
     }
 
+    /// Follows the temperature model within its range. While the model fades out, the offset that
+    /// has been removed stays. What is removed anew in the range, the estimated bias loses.
     #[inline(never)]
     fn compensate_temperature(&mut self) {
         let celsius = self.temperature_celsius;
         let calibration = &self.settings.calibration;
         let is_in_range = calibration
             .temperature
-            .is_some_and(|model| model.offset_at(celsius).1 > 0.0);
+            .is_some_and(|model| model.offset_at(celsius).1 >= 1.0);
+        let was_in_range = self.thermal_drift.follow_model(is_in_range);
         let dt_s = f32::from(TEMPERATURE_SAMPLES) / self.settings.sensor.sample_rate_hz();
-        let mut walk = self.thermal_drift.walk(celsius, dt_s);
+        let walk = self.thermal_drift.walk(celsius, dt_s);
         if is_in_range {
             let stored = StoredOffset::at(calibration, celsius);
+            let before = self.alignment.gyroscope_offset_rad_s();
             self.set_gyroscope_offset(stored.offset_rad_s);
-            walk = 0.0;
+            if !was_in_range {
+                let change = self.alignment.gyroscope_offset_rad_s() - before;
+                self.kalman_mut().shift_bias(-change);
+            }
         }
         self.kalman_mut().set_added_bias_walk(walk);
     }

@@ -10,6 +10,8 @@ use crate::serialize::StateVisitor;
 
 /// Averaging time of the temperature, s.
 const AVERAGE_S: f32 = 30.0;
+/// Share of the drift that a temperature model leaves.
+const MODEL_ERROR_SHARE: f32 = 0.33;
 /// No temperature yet.
 const NONE_CELSIUS: f32 = -273.0;
 
@@ -18,12 +20,20 @@ const NONE_CELSIUS: f32 = -273.0;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct ThermalDrift {
     average_celsius: f32,
+    /// True if a temperature model removes most of the drift.
+    follows_model: bool,
 }
 
 impl ThermalDrift {
     pub(super) const NONE: Self = Self {
         average_celsius: NONE_CELSIUS,
+        follows_model: false,
     };
+
+    /// Sets whether a temperature model removes most of the drift. Returns whether it did.
+    pub(super) const fn follow_model(&mut self, follows_model: bool) -> bool {
+        core::mem::replace(&mut self.follows_model, follows_model)
+    }
 
     /// Takes the temperature `dt_s` after the last one. Returns the variance that the offset's
     /// random walk gains, rad²/s² per second.
@@ -33,12 +43,18 @@ impl ThermalDrift {
         }
         let difference = celsius - self.average_celsius;
         self.average_celsius += difference * (dt_s / AVERAGE_S).min(1.0);
-        square(SIGMA_PER_CELSIUS_RAD_S * difference) / AVERAGE_S
+        let share = if self.follows_model {
+            MODEL_ERROR_SHARE
+        } else {
+            1.0
+        };
+        square(share * SIGMA_PER_CELSIUS_RAD_S * difference) / AVERAGE_S
     }
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.f32(&mut self.average_celsius);
+        visitor.bool(&mut self.follows_model);
     }
 }
 
