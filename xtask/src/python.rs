@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::{build, step};
+use crate::{build, recordings, step};
 
 /// Packages of the tests. The last one is the filter to compare the speed with.
 const PACKAGES: [&str; 3] = ["numpy", "pytest", "vqf"];
@@ -11,8 +11,7 @@ const PACKAGES: [&str; 3] = ["numpy", "pytest", "vqf"];
 const FOLDER: &str = "python-tests";
 /// Packages that run the notebook.
 const NOTEBOOK: [&str; 3] = ["nbclient", "ipykernel", "matplotlib"];
-/// Recordings to compare, if they are there, and the one that the notebook draws.
-const RECORDINGS: &str = "../shared/data";
+/// Recording that the notebook draws, if it is there.
 const DRAWN: &str = "tumvi/room1.csv.gz";
 /// Checks the version that `python/pyproject.toml` asks for.
 const IS_NEW_ENOUGH: &str = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))";
@@ -59,7 +58,7 @@ pub fn run() -> Result<(), String> {
         test.env("APLOMB", program)
             .env("PYTHONDONTWRITEBYTECODE", "1")
             .env("APLOMB_OUTPUT", &folder);
-        let recordings = crate::root().join(RECORDINGS);
+        let recordings = recordings::folder();
         if recordings.is_dir() {
             test.env("APLOMB_LOGS", &recordings);
             test.env("APLOMB_RECORDING", recordings.join(DRAWN));
