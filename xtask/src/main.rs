@@ -11,6 +11,7 @@ mod faults;
 mod package;
 mod panics;
 mod python;
+mod qemu;
 mod recordings;
 mod release;
 mod results;
