@@ -78,18 +78,11 @@ fn fusion() -> Result<Option<PathBuf>, String> {
     if source.is_dir() {
         return Ok(Some(source));
     }
-    let Some(python) = python::python() else {
+    let Some(python) = python::find() else {
         eprintln!("   skipped: Fusion, because python3 with venv is not installed");
         return Ok(None);
     };
-    let mut pip = step::command(&python::own(&python)?);
-    pip.args([
-        "-m",
-        "pip",
-        "download",
-        "--quiet",
-        "--disable-pip-version-check",
-    ]);
+    let mut pip = python::pip(&python::virtual_environment(&python)?, "download");
     pip.args(["--no-deps", "--no-binary", FUSION, "--dest"]);
     pip.arg(&folder).arg(format!("{FUSION}=={FUSION_VERSION}"));
     if let Err(reason) = step::run(&mut pip) {
