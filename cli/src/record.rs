@@ -9,8 +9,10 @@ use std::time::{Duration, Instant};
 
 use aplomb_recordings::output::{cannot_write, check_writable};
 
+use crate::end_request::end_request;
 use crate::i2c::I2cOptions;
-use crate::view::{BAUD, Decoder, Item, LOG_BAUD, Link, Report, end_request, which_port};
+use crate::link::{BAUD, LOG_BAUD, Link, Report, which_port};
+use crate::stream::{Decoder, Item};
 
 /// Longest time until the module answers a command.
 const ANSWER: Duration = Duration::from_secs(2);

@@ -3,7 +3,8 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use crate::view::{Decoder, Item, Link, Report};
+use crate::link::{Link, Report};
+use crate::stream::{Decoder, Item};
 
 /// Longest time from a command to its answer.
 const ANSWER: Duration = Duration::from_secs(2);

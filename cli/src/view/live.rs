@@ -7,10 +7,9 @@ use std::time::{Duration, Instant};
 use aplomb::console::command::{self, BAUD_RATES};
 use aplomb::settings::OutputFormat;
 
-use super::detect::Decoder;
-use super::item::{Counts, Format};
 use super::model::{Connection, Model, Speaker};
-use super::source::{BAUD, LOG_BAUD, Link, Report};
+use crate::link::{BAUD, LOG_BAUD, Link, Report};
+use crate::stream::{Counts, Decoder, Format};
 
 /// Time between two requests for the status: 400 bytes in two seconds are 2 % of the line at
 /// 115,200 baud.

@@ -7,7 +7,7 @@ use aplomb::settings::OutputFormat;
 use aplomb::telemetry::heading;
 
 use super::compass::Field;
-use super::item::{Counts, Format, Item, Reading, Sensors};
+use crate::stream::{Counts, Format, Item, Reading, Sensors};
 
 /// Length of the strips, s.
 pub const STRIP_S: f64 = 20.0;

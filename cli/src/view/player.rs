@@ -7,8 +7,7 @@ use std::path::Path;
 
 use aplomb_recordings::flight_log;
 
-use super::detect::Decoder;
-use super::item::{Counts, Format, Item};
+use crate::stream::{Counts, Decoder, Format, Item};
 
 /// Speeds of a recording, as multiples of real time.
 pub const SPEEDS: RangeInclusive<f64> = 0.01..=1000.0;

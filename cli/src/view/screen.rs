@@ -5,10 +5,10 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 
 use super::dots::{ACROSS, DOWN, Dots};
-use super::item::Reading;
 use super::letters::{number, put};
 use super::model::{Connection, Model, STRIP_S, Speaker, Trust};
 use super::{compass, horizon, keys};
+use crate::stream::Reading;
 
 /// Smallest terminal that holds all parts.
 const LEAST: (u16, u16) = (80, 24);

@@ -11,11 +11,11 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
-use super::item::{Counts, Format, Item, Reading};
 use super::live::next_baud;
 use super::model::{Connection, Model, Speaker};
 use super::player::changed_speed;
 use super::{horizon, parse_speed, screen};
+use crate::stream::{Counts, Format, Item, Reading};
 
 fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it takes everything");

@@ -4,6 +4,7 @@
 //! checksum, or the exact form of a line or packet), so the present format is that of the last
 //! accepted piece, and may change without notice.
 
+mod item;
 mod lines;
 mod log;
 mod mavlink;
@@ -13,7 +14,7 @@ mod tests;
 
 use aplomb::settings::OutputFormat;
 
-use super::item::{Counts, Format, Item, Reading};
+pub use item::{Counts, Format, Item, Reading, Sensors};
 use lines::{Content, Lines};
 use log::Log;
 use mavlink::Mavlink;

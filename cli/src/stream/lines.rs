@@ -6,7 +6,7 @@ use aplomb::telemetry::text::Line;
 use aplomb::telemetry::{classic, heading, teleplot, text};
 use aplomb_recordings::attitude_table::Columns;
 
-use crate::view::item::{Format, Item, Reading};
+use super::item::{Format, Item, Reading};
 
 /// Longest line of the module, with a margin: a status has up to 610 letters.
 const LONGEST_LINE: usize = 1024;

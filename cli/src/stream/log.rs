@@ -12,7 +12,7 @@ use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use aplomb::units::degrees;
 use aplomb_recordings::flight_log::StateCollector;
 
-use crate::view::item::{Counts, Item, Reading};
+use super::item::{Counts, Item, Reading};
 
 /// Bursts that are kept until the pieces of a state have come: they take a second or two.
 const BURSTS_KEPT: usize = 8192;

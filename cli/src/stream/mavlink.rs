@@ -4,7 +4,7 @@ use aplomb::units::degrees;
 use mavlink::dialects::common::{MavMessage, MavSysStatusSensor};
 use mavlink::{MAVLinkV2MessageRaw, MavlinkVersion, Message};
 
-use crate::view::item::{Counts, Item, Reading, Sensors};
+use super::item::{Counts, Item, Reading, Sensors};
 
 /// Room for the longest frame of MAVLink 2, as the `mavlink` crate has it.
 const MAVLINK_CAPACITY: usize = 283;
