@@ -126,7 +126,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if bytes == 0 {
         return Err(format!("nothing has come at {baud} baud").into());
     }
-    if counts.readings + counts.bursts == 0 {
+    if counts.attitudes + counts.bursts == 0 {
         let output = options.output.display();
         return Err(format!(
             "nothing of it could be read at {baud} baud: was that the rate? \
@@ -524,7 +524,13 @@ impl Recorder<'_> {
             self.bytes
         );
         if let Some(format) = self.decoder.format() {
-            write!(text, " of {}: {} attitudes", format.name(), counts.readings).ok();
+            write!(
+                text,
+                " of {}: {} attitudes",
+                format.name(),
+                counts.attitudes
+            )
+            .ok();
         }
         if counts.bursts > 0 {
             write!(text, ", {} bursts", counts.bursts).ok();

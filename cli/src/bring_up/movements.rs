@@ -119,13 +119,13 @@ pub fn turns(talk: &mut Talk, patience: Duration) -> Result<Finding, String> {
             let Some(item) = talk.next(until)? else {
                 break None;
             };
-            let Item::Reading(reading) = item else {
+            let Item::Attitude(attitude) = item else {
                 continue;
             };
             let now = Angles {
-                roll: reading.roll_deg,
-                pitch: reading.pitch_deg,
-                yaw: reading.yaw_deg.unwrap_or_default(),
+                roll: attitude.roll_deg,
+                pitch: attitude.pitch_deg,
+                yaw: attitude.yaw_deg.unwrap_or_default(),
             };
             last = Some(now);
             if let Some(judged) = turn.judge(*start.get_or_insert(now), now) {

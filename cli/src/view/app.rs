@@ -142,7 +142,7 @@ impl App {
             woken = Instant::now();
             has_changed |= self.follow();
             if let Connection::Ended(reason) = &self.model.connection
-                && self.model.counts.readings == 0
+                && self.model.counts.attitudes == 0
             {
                 let reason = reason.trim_start_matches("error: ");
                 return Err(format!("no attitude has come: {reason}").into());

@@ -138,7 +138,7 @@ impl Live {
             }
         }
         let is_open = model.takes_commands();
-        let is_fresh = model.reading().is_some();
+        let is_fresh = model.attitude().is_some();
         if is_open && is_fresh {
             if std::mem::take(&mut self.wants_log) {
                 self.set_format(OutputFormat::Log, model);
