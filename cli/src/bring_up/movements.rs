@@ -6,8 +6,8 @@ use aplomb_recordings::terminal::print_line;
 
 use super::report::Finding;
 use super::wiring::show;
-use crate::stream::Item;
-use crate::talk::{Talk, field};
+use crate::stream::{Item, field};
+use crate::talk::Talk;
 
 /// Largest residual of the poses before the calibration, mg: 3 % of scale and an offset of 80 mg on
 /// the worst axis (product specification, 6.2), together.

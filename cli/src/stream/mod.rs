@@ -4,6 +4,7 @@
 //! checksum, or the exact form of a line or packet), so the present format is that of the last
 //! accepted piece, and may change without notice.
 
+mod fields;
 mod item;
 mod lines;
 mod log;
@@ -14,6 +15,7 @@ mod tests;
 
 use aplomb::settings::OutputFormat;
 
+pub use fields::{field, numbers};
 pub use item::{Attitude, Counts, Format, Item, Sensors};
 use lines::{Content, Lines};
 use log::Log;

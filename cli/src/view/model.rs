@@ -7,7 +7,7 @@ use aplomb::settings::OutputFormat;
 use aplomb::telemetry::heading;
 
 use super::compass::Field;
-use crate::stream::{Attitude, Counts, Format, Item, Sensors};
+use crate::stream::{Attitude, Counts, Format, Item, Sensors, field};
 
 /// Length of the strips, s.
 pub const STRIP_S: f64 = 20.0;
@@ -296,18 +296,11 @@ impl Model {
     }
 
     fn take_status(&mut self, status: &str) {
-        let field = |name: &str| {
-            let values = status.split(' ').filter_map(|field| field.split_once('='));
-            values
-                .into_iter()
-                .find(|(key, _)| *key == name)
-                .map(|(_, value)| value)
-        };
-        let number = |name| field(name).and_then(|value| value.parse().ok());
-        let whole = |name| field(name).and_then(|value| value.parse().ok());
+        let number = |name| field(status, name).and_then(|value| value.parse().ok());
+        let whole = |name| field(status, name).and_then(|value| value.parse().ok());
         self.tilt_sigma_deg = number("tilt_sigma_deg").or(self.tilt_sigma_deg);
         self.temperature_c = number("temperature_c").or(self.temperature_c);
-        self.field = field("field_ut").and_then(|text| {
+        self.field = field(status, "field_ut").and_then(|text| {
             let numbers: Result<Vec<f64>, _> = text.split(',').map(str::parse).collect();
             let components = numbers.ok()?.try_into().ok()?;
             let attitude = self.attitude()?;
