@@ -10,7 +10,7 @@ use rigless::emulator::{
 use rigless::soc::{Endian, Width};
 use rigless::time::VirtualNanos;
 
-use super::garage::Rented;
+use super::pool::PooledProcessor;
 use super::stretch::Stretch;
 use super::{CRASHES, EXCEPTIONS, Profile, THREAD, Upset};
 use crate::checks::{Checks, Reserved};
@@ -19,7 +19,7 @@ use crate::flash::{SLOTS, SharedCells};
 /// A processor that keeps a [`Profile`] and otherwise does what the one inside does.
 #[derive(Debug)]
 pub struct ProfiledProcessor {
-    inner: Rented,
+    inner: PooledProcessor,
     profile: Arc<Mutex<Profile>>,
     /// The part of the flash that the inner processor does not map.
     cells: SharedCells,
@@ -73,7 +73,7 @@ impl ProfiledProcessor {
     /// Wraps a processor. `handlers` are the vector table's entries by exception number.
     #[must_use]
     pub fn new(
-        inner: Rented,
+        inner: PooledProcessor,
         handlers: Vec<u32>,
         profile: Arc<Mutex<Profile>>,
         cells: SharedCells,
