@@ -27,7 +27,7 @@ const SIGNAL_CONDITION_RESET: u8 = 1 << 0;
 /// USER_CTRL: the chip is the controller of the auxiliary bus (section 4.27).
 const MASTER_ENABLE: u8 = 1 << 5;
 
-/// INT_PIN_CFG: the auxiliary bus is connected to the main one (section 4.15).
+/// INT_PIN_CFG: the auxiliary bus is connected to the main one (section 4.14).
 const BYPASS_ENABLE: u8 = 1 << 1;
 
 /// SIGNAL_PATH_RESET (section 4.26).
@@ -352,7 +352,7 @@ impl Sensor {
     }
 
     /// Returns true if the auxiliary bus is connected to the main one: BYPASS_EN without
-    /// I2C_MST_EN (section 4.15).
+    /// I2C_MST_EN (sections 4.14 and 4.27).
     #[must_use]
     pub fn has_bypass(&self) -> bool {
         let is_awake = self.ready_at_ns.is_none();
