@@ -7,7 +7,8 @@
 //! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within
 //!   the deadline after each fault. The deadline is 20 ms after the end of a bus fault. It is 250
 //!   ms after a reset, the sensor's first possible acknowledge, a fault of the sensor's data, the
-//!   crystal's death and a save. It is 1.7 s after a failure of the supply.
+//!   crystal's death and a save. It is 1.7 s after a failure of the supply, and 5 s after a stuck
+//!   axis, whose first 0.26 s are not judged.
 //! - A snapshot is published every 20 ms while the core runs; without data it is flagged stale. A
 //!   line of telemetry comes every 100 ms.
 //! - No access to a register breaks a rule of [`checks`](crate::checks).
