@@ -29,7 +29,7 @@ use crate::kit::Kit;
 use crate::mcu::{ChipIdentity, Microcontroller, SentByte, Terminal};
 use crate::probe::{LogLine, Probe};
 use crate::profile::{PoolKey, ProcessorPool, Profile};
-use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
+use crate::recorder::{NoObserver, Observer, Record, Recorder, Sample};
 use crate::schedule::Schedule;
 use crate::script::Script;
 use crate::summary::Summary;
@@ -88,7 +88,7 @@ impl Run {
             has_account: true,
             pool: None,
             has_memory_protection: true,
-            observer: Box::new(Nobody),
+            observer: Box::new(NoObserver),
         }
     }
 

@@ -109,7 +109,7 @@ impl ProfiledProcessor {
     }
 
     /// Applies the upsets that are due.
-    fn suffer(&mut self) {
+    fn apply_upsets(&mut self) {
         let upsets = match self.profile.lock() {
             Ok(mut profile) => std::mem::take(&mut profile.upsets),
             Err(_) => return,
@@ -167,7 +167,7 @@ impl ProfiledProcessor {
     }
 
     /// Determines the running exception, and credits the instructions since the last time.
-    fn look(&mut self, bus: &mut dyn CoreBus) {
+    fn observe_context(&mut self, bus: &mut dyn CoreBus) {
         let exception = self.exception();
         let pc = self.inner.pc();
         // The entry at 0 handles all exceptions while the firmware measures itself.
@@ -190,13 +190,13 @@ impl ProfiledProcessor {
     }
 
     /// Observes the context again, unless the exception is still the same.
-    fn look_again(&mut self, bus: &mut dyn CoreBus) {
+    fn observe_if_changed(&mut self, bus: &mut dyn CoreBus) {
         if self
             .profile
             .lock()
             .is_ok_and(|profile| !profile.crashes_only && profile.current != self.exception())
         {
-            self.look(bus);
+            self.observe_context(bus);
         }
     }
 
@@ -250,7 +250,7 @@ impl Processor for ProfiledProcessor {
         if !self.is_armed {
             self.arm();
         }
-        self.suffer();
+        self.apply_upsets();
         let start = self.inner.retired();
         if self.inner.waiting() {
             self.slept_at = start;
@@ -277,18 +277,18 @@ impl Processor for ProfiledProcessor {
             };
             match self.inner.run(budget, &mut stretch) {
                 (Exit::Breakpoint, _) => {
-                    self.look(stretch.bus);
+                    self.observe_context(stretch.bus);
                     let here = self.inner.pc();
                     self.inner.pass_breakpoint(here);
                 }
-                (Exit::Budget, _) if stretch.is_stepped => self.look_again(stretch.bus),
+                (Exit::Budget, _) if stretch.is_stepped => self.observe_if_changed(stretch.bus),
                 (exit, _) => break exit,
             }
             if self.inner.retired() >= stretch.until {
                 break Exit::Budget;
             }
         };
-        self.look_again(stretch.bus);
+        self.observe_if_changed(stretch.bus);
         (exit, self.inner.retired() - start)
     }
 

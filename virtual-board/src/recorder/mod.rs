@@ -80,9 +80,9 @@ pub trait Observer: Send {
 }
 
 /// An observer that ignores the run.
-pub struct Nobody;
+pub struct NoObserver;
 
-impl Observer for Nobody {}
+impl Observer for NoObserver {}
 
 /// Records a run.
 pub struct Recorder {
