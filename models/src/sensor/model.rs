@@ -65,7 +65,7 @@ pub struct SensorConfig {
 }
 
 impl SensorConfig {
-    /// A chip off the reel for a simulated motion: an MPU-6050 at 0x68, face up.
+    /// A new chip for a simulated motion: an MPU-6050 at 0x68, face up, with typical errors.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self {
@@ -304,8 +304,7 @@ impl Sensor {
         self.read_register(register)
     }
 
-    /// A register changes by itself: of its bits those that hold something (a reset is not among
-    /// them).
+    /// Changes a register without a transfer on the bus. The bit that starts a reset is left out.
     pub fn corrupt_register(&mut self, now_ns: u64, register: u8, value: u8) {
         self.advance_to(now_ns);
         let is_trigger = register == address::PWR_MGMT_1;
