@@ -458,8 +458,8 @@ struct SlowMoments {
 impl SlowMoments {
     fn fit(&self) -> Result<AccelerometerFit, String> {
         let which = format!(
-            "nor do its {} slow moments \
-             (gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s for {SLOW_S} s) serve",
+            "its {} slow moments (gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s \
+             for {SLOW_S} s) do not serve either",
             self.poses.len(),
         );
         if self.poses.len() < LEAST_SLOW_POSES {

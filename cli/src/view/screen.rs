@@ -36,7 +36,7 @@ const RATES: [f64; 9] = [5.0, 10.0, 20.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 200
 /// Draws everything.
 pub fn draw(model: &Model, area: Rect, buffer: &mut Buffer) {
     if area.width < LEAST.0 || area.height < LEAST.1 {
-        let text = format!("{} by {} letters are needed", LEAST.0, LEAST.1);
+        let text = format!("{} columns and {} rows are needed", LEAST.0, LEAST.1);
         put(buffer, area, 0, 0, &text, Style::new());
         return;
     }
@@ -529,7 +529,7 @@ fn draw_footer(model: &Model, area: Rect, buffer: &mut Buffer) {
             area,
             x + 2,
             0,
-            "enter says it, escape does not",
+            "enter sends it, escape does not",
             bar.fg(FAINT),
         );
         return;
