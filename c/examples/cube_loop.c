@@ -45,7 +45,9 @@ bool attitude_poll(AplombSnapshot *snapshot)
         return false;
     }
     has_edge = false;
-    burst.captured_at_us = edge_us;
+    do { /* two loads: an edge may come between them */
+        burst.captured_at_us = edge_us;
+    } while (burst.captured_at_us != edge_us);
     burst.missed_before = failed;
     if (HAL_I2C_Mem_Read(&hi2c1, SENSOR, DATA, 1, burst.bytes, 14, 2) != HAL_OK) {
         failed = (uint8_t)(failed < 255 ? failed + 1 : 255); /* one lost sample does no harm */

@@ -1,6 +1,6 @@
 /* Attitudes from a table of bursts, on a computer.
  *
- *   cc host.c -I ../include -L ../../target/release -laplomb_c -lm -o host
+ *   cc host.c -I ../include ../../target/release/libaplomb_c.a -lpthread -ldl -lm -o host
  *   ./host < ../../target/fly/bursts.csv
  *
  * A line is t_us,bytes,flags: the bytes are 28 hexadecimal digits. */
@@ -39,6 +39,9 @@ int main(void)
         }
         burst.missed_before = strstr(line, "MISSED") != NULL;
         status = aplomb_update_burst(&pipeline, &burst, &snapshot);
+        if (status != APLOMB_STATUS_OK) {
+            break; /* no snapshot was written */
+        }
         printf("%" PRIu64 " %.9g %.9g %.9g %.9g %" PRIu32 "\n", snapshot.t_us,
                (double)snapshot.attitude[0], (double)snapshot.attitude[1],
                (double)snapshot.attitude[2], (double)snapshot.attitude[3], snapshot.flags);

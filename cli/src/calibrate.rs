@@ -32,8 +32,8 @@ use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
 use aplomb_recordings::units::RowOptions;
 
+use crate::count_options::CountOptions;
 use crate::i2c::I2cOptions;
-use crate::input::Counts;
 use crate::progress;
 
 use compass::CompassFound;
@@ -93,7 +93,7 @@ pub struct Options {
     )]
     seconds: u64,
     #[command(flatten)]
-    counts: Counts,
+    counts: CountOptions,
     #[command(flatten)]
     rows: RowOptions,
     /// Age of the compass's readings against the samples of their rows, in microseconds
@@ -458,8 +458,8 @@ struct SlowMoments {
 impl SlowMoments {
     fn fit(&self) -> Result<AccelerometerFit, String> {
         let which = format!(
-            "nor do its {} slow moments \
-             (gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s for {SLOW_S} s) serve",
+            "its {} slow moments (gyroscope spread of at most {SLOW_SPREAD_DEGREES_S} °/s \
+             for {SLOW_S} s) do not serve either",
             self.poses.len(),
         );
         if self.poses.len() < LEAST_SLOW_POSES {

@@ -15,7 +15,7 @@ use aplomb::pipeline::{CompassReading, Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb_recordings::flight_log::{self, Recorder};
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{Lines, LogFault, Row, Rows, has_compass};
+use aplomb_recordings::log::{Lines, LogFault, Row, Rows, has_compass, has_truth};
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
@@ -57,9 +57,6 @@ pub struct Options {
     #[arg(long)]
     json: bool,
 }
-
-/// Columns of a log without truth.
-const SHORTEST_LOG: usize = 7;
 
 /// Kind of a recording.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -185,7 +182,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             output.display()
         )
     })?;
-    let mut found = read(options, into)?;
+    let mut found = open(options, into)?;
     let settings = Settings {
         sensor: found.config,
         mount: options.mount.or(found.mount).unwrap_or(Mount::Z_UP),
@@ -225,7 +222,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
 fn report(
     options: &Options,
     into: Kind,
-    found: &Found,
+    found: &Input,
     written: &mut Written,
 ) -> Result<(), Box<dyn Error>> {
     let writes_readings = into == Kind::Csv && written.readings > 0;
@@ -305,7 +302,7 @@ struct Target {
 }
 
 /// Recording whose bursts are still to be read.
-struct Found {
+struct Input {
     config: Config,
     /// Mount of the sensor, if it is known.
     mount: Option<Mount>,
@@ -323,7 +320,7 @@ struct Found {
     is_csv: bool,
 }
 
-impl Found {
+impl Input {
     /// Returns what this kind of output has no place for.
     fn left_out(&self, into: Kind, has_flags: bool) -> Vec<&'static str> {
         let lost = [
@@ -337,73 +334,78 @@ impl Found {
     }
 }
 
-fn read(options: &Options, into: Kind) -> Result<Found, Box<dyn Error>> {
+/// Opens the input of the options, to be converted into this kind.
+fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
     let path = &options.input;
     if flight_log::is_flight_log(path) {
-        Kind::FlightLog.check(options, into)?;
-        let log = flight_log::read(path)?;
-        let at = |reason: String| format!("{}: {reason}", path.display());
-        let flight = log.flight(options.flight).map_err(at)?;
-        let first = flight
-            .configuration
-            .as_ref()
-            .ok_or_else(|| at("there is no configuration in it".to_owned()))?;
-        let steps = log.steps(flight)?;
-        let Settings { part, sensor, .. } = first.settings;
-        let part_us = part.gyroscope_delay_us(sensor.low_pass).into();
-        return Ok(Found {
-            config: sensor,
-            mount: Some(first.settings.mount()),
-            part,
-            bursts: Box::new(steps.map(|step| {
-                Ok(Recorded {
-                    burst: step.numbered.burst,
-                    flags: step.numbered.flags,
-                    reading: step.reading,
-                    clipped_values: 0,
-                })
-            })),
-            bursts_lost: flight.lost(),
-            damaged_pieces: log.counts.damaged,
-            has_truth: false,
-            has_readings: flight.readings > 0,
-            delay_us: first.settings.sensor_delay_us.unwrap_or(part_us),
-            is_csv: false,
-        });
+        return open_flight_log(options, into);
     }
     let mut lines = progress::lines(path)?;
     let form = Form::read(&mut lines)?;
-    let kind = match form {
-        Form::Bursts => Kind::Bursts,
-        Form::Log(_) => Kind::Csv,
-    };
-    kind.check(options, into)?;
-    let columns = match form {
-        Form::Bursts => 0,
-        Form::Log(columns) => columns,
-    };
-    let (bursts, is_csv): (Bursts, _) = match form {
-        Form::Bursts => {
-            let next = move || next_burst(&mut lines).transpose();
-            (Box::new(std::iter::from_fn(next)), false)
-        }
-        Form::Log(columns) => {
-            let mut rows = Rows::new(lines, columns, options.rows, false)?;
-            let next = move || next_row(&mut rows).transpose();
-            (Box::new(std::iter::from_fn(next)), true)
-        }
-    };
-    Ok(Found {
+    let table = |bursts: Bursts| Input {
         config: Config::DEFAULT,
         mount: None,
         part: &Part::MPU_6050,
         bursts,
         bursts_lost: 0,
         damaged_pieces: 0,
-        has_truth: columns > SHORTEST_LOG + if has_compass(columns) { 3 } else { 0 },
-        has_readings: has_compass(columns),
+        has_truth: false,
+        has_readings: false,
         delay_us: 0,
-        is_csv,
+        is_csv: false,
+    };
+    match form {
+        Form::Bursts => {
+            Kind::Bursts.check(options, into)?;
+            let next = move || next_burst(&mut lines).transpose();
+            Ok(table(Box::new(std::iter::from_fn(next))))
+        }
+        Form::Log(columns) => {
+            Kind::Csv.check(options, into)?;
+            let mut rows = Rows::new(lines, columns, options.rows, false)?;
+            let next = move || next_row(&mut rows).transpose();
+            Ok(Input {
+                has_truth: has_truth(columns),
+                has_readings: has_compass(columns),
+                is_csv: true,
+                ..table(Box::new(std::iter::from_fn(next)))
+            })
+        }
+    }
+}
+
+/// Opens a flight of a flight log.
+fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
+    let path = &options.input;
+    Kind::FlightLog.check(options, into)?;
+    let log = flight_log::read(path)?;
+    let at = |reason: String| format!("{}: {reason}", path.display());
+    let flight = log.flight(options.flight).map_err(at)?;
+    let first = flight
+        .configuration
+        .as_ref()
+        .ok_or_else(|| at("there is no configuration in it".to_owned()))?;
+    let steps = log.steps(flight)?;
+    let Settings { part, sensor, .. } = first.settings;
+    let part_us = part.gyroscope_delay_us(sensor.low_pass).into();
+    Ok(Input {
+        config: sensor,
+        mount: Some(first.settings.mount()),
+        part,
+        bursts: Box::new(steps.map(|step| {
+            Ok(Recorded {
+                burst: step.numbered.burst,
+                flags: step.numbered.flags,
+                reading: step.reading,
+                clipped_values: 0,
+            })
+        })),
+        bursts_lost: flight.lost(),
+        damaged_pieces: log.counts.damaged,
+        has_truth: false,
+        has_readings: flight.readings > 0,
+        delay_us: first.settings.sensor_delay_us.unwrap_or(part_us),
+        is_csv: false,
     })
 }
 

@@ -8,7 +8,7 @@ use aplomb::serialize::StateReader;
 use aplomb::telemetry::log::{Configuration, HeadingState, NumberedBurst, TimedHeading};
 use aplomb_recordings::flight_log::{Flight, FlightLog, Step, Steps};
 
-use crate::device::{Device, FilterName};
+use crate::any_pipeline::{AnyPipeline, FilterName};
 
 /// Agreement of a replay with its flight.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
@@ -36,7 +36,7 @@ pub struct Agreement {
 /// Replay of a flight, burst by burst.
 pub struct Replay {
     steps: Steps,
-    device: Device,
+    pipeline: AnyPipeline,
     settings: Settings,
     /// Number of the last burst.
     last: Option<u32>,
@@ -64,7 +64,7 @@ impl Replay {
         let is_revision = first.revision == REVISION;
         Ok(Self {
             steps: log.steps(flight)?,
-            device: Device::for_bursts(filter, &first.settings),
+            pipeline: AnyPipeline::for_bursts(filter, &first.settings),
             settings: first.settings,
             last: None,
             is_exact: false,
@@ -97,7 +97,7 @@ impl Replay {
             self.restore(&step);
         }
         // The log does not hold the module's checks of the full scales. Only VALID depends on them.
-        let snapshot = self.device.update(&burst, flags);
+        let snapshot = self.pipeline.update(&burst, flags);
         self.agreement.bursts += 1;
         if self.is_exact {
             self.agreement.exact += 1;
@@ -120,7 +120,7 @@ impl Replay {
     /// Continues from the states of the flight before this burst, if they are complete.
     fn restore(&mut self, step: &Step) {
         if let Some(state) = &step.state
-            && let Some(pipeline) = self.device.kalman_mut()
+            && let Some(pipeline) = self.pipeline.kalman_mut()
         {
             let mut restored = *pipeline;
             let mut reader = StateReader::new(state);
@@ -138,7 +138,7 @@ impl Replay {
             let mut reader = StateReader::new(state);
             restored.visit_state(&mut reader);
             if reader.is_complete() {
-                self.device.restore_heading(restored.filter);
+                self.pipeline.restore_heading(restored.filter);
                 self.next_reading = Some(restored.next_reading);
                 self.is_heading_exact = self.is_exact;
             }
@@ -155,12 +155,12 @@ impl Replay {
         };
         self.is_heading_exact = is_known && reading.sample_t_us == t_us;
         self.next_reading = Some(reading.number.wrapping_add(1));
-        self.device.take_reading(reading);
+        self.pipeline.take_reading(reading);
     }
 
     /// Returns the pipeline.
-    pub fn device(&self) -> &Device {
-        &self.device
+    pub fn pipeline(&self) -> &AnyPipeline {
+        &self.pipeline
     }
 
     /// Returns the agreement with the flight so far.
@@ -180,7 +180,7 @@ impl Replay {
         if *settings != self.settings {
             self.is_exact = false;
             self.is_heading_exact = false;
-            self.device.set_calibration(settings);
+            self.pipeline.set_calibration(settings);
             self.settings = *settings;
         }
     }
@@ -191,7 +191,7 @@ impl Replay {
             let (offset_rad, sigma_rad) = (heading.yaw_offset_rad, heading.sigma_rad);
             (offset_rad.to_bits(), sigma_rad.to_bits(), heading.is_valid)
         };
-        if flown.estimate.map(bits) != self.device.heading().map(bits) {
+        if flown.estimate.map(bits) != self.pipeline.heading().map(bits) {
             self.agreement.heading_different += 1;
             self.agreement.first_difference_us.get_or_insert(flown.t_us);
         }

@@ -207,12 +207,7 @@ mod linux {
                 )
             })?;
             let at_bus = |reason: String| {
-                let number: String = path
-                    .to_string_lossy()
-                    .chars()
-                    .filter(char::is_ascii_digit)
-                    .collect();
-                let number = number.chars().last().unwrap_or('1');
+                let number = bus_number(path);
                 format!(
                     "{}: {reason}; `i2cdetect -y {number}` (package i2c-tools) lists what answers",
                     path.display()
@@ -230,6 +225,15 @@ mod linux {
                 }
             }
         }
+    }
+
+    /// Returns the number of a bus, as `i2cdetect` takes it: 11 for /dev/i2c-11. A device with
+    /// another name is passed as it is.
+    fn bus_number(path: &Path) -> String {
+        let name = path.to_string_lossy();
+        let number = name.rsplit_once('-').map(|(_, number)| number);
+        let is_number = |text: &&str| text.parse::<u32>().is_ok();
+        number.filter(is_number).unwrap_or(&name).to_owned()
     }
 
     /// Returns what helps if a bus cannot be opened.
@@ -366,6 +370,23 @@ mod linux {
 
         fn is_polled(&self) -> bool {
             true
+        }
+    }
+
+    #[cfg(test)]
+    mod tests {
+        use super::*;
+
+        #[test]
+        fn the_number_of_a_bus_is_the_whole_one() {
+            for (path, number) in [
+                ("/dev/i2c-1", "1"),
+                ("/dev/i2c-0", "0"),
+                ("/dev/i2c-11", "11"),
+                ("/dev/sensors", "/dev/sensors"),
+            ] {
+                assert_eq!(bus_number(Path::new(path)), number, "{path}");
+            }
         }
     }
 }

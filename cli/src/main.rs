@@ -1,27 +1,30 @@
 //! `aplomb`: shows and records a module, replays recordings through the library, draws, converts
 //! and simulates them, and finds calibrations.
 
+mod any_pipeline;
 mod bring_up;
 mod calibrate;
 mod completions;
 mod convert;
-mod device;
+mod count_options;
+mod end_request;
 mod flight_replay;
 mod i2c;
-mod input;
+mod link;
 mod measure;
 mod plot;
 mod poses;
 mod progress;
-mod reading;
+mod read_options;
 mod record;
 mod replay;
 mod sampler;
 mod simulate;
 mod source;
+mod stream;
 mod talk;
+mod vibration_monitor;
 mod view;
-mod watched;
 
 use std::process::ExitCode;
 

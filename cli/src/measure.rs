@@ -7,8 +7,9 @@ use std::time::Duration;
 use aplomb_recordings::terminal::print_line;
 use serde::Serialize;
 
-use crate::talk::{Talk, field, numbers};
-use crate::view::{BAUD, which_port};
+use crate::link::{BAUD, which_port};
+use crate::stream::{field, numbers};
+use crate::talk::Talk;
 
 /// Figures of the virtual board, as `cargo xtask results` has written them.
 const RESULTS: &str = include_str!("virtual_board.toml");

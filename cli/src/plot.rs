@@ -18,9 +18,9 @@ use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
 
 use crate::progress;
-use crate::reading::{Kind, Reading};
+use crate::read_options::{Kind, ReadOptions};
 use crate::source::Source;
-use crate::watched::Watched;
+use crate::vibration_monitor::VibrationMonitor;
 use figure::Figure;
 use truth::{Table, TruthFile};
 
@@ -39,7 +39,7 @@ use truth::{Table, TruthFile};
   aplomb plot recording.csv.gz --filter classic --output classic.svg")]
 pub struct Options {
     #[command(flatten)]
-    reading: Reading,
+    reading: ReadOptions,
     /// A file with the true attitudes at the same times: the truth.csv of a flight, or a log with
     /// truth
     #[arg(long, value_name = "FILE")]
@@ -134,7 +134,7 @@ impl Options {
             Some(path) => Some(TruthFile::open(path, mount)?),
             None => None,
         };
-        let mut source = Watched::new(source);
+        let mut source = VibrationMonitor::new(source);
         let figure = Figure::read(&mut source, mount, truth.as_mut())?;
         for warning in source.warnings() {
             print_line(&warning);

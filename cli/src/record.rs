@@ -9,8 +9,10 @@ use std::time::{Duration, Instant};
 
 use aplomb_recordings::output::{cannot_write, check_writable};
 
+use crate::end_request::end_request;
 use crate::i2c::I2cOptions;
-use crate::view::{BAUD, Decoder, Item, LOG_BAUD, Link, Report, end_request, which_port};
+use crate::link::{BAUD, LOG_BAUD, Link, Report, which_port};
+use crate::stream::{Decoder, Item, field};
 
 /// Longest time until the module answers a command.
 const ANSWER: Duration = Duration::from_secs(2);
@@ -124,7 +126,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if bytes == 0 {
         return Err(format!("nothing has come at {baud} baud").into());
     }
-    if counts.readings + counts.bursts == 0 {
+    if counts.attitudes + counts.bursts == 0 {
         let output = options.output.display();
         return Err(format!(
             "nothing of it could be read at {baud} baud: was that the rate? \
@@ -191,8 +193,8 @@ enum Stage {
     Listening,
 }
 
-/// Requested flight log.
-struct Log {
+/// Request for a flight log, and its progress.
+struct LogRequest {
     stage: Stage,
     since: Instant,
     /// Decoder of the answers before the recording begins, or between its parts.
@@ -221,7 +223,7 @@ struct Recorder<'a> {
     gaps: u32,
     is_away: bool,
     started: Instant,
-    log: Option<Log>,
+    log: Option<LogRequest>,
 }
 
 impl Recorder<'_> {
@@ -345,10 +347,8 @@ impl Recorder<'_> {
         };
         match (log.stage, text.strip_prefix("ok ")) {
             (Stage::Asked, Some(answer)) if answer.starts_with("show:") => {
-                let mut fields = answer.split(' ');
-                let format = fields.find_map(|field| field.strip_prefix("format="));
-                log.format
-                    .get_or_insert_with(|| format.unwrap_or("text").to_owned());
+                let format = field(answer, "format").unwrap_or("text");
+                log.format.get_or_insert_with(|| format.to_owned());
                 log.is_changed = true;
                 if self.options.baud == LOG_BAUD {
                     self.command_log();
@@ -377,7 +377,7 @@ impl Recorder<'_> {
     /// Asks the module for its format, at its own baud rate.
     fn ask_for_log(&mut self) {
         let now = Instant::now();
-        let log = self.log.get_or_insert_with(|| Log {
+        let log = self.log.get_or_insert_with(|| LogRequest {
             stage: Stage::Asked,
             since: now,
             talk: Decoder::default(),
@@ -472,7 +472,7 @@ impl Recorder<'_> {
     /// Restores the module's format and baud rate.
     fn leave(&self) -> Result<(), String> {
         match &self.log {
-            Some(Log {
+            Some(LogRequest {
                 is_changed: true,
                 format: Some(format),
                 ..
@@ -522,7 +522,13 @@ impl Recorder<'_> {
             self.bytes
         );
         if let Some(format) = self.decoder.format() {
-            write!(text, " of {}: {} attitudes", format.name(), counts.readings).ok();
+            write!(
+                text,
+                " of {}: {} attitudes",
+                format.name(),
+                counts.attitudes
+            )
+            .ok();
         }
         if counts.bursts > 0 {
             write!(text, ", {} bursts", counts.bursts).ok();

@@ -23,12 +23,12 @@ use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::score::{Errors, Score, up_in_sensor};
 use aplomb_recordings::terminal::print_line;
 
-use crate::device::FilterName;
+use crate::any_pipeline::FilterName;
 use crate::flight_replay::Agreement;
 use crate::progress;
-use crate::reading::Reading;
+use crate::read_options::ReadOptions;
 use crate::source::{Point, Source};
-use crate::watched::Watched;
+use crate::vibration_monitor::VibrationMonitor;
 
 /// First line of the output.
 const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
@@ -62,7 +62,7 @@ different, revision_flown, and with a compass in it compass with readings, readi
 heading_exact, heading_compared, heading_different.")]
 pub struct Options {
     #[command(flatten)]
-    reading: Reading,
+    reading: ReadOptions,
     /// Write the attitudes to this file; zipped if its name ends with .gz
     #[arg(long, value_name = "OUT.csv")]
     output: Option<PathBuf>,
@@ -250,7 +250,7 @@ fn replay(
     source: &mut dyn Source,
 ) -> Result<Summary, Box<dyn Error>> {
     let input = &options.reading.input;
-    let mut source = Watched::new(source);
+    let mut source = VibrationMonitor::new(source);
     let mut output = match &options.output {
         Some(path) => Some(Attitudes::create(path, input)?),
         None => None,

@@ -181,12 +181,12 @@ impl Write for Bytes {
 }
 
 #[cfg(test)]
-#[path = "../../models/tests/bench/mod.rs"]
-mod bench;
+#[path = "../../models/tests/ideal_bus/mod.rs"]
+mod ideal_bus;
 
 #[cfg(test)]
 mod tests {
-    use super::bench::Bench;
+    use super::ideal_bus::IdealBus;
     use super::*;
     use aplomb::mpu6050::Part;
     use aplomb_models::motion::rest::Rest;
@@ -195,7 +195,7 @@ mod tests {
     use embedded_hal::i2c::{ErrorKind, ErrorType, NoAcknowledgeSource, Operation};
 
     /// Edges of the modelled sensor's clock, at 200 Hz.
-    struct Played(Bench);
+    struct Played(IdealBus);
 
     impl Edges for Played {
         fn wait(&mut self) -> Result<u64, String> {
@@ -213,7 +213,7 @@ mod tests {
     }
 
     /// Bus that fails in some transfers, counted from the first burst.
-    struct Faulty<F>(Bench, u32, F);
+    struct Faulty<F>(IdealBus, u32, F);
 
     impl<F> ErrorType for Faulty<F> {
         type Error = ErrorKind;
@@ -249,7 +249,7 @@ mod tests {
         }
     }
 
-    type Sampled<F> = Sampler<Faulty<F>, Bench, Played>;
+    type Sampled<F> = Sampler<Faulty<F>, IdealBus, Played>;
 
     fn sampler<F: Fn(u32) -> bool>(
         address: u8,
@@ -260,9 +260,9 @@ mod tests {
             address,
             ..SensorConfig::new(1)
         };
-        let bench = Bench::new(config, Rest::level());
-        let edges = Played(bench.clone());
-        Sampler::new(Faulty(bench.clone(), 0, fails), bench, edges, settings)
+        let bus = IdealBus::new(config, Rest::level());
+        let edges = Played(bus.clone());
+        Sampler::new(Faulty(bus.clone(), 0, fails), bus, edges, settings)
     }
 
     #[test]

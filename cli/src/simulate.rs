@@ -18,7 +18,7 @@ use aplomb_recordings::simulated_compass::{COMPASS_DELAY_US, SimulatedCompass};
 use aplomb_recordings::terminal::print_line;
 
 use crate::progress;
-use crate::reading::compass_knowledge;
+use crate::read_options::compass_knowledge;
 use aplomb_recordings::units::knowledge;
 
 /// Seed without `--seed`. The filter was tuned on smaller seeds.

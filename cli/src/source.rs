@@ -26,7 +26,7 @@ use aplomb_recordings::score::START_US;
 use aplomb_recordings::turns::Turns;
 use aplomb_recordings::units::RowOptions;
 
-use crate::device::{Device, FilterName};
+use crate::any_pipeline::{AnyPipeline, FilterName};
 use crate::flight_replay::{Agreement, Replay};
 
 /// Attitude at one row, with its truth.
@@ -64,15 +64,15 @@ impl Point {
     }
 
     /// Returns the point of a snapshot, without its truth.
-    fn new(device: &Device, snapshot: &Snapshot, t_us: i64) -> Self {
+    fn new(pipeline: &AnyPipeline, snapshot: &Snapshot, t_us: i64) -> Self {
         Self {
             t_us,
             attitude: snapshot.attitude,
             body_rates_rad_s: snapshot.body_rates_rad_s,
-            tilt_sigma_rad: device.tilt_sigma_rad(snapshot),
-            heading: device.heading(),
+            tilt_sigma_rad: pipeline.tilt_sigma_rad(snapshot),
+            heading: pipeline.heading(),
             flags: snapshot.flags,
-            specific_force_m_s2: Some(device.specific_force_m_s2()),
+            specific_force_m_s2: Some(pipeline.specific_force_m_s2()),
             truth: None,
             counts: false,
         }
@@ -128,12 +128,12 @@ pub struct CompassOptions {
 }
 
 /// Rows of a log through the pipeline, as samples in SI units.
-pub struct Log {
+pub struct LogSource {
     rows: Rows,
     options: LogOptions,
     /// Rows that were read ahead.
     ahead: VecDeque<LogRow>,
-    device: Device,
+    pipeline: AnyPipeline,
     plateaus: Plateaus,
     turns: Turns,
     has_warned: bool,
@@ -150,7 +150,7 @@ struct LogRow {
     counts: bool,
 }
 
-impl Log {
+impl LogSource {
     /// Starts a log after its header. The first rows show the usual time between rows: a longer
     /// one is a pause.
     pub fn new(lines: Lines, options: LogOptions) -> Result<Self, Box<dyn Error>> {
@@ -166,7 +166,7 @@ impl Log {
             rows,
             options,
             ahead: VecDeque::new(),
-            device: Device::for_samples(options.filter, &settings, options.delay_us),
+            pipeline: AnyPipeline::for_samples(options.filter, &settings, options.delay_us),
             plateaus: Plateaus::default(),
             turns: Turns::default(),
             has_warned: false,
@@ -178,16 +178,16 @@ impl Log {
         }
         let times_us: Vec<i64> = log.ahead.iter().map(|row| row.t_us).collect();
         settings.sensor.sample_rate_divider = sample_rate_divider(&times_us);
-        log.device = Device::for_samples(options.filter, &settings, options.delay_us);
+        log.pipeline = AnyPipeline::for_samples(options.filter, &settings, options.delay_us);
         let knowledge = options.accelerometer.unwrap_or(match options.ranges {
             Some(_) => AccelerometerKnowledge::Factory,
             None => AccelerometerKnowledge::Calibrated,
         });
-        log.device.set_accelerometer_knowledge(knowledge);
+        log.pipeline.set_accelerometer_knowledge(knowledge);
         if has_compass(options.columns) {
             let compass = options.compass;
-            let device = &mut log.device;
-            device.add_compass(compass.knowledge, compass.declination_rad);
+            let pipeline = &mut log.pipeline;
+            pipeline.add_compass(compass.knowledge, compass.declination_rad);
         }
         Ok(log)
     }
@@ -228,7 +228,7 @@ impl Log {
     }
 }
 
-impl Log {
+impl LogSource {
     /// Reports once, on standard error, rates that do not fit the force.
     fn warn(&mut self) {
         if !std::mem::replace(&mut self.has_warned, true)
@@ -263,7 +263,7 @@ impl LogOptions {
     }
 }
 
-impl Source for Log {
+impl Source for LogSource {
     fn warnings(&self) -> Vec<String> {
         self.plateaus.message().into_iter().collect()
     }
@@ -274,27 +274,27 @@ impl Source for Log {
             None => self.read()?,
         };
         Ok(row.map(|row| {
-            let snapshot = self.device.update_sample(&row.sample);
+            let snapshot = self.pipeline.update_sample(&row.sample);
             if let Some(field) = row.field {
                 let delay_us = self.options.compass.delay_us;
-                self.device.update_field(field, delay_us);
+                self.pipeline.update_field(field, delay_us);
             }
             Point {
                 truth: row.truth,
                 counts: row.counts,
-                ..Point::new(&self.device, &snapshot, row.t_us)
+                ..Point::new(&self.pipeline, &snapshot, row.t_us)
             }
         }))
     }
 }
 
 /// Bursts through the whole pipeline.
-pub struct Bursts {
+pub struct BurstSource {
     lines: Lines,
-    device: Device,
+    pipeline: AnyPipeline,
 }
 
-impl Bursts {
+impl BurstSource {
     /// Starts bursts after their header. `delay_us` replaces the delay of the low-pass filter.
     pub fn new(
         lines: Lines,
@@ -309,17 +309,17 @@ impl Bursts {
         settings.sensor = config;
         Self {
             lines,
-            device: Device::for_bursts(filter, &settings),
+            pipeline: AnyPipeline::for_bursts(filter, &settings),
         }
     }
 
     /// Sets what is known of the accelerometer's offset. Default: nothing.
     pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
-        self.device.set_accelerometer_knowledge(knowledge);
+        self.pipeline.set_accelerometer_knowledge(knowledge);
     }
 }
 
-impl Source for Bursts {
+impl Source for BurstSource {
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
         let Some(line) = self.lines.next_line()? else {
             return Ok(None);
@@ -328,17 +328,17 @@ impl Source for Bursts {
             bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
-        let snapshot = self.device.update(&burst, flags);
-        Ok(Some(Point::new(&self.device, &snapshot, t_us)))
+        let snapshot = self.pipeline.update(&burst, flags);
+        Ok(Some(Point::new(&self.pipeline, &snapshot, t_us)))
     }
 }
 
 /// Flight of a flight log through the whole pipeline.
-pub struct Logged {
+pub struct FlightSource {
     replay: Replay,
 }
 
-impl Logged {
+impl FlightSource {
     /// Starts the replay of a flight.
     pub fn new(log: &FlightLog, flight: &Flight, filter: FilterName) -> Result<Self, String> {
         let replay = Replay::new(log, flight, filter)?;
@@ -347,7 +347,7 @@ impl Logged {
 
     /// Returns the mount of the sensor.
     pub fn mount(&self) -> Mount {
-        self.replay.device().settings().mount()
+        self.replay.pipeline().settings().mount()
     }
 
     /// Returns the agreement with the flight so far.
@@ -356,13 +356,13 @@ impl Logged {
     }
 }
 
-impl Source for Logged {
+impl Source for FlightSource {
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
         let Some(snapshot) = self.replay.next() else {
             return Ok(None);
         };
         let t_us = i64::try_from(snapshot.t_us)?;
-        Ok(Some(Point::new(self.replay.device(), &snapshot, t_us)))
+        Ok(Some(Point::new(self.replay.pipeline(), &snapshot, t_us)))
     }
 }
 

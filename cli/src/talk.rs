@@ -3,7 +3,8 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use crate::view::{Decoder, Item, Link, Report};
+use crate::link::{Link, Report};
+use crate::stream::{Decoder, Item};
 
 /// Longest time from a command to its answer.
 const ANSWER: Duration = Duration::from_secs(2);
@@ -121,19 +122,4 @@ impl Talk {
         let seconds = within.as_secs();
         Ok(ended.unwrap_or_else(|| Err(format!("no end of `{command}` within {seconds} s"))))
     }
-}
-
-/// Returns the value of a field `name=value` in an answer.
-pub fn field<'a>(answer: &'a str, name: &str) -> Option<&'a str> {
-    let fields = answer.split(' ');
-    let mut values = fields.filter_map(|field| field.split_once('='));
-    values.find_map(|(key, value)| (key == name).then_some(value))
-}
-
-/// Returns the numbers of a field `name=1,2,3`; none if the field is missing.
-pub fn numbers(answer: &str, name: &str) -> Vec<f64> {
-    let values = field(answer, name)
-        .into_iter()
-        .flat_map(|text| text.split(','));
-    values.filter_map(|number| number.parse().ok()).collect()
 }

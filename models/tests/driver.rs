@@ -4,7 +4,7 @@
 //! Neither shares code with the other, so a wrong register, bit, scale, rate or delay in one of
 //! them shows here.
 
-mod bench;
+mod ideal_bus;
 
 use aplomb::mpu6050::{
     AccelerometerRange, Config, Error, GyroscopeRange, LowPass, Mpu6050, PARTS, RawSample,
@@ -13,13 +13,13 @@ use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::swing::Swing;
 use aplomb_models::motion::{Motion, Quaternion, Truth};
 use aplomb_models::sensor::{ClockErrors, DataReady, SensorConfig, SensorErrors};
-use bench::Bench;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, Operation};
+use ideal_bus::IdealBus;
 
 /// Returns the time of the last burst's sample, by the model's own account, s.
-fn time_of_last_burst_s(bench: &Bench, edges: &[DataReady]) -> f64 {
-    let burst = *bench.0.borrow_mut().0.take_bursts().last().unwrap();
+fn time_of_last_burst_s(bus: &IdealBus, edges: &[DataReady]) -> f64 {
+    let burst = *bus.0.borrow_mut().0.take_bursts().last().unwrap();
     let edge = edges
         .iter()
         .find(|edge| Some(edge.index) == burst.edge)
@@ -53,9 +53,9 @@ fn perfect() -> SensorConfig {
     }
 }
 
-fn configured(bench: &Bench, config: &Config) -> Mpu6050<Bench> {
-    let mut driver = Mpu6050::probe(bench.clone(), &mut bench.clone()).unwrap();
-    driver.configure(config, &mut bench.clone()).unwrap();
+fn configured(bus: &IdealBus, config: &Config) -> Mpu6050<IdealBus> {
+    let mut driver = Mpu6050::probe(bus.clone(), &mut bus.clone()).unwrap();
+    driver.configure(config, &mut bus.clone()).unwrap();
     driver
 }
 
@@ -69,13 +69,13 @@ fn every_part_is_found_configured_and_read_at_either_address_on_every_seed() {
             errors: SensorErrors::none(),
             ..SensorConfig::new(seed)
         };
-        let bench = Bench::new(sensor, Rest::level());
-        let mut driver = configured(&bench, &Config::default());
+        let bus = IdealBus::new(sensor, Rest::level());
+        let mut driver = configured(&bus, &Config::default());
         assert_eq!(
             (driver.part().who_am_i, driver.address()),
             (part.who_am_i, address)
         );
-        bench.clone().delay_ms(100);
+        bus.clone().delay_ms(100);
         let sample = RawSample::decode(&driver.read_burst(0).unwrap().bytes);
         assert_eq!(sample.accelerometer.0, [0, 0, 2048], "{}", part.name);
         let temperature_c = sample.temperature.to_celsius(part);
@@ -85,10 +85,10 @@ fn every_part_is_found_configured_and_read_at_either_address_on_every_seed() {
             part.name
         );
         // 1 kHz within the clock's tolerance.
-        bench.take_edges();
-        bench.clone().delay_ms(1000);
+        bus.take_edges();
+        bus.clone().delay_ms(1000);
         assert!(
-            (990..=1010).contains(&bench.take_edges().len()),
+            (990..=1010).contains(&bus.take_edges().len()),
             "{}",
             part.name
         );
@@ -104,11 +104,11 @@ fn every_setting_has_the_scale_the_rate_and_the_delay_that_the_driver_says() {
                 .with_gyroscope_range(GyroscopeRange::ALL[range])
                 .with_low_pass(low_pass)
                 .with_sample_rate_divider(range as u8 * 3);
-            let bench = Bench::new(perfect(), Ramp);
-            let mut driver = configured(&bench, &config);
-            bench.clone().delay_ms(4000);
+            let bus = IdealBus::new(perfect(), Ramp);
+            let mut driver = configured(&bus, &config);
+            bus.clone().delay_ms(4000);
             let burst = driver.read_burst(0).unwrap();
-            let edges = bench.take_edges();
+            let edges = bus.take_edges();
             let last = edges.last().unwrap();
             let period_s = (last.time_ns - edges[edges.len() - 2].time_ns) as f64 * 1e-9;
             assert!(
@@ -119,7 +119,7 @@ fn every_setting_has_the_scale_the_rate_and_the_delay_that_the_driver_says() {
             let sample = RawSample::decode(&burst.bytes);
             let rates = sample.gyroscope.to_rad_s(config.gyroscope_range);
             let force = sample.accelerometer.to_m_s2(config.accelerometer_range);
-            let elapsed_s = time_of_last_burst_s(&bench, &edges) - ZERO_S;
+            let elapsed_s = time_of_last_burst_s(&bus, &edges) - ZERO_S;
             // Chip face up: the sensor's y and z are the body's, reversed.
             let signs = [1.0, -1.0, -1.0];
             let check = |measured: [f32; 3], slopes: [f64; 3], delay_us: u16, resolution: f64| {
@@ -168,10 +168,8 @@ fn strangers_and_absence_are_told_apart() {
         who_am_i: 0x12,
         ..perfect()
     };
-    let bench = Bench::new(stranger, Rest::level());
-    let failure = Mpu6050::probe(bench.clone(), &mut bench.clone())
-        .err()
-        .unwrap();
+    let bus = IdealBus::new(stranger, Rest::level());
+    let failure = Mpu6050::probe(bus.clone(), &mut bus.clone()).err().unwrap();
     assert!(matches!(
         failure.error,
         Error::UnknownIdentity {
@@ -183,19 +181,17 @@ fn strangers_and_absence_are_told_apart() {
         address: 0x1E,
         ..perfect()
     };
-    let bench = Bench::new(elsewhere, Rest::level());
-    let failure = Mpu6050::probe(bench.clone(), &mut bench.clone())
-        .err()
-        .unwrap();
+    let bus = IdealBus::new(elsewhere, Rest::level());
+    let failure = Mpu6050::probe(bus.clone(), &mut bus.clone()).err().unwrap();
     assert!(matches!(failure.error, Error::NotFound));
 }
 
 #[test]
 fn the_self_test_passes_on_every_chip_within_the_datasheet_and_says_its_deviations() {
     for seed in 0..20 {
-        let bench = Bench::new(SensorConfig::new(seed), Rest::level());
-        let mut driver = configured(&bench, &Config::default());
-        let test = driver.self_test(&mut bench.clone()).unwrap();
+        let bus = IdealBus::new(SensorConfig::new(seed), Rest::level());
+        let mut driver = configured(&bus, &Config::default());
+        let test = driver.self_test(&mut bus.clone()).unwrap();
         assert_eq!(test.has_passed(), Some(true), "{seed}: {test}");
         assert!(!test.has_moved, "{seed}: {test}");
         // The model ages each axis by up to 10 %, and has its own table of the trims.
@@ -208,9 +204,9 @@ fn the_self_test_passes_on_every_chip_within_the_datasheet_and_says_its_deviatio
         assert!((0.001..0.12).contains(&largest), "{seed}: {test}");
         // The sensor is as usable as before.
         driver
-            .configure(&Config::default(), &mut bench.clone())
+            .configure(&Config::default(), &mut bus.clone())
             .unwrap();
-        bench.clone().delay_ms(100);
+        bus.clone().delay_ms(100);
         let sample = RawSample::decode(&driver.read_burst(0).unwrap().bytes);
         assert!(
             (1900..2200).contains(&sample.accelerometer.0[2]),
@@ -223,9 +219,9 @@ fn the_self_test_passes_on_every_chip_within_the_datasheet_and_says_its_deviatio
 fn a_self_test_in_motion_names_the_motion() {
     let mut failures = 0;
     for seed in 0..10 {
-        let bench = Bench::new(SensorConfig::new(seed), Swing::by_seed(seed, 0.0));
-        let mut driver = configured(&bench, &Config::default());
-        let test = driver.self_test(&mut bench.clone()).unwrap();
+        let bus = IdealBus::new(SensorConfig::new(seed), Swing::by_seed(seed, 0.0));
+        let mut driver = configured(&bus, &Config::default());
+        let test = driver.self_test(&mut bus.clone()).unwrap();
         assert!(test.has_moved, "{seed}: {test}");
         if test.has_passed() == Some(false) {
             failures += 1;
@@ -247,9 +243,9 @@ fn a_chip_without_self_test_says_so_and_does_not_fail() {
             has_self_test,
             ..SensorConfig::new(3)
         };
-        let bench = Bench::new(sensor, Rest::level());
-        let mut driver = configured(&bench, &Config::default());
-        let test = driver.self_test(&mut bench.clone()).unwrap();
+        let bus = IdealBus::new(sensor, Rest::level());
+        let mut driver = configured(&bus, &Config::default());
+        let test = driver.self_test(&mut bus.clone()).unwrap();
         assert_eq!(test.has_passed(), None, "{who_am_i:#04x}: {test}");
         assert!(test.to_string().contains("no factory trim"), "{test}");
     }
@@ -258,7 +254,7 @@ fn a_chip_without_self_test_says_so_and_does_not_fail() {
 #[test]
 fn an_axis_that_does_not_answer_fails_the_self_test() {
     /// The Y axis of the gyroscope is stuck: it does not feel its self-test.
-    struct Stuck(Bench);
+    struct Stuck(IdealBus);
     impl ErrorType for Stuck {
         type Error = ErrorKind;
     }
@@ -279,11 +275,11 @@ fn an_axis_that_does_not_answer_fails_the_self_test() {
             Ok(())
         }
     }
-    let bench = Bench::new(SensorConfig::new(4), Rest::level());
-    let mut driver = Mpu6050::probe(Stuck(bench.clone()), &mut bench.clone())
+    let bus = IdealBus::new(SensorConfig::new(4), Rest::level());
+    let mut driver = Mpu6050::probe(Stuck(bus.clone()), &mut bus.clone())
         .ok()
         .unwrap();
-    let test = driver.self_test(&mut bench.clone()).unwrap();
+    let test = driver.self_test(&mut bus.clone()).unwrap();
     assert_eq!(test.has_passed(), Some(false));
     assert_eq!(test.gyroscope[1].deviation(), Some(-1.0));
     assert!(test.to_string().contains("gyroscope x +"), "{test}");

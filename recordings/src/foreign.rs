@@ -1,12 +1,15 @@
 //! Files of other formats, by their first bytes.
 
+/// First bytes of a gzip file.
+pub(crate) const GZIP: [u8; 2] = [0x1F, 0x8B];
+
 /// First bytes of formats that are no table, with their names and the way to a table.
 const SIGNATURES: [(&[u8], &str); 10] = [
     (
         b"PK\x03\x04",
         "a ZIP archive or an Excel workbook: unpack it, or save the sheet as CSV",
     ),
-    (b"\x1F\x8B", "gzip inside gzip: unpack it once, with gunzip"),
+    (&GZIP, "gzip inside gzip: unpack it once, with gunzip"),
     (b"BZh", "a bzip2 file: unpack it with bunzip2"),
     (b"\xFD7zXZ\0", "an xz file: unpack it with unxz"),
     (

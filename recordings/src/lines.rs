@@ -8,7 +8,7 @@ use flate2::bufread::MultiGzDecoder;
 
 use crate::columns::Order;
 use crate::fault::{LONGEST_LINE, LogError, LogFault};
-use crate::foreign::format_of;
+use crate::foreign::{GZIP, format_of};
 use crate::quote::quote;
 
 /// Byte order mark: U+FEFF in UTF-8.
@@ -71,7 +71,7 @@ impl Lines {
 
     pub(crate) fn new(path: &Path, bytes: impl Read + 'static) -> io::Result<Self> {
         let mut bytes = BufReader::with_capacity(BUFFER_LENGTH, bytes);
-        let is_zipped = bytes.fill_buf()?.starts_with(&[0x1F, 0x8B]);
+        let is_zipped = bytes.fill_buf()?.starts_with(&GZIP);
         let text: Box<dyn BufRead> = if is_zipped {
             let unzipped = MultiGzDecoder::new(bytes);
             Box::new(BufReader::with_capacity(BUFFER_LENGTH, unzipped))

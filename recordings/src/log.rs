@@ -22,7 +22,7 @@ use std::path::Path;
 pub use crate::fault::{LogError, LogFault};
 use crate::form::header;
 pub use crate::lines::Lines;
-pub use crate::row::{Row, column_count, has_compass, parse_row};
+pub use crate::row::{Row, column_count, has_compass, has_truth, parse_row};
 pub use crate::rows::Rows;
 use crate::units::{BadRows, RowOptions};
 

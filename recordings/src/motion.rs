@@ -33,8 +33,12 @@ const FIRST_POSE_S: f64 = 0.3;
 /// Longest gap between two rows with a known truth between them, s.
 const TRUTH_GAP_S: f64 = 0.1;
 
-/// An earth with z up, in north-east-down: x stays north, y (left of it) becomes west, z becomes
-/// up. Half a turn about x.
+/// An earth with z up, in a motion's earth with z down: x stays, y and z turn around. Half a turn
+/// about x.
+///
+/// So the first axis of a motion, which its yaw starts from, is the x axis of the log. In a log
+/// with a compass that is east, and not north: [`simulated_compass`](crate::simulated_compass)
+/// turns it.
 const UP_TO_DOWN: Quaternion = Quaternion::new(0.0, 1.0, 0.0, 0.0);
 
 /// Returns the attitude (body → earth, north-east-down) of a log's truth (sensor → earth with z

@@ -223,8 +223,7 @@ mod tests {
         (0..(60.0 * RATE_HZ) as u32)
             .map(|row| {
                 let phase = f64::from(row) / RATE_HZ * 0.8 * std::f64::consts::TAU;
-                // The amplitude varies, as it does by hand.
-                // It begins at rest.
+                // It begins at rest. Then the amplitude varies, as it does by hand.
                 let amplitude = if row < 358 {
                     0.0
                 } else {

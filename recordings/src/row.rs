@@ -56,6 +56,12 @@ pub fn has_compass(columns: usize) -> bool {
     matches!(columns, 10 | 14 | 15)
 }
 
+/// Returns whether a log with this number of columns has those of a truth.
+#[must_use]
+pub fn has_truth(columns: usize) -> bool {
+    matches!(columns, 11 | 12 | 14 | 15)
+}
+
 /// Reads a row with this number of columns. Numbers may have any value, also infinite or NaN.
 ///
 /// # Errors
@@ -159,4 +165,22 @@ fn field(cells: [&str; 3]) -> Result<Option<Vector>, LogFault> {
         }
     }
     Ok(Some(field))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_number_of_columns_tells_which_groups_a_log_has() {
+        let sensor = "t_us,ax,ay,az,gx,gy,gz";
+        for compass in ["", ",mx,my,mz"] {
+            for truth in ["", ",qw,qx,qy,qz", ",qw,qx,qy,qz,mov"] {
+                let header = format!("{sensor}{compass}{truth}");
+                let columns = column_count(&header).expect("a log");
+                assert_eq!(has_compass(columns), !compass.is_empty(), "{header}");
+                assert_eq!(has_truth(columns), !truth.is_empty(), "{header}");
+            }
+        }
+    }
 }

@@ -12,7 +12,7 @@ use crate::checks::Reserved;
 use crate::crystal::HighSpeedInput;
 use crate::flash::SharedCells;
 use crate::mcu::Microcontroller;
-use crate::profile::{Profile, ProfiledProcessor, Rented, Request};
+use crate::profile::{PoolRequest, PooledProcessor, Profile, ProfiledProcessor};
 
 /// A board that the firmware can be built for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,8 +80,8 @@ pub struct Board {
     handlers: Vec<u32>,
     profile: Arc<Mutex<Profile>>,
     cells: SharedCells,
-    /// The garage that the processor comes from, if any.
-    garage: Option<Request>,
+    /// The pool that the processor comes from, if any.
+    pool: Option<PoolRequest>,
     has_memory_protection: bool,
 }
 
@@ -102,24 +102,24 @@ impl Board {
             handlers,
             profile,
             cells,
-            garage: None,
+            pool: None,
             has_memory_protection: true,
         }
     }
 
     /// Fits the memory protection unit if `is_fitted`. A core without it ignores its set-up, which
-    /// would drop all translated code of a garage.
+    /// would drop all translated code of a pool.
     #[must_use]
     pub fn memory_protection(mut self, is_fitted: bool) -> Self {
         self.has_memory_protection = is_fitted;
         self
     }
 
-    /// Takes the processor from a garage. Only for runs without an account of instructions: its
+    /// Takes the processor from a pool. Only for runs without an account of instructions: its
     /// breakpoints would stay.
     #[must_use]
-    pub fn garage(mut self, garage: Option<Request>) -> Self {
-        self.garage = garage;
+    pub fn pool(mut self, pool: Option<PoolRequest>) -> Self {
+        self.pool = pool;
         self
     }
 }
@@ -166,13 +166,13 @@ impl machine::Board for Board {
         let mut spec = core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, regions);
         let make = Arc::clone(&spec.processor);
         let (handlers, profile) = (self.handlers.clone(), Arc::clone(&self.profile));
-        let (cells, garage) = (self.cells.clone(), self.garage.clone());
+        let (cells, pool) = (self.cells.clone(), self.pool.clone());
         let checks = self.controller.checks().clone();
         let reserved = Reserved::of(self.controller.bus());
         spec.processor = Arc::new(move |endian| {
-            let processor = match &garage {
-                Some(request) => Rented::from_garage(request.clone(), || make(endian))?,
-                None => Rented::once(make(endian)?),
+            let processor = match &pool {
+                Some(request) => PooledProcessor::from_pool(request.clone(), || make(endian))?,
+                None => PooledProcessor::unpooled(make(endian)?),
             };
             Ok(Box::new(ProfiledProcessor::new(
                 processor,

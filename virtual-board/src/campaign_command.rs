@@ -14,7 +14,7 @@ use virtual_board::campaign::{self, Case, Coverage, Entry, Report, Table};
 use virtual_board::flight::Outcome;
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
-use virtual_board::profile::Garage;
+use virtual_board::profile::ProcessorPool;
 
 use super::subtitle;
 
@@ -78,7 +78,7 @@ pub fn faults(options: &Faults) -> Result<(), String> {
     }
     bar.set_position(flown.len() as u64);
     bar.reset_eta();
-    let (next, garage) = (AtomicU64::new(0), Arc::default());
+    let (next, pool) = (AtomicU64::new(0), Arc::default());
     let results = Mutex::new(results);
     std::thread::scope(|scope| {
         for _ in 0..jobs.max(1) {
@@ -90,7 +90,7 @@ pub fn faults(options: &Faults) -> Result<(), String> {
                     }
                     let seed = options.seed.wrapping_add(number);
                     if !flown.contains(&seed) {
-                        fly(options, seed, &garage, &results, &bar);
+                        fly(options, seed, &pool, &results, &bar);
                     }
                 }
             });
@@ -120,12 +120,12 @@ pub fn faults(options: &Faults) -> Result<(), String> {
 fn fly(
     options: &Faults,
     seed: u64,
-    garage: &Arc<Garage>,
+    pool: &Arc<ProcessorPool>,
     results: &Mutex<Results>,
     bar: &ProgressBar,
 ) {
     let case = Case::by_seed(seed);
-    let (report, outcome) = campaign::run(&case, garage, &options.elf);
+    let (report, outcome) = campaign::run(&case, pool, &options.elf);
     let record = outcome.as_ref().map(|outcome| &outcome.record);
     let steps = record.map_or(&[][..], |record| &record.steps_at_faults);
     let entry = Entry::new(seed, &report, steps);

@@ -28,8 +28,8 @@ use crate::image::Firmware;
 use crate::kit::Kit;
 use crate::mcu::{ChipIdentity, Microcontroller, SentByte, Terminal};
 use crate::probe::{LogLine, Probe};
-use crate::profile::{Garage, Profile, Purpose};
-use crate::recorder::{Nobody, Observer, Record, Recorder, Sample};
+use crate::profile::{PoolKey, ProcessorPool, Profile};
+use crate::recorder::{NoObserver, Observer, Record, Recorder, Sample};
 use crate::schedule::Schedule;
 use crate::script::Script;
 use crate::summary::Summary;
@@ -59,7 +59,7 @@ pub struct Run {
     has_probe: bool,
     steps_everything: bool,
     has_account: bool,
-    garage: Option<Arc<Garage>>,
+    pool: Option<Arc<ProcessorPool>>,
     has_memory_protection: bool,
     observer: Box<dyn Observer>,
 }
@@ -86,9 +86,9 @@ impl Run {
             has_probe: true,
             steps_everything: false,
             has_account: true,
-            garage: None,
+            pool: None,
             has_memory_protection: true,
-            observer: Box::new(Nobody),
+            observer: Box::new(NoObserver),
         }
     }
 
@@ -236,18 +236,18 @@ impl Run {
         self
     }
 
-    /// Flies on a core without the memory protection unit, as from a garage.
+    /// Flies on a core without the memory protection unit, as from a pool.
     #[must_use]
     pub fn without_memory_protection(mut self) -> Self {
         self.has_memory_protection = false;
         self
     }
 
-    /// Flies with a processor from this garage, so that the image is not translated again. Keeps no
+    /// Flies with a processor from this pool, so that the image is not translated again. Keeps no
     /// account of instructions. The core has no memory protection unit.
     #[must_use]
-    pub fn garage(mut self, garage: &Arc<Garage>) -> Self {
-        self.garage = Some(Arc::clone(garage));
+    pub fn pool(mut self, pool: &Arc<ProcessorPool>) -> Self {
+        self.pool = Some(Arc::clone(pool));
         self.has_memory_protection = false;
         self.has_account = false;
         self.steps_everything = false;
@@ -275,10 +275,10 @@ impl Run {
         });
         let profile = Arc::new(Mutex::new(self.profile()));
         let cells = SharedCells::new(self.flash.clone());
-        let garage = self.garage.take().map(|garage| {
+        let pool = self.pool.take().map(|pool| {
             let image = Arc::from(firmware.bytes.as_slice());
             let core_hz = self.board.core_hz;
-            (garage, Purpose { core_hz, image })
+            (pool, PoolKey { core_hz, image })
         });
         let board = Board::new(
             self.board,
@@ -287,7 +287,7 @@ impl Run {
             Arc::clone(&profile),
             cells.clone(),
         )
-        .garage(garage)
+        .pool(pool)
         .memory_protection(self.has_memory_protection);
         let probe = firmware
             .log_channel

@@ -1,5 +1,5 @@
-//! `virtual-board fly`: flies a firmware image on the virtual board and writes the results to a
-//! folder.
+//! `virtual-board`: flies a firmware image on the virtual board. `fly` writes the results of one
+//! flight to a folder, `faults` flies a campaign with random faults.
 
 mod campaign_command;
 mod live;
@@ -60,7 +60,7 @@ struct Fly {
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
     /// Replay a recording instead of the simulated flight: CSV, plain or gzip,
-    /// `t_us,ax,ay,az,gx,gy,gz[,qw,qx,qy,qz[,mov]]`.
+    /// `t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]`. Its compass is not replayed.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     #[command(flatten)]

@@ -39,7 +39,7 @@ pub fn png(outcome: &Outcome, labels: &Labels) -> Vec<u8> {
         color: SHADE,
         name: "at rest".into(),
     });
-    let (faults, lanes) = what_went_wrong(outcome);
+    let (faults, lanes) = faults_and_flags(outcome);
     let chart = Chart {
         width: SIZE.0,
         height: SIZE.1,
@@ -62,7 +62,7 @@ fn time_s(sample: &Sample) -> f64 {
 
 /// Returns the faults, and a lane for each flag that is ever set. Empty without a schedule of
 /// faults.
-fn what_went_wrong(outcome: &Outcome) -> (Vec<Shade>, Vec<Lane>) {
+fn faults_and_flags(outcome: &Outcome) -> (Vec<Shade>, Vec<Lane>) {
     if outcome.faults.is_empty() {
         return Default::default();
     }
@@ -113,7 +113,7 @@ fn spans(published: &[(u64, Flags)], flag: Flags, end_ns: u64) -> Vec<(f64, f64)
 
 /// The panels.
 fn panels(samples: &[Sample]) -> Vec<Panel> {
-    let heading_deg = heading_difference_deg(samples);
+    let shift_deg = yaw_difference_deg(samples);
     let angle = |name: &str, color: Color, index: usize, shift_deg: f64| {
         let (mut truth, mut estimate) = (Trace::of_angles(), Trace::of_angles());
         for sample in samples {
@@ -136,7 +136,7 @@ fn panels(samples: &[Sample]) -> Vec<Panel> {
     let mut panels = vec![
         angle("roll", FIRST, 0, 0.0),
         angle("pitch", SECOND, 1, 0.0),
-        angle("yaw, relative", THIRD, 2, heading_deg),
+        angle("yaw, relative", THIRD, 2, shift_deg),
     ];
     let errors = samples
         .iter()
@@ -150,7 +150,7 @@ fn panels(samples: &[Sample]) -> Vec<Panel> {
 
 /// Returns the angle to add to the true yaw so that it starts where the estimate does: the
 /// estimate's zero is the heading at rest.
-fn heading_difference_deg(samples: &[Sample]) -> f64 {
+fn yaw_difference_deg(samples: &[Sample]) -> f64 {
     let first = samples.iter().find_map(|sample| {
         let attitude = sample.edge?.truth.attitude?;
         let is_ready = !sample.snapshot.flags.contains(Flags::CALIBRATING);

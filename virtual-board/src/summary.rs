@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use aplomb::health::Flags;
+use aplomb::pipeline::Snapshot;
 use serde::Serialize;
 
 use crate::cycles::Work;
@@ -163,7 +164,7 @@ fn work(record: &Record) -> Option<Work> {
 #[must_use]
 pub fn inclination_deg(sample: &Sample) -> Option<f64> {
     let truth = sample.edge?.truth.attitude?;
-    Some(inclination_error_rad(estimate(sample), truth).to_degrees())
+    Some(inclination_error_rad(estimate(&sample.snapshot), truth).to_degrees())
 }
 
 /// The size of the error of a sample's valid heading in degrees, if the truth is known.
@@ -172,13 +173,13 @@ pub fn valid_heading_deg(sample: &Sample) -> Option<f64> {
     let truth = sample.edge?.truth.attitude?;
     let offset_rad = f64::from(sample.valid_heading()?.yaw_offset_rad);
     let to_north = Quaternion::from_rotation_vector([0.0, 0.0, offset_rad]);
-    let absolute = to_north.multiply(estimate(sample));
+    let absolute = to_north.multiply(estimate(&sample.snapshot));
     Some(heading_error_rad(absolute, truth).to_degrees().abs())
 }
 
-/// The published attitude.
-fn estimate(sample: &Sample) -> Quaternion {
-    let attitude = sample.snapshot.attitude;
+/// Returns the published attitude in the models' numbers.
+pub(crate) fn estimate(snapshot: &Snapshot) -> Quaternion {
+    let attitude = snapshot.attitude;
     Quaternion {
         w: f64::from(attitude.w),
         x: f64::from(attitude.x),

@@ -15,7 +15,7 @@ use virtual_board::campaign::Case;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
-use virtual_board::profile::Garage;
+use virtual_board::profile::ProcessorPool;
 use virtual_board::schedule::Schedule;
 
 fn fly(seconds: f64, schedule: &str) -> Outcome {
@@ -164,13 +164,13 @@ fn one_seed_of_faults_gives_the_same_files_every_time() {
 
 #[test]
 fn a_flight_with_a_used_processor_is_the_flight_with_a_new_one() {
-    let garage = Arc::new(Garage::default());
+    let pool = Arc::new(ProcessorPool::default());
     // The first seed warms the processor up. The classes of faults follow one another, resets of
     // the core among them.
     for seed in 7_000..7_021 {
         let case = Case::by_seed(seed);
         let cold = case.fly(&firmware()).unwrap();
-        let warm = case.fly_from(&garage, &firmware()).unwrap();
+        let warm = case.fly_pooled(&pool, &firmware()).unwrap();
         let trace = |outcome: &Outcome| format!("{:?}", outcome.record);
         assert!(trace(&cold) == trace(&warm), "seed {seed}");
         assert!(cold.uart_lines == warm.uart_lines, "seed {seed}");

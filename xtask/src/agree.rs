@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use crate::build::{self, Board, Firmware};
 use crate::setup::{self, Toolchain};
-use crate::{rigs, step};
+use crate::{recordings, rigs, step};
 
 /// Seconds of the simulated flight, from power-up to the middle of its manoeuvres.
 const SIMULATED_SECONDS: &str = "30";
@@ -20,9 +20,6 @@ const LOG_COMMANDS: &str = "0.5 baud 921600\n1.0 format log\n";
 const ROWS_BEFORE_STATES: usize = 500;
 /// The recorded trial: 141 s of walking about with the sensor in the hand.
 const RECORDING: &str = "tumvi/room1.csv.gz";
-/// Names the folder of recordings if it is not the usual one.
-pub const RECORDINGS_VARIABLE: &str = "APLOMB_RECORDINGS";
-const RECORDINGS: &str = "../shared/data";
 
 /// Builds what it takes, and does it.
 pub fn build_and_run() -> Result<(), String> {
@@ -50,28 +47,21 @@ pub fn run(toolchain: &Toolchain, virtual_board: &Path, elf: &Path) -> Result<()
     })
 }
 
-/// The folder of recordings, which need not exist.
-pub fn recordings() -> PathBuf {
-    match std::env::var_os(RECORDINGS_VARIABLE) {
-        Some(folder) => PathBuf::from(folder),
-        None => crate::root().join(RECORDINGS),
-    }
-}
-
 /// Returns the files of bursts.
 fn fly_and_replay(virtual_board: &Path, elf: &Path) -> Result<Vec<PathBuf>, String> {
     let aplomb = build::program()?;
     let simulated = ["--seconds", SIMULATED_SECONDS].map(str::to_owned);
     let mut flights = vec![("simulated", simulated.to_vec())];
-    let recording = recordings().join(RECORDING);
+    let recording = recordings::folder().join(RECORDING);
     if recording.is_file() {
         let path = recording.to_string_lossy().into_owned();
         flights.push(("recorded", vec!["--log".to_owned(), path]));
     } else {
         eprintln!(
             "   skipped: a recorded trial through board, replay and QEMU, as there is no {}; \
-             {RECORDINGS_VARIABLE} may name the folder of recordings",
-            recording.display()
+             {} may name the folder of recordings",
+            recording.display(),
+            recordings::VARIABLE
         );
     }
     let mut bursts = Vec::new();

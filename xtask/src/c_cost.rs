@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::c_library::{COMPILER, CORES, flash, library, program};
-use crate::{python, setup, step};
+use crate::{python, qemu, setup, step};
 
 /// Package and version of Fusion's source.
 const FUSION: &str = "imufusion";
@@ -78,18 +78,11 @@ fn fusion() -> Result<Option<PathBuf>, String> {
     if source.is_dir() {
         return Ok(Some(source));
     }
-    let Some(python) = python::python() else {
+    let Some(python) = python::find() else {
         eprintln!("   skipped: Fusion, because python3 with venv is not installed");
         return Ok(None);
     };
-    let mut pip = step::command(&python::own(&python)?);
-    pip.args([
-        "-m",
-        "pip",
-        "download",
-        "--quiet",
-        "--disable-pip-version-check",
-    ]);
+    let mut pip = python::pip(&python::virtual_environment(&python)?, "download");
     pip.args(["--no-deps", "--no-binary", FUSION, "--dest"]);
     pip.arg(&folder).arg(format!("{FUSION}=={FUSION_VERSION}"));
     if let Err(reason) = step::run(&mut pip) {
@@ -164,19 +157,7 @@ impl Costs {
 
 /// Counts the instructions in QEMU.
 fn count(program: &Path) -> Result<Costs, String> {
-    let mut qemu = Command::new("qemu-system-arm");
-    qemu.args([
-        "-M",
-        "netduinoplus2",
-        "-display",
-        "none",
-        "-monitor",
-        "none",
-    ]);
-    qemu.args(["-serial", "null", "-icount", "shift=0,sleep=off"]);
-    qemu.args(["-semihosting-config", "enable=on,target=native", "-kernel"]);
-    let output = qemu.arg(program).output();
-    let output = output.map_err(|error| format!("qemu-system-arm: {error}"))?;
+    let output = qemu::run_counting(program)?;
     let printed = [output.stdout, output.stderr].concat();
     let printed = String::from_utf8_lossy(&printed);
     parse(printed.trim()).ok_or_else(|| format!("{}: {printed}", program.display()))

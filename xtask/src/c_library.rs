@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::setup::{self, Toolchain};
-use crate::step;
+use crate::{qemu, step};
 
 /// Core with the options of its compiler and its machine in QEMU.
 pub struct Core {
@@ -192,19 +192,7 @@ fn check_panics(program: &Path) -> Result<(), String> {
 
 /// Runs the program in QEMU, and returns what it prints.
 fn in_qemu(core: &Core, program: &Path) -> Result<String, String> {
-    let mut qemu = Command::new("qemu-system-arm");
-    qemu.args([
-        "-M",
-        core.machine,
-        "-nographic",
-        "-monitor",
-        "none",
-        "-serial",
-        "none",
-    ]);
-    qemu.args(["-semihosting-config", "enable=on,target=native", "-kernel"]);
-    let output = qemu.arg(program).output();
-    let output = output.map_err(|error| format!("qemu-system-arm: {error}"))?;
+    let output = qemu::run_on(core.machine, program)?;
     let printed = [output.stdout, output.stderr].concat();
     let printed = String::from_utf8_lossy(&printed).trim().to_owned();
     if printed.starts_with("checksum ") {

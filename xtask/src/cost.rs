@@ -6,10 +6,9 @@
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use crate::setup::{self, Toolchain};
-use crate::{rigs, size, step};
+use crate::{qemu, rigs, size, step};
 
 /// Ours may change by this much before someone has to look.
 const TOLERANCE: f64 = 0.02;
@@ -103,20 +102,7 @@ fn measure() -> Result<Vec<Row>, String> {
 
 /// Runs the application and returns its output.
 fn count(elf: &Path) -> Result<String, String> {
-    let result = Command::new("qemu-system-arm")
-        .args([
-            "-M",
-            "netduinoplus2",
-            "-display",
-            "none",
-            "-monitor",
-            "none",
-        ])
-        .args(["-serial", "null", "-icount", "shift=0,sleep=off"])
-        .args(["-semihosting-config", "enable=on,target=native", "-kernel"])
-        .arg(elf)
-        .output()
-        .map_err(|error| format!("cannot run qemu-system-arm: {error}"))?;
+    let result = qemu::run_counting(elf)?;
     if result.status.success() {
         Ok(String::from_utf8_lossy(&result.stdout).into_owned())
     } else {

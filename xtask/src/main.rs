@@ -11,6 +11,8 @@ mod faults;
 mod package;
 mod panics;
 mod python;
+mod qemu;
+mod recordings;
 mod release;
 mod results;
 mod rigs;
@@ -34,7 +36,7 @@ usage: cargo xtask COMMAND
                       --faults FILE|seed:N adds faults
   view                fly it in real time and watch it on a terminal, with keys for commands
                       (more: `cargo xtask view --help`)
-  faults [--runs N] [--seed S] [--jobs J]
+  faults [--runs N] [--seed S] [--jobs J] [--resume]
                       fly many times with random faults, and check each flight
                       (more: `cargo xtask faults --help`)
   test                run every check and test
@@ -47,7 +49,8 @@ usage: cargo xtask COMMAND
                       --bless writes the golden file anew
   bench               compare filters on recordings or simulated flights
                       (more: `cargo xtask bench --help`)
-  results [--long]    measure the figures of README.md and docs/results.md, and write both
+  results [--long]    measure the figures of README.md, docs/results.md and
+                      cli/src/virtual_board.toml, and write all three
                       --long adds flights of an hour and of a day, and 2000 with faults
                       --render writes the pages from docs/results.toml
                       --check fails if a page disagrees with it, and is a part of `test`

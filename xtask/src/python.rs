@@ -2,8 +2,9 @@
 //! the program `aplomb`, to the bit.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
-use crate::{build, step};
+use crate::{build, recordings, step};
 
 /// Packages of the tests. The last one is the filter to compare the speed with.
 const PACKAGES: [&str; 3] = ["numpy", "pytest", "vqf"];
@@ -11,8 +12,7 @@ const PACKAGES: [&str; 3] = ["numpy", "pytest", "vqf"];
 const FOLDER: &str = "python-tests";
 /// Packages that run the notebook.
 const NOTEBOOK: [&str; 3] = ["nbclient", "ipykernel", "matplotlib"];
-/// Recordings to compare, if they are there, and the one that the notebook draws.
-const RECORDINGS: &str = "../shared/data";
+/// Recording that the notebook draws, if it is there.
 const DRAWN: &str = "tumvi/room1.csv.gz";
 /// Checks the version that `python/pyproject.toml` asks for.
 const IS_NEW_ENOUGH: &str = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))";
@@ -20,30 +20,20 @@ const IS_NEW_ENOUGH: &str = "import sys, venv, ensurepip; sys.exit(sys.version_i
 /// Installs and tests the package. Without Python it says so, and passes.
 pub fn run() -> Result<(), String> {
     step::timed("the Python package", || {
-        let Some(python) = python() else {
+        let Some(python) = find() else {
             eprintln!("   skipped: python3 of version 3.10 or later, with venv, is not installed");
             return Ok(());
         };
         lint()?;
-        let python = own(&python)?;
+        let python = virtual_environment(&python)?;
         let folder = step::target_folder().join(FOLDER);
-        let pip = |arguments: &[&str]| {
-            let mut pip = step::command(&python);
-            pip.args([
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-            ]);
-            step::run(pip.args(arguments))
-        };
-        pip(&PACKAGES)?;
-        if let Err(reason) = pip(&NOTEBOOK) {
+        let install = |packages: &[&str]| step::run(pip(&python, "install").args(packages));
+        install(&PACKAGES)?;
+        if let Err(reason) = install(&NOTEBOOK) {
             let packages = NOTEBOOK.join(", ");
             eprintln!("   skipped: the notebook, because {packages} cannot be installed: {reason}");
         }
-        pip(&["./python"])?;
+        install(&["./python"])?;
         let program = build::program()?;
         let mut test = step::command(&python);
         test.args([
@@ -59,7 +49,7 @@ pub fn run() -> Result<(), String> {
         test.env("APLOMB", program)
             .env("PYTHONDONTWRITEBYTECODE", "1")
             .env("APLOMB_OUTPUT", &folder);
-        let recordings = crate::root().join(RECORDINGS);
+        let recordings = recordings::folder();
         if recordings.is_dir() {
             test.env("APLOMB_LOGS", &recordings);
             test.env("APLOMB_RECORDING", recordings.join(DRAWN));
@@ -87,21 +77,12 @@ fn lint() -> Result<(), String> {
 /// Makes the wheel and the archive of its sources in this folder. Without Python it says so.
 pub fn package(folder: &Path) -> Result<(), String> {
     step::timed("the Python wheel and its sources", || {
-        let Some(python) = python() else {
+        let Some(python) = find() else {
             eprintln!("   skipped: python3 of version 3.10 or later, with venv, is not installed");
             return Ok(());
         };
-        let python = own(&python)?;
-        let mut pip = step::command(&python);
-        pip.args([
-            "-m",
-            "pip",
-            "install",
-            "--quiet",
-            "--disable-pip-version-check",
-            "maturin",
-        ]);
-        step::run(&mut pip)?;
+        let python = virtual_environment(&python)?;
+        step::run(pip(&python, "install").arg("maturin"))?;
         // The wheel is built from the archive of the sources, which shows that it is whole.
         let mut maturin = step::command(&python);
         maturin.args(["-m", "maturin", "build", "--release", "--sdist"]);
@@ -111,8 +92,8 @@ pub fn package(folder: &Path) -> Result<(), String> {
     })
 }
 
-/// Returns a Python with packages of its own, in the target folder.
-pub fn own(python: &Path) -> Result<PathBuf, String> {
+/// Returns the Python of a virtual environment in the target folder.
+pub fn virtual_environment(python: &Path) -> Result<PathBuf, String> {
     let folder = step::target_folder().join(FOLDER);
     step::run(step::command(python).args(["-m", "venv"]).arg(&folder))?;
     Ok(folder.join(if cfg!(windows) {
@@ -122,8 +103,16 @@ pub fn own(python: &Path) -> Result<PathBuf, String> {
     }))
 }
 
+/// Returns the command of pip in a virtual environment, with this subcommand.
+pub fn pip(python: &Path, subcommand: &str) -> Command {
+    let mut pip = step::command(python);
+    pip.args(["-m", "pip", subcommand]);
+    pip.args(["--quiet", "--disable-pip-version-check"]);
+    pip
+}
+
 /// Returns the first Python that is new enough.
-pub fn python() -> Option<PathBuf> {
+pub fn find() -> Option<PathBuf> {
     let names = [
         "python3",
         "python3.13",

@@ -1,7 +1,8 @@
-//! `cargo xtask results`: measures once, and writes the figures of README.md and `docs/results.md`.
+//! `cargo xtask results`: measures once, and writes the figures of README.md, `docs/results.md` and
+//! `cli/src/virtual_board.toml`.
 //!
 //! All figures are in one file, `docs/results.toml`. Measuring takes minutes to an hour and writes
-//! that file. Rendering writes the pages from it. The check takes no time, and fails if a page
+//! that file. Rendering writes the other three from it. The check takes no time, and fails if one
 //! disagrees with the file. [`hold`] compares the file with the images and the flight of
 //! `cargo xtask test`.
 
@@ -144,7 +145,8 @@ pub fn hold(
     }
     Err(format!(
         "{DATA} is out of date:\n  {}\n\
-         if that is meant, run `cargo xtask results` and commit {DATA}, {RESULTS} and {README}",
+         if that is meant, run `cargo xtask results` and commit {DATA}, {RESULTS}, {README} and \
+         {BOARDS_OF_CLI}",
         changes.join("\n  ")
     ))
 }

@@ -6,10 +6,9 @@
 
 #include "cube_loop.h"
 #include "hal.h"
+#include "scheduler_task.h"
 
 I2C_HandleTypeDef hi2c1;
-bool attitude_init(uint16_t samples_per_s);
-bool attitude_task(uint64_t now_us, const float force[3], const float rate[3], AplombSnapshot *out);
 
 static int writes, waited_ms, reads;
 

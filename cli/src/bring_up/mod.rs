@@ -15,9 +15,9 @@ use std::time::Duration;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
 
+use crate::link::{BAUD, which_port};
 use crate::record;
 use crate::talk::Talk;
-use crate::view::{BAUD, which_port};
 use report::{Finding, Report, Verdict};
 
 /// Walk through the first board: bus, sensor, INT pin, self-test, noise, poses, signs, storage.

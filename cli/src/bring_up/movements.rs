@@ -6,8 +6,8 @@ use aplomb_recordings::terminal::print_line;
 
 use super::report::Finding;
 use super::wiring::show;
-use crate::talk::{Talk, field};
-use crate::view::Item;
+use crate::stream::{Item, field};
+use crate::talk::Talk;
 
 /// Largest residual of the poses before the calibration, mg: 3 % of scale and an offset of 80 mg on
 /// the worst axis (product specification, 6.2), together.
@@ -119,13 +119,13 @@ pub fn turns(talk: &mut Talk, patience: Duration) -> Result<Finding, String> {
             let Some(item) = talk.next(until)? else {
                 break None;
             };
-            let Item::Reading(reading) = item else {
+            let Item::Attitude(attitude) = item else {
                 continue;
             };
             let now = Angles {
-                roll: reading.roll_deg,
-                pitch: reading.pitch_deg,
-                yaw: reading.yaw_deg.unwrap_or_default(),
+                roll: attitude.roll_deg,
+                pitch: attitude.pitch_deg,
+                yaw: attitude.yaw_deg.unwrap_or_default(),
             };
             last = Some(now);
             if let Some(judged) = turn.judge(*start.get_or_insert(now), now) {

@@ -9,7 +9,8 @@ use aplomb_recordings::terminal::print_line;
 
 use super::report::Finding;
 use crate::measure::{Figures, measure};
-use crate::talk::{Talk, numbers};
+use crate::stream::numbers;
+use crate::talk::Talk;
 
 /// Longest duration of a task of the module.
 const TASK: Duration = Duration::from_secs(8);

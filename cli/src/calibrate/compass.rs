@@ -12,7 +12,7 @@ use aplomb_recordings::rate::{ROWS_AHEAD, sample_rate_divider, unsigned};
 
 use super::Recording;
 
-/// σ of the tilt from which on attitudes serve.
+/// Largest σ of the tilt of an attitude that the fit uses.
 const LARGEST_TILT_SIGMA_RAD: f32 = radians(5.0);
 /// Mount for the filter. The fit does not depend on it.
 const MOUNT: Mount = Mount::Z_UP;

@@ -132,7 +132,7 @@ fn replayed_headings(bytes: &[u8]) -> (Vec<(u64, Option<HeadingEstimate>)>, Agre
     let mut exact = 0;
     while let Some(snapshot) = replay.next() {
         if replay.agreement().heading_exact > exact {
-            headings.push((snapshot.t_us, replay.device().heading()));
+            headings.push((snapshot.t_us, replay.pipeline().heading()));
         }
         exact = replay.agreement().heading_exact;
     }
@@ -399,7 +399,7 @@ proptest! {
             prop_assert!(agreement.compared <= agreement.exact);
             prop_assert!(agreement.exact <= agreement.bursts);
             prop_assert!(agreement.heading_exact <= agreement.exact);
-            if let Some(heading) = replay.device().heading() {
+            if let Some(heading) = replay.pipeline().heading() {
                 prop_assert!(heading.yaw_offset_rad.is_finite() && heading.sigma_rad.is_finite());
             }
         }

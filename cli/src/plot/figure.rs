@@ -37,8 +37,8 @@ pub struct Figure {
     /// Roll, pitch and yaw, degrees.
     angles: [Trace; 3],
     true_angles: [Trace; 3],
-    /// Offset of the estimate's yaw from the true one: the estimate starts at zero.
-    heading_degrees: Option<f64>,
+    /// Estimated yaw minus the true one at the first comparison: the estimate starts at zero.
+    yaw_difference_deg: Option<f64>,
     /// Rates about forward, right and down, degrees per second.
     rates: [Trace; 3],
     /// Inclination errors, in degrees.
@@ -83,7 +83,7 @@ impl Figure {
             end_us: 0,
             angles: [(); 3].map(|()| Trace::of_angles()),
             true_angles: [(); 3].map(|()| Trace::of_angles()),
-            heading_degrees: None,
+            yaw_difference_deg: None,
             rates: Default::default(),
             errors: Trace::default(),
             squares: 0.0,
@@ -156,13 +156,13 @@ impl Figure {
         }
         let [roll, pitch, yaw] = truth.to_euler_degrees();
         let is_ready = !point.flags.contains(Flags::CALIBRATING);
-        if is_ready && self.heading_degrees.is_none() {
-            self.heading_degrees = Some(angles[2] - yaw);
+        if is_ready && self.yaw_difference_deg.is_none() {
+            self.yaw_difference_deg = Some(angles[2] - yaw);
         }
-        // Before the headings are compared, the true yaw has no place.
+        // Before the difference is known, the true yaw has no place.
         let yaw = self
-            .heading_degrees
-            .map_or(f64::NAN, |heading| yaw + heading);
+            .yaw_difference_deg
+            .map_or(f64::NAN, |difference_deg| yaw + difference_deg);
         for (trace, angle) in self.true_angles.iter_mut().zip([roll, pitch, yaw]) {
             trace.push(time_s, angle);
         }
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn headings_are_compared_from_when_the_offset_is_known() {
+    fn yaws_are_compared_from_when_the_gyroscopes_offset_is_known() {
         let figure = Figure::read(&mut Turning(0), Mount::Z_UP, None).unwrap();
         // Nothing counts in the first five seconds.
         assert_eq!((figure.errors.is_empty(), figure.scored), (false, 0));

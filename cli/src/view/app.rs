@@ -14,14 +14,14 @@ use aplomb::settings::OutputFormat;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyEventKind};
 
-use super::item::Format;
 use super::keys::{self, Action};
 use super::live::Live;
 use super::model::{Connection, Model, Speaker};
 use super::player::{Player, changed_speed};
 use super::screen;
-use super::source::{BAUD, Link};
 use crate::i2c::I2cOptions;
+use crate::link::{BAUD, Link};
+use crate::stream::Format;
 
 /// Shortest time between two drawings: 30 a second.
 pub const FRAME: Duration = Duration::from_millis(33);
@@ -142,7 +142,7 @@ impl App {
             woken = Instant::now();
             has_changed |= self.follow();
             if let Connection::Ended(reason) = &self.model.connection
-                && self.model.counts.readings == 0
+                && self.model.counts.attitudes == 0
             {
                 let reason = reason.trim_start_matches("error: ");
                 return Err(format!("no attitude has come: {reason}").into());

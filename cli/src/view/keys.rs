@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_say_commands_to_a_module_and_not_to_a_recording() {
+    fn keys_send_commands_to_a_module_and_not_to_a_recording() {
         let mut model = Model::new("port".into(), Connection::Open(None));
         let send = |text: &str| Some(Action::Send(text.into()));
         assert_eq!(press(KeyCode::Char('g'), &model), send("calibrate gyro"));

@@ -7,10 +7,9 @@ use std::time::{Duration, Instant};
 use aplomb::console::command::{self, BAUD_RATES};
 use aplomb::settings::OutputFormat;
 
-use super::detect::Decoder;
-use super::item::{Counts, Format};
 use super::model::{Connection, Model, Speaker};
-use super::source::{BAUD, LOG_BAUD, Link, Report};
+use crate::link::{BAUD, LOG_BAUD, Link, Report};
+use crate::stream::{Counts, Decoder, Format};
 
 /// Time between two requests for the status: 400 bytes in two seconds are 2 % of the line at
 /// 115,200 baud.
@@ -139,7 +138,7 @@ impl Live {
             }
         }
         let is_open = model.takes_commands();
-        let is_fresh = model.reading().is_some();
+        let is_fresh = model.attitude().is_some();
         if is_open && is_fresh {
             if std::mem::take(&mut self.wants_log) {
                 self.set_format(OutputFormat::Log, model);

@@ -2,10 +2,8 @@
 
 mod app;
 mod compass;
-mod detect;
 mod dots;
 mod horizon;
-mod item;
 mod keys;
 mod letters;
 mod live;
@@ -13,7 +11,6 @@ mod model;
 mod picture;
 mod player;
 mod screen;
-mod source;
 #[cfg(test)]
 mod tests;
 
@@ -21,21 +18,18 @@ use std::error::Error;
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
+use crate::end_request::end_request;
 use crate::i2c::I2cOptions;
+use crate::link::which_port;
 use app::{App, FRAME, Origin};
-pub use detect::Decoder;
-pub use item::Item;
 use model::{Connection, Model, Speaker};
 use player::{Player, SPEEDS};
-pub use source::{BAUD, LOG_BAUD, Link, Report, which_port};
 
 /// Sensor boards of the virtual board.
 const VIRTUAL_SENSORS: [&str; 3] = ["mpu6050", "mpu9250", "gy87"];
@@ -140,15 +134,6 @@ impl Options {
             None => Vec::new(),
         }
     }
-}
-
-/// Returns a flag that is set when the program has to end: Ctrl-C, `kill`, or a terminal that is
-/// gone. Can be called once.
-pub fn end_request() -> Result<Arc<AtomicBool>, ctrlc::Error> {
-    let is_asked = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&is_asked);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))?;
-    Ok(is_asked)
 }
 
 /// Runs the command.

@@ -7,7 +7,7 @@ use aplomb::settings::OutputFormat;
 use aplomb::telemetry::heading;
 
 use super::compass::Field;
-use super::item::{Counts, Format, Item, Reading, Sensors};
+use crate::stream::{Attitude, Counts, Format, Item, Sensors, field};
 
 /// Length of the strips, s.
 pub const STRIP_S: f64 = 20.0;
@@ -63,7 +63,7 @@ pub struct Message {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
     pub at_s: f64,
-    pub reading: Reading,
+    pub attitude: Attitude,
 }
 
 /// Degree to which the attitude can be trusted.
@@ -145,8 +145,8 @@ impl Model {
     /// Takes an item that was decoded at this time.
     pub fn take(&mut self, at_s: f64, item: Item) {
         match item {
-            Item::Reading(reading) => {
-                self.points.push_back(Point { at_s, reading });
+            Item::Attitude(attitude) => {
+                self.points.push_back(Point { at_s, attitude });
                 while let Some(first) = self.points.front()
                     && first.at_s < at_s - STRIP_S
                 {
@@ -205,7 +205,7 @@ impl Model {
         let is_due = |last: &(f64, u64, u64)| now_s - last.0 >= RATE_WINDOW_S / 40.0;
         if self.totals.back().is_none_or(is_due) {
             self.totals
-                .push_back((now_s, counts.readings, counts.bursts));
+                .push_back((now_s, counts.attitudes, counts.bursts));
         }
         while let Some((first_s, ..)) = self.totals.front()
             && *first_s < now_s - RATE_WINDOW_S
@@ -227,17 +227,17 @@ impl Model {
     }
 
     /// Returns the newest attitude, if it is fresh.
-    pub fn reading(&self) -> Option<&Reading> {
+    pub fn attitude(&self) -> Option<&Attitude> {
         let last = self.points.back()?;
-        (self.now_s - last.at_s < FRESH_S).then_some(&last.reading)
+        (self.now_s - last.at_s < FRESH_S).then_some(&last.attitude)
     }
 
     /// Returns how far the attitude can be trusted.
     pub fn trust(&self) -> Trust {
-        let Some(reading) = self.reading() else {
+        let Some(attitude) = self.attitude() else {
             return Trust::NoData(self.points.back().map(|last| self.now_s - last.at_s));
         };
-        match (reading.flags, self.sensors) {
+        match (attitude.flags, self.sensors) {
             (Some(flags), _) if flags.contains(Flags::VALID) => Trust::Valid,
             (Some(_), _) => Trust::NotValid(self.flag_names()),
             (None, Some(sensors)) if !(sensors.attitude && sensors.gyroscope) => {
@@ -256,7 +256,7 @@ impl Model {
 
     /// Returns the names of the set flags, without `VALID`.
     pub fn flag_names(&self) -> Vec<&'static str> {
-        let Some(flags) = self.reading().and_then(|reading| reading.flags) else {
+        let Some(flags) = self.attitude().and_then(|attitude| attitude.flags) else {
             return Vec::new();
         };
         let others = flags.difference(Flags::VALID);
@@ -265,12 +265,12 @@ impl Model {
 
     /// Returns the rates of attitudes and bursts, Hz.
     pub fn rates_hz(&self) -> Option<(f64, f64)> {
-        let (first_s, readings, bursts) = self.totals.front()?;
+        let (first_s, attitudes, bursts) = self.totals.front()?;
         let seconds = self.now_s - first_s;
         let rate = |now: u64, then: u64| now.saturating_sub(then) as f64 / seconds;
         (seconds > 0.2).then(|| {
             (
-                rate(self.counts.readings, *readings),
+                rate(self.counts.attitudes, *attitudes),
                 rate(self.counts.bursts, *bursts),
             )
         })
@@ -296,22 +296,15 @@ impl Model {
     }
 
     fn take_status(&mut self, status: &str) {
-        let field = |name: &str| {
-            let values = status.split(' ').filter_map(|field| field.split_once('='));
-            values
-                .into_iter()
-                .find(|(key, _)| *key == name)
-                .map(|(_, value)| value)
-        };
-        let number = |name| field(name).and_then(|value| value.parse().ok());
-        let whole = |name| field(name).and_then(|value| value.parse().ok());
+        let number = |name| field(status, name).and_then(|value| value.parse().ok());
+        let whole = |name| field(status, name).and_then(|value| value.parse().ok());
         self.tilt_sigma_deg = number("tilt_sigma_deg").or(self.tilt_sigma_deg);
         self.temperature_c = number("temperature_c").or(self.temperature_c);
-        self.field = field("field_ut").and_then(|text| {
+        self.field = field(status, "field_ut").and_then(|text| {
             let numbers: Result<Vec<f64>, _> = text.split(',').map(str::parse).collect();
             let components = numbers.ok()?.try_into().ok()?;
-            let reading = self.reading()?;
-            let (roll_deg, pitch_deg) = (reading.roll_deg.into(), reading.pitch_deg.into());
+            let attitude = self.attitude()?;
+            let (roll_deg, pitch_deg) = (attitude.roll_deg.into(), attitude.pitch_deg.into());
             Some(Field::new(components, roll_deg, pitch_deg))
         });
         self.frames_dropped = whole("frames_dropped");
@@ -331,21 +324,21 @@ mod tests {
     fn an_attitude_is_fresh_for_a_second_and_trusted_by_its_flags() {
         let mut model = model();
         assert_eq!(model.trust(), Trust::NoData(None));
-        let reading = |flags| {
-            Item::Reading(Reading {
+        let attitude = |flags| {
+            Item::Attitude(Attitude {
                 flags,
-                ..Reading::default()
+                ..Attitude::default()
             })
         };
-        model.take(1.0, reading(Some(Flags::VALID | Flags::MISSED)));
+        model.take(1.0, attitude(Some(Flags::VALID | Flags::MISSED)));
         model.tick(1.5, None, Counts::default());
         assert_eq!(model.trust(), Trust::Valid);
         assert_eq!(model.flag_names(), ["MISSED"]);
         model.tick(2.5, None, Counts::default());
         assert_eq!(model.trust(), Trust::NoData(Some(1.5)));
-        model.take(2.5, reading(Some(Flags::DEGRADED | Flags::STALE)));
+        model.take(2.5, attitude(Some(Flags::DEGRADED | Flags::STALE)));
         assert_eq!(model.trust(), Trust::NotValid(vec!["DEGRADED", "STALE"]));
-        model.take(2.5, reading(None));
+        model.take(2.5, attitude(None));
         assert_eq!(model.trust(), Trust::Unknown);
         let healthy = Sensors {
             gyroscope: true,
@@ -390,7 +383,7 @@ mod tests {
         let mut counts = Counts::default();
         for tenth in 0..100 {
             // 50 a second, then 10.
-            counts.readings += if tenth < 50 { 5 } else { 1 };
+            counts.attitudes += if tenth < 50 { 5 } else { 1 };
             model.tick(f64::from(tenth) * 0.1, None, counts);
         }
         let (hertz, bursts) = model.rates_hz().expect("there were enough");

@@ -7,8 +7,7 @@ use std::path::Path;
 
 use aplomb_recordings::flight_log;
 
-use super::detect::Decoder;
-use super::item::{Counts, Format, Item};
+use crate::stream::{Counts, Decoder, Format, Item};
 
 /// Speeds of a recording, as multiples of real time.
 pub const SPEEDS: RangeInclusive<f64> = 0.01..=1000.0;
@@ -138,8 +137,8 @@ impl Player {
             self.decoder.push(&buffer[..length], &mut items);
         }
         for item in items {
-            if let Item::Reading(reading) = &item {
-                self.time(reading.t_us);
+            if let Item::Attitude(attitude) = &item {
+                self.time(attitude.t_us);
             }
             let at_s = self.clock.as_ref().map_or(0.0, Clock::seconds);
             self.waiting.push_back((at_s, item));

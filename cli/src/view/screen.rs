@@ -5,10 +5,10 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 
 use super::dots::{ACROSS, DOWN, Dots};
-use super::item::Reading;
 use super::letters::{number, put};
 use super::model::{Connection, Model, STRIP_S, Speaker, Trust};
 use super::{compass, horizon, keys};
+use crate::stream::Attitude;
 
 /// Smallest terminal that holds all parts.
 const LEAST: (u16, u16) = (80, 24);
@@ -36,7 +36,7 @@ const RATES: [f64; 9] = [5.0, 10.0, 20.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 200
 /// Draws everything.
 pub fn draw(model: &Model, area: Rect, buffer: &mut Buffer) {
     if area.width < LEAST.0 || area.height < LEAST.1 {
-        let text = format!("{} by {} letters are needed", LEAST.0, LEAST.1);
+        let text = format!("{} columns and {} rows are needed", LEAST.0, LEAST.1);
         put(buffer, area, 0, 0, &text, Style::new());
         return;
     }
@@ -70,14 +70,14 @@ pub fn draw(model: &Model, area: Rect, buffer: &mut Buffer) {
         names: &["roll", "pitch"],
         unit: "degrees",
         scales: &ANGLES,
-        values: |reading| [Some(reading.roll_deg), Some(reading.pitch_deg), None],
+        values: |attitude| [Some(attitude.roll_deg), Some(attitude.pitch_deg), None],
     };
     draw_strip(model, &strip, angles, buffer);
     let strip = Strip {
         names: &["roll", "pitch", "yaw rate"],
         unit: "°/s",
         scales: &RATES,
-        values: |reading| reading.rates_deg_s,
+        values: |attitude| attitude.rates_deg_s,
     };
     draw_strip(model, &strip, rates, buffer);
     draw_messages(model, messages, buffer);
@@ -159,8 +159,8 @@ fn size(bytes: u64) -> String {
 
 fn draw_horizon(model: &Model, area: Rect, buffer: &mut Buffer) {
     let attitude = model
-        .reading()
-        .map(|reading| (f64::from(reading.roll_deg), f64::from(reading.pitch_deg)));
+        .attitude()
+        .map(|attitude| (f64::from(attitude.roll_deg), f64::from(attitude.pitch_deg)));
     horizon::draw(attitude, area, buffer);
     let trust = model.trust();
     if attitude.is_none() || matches!(trust, Trust::NotValid(_)) {
@@ -184,7 +184,7 @@ fn draw_compass(model: &Model, horizon: Rect, figures: Rect, buffer: &mut Buffer
 }
 
 fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
-    let reading = model.reading();
+    let attitude = model.attitude();
     let plain = Style::new().fg(TEXT);
     let faint = Style::new().fg(FAINT);
     // A tall area has empty rows between the figures and around the banner.
@@ -197,12 +197,12 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
         let row = step * index as u16;
         let bold = Style::new().fg(colour).add_modifier(Modifier::BOLD);
         put(buffer, area, 0, row, name, bold);
-        let angle = reading.and_then(|reading| match index {
-            0 => Some(reading.roll_deg),
-            1 => Some(reading.pitch_deg),
-            _ => reading.yaw_deg,
+        let angle = attitude.and_then(|attitude| match index {
+            0 => Some(attitude.roll_deg),
+            1 => Some(attitude.pitch_deg),
+            _ => attitude.yaw_deg,
         });
-        let rate = reading.and_then(|reading| reading.rates_deg_s[index]);
+        let rate = attitude.and_then(|attitude| attitude.rates_deg_s[index]);
         put(buffer, area, 6, row, &number(angle, 8, "°"), bold);
         put(buffer, area, 17, row, &number(rate, 8, " °/s"), plain);
     }
@@ -250,9 +250,9 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
     // Old values are not shown.
     let sigma = model
         .tilt_sigma_deg
-        .filter(|sigma| sigma.is_finite() && reading.is_some());
+        .filter(|sigma| sigma.is_finite() && attitude.is_some());
     let sigma = number(sigma, 0, "°");
-    let temperature = match model.temperature_c.filter(|_| reading.is_some()) {
+    let temperature = match model.temperature_c.filter(|_| attitude.is_some()) {
         Some(celsius) => format!("{celsius:.1} °C"),
         None => "-".into(),
     };
@@ -342,7 +342,7 @@ struct Strip {
     names: &'static [&'static str],
     unit: &'static str,
     scales: &'static [f64],
-    values: fn(&Reading) -> [Option<f32>; 3],
+    values: fn(&Attitude) -> [Option<f32>; 3],
 }
 
 fn draw_strip(model: &Model, strip: &Strip, area: Rect, buffer: &mut Buffer) {
@@ -378,7 +378,7 @@ fn draw_strip(model: &Model, strip: &Strip, area: Rect, buffer: &mut Buffer) {
     let largest = model
         .points
         .iter()
-        .flat_map(|point| values(&point.reading))
+        .flat_map(|point| values(&point.attitude))
         .flatten()
         .map(|value| f64::from(value.abs()))
         .fold(0.0, f64::max);
@@ -411,7 +411,7 @@ fn draw_strip(model: &Model, strip: &Strip, area: Rect, buffer: &mut Buffer) {
 /// Draws the curves of a strip over the last [`STRIP_S`].
 fn draw_curves(
     model: &Model,
-    values: fn(&Reading) -> [Option<f32>; 3],
+    values: fn(&Attitude) -> [Option<f32>; 3],
     scale: f64,
     plot: Rect,
     buffer: &mut Buffer,
@@ -425,7 +425,7 @@ fn draw_curves(
     for (index, colour) in COLOURS.into_iter().enumerate().rev() {
         let mut last: Option<(f64, f64)> = None;
         for point in &model.points {
-            let Some(value) = values(&point.reading)[index] else {
+            let Some(value) = values(&point.attitude)[index] else {
                 last = None;
                 continue;
             };
@@ -529,7 +529,7 @@ fn draw_footer(model: &Model, area: Rect, buffer: &mut Buffer) {
             area,
             x + 2,
             0,
-            "enter says it, escape does not",
+            "enter sends it, escape does not",
             bar.fg(FAINT),
         );
         return;

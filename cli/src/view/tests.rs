@@ -11,11 +11,11 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
-use super::item::{Counts, Format, Item, Reading};
 use super::live::next_baud;
 use super::model::{Connection, Model, Speaker};
 use super::player::changed_speed;
 use super::{horizon, parse_speed, screen};
+use crate::stream::{Attitude, Counts, Format, Item};
 
 fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it takes everything");
@@ -77,7 +77,7 @@ fn swinging(flags: Flags) -> Model {
     for index in 0..=1250 {
         let at_s = f64::from(index) * 0.02;
         let phase = (at_s * 0.7) as f32;
-        let reading = Reading {
+        let attitude = Attitude {
             t_us: Some((at_s * 1e6) as u64),
             roll_deg: 25.0 * phase.sin() + 5.0,
             pitch_deg: 12.0 * (1.7 * phase).cos(),
@@ -89,9 +89,9 @@ fn swinging(flags: Flags) -> Model {
             ],
             flags: Some(flags),
         };
-        counts.readings += 1;
+        counts.attitudes += 1;
         counts.bursts += 20;
-        model.take(at_s, Item::Reading(reading));
+        model.take(at_s, Item::Attitude(attitude));
         model.tick(at_s, Some(Format::Module(OutputFormat::Log)), counts);
     }
     model.take(25.0, Item::TiltSigma(0.58));
@@ -162,13 +162,13 @@ fn a_port_that_is_gone_leaves_no_attitude_on_the_screen() {
 fn a_format_without_health_and_yaw_says_so_and_help_lies_above_all() {
     let mut model = Model::new("recording.uart".into(), Connection::Open(None));
     let format = Some(Format::Module(OutputFormat::Classic));
-    let reading = Reading {
+    let attitude = Attitude {
         roll_deg: -35.0,
         pitch_deg: 8.0,
         rates_deg_s: [Some(-0.001), Some(2.0), None],
-        ..Reading::default()
+        ..Attitude::default()
     };
-    model.take(0.0, Item::Reading(reading));
+    model.take(0.0, Item::Attitude(attitude));
     model.tick(0.1, format, Counts::default());
     model.typed = Some("mount z-do".into());
     assert_golden("view-classic-80x24.txt", &drawn(&model, 80, 24));
@@ -181,7 +181,7 @@ fn a_format_without_health_and_yaw_says_so_and_help_lies_above_all() {
 fn any_size_and_any_number_can_be_drawn() {
     let mut model = swinging(Flags::empty());
     for value in [f32::NAN, f32::INFINITY, f32::MAX, -1e9] {
-        let reading = Reading {
+        let attitude = Attitude {
             roll_deg: value,
             pitch_deg: value,
             yaw_deg: Some(value),
@@ -189,7 +189,7 @@ fn any_size_and_any_number_can_be_drawn() {
             flags: Some(Flags::all()),
             t_us: None,
         };
-        model.take(25.0, Item::Reading(reading));
+        model.take(25.0, Item::Attitude(attitude));
         for (width, height) in [
             (0, 0),
             (1, 1),

@@ -1,5 +1,5 @@
 //! Motions for flights that have no time to lose: a body that swings about an axis, and a motion
-//! that begins later in itself, or passes by another clock.
+//! that is under way at power-up, or runs by a wrong clock.
 
 use super::geometry::{Quaternion, Vector, scale};
 use super::truth::{STANDARD_GRAVITY_M_S2, Truth};

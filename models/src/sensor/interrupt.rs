@@ -36,7 +36,7 @@ pub struct Interrupt {
 }
 
 impl Interrupt {
-    /// A sample was taken at `now_ns`. Says whether the pin went from inactive to active.
+    /// Notes a sample at `now_ns`. Returns true if the pin went from inactive to active.
     pub fn raise(&mut self, now_ns: u64) -> bool {
         let was_active = self.is_active(now_ns);
         self.status = true;

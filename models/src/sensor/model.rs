@@ -27,7 +27,7 @@ const SIGNAL_CONDITION_RESET: u8 = 1 << 0;
 /// USER_CTRL: the chip is the controller of the auxiliary bus (section 4.27).
 const MASTER_ENABLE: u8 = 1 << 5;
 
-/// INT_PIN_CFG: the auxiliary bus is connected to the main one (section 4.15).
+/// INT_PIN_CFG: the auxiliary bus is connected to the main one (section 4.14).
 const BYPASS_ENABLE: u8 = 1 << 1;
 
 /// SIGNAL_PATH_RESET (section 4.26).
@@ -65,7 +65,7 @@ pub struct SensorConfig {
 }
 
 impl SensorConfig {
-    /// A chip off the reel for a simulated motion: an MPU-6050 at 0x68, face up.
+    /// A new chip for a simulated motion: an MPU-6050 at 0x68, face up, with typical errors.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self {
@@ -304,8 +304,7 @@ impl Sensor {
         self.read_register(register)
     }
 
-    /// A register changes by itself: of its bits those that hold something (a reset is not among
-    /// them).
+    /// Changes a register without a transfer on the bus. The bit that starts a reset is left out.
     pub fn corrupt_register(&mut self, now_ns: u64, register: u8, value: u8) {
         self.advance_to(now_ns);
         let is_trigger = register == address::PWR_MGMT_1;
@@ -352,7 +351,7 @@ impl Sensor {
     }
 
     /// Returns true if the auxiliary bus is connected to the main one: BYPASS_EN without
-    /// I2C_MST_EN (section 4.15).
+    /// I2C_MST_EN (sections 4.14 and 4.27).
     #[must_use]
     pub fn has_bypass(&self) -> bool {
         let is_awake = self.ready_at_ns.is_none();

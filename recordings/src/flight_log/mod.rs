@@ -17,13 +17,17 @@ use std::sync::Arc;
 
 use aplomb::telemetry::log::{Configuration, Counts, Frame, NumberedBurst, StatePiece};
 
-use crate::foreign::format_of;
+use crate::foreign::{GZIP, format_of};
 use steps::Frames;
 
 /// Bytes at a file's start in which [`is_flight_log`] searches a frame.
 const INSPECTED_BYTES: usize = 64 * 1024;
-/// Most flights of a log, and most of its messages that are kept.
+/// Most flights of a log.
 const MOST_FLIGHTS: usize = 10_000;
+/// Most messages of a log that are kept.
+const MOST_MESSAGES: usize = 10_000;
+/// Most readings of the compass between two bursts that are counted.
+const MOST_READINGS: usize = 10_000;
 
 /// Opens the bytes of a log, from the beginning.
 type Open = dyn Fn() -> Result<Box<dyn Read>, String>;
@@ -98,9 +102,13 @@ impl FlightLog {
         Ok(Steps::new(Frames::new((self.open)()?), flight.index))
     }
 
-    /// Reads a log once, for its summary.
-    fn scan(open: Box<Open>) -> Result<(Self, Option<std::io::Error>), String> {
-        let mut frames = Frames::new(open()?);
+    /// Reads the bytes of a log once, for its summary. Returns the error that ended the reading
+    /// too early, too. `open` opens the log again, for the steps of a flight.
+    fn scan(
+        open: Box<Open>,
+        bytes: Box<dyn Read>,
+    ) -> Result<(Self, Option<std::io::Error>), String> {
+        let mut frames = Frames::new(bytes);
         let mut flights = Vec::new();
         let mut messages = Vec::new();
         let mut flight = Flight::default();
@@ -123,13 +131,13 @@ impl FlightLog {
                     flight.count(&burst);
                     flight.count_readings(&mut readings);
                 }
-                Frame::Reading(reading) if readings.len() < MOST_FLIGHTS => {
+                Frame::Reading(reading) if readings.len() < MOST_READINGS => {
                     readings.push(reading.number);
                 }
                 Frame::Configuration(configuration) => {
                     upcoming.get_or_insert(configuration);
                 }
-                Frame::Text(text) if messages.len() < MOST_FLIGHTS => {
+                Frame::Text(text) if messages.len() < MOST_MESSAGES => {
                     messages.push(text.as_str().to_owned());
                 }
                 _ => {}
@@ -208,10 +216,7 @@ pub fn is_flight_log(path: &Path) -> bool {
 pub fn read(path: &Path) -> Result<FlightLog, String> {
     let at = |error: String| format!("{}: {error}", path.display());
     let name = path.to_owned();
-    let (log, error) = FlightLog::scan(Box::new(move || open(&name))).map_err(|error| {
-        let is_of_opening = error.starts_with(&path.display().to_string());
-        if is_of_opening { error } else { at(error) }
-    })?;
+    let (log, error) = FlightLog::scan(Box::new(move || open(&name)), open(path)?).map_err(at)?;
     if let Some(error) = &error {
         eprintln!(
             "warning: {}: cut off or damaged ({error}): this is what came before",
@@ -240,7 +245,7 @@ pub fn open(path: &Path) -> Result<Box<dyn Read>, String> {
         .and_then(|mut file| file.read(&mut magic))
         .map_err(text)?
         == 2
-        && magic == [0x1F, 0x8B];
+        && magic == GZIP;
     let file = File::open(path).map_err(text)?;
     Ok(if is_zipped {
         Box::new(flate2::read::MultiGzDecoder::new(file))
@@ -257,7 +262,8 @@ pub fn open(path: &Path) -> Result<Box<dyn Read>, String> {
 pub fn decode(bytes: &[u8]) -> Result<FlightLog, String> {
     let bytes: Arc<[u8]> = bytes.into();
     let open: Box<Open> = Box::new(move || Ok(Box::new(std::io::Cursor::new(Arc::clone(&bytes)))));
-    Ok(FlightLog::scan(open)?.0)
+    let all = open()?;
+    Ok(FlightLog::scan(open, all)?.0)
 }
 
 /// Collector of a state's pieces.

@@ -12,6 +12,8 @@ use super::StateCollector;
 const BURSTS_AHEAD: usize = 20_000;
 /// Most frames of each other kind that are kept for bursts to come.
 const MOST_KEPT: usize = 20_000;
+/// Most states of a filter that are kept for bursts to come.
+const MOST_STATES: usize = 20;
 /// Bytes that are read at once.
 const BUFFER_LENGTH: usize = 64 * 1024;
 
@@ -232,7 +234,7 @@ fn insert<T>(values: &mut BTreeMap<u64, T>, t_us: u64, value: T) {
 /// Keeps a state that is complete.
 fn keep_state(states: &mut BTreeMap<u32, Vec<u8>>, state: Option<(u32, Vec<u8>)>) {
     states.extend(state);
-    if states.len() > MOST_KEPT / 1_000 {
+    if states.len() > MOST_STATES {
         states.pop_first();
     }
 }

@@ -11,7 +11,7 @@ use crate::faults::{FaultKind, ScheduledFault, nanoseconds};
 use crate::flight::UartLine;
 use crate::profile::CRASHES;
 use crate::recorder::Record;
-use crate::summary::valid_heading_deg;
+use crate::summary::{estimate, valid_heading_deg};
 
 /// The largest allowed error of a valid tilt: degrees, and multiples of σ.
 const ALLOWED_DEG: f64 = 5.0;
@@ -560,9 +560,7 @@ fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
 }
 
 fn tilt_error_deg(sample: &Publication, truth: Quaternion) -> f64 {
-    let attitude = sample.snapshot.attitude;
-    let [w, x, y, z] = [attitude.w, attitude.x, attitude.y, attitude.z].map(f64::from);
-    inclination_error_rad(Quaternion { w, x, y, z }, truth).to_degrees()
+    inclination_error_rad(estimate(&sample.snapshot), truth).to_degrees()
 }
 
 fn names(faults: &[ScheduledFault]) -> String {

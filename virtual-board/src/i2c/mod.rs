@@ -25,7 +25,7 @@
 //! Both errors show at the end of the byte, up to 22 µs later than on silicon. Events between two
 //! bits are not modelled.
 
-mod overrun;
+mod trailing;
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
 use rigless::soc::FieldSpec;
@@ -40,7 +40,7 @@ use crate::delegate::delegate;
 use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
 use crate::fitted::FittedSensor;
 use crate::wires::SharedWires;
-use overrun::Overrun;
+use trailing::TrailingByte;
 
 /// The channel and the streams of DMA1 that serve I2C1's receiver (RM0090, table 42), by their
 /// control and count registers.
@@ -97,7 +97,8 @@ pub struct WiredI2c {
     sent: u8,
     /// True if SDA was high at the last check.
     was_data_high: bool,
-    overrun: Overrun,
+    /// The byte after one that was not acknowledged.
+    trailing: TrailingByte,
     /// The event at which the STOP on the lines is over.
     stopping: Option<EventId>,
     /// START and STOP as CR1 last read back.
@@ -145,7 +146,7 @@ impl WiredI2c {
             is_reading: false,
             sent: 0,
             was_data_high: true,
-            overrun: Overrun::Nothing,
+            trailing: TrailingByte::Nothing,
             stopping: None,
             requested: 0,
             is_stuck: false,
@@ -175,10 +176,10 @@ impl WiredI2c {
                 registers.set(Register::Sr2, sr2::BUSY.set(status, 0));
             }
         }
-        let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
+        let is_byte_on_wire = matches!(self.trailing, TrailingByte::OnWire(_));
         let is_free = !is_byte_on_wire && self.starting.is_none();
         if is_data_high && is_clock_high && self.waiting != 0 && is_free {
-            self.overrun = Overrun::Nothing;
+            self.trailing = TrailingByte::Nothing;
             let waiting = std::mem::take(&mut self.waiting);
             let was_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
             let control = registers.get(Register::Cr1) & !waiting;
@@ -309,7 +310,7 @@ impl WiredI2c {
             return;
         }
         let asked = value & (cr1::START.mask() | cr1::STOP.mask());
-        let is_byte_on_wire = matches!(self.overrun, Overrun::OnWire(_));
+        let is_byte_on_wire = matches!(self.trailing, TrailingByte::OnWire(_));
         if self.start_takes_time && cr1::START.is_set(value) {
             let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
             let takes_ns = if is_controller {
@@ -325,7 +326,7 @@ impl WiredI2c {
             || self.is_low(BusLine::Clock, context)
             || self.is_low(BusLine::Data, context);
         if asked != 0 && !is_held {
-            self.overrun = Overrun::Nothing;
+            self.trailing = TrailingByte::Nothing;
         }
         if asked != 0 && is_held && self.is_connected {
             self.waiting = asked;
@@ -401,7 +402,7 @@ impl WiredI2c {
         if is_last {
             registers.restore(Register::Cr1, acknowledge, before);
             let due_ns = now_ns + Self::period_ns(registers);
-            self.overrun = Overrun::Due(context.schedule(VirtualNanos(due_ns)));
+            self.trailing = TrailingByte::Due(context.schedule(VirtualNanos(due_ns)));
         }
     }
 
@@ -557,7 +558,7 @@ impl WiredI2c {
         self.waiting = 0;
         self.is_addressing = false;
         self.is_reading = false;
-        self.overrun = Overrun::Nothing;
+        self.trailing = TrailingByte::Nothing;
         self.stopping = None;
         self.requested = 0;
         self.is_stuck = false;

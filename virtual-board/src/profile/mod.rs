@@ -11,11 +11,11 @@
 //!
 //! Handlers are expected on the main stack, as RTIC and cortex-m-rt have them.
 
-mod garage;
+mod pool;
 mod processor;
 mod stretch;
 
-pub use garage::{Garage, Purpose, Rented, Request};
+pub use pool::{PoolKey, PoolRequest, PooledProcessor, ProcessorPool};
 pub use processor::ProfiledProcessor;
 
 /// One more than the highest exception number of the part: 16 of the core, 91 of the STM32F427, and

@@ -10,7 +10,7 @@ use rigless::emulator::{
 use rigless::soc::{Endian, Width};
 use rigless::time::VirtualNanos;
 
-use super::garage::Rented;
+use super::pool::PooledProcessor;
 use super::stretch::Stretch;
 use super::{CRASHES, EXCEPTIONS, Profile, THREAD, Upset};
 use crate::checks::{Checks, Reserved};
@@ -19,7 +19,7 @@ use crate::flash::{SLOTS, SharedCells};
 /// A processor that keeps a [`Profile`] and otherwise does what the one inside does.
 #[derive(Debug)]
 pub struct ProfiledProcessor {
-    inner: Rented,
+    inner: PooledProcessor,
     profile: Arc<Mutex<Profile>>,
     /// The part of the flash that the inner processor does not map.
     cells: SharedCells,
@@ -73,7 +73,7 @@ impl ProfiledProcessor {
     /// Wraps a processor. `handlers` are the vector table's entries by exception number.
     #[must_use]
     pub fn new(
-        inner: Rented,
+        inner: PooledProcessor,
         handlers: Vec<u32>,
         profile: Arc<Mutex<Profile>>,
         cells: SharedCells,
@@ -109,7 +109,7 @@ impl ProfiledProcessor {
     }
 
     /// Applies the upsets that are due.
-    fn suffer(&mut self) {
+    fn apply_upsets(&mut self) {
         let upsets = match self.profile.lock() {
             Ok(mut profile) => std::mem::take(&mut profile.upsets),
             Err(_) => return,
@@ -167,7 +167,7 @@ impl ProfiledProcessor {
     }
 
     /// Determines the running exception, and credits the instructions since the last time.
-    fn look(&mut self, bus: &mut dyn CoreBus) {
+    fn observe_context(&mut self, bus: &mut dyn CoreBus) {
         let exception = self.exception();
         let pc = self.inner.pc();
         // The entry at 0 handles all exceptions while the firmware measures itself.
@@ -190,13 +190,13 @@ impl ProfiledProcessor {
     }
 
     /// Observes the context again, unless the exception is still the same.
-    fn look_again(&mut self, bus: &mut dyn CoreBus) {
+    fn observe_if_changed(&mut self, bus: &mut dyn CoreBus) {
         if self
             .profile
             .lock()
             .is_ok_and(|profile| !profile.crashes_only && profile.current != self.exception())
         {
-            self.look(bus);
+            self.observe_context(bus);
         }
     }
 
@@ -250,7 +250,7 @@ impl Processor for ProfiledProcessor {
         if !self.is_armed {
             self.arm();
         }
-        self.suffer();
+        self.apply_upsets();
         let start = self.inner.retired();
         if self.inner.waiting() {
             self.slept_at = start;
@@ -277,18 +277,18 @@ impl Processor for ProfiledProcessor {
             };
             match self.inner.run(budget, &mut stretch) {
                 (Exit::Breakpoint, _) => {
-                    self.look(stretch.bus);
+                    self.observe_context(stretch.bus);
                     let here = self.inner.pc();
                     self.inner.pass_breakpoint(here);
                 }
-                (Exit::Budget, _) if stretch.is_stepped => self.look_again(stretch.bus),
+                (Exit::Budget, _) if stretch.is_stepped => self.observe_if_changed(stretch.bus),
                 (exit, _) => break exit,
             }
             if self.inner.retired() >= stretch.until {
                 break Exit::Budget;
             }
         };
-        self.look_again(stretch.bus);
+        self.observe_if_changed(stretch.bus);
         (exit, self.inner.retired() - start)
     }
 

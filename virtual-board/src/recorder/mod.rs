@@ -42,8 +42,8 @@ const SERVICE_PERIOD_NS: u64 = 1_000_000;
 /// RM0090, table 62).
 const ATTITUDE_INTERRUPT: u16 = 51;
 
-/// An NMI handler that has not cleared its cause after this time never will, ns. The handler is one
-/// store.
+/// An NMI handler that has not cleared its cause after this time never will, ns. The firmware's
+/// handler is two stores.
 const NMI_LIMIT_NS: u64 = 20_000;
 
 /// The interrupts that only the sample path uses (RM0090, table 62): DMA1 stream 0, EXTI1, I2C1
@@ -80,9 +80,9 @@ pub trait Observer: Send {
 }
 
 /// An observer that ignores the run.
-pub struct Nobody;
+pub struct NoObserver;
 
-impl Observer for Nobody {}
+impl Observer for NoObserver {}
 
 /// Records a run.
 pub struct Recorder {

@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::data::{Data, Section};
 use crate::build::{self, BOARDS, Board, Firmware};
 use crate::setup::Toolchain;
-use crate::{agree, cost, examples, size, step};
+use crate::{cost, examples, recordings, size, step};
 
 /// Filters whose accuracy is kept, by the names of `aplomb-bench`.
 const FILTERS: [&str; 4] = ["kalman", "vqf", "axis-kalman", "classic"];
@@ -180,7 +180,7 @@ fn recorded(data: &mut Data, virtual_board: &Path, elf: &Path) -> Result<(), Str
         ("broad_01_rms_deg", "broad/01.csv.gz"),
         ("tumvi_room1_rms_deg", "tumvi/room1.csv.gz"),
     ] {
-        let path = agree::recordings().join(file);
+        let path = recordings::folder().join(file);
         if !path.is_file() {
             return skip("flights of recordings", &path);
         }
@@ -208,7 +208,7 @@ fn filters(data: &mut Data) -> Result<(), String> {
                 command.args(["--accelerometer", "calibrated"]);
             }
         } else {
-            let folder = agree::recordings().join(set);
+            let folder = recordings::folder().join(set);
             if !folder.is_dir() {
                 skip("the accuracy on recordings", &folder)?;
                 continue;
@@ -382,7 +382,7 @@ fn skip(work: &str, path: &Path) -> Result<(), String> {
         "   skipped: {work}, as there is no {}; {} may name the folder of \
          recordings. The old figures stay.",
         path.display(),
-        agree::RECORDINGS_VARIABLE
+        recordings::VARIABLE
     );
     Ok(())
 }

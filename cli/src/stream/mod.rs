@@ -1,9 +1,11 @@
-//! Decoder of the module's stream, whatever its format: bytes in, readings and messages out.
+//! Decoder of the module's stream, whatever its format: bytes in, attitudes and messages out.
 //!
 //! The decoders of all formats get every byte. Each accepts only input that it can check (a
 //! checksum, or the exact form of a line or packet), so the present format is that of the last
 //! accepted piece, and may change without notice.
 
+mod fields;
+mod item;
 mod lines;
 mod log;
 mod mavlink;
@@ -13,7 +15,8 @@ mod tests;
 
 use aplomb::settings::OutputFormat;
 
-use super::item::{Counts, Format, Item, Reading};
+pub use fields::{field, numbers};
+pub use item::{Attitude, Counts, Format, Item, Sensors};
 use lines::{Content, Lines};
 use log::Log;
 use mavlink::Mavlink;
@@ -64,8 +67,8 @@ impl Decoder {
                     self.lines.restart();
                 }
             }
-            let is_reading = |item: &&Item| matches!(item, Item::Reading(_));
-            self.counts.readings += items[start..].iter().filter(is_reading).count() as u64;
+            let is_reading = |item: &&Item| matches!(item, Item::Attitude(_));
+            self.counts.attitudes += items[start..].iter().filter(is_reading).count() as u64;
         }
     }
 
@@ -107,7 +110,7 @@ impl Decoder {
             if let Some(last) = self.packets.counter.replace(counter) {
                 counts.lost += u64::from(counter.wrapping_sub(last).wrapping_sub(1));
             }
-            items.push(Item::Reading(Reading::of_attitude(attitude)));
+            items.push(Item::Attitude(Attitude::of_quaternion(attitude)));
             return module(OutputFormat::Teapot);
         }
         match self.lines.push(byte, items) {

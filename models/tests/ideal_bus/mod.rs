@@ -13,9 +13,9 @@ const BYTE_NS: u64 = 22_500;
 
 /// The sensor and the time, shared by the bus and the delay.
 #[derive(Clone)]
-pub struct Bench(pub Rc<RefCell<(Sensor, u64)>>);
+pub struct IdealBus(pub Rc<RefCell<(Sensor, u64)>>);
 
-impl Bench {
+impl IdealBus {
     /// Creates a sensor with this motion, at time zero.
     pub fn new(config: SensorConfig, motion: impl Motion + 'static) -> Self {
         Self(Rc::new(RefCell::new((
@@ -37,7 +37,7 @@ impl Bench {
     }
 }
 
-impl DelayNs for Bench {
+impl DelayNs for IdealBus {
     fn delay_ns(&mut self, duration_ns: u32) {
         let (sensor, now_ns) = &mut *self.0.borrow_mut();
         *now_ns += u64::from(duration_ns);
@@ -45,11 +45,11 @@ impl DelayNs for Bench {
     }
 }
 
-impl ErrorType for Bench {
+impl ErrorType for IdealBus {
     type Error = ErrorKind;
 }
 
-impl I2c for Bench {
+impl I2c for IdealBus {
     fn transaction(
         &mut self,
         address: u8,

@@ -12,7 +12,7 @@ use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use aplomb::units::degrees;
 use aplomb_recordings::flight_log::StateCollector;
 
-use crate::view::item::{Counts, Item, Reading};
+use super::item::{Attitude, Counts, Item};
 
 /// Bursts that are kept until the pieces of a state have come: they take a second or two.
 const BURSTS_KEPT: usize = 8192;
@@ -70,7 +70,7 @@ impl Log {
             }
             Frame::Burst(burst) => self.burst(burst, counts),
             Frame::Attitude(snapshot) => {
-                items.push(Item::Reading(Reading::of_snapshot(&snapshot)));
+                items.push(Item::Attitude(Attitude::of_snapshot(&snapshot)));
                 if let Some(heading) = &self.heading {
                     items.push(Item::Heading(heading::Line::new(&snapshot, heading)));
                 }

@@ -39,7 +39,7 @@ impl Format {
 
 /// Attitude, as far as the format has it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Reading {
+pub struct Attitude {
     /// Time since the module's start, µs.
     pub t_us: Option<u64>,
     /// Roll, right wing down positive, degrees.
@@ -69,7 +69,7 @@ pub struct Sensors {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Item {
     /// An attitude.
-    Reading(Reading),
+    Attitude(Attitude),
     /// σ of the tilt, degrees.
     TiltSigma(f32),
     /// Heading from a compass.
@@ -86,7 +86,7 @@ pub enum Item {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counts {
     /// Attitudes.
-    pub readings: u64,
+    pub attitudes: u64,
     /// Bursts of the flight log.
     pub bursts: u64,
     /// Bursts, packets and messages that are missing by their numbers.
@@ -95,9 +95,9 @@ pub struct Counts {
     pub damaged: u64,
 }
 
-impl Reading {
+impl Attitude {
     /// Returns the angles of an attitude.
-    pub fn of_attitude(attitude: Quaternion) -> Self {
+    pub fn of_quaternion(attitude: Quaternion) -> Self {
         let angles = attitude.to_euler();
         Self {
             roll_deg: degrees(angles.roll_rad),
@@ -107,18 +107,18 @@ impl Reading {
         }
     }
 
-    /// Returns the reading of a snapshot.
+    /// Returns the attitude of a snapshot.
     pub fn of_snapshot(snapshot: &Snapshot) -> Self {
         let rates = snapshot.body_rates_rad_s;
         Self {
             t_us: Some(snapshot.t_us),
             rates_deg_s: [rates.x, rates.y, rates.z].map(|rate| Some(degrees(rate))),
             flags: Some(snapshot.flags),
-            ..Self::of_attitude(snapshot.attitude)
+            ..Self::of_quaternion(snapshot.attitude)
         }
     }
 
-    /// Returns the reading of a row of an attitude table.
+    /// Returns the attitude of a row of an attitude table.
     pub fn of_row(row: &Row) -> Self {
         let [roll_deg, pitch_deg, yaw_deg] = row.attitude.angles_deg();
         Self {
@@ -131,7 +131,7 @@ impl Reading {
         }
     }
 
-    /// Returns the reading of a line. `named` are the flags that the module named last; `VALID` is
+    /// Returns the attitude of a line. `named` are the flags that the module named last; `VALID` is
     /// in each line.
     pub fn of_line(line: &Line, named: Flags) -> Self {
         let mut flags = named;

@@ -6,7 +6,7 @@ use aplomb::telemetry::text::Line;
 use aplomb::telemetry::{classic, heading, teleplot, text};
 use aplomb_recordings::attitude_table::Columns;
 
-use crate::view::item::{Format, Item, Reading};
+use super::item::{Attitude, Format, Item};
 
 /// Longest line of the module, with a margin: a status has up to 610 letters.
 const LONGEST_LINE: usize = 1024;
@@ -98,7 +98,7 @@ impl Lines {
             return Content::Other;
         }
         if let Some(angles) = classic::decode(line) {
-            items.push(Item::Reading(Reading {
+            items.push(Item::Attitude(Attitude {
                 roll_deg: angles.roll_deg,
                 pitch_deg: angles.pitch_deg,
                 rates_deg_s: [
@@ -106,7 +106,7 @@ impl Lines {
                     Some(angles.pitch_rate_deg_s),
                     None,
                 ],
-                ..Reading::default()
+                ..Attitude::default()
             }));
             return module(OutputFormat::Classic);
         }
@@ -120,7 +120,7 @@ impl Lines {
         if let Some(columns) = &self.columns
             && let Ok(row) = columns.row(line)
         {
-            items.push(Item::Reading(Reading::of_row(&row)));
+            items.push(Item::Attitude(Attitude::of_row(&row)));
             items.extend(row.tilt_sigma_deg.map(Item::TiltSigma));
             return Content::Attitude(Format::Table);
         }
@@ -137,7 +137,7 @@ impl Lines {
             // The condition that was named is over. No message ends `CALIBRATING`.
             self.named = Flags::empty();
         }
-        items.push(Item::Reading(Reading::of_line(line, self.named)));
+        items.push(Item::Attitude(Attitude::of_line(line, self.named)));
     }
 
     /// Takes a variable of `teleplot`. `valid` completes the attitude, `heading_valid` the heading.

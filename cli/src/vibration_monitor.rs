@@ -1,4 +1,4 @@
-//! Watch over a recording: messages on what harms its accuracy.
+//! Monitor of a recording: measures its vibration, and warns if it is too strong.
 
 use std::error::Error;
 
@@ -6,14 +6,14 @@ use aplomb_recordings::vibration::Vibration;
 
 use crate::source::{Point, Source};
 
-/// Source that passes its points on, and measures the vibration.
-pub struct Watched<'a> {
+/// Source that passes its points on, and measures the vibration on the way.
+pub struct VibrationMonitor<'a> {
     source: &'a mut dyn Source,
     vibration: Vibration,
 }
 
-impl<'a> Watched<'a> {
-    /// Starts to watch a source.
+impl<'a> VibrationMonitor<'a> {
+    /// Monitors a source.
     pub fn new(source: &'a mut dyn Source) -> Self {
         Self {
             source,
@@ -22,7 +22,7 @@ impl<'a> Watched<'a> {
     }
 }
 
-impl Source for Watched<'_> {
+impl Source for VibrationMonitor<'_> {
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
         let point = self.source.next()?;
         if let Some(point) = &point

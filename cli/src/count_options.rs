@@ -6,7 +6,7 @@ use aplomb_recordings::units::RowOptions;
 
 /// Options that give register counts their meaning.
 #[derive(clap::Args)]
-pub struct Counts {
+pub struct CountOptions {
     /// The log's values are register counts of a sensor with these ranges
     #[arg(long, requires_all = ["accel_range", "gyro_range"])]
     pub raw: bool,
@@ -19,7 +19,7 @@ pub struct Counts {
     gyro_range: Option<GyroscopeRange>,
 }
 
-impl Counts {
+impl CountOptions {
     /// Refuses options that mean nothing for this form.
     pub fn check(&self, form: Form, rows: &RowOptions) -> Result<(), &'static str> {
         let has_units = rows.force_unit.is_some() || rows.rate_unit.is_some();

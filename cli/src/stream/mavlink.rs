@@ -4,7 +4,7 @@ use aplomb::units::degrees;
 use mavlink::dialects::common::{MavMessage, MavSysStatusSensor};
 use mavlink::{MAVLinkV2MessageRaw, MavlinkVersion, Message};
 
-use crate::view::item::{Counts, Item, Reading, Sensors};
+use super::item::{Attitude, Counts, Item, Sensors};
 
 /// Room for the longest frame of MAVLink 2, as the `mavlink` crate has it.
 const MAVLINK_CAPACITY: usize = 283;
@@ -72,7 +72,7 @@ impl Mavlink {
             return;
         };
         match message {
-            MavMessage::ATTITUDE(attitude) => items.push(Item::Reading(Reading {
+            MavMessage::ATTITUDE(attitude) => items.push(Item::Attitude(Attitude {
                 t_us: Some(u64::from(attitude.time_boot_ms) * 1000),
                 roll_deg: degrees(attitude.roll),
                 pitch_deg: degrees(attitude.pitch),

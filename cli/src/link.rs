@@ -1,5 +1,5 @@
-//! Source of the bytes: a serial port, which may be unplugged and come back, or the virtual board
-//! as another process.
+//! Link to a module: a serial port, which may be unplugged and come back, the virtual board as
+//! another process, or a sensor on a bus of this computer.
 //!
 //! A thread reads, so that no byte is lost while the screen is drawn, and carries out orders. It
 //! ends when the [`Link`] is dropped.
@@ -13,9 +13,8 @@ use std::time::{Duration, Instant};
 
 use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 
-use super::detect::Decoder;
-use super::item::Item;
 use crate::i2c::Sampled;
+use crate::stream::{Decoder, Item};
 
 /// Default baud rate of the module.
 pub const BAUD: u32 = 115_200;
@@ -486,7 +485,7 @@ fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<O
 }
 
 #[cfg(all(test, unix))]
-#[path = "../../tests/common/plug.rs"]
+#[path = "../tests/common/plug.rs"]
 mod plug;
 
 #[cfg(all(test, unix))]

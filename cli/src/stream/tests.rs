@@ -44,12 +44,12 @@ fn decode(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Item> {
     items
 }
 
-fn readings(items: &[Item]) -> Vec<Reading> {
-    let reading = |item: &Item| match item {
-        Item::Reading(reading) => Some(*reading),
+fn attitudes(items: &[Item]) -> Vec<Attitude> {
+    let attitude = |item: &Item| match item {
+        Item::Attitude(attitude) => Some(*attitude),
         _ => None,
     };
-    items.iter().filter_map(reading).collect()
+    items.iter().filter_map(attitude).collect()
 }
 
 /// Frames of every format, lines, and noise; some with a byte changed.
@@ -131,10 +131,10 @@ proptest! {
         prop_assert_eq!(format!("{items:?}"), format!("{in_pieces:?}"));
         prop_assert_eq!(whole.counts(), pieces.counts());
         prop_assert_eq!(whole.format(), pieces.format());
-        items.retain(|item| matches!(item, Item::Reading(_)));
-        prop_assert_eq!(items.len() as u64, whole.counts().readings);
+        items.retain(|item| matches!(item, Item::Attitude(_)));
+        prop_assert_eq!(items.len() as u64, whole.counts().attitudes);
         let next = [b"\n", &frame(OutputFormat::Text, 0)[..]].concat();
-        let found = readings(&decode(&mut whole, &next));
+        let found = attitudes(&decode(&mut whole, &next));
         prop_assert!(found.last().is_some_and(|found| (found.roll_deg - 12.0).abs() < 0.02));
         prop_assert_eq!(whole.format(), Some(Format::Module(OutputFormat::Text)));
     }
@@ -180,17 +180,17 @@ fn every_format_of_a_frame_is_found_by_itself_and_so_are_changes() {
         OutputFormat::Text,
     ] {
         let items = decode(&mut decoder, &frame(format, 0));
-        let [reading] = readings(&items)[..] else {
+        let [attitude] = attitudes(&items)[..] else {
             panic!("{format:?}: {items:?}");
         };
         assert_eq!(decoder.format(), Some(Format::Module(format)));
-        assert!((reading.roll_deg - 12.0).abs() < 0.02, "{reading:?}");
-        assert!((reading.pitch_deg + 5.0).abs() < 0.02, "{reading:?}");
-        let yaw = reading.yaw_deg;
+        assert!((attitude.roll_deg - 12.0).abs() < 0.02, "{attitude:?}");
+        assert!((attitude.pitch_deg + 5.0).abs() < 0.02, "{attitude:?}");
+        let yaw = attitude.yaw_deg;
         assert_eq!(yaw.is_some(), format != OutputFormat::Classic);
         assert!(yaw.is_none_or(|yaw| (yaw - 40.0).abs() < 0.02));
         let has_health = matches!(format, OutputFormat::Text | OutputFormat::Teleplot);
-        assert_eq!(reading.flags, has_health.then_some(Flags::VALID));
+        assert_eq!(attitude.flags, has_health.then_some(Flags::VALID));
     }
     assert_eq!(decoder.counts().damaged, 0);
     let items = decode(&mut decoder, &mavlink(&mut Session::new(), None));
@@ -198,7 +198,7 @@ fn every_format_of_a_frame_is_found_by_itself_and_so_are_changes() {
         decoder.format(),
         Some(Format::Module(OutputFormat::Mavlink))
     );
-    assert!((readings(&items)[0].roll_deg - 12.0).abs() < 1e-3);
+    assert!((attitudes(&items)[0].roll_deg - 12.0).abs() < 1e-3);
     assert!(items.contains(&Item::Temperature(31.5)));
 }
 
@@ -208,24 +208,24 @@ fn text_says_whether_it_is_valid_and_a_message_why_it_is_not() {
     let lines = "# attitude: VALID|DEGRADED|POLLED\nroll:1.00\tpitch:-2.50\tyaw:90.00\t\
                 roll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
     let items = decode(&mut decoder, lines.as_bytes());
-    let [reading] = readings(&items)[..] else {
+    let [attitude] = attitudes(&items)[..] else {
         panic!("{items:?}");
     };
-    assert_eq!(reading.flags, Some(Flags::DEGRADED | Flags::POLLED));
+    assert_eq!(attitude.flags, Some(Flags::DEGRADED | Flags::POLLED));
     // A status names them before anything changes, what has just happened too.
     let lines = "# ok status: flags=CALIBRATING|MISSED|DEGRADED sensor=none\n\
                 roll:1.00\tpitch:-2.50\tyaw:90.00\t\
                 roll_rate:0.00\tpitch_rate:0.12\tyaw_rate:-3.00\tvalid:0\n";
     let items = decode(&mut decoder, lines.as_bytes());
     let flags = Flags::CALIBRATING | Flags::DEGRADED;
-    assert_eq!(readings(&items)[0].flags, Some(flags));
+    assert_eq!(attitudes(&items)[0].flags, Some(flags));
     // The window is over when an attitude is valid.
     let items = decode(&mut decoder, &frame(OutputFormat::Text, 0));
-    assert_eq!(readings(&items)[0].flags, Some(Flags::VALID));
+    assert_eq!(attitudes(&items)[0].flags, Some(Flags::VALID));
     let items = decode(&mut decoder, b"# attitude: VALID\n");
     assert_eq!(items, [Item::Message("attitude: VALID".into())]);
     let items = decode(&mut decoder, &frame(OutputFormat::Text, 0));
-    assert_eq!(readings(&items)[0].flags, Some(Flags::VALID));
+    assert_eq!(attitudes(&items)[0].flags, Some(Flags::VALID));
 }
 
 #[test]
@@ -237,7 +237,7 @@ fn a_frame_that_is_found_late_takes_no_line_with_it() {
     let length = (3 + heartbeat.len() + 1 + line.len() - Mavlink::OVERHEAD) as u8;
     let start = [Mavlink::START, length, 0];
     let items = decode(&mut decoder, &[&start, heartbeat, b"\n", &line].concat());
-    assert_eq!(readings(&items).len(), 1);
+    assert_eq!(attitudes(&items).len(), 1);
     assert_eq!(decoder.format(), Some(Format::Module(OutputFormat::Text)));
 }
 
@@ -247,7 +247,7 @@ fn losses_are_counted_by_the_numbers_that_frames_have() {
     for counter in [254, 255, 0, 3] {
         decode(&mut decoder, &frame(OutputFormat::Teapot, counter));
     }
-    assert_eq!((decoder.counts().readings, decoder.counts().lost), (4, 2));
+    assert_eq!((decoder.counts().attitudes, decoder.counts().lost), (4, 2));
     let mut decoder = Decoder::default();
     let mut session = Session::new();
     decode(&mut decoder, &mavlink(&mut session, None));
@@ -284,7 +284,7 @@ fn what_goes_by_in_another_format_is_not_lost() {
         decode(&mut decoder, &frame(OutputFormat::Text, 0));
     }
     let counts = decoder.counts();
-    assert_eq!((counts.bursts, counts.readings, counts.lost), (3, 9, 0));
+    assert_eq!((counts.bursts, counts.attitudes, counts.lost), (3, 9, 0));
 }
 
 #[test]
@@ -301,7 +301,7 @@ fn a_half_line_at_the_start_is_no_damage_and_a_wrong_one_later_is() {
     let mut bytes = b"_rate:1.00\n".to_vec();
     bytes.extend(frame(OutputFormat::Text, 0));
     let items = decode(&mut decoder, &bytes);
-    assert_eq!((readings(&items).len(), decoder.counts().damaged), (1, 0));
+    assert_eq!((attitudes(&items).len(), decoder.counts().damaged), (1, 0));
     decode(&mut decoder, b"roll:1.00\tpi\n# a message\r\n\n");
     assert_eq!(decoder.counts().damaged, 1);
 }
@@ -344,7 +344,7 @@ fn a_log_gives_attitudes_sigma_and_what_is_missing() {
     assert_eq!(decoder.format(), Some(Format::Module(OutputFormat::Log)));
     let counts = decoder.counts();
     assert_eq!(
-        (counts.readings, counts.bursts, counts.lost, counts.damaged),
+        (counts.attitudes, counts.bursts, counts.lost, counts.damaged),
         (600, 12_000, 0, 0)
     );
     let sigma = sigma_of(&items);
@@ -376,7 +376,7 @@ fn a_message_in_the_log_is_put_together() {
         let end = output.length();
         let items = decode(&mut Decoder::default(), &buffer[..end]);
         assert_eq!(items[0], Item::Message(text));
-        assert_eq!(readings(&items[1..]).len(), 1);
+        assert_eq!(attitudes(&items[1..]).len(), 1);
     }
 }
 
@@ -404,7 +404,7 @@ fn the_heading_of_text_and_teleplot_is_no_attitude_and_no_damage() {
         let items = decode(&mut decoder, &stream);
         let headings = items.iter().filter(|item| **item == Item::Heading(line));
         assert!(headings.count() >= 15, "{format:?} {items:?}");
-        assert!((15..=20).contains(&readings(&items).len()), "{format:?}");
+        assert!((15..=20).contains(&attitudes(&items).len()), "{format:?}");
         assert_eq!(decoder.counts().damaged, 0, "{format:?}");
     }
 }
@@ -420,7 +420,7 @@ fn an_attitude_table_is_read_by_its_columns() {
     assert_eq!(
         items,
         [
-            Item::Reading(Reading {
+            Item::Attitude(Attitude {
                 t_us: Some(1000),
                 roll_deg: 1.5,
                 pitch_deg: -2.0,
@@ -466,6 +466,6 @@ fn the_heading_of_a_log_comes_with_each_attitude_until_it_is_unknown() {
     assert_eq!(found, [heading::Line::new(&snapshot(), &estimate); 2]);
     assert!((found[0].heading_deg - 60.0).abs() < 0.1, "{found:?}");
     let items = decode(&mut decoder, &bytes(None));
-    assert_eq!((readings(&items).len(), headings(&items).len()), (2, 0));
+    assert_eq!((attitudes(&items).len(), headings(&items).len()), (2, 0));
     assert_eq!(decoder.counts().damaged, 0);
 }

@@ -61,7 +61,7 @@ impl FromStr for FilterName {
 }
 
 /// A pipeline with the filter of choice, and the last specific force.
-pub struct Device {
+pub struct AnyPipeline {
     pipeline: Variant,
     settings: Settings,
     specific_force_m_s2: Vector3,
@@ -80,7 +80,7 @@ enum Variant {
     Classic(ClassicPipeline<Tutorial>),
 }
 
-impl Device {
+impl AnyPipeline {
     /// Creates a pipeline for bursts. The tutorial's filters first average offsets at rest.
     pub fn for_bursts(filter: FilterName, settings: &Settings) -> Self {
         Self::new(filter, settings, AVERAGED_SAMPLES, 0.0)

@@ -1,9 +1,9 @@
 //! Processors that keep their translated code from one flight to the next.
 //!
 //! The emulator translates the firmware's instructions to code of the host while they run. That
-//! takes a second of CPU, more than a short flight itself. A [`Garage`] keeps the processor of a
-//! finished flight. The next flight of the same image loads the state of a new processor into it,
-//! which leaves the translated code alone.
+//! takes a second of CPU, more than a short flight itself. A [`ProcessorPool`] keeps the processor
+//! of a finished flight. The next flight of the same image loads the state of a new processor into
+//! it, which leaves the translated code alone.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,24 +12,24 @@ use rigless::emulator::{Error, Processor, Queued};
 
 /// The processors between two flights.
 #[derive(Debug, Default)]
-pub struct Garage {
+pub struct ProcessorPool {
     idle: Mutex<Vec<Idle>>,
 }
 
-/// A processor with its purpose and its spares.
-type Idle = (Purpose, Box<dyn Processor>, Spares);
+/// A processor with its key and its spares.
+type Idle = (PoolKey, Box<dyn Processor>, Spares);
 
 /// The conditions under which the translated code of one flight is right for another.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Purpose {
+pub struct PoolKey {
     /// The core's clock, Hz.
     pub core_hz: u64,
     /// The ELF file.
     pub image: Arc<[u8]>,
 }
 
-/// A garage, and the purpose of the processor that is wanted from it.
-pub type Request = (Arc<Garage>, Purpose);
+/// A pool, and the key of the processor that is wanted from it.
+pub type PoolRequest = (Arc<ProcessorPool>, PoolKey);
 
 /// The parts that turn a used processor into a new one with translated code.
 #[derive(Debug)]
@@ -37,26 +37,26 @@ struct Spares {
     /// The state of a new processor.
     fresh: Vec<u8>,
     /// A processor without code. It computes the states after changes that would drop the code.
-    bench: Box<dyn Processor>,
+    scratch: Box<dyn Processor>,
     /// Memory to be mapped to between two flights: that of the last flight is gone.
-    parking: Vec<u8>,
+    spare_memory: Vec<u8>,
 }
 
 /// A processor for one flight.
 #[derive(Debug)]
-pub struct Rented {
-    /// Processor, until it goes back to the garage.
+pub struct PooledProcessor {
+    /// Processor, until it goes back to the pool.
     processor: Option<Box<dyn Processor>>,
     /// Place of the return, and the parts that the processor needs there.
-    returns: Option<(Request, Spares)>,
+    returns: Option<(PoolRequest, Spares)>,
     /// The mapped ranges: start, length, and true if the firmware can write there.
     regions: Vec<(u64, u64, bool)>,
 }
 
-impl Rented {
+impl PooledProcessor {
     /// A processor that ends with its flight.
     #[must_use]
-    pub fn once(processor: Box<dyn Processor>) -> Self {
+    pub fn unpooled(processor: Box<dyn Processor>) -> Self {
         Self {
             processor: Some(processor),
             returns: None,
@@ -64,18 +64,18 @@ impl Rented {
         }
     }
 
-    /// A processor from a garage, or from `make` where none is idle.
+    /// A processor from a pool, or from `make` where none is idle.
     ///
     /// # Errors
     ///
     /// When `make` fails, or a processor refuses the state of a new one.
-    pub fn from_garage(
-        request: Request,
+    pub fn from_pool(
+        request: PoolRequest,
         make: impl Fn() -> Result<Box<dyn Processor>, Error>,
     ) -> Result<Self, Error> {
         let found = {
             let mut idle = lock(&request.0.idle);
-            let place = idle.iter().position(|(purpose, ..)| *purpose == request.1);
+            let place = idle.iter().position(|(key, ..)| *key == request.1);
             place.map(|place| idle.swap_remove(place))
         };
         let (processor, spares) = match found {
@@ -89,8 +89,8 @@ impl Rented {
                 let processor = make()?;
                 let spares = Spares {
                     fresh: processor.save(),
-                    bench: make()?,
-                    parking: Vec::new(),
+                    scratch: make()?,
+                    spare_memory: Vec::new(),
                 };
                 (processor, spares)
             }
@@ -113,13 +113,14 @@ impl Rented {
         self.change_state(|processor| processor.set_gdb_register(number, bytes))
     }
 
-    /// Makes a change that drops all translated code: if there is a bench, on the state alone.
+    /// Makes a change that drops all translated code: if there is a scratch processor, on the
+    /// state alone.
     fn change_state<T>(&mut self, change: impl Fn(&mut dyn Processor) -> T) -> T {
         if let (Some(processor), Some((_, spares))) = (&mut self.processor, &mut self.returns)
-            && spares.bench.load(&processor.save()).is_ok()
+            && spares.scratch.load(&processor.save()).is_ok()
         {
-            let result = change(&mut *spares.bench);
-            if processor.load(&spares.bench.save()).is_ok() {
+            let result = change(&mut *spares.scratch);
+            if processor.load(&spares.scratch.save()).is_ok() {
                 return result;
             }
         }
@@ -159,15 +160,15 @@ impl Rented {
     unsafe_code,
     reason = "the emulator takes its memory as a pointer, and this gives it another"
 )]
-fn park(processor: &mut dyn Processor, regions: &[(u64, u64, bool)], parking: &mut Vec<u8>) {
+fn detach(processor: &mut dyn Processor, regions: &[(u64, u64, bool)], spare_memory: &mut Vec<u8>) {
     let page = processor.page_size();
     let page_bytes = usize::try_from(page).unwrap_or(1);
     let lengths = regions.iter().map(|&(_, length, _)| length);
     let bytes = usize::try_from(lengths.max().unwrap_or(0) + page).unwrap_or(0);
-    if parking.len() < bytes {
-        *parking = vec![0; bytes];
+    if spare_memory.len() < bytes {
+        *spare_memory = vec![0; bytes];
     }
-    let unaligned = parking.as_mut_ptr();
+    let unaligned = spare_memory.as_mut_ptr();
     let first = unaligned.wrapping_add(unaligned.align_offset(page_bytes));
     for &(start, length, is_writable) in regions {
         for address in (start..start + length).step_by(page_bytes) {
@@ -176,16 +177,16 @@ fn park(processor: &mut dyn Processor, regions: &[(u64, u64, bool)], parking: &m
         if is_writable {
             processor.ask(Queued::Invalidate(start, start + length));
         }
-        // SAFETY: `parking` has a page more than the longest region, and `first` is its first byte
-        // on a page boundary. Nothing else uses that memory. The garage keeps it with the
+        // SAFETY: `spare_memory` has a page more than the longest region, and `first` is its first
+        // byte on a page boundary. Nothing else uses that memory. The pool keeps it with the
         // processor, until the next flight maps the same ranges anew before it runs.
         unsafe { processor.map(start, length, first, is_writable) };
     }
 }
 
-impl Drop for Rented {
+impl Drop for PooledProcessor {
     fn drop(&mut self) {
-        let (Some(mut processor), Some(((garage, purpose), mut spares))) =
+        let (Some(mut processor), Some(((pool, key), mut spares))) =
             (self.processor.take(), self.returns.take())
         else {
             return;
@@ -194,12 +195,12 @@ impl Drop for Rented {
         if std::thread::panicking() {
             return;
         }
-        park(&mut *processor, &self.regions, &mut spares.parking);
-        lock(&garage.idle).push((purpose, processor, spares));
+        detach(&mut *processor, &self.regions, &mut spares.spare_memory);
+        lock(&pool.idle).push((key, processor, spares));
     }
 }
 
-impl Deref for Rented {
+impl Deref for PooledProcessor {
     type Target = dyn Processor;
 
     fn deref(&self) -> &Self::Target {
@@ -208,7 +209,7 @@ impl Deref for Rented {
     }
 }
 
-impl DerefMut for Rented {
+impl DerefMut for PooledProcessor {
     fn deref_mut(&mut self) -> &mut Self::Target {
         let processor = self.processor.as_deref_mut();
         processor.expect("the processor is there until the drop")

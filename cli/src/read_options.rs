@@ -12,16 +12,16 @@ use aplomb_recordings::form::Form;
 use aplomb_recordings::log::{Lines, has_compass};
 use aplomb_recordings::units::{RowOptions, knowledge};
 
-use crate::device::FilterName;
-use crate::input::Counts;
-use crate::source::{Bursts, CompassOptions, Log, LogOptions, Logged, Source};
+use crate::any_pipeline::FilterName;
+use crate::count_options::CountOptions;
+use crate::source::{BurstSource, CompassOptions, FlightSource, LogOptions, LogSource, Source};
 
 /// Largest delay: no low-pass filter or bus is slower, and no turn lasts longer.
 const LONGEST_DELAY_US: i64 = 1_000_000;
 
 /// Options for reading a recording.
 #[derive(clap::Args)]
-pub struct Reading {
+pub struct ReadOptions {
     /// The recording
     pub input: PathBuf,
     /// Filter: kalman, axis-kalman, classic [default: kalman]
@@ -62,7 +62,7 @@ pub struct Reading {
     #[arg(long, value_name = "N")]
     pub flight: Option<usize>,
     #[command(flatten)]
-    counts: Counts,
+    counts: CountOptions,
     #[command(flatten)]
     rows: RowOptions,
 }
@@ -130,7 +130,7 @@ impl Kind {
     }
 }
 
-impl Reading {
+impl ReadOptions {
     /// Refuses options that mean nothing for this kind of input.
     pub fn check(&self, kind: Kind) -> Result<(), String> {
         let own = [
@@ -170,7 +170,7 @@ impl Reading {
             Form::Bursts => {
                 let (mount, config) = (self.mount(), self.counts.config());
                 let delay_us = self.sensor_delay_us;
-                let mut bursts = Bursts::new(lines, self.filter(), mount, config, delay_us);
+                let mut bursts = BurstSource::new(lines, self.filter(), mount, config, delay_us);
                 if let Some(knowledge) = self.accelerometer {
                     bursts.set_accelerometer_knowledge(knowledge);
                 }
@@ -191,7 +191,7 @@ impl Reading {
                     },
                     rows: self.rows,
                 };
-                Box::new(Log::new(lines, options)?)
+                Box::new(LogSource::new(lines, options)?)
             }
         })
     }
@@ -221,9 +221,9 @@ impl Reading {
     }
 
     /// Opens a flight of a flight log.
-    pub fn open_flight(&self, log: &FlightLog, flight: &Flight) -> Result<Logged, String> {
+    pub fn open_flight(&self, log: &FlightLog, flight: &Flight) -> Result<FlightSource, String> {
         self.check(Kind::FlightLog)?;
-        Logged::new(log, flight, self.filter())
+        FlightSource::new(log, flight, self.filter())
             .map_err(|reason| format!("{}: {reason}", self.input.display()))
     }
 

@@ -1,4 +1,5 @@
-//! The clocks after a byte that was not acknowledged, and the bytes of the released bus.
+//! The bytes that the controller clocks in after a byte that it did not acknowledge. No device
+//! drives the bus then, so they read 0xFF. (The manual's overrun, OVR, is another thing.)
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::i2c3::{Register, ccr, cr2, sr1, sr2};
@@ -12,9 +13,9 @@ const PERIODS_OF_BYTE: u64 = 9;
 /// The data on a bus that no device pulls low.
 const RELEASED: u64 = 0xFF;
 
-/// The clocks after a byte that was not acknowledged.
+/// The byte after one that was not acknowledged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Overrun {
+pub(super) enum TrailingByte {
     #[default]
     Nothing,
     /// The controller clocks another byte at this event, unless it is to make a STOP or START.
@@ -43,10 +44,10 @@ impl WiredI2c {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> bool {
-        match self.overrun {
-            Overrun::Due(due) if due == event => {}
-            Overrun::OnWire(end) if end == event => {
-                self.overrun = Overrun::Nothing;
+        match self.trailing {
+            TrailingByte::Due(due) if due == event => {}
+            TrailingByte::OnWire(end) if end == event => {
+                self.trailing = TrailingByte::Nothing;
                 let status = registers.get(Register::Sr1);
                 let is_full = sr1::RXNE.is_set(status);
                 self.is_behind |= is_full && self.released == 0;
@@ -61,13 +62,13 @@ impl WiredI2c {
             }
             _ => return false,
         }
-        self.overrun = Overrun::Nothing;
+        self.trailing = TrailingByte::Nothing;
         let is_controller = sr2::MSL.is_set(registers.get(Register::Sr2));
         // With DR and the shift register full the clock is held.
         if is_controller && !sr1::BTF.is_set(registers.get(Register::Sr1)) {
             let byte_ns = PERIODS_OF_BYTE * Self::period_ns(registers);
             let end = context.schedule(VirtualNanos(context.now().0 + byte_ns));
-            self.overrun = Overrun::OnWire(end);
+            self.trailing = TrailingByte::OnWire(end);
         }
         true
     }
@@ -84,7 +85,7 @@ impl WiredI2c {
 
     /// Forgets the bytes of the released bus.
     pub(super) fn drop_released(&mut self, registers: &mut RegisterFile) {
-        self.overrun = Overrun::Nothing;
+        self.trailing = TrailingByte::Nothing;
         self.is_behind = false;
         if std::mem::take(&mut self.released) > 0 {
             let status = registers.get(Register::Sr1);
@@ -111,7 +112,7 @@ impl WiredI2c {
         self.refresh_model(registers, context);
         if is_held {
             // The clock goes on.
-            self.overrun = Overrun::Due(context.schedule(context.now()));
+            self.trailing = TrailingByte::Due(context.schedule(context.now()));
         }
         value
     }

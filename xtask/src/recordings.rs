@@ -1,0 +1,15 @@
+//! The folder of public recordings, which is no part of the project.
+
+use std::path::PathBuf;
+
+/// Names the folder of recordings if it is not the usual one.
+pub const VARIABLE: &str = "APLOMB_RECORDINGS";
+const USUAL_FOLDER: &str = "../shared/data";
+
+/// Returns the folder of recordings, which need not exist.
+pub fn folder() -> PathBuf {
+    match std::env::var_os(VARIABLE) {
+        Some(folder) => PathBuf::from(folder),
+        None => crate::root().join(USUAL_FOLDER),
+    }
+}
