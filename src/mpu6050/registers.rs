@@ -33,7 +33,7 @@ pub enum Register {
     AccelerometerConfiguration = 0x1C,
     /// ACCEL_CONFIG_2: the accelerometer's own low-pass filter (MPU-6500 family).
     AccelerometerConfiguration2 = 0x1D,
-    /// INT_PIN_CFG, §4.15: the interrupt pin's level, drive and length.
+    /// INT_PIN_CFG, §4.14: the interrupt pin's level, drive and length.
     InterruptPinConfiguration = 0x37,
     /// INT_ENABLE, §4.16: what raises the interrupt pin.
     InterruptEnable = 0x38,
@@ -91,7 +91,7 @@ pub const FULL_SCALE_MASK: u8 = 0b0001_1000;
 pub const SELF_TEST_MASK: u8 = 0b1110_0000;
 /// Lowest bit of [`FULL_SCALE_MASK`].
 pub const FULL_SCALE_SHIFT: u32 = 3;
-/// INT_PIN_CFG: active high, push-pull, 50 µs pulse, and I2C_BYPASS_EN (§4.15).
+/// INT_PIN_CFG: active high, push-pull, 50 µs pulse, and I2C_BYPASS_EN (§4.14).
 ///
 /// The bypass connects a compass on the auxiliary bus to the main bus: that of an MPU-9250, a GY-86
 /// or a GY-87.
