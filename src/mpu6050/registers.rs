@@ -35,9 +35,9 @@ pub enum Register {
     AccelerometerConfiguration2 = 0x1D,
     /// INT_PIN_CFG, §4.14: the interrupt pin's level, drive and length.
     InterruptPinConfiguration = 0x37,
-    /// INT_ENABLE, §4.16: what raises the interrupt pin.
+    /// INT_ENABLE, §4.15: what raises the interrupt pin.
     InterruptEnable = 0x38,
-    /// ACCEL_XOUT_H, §4.18: the first of the 14 data registers.
+    /// ACCEL_XOUT_H, §4.17: the first of the 14 data registers.
     AccelerometerXHigh = 0x3B,
     /// SIGNAL_PATH_RESET, §4.26: resets the sensors' signal paths; reads back as zero.
     SignalPathReset = 0x68,
@@ -96,7 +96,7 @@ pub const FULL_SCALE_SHIFT: u32 = 3;
 /// The bypass connects a compass on the auxiliary bus to the main bus: that of an MPU-9250, a GY-86
 /// or a GY-87.
 pub const INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS: u8 = 0x02;
-/// INT_ENABLE bit 0, DATA_RDY_EN (§4.16).
+/// INT_ENABLE bit 0, DATA_RDY_EN (§4.15).
 pub const INTERRUPT_DATA_READY: u8 = 0x01;
 /// SIGNAL_PATH_RESET bits 2:0: gyroscope, accelerometer and temperature (§4.26).
 pub const SIGNAL_PATH_RESET_ALL: u8 = 0x07;
