@@ -8,9 +8,10 @@ use super::offset::SIGMA_PER_CELSIUS_RAD_S;
 use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;
 
-/// Averaging time of the temperature, s.
+/// Averaging time of the temperature, s: shorter than a chip's warm-up of a minute and more, so
+/// that the walk ends with it, and long enough for a register with noise.
 const AVERAGE_S: f32 = 30.0;
-/// Share of the drift that a temperature model leaves.
+/// Share of the drift that a temperature model leaves: it was measured on one day, at rest.
 const MODEL_ERROR_SHARE: f32 = 0.33;
 /// No temperature yet.
 const NONE_CELSIUS: f32 = -273.0;
