@@ -9,7 +9,7 @@
 //! | `set_bias` | a stored offset counts | – | stored | – |
 //! | `resume` | the core was reset | kept | kept | kept: accelerometer |
 //! | `start_from` | first sample; gap; tilt hidden | by one sample, yaw kept | – | – |
-//! | `confirm_start` | 0.15 s later | by the mean force | – | – |
+//! | `confirm_start` | 0.15 to 0.75 s later | by the mean force | – | – |
 //! | `check_tilt` | 1.3 s of force contradict it | by the mean force | – | – |
 //! | `restart_at_rest` | a rest contradicts the state | by its force | by its rate | priors |
 //! | `forget_parameters` | another calibration | kept | – | priors |

@@ -15,6 +15,9 @@ use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 /// Time for which the specific force contradicts the tilt before it is believed, s: longer than a
 /// vehicle dashes while it falls.
 const CONTRADICTION_S: f32 = 1.3;
+/// Longest time over which the first mean specific force has to become about one g, s. Shaking of
+/// 2 Hz and more cancels; a longer mean would keep readings of another time.
+const LONGEST_FIRST_MEAN_S: f32 = 0.75;
 /// σ of the tilt, both axes together, rad, from which on it is ambiguous: six σ are 60°.
 const AMBIGUOUS_TILT_RAD: f32 = radians(10.0);
 /// σ of the tilt after unusable numbers, rad.
@@ -96,13 +99,16 @@ impl Kalman {
         }
     }
 
-    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. If it
-    /// is not about one g, the next sample sets the tilt again.
+    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. While
+    /// it is not about one g, the vehicle shakes or falls, and a longer mean follows. In the end
+    /// the next sample sets the tilt again.
     fn confirm_start(&mut self, force: Vector3) {
         self.is_step_pending = false;
         self.is_tilt_checked = false;
         if is_gravity_up(force).is_none() {
-            self.tilt = Tilt::Lost;
+            if self.interval.duration_s > LONGEST_FIRST_MEAN_S {
+                self.tilt = Tilt::Lost;
+            }
             return;
         }
         self.level(force);
