@@ -11,10 +11,10 @@ use crate::serialize::StateVisitor;
 /// Averaging time of the temperature, s: shorter than a chip's warm-up of a minute and more, so
 /// that the walk ends with it, and long enough for a register with noise.
 const AVERAGE_S: f32 = 30.0;
-/// Share of the drift that a temperature model leaves: it was measured on one day, at rest.
+/// Share of the drift that a temperature model leaves, because it was measured once, at rest.
 const MODEL_ERROR_SHARE: f32 = 0.33;
-/// Largest difference that counts, °C: that of 20 °C in a minute. A reading that is far off hardly
-/// widens the bias then.
+/// Largest difference that counts, °C: that of 20 °C in a minute. So a reading that is far off
+/// hardly widens the bias.
 const MOST_CELSIUS: f32 = 10.0;
 /// No temperature yet.
 const NONE_CELSIUS: f32 = -273.0;
