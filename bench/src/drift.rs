@@ -118,7 +118,7 @@ impl Motion {
     }
 }
 
-/// Before the filter followed the temperature, 14 of these 104 motions were wrong and `VALID`, for
+/// Before the filter followed the temperature, 13 of these 88 motions were wrong and `VALID`, for
 /// up to five seconds each, and the hand-held ones 2.4° off.
 #[test]
 fn an_offset_that_drifts_with_the_temperature_is_never_wrong_and_valid() {

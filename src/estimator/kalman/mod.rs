@@ -136,8 +136,8 @@ const CONFIRMED_BIAS_RAD_S: f32 = radians(0.2);
 /// at the start, and at rest.
 const USABLE_TILT_RAD: f32 = radians(30.0);
 
-/// Length of the mean specific force that sets the tilt at a start, s: more than seven periods of
-/// a vibration of 50 Hz.
+/// Least length of the mean specific force that sets the tilt at a start, s: more than seven
+/// periods of a vibration of 50 Hz.
 const FIRST_MEAN_S: f32 = 0.15;
 
 /// Time per slice of a covariance step, s: a longer sample period runs several slices with each
@@ -255,6 +255,7 @@ impl Filter for Kalman {
     }
 
     /// Returns the attitude, extrapolated by the sensor's delay.
+    // Out of line it costs a host a tenth of its time.
     #[inline(always)]
     fn attitude(&self) -> Quaternion {
         self.nominal.extrapolate(self.delay_s)
@@ -339,7 +340,7 @@ impl Kalman {
     }
 
     /// Sets the variance that the gyroscope's bias gains in a second beyond the tuning's random
-    /// walk, rad²/s³, from 0. Default: 0. A temperature that changes shows a bias that does too.
+    /// walk, rad²/s³, from 0. Default: 0. A changing temperature shows that the bias may change.
     pub const fn set_added_bias_walk(&mut self, added_rad2_s3: f32) {
         self.added_bias_walk = added_rad2_s3;
     }
