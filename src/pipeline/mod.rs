@@ -492,18 +492,16 @@ impl Pipeline {
     #[inline(never)]
     fn compensate_temperature(&mut self) {
         let celsius = self.temperature_celsius;
-        let calibration = &self.settings.calibration;
-        let is_in_range = calibration
-            .temperature
-            .is_some_and(|model| model.offset_at(celsius).1 >= 1.0);
-        let was_in_range = self.thermal_drift.follow_model(is_in_range);
         let dt_s = f32::from(TEMPERATURE_SAMPLES) / self.settings.sensor.sample_rate_hz();
-        let walk = self.thermal_drift.walk(celsius, dt_s);
-        if is_in_range {
-            let stored = StoredOffset::at(calibration, celsius);
+        let model = self.settings.calibration.temperature;
+        let (offset_rad_s, weight) =
+            model.map_or((Vector3::ZERO, 0.0), |model| model.offset_at(celsius));
+        let followed_before = self.thermal_drift.follows_model();
+        let walk = self.thermal_drift.walk(celsius, dt_s, weight >= 1.0);
+        if self.thermal_drift.follows_model() {
             let before = self.alignment.gyroscope_offset_rad_s();
-            self.set_gyroscope_offset(stored.offset_rad_s);
-            if !was_in_range {
+            self.set_gyroscope_offset(offset_rad_s);
+            if !followed_before {
                 let change = self.alignment.gyroscope_offset_rad_s() - before;
                 self.kalman_mut().shift_bias(-change);
             }

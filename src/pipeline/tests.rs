@@ -323,28 +323,32 @@ fn the_temperature_model_moves_the_offset_within_its_range() {
         calibration,
         ..settings()
     });
-    let mut offset_at = |celsius: f32, from: u64| {
-        let mut sample = RawSample::decode(&burst(Mount::Z_UP, 0, LEVEL, Vector3::ZERO).bytes);
-        sample.temperature = TemperatureCounts(((celsius - 36.53) * 340.0) as i16);
-        for index in 0..100_u64 {
+    let (mut celsius, mut index) = (25.0_f32, 0);
+    // Moves the temperature by 0.45 °C/s, and returns the offset that is removed then.
+    let mut offset_at = |end_celsius: f32| {
+        for _ in 0..100 + ((end_celsius - celsius).abs() / 0.000_45) as u32 {
+            celsius += (end_celsius - celsius).clamp(-0.000_45, 0.000_45);
+            let mut sample = RawSample::decode(&burst(Mount::Z_UP, 0, LEVEL, Vector3::ZERO).bytes);
+            sample.temperature = TemperatureCounts(((celsius - 36.53) * 340.0) as i16);
             let burst = Burst {
                 bytes: sample.encode(),
-                captured_at_us: (from + index) * 1000,
+                captured_at_us: index * 1000,
                 missed_before: 0,
             };
             update(&mut pipeline, &with_noise(burst));
+            index += 1;
         }
         pipeline.alignment.gyroscope_offset_rad_s().x.to_degrees()
     };
-    for (celsius, expected, from) in [
-        (25.0, 1.0, 0),
-        (40.0, 2.5, 100),
-        (45.0, 3.0, 200),
+    for (celsius, expected) in [
+        (25.0, 1.0),
+        (40.0, 2.5),
+        (45.0, 3.0),
         // Beyond the range and its margin the last value holds.
-        (70.0, 3.0, 300),
-        (20.0, 0.5, 400),
+        (70.0, 3.0),
+        (20.0, 0.5),
     ] {
-        let offset = offset_at(celsius, from);
+        let offset = offset_at(celsius);
         assert!((offset - expected).abs() < 0.01, "{celsius}: {offset}");
     }
 }

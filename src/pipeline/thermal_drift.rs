@@ -5,7 +5,7 @@
 //! temperature from its average: over the averaging time, σ of the walk is that of the change.
 
 use super::offset::SIGMA_PER_CELSIUS_RAD_S;
-use crate::estimator::arithmetic::square;
+use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::serialize::StateVisitor;
 
 /// Averaging time of the temperature, s: shorter than a chip's warm-up of a minute and more, so
@@ -16,6 +16,10 @@ const MODEL_ERROR_SHARE: f32 = 0.33;
 /// Largest difference that counts, °C: that of 20 °C in a minute. So a reading that is far off
 /// hardly widens the bias.
 const MOST_CELSIUS: f32 = 10.0;
+/// Fastest change of a die's temperature, °C/s: 25 °C, from a room into frost, in 50 s.
+const FASTEST_CELSIUS_S: f32 = 0.5;
+/// Least deviation from that which shows a wrong register, °C.
+const WRONG_CELSIUS: f32 = 2.0;
 /// No temperature yet.
 const NONE_CELSIUS: f32 = -273.0;
 
@@ -24,29 +28,37 @@ const NONE_CELSIUS: f32 = -273.0;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct ThermalDrift {
     average_celsius: f32,
-    /// True if a temperature model removes most of the drift.
+    /// Temperature that follows the register no faster than a die's.
+    slow_celsius: f32,
+    /// True if a temperature model removes most of the drift: it has this temperature in its
+    /// range, and the register is credible.
     follows_model: bool,
 }
 
 impl ThermalDrift {
     pub(super) const NONE: Self = Self {
         average_celsius: NONE_CELSIUS,
+        slow_celsius: NONE_CELSIUS,
         follows_model: false,
     };
 
-    /// Sets whether a temperature model removes most of the drift. Returns whether it did.
-    pub(super) const fn follow_model(&mut self, follows_model: bool) -> bool {
-        core::mem::replace(&mut self.follows_model, follows_model)
+    /// Returns whether the offset follows the temperature model.
+    pub(super) const fn follows_model(&self) -> bool {
+        self.follows_model
     }
 
-    /// Takes the temperature `dt_s` after the last one. Returns the variance that the offset's
-    /// random walk gains, rad²/s² per second.
-    pub(super) fn walk(&mut self, celsius: f32, dt_s: f32) -> f32 {
+    /// Takes the temperature `dt_s` after the last one, and whether it is in the range of a model.
+    /// Returns the variance that the offset's random walk gains, rad²/s² per second.
+    pub(super) fn walk(&mut self, celsius: f32, dt_s: f32, is_in_range: bool) -> f32 {
         if self.average_celsius == NONE_CELSIUS {
-            self.average_celsius = celsius;
+            (self.average_celsius, self.slow_celsius) = (celsius, celsius);
         }
-        let difference = (celsius - self.average_celsius).clamp(-MOST_CELSIUS, MOST_CELSIUS);
-        self.average_celsius += difference * (dt_s / AVERAGE_S).min(1.0);
+        let most = FASTEST_CELSIUS_S * dt_s;
+        let change = celsius - self.slow_celsius;
+        self.slow_celsius += within(change, most);
+        self.follows_model = is_in_range && change.abs() < WRONG_CELSIUS + most;
+        let difference = within(celsius - self.average_celsius, MOST_CELSIUS);
+        self.average_celsius += difference * smaller(dt_s / AVERAGE_S, 1.0);
         let share = if self.follows_model {
             MODEL_ERROR_SHARE
         } else {
@@ -58,8 +70,14 @@ impl ThermalDrift {
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.f32(&mut self.average_celsius);
+        visitor.f32(&mut self.slow_celsius);
         visitor.bool(&mut self.follows_model);
     }
+}
+
+/// Returns the number, or its limit if it is beyond.
+fn within(number: f32, limit: f32) -> f32 {
+    larger(smaller(number, limit), -limit)
 }
 
 #[cfg(test)]
@@ -78,7 +96,7 @@ mod tests {
         let mut variance = 0.0;
         for step in 0..2 * steps {
             let minutes = f32::from(step) / f32::from(steps);
-            let walk = drift.walk(20.0 + celsius_per_minute * minutes, STEP_S);
+            let walk = drift.walk(20.0 + celsius_per_minute * minutes, STEP_S, false);
             if step >= steps {
                 variance += walk * STEP_S;
             }
@@ -99,13 +117,13 @@ mod tests {
     #[test]
     fn the_first_temperature_is_no_change_and_a_wrong_one_adds_little() {
         let mut drift = ThermalDrift::NONE;
-        assert_eq!(drift.walk(-30.0, STEP_S), 0.0);
-        assert_eq!(drift.walk(-30.0, STEP_S), 0.0);
+        assert_eq!(drift.walk(-30.0, STEP_S, false), 0.0);
+        assert_eq!(drift.walk(-30.0, STEP_S, false), 0.0);
         // A register that is 100 °C off for a third of a second.
         let mut variance = 0.0;
         for step in 0..1_000 {
             let celsius = if step < 5 { 70.0 } else { -30.0 };
-            variance += drift.walk(celsius, STEP_S) * STEP_S;
+            variance += drift.walk(celsius, STEP_S, false) * STEP_S;
         }
         let sigma_rad_s = libm::sqrtf(variance);
         assert!(sigma_rad_s < radians(0.15), "{sigma_rad_s}");
@@ -115,8 +133,32 @@ mod tests {
     fn slow_bursts_follow_the_temperature_at_once() {
         // Bursts of 1 Hz: 64 of them take longer than the average.
         let mut drift = ThermalDrift::NONE;
-        drift.walk(20.0, 64.0);
-        assert!(drift.walk(30.0, 64.0) > 0.0);
-        assert_eq!(drift.walk(30.0, 64.0), 0.0);
+        drift.walk(20.0, 64.0, false);
+        assert!(drift.walk(30.0, 64.0, false) > 0.0);
+        assert_eq!(drift.walk(30.0, 64.0, false), 0.0);
+    }
+
+    #[test]
+    fn the_model_is_followed_at_the_pace_of_a_die() {
+        // Temperatures before and after a jump, and from when on the model is followed again, s.
+        for (jump_celsius, expected_s) in [(1.9, 0.0), (-20.0, 36.0), (20.0, 36.0)] {
+            let mut drift = ThermalDrift::NONE;
+            drift.walk(30.0, STEP_S, true);
+            assert!(drift.follows_model());
+            let mut steps: u16 = 0;
+            drift.walk(30.0 + jump_celsius, STEP_S, true);
+            while !drift.follows_model() {
+                drift.walk(30.0 + jump_celsius, STEP_S, true);
+                steps += 1;
+            }
+            let followed_s = f32::from(steps) * STEP_S;
+            assert!((followed_s - expected_s).abs() < 0.2, "{followed_s}");
+        }
+        // 0.45 °C/s is that of a die.
+        let mut drift = ThermalDrift::NONE;
+        for step in 0..1_000_u16 {
+            drift.walk(0.45 * STEP_S * f32::from(step), STEP_S, true);
+            assert!(drift.follows_model());
+        }
     }
 }
