@@ -297,6 +297,7 @@ impl Pipeline {
         self.kalman_mut().resume(&start);
         // The bias already belongs to the present temperature.
         self.samples_to_temperature = TEMPERATURE_SAMPLES;
+        self.thermal_drift.leave_model();
     }
 
     /// Returns the state from which a later run can continue; `None` while this snapshot's attitude

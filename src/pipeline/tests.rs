@@ -353,6 +353,50 @@ fn the_temperature_model_moves_the_offset_within_its_range() {
     }
 }
 
+/// Returns the whole offset about the forward axis after a tenth of a second, °/s. At 25 °C a
+/// model removes nothing, and 0.1 °/s more per °C.
+fn offset_with_model(celsius_at: impl Fn(u64) -> f32, prepare: impl FnOnce(&mut Pipeline)) -> f32 {
+    let mut settings = settings();
+    settings.calibration.temperature = Some(TemperatureModel {
+        reference_celsius: 25.0,
+        offset_rad_s: Vector3::ZERO,
+        slope_rad_s_per_celsius: Vector3::new(radians(0.1), 0.0, 0.0),
+        curvature_rad_s_per_celsius2: Vector3::ZERO,
+        coldest_celsius: 20.0,
+        warmest_celsius: 60.0,
+    });
+    let mut pipeline = Pipeline::new(&settings);
+    prepare(&mut pipeline);
+    for index in 0..100 {
+        let mut burst = noisy(index * 1_000, LEVEL);
+        let mut sample = RawSample::decode(&burst.bytes);
+        sample.temperature = TemperatureCounts(((celsius_at(index) - 36.53) * 340.0) as i16);
+        burst.bytes = sample.encode();
+        update(&mut pipeline, &burst);
+    }
+    pipeline.gyroscope_offset_body_rad_s().x.to_degrees()
+}
+
+#[test]
+fn a_first_temperature_that_is_wrong_does_not_last() {
+    let offset = offset_with_model(|index| if index == 0 { 45.0 } else { 25.0 }, |_| {});
+    assert!(offset.abs() < 0.1, "{offset}");
+}
+
+#[test]
+fn a_kept_offset_stays_when_the_model_begins() {
+    let start = WarmStart {
+        attitude: Quaternion::IDENTITY,
+        tilt_sigma_rad: 0.01,
+        bias_rad_s: Vector3::new(radians(1.0), 0.0, 0.0),
+        bias_sigma_rad_s: radians(0.05),
+        accelerometer_bias_m_s2: [0.0; 2],
+        squared_velocity_m2_s2: 0.0,
+    };
+    let offset = offset_with_model(|_| 45.0, |pipeline| pipeline.resume(&start));
+    assert!((offset - 1.0).abs() < 0.1, "{offset}");
+}
+
 /// The model must not move the whole offset by what it removes or leaves.
 #[test]
 fn the_whole_offset_stays_where_the_model_fades_and_where_it_begins() {

@@ -39,12 +39,18 @@ impl ThermalDrift {
     pub(super) const NONE: Self = Self {
         average_celsius: NONE_CELSIUS,
         slow_celsius: NONE_CELSIUS,
-        follows_model: false,
+        // A start applies the model's offset.
+        follows_model: true,
     };
 
     /// Returns whether the offset follows the temperature model.
     pub(super) const fn follows_model(&self) -> bool {
         self.follows_model
+    }
+
+    /// Leaves the model until its offset is applied anew.
+    pub(super) const fn leave_model(&mut self) {
+        self.follows_model = false;
     }
 
     /// Takes the temperature `dt_s` after the last one, and whether it is in the range of a model.
