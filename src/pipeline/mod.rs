@@ -467,7 +467,7 @@ impl Pipeline {
     }
 
     /// Compensates the temperature: applies the stored offset at the first sample, and moves it
-    /// along the temperature model. Outside the model's range the offset stays.
+    /// along the temperature model.
     #[inline]
     fn follow_temperature(&mut self, counts: TemperatureCounts) {
         self.temperature_celsius = counts.to_celsius(self.settings.part);
@@ -488,8 +488,9 @@ impl Pipeline {
         }
     }
 
-    /// Follows the temperature model within its range. While the model fades out, the offset that
-    /// has been removed stays. What is removed anew in the range, the estimated bias loses.
+    /// Follows the temperature model within its range, while the register is credible. Otherwise
+    /// the offset that has been removed stays. When the model is followed again, the estimated bias
+    /// loses what is removed anew.
     #[inline(never)]
     fn compensate_temperature(&mut self) {
         let celsius = self.temperature_celsius;

@@ -23,7 +23,7 @@ const WRONG_CELSIUS: f32 = 2.0;
 /// No temperature yet.
 const NONE_CELSIUS: f32 = -273.0;
 
-/// Average of the die's temperature.
+/// Average of the die's temperature, and whether a model's offset follows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct ThermalDrift {
