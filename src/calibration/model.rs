@@ -231,22 +231,16 @@ impl TemperatureModel {
     /// The weight is 1 within the measured range and 5 °C beyond, and falls to 0 at 15 °C beyond.
     /// More than 5 °C beyond the range, the offset keeps its value. A temperature that is not
     /// finite has weight 0.
+    #[inline(never)]
     pub fn offset_at(&self, celsius: f32) -> (Vector3, f32) {
-        let beyond = (celsius - self.warmest_celsius)
-            .max(self.coldest_celsius - celsius)
-            .max(0.0);
-        let faded =
-            (beyond - TRUSTED_BEYOND_CELSIUS) / (FADED_BEYOND_CELSIUS - TRUSTED_BEYOND_CELSIUS);
-        if !(celsius.is_finite() && faded.is_finite()) {
-            return (self.offset_rad_s, 0.0);
-        }
         let held = celsius
             .max(self.coldest_celsius - TRUSTED_BEYOND_CELSIUS)
             .min(self.warmest_celsius + TRUSTED_BEYOND_CELSIUS);
+        let faded = (celsius - held).abs() / (FADED_BEYOND_CELSIUS - TRUSTED_BEYOND_CELSIUS);
         let t = held - self.reference_celsius;
         let offset = self.offset_rad_s
             + self.slope_rad_s_per_celsius.scale(t)
             + self.curvature_rad_s_per_celsius2.scale(t * t);
-        (offset, (1.0 - faded).clamp(0.0, 1.0))
+        (offset, (1.0 - faded).max(0.0))
     }
 }

@@ -495,9 +495,9 @@ impl Pipeline {
     fn compensate_temperature(&mut self) {
         let celsius = self.temperature_celsius;
         let dt_s = f32::from(TEMPERATURE_SAMPLES) / self.settings.sensor.sample_rate_hz();
-        let model = self.settings.calibration.temperature;
+        let model = &self.settings.calibration.temperature;
         let (offset_rad_s, weight) =
-            model.map_or((Vector3::ZERO, 0.0), |model| model.offset_at(celsius));
+            (model.as_ref()).map_or((Vector3::ZERO, 0.0), |model| model.offset_at(celsius));
         let followed_before = self.thermal_drift.follows_model();
         let walk = self.thermal_drift.walk(celsius, dt_s, weight >= 1.0);
         if self.thermal_drift.follows_model() {
