@@ -4,7 +4,7 @@ use std::fmt;
 
 use aplomb_models::motion::geometry::{Quaternion, angle_between};
 
-use crate::distribution::Distribution;
+use crate::distribution::{Distribution, median_by_place};
 
 /// Start of a recording whose rows do not count, µs: a filter may take time to start.
 pub const START_US: i64 = 5_000_000;
@@ -118,17 +118,10 @@ impl fmt::Display for Score {
     }
 }
 
-/// Returns the median of ascending numbers.
+/// Returns the median of ascending numbers; NaN without a number.
 #[must_use]
 pub fn median(ascending: &[f64]) -> f64 {
-    let length = ascending.len();
-    match (
-        ascending.get(length.wrapping_sub(1) / 2),
-        ascending.get(length / 2),
-    ) {
-        (Some(lower), Some(upper)) => 0.5 * (lower + upper),
-        _ => f64::NAN,
-    }
+    median_by_place(ascending.len(), |place| ascending.get(place).copied())
 }
 
 /// Returns the mean.
