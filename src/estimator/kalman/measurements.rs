@@ -248,7 +248,7 @@ impl Kalman {
 
     /// Returns whether a rest, of this run or an earlier one, has measured the bias.
     pub(super) fn is_bias_measured(&self) -> bool {
-        self.has_rested || self.is_stored_known
+        self.has_rested || self.has_measured_prior
     }
 
     /// Doubles the prior variance of a bias that has turned out to lie outside its prior, unless a
