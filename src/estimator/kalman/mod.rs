@@ -101,6 +101,7 @@ mod init;
 mod measurements;
 mod nominal;
 mod prior;
+mod process_noise;
 mod propagation;
 mod recent_velocity;
 mod recovery;
