@@ -9,8 +9,8 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::random::Random;
 
 use super::Judged;
+use crate::heading_promise::{KEEP_US, after_reset};
 use crate::parallel;
-use crate::promise::{KEEP_US, after_reset};
 use crate::recording::Recording;
 use crate::simulated;
 
