@@ -10,6 +10,23 @@ use std::path::{Path, PathBuf};
 
 use tree::{files_below, read, root};
 
+/// Folders of the workspace's code.
+const FOLDERS: [&str; 13] = [
+    "src",
+    "bench/src",
+    "c",
+    "cli/src",
+    "fuzz",
+    "models",
+    "plot",
+    "python/src",
+    "recordings/src",
+    "rigs",
+    "virtual-board/src",
+    "xtask/src",
+    "examples",
+];
+
 /// Parts of the library, each with the parts that it may import. `A → [B]` reads "A may import
 /// B".
 const MAY_IMPORT: [(&str, &[&str]); 15] = [
@@ -166,18 +183,7 @@ fn unsafe_is_listed_with_its_reasons() {
 #[test]
 fn unsafe_is_only_in_the_board_and_gives_its_reason() {
     let mut blocks = 0;
-    for folder in [
-        "src",
-        "bench/src",
-        "c",
-        "cli/src",
-        "python/src",
-        "recordings/src",
-        "rigs",
-        "virtual-board/src",
-        "xtask/src",
-        "examples",
-    ] {
+    for folder in FOLDERS {
         for (path, contents) in rust_files(folder) {
             let lines: Vec<&str> = contents.lines().collect();
             for (index, line) in lines.iter().enumerate() {
@@ -249,18 +255,7 @@ fn every_package_takes_the_lints_of_the_workspace() {
 
 #[test]
 fn every_module_has_a_header() {
-    for folder in [
-        "src",
-        "bench/src",
-        "c",
-        "cli/src",
-        "python/src",
-        "recordings/src",
-        "rigs",
-        "virtual-board/src",
-        "xtask/src",
-        "examples",
-    ] {
+    for folder in FOLDERS {
         for (path, contents) in rust_files(folder) {
             assert!(
                 contents.starts_with("//! "),

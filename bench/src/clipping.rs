@@ -74,7 +74,7 @@ fn run(recording: &Recording, share: f64) -> Outcome {
     let mut copy = clipped(recording, share);
     let scores = |copy: &Recording, filter| {
         let score = copy.score(filter);
-        let within = score.and_then(|score| Some(score.honesty?.within_3_sigma));
+        let within = score.and_then(|score| Some(score.consistency?.within_3_sigma));
         [score.map(|score| score.rms), within].map(|value| value.unwrap_or(f64::NAN))
     };
     let (unmarked, vqf) = (scores(&copy, Choice::Kalman), scores(&copy, Choice::Vqf));

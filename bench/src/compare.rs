@@ -21,8 +21,8 @@ use crate::recording::{Recording, Reference};
 use crate::results::{Row, Set, summarise};
 use crate::simulated::{self, EVALUATION_SEEDS};
 use crate::{
-    accuracy, clipping, gains, heading, heading_picture, leave_one_out, long, motion_starts,
-    parallel, picture, promise, report, throughput, vibration,
+    accuracy, clipping, gains, heading, heading_picture, heading_promise, leave_one_out, long,
+    motion_starts, parallel, picture, report, throughput, vibration,
 };
 
 /// Compare the accuracy and the speed of filters on recordings
@@ -203,7 +203,7 @@ fn of_simulations(options: &Options) -> Result<Option<String>, Box<dyn Error>> {
         let seeds: Vec<u64> = EVALUATION_SEEDS.take(LONG_FLIGHTS).collect();
         Some(long::table(&seeds, seconds, print_line))
     } else if let Some(runs) = options.heading_promise {
-        Some(promise::run(runs)?)
+        Some(heading_promise::run(runs)?)
     } else {
         options.vibration.then(vibration::tables)
     })

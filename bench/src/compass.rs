@@ -26,7 +26,7 @@ impl Compass {
     /// Adds a row.
     pub fn add(&mut self, row: &Row, mount: Mount) {
         self.mount = mount;
-        self.add_reading(row.field_ut, row.attitude.filter(|_| row.moving));
+        self.add_reading(row.field_ut, row.attitude.filter(|_| row.scored));
     }
 
     /// Adds a sample: its reading in µT and sensor axes, if it has one, and its truth, if it is

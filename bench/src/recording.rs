@@ -150,7 +150,7 @@ impl Recording {
             if let Some(compass) = &mut recording.compass {
                 compass.add(&row, mount);
             }
-            let up = row.attitude.filter(|_| row.moving).map(up_in_sensor);
+            let up = row.attitude.filter(|_| row.scored).map(up_in_sensor);
             recording.true_up.push(up.map(|up| {
                 let up = mount.to_body(vector(up)).0;
                 [up.x, up.y, up.z].map(f64::from)
@@ -159,12 +159,12 @@ impl Recording {
         if handling.ranges.is_none() {
             recording.mark_clipping();
         }
-        if recording.counts() {
+        if recording.has_scored_row() {
             return Ok(Found::Recording(recording));
         }
         recording.reference = Reference::Rest;
         recording.true_up = rest::up_at_rest(&recording.samples);
-        if recording.counts() {
+        if recording.has_scored_row() {
             Ok(Found::Recording(recording))
         } else {
             unusable(
@@ -206,8 +206,8 @@ impl Recording {
         messages.into_iter().flatten().map(place).collect()
     }
 
-    /// Returns whether any row counts.
-    fn counts(&self) -> bool {
+    /// Returns whether any row counts for scores.
+    fn has_scored_row(&self) -> bool {
         let start_us = self.start_us();
         let mut rows = self.samples.iter().zip(&self.true_up);
         rows.any(|(sample, up)| sample.t_us >= start_us && up.is_some())

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use aplomb_recordings::score::{Honesty, Score, mean, median};
+use aplomb_recordings::score::{Score, SigmaConsistency, mean, median};
 
 use crate::folders::NotScored;
 use crate::heading;
@@ -47,7 +47,7 @@ pub fn table(names: &[&str], reference: Reference, sets: &[&Set]) -> String {
     text
 }
 
-/// Returns the first filter's scores, one line a recording, and how honest its σ is.
+/// Returns the first filter's scores, one line a recording, and the consistency of its σ.
 pub fn one_by_one(names: &[&str], rows: &[Row<'_>]) -> String {
     let titles: Vec<String> = rows
         .iter()
@@ -70,9 +70,9 @@ pub fn one_by_one(names: &[&str], rows: &[Row<'_>]) -> String {
             "{title:<width$}{:>8.2}{:>8.2}{:>9.2}",
             score.rms, score.p95, score.maximum
         );
-        if let Some(honesty) = score.honesty {
-            let percent = 100.0 * honesty.within_3_sigma;
-            let _ = write!(text, "{percent:>8.2} %{:>8.2}", honesty.median);
+        if let Some(consistency) = score.consistency {
+            let percent = 100.0 * consistency.within_3_sigma;
+            let _ = write!(text, "{percent:>8.2} %{:>8.2}", consistency.median);
         } else {
             text.push_str("    at rest");
         }
@@ -102,14 +102,14 @@ pub fn csv(names: &[&str], rows: &[Row<'_>]) -> String {
                 rms,
                 p95,
                 maximum,
-                honesty,
+                consistency,
             } = score;
             let _ = write!(
                 text,
                 "{set},{recording},{reference},{delay_us},{name},{rows},{rms},{p95},{maximum}"
             );
-            let _ = match honesty {
-                Some(Honesty {
+            let _ = match consistency {
+                Some(SigmaConsistency {
                     within_3_sigma,
                     median,
                 }) => writeln!(text, ",{within_3_sigma},{median}"),

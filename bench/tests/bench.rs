@@ -77,13 +77,13 @@ fn check_row(line: &str) {
     if has_sigma {
         let [within, median] = [9, 10].map(|cell| cells[cell].parse::<f64>().unwrap());
         // The filter cannot know the error of the accelerometer.
-        let honest = if cells[0] == "still" {
+        let expected = if cells[0] == "still" {
             0.0..=1.0
         } else {
             2.0..=12.0
         };
         assert!(
-            (0.0..=1.0).contains(&within) && honest.contains(&median),
+            (0.0..=1.0).contains(&within) && expected.contains(&median),
             "{line}"
         );
     }

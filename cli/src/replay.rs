@@ -266,7 +266,10 @@ fn replay(
         last_us = point.t_us;
         samples += 1;
         let up = mount.to_sensor(BodyVector(up_in_body(point.attitude)));
-        if let Some(truth) = point.truth.filter(|_| point.is_scored(first_us)) {
+        if let Some(truth) = point
+            .truth
+            .filter(|_| point.is_scored_after_start(first_us))
+        {
             errors.add(
                 [up.x, up.y, up.z].map(f64::from),
                 up_in_sensor(truth),

@@ -47,14 +47,15 @@ pub struct Point {
     pub specific_force_m_s2: Option<Vector3>,
     /// True attitude, sensor to earth with z up, if it is known.
     pub truth: Option<Truth>,
-    /// The row counts for scores.
-    pub counts: bool,
+    /// True if the row counts for scores.
+    pub scored: bool,
 }
 
 impl Point {
-    /// Returns whether the error counts, in a recording that starts at `first_us`.
-    pub fn is_scored(&self, first_us: i64) -> bool {
-        self.counts && self.t_us.saturating_sub(first_us) >= START_US
+    /// Returns whether the row counts for scores and comes late enough, in a recording that starts
+    /// at `first_us`.
+    pub fn is_scored_after_start(&self, first_us: i64) -> bool {
+        self.scored && self.t_us.saturating_sub(first_us) >= START_US
     }
 
     /// Returns the attitude turned to this heading: body to magnetic or true north, east, down.
@@ -74,7 +75,7 @@ impl Point {
             flags: snapshot.flags,
             specific_force_m_s2: Some(pipeline.specific_force_m_s2()),
             truth: None,
-            counts: false,
+            scored: false,
         }
     }
 }
@@ -147,7 +148,7 @@ struct LogRow {
     /// In body axes.
     field: Option<MagneticField>,
     truth: Option<Truth>,
-    counts: bool,
+    scored: bool,
 }
 
 impl LogSource {
@@ -223,7 +224,7 @@ impl LogSource {
                 MagneticField { ut: [x, y, z] }
             }),
             truth: row.attitude,
-            counts: row.moving,
+            scored: row.scored,
         }))
     }
 }
@@ -281,7 +282,7 @@ impl Source for LogSource {
             }
             Point {
                 truth: row.truth,
-                counts: row.counts,
+                scored: row.scored,
                 ..Point::new(&self.pipeline, &snapshot, row.t_us)
             }
         }))

@@ -724,7 +724,7 @@ fn what_is_interrupted_leaves_no_file() {
     for file in [&output, &unfinished] {
         let _ = std::fs::remove_file(file);
     }
-    let mut running = std::process::Command::new(env!("CARGO_BIN_EXE_aplomb"))
+    let mut running = aplomb_with_default_signals()
         .args(["replay", "-", "--output"])
         .arg(&output)
         .stdin(std::process::Stdio::piped())
@@ -734,19 +734,55 @@ fn what_is_interrupted_leaves_no_file() {
     let mut pipe = running.stdin.take().unwrap();
     // More than is read ahead and than a pipe holds.
     pipe.write_all(log(10_000, 0.0).as_bytes()).unwrap();
-    let patience = std::time::Instant::now();
-    while !unfinished.exists() && patience.elapsed().as_secs() < 30 {
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
-    assert!(unfinished.exists());
+    wait_for(|| unfinished.exists().then_some(())).expect("an unfinished file");
     let id = running.id().to_string();
-    let told = std::process::Command::new("kill")
+    let sent = std::process::Command::new("kill")
         .args(["-s", "INT", &id])
         .status();
-    assert!(told.unwrap().success());
-    // Under `nohup` SIGHUP is ignored, and then no handler is set.
-    assert_eq!(running.wait().unwrap().code(), Some(130), "under nohup?");
+    assert!(sent.unwrap().success());
+    let Some(status) = wait_for(|| running.try_wait().unwrap()) else {
+        running.kill().unwrap();
+        panic!("SIGINT did not end it: does the parent of this test ignore SIGINT?");
+    };
+    assert_eq!(
+        status.code(),
+        Some(130),
+        "{status}: SIGHUP or SIGTERM ignored?"
+    );
     assert!(!unfinished.exists() && !output.exists());
+}
+
+/// Returns a command that runs the program with the default signal handling. A shell's background
+/// job inherits an ignored SIGINT, and `nohup` an ignored SIGHUP: then no handler is set.
+///
+/// The `env` of some systems cannot restore the handling. There the program inherits it.
+#[cfg(unix)]
+fn aplomb_with_default_signals() -> std::process::Command {
+    const RESTORE: &str = "--default-signal=HUP,INT,TERM";
+    let program = env!("CARGO_BIN_EXE_aplomb");
+    let tried = std::process::Command::new("env")
+        .args([RESTORE, "true"])
+        .output();
+    if tried.is_ok_and(|output| output.status.success()) {
+        let mut command = std::process::Command::new("env");
+        command.args([RESTORE, program]);
+        command
+    } else {
+        std::process::Command::new(program)
+    }
+}
+
+/// Polls until there is a result; `None` after 30 s.
+#[cfg(unix)]
+fn wait_for<T>(mut poll: impl FnMut() -> Option<T>) -> Option<T> {
+    let start = std::time::Instant::now();
+    loop {
+        let result = poll();
+        if result.is_some() || start.elapsed().as_secs() >= 30 {
+            return result;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
 }
 
 #[test]

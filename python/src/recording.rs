@@ -84,7 +84,7 @@ pub fn read_log(python: Python<'_>, path: PathBuf) -> PyResult<Recording> {
             columns.mag.extend(row.field_ut.unwrap_or([f64::NAN; 3]));
             let truth = row.attitude.map_or([f64::NAN; 4], |q| [q.w, q.x, q.y, q.z]);
             columns.truth.extend(truth);
-            columns.moving.push(row.moving);
+            columns.moving.push(row.scored);
         }
         Ok::<_, String>(columns)
     });

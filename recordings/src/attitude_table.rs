@@ -51,8 +51,8 @@ pub struct Row {
     pub tilt_sigma_deg: Option<f32>,
     /// Flags, if the table has them.
     pub flags: Option<Flags>,
-    /// The row counts for scores.
-    pub counts: bool,
+    /// True if the row counts for scores.
+    pub scored: bool,
 }
 
 impl Attitude {
@@ -160,7 +160,7 @@ impl Columns {
             cell.parse::<Flags>()
                 .map_err(|_| format!("\"{}\" are no flags", quote(cell)))
         };
-        let counts = match self.scored.map(cell).transpose()? {
+        let scored = match self.scored.map(cell).transpose()? {
             None | Some("1") => true,
             Some("0") => false,
             Some(other) => {
@@ -178,7 +178,7 @@ impl Columns {
             rates_deg_s,
             tilt_sigma_deg,
             flags: self.flags.map(flags).transpose()?,
-            counts,
+            scored,
         })
     }
 }
@@ -197,7 +197,7 @@ mod tests {
         let columns = Columns::of(HEADER).expect("a header");
         let good = "-5,1,0,0,0,0,0,0,1,2,3,0.5,VALID|MISSED,0";
         let row = columns.row(good).expect("a row");
-        assert_eq!((row.t_us, row.counts), (-5, false));
+        assert_eq!((row.t_us, row.scored), (-5, false));
         assert_eq!(row.rates_deg_s, Some([1.0, 2.0, 3.0]));
         assert_eq!(row.flags, Some(Flags::VALID | Flags::MISSED));
         for (from, to, reason) in [

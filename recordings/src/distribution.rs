@@ -86,15 +86,19 @@ impl Distribution {
         None
     }
 
-    /// Returns the median; NaN if there is no number.
+    /// Returns the median; NaN without a number.
     #[must_use]
     pub fn median(&mut self) -> f64 {
-        let count = self.count();
-        let lower = self.nth(count.wrapping_sub(1) / 2);
-        match (lower, self.nth(count / 2)) {
-            (Some(lower), Some(upper)) => 0.5 * (lower + upper),
-            _ => f64::NAN,
-        }
+        median_by_place(self.count(), |place| self.nth(place))
+    }
+}
+
+/// Returns the median of `count` numbers; NaN without a number. `nth` returns the number of a place
+/// in ascending order, counted from 0.
+pub(crate) fn median_by_place(count: usize, mut nth: impl FnMut(usize) -> Option<f64>) -> f64 {
+    match (nth(count.wrapping_sub(1) / 2), nth(count / 2)) {
+        (Some(lower), Some(upper)) => 0.5 * (lower + upper),
+        _ => f64::NAN,
     }
 }
 

@@ -125,13 +125,13 @@ mod tests {
             Some(Quaternion::new(0.0, 1.0, 0.0, 0.0))
         );
         assert_eq!(with_truth.rows()[1].attitude, None);
-        assert!(with_truth.rows()[1].moving);
+        assert!(with_truth.rows()[1].scored);
         let with_compass =
             parse("t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n0,1,2,3,4,5,6,-7.5,8,9\n1,1,2,3,4,5,6,,,\n")
                 .unwrap();
         assert_eq!(with_compass.rows()[0].field_ut, Some([-7.5, 8.0, 9.0]));
         assert_eq!(with_compass.rows()[1].field_ut, None);
-        assert!(with_compass.rows()[1].moving);
+        assert!(with_compass.rows()[1].scored);
         let with_both = parse(
             "t_us,ax,ay,az,gx,gy,gz,mx,my,mz,qw,qx,qy,qz,mov\n\
              0,1,2,3,4,5,6,7,8,9,0,1,0,0,0\n1,1,2,3,4,5,6,,,,,,,,1\n",
@@ -140,9 +140,9 @@ mod tests {
         let (first, second) = (&with_both.rows()[0], &with_both.rows()[1]);
         assert_eq!(first.field_ut, Some([7.0, 8.0, 9.0]));
         assert_eq!(first.attitude, Some(Quaternion::new(0.0, 1.0, 0.0, 0.0)));
-        assert!(!first.moving && second.moving && second.attitude.is_none());
+        assert!(!first.scored && second.scored && second.attitude.is_none());
         let full = parse(format!("{HEADER}\n{GOOD}\n1,0,0,9.81,0,0,0,,,,,0\n")).unwrap();
-        assert!(full.rows()[0].moving && !full.rows()[1].moving);
+        assert!(full.rows()[0].scored && !full.rows()[1].scored);
     }
 
     proptest! {

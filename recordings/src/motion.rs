@@ -77,7 +77,8 @@ struct Sample {
     specific_force_m_s2: Vector,
     body_rates_rad_s: Vector,
     attitude: Option<Quaternion>,
-    moving: bool,
+    /// True if the row counts for scores.
+    scored: bool,
 }
 
 impl Recording {
@@ -175,7 +176,7 @@ impl Sample {
             specific_force_m_s2: mount.to_body(row.specific_force_m_s2),
             body_rates_rad_s: mount.to_body(row.rates_rad_s),
             attitude: row.attitude.map(|truth| body_to_earth(truth, mount)),
-            moving: row.moving,
+            scored: row.scored,
         }
     }
 
@@ -201,7 +202,7 @@ impl Sample {
             attitude,
             temperature_c: ROOM_TEMPERATURE_C,
             thrust_g: 0.0,
-            scored: attitude.is_some() && self.moving && next.moving,
+            scored: attitude.is_some() && self.scored && next.scored,
         }
     }
 }

@@ -76,7 +76,7 @@ impl Judge {
         }
         if self.options.time_unit.is_none() {
             let steps = times.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
-            time_unit(median(
+            time_unit(upper_median(
                 steps
                     .filter(|step| *step > 0)
                     .map(|step| step as f64)
@@ -84,7 +84,7 @@ impl Judge {
             ))?;
         }
         if self.options.force_unit.is_none() && !self.is_raw {
-            force_unit(median(forces))?;
+            force_unit(upper_median(forces))?;
         }
         Ok(())
     }
@@ -98,7 +98,7 @@ impl Judge {
         let steps = times
             .windows(2)
             .map(|pair| pair[1].abs_diff(pair[0]) as f64);
-        let step = median(steps.filter(|step| *step > 0.0).collect())?;
+        let step = upper_median(steps.filter(|step| *step > 0.0).collect())?;
         let is_usual = (SHORTEST_STEP_US..=GAP_US).contains(&step);
         (!is_usual).then(|| {
             format!(
@@ -220,7 +220,8 @@ fn force_unit(force: Option<f64>) -> Result<(), LogFault> {
     })))
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
+/// Returns the median, which is the upper one of two middle values; `None` without a value.
+fn upper_median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }

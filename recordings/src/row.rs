@@ -34,8 +34,8 @@ pub struct Row {
     pub field_ut: Option<Vector>,
     /// True attitude, sensor → earth with z up, of length 1.
     pub attitude: Option<Quaternion>,
-    /// The row counts for scores; true if the log has no such column.
-    pub moving: bool,
+    /// True if the row counts for scores: its cell `mov` is 1, or the log has no such column.
+    pub scored: bool,
 }
 
 /// Returns the number of columns of a log with this header; `None` for another header.
@@ -127,7 +127,7 @@ pub(crate) fn parse_row_with(
         }
         Some(quaternion.normalized())
     };
-    let moving = match cells[11] {
+    let scored = match cells[11] {
         "1" => true,
         "" if columns - compass < COLUMNS.len() => true,
         "0" => false,
@@ -139,7 +139,7 @@ pub(crate) fn parse_row_with(
         rates_rad_s,
         field_ut,
         attitude,
-        moving,
+        scored,
     })
 }
 

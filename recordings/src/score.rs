@@ -4,7 +4,7 @@ use std::fmt;
 
 use aplomb_models::motion::geometry::{Quaternion, angle_between};
 
-use crate::distribution::Distribution;
+use crate::distribution::{Distribution, median_by_place};
 
 /// Start of a recording whose rows do not count, µs: a filter may take time to start.
 pub const START_US: i64 = 5_000_000;
@@ -36,14 +36,14 @@ pub struct Score {
     /// Largest error.
     #[serde(rename = "inclination_max_deg")]
     pub maximum: f64,
-    /// Errors against the reported σ, if the filter reports one.
+    /// Consistency of the reported σ with the errors, if the filter reports one.
     #[serde(flatten)]
-    pub honesty: Option<Honesty>,
+    pub consistency: Option<SigmaConsistency>,
 }
 
-/// Errors against the reported σ.
+/// Consistency of the reported σ with the errors.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Honesty {
+pub struct SigmaConsistency {
     /// Share of rows with an error of at most 3 σ.
     pub within_3_sigma: f64,
     /// Median of error/σ. It is 0.83 for two independent normal errors, where σ is the root of
@@ -77,13 +77,13 @@ impl Errors {
             rms: (self.degrees.squares() / rows as f64).sqrt(),
             p95: self.degrees.nth((rows * 95).div_ceil(100) - 1)?,
             maximum,
-            honesty: self.honesty(),
+            consistency: self.consistency(),
         })
     }
 
-    fn honesty(&mut self) -> Option<Honesty> {
+    fn consistency(&mut self) -> Option<SigmaConsistency> {
         let rows = self.per_sigma.count();
-        (rows > 0).then(|| Honesty {
+        (rows > 0).then(|| SigmaConsistency {
             within_3_sigma: self.within_3_sigma as f64 / rows as f64,
             median: self.per_sigma.median(),
         })
@@ -97,16 +97,16 @@ impl fmt::Display for Score {
             p95,
             maximum,
             rows,
-            honesty,
+            consistency,
         } = self;
         write!(
             formatter,
             "rms {rms:.3}°, 95 % within {p95:.3}°, maximum {maximum:.3}° over {rows} rows"
         )?;
-        let Some(Honesty {
+        let Some(SigmaConsistency {
             within_3_sigma,
             median,
-        }) = honesty
+        }) = consistency
         else {
             return Ok(());
         };
@@ -118,17 +118,10 @@ impl fmt::Display for Score {
     }
 }
 
-/// Returns the median of ascending numbers.
+/// Returns the median of ascending numbers; NaN without a number.
 #[must_use]
 pub fn median(ascending: &[f64]) -> f64 {
-    let length = ascending.len();
-    match (
-        ascending.get(length.wrapping_sub(1) / 2),
-        ascending.get(length / 2),
-    ) {
-        (Some(lower), Some(upper)) => 0.5 * (lower + upper),
-        _ => f64::NAN,
-    }
+    median_by_place(ascending.len(), |place| ascending.get(place).copied())
 }
 
 /// Returns the mean.
@@ -156,7 +149,7 @@ mod tests {
         errors.add(tilted, yawed, None);
         let score = errors.score().unwrap();
         assert!((score.rms - 0.1_f64.to_degrees()).abs() < 1e-9);
-        assert_eq!((score.rows, score.honesty), (1, None));
+        assert_eq!((score.rows, score.consistency), (1, None));
     }
 
     #[test]
@@ -167,14 +160,14 @@ mod tests {
             let (sine, cosine) = error_rad.sin_cos();
             errors.add([sine, 0.0, cosine], up, Some(sigma_rad));
         }
-        let honesty = errors.score().unwrap().honesty.unwrap();
-        assert_eq!(honesty.within_3_sigma, 0.75);
-        assert!((honesty.median - 2.45).abs() < 1e-6, "{honesty:?}");
-        // A filter that is sure of what is wrong is not honest.
+        let consistency = errors.score().unwrap().consistency.unwrap();
+        assert_eq!(consistency.within_3_sigma, 0.75);
+        assert!((consistency.median - 2.45).abs() < 1e-6, "{consistency:?}");
+        // An error with a σ of zero or NaN is not within 3 σ.
         errors.add([1.0, 0.0, 0.0], up, Some(0.0));
         errors.add([1.0, 0.0, 0.0], up, Some(f32::NAN));
-        let honesty = errors.score().unwrap().honesty.unwrap();
-        assert_eq!(honesty.within_3_sigma, 0.5);
+        let consistency = errors.score().unwrap().consistency.unwrap();
+        assert_eq!(consistency.within_3_sigma, 0.5);
     }
 
     #[test]

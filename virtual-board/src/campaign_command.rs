@@ -15,8 +15,12 @@ use virtual_board::flight::Outcome;
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
 use virtual_board::profile::ProcessorPool;
+use virtual_board::schedule::DRAWN;
 
 use super::subtitle;
+
+/// Flights of a campaign that begin with each class that is drawn.
+const RUNS_PER_CLASS: u64 = 20;
 
 /// Options of the command.
 #[derive(Args)]
@@ -24,8 +28,8 @@ pub struct Faults {
     /// The firmware image; `cargo xtask faults` builds it and gives it.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
-    /// Number of flights.
-    #[arg(long, value_name = "NUMBER", default_value_t = 232)]
+    /// Number of flights. The default begins 20 with each class that is drawn.
+    #[arg(long, value_name = "NUMBER", default_value_t = RUNS_PER_CLASS * DRAWN as u64)]
     runs: u64,
     /// The seed of the first flight; the others count on from it.
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]

@@ -109,9 +109,9 @@ const FORMS: [Form; 39] = [
     }),
 ];
 
-/// The first forms, which [`Schedule::by_seed`] draws. The campaign draws the others beside them,
-/// so that a seed keeps its schedule.
-const DRAWN: usize = 37;
+/// Number of classes that [`Schedule::by_seed`] draws: the first of `FORMS`. The campaign draws the
+/// others beside them, so that a seed keeps its schedule.
+pub const DRAWN: usize = 37;
 
 /// Written form of a fault.
 struct Form {

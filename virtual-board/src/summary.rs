@@ -190,8 +190,9 @@ pub(crate) fn estimate(snapshot: &Snapshot) -> Quaternion {
 
 /// Returns the inclination error in degrees, if the sample counts.
 fn scored_inclination_deg(sample: &Sample) -> Option<f64> {
-    let counts = sample.edge?.truth.scored && !sample.snapshot.flags.contains(Flags::CALIBRATING);
-    inclination_deg(sample).filter(|_| counts)
+    let is_scored =
+        sample.edge?.truth.scored && !sample.snapshot.flags.contains(Flags::CALIBRATING);
+    inclination_deg(sample).filter(|_| is_scored)
 }
 
 /// Counts the flags that occurred.

@@ -28,7 +28,7 @@ pub fn run() -> Result<(), String> {
     })?;
     test_virtual_board(&images, &minimal, &examples)?;
     step::timed("random flights with random faults", || {
-        faults::short(&virtual_board, &images[0].1)
+        faults::fly_default(&virtual_board, &images[0].1)
     })?;
     agree::run(&toolchain, &virtual_board, &images[0].1)?;
     cost::run()?;

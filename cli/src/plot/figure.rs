@@ -101,7 +101,7 @@ impl Figure {
                 Some(file) => {
                     figure.has_two_truths |= point.truth.is_some();
                     let row = file.at(point.t_us)?;
-                    point.counts = row.is_some_and(|row| row.counts);
+                    point.scored = row.is_some_and(|row| row.scored);
                     row.and_then(|row| row.attitude)
                 }
                 None => point.truth.map(|truth| body_to_earth(truth, mount)),
@@ -146,7 +146,7 @@ impl Figure {
         let Some(truth) = truth else { return };
         let error = inclination_error_rad(attitude, truth).to_degrees();
         self.errors.push(time_s, error);
-        if point.is_scored(self.start_us) {
+        if point.is_scored_after_start(self.start_us) {
             self.squares += error * error;
             self.scored += 1;
         }
@@ -361,7 +361,7 @@ mod tests {
                     truth,
                     motion::Mount::Z_UP,
                 )),
-                counts: true,
+                scored: true,
             }))
         }
     }

@@ -50,7 +50,7 @@ impl Source for Table {
             flags: row.flags.unwrap_or_default(),
             specific_force_m_s2: None,
             truth: None,
-            counts: row.counts,
+            scored: row.scored,
         }))
     }
 
@@ -66,8 +66,8 @@ pub struct TrueRow {
     pub t_us: i64,
     /// Body to earth, if it is known.
     pub attitude: Option<Truth>,
-    /// The row counts for scores.
-    pub counts: bool,
+    /// True if the row counts for scores.
+    pub scored: bool,
 }
 
 /// Reader of the next row; `None` after the last.
@@ -96,7 +96,7 @@ impl TruthFile {
                     TrueRow {
                         t_us: point.t_us,
                         attitude: Some(truth),
-                        counts: point.counts,
+                        scored: point.scored,
                     }
                 }))
             })
@@ -109,7 +109,7 @@ impl TruthFile {
                 Ok(Some(TrueRow {
                     t_us: row.time_us,
                     attitude: row.attitude.map(|truth| body_to_earth(truth, mount)),
-                    counts: row.moving,
+                    scored: row.scored,
                 }))
             })
         } else {
@@ -161,7 +161,7 @@ mod tests {
         let row = move |t_us| TrueRow {
             t_us,
             attitude: Some(attitude(t_us)),
-            counts: true,
+            scored: true,
         };
         let mut file = TruthFile::new(move || Ok(times.next().map(row)));
         file.after = (file.rows)().unwrap();

@@ -68,11 +68,7 @@ impl Motion for Poses {
             None => (Quaternion::IDENTITY, [0.0; 3]),
             Some((at_s, turn)) => turn.at(time_s - at_s),
         };
-        Truth {
-            body_rates_rad_s,
-            scored: true,
-            ..Truth::at_rest(attitude)
-        }
+        Truth::turning(attitude, body_rates_rad_s)
     }
 }
 

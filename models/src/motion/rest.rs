@@ -69,11 +69,7 @@ impl Motion for Rest {
                 }
             }
         };
-        Truth {
-            body_rates_rad_s,
-            scored: true,
-            ..Truth::at_rest(attitude)
-        }
+        Truth::turning(attitude, body_rates_rad_s)
     }
 }
 

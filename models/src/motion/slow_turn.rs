@@ -1,7 +1,7 @@
 //! A slow, steady turn, as of a turntable, an aerial or a boat: its readings hardly change.
 
 use super::geometry::{Quaternion, Vector, scale};
-use super::truth::{STANDARD_GRAVITY_M_S2, Truth};
+use super::truth::Truth;
 use super::{Motion, geometry};
 use crate::random::Random;
 
@@ -83,14 +83,7 @@ impl Motion for SlowTurn {
         let angle = self.rate_rad_s * (risen_s - fallen_s + wobbled_s);
         let turned = Quaternion::from_rotation_vector(scale(self.axis, angle));
         let attitude = self.start.multiply(turned);
-        Truth {
-            specific_force_m_s2: attitude
-                .conjugate()
-                .rotate([0.0, 0.0, -STANDARD_GRAVITY_M_S2]),
-            body_rates_rad_s: scale(self.axis, rate),
-            scored: true,
-            ..Truth::at_rest(attitude)
-        }
+        Truth::turning(attitude, scale(self.axis, rate))
     }
 }
 

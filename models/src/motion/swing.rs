@@ -2,7 +2,7 @@
 //! that is under way at power-up, or runs by a wrong clock.
 
 use super::geometry::{Quaternion, Vector, scale};
-use super::truth::{STANDARD_GRAVITY_M_S2, Truth};
+use super::truth::Truth;
 use super::{Motion, geometry};
 use crate::random::Random;
 
@@ -48,14 +48,7 @@ impl Motion for Swing {
         let rate = 0.5 * self.amplitude_rad * self.rate_rad_s * libm::sin(phase);
         let turned = Quaternion::from_rotation_vector(scale(self.axis, angle));
         let attitude = self.start.multiply(turned);
-        Truth {
-            specific_force_m_s2: attitude
-                .conjugate()
-                .rotate([0.0, 0.0, -STANDARD_GRAVITY_M_S2]),
-            body_rates_rad_s: scale(self.axis, rate),
-            scored: true,
-            ..Truth::at_rest(attitude)
-        }
+        Truth::turning(attitude, scale(self.axis, rate))
     }
 }
 

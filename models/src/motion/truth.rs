@@ -43,6 +43,16 @@ impl Truth {
             scored: false,
         }
     }
+
+    /// A body that turns in place at these rates, in body axes, rad/s; it counts for scores.
+    #[must_use]
+    pub fn turning(attitude: Quaternion, body_rates_rad_s: Vector) -> Self {
+        Self {
+            body_rates_rad_s,
+            scored: true,
+            ..Self::at_rest(attitude)
+        }
+    }
 }
 
 /// The direction "up" in body axes, for a body → earth (north-east-down) attitude.

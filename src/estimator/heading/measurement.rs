@@ -97,7 +97,7 @@ impl Heading {
             iron += square(factor) * covariance.entry(state, state);
         }
         let own = covariance.entry(c, c) + covariance.entry(d, d);
-        self.noise += own + iron + 2.0 * linear + tilt;
+        self.expected_then_noise_ut2 += own + iron + 2.0 * linear + tilt;
         if axis < 2 {
             Phase::Expect(axis + 1)
         } else {
@@ -115,20 +115,20 @@ impl Heading {
         let noise = square(tuning.noise_ut) + square(tuning.noise_per_rate) * mean_square_rate;
         let [x, y, z] = self.innovation();
         let squared = square(x) + square(y) + square(z);
-        let expected = self.noise + 3.0 * noise;
+        let expected = self.expected_then_noise_ut2 + 3.0 * noise;
         let excess = (squared - tuning.gate * expected) * (1.0 / 3.0);
         let excess = excess.clamp(0.0, 1.0e6);
         let decay = smaller(duration_s / tuning.excess_s, 1.0);
         let limit = square(tuning.largest_excess_ut);
         self.excess = larger(self.excess * (1.0 - decay), smaller(excess, limit));
-        self.noise = noise + tuning.excess_to_noise * excess;
+        self.expected_then_noise_ut2 = noise + tuning.excess_to_noise * excess;
         let share = smaller(duration_s / tuning.consistency_s, 1.0);
         let ratio = smaller(squared / expected, LARGEST_INCONSISTENCY);
         self.inconsistency += share * (ratio - self.inconsistency);
         if self.inconsistency > tuning.valid_inconsistency {
             self.verified_s = 0.0;
         }
-        self.inverse = squared;
+        self.squared_then_inverse = squared;
         Phase::Watch
     }
 
@@ -181,7 +181,8 @@ impl Heading {
         let measured = square(mx) + square(my) + square(mz);
         let level = square(cx) + square(cy) + square(cz);
         let length = libm::sqrtf(measured) - libm::sqrtf(level);
-        let contradiction = self.inverse - tuning.restart_ratio * square(length);
+        let squared_innovation = self.squared_then_inverse;
+        let contradiction = squared_innovation - tuning.restart_ratio * square(length);
         let share = smaller(duration_s / tuning.restart_average_s, 1.0);
         self.contradiction += share * (contradiction - self.contradiction);
         let is_lasting = self.contradiction > square(tuning.restart_floor_ut);
@@ -202,12 +203,12 @@ impl Heading {
         let place = usize::from(axis);
         let [north, east] = self.row(place).tilt;
         let covariance = &self.covariance;
-        self.own = [0.0; STATES];
-        for (entry, [to_north, to_east, ..]) in self.own.iter_mut().zip(&covariance.cross) {
+        self.own_column = [0.0; STATES];
+        for (entry, [to_north, to_east, ..]) in self.own_column.iter_mut().zip(&covariance.cross) {
             *entry = north * to_north + east * to_east;
         }
-        covariance.add_column(FIELD + place, 1.0, &mut self.own);
-        covariance.add_column(DEVIATION + place, 1.0, &mut self.own);
+        covariance.add_column(FIELD + place, 1.0, &mut self.own_column);
+        covariance.add_column(DEVIATION + place, 1.0, &mut self.own_column);
         Phase::ProjectIron(axis)
     }
 
@@ -215,7 +216,8 @@ impl Heading {
     pub(super) fn project_iron(&mut self, axis: u8) -> Phase {
         let [wx, wy, wz] = self.row(axis.into()).iron;
         for (state, factor) in [(IRON, wx), (IRON + 1, wy), (IRON + 2, wz)] {
-            self.covariance.add_column(state, factor, &mut self.own);
+            self.covariance
+                .add_column(state, factor, &mut self.own_column);
         }
         Phase::ProjectCross(axis)
     }
@@ -230,7 +232,7 @@ impl Heading {
         };
         let [wx, wy, wz] = self.row(axis.into()).iron;
         let sources = field.iter().zip(bx).zip(by).zip(bz);
-        for (sum, (((c, x), y), z)) in self.column.iter_mut().zip(sources) {
+        for (sum, (((c, x), y), z)) in self.cross_column.iter_mut().zip(sources) {
             *sum = c + wx * x + wy * y + wz * z;
         }
         Phase::CorrectStates(axis)
@@ -241,9 +243,9 @@ impl Heading {
         let place = usize::from(axis);
         let row = self.row(place);
         let [wx, wy, wz] = row.iron;
-        kalman.add_tilt_columns(row.tilt, &mut self.column);
-        let own = |state: usize| self.own.get(state).copied().unwrap_or(0.0);
-        let [to_north, to_east, ..] = self.column;
+        kalman.add_tilt_columns(row.tilt, &mut self.cross_column);
+        let own = |state: usize| self.own_column.get(state).copied().unwrap_or(0.0);
+        let [to_north, to_east, ..] = self.cross_column;
         let variance = own(FIELD + place)
             + own(DEVIATION + place)
             + wx * own(IRON)
@@ -251,11 +253,11 @@ impl Heading {
             + wz * own(IRON + 2)
             + row.tilt[0] * to_north
             + row.tilt[1] * to_east
-            + self.noise;
-        self.inverse = 1.0 / variance;
+            + self.expected_then_noise_ut2;
+        self.squared_then_inverse = 1.0 / variance;
         let innovation = self.innovation().into_iter().nth(place).unwrap_or(0.0);
-        let gain = innovation * self.inverse;
-        for (state, entry) in self.state.iter_mut().zip(&self.own) {
+        let gain = innovation * self.squared_then_inverse;
+        for (state, entry) in self.state.iter_mut().zip(&self.own_column) {
             *state += gain * entry;
         }
         Phase::Correct(axis, 0)
@@ -270,10 +272,11 @@ impl Heading {
             4..CORRELATED => 1,
             _ => 3,
         };
-        for (row, own) in self.own.iter().enumerate().skip(start).take(rows) {
-            let gain = own * self.inverse;
-            self.covariance.subtract(row, gain, &self.own);
-            self.covariance.subtract_cross(row, gain, &self.column);
+        for (row, own) in self.own_column.iter().enumerate().skip(start).take(rows) {
+            let gain = own * self.squared_then_inverse;
+            self.covariance.subtract(row, gain, &self.own_column);
+            self.covariance
+                .subtract_cross(row, gain, &self.cross_column);
         }
         if start + rows < STATES {
             Phase::Correct(axis, first + rows as u8)

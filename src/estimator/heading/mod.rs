@@ -145,11 +145,12 @@ pub struct Heading {
     is_iron_known: bool,
     /// Time since the last earth step that was added, s.
     elapsed_s: f32,
-    /// Inverse of a measurement's innovation variance, 1/µT²; from the gate to the watch, the
-    /// squared innovation, µT².
-    inverse: f32,
-    /// Variance of the measurement's noise; before that, the expected squared innovation.
-    noise: f32,
+    /// Scratch of the step. From `Phase::Gate` on: squared innovation, µT². From
+    /// `Phase::CorrectStates` on: inverse of the innovation variance of an axis.
+    squared_then_inverse: f32,
+    /// Scratch of the step. From `Phase::Expect` on: expected squared innovation of all axes
+    /// without noise. From `Phase::Gate` on: variance of an axis's noise.
+    expected_then_noise_ut2: f32,
     /// Motion of the body: 0 at rest, at most 1.
     motion: f32,
     /// Recent excess of the squared innovation, µT².
@@ -168,10 +169,13 @@ pub struct Heading {
     reading_age_s: f32,
     /// Field, hard iron and local deviation, µT.
     state: [f32; STATES],
-    /// Gains of the tilt filter's measurements, then O·hᵀ of a measurement.
-    own: [f32; STATES],
-    /// A row of X: P·Wᵀ of the drift of yaw, and X·hᵀ of a measurement.
-    column: CrossRow,
+    /// Scratch of the step. From `Phase::Follow` on: gains of the tilt filter's measurements. From
+    /// `Phase::ProjectDrift` on: X·Wᵀ of the drift of yaw. From `Phase::Project` on: O·hᵀ of
+    /// an axis.
+    own_column: [f32; STATES],
+    /// Scratch of the step. From `Phase::Drift` on: P·Wᵀ of the drift of yaw. From
+    /// `Phase::ProjectCross` on: X·hᵀ of an axis.
+    cross_column: CrossRow,
     /// Sums of the present interval, and of the one before, whose step is under way.
     intervals: [Interval; 2],
     covariance: Covariance,
@@ -211,12 +215,12 @@ impl Heading {
             has_reading: false,
             reading_ut: [0.0; 3],
             reading_age_s: 0.0,
-            column: [0.0; ERROR_STATES],
-            own: [0.0; STATES],
-            inverse: 0.0,
+            cross_column: [0.0; ERROR_STATES],
+            own_column: [0.0; STATES],
+            squared_then_inverse: 0.0,
             motion: 0.0,
             excess: 0.0,
-            noise: 0.0,
+            expected_then_noise_ut2: 0.0,
             contradiction: 0.0,
             inconsistency: 0.0,
             contradicted_s: 0.0,
@@ -318,11 +322,11 @@ impl Heading {
             interval.visit_state(visitor);
         }
         self.covariance.visit_state(visitor);
-        visitor.f32s(&mut self.column);
-        visitor.f32s(&mut self.own);
+        visitor.f32s(&mut self.cross_column);
+        visitor.f32s(&mut self.own_column);
         for field in [
-            &mut self.inverse,
-            &mut self.noise,
+            &mut self.squared_then_inverse,
+            &mut self.expected_then_noise_ut2,
             &mut self.motion,
             &mut self.excess,
             &mut self.contradiction,

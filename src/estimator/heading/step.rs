@@ -35,9 +35,10 @@ pub(super) enum Phase {
     Propagate(u8),
     /// X by what the tilt filter resets and lets return to its prior.
     Relax,
-    /// A row of X by the tilt filter's measurement of this index.
+    /// A row of X by the tilt filter's measurements: with 0 by those of the velocity, then by the
+    /// one at this place, counted from 1, if it is of a parameter.
     Follow(u8, u8),
-    /// A row of O by the tilt filter's measurements, from this index on.
+    /// A row of O by the tilt filter's measurements, from this place on, counted from 0.
     FollowOwn(u8, u8),
     /// Covariance of the drift of yaw with the error states, from this pair of parameters on.
     Drift(u8),
@@ -140,21 +141,21 @@ impl Heading {
     fn follow_measurement(&mut self, kalman: &Kalman, row: u8, index: u8) -> Phase {
         let place = usize::from(row);
         let Some(entries) = self.covariance.cross.get_mut(place) else {
-            self.column = [0.0; ERROR_STATES];
+            self.cross_column = [0.0; ERROR_STATES];
             return Phase::Drift(0);
         };
         let Some(measurement) = usize::from(index).checked_sub(1) else {
             let mut change = 0.0;
             let mut velocity = [0.0; 2];
-            for (number, gain) in self.own.iter_mut().enumerate().take(MEASUREMENTS) {
+            for (number, gain) in self.own_column.iter_mut().enumerate().take(MEASUREMENTS) {
                 let Some(followed) = kalman.followed(number) else {
                     break;
                 };
                 let p = entries.get(followed.state).copied().unwrap_or(0.0);
                 *gain = p * followed.weight;
                 change += *gain * followed.residual;
-                let is_velocity = followed.state.wrapping_sub(VELOCITY.start);
-                if let Some(factor) = velocity.get_mut(is_velocity) {
+                let velocity_axis = followed.state.wrapping_sub(VELOCITY.start);
+                if let Some(factor) = velocity.get_mut(velocity_axis) {
                     *factor = -*gain;
                 }
             }
@@ -165,7 +166,7 @@ impl Heading {
             return Phase::Follow(row, 1);
         };
         let parameter = kalman.followed(measurement).and_then(Followed::parameter);
-        let gain = self.own.get(measurement).copied().unwrap_or(0.0);
+        let gain = self.own_column.get(measurement).copied().unwrap_or(0.0);
         match parameter {
             Some(parameter) => kalman.add_parameter_column(parameter, -gain, entries),
             None => return Phase::FollowOwn(row, 0),
@@ -177,7 +178,8 @@ impl Heading {
     fn follow_own(&mut self, kalman: &Kalman, row: u8, first: u8) -> Phase {
         let start = usize::from(first);
         for index in start..start + OWN_MEASUREMENTS {
-            let (Some(followed), Some(gain)) = (kalman.followed(index), self.own.get(index)) else {
+            let (Some(followed), Some(gain)) = (kalman.followed(index), self.own_column.get(index))
+            else {
                 return Phase::Follow(row + 1, 0);
             };
             let mut column = [0.0; CORRELATED];
@@ -198,7 +200,7 @@ impl Heading {
     fn drift(&mut self, kalman: &Kalman, part: u8) -> Phase {
         let [first, second] = &self.intervals;
         let closed = if self.present == 0 { second } else { first };
-        let is_more = kalman.add_product(part.into(), &closed.yaw, &mut self.column);
+        let is_more = kalman.add_product(part.into(), &closed.yaw, &mut self.cross_column);
         if is_more {
             Phase::Drift(part + 1)
         } else {
@@ -213,17 +215,17 @@ impl Heading {
         for (entry, row) in own.iter_mut().zip(&self.covariance.cross) {
             *entry = dot(yaw, gyroscope(row));
         }
-        self.own = own;
+        self.own_column = own;
         Phase::RotateField
     }
 
     /// Rotates the field by the drift of yaw, and O with it.
     fn rotate_field(&mut self, kalman: &Kalman) -> Phase {
-        let known = dot(&self.closed().yaw, gyroscope(&self.column));
+        let known = dot(&self.closed().yaw, gyroscope(&self.cross_column));
         let variance = known + self.yaw_noise_rad2(kalman);
         let [x, y, ..] = self.state;
         let (gx, gy) = (-y, x);
-        let [wx, wy, rest @ ..] = self.own;
+        let [wx, wy, rest @ ..] = self.own_column;
         let covariance = &mut self.covariance;
         covariance.add(0, 0, 2.0 * gx * wx + square(gx) * variance);
         covariance.add(1, 0, gy * wx + gx * wy + gx * gy * variance);
@@ -240,8 +242,8 @@ impl Heading {
         let turn_rad = dot(&self.closed().yaw, kalman.gyroscope_correction());
         let [x, y, ..] = &mut self.state;
         let (gx, gy) = (-*y, *x);
-        self.covariance.subtract_cross(0, -gx, &self.column);
-        self.covariance.subtract_cross(1, -gy, &self.column);
+        self.covariance.subtract_cross(0, -gx, &self.cross_column);
+        self.covariance.subtract_cross(1, -gy, &self.cross_column);
         *x += gx * turn_rad;
         *y += gy * turn_rad;
         Phase::Walk
@@ -298,7 +300,7 @@ impl Heading {
         if place + 1 < STATES {
             Phase::Forget(state + 1)
         } else if self.closed().has_readings() {
-            self.noise = 0.0;
+            self.expected_then_noise_ut2 = 0.0;
             Phase::Expect(0)
         } else {
             Phase::Check

@@ -21,7 +21,7 @@ use super::propagation::{
 use super::slices::MOST_MEASUREMENTS;
 use super::{Kalman, Tilt};
 use crate::attitude::{Quaternion, Vector3};
-use crate::estimator::arithmetic::{smaller, square};
+use crate::estimator::arithmetic::square;
 
 /// Number of error states: tilt (2), velocity (2), gyroscope bias (3) and matrix (9), accelerometer
 /// bias (3). A follower needs all of them. The errors of tilt and accelerometer bias mostly cancel
@@ -245,13 +245,6 @@ impl Kalman {
     pub(in crate::estimator) fn gyroscope_correction(&self) -> &[f32] {
         let parameters = &self.step.correction.parameters;
         parameters.get(..GYROSCOPE_PARAMETERS).unwrap_or(&[])
-    }
-
-    /// Returns the factor with which a parameter's error decays in its turn.
-    #[inline(always)]
-    pub(super) fn relaxation(&self, duration_s: f32) -> f32 {
-        const TURNS: f32 = (PARAMETERS - 3) as f32;
-        1.0 - smaller(TURNS * duration_s / self.tuning.parameter_memory_s, 1.0)
     }
 
     /// Returns the yaw noise of the interval like that of the tilt, rad², for ∫|ω|² dt in

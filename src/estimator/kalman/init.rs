@@ -71,8 +71,8 @@ impl Kalman {
     pub(super) fn set_bias_prior(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.nominal.set_gyroscope_bias(bias_rad_s);
         self.bias_prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
-        self.is_stored_known = sigma_rad_s < KNOWN_BIAS_RAD_S;
-        self.is_bias_known = self.is_stored_known;
+        self.has_measured_prior = sigma_rad_s < KNOWN_BIAS_RAD_S;
+        self.is_bias_known = self.has_measured_prior;
         self.return_bias_to_prior();
     }
 

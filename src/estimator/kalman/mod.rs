@@ -5,7 +5,7 @@
 //! pseudo-measurement that velocities stay small. A force that integrates to an implausible
 //! velocity is no acceleration, but gravity seen in a wrong attitude.
 //!
-//! # Nominal state ([`nominal`](self))
+//! # Nominal state (`nominal.rs`)
 //!
 //! Attitude q (body to earth), gyroscope bias b and matrix C = I − E (scale and misalignment),
 //! accelerometer bias a, horizontal velocity v. With the readings g and f,
@@ -40,38 +40,49 @@
 //! slices, one a sample. The measurement is v = 0, with a variance that follows how much the
 //! vehicle has been moving.
 //!
-//! # Start and rest
+//! # Start (`init.rs`, `recovery.rs`)
 //!
 //! - The first sample sets a provisional tilt with a σ above 30°, so the attitude is not `VALID`.
 //!   The mean specific force of 0.15 s then replaces this tilt, because one sample in vibration
 //!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. A pause that
 //!   hides the tilt repeats both steps.
+//! - In motion, the mean specific force of 1.3 s sets a tilt that it shows to be over 45° wrong.
 //! - The bias has a prior. If the bias lies more than [`Tuning::prior_gate_sigma`] outside it, the
 //!   prior is widened, unless a rest of this run or an earlier one has measured the bias.
 //! - While tilt and bias are both uncertain, their product, which the linear model leaves out,
 //!   counts as noise ([`Tuning::coupling`]).
+//!
+//! # Rest (`measurements.rs`)
+//!
 //! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and
-//!   neither runs while armed. If the first rest contradicts the state reached in motion, the
-//!   filter restarts at that rest. So it does if the first rest finds the tilt too uncertain. A
-//!   rest whose force contradicts the tilt for longer than a vehicle accelerates restarts it too:
-//!   at once if the tilt is over 35° wrong, after 6.8 s if it is nearly level.
-//! - In motion, the mean specific force of 1.3 s sets a tilt that it shows to be over 45° wrong.
+//!   neither runs while armed.
+//! - If the first rest contradicts the state reached in motion, the filter restarts at that rest.
+//!   So it does if the first rest finds the tilt too uncertain. A rest whose force contradicts the
+//!   tilt for longer than a vehicle accelerates restarts it too: at once if the tilt is over 35°
+//!   wrong, after 6.8 s if it is nearly level.
 //! - A slow, steady turn reads like a rest, but gravity turns in the body. A rest ends when the
 //!   force drifts by 0.6°. If it has drifted from the rest's beginning on, and the gyroscope shows
 //!   no turn, then the bias was measured in the turn, and is unknown again.
-//! - An offset that changes at rest is found again: readings that no motion explains restart the
-//!   filter. Until then σ includes the turn that the specific force does not show.
-//! - An offset that changes in motion shows within seconds, because corrections add up that should
-//!   not ([`consistency`](self)). The reported σ grows at the first suspicion; later bias and tilt
-//!   are uncertain again. It takes seconds because a tilt error looks like an acceleration.
-//! - A stored bias may have changed since it was measured. The reported σ is at least 4° until
-//!   rest or motion has confirmed it.
+//! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
+//!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
+//!
+//! # Known, unconfirmed and changed bias
+//!
 //! - A rest, of this run or an earlier one, must have measured the bias before it counts as known
 //!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
-//!   the reported σ is much larger while the bias is not known.
-//! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
-//!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
+//!   the reported σ is much larger while the bias is not known (`tilt_variance.rs`).
+//! - A stored bias may have changed since it was measured. The reported σ is at least 4° until
+//!   rest or motion has confirmed it.
+//! - An offset that changes at rest is found again: readings that no motion explains restart the
+//!   filter. Until then σ includes the turn that the specific force does not show
+//!   (`rest_watch.rs`).
+//! - An offset that changes in motion shows within seconds, because corrections add up that should
+//!   not (`consistency.rs`). The reported σ grows at the first suspicion; later bias and tilt
+//!   are uncertain again. It takes seconds because a tilt error looks like an acceleration.
+//!
+//! # Limits
+//!
 //! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
 //! - After a start in motion, a bias of 20 °/s about the vertical takes over half a minute, or is
 //!   not found, because yaw is not observed. A lasting turn is taken for a bias. The reported σ
@@ -90,6 +101,7 @@ mod init;
 mod measurements;
 mod nominal;
 mod prior;
+mod process_noise;
 mod propagation;
 mod recent_velocity;
 mod recovery;
@@ -169,8 +181,10 @@ pub struct Kalman {
     is_step_pending: bool,
     /// True if the tilt has been checked for the covariance step that is due.
     is_tilt_checked: bool,
+    /// True if the bias is known: a rest, of this run or an earlier one, has measured it, and its
+    /// σ is small.
     is_bias_known: bool,
-    /// True if the bias has been measured at rest in this run.
+    /// True if a rest of this run has measured the bias.
     has_rested: bool,
     /// True if the covariance step under way is at rest, before any rest has been accepted.
     is_first_rest: bool,
@@ -198,8 +212,9 @@ pub struct Kalman {
     step: CovarianceStep,
     /// Variance that the bias gains in a second beyond the tuning's random walk, rad²/s³.
     added_bias_walk: f32,
-    /// True if the stored bias, or that of a restart, was known.
-    is_stored_known: bool,
+    /// True if the bias started with a small σ: a rest of an earlier run, or before a restart, had
+    /// measured it.
+    has_measured_prior: bool,
     /// True until rest or motion has confirmed the stored bias.
     is_stored_unconfirmed: bool,
     /// True if a single sample has set the tilt: the mean specific force will set it again.
@@ -306,7 +321,7 @@ impl Kalman {
             is_step_pending: false,
             is_tilt_checked: false,
             is_bias_known: false,
-            is_stored_known: false,
+            has_measured_prior: false,
             is_stored_unconfirmed: false,
             has_rested: false,
             is_first_rest: false,
@@ -539,7 +554,7 @@ impl Kalman {
         visitor.bool(&mut self.is_step_pending);
         visitor.bool(&mut self.is_tilt_checked);
         visitor.bool(&mut self.is_bias_known);
-        visitor.bool(&mut self.is_stored_known);
+        visitor.bool(&mut self.has_measured_prior);
         visitor.bool(&mut self.is_stored_unconfirmed);
         visitor.bool(&mut self.has_rested);
         visitor.bool(&mut self.is_first_rest);

@@ -1,7 +1,8 @@
 //! Stationary detector of the filter: readings that have not changed for a while, at about one g.
 //!
 //! Steady motion gives the same readings. The filter therefore uses the detector's readings
-//! only as far as its covariance allows.
+//! only as far as its covariance allows. The detector of the calibrations, `StationaryDetector`, is
+//! another: it tests against the sensor's own noise.
 
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, Tuning};
 use crate::attitude::Vector3;

@@ -64,12 +64,12 @@ fn dense_transition(transition: &Transition) -> Matrix {
     }
     f[2][1] = f64::from(transition.down_m_s);
     f[3][0] = -f64::from(transition.down_m_s);
-    for (constant, b) in transition.tilt.iter().enumerate() {
-        f[0][DYNAMIC + constant] = -f64::from(b[0]);
-        f[1][DYNAMIC + constant] = -f64::from(b[1]);
-        if constant < 3 {
-            f[2][DYNAMIC + GYROSCOPE_PARAMETERS + constant] = -f64::from(b[0]);
-            f[3][DYNAMIC + GYROSCOPE_PARAMETERS + constant] = -f64::from(b[1]);
+    for (parameter, b) in transition.tilt.iter().enumerate() {
+        f[0][DYNAMIC + parameter] = -f64::from(b[0]);
+        f[1][DYNAMIC + parameter] = -f64::from(b[1]);
+        if parameter < 3 {
+            f[2][DYNAMIC + GYROSCOPE_PARAMETERS + parameter] = -f64::from(b[0]);
+            f[3][DYNAMIC + GYROSCOPE_PARAMETERS + parameter] = -f64::from(b[1]);
         }
     }
     f
@@ -129,8 +129,8 @@ fn distance(a: &Matrix, b: &Matrix) -> f64 {
 
 fn random_transition(random: &mut Random) -> Transition {
     let mut transition = Transition::IDENTITY;
-    for (constant, b) in transition.tilt.iter_mut().enumerate() {
-        let scale = if constant < 3 { 0.2 } else { 0.4 };
+    for (parameter, b) in transition.tilt.iter_mut().enumerate() {
+        let scale = if parameter < 3 { 0.2 } else { 0.4 };
         *b = [scale * random.next(), scale * random.next()];
     }
     transition.down_m_s = -2.0 + random.next();
@@ -191,7 +191,7 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
         for (state, innovation, variance) in &measurements {
             let measured = match state {
                 State::Dynamic(state) => *state,
-                State::Parameter(constant) => DYNAMIC + constant,
+                State::Parameter(parameter) => DYNAMIC + parameter,
             };
             let s = p[measured][measured] + f64::from(*variance);
             let gain: Vec<f64> = (0..STATES).map(|row| p[row][measured] / s).collect();
@@ -224,32 +224,32 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
 fn the_transition_is_the_derivative_of_the_nominal_state() {
     // About 25 steps of 8 ms with motion about all axes, with a small error in one state.
     let propagate = |state: usize, error: f32| {
-        let mut mean = NominalState::new();
-        mean.attitude = from_degrees(20.0, -35.0, 50.0);
-        let mut moving = [0.0; DYNAMIC];
-        let mut constants = [0.0; PARAMETERS];
+        let mut nominal = NominalState::new();
+        nominal.attitude = from_degrees(20.0, -35.0, 50.0);
+        let mut dynamic = [0.0; DYNAMIC];
+        let mut parameters = [0.0; PARAMETERS];
         match state {
-            0..DYNAMIC => moving[state] = error,
-            _ => constants[state - DYNAMIC] = error,
+            0..DYNAMIC => dynamic[state] = error,
+            _ => parameters[state - DYNAMIC] = error,
         }
-        mean.correct(&moving, &constants);
+        nominal.correct(&dynamic, &parameters);
         let mut transition = Transition::IDENTITY;
-        let mut velocity = mean.velocity_m_s;
+        let mut velocity = nominal.velocity_m_s;
         for index in 0..200 {
             let t = 1.0e-3 * index as f32;
             let rate = Vector3::new(1.0 + t, -2.0 + 3.0 * t, 1.5);
             let force = Vector3::new(1.0, -2.0 * t, -9.0);
             if index == 0 {
-                mean.start(rate, force);
+                nominal.start(rate, force);
             }
-            mean.integrate(rate, force, 1.0e-3);
+            nominal.integrate(rate, force, 1.0e-3);
             if index % 8 == 7 {
-                let step = mean.step_in_earth_axes(&mut transition);
+                let step = nominal.step_in_earth_axes(&mut transition);
                 velocity[0] += step.force_integral_ned_m_s.x;
                 velocity[1] += step.force_integral_ned_m_s.y;
             }
         }
-        (mean.attitude, velocity, transition)
+        (nominal.attitude, velocity, transition)
     };
     let (attitude, velocity, transition) = propagate(0, 0.0);
     for state in 0..STATES {
@@ -262,15 +262,15 @@ fn the_transition_is_the_derivative_of_the_nominal_state() {
             changed_velocity[0] - velocity[0],
             changed_velocity[1] - velocity[1],
         ];
-        let mut moving = [0.0; DYNAMIC];
-        let mut constants = [0.0; PARAMETERS];
+        let mut dynamic = [0.0; DYNAMIC];
+        let mut parameters = [0.0; PARAMETERS];
         match state {
-            0..DYNAMIC => moving[state] = error,
-            _ => constants[state - DYNAMIC] = error,
+            0..DYNAMIC => dynamic[state] = error,
+            _ => parameters[state - DYNAMIC] = error,
         }
-        transition.apply(&mut moving, &constants);
+        transition.apply(&mut dynamic, &parameters);
         // A correction removes the error; here it was added with the same sign.
-        for (index, (found, expected)) in found.into_iter().zip(moving).enumerate() {
+        for (index, (found, expected)) in found.into_iter().zip(dynamic).enumerate() {
             // F leaves two effects on velocity to the next interval: a bias, integrated twice, and
             // the vertical axis of tilt. They are half of g·T·T/2 at most.
             let tolerance = if index < 2 { 0.06 } else { 1.3 };
@@ -1537,8 +1537,8 @@ fn a_changed_offset_is_found_at_rest_and_sigma_covers_the_error() {
                 let estimate = world.run(&mut estimator, 1);
                 let error = world.tilt_error_degrees(estimate.attitude);
                 let allowed = degrees(6.0 * estimate.tilt_sigma_rad()).max(5.0);
-                let is_told = !estimate.is_bias_known || error < allowed;
-                assert!(is_told, "{axis:?} {size}: {error} at {millisecond} ms");
+                let is_right = !estimate.is_bias_known || error < allowed;
+                assert!(is_right, "{axis:?} {size}: {error} at {millisecond} ms");
             }
             assert!(world.run(&mut estimator, 1).is_bias_known);
             let left = filter(&estimator).bias_rad_s() - world.bias_rad_s;
@@ -1691,8 +1691,8 @@ fn a_slow_turn_is_no_rest() {
                 let is_right = !estimate.is_bias_known || error < allowed;
                 assert!(is_right, "{rate_deg_s}, {has_rested}: {error}");
                 // The slowest turn is taken for a rest until gravity has turned by 0.6°.
-                let is_told = estimate.is_bias_known == has_rested || rate_deg_s < 2.0;
-                assert!(is_told, "{rate_deg_s}, {has_rested}");
+                let is_known_rightly = estimate.is_bias_known == has_rested || rate_deg_s < 2.0;
+                assert!(is_known_rightly, "{rate_deg_s}, {has_rested}");
             }
             world.rate_rad_s = Vector3::ZERO;
             assert!(world.run(&mut estimator, 4_000).is_bias_known);

@@ -1,4 +1,13 @@
 //! Unobserved motion: inflates the variances for pauses and full-scale readings.
+//!
+//! Callers outside the filter have four methods:
+//!
+//! | method | when | tilt | velocity | check of consistency |
+//! |---|---|---|---|---|
+//! | `inflate_tilt` | motion was hidden | σ grows, in reported units | – | suspended |
+//! | `inflate_turn` | a shown turn may be false | σ grows, in the filter's units | – | goes on |
+//! | `inflate_motion` | samples were wrong | σ grows, in reported units | zero | suspended |
+//! | `lose_tilt` | the hidden turn is too large | by the next sample | zero | – |
 
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
 use super::{Kalman, Tilt, USABLE_TILT_RAD};

@@ -8,8 +8,8 @@ use aplomb_models::motion::slow_turn::SlowTurn;
 use aplomb_models::motion::truth::up_in_body;
 use aplomb_recordings::simulated::samples;
 
+use super::Judged;
 use crate::parallel;
-use crate::valid::Judged;
 
 const SECONDS: u64 = 36;
 

@@ -12,8 +12,8 @@ use aplomb_models::motion::truth::up_in_body;
 use aplomb_models::random::Random;
 use aplomb_recordings::simulated::CONFIG;
 
+use super::Judged;
 use crate::parallel;
-use crate::valid::Judged;
 
 const PERIOD_US: u64 = 5_000;
 const SECONDS: u64 = 120;

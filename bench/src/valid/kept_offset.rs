@@ -8,10 +8,10 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_recordings::simulated::{errors, samples_with};
 
+use super::Judged;
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated;
-use crate::valid::Judged;
 
 /// Length of a flight, s, and start of the time that counts, µs.
 const SECONDS: u64 = 60;

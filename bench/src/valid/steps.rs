@@ -13,11 +13,11 @@ use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::truth::up_in_body as true_up;
 use aplomb_recordings::simulated::samples;
 
+use super::Judged;
+use super::restarts::with_stored_offset;
 use crate::parallel;
 use crate::recording::Recording;
-use crate::restarts::with_stored_offset;
 use crate::simulated;
-use crate::valid::Judged;
 
 /// Time of the step, µs. The offset before is known since about 1.3 s.
 const STEP_US: u64 = 3_000_000;

@@ -8,11 +8,11 @@ use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::random::Random;
 
+use super::Judged;
+use crate::heading_promise::{KEEP_US, after_reset};
 use crate::parallel;
-use crate::promise::{KEEP_US, after_reset};
 use crate::recording::Recording;
 use crate::simulated;
-use crate::valid::Judged;
 
 /// Length of a flight, s, and of the time after a start that counts, µs.
 const SECONDS: u64 = 18;

@@ -16,9 +16,9 @@ use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::truth::up_in_body;
 use aplomb_recordings::simulated::samples;
 
+use super::Judged;
 use crate::parallel;
 use crate::recording::Recording;
-use crate::valid::Judged;
 
 /// Change of the temperature, °C in a minute and in all: indoors to a frosty day.
 const CELSIUS_PER_MINUTE: f64 = 6.0;

@@ -14,10 +14,10 @@ use aplomb_models::random::Random;
 use aplomb_models::sensor::SensorErrors;
 use aplomb_recordings::simulated::samples_with;
 
+use super::Judged;
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated::recording;
-use crate::valid::Judged;
 
 /// Length of a flight, s, and of the time after a start that counts, µs.
 const SECONDS: u64 = 20;

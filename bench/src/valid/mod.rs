@@ -1,4 +1,18 @@
-//! The promise of `VALID`, for tests: a tilt is wrong by no more than the larger of 5° and six σ.
+//! Tests of the promise of `VALID`: a tilt is wrong by no more than the larger of 5° and six σ.
+//!
+//! [`Judged`] holds an attitude to the promise. Each file is a situation in which the promise is
+//! hard to keep.
+
+mod drift;
+mod interruptions;
+mod kept_offset;
+mod level_turns;
+mod restarts;
+mod shaken_starts;
+mod starts;
+mod steps;
+mod straights;
+mod turns;
 
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;

@@ -15,8 +15,8 @@ use aplomb_models::motion::truth::up_in_body;
 use aplomb_models::random::Random;
 use aplomb_recordings::simulated::{Simulated, samples};
 
+use super::Judged;
 use crate::parallel;
-use crate::valid::Judged;
 
 /// Length of a flight, s, and times between which an interruption begins: the vehicle has taken
 /// off, and flies on.

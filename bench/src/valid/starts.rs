@@ -9,11 +9,11 @@ use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 
+use super::Judged;
 use crate::folders::recordings_of;
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated;
-use crate::valid::Judged;
 
 /// Times of the starts, s: the first one at rest in most recordings, the others anywhere.
 const STARTS_S: [u64; 5] = [0, 10, 25, 40, 55];
