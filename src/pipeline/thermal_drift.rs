@@ -18,7 +18,7 @@ const MODEL_ERROR_SHARE: f32 = 0.33;
 const MOST_CELSIUS: f32 = 10.0;
 /// Fastest change of a die's temperature, °C/s: 25 °C, from a room into frost, in 50 s.
 const FASTEST_CELSIUS_S: f32 = 0.5;
-/// Least deviation from that which shows a wrong register, °C.
+/// Least distance of the register from what that pace allows at which it is wrong, °C.
 const WRONG_CELSIUS: f32 = 2.0;
 /// No temperature yet.
 const NONE_CELSIUS: f32 = -273.0;
@@ -54,7 +54,8 @@ impl ThermalDrift {
     }
 
     /// Takes the temperature `dt_s` after the last one, and whether it is in the range of a model.
-    /// Returns the variance that the offset's random walk gains, rad²/s² per second.
+    /// Decides whether the offset follows the model. Returns the variance that the offset's random
+    /// walk gains, rad²/s² per second.
     pub(super) fn walk(&mut self, celsius: f32, dt_s: f32, is_in_range: bool) -> f32 {
         if self.average_celsius == NONE_CELSIUS {
             (self.average_celsius, self.slow_celsius) = (celsius, celsius);
@@ -146,7 +147,7 @@ mod tests {
 
     #[test]
     fn the_model_is_followed_at_the_pace_of_a_die() {
-        // Temperatures before and after a jump, and from when on the model is followed again, s.
+        // A jump of the register, and the time until the model is followed again, s.
         for (jump_celsius, expected_s) in [(1.9, 0.0), (-20.0, 36.0), (20.0, 36.0)] {
             let mut drift = ThermalDrift::NONE;
             drift.walk(30.0, STEP_S, true);

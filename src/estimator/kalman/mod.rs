@@ -83,6 +83,9 @@
 //!
 //! # Limits
 //!
+//! - Unsolved: a coordinated turn of minutes contradicts the bias like an offset that changes, and
+//!   motion then confirms a wrong one. A push-over to −0.8 g for 2 s turns the attitude over. See
+//!   the known limits in `docs/accuracy.md`.
 //! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
 //! - After a start in motion, a bias of 20 °/s about the vertical takes over half a minute, or is
 //!   not found, because yaw is not observed. A lasting turn is taken for a bias. The reported σ
