@@ -3,6 +3,7 @@
 //!
 //! - [`quadrotor`]: a simulated flight with physics, by seed. Its parts are [`airframe`],
 //!   [`autopilot`], [`route`] and [`wind`];
+//! - [`aeroplane`]: a simulated flight in long turns, or with push-overs;
 //! - [`poses`]: a body that is laid down in one pose after the other, as a calibration asks for it,
 //!   with a smooth [`turn`] between two poses;
 //! - [`rest`]: a body that stands still, or is nudged once: for tests with closed-form answers;
@@ -16,6 +17,7 @@
 //!
 //! Everything here is in double precision and shares no code with the library that is being judged.
 
+pub mod aeroplane;
 pub mod airframe;
 pub mod autopilot;
 pub mod geometry;
