@@ -3,6 +3,7 @@
 //! [`Judged`] holds an attitude to the promise. Each file is a situation in which the promise is
 //! hard to keep.
 
+mod aeroplanes;
 mod drift;
 mod interruptions;
 mod kept_offset;

@@ -10,12 +10,13 @@
 //! | `resume` | the core was reset | kept | kept | kept: accelerometer |
 //! | `start_from` | first sample; gap; tilt hidden | by one sample, yaw kept | – | – |
 //! | `confirm_start` | 0.15 to 0.75 s later | by the mean force | – | – |
-//! | `check_tilt` | 1.3 s of force contradict it | by the mean force | – | – |
+//! | `check_tilt` | 1.3 or 4 s of force contradict it | by the mean force | – | – |
 //! | `restart_at_rest` | a rest contradicts the state | by its force | by its rate | priors |
 //! | `forget_parameters` | another calibration | kept | – | priors |
 //! | `inflate_motion` | the sensor lost its settings | kept, σ grows | – | – |
 //! | `restart_from_unusable_numbers` | no sensor's numbers | kept, σ 17° | kept | priors |
 
+use super::confirmation::Confirmation;
 use super::prior::{BiasPrior, WarmStart};
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
@@ -57,13 +58,12 @@ impl Kalman {
     /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Call it before
     /// the first sample.
     ///
-    /// The bias may have changed since: σ of the tilt is at least 4° until rest or motion has
-    /// confirmed it, with σ below 0.2 °/s. The vehicle may move, because the attitude becomes
-    /// `VALID` before any rest.
+    /// The bias may have changed since: σ of the tilt is at least 6.4° until a rest or motion has
+    /// confirmed it. The vehicle may move, because the attitude becomes `VALID` before any rest.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);
         self.set_bias_prior(bias_rad_s, sigma_rad_s);
-        self.is_stored_unconfirmed = true;
+        self.confirmation = Confirmation::Stored;
     }
 
     /// Sets the bias, rad/s in body axes, and its σ per axis, until a rest measures it.

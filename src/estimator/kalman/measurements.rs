@@ -1,7 +1,6 @@
 //! Measurements of a covariance step: zero velocity, zero rate at rest, and the width of the bias
 //! prior.
 
-use super::consistency::SUSPICION_RAD;
 use super::prior::BiasPrior;
 use super::propagation::{State, VELOCITY_EAST, VELOCITY_NORTH};
 use super::rest_detector::{RestReadings, SETTLED_S};
@@ -158,6 +157,7 @@ impl Kalman {
         if is_explained || self.has_rested {
             self.has_rested = true;
             if self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
+                self.bias_prior.mean_rad_s = readings.rate_rad_s;
                 let variance = square(tuning.stationary_rate_noise) / duration_s;
                 self.measure_bias(difference, variance);
                 self.rest_watch.begins = true;
@@ -173,20 +173,6 @@ impl Kalman {
             self.measure_velocity(self.velocity_noise() / duration_s);
         }
         true
-    }
-
-    /// Compares the present readings with those of the last rest, and in motion the corrections
-    /// with their covariance, twice in each covariance step.
-    #[inline(never)]
-    pub(super) fn watch_rest_and_consistency(&mut self) {
-        self.extra_tilt_rad2 =
-            self.rest_watch
-                .update(&self.nominal, &self.rest_detector, self.tuning);
-        let is_uncertain = self.is_stored_unconfirmed || self.consistency.is_suspicious();
-        if is_uncertain && !self.rest_detector.is_still() {
-            let missing = square(SUSPICION_RAD) - self.held_tilt_rad2;
-            self.extra_tilt_rad2 = larger(self.extra_tilt_rad2, missing);
-        }
     }
 
     fn is_offset_wrong(&mut self, readings: &RestReadings, difference: Vector3) -> bool {

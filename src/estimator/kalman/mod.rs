@@ -46,7 +46,8 @@
 //!   The mean specific force of 0.15 s then replaces this tilt, because one sample in vibration
 //!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. A pause that
 //!   hides the tilt repeats both steps.
-//! - In motion, the mean specific force of 1.3 s sets a tilt that it shows to be over 45° wrong.
+//! - In motion, the mean specific force of 1.3 s sets an ambiguous tilt that it shows to be over
+//!   45° wrong. Another tilt is not `VALID` then, and set after 4 s: a push-over ends before.
 //! - The bias has a prior. If the bias lies more than [`Tuning::prior_gate_sigma`] outside it, the
 //!   prior is widened, unless a rest of this run or an earlier one has measured the bias.
 //! - While tilt and bias are both uncertain, their product, which the linear model leaves out,
@@ -72,20 +73,19 @@
 //!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
 //!   the reported σ is much larger while the bias is not known (`tilt_variance.rs`).
-//! - A stored bias may have changed since it was measured. The reported σ is at least 4° until
-//!   rest or motion has confirmed it.
+//! - A stored bias may have changed since it was measured. In motion the reported σ is at least
+//!   6.4° until rest or motion has confirmed it (`confirmation.rs`), and larger in a turn.
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show
 //!   (`rest_watch.rs`).
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
 //!   not (`consistency.rs`). The reported σ grows at the first suspicion; later bias and tilt
 //!   are uncertain again. It takes seconds because a tilt error looks like an acceleration.
+//! - A turn of minutes shows in the same way, and then a wrong bias may explain it. So the reported
+//!   σ is at least 6.4° until a rest, or motion has led back to the bias of the last rest.
 //!
 //! # Limits
 //!
-//! - Unsolved: a coordinated turn of minutes contradicts the bias like an offset that changes, and
-//!   motion then confirms a wrong one. A push-over to −0.8 g for 2 s turns the attitude over. See
-//!   the known limits in `docs/accuracy.md`.
 //! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
 //! - After a start in motion, a bias of 20 °/s about the vertical takes over half a minute, or is
 //!   not found, because yaw is not observed. A lasting turn is taken for a bias. The reported σ
@@ -97,6 +97,7 @@
 //! covariance included, and 750 at worst. At 100 Hz the worst case is 1,100. A reset of the motion
 //! adds at most eight pairs of rows of the covariance.
 
+mod confirmation;
 mod consistency;
 mod covariance;
 pub(super) mod follow;
@@ -128,6 +129,7 @@ use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::{larger, square};
 use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+use confirmation::Confirmation;
 use consistency::Consistency;
 use covariance::Column;
 use init::Tilt;
@@ -143,9 +145,6 @@ use unseen::LONG_STEP_S;
 
 /// Largest σ of a known bias, per axis.
 const KNOWN_BIAS_RAD_S: f32 = radians(0.5);
-
-/// Largest σ of a stored bias that is confirmed, per axis.
-const CONFIRMED_BIAS_RAD_S: f32 = radians(0.2);
 
 /// σ of the tilt, both axes together, rad, from which on the specific force shows the tilt better:
 /// at the start, and at rest.
@@ -218,8 +217,8 @@ pub struct Kalman {
     /// True if the bias started with a small σ: a rest of an earlier run, or before a restart, had
     /// measured it.
     has_measured_prior: bool,
-    /// True until rest or motion has confirmed the stored bias.
-    is_stored_unconfirmed: bool,
+    /// Confirmation of the bias by a rest or by motion.
+    confirmation: Confirmation,
     /// True if a single sample has set the tilt: the mean specific force will set it again.
     is_from_one_sample: bool,
 }
@@ -325,7 +324,7 @@ impl Kalman {
             is_tilt_checked: false,
             is_bias_known: false,
             has_measured_prior: false,
-            is_stored_unconfirmed: false,
+            confirmation: Confirmation::Confirmed,
             has_rested: false,
             is_first_rest: false,
             is_from_one_sample: false,
@@ -465,7 +464,7 @@ impl Kalman {
         }
         let variance = self.largest_bias_variance();
         self.is_bias_known = self.is_bias_measured() && variance < square(KNOWN_BIAS_RAD_S);
-        self.is_stored_unconfirmed &= variance > square(CONFIRMED_BIAS_RAD_S);
+        self.confirm_bias(variance);
     }
 
     /// Returns the gyroscope bias, rad/s in body axes.
@@ -558,7 +557,13 @@ impl Kalman {
         visitor.bool(&mut self.is_tilt_checked);
         visitor.bool(&mut self.is_bias_known);
         visitor.bool(&mut self.has_measured_prior);
-        visitor.bool(&mut self.is_stored_unconfirmed);
+        let mut confirmation = self.confirmation as usize;
+        visitor.index(&mut confirmation, 3);
+        self.confirmation = match confirmation {
+            0 => Confirmation::Confirmed,
+            1 => Confirmation::Contradicted,
+            _ => Confirmation::Stored,
+        };
         visitor.bool(&mut self.has_rested);
         visitor.bool(&mut self.is_first_rest);
         visitor.bool(&mut self.is_from_one_sample);

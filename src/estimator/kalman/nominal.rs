@@ -215,7 +215,8 @@ impl NominalState {
     /// Moves the error state into the nominal state.
     pub(super) fn correct(&mut self, dynamic: &[f32; DYNAMIC], parameters: &[f32; PARAMETERS]) {
         let [north, east, north_m_s, east_m_s] = *dynamic;
-        let tilt = Quaternion::from_rotation_vector(Vector3::new(north, east, 0.0));
+        // Half the rotation vector is the Gibbs vector of a small rotation.
+        let tilt = Quaternion::new(1.0, 0.5 * north, 0.5 * east, 0.0);
         self.attitude = tilt.multiply(self.attitude).normalize();
         let [velocity_north, velocity_east] = &mut self.velocity_m_s;
         *velocity_north += north_m_s;
@@ -235,8 +236,8 @@ impl NominalState {
         let [x, y, z] = self.gyroscope_matrix;
         let [ix, iy, iz] = IDENTITY;
         let (x, y, z) = (x - ix, y - iy, z - iz);
-        self.accelerometer_bias_m_s2
-            .is_within(LARGEST_ACCELEROMETER_BIAS_M_S2)
+        let bias = self.accelerometer_bias_m_s2;
+        bias.dot(bias) < LARGEST_ACCELEROMETER_BIAS_M_S2 * LARGEST_ACCELEROMETER_BIAS_M_S2
             && x.dot(x) + y.dot(y) + z.dot(z) < LARGEST_MATRIX_ERROR * LARGEST_MATRIX_ERROR
     }
 

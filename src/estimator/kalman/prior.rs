@@ -30,7 +30,7 @@ pub struct WarmStart {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct BiasPrior {
-    /// Mean, rad/s in body axes.
+    /// Mean, rad/s in body axes: stored, or measured by the last rest.
     pub(super) mean_rad_s: Vector3,
     /// Variance per axis, (rad/s)².
     pub(super) variance: [f32; 3],
@@ -178,7 +178,7 @@ impl ParameterPriors {
     }
 
     /// Returns the variance before the first sample of a parameter that is no gyroscope bias.
-    #[inline]
+    #[inline(never)]
     pub(super) fn variance(&self, parameter: usize) -> f32 {
         square(match parameter {
             // The diagonal of the gyroscope's matrix.

@@ -2,6 +2,7 @@
 //! parameters to their priors.
 
 use super::Kalman;
+use super::confirmation::Confirmation;
 use super::prior::FIRST_WITH_PRIOR;
 use super::propagation::{Interval, PARAMETERS};
 use crate::estimator::arithmetic::{smaller, square};
@@ -49,13 +50,17 @@ impl Kalman {
         self.interval = Interval::EMPTY;
     }
 
-    /// Makes tilt and bias uncertain again if the last steps' corrections contradict the bias.
+    /// Makes tilt and bias uncertain again if the last steps' corrections contradict the bias. The
+    /// bias has to be confirmed then.
     ///
     /// The correction of the first rest is not among them.
     pub(super) fn admit_changed_bias(&mut self) {
         let Some(change) = self.consistency.take_contradiction() else {
             return;
         };
+        if self.confirmation == Confirmation::Confirmed {
+            self.confirmation = Confirmation::Contradicted;
+        }
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
         for prior in &mut self.bias_prior.variance {
             *prior += change.bias_variance;

@@ -12,9 +12,12 @@ use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// Time for which the specific force contradicts the tilt before it is believed, s: longer than a
-/// vehicle dashes while it falls.
-const CONTRADICTION_S: f32 = 1.3;
+/// Time for which the specific force contradicts an ambiguous tilt before it is believed, s: longer
+/// than a vehicle dashes while it falls. A tilt that is not ambiguous is not `VALID` from then on.
+pub(super) const CONTRADICTION_S: f32 = 1.3;
+/// Time for which it contradicts a tilt that is not ambiguous before it is believed, s: longer than
+/// an aeroplane pushes over.
+const LONG_CONTRADICTION_S: f32 = 4.0;
 /// Longest time over which the first mean specific force has to become about one g, s. Shaking of
 /// 2 Hz and more cancels; a longer mean would keep readings of another time.
 const LONGEST_FIRST_MEAN_S: f32 = 0.75;
@@ -69,9 +72,10 @@ impl Kalman {
     /// without a covariance step.
     ///
     /// No vehicle that holds its height reads such a force: a sideways acceleration of one g would
-    /// give 1.4 g. But a vehicle that dashes and falls may have such a mean. So each interval has
-    /// to contradict a tilt that is not ambiguous. Shaking hides gravity from single intervals, so
-    /// the mean alone counts while the tilt is ambiguous, as after a start in motion.
+    /// give 1.4 g. But a vehicle that dashes and falls may have such a mean, and an aeroplane that
+    /// pushes over. So each interval has to contradict a tilt that is not ambiguous, for longer
+    /// than a push-over. Shaking hides gravity from single intervals, so the mean alone counts
+    /// while the tilt is ambiguous, as after a start in motion.
     #[inline(never)]
     pub(super) fn check_tilt(&mut self) {
         let duration_s = self.interval.duration_s;
@@ -83,16 +87,18 @@ impl Kalman {
         }
         let is_ambiguous = self.step.tilt_variance_rad2() > square(AMBIGUOUS_TILT_RAD);
         let sum = &mut self.force_sum;
-        if !is_ambiguous && is_gravity_up(force) != Some(false) {
-            *sum = ForceSum::NONE;
-            return;
-        }
         sum.integral_m_s = sum.integral_m_s + force_integral_m_s;
         sum.duration_s += duration_s;
-        if sum.duration_s > CONTRADICTION_S {
-            let mean = sum.integral_m_s.scale(1.0 / sum.duration_s);
+        let mean = sum.integral_m_s.scale(1.0 / sum.duration_s);
+        let is_contradicted = is_gravity_down(mean) && (is_ambiguous || is_gravity_down(force));
+        let is_over = if is_ambiguous {
+            sum.duration_s > CONTRADICTION_S
+        } else {
+            !is_contradicted || sum.duration_s > LONG_CONTRADICTION_S
+        };
+        if is_over {
             *sum = ForceSum::NONE;
-            if is_gravity_up(mean) == Some(false) {
+            if is_contradicted {
                 self.level(mean);
                 self.reset_motion(square(self.tuning.start_tilt_rad));
             }
@@ -158,7 +164,7 @@ impl Kalman {
 pub(super) struct ForceSum {
     /// Integral of the force, earth axes.
     integral_m_s: Vector3,
-    duration_s: f32,
+    pub(super) duration_s: f32,
 }
 
 impl ForceSum {
@@ -171,6 +177,11 @@ impl ForceSum {
         visitor.vector(&mut self.integral_m_s);
         visitor.f32(&mut self.duration_s);
     }
+}
+
+/// Returns whether this specific force, m/s² in earth axes, is about one g, and over 45° from up.
+fn is_gravity_down(force: Vector3) -> bool {
+    is_gravity_up(force) == Some(false)
 }
 
 /// Returns whether this specific force, m/s² in earth axes, is within 45° of up; `None` if it is

@@ -51,7 +51,7 @@ impl RestWatch {
     /// No rest to watch.
     pub(super) const NONE: Self = Self {
         begins: false,
-        force_m_s2: Vector3::ZERO,
+        force_m_s2: Vector3::new(f32::INFINITY, 0.0, 0.0),
         down: Vector3::ZERO,
         contradicted_from_s: f32::INFINITY,
         steady_from_s: f32::INFINITY,
@@ -76,7 +76,7 @@ impl RestWatch {
         }
         let change = nominal.force_m_s2 - self.force_m_s2;
         if change.dot(change) > square(tuning.stationary_force_m_s2) {
-            self.force_m_s2 = Vector3::ZERO;
+            self.force_m_s2.x = f32::INFINITY;
             return 0.0;
         }
         // The turn goes on until the next update.

@@ -1237,6 +1237,67 @@ fn a_dash_is_no_wrong_tilt() {
     }
 }
 
+/// An aeroplane that pushes over reads a force towards the ground. Its attitude is right, and not
+/// believed from 1.5 s on.
+#[test]
+fn a_push_over_is_no_wrong_tilt() {
+    for push_ms in [1_000, 2_000, 3_000] {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        let mut estimator = estimator();
+        world.run(&mut estimator, 3_000);
+        estimator.filter_mut().set_armed(true);
+        world.acceleration_m_s2 = Vector3::new(0.0, 0.0, 1.9 * STANDARD_GRAVITY_M_S2);
+        for millisecond in 0..push_ms {
+            let estimate = world.run(&mut estimator, 1);
+            assert!(world.tilt_error_degrees(estimate.attitude) < 5.0);
+            let is_certain = estimate.tilt_sigma_rad() < USABLE_TILT_RAD;
+            assert!(millisecond < 1_800 || !is_certain, "{millisecond} ms");
+        }
+        world.acceleration_m_s2 = Vector3::ZERO;
+        let estimate = world.run(&mut estimator, 500);
+        assert!(world.tilt_error_degrees(estimate.attitude) < 5.0);
+        assert!(estimate.tilt_sigma_rad() < radians(10.0));
+    }
+}
+
+/// A tilt that is wrong, and whose σ is small, is not believed from 1.8 s on, and right after 5 s.
+#[test]
+fn a_certain_tilt_that_is_wrong_is_set_within_five_seconds() {
+    let mut world = World::at_rest(from_degrees(10.0, 20.0, 0.0));
+    let mut estimator = estimator();
+    world.run(&mut estimator, 4_000);
+    estimator.filter_mut().set_armed(true);
+    let over = Quaternion::from_rotation_vector(Vector3::new(2.8, 0.3, 0.0));
+    let filter = estimator.filter_mut();
+    filter.nominal.attitude = over.multiply(filter.nominal.attitude);
+    assert!(world.run(&mut estimator, 1).tilt_sigma_rad() < radians(5.0));
+    world.run(&mut estimator, 1_800);
+    for _ in 0..3_200 {
+        let estimate = world.run(&mut estimator, 1);
+        assert!(estimate.tilt_sigma_rad() > radians(10.0));
+    }
+    let estimate = world.run(&mut estimator, 100);
+    let error = world.tilt_error_degrees(estimate.attitude);
+    assert!(error < 10.0, "{error}");
+}
+
+/// A roll ends the comparison with the last rest. Readings of free fall are no rest either.
+#[test]
+fn free_fall_after_a_roll_leaves_the_tilt_certain() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 4_000);
+    world.rate_rad_s = Vector3::new(1.5, 0.0, 0.0);
+    world.run(&mut estimator, 500);
+    world.rate_rad_s = Vector3::ZERO;
+    world.acceleration_m_s2 = Vector3::new(0.0, 0.0, STANDARD_GRAVITY_M_S2);
+    for millisecond in 0..600 {
+        let estimate = world.run(&mut estimator, 1);
+        let sigma = degrees(estimate.tilt_sigma_rad());
+        assert!(sigma < 5.0, "{sigma} at {millisecond} ms");
+    }
+}
+
 /// The mean of the first start is no gravity. The second start is no less careful.
 #[test]
 fn each_start_is_confirmed_before_the_first_step() {

@@ -12,12 +12,12 @@
 //! = reported_tilt_variance()
 //! ```
 //!
-//! Three errors that the covariance does not hold take turns in `extra_tilt_rad2`:
+//! Errors that the covariance does not hold take turns in `extra_tilt_rad2`:
 //!
 //! - After a start the tilt is that of a single sample (`init.rs`).
 //! - Once the sensor has rested, it may turn while the specific force does not (`rest_watch.rs`).
-//! - In motion the corrections are suspicious (`consistency.rs`), or a stored bias is not confirmed
-//!   (`set_bias` in `init.rs`).
+//! - In motion the bias is not confirmed, or the specific force contradicts the tilt
+//!   (`confirmation.rs`), or the corrections are suspicious (`consistency.rs`).
 
 use super::{Kalman, Tilt, sigma};
 use crate::estimator::arithmetic::square;
@@ -81,13 +81,13 @@ impl Kalman {
     }
 
     /// Returns the variance of a bank that the filter may take for level while the bias is not
-    /// known.
+    /// known, or after a start with a stored one.
     ///
     /// A level turn reads like a tilted rest with a bias. The specific force shows the bank φ:
     /// |f|²/g² − 1 = tan² φ. With a quarter of it, six σ are three times the bank. The
     /// accelerometer's error may hide 20°: six of [`HIDDEN_BANK_RAD`] are 34°.
     #[inline(never)]
-    fn bank_variance(&self) -> f32 {
+    pub(super) fn bank_variance(&self) -> f32 {
         const GRAVITY_SQUARED: f32 = square(STANDARD_GRAVITY_M_S2);
         let force = self.rest_detector.average_force_m_s2();
         let excess = force.dot(force) - GRAVITY_SQUARED;

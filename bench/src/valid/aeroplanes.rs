@@ -1,0 +1,134 @@
+//! Aeroplanes: long coordinated turns, which read like a changed offset of the gyroscope, and
+//! push-overs, whose specific force points to the ground. The attitude must not be `VALID` and
+//! wrong.
+
+use aplomb::attitude::Vector3;
+use aplomb::calibration::GyroscopeOffset;
+use aplomb::estimator::kalman::AccelerometerKnowledge;
+use aplomb::health::{BoardFlags, Flags};
+use aplomb::mpu6050::{Burst, Part, RawSample};
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb_models::motion::aeroplane::{Aeroplane, REST_S};
+use aplomb_models::motion::truth::up_in_body;
+use aplomb_models::motion::vibration::{Strength, Vibrating};
+use aplomb_models::random::Random;
+use aplomb_recordings::simulated::{errors, samples_with};
+
+use super::Judged;
+use crate::parallel;
+
+/// Outcome of a flight.
+#[derive(Clone, Copy, Debug, Default)]
+struct Outcome {
+    /// Time for which the attitude was `VALID` and wrong, ms.
+    wrong_ms: u32,
+    /// Time for which the attitude was `VALID`, and `VALID` but `DEGRADED`, ms.
+    valid_ms: u32,
+    degraded_ms: u32,
+    flown_ms: u32,
+    largest_deg: f64,
+}
+
+/// Flies with the sensor of this seed, and an engine's vibration. Armed before the take-off; with a
+/// stored offset the vehicle flies from the beginning on.
+fn fly(aeroplane: Aeroplane, seed: u64, seconds: u64, has_stored_offset: bool) -> Outcome {
+    let mut random = Random::new(seed, "engine");
+    let engine = Strength {
+        force_rms_m_s2: random.uniform(0.2, 2.0),
+        frequency_hz: random.uniform(50.0, 150.0),
+        lever_m: random.uniform(0.1, 0.5),
+        start_s: if has_stored_offset { 0.0 } else { REST_S },
+        growth_s: 1.0,
+    };
+    let motion = Vibrating::new(aeroplane, engine, seed);
+    let errors = errors(seed, AccelerometerKnowledge::Factory);
+    let mut settings = Settings::new(&Part::MPU_6050);
+    if has_stored_offset {
+        let [x, y, z] = errors.gyroscope.offset.map(|axis| axis as f32);
+        settings.calibration.gyroscope = Some(GyroscopeOffset {
+            offset_rad_s: Vector3::new(x, y, z),
+            temperature_celsius: RawSample::default().temperature.to_celsius(&Part::MPU_6050),
+        });
+    }
+    let mut pipeline = Pipeline::new(&settings);
+    let mut outcome = Outcome::default();
+    for simulated in samples_with(Box::new(motion), seed, errors, seconds) {
+        let burst = Burst {
+            bytes: simulated.raw.encode(),
+            captured_at_us: simulated.t_us,
+            missed_before: 0,
+        };
+        let is_flying = has_stored_offset || simulated.t_us as f64 > REST_S * 1.0e6;
+        pipeline.set_armed(is_flying);
+        let snapshot = pipeline.update(&burst, BoardFlags::empty());
+        let Some(attitude) = simulated.truth.attitude.filter(|_| is_flying) else {
+            continue;
+        };
+        let judged = Judged::new(&snapshot, up_in_body(attitude));
+        let is_degraded = snapshot.flags.contains(Flags::DEGRADED);
+        outcome.wrong_ms += u32::from(judged.is_wrong);
+        outcome.valid_ms += u32::from(judged.is_valid);
+        outcome.degraded_ms += u32::from(judged.is_valid && is_degraded);
+        outcome.flown_ms += 1;
+        outcome.largest_deg = outcome.largest_deg.max(judged.error_deg);
+    }
+    outcome
+}
+
+/// Prints the flights. Returns how many were `VALID` and wrong, and the share of their time for
+/// which they were `VALID`.
+fn summarize(name: &str, flights: &[Outcome]) -> (usize, f64) {
+    let wrong = flights.iter().filter(|flown| flown.wrong_ms > 0).count();
+    let sum = |time: fn(&Outcome) -> u32| flights.iter().map(time).sum::<u32>();
+    let share = |ms: u32| f64::from(ms) / f64::from(sum(|flown| flown.flown_ms));
+    let valid = share(sum(|flown| flown.valid_ms));
+    println!(
+        "{name}: {wrong} of {} VALID and wrong, for {} ms; VALID {valid:.3}, DEGRADED {:.3}; \
+         largest error {:.0} deg",
+        flights.len(),
+        sum(|flown| flown.wrong_ms),
+        share(sum(|flown| flown.degraded_ms)),
+        flights
+            .iter()
+            .map(|flown| flown.largest_deg)
+            .fold(0.0, f64::max),
+    );
+    (wrong, valid)
+}
+
+#[test]
+fn turns_of_minutes_are_never_valid_and_wrong() {
+    // Seeds that nothing was tuned on.
+    let seeds: Vec<u64> = (910_000..910_024).collect();
+    let flights = parallel::map(&seeds, |seed| {
+        fly(Aeroplane::turning(*seed), *seed, 360, false)
+    });
+    let (wrong, valid) = summarize("turns", &flights);
+    assert_eq!(wrong, 0);
+    assert!(valid > 0.5, "{valid}");
+}
+
+#[test]
+fn a_push_over_does_not_turn_the_attitude_over() {
+    for push_s in [1.5, 2.0, 2.5, 3.0] {
+        // Seeds that nothing was tuned on.
+        let seeds: Vec<u64> = (920_000..920_016).collect();
+        let flights = parallel::map(&seeds, |seed| {
+            fly(Aeroplane::pushing_over(*seed, push_s), *seed, 120, false)
+        });
+        let (wrong, valid) = summarize(&format!("push-overs of {push_s} s"), &flights);
+        assert_eq!(wrong, 0, "{push_s}");
+        assert!(valid > 0.5, "{valid}");
+    }
+}
+
+#[test]
+fn a_start_in_a_turn_with_a_stored_offset() {
+    // Seeds that nothing was tuned on.
+    let seeds: Vec<u64> = (930_000..930_024).collect();
+    let flights = parallel::map(&seeds, |seed| {
+        fly(Aeroplane::already_turning(*seed), *seed, 60, true)
+    });
+    let (wrong, _) = summarize("starts in a turn", &flights);
+    assert_eq!(wrong, 0);
+}

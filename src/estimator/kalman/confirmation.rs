@@ -1,0 +1,75 @@
+//! Confirmation of the bias, and the least σ of the tilt while something contradicts the state.
+//!
+//! A stored bias may have changed since it was measured. A bias that motion contradicts may have
+//! changed as well, or the vehicle turns for long: in a coordinated turn of minutes a wrong tilt
+//! and a wrong bias explain all readings together, and their covariance becomes small. So such a
+//! bias has to be confirmed, and σ of the tilt stays large until then. A rest confirms it, and
+//! motion that leads back to the bias that a rest has measured.
+
+use super::Kalman;
+use super::consistency::SUSPICION_RAD;
+use super::recovery::CONTRADICTION_S;
+use crate::estimator::arithmetic::{larger, square};
+use crate::units::radians;
+
+/// Largest σ of a bias that is confirmed, per axis.
+const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.2);
+/// Largest change of a bias that is confirmed, since a rest has measured it.
+const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.3);
+/// Least σ of the tilt until then, both axes together, rad: as reported, 6.4°. Six σ are 39°.
+const UNCONFIRMED_TILT_RAD: f32 = radians(7.0);
+/// Least σ of the tilt while the specific force contradicts it, both axes together, rad: too much
+/// for `VALID`.
+const CONTRADICTED_TILT_RAD: f32 = radians(40.0);
+
+/// Confirmation of the bias.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) enum Confirmation {
+    /// Confirmed, or not known at all.
+    Confirmed,
+    /// Motion has contradicted it.
+    Contradicted,
+    /// Stored, and not confirmed since the start. The tilt may be that of a start in a turn.
+    Stored,
+}
+
+impl Kalman {
+    /// Confirms the bias if it is certain, and near the one that a rest has measured.
+    pub(super) fn confirm_bias(&mut self, largest_variance: f32) {
+        let change = self.nominal.gyroscope_bias_rad_s - self.bias_prior.mean_rad_s;
+        if largest_variance < square(CONFIRMED_SIGMA_RAD_S)
+            && change.dot(change) < square(CONFIRMED_CHANGE_RAD_S)
+        {
+            self.confirmation = Confirmation::Confirmed;
+        }
+    }
+
+    /// Sets the tilt variance that is reported beside the covariance's, twice in each covariance
+    /// step. Compares the present readings with those of the last rest.
+    #[inline(never)]
+    pub(super) fn watch_rest_and_consistency(&mut self) {
+        let turned_rad2 = self
+            .rest_watch
+            .update(&self.nominal, &self.rest_detector, self.tuning);
+        let missing_rad2 = self.least_tilt_rad2() - self.held_tilt_rad2;
+        self.extra_tilt_rad2 = larger(turned_rad2, missing_rad2);
+    }
+
+    /// Returns the least tilt variance of a sensor that moves, both axes together, rad². It is
+    /// zero for a still one that is not armed.
+    fn least_tilt_rad2(&self) -> f32 {
+        if self.rest_detector.is_still() && !self.is_armed {
+            return 0.0;
+        }
+        if self.force_sum.duration_s > CONTRADICTION_S {
+            return square(CONTRADICTED_TILT_RAD);
+        }
+        match self.confirmation {
+            Confirmation::Stored => square(UNCONFIRMED_TILT_RAD) + self.bank_variance(),
+            Confirmation::Contradicted => square(UNCONFIRMED_TILT_RAD),
+            Confirmation::Confirmed if self.consistency.is_suspicious() => square(SUSPICION_RAD),
+            Confirmation::Confirmed => 0.0,
+        }
+    }
+}
