@@ -1,0 +1,159 @@
+//! Motion that no sample shows: pauses and full-scale readings.
+
+use super::*;
+
+/// In a flight of the campaign, 97 ms at full scale gave a mean of one g sideways. The attitude
+/// restarted from that mean, 63° off.
+#[test]
+fn short_full_scale_readings_are_not_used_as_gravity() {
+    for milliseconds in (60..160).step_by(10) {
+        for (x, y) in [(0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0)] {
+            let mut world = World::at_rest(from_degrees(30.0 * y, -30.0 * x, 0.0));
+            let mut estimator = estimator();
+            world.run(&mut estimator, 3_000);
+            world.rate_rad_s = Vector3::new(0.1, -0.1, 0.05);
+            for _ in 0..milliseconds {
+                let mut sample = world.sample(1000);
+                let full_scale = Vector3::new(x, y, 0.0).scale(16.0 * STANDARD_GRAVITY_M_S2);
+                let across = Vector3::new(1.0 - x.abs(), 1.0 - y.abs(), 1.0);
+                let Vector3 { x, y, z } = sample.specific_force_m_s2;
+                sample.specific_force_m_s2 =
+                    Vector3::new(x * across.x, y * across.y, z) + full_scale;
+                sample.is_force_saturated = true;
+                estimator.update(&sample);
+            }
+            let worst = world.worst_error_degrees(&mut estimator, 2_000);
+            assert!(worst < 20.0, "{milliseconds} ms: {worst}");
+        }
+    }
+}
+
+#[test]
+fn no_single_sample_counts_for_a_whole_pause() {
+    for rate_degrees_s in [112.0, -400.0] {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        let mut estimator = estimator();
+        estimator.filter_mut().set_sample_period(1.0e-3);
+        world.run(&mut estimator, 3000);
+        let mut first = world.sample(250_000);
+        first.angular_rate_rad_s.x = radians(rate_degrees_s);
+        first.specific_force_m_s2.y = 100.0;
+        let estimate = estimator.update(&first);
+        let error = world.tilt_error_degrees(estimate.attitude);
+        assert!(error < 1.0, "{error}");
+        let estimate = world.run(&mut estimator, 2000);
+        let error = world.tilt_error_degrees(estimate.attitude);
+        assert!(error < 1.0, "{error} after it");
+    }
+}
+
+#[test]
+fn a_tilt_that_a_pause_hides_is_taken_from_gravity() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    estimator.filter_mut().set_sample_period(1.0e-3);
+    world.run(&mut estimator, 3000);
+    world.rate_rad_s = Vector3::new(radians(250.0), 0.0, 0.0);
+    world.run(&mut estimator, 200);
+    // It turns by 75° more, and stops, while nothing is read.
+    world.sample(300_000);
+    world.rate_rad_s = Vector3::ZERO;
+    let estimate = estimator.update(&world.sample(50_000));
+    assert_eq!(estimate.tilt_variance_rad2, f32::INFINITY);
+    // At first from one sample, then from the mean of 0.15 s.
+    for (milliseconds, sigmas_degrees) in [(1, 30.0..50.0), (170, 10.0..20.0)] {
+        let estimate = world.run(&mut estimator, milliseconds);
+        let error = world.tilt_error_degrees(estimate.attitude);
+        let sigma = estimate.tilt_sigma_rad().to_degrees();
+        assert!(
+            error < 1.0 && sigmas_degrees.contains(&sigma),
+            "{error}, {sigma}"
+        );
+    }
+}
+
+#[test]
+fn a_steady_turn_continues_through_a_pause() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    estimator.filter_mut().set_sample_period(1.0e-3);
+    world.run(&mut estimator, 3000);
+    world.rate_rad_s = Vector3::new(radians(100.0), 0.0, 0.0);
+    world.run(&mut estimator, 200);
+    let estimate = estimator.update(&world.sample(100_000));
+    let error = world.tilt_error_degrees(estimate.attitude);
+    assert!(error < 1.0, "{error}");
+}
+
+/// A gyroscope that clips for a moment keeps the attitude: gravity alone would know less in motion.
+#[test]
+fn a_short_full_scale_reading_does_not_restart_the_filter() {
+    let mut world = World::at_rest(from_degrees(30.0, 0.0, 90.0));
+    let mut estimator = estimator();
+    world.run(&mut estimator, 4_000);
+    // An acceleration from now on would set a wrong tilt.
+    world.acceleration_m_s2 = Vector3::new(0.0, 6.0, 0.0);
+    for _ in 0..35 {
+        let mut sample = world.sample(1_000);
+        sample.is_rate_saturated = true;
+        sample.angular_rate_rad_s.z = radians(400.0);
+        estimator.update(&sample);
+    }
+    // The turn slows down to what the sensor measures.
+    let mut sample = world.sample(1_000);
+    sample.angular_rate_rad_s.z = radians(390.0);
+    estimator.update(&sample);
+    let estimate = world.run(&mut estimator, 1);
+    let error = world.tilt_error_degrees(estimate.attitude);
+    assert!(error < 20.0, "{error}");
+    assert!(error < degrees(6.0 * estimate.tilt_sigma_rad()), "{error}");
+}
+
+/// Full scale at 400 °/s hides 24° in 0.3 s and 36° in 0.45 s. Gravity shows the tilt better
+/// from 30° on.
+#[test]
+fn full_scale_readings_lose_the_tilt_only_if_they_hide_much() {
+    for (milliseconds, expected) in [(300, Tilt::Known), (450, Tilt::Lost)] {
+        let mut world = World::at_rest(from_degrees(30.0, 0.0, 90.0));
+        let mut estimator = estimator();
+        world.run(&mut estimator, 4_000);
+        for _ in 0..milliseconds {
+            let mut sample = world.sample(1_000);
+            sample.is_rate_saturated = true;
+            sample.angular_rate_rad_s.z = radians(400.0);
+            estimator.update(&sample);
+        }
+        let mut sample = world.sample(1_000);
+        sample.angular_rate_rad_s.z = radians(390.0);
+        estimator.update(&sample);
+        assert_eq!(filter(&estimator).tilt, expected, "{milliseconds} ms");
+    }
+}
+
+pub(super) fn at_full_scale(mut sample: Sample) -> Sample {
+    sample.specific_force_m_s2.x = 16.0 * STANDARD_GRAVITY_M_S2;
+    sample.is_force_saturated = true;
+    sample
+}
+
+/// After a start in motion the tilt is uncertain, and a velocity would correct it by much.
+#[test]
+fn a_force_at_full_scale_corrects_no_tilt() {
+    for milliseconds in [30, 100, 300, 1_000] {
+        let mut world = World::at_rest(from_degrees(20.0, 10.0, 0.0));
+        let mut estimator = estimator();
+        world.acceleration_m_s2 = Vector3::new(2.0, -1.0, 0.0);
+        world.run(&mut estimator, 200);
+        world.acceleration_m_s2 = Vector3::ZERO;
+        for _ in 0..milliseconds {
+            let estimate = estimator.update(&at_full_scale(world.sample(1_000)));
+            let error = world.tilt_error_degrees(estimate.attitude);
+            assert!(error < 20.0, "{milliseconds} ms: {error}");
+        }
+        for _ in 0..1_000 {
+            let estimate = world.run(&mut estimator, 1);
+            let error = world.tilt_error_degrees(estimate.attitude);
+            assert!(error < 20.0, "{milliseconds} ms: {error}");
+        }
+    }
+}
