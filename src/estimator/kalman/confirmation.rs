@@ -4,18 +4,21 @@
 //! changed as well, or the vehicle turns for long: in a coordinated turn of minutes a wrong tilt
 //! and a wrong bias explain all readings together, and their covariance becomes small. So such a
 //! bias has to be confirmed, and σ of the tilt stays large until then. A rest confirms it, and
-//! motion that leads back to the bias that a rest has measured.
+//! motion that leads back to the bias that a rest has measured. Far from that, it is not even
+//! known.
 
-use super::Kalman;
 use super::consistency::SUSPICION_RAD;
 use super::recovery::CONTRADICTION_S;
+use super::{KNOWN_BIAS_RAD_S, Kalman};
 use crate::estimator::arithmetic::{larger, square};
 use crate::units::radians;
 
-/// Largest σ of a bias that is confirmed, per axis.
-const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.2);
+/// Largest σ of a bias that is confirmed, per axis: below that of a stored bias at the start.
+const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.3);
 /// Largest change of a bias that is confirmed, since a rest has measured it.
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.3);
+/// Largest change of a bias that is known but not confirmed: a flight in turns had one of 5 °/s.
+const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
 /// Least σ of the tilt until then, both axes together, rad: as reported, 6.4°. Six σ are 39°.
 const UNCONFIRMED_TILT_RAD: f32 = radians(7.0);
 /// Least σ of the tilt while the specific force contradicts it, both axes together, rad: too much
@@ -35,14 +38,21 @@ pub(super) enum Confirmation {
 }
 
 impl Kalman {
-    /// Confirms the bias if it is certain, and near the one that a rest has measured.
-    pub(super) fn confirm_bias(&mut self, largest_variance: f32) {
+    /// Confirms the bias if it is certain, and near the one that a rest has measured. Decides
+    /// whether it is known.
+    pub(super) fn confirm_bias(&mut self) {
+        let variance = self.largest_bias_variance();
         let change = self.nominal.gyroscope_bias_rad_s - self.bias_prior.mean_rad_s;
-        if largest_variance < square(CONFIRMED_SIGMA_RAD_S)
-            && change.dot(change) < square(CONFIRMED_CHANGE_RAD_S)
+        let squared_change = change.dot(change);
+        if variance < square(CONFIRMED_SIGMA_RAD_S)
+            && squared_change < square(CONFIRMED_CHANGE_RAD_S)
         {
             self.confirmation = Confirmation::Confirmed;
         }
+        self.is_bias_known = self.is_bias_measured()
+            && variance < square(KNOWN_BIAS_RAD_S)
+            && (self.confirmation == Confirmation::Confirmed
+                || squared_change < square(KNOWN_CHANGE_RAD_S));
     }
 
     /// Sets the tilt variance that is reported beside the covariance's, twice in each covariance
@@ -59,7 +69,7 @@ impl Kalman {
     /// Returns the least tilt variance of a sensor that moves, both axes together, rad². It is
     /// zero for a still one that is not armed.
     fn least_tilt_rad2(&self) -> f32 {
-        if self.rest_detector.is_still() && !self.is_armed {
+        if !self.is_armed && self.rest_detector.is_still() {
             return 0.0;
         }
         if self.force_sum.duration_s > CONTRADICTION_S {

@@ -70,7 +70,8 @@
 //! # Known, unconfirmed and changed bias
 //!
 //! - A rest, of this run or an earlier one, must have measured the bias before it counts as known
-//!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again.
+//!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again, if it is
+//!   within 1 °/s of that bias.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
 //!   the reported σ is much larger while the bias is not known (`tilt_variance.rs`).
 //! - A stored bias may have changed since it was measured. In motion the reported σ is at least
@@ -462,9 +463,7 @@ impl Kalman {
             self.restart_from_unusable_numbers();
             return;
         }
-        let variance = self.largest_bias_variance();
-        self.is_bias_known = self.is_bias_measured() && variance < square(KNOWN_BIAS_RAD_S);
-        self.confirm_bias(variance);
+        self.confirm_bias();
     }
 
     /// Returns the gyroscope bias, rad/s in body axes.
