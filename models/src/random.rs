@@ -32,6 +32,15 @@ impl Random {
         low + (high - low) * unit
     }
 
+    /// −1 or 1.
+    pub fn sign(&mut self) -> f64 {
+        if self.uniform(0.0, 1.0) < 0.5 {
+            -1.0
+        } else {
+            1.0
+        }
+    }
+
     /// Standard normal deviate, by Marsaglia's polar method (SIAM Review 6, 1964).
     pub fn normal(&mut self) -> f64 {
         if let Some(spare) = self.spare.take() {

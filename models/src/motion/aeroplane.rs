@@ -35,7 +35,7 @@ struct Leg {
     bank_rad: f64,
     /// Angle of the path above the horizon.
     climb_rad: f64,
-    /// Load factor that the pilot holds instead of the path; in a pull-out too.
+    /// Load factor that the pilot holds instead of the path: the push-over.
     push: Option<f64>,
 }
 
@@ -67,11 +67,7 @@ impl Aeroplane {
         let mut until_s = REST_S + aeroplane.run_s + random.uniform(5.0, 20.0);
         aeroplane.legs.push(Leg::straight(until_s));
         for _ in 0..8 {
-            let side = if random.uniform(0.0, 1.0) < 0.5 {
-                -1.0
-            } else {
-                1.0
-            };
+            let side = random.sign();
             until_s += random.uniform(20.0, 150.0);
             aeroplane.legs.push(Leg {
                 bank_rad: side * random.uniform(15.0, 55.0).to_radians(),
@@ -88,11 +84,7 @@ impl Aeroplane {
     pub fn already_turning(seed: u64) -> Self {
         let mut random = Random::new(seed, "already turning aeroplane");
         let mut aeroplane = Self::taking_off(&mut random, [12.0, 60.0]);
-        let side = if random.uniform(0.0, 1.0) < 0.5 {
-            -1.0
-        } else {
-            1.0
-        };
+        let side = random.sign();
         let bank_rad = side * random.uniform(15.0, 55.0).to_radians();
         aeroplane.legs.push(Leg {
             bank_rad,
@@ -193,7 +185,7 @@ impl Aeroplane {
         });
         let lift = (load + self.gust_load * libm::sin(phase)) * STANDARD_GRAVITY_M_S2;
         self.lift_m_s2 += STEP_S / LIFT_LAG_S * (lift - self.lift_m_s2);
-        // Bank as seen from the wings: in a dive it is that of the lift.
+        // With the lift towards the ground the bank is not defined, so the roll stays.
         let bank_error_rad = if z > 0.0 {
             leg.bank_rad - libm::atan2(y, z)
         } else {

@@ -45,11 +45,7 @@ impl SlowTurn {
             cosine,
         ]);
         let rate_deg_s = random.uniform(1.0_f64.ln(), 60.0_f64.ln()).exp();
-        let sign = if random.uniform(0.0, 1.0) < 0.5 {
-            -1.0
-        } else {
-            1.0
-        };
+        let sign = random.sign();
         let is_wobbly = random.uniform(0.0, 1.0) < 0.5;
         Self {
             start,

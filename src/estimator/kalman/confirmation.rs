@@ -17,9 +17,10 @@ use crate::units::radians;
 const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.3);
 /// Largest change of a bias that is confirmed, since a rest has measured it.
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.3);
-/// Largest change of a bias that is known but not confirmed: a flight in turns had one of 5 °/s.
+/// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
-/// Least σ of the tilt until then, both axes together, rad: as reported, 6.4°. Six σ are 39°.
+/// Least σ of the tilt after motion has contradicted the bias, both axes together, rad: as
+/// reported, 6.4°. Six σ are 39°.
 const UNCONFIRMED_TILT_RAD: f32 = radians(7.0);
 /// Least σ of the tilt while the specific force contradicts it, both axes together, rad: too much
 /// for `VALID`.
@@ -29,11 +30,12 @@ const CONTRADICTED_TILT_RAD: f32 = radians(40.0);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) enum Confirmation {
-    /// Confirmed, or not known at all.
+    /// Confirmed; or neither stored nor contradicted.
     Confirmed,
     /// Motion has contradicted it.
     Contradicted,
-    /// Stored, and not confirmed since the start. The tilt may be that of a start in a turn.
+    /// Stored, and not confirmed since the start. The tilt may be that of a start in a turn, whose
+    /// bank the specific force shows.
     Stored,
 }
 
@@ -51,35 +53,59 @@ impl Kalman {
         }
         self.is_bias_known = self.is_bias_measured()
             && variance < square(KNOWN_BIAS_RAD_S)
-            && (self.confirmation == Confirmation::Confirmed
+            && (self.confirmation != Confirmation::Contradicted
                 || squared_change < square(KNOWN_CHANGE_RAD_S));
+    }
+
+    /// Returns σ of the bias of the worst axis for a later run, rad/s. It is too large for a
+    /// confirmed bias unless this one is confirmed.
+    pub(crate) fn kept_bias_sigma_rad_s(&self) -> f32 {
+        let sigma_rad_s = self.largest_bias_sigma_rad_s();
+        if self.confirmation == Confirmation::Confirmed {
+            sigma_rad_s
+        } else {
+            larger(sigma_rad_s, CONFIRMED_SIGMA_RAD_S)
+        }
+    }
+
+    /// Sets the confirmation of a bias that an earlier run has kept with this σ.
+    pub(super) fn confirm_kept_bias(&mut self, sigma_rad_s: f32) {
+        self.confirmation = if sigma_rad_s < CONFIRMED_SIGMA_RAD_S {
+            Confirmation::Confirmed
+        } else {
+            Confirmation::Contradicted
+        };
     }
 
     /// Sets the tilt variance that is reported beside the covariance's, twice in each covariance
     /// step. Compares the present readings with those of the last rest.
     #[inline(never)]
     pub(super) fn watch_rest_and_consistency(&mut self) {
-        let turned_rad2 = self
-            .rest_watch
-            .update(&self.nominal, &self.rest_detector, self.tuning);
-        let missing_rad2 = self.least_tilt_rad2() - self.held_tilt_rad2;
-        self.extra_tilt_rad2 = larger(turned_rad2, missing_rad2);
+        self.extra_tilt_rad2 =
+            self.rest_watch
+                .update(&self.nominal, &self.rest_detector, self.tuning);
+        if let Some(least_rad2) = self.least_tilt_rad2() {
+            let missing_rad2 = least_rad2 - self.step.tilt_variance_rad2();
+            self.extra_tilt_rad2 = larger(self.extra_tilt_rad2, missing_rad2);
+        }
     }
 
-    /// Returns the least tilt variance of a sensor that moves, both axes together, rad². It is
-    /// zero for a still one that is not armed.
-    fn least_tilt_rad2(&self) -> f32 {
-        if !self.is_armed && self.rest_detector.is_still() {
-            return 0.0;
-        }
+    /// Returns the least tilt variance, both axes together, rad². A still sensor that is not armed
+    /// needs none, unless gravity contradicts its tilt.
+    fn least_tilt_rad2(&self) -> Option<f32> {
         if self.force_sum.duration_s > CONTRADICTION_S {
-            return square(CONTRADICTED_TILT_RAD);
+            return Some(square(CONTRADICTED_TILT_RAD));
+        }
+        if !self.is_armed && self.rest_detector.is_still() {
+            return None;
         }
         match self.confirmation {
-            Confirmation::Stored => square(UNCONFIRMED_TILT_RAD) + self.bank_variance(),
-            Confirmation::Contradicted => square(UNCONFIRMED_TILT_RAD),
-            Confirmation::Confirmed if self.consistency.is_suspicious() => square(SUSPICION_RAD),
-            Confirmation::Confirmed => 0.0,
+            Confirmation::Stored => Some(square(SUSPICION_RAD) + self.bank_variance()),
+            Confirmation::Contradicted => Some(square(UNCONFIRMED_TILT_RAD)),
+            Confirmation::Confirmed => {
+                let is_suspicious = self.consistency.is_suspicious();
+                is_suspicious.then_some(square(SUSPICION_RAD))
+            }
         }
     }
 }

@@ -17,7 +17,7 @@
 //! | `restart_from_unusable_numbers` | no sensor's numbers | kept, σ 17° | kept | priors |
 
 use super::confirmation::Confirmation;
-use super::prior::{BiasPrior, WarmStart};
+use super::prior::WarmStart;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::recovery::ForceSum;
@@ -58,8 +58,10 @@ impl Kalman {
     /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Call it before
     /// the first sample.
     ///
-    /// The bias may have changed since: σ of the tilt is at least 6.4° until a rest or motion has
-    /// confirmed it. The vehicle may move, because the attitude becomes `VALID` before any rest.
+    /// The bias may have changed since, if σ is 0.3 °/s or more. In motion and while armed, σ of
+    /// the tilt is then at least 4°, and larger the more the force exceeds one g, until a rest or
+    /// motion has confirmed the bias. With a smaller σ it counts as confirmed. The vehicle may
+    /// move, because the attitude becomes `VALID` before any rest.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);
         self.set_bias_prior(bias_rad_s, sigma_rad_s);
@@ -70,16 +72,18 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn set_bias_prior(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.nominal.set_gyroscope_bias(bias_rad_s);
-        self.bias_prior = BiasPrior::new(bias_rad_s, sigma_rad_s);
+        self.bias_prior.variance = [square(sigma_rad_s); 3];
         self.has_measured_prior = sigma_rad_s < KNOWN_BIAS_RAD_S;
         self.is_bias_known = self.has_measured_prior;
         self.return_bias_to_prior();
     }
 
-    /// Returns the bias's variances to their prior, until a rest measures the bias.
+    /// Returns the bias's variances to their prior, about the present bias, until a rest measures
+    /// it.
     #[inline(never)]
     pub(super) fn return_bias_to_prior(&mut self) {
         self.has_rested = false;
+        self.bias_prior.mean_rad_s = self.nominal.gyroscope_bias_rad_s;
         self.step.covariance.reset_bias(self.bias_prior.variance);
     }
 
@@ -93,6 +97,7 @@ impl Kalman {
             start.bias_sigma_rad_s,
             start.tilt_sigma_rad,
         );
+        self.confirm_kept_bias(start.bias_sigma_rad_s);
         self.recent = RecentVelocity::kept(start.squared_velocity_m2_s2, self.tuning);
         let [forward, right] = start.accelerometer_bias_m_s2;
         self.nominal.accelerometer_bias_m_s2 = Vector3::new(forward, right, 0.0);

@@ -46,8 +46,9 @@
 //!   The mean specific force of 0.15 s then replaces this tilt, because one sample in vibration
 //!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. A pause that
 //!   hides the tilt repeats both steps.
-//! - In motion, the mean specific force of 1.3 s sets an ambiguous tilt that it shows to be over
-//!   45° wrong. Another tilt is not `VALID` then, and set after 4 s: a push-over ends before.
+//! - In motion, a mean specific force of about one g, over 45° from up, contradicts the tilt. It
+//!   sets an ambiguous tilt after 1.3 s. A certain tilt loses `VALID` after 1.3 s, and is set after
+//!   4 s, which is longer than a push-over.
 //! - The bias has a prior. If the bias lies more than [`Tuning::prior_gate_sigma`] outside it, the
 //!   prior is widened, unless a rest of this run or an earlier one has measured the bias.
 //! - While tilt and bias are both uncertain, their product, which the linear model leaves out,
@@ -71,22 +72,26 @@
 //!
 //! - A rest, of this run or an earlier one, must have measured the bias before it counts as known
 //!   ([`Filter::is_bias_known`]). After a contradiction motion may make it known again, if it is
-//!   within 1 °/s of that bias.
+//!   within 1 °/s of that measurement.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
 //!   the reported σ is much larger while the bias is not known (`tilt_variance.rs`).
-//! - A stored bias may have changed since it was measured. In motion the reported σ is at least
-//!   6.4° until rest or motion has confirmed it (`confirmation.rs`), and larger in a turn.
+//! - A stored bias may have changed since it was measured, and the vehicle may turn at the start.
+//!   In motion and while armed, the reported σ is at least 4° until a rest or motion has
+//!   confirmed the bias, and larger the more the force exceeds one g (`confirmation.rs`).
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show
 //!   (`rest_watch.rs`).
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
 //!   not (`consistency.rs`). The reported σ grows at the first suspicion; later bias and tilt
 //!   are uncertain again. It takes seconds because a tilt error looks like an acceleration.
-//! - A turn of minutes shows in the same way, and then a wrong bias may explain it. So the reported
-//!   σ is at least 6.4° until a rest, or motion has led back to the bias of the last rest.
+//! - A turn of minutes contradicts the bias in the same way, and a wrong bias may then explain it.
+//!   So the reported σ is at least 6.4° until a rest confirms the bias, or motion leads it back
+//!   to within 0.3 °/s of the last rest's.
 //!
 //! # Limits
 //!
+//! - An offset that changes by over 1 °/s in flight is not known again before the next rest, and
+//!   after 0.3 °/s σ stays at 6.4° or more.
 //! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
 //! - After a start in motion, a bias of 20 °/s about the vertical takes over half a minute, or is
 //!   not found, because yaw is not observed. A lasting turn is taken for a bias. The reported σ
@@ -185,7 +190,7 @@ pub struct Kalman {
     /// True if the tilt has been checked for the covariance step that is due.
     is_tilt_checked: bool,
     /// True if the bias is known: a rest, of this run or an earlier one, has measured it, and its
-    /// σ is small.
+    /// σ is small. A contradicted one is also near that measurement.
     is_bias_known: bool,
     /// True if a rest of this run has measured the bias.
     has_rested: bool,
@@ -293,7 +298,8 @@ impl Filter for Kalman {
     }
 
     /// Returns whether the bias is known. It must have been measured at rest, in this run or that
-    /// of a stored value, with σ below 0.5 °/s on every axis.
+    /// of a stored value, with σ below 0.5 °/s on every axis. If motion has contradicted it, it
+    /// must be within 1 °/s of that measurement.
     #[inline]
     fn is_bias_known(&self) -> bool {
         self.is_bias_known

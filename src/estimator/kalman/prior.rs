@@ -30,7 +30,7 @@ pub struct WarmStart {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct BiasPrior {
-    /// Mean, rad/s in body axes: stored, or measured by the last rest.
+    /// Mean, rad/s in body axes: as stored, kept by a restart, or measured by the last rest.
     pub(super) mean_rad_s: Vector3,
     /// Variance per axis, (rad/s)².
     pub(super) variance: [f32; 3],

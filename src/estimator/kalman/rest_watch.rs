@@ -37,7 +37,8 @@ const CERTAIN_S: f32 = 2.6;
 pub(super) struct RestWatch {
     /// True if a rest has just been established: the next update begins to watch it.
     pub(super) begins: bool,
-    /// Specific force at rest, m/s² in body axes; zero without a rest.
+    /// Specific force at rest, m/s² in body axes. Without a rest x is infinite, so that all
+    /// readings differ.
     force_m_s2: Vector3,
     /// Down at rest by the filter, body axes.
     down: Vector3,

@@ -16,8 +16,8 @@
 //!
 //! - After a start the tilt is that of a single sample (`init.rs`).
 //! - Once the sensor has rested, it may turn while the specific force does not (`rest_watch.rs`).
-//! - In motion the bias is not confirmed, or the specific force contradicts the tilt
-//!   (`confirmation.rs`), or the corrections are suspicious (`consistency.rs`).
+//! - In motion and while armed the bias is not confirmed, or the specific force contradicts the
+//!   tilt (`confirmation.rs`), or the corrections are suspicious (`consistency.rs`).
 
 use super::{Kalman, Tilt, sigma};
 use crate::estimator::arithmetic::square;
@@ -51,7 +51,9 @@ impl Kalman {
                 if self.is_bias_known {
                     variance
                 } else {
-                    square(UNKNOWN_BIAS_SIGMA_SCALE) * variance + self.bank_variance()
+                    square(UNKNOWN_BIAS_SIGMA_SCALE) * variance
+                        + self.bank_variance()
+                        + square(HIDDEN_BANK_RAD)
                 }
             }
         }
@@ -85,12 +87,13 @@ impl Kalman {
     ///
     /// A level turn reads like a tilted rest with a bias. The specific force shows the bank φ:
     /// |f|²/g² − 1 = tan² φ. With a quarter of it, six σ are three times the bank. The
-    /// accelerometer's error may hide 20°: six of [`HIDDEN_BANK_RAD`] are 34°.
+    /// accelerometer's error may hide 20°, so [`HIDDEN_BANK_RAD`] is to be added: six of it are
+    /// 34°.
     #[inline(never)]
     pub(super) fn bank_variance(&self) -> f32 {
         const GRAVITY_SQUARED: f32 = square(STANDARD_GRAVITY_M_S2);
         let force = self.rest_detector.average_force_m_s2();
         let excess = force.dot(force) - GRAVITY_SQUARED;
-        0.25 / GRAVITY_SQUARED * excess.abs() + square(HIDDEN_BANK_RAD)
+        0.25 / GRAVITY_SQUARED * excess.abs()
     }
 }

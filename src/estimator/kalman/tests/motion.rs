@@ -180,8 +180,8 @@ fn a_dash_is_no_wrong_tilt() {
     }
 }
 
-/// An aeroplane that pushes over reads a force towards the ground. Its attitude is right, and not
-/// believed from 1.5 s on.
+/// An aeroplane that pushes over reads a force towards the ground. Its attitude stays right, and is
+/// not `VALID` from 1.8 s on.
 #[test]
 fn a_push_over_is_no_wrong_tilt() {
     for push_ms in [1_000, 2_000, 3_000] {

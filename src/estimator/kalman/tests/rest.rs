@@ -207,6 +207,26 @@ fn a_first_rest_that_is_cut_short_measures_no_bias() {
     assert!(cut_short > 20, "{cut_short}");
 }
 
+/// Then the bias must not run away from what the rest has shown, while no other rest is taken.
+#[test]
+fn a_first_rest_that_is_cut_short_leads_no_bias_astray() {
+    for slices in 1..30 {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
+        let mut estimator = estimator();
+        while !filter(&estimator).is_first_rest {
+            world.run(&mut estimator, 1);
+        }
+        world.run(&mut estimator, slices);
+        let filter = estimator.filter_mut();
+        filter.inflate_motion(0.01);
+        filter.set_armed(true);
+        world.run(&mut estimator, 5_000);
+        let error = estimator.filter().bias_rad_s() - world.bias_rad_s;
+        assert!(error.is_within(radians(4.5)), "{slices}: {error:?}");
+    }
+}
+
 /// The step after a first rest is abandoned: the rest has measured the bias all the same.
 #[test]
 fn a_first_rest_counts_once_its_step_is_complete() {
