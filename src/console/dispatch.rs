@@ -290,8 +290,8 @@ impl Console {
         let correction = calibration.accelerometer;
         if correction.is_some_and(|correction| correction.is_from_poses()) {
             return reply.error(format_args!(
-                "calibrate keep: the accelerometer is calibrated, which is better; \
-                 \"calibrate accel\" renews that"
+                "calibrate keep: the accelerometer's calibration is better; \
+                 \"calibrate accel\" renews it"
             ));
         }
         let Some(found_m_s2) = module.state().accelerometer_offset_m_s2 else {

@@ -56,7 +56,7 @@ impl Console {
         let correction = self.working.compass.correction;
         if correction.is_some_and(|correction| correction.has_soft_iron()) {
             return reply.error(format_args!(
-                "compass keep: it is calibrated, which is better; \"calibrate compass\" renews that"
+                "compass keep: its calibration is better; \"calibrate compass\" renews it"
             ));
         }
         let Some(found_ut) = module.state().compass.hard_iron_ut else {

@@ -1090,7 +1090,7 @@ fn the_hard_iron_of_the_heading_filter_is_kept() {
     correction.as_mut().expect("kept").matrix[0].x = 1.1;
     let refused = harness.ask("compass keep");
     assert!(
-        refused.starts_with("error compass keep: it is calibrated"),
+        refused.starts_with("error compass keep: its calibration is better"),
         "{refused}"
     );
 }
@@ -1138,7 +1138,7 @@ fn the_accelerometer_s_offset_of_the_filter_is_kept() {
     correction.as_mut().expect("kept").matrix.xx = 1.01;
     let refused = harness.ask("calibrate keep");
     assert!(
-        refused.starts_with("error calibrate keep: the accelerometer is calibrated"),
+        refused.starts_with("error calibrate keep: the accelerometer's calibration is better"),
         "{refused}"
     );
 }

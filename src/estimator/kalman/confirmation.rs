@@ -61,10 +61,9 @@ impl Kalman {
     /// confirmed bias unless this one is confirmed.
     pub(crate) fn kept_bias_sigma_rad_s(&self) -> f32 {
         let sigma_rad_s = self.largest_bias_sigma_rad_s();
-        if self.confirmation == Confirmation::Confirmed {
-            sigma_rad_s
-        } else {
-            larger(sigma_rad_s, CONFIRMED_SIGMA_RAD_S)
+        match self.confirmation {
+            Confirmation::Confirmed => sigma_rad_s,
+            _ => sigma_rad_s + CONFIRMED_SIGMA_RAD_S,
         }
     }
 

@@ -9,7 +9,7 @@ use super::tuning::{
     LARGEST_ACCELEROMETER_BIAS_M_S2, LARGEST_GYROSCOPE_BIAS_RAD_S, LARGEST_MATRIX_ERROR,
 };
 use crate::attitude::{Quaternion, Vector3};
-use crate::estimator::arithmetic::larger;
+use crate::estimator::arithmetic::{larger, square};
 use crate::serialize::StateVisitor;
 
 const IDENTITY: [Vector3; 3] = [
@@ -215,8 +215,9 @@ impl NominalState {
     /// Moves the error state into the nominal state.
     pub(super) fn correct(&mut self, dynamic: &[f32; DYNAMIC], parameters: &[f32; PARAMETERS]) {
         let [north, east, north_m_s, east_m_s] = *dynamic;
-        // Half the rotation vector is the Gibbs vector of a small rotation.
-        let tilt = Quaternion::new(1.0, 0.5 * north, 0.5 * east, 0.0);
+        // The rotation's series to the second order.
+        let w = 1.0 - 0.125 * (square(north) + square(east));
+        let tilt = Quaternion::new(w, 0.5 * north, 0.5 * east, 0.0);
         self.attitude = tilt.multiply(self.attitude).normalize();
         let [velocity_north, velocity_east] = &mut self.velocity_m_s;
         *velocity_north += north_m_s;
