@@ -57,25 +57,6 @@ impl Kalman {
                 || squared_change < square(KNOWN_CHANGE_RAD_S));
     }
 
-    /// Returns σ of the bias of the worst axis for a later run, rad/s. It is too large for a
-    /// confirmed bias unless this one is confirmed.
-    pub(crate) fn kept_bias_sigma_rad_s(&self) -> f32 {
-        let sigma_rad_s = self.largest_bias_sigma_rad_s();
-        match self.confirmation {
-            Confirmation::Confirmed => sigma_rad_s,
-            _ => sigma_rad_s + CONFIRMED_SIGMA_RAD_S,
-        }
-    }
-
-    /// Sets the confirmation of a bias that an earlier run has kept with this σ.
-    pub(super) fn confirm_kept_bias(&mut self, sigma_rad_s: f32) {
-        self.confirmation = if sigma_rad_s < CONFIRMED_SIGMA_RAD_S {
-            Confirmation::Confirmed
-        } else {
-            Confirmation::Contradicted
-        };
-    }
-
     /// Sets the tilt variance that is reported beside the covariance's, twice in each covariance
     /// step. Compares the present readings with those of the last rest.
     #[inline(never)]

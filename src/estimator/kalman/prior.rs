@@ -178,7 +178,7 @@ impl ParameterPriors {
     }
 
     /// Returns the variance before the first sample of a parameter that is no gyroscope bias.
-    #[inline(never)]
+    #[inline]
     pub(super) fn variance(&self, parameter: usize) -> f32 {
         square(match parameter {
             // The diagonal of the gyroscope's matrix.

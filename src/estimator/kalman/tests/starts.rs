@@ -51,23 +51,6 @@ fn a_stored_bias_is_confirmed_by_a_rest() {
     assert!(estimate.tilt_sigma_rad() < radians(5.0));
 }
 
-/// A reset is no confirmation.
-#[test]
-fn a_kept_bias_is_as_confirmed_as_it_was() {
-    let mut world = World::at_rest(Quaternion::IDENTITY);
-    let mut before = estimator();
-    world.run(&mut before, 4_000);
-    for confirmation in [Confirmation::Confirmed, Confirmation::Contradicted] {
-        before.filter_mut().confirmation = confirmation;
-        let mut after = estimator();
-        after.filter_mut().resume(&WarmStart {
-            bias_sigma_rad_s: before.filter().kept_bias_sigma_rad_s(),
-            ..warm_start(&world)
-        });
-        assert_eq!(after.filter().confirmation, confirmation);
-    }
-}
-
 #[test]
 fn a_stored_offset_shortens_the_start() {
     let start = |stored: bool| {
