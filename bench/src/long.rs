@@ -1,7 +1,7 @@
 //! Long simulated flights through the whole pipeline, in memory: the attitude must stay right.
 
 use aplomb::health::{BoardFlags, Flags};
-use aplomb::mpu6050::{Burst, Part};
+use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_models::motion::quadrotor::Quadrotor;
@@ -77,12 +77,7 @@ fn fly(seed: u64, seconds: u64, part_s: u64, show: impl Fn(usize, &Score)) -> Ve
     let parts = seconds.div_ceil(part_s) as usize;
     let mut scores = vec![Score::default()];
     for simulated in samples(Box::new(Quadrotor::by_seed(seed)), seed, seconds) {
-        let burst = Burst {
-            bytes: simulated.raw.encode(),
-            captured_at_us: simulated.t_us,
-            missed_before: 0,
-        };
-        let snapshot = pipeline.update(&burst, BoardFlags::SCALES_VERIFIED);
+        let snapshot = pipeline.update(&simulated.burst(), BoardFlags::SCALES_VERIFIED);
         let motion = simulated.truth;
         let Some(true_attitude) = motion.attitude.filter(|_| motion.scored) else {
             continue;

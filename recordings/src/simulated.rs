@@ -2,7 +2,7 @@
 //! gyroscope measures it at 1 kHz.
 
 use aplomb::estimator::kalman::AccelerometerKnowledge;
-use aplomb::mpu6050::{AccelerometerCounts, Config, GyroscopeCounts, RawSample};
+use aplomb::mpu6050::{AccelerometerCounts, Burst, Config, GyroscopeCounts, RawSample};
 use aplomb_models::motion::geometry::{Quaternion, scale};
 use aplomb_models::motion::{self, Motion, Truth};
 use aplomb_models::random::Random;
@@ -44,6 +44,15 @@ pub struct Simulated {
 }
 
 impl Simulated {
+    /// Returns the burst of this sample. None before it is missing.
+    pub fn burst(&self) -> Burst {
+        Burst {
+            bytes: self.raw.encode(),
+            captured_at_us: self.t_us,
+            missed_before: 0,
+        }
+    }
+
     /// Appends the sample as a row of a log with [`LOG_HEADER`].
     pub fn write_row(&self, line: &mut Vec<u8>) {
         self.write_measured(line);

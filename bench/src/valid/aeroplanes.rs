@@ -6,7 +6,7 @@ use aplomb::attitude::Vector3;
 use aplomb::calibration::GyroscopeOffset;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::health::{BoardFlags, Flags};
-use aplomb::mpu6050::{Burst, Part, RawSample};
+use aplomb::mpu6050::{Part, RawSample};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::motion::aeroplane::{Aeroplane, REST_S};
 use aplomb_models::motion::truth::up_in_body;
@@ -53,14 +53,9 @@ fn fly(aeroplane: Aeroplane, seed: u64, seconds: u64, has_stored_offset: bool) -
     let mut pipeline = Pipeline::new(&settings);
     let mut outcome = Outcome::default();
     for simulated in samples_with(Box::new(motion), seed, errors, seconds) {
-        let burst = Burst {
-            bytes: simulated.raw.encode(),
-            captured_at_us: simulated.t_us,
-            missed_before: 0,
-        };
         let is_flying = has_stored_offset || simulated.t_us as f64 > REST_S * 1.0e6;
         pipeline.set_armed(is_flying);
-        let snapshot = pipeline.update(&burst, BoardFlags::empty());
+        let snapshot = pipeline.update(&simulated.burst(), BoardFlags::empty());
         let Some(attitude) = simulated.truth.attitude.filter(|_| is_flying) else {
             continue;
         };

@@ -2,7 +2,7 @@
 //! wrong, and a gyroscope bias that a rest has shown stays known.
 
 use aplomb::health::BoardFlags;
-use aplomb::mpu6050::{Burst, Part};
+use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::motion::slow_turn::SlowTurn;
 use aplomb_models::motion::truth::up_in_body;
@@ -18,12 +18,7 @@ fn valid_and_wrong(seed: u64, from_s: f64) -> [f64; 2] {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
     let (mut judged, mut valid, mut wrong) = (0, 0, 0);
     for simulated in samples(Box::new(SlowTurn::by_seed(seed, from_s)), seed, SECONDS) {
-        let burst = Burst {
-            bytes: simulated.raw.encode(),
-            captured_at_us: simulated.t_us,
-            missed_before: 0,
-        };
-        let snapshot = pipeline.update(&burst, BoardFlags::empty());
+        let snapshot = pipeline.update(&simulated.burst(), BoardFlags::empty());
         let Some(attitude) = simulated.truth.attitude else {
             continue;
         };

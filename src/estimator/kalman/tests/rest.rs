@@ -180,18 +180,24 @@ fn a_rest_before_a_pause_does_not_show_the_tilt_after_it() {
     }
 }
 
+/// Returns a world with an offset, and an estimator in the covariance step of its first rest.
+fn in_first_rest() -> (World, Estimator) {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
+    let mut estimator = estimator();
+    while !filter(&estimator).is_first_rest {
+        world.run(&mut estimator, 1);
+    }
+    (world, estimator)
+}
+
 /// The step of the first rest reduces the bias's variance first, and corrects the bias last. A
 /// wrong sample between both abandons it.
 #[test]
 fn a_first_rest_that_is_cut_short_measures_no_bias() {
     let mut cut_short = 0;
     for slices in 1..60 {
-        let mut world = World::at_rest(Quaternion::IDENTITY);
-        world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
-        let mut estimator = estimator();
-        while !filter(&estimator).is_first_rest {
-            world.run(&mut estimator, 1);
-        }
+        let (mut world, mut estimator) = in_first_rest();
         world.run(&mut estimator, slices);
         let filter = estimator.filter_mut();
         cut_short += u32::from(filter.step.is_under_way());
@@ -211,12 +217,7 @@ fn a_first_rest_that_is_cut_short_measures_no_bias() {
 #[test]
 fn a_first_rest_that_is_cut_short_leads_no_bias_astray() {
     for slices in 1..30 {
-        let mut world = World::at_rest(Quaternion::IDENTITY);
-        world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
-        let mut estimator = estimator();
-        while !filter(&estimator).is_first_rest {
-            world.run(&mut estimator, 1);
-        }
+        let (mut world, mut estimator) = in_first_rest();
         world.run(&mut estimator, slices);
         let filter = estimator.filter_mut();
         filter.inflate_motion(0.01);
@@ -230,12 +231,7 @@ fn a_first_rest_that_is_cut_short_leads_no_bias_astray() {
 /// The step after a first rest is abandoned: the rest has measured the bias all the same.
 #[test]
 fn a_first_rest_counts_once_its_step_is_complete() {
-    let mut world = World::at_rest(Quaternion::IDENTITY);
-    world.bias_rad_s = Vector3::new(radians(4.0), radians(-4.0), radians(4.0));
-    let mut estimator = estimator();
-    while !filter(&estimator).is_first_rest {
-        world.run(&mut estimator, 1);
-    }
+    let (mut world, mut estimator) = in_first_rest();
     // To the end of this step, and to the beginning of the next one.
     for is_under_way in [false, true] {
         while filter(&estimator).step.is_under_way() != is_under_way {
