@@ -97,7 +97,7 @@ impl Vector3 {
     }
 
     /// Returns whether every component is finite, with a magnitude of at most `limit`.
-    #[inline]
+    #[inline(never)]
     pub fn is_within(self, limit: f32) -> bool {
         // A NaN fails every comparison, so it fails this one.
         self.x.abs() <= limit && self.y.abs() <= limit && self.z.abs() <= limit

@@ -8,7 +8,6 @@
 //! known.
 
 use super::consistency::SUSPICION_RAD;
-use super::recovery::CONTRADICTION_S;
 use super::{KNOWN_BIAS_RAD_S, Kalman};
 use crate::estimator::arithmetic::{larger, square};
 use crate::units::radians;
@@ -21,7 +20,7 @@ const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.3);
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
 /// Least σ of the tilt after motion has contradicted the bias, both axes together, rad: as
 /// reported, 6.4°. Six σ are 39°.
-const UNCONFIRMED_TILT_RAD: f32 = radians(7.0);
+const CONTRADICTED_BIAS_TILT_RAD: f32 = radians(7.0);
 /// Least σ of the tilt while the specific force contradicts it, both axes together, rad: too much
 /// for `VALID`.
 const CONTRADICTED_TILT_RAD: f32 = radians(40.0);
@@ -40,9 +39,9 @@ pub(super) enum Confirmation {
 }
 
 impl Kalman {
-    /// Confirms the bias if it is certain, and near the one that a rest has measured. Decides
-    /// whether it is known.
-    pub(super) fn confirm_bias(&mut self) {
+    /// Decides after a correction whether the bias is confirmed and known. Motion confirms one that
+    /// is certain, and near the one that a rest has measured.
+    pub(super) fn judge_bias(&mut self) {
         let variance = self.largest_bias_variance();
         let change = self.nominal.gyroscope_bias_rad_s - self.bias_prior.mean_rad_s;
         let squared_change = change.dot(change);
@@ -55,6 +54,25 @@ impl Kalman {
             && variance < square(KNOWN_BIAS_RAD_S)
             && (self.confirmation != Confirmation::Contradicted
                 || squared_change < square(KNOWN_CHANGE_RAD_S));
+    }
+
+    /// Returns σ of the bias of the worst axis for a later run, rad/s. It is too large for a
+    /// confirmed bias unless this one is confirmed.
+    pub(crate) fn kept_bias_sigma_rad_s(&self) -> f32 {
+        let sigma_rad_s = self.largest_bias_sigma_rad_s();
+        match self.confirmation {
+            Confirmation::Confirmed => sigma_rad_s,
+            _ => larger(sigma_rad_s, CONFIRMED_SIGMA_RAD_S),
+        }
+    }
+
+    /// Sets the confirmation of a bias that an earlier run has kept with this σ.
+    pub(super) fn judge_kept_bias(&mut self, sigma_rad_s: f32) {
+        self.confirmation = if sigma_rad_s < CONFIRMED_SIGMA_RAD_S {
+            Confirmation::Confirmed
+        } else {
+            Confirmation::Contradicted
+        };
     }
 
     /// Sets the tilt variance that is reported beside the covariance's, twice in each covariance
@@ -73,7 +91,7 @@ impl Kalman {
     /// Returns the least tilt variance, both axes together, rad². A still sensor that is not armed
     /// needs none, unless gravity contradicts its tilt.
     fn least_tilt_rad2(&self) -> Option<f32> {
-        if self.force_sum.duration_s > CONTRADICTION_S {
+        if self.is_tilt_contradicted() {
             return Some(square(CONTRADICTED_TILT_RAD));
         }
         if !self.is_armed && self.rest_detector.is_still() {
@@ -81,7 +99,7 @@ impl Kalman {
         }
         match self.confirmation {
             Confirmation::Stored => Some(square(SUSPICION_RAD) + self.bank_variance()),
-            Confirmation::Contradicted => Some(square(UNCONFIRMED_TILT_RAD)),
+            Confirmation::Contradicted => Some(square(CONTRADICTED_BIAS_TILT_RAD)),
             Confirmation::Confirmed => {
                 let is_suspicious = self.consistency.is_suspicious();
                 is_suspicious.then_some(square(SUSPICION_RAD))

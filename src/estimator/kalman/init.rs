@@ -97,7 +97,7 @@ impl Kalman {
             start.bias_sigma_rad_s,
             start.tilt_sigma_rad,
         );
-        self.confirmation = Confirmation::Confirmed;
+        self.judge_kept_bias(start.bias_sigma_rad_s);
         self.recent = RecentVelocity::kept(start.squared_velocity_m2_s2, self.tuning);
         let [forward, right] = start.accelerometer_bias_m_s2;
         self.nominal.accelerometer_bias_m_s2 = Vector3::new(forward, right, 0.0);

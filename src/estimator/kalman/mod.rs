@@ -469,7 +469,7 @@ impl Kalman {
             self.restart_from_unusable_numbers();
             return;
         }
-        self.confirm_bias();
+        self.judge_bias();
     }
 
     /// Returns the gyroscope bias, rad/s in body axes.

@@ -237,8 +237,8 @@ impl NominalState {
         let [x, y, z] = self.gyroscope_matrix;
         let [ix, iy, iz] = IDENTITY;
         let (x, y, z) = (x - ix, y - iy, z - iz);
-        let bias = self.accelerometer_bias_m_s2;
-        bias.dot(bias) < LARGEST_ACCELEROMETER_BIAS_M_S2 * LARGEST_ACCELEROMETER_BIAS_M_S2
+        self.accelerometer_bias_m_s2
+            .is_within(LARGEST_ACCELEROMETER_BIAS_M_S2)
             && x.dot(x) + y.dot(y) + z.dot(z) < LARGEST_MATRIX_ERROR * LARGEST_MATRIX_ERROR
     }
 

@@ -14,7 +14,7 @@ use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
 /// Time for which the specific force contradicts an ambiguous tilt before it is believed, s: longer
 /// than a vehicle dashes while it falls. A tilt that is not ambiguous is not `VALID` from then on.
-pub(super) const CONTRADICTION_S: f32 = 1.3;
+const CONTRADICTION_S: f32 = 1.3;
 /// Time for which it contradicts a tilt that is not ambiguous before it is believed, s: longer than
 /// an aeroplane pushes over.
 const LONG_CONTRADICTION_S: f32 = 4.0;
@@ -105,6 +105,12 @@ impl Kalman {
         }
     }
 
+    /// Returns whether the specific force has contradicted a tilt that is not ambiguous for 1.3 s.
+    /// The sum of an ambiguous tilt ends by then.
+    pub(super) fn is_tilt_contradicted(&self) -> bool {
+        self.force_sum.duration_s > CONTRADICTION_S
+    }
+
     /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. While
     /// it is not about one g, the vehicle shakes or falls, and a longer mean follows. In the end
     /// the next sample sets the tilt again.
@@ -164,7 +170,7 @@ impl Kalman {
 pub(super) struct ForceSum {
     /// Integral of the force, earth axes.
     integral_m_s: Vector3,
-    pub(super) duration_s: f32,
+    duration_s: f32,
 }
 
 impl ForceSum {

@@ -35,6 +35,7 @@ fn a_wrong_upside_down_start_is_corrected() {
     }
 }
 
+/// Without motion the vertical axis shows nothing of its bias, so only the rest confirms it.
 #[test]
 fn a_stored_bias_is_confirmed_by_a_rest() {
     let mut world = World::at_rest(Quaternion::IDENTITY);
@@ -42,13 +43,32 @@ fn a_stored_bias_is_confirmed_by_a_rest() {
     let filter = estimator.filter_mut();
     filter.set_bias(Vector3::ZERO, radians(0.35));
     filter.set_armed(true);
-    let estimate = world.run(&mut estimator, 600);
+    let estimate = world.run(&mut estimator, 20_000);
+    let covariance_sigma_rad = sigma(estimator.filter().covariance_tilt_variance());
+    assert!(covariance_sigma_rad < radians(3.0));
     assert_eq!(estimator.filter().confirmation, Confirmation::Stored);
     assert!(estimate.tilt_sigma_rad() > radians(3.9));
     estimator.filter_mut().set_armed(false);
     let estimate = world.run(&mut estimator, 2_000);
     assert_eq!(estimator.filter().confirmation, Confirmation::Confirmed);
-    assert!(estimate.tilt_sigma_rad() < radians(5.0));
+    assert!(estimate.tilt_sigma_rad() < radians(3.0));
+}
+
+/// A reset is no confirmation.
+#[test]
+fn a_kept_bias_is_as_confirmed_as_it_was() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut before = estimator();
+    world.run(&mut before, 4_000);
+    for confirmation in [Confirmation::Confirmed, Confirmation::Contradicted] {
+        before.filter_mut().confirmation = confirmation;
+        let mut after = estimator();
+        after.filter_mut().resume(&WarmStart {
+            bias_sigma_rad_s: before.filter().kept_bias_sigma_rad_s(),
+            ..warm_start(&world)
+        });
+        assert_eq!(after.filter().confirmation, confirmation);
+    }
 }
 
 #[test]
