@@ -14,6 +14,9 @@ use crate::units::radians;
 
 /// Largest σ of a bias that is confirmed, per axis: below that of a stored bias at the start.
 const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.3);
+/// Least σ with which a bias that is not confirmed is kept over a reset, per axis: nearly too
+/// large for a known one, so that a confirmed one hardly has it.
+const KEPT_SIGMA_RAD_S: f32 = radians(0.45);
 /// Largest change of a bias that is confirmed, since a rest has measured it.
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.3);
 /// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
@@ -56,19 +59,19 @@ impl Kalman {
                 || squared_change < square(KNOWN_CHANGE_RAD_S));
     }
 
-    /// Returns σ of the bias of the worst axis for a later run, rad/s. It is too large for a
-    /// confirmed bias unless this one is confirmed.
+    /// Returns σ of the bias of the worst axis for a later run, rad/s: at least
+    /// [`KEPT_SIGMA_RAD_S`] unless the bias is confirmed.
     pub(crate) fn kept_bias_sigma_rad_s(&self) -> f32 {
         let sigma_rad_s = self.largest_bias_sigma_rad_s();
         match self.confirmation {
             Confirmation::Confirmed => sigma_rad_s,
-            _ => larger(sigma_rad_s, CONFIRMED_SIGMA_RAD_S),
+            _ => larger(sigma_rad_s, KEPT_SIGMA_RAD_S),
         }
     }
 
     /// Sets the confirmation of a bias that an earlier run has kept with this σ.
     pub(super) fn judge_kept_bias(&mut self, sigma_rad_s: f32) {
-        self.confirmation = if sigma_rad_s < CONFIRMED_SIGMA_RAD_S {
+        self.confirmation = if sigma_rad_s < KEPT_SIGMA_RAD_S {
             Confirmation::Confirmed
         } else {
             Confirmation::Contradicted
