@@ -311,7 +311,7 @@ impl Pipeline {
             attitude: latest.attitude,
             tilt_sigma_rad: latest.tilt_sigma_rad(),
             bias_rad_s: self.gyroscope_offset_body_rad_s(),
-            bias_sigma_rad_s: filter.kept_bias_sigma_rad_s(),
+            bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
             accelerometer_bias_m_s2: [accelerometer.x, accelerometer.y],
             squared_velocity_m2_s2: filter.squared_velocity_m2_s2(),
         })

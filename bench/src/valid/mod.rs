@@ -8,6 +8,7 @@ mod drift;
 mod interruptions;
 mod kept_offset;
 mod level_turns;
+mod resets;
 mod restarts;
 mod shaken_starts;
 mod starts;

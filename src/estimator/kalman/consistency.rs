@@ -38,6 +38,8 @@ pub(super) const SUSPICION_RAD: f32 = radians(4.3);
 /// Variance of the sum after unseen motion, rad². It falls to (1°)² within 20 s: a vehicle that
 /// flies takes so long to correct a tilt error of 40°.
 const UNSEEN_RAD2: f32 = 256.0;
+/// Variance of the sum from which on the check is suspended, rad².
+const SUSPENDED_RAD2: f32 = square(radians(1.0));
 
 /// Sums of the recent corrections.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -99,6 +101,13 @@ impl Consistency {
     #[inline]
     pub(super) fn is_suspicious(&self) -> bool {
         self.squared() > SUSPICION_GATE * self.variance_rad2
+    }
+
+    /// Returns whether the check is suspended after unseen motion: for some 20 s, or longer while
+    /// the measurements reduce a large variance.
+    #[inline]
+    pub(super) fn is_suspended(&self) -> bool {
+        self.variance_rad2 > SUSPENDED_RAD2
     }
 
     /// Returns the square of the sum, rad².

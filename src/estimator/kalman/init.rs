@@ -90,6 +90,9 @@ impl Kalman {
     /// Continues from an earlier run, instead of taking the tilt from the first sample. If σ of
     /// the kept tilt is 30° or more, the specific force sets the tilt, and yaw is kept. Call
     /// it before the first sample.
+    ///
+    /// In motion and while armed, σ of the tilt is then at least 6.4°, and larger the more the
+    /// force exceeds one g, until a rest or some 20 s of motion have confirmed the bias.
     pub fn resume(&mut self, start: &WarmStart) {
         self.nominal.attitude = start.attitude;
         self.start_from_attitude(
@@ -97,7 +100,7 @@ impl Kalman {
             start.bias_sigma_rad_s,
             start.tilt_sigma_rad,
         );
-        self.judge_kept_bias(start.bias_sigma_rad_s);
+        self.confirmation = Confirmation::Contradicted;
         self.recent = RecentVelocity::kept(start.squared_velocity_m2_s2, self.tuning);
         let [forward, right] = start.accelerometer_bias_m_s2;
         self.nominal.accelerometer_bias_m_s2 = Vector3::new(forward, right, 0.0);

@@ -75,8 +75,8 @@
 //!   within 1 °/s of that measurement.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
 //!   the reported σ is much larger while the bias is not known (`tilt_variance.rs`).
-//! - A stored bias may have changed since it was measured, and the vehicle may turn at the start.
-//!   In motion and while armed, the reported σ is at least 4° until a rest or motion has
+//! - A stored bias may have changed, and one that is kept over a reset. The vehicle may turn. In
+//!   motion and while armed, the reported σ is at least 4° or 6.4° until a rest or motion has
 //!   confirmed the bias, and larger the more the force exceeds one g (`confirmation.rs`).
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show
@@ -85,8 +85,8 @@
 //!   not (`consistency.rs`). The reported σ grows at the first suspicion; later bias and tilt
 //!   are uncertain again. It takes seconds because a tilt error looks like an acceleration.
 //! - A turn of minutes contradicts the bias in the same way, and a wrong bias may then explain it.
-//!   So the reported σ is at least 6.4° until a rest confirms the bias, or motion leads it back
-//!   to within 0.3 °/s of the last rest's.
+//!   So it has to be confirmed like a kept one: by a rest, or by motion that leads it back to
+//!   within 0.3 °/s of the last rest's.
 //!
 //! # Limits
 //!

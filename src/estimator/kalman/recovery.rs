@@ -38,6 +38,7 @@ const KEPT_BIAS_RAD_S: f32 = radians(0.4);
 impl Kalman {
     /// Restarts from the mean readings at rest: takes bias and tilt from them, and resets the other
     /// parameters.
+    #[inline(never)]
     pub(super) fn restart_at_rest(&mut self, readings: &RestReadings) {
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
         self.level(force);
