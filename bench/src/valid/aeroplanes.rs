@@ -23,7 +23,7 @@ use crate::parallel;
 enum Course {
     /// From a rest on the ground.
     FromRest,
-    /// From a rest, with a reset of the core while the vehicle turns.
+    /// From a rest, with a reset of the core in flight.
     WithReset,
     /// In the air from the beginning on, with a stored offset.
     StoredOffset,
@@ -73,7 +73,7 @@ fn fly(aeroplane: Aeroplane, seed: u64, seconds: u64, course: Course) -> Outcome
     for simulated in samples_with(Box::new(motion), seed, errors, seconds) {
         let is_flying = has_stored_offset || simulated.t_us as f64 > REST_S * 1.0e6;
         if let Some(reset) = &mut reset
-            && reset.hides(simulated.t_us, &mut pipeline, &settings)
+            && reset.skip_or_resume(simulated.t_us, &mut pipeline, &settings)
         {
             continue;
         }

@@ -37,9 +37,14 @@ impl Reset {
         }
     }
 
-    /// Returns whether the core misses a sample of this time. Replaces the pipeline by one that
-    /// continues from the kept state before the first sample that it does not miss.
-    pub fn hides(&mut self, t_us: u64, pipeline: &mut Pipeline, settings: &Settings) -> bool {
+    /// Returns whether the core misses a sample of this time. Before the first sample after the
+    /// reset, it replaces the pipeline by one that continues from the kept state.
+    pub fn skip_or_resume(
+        &mut self,
+        t_us: u64,
+        pipeline: &mut Pipeline,
+        settings: &Settings,
+    ) -> bool {
         if t_us >= self.until_us && !self.is_over {
             self.is_over = true;
             *pipeline = Pipeline::new(settings);

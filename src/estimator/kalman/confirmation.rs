@@ -7,9 +7,10 @@
 //! motion that leads back to the bias that a rest has measured. Far from that, it is not even
 //! known.
 //!
-//! A reset hides motion, so for 20 s no correction contradicts a bias (`consistency.rs`). The kept
-//! bias may be wrong by then, and the tilt may have become that of level flight in a turn. So the
-//! kept bias has to be confirmed too.
+//! A reset hides motion, so for some 20 s no correction contradicts a bias (`consistency.rs`).
+//! Meanwhile the kept bias may be wrong, and the tilt may become that of level flight in a turn.
+//! So the kept bias has to be confirmed too, and nothing confirms it before the 20 s are over. It
+//! takes the place of the bias that a rest has measured.
 
 use super::consistency::SUSPICION_RAD;
 use super::{KNOWN_BIAS_RAD_S, Kalman};
@@ -18,13 +19,13 @@ use crate::units::radians;
 
 /// Largest σ of a bias that is confirmed, per axis: below that of a stored bias at the start.
 const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.3);
-/// Largest change of a bias that is confirmed, since a rest has measured it.
+/// Largest change of a bias that is confirmed, since a rest has measured it, or since the reset.
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.3);
 /// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
-/// Least σ of the tilt after motion has contradicted the bias, both axes together, rad: as
-/// reported, 6.4°. Six σ are 39°.
-const CONTRADICTED_BIAS_TILT_RAD: f32 = radians(7.0);
+/// Least σ of the tilt after motion has contradicted the bias, and after a reset, both axes
+/// together, rad: as reported, 6.4°. Six σ are 39°.
+const SUSPECT_BIAS_TILT_RAD: f32 = radians(7.0);
 /// Largest σ of a bank that the specific force shows, both axes together, rad. In turns of up to
 /// 68° no error exceeded six σ, and with it a quadrotor's accelerations do not end `VALID`.
 const SHOWN_BANK_RAD: f32 = radians(15.0);
@@ -39,14 +40,15 @@ pub(super) enum Confirmation {
     /// Confirmed; or neither stored, kept nor contradicted.
     Confirmed,
     /// Motion has contradicted it, or it is kept from the run before a reset.
-    Contradicted,
+    Suspect,
     /// Stored, and not confirmed since the start.
     Stored,
 }
 
 impl Kalman {
     /// Decides after a correction whether the bias is confirmed and known. Motion confirms one that
-    /// is certain, and near the one that a rest has measured, unless it could not contradict it.
+    /// is certain, and near the one that a rest has measured or an earlier run has kept. Nothing
+    /// confirms it while the check of consistency is suspended.
     pub(super) fn judge_bias(&mut self) {
         let variance = self.largest_bias_variance();
         let change = self.nominal.gyroscope_bias_rad_s - self.bias_prior.mean_rad_s;
@@ -59,7 +61,7 @@ impl Kalman {
         }
         self.is_bias_known = self.is_bias_measured()
             && variance < square(KNOWN_BIAS_RAD_S)
-            && (self.confirmation != Confirmation::Contradicted
+            && (self.confirmation != Confirmation::Suspect
                 || squared_change < square(KNOWN_CHANGE_RAD_S));
     }
 
@@ -90,7 +92,7 @@ impl Kalman {
             }
             Confirmation::Confirmed => return 0.0,
             Confirmation::Stored => square(SUSPICION_RAD),
-            Confirmation::Contradicted => square(CONTRADICTED_BIAS_TILT_RAD),
+            Confirmation::Suspect => square(SUSPECT_BIAS_TILT_RAD),
         };
         if self.is_bias_known {
             least_rad2 + smaller(self.bank_variance(), square(SHOWN_BANK_RAD))

@@ -59,9 +59,10 @@ impl Kalman {
     /// the first sample.
     ///
     /// The bias may have changed since, if σ is 0.3 °/s or more. In motion and while armed, σ of
-    /// the tilt is then at least 4°, and larger the more the force exceeds one g, until a rest or
-    /// motion has confirmed the bias. With a smaller σ it counts as confirmed. The vehicle may
-    /// move, because the attitude becomes `VALID` before any rest.
+    /// the tilt is then at least 4°, and larger the more the force differs from one g, until a
+    /// rest or motion has confirmed the bias. One with a smaller σ is confirmed by the first
+    /// correction that the start's uncertainty does not hide. The vehicle may move, because the
+    /// attitude becomes `VALID` before any rest.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);
         self.set_bias_prior(bias_rad_s, sigma_rad_s);
@@ -92,7 +93,9 @@ impl Kalman {
     /// it before the first sample.
     ///
     /// In motion and while armed, σ of the tilt is then at least 6.4°, and larger the more the
-    /// force exceeds one g, until a rest or some 20 s of motion have confirmed the bias.
+    /// force differs from one g. That ends when motion or a rest has confirmed the bias, after
+    /// some 20 s. If σ of the kept bias is 0.3 °/s or more, as after 20 minutes of level flight,
+    /// it ends with a rest or with turns.
     pub fn resume(&mut self, start: &WarmStart) {
         self.nominal.attitude = start.attitude;
         self.start_from_attitude(
@@ -100,7 +103,7 @@ impl Kalman {
             start.bias_sigma_rad_s,
             start.tilt_sigma_rad,
         );
-        self.confirmation = Confirmation::Contradicted;
+        self.confirmation = Confirmation::Suspect;
         self.recent = RecentVelocity::kept(start.squared_velocity_m2_s2, self.tuning);
         let [forward, right] = start.accelerometer_bias_m_s2;
         self.nominal.accelerometer_bias_m_s2 = Vector3::new(forward, right, 0.0);

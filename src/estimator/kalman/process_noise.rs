@@ -59,7 +59,7 @@ impl Kalman {
             return;
         };
         if self.confirmation == Confirmation::Confirmed {
-            self.confirmation = Confirmation::Contradicted;
+            self.confirmation = Confirmation::Suspect;
         }
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
         for prior in &mut self.bias_prior.variance {

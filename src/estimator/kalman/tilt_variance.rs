@@ -83,7 +83,7 @@ impl Kalman {
     }
 
     /// Returns the variance of a bank that the filter may take for level while the bias is not
-    /// known, or after a start with a stored one.
+    /// known or not confirmed.
     ///
     /// A level turn reads like a tilted rest with a bias. The specific force shows the bank φ:
     /// |f|²/g² − 1 = tan² φ. With a quarter of it, six σ are three times the bank. The
