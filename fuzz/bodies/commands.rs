@@ -25,6 +25,7 @@ pub fn run(bytes: &[u8]) {
         settings.noise_model(),
         settings.sensor.sample_rate_hz(),
         Mount::Z_UP,
+        false,
     );
     let mut wire = Wire::default();
     let mut now_us = 0_u32;

@@ -1,5 +1,5 @@
-//! Data that survive a reset: the fault counters, the cause of the last reset, and the state for a
-//! warm start.
+//! Data that survive a reset: the fault counters, the cause of the last reset, whether the module
+//! was armed, and the state for a warm start.
 //!
 //! The data lie in RAM that start-up does not clear (`.uninit`). A check word distinguishes data of
 //! an earlier run from the random content after power-up. A debugger finds the health report under
@@ -47,6 +47,13 @@ static APLOMB_HEALTH: Report = Report {
 
 /// Check word. It changes with the layout, so that another version's report is not accepted.
 const CHECK: u32 = 0x4150_4C4D ^ (report::LENGTH as u32) << 8;
+
+/// [`ARMED_WORD`] while the module is armed.
+#[unsafe(link_section = ".uninit.APLOMB_ARMED")]
+static ARMED: AtomicU32 = AtomicU32::new(0);
+
+/// Content of [`ARMED`] while the module is armed.
+const ARMED_WORD: u32 = 0x6172_6D64;
 
 /// State for a warm start, in two copies that are written in turn: a reset while one is written
 /// leaves the other.
@@ -108,6 +115,13 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     };
     let report = &APLOMB_HEALTH;
     let is_kept = report.check.load(Ordering::Relaxed) == CHECK && cause != ResetCause::Power;
+    let is_warm = is_kept && cause.is_warm();
+    if !is_warm {
+        set_armed(false);
+        for copy in &WARM_STARTS {
+            copy.invalidate();
+        }
+    }
     if !is_kept {
         for word in [&report.starts, &report.crash_address] {
             word.store(0, Ordering::Relaxed);
@@ -115,9 +129,6 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
         report.last_fault.store(report::NO_FAULT, Ordering::Relaxed);
         for counter in &report.counters {
             counter.store(0, Ordering::Relaxed);
-        }
-        for copy in &WARM_STARTS {
-            copy.invalidate();
         }
         report.check.store(CHECK, Ordering::Relaxed);
     }
@@ -132,7 +143,6 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     let copies = WARM_STARTS.iter().filter_map(Words::read);
     let warm_start = copies
         .max_by_key(|(number, _)| *number)
-        .filter(|_| is_kept && cause.is_warm())
         .map(|(_, start)| start);
     for copy in &WARM_STARTS {
         copy.invalidate();
@@ -171,6 +181,17 @@ pub fn note_crash(class: FaultClass, address: u32) {
     APLOMB_HEALTH
         .crash_address
         .store(address, Ordering::Relaxed);
+}
+
+/// Returns whether the module is armed, which a warm reset does not change.
+pub fn is_armed() -> bool {
+    ARMED.load(Ordering::Relaxed) == ARMED_WORD
+}
+
+/// Arms or disarms the module. The filter has a copy of its own.
+pub fn set_armed(is_armed: bool) {
+    let word = if is_armed { ARMED_WORD } else { 0 };
+    ARMED.store(word, Ordering::Relaxed);
 }
 
 /// Saves the state for a start after a reset. Only the attitude task calls this.

@@ -49,12 +49,13 @@ impl Console {
     /// defaults.
     ///
     /// `noise` and `sample_rate_hz` describe the configured sensor. `default_mount` is in use while
-    /// the record has no mount.
+    /// the record has no mount. `is_armed` is true after a reset of an armed module.
     pub fn new(
         stored: Option<Record>,
         noise: NoiseModel,
         sample_rate_hz: f32,
         default_mount: Mount,
+        is_armed: bool,
     ) -> Self {
         let stored = stored.unwrap_or_default();
         Self {
@@ -66,7 +67,7 @@ impl Console {
             },
             stored,
             default_mount,
-            is_armed: false,
+            is_armed,
             procedures: ProcedureRunner::new(noise, sample_rate_hz),
             compass: CompassProcedure::new(),
             task: None,

@@ -390,6 +390,40 @@ fn after_a_reset_the_attitude_goes_on_without_a_new_rest() {
 }
 
 #[test]
+fn a_reset_leaves_an_armed_module_armed_until_power_is_lost() {
+    let hang = "2.0 0 watchdog-hang";
+    for (commands, faults, is_armed) in [
+        (&["arm"][..], hang, true),
+        (&["arm"], "2.0 0 crash\n2.6 0 watchdog-hang", true),
+        (&["arm", "disarm"], hang, false),
+        (&[], hang, false),
+        (&["arm"], "2.0 0.05 supply-sag:800", false),
+    ] {
+        let schedule = Schedule::parse("test", faults).unwrap();
+        let mut run = Run::new(firmware())
+            .motion(Rest::level())
+            .seconds(5.5)
+            .schedule(&schedule)
+            .without_account();
+        for (at_s, command) in [1.6, 1.8].into_iter().zip(commands) {
+            run = run.command(at_s, command);
+        }
+        let outcome = run.command(5.0, "status").command(5.2, "save").run();
+        let outcome = outcome.unwrap();
+        let case = format!("{commands:?}, {faults:?}");
+        assert!(!outcome.record.resets_ns.is_empty(), "{case}");
+        assert_eq!(outcome.uart_reports("armed=yes"), is_armed, "{case}");
+        assert_eq!(outcome.uart_reports("armed=no"), !is_armed, "{case}");
+        let is_refused = outcome.uart_reports("error refused while armed");
+        assert_eq!(is_refused, is_armed, "{case}");
+        // A rest confirms the bias, unless the filter is armed.
+        let last = outcome.samples().last().expect("samples").snapshot.flags;
+        assert!(last.contains(Flags::VALID), "{case}: {last:?}");
+        assert_eq!(last.contains(Flags::DEGRADED), is_armed, "{case}: {last:?}");
+    }
+}
+
+#[test]
 fn a_fault_right_after_a_warm_start_is_reported() {
     let outcome = fly("2.0 0 crash\n2.1 0.02 sda-low", 2.5);
     let reports = outcome.uart_lines.iter().filter(|line| {

@@ -42,16 +42,17 @@ pub struct Answer {
 
 impl Commands {
     /// Creates a console that reads from this receiver, with the record from flash. It describes a
-    /// sensor with this noise and rate.
+    /// sensor with this noise and rate. It is armed if the module was armed before a reset.
     pub fn new(
         receiver: Receiver,
         stored: Option<Record>,
         noise: NoiseModel,
         sample_rate_hz: f32,
         default_mount: Mount,
+        is_armed: bool,
     ) -> Self {
         Self {
-            console: Console::new(stored, noise, sample_rate_hz, default_mount),
+            console: Console::new(stored, noise, sample_rate_hz, default_mount, is_armed),
             station: GroundStation::new(),
             receiver,
             has_reception_error: false,

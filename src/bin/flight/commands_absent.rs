@@ -29,7 +29,14 @@ pub struct Answer {
 
 impl Commands {
     /// Takes the record from flash, and ignores received bytes.
-    pub fn new(_: Receiver, stored: Option<Record>, _: NoiseModel, _: f32, _: Mount) -> Self {
+    pub fn new(
+        _: Receiver,
+        stored: Option<Record>,
+        _: NoiseModel,
+        _: f32,
+        _: Mount,
+        _: bool,
+    ) -> Self {
         let mut record = stored.unwrap_or_default();
         if let OutputFormat::Mavlink | OutputFormat::Log = record.preferences.format {
             record.preferences.format = OutputFormat::Text;

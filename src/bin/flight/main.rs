@@ -195,6 +195,7 @@ mod app {
             SETTINGS.noise_model(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
+            retained::is_armed(),
         );
         let (to_log, bursts) = context.local.log_queue.split();
         let (readings_to_log, readings) = context.local.reading_queue.split();

@@ -178,7 +178,7 @@ where
     }
 
     fn set_armed(&mut self, is_armed: bool) {
-        self.requests.lock(|requests| requests.is_armed = is_armed);
+        retained::set_armed(is_armed);
         self.changed_at = self.estimation.lock(|estimation| {
             estimation.pipeline.as_mut()?.set_armed(is_armed);
             Some(BURST_COUNT.load(Ordering::Relaxed))

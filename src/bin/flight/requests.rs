@@ -12,8 +12,6 @@ pub struct Requests {
     pub sensor: Option<(&'static Part, u8)>,
     /// Calibration with which the pipeline starts.
     pub calibration: Calibration,
-    /// True if the pipeline starts armed.
-    pub is_armed: bool,
     /// Task that needs a pause of the sensor.
     pub task: Option<Task>,
     /// Outcome of the last task.
@@ -21,12 +19,11 @@ pub struct Requests {
 }
 
 impl Requests {
-    /// Creates requests without a task, for a pipeline that starts disarmed with this calibration.
+    /// Creates requests without a task, for a pipeline that starts with this calibration.
     pub const fn new(calibration: Calibration) -> Self {
         Self {
             sensor: None,
             calibration,
-            is_armed: false,
             task: None,
             outcome: None,
         }

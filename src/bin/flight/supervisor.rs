@@ -10,7 +10,7 @@ use aplomb::board::flash::CalibrationFlash;
 use aplomb::board::measure;
 use aplomb::board::sensor::{self, NotReady, Ready, Sensor};
 use aplomb::board::timebase::{self, Delay};
-use aplomb::board::watchdog;
+use aplomb::board::{retained, watchdog};
 use aplomb::calibration::Calibration;
 use aplomb::compass::{self, PartId};
 use aplomb::console::{Outcome, Task};
@@ -132,21 +132,14 @@ fn start_estimation(
     estimation: &mut impl Mutex<T = Estimation>,
     requests: &mut impl Mutex<T = Requests>,
 ) {
-    let (calibration, is_armed) = requests.lock(|requests| {
+    let calibration = requests.lock(|requests| {
         requests.sensor = Some((ready.part, ready.address));
-        (requests.calibration, requests.is_armed)
+        requests.calibration
     });
     estimation.lock(|Estimation { pipeline, .. }| {
         if pipeline.is_none() {
             let warm_start = warm_start.take();
-            start_pipeline(
-                pipeline,
-                settings,
-                ready.part,
-                calibration,
-                is_armed,
-                warm_start,
-            );
+            start_pipeline(pipeline, settings, ready.part, calibration, warm_start);
         }
     });
 }
@@ -180,7 +173,6 @@ fn start_pipeline(
     settings: &Settings,
     part: &'static Part,
     calibration: Calibration,
-    is_armed: bool,
     warm_start: Option<WarmStart>,
 ) {
     let settings = Settings {
@@ -189,7 +181,7 @@ fn start_pipeline(
         ..*settings
     };
     let pipeline = place.insert(Pipeline::new(&settings));
-    pipeline.set_armed(is_armed);
+    pipeline.set_armed(retained::is_armed());
     if let Some(start) = &warm_start {
         pipeline.resume(start);
     }

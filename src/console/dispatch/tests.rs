@@ -158,7 +158,7 @@ impl Harness {
 
     fn with(stored: Option<Record>) -> Self {
         Self {
-            console: Console::new(stored, noise_model(), 1000.0, Mount::Z_UP),
+            console: Console::new(stored, noise_model(), 1000.0, Mount::Z_UP, false),
             module: FakeModule::default(),
             // The clock wraps soon.
             now_us: u32::MAX - 3_000_000,
