@@ -129,6 +129,22 @@ fn turns_of_minutes_are_never_valid_and_wrong() {
     assert!(valid > 0.5, "{valid}");
 }
 
+/// In a wide turn the attitude becomes that of level flight so slowly that nothing contradicts it.
+/// The bias moves with it, which σ has to cover: before, the first four flights were wrong.
+#[test]
+fn wide_turns_are_never_valid_and_wrong() {
+    let seeds: Vec<u64> = [980_012, 980_022, 980_030, 980_065]
+        .into_iter()
+        .chain(985_000..985_004)
+        .collect();
+    let flights = parallel::map(&seeds, |seed| {
+        fly(Aeroplane::turning_wide(*seed), *seed, 600, Course::FromRest)
+    });
+    let (wrong, valid) = summarize("wide turns", &flights);
+    assert_eq!(wrong, 0);
+    assert!(valid > 0.9, "{valid}");
+}
+
 #[test]
 fn a_push_over_does_not_turn_the_attitude_over() {
     for push_s in [2.0, 3.0] {

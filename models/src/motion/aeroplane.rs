@@ -63,20 +63,41 @@ impl Aeroplane {
     #[must_use]
     pub fn turning(seed: u64) -> Self {
         let mut random = Random::new(seed, "turning aeroplane");
-        let mut aeroplane = Self::taking_off(&mut random, [20.0, 70.0]);
-        let mut until_s = REST_S + aeroplane.run_s + random.uniform(5.0, 20.0);
-        aeroplane.legs.push(Leg::straight(until_s));
+        let aeroplane = Self::taking_off(&mut random, [20.0, 70.0]);
+        aeroplane.with_turns(&mut random, [20.0, 150.0], [15.0, 55.0], [3.0, 20.0])
+    }
+
+    /// A flight at 12 to 50 m/s with coordinated turns of 30 s to 240 s to both sides. They have
+    /// banks of 4° to 15°, and straight legs of 3 s to 40 s between them.
+    #[must_use]
+    pub fn turning_wide(seed: u64) -> Self {
+        let mut random = Random::new(seed, "aeroplane in wide turns");
+        let aeroplane = Self::taking_off(&mut random, [12.0, 50.0]);
+        aeroplane.with_turns(&mut random, [30.0, 240.0], [4.0, 15.0], [3.0, 40.0])
+    }
+
+    /// Adds eight turns of a duration in s and a bank in degrees between these limits, and straight
+    /// legs of a duration in s.
+    fn with_turns(
+        mut self,
+        random: &mut Random,
+        [shortest_turn_s, longest_turn_s]: [f64; 2],
+        [least_deg, largest_deg]: [f64; 2],
+        [shortest_leg_s, longest_leg_s]: [f64; 2],
+    ) -> Self {
+        let mut until_s = REST_S + self.run_s + random.uniform(5.0, 20.0);
+        self.legs.push(Leg::straight(until_s));
         for _ in 0..8 {
             let side = random.sign();
-            until_s += random.uniform(20.0, 150.0);
-            aeroplane.legs.push(Leg {
-                bank_rad: side * random.uniform(15.0, 55.0).to_radians(),
+            until_s += random.uniform(shortest_turn_s, longest_turn_s);
+            self.legs.push(Leg {
+                bank_rad: side * random.uniform(least_deg, largest_deg).to_radians(),
                 ..Leg::straight(until_s)
             });
-            until_s += random.uniform(3.0, 20.0);
-            aeroplane.legs.push(Leg::straight(until_s));
+            until_s += random.uniform(shortest_leg_s, longest_leg_s);
+            self.legs.push(Leg::straight(until_s));
         }
-        aeroplane
+        self
     }
 
     /// A flight that is in a coordinated turn at power-up, and stays in it, at 12 to 60 m/s.
@@ -263,6 +284,7 @@ mod tests {
         for seed in 0..6 {
             for mut aeroplane in [
                 Aeroplane::turning(seed),
+                Aeroplane::turning_wide(seed),
                 Aeroplane::already_turning(seed),
                 Aeroplane::pushing_over(seed, 2.5),
             ] {

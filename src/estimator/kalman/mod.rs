@@ -84,14 +84,14 @@
 //! - An offset that changes in motion shows within seconds, because corrections add up that should
 //!   not (`consistency.rs`). The reported σ grows at the first suspicion; later bias and tilt
 //!   are uncertain again. It takes seconds because a tilt error looks like an acceleration.
-//! - A turn of minutes contradicts the bias in the same way, and a wrong bias may then explain it.
-//!   So it has to be confirmed like a kept one: by a rest, or by motion that leads it back to
-//!   within 0.3 °/s of the last rest's.
+//! - A turn of minutes contradicts the bias too, and a wrong bias may then explain it. A wide turn
+//!   moves it without a contradiction. So it has to be confirmed: by a rest, or by motion that
+//!   leads it back to within 0.2 °/s of the last rest's.
 //!
 //! # Limits
 //!
-//! - An offset that changes by over 1 °/s in flight is not known again before the next rest, and
-//!   after 0.3 °/s σ stays at 6.4° or more.
+//! - An offset that changes by over 1 °/s in flight is not known again before the next rest. From
+//!   0.2 °/s on σ stays at 4° or more: 6.4° if the change was sudden.
 //! - Unsolved: from power-up on, a slow, steady turn about the vertical is measured as the bias.
 //! - After a start in motion, a bias of 20 °/s about the vertical takes over half a minute, or is
 //!   not found, because yaw is not observed. A lasting turn is taken for a bias. The reported σ
@@ -200,6 +200,13 @@ pub struct Kalman {
     next_axis: u8,
     /// Parameter that has last returned towards its prior.
     next_parameter: u8,
+    /// True if the bias started with a small σ: a rest of an earlier run, or before a restart, had
+    /// measured it.
+    has_measured_prior: bool,
+    /// Confirmation of the bias by a rest or by motion.
+    confirmation: Confirmation,
+    /// True if a single sample has set the tilt: the mean specific force will set it again.
+    is_from_one_sample: bool,
     /// Tilt variance that belongs to the nominal state while a covariance step is under way, both
     /// axes together, rad²: the step corrects the state last.
     held_tilt_rad2: f32,
@@ -220,13 +227,6 @@ pub struct Kalman {
     step: CovarianceStep,
     /// Variance that the bias gains in a second beyond the tuning's random walk, rad²/s³.
     added_bias_walk: f32,
-    /// True if the bias started with a small σ: a rest of an earlier run, or before a restart, had
-    /// measured it.
-    has_measured_prior: bool,
-    /// Confirmation of the bias by a rest or by motion.
-    confirmation: Confirmation,
-    /// True if a single sample has set the tilt: the mean specific force will set it again.
-    is_from_one_sample: bool,
 }
 
 impl Default for Kalman {
@@ -562,13 +562,7 @@ impl Kalman {
         visitor.bool(&mut self.is_tilt_checked);
         visitor.bool(&mut self.is_bias_known);
         visitor.bool(&mut self.has_measured_prior);
-        let mut confirmation = self.confirmation as usize;
-        visitor.index(&mut confirmation, 3);
-        self.confirmation = match confirmation {
-            0 => Confirmation::Confirmed,
-            1 => Confirmation::Suspect,
-            _ => Confirmation::Stored,
-        };
+        self.confirmation.visit_state(visitor);
         visitor.bool(&mut self.has_rested);
         visitor.bool(&mut self.is_first_rest);
         visitor.bool(&mut self.is_from_one_sample);

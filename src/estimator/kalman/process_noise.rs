@@ -58,7 +58,10 @@ impl Kalman {
         let Some(change) = self.consistency.take_contradiction() else {
             return;
         };
-        if self.confirmation == Confirmation::Confirmed {
+        if matches!(
+            self.confirmation,
+            Confirmation::Confirmed | Confirmation::Moved
+        ) {
             self.confirmation = Confirmation::Suspect;
         }
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
