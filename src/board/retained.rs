@@ -210,6 +210,7 @@ fn copy(number: u8) -> &'static Words {
 }
 
 impl Words {
+    #[inline(never)]
     fn invalidate(&self) {
         let [.., sum] = &self.0;
         sum.store(!self.sum(), Ordering::Relaxed);
