@@ -22,7 +22,7 @@ use crate::units::radians;
 /// Largest σ of a bias that is confirmed, per axis: below that of a stored bias at the start.
 const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.3);
 /// Largest change of a bias that is confirmed, since a rest has measured it, or since the reset.
-/// With 0.3 °/s one of 112 flights in wide turns was `VALID` and wrong for four minutes.
+/// With 0.3 °/s two of 112 flights in wide turns were `VALID` and wrong, one for four minutes.
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.2);
 /// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);

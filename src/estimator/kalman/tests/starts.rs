@@ -77,6 +77,15 @@ fn a_kept_bias_is_not_confirmed_before_motion_can_contradict_it() {
     assert!(estimate.tilt_sigma_rad() < radians(3.0));
 }
 
+/// Lets the bias drift by this much in 80 s, and gives the filter a minute to follow.
+fn drift(world: &mut World, estimator: &mut Estimator, change_rad_s: f32) -> Estimate {
+    for _ in 0..80 {
+        world.bias_rad_s.x += change_rad_s / 80.0;
+        world.run(estimator, 1_000);
+    }
+    world.run(estimator, 60_000)
+}
+
 /// In a wide turn too the bias moves slowly, and nothing contradicts it.
 #[test]
 fn a_bias_that_moves_in_motion_is_not_confirmed_until_it_is_back() {
@@ -84,20 +93,30 @@ fn a_bias_that_moves_in_motion_is_not_confirmed_until_it_is_back() {
     let mut estimator = estimator();
     world.run(&mut estimator, 4_000);
     estimator.filter_mut().set_armed(true);
-    let mut ramp = |estimator: &mut Estimator, change_rad_s: f32| {
-        for _ in 0..80 {
-            world.bias_rad_s.x += change_rad_s / 80.0;
-            world.run(estimator, 1_000);
-        }
-        world.run(estimator, 60_000)
-    };
-    let estimate = ramp(&mut estimator, radians(0.15));
+    let estimate = drift(&mut world, &mut estimator, radians(0.15));
     assert_eq!(estimator.filter().confirmation, Confirmation::Confirmed);
     assert!(estimate.tilt_sigma_rad() < radians(3.0));
-    let estimate = ramp(&mut estimator, radians(0.2));
+    let estimate = drift(&mut world, &mut estimator, radians(0.2));
     assert_eq!(estimator.filter().confirmation, Confirmation::Moved);
     assert!(estimate.tilt_sigma_rad() > radians(3.9));
-    let estimate = ramp(&mut estimator, radians(-0.2));
+    let estimate = drift(&mut world, &mut estimator, radians(-0.2));
+    assert_eq!(estimator.filter().confirmation, Confirmation::Confirmed);
+    assert!(estimate.tilt_sigma_rad() < radians(3.0));
+}
+
+/// Each rest measures the bias anew, so a bias that has moved is confirmed at the next one.
+#[test]
+fn a_bias_that_has_moved_is_confirmed_by_a_rest() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 4_000);
+    estimator.filter_mut().set_armed(true);
+    drift(&mut world, &mut estimator, radians(0.35));
+    assert_eq!(estimator.filter().confirmation, Confirmation::Moved);
+    estimator.filter_mut().set_armed(false);
+    world.run(&mut estimator, 2_000);
+    estimator.filter_mut().set_armed(true);
+    let estimate = world.run(&mut estimator, 2_000);
     assert_eq!(estimator.filter().confirmation, Confirmation::Confirmed);
     assert!(estimate.tilt_sigma_rad() < radians(3.0));
 }
