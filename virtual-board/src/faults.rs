@@ -82,6 +82,8 @@ pub enum FaultKind {
     /// The stack pointer comes so close to the end of the stack that the next exception finds no
     /// room.
     StackOverflow,
+    /// A debugger resets the chip by AIRCR, as when it starts new firmware. No schedule has it.
+    DebuggerReset,
     /// The core hangs until a reset, at the longest until the end, if the duration is not zero.
     WatchdogHang,
     /// The compass has no supply; it comes back with all registers at reset.
@@ -202,6 +204,7 @@ impl FaultKind {
             Self::AttitudeLate => "attitude-late",
             Self::Crash => "crash",
             Self::StackOverflow => "stack-overflow",
+            Self::DebuggerReset => "debugger-reset",
             Self::WatchdogHang => "watchdog-hang",
             Self::CompassSilent => "compass-silent",
             Self::CompassFrozen => "compass-frozen",
@@ -226,8 +229,11 @@ impl FaultKind {
     /// Returns true if the fault ends in a reset of the processor.
     #[must_use]
     pub fn resets(&self) -> bool {
-        let is_own = matches!(self, Self::WatchdogHang | Self::Crash | Self::StackOverflow);
-        is_own || self.stops_core()
+        let leaves_supply = matches!(
+            self,
+            Self::WatchdogHang | Self::Crash | Self::StackOverflow | Self::DebuggerReset
+        );
+        leaves_supply || self.stops_core()
     }
 
     /// Returns true if the core has no supply during the fault.

@@ -62,6 +62,8 @@ pub enum Upset {
     StackPointer(u32),
     /// The non-maskable interrupt is requested.
     NonMaskableInterrupt,
+    /// A debugger requests a reset of the chip.
+    DebuggerReset,
     /// An interrupt is masked in the interrupt controller, or let through again.
     Masked(u16, bool),
 }

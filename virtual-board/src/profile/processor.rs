@@ -66,6 +66,9 @@ const THUMB: u64 = 1 << 24;
 /// (PM0214, 4.3 and 4.4.3).
 const ICSR: u64 = 0xE000_ED04;
 const NMIPENDSET: u64 = 1 << 31;
+/// AIRCR with its key and the bit SYSRESETREQ (PM0214, 4.4.5).
+const AIRCR: u64 = 0xE000_ED0C;
+const SYSRESETREQ: u64 = 0x05FA_0004;
 const NVIC_ISER: u64 = 0xE000_E100;
 const NVIC_ICER: u64 = 0xE000_E180;
 
@@ -125,12 +128,13 @@ impl ProfiledProcessor {
                     continue;
                 }
                 Upset::NonMaskableInterrupt => (ICSR, NMIPENDSET),
+                Upset::DebuggerReset => (AIRCR, SYSRESETREQ),
                 Upset::Masked(interrupt, is_masked) => {
                     let first = if is_masked { NVIC_ICER } else { NVIC_ISER };
                     (first + u64::from(interrupt / 32 * 4), 1 << (interrupt % 32))
                 }
             };
-            // Neither register depends on time.
+            // None of these registers depends on time.
             let now = VirtualNanos(0);
             self.inner
                 .debugger_access(Some(store.1), store.0, Width::W32, now);

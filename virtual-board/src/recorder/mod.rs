@@ -138,7 +138,10 @@ impl Recorder {
         let upsets = |fault: &&ScheduledFault| {
             matches!(
                 fault.kind,
-                FaultKind::AttitudeLate | FaultKind::Crash | FaultKind::StackOverflow
+                FaultKind::AttitudeLate
+                    | FaultKind::Crash
+                    | FaultKind::StackOverflow
+                    | FaultKind::DebuggerReset
             )
         };
         Self {
@@ -384,6 +387,7 @@ impl Recorder {
                     return now_ns < fault.end_ns();
                 }
                 FaultKind::Crash if begins => profile.upset(Upset::ThumbStateLost),
+                FaultKind::DebuggerReset if begins => profile.upset(Upset::DebuggerReset),
                 // Room for two words; an exception needs eight.
                 FaultKind::StackOverflow if begins => {
                     profile.upset(Upset::StackPointer(stack_end + 8));
