@@ -215,9 +215,9 @@ pub mod report {
 pub enum ResetCause {
     /// Power-up or brown-out.
     Power = 0,
-    /// The reset pin, pulled by a person or a debugger.
+    /// The reset pin, pulled by a person or a debugger, or a debugger's reset of the core.
     Pin = 1,
-    /// The firmware itself, after a crash or on request.
+    /// The firmware itself, after a crash.
     Software = 2,
     /// The independent watchdog: samples, attitude or telemetry had stopped.
     Watchdog = 3,
@@ -236,7 +236,7 @@ impl ResetCause {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Power => "power came",
-            Self::Pin => "the reset pin",
+            Self::Pin => "the reset pin or a debugger",
             Self::Software => "the firmware itself",
             Self::Watchdog => "the watchdog",
             Self::Other => "an unknown reset",

@@ -258,7 +258,7 @@ impl Flight {
             }
             let snapshot = pipeline.update_sample(&sample(&simulated));
             if simulated.t_us.is_multiple_of(KEEP_US) {
-                kept = pipeline.pipeline().warm_start(&snapshot).or(kept);
+                kept = pipeline.pipeline().warm_start(&snapshot);
             }
             if let Some(MagneticField { ut: [x, y, z] }) =
                 compass.read(simulated.t_us, &simulated.truth)
@@ -283,12 +283,14 @@ impl Outcome {
     }
 }
 
-/// Returns the kept state with the σ that the firmware adds for the time of the reset.
+/// Returns the kept state as the firmware starts from it (`src/board/retained.rs`): σ grows by the
+/// turn that the reset hides, and that of the bias is 0.05 °/s at least.
 pub fn after_reset(kept: WarmStart) -> WarmStart {
     let unseen_rad = UNSEEN_DEGREES.to_radians();
     let unseen_rad = unseen_rad.hypot(unseen_rad);
     WarmStart {
         tilt_sigma_rad: kept.tilt_sigma_rad.hypot(unseen_rad),
+        bias_sigma_rad_s: kept.bias_sigma_rad_s.max(0.05_f32.to_radians()),
         ..kept
     }
 }

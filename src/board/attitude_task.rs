@@ -101,6 +101,7 @@ impl AttitudeTask {
         let snapshot = pipeline.stale(t_us, board);
         publish(&snapshot);
         watchdog::report_attitude();
+        keep_state(pipeline, &snapshot);
         self.take_flags(snapshot.flags)
     }
 
@@ -150,9 +151,7 @@ impl AttitudeTask {
         self.rounds_to_warm_start -= 1;
         if self.rounds_to_warm_start == 0 {
             self.rounds_to_warm_start = WARM_START_ROUNDS;
-            if let Some(start) = pipeline.warm_start(snapshot) {
-                retained::keep(&start);
-            }
+            keep_state(pipeline, snapshot);
         }
     }
 
@@ -175,6 +174,12 @@ impl AttitudeTask {
         }
         FlagChange { before, now }
     }
+}
+
+/// Keeps the state for a start after a reset.
+#[inline(never)]
+fn keep_state(pipeline: &Pipeline, latest: &Snapshot) {
+    retained::keep(pipeline.warm_start(latest).as_ref());
 }
 
 impl Default for AttitudeTask {

@@ -7,7 +7,7 @@
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
-use stm32f4xx_hal::pac::{RCC, rcc};
+use stm32f4xx_hal::pac::rcc;
 
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::kalman::{PAUSE_RATE_RAD_S, WarmStart};
@@ -55,6 +55,14 @@ static ARMED: AtomicU32 = AtomicU32::new(0);
 /// Content of [`ARMED`] while the module is armed.
 const ARMED_WORD: u32 = 0x6172_6D64;
 
+/// [`CRASHED_WORD`] from a crash to the next start. A debugger's reset sets the same bit of the
+/// status register as the firmware's own.
+#[unsafe(link_section = ".uninit.APLOMB_CRASHED")]
+static CRASHED: AtomicU32 = AtomicU32::new(0);
+
+/// Content of [`CRASHED`] after a crash.
+const CRASHED_WORD: u32 = 0x6372_7368;
+
 /// State for a warm start, in two copies that are written in turn: a reset while one is written
 /// leaves the other.
 #[unsafe(link_section = ".uninit.APLOMB_WARM_STARTS")]
@@ -69,9 +77,9 @@ struct Words([AtomicU32; LENGTH]);
 const NUMBERS: usize = 12;
 const LENGTH: usize = NUMBERS + 2;
 
-/// Typical age of the saved attitude at a warm start, in seconds. It is half the time between two
-/// saves on average, plus the watchdog's limit of 0.2 to 0.56 s. The worst case of both, with the
-/// start itself, is 0.8 s. After a crash the age is half as long.
+/// Typical age of the kept attitude at a warm start, in seconds. It is half the time between two
+/// copies on average, plus the watchdog's limit of 0.2 to 0.56 s. The worst case of both is 0.8 s,
+/// and 1 s with a sensor that answers late. After a crash the age is below 0.4 s.
 const TYPICAL_AGE_S: f32 = 0.5;
 
 /// σ of the turn about one axis in [`TYPICAL_AGE_S`], rad.
@@ -92,7 +100,7 @@ pub struct Start {
     pub starts: u32,
     /// Program counter of the crash; 0 without one.
     pub crash_address: u32,
-    /// State to continue from, if RAM has survived the reset and the reset came in flight.
+    /// State to continue from, if RAM has survived the reset and the run before had a state.
     pub warm_start: Option<WarmStart>,
 }
 
@@ -101,14 +109,15 @@ pub struct Start {
 pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     let status = rcc.csr().read();
     rcc.csr().modify(|_, w| w.rmvf().set_bit());
+    let has_crashed = CRASHED.swap(0, Ordering::Relaxed) == CRASHED_WORD;
     // Every other cause pulls the reset pin too (RM0090, 6.1.1).
     let cause = if status.wdgrstf().bit() || status.wwdgrstf().bit() {
         ResetCause::Watchdog
-    } else if status.sftrstf().bit() {
+    } else if status.sftrstf().bit() && has_crashed {
         ResetCause::Software
     } else if status.porrstf().bit() || status.borrstf().bit() {
         ResetCause::Power
-    } else if status.padrstf().bit() {
+    } else if status.sftrstf().bit() || status.padrstf().bit() {
         ResetCause::Pin
     } else {
         ResetCause::Other
@@ -118,9 +127,7 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     let is_warm = is_kept && cause.is_warm();
     if !is_warm {
         set_armed(false);
-        for copy in &WARM_STARTS {
-            copy.invalidate();
-        }
+        forget();
     }
     if !is_kept {
         for word in [&report.starts, &report.crash_address] {
@@ -144,9 +151,8 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     let warm_start = copies
         .max_by_key(|(number, _)| *number)
         .map(|(_, start)| start);
-    for copy in &WARM_STARTS {
-        copy.invalidate();
-    }
+    // A second reset before the next copy finds this one, with its larger σ.
+    keep(warm_start.as_ref());
     Start {
         cause,
         last_fault,
@@ -177,6 +183,7 @@ pub fn counted(class: FaultClass) -> u32 {
 
 /// Records a crash for the next start.
 pub fn note_crash(class: FaultClass, address: u32) {
+    CRASHED.store(CRASHED_WORD, Ordering::Relaxed);
     count(class);
     APLOMB_HEALTH
         .crash_address
@@ -194,14 +201,28 @@ pub fn set_armed(is_armed: bool) {
     ARMED.store(word, Ordering::Relaxed);
 }
 
-/// Saves the state for a start after a reset. Only the attitude task calls this.
+/// Keeps the state for a start after a reset. `None` forgets the earlier one: its σ does not cover
+/// what happens from now on. The supervisor calls this before the first sample, and then the
+/// attitude task.
 #[inline(never)]
-pub fn keep(start: &WarmStart) {
+pub fn keep(start: Option<&WarmStart>) {
+    let Some(start) = start else {
+        forget();
+        return;
+    };
     let newest = NEWEST.load(Ordering::Relaxed);
     let next = newest ^ 1;
     let number = copy(newest).number().wrapping_add(1);
     copy(next).write(number, start);
     NEWEST.store(next, Ordering::Relaxed);
+}
+
+/// Forgets the kept state.
+#[inline(never)]
+fn forget() {
+    for copy in &WARM_STARTS {
+        copy.invalidate();
+    }
 }
 
 /// Returns the copy with this sequence number.
@@ -210,7 +231,7 @@ fn copy(number: u8) -> &'static Words {
 }
 
 impl Words {
-    // Out of line it saves up to 188 bytes of flash.
+    // Out of line, this and the functions below save hundreds of bytes of flash.
     #[inline(never)]
     fn invalidate(&self) {
         let [.., sum] = &self.0;
@@ -222,6 +243,7 @@ impl Words {
         number.load(Ordering::Relaxed)
     }
 
+    #[inline(never)]
     fn sum(&self) -> u32 {
         let [words @ .., _] = &self.0;
         words.iter().fold(CHECK, |sum, word| {
@@ -274,45 +296,26 @@ impl Words {
     }
 
     /// Returns the number and the contents, with σ inflated for their age.
+    #[inline(never)]
     fn read(&self) -> Option<(u32, WarmStart)> {
         let [.., sum] = &self.0;
         if sum.load(Ordering::Acquire) != self.sum() {
             return None;
         }
-        let [
-            w,
-            x,
-            y,
-            z,
-            bx,
-            by,
-            bz,
-            tilt,
-            bias,
-            forward,
-            right,
-            velocity,
-            number,
-            _,
-        ] = &self.0;
-        let float = |word: &AtomicU32| f32::from_bits(word.load(Ordering::Relaxed));
+        let [words @ .., number, _] = &self.0;
+        let numbers = words
+            .each_ref()
+            .map(|word| f32::from_bits(word.load(Ordering::Relaxed)));
+        let [w, x, y, z, bx, by, bz, tilt, bias, forward, right, velocity] = numbers;
         let start = WarmStart {
-            attitude: Quaternion::new(float(w), float(x), float(y), float(z)),
-            // Both axes together, and independent of the saved σ.
-            tilt_sigma_rad: libm::sqrtf(float(tilt) * float(tilt) + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
-            bias_rad_s: Vector3::new(float(bx), float(by), float(bz)),
-            bias_sigma_rad_s: float(bias).max(BIAS_SIGMA_RAD_S),
-            accelerometer_bias_m_s2: [float(forward), float(right)],
-            squared_velocity_m2_s2: float(velocity),
+            attitude: Quaternion::new(w, x, y, z),
+            // Both axes together, and independent of the kept σ.
+            tilt_sigma_rad: libm::sqrtf(tilt * tilt + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
+            bias_rad_s: Vector3::new(bx, by, bz),
+            bias_sigma_rad_s: bias.max(BIAS_SIGMA_RAD_S),
+            accelerometer_bias_m_s2: [forward, right],
+            squared_velocity_m2_s2: velocity,
         };
-        let q = start.attitude;
-        let is_rotation = (q.dot(q) - 1.0).abs() < 0.01;
-        is_rotation.then(|| (number.load(Ordering::Relaxed), start))
+        Some((number.load(Ordering::Relaxed), start))
     }
-}
-
-/// Returns the register block that [`start`] reads, for callers without the peripheral.
-pub fn reset_status() -> &'static rcc::RegisterBlock {
-    // SAFETY: init calls this before it passes the peripheral to the HAL; no other code runs then.
-    unsafe { &*RCC::ptr() }
 }

@@ -300,18 +300,21 @@ impl Pipeline {
         self.thermal_drift.leave_model();
     }
 
-    /// Returns the state from which a later run can continue; `None` while this snapshot's attitude
-    /// is not certain enough.
+    /// Returns the state from which a later run can continue, with its present σ; `None` until a
+    /// rest, of this run or an earlier one, has measured the gyroscope's bias. A later run has to
+    /// get the latest state, or none: σ of an older one does not cover what has happened since.
+    ///
+    /// `latest` is the latest snapshot, a [stale](Self::stale) one included.
     pub fn warm_start(&self, latest: &Snapshot) -> Option<WarmStart> {
         let filter = self.estimator.filter();
-        let is_worth_it = filter.is_bias_known() && latest.flags.contains(Flags::VALID);
+        let bias_sigma_rad_s = filter.kept_bias_sigma_rad_s()?;
         let removed = self.alignment.accelerometer_offset_m_s2();
         let accelerometer = removed + filter.accelerometer_bias_m_s2();
-        is_worth_it.then(|| WarmStart {
+        Some(WarmStart {
             attitude: latest.attitude,
             tilt_sigma_rad: latest.tilt_sigma_rad(),
             bias_rad_s: self.gyroscope_offset_body_rad_s(),
-            bias_sigma_rad_s: filter.largest_bias_sigma_rad_s(),
+            bias_sigma_rad_s,
             accelerometer_bias_m_s2: [accelerometer.x, accelerometer.y],
             squared_velocity_m2_s2: filter.squared_velocity_m2_s2(),
         })

@@ -1001,6 +1001,20 @@ fn a_resumed_pipeline_continues_the_earlier_run() {
     assert!(pipeline.gyroscope_offset_body_rad_s() == known.bias_rad_s);
 }
 
+/// Without samples the state to continue from grows old, as the snapshots do.
+#[test]
+fn a_state_to_continue_from_is_as_uncertain_as_the_latest_snapshot() {
+    let (pipeline, t_us) = settled();
+    let stale = pipeline.stale(t_us + 3_000_000, BoardFlags::empty());
+    let start = pipeline.warm_start(&stale).expect("the bias is measured");
+    assert_eq!(start.tilt_sigma_rad, stale.tilt_sigma_rad());
+    assert!(start.tilt_sigma_rad > LOST_TILT_RAD);
+    // A kept state without a measured bias would be no better than a new start.
+    let mut moving = Pipeline::new(&settings());
+    let latest = update(&mut moving, &noisy(1_000, LEVEL));
+    assert_eq!(moving.warm_start(&latest), None);
+}
+
 /// A kept tilt that is too uncertain for `VALID` comes from the specific force instead.
 #[test]
 fn a_resumed_attitude_is_valid_however_uncertain_the_kept_tilt_is() {

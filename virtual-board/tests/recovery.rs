@@ -11,10 +11,12 @@ use std::collections::BTreeSet;
 
 use aplomb::fault::FaultClass;
 use aplomb::health::Flags;
+use aplomb_models::motion::poses::Poses;
 use aplomb_models::motion::rest::Rest;
+use aplomb_models::motion::{Quaternion, inclination_error_rad};
 use common::firmware;
 use virtual_board::campaign::{self, Case, judge};
-use virtual_board::faults::{FaultKind, ScheduledFault};
+use virtual_board::faults::{Fault, FaultKind, ScheduledFault};
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::schedule::Schedule;
 
@@ -420,6 +422,65 @@ fn a_reset_leaves_an_armed_module_armed_until_power_is_lost() {
         let last = outcome.samples().last().expect("samples").snapshot.flags;
         assert!(last.contains(Flags::VALID), "{case}: {last:?}");
         assert_eq!(last.contains(Flags::DEGRADED), is_armed, "{case}: {last:?}");
+    }
+}
+
+/// A debugger resets the chip as the firmware itself does after a crash. But the new run may be
+/// that of other firmware, on a bench.
+#[test]
+fn a_debugger_disarms_and_ends_the_attitude() {
+    let reset = ScheduledFault {
+        kind: FaultKind::DebuggerReset,
+        start_ns: 2_000_000_000,
+        duration_ns: 0,
+    };
+    let outcome = Run::new(firmware())
+        .motion(Rest::level())
+        .seconds(3.0)
+        .fault(Fault::Scheduled(reset))
+        .command(1.8, "arm")
+        .command(2.8, "status")
+        .without_account()
+        .run()
+        .unwrap();
+    assert_eq!(outcome.record.resets_ns.len(), 1);
+    assert!(outcome.uart_reports("the reset pin or a debugger"));
+    assert!(outcome.uart_reports("armed=no"));
+    let samples = outcome.samples().iter();
+    let mut after = samples.filter(|sample| sample.published_ns > 2_050_000_000);
+    let first = after.next().expect("samples").snapshot.flags;
+    assert!(!first.contains(Flags::VALID), "{first:?}");
+}
+
+/// While no samples come, the attitude grows old. A reset must not make it young again.
+#[test]
+fn a_reset_after_a_long_silence_takes_the_tilt_from_gravity() {
+    for faults in [
+        "2.0 2.0 sensor-silent\n3.98 0 crash",
+        "2.0 2.0 sensor-silent\n2.1 0 crash",
+    ] {
+        let rolled = Quaternion::from_euler(1.0, 0.0, 0.0);
+        let outcome = Run::new(firmware())
+            .motion(Poses::new(&[(2.3, rolled)]))
+            .schedule(&Schedule::parse("test", faults).unwrap())
+            .seconds(4.6)
+            .without_account()
+            .run()
+            .unwrap();
+        let mut valid = 0;
+        for sample in outcome.samples() {
+            let snapshot = sample.snapshot;
+            if sample.published_ns < 3_900_000_000 || !snapshot.flags.contains(Flags::VALID) {
+                continue;
+            }
+            let aplomb::attitude::Quaternion { w, x, y, z } = snapshot.attitude;
+            let [w, x, y, z] = [w, x, y, z].map(f64::from);
+            let truth = sample.edge.and_then(|edge| edge.truth.attitude);
+            let error_rad = inclination_error_rad(Quaternion { w, x, y, z }, truth.unwrap());
+            assert!(error_rad < 0.1, "{faults}: {error_rad}");
+            valid += 1;
+        }
+        assert!(valid > 250, "{faults}: {valid}");
     }
 }
 

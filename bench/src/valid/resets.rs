@@ -58,7 +58,7 @@ impl Reset {
     /// Keeps the state as the firmware does.
     pub fn keep(&mut self, t_us: u64, pipeline: &Pipeline, snapshot: &Snapshot) {
         if t_us < self.from_us && t_us.is_multiple_of(KEEP_US) {
-            self.kept = pipeline.warm_start(snapshot).or(self.kept);
+            self.kept = pipeline.warm_start(snapshot);
         }
     }
 

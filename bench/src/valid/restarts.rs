@@ -57,7 +57,7 @@ fn starts(flight: &Recording, seed: u64) -> Vec<Start> {
     for sample in &flight.samples {
         let snapshot = pipeline.update_sample(sample);
         if sample.t_us.is_multiple_of(KEEP_US) {
-            kept = pipeline.warm_start(&snapshot).or(kept);
+            kept = pipeline.warm_start(&snapshot);
         }
         let time_us = sample.t_us as f64;
         if time_us >= next_us && time_us < STARTS_US[1] {

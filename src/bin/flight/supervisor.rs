@@ -38,6 +38,10 @@ const PAUSE_US: u32 = 600_000;
 /// Shortest time between two messages about a recovery, in µs: leaves room for other messages.
 const RECOVERY_MESSAGE_PERIOD_US: u32 = 200_000;
 
+/// Time from the start, in µs, after which no σ covers what has happened to the attitude of the
+/// run before a reset. The time base wraps after 71 minutes; one attempt in that time is enough.
+const LONGEST_WAIT_US: u32 = 200_000;
+
 /// Runs the supervisor forever. `warm_start` is the state that the run before a reset has kept.
 pub fn run(
     sensor: &mut Sensor,
@@ -86,6 +90,12 @@ pub fn run(
                 // One message for each reason, however many attempts.
                 if !is_starting && last_complaint.replace(reason) != Some(reason) {
                     post(complaint(reason));
+                }
+                if timebase::elapsed(0, LONGEST_WAIT_US)
+                    && let Some(start) = warm_start
+                {
+                    start.tilt_sigma_rad = f32::INFINITY;
+                    retained::keep(Some(start));
                 }
                 Delay.delay_ms(sensor::RETRY_MS);
             }

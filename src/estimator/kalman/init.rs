@@ -25,7 +25,7 @@ use super::rest_watch::RestWatch;
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
 use super::{KNOWN_BIAS_RAD_S, Kalman, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
-use crate::estimator::arithmetic::square;
+use crate::estimator::arithmetic::{larger, square};
 use crate::estimator::sample::Sample;
 
 /// Tilt variance that a single sample's specific force adds to that of a mean, both axes together,
@@ -113,6 +113,19 @@ impl Kalman {
         } else {
             Tilt::Lost
         };
+    }
+
+    /// Returns σ per axis with which a later run may take over the bias, rad/s: too large for a
+    /// known bias while this one is not known. `None` until a rest, of this run or an earlier one,
+    /// has measured it.
+    pub(crate) fn kept_bias_sigma_rad_s(&self) -> Option<f32> {
+        let least_rad_s = if self.is_bias_known {
+            0.0
+        } else {
+            KNOWN_BIAS_RAD_S
+        };
+        self.is_bias_measured()
+            .then(|| larger(self.largest_bias_sigma_rad_s(), least_rad_s))
     }
 
     /// Starts from the present attitude with this bias, and their σ. Keeps the other parameters.

@@ -12,11 +12,11 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 pub struct WarmStart {
     /// Body to earth.
     pub attitude: Quaternion,
-    /// σ of the tilt, both axes together, rad.
+    /// σ of the tilt, both axes together, rad. From 30° on, the specific force sets the tilt.
     pub tilt_sigma_rad: f32,
     /// The gyroscope's bias in body axes, rad/s.
     pub bias_rad_s: Vector3,
-    /// σ of the bias per axis, rad/s.
+    /// σ of the bias per axis, rad/s. From 0.5 °/s on, the bias is not known.
     pub bias_sigma_rad_s: f32,
     /// Bias of the accelerometer along the body's forward and right axes, m/s².
     pub accelerometer_bias_m_s2: [f32; 2],

@@ -121,6 +121,26 @@ fn a_bias_that_has_moved_is_confirmed_by_a_rest() {
     assert!(estimate.tilt_sigma_rad() < radians(3.0));
 }
 
+/// A later run takes over a bias as it is: unknown, if it is not known.
+#[test]
+fn a_kept_bias_is_known_only_if_this_one_is() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 300);
+    assert_eq!(estimator.filter().kept_bias_sigma_rad_s(), None);
+    world.run(&mut estimator, 3_000);
+    let known = estimator.filter().kept_bias_sigma_rad_s().unwrap();
+    assert!(known < radians(0.2), "{known}");
+    estimator.filter_mut().is_bias_known = false;
+    let kept = WarmStart {
+        bias_sigma_rad_s: estimator.filter().kept_bias_sigma_rad_s().unwrap(),
+        ..warm_start(&world)
+    };
+    let mut later = Kalman::new();
+    later.resume(&kept);
+    assert!(!later.is_bias_known());
+}
+
 /// While the bias is not confirmed, σ contains the bank that the specific force shows.
 #[test]
 fn a_reset_in_a_turn_leaves_sigma_for_the_bank() {
