@@ -1,17 +1,26 @@
 //! Confirmation of the bias, and the least σ of the tilt while something contradicts the state.
 //!
-//! A stored bias may have changed since it was measured. A bias that motion contradicts may have
-//! changed as well, or the vehicle turns for long: in a coordinated turn of minutes a wrong tilt
-//! and a wrong bias explain all readings together, and their covariance becomes small. So such a
-//! bias has to be confirmed, and σ of the tilt stays large until then. A rest confirms it, and
-//! motion that leads back to the bias that a rest has measured. Far from that, it is not even
-//! known. A wide turn moves tilt and bias so slowly that nothing contradicts them: at 50 m/s a bank
-//! of 9° reads as level with a bias of 0.3 °/s. So a bias that has moved is not confirmed either.
+//! A bias may be wrong, and its covariance small:
 //!
-//! A reset hides motion, so for some 20 s no correction contradicts a bias (`consistency.rs`).
-//! Meanwhile the kept bias may be wrong, and the tilt may become that of level flight in a turn.
-//! So the kept bias has to be confirmed too, and nothing confirms it before the 20 s are over. It
-//! takes the place of the bias that a rest has measured.
+//! - A stored bias may have changed since it was measured.
+//! - Motion contradicts a bias that has changed, and one of a vehicle that turns for long: in a
+//!   coordinated turn of minutes a wrong tilt and a wrong bias explain all readings together.
+//! - A wide turn moves tilt and bias so slowly that nothing contradicts them. At 50 m/s a bank of
+//!   9° reads as level with a bias of 0.3 °/s.
+//! - A reset or a pause hides motion, so for up to 20 s no correction contradicts a bias
+//!   (`consistency.rs`). Meanwhile the tilt may become that of level flight in a turn.
+//!
+//! Therefore the bias has a reference, which is that of the last rest, or else the stored or kept
+//! one. A bias that may be wrong has to be confirmed: by a rest, or by motion that leads it back to
+//! within 0.2 °/s of the reference and makes it certain. Until then σ of the tilt has a least
+//! value, in motion and while armed:
+//!
+//! | state | begins with | least σ of the tilt | the bias is known |
+//! |---|---|---|---|
+//! | `Confirmed` | confirmation | 4° under suspicion, else none | with σ below 0.5 °/s |
+//! | `Moved` | a slow change by 0.2 °/s | 4° | the same |
+//! | `Stored` | a stored bias, at the start | 4° and the bank that the force shows | the same |
+//! | `Suspect` | contradiction, reset, pause | 6.4° and that bank | near the reference: 1 °/s |
 
 use super::consistency::SUSPICION_RAD;
 use super::{KNOWN_BIAS_RAD_S, Kalman};
@@ -19,15 +28,17 @@ use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::serialize::StateVisitor;
 use crate::units::radians;
 
-/// Largest σ of a bias that is confirmed, per axis: below that of a stored bias at the start.
-const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.3);
-/// Largest change of a bias that is confirmed, since a rest has measured it, or since the reset.
-/// With 0.3 °/s two of 112 flights in wide turns were `VALID` and wrong, one for four minutes.
+/// Largest σ of a bias that is confirmed, of the two axes that are known best, together: below
+/// that of a stored bias at the start. In level flight σ of the third one, about the vertical,
+/// grows.
+const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.42);
+/// Largest change of a bias that is confirmed, from the reference. With 0.3 °/s two of 112 flights
+/// in wide turns and circles were `VALID` and wrong, one for four minutes.
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.2);
 /// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
-/// Least σ of the tilt after motion has contradicted the bias, and after a reset, both axes
-/// together, rad: as reported, 6.4°. Six σ are 39°.
+/// Least σ of the tilt with a suspect bias, both axes together, rad: as reported, 6.4°. Six σ
+/// are 39°.
 const SUSPECT_BIAS_TILT_RAD: f32 = radians(7.0);
 /// Largest σ of a bank that the specific force shows, both axes together, rad. In turns of up to
 /// 68° no error exceeded six σ, and with it a quadrotor's accelerations do not end `VALID`.
@@ -40,11 +51,11 @@ const CONTRADICTED_TILT_RAD: f32 = radians(40.0);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) enum Confirmation {
-    /// Confirmed; or neither stored, kept nor contradicted.
+    /// Confirmed; or nothing has put it in question.
     Confirmed,
-    /// Motion has led it away from the last rest's, slowly.
+    /// Moved by over 0.2 °/s from its reference, and not contradicted.
     Moved,
-    /// Motion has contradicted it, or it is kept from the run before a reset.
+    /// Contradicted by motion, or motion was hidden by a reset or a pause.
     Suspect,
     /// Stored, and not confirmed since the start.
     Stored,
@@ -65,17 +76,18 @@ impl Confirmation {
 }
 
 impl Kalman {
-    /// Decides after a correction whether the bias is confirmed and known. Motion confirms one that
-    /// is certain, and near the one that a rest has measured or an earlier run has kept; one that
-    /// is farther off is not confirmed. Nothing confirms it while the check of consistency is
-    /// suspended.
+    /// Decides after a correction whether the bias is confirmed and known. Motion confirms a
+    /// certain bias near its reference, unless the check of consistency is suspended. A confirmed
+    /// one that is farther off has moved; if it was not known, it is still being found.
     #[inline(never)]
     pub(super) fn judge_bias(&mut self) {
-        let variance = self.largest_bias_variance();
+        let [x, y, z] = self.step.covariance.bias_variances();
+        let variance = larger(larger(x, y), z);
+        let better_two = x + y + z - variance;
         let change = self.nominal.gyroscope_bias_rad_s - self.bias_prior.mean_rad_s;
         let squared_change = change.dot(change);
         if squared_change < square(CONFIRMED_CHANGE_RAD_S) {
-            if variance < square(CONFIRMED_SIGMA_RAD_S) && !self.consistency.is_suspended() {
+            if better_two < square(CONFIRMED_SIGMA_RAD_S) && !self.consistency.is_suspended() {
                 self.confirmation = Confirmation::Confirmed;
             }
         } else if self.is_bias_known && self.confirmation == Confirmation::Confirmed {
@@ -90,11 +102,11 @@ impl Kalman {
     /// Sets the tilt variance that is reported beside the covariance's, twice in each covariance
     /// step. Compares the present readings with those of the last rest.
     pub(super) fn watch_rest_and_consistency(&mut self) {
-        self.extra_tilt_rad2 =
-            self.rest_watch
-                .update(&self.nominal, &self.rest_detector, self.tuning);
+        let turned_rad2 = self
+            .rest_watch
+            .update(&self.nominal, &self.rest_detector, self.tuning);
         let missing_rad2 = self.least_tilt_rad2() - self.step.tilt_variance_rad2();
-        self.extra_tilt_rad2 = larger(self.extra_tilt_rad2, missing_rad2);
+        self.extra_tilt_rad2 = larger(turned_rad2, missing_rad2);
     }
 
     /// Returns the least tilt variance, both axes together, rad². A still sensor that is not armed

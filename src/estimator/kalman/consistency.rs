@@ -35,9 +35,10 @@ const CONTRADICTION_GATE: f32 = 4.0;
 /// six σ are 24°. Healthy flights raise suspicions too: it is below the limits of `DEGRADED` and
 /// of a valid heading.
 pub(super) const SUSPICION_RAD: f32 = radians(4.3);
-/// Variance of the sum after unseen motion, rad². It falls to (1°)² within 20 s: a vehicle that
-/// flies takes so long to correct a tilt error of 40°.
-const UNSEEN_RAD2: f32 = 256.0;
+/// Variance of the sum after unseen motion, per reported tilt variance of one axis. It falls to
+/// (1°)² 8 s after a turn of 2°, and 20 s after one of 80°: a vehicle that flies takes so long
+/// to correct the tilt.
+const UNSEEN_SHARE: f32 = 128.0;
 /// Variance of the sum from which on the check is suspended, rad².
 const SUSPENDED_RAD2: f32 = square(radians(1.0));
 
@@ -67,10 +68,11 @@ impl Consistency {
         variance_rad2: 0.0,
     };
 
-    /// Widens the gates: the next corrections also remove motion that no sample has shown. They
-    /// contradict the bias again after some 20 s, when this variance has decayed.
-    pub(super) fn allow_unseen_motion(&mut self) {
-        self.variance_rad2 = UNSEEN_RAD2;
+    /// Widens the gates: the next corrections also remove motion that no sample has shown, of this
+    /// reported tilt variance per axis, rad². They contradict the bias again some 8 s to 20 s
+    /// later, when this variance has decayed.
+    pub(super) fn widen(&mut self, unseen_rad2: f32) {
+        self.variance_rad2 += UNSEEN_SHARE * unseen_rad2;
     }
 
     /// Adds the correction of a covariance step of this length, and the decrease of the tilt's
@@ -103,7 +105,7 @@ impl Consistency {
         self.squared() > SUSPICION_GATE * self.variance_rad2
     }
 
-    /// Returns whether the check is suspended after unseen motion: for some 20 s, or longer while
+    /// Returns whether the check is suspended after unseen motion: for up to 20 s, or longer while
     /// the measurements reduce a large variance.
     #[inline]
     pub(super) fn is_suspended(&self) -> bool {

@@ -7,14 +7,16 @@
 //! |---|---|---|---|---|
 //! | `new`, `restart` | first of all; other axes | unknown, yaw zero | prior | priors |
 //! | `set_bias` | a stored offset counts | – | stored | – |
-//! | `resume` | the core was reset | kept | kept | kept: accelerometer |
-//! | `start_from` | first sample; gap; tilt hidden | by one sample, yaw kept | – | – |
+//! | `resume` | the core was reset | kept | kept: suspect | kept: accelerometer |
+//! | `start_from` | first sample, gap, hidden tilt | one sample; yaw kept | later: suspect | – |
 //! | `confirm_start` | 0.15 to 0.75 s later | by the mean force | – | – |
 //! | `check_tilt` | 1.3 or 4 s of force contradict it | by the mean force | – | – |
 //! | `restart_at_rest` | a rest contradicts the state | by its force | by its rate | priors |
 //! | `forget_parameters` | another calibration | kept | – | priors |
-//! | `inflate_motion` | the sensor lost its settings | kept, σ grows | – | – |
-//! | `restart_from_unusable_numbers` | no sensor's numbers | kept, σ 17° | kept | priors |
+//! | `inflate_motion` | the sensor lost its settings | kept, σ grows | suspect | – |
+//! | `restart_from_unusable_numbers` | no sensor's numbers | kept, σ 17° | suspect | priors |
+//!
+//! A suspect bias has to be confirmed (`confirmation.rs`).
 
 use super::confirmation::Confirmation;
 use super::prior::WarmStart;
@@ -23,6 +25,7 @@ use super::recent_velocity::RecentVelocity;
 use super::recovery::ForceSum;
 use super::rest_watch::RestWatch;
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
+use super::unseen::ANY_TURN_RAD2;
 use super::{KNOWN_BIAS_RAD_S, Kalman, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::{larger, square};
@@ -58,7 +61,7 @@ impl Kalman {
     /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Call it before
     /// the first sample.
     ///
-    /// The bias may have changed since, if σ is 0.3 °/s or more. In motion and while armed, σ of
+    /// The bias may have changed since, if σ is 0.3 °/s or more. In motion, or while armed, σ of
     /// the tilt is then at least 4°, and larger the more the force differs from one g, until a
     /// rest or motion has confirmed the bias. One with a smaller σ is confirmed by the first
     /// correction that the start's uncertainty does not hide. The vehicle may move, because the
@@ -92,10 +95,9 @@ impl Kalman {
     /// the kept tilt is 30° or more, the specific force sets the tilt, and yaw is kept. Call
     /// it before the first sample.
     ///
-    /// In motion and while armed, σ of the tilt is then at least 6.4°, and larger the more the
-    /// force differs from one g. That ends when motion or a rest has confirmed the bias, after
-    /// some 20 s. If σ of the kept bias is 0.3 °/s or more, as after 20 minutes of level flight,
-    /// it ends with a rest or with turns.
+    /// In motion, or while armed, σ of the tilt is then at least 6.4°, and larger the more the
+    /// force differs from one g. That ends with a rest, or when motion has confirmed the bias,
+    /// after some 20 s.
     pub fn resume(&mut self, start: &WarmStart) {
         self.nominal.attitude = start.attitude;
         self.start_from_attitude(
@@ -103,11 +105,10 @@ impl Kalman {
             start.bias_sigma_rad_s,
             start.tilt_sigma_rad,
         );
-        self.confirmation = Confirmation::Suspect;
+        self.allow_unseen_motion(ANY_TURN_RAD2);
         self.recent = RecentVelocity::kept(start.squared_velocity_m2_s2, self.tuning);
         let [forward, right] = start.accelerometer_bias_m_s2;
         self.nominal.accelerometer_bias_m_s2 = Vector3::new(forward, right, 0.0);
-        self.consistency.allow_unseen_motion();
         self.tilt = if start.tilt_sigma_rad < USABLE_TILT_RAD {
             Tilt::Resumed
         } else {
@@ -191,7 +192,7 @@ impl Kalman {
         if self.tilt == Tilt::Unknown {
             self.nominal.attitude = Quaternion::from_down(-force).with_sign_of(attitude);
         } else {
-            self.recent.may_move();
+            self.allow_unseen_motion(ANY_TURN_RAD2);
             let bias = self.nominal.accelerometer_bias_m_s2;
             if bias.dot(bias)
                 > square(IMPLAUSIBLE_BIAS_SIGMA * self.parameter_priors.accelerometer_m_s2)

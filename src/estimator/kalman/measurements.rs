@@ -1,6 +1,7 @@
 //! Measurements of a covariance step: zero velocity, zero rate at rest, and the width of the bias
 //! prior.
 
+use super::confirmation::Confirmation;
 use super::prior::BiasPrior;
 use super::propagation::{State, VELOCITY_EAST, VELOCITY_NORTH};
 use super::rest_detector::{RestReadings, SETTLED_S};
@@ -158,6 +159,7 @@ impl Kalman {
             self.has_rested = true;
             if self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
                 self.bias_prior.mean_rad_s = readings.rate_rad_s;
+                self.confirmation = Confirmation::Confirmed;
                 let variance = square(tuning.stationary_rate_noise) / duration_s;
                 self.measure_bias(difference, variance);
                 self.rest_watch.begins = true;

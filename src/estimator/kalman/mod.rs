@@ -75,9 +75,9 @@
 //!   within 1 °/s of that measurement.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
 //!   the reported σ is much larger while the bias is not known (`tilt_variance.rs`).
-//! - A stored bias, or one kept over a reset, may have changed, and the vehicle may turn. In
-//!   motion and while armed, σ is at least 4° (stored) or 6.4° (kept) until a rest or motion
-//!   confirms it, and larger the more the force differs from one g (`confirmation.rs`).
+//! - A stored bias, or one kept over a reset or a pause, may have changed, and the vehicle may
+//!   turn. In motion, or while armed, σ is at least 4° (stored) or 6.4° (kept) until a rest or
+//!   motion confirms it, and larger the more the force differs from one g (`confirmation.rs`).
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show
 //!   (`rest_watch.rs`).

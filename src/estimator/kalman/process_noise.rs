@@ -58,12 +58,7 @@ impl Kalman {
         let Some(change) = self.consistency.take_contradiction() else {
             return;
         };
-        if matches!(
-            self.confirmation,
-            Confirmation::Confirmed | Confirmation::Moved
-        ) {
-            self.confirmation = Confirmation::Suspect;
-        }
+        self.confirmation = Confirmation::Suspect;
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
         for prior in &mut self.bias_prior.variance {
             *prior += change.bias_variance;

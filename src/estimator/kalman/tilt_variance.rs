@@ -16,7 +16,7 @@
 //!
 //! - After a start the tilt is that of a single sample (`init.rs`).
 //! - Once the sensor has rested, it may turn while the specific force does not (`rest_watch.rs`).
-//! - In motion and while armed the bias is not confirmed, or the specific force contradicts the
+//! - In motion, or while armed, the bias is not confirmed, or the specific force contradicts the
 //!   tilt (`confirmation.rs`), or the corrections are suspicious (`consistency.rs`).
 
 use super::{Kalman, Tilt, sigma};

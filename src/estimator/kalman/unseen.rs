@@ -2,16 +2,17 @@
 //!
 //! Callers outside the filter have four methods:
 //!
-//! | method | when | tilt | velocity | check of consistency |
+//! | method | when | tilt | velocity | bias |
 //! |---|---|---|---|---|
-//! | `inflate_tilt` | motion was hidden | σ grows, in reported units | – | suspended |
-//! | `inflate_turn` | a shown turn may be false | σ grows, in the filter's units | – | goes on |
-//! | `inflate_motion` | samples were wrong | σ grows, in reported units | zero | suspended |
-//! | `lose_tilt` | the hidden turn is too large | by the next sample | zero | – |
+//! | `inflate_tilt` | motion was hidden | σ grows, in reported units | – | suspect from 2° on |
+//! | `inflate_turn` | a shown turn may be false | σ grows, in the filter's units | – | – |
+//! | `inflate_motion` | samples were wrong | σ grows, in reported units | zero | suspect |
+//! | `lose_tilt` | the hidden turn is too large | by the next sample | zero | suspect |
 
+use super::confirmation::Confirmation;
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
 use super::{Kalman, Tilt, USABLE_TILT_RAD};
-use crate::estimator::arithmetic::{smaller, square};
+use crate::estimator::arithmetic::square;
 use crate::estimator::sample::Sample;
 use crate::units::radians;
 
@@ -20,8 +21,6 @@ use crate::units::radians;
 pub const PAUSE_RATE_RAD_S: f32 = radians(30.0);
 /// Sample periods without a sample after which a pause hides motion.
 const PAUSE_PERIODS: f32 = 3.5;
-/// Longest pause whose length matters, s. After it the tilt is unknown.
-const LONGEST_PAUSE_S: f32 = 60.0;
 
 /// Largest σ per axis of the turn that a pause hides, rad: 1.5 times that of the tilt at a start.
 /// Beyond it, gravity shows the tilt better. A pause of up to half a second exceeds it if the rate
@@ -29,9 +28,13 @@ const LONGEST_PAUSE_S: f32 = 60.0;
 /// so fast also accelerates.
 const PAUSE_TILT_LIMIT_RAD: f32 = 0.3;
 
-/// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move.
-/// Below, no false correction of the tilt is large enough to matter.
+/// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move, and
+/// the bias has to be confirmed: of a pause of 70 ms. Below, no false correction of the tilt is
+/// large enough to matter.
 const UNCERTAIN_TILT_RAD: f32 = radians(2.0);
+
+/// Variance of a turn after which anything may have happened, per axis, rad².
+pub(super) const ANY_TURN_RAD2: f32 = 2.0;
 
 /// Longest step in which the rate changes linearly, s.
 pub(super) const LONG_STEP_S: f32 = 15.0e-3;
@@ -56,22 +59,19 @@ impl Kalman {
     /// Returns the tilt variance per axis that a pause of this length adds, rad².
     pub fn pause_variance_rad2(&self, pause_s: f32) -> f32 {
         if pause_s > self.longest_step_s {
-            turn_variance(PAUSE_RATE_RAD_S, smaller(pause_s, LONGEST_PAUSE_S))
+            square(PAUSE_RATE_RAD_S * pause_s)
         } else {
             0.0
         }
     }
 
-    /// Inflates the tilt by this reported variance per axis, rad²: motion that no sample shows.
-    /// Suspends the check of consistency for some 20 s. From a turn of 2° on the vehicle may also
-    /// have begun to move. Zero changes nothing.
+    /// Inflates the tilt by this reported variance per axis, rad², from 0: motion that no sample
+    /// shows. From a turn of 2° on the vehicle may also have begun to move, and the gyroscope's
+    /// bias has to be confirmed, which takes motion 13 to 21 s.
     pub fn inflate_tilt(&mut self, variance: f32) {
-        if self.tilt != Tilt::Unknown && variance > 0.0 {
-            self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
-            self.consistency.allow_unseen_motion();
-            if self.interval.unseen_tilt_rad2 > square(UNCERTAIN_TILT_RAD) {
-                self.recent.may_move();
-            }
+        self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
+        if self.interval.unseen_tilt_rad2 > square(UNCERTAIN_TILT_RAD) {
+            self.allow_unseen_motion(variance);
         }
     }
 
@@ -89,14 +89,21 @@ impl Kalman {
     }
 
     /// Inflates the tilt by this variance per axis, rad², and resets the velocity, which wrong
-    /// samples corrupt at once. The vehicle may also have begun to move.
+    /// samples corrupt at once. The vehicle may also have begun to move, and the gyroscope's bias
+    /// has to be confirmed.
     pub fn inflate_motion(&mut self, variance: f32) {
-        if self.tilt != Tilt::Unknown {
-            let tilt_variance = 0.5 * self.total_tilt_variance();
-            self.reset_motion(tilt_variance + variance / REPORTED_VARIANCE_SCALE);
-            self.consistency.allow_unseen_motion();
-            self.recent.may_move();
-        }
+        let tilt_variance = 0.5 * self.total_tilt_variance();
+        self.reset_motion(tilt_variance + variance / REPORTED_VARIANCE_SCALE);
+        self.allow_unseen_motion(variance);
+    }
+
+    /// Allows for motion that no sample has shown, and a turn of this reported variance per axis,
+    /// rad². The vehicle may have begun to move, and the bias has to be confirmed.
+    #[inline(never)]
+    pub(super) fn allow_unseen_motion(&mut self, turn_rad2: f32) {
+        self.recent.may_move();
+        self.confirmation = Confirmation::Suspect;
+        self.consistency.widen(turn_rad2);
     }
 
     /// Inflates the variances for the motion hidden in a step of `dt_s` seconds to this sample. If
@@ -145,9 +152,4 @@ impl Kalman {
             }
         }
     }
-}
-
-/// Returns the variance of a turn at a rate with this σ, rad².
-fn turn_variance(rate_rad_s: f32, duration_s: f32) -> f32 {
-    square(rate_rad_s * duration_s)
 }

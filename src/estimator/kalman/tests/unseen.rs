@@ -157,3 +157,46 @@ fn a_force_at_full_scale_corrects_no_tilt() {
         }
     }
 }
+
+/// Runs an armed vehicle until a second after a pause.
+fn armed_with_a_pause(pause_us: u64) -> (World, Estimator) {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    estimator.filter_mut().set_sample_period(1.0e-3);
+    world.run(&mut estimator, 3_000);
+    estimator.filter_mut().set_armed(true);
+    world.run(&mut estimator, 1_000);
+    assert_eq!(filter(&estimator).confirmation, Confirmation::Confirmed);
+    estimator.update(&world.sample(pause_us));
+    world.run(&mut estimator, 1_000);
+    (world, estimator)
+}
+
+/// In a pause the vehicle may have begun a turn, which the filter then takes for level flight.
+#[test]
+fn after_a_pause_that_hides_a_turn_motion_has_to_confirm_the_bias() {
+    for pause_us in [90_000, 250_000, 450_000, 2_000_000] {
+        let (mut world, mut estimator) = armed_with_a_pause(pause_us);
+        assert_eq!(filter(&estimator).confirmation, Confirmation::Suspect);
+        let sigma = degrees(filter(&estimator).tilt_sigma_rad());
+        assert!(sigma > 6.3, "{pause_us}: {sigma}");
+        world.run(&mut estimator, 25_000);
+        assert_eq!(filter(&estimator).confirmation, Confirmation::Confirmed);
+        let sigma = degrees(filter(&estimator).tilt_sigma_rad());
+        assert!(sigma < 4.0, "{pause_us}: {sigma}");
+    }
+    // One of 50 ms, as after a fault of the bus, does not.
+    let (_, estimator) = armed_with_a_pause(50_000);
+    assert_eq!(filter(&estimator).confirmation, Confirmation::Confirmed);
+}
+
+/// A rest shows the bias itself, so nothing has to be waited for.
+#[test]
+fn after_a_pause_a_rest_confirms_the_bias_within_a_second() {
+    let (mut world, mut estimator) = armed_with_a_pause(250_000);
+    estimator.filter_mut().set_armed(false);
+    world.run(&mut estimator, 1_000);
+    estimator.filter_mut().set_armed(true);
+    world.run(&mut estimator, 1_000);
+    assert_eq!(filter(&estimator).confirmation, Confirmation::Confirmed);
+}
