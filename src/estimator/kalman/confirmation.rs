@@ -22,7 +22,6 @@
 //! | `Stored` | a stored bias, at the start | 4° and the bank that the force shows | the same |
 //! | `Suspect` | contradiction, reset, pause | 6.4° and that bank | near the reference: 1 °/s |
 
-use super::consistency::SUSPICION_RAD;
 use super::{KNOWN_BIAS_RAD_S, Kalman};
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::serialize::StateVisitor;
@@ -37,6 +36,11 @@ const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.42);
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.2);
 /// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
+/// Least σ of the tilt with a bias that has moved or is stored, and while the corrections are
+/// suspicious (`consistency.rs`), both axes together, rad: as reported, 4°. So six σ are 24°.
+/// Healthy flights raise suspicions too: it is below the limits of `DEGRADED` and of a valid
+/// heading.
+const UNCONFIRMED_TILT_RAD: f32 = radians(4.3);
 /// Least σ of the tilt with a suspect bias, both axes together, rad: as reported, 6.4°. Six σ
 /// are 39°.
 const SUSPECT_BIAS_TILT_RAD: f32 = radians(7.0);
@@ -84,7 +88,7 @@ impl Kalman {
         let [x, y, z] = self.step.covariance.bias_variances();
         let variance = larger(larger(x, y), z);
         let better_two = x + y + z - variance;
-        let change = self.nominal.gyroscope_bias_rad_s - self.bias_prior.mean_rad_s;
+        let change = self.nominal.gyroscope_bias_rad_s - self.bias_prior.reference_rad_s;
         let squared_change = change.dot(change);
         if squared_change < square(CONFIRMED_CHANGE_RAD_S) {
             if better_two < square(CONFIRMED_SIGMA_RAD_S) && !self.consistency.is_suspended() {
@@ -124,8 +128,8 @@ impl Kalman {
             return 0.0;
         }
         let least_rad2 = match self.confirmation {
-            Confirmation::Confirmed | Confirmation::Moved => return square(SUSPICION_RAD),
-            Confirmation::Stored => square(SUSPICION_RAD),
+            Confirmation::Confirmed | Confirmation::Moved => return square(UNCONFIRMED_TILT_RAD),
+            Confirmation::Stored => square(UNCONFIRMED_TILT_RAD),
             Confirmation::Suspect => square(SUSPECT_BIAS_TILT_RAD),
         };
         if self.is_bias_known {

@@ -31,10 +31,6 @@ const MEMORY_S: f32 = 3.0;
 /// the model.
 const SUSPICION_GATE: f32 = 1.0;
 const CONTRADICTION_GATE: f32 = 4.0;
-/// Least σ of the tilt while the sum is suspicious, both axes together, rad: as reported, 4°. So
-/// six σ are 24°. Healthy flights raise suspicions too: it is below the limits of `DEGRADED` and
-/// of a valid heading.
-pub(super) const SUSPICION_RAD: f32 = radians(4.3);
 /// Variance of the sum after unseen motion, per reported tilt variance of one axis. It falls to
 /// (1°)² 8 s after a turn of 2°, and 20 s after one of 80°: a vehicle that flies takes so long
 /// to correct the tilt.

@@ -87,7 +87,7 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn return_bias_to_prior(&mut self) {
         self.has_rested = false;
-        self.bias_prior.mean_rad_s = self.nominal.gyroscope_bias_rad_s;
+        self.bias_prior.reference_rad_s = self.nominal.gyroscope_bias_rad_s;
         self.step.covariance.reset_bias(self.bias_prior.variance);
     }
 
@@ -145,7 +145,7 @@ impl Kalman {
     pub(crate) fn shift_bias(&mut self, change_rad_s: Vector3) {
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s + change_rad_s;
         self.nominal.set_gyroscope_bias(bias_rad_s);
-        self.bias_prior.mean_rad_s = self.bias_prior.mean_rad_s + change_rad_s;
+        self.bias_prior.reference_rad_s = self.bias_prior.reference_rad_s + change_rad_s;
         self.rest_detector.shift_rate(change_rad_s);
     }
 

@@ -158,7 +158,7 @@ impl Kalman {
         if is_explained || self.has_rested {
             self.has_rested = true;
             if self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
-                self.bias_prior.mean_rad_s = readings.rate_rad_s;
+                self.bias_prior.reference_rad_s = readings.rate_rad_s;
                 self.confirmation = Confirmation::Confirmed;
                 let variance = square(tuning.stationary_rate_noise) / duration_s;
                 self.measure_bias(difference, variance);
@@ -247,10 +247,10 @@ impl Kalman {
     /// this maximises the likelihood over the prior's width.
     fn widen_prior(&mut self) {
         let BiasPrior {
-            mean_rad_s,
+            reference_rad_s,
             variance: variances,
         } = &mut self.bias_prior;
-        let bias = self.nominal.gyroscope_bias_rad_s - *mean_rad_s;
+        let bias = self.nominal.gyroscope_bias_rad_s - *reference_rad_s;
         let deviations = [bias.x, bias.y, bias.z];
         for (axis, (bias, variance)) in deviations.into_iter().zip(variances).enumerate() {
             let own = self.step.covariance.parameter_variance(axis);

@@ -30,22 +30,23 @@ pub struct WarmStart {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct BiasPrior {
-    /// Mean, rad/s in body axes: as stored, kept by a restart, or measured by the last rest.
-    pub(super) mean_rad_s: Vector3,
+    /// Reference, rad/s in body axes: as stored, kept by a restart, or measured by the last rest.
+    /// Until a rest it is the prior's mean.
+    pub(super) reference_rad_s: Vector3,
     /// Variance per axis, (rad/s)².
     pub(super) variance: [f32; 3],
 }
 
 impl BiasPrior {
-    pub(super) const fn new(mean_rad_s: Vector3, sigma_rad_s: f32) -> Self {
+    pub(super) const fn new(reference_rad_s: Vector3, sigma_rad_s: f32) -> Self {
         Self {
-            mean_rad_s,
+            reference_rad_s,
             variance: [square(sigma_rad_s); 3],
         }
     }
 
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.vector(&mut self.mean_rad_s);
+        visitor.vector(&mut self.reference_rad_s);
         visitor.f32s(&mut self.variance);
     }
 }
