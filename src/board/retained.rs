@@ -56,7 +56,7 @@ static ARMED: AtomicU32 = AtomicU32::new(0);
 const ARMED_WORD: u32 = 0x6172_6D64;
 
 /// [`CRASHED_WORD`] from a crash to the next start. A debugger's reset sets the same bit of the
-/// status register as the firmware's own.
+/// status register as the firmware's own, so this word distinguishes the two.
 #[unsafe(link_section = ".uninit.APLOMB_CRASHED")]
 static CRASHED: AtomicU32 = AtomicU32::new(0);
 
@@ -79,7 +79,8 @@ const LENGTH: usize = NUMBERS + 2;
 
 /// Typical age of the kept attitude at a warm start, in seconds. It is half the time between two
 /// copies on average, plus the watchdog's limit of 0.2 to 0.56 s. The worst case of both is 0.8 s,
-/// and 1 s with a sensor that answers late. After a crash the age is below 0.4 s.
+/// and 1 s with a sensor that answers late. After a crash the age is below 0.4 s. A hang in the
+/// work that sets a longer limit exceeds this; the module is not armed then.
 const TYPICAL_AGE_S: f32 = 0.5;
 
 /// σ of the turn about one axis in [`TYPICAL_AGE_S`], rad.

@@ -38,8 +38,8 @@ const PAUSE_US: u32 = 600_000;
 /// Shortest time between two messages about a recovery, in µs: leaves room for other messages.
 const RECOVERY_MESSAGE_PERIOD_US: u32 = 200_000;
 
-/// Time from the start, in µs, after which no σ covers what has happened to the attitude of the
-/// run before a reset. The time base wraps after 71 minutes; one attempt in that time is enough.
+/// Longest time from the start to the sensor's first answer for which the kept tilt is used, µs.
+/// The time base wraps after 71 minutes; one attempt in that time is enough.
 const LONGEST_WAIT_US: u32 = 200_000;
 
 /// Runs the supervisor forever. `warm_start` is the state that the run before a reset has kept.

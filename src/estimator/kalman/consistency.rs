@@ -32,7 +32,7 @@ const MEMORY_S: f32 = 3.0;
 const SUSPICION_GATE: f32 = 1.0;
 const CONTRADICTION_GATE: f32 = 4.0;
 /// Variance of the sum after unseen motion, per reported tilt variance of one axis. It falls to
-/// (1°)² 8 s after a turn of 2°, and 20 s after one of 80°: a vehicle that flies takes so long
+/// (1°)² within 9 s of a turn of 2°, and 20 s of one of 80°: a vehicle that flies takes so long
 /// to correct the tilt.
 const UNSEEN_SHARE: f32 = 128.0;
 /// Variance of the sum from which on the check is suspended, rad².
@@ -65,8 +65,8 @@ impl Consistency {
     };
 
     /// Widens the gates: the next corrections also remove motion that no sample has shown, of this
-    /// reported tilt variance per axis, rad². They contradict the bias again some 8 s to 20 s
-    /// later, when this variance has decayed.
+    /// reported tilt variance per axis, rad². They contradict the bias again when this variance
+    /// has decayed.
     pub(super) fn widen(&mut self, unseen_rad2: f32) {
         self.variance_rad2 += UNSEEN_SHARE * unseen_rad2;
     }
@@ -101,8 +101,8 @@ impl Consistency {
         self.squared() > SUSPICION_GATE * self.variance_rad2
     }
 
-    /// Returns whether the check is suspended after unseen motion: for up to 20 s, or longer while
-    /// the measurements reduce a large variance.
+    /// Returns whether the check is suspended after unseen motion: for up to 20 s, or longer if
+    /// more follows, or while the measurements reduce a large variance.
     #[inline]
     pub(super) fn is_suspended(&self) -> bool {
         self.variance_rad2 > SUSPENDED_RAD2

@@ -14,7 +14,7 @@
 //! | `restart_at_rest` | a rest contradicts the state | by its force | by its rate | priors |
 //! | `forget_parameters` | another calibration | kept | – | priors |
 //! | `inflate_motion` | the sensor lost its settings | kept, σ grows | suspect | – |
-//! | `restart_from_unusable_numbers` | no sensor's numbers | kept, σ 17° | suspect | priors |
+//! | `restart_from_unusable_numbers` | no sensor's numbers | kept, σ 17° | kept | priors |
 //!
 //! A suspect bias has to be confirmed (`confirmation.rs`).
 
@@ -63,8 +63,8 @@ impl Kalman {
     ///
     /// The bias may have changed since, if σ is 0.3 °/s or more. In motion, or while armed, σ of
     /// the tilt is then at least 4°, and larger the more the force differs from one g, until a
-    /// rest or motion has confirmed the bias. One with a smaller σ is confirmed by the first
-    /// correction that the start's uncertainty does not hide. The vehicle may move, because the
+    /// rest or motion has confirmed the bias. A bias with a smaller σ is confirmed by the first
+    /// correction once the start's uncertainty has decayed. The vehicle may move, because the
     /// attitude becomes `VALID` before any rest.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);

@@ -1,7 +1,6 @@
 //! Restarts: at a rest that contradicts the state, from the mean specific force, from unusable
 //! numbers.
 
-use super::confirmation::Confirmation;
 use super::consistency::Consistency;
 use super::measurements::STATIONARY_FORCE_SHARE;
 use super::propagation::Interval;
@@ -141,7 +140,7 @@ impl Kalman {
     }
 
     /// Restarts from numbers that are no longer usable, and keeps what is still known: the attitude
-    /// with a large σ, and the gyroscope's bias, which has to be confirmed.
+    /// with a large σ, and the gyroscope's bias.
     ///
     /// Only readings that no sensor delivers lead here. A vehicle in the air would not rest for
     /// another measurement of the bias.
@@ -159,7 +158,6 @@ impl Kalman {
         };
         self.recent = RecentVelocity::NONE;
         self.restart_from(bias_rad_s, sigma_rad_s, RECOVERED_TILT_RAD);
-        self.confirmation = Confirmation::Suspect;
         if !is_usable {
             self.nominal.attitude = Quaternion::IDENTITY;
             self.tilt = Tilt::Unknown;

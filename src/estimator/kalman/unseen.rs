@@ -29,8 +29,8 @@ const PAUSE_PERIODS: f32 = 3.5;
 const PAUSE_TILT_LIMIT_RAD: f32 = 0.3;
 
 /// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move, and
-/// the bias has to be confirmed: of a pause of 70 ms. Below, no false correction of the tilt is
-/// large enough to matter.
+/// the bias has to be confirmed. A pause of 61 ms reaches it. Below, no false correction of the
+/// tilt is large enough to matter.
 const UNCERTAIN_TILT_RAD: f32 = radians(2.0);
 
 /// Variance of a turn after which anything may have happened, per axis, rad².
@@ -65,13 +65,15 @@ impl Kalman {
         }
     }
 
-    /// Inflates the tilt by this reported variance per axis, rad², from 0: motion that no sample
-    /// shows. From a turn of 2° on the vehicle may also have begun to move, and the gyroscope's
-    /// bias has to be confirmed, which takes motion 13 to 21 s.
+    /// Inflates the tilt by this reported variance per axis, rad²: motion that no sample shows.
+    /// From a turn of 2° on the vehicle may also have begun to move, and the bias has to be
+    /// confirmed: motion takes 13 to 21 s. Zero changes nothing.
     pub fn inflate_tilt(&mut self, variance: f32) {
-        self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
-        if self.interval.unseen_tilt_rad2 > square(UNCERTAIN_TILT_RAD) {
-            self.allow_unseen_motion(variance);
+        if variance > 0.0 {
+            self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
+            if self.interval.unseen_tilt_rad2 > square(UNCERTAIN_TILT_RAD) {
+                self.allow_unseen_motion(variance);
+            }
         }
     }
 

@@ -200,3 +200,20 @@ fn after_a_pause_a_rest_confirms_the_bias_within_a_second() {
     world.run(&mut estimator, 1_000);
     assert_eq!(filter(&estimator).confirmation, Confirmation::Confirmed);
 }
+
+/// At few samples a second a changing rate makes σ grow, but nothing is hidden.
+#[test]
+fn a_changing_rate_at_few_samples_a_second_is_no_pause() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 3_000);
+    estimator.filter_mut().set_sample_period(50.0e-3);
+    estimator.filter_mut().set_armed(true);
+    for step in 0..20 {
+        let sign = if step % 2 == 0 { 1.0 } else { -1.0 };
+        world.rate_rad_s = Vector3::new(sign * radians(100.0), 0.0, 0.0);
+        estimator.update(&world.sample(50_000));
+        let confirmation = filter(&estimator).confirmation;
+        assert_ne!(confirmation, Confirmation::Suspect, "{step}");
+    }
+}
