@@ -13,7 +13,7 @@
 //! Therefore the bias has a reference, which is that of the last rest, or else the stored or kept
 //! one. A bias that may be wrong has to be confirmed: by a rest, or by motion that leads it back to
 //! within 0.2 °/s of the reference and makes it certain. Until then σ of the tilt has a least
-//! value, in motion and while armed:
+//! value, in motion or while armed:
 //!
 //! | state | begins with | least σ of the tilt | the bias is known |
 //! |---|---|---|---|
