@@ -252,7 +252,7 @@ impl Flight {
             if core::mem::replace(&mut is_reset, false) {
                 let mut fresh = Pipeline::new(&settings);
                 if let Some(kept) = kept {
-                    fresh.resume(&after_reset(kept));
+                    fresh.resume(&after_reset(kept), simulated.t_us - 1);
                 }
                 pipeline = CompassPipeline::with_pipeline(fresh, self.knowledge);
             }

@@ -114,26 +114,43 @@ fn written(pipeline: &mut CompassPipeline) -> Vec<u8> {
 }
 
 /// State of an earlier run, as kept in RAM.
-fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 48]) {
-    let [w, x, y, z, tilt, p, q, r, bias, forward, right, velocity] =
-        std::array::from_fn(|place| f32::from_le_bytes(bytes.as_chunks().0[place]));
+fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 60]) {
+    let [
+        w,
+        x,
+        y,
+        z,
+        tilt,
+        p,
+        q,
+        r,
+        dp,
+        dq,
+        dr,
+        bias,
+        forward,
+        right,
+        velocity,
+    ] = std::array::from_fn(|place| f32::from_le_bytes(bytes.as_chunks().0[place]));
     let attitude = Quaternion::new(w, x, y, z);
     // The firmware keeps the state of a filter, and checks that the attitude is a rotation.
-    let is_usual = [tilt, p, q, r, bias, forward, right, velocity]
+    let is_usual = [tilt, p, q, r, dp, dq, dr, bias, forward, right, velocity]
         .iter()
         .all(|number| number.abs() <= USUAL);
     let is_rotation = (attitude.dot(attitude) - 1.0).abs() < 0.01;
     if !is_usual || !is_rotation {
         return;
     }
-    pipeline.resume(&WarmStart {
+    let start = WarmStart {
         attitude: attitude.normalize(),
         tilt_sigma_rad: tilt,
         bias_rad_s: Vector3::new(p, q, r),
+        bias_change_rad_s: Vector3::new(dp, dq, dr),
         bias_sigma_rad_s: bias,
         accelerometer_bias_m_s2: [forward, right],
         squared_velocity_m2_s2: velocity,
-    });
+    };
+    pipeline.resume(&start, 0);
 }
 
 fn burst(bytes: [u8; 14], captured_at_us: u64) -> Burst {

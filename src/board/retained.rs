@@ -71,10 +71,11 @@ static WARM_STARTS: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LE
 /// Index of the copy that was written last.
 static NEWEST: AtomicU8 = AtomicU8::new(0);
 
-/// Quaternion, bias, both σ, accelerometer's bias, squared velocity; then their number and sum.
+/// Quaternion, bias and its change, both σ, accelerometer's bias, squared velocity; then their
+/// number and sum.
 struct Words([AtomicU32; LENGTH]);
 
-const NUMBERS: usize = 12;
+const NUMBERS: usize = 15;
 const LENGTH: usize = NUMBERS + 2;
 
 /// Typical age of the kept attitude at a warm start, in seconds. It is half the time between two
@@ -101,8 +102,6 @@ pub struct Start {
     pub starts: u32,
     /// Program counter of the crash; 0 without one.
     pub crash_address: u32,
-    /// State to continue from, if RAM has survived the reset and the run before had a state.
-    pub warm_start: Option<WarmStart>,
 }
 
 /// Reads the cause of the reset, and the data of the previous run. Called once, in init, before any
@@ -148,18 +147,13 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     if cause == ResetCause::Watchdog {
         count(FaultClass::Watchdog);
     }
-    let copies = WARM_STARTS.iter().filter_map(Words::read);
-    let warm_start = copies
-        .max_by_key(|(number, _)| *number)
-        .map(|(_, start)| start);
-    // A second reset before the next copy finds this one, with its larger σ.
-    keep(warm_start.as_ref());
+    // A second reset before the next copy finds this one.
+    keep(kept().map(aged).as_ref());
     Start {
         cause,
         last_fault,
         starts,
         crash_address: report.crash_address.swap(0, Ordering::Relaxed),
-        warm_start,
     }
 }
 
@@ -218,6 +212,26 @@ pub fn keep(start: Option<&WarmStart>) {
     NEWEST.store(next, Ordering::Relaxed);
 }
 
+/// Returns the state to continue from, if RAM has survived the reset and the run before had a
+/// state.
+#[inline(never)]
+pub fn kept() -> Option<WarmStart> {
+    let copies = WARM_STARTS.iter().filter_map(Words::read);
+    let newest = copies.max_by_key(|(number, _)| *number);
+    newest.map(|(_, start)| start)
+}
+
+/// Returns the state with σ inflated for its age at a reset.
+fn aged(start: WarmStart) -> WarmStart {
+    let tilt = start.tilt_sigma_rad;
+    WarmStart {
+        // Both axes together, and independent of the kept σ.
+        tilt_sigma_rad: libm::sqrtf(tilt * tilt + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
+        bias_sigma_rad_s: start.bias_sigma_rad_s.max(BIAS_SIGMA_RAD_S),
+        ..start
+    }
+}
+
 /// Forgets the kept state.
 #[inline(never)]
 fn forget() {
@@ -257,6 +271,7 @@ impl Words {
             attitude: q,
             tilt_sigma_rad,
             bias_rad_s: b,
+            bias_change_rad_s: c,
             bias_sigma_rad_s,
             accelerometer_bias_m_s2: [forward, right],
             squared_velocity_m2_s2,
@@ -270,6 +285,9 @@ impl Words {
             pbx,
             pby,
             pbz,
+            pcx,
+            pcy,
+            pcz,
             tilt,
             bias,
             pforward,
@@ -286,6 +304,9 @@ impl Words {
         store(pbx, b.x);
         store(pby, b.y);
         store(pbz, b.z);
+        store(pcx, c.x);
+        store(pcy, c.y);
+        store(pcz, c.z);
         store(tilt, *tilt_sigma_rad);
         store(bias, *bias_sigma_rad_s);
         store(pforward, *forward);
@@ -296,7 +317,7 @@ impl Words {
         sum.store(self.sum(), Ordering::Release);
     }
 
-    /// Returns the number and the contents, with σ inflated for their age.
+    /// Returns the number and the contents.
     #[inline(never)]
     fn read(&self) -> Option<(u32, WarmStart)> {
         let [.., sum] = &self.0;
@@ -307,13 +328,29 @@ impl Words {
         let numbers = words
             .each_ref()
             .map(|word| f32::from_bits(word.load(Ordering::Relaxed)));
-        let [w, x, y, z, bx, by, bz, tilt, bias, forward, right, velocity] = numbers;
+        let [
+            w,
+            x,
+            y,
+            z,
+            bx,
+            by,
+            bz,
+            cx,
+            cy,
+            cz,
+            tilt,
+            bias,
+            forward,
+            right,
+            velocity,
+        ] = numbers;
         let start = WarmStart {
             attitude: Quaternion::new(w, x, y, z),
-            // Both axes together, and independent of the kept σ.
-            tilt_sigma_rad: libm::sqrtf(tilt * tilt + 2.0 * UNSEEN_RAD * UNSEEN_RAD),
+            tilt_sigma_rad: tilt,
             bias_rad_s: Vector3::new(bx, by, bz),
-            bias_sigma_rad_s: bias.max(BIAS_SIGMA_RAD_S),
+            bias_change_rad_s: Vector3::new(cx, cy, cz),
+            bias_sigma_rad_s: bias,
             accelerometer_bias_m_s2: [forward, right],
             squared_velocity_m2_s2: velocity,
         };

@@ -43,12 +43,12 @@ pub use sample::{Estimate, Issues, Sample};
 use crate::serialize::StateVisitor;
 use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
 use arithmetic::square;
-use kalman::Kalman;
+use kalman::{Kalman, WarmStart};
 
 /// Revision of the filters' arithmetic. It increases with every change of an attitude, even by one
 /// bit, or of the state's layout. A flight log carries it. `tests/revision.rs` fails when the bits
 /// of its flight change and the revision does not.
-pub const REVISION: u16 = 25;
+pub const REVISION: u16 = 26;
 
 /// Longest step that a filter bridges, in µs. After a longer one the motion in between is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
@@ -169,6 +169,18 @@ impl Estimator {
     /// [`filter_mut`](Self::filter_mut).
     pub fn new() -> Self {
         Self::with_filter(Kalman::new())
+    }
+
+    /// Continues from the state of an earlier run, whose σ belong to `t_us`, in µs since start.
+    /// Samples come later. Until the first one the tilt counts as hidden by a pause: after 0.5 s
+    /// the specific force sets it. So it does if σ of the kept tilt is 30° or more. Yaw is kept.
+    ///
+    /// In motion, or while armed, σ of the tilt is then at least 6.4°, and larger the more the
+    /// force differs from one g. That ends with a rest, or when motion has confirmed the bias,
+    /// after some 20 s.
+    pub fn resume(&mut self, start: &WarmStart, t_us: u64) {
+        self.gate.last_t_us = Some(t_us);
+        self.filter.resume(start);
     }
 
     /// Visits every field.

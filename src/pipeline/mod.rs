@@ -285,8 +285,9 @@ impl Pipeline {
         self.settings.verifies_scales && self.monitor.awaits_scale_check()
     }
 
-    /// Continues from an earlier run. Call it before the first burst.
-    pub fn resume(&mut self, start: &WarmStart) {
+    /// Continues from an earlier run, whose σ belong to `t_us` on the clock of the bursts, in µs.
+    /// Call it before the first burst, which comes later. See [`Estimator::resume`].
+    pub fn resume(&mut self, start: &WarmStart, t_us: u64) {
         let [forward, right] = start.accelerometer_bias_m_s2;
         let removed = self.alignment.accelerometer_offset_m_s2();
         let start = WarmStart {
@@ -294,7 +295,7 @@ impl Pipeline {
             accelerometer_bias_m_s2: [forward - removed.x, right - removed.y],
             ..*start
         };
-        self.kalman_mut().resume(&start);
+        self.estimator.resume(&start, t_us);
         // The bias already belongs to the present temperature.
         self.samples_to_temperature = TEMPERATURE_SAMPLES;
         self.thermal_drift.leave_model();
@@ -314,6 +315,7 @@ impl Pipeline {
             attitude: latest.attitude,
             tilt_sigma_rad: latest.tilt_sigma_rad(),
             bias_rad_s: self.gyroscope_offset_body_rad_s(),
+            bias_change_rad_s: filter.bias_change_rad_s(),
             bias_sigma_rad_s,
             accelerometer_bias_m_s2: [accelerometer.x, accelerometer.y],
             squared_velocity_m2_s2: filter.squared_velocity_m2_s2(),

@@ -389,11 +389,12 @@ fn a_kept_offset_stays_when_the_model_begins() {
         attitude: Quaternion::IDENTITY,
         tilt_sigma_rad: 0.01,
         bias_rad_s: Vector3::new(radians(1.0), 0.0, 0.0),
+        bias_change_rad_s: Vector3::ZERO,
         bias_sigma_rad_s: radians(0.05),
         accelerometer_bias_m_s2: [0.0; 2],
         squared_velocity_m2_s2: 0.0,
     };
-    let offset = offset_with_model(|_| 45.0, |pipeline| pipeline.resume(&start));
+    let offset = offset_with_model(|_| 45.0, |pipeline| pipeline.resume(&start, 0));
     assert!((offset - 1.0).abs() < 0.1, "{offset}");
 }
 
@@ -991,7 +992,7 @@ fn a_resumed_pipeline_continues_the_earlier_run() {
     });
     known.tilt_sigma_rad = 0.1;
     let mut pipeline = Pipeline::new(&settings());
-    pipeline.resume(&known);
+    pipeline.resume(&known, 4_000);
     let first = update(&mut pipeline, &noisy(5_000, LEVEL));
     assert_eq!(first.flags & Flags::CALIBRATING, Flags::empty());
     let angles = first.euler();
@@ -1015,6 +1016,39 @@ fn a_state_to_continue_from_is_as_uncertain_as_the_latest_snapshot() {
     assert_eq!(moving.warm_start(&latest), None);
 }
 
+/// Samples may fail to come after a reset, or be no measurements. The kept tilt then grows old.
+#[test]
+fn a_resumed_tilt_is_lost_if_no_sample_counts_for_half_a_second() {
+    let (mut pipeline, t_us) = settled();
+    let latest = update(&mut pipeline, &noisy(t_us + 1_000, LEVEL));
+    let known = pipeline.warm_start(&latest).expect("it is settled");
+    let rolled = Vector3::new(0.0, -LEVEL.z.abs(), 0.0);
+    for is_blank in [true, false] {
+        let mut pipeline = Pipeline::new(&settings());
+        pipeline.resume(&known, 4_000);
+        for millisecond in 5..600 {
+            let blank = Burst {
+                bytes: [0; 14],
+                ..noisy(1_000 * millisecond, LEVEL)
+            };
+            let stale = if is_blank {
+                update(&mut pipeline, &blank)
+            } else {
+                pipeline.stale(1_000 * millisecond, BoardFlags::empty())
+            };
+            assert!(!stale.flags.contains(Flags::VALID));
+            let next = pipeline.warm_start(&stale).expect("the bias is measured");
+            assert!(millisecond < 50 || next.tilt_sigma_rad > 1.3 * known.tilt_sigma_rad);
+        }
+        for millisecond in 600..900 {
+            let burst = noisy(1_000 * millisecond, rolled);
+            let snapshot = update(&mut pipeline, &burst);
+            let roll_deg = snapshot.euler().roll_rad.to_degrees();
+            assert!((roll_deg - 90.0).abs() < 2.0, "{millisecond}: {roll_deg}");
+        }
+    }
+}
+
 /// A kept tilt that is too uncertain for `VALID` comes from the specific force instead.
 #[test]
 fn a_resumed_attitude_is_valid_however_uncertain_the_kept_tilt_is() {
@@ -1023,10 +1057,11 @@ fn a_resumed_attitude_is_valid_however_uncertain_the_kept_tilt_is() {
     let known = pipeline.warm_start(&latest).expect("it is settled");
     for share in [0.1, 0.99, 1.01, 3.0] {
         let mut pipeline = Pipeline::new(&settings());
-        pipeline.resume(&WarmStart {
+        let start = WarmStart {
             tilt_sigma_rad: share * LOST_TILT_RAD,
             ..known
-        });
+        };
+        pipeline.resume(&start, 4_000);
         // The tilt then comes from the mean specific force of 0.15 s.
         let until_ms = if share < 1.0 { 6 } else { 180 };
         let mut flags = Flags::empty();
@@ -1051,7 +1086,7 @@ fn a_resumed_pipeline_knows_the_accelerometer_s_offset() {
     let known = pipeline.warm_start(&latest).expect("it is settled");
     let resumed_with = |settings: &Settings| {
         let mut pipeline = Pipeline::new(settings);
-        pipeline.resume(&known);
+        pipeline.resume(&known, 4_000);
         pipeline.kalman().accelerometer_bias_m_s2()
     };
     let found = pipeline.kalman().accelerometer_bias_m_s2();

@@ -452,12 +452,16 @@ fn a_debugger_disarms_and_ends_the_attitude() {
     assert!(!first.contains(Flags::VALID), "{first:?}");
 }
 
-/// While no samples come, the attitude grows old. A reset must not make it young again.
+/// While no samples come, or none is a measurement, the attitude grows old. A reset must not make
+/// it young again.
 #[test]
-fn a_reset_after_a_long_silence_takes_the_tilt_from_gravity() {
+fn a_reset_beside_a_long_silence_takes_the_tilt_from_gravity() {
     for faults in [
         "2.0 2.0 sensor-silent\n3.98 0 crash",
         "2.0 2.0 sensor-silent\n2.1 0 crash",
+        "2.0 2.0 zeros\n2.1 0 crash",
+        "2.0 2.0 frozen\n2.1 0 crash",
+        "2.0 2.0 dma-error\n2.1 0 crash",
     ] {
         let rolled = Quaternion::from_euler(1.0, 0.0, 0.0);
         let outcome = Run::new(firmware())

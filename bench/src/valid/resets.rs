@@ -49,7 +49,7 @@ impl Reset {
             self.is_over = true;
             *pipeline = Pipeline::new(settings);
             if let Some(kept) = self.kept {
-                pipeline.resume(&after_reset(kept));
+                pipeline.resume(&after_reset(kept), self.until_us - 1);
             }
         }
         (self.from_us..self.until_us).contains(&t_us)

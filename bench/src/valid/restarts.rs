@@ -88,7 +88,7 @@ fn judge(flight: &Recording, start: &Start, is_kept: bool, outcome: &mut Outcome
         Pipeline::new(&with_stored_offset(offset_rad_s))
     };
     if is_kept {
-        pipeline.resume(&after_reset(start.kept));
+        pipeline.resume(&after_reset(start.kept), start.from_us - 1);
     }
     let (mut is_wrong, mut is_late, mut has_been_valid) = (false, false, false);
     let mut is_soon = false;

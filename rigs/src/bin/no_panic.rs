@@ -60,7 +60,7 @@ fn samples(pipeline: &mut Pipeline) {
     let snapshot = black_box(pipeline.update(&burst, flags));
     black_box(pipeline.stale(black_box(0), flags));
     if let Some(start) = pipeline.warm_start(&snapshot) {
-        pipeline.resume(&black_box(start));
+        pipeline.resume(&black_box(start), black_box(0));
     }
     pipeline.set_armed(black_box(true));
     black_box(pipeline.awaits_scale_check());

@@ -62,7 +62,6 @@ mod app {
     use aplomb::calibration::Mount;
     use aplomb::compass::{self, Choice};
     use aplomb::console::usable_preferences;
-    use aplomb::estimator::kalman::WarmStart;
     use aplomb::fault::{ClockSource, ResetCause};
     use aplomb::health::Flags;
     use aplomb::mpu6050::{Config, Part};
@@ -134,7 +133,6 @@ mod app {
     #[local]
     struct Local {
         sensor: Sensor,
-        warm_start: Option<WarmStart>,
         flash: CalibrationFlash,
         to_log: Producer<'static, NumberedBurst>,
         output: Telemetry,
@@ -174,7 +172,7 @@ mod app {
             });
         }
         // A sensor that the previous run has configured is only checked.
-        let sensor = Sensor::new(bus, Config::DEFAULT, start.warm_start.is_some());
+        let sensor = Sensor::new(bus, Config::DEFAULT, retained::kept().is_some());
         let mut flash = CalibrationFlash::new(device.FLASH);
         let storage::Loaded { record, problem } = storage::load(&mut flash);
         if let Some(problem) = problem {
@@ -214,7 +212,6 @@ mod app {
             },
             Local {
                 sensor,
-                warm_start: start.warm_start,
                 flash,
                 to_log,
                 output: Telemetry::new(transmitter, commands, Logged { bursts, readings }),
@@ -240,18 +237,12 @@ mod app {
         CompassTask::new(compass.choice, alignment, compass.declination_rad, to_log)
     }
 
-    #[idle(local = [sensor, warm_start, flash], shared = [estimation, messages, requests])]
+    #[idle(local = [sensor, flash], shared = [estimation, messages, requests])]
     fn idle(context: idle::Context) -> ! {
-        let idle::LocalResources {
-            sensor,
-            warm_start,
-            flash,
-            ..
-        } = context.local;
+        let idle::LocalResources { sensor, flash, .. } = context.local;
         let shared = context.shared;
         supervisor::run(
             sensor,
-            warm_start,
             flash,
             &SETTINGS,
             shared.estimation,

@@ -14,7 +14,6 @@ use aplomb::board::{retained, watchdog};
 use aplomb::calibration::Calibration;
 use aplomb::compass::{self, PartId};
 use aplomb::console::{Outcome, Task};
-use aplomb::estimator::kalman::WarmStart;
 use aplomb::mpu6050::{self, Condition, Config, Part};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::settings::storage;
@@ -42,10 +41,9 @@ const RECOVERY_MESSAGE_PERIOD_US: u32 = 200_000;
 /// The time base wraps after 71 minutes; one attempt in that time is enough.
 const LONGEST_WAIT_US: u32 = 200_000;
 
-/// Runs the supervisor forever. `warm_start` is the state that the run before a reset has kept.
+/// Runs the supervisor forever.
 pub fn run(
     sensor: &mut Sensor,
-    warm_start: &mut Option<WarmStart>,
     flash: &mut CalibrationFlash,
     settings: &Settings,
     mut estimation: impl Mutex<T = Estimation>,
@@ -54,6 +52,7 @@ pub fn run(
 ) -> ! {
     let mut post = |message| messages.lock(|messages| messages.post(message));
     let mut last_complaint = None;
+    let mut has_started = false;
     let mut is_reported = true;
     // The first recovery is reported however early it comes.
     let mut reported_at = timebase::now().wrapping_sub(RECOVERY_MESSAGE_PERIOD_US);
@@ -62,7 +61,8 @@ pub fn run(
         match sensor.make_ready() {
             Ok(ready) => {
                 is_reported |= last_complaint.take().is_some();
-                start_estimation(&ready, settings, warm_start, &mut estimation, &mut requests);
+                start_estimation(&ready, settings, &mut estimation, &mut requests);
+                has_started = true;
                 burst_reader::enable(&ready, &Config::DEFAULT);
                 if is_reported {
                     post(Message::SensorConfigured {
@@ -91,11 +91,12 @@ pub fn run(
                 if !is_starting && last_complaint.replace(reason) != Some(reason) {
                     post(complaint(reason));
                 }
-                if timebase::elapsed(0, LONGEST_WAIT_US)
-                    && let Some(start) = warm_start
+                if !has_started
+                    && timebase::elapsed(0, LONGEST_WAIT_US)
+                    && let Some(mut start) = retained::kept()
                 {
                     start.tilt_sigma_rad = f32::INFINITY;
-                    retained::keep(Some(start));
+                    retained::keep(Some(&start));
                 }
                 Delay.delay_ms(sensor::RETRY_MS);
             }
@@ -138,7 +139,6 @@ fn sleep_or_measure() {
 fn start_estimation(
     ready: &Ready,
     settings: &Settings,
-    warm_start: &mut Option<WarmStart>,
     estimation: &mut impl Mutex<T = Estimation>,
     requests: &mut impl Mutex<T = Requests>,
 ) {
@@ -148,8 +148,7 @@ fn start_estimation(
     });
     estimation.lock(|Estimation { pipeline, .. }| {
         if pipeline.is_none() {
-            let warm_start = warm_start.take();
-            start_pipeline(pipeline, settings, ready.part, calibration, warm_start);
+            start_pipeline(pipeline, settings, ready.part, calibration);
         }
     });
 }
@@ -183,7 +182,6 @@ fn start_pipeline(
     settings: &Settings,
     part: &'static Part,
     calibration: Calibration,
-    warm_start: Option<WarmStart>,
 ) {
     let settings = Settings {
         part,
@@ -192,8 +190,8 @@ fn start_pipeline(
     };
     let pipeline = place.insert(Pipeline::new(&settings));
     pipeline.set_armed(retained::is_armed());
-    if let Some(start) = &warm_start {
-        pipeline.resume(start);
+    if let Some(start) = retained::kept() {
+        pipeline.resume(&start, u64::from(timebase::now()));
     }
 }
 

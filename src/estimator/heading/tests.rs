@@ -172,17 +172,19 @@ fn a_magnet_beside_the_body_is_never_north() {
 fn a_correction_of_the_tilt_is_no_turn() {
     let mut flight = Flight::new(0.0, CompassKnowledge::Factory);
     flight.iron_ut = Vector3::new(0.0, 40.0, 0.0);
-    flight.estimator.filter_mut().resume(&WarmStart {
+    let start = WarmStart {
         attitude: Quaternion::from_euler(EulerAngles {
             roll_rad: radians(26.0),
             ..EulerAngles::default()
         }),
         tilt_sigma_rad: radians(21.0),
         bias_rad_s: Vector3::ZERO,
+        bias_change_rad_s: Vector3::ZERO,
         bias_sigma_rad_s: radians(0.1),
         accelerometer_bias_m_s2: [0.0; 2],
         squared_velocity_m2_s2: 0.0,
-    });
+    };
+    flight.estimator.resume(&start, flight.t_us);
     for _ in 0..40 {
         flight.run(0.5, |t_s| {
             Vector3::new(0.0, 1.2 * libm::sinf(1.5 * t_s), 0.0)

@@ -10,10 +10,10 @@
 //! - A reset or a pause hides motion, so for up to 20 s no correction contradicts a bias
 //!   (`consistency.rs`). Meanwhile the tilt may become that of level flight in a turn.
 //!
-//! Therefore the bias has a reference, which is that of the last rest, or else the stored or kept
-//! one. A bias that may be wrong has to be confirmed: by a rest, or by motion that leads it back to
-//! within 0.2 °/s of the reference and makes it certain. Until then σ of the tilt has a least
-//! value, in motion or while armed:
+//! Therefore the bias has a reference: that of the last rest, which a reset keeps, or else the
+//! stored bias. A bias that may be wrong has to be confirmed: by a rest, or by motion that leads it
+//! back to within 0.2 °/s of the reference and makes it certain. Until then σ of the tilt has a
+//! least value, in motion or while armed:
 //!
 //! | state | begins with | least σ of the tilt | the bias is known |
 //! |---|---|---|---|
@@ -88,7 +88,7 @@ impl Kalman {
         let [x, y, z] = self.step.covariance.bias_variances();
         let variance = larger(larger(x, y), z);
         let better_two = x + y + z - variance;
-        let change = self.nominal.gyroscope_bias_rad_s - self.bias_prior.reference_rad_s;
+        let change = self.bias_change_rad_s();
         let squared_change = change.dot(change);
         if squared_change < square(CONFIRMED_CHANGE_RAD_S) {
             if better_two < square(CONFIRMED_SIGMA_RAD_S) && !self.consistency.is_suspended() {

@@ -23,6 +23,7 @@ use super::prior::WarmStart;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::recovery::ForceSum;
+use super::rest_detector::RestDetector;
 use super::rest_watch::RestWatch;
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
 use super::unseen::ANY_TURN_RAD2;
@@ -45,8 +46,6 @@ const IMPLAUSIBLE_BIAS_SIGMA: f32 = 4.0;
 pub(super) enum Tilt {
     /// Unknown: no specific force has shown where down is.
     Unknown,
-    /// From an earlier run: the next sample does not set it.
-    Resumed,
     /// From the mean readings at rest, which contradict the state: the next sample restarts the
     /// filter.
     Restarting,
@@ -68,11 +67,13 @@ impl Kalman {
     /// attitude becomes `VALID` before any rest.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);
+        self.bias_prior.reference_rad_s = bias_rad_s;
         self.set_bias_prior(bias_rad_s, sigma_rad_s);
         self.confirmation = Confirmation::Stored;
     }
 
-    /// Sets the bias, rad/s in body axes, and its σ per axis, until a rest measures it.
+    /// Sets the bias, rad/s in body axes, and its σ per axis, until a rest measures it. The
+    /// reference of a known bias stays.
     #[inline(never)]
     pub(super) fn set_bias_prior(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.nominal.set_gyroscope_bias(bias_rad_s);
@@ -83,23 +84,20 @@ impl Kalman {
     }
 
     /// Returns the bias's variances to their prior, about the present bias, until a rest measures
-    /// it.
+    /// it. The reference of a known bias stays.
     #[inline(never)]
     pub(super) fn return_bias_to_prior(&mut self) {
         self.has_rested = false;
-        self.bias_prior.reference_rad_s = self.nominal.gyroscope_bias_rad_s;
+        if !self.is_bias_known {
+            self.bias_prior.reference_rad_s = self.nominal.gyroscope_bias_rad_s;
+        }
         self.step.covariance.reset_bias(self.bias_prior.variance);
     }
 
-    /// Continues from an earlier run, instead of taking the tilt from the first sample. If σ of
-    /// the kept tilt is 30° or more, the specific force sets the tilt, and yaw is kept. Call
-    /// it before the first sample.
-    ///
-    /// In motion, or while armed, σ of the tilt is then at least 6.4°, and larger the more the
-    /// force differs from one g. That ends with a rest, or when motion has confirmed the bias,
-    /// after some 20 s.
-    pub fn resume(&mut self, start: &WarmStart) {
+    /// Continues from an earlier run, instead of taking the tilt from the first sample.
+    pub(crate) fn resume(&mut self, start: &WarmStart) {
         self.nominal.attitude = start.attitude;
+        self.bias_prior.reference_rad_s = start.bias_rad_s - start.bias_change_rad_s;
         self.start_from_attitude(
             start.bias_rad_s,
             start.bias_sigma_rad_s,
@@ -110,10 +108,16 @@ impl Kalman {
         let [forward, right] = start.accelerometer_bias_m_s2;
         self.nominal.accelerometer_bias_m_s2 = Vector3::new(forward, right, 0.0);
         self.tilt = if start.tilt_sigma_rad < USABLE_TILT_RAD {
-            Tilt::Resumed
+            Tilt::Known
         } else {
             Tilt::Lost
         };
+    }
+
+    /// Returns the change of the bias from its reference, rad/s: since the last rest, or else since
+    /// it was stored.
+    pub(crate) fn bias_change_rad_s(&self) -> Vector3 {
+        self.nominal.gyroscope_bias_rad_s - self.bias_prior.reference_rad_s
     }
 
     /// Returns σ per axis with which a later run may take over the bias, rad/s: too large for a
@@ -162,19 +166,15 @@ impl Kalman {
         {
             self.restart_at_rest(&readings);
         } else {
-            self.rest_detector.start(rate, force);
+            self.rest_detector = RestDetector::new();
             self.start_tilt(force, shows_gravity);
         }
         self.nominal.start(rate, force);
     }
 
-    /// Takes the tilt from the specific force, body axes, unless an earlier run has kept it.
-    /// Without gravity, a tilt that was known becomes [`Tilt::Lost`].
+    /// Takes the tilt from the specific force, body axes. Without gravity, a tilt that was known
+    /// becomes [`Tilt::Lost`].
     fn start_tilt(&mut self, force: Vector3, shows_gravity: bool) {
-        if self.tilt == Tilt::Resumed {
-            self.tilt = Tilt::Known;
-            return;
-        }
         self.reset_motion(square(self.tuning.start_tilt_rad));
         self.extra_tilt_rad2 = ONE_SAMPLE_TILT_RAD2;
         self.is_from_one_sample = true;

@@ -2,7 +2,6 @@
 //! prior.
 
 use super::confirmation::Confirmation;
-use super::prior::BiasPrior;
 use super::propagation::{State, VELOCITY_EAST, VELOCITY_NORTH};
 use super::rest_detector::{RestReadings, SETTLED_S};
 use super::slices::Measurement;
@@ -246,11 +245,8 @@ impl Kalman {
     /// measurement of variance 2p, which is the same as adding one of variance −2p. Repeated,
     /// this maximises the likelihood over the prior's width.
     fn widen_prior(&mut self) {
-        let BiasPrior {
-            reference_rad_s,
-            variance: variances,
-        } = &mut self.bias_prior;
-        let bias = self.nominal.gyroscope_bias_rad_s - *reference_rad_s;
+        let bias = self.bias_change_rad_s();
+        let variances = &mut self.bias_prior.variance;
         let deviations = [bias.x, bias.y, bias.z];
         for (axis, (bias, variance)) in deviations.into_iter().zip(variances).enumerate() {
             let own = self.step.covariance.parameter_variance(axis);

@@ -550,12 +550,11 @@ impl Kalman {
         visitor.f32(&mut self.saturated_s);
         visitor.bool(&mut self.is_armed);
         let mut tilt = self.tilt as usize;
-        visitor.index(&mut tilt, 5);
+        visitor.index(&mut tilt, 4);
         self.tilt = match tilt {
             0 => Tilt::Unknown,
-            1 => Tilt::Resumed,
-            2 => Tilt::Restarting,
-            3 => Tilt::Lost,
+            1 => Tilt::Restarting,
+            2 => Tilt::Lost,
             _ => Tilt::Known,
         };
         visitor.bool(&mut self.is_step_pending);

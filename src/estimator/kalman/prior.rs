@@ -16,6 +16,9 @@ pub struct WarmStart {
     pub tilt_sigma_rad: f32,
     /// The gyroscope's bias in body axes, rad/s.
     pub bias_rad_s: Vector3,
+    /// Change of the bias since the last rest, or else since it was stored, rad/s. Motion confirms
+    /// the bias only if it then is within 0.2 °/s of that rest's.
+    pub bias_change_rad_s: Vector3,
     /// σ of the bias per axis, rad/s. From 0.5 °/s on, the bias is not known.
     pub bias_sigma_rad_s: f32,
     /// Bias of the accelerometer along the body's forward and right axes, m/s².

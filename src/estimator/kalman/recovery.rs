@@ -42,6 +42,7 @@ impl Kalman {
     pub(super) fn restart_at_rest(&mut self, readings: &RestReadings) {
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
         self.level(force);
+        self.bias_prior.reference_rad_s = readings.rate_rad_s;
         self.restart_from(
             readings.rate_rad_s,
             STATIONARY_BIAS_RAD_S,

@@ -62,24 +62,14 @@ pub(super) struct RestDetector {
 }
 
 impl RestDetector {
-    /// Creates a detector without readings.
+    /// Creates a detector without readings. The first ones begin the first average.
     pub(super) const fn new() -> Self {
         Self {
             average_rate_rad_s: Vector3::ZERO,
             average_force_m_s2: Vector3::ZERO,
             first_force_m_s2: Vector3::ZERO,
-            quiet_s: 0.0,
-        }
-    }
-
-    /// Starts from one sample's readings.
-    pub(super) fn start(&mut self, rate_rad_s: Vector3, force_m_s2: Vector3) {
-        *self = Self {
-            average_rate_rad_s: rate_rad_s,
-            average_force_m_s2: force_m_s2,
-            first_force_m_s2: force_m_s2,
             quiet_s: -f32::MIN_POSITIVE,
-        };
+        }
     }
 
     /// Shifts the average rate by a change of the readings without motion, rad/s.
@@ -203,7 +193,6 @@ mod tests {
         const STEPS: u32 = 9_000 * 50;
         let force = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
         let mut detector = RestDetector::new();
-        detector.start(Vector3::ZERO, force);
         for step in 0..STEPS {
             let before_s = detector.quiet_s();
             let (rate, velocity) = (Vector3::ZERO, force.scale(STEP_S));

@@ -159,6 +159,7 @@ fn warm_start(world: &World) -> WarmStart {
         attitude: world.attitude,
         tilt_sigma_rad: radians(21.0),
         bias_rad_s: world.bias_rad_s,
+        bias_change_rad_s: Vector3::ZERO,
         bias_sigma_rad_s: radians(0.2),
         accelerometer_bias_m_s2: [0.0; 2],
         squared_velocity_m2_s2: 0.0,

@@ -46,7 +46,7 @@ impl Kalman {
     pub(super) fn reported_tilt_variance(&self) -> f32 {
         match self.tilt {
             Tilt::Unknown | Tilt::Lost => f32::INFINITY,
-            Tilt::Resumed | Tilt::Restarting | Tilt::Known => {
+            Tilt::Restarting | Tilt::Known => {
                 let variance = REPORTED_VARIANCE_SCALE * self.total_tilt_variance();
                 if self.is_bias_known {
                     variance

@@ -31,10 +31,11 @@ fn motion_makes_the_accelerometer_s_offset_certain() {
         );
         let kept = [found.x, found.y];
         let mut next = Estimator::new();
-        next.filter_mut().resume(&WarmStart {
+        let start = WarmStart {
             accelerometer_bias_m_s2: kept,
             ..warm_start(&world)
-        });
+        };
+        next.resume(&start, world.t_us);
         let resumed = filter(&next).accelerometer_bias_m_s2();
         assert_eq!(resumed, Vector3::new(found.x, found.y, 0.0));
     }

@@ -65,16 +65,40 @@ fn a_kept_bias_is_not_confirmed_before_motion_can_contradict_it() {
     assert!(bias_sigma_rad_s < radians(0.3));
     let mut after = estimator();
     after.filter_mut().set_armed(true);
-    after.filter_mut().resume(&WarmStart {
+    let start = WarmStart {
         bias_sigma_rad_s,
         ..warm_start(&world)
-    });
+    };
+    after.resume(&start, world.t_us);
     let estimate = world.run(&mut after, 15_000);
     assert_eq!(after.filter().confirmation, Confirmation::Suspect);
     assert!(estimate.tilt_sigma_rad() > radians(6.0));
     let estimate = world.run(&mut after, 10_000);
     assert_eq!(after.filter().confirmation, Confirmation::Confirmed);
     assert!(estimate.tilt_sigma_rad() < radians(3.0));
+}
+
+/// A reset leaves the bias's reference: motion confirms neither a bias that had moved before, nor
+/// one that unusable numbers have left.
+#[test]
+fn a_bias_that_had_moved_before_a_reset_is_not_confirmed() {
+    for (change_deg_s, is_confirmed) in [(0.1, true), (0.3, false)] {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        let mut estimator = estimator();
+        estimator.filter_mut().set_armed(true);
+        let start = WarmStart {
+            bias_change_rad_s: Vector3::new(0.0, radians(change_deg_s), 0.0),
+            ..warm_start(&world)
+        };
+        estimator.resume(&start, world.t_us);
+        for _ in 0..2 {
+            let estimate = world.run(&mut estimator, 25_000);
+            let confirmation = estimator.filter().confirmation;
+            assert_eq!(confirmation == Confirmation::Confirmed, is_confirmed);
+            assert!(estimate.is_bias_known);
+            estimator.filter_mut().restart_from_unusable_numbers();
+        }
+    }
 }
 
 /// Lets the bias drift by this much in 80 s, and gives the filter a minute to follow.
@@ -147,7 +171,7 @@ fn a_reset_in_a_turn_leaves_sigma_for_the_bank() {
     let mut world = World::at_rest(Quaternion::IDENTITY);
     let mut estimator = estimator();
     estimator.filter_mut().set_armed(true);
-    estimator.filter_mut().resume(&warm_start(&world));
+    estimator.resume(&warm_start(&world), world.t_us);
     let level = world.run(&mut estimator, 3_000).tilt_sigma_rad();
     // A force of two g up: a bank of 60°.
     world.acceleration_m_s2 = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
@@ -211,11 +235,12 @@ fn known_after_a_restart_in_motion(seed: u64, off_deg_s: f32) -> u32 {
         hand.moves(&mut world, &mut random);
     }
     let mut estimator = estimator();
-    estimator.filter_mut().resume(&WarmStart {
+    let start = WarmStart {
         bias_rad_s: world.bias_rad_s + Vector3::new(0.0, 0.0, radians(off_deg_s)),
         squared_velocity_m2_s2: 1.0,
         ..warm_start(&world)
-    });
+    };
+    estimator.resume(&start, world.t_us);
     let mut known = 0;
     for _ in 0..20_000 {
         hand.moves(&mut world, &mut random);
@@ -248,11 +273,12 @@ fn a_known_bias_stays_known_after_a_restart_in_motion() {
 fn an_uncertain_kept_tilt_is_taken_from_the_specific_force() {
     let mut world = World::at_rest(from_degrees(20.0, 10.0, 70.0));
     let mut estimator = estimator();
-    estimator.filter_mut().resume(&WarmStart {
+    let start = WarmStart {
         attitude: from_degrees(-10.0, 40.0, 70.0),
         tilt_sigma_rad: radians(40.0),
         ..warm_start(&world)
-    });
+    };
+    estimator.resume(&start, world.t_us);
     let estimate = world.run(&mut estimator, 170);
     assert!(estimate.is_bias_known);
     let sigma_deg = degrees(estimate.tilt_sigma_rad());
@@ -265,13 +291,13 @@ fn an_uncertain_kept_tilt_is_taken_from_the_specific_force() {
 
 /// Returns the largest error of the tilt as a share of the promise, which is 5° or six σ. Two σ:
 /// the one reported, and the covariance's. Accelerates by 2 m/s² for 4 s from the start on.
-fn worst_in_an_acceleration(start: impl FnOnce(&mut Kalman, &World)) -> [f32; 2] {
+fn worst_in_an_acceleration(start: impl FnOnce(&mut Estimator, &World)) -> [f32; 2] {
     let mut world = World::at_rest(from_degrees(0.0, 0.0, 0.0));
     world.acceleration_m_s2 = Vector3::new(2.0, 0.0, 0.0);
     let mut estimator = estimator();
     // A steady acceleration without vibration looks like rest.
     estimator.filter_mut().set_armed(true);
-    start(estimator.filter_mut(), &world);
+    start(&mut estimator, &world);
     let mut worst = [0.0_f32; 2];
     for _ in 0..4_000 {
         let estimate = world.run(&mut estimator, 1);
@@ -290,15 +316,15 @@ fn worst_in_an_acceleration(start: impl FnOnce(&mut Kalman, &World)) -> [f32; 2]
 #[test]
 fn an_acceleration_from_a_start_on_is_not_taken_for_tilt() {
     let [warm, warm_covariance] =
-        worst_in_an_acceleration(|filter, world| filter.resume(&warm_start(world)));
-    let [cold, _] = worst_in_an_acceleration(|filter, world| {
-        filter.set_bias(world.bias_rad_s, radians(0.2));
+        worst_in_an_acceleration(|it, world| it.resume(&warm_start(world), world.t_us));
+    let [cold, _] = worst_in_an_acceleration(|it, world| {
+        it.filter_mut().set_bias(world.bias_rad_s, radians(0.2));
     });
     assert!(warm < 1.0 && cold < 1.0, "{warm} {cold}");
     // In place it is taken for tilt. Without a known bias no attitude is `VALID`.
-    let [_, in_place] = worst_in_an_acceleration(|filter, world| {
-        filter.resume(&warm_start(world));
-        filter.recent = RecentVelocity::NONE;
+    let [_, in_place] = worst_in_an_acceleration(|it, world| {
+        it.resume(&warm_start(world), world.t_us);
+        it.filter_mut().recent = RecentVelocity::NONE;
     });
     assert!(
         in_place > 1.0 && warm_covariance < 1.0,
