@@ -103,7 +103,7 @@ impl Mount {
     }
 
     /// Rotates a vector from sensor axes to body axes.
-    #[inline]
+    #[inline(never)]
     pub fn to_body(self, sensor: Vector3) -> BodyVector {
         BodyVector::new(
             self.forward.component(sensor),

@@ -538,13 +538,19 @@ impl FromStr for Command {
     }
 }
 
-/// Parses the argument of a command that takes one.
-fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseError> {
-    let unknown = |known: &[&'static str]| ParseError::UnknownArgument {
+/// Returns the error for an argument that is not among the known ones.
+#[inline(never)]
+fn unknown_argument(form: &'static Form, argument: &str, known: &[&'static str]) -> ParseError {
+    ParseError::UnknownArgument {
         form,
         word: Word::new(argument),
         nearest: nearest(argument, known.iter().copied()),
-    };
+    }
+}
+
+/// Parses the argument of a command that takes one.
+fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseError> {
+    let unknown = |known| unknown_argument(form, argument, known);
     match form.name {
         "calibrate" => Calibrate::ALL
             .into_iter()

@@ -96,6 +96,7 @@ impl Console {
     }
 
     /// Returns the mount in use.
+    #[inline(never)]
     pub fn mount(&self) -> Mount {
         self.working.calibration.mount.unwrap_or(self.default_mount)
     }

@@ -67,6 +67,7 @@ impl Statistics {
     }
 
     /// Returns the mean; zero without values.
+    #[inline(never)]
     pub fn mean(&self) -> f32 {
         self.first as f32 + self.relative_mean()
     }

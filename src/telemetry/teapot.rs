@@ -78,6 +78,7 @@ pub fn decode(packet: &[u8; PACKET_LENGTH]) -> Option<(Quaternion, u8)> {
 }
 
 /// Rounds to counts. The cast saturates, and turns a NaN into zero.
+#[inline(never)]
 fn counts(value: f32) -> [u8; 2] {
     let half = if value < 0.0 { -0.5 } else { 0.5 };
     ((value * COUNTS + half) as i16).to_be_bytes()

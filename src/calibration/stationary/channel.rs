@@ -101,6 +101,7 @@ impl Channel {
     }
 
     /// Clears all sums and keeps the measured noise.
+    #[inline(never)]
     pub(super) fn restart(&mut self) {
         let noise = self.noise;
         *self = Self {
