@@ -4,6 +4,10 @@
 //! cycle has three rounds: request of the transfer, its outcome one sample later, and the
 //! housekeeping of the sensor. Each needs the bus for less than the gap between two bursts.
 //!
+//! The bus may be taken, as by the checks of the settings while the sensor is polled. The transfer
+//! then begins later, and the next cycle takes its outcome before it requests another. So the
+//! session gets each outcome before it gives the next transfer.
+//!
 //! A good reading goes to the heading filter ([`super::heading`]). Its time is that of the
 //! transfer's start, less the part's mean age of a field ([`Session::mean_age_us`]). While the
 //! flight log is sent, each reading goes to its queue too.
@@ -61,6 +65,8 @@ pub struct CompassTask {
     declination_rad: f32,
     heading: HeadingTask,
     phase: u8,
+    /// True if the session has started anew since the requested transfer.
+    is_transfer_old: bool,
     field: Option<MagneticField>,
     /// Readings for a fit, while a calibration collects them.
     fitter: Option<CompassFitter>,
@@ -86,6 +92,7 @@ impl CompassTask {
             declination_rad,
             heading: HeadingTask::new(compass_knowledge(&alignment)),
             phase: 0,
+            is_transfer_old: false,
             field: None,
             fitter: None,
             reported: (false, None),
@@ -99,6 +106,7 @@ impl CompassTask {
     /// Searches a compass of this choice.
     pub fn choose(&mut self, choice: Choice) {
         self.session = Session::new(choice);
+        self.is_transfer_old = !self.transfers.is_free();
         self.field = None;
         self.restart_heading();
     }
@@ -113,6 +121,7 @@ impl CompassTask {
     /// Configures the compass again.
     pub fn restart(&mut self) {
         self.session.restart();
+        self.is_transfer_old = !self.transfers.is_free();
     }
 
     /// Sets the place in the vehicle. In another place the heading restarts. Returns whether it is
@@ -216,7 +225,10 @@ impl CompassTask {
         }
         match self.phase {
             0 => {
-                if let Some(transfer) = self.session.next_transfer() {
+                self.take_reading(pipeline, snapshot);
+                if self.transfers.is_free()
+                    && let Some(transfer) = self.session.next_transfer()
+                {
                     self.transfers.request(transfer);
                 }
             }
@@ -234,11 +246,21 @@ impl CompassTask {
     #[inline(never)]
     fn take_reading(&mut self, pipeline: &Pipeline, snapshot: &Snapshot) {
         let Self {
-            session, transfers, ..
+            session,
+            transfers,
+            is_transfer_old,
+            ..
         } = self;
-        let Some((reading, started_us)) =
-            transfers.take(|outcome, started_us| (session.finish(outcome), started_us))
-        else {
+        let taken = transfers.take(|outcome, started_us| {
+            let is_old = core::mem::take(is_transfer_old);
+            let reading = if is_old {
+                None
+            } else {
+                session.finish(outcome)
+            };
+            (reading, started_us)
+        });
+        let Some((reading, started_us)) = taken else {
             return;
         };
         self.report_change();

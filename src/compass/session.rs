@@ -363,6 +363,9 @@ impl Session {
         }
         let Choice::Named(named) = self.choice else {
             // A board without a compass is no fault. A restart searches again.
+            if self.fault == Some(Fault::HoldsBus) {
+                self.fault = None;
+            }
             return State::Idle;
         };
         self.fault = Some(match self.other {

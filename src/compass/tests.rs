@@ -392,6 +392,22 @@ fn a_compass_that_stops_the_bus_is_left_alone_for_longer_and_longer() {
     assert!(turns(&mut compass, 4).1.is_none());
 }
 
+/// A board without a compass is no fault, even if a disturbance has stopped the bus meanwhile.
+#[test]
+fn a_stop_of_the_bus_without_a_compass_is_forgotten() {
+    let mut session = Session::new(Choice::Auto);
+    session.next_transfer();
+    session.finish(&Outcome::Hung);
+    assert_eq!(session.fault(), Some(Fault::HoldsBus));
+    for _ in 0..200 {
+        if session.next_transfer().is_some() {
+            session.finish(&Outcome::NoAnswer);
+        }
+    }
+    assert!(session.is_idle());
+    assert_eq!(session.fault(), None);
+}
+
 #[test]
 fn lost_settings_and_impossible_trims_are_reported() {
     for (part, bus) in every_part() {

@@ -12,6 +12,7 @@ use aplomb_models::motion::{Motion, Mount, Quaternion, Truth};
 use common::firmware;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
+use virtual_board::schedule::Schedule;
 
 /// Fields that `status` has printed: body axes, µT.
 fn fields(outcome: &Outcome) -> Vec<[f64; 3]> {
@@ -244,6 +245,49 @@ fn the_mount_of_the_compass_is_its_own() {
     assert!((before[0] - 18.6).abs() > 10.0, "{before:?}");
     let is_right = (x - 18.6).abs() < 2.5 && y.abs() < 2.5 && (z - 46.1).abs() < 2.5;
     assert!(is_right, "{x} {y} {z}");
+}
+
+/// A reading may still wait for its cycle while a self-test begins. It was then taken for a step of
+/// the next configuration: in these four of 40 runs the AK8963's own field stayed on.
+#[test]
+fn a_self_test_ends_whenever_it_begins() {
+    for seed in [12, 19, 29, 31] {
+        let outcome = at_rest(Kit::Mpu9250, Part::Ak8963, "z-up", true)
+            .seed(seed)
+            .seconds(3.6)
+            .command(1.5 + seed as f64 * 3.7e-3, "self-test")
+            .command(3.4, "status")
+            .run()
+            .unwrap();
+        let [[_, _, z]] = fields(&outcome)[..] else {
+            panic!("a field: {:?}", outcome.uart_lines);
+        };
+        assert!((z - 46.1).abs() < 2.5, "{seed}: {z}");
+    }
+}
+
+/// Without edges of the INT pin the reader checks the settings after every burst, which takes the
+/// bus first. Readings come all the same.
+#[test]
+fn a_compass_goes_on_without_edges() {
+    let no_edges = Schedule::parse("test", "1.5 60 int-missing").unwrap();
+    for (kit, part) in [(Kit::Mpu9250, Part::Ak8963), (Kit::Gy87, Part::Hmc5883l)] {
+        let outcome = at_rest(kit, part, "z-up", true)
+            .seconds(3.2)
+            .schedule(&no_edges)
+            .command(3.0, "status")
+            .run()
+            .unwrap();
+        let last = outcome.samples().last().expect("samples").snapshot.flags;
+        assert!(last.contains(Flags::POLLED), "{part:?}: {last:?}");
+        assert!(!last.contains(Flags::COMPASS_FAULT), "{part:?}: {last:?}");
+        assert_eq!(
+            fields(&outcome).len(),
+            1,
+            "{part:?} {:?}",
+            outcome.uart_lines
+        );
+    }
 }
 
 /// `self-test` tests the compass too, where it has one. Readings come again afterwards.

@@ -158,7 +158,7 @@ impl Chip for Ak8963 {
         self.now_ns = self.next_ns.take().unwrap_or(self.now_ns);
         self.next_ns = self.period_ns().map(|period_ns| self.now_ns + period_ns);
         let is_single = matches!(self.mode, SINGLE | SELF_TEST);
-        let has_self_field = self.mode == SELF_TEST && self.has_self_field;
+        let is_self_test = self.mode == SELF_TEST && self.has_self_field;
         if is_single {
             self.mode = POWER_DOWN;
         }
@@ -177,15 +177,16 @@ impl Chip for Ak8963 {
             // Section 8.3.11: what is read times this factor is the field.
             let adjustment = (f64::from(self.trims[axis]) - 128.0) * 0.5 / 128.0 + 1.0;
             let noisy = field + NOISE_UT * (conversion.normal)();
-            let own = if has_self_field && axis == 2 {
+            // Section 6.4.9.1: the bit generates the field. No mode is excepted.
+            let own = if self.has_self_field && axis == 2 {
                 SELF_TEST_COUNTS
             } else {
                 0.0
             };
-            let counts = if has_self_field {
+            let counts = if is_self_test {
                 own
             } else {
-                noisy / per_count / adjustment
+                own + noisy / per_count / adjustment
             };
             *data = to_counts(counts, -highest, highest).0;
         }

@@ -72,17 +72,18 @@ impl CompassTransfers {
         Self(())
     }
 
-    /// Requests a transfer. Returns false, and does nothing, while one is under way.
-    pub fn request(&mut self, transfer: Transfer) -> bool {
-        if TRANSFER_SLOT.state.load(Ordering::Relaxed) != FREE {
-            return false;
-        }
+    /// Returns whether the outcome of each requested transfer has been taken.
+    pub fn is_free(&self) -> bool {
+        TRANSFER_SLOT.state.load(Ordering::Relaxed) == FREE
+    }
+
+    /// Requests a transfer. Only while the slot [is free](Self::is_free).
+    pub fn request(&mut self, transfer: Transfer) {
         // SAFETY: the state is `FREE`, so the reader does not look at the transfer.
         unsafe { *TRANSFER_SLOT.transfer.get() = transfer };
         compiler_fence(Ordering::Release);
         TRANSFER_SLOT.state.store(REQUESTED, Ordering::Relaxed);
         super::request_check();
-        true
     }
 
     /// Takes the outcome of the transfer: `work` gets it, and the time of the transfer's start on
