@@ -566,28 +566,24 @@ fn parse_argument(form: &'static Form, argument: &str) -> Result<Command, ParseE
             .map(Command::GyroscopeMatrix)
             .ok_or_else(|| ParseError::NotAMatrix(Word::new(argument))),
         "mount" if argument == "find" => Ok(Command::Mount(MountChoice::Find)),
-        "mount" => match Mount::parse(argument) {
-            Some(mount) => Ok(Command::Mount(MountChoice::Named(mount))),
-            None => Err(unknown(&["find", "z-up", "z-down"])),
-        },
+        "mount" => Mount::parse(argument)
+            .map(|mount| Command::Mount(MountChoice::Named(mount)))
+            .ok_or_else(|| unknown(&["find", "z-up", "z-down"])),
         "compass" if argument == KEEP => Ok(Command::Compass(CompassChoice::Keep)),
-        "compass" => match (Choice::parse(argument), Mount::parse(argument)) {
-            (Some(choice), _) => Ok(Command::Compass(CompassChoice::Part(choice))),
-            (None, Some(mount)) => Ok(Command::Compass(CompassChoice::Mount(mount))),
-            (None, None) => Err(unknown(&COMPASS_WORDS)),
-        },
+        "compass" => (Choice::parse(argument).map(CompassChoice::Part))
+            .or_else(|| Mount::parse(argument).map(CompassChoice::Mount))
+            .map(Command::Compass)
+            .ok_or_else(|| unknown(&COMPASS_WORDS)),
         // The console refuses it, whatever the angle.
         "declination" if !compass::IS_BUILT_IN => Ok(Command::Declination(0)),
-        "declination" => match centidegrees(argument) {
-            Some(angle) if DECLINATIONS_CENTIDEGREES.contains(&angle) => {
-                Ok(Command::Declination(angle))
-            }
-            _ => Err(ParseError::NotADeclination(Word::new(argument))),
-        },
-        "rate" => match number(argument).and_then(|rate| u16::try_from(rate).ok()) {
-            Some(rate) if RATES_HZ.contains(&rate) => Ok(Command::Rate(rate)),
-            _ => Err(ParseError::NotARate(Word::new(argument))),
-        },
+        "declination" => centidegrees(argument)
+            .filter(|angle| DECLINATIONS_CENTIDEGREES.contains(angle))
+            .map(Command::Declination)
+            .ok_or_else(|| ParseError::NotADeclination(Word::new(argument))),
+        "rate" => (number(argument).and_then(|rate| u16::try_from(rate).ok()))
+            .filter(|rate| RATES_HZ.contains(rate))
+            .map(Command::Rate)
+            .ok_or_else(|| ParseError::NotARate(Word::new(argument))),
         "format" => argument
             .parse()
             .map(Command::Format)
