@@ -176,6 +176,11 @@ impl AnyPipeline {
             let mut heading = Heading::new(reading.knowledge);
             heading.set_declination(reading.declination_rad);
             self.restore_heading(Some(heading));
+        } else if let Variant::WithCompass(pipeline) = &mut self.pipeline {
+            let heading = pipeline.heading_filter_mut();
+            if heading.declination_rad() != reading.declination_rad {
+                heading.set_declination(reading.declination_rad);
+            }
         }
         self.update_field(reading.field, age_us);
     }
@@ -278,6 +283,9 @@ impl AnyPipeline {
 
 #[cfg(test)]
 mod tests {
+    use aplomb::attitude::BodyVector;
+    use aplomb::mpu6050::Part;
+
     use super::*;
 
     #[test]
@@ -287,5 +295,38 @@ mod tests {
         }
         let refused = "vqf".parse::<FilterName>();
         assert!(refused.is_err_and(|error| error.contains("kalman, axis-kalman, classic")));
+    }
+
+    /// `declination` restarts no filter of the module, so later readings have another one.
+    #[test]
+    fn a_declination_that_changes_in_a_log_turns_the_heading() {
+        let settings = Settings::new(&Part::MPU_6050);
+        let mut pipeline = AnyPipeline::for_samples(FilterName::Kalman, &settings, 0);
+        let mut heading_deg = |t_us: u64, degrees: f32| {
+            let force = BodyVector::new(0.0, 0.0, -9.81);
+            pipeline.update_sample(&Sample::new(t_us, force, BodyVector::ZERO));
+            pipeline.take_reading(&CompassReading {
+                number: 0,
+                sample_t_us: t_us,
+                measured_us: t_us as u32 - 10_000,
+                field: MagneticField {
+                    ut: [20.0, 0.0, 44.0],
+                },
+                knowledge: CompassKnowledge::Calibrated,
+                declination_rad: degrees.to_radians(),
+                starts_filter: t_us == 20_000,
+            });
+            let heading = pipeline.heading();
+            heading.map_or(f32::NAN, |heading| heading.yaw_offset_rad.to_degrees())
+        };
+        let mut before_deg = f32::NAN;
+        for index in 1..300 {
+            before_deg = heading_deg(20_000 * index, 0.0);
+        }
+        let after_deg = heading_deg(6_000_000, 3.5);
+        assert!(
+            (after_deg - before_deg - 3.5).abs() < 1.0e-3,
+            "{before_deg} {after_deg}"
+        );
     }
 }
