@@ -6,7 +6,7 @@
 use super::{Pipeline, Settings, Snapshot};
 use crate::calibration::{Calibration, CompassAlignment};
 use crate::estimator::Sample;
-use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
+use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate, VALID_TILT_RAD};
 use crate::health::{BoardFlags, Flags};
 use crate::mpu6050::Burst;
 use crate::serialize::StateVisitor;
@@ -190,11 +190,12 @@ impl Pipeline {
 }
 
 impl Snapshot {
-    /// Sets [`Flags::HEADING_VALID`] if the heading is valid and the tilt too, and clears it
-    /// otherwise.
+    /// Sets [`Flags::HEADING_VALID`] if the heading is valid, and the tilt is valid with a σ below
+    /// 4°. Clears it otherwise.
     pub fn set_heading_valid(&mut self, heading: Option<HeadingEstimate>) {
         let is_valid = heading.is_some_and(|heading| heading.is_valid);
-        let has_tilt = self.flags.contains(Flags::VALID);
+        let has_tilt = self.flags.contains(Flags::VALID)
+            && self.tilt_variance_rad2 < VALID_TILT_RAD * VALID_TILT_RAD;
         self.flags.set(Flags::HEADING_VALID, is_valid && has_tilt);
     }
 }
@@ -221,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn other_body_axes_restart_the_heading_and_an_offset_does_not() {
+    fn other_body_axes_and_accelerometers_restart_the_heading() {
         let settings = Settings::new(&Part::MPU_6050);
         let mut pipeline = CompassPipeline::new(&settings, CompassKnowledge::Calibrated);
         for index in 1..2_000_u64 {
@@ -239,6 +240,10 @@ mod tests {
         };
         pipeline.set_calibration(&calibration);
         assert_eq!(pipeline.heading(), Some(before));
+        // The tilt filter starts its parameters anew, so the field is found anew too.
+        let force = BodyVector::new(0.0, 0.0, -9.81);
+        pipeline.update_sample(&Sample::new(2_000_000, force, BodyVector::ZERO));
+        assert_eq!(pipeline.heading(), None);
         calibration.mount = Some(Mount::Z_DOWN);
         let changes = pipeline.heading_filter().changes();
         pipeline.set_calibration(&calibration);

@@ -177,7 +177,7 @@ impl Chip for Ak8963 {
             // Section 8.3.11: what is read times this factor is the field.
             let adjustment = (f64::from(self.trims[axis]) - 128.0) * 0.5 / 128.0 + 1.0;
             let noisy = field + NOISE_UT * (conversion.normal)();
-            // Section 6.4.9.1: the bit generates the field. No mode is excepted.
+            // The bit generates the field (section 8.3.8); no mode is excepted.
             let own = if self.has_self_field && axis == 2 {
                 SELF_TEST_COUNTS
             } else {

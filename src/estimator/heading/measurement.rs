@@ -305,8 +305,10 @@ impl Heading {
         let variance = square(cy) * covariance.entry(0, 0) + square(cx) * covariance.entry(1, 1)
             - 2.0 * cx * cy * covariance.entry(1, 0);
         let horizontal = square(cx) + square(cy) + 1.0e-3;
+        // The present interval comes after the step.
+        let variance = variance / square(horizontal) + self.present_unseen_rad2();
         let sigma_rad = if horizontal > LEAST_HORIZONTAL_UT2 {
-            libm::sqrtf(larger(variance, 0.0)) / horizontal
+            libm::sqrtf(larger(variance, 0.0))
         } else {
             f32::INFINITY
         };
@@ -316,7 +318,7 @@ impl Heading {
         } else {
             self.silent_s + self.closed().duration_s
         };
-        let is_tilt_known = kalman.tilt_variance_rad2() < square(tuning.valid_tilt_rad);
+        let is_tilt_known = self.is_tilt_known(kalman);
         if !is_tilt_known {
             // A correction of the tilt looks like a turn: turns count from the attitude after it.
             self.first_attitude = None;
@@ -338,5 +340,33 @@ impl Heading {
         });
         self.set_estimate(estimate);
         Phase::Idle
+    }
+
+    /// Inflates σ of the published heading by this variance of yaw, rad²: motion that no sample
+    /// has shown. The step that takes it into account comes later.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn inflate_estimate(&mut self, kalman: &Kalman, variance: f32) {
+        let Some(mut estimate) = self.estimate else {
+            return;
+        };
+        estimate.sigma_rad = libm::sqrtf(square(estimate.sigma_rad) + variance);
+        estimate.is_valid = estimate.is_valid
+            && estimate.sigma_rad < self.tuning.valid_rad
+            && self.is_tilt_known(kalman);
+        self.set_estimate(Some(estimate));
+    }
+
+    /// Returns whether the tilt is certain enough for a valid heading.
+    fn is_tilt_known(&self, kalman: &Kalman) -> bool {
+        kalman.tilt_variance_rad2() < square(self.tuning.valid_tilt_rad)
+    }
+
+    /// Returns the yaw variance of motion that no sample of the present interval has shown, rad².
+    #[inline]
+    fn present_unseen_rad2(&self) -> f32 {
+        let [first, second] = &self.intervals;
+        let present = if self.present == 0 { first } else { second };
+        present.unseen_rad2
     }
 }

@@ -73,6 +73,7 @@ mod tests;
 
 pub use knowledge::CompassKnowledge;
 pub use tuning::Tuning;
+pub(crate) use tuning::VALID_TILT_RAD;
 
 use super::arithmetic::{larger, square};
 use super::kalman::Kalman;
@@ -258,6 +259,11 @@ impl Heading {
             estimate.yaw_offset_rad = wrap_pi(estimate.yaw_offset_rad + turn_rad);
         }
         self.changes = self.changes.wrapping_add(1);
+    }
+
+    /// Returns the declination, rad.
+    pub const fn declination_rad(&self) -> f32 {
+        self.declination_rad
     }
 
     /// Returns the heading; `None` while σ is above 29° (0.5 rad).
@@ -456,8 +462,9 @@ impl Heading {
         }
         if self.has_reading {
             self.add_reading(kalman, dt_s);
-            // A slice can wait, unless samples are rare.
-            if dt_s < LONG_SAMPLE_PERIOD_S && self.phase != Phase::Waiting {
+            // A slice can wait, unless samples are rare, or the step has to end.
+            let can_wait = self.phase != Phase::Waiting && !kalman.is_step_pending();
+            if dt_s < LONG_SAMPLE_PERIOD_S && can_wait {
                 return;
             }
         }
@@ -516,9 +523,14 @@ impl Heading {
         let interval = self.interval();
         interval.add_earth_step(kalman, elapsed_s);
         // A pause, which the tilt filter may already have used.
-        let unseen = interval.unseen_rad2 + kalman.pause_variance_rad2(dt_s);
-        interval.unseen_rad2 = larger(unseen, kalman.unseen_tilt_rad2());
+        let before = interval.unseen_rad2;
+        let unseen = before + kalman.pause_variance_rad2(dt_s);
+        let unseen = larger(unseen, kalman.unseen_tilt_rad2());
+        interval.unseen_rad2 = unseen;
         self.has_interval = true;
+        if unseen > before {
+            self.inflate_estimate(kalman, unseen - before);
+        }
     }
 
     /// Runs slices of the step: one a sample at 1 kHz, beside neither an earth step nor a slice of

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::attitude::{BodyVector, EulerAngles, Quaternion};
-use crate::estimator::kalman::{AccelerometerKnowledge, WarmStart};
+use crate::estimator::kalman::{AccelerometerKnowledge, PAUSE_RATE_RAD_S, WarmStart};
 use crate::estimator::{Estimator, Sample};
 use crate::serialize::{StateReader, StateWriter};
 use crate::units::{STANDARD_GRAVITY_M_S2, degrees, radians};
@@ -23,6 +23,7 @@ struct Flight {
     step_us: u64,
     t_us: u64,
     reading_us: u64,
+    reading_period_us: u64,
     noise: u32,
 }
 
@@ -41,6 +42,7 @@ impl Flight {
             step_us: 2_000,
             t_us: 0,
             reading_us: 0,
+            reading_period_us: 10_000,
             noise: 1,
         }
     }
@@ -69,7 +71,7 @@ impl Flight {
             .update(&Sample::new(self.t_us, BodyVector(force), BodyVector(rate)));
         self.heading.follow(self.estimator.filter(), dt_s);
         if self.t_us >= self.reading_us {
-            self.reading_us += 10_000;
+            self.reading_us += self.reading_period_us;
             let field = to_body.rotate(EARTH_UT + self.disturbance_ut) + self.iron_ut;
             let Vector3 { x, y, z } = field + self.noise(0.5);
             self.heading.add_field(MagneticField { ut: [x, y, z] }, 0);
@@ -534,6 +536,56 @@ fn a_pause_widens_the_heading() {
         "{} {before}",
         sigma(&flight)
     );
+}
+
+/// A vehicle may turn while no sample comes. σ shows it from the first sample on, and after the
+/// step that was under way.
+#[test]
+fn a_turn_in_a_pause_keeps_the_promise_from_the_first_sample_on() {
+    for (pause_us, turn_deg) in [(200_000, 34.0), (300_000, 26.0), (480_000, 83.0)] {
+        for phase in 0..25 {
+            let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
+            flight.estimator.filter_mut().set_sample_period(0.001);
+            flight.step_us = 1_000;
+            flight.rest(3.0);
+            flight.tumble(10.0);
+            flight.rest(0.5 + 0.01 * phase as f32);
+            assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
+            let turn = Quaternion::from_euler(EulerAngles {
+                yaw_rad: radians(turn_deg),
+                ..EulerAngles::default()
+            });
+            flight.truth = turn.multiply(flight.truth);
+            flight.step_us = pause_us;
+            flight.step(Vector3::ZERO);
+            flight.check_promise();
+            flight.step_us = 1_000;
+            let hidden_rad = PAUSE_RATE_RAD_S * pause_us as f32 * SECONDS_PER_MICROSECOND;
+            for _ in 0..50 {
+                flight.rest(0.001);
+                let estimate = flight.heading.estimate();
+                assert!(estimate.is_none_or(|it| it.sigma_rad > 0.99 * hidden_rad));
+            }
+            flight.rest(3.0);
+        }
+    }
+}
+
+/// A log may have a reading in each row.
+#[test]
+fn a_reading_with_each_sample_is_as_good_as_one_in_ten() {
+    for step_us in [1_000, 1_250, 2_000] {
+        let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
+        flight.step_us = step_us;
+        flight.reading_period_us = 0;
+        flight.rest(3.0);
+        flight.tumble(10.0);
+        flight.assert_error_below(3.0);
+        assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
+        let changes = flight.heading.changes();
+        flight.tumble(1.0);
+        assert_ne!(flight.heading.changes(), changes);
+    }
 }
 
 #[test]

@@ -2,6 +2,9 @@
 //!
 //! All are standard deviations (σ) or noise densities, in µT, rad and s.
 
+/// Largest σ of the tilt, both axes together, of a valid heading, rad: 4°.
+pub(crate) const VALID_TILT_RAD: f32 = 0.07;
+
 /// The heading filter's tuning.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -107,7 +110,7 @@ impl Tuning {
         consistency_s: 5.0,
         known_rad: 0.5,
         valid_rad: 0.22,
-        valid_tilt_rad: 0.07,
+        valid_tilt_rad: VALID_TILT_RAD,
         valid_inconsistency: 0.4,
         valid_silence_s: 1.0,
         verified_half_sine: 0.105,
