@@ -88,6 +88,7 @@ impl Procedure {
     }
 
     /// Returns the command that starts the procedure.
+    #[inline(never)]
     pub(super) const fn name(&self) -> &'static str {
         match self.measurement {
             Measurement::Gyroscope => "calibrate gyro",

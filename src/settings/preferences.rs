@@ -68,6 +68,7 @@ impl OutputFormat {
     pub const NAMES: [&str; 6] = ["text", "classic", "teleplot", "teapot", "mavlink", "log"];
 
     /// Returns the name, as the command `format` takes it.
+    #[inline(never)]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Text => "text",
