@@ -31,6 +31,11 @@ pub(super) enum BaudPoll {
 }
 
 impl BaudChange {
+    /// Returns whether the rate is about to change.
+    pub(super) const fn is_changing(&self) -> bool {
+        matches!(self, Self::Requested(_) | Self::Reverting { .. })
+    }
+
     /// Ends a trial because a command has arrived, and returns the new baud rate.
     pub(super) fn confirm(&mut self) -> Option<u32> {
         let Self::Trial { baud, .. } = *self else {

@@ -95,6 +95,11 @@ impl Console {
         self.is_armed
     }
 
+    /// Returns whether commands have to wait: for a task's end, or for a change of the baud rate.
+    pub const fn is_busy(&self) -> bool {
+        self.task.is_some() || self.baud.is_changing()
+    }
+
     /// Returns the mount in use.
     #[inline(never)]
     pub fn mount(&self) -> Mount {
@@ -146,6 +151,8 @@ impl Console {
     }
 
     /// Runs a command and writes its answer to `output`. `now_us` is a clock in µs that may wrap.
+    ///
+    /// Call it only while the console is not [busy](Self::is_busy).
     pub fn execute(
         &mut self,
         command: Command,

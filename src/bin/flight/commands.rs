@@ -107,7 +107,9 @@ impl Commands {
         let mut kind = console.poll(timebase::now(), &mut port, &mut answer.text);
         if let Some(kind) = kind {
             port.station.on_answer(kind);
-        } else if let Some((ticket, command)) = port.station.take_command() {
+        } else if !console.is_busy()
+            && let Some((ticket, command)) = port.station.take_command()
+        {
             let answered = console.execute(command, timebase::now(), &mut port, &mut answer.text);
             port.station.answer(ticket, command, answered);
             kind = Some(answered);

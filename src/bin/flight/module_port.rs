@@ -190,7 +190,10 @@ where
     }
 
     fn begin(&mut self, task: Task) {
-        self.requests.lock(|requests| requests.task = Some(task));
+        self.requests.lock(|requests| {
+            requests.task = Some(task);
+            requests.outcome = None;
+        });
         TO_SUPERVISOR.set(TASK, true);
     }
 

@@ -387,6 +387,30 @@ fn save_writes_what_has_changed_and_nothing_else() {
 }
 
 #[test]
+fn other_commands_wait_for_a_task_and_for_a_change_of_the_baud_rate() {
+    let mut harness = Harness::new();
+    assert!(!harness.console.is_busy());
+    harness.ask("self-test");
+    harness.poll();
+    assert!(harness.console.is_busy());
+    harness.module.outcome = Some(Outcome::new(true, "passed"));
+    harness.poll();
+    assert!(!harness.console.is_busy());
+    harness.ask("baud 921600");
+    assert!(harness.console.is_busy(), "the answer goes out first");
+    harness.poll();
+    assert!(!harness.console.is_busy(), "a command confirms the rate");
+    // The answer goes out at the new rate.
+    harness.wait(9.9);
+    harness.module.is_sending = true;
+    harness.wait(0.2);
+    assert!(harness.console.is_busy());
+    harness.module.is_sending = false;
+    harness.poll().expect("the old rate returns");
+    assert!(!harness.console.is_busy());
+}
+
+#[test]
 fn the_stored_record_is_in_use_and_forget_keeps_the_baud_rate() {
     let mut harness = Harness::with(Some(full()));
     assert_eq!(harness.console.mount().name(), "-x-y");

@@ -1,0 +1,105 @@
+//! Requests of a MAVLink ground station to the real image, beside a task or a change of the baud
+//! rate.
+
+mod common;
+
+use aplomb_models::motion::rest::Rest;
+use common::firmware;
+use virtual_board::flight::{Outcome, Run};
+
+/// Message COMMAND_LONG, and the seed of its checksum.
+const COMMAND_LONG: (u8, u8) = (76, 152);
+/// Message COMMAND_ACK.
+const COMMAND_ACK: u8 = 77;
+/// MAV_CMD_PREFLIGHT_STORAGE.
+const STORAGE: u16 = 245;
+/// MAV_CMD_COMPONENT_ARM_DISARM.
+const ARM: u16 = 400;
+/// MAV_RESULT_ACCEPTED.
+const ACCEPTED: u8 = 0;
+/// MAV_RESULT_IN_PROGRESS.
+const IN_PROGRESS: u8 = 5;
+
+/// Adds a byte to the checksum of MAVLink, CRC-16/MCRF4XX.
+fn checksum(sum: u16, byte: u8) -> u16 {
+    (0..8).fold(sum ^ u16::from(byte), |sum, _| {
+        (sum >> 1) ^ (0x8408 * (sum & 1))
+    })
+}
+
+/// Returns a frame of MAVLink 2.
+fn frame((message, seed): (u8, u8), payload: &[u8]) -> Vec<u8> {
+    let length = payload.len() as u8;
+    let mut frame = vec![0xFD, length, 0, 0, 0, 255, 190, message, 0, 0];
+    frame.extend(payload);
+    let checked = frame[1..].iter().chain([&seed]);
+    let sum = checked.fold(0xFFFF, |sum, &byte| checksum(sum, byte));
+    frame.extend(sum.to_le_bytes());
+    frame
+}
+
+/// Returns a command with the first parameter 1, to the module.
+fn command(number: u16) -> Vec<u8> {
+    let mut payload = [0; 33];
+    payload[..4].copy_from_slice(&1.0_f32.to_le_bytes());
+    payload[28..30].copy_from_slice(&number.to_le_bytes());
+    payload[30] = 1;
+    frame(COMMAND_LONG, &payload)
+}
+
+/// Returns the commands and results of the acknowledgements that the module sends.
+fn results(outcome: &Outcome) -> Vec<(u16, u8)> {
+    let received = outcome.record.received.iter();
+    let bytes: Vec<u8> = received.map(|received| received.byte).collect();
+    let frames = bytes
+        .windows(13)
+        .filter(|bytes| bytes[0] == 0xFD && bytes[1] <= 10 && bytes[7..10] == [COMMAND_ACK, 0, 0]);
+    frames
+        .map(|bytes| {
+            // A sender leaves zeros at the end out.
+            let result = if bytes[1] > 2 { bytes[12] } else { 0 };
+            (u16::from_le_bytes([bytes[10], bytes[11]]), result)
+        })
+        .collect()
+}
+
+/// Returns the console's answers, as the debug probe shows them.
+fn answers(outcome: &Outcome) -> Vec<&str> {
+    let lines = outcome.log().iter().map(|line| line.text.as_str());
+    let starts = ["ok ", "error ", "progress ", "done ", "failed "];
+    lines
+        .filter_map(|line| {
+            let at = starts.iter().filter_map(|start| line.find(start)).min()?;
+            Some(&line[at..])
+        })
+        .collect()
+}
+
+/// Requests that come during a save wait for its end.
+#[test]
+fn requests_wait_for_the_end_of_a_save() {
+    let requests = [command(STORAGE), command(STORAGE), command(ARM)].concat();
+    let outcome = Run::new(firmware())
+        .seconds(4.0)
+        .motion(Rest::level())
+        .command(1.0, "format mavlink")
+        .command(1.2, "mount z-down")
+        .send(1.5, &requests)
+        .run()
+        .unwrap();
+    assert_eq!(outcome.issues, Vec::<String>::new());
+    assert_eq!(
+        answers(&outcome)[2..],
+        [
+            "ok save: the sensor stops for a second",
+            "done save: stored",
+            "ok save: nothing has changed, nothing is written",
+            "ok arm",
+        ]
+    );
+    assert_eq!(
+        results(&outcome)[..2],
+        [(STORAGE, IN_PROGRESS), (STORAGE, ACCEPTED)]
+    );
+    assert_eq!(results(&outcome).last(), Some(&(ARM, ACCEPTED)));
+}
