@@ -28,6 +28,7 @@ use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
 use virtual_board::outputs;
+use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
 /// Makes a run that must be possible.
@@ -355,6 +356,36 @@ fn a_noisy_line_is_counted_and_its_commands_dropped() {
         .rfind(|(_, text)| text.starts_with("ok status"))
         .unwrap();
     assert!(!last.contains("uart_errors=0"), "{last}");
+}
+
+/// A line that is garbled while telemetry is being sent is dropped, though the next bytes are sound
+/// before the console reads again. Noise that happens to be a line end may still end its line.
+#[test]
+fn the_halves_of_a_garbled_line_are_no_command() {
+    let mut schedule = String::new();
+    // At 9600 baud, telemetry is being sent most of the time.
+    let mut run = Run::new(firmware())
+        .seconds(14.0)
+        .motion(Rest::level())
+        .command(1.0, "rate 8")
+        .command(1.5, "baud 9600")
+        .command(2.0, "status");
+    for line in 0..20 {
+        let at_s = 3.0 + 0.511 * f64::from(line);
+        writeln!(schedule, "{} 0.005 uart-noise", at_s + 0.2).unwrap();
+        run = run.send(at_s, b"declination 11").send(at_s + 0.23, b"2\n");
+    }
+    let outcome = fly(run
+        .schedule(&Schedule::parse("noise", &schedule).unwrap())
+        .command(13.8, "status"));
+
+    assert!(says(&outcome, "baud 9600 from now on"));
+    assert!(says(&outcome, "status: "));
+    assert!(
+        !says(&outcome, "ok declination 112"),
+        "{:#?}",
+        answers(&outcome)
+    );
 }
 
 /// The poses of the sensor, one after the other: face up, face down, X up, X down, Y up, Y down.

@@ -27,6 +27,7 @@ pub struct Commands {
     console: Console,
     station: GroundStation,
     receiver: Receiver,
+    /// True if bytes were garbled or lost since the last poll of the console.
     has_reception_error: bool,
 }
 
@@ -69,10 +70,11 @@ impl Commands {
         self.console.working().preferences
     }
 
-    /// Checks the receiver for bytes that were garbled or lost.
+    /// Checks the receiver for bytes that were garbled or lost. The next poll of the console gets
+    /// the error.
     pub fn check_reception(&mut self, baud: u32) {
-        self.has_reception_error = self.receiver.poll(baud) != Reception::Sound;
-        if self.has_reception_error {
+        if self.receiver.poll(baud) != Reception::Sound {
+            self.has_reception_error = true;
             retained::count(FaultClass::UartInput);
         }
     }
@@ -97,7 +99,7 @@ impl Commands {
             transmitter,
             estimation,
             requests,
-            has_reception_error: self.has_reception_error,
+            has_reception_error: core::mem::take(&mut self.has_reception_error),
             is_mavlink: console.working().preferences.format == OutputFormat::Mavlink,
             station: &mut self.station,
             now_us,

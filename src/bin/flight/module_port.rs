@@ -30,7 +30,7 @@ pub struct ModulePort<'a, E, R> {
     pub estimation: E,
     /// Requests to the supervisor.
     pub requests: R,
-    /// True if bytes were garbled or lost since the last tick.
+    /// True if bytes were garbled or lost since the last poll of the console.
     pub has_reception_error: bool,
     /// The ground station's session.
     pub station: &'a mut GroundStation,
