@@ -78,19 +78,21 @@ impl GroundStation {
         None
     }
 
-    /// Sends the first answer to a command.
+    /// Sends the first answer to a command. `is_busy` is true if the console is busy with it.
     #[inline(never)]
-    pub fn answer(&mut self, ticket: Ticket, command: Command, kind: Kind) {
-        let takes_time = matches!(
-            command,
-            Command::Save
-                | Command::Calibrate(
-                    Calibrate::Gyroscope
-                        | Calibrate::Accelerometer
-                        | Calibrate::Level
-                        | Calibrate::Compass
-                )
-        );
+    pub fn answer(&mut self, ticket: Ticket, command: Command, kind: Kind, is_busy: bool) {
+        // An unchanged record is not written.
+        let takes_time = match command {
+            Command::Save => is_busy,
+            Command::Calibrate(choice) => matches!(
+                choice,
+                Calibrate::Gyroscope
+                    | Calibrate::Accelerometer
+                    | Calibrate::Level
+                    | Calibrate::Compass
+            ),
+            _ => false,
+        };
         let outcome = match kind {
             Kind::Ok if command == Command::Calibrate(Calibrate::Stop) => {
                 if let Some(ended) = self.pending.take() {
@@ -220,7 +222,7 @@ mod tests {
             assert_eq!(receive(&mut station, &bytes), b"");
             let (ticket, command) = station.take_command().expect("a command");
             assert_eq!(command, Command::Calibrate(Calibrate::Gyroscope));
-            station.answer(ticket, command, Kind::Ok);
+            station.answer(ticket, command, Kind::Ok, false);
             assert_eq!(results(&mut station), [MavResult::MAV_RESULT_IN_PROGRESS]);
             station.on_answer(Kind::Progress);
             assert_eq!(results(&mut station), []);
@@ -241,7 +243,22 @@ mod tests {
             receive(&mut station, &bytes);
             let (ticket, command) = station.take_command().expect("a command");
             assert_eq!(command, Command::Arm);
-            station.answer(ticket, command, kind);
+            station.answer(ticket, command, kind, false);
+            assert_eq!(results(&mut station), [result]);
+        }
+    }
+
+    #[test]
+    fn a_save_takes_time_only_if_the_record_has_changed() {
+        let mut station = GroundStation::new();
+        let bytes = command_long(MavCmd::MAV_CMD_PREFLIGHT_STORAGE, 1.0);
+        for (is_busy, result) in [
+            (true, MavResult::MAV_RESULT_IN_PROGRESS),
+            (false, MavResult::MAV_RESULT_ACCEPTED),
+        ] {
+            receive(&mut station, &bytes);
+            let (ticket, command) = station.take_command().expect("a command");
+            station.answer(ticket, command, Kind::Ok, is_busy);
             assert_eq!(results(&mut station), [result]);
         }
     }

@@ -113,7 +113,8 @@ impl Commands {
             && let Some((ticket, command)) = port.station.take_command()
         {
             let answered = console.execute(command, timebase::now(), &mut port, &mut answer.text);
-            port.station.answer(ticket, command, answered);
+            port.station
+                .answer(ticket, command, answered, console.is_busy());
             kind = Some(answered);
         }
         answer.kind = kind;
