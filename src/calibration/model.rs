@@ -89,17 +89,50 @@ impl Calibration {
     pub fn add_accelerometer_offset(&mut self, offset_m_s2: Vector3, mount: Mount) {
         let to_mounted = self.level.unwrap_or(Quaternion::IDENTITY).conjugate();
         let mounted = to_mounted.rotate(offset_m_s2);
-        let correction = self
-            .accelerometer
-            .get_or_insert(AccelerometerCorrection::NONE);
+        let mut correction = self.accelerometer.unwrap_or(AccelerometerCorrection::NONE);
         // The matrix is within a few percent of 1, so its effect on the offset is negligible.
         let change = mount.to_sensor(BodyVector(mounted));
         correction.offset_m_s2 = correction.offset_m_s2 + change;
-        if self.level.is_some() {
-            let up = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
-            let when_level = to_mounted.rotate(up) - mounted;
-            self.level = level::trim(when_level).ok().or(self.level);
+        self.set_accelerometer(correction, mount);
+    }
+
+    /// Replaces the accelerometer's correction. `mount` is the one in use.
+    ///
+    /// The level trim turns with it: where the body was level, it stays level. A trim that would
+    /// exceed 15° stays as it is.
+    ///
+    /// ```
+    /// use aplomb::attitude::Vector3;
+    /// use aplomb::calibration::{AccelerometerCorrection, Calibration, Mount, level};
+    ///
+    /// // The trim has hidden an offset of 0.5 m/s².
+    /// let mut calibration = Calibration::NONE;
+    /// calibration.level = Some(level::trim(Vector3::new(0.5, 0.0, -9.81))?);
+    /// let correction = AccelerometerCorrection {
+    ///     offset_m_s2: Vector3::new(0.5, 0.0, 0.0),
+    ///     ..AccelerometerCorrection::NONE
+    /// };
+    /// calibration.set_accelerometer(correction, Mount::Z_UP);
+    /// let trim = calibration.level.expect("there was one").to_euler();
+    /// assert!(trim.pitch_rad.abs() < 1e-3);
+    /// # Ok::<(), level::LevelError>(())
+    /// ```
+    pub fn set_accelerometer(&mut self, correction: AccelerometerCorrection, mount: Mount) {
+        let before = self.accelerometer.replace(correction);
+        let Some(level) = self.level else {
+            return;
+        };
+        let up = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
+        let when_level = mount.to_sensor(BodyVector(level.conjugate().rotate(up)));
+        // The former correction's inverse. Its matrix is within a few percent of 1, so each round
+        // leaves a few percent of the error.
+        let before = before.unwrap_or(AccelerometerCorrection::NONE);
+        let mut reading = when_level;
+        for _ in 0..3 {
+            reading = reading + when_level - before.apply(reading);
         }
+        let BodyVector(mounted) = mount.to_body(correction.apply(reading));
+        self.level = level::trim(mounted).ok().or(self.level);
     }
 
     /// Visits every field but the gyroscope's matrix, which flight logs of format 1 do not have.

@@ -146,11 +146,18 @@ impl CompassProcedure {
             settings.mount = Some(mount);
         }
         module.set_compass(settings, imu_mount);
+        // No fit tells a compass with a negated axis from one in the opposite field.
+        let caution = if fit.dip_rad < 0.0 {
+            "; the field points up, which is right only in the south: else an axis has the wrong \
+             sign, and the heading is 180 deg wrong"
+        } else {
+            ""
+        };
         reply.write(
             Kind::Done,
             format_args!(
-                "{NAME}: mount {mount}, hard iron {} uT, field {} uT, dip {} deg, residual {} uT; \
-                 \"save\" keeps it",
+                "{NAME}: mount {mount}, hard iron {} uT, field {} uT, dip {} deg, residual {} \
+                 uT{caution}; \"save\" keeps it",
                 Triple(correction.hard_iron_ut, 1),
                 Decimal(fit.strength_ut, 1),
                 Decimal(degrees(fit.dip_rad), 1),

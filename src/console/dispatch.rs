@@ -133,18 +133,19 @@ impl Console {
             BaudPoll::Busy => return None,
             BaudPoll::Answered(kind) => return Some(kind),
         }
-        let mount = self.mount();
+        let (axes, mount) = (self.body_axes(), self.mount());
         let ended =
             self.procedures
                 .poll(now_us, &mut self.working.calibration, mount, module, reply);
-        self.move_compass(mount, module);
+        self.follow_body_axes(axes, module);
         ended
             .or_else(|| {
                 if !compass::IS_BUILT_IN {
                     return None;
                 }
                 let settings = &mut self.working.compass;
-                self.compass.poll(now_us, settings, mount, module, reply)
+                let kind = self.compass.poll(now_us, settings, mount, module, reply);
+                self.fix_mount(kind)
             })
             .or_else(|| self.errors.report_dropped(now_us, reply))
             .or_else(|| self.read(now_us, module, reply))
@@ -196,16 +197,8 @@ impl Console {
             Command::Arm => self.arm(module, reply),
             Command::Disarm => self.disarm(module, reply),
             Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),
-            Command::Calibrate(Calibrate::Done) if self.is_compass_running() => {
-                let mount = self.mount();
-                let settings = &mut self.working.compass;
-                self.compass.finish(settings, mount, module, reply)
-            }
             Command::Calibrate(Calibrate::Compass) => self.compass.start(now_us, module, reply),
-            Command::Calibrate(Calibrate::Done) => {
-                self.procedures
-                    .finish(&mut self.working.calibration, module, reply)
-            }
+            Command::Calibrate(Calibrate::Done) => self.finish_procedure(module, reply),
             Command::Calibrate(Calibrate::Gyroscope) => {
                 self.start(Procedure::gyroscope(), now_us, module, reply)
             }
@@ -245,6 +238,21 @@ impl Console {
         }
     }
 
+    /// Ends the running procedure with the data so far.
+    fn finish_procedure(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        let (axes, mount) = (self.body_axes(), self.mount());
+        if self.is_compass_running() {
+            let settings = &mut self.working.compass;
+            let kind = self.compass.finish(settings, mount, module, reply);
+            self.fix_mount(Some(kind));
+            return kind;
+        }
+        let calibration = &mut self.working.calibration;
+        let kind = self.procedures.finish(calibration, mount, module, reply);
+        self.follow_body_axes(axes, module);
+        kind
+    }
+
     fn start(
         &mut self,
         procedure: Procedure,
@@ -257,12 +265,13 @@ impl Console {
 
     /// Sets the mount. A level trim that belongs to another mount is lost.
     fn set_mount(&mut self, mount: Mount, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
-        let before = self.mount();
+        let axes = self.body_axes();
         let had_level = self.working.calibration.level.is_some();
+        let before = self.mount();
         procedure::set_mount(&mut self.working.calibration, mount, before);
         module.set_calibration(&self.working.calibration);
         let has_lost_level = had_level && self.working.calibration.level.is_none();
-        let has_lost_compass = self.move_compass(before, module);
+        let has_lost_compass = self.follow_body_axes(axes, module);
         let lost = match (has_lost_level, has_lost_compass) {
             (true, true) => ", its level and its compass are to be calibrated again",
             (true, false) => ", its level is to be calibrated again",
@@ -294,7 +303,7 @@ impl Console {
         module: &mut dyn Module,
         reply: &mut Reply<'_>,
     ) -> Kind {
-        let mount = self.mount();
+        let (axes, mount) = (self.body_axes(), self.mount());
         let calibration = &mut self.working.calibration;
         let correction = calibration.accelerometer;
         if correction.is_some_and(|correction| correction.is_from_poses()) {
@@ -311,6 +320,7 @@ impl Console {
         };
         calibration.add_accelerometer_offset(found_m_s2, mount);
         module.set_calibration(calibration);
+        self.follow_body_axes(axes, module);
         let found_m_s2 = Triple(found_m_s2, 3);
         reply.ok(format_args!(
             "calibrate keep: added accelerometer offset {found_m_s2} m/s2 forward, right, down; \

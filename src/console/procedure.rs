@@ -192,11 +192,11 @@ impl Procedure {
         match &mut self.measurement {
             Measurement::Gyroscope => self.gyroscope_mean(mean, calibration, noise, reply),
             Measurement::Accelerometer { .. } => {
-                self.accelerometer_mean(mean, has_moved, calibration, reply)
+                self.accelerometer_mean(mean, has_moved, calibration, mount, reply)
             }
             Measurement::Level => {
                 let force = corrected_force_m_s2(calibration, mean, noise);
-                self.level_mean(mount.to_body(force).0, calibration, reply)
+                self.level_mean(force, calibration, mount, reply)
             }
             Measurement::Temperature(learner) => {
                 let sigma = mean.gyroscope_offset_sigma_rad_s(noise);
@@ -213,9 +213,15 @@ impl Procedure {
                     )),
                     Ok(MountStep::Found(found)) => {
                         set_mount(calibration, found, mount);
-                        Step::Ended(
-                            self.done(reply, format_args!("mount {found}; \"save\" keeps it")),
-                        )
+                        let lost = if found == mount {
+                            ""
+                        } else {
+                            ", a level or a compass is to be calibrated again"
+                        };
+                        Step::Ended(self.done(
+                            reply,
+                            format_args!("mount {found}{lost}; \"save\" keeps it"),
+                        ))
                     }
                     Err(error) if has_moved => {
                         Step::Answered(self.progress(reply, format_args!("{error}")))
@@ -250,6 +256,7 @@ impl Procedure {
         mean: &StationaryMean,
         has_moved: bool,
         calibration: &mut Calibration,
+        mount: Mount,
         reply: &mut Reply<'_>,
     ) -> Step {
         let Measurement::Accelerometer { poses, repeats } = &mut self.measurement else {
@@ -276,7 +283,10 @@ impl Procedure {
                 format_args!("{}, next: {next}", AcceptedPoseText(accepted)),
             )),
             Err(PoseError::Repeated { .. }) if has_sides && repeats >= REPEATS_TO_FINISH => {
-                Step::Ended(self.finish(calibration, reply).unwrap_or(Kind::Failed))
+                Step::Ended(
+                    self.finish(calibration, mount, reply)
+                        .unwrap_or(Kind::Failed),
+                )
             }
             Err(error) if has_moved => {
                 Step::Answered(self.progress(reply, format_args!("{error}; next: {next}")))
@@ -287,13 +297,16 @@ impl Procedure {
 
     fn level_mean(
         &self,
-        mounted_force_m_s2: Vector3,
+        force_m_s2: Vector3,
         calibration: &mut Calibration,
+        mount: Mount,
         reply: &mut Reply<'_>,
     ) -> Step {
-        match level::trim(mounted_force_m_s2) {
+        match level::trim(mount.to_body(force_m_s2).0) {
             Ok(trim) => {
                 calibration.level = Some(trim);
+                // A later build may have another default, to which the trim does not belong.
+                calibration.mount = Some(mount);
                 let angles = trim.to_euler();
                 Step::Ended(self.done(
                     reply,
@@ -313,12 +326,13 @@ impl Procedure {
     pub(super) fn finish(
         &self,
         calibration: &mut Calibration,
+        mount: Mount,
         reply: &mut Reply<'_>,
     ) -> Option<Kind> {
         match &self.measurement {
             Measurement::Accelerometer { poses, .. } => match poses.fit() {
                 Ok(fit) => {
-                    calibration.accelerometer = Some(fit.correction);
+                    calibration.set_accelerometer(fit.correction, mount);
                     return Some(self.done(reply, format_args!("{fit}; \"save\" keeps it")));
                 }
                 Err(error) => self.write(reply, Kind::Error, format_args!("{error}")),

@@ -63,13 +63,14 @@ impl ProcedureRunner {
     pub(super) fn finish(
         &mut self,
         calibration: &mut Calibration,
+        mount: Mount,
         module: &mut dyn Module,
         reply: &mut Reply<'_>,
     ) -> Kind {
         let Some(procedure) = &self.current else {
             return reply.error(format_args!("calibrate done: nothing goes on"));
         };
-        match procedure.finish(calibration, reply) {
+        match procedure.finish(calibration, mount, reply) {
             Some(kind) => {
                 self.end(kind, calibration, module);
                 kind

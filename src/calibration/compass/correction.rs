@@ -1,7 +1,7 @@
 //! Correction of a compass: hard iron, soft iron, and the compass's place in the vehicle.
 
 use super::super::mount::Mount;
-use crate::attitude::{BodyVector, Vector3};
+use crate::attitude::{BodyVector, Quaternion, Vector3};
 use crate::units::MagneticField;
 
 /// Correction of a compass: field = matrix · reading − hard iron, in body axes.
@@ -29,6 +29,38 @@ impl CompassCorrection {
     /// filter, and not that of a calibration.
     pub fn has_soft_iron(&self) -> bool {
         self.matrix != Self::NONE.matrix
+    }
+
+    /// Returns the correction for other body axes. `turn` rotates vectors from the former body axes
+    /// to the new ones.
+    ///
+    /// ```
+    /// use aplomb::attitude::{Quaternion, Vector3};
+    /// use aplomb::calibration::CompassCorrection;
+    ///
+    /// let correction = CompassCorrection {
+    ///     hard_iron_ut: Vector3::new(0.0, 10.0, 0.0),
+    ///     ..CompassCorrection::NONE
+    /// };
+    /// let turn = Quaternion::from_rotation_vector(Vector3::new(0.01, 0.0, 0.0));
+    /// let turned = correction.turned(turn);
+    /// assert!((turned.hard_iron_ut.z - 0.1).abs() < 1e-3);
+    /// ```
+    #[must_use]
+    pub fn turned(&self, turn: Quaternion) -> Self {
+        let mut turned = Self {
+            hard_iron_ut: turn.rotate(self.hard_iron_ut),
+            ..*self
+        };
+        // Without soft iron the matrix stands for a compass along the body axes.
+        if self.has_soft_iron() {
+            let [x, y, z] = self.matrix;
+            turned.matrix = Self::NONE.matrix.map(|axis| {
+                let row = turn.conjugate().rotate(axis);
+                x.scale(row.x) + y.scale(row.y) + z.scale(row.z)
+            });
+        }
+        turned
     }
 
     /// Corrects a reading in body axes; both are in µT.

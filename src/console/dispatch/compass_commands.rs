@@ -4,21 +4,45 @@ use super::super::answer::{Kind, Reply, Triple};
 use super::super::command::{Command, CompassChoice};
 use super::super::module::Module;
 use super::Console;
+use crate::attitude::Quaternion;
 use crate::calibration::{CompassCorrection, Mount};
 use crate::units::radians;
 
 impl Console {
-    /// Moves a compass without a mount of its own with the IMU, whose mount was this one before. A
-    /// correction that belongs to another mount is lost. Returns whether one was.
-    pub(super) fn move_compass(&mut self, before: Mount, module: &mut dyn Module) -> bool {
-        let mount = self.mount();
-        let settings = &mut self.working.compass;
-        if mount == before {
+    /// Returns the body axes: the mount, and the level trim.
+    pub(super) fn body_axes(&self) -> (Mount, Quaternion) {
+        let level = self.working.calibration.level;
+        (self.mount(), level.unwrap_or(Quaternion::IDENTITY))
+    }
+
+    /// Moves the compass to the present body axes, which were these before. Its correction turns
+    /// with the level. A correction that belongs to another mount is lost. Returns whether one was.
+    pub(super) fn follow_body_axes(
+        &mut self,
+        before: (Mount, Quaternion),
+        module: &mut dyn Module,
+    ) -> bool {
+        let (mount, level) = self.body_axes();
+        if (mount, level) == before {
             return false;
         }
-        let has_lost = settings.mount.is_none() && settings.correction.take().is_some();
+        let (mount_before, level_before) = before;
+        let settings = &mut self.working.compass;
+        let has_lost = mount != mount_before && settings.correction.take().is_some();
+        if let Some(correction) = &mut settings.correction {
+            *correction = correction.turned(level.multiply(level_before.conjugate()));
+        }
         module.set_compass(settings, mount);
         has_lost
+    }
+
+    /// Keeps the mount in use beside a new correction of the compass. A later build may have
+    /// another default, to which the correction does not belong.
+    pub(super) fn fix_mount(&mut self, kind: Option<Kind>) -> Option<Kind> {
+        if kind == Some(Kind::Done) {
+            self.working.calibration.mount = Some(self.mount());
+        }
+        kind
     }
 
     /// Sets the compass or its mount. A correction that belongs to another one is lost.
@@ -70,6 +94,7 @@ impl Console {
         correction.hard_iron_ut = correction.hard_iron_ut + found_ut;
         let kept_ut = Triple(correction.hard_iron_ut, 1);
         module.set_compass(&self.working.compass, self.mount());
+        self.fix_mount(Some(Kind::Done));
         reply.ok(format_args!(
             "compass keep: hard iron {kept_ut} uT, and the heading restarts with it; \
              \"save\" keeps it"

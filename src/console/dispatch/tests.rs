@@ -20,7 +20,7 @@ use crate::mpu6050::Part;
 use crate::pipeline::Settings;
 use crate::settings::{CompassSettings, OutputFormat};
 use crate::telemetry::heading::Line as HeadingLine;
-use crate::units::{MagneticField, radians};
+use crate::units::{MagneticField, degrees, radians};
 
 /// Request to the module.
 #[derive(Debug, Clone, PartialEq)]
@@ -689,6 +689,59 @@ fn level_is_measured_with_the_calibration_in_use() {
     assert_eq!(harness.working().calibration.level, None);
 }
 
+/// A level trim that was found without the accelerometer's correction has hidden its offset. The
+/// pose that was level stays level, and a correction of the compass turns with the body axes.
+#[test]
+fn a_calibrated_accelerometer_leaves_the_level() {
+    let mut harness = Harness::new();
+    let offset = Vector3::new(0.06, -0.05, 0.02);
+    let lay = |pose: Pose| at_rest([0.0; 3], pose.up() + offset);
+    harness.ask("calibrate level");
+    harness.detector([lay(Pose::GUIDE[0])]);
+    harness.wait(0.1);
+    let angles = |harness: &Harness| {
+        let level = harness.working().calibration.level.expect("a level");
+        let angles = level.to_euler();
+        [degrees(angles.roll_rad), degrees(angles.pitch_rad)]
+    };
+    let [roll, pitch] = angles(&harness);
+    assert!(roll.abs() > 2.5 && pitch.abs() > 3.0, "{roll} {pitch}");
+    // The mount in use is kept with it: another build may have another default.
+    assert_eq!(harness.working().calibration.mount, Some(Mount::Z_UP));
+    harness.console.working.compass.correction = Some(CompassCorrection {
+        matrix: [
+            Vector3::new(1.1, 0.02, 0.0),
+            Vector3::new(0.0, 0.9, 0.03),
+            Vector3::new(0.01, 0.0, 1.0),
+        ],
+        hard_iron_ut: Vector3::new(30.0, -20.0, 10.0),
+    });
+    let field = |harness: &Harness| {
+        let working = harness.working();
+        let level = working.calibration.level.expect("a level");
+        let correction = working.compass.correction.expect("a correction");
+        let mounted = |field| level.conjugate().rotate(field);
+        mounted(correction.apply(Vector3::new(15.0, 25.0, 40.0)))
+    };
+    let before = field(&harness);
+    harness.ask("calibrate accel");
+    for pose in Pose::GUIDE.into_iter().take(6) {
+        harness.detector([MOVED, MOVED, lay(pose)]);
+        harness.wait(0.1);
+    }
+    assert!(
+        harness
+            .ask("calibrate done")
+            .starts_with("done calibrate accel: ")
+    );
+    let [roll, pitch] = angles(&harness);
+    assert!(roll.abs() < 0.1 && pitch.abs() < 0.1, "{roll} {pitch}");
+    let after = field(&harness);
+    assert!((after - before).norm() < 0.01, "{before:?} {after:?}");
+    let last = harness.calls().pop().expect("calls");
+    assert!(matches!(last, Call::Compass(_, Mount::Z_UP)), "{last:?}");
+}
+
 #[test]
 fn two_poses_find_the_mount() {
     let mut harness = Harness::new();
@@ -708,7 +761,8 @@ fn two_poses_find_the_mount() {
             "progress mount find: level is known; now the nose down, as far as it goes",
             "progress mount find: the nose is 0 degrees from the level pose: point it straight \
              down",
-            "done mount find: mount -y+z; \"save\" keeps it",
+            "done mount find: mount -y+z, a level or a compass is to be calibrated again; \"save\" \
+             keeps it",
         ]
     );
     assert_eq!(harness.working().calibration.mount, Some(mount));
@@ -995,8 +1049,9 @@ fn status_has_the_heading_of_a_compass() {
     assert!(!harness.ask("status").contains("heading"));
 }
 
-/// Readings of a vehicle that is turned about all axes, in a field with hard iron.
-fn turned(readings: u16) -> CompassFitter {
+/// Readings of a vehicle that is turned about all axes, in a field with hard iron. The compass's
+/// right axis has this sign.
+fn turned(readings: u16, sign: f32) -> CompassFitter {
     let mut fitter = CompassFitter::new();
     for nth in 0..readings {
         let t_s = f32::from(nth) * 0.02;
@@ -1005,7 +1060,8 @@ fn turned(readings: u16) -> CompassFitter {
             pitch_rad: 1.5 * (0.53 * t_s + 0.4).sin(),
             yaw_rad: 2.8 * (0.31 * t_s).sin(),
         });
-        let field = attitude.conjugate().rotate(Vector3::new(20.0, 0.0, 44.0));
+        let mut field = attitude.conjugate().rotate(Vector3::new(20.0, 0.0, 44.0));
+        field.y *= sign;
         fitter.add(attitude, field + Vector3::new(30.0, -20.0, 10.0));
     }
     fitter
@@ -1046,11 +1102,12 @@ fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
         harness.ask("calibrate done"),
         "error calibrate compass: 0 of at least 500 readings"
     );
-    harness.module.fitter = Some(turned(1_500));
+    harness.module.fitter = Some(turned(1_500, 1.0));
     let waited = harness.wait(29.0).concat();
     assert!(
         waited.contains("100 %, go on turning")
-            && waited.contains("done calibrate compass: mount +x-z, hard iron 30.0,-20.0,10.0 uT"),
+            && waited.contains("done calibrate compass: mount +x-z, hard iron 30.0,-20.0,10.0 uT")
+            && !waited.contains("the field points up"),
         "{waited}"
     );
     let correction = harness.console.working().compass.correction;
@@ -1060,6 +1117,15 @@ fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
         "{expected:?}"
     );
     assert!(harness.console.has_unsaved());
+    assert_eq!(harness.working().calibration.mount, Some(Mount::Z_UP));
+    // A wrong sign shows as a field that points up.
+    harness.ask("calibrate compass");
+    harness.module.fitter = Some(turned(1_500, -1.0));
+    let answer = harness.ask("calibrate done");
+    assert!(
+        answer.contains(" dip -65.6 deg, ") && answer.contains("; the field points up, which is"),
+        "{answer}"
+    );
     // Arming gives it up, and so does nothing for two minutes.
     harness.ask("calibrate compass");
     assert_eq!(
@@ -1167,14 +1233,14 @@ fn the_accelerometer_s_offset_of_the_filter_is_kept() {
     );
 }
 
-/// A correction is in body axes, so it belongs to a mount of the compass: its own, or the IMU's.
+/// A correction is in body axes, so it belongs to the mounts of the compass and of the IMU.
 #[test]
 fn another_mount_discards_the_correction_of_the_compass() {
     for (line, own_mount, is_kept) in [
         ("compass +y-z", None, false),
         ("mount +y-z", None, false),
         ("mount +x-z", None, true),
-        ("mount +y-z", Mount::parse("+x-z"), true),
+        ("mount +y-z", Mount::parse("+x-z"), false),
     ] {
         let mut harness = Harness::new();
         let compass = &mut harness.console.working.compass;
