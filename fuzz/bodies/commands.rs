@@ -126,6 +126,7 @@ impl Module for Wire {
 
     fn set_baud(&mut self, _baud: u32) -> bool {
         assert!(!self.is_armed);
+        self.received.clear();
         true
     }
 

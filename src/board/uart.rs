@@ -150,6 +150,12 @@ impl Receiver {
         }
     }
 
+    /// Discards the bytes received so far, at this baud rate.
+    pub fn discard(&mut self, baud: u32) {
+        self.poll(baud);
+        self.read_at = self.written_before;
+    }
+
     /// Returns the next byte that had arrived at the last poll.
     pub fn receive(&mut self) -> Option<u8> {
         if self.read_at == self.written_before {

@@ -111,6 +111,15 @@ impl GroundStation {
         self.session.answer(ticket, outcome);
     }
 
+    /// Discards received text and frames, and rejects the requests that no command has taken.
+    pub fn discard(&mut self) {
+        self.text.clear();
+        self.session.discard();
+        while let Some((ticket, _)) = self.take_command() {
+            self.session.answer(ticket, Outcome::NotNow);
+        }
+    }
+
     /// Sends the second answer to a command if this answer of the console ends it.
     #[inline(never)]
     pub fn on_answer(&mut self, kind: Kind) {
@@ -261,6 +270,29 @@ mod tests {
             station.answer(ticket, command, Kind::Ok, is_busy);
             assert_eq!(results(&mut station), [result]);
         }
+    }
+
+    #[test]
+    fn what_is_discarded_reaches_nobody_and_a_command_is_rejected() {
+        let mut station = GroundStation::new();
+        let frame = command_long(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0);
+        // Two letters of a text remain in the queue, and a frame is incomplete.
+        let mut bytes = frame.clone();
+        bytes.extend(b"\xFD\x01\x80on");
+        bytes.extend(frame.iter().take(20));
+        let mut bytes = bytes.into_iter();
+        assert_eq!(station.receive(0, || bytes.next()), Some(0xFD));
+        assert_eq!(station.receive(0, || bytes.next()), Some(1));
+        for byte in bytes {
+            station.session.receive(byte, 0, &mut |_| {});
+        }
+        station.discard();
+        assert_eq!(receive(&mut station, &frame[20..]), &frame[20..]);
+        assert_eq!(station.take_command(), None);
+        assert_eq!(
+            results(&mut station),
+            [MavResult::MAV_RESULT_TEMPORARILY_REJECTED]
+        );
     }
 
     #[test]

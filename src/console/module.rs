@@ -58,8 +58,8 @@ pub trait Module {
     /// Returns the figures of the last measurement.
     fn measurement(&mut self) -> Measurement;
 
-    /// Sends and receives at this baud rate. Returns false, and changes nothing, while bytes are
-    /// still being sent.
+    /// Sends and receives at this baud rate, and discards what was received before. Returns false,
+    /// and changes nothing, while bytes are still being sent.
     fn set_baud(&mut self, baud: u32) -> bool;
 
     /// Starts a task. The console starts one at a time, and polls

@@ -17,6 +17,8 @@ const STORAGE: u16 = 245;
 const ARM: u16 = 400;
 /// MAV_RESULT_ACCEPTED.
 const ACCEPTED: u8 = 0;
+/// MAV_RESULT_TEMPORARILY_REJECTED.
+const REJECTED: u8 = 1;
 /// MAV_RESULT_IN_PROGRESS.
 const IN_PROGRESS: u8 = 5;
 
@@ -104,4 +106,32 @@ fn requests_wait_for_the_end_of_a_save() {
         (ARM, ACCEPTED),
     ];
     assert_eq!(results(&outcome), expected);
+}
+
+/// A command confirms a new baud rate only if it was received at that rate.
+#[test]
+fn a_command_before_the_change_does_not_confirm_a_baud_rate() {
+    let reverted = "failed baud: nothing was understood at 921600, it is 115200 again";
+    let run = || Run::new(firmware()).seconds(13.0).motion(Rest::level());
+
+    let text = run()
+        .command(1.0, "baud 921600\nrate 20\nsave")
+        .run()
+        .unwrap();
+    assert_eq!(answers(&text)[1..], [reverted], "{:#?}", answers(&text));
+
+    // The console takes the line first.
+    let requests = [&command(ARM)[..], b"baud 921600\n"].concat();
+    let mavlink = run()
+        .command(1.0, "format mavlink")
+        .send(1.5, &requests)
+        .run()
+        .unwrap();
+    assert_eq!(
+        answers(&mavlink)[2..],
+        [reverted],
+        "{:#?}",
+        answers(&mavlink)
+    );
+    assert_eq!(results(&mavlink), [(ARM, REJECTED)]);
 }

@@ -186,7 +186,12 @@ where
     }
 
     fn set_baud(&mut self, baud: u32) -> bool {
-        self.transmitter.set_baud(baud)
+        let has_changed = self.transmitter.set_baud(baud);
+        if has_changed {
+            self.receiver.discard(baud);
+            self.station.discard();
+        }
+        has_changed
     }
 
     fn begin(&mut self, task: Task) {

@@ -127,6 +127,7 @@ impl Module for FakeModule {
 
     fn set_baud(&mut self, baud: u32) -> bool {
         if !self.is_sending {
+            self.received.clear();
             self.calls.push(Call::Baud(baud));
         }
         !self.is_sending
@@ -842,6 +843,23 @@ fn a_baud_rate_without_a_command_is_reverted() {
     assert_eq!(harness.wait(20.0), [""; 0]);
     assert_eq!(harness.calls(), [Call::Baud(921_600)]);
     assert_eq!(harness.working().preferences.baud, 921_600);
+}
+
+#[test]
+fn a_command_before_the_change_does_not_confirm_a_baud_rate() {
+    let mut harness = Harness::new();
+    harness.receive("rate 30\nbaud 921600\nrate 20\nsave\nrate");
+    assert_eq!(harness.wait(1.0).len(), 2);
+    harness.receive(" 40\n");
+    assert_eq!(
+        harness.wait(10.0),
+        [
+            "error there is no command \"40\"; \"help\" names all",
+            "failed baud: nothing was understood at 921600, it is 115200 again"
+        ]
+    );
+    assert_eq!(harness.working().preferences.rate_hz, 30);
+    assert_eq!(harness.calls(), [Call::Baud(921_600), Call::Baud(115_200)]);
 }
 
 #[test]

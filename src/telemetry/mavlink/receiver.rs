@@ -69,6 +69,11 @@ impl Receiver {
         }
     }
 
+    /// Discards the candidate.
+    pub(super) const fn clear(&mut self) {
+        self.length = 0;
+    }
+
     /// Adds a byte, and passes on the text and frames that it completes.
     pub(super) fn push(
         &mut self,

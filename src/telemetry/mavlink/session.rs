@@ -97,6 +97,11 @@ impl Session {
         self.inbox.answer(ticket, outcome);
     }
 
+    /// Discards an incomplete frame.
+    pub const fn discard(&mut self) {
+        self.receiver.clear();
+    }
+
     /// Returns the number of messages that were dropped for lack of room.
     pub fn dropped(&self) -> u16 {
         self.dropped.saturating_add(self.inbox.dropped)
