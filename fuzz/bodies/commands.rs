@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use aplomb::calibration::compass::CompassFitter;
 use aplomb::calibration::{Calibration, Mount, StationaryProgress};
+use aplomb::compass::Choice;
 use aplomb::console::answer::ANSWER_CAPACITY;
 use aplomb::console::command::{BAUD_RATES, Command, RATES_HZ};
 use aplomb::console::{Console, Module, Outcome, State, Task};
@@ -25,6 +26,7 @@ pub fn run(bytes: &[u8]) {
         settings.noise_model(),
         settings.sensor.sample_rate_hz(),
         Mount::Z_UP,
+        Choice::Auto,
         false,
     );
     let mut wire = Wire::default();

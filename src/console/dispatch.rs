@@ -20,7 +20,7 @@ use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
 use crate::calibration::{Matrix3, Mount, NoiseModel};
-use crate::compass;
+use crate::compass::{self, Choice};
 use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record, storage};
 use crate::telemetry;
@@ -36,6 +36,8 @@ pub struct Console {
     stored: Record,
     /// Mount without a stored one.
     default_mount: Mount,
+    /// Choice of the compass without a stored one.
+    default_compass: Choice,
     is_armed: bool,
     procedures: ProcedureRunner,
     compass: CompassProcedure,
@@ -49,15 +51,17 @@ impl Console {
     /// defaults.
     ///
     /// `noise` and `sample_rate_hz` describe the configured sensor. `default_mount` is in use while
-    /// the record has no mount. `is_armed` is true after a reset of an armed module.
+    /// the record has no mount, and `default_compass` while there is no record. `is_armed` is true
+    /// after a reset of an armed module.
     pub fn new(
         stored: Option<Record>,
         noise: NoiseModel,
         sample_rate_hz: f32,
         default_mount: Mount,
+        default_compass: Choice,
         is_armed: bool,
     ) -> Self {
-        let stored = stored.unwrap_or_default();
+        let stored = stored.unwrap_or(Record::with_compass(default_compass));
         Self {
             line: LineAssembler::new(),
             errors: LineErrors::new(),
@@ -67,6 +71,7 @@ impl Console {
             },
             stored,
             default_mount,
+            default_compass,
             is_armed,
             procedures: ProcedureRunner::new(noise, sample_rate_hz),
             compass: CompassProcedure::new(),
@@ -418,7 +423,7 @@ impl Console {
                 baud: self.working.preferences.baud,
                 ..defaults
             }),
-            ..Record::default()
+            ..Record::with_compass(self.default_compass)
         };
         module.set_calibration(&self.working.calibration);
         module.set_compass(&self.working.compass, self.mount());

@@ -6,7 +6,7 @@ use aplomb::board::retained;
 use aplomb::board::timebase;
 use aplomb::board::uart::{Receiver, Reception, Transmitter};
 use aplomb::calibration::{Mount, NoiseModel};
-use aplomb::compass::{self, Condition};
+use aplomb::compass::{self, Choice, Condition};
 use aplomb::console::Console;
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::console::ground_station::GroundStation;
@@ -50,10 +50,18 @@ impl Commands {
         noise: NoiseModel,
         sample_rate_hz: f32,
         default_mount: Mount,
+        default_compass: Choice,
         is_armed: bool,
     ) -> Self {
         Self {
-            console: Console::new(stored, noise, sample_rate_hz, default_mount, is_armed),
+            console: Console::new(
+                stored,
+                noise,
+                sample_rate_hz,
+                default_mount,
+                default_compass,
+                is_armed,
+            ),
             station: GroundStation::new(),
             receiver,
             has_reception_error: false,

@@ -4,6 +4,7 @@
 
 use aplomb::board::uart::{Receiver, Transmitter};
 use aplomb::calibration::{Mount, NoiseModel};
+use aplomb::compass::Choice;
 use aplomb::console::answer::Kind;
 use aplomb::console::usable_preferences;
 use aplomb::settings::{OutputFormat, Preferences, Record};
@@ -35,9 +36,10 @@ impl Commands {
         _: NoiseModel,
         _: f32,
         _: Mount,
+        default_compass: Choice,
         _: bool,
     ) -> Self {
-        let mut record = stored.unwrap_or_default();
+        let mut record = stored.unwrap_or(Record::with_compass(default_compass));
         if let OutputFormat::Mavlink | OutputFormat::Log = record.preferences.format {
             record.preferences.format = OutputFormat::Text;
         }

@@ -186,13 +186,11 @@ mod app {
             uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
         let commands = Commands::new(
             receiver,
-            match COMPASS {
-                Choice::Auto => record,
-                Choice::Off | Choice::Named(_) => record.or_else(default_record),
-            },
+            record,
             SETTINGS.noise_model(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
+            COMPASS,
             retained::is_armed(),
         );
         let (to_log, bursts) = context.local.log_queue.split();
@@ -217,11 +215,6 @@ mod app {
                 output: Telemetry::new(transmitter, commands, Logged { bursts, readings }),
             },
         )
-    }
-
-    /// Returns the record without a stored one, if the build names a compass.
-    fn default_record() -> Option<Record> {
-        Some(Record::with_compass(COMPASS))
     }
 
     /// Creates the compass task of a record. `to_log` takes readings for the flight log.

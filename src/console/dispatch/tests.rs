@@ -158,8 +158,14 @@ impl Harness {
     }
 
     fn with(stored: Option<Record>) -> Self {
+        Self::with_compass(stored, Choice::Auto)
+    }
+
+    /// Of a build with this default of the compass.
+    fn with_compass(stored: Option<Record>, choice: Choice) -> Self {
+        let noise = noise_model();
         Self {
-            console: Console::new(stored, noise_model(), 1000.0, Mount::Z_UP, false),
+            console: Console::new(stored, noise, 1000.0, Mount::Z_UP, choice, false),
             module: FakeModule::default(),
             // The clock wraps soon.
             now_us: u32::MAX - 3_000_000,
@@ -385,6 +391,21 @@ fn save_writes_what_has_changed_and_nothing_else() {
     assert_eq!(harness.poll().as_deref(), Some("done save: stored"));
     assert_eq!(harness.console.stored(), &expected);
     assert_eq!(harness.ask("save"), nothing);
+}
+
+#[test]
+fn forget_returns_to_the_compass_of_the_build() {
+    for choice in [Choice::Off, Choice::Named(PartId::Hmc5883l)] {
+        let fresh = Harness::with_compass(None, choice);
+        assert_eq!(fresh.working(), &Record::with_compass(choice));
+        assert!(!fresh.console.has_unsaved());
+        let mut harness = Harness::with_compass(Some(full()), choice);
+        assert_eq!(harness.working(), &full());
+        harness.ask("forget");
+        assert_eq!(harness.working().compass, CompassSettings::new(choice));
+        let call = Call::Compass(CompassSettings::new(choice), Mount::Z_UP);
+        assert!(harness.calls().contains(&call));
+    }
 }
 
 #[test]
