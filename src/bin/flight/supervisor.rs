@@ -142,14 +142,14 @@ fn start_estimation(
     estimation: &mut impl Mutex<T = Estimation>,
     requests: &mut impl Mutex<T = Requests>,
 ) {
-    let calibration = requests.lock(|requests| {
+    // One lock: a command in between would change the calibration, but find no pipeline.
+    requests.lock(|requests| {
         requests.sensor = Some((ready.part, ready.address));
-        requests.calibration
-    });
-    estimation.lock(|Estimation { pipeline, .. }| {
-        if pipeline.is_none() {
-            start_pipeline(pipeline, settings, ready.part, calibration);
-        }
+        estimation.lock(|Estimation { pipeline, .. }| {
+            if pipeline.is_none() {
+                start_pipeline(pipeline, settings, ready.part, &requests.calibration);
+            }
+        });
     });
 }
 
@@ -181,11 +181,11 @@ fn start_pipeline(
     place: &mut Option<Pipeline>,
     settings: &Settings,
     part: &'static Part,
-    calibration: Calibration,
+    calibration: &Calibration,
 ) {
     let settings = Settings {
         part,
-        calibration,
+        calibration: *calibration,
         ..*settings
     };
     let pipeline = place.insert(Pipeline::new(&settings));
