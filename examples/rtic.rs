@@ -83,7 +83,7 @@ mod app {
     )]
     fn attitude(context: attitude::Context) {
         let attitude::LocalResources { pipeline, task, .. } = context.local;
-        task.run(pipeline, None, |_| {
+        task.run(pipeline, None, |_, _| {
             // The attitude is published; your code may use the burst here, for example for a log.
         });
     }

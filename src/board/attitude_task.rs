@@ -72,19 +72,19 @@ impl AttitudeTask {
     /// Publishes the snapshot of the burst that the reader offers, or a stale one if no sample
     /// comes.
     ///
-    /// `after_publication` gets the burst after its snapshot is published. `compass` gets its
-    /// rounds, if there is one. Returns the flags if they have changed.
+    /// `after_publication` gets the burst and its snapshot after the publication. `compass` gets
+    /// its rounds, if there is one. Returns the flags if they have changed.
     #[inline]
     pub fn run(
         &mut self,
         pipeline: &mut Pipeline,
         mut compass: Option<&mut CompassTask>,
-        after_publication: impl FnOnce(&ReceivedBurst),
+        after_publication: impl FnOnce(&ReceivedBurst, &Snapshot),
     ) -> Option<FlagChange> {
         let updated = burst_reader::take(|received| {
             let snapshot = pipeline.update(&received.burst, received.flags);
             publish(&snapshot);
-            after_publication(received);
+            after_publication(received, &snapshot);
             snapshot
         });
         if let Some(snapshot) = updated {

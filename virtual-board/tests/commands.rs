@@ -388,6 +388,30 @@ fn the_halves_of_a_garbled_line_are_no_command() {
     );
 }
 
+/// A frozen sensor is no rest: it would give the pose from before.
+#[test]
+fn a_calibration_waits_while_the_sensor_is_frozen() {
+    let (froze_s, thawed_s) = (3.0, 8.0);
+    let schedule = format!("{froze_s} {} frozen", thawed_s - froze_s);
+    let rolled = Quaternion::from_euler(0.15, 0.0, 0.0);
+    let outcome = fly(Run::new(firmware())
+        .seconds(13.0)
+        .motion(Poses::new(&[(froze_s + 0.2, rolled)]))
+        .schedule(&Schedule::parse("frozen", &schedule).unwrap())
+        .command(5.0, "calibrate level"));
+    let (done_s, _) = *answers(&outcome)
+        .iter()
+        .find(|(_, text)| text.starts_with("done calibrate level: "))
+        .unwrap_or_else(|| panic!("{:#?}", answers(&outcome)));
+    assert!(done_s > thawed_s, "{done_s}");
+    // The trim is that of the pose after the freeze.
+    let inclination = inclination_deg(&outcome, 12.0, 13.0);
+    assert!(
+        (inclination - 0.15_f64.to_degrees()).abs() < 2.0,
+        "{inclination}"
+    );
+}
+
 /// The poses of the sensor, one after the other: face up, face down, X up, X down, Y up, Y down.
 fn six_poses() -> [Quaternion; 6] {
     let pose =

@@ -7,6 +7,7 @@ use aplomb::board::burst_reader::ReceivedBurst;
 #[cfg(feature = "full")]
 use aplomb::board::measure;
 use aplomb::calibration::{ImuReading, StationaryDetector, StationaryProgress};
+use aplomb::health::Flags;
 use aplomb::mpu6050::{Burst, Part, RawSample};
 use aplomb::telemetry::log::NumberedBurst;
 use heapless::spsc::Producer;
@@ -18,10 +19,12 @@ use crate::requests::{AFTER_PUBLICATION, LOG, STATIONARY};
 /// Number of bursts that the pipeline has processed. Changes under the pipeline's lock.
 pub static BURST_COUNT: AtomicU32 = AtomicU32::new(0);
 
-/// Counts a burst that the pipeline has processed, and passes it on to those that need it.
+/// Counts a burst that the pipeline has processed, and passes it on to those that need it. `flags`
+/// are those of its snapshot.
 #[inline(always)]
 pub fn after_publication(
     received: &ReceivedBurst,
+    flags: Flags,
     part: &Part,
     measurement: &mut StationaryMeasurement,
     to_log: &mut Producer<'static, NumberedBurst>,
@@ -38,7 +41,7 @@ pub fn after_publication(
         measure::on_published(&received.burst);
     }
     if work & (STATIONARY | LOG) != 0 {
-        pass_on(number, received, part, measurement, to_log);
+        pass_on(number, received, flags, part, measurement, to_log);
     }
 }
 
@@ -48,11 +51,14 @@ pub fn after_publication(
 fn pass_on(
     number: u32,
     received: &ReceivedBurst,
+    flags: Flags,
     part: &Part,
     measurement: &mut StationaryMeasurement,
     to_log: &mut Producer<'static, NumberedBurst>,
 ) {
-    if AFTER_PUBLICATION.contains(STATIONARY) {
+    // A frozen sensor would be a perfect rest.
+    if AFTER_PUBLICATION.contains(STATIONARY) && !flags.intersects(Flags::FROZEN | Flags::REJECTED)
+    {
         measurement.update(&received.burst, part);
     }
     if AFTER_PUBLICATION.contains(LOG) {

@@ -302,8 +302,9 @@ mod app {
             };
             let part = pipeline.settings().part;
             let compass = compass::IS_BUILT_IN.then_some(&mut estimation.compass);
-            task.run(pipeline, compass, |received| {
-                after_publication(received, part, &mut estimation.measurement, to_log);
+            task.run(pipeline, compass, |received, snapshot| {
+                let measurement = &mut estimation.measurement;
+                after_publication(received, snapshot.flags, part, measurement, to_log);
             })
         });
         if let Some(message) = change.and_then(message_of) {
