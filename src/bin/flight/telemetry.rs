@@ -34,9 +34,9 @@ const HAS_LOG: bool = cfg!(feature = "full");
 const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
 const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
 /// Returns the room in bytes for a text of this many letters in any format. The longest format is
-/// MAVLink, with one frame per 50 letters.
+/// MAVLink, with one frame per 50 letters, and a last one that ends with a zero.
 const fn room(letters: usize) -> usize {
-    letters.div_ceil(50) * 66
+    (letters / 50 + 1) * 66
 }
 /// Room for a message.
 const MESSAGE_ROOM: usize = room(message::LINE_CAPACITY);

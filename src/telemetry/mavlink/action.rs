@@ -74,10 +74,19 @@ impl Outcome {
     }
 }
 
-/// Sender of a request, and its command. The owner returns it with the answer.
+/// Request that is answered once its action has run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Request {
+    /// Command of this number.
+    Command(u16),
+    /// Change of the parameter of this index.
+    Parameter(u16),
+}
+
+/// Sender of a request, and what was requested. The owner returns it with the answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ticket {
-    pub(super) command: Option<u16>,
+    pub(super) request: Request,
     pub(super) system: u8,
     pub(super) component: u8,
 }

@@ -7,7 +7,7 @@ use ::mavlink::dialects::common::{
 use ::mavlink::{MavlinkVersion, MessageData};
 use heapless::Deque;
 
-use super::action::{Action, Calibrate, Outcome, Ticket};
+use super::action::{Action, Calibrate, Outcome, Request, Ticket};
 use super::parameter::{PARAMETERS, Parameter};
 use super::receiver::Received;
 use super::wire::{COMPONENT, Command, CommandAck, Extended, SYSTEM};
@@ -81,8 +81,8 @@ impl Inbox {
                 }
             }
             MISSION_REQUEST_LIST_DATA::ID => {
-                type Request = Extended<MISSION_REQUEST_LIST_DATA, 1>;
-                if let Ok(request) = Request::deser(version, payload)
+                type List = Extended<MISSION_REQUEST_LIST_DATA, 1>;
+                if let Ok(request) = List::deser(version, payload)
                     && is_ours(
                         request.message.target_system,
                         request.message.target_component,
@@ -100,20 +100,22 @@ impl Inbox {
         }
     }
 
-    /// Queues the change of a parameter. The answer is its value, changed or not.
+    /// Queues the change of a parameter. The answer is its value, changed or not, once the change
+    /// has run.
     fn set_parameter(&mut self, frame: &Received, index: u16, value: f32) {
         let action = PARAMETERS
             .get(usize::from(index))
             .and_then(|(parameter, _)| parameter.action(value));
         if let Some(action) = action {
             let ticket = Ticket {
-                command: None,
+                request: Request::Parameter(index),
                 system: frame.system,
                 component: frame.component,
             };
-            if self.actions.push_back((ticket, action)).is_err() {
-                self.dropped = self.dropped.saturating_add(1);
+            if self.actions.push_back((ticket, action)).is_ok() {
+                return;
             }
+            self.dropped = self.dropped.saturating_add(1);
         }
         self.queue(Reply::Parameter(index));
     }
@@ -122,7 +124,7 @@ impl Inbox {
     #[inline(never)]
     fn command(&mut self, frame: &Received, command: &Command) {
         let ticket = Ticket {
-            command: Some(command.command),
+            request: Request::Command(command.command),
             system: frame.system,
             component: frame.component,
         };
@@ -185,18 +187,18 @@ impl Inbox {
         Outcome::Accepted
     }
 
-    /// Queues COMMAND_ACK, unless the request was no command.
+    /// Queues COMMAND_ACK, or the value of the parameter.
     #[inline(never)]
     pub(super) fn answer(&mut self, ticket: Ticket, outcome: Outcome) {
-        let Some(command) = ticket.command else {
-            return;
-        };
-        self.queue(Reply::Acknowledge(CommandAck {
-            command,
-            result: outcome.code(),
-            target_system: ticket.system,
-            target_component: ticket.component,
-        }));
+        self.queue(match ticket.request {
+            Request::Command(command) => Reply::Acknowledge(CommandAck {
+                command,
+                result: outcome.code(),
+                target_system: ticket.system,
+                target_component: ticket.component,
+            }),
+            Request::Parameter(index) => Reply::Parameter(index),
+        });
     }
 
     /// Queues an answer, or counts it as dropped.

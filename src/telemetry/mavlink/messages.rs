@@ -72,10 +72,9 @@ impl Vehicle<'_> {
     }
 }
 
-/// Builds HEARTBEAT.
+/// Builds HEARTBEAT. `flags` are those of the latest attitude.
 #[inline(never)]
-pub(super) fn heartbeat(vehicle: &Vehicle<'_>) -> HEARTBEAT_DATA {
-    let flags = vehicle.snapshot.map(|snapshot| snapshot.flags);
+pub(super) fn heartbeat(vehicle: &Vehicle<'_>, flags: Option<Flags>) -> HEARTBEAT_DATA {
     HEARTBEAT_DATA {
         custom_mode: 0,
         mavtype: MavType::MAV_TYPE_GENERIC,
@@ -103,13 +102,10 @@ fn is_calibrating(flags: Flags) -> bool {
     flags.contains(Flags::CALIBRATING) && !flags.contains(Flags::VALID)
 }
 
-/// Returns the healthy sensors of those that are there.
+/// Returns the healthy sensors of those that are there. `flags` are those of the latest attitude.
 #[inline(never)]
-pub(super) fn health(
-    snapshot: Option<&Snapshot>,
-    present: MavSysStatusSensor,
-) -> MavSysStatusSensor {
-    let Some(Snapshot { flags, .. }) = snapshot else {
+pub(super) fn health(flags: Option<Flags>, present: MavSysStatusSensor) -> MavSysStatusSensor {
+    let Some(flags) = flags else {
         return MavSysStatusSensor::empty();
     };
     let unless = |faults: &[Flags], sensor: MavSysStatusSensor| {
@@ -131,7 +127,7 @@ pub(super) fn health(
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL,
     ) | unless(
         &[Flags::FROZEN, Flags::REJECTED, Flags::GAP, Flags::TIME],
-        if is_calibrating(*flags) {
+        if is_calibrating(flags) {
             MavSysStatusSensor::empty()
         } else {
             MavSysStatusSensor::MAV_SYS_STATUS_AHRS

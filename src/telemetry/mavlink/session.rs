@@ -19,9 +19,13 @@ use super::messages::{Vehicle, attitude, health, heartbeat, hud, imu, quaternion
 use super::parameter::PARAMETERS;
 use super::receiver::Receiver;
 use super::wire::{COMPONENT, Extended, SYSTEM};
+use crate::health::Flags;
 
 /// Letters in one STATUSTEXT.
 const TEXT_LENGTH: usize = 50;
+/// Time without an attitude after which the module is in a critical state, µs. At the lowest rate
+/// one comes each second.
+const LONGEST_SILENCE_US: u64 = 2_000_000;
 /// Time between two heartbeats, and between two SYS_STATUS, µs.
 const HEARTBEAT_PERIOD_US: u64 = 1_000_000;
 /// Time between two VFR_HUD, µs.
@@ -39,6 +43,8 @@ pub struct Session {
     next_heartbeat_us: u64,
     next_status_us: u64,
     next_hud_us: u64,
+    /// Flags of the last attitude that was sent, and the time.
+    last_flags: Option<(Flags, u64)>,
     /// Next parameter of a requested list.
     listed: u16,
     text_id: u16,
@@ -66,6 +72,7 @@ impl Session {
             next_heartbeat_us: 0,
             next_status_us: 0,
             next_hud_us: 0,
+            last_flags: None,
             listed: PARAMETERS.len() as u16,
             text_id: 0,
         }
@@ -111,9 +118,17 @@ impl Session {
     /// is the time since boot, µs.
     #[inline(never)]
     pub fn fill(&mut self, now_us: u64, vehicle: &Vehicle<'_>, output: &mut Output<'_>) {
+        if let Some(snapshot) = vehicle.snapshot {
+            self.last_flags = Some((snapshot.flags, now_us));
+        }
+        // At a low rate most calls have no attitude.
+        let flags = self
+            .last_flags
+            .filter(|(_, sent_us)| now_us.saturating_sub(*sent_us) < LONGEST_SILENCE_US)
+            .map(|(flags, _)| flags);
         if now_us >= self.next_heartbeat_us {
             self.next_heartbeat_us = now_us + HEARTBEAT_PERIOD_US;
-            self.send_or_drop(&heartbeat(vehicle), output);
+            self.send_or_drop(&heartbeat(vehicle, flags), output);
         }
         while let Some(reply) = self.inbox.replies.front().copied() {
             if !self.reply(reply, vehicle, output) {
@@ -123,7 +138,7 @@ impl Session {
         }
         if now_us >= self.next_status_us {
             self.next_status_us = now_us + HEARTBEAT_PERIOD_US;
-            let status = self.status(vehicle);
+            let status = self.status(vehicle, flags);
             self.send_or_drop(&status, output);
         }
         if let Some(snapshot) = &vehicle.attitude() {
@@ -152,7 +167,12 @@ impl Session {
     /// no room for all of it.
     #[inline(never)]
     pub fn send_text(&mut self, severity: Severity, text: &str, output: &mut Output<'_>) -> bool {
-        let chunks = text.len().div_ceil(TEXT_LENGTH).max(1);
+        // A zero ends the text, so a last piece of several has room for one.
+        let chunks = if text.len() <= TEXT_LENGTH {
+            1
+        } else {
+            text.len() / TEXT_LENGTH + 1
+        };
         if !output.has_room(chunks * (OVERHEAD + STATUSTEXT_DATA::ENCODED_LEN + 3)) {
             return false;
         }
@@ -229,12 +249,12 @@ impl Session {
 
     /// Builds SYS_STATUS.
     #[inline(never)]
-    fn status(&self, vehicle: &Vehicle<'_>) -> SYS_STATUS_DATA {
+    fn status(&self, vehicle: &Vehicle<'_>, flags: Option<Flags>) -> SYS_STATUS_DATA {
         let all = vehicle.sensors();
         SYS_STATUS_DATA {
             onboard_control_sensors_present: all,
             onboard_control_sensors_enabled: all,
-            onboard_control_sensors_health: health(vehicle.snapshot, all),
+            onboard_control_sensors_health: health(flags, all),
             // Unknown.
             voltage_battery: u16::MAX,
             current_battery: -1,

@@ -239,16 +239,77 @@ fn heartbeats_come_once_a_second_beside_attitudes() {
     assert_eq!((heartbeats, statuses), (2, 2));
 }
 
+/// At a low rate most calls have no attitude. Without any for two seconds the state is critical.
+#[test]
+fn a_heartbeat_between_two_attitudes_has_the_state_of_the_last() {
+    let mut bench = Bench::new();
+    let vehicle = Vehicle {
+        snapshot: Some(&bench.snapshot),
+        sample: &bench.sample,
+        temperature_celsius: 25.5,
+        heading: None,
+        compass: Condition::default(),
+        record: &bench.record,
+        is_armed: false,
+        bursts_failed: 0,
+    };
+    let mut buffer = [0; 512];
+    let sent_us = 5_100_000;
+    let output = &mut Output::new(&mut buffer);
+    bench.session.fill(sent_us, &vehicle, output);
+    for (later_us, is_healthy) in [(950_000, true), (1_960_000, true), (2_970_000, false)] {
+        bench.now_us = sent_us + later_us;
+        let received = bench.receive_all(512);
+        let [
+            (_, MavMessage::HEARTBEAT(beat)),
+            (_, MavMessage::SYS_STATUS(status)),
+        ] = &received[..]
+        else {
+            panic!("{received:?}");
+        };
+        let is_standby = beat.system_status == MavState::MAV_STATE_STANDBY;
+        let is_critical = beat.system_status == MavState::MAV_STATE_CRITICAL;
+        assert_eq!((is_standby, is_critical), (is_healthy, !is_healthy));
+        let health = status.onboard_control_sensors_health.bits();
+        assert_eq!(health, if is_healthy { 0x0020_0003 } else { 0 });
+    }
+}
+
+/// Several pieces end with a zero, so the last one is not full.
+#[test]
+fn a_text_of_whole_pieces_has_an_end() {
+    for (letters, pieces) in [(0, 1), (50, 1), (51, 2), (100, 3), (149, 3), (150, 4)] {
+        let mut bench = Bench::new();
+        let mut buffer = [0; 512];
+        let mut output = Output::new(&mut buffer);
+        let text = "x".repeat(letters);
+        let session = &mut bench.session;
+        assert!(session.send_text(Severity::Information, &text, &mut output));
+        let length = output.length();
+        assert_eq!(messages(&buffer[..length]).len(), pieces, "{letters}");
+    }
+}
+
+/// One change runs at a time. Each answer has the value after its own.
+#[test]
+fn a_parameter_is_answered_after_its_change() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.answers(&set("OUT_RATE_HZ", 20.0)), []);
+    let (ticket, action) = bench.session.take_action().expect("a change");
+    assert_eq!(action, Action::SetRate(20));
+    bench.record.preferences.rate_hz = 20;
+    bench.session.answer(ticket, Outcome::Accepted);
+    let answers = bench.receive_all(512);
+    let [(_, MavMessage::PARAM_VALUE(value))] = &answers[..] else {
+        panic!("{answers:?}");
+    };
+    assert_eq!(value.param_value, 20.0);
+}
+
 #[test]
 fn faults_clear_the_health_bits() {
     let present = MavSysStatusSensor::from_bits_retain(0x0020_0003);
-    let health_with = |flags, present| {
-        let snapshot = Snapshot {
-            flags,
-            ..Snapshot::default()
-        };
-        health(Some(&snapshot), present).bits()
-    };
+    let health_with = |flags, present| health(Some(flags), present).bits();
     let health_of = |flags| health_with(flags, present);
     assert_eq!(health_of(Flags::empty()), 0x0020_0003);
     assert_eq!(health_of(Flags::FROZEN), 0);
