@@ -477,6 +477,9 @@ fn counts_of(row: &Row) -> Result<(RawSample, usize), LogFault> {
     Ok((raw, clipped))
 }
 
+/// Latest time in a flight log, µs: its bursts have 48 bits, which are almost nine years.
+const LATEST_LOGGED_US: u64 = (1 << 48) - 1;
+
 fn write_log(
     file: &mut OutputFile,
     target: &Target,
@@ -484,6 +487,13 @@ fn write_log(
 ) -> std::io::Result<()> {
     let mut recorder = Recorder::new(file, Pipeline::new(&target.settings), 0);
     for Recorded { burst, flags, .. } in bursts {
+        let t_us = burst.captured_at_us;
+        if t_us > LATEST_LOGGED_US {
+            return Err(std::io::Error::other(format!(
+                "a flight log holds times of up to {LATEST_LOGGED_US} us, and one is {t_us}: \
+                 subtract the first time from all"
+            )));
+        }
         recorder.add(&burst, flags)?;
     }
     Ok(())

@@ -233,6 +233,28 @@ fn every_reader_names_the_wrong_unit_and_takes_the_option_that_converts() {
     }
 }
 
+/// Times since 1970 do not fit into a flight log.
+#[test]
+fn a_time_beyond_those_of_a_flight_log_is_refused() {
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    for row in 0..50 {
+        let t_us = 1_700_000_000_000_000_u64 + 1_000 * row;
+        text += &format!("{t_us},0,0,-9.8{},0,0,0\n", row % 7);
+    }
+    let epoch = file("epoch", "epoch.csv", text);
+    let convert = |name: &str| {
+        let output = path("epoch", name);
+        aplomb(&["convert", epoch.to_str().unwrap(), output.to_str().unwrap()])
+    };
+    let refused = convert("epoch.log");
+    assert!(!refused.status.success());
+    let errors = String::from_utf8_lossy(&refused.stderr);
+    assert!(errors.contains("subtract the first time"), "{errors}");
+    let taken = convert("epoch-bursts.csv");
+    let errors = String::from_utf8_lossy(&taken.stderr);
+    assert!(taken.status.success(), "{errors}");
+}
+
 #[test]
 fn a_converted_log_gives_the_attitudes_of_one_in_si_units() {
     let si = file("converted", "si.csv", turned(1.0, 1.0, 1.0));
