@@ -139,9 +139,8 @@ impl Console {
             BaudPoll::Answered(kind) => return Some(kind),
         }
         let (axes, mount) = (self.body_axes(), self.mount());
-        let ended =
-            self.procedures
-                .poll(now_us, &mut self.working.calibration, mount, module, reply);
+        let calibration = &mut self.working.calibration;
+        let ended = (self.procedures).poll(now_us, calibration, mount, module, reply);
         self.follow_body_axes(axes, module);
         ended
             .or_else(|| {
@@ -272,8 +271,7 @@ impl Console {
     fn set_mount(&mut self, mount: Mount, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         let axes = self.body_axes();
         let had_level = self.working.calibration.level.is_some();
-        let before = self.mount();
-        procedure::set_mount(&mut self.working.calibration, mount, before);
+        procedure::set_mount(&mut self.working.calibration, mount, axes.0);
         module.set_calibration(&self.working.calibration);
         let has_lost_level = had_level && self.working.calibration.level.is_none();
         let has_lost_compass = self.follow_body_axes(axes, module);
