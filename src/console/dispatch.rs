@@ -149,7 +149,7 @@ impl Console {
                 }
                 let settings = &mut self.working.compass;
                 let kind = self.compass.poll(now_us, settings, mount, module, reply);
-                self.fix_mount(kind)
+                self.keep_mount(kind)
             })
             .or_else(|| self.errors.report_dropped(now_us, reply))
             .or_else(|| self.read(now_us, module, reply))
@@ -248,7 +248,7 @@ impl Console {
         if self.is_compass_running() {
             let settings = &mut self.working.compass;
             let kind = self.compass.finish(settings, mount, module, reply);
-            self.fix_mount(Some(kind));
+            self.keep_mount(Some(kind));
             return kind;
         }
         let calibration = &mut self.working.calibration;

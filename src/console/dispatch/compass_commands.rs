@@ -36,9 +36,9 @@ impl Console {
         has_lost
     }
 
-    /// Keeps the mount in use beside a new correction of the compass. A later build may have
-    /// another default, to which the correction does not belong.
-    pub(super) fn fix_mount(&mut self, kind: Option<Kind>) -> Option<Kind> {
+    /// Keeps the mount in use if this kind of answer shows a new correction of the compass. A later
+    /// build may have another default, to which the correction does not belong. Returns the kind.
+    pub(super) fn keep_mount(&mut self, kind: Option<Kind>) -> Option<Kind> {
         if kind == Some(Kind::Done) {
             self.working.calibration.mount = Some(self.mount());
         }
@@ -94,7 +94,7 @@ impl Console {
         correction.hard_iron_ut = correction.hard_iron_ut + found_ut;
         let kept_ut = Triple(correction.hard_iron_ut, 1);
         module.set_compass(&self.working.compass, self.mount());
-        self.fix_mount(Some(Kind::Done));
+        self.keep_mount(Some(Kind::Done));
         reply.ok(format_args!(
             "compass keep: hard iron {kept_ut} uT, and the heading restarts with it; \
              \"save\" keeps it"

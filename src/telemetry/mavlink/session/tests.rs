@@ -90,10 +90,15 @@ impl Bench {
 
     /// Output of the session without attitudes, in a buffer of this size.
     fn receive_all(&mut self, size: usize) -> Vec<(u8, MavMessage)> {
+        self.receive_with(size, false)
+    }
+
+    /// Output of the session, in a buffer of this size.
+    fn receive_with(&mut self, size: usize, has_attitude: bool) -> Vec<(u8, MavMessage)> {
         let mut buffer = vec![0; size];
         let mut output = Output::new(&mut buffer);
         let vehicle = Vehicle {
-            snapshot: None,
+            snapshot: has_attitude.then_some(&self.snapshot),
             sample: &self.sample,
             temperature_celsius: 25.5,
             heading: None,
@@ -243,20 +248,9 @@ fn heartbeats_come_once_a_second_beside_attitudes() {
 #[test]
 fn a_heartbeat_between_two_attitudes_has_the_state_of_the_last() {
     let mut bench = Bench::new();
-    let vehicle = Vehicle {
-        snapshot: Some(&bench.snapshot),
-        sample: &bench.sample,
-        temperature_celsius: 25.5,
-        heading: None,
-        compass: Condition::default(),
-        record: &bench.record,
-        is_armed: false,
-        bursts_failed: 0,
-    };
-    let mut buffer = [0; 512];
     let sent_us = 5_100_000;
-    let output = &mut Output::new(&mut buffer);
-    bench.session.fill(sent_us, &vehicle, output);
+    bench.now_us = sent_us;
+    assert_eq!(bench.receive_with(512, true).len(), 3);
     for (later_us, is_healthy) in [(950_000, true), (1_960_000, true), (2_970_000, false)] {
         bench.now_us = sent_us + later_us;
         let received = bench.receive_all(512);
