@@ -77,7 +77,7 @@ impl Monitor {
     #[inline]
     pub fn inspect(&mut self, bytes: &[u8; 14], temperature_counts: i16) -> Flags {
         let mut flags = Flags::empty();
-        let fingerprint = Fingerprint::of(bytes);
+        let (fingerprint, is_blank) = Fingerprint::of(bytes);
         if fingerprint == self.last {
             self.repetitions = self.repetitions.saturating_add(1);
             flags.set(Flags::FROZEN, self.repetitions >= self.frozen_samples);
@@ -86,7 +86,7 @@ impl Monitor {
             self.repetitions = 0;
             self.stuck_axis.update(bytes);
         }
-        flags.set(Flags::REJECTED, fingerprint.is_blank());
+        flags.set(Flags::REJECTED, is_blank);
         if self.has_stuck_axis() {
             flags |= Flags::FROZEN;
         }
@@ -147,8 +147,8 @@ impl Monitor {
 
     /// Visits every field.
     pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.u64(&mut self.last.first);
-        visitor.u64(&mut self.last.last);
+        visitor.u64(&mut self.last.accelerometer);
+        visitor.u64(&mut self.last.gyroscope);
         visitor.u8(&mut self.repetitions);
         visitor.u8(&mut self.frozen_samples);
         self.stuck_axis.visit_state(visitor);
@@ -159,32 +159,28 @@ impl Monitor {
     }
 }
 
-/// The 14 bytes of a sample as two numbers, which overlap by two bytes.
+/// The six axes of a sample as two numbers. Without the temperature, which may change while a hung
+/// converter repeats the axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Fingerprint {
-    /// Accelerometer and temperature.
-    first: u64,
-    /// Temperature and gyroscope.
-    last: u64,
+    accelerometer: u64,
+    gyroscope: u64,
 }
 
 impl Fingerprint {
+    /// Returns the axes, and whether accelerometer and temperature are blank: all zeros or all
+    /// ones. Noise excludes both, so the bus or the sensor is dead.
     #[inline]
-    fn of(bytes: &[u8; 14]) -> Self {
+    fn of(bytes: &[u8; 14]) -> (Self, bool) {
         let [first @ .., _, _, _, _, _, _] = bytes;
         let [_, _, _, _, _, _, last @ ..] = bytes;
-        Self {
-            first: u64::from_le_bytes(*first),
-            last: u64::from_le_bytes(*last),
-        }
-    }
-
-    /// Returns whether accelerometer and temperature are all zeros or all ones. Noise excludes
-    /// both, so the bus or the sensor is dead.
-    #[inline]
-    fn is_blank(self) -> bool {
-        self.first == 0 || self.first == u64::MAX
+        let (first, last) = (u64::from_le_bytes(*first), u64::from_le_bytes(*last));
+        let axes = Self {
+            accelerometer: first & 0xFFFF_FFFF_FFFF,
+            gyroscope: last >> 16,
+        };
+        (axes, first == 0 || first == u64::MAX)
     }
 }
 
@@ -212,6 +208,20 @@ mod tests {
             }
             bytes[0] ^= 1;
             assert!(monitor.inspect(&bytes, 0).is_empty());
+        }
+    }
+
+    #[test]
+    fn axes_that_repeat_beside_a_live_temperature_are_frozen() {
+        for (bandwidth_hz, limit) in [(188, 22), (42, 99)] {
+            let mut monitor = monitor(bandwidth_hz);
+            let mut bytes = [7; 14];
+            monitor.inspect(&bytes, 0);
+            for repetition in 1..=300 {
+                bytes[7] ^= 1;
+                let is_frozen = monitor.inspect(&bytes, 0).contains(Flags::FROZEN);
+                assert_eq!(is_frozen, repetition >= limit, "{repetition}");
+            }
         }
     }
 
