@@ -40,7 +40,7 @@
 //!         StationaryProgress::Collecting => {}
 //!         StationaryProgress::Moved(reason) => println!("start over: {reason}"),
 //!         StationaryProgress::Done(mean) => {
-//!             calibration.gyroscope = Some(mean.gyroscope_offset(&noise));
+//!             calibration.set_gyroscope_offset(mean.gyroscope_offset(&noise));
 //!         }
 //!     }
 //! }

@@ -96,6 +96,39 @@ impl Calibration {
         self.set_accelerometer(correction, mount);
     }
 
+    /// Replaces the gyroscope's offset. A temperature model shifts by what the new one differs from
+    /// it, because within its range it counts alone. Where it has faded to half, it shifts by half.
+    ///
+    /// ```
+    /// use aplomb::attitude::Vector3;
+    /// use aplomb::calibration::{Calibration, GyroscopeOffset, TemperatureModel};
+    ///
+    /// let mut calibration = Calibration::NONE;
+    /// calibration.temperature = Some(TemperatureModel {
+    ///     reference_celsius: 25.0,
+    ///     offset_rad_s: Vector3::ZERO,
+    ///     slope_rad_s_per_celsius: Vector3::new(0.001, 0.0, 0.0),
+    ///     curvature_rad_s_per_celsius2: Vector3::ZERO,
+    ///     coldest_celsius: 15.0,
+    ///     warmest_celsius: 40.0,
+    /// });
+    /// calibration.set_gyroscope_offset(GyroscopeOffset {
+    ///     offset_rad_s: Vector3::new(0.03, 0.0, 0.0),
+    ///     temperature_celsius: 35.0,
+    /// });
+    /// let model = calibration.temperature.expect("it stays");
+    /// assert!((model.offset_at(35.0).0.x - 0.03).abs() < 1e-6);
+    /// assert!((model.offset_at(25.0).0.x - 0.02).abs() < 1e-6);
+    /// ```
+    pub fn set_gyroscope_offset(&mut self, measured: GyroscopeOffset) {
+        self.gyroscope = Some(measured);
+        if let Some(model) = &mut self.temperature {
+            let (expected_rad_s, weight) = model.offset_at(measured.temperature_celsius);
+            let difference = measured.offset_rad_s - expected_rad_s;
+            model.offset_rad_s = model.offset_rad_s + difference.scale(weight);
+        }
+    }
+
     /// Replaces the accelerometer's correction. `mount` is the one in use.
     ///
     /// The level trim turns with it: where the body was level, it stays level. A trim that would

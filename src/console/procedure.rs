@@ -240,7 +240,7 @@ impl Procedure {
         reply: &mut Reply<'_>,
     ) -> Step {
         let offset = mean.gyroscope_offset(noise);
-        calibration.gyroscope = Some(offset);
+        calibration.set_gyroscope_offset(offset);
         Step::Ended(self.done(
             reply,
             format_args!(
