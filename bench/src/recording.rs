@@ -15,7 +15,7 @@ use aplomb_recordings::log::{Lines, LogError, LogFault, Row, Rows, column_count,
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
 use aplomb_recordings::units::{BadRows, RowOptions};
-use aplomb_recordings::vibration::Vibration;
+use aplomb_recordings::vibration::{FULL_SCALE_G, Vibration};
 
 use crate::compass::Compass;
 use crate::filter::{Choice, Filter};
@@ -188,7 +188,7 @@ impl Recording {
 
     /// Returns the vibration.
     pub fn vibration(&self) -> Vibration {
-        let mut vibration = Vibration::default();
+        let mut vibration = Vibration::new(FULL_SCALE_G);
         for sample in &self.samples {
             let force = sample.specific_force_m_s2;
             vibration.add(

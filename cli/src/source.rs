@@ -90,6 +90,11 @@ pub trait Source {
         true
     }
 
+    /// Returns the accelerometer's full scale, g. Default: that of the module.
+    fn full_scale_g(&self) -> u16 {
+        Config::DEFAULT.accelerometer_range.full_scale_g()
+    }
+
     /// Returns messages on what harms the accuracy of the points so far.
     fn warnings(&self) -> Vec<String> {
         Vec::new()
@@ -157,6 +162,10 @@ impl LogSource {
     pub fn new(lines: Lines, options: LogOptions) -> Result<Self, Box<dyn Error>> {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor_delay_us = Some(options.delay_us);
+        if let Some((accelerometer, gyroscope)) = options.ranges {
+            settings.sensor.accelerometer_range = accelerometer;
+            settings.sensor.gyroscope_range = gyroscope;
+        }
         let rows = Rows::new(
             lines,
             options.columns,
@@ -265,6 +274,10 @@ impl LogOptions {
 }
 
 impl Source for LogSource {
+    fn full_scale_g(&self) -> u16 {
+        full_scale_g(self.pipeline.settings())
+    }
+
     fn warnings(&self) -> Vec<String> {
         self.plateaus.message().into_iter().collect()
     }
@@ -321,6 +334,10 @@ impl BurstSource {
 }
 
 impl Source for BurstSource {
+    fn full_scale_g(&self) -> u16 {
+        full_scale_g(self.pipeline.settings())
+    }
+
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
         let Some(line) = self.lines.next_line()? else {
             return Ok(None);
@@ -358,6 +375,10 @@ impl FlightSource {
 }
 
 impl Source for FlightSource {
+    fn full_scale_g(&self) -> u16 {
+        full_scale_g(self.replay.pipeline().settings())
+    }
+
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
         let Some(snapshot) = self.replay.next() else {
             return Ok(None);
@@ -365,6 +386,11 @@ impl Source for FlightSource {
         let t_us = i64::try_from(snapshot.t_us)?;
         Ok(Some(Point::new(self.replay.pipeline(), &snapshot, t_us)))
     }
+}
+
+/// Returns the accelerometer's full scale, g.
+fn full_scale_g(settings: &Settings) -> u16 {
+    settings.sensor.accelerometer_range.full_scale_g()
 }
 
 fn vector([x, y, z]: [f64; 3]) -> Vector3 {

@@ -15,10 +15,8 @@ pub struct VibrationMonitor<'a> {
 impl<'a> VibrationMonitor<'a> {
     /// Monitors a source.
     pub fn new(source: &'a mut dyn Source) -> Self {
-        Self {
-            source,
-            vibration: Vibration::default(),
-        }
+        let vibration = Vibration::new(source.full_scale_g().into());
+        Self { source, vibration }
     }
 }
 
@@ -36,6 +34,10 @@ impl Source for VibrationMonitor<'_> {
 
     fn has_flags(&self) -> bool {
         self.source.has_flags()
+    }
+
+    fn full_scale_g(&self) -> u16 {
+        self.source.full_scale_g()
     }
 
     fn warnings(&self) -> Vec<String> {

@@ -14,7 +14,10 @@ use aplomb_models::motion::Vector;
 use aplomb_models::motion::geometry::{add, dot, scale};
 use aplomb_models::motion::truth::STANDARD_GRAVITY_M_S2;
 
-/// Strongest vibration that does not matter, g root mean square of all axes together.
+/// Full scale of the accelerometer in most recordings, g.
+pub const FULL_SCALE_G: f64 = 16.0;
+/// Strongest vibration that does not matter at that full scale, g root mean square of all axes
+/// together. At another one it is the same share.
 pub const LIMIT_G: f64 = 6.0;
 
 /// Time over which the mean is taken, µs.
@@ -23,8 +26,9 @@ const WINDOW_US: i64 = 100_000;
 const WINDOWS: u32 = 10;
 
 /// Measurement of the vibration in a recording, sample by sample.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Vibration {
+    limit_g: f64,
     window: Window,
     first_us: Option<i64>,
     /// Squares about the means in m²/s⁴, samples and windows since the last measurement.
@@ -47,6 +51,21 @@ struct Window {
 }
 
 impl Vibration {
+    /// Creates a measurement for an accelerometer with this full scale, g.
+    #[must_use]
+    pub fn new(full_scale_g: f64) -> Self {
+        Self {
+            limit_g: LIMIT_G / FULL_SCALE_G * full_scale_g,
+            window: Window::default(),
+            first_us: None,
+            squares: 0.0,
+            samples: 0,
+            windows: 0,
+            strongest: None,
+            too_strong: 0,
+        }
+    }
+
     /// Takes one sample of the specific force.
     pub fn add(&mut self, t_us: i64, force_m_s2: Vector) {
         let first_us = *self.first_us.get_or_insert(t_us);
@@ -74,10 +93,10 @@ impl Vibration {
     pub fn message(&self) -> Option<String> {
         let (strongest_g, at_s) = self.strongest.filter(|_| self.too_strong > 0)?;
         Some(format!(
-            "vibration too strong: {strongest_g:.1} g rms at {at_s:.1} s, above {LIMIT_G} g for \
-             {} s. The tilt can be wrong by degrees. Balance the rotors, or mount the sensor on \
+            "vibration too strong: {strongest_g:.1} g rms at {at_s:.1} s, above {} g for {} s. \
+             The tilt can be wrong by degrees. Balance the rotors, or mount the sensor on \
              something soft",
-            self.too_strong
+            self.limit_g, self.too_strong
         ))
     }
 
@@ -97,7 +116,7 @@ impl Vibration {
         }
         let strength_g = (self.squares / f64::from(self.samples)).sqrt() / STANDARD_GRAVITY_M_S2;
         (self.squares, self.samples, self.windows) = (0.0, 0, 0);
-        self.too_strong += u32::from(strength_g > LIMIT_G);
+        self.too_strong += u32::from(strength_g > self.limit_g);
         if self
             .strongest
             .is_none_or(|(strongest_g, _)| strength_g > strongest_g)
@@ -113,8 +132,9 @@ mod tests {
 
     /// Returns the measurement of ten seconds: a sine on one axis from 4 s to 7 s, on top of a
     /// swing of the gravity.
-    fn measure(amplitude_g: f64, hertz: f64, rate_hz: u32) -> Vibration {
-        let mut vibration = Vibration::default();
+    fn measure(amplitude_g: f64, full_scale_g: f64, rate_hz: u32) -> Vibration {
+        let hertz = 67.0;
+        let mut vibration = Vibration::new(full_scale_g);
         for row in 0..10 * rate_hz {
             let time_s = f64::from(row) / f64::from(rate_hz);
             let tilt = libm::sin(3.0 * time_s);
@@ -133,28 +153,30 @@ mod tests {
     #[test]
     fn the_strength_is_that_of_the_vibration_alone() {
         for rate_hz in [200, 286, 1_000] {
-            let still = measure(0.0, 100.0, rate_hz);
+            let still = measure(0.0, 16.0, rate_hz);
             assert!(still.strongest_g().unwrap() < 0.1, "{still:?}");
             assert_eq!(still.message(), None);
-            let weak = measure(8.0, 67.0, rate_hz);
+            let weak = measure(8.0, 16.0, rate_hz);
             let strength_g = weak.strongest_g().unwrap();
             assert!(
                 (strength_g - 8.0 * 0.5_f64.sqrt()).abs() < 0.1,
                 "{strength_g}"
             );
             assert_eq!(weak.message(), None);
-            let message = measure(10.0, 67.0, rate_hz).message().unwrap();
+            let message = measure(10.0, 16.0, rate_hz).message().unwrap();
             assert!(
                 message.starts_with("vibration too strong: 7.1 g rms at "),
                 "{message}"
             );
             assert!(message.contains("above 6 g for 3 s"), "{message}");
+            let message = measure(1.2, 2.0, rate_hz).message().unwrap();
+            assert!(message.contains("above 0.75 g for 3 s"), "{message}");
         }
     }
 
     #[test]
     fn a_clock_that_jumps_or_stops_does_no_harm() {
-        let mut vibration = Vibration::default();
+        let mut vibration = Vibration::new(FULL_SCALE_G);
         for t_us in [0, i64::MAX, i64::MIN, 5, 5, 5, -7, i64::MAX] {
             vibration.add(t_us, [1.0, 2.0, f64::NAN]);
         }

@@ -12,10 +12,9 @@
 //! larger.
 //!
 //! ```
-//! use aplomb::health::{Flags, Monitor};
+//! use aplomb::health::{Flags, Monitor, MonitoredSensor};
 //!
-//! // Bandwidth in Hz, then the temperature scale of an MPU-6050.
-//! let mut monitor = Monitor::new(1_000.0, 188, 1.0 / 340.0, 36.53);
+//! let mut monitor = Monitor::new(&MonitoredSensor::MPU_6050);
 //! assert_eq!(monitor.inspect(&[0xFF; 14], -1), Flags::REJECTED);
 //! ```
 
@@ -30,7 +29,7 @@ mod vibration;
 
 pub use flag_report::FlagReport;
 pub use flags::{BoardFlags, Flags, UnknownFlag};
-pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
+pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor, MonitoredSensor};
 #[cfg(not(feature = "firmware"))]
 pub(crate) use sample_monitor::{SampleMonitor, Sampling};
 pub use self_measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};

@@ -26,6 +26,36 @@ const FROZEN_NARROW_S: f32 = 0.099;
 /// Fewest identical samples of that time, where samples are rare: a board may read one twice.
 const FEWEST_FROZEN: u8 = 5;
 
+/// What a [`Monitor`] knows of its sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MonitoredSensor {
+    /// Sample rate, Hz.
+    pub sample_rate_hz: f32,
+    /// Bandwidth of the gyroscope's low-pass filter, Hz.
+    pub bandwidth_hz: u16,
+    /// Sensitivity of the accelerometer, counts per g.
+    pub counts_per_g: f32,
+    /// Sensitivity of the gyroscope, counts per °/s.
+    pub counts_per_degree_s: f32,
+    /// Scale of the temperature, °C per count.
+    pub celsius_per_count: f32,
+    /// Temperature at zero counts, °C.
+    pub celsius_at_zero: f32,
+}
+
+impl MonitoredSensor {
+    /// An MPU-6050 at 1 kHz, ±16 g and ±2000 °/s, with its filter of 188 Hz.
+    pub const MPU_6050: Self = Self {
+        sample_rate_hz: 1_000.0,
+        bandwidth_hz: 188,
+        counts_per_g: 2048.0,
+        counts_per_degree_s: 16.4,
+        celsius_per_count: 1.0 / 340.0,
+        celsius_at_zero: 36.53,
+    };
+}
+
 /// Monitor of the samples: sets the flags of an attitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -41,25 +71,20 @@ pub struct Monitor {
 }
 
 impl Monitor {
-    /// Creates a monitor for a sensor with this sample rate (Hz), gyroscope bandwidth (Hz) and
-    /// temperature scale (°C).
-    pub fn new(
-        sample_rate_hz: f32,
-        bandwidth_hz: u16,
-        celsius_per_count: f32,
-        celsius_at_zero: f32,
-    ) -> Self {
-        let frozen_s = if bandwidth_hz >= 98 {
+    /// Creates a monitor for this sensor.
+    pub fn new(sensor: &MonitoredSensor) -> Self {
+        let frozen_s = if sensor.bandwidth_hz >= 98 {
             FROZEN_S
         } else {
             FROZEN_NARROW_S
         };
-        let counts = |celsius: f32| ((celsius - celsius_at_zero) / celsius_per_count) as i16;
+        let counts =
+            |celsius: f32| ((celsius - sensor.celsius_at_zero) / sensor.celsius_per_count) as i16;
         Self {
             last: Fingerprint::default(),
             repetitions: 0,
-            frozen_samples: ((frozen_s * sample_rate_hz) as u8).max(FEWEST_FROZEN),
-            stuck_axis: StuckAxis::new(sample_rate_hz, bandwidth_hz),
+            frozen_samples: ((frozen_s * sensor.sample_rate_hz) as u8).max(FEWEST_FROZEN),
+            stuck_axis: StuckAxis::new(sensor),
             coldest_counts: counts(COLDEST_CELSIUS),
             hottest_counts: counts(HOTTEST_CELSIUS),
             was_still: false,
@@ -188,9 +213,11 @@ impl Fingerprint {
 mod tests {
     use super::*;
 
-    /// Creates a monitor with the MPU-6050's scale: 340 counts per °C, 36.53 °C at zero.
     fn monitor(bandwidth_hz: u16) -> Monitor {
-        Monitor::new(1_000.0, bandwidth_hz, 1.0 / 340.0, 36.53)
+        Monitor::new(&MonitoredSensor {
+            bandwidth_hz,
+            ..MonitoredSensor::MPU_6050
+        })
     }
 
     #[test]
@@ -234,7 +261,11 @@ mod tests {
             (100.0, 42, 9),
             (10.0, 42, 5),
         ] {
-            let mut monitor = Monitor::new(rate_hz, bandwidth_hz, 1.0 / 340.0, 36.53);
+            let mut monitor = Monitor::new(&MonitoredSensor {
+                sample_rate_hz: rate_hz,
+                bandwidth_hz,
+                ..MonitoredSensor::MPU_6050
+            });
             monitor.inspect(&[7; 14], 0);
             for repetition in 1..=20 {
                 let is_frozen = monitor.inspect(&[7; 14], 0).contains(Flags::FROZEN);

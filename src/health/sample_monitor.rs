@@ -16,7 +16,7 @@
 //! Without 200 samples of rest, 1/bandwidth apart, nothing is flagged: 1.1 s of a fast recording,
 //! and 4 s at 50 Hz.
 
-use super::stuck_axis::{StuckAxis, Values, WINDOW_SAMPLES};
+use super::stuck_axis::{MOTION_DEGREES_S, MOTION_G, StuckAxis, Values, WINDOW_SAMPLES};
 use crate::attitude::Vector3;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
@@ -27,10 +27,10 @@ const ALL_AXES: u8 = 0b11_1111;
 /// Axes of the accelerometer, a bit each.
 const FORCE_AXES: u8 = 0b00_0111;
 
-/// Change over a window that noise does not reach: 62 mg in m/s², and 1 °/s in rad/s. Those of
-/// [`StuckAxis`] for bursts.
+/// Change over a window that noise does not reach, m/s² and rad/s.
 const MOTION: [f32; AXES] = {
-    let (force, rate) = (0.0625 * STANDARD_GRAVITY_M_S2, radians(0.977));
+    let force = MOTION_G * STANDARD_GRAVITY_M_S2;
+    let rate = radians(MOTION_DEGREES_S);
     [force, force, force, rate, rate, rate]
 };
 
@@ -169,11 +169,13 @@ struct Axes {
 impl Values for Axes {
     const AXES: u8 = ALL_AXES;
 
+    type Motion = ();
+
     fn add_changed(&self, later: &Self, changed: &mut u8) {
         *changed |= difference(&self.values, &later.values);
     }
 
-    fn add_excused(&self, last: &Self, changed: &mut u8) -> bool {
+    fn add_excused(&self, last: &Self, (): &(), changed: &mut u8) -> bool {
         *changed |= self.excused | last.excused;
         has_moved(&self.values, &last.values)
     }

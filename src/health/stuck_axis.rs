@@ -9,6 +9,7 @@
 //!
 //! `SampleMonitor` has the same windows for samples in SI units.
 
+use super::monitor::MonitoredSensor;
 use crate::serialize::StateVisitor;
 
 /// Words of a burst: accelerometer, temperature, gyroscope.
@@ -17,9 +18,9 @@ const WORDS: usize = 7;
 /// Samples of a window.
 pub(super) const WINDOW_SAMPLES: u8 = 25;
 
-/// Change over a window that noise does not reach, counts: 62 mg at ±16 g, 1 °/s at
-/// ±2000 °/s.
-const MOTION_COUNTS: [u16; WORDS] = [128, 128, 128, u16::MAX, 16, 16, 16];
+/// Change over a window that noise does not reach.
+pub(super) const MOTION_G: f32 = 0.0625;
+pub(super) const MOTION_DEGREES_S: f32 = 0.977;
 
 /// Narrowest low-pass filter that leaves enough noise, Hz.
 const NARROWEST_HZ: u16 = 42;
@@ -29,17 +30,22 @@ pub(super) trait Values: Copy + Default {
     /// Axes, a bit each.
     const AXES: u8;
 
+    /// Changes that noise does not reach, unless they are constants.
+    type Motion: Copy + Default;
+
     /// Adds the axes that differ from those of a later sample, a bit each.
     fn add_changed(&self, later: &Self, changed: &mut u8);
 
     /// Adds the axes that repeat for another reason than a fault, a bit each. `last` is the last
     /// sample of the window. Returns whether an axis has moved since the first one.
-    fn add_excused(&self, last: &Self, changed: &mut u8) -> bool;
+    fn add_excused(&self, last: &Self, motion: &Self::Motion, changed: &mut u8) -> bool;
 }
 
 impl Values for [u8; 14] {
     /// All words but the temperature.
     const AXES: u8 = 0b111_0111;
+
+    type Motion = MotionCounts;
 
     #[inline]
     fn add_changed(&self, later: &Self, changed: &mut u8) {
@@ -49,10 +55,12 @@ impl Values for [u8; 14] {
     }
 
     #[inline]
-    fn add_excused(&self, last: &Self, changed: &mut u8) -> bool {
+    fn add_excused(&self, last: &Self, motion: &MotionCounts, changed: &mut u8) -> bool {
+        let MotionCounts { force, rate } = *motion;
+        let motion: [u16; WORDS] = [force, force, force, u16::MAX, rate, rate, rate];
         let mut has_moved = false;
         let pairs = words(self).zip(words(last));
-        for (word, ((first, last), motion)) in pairs.zip(MOTION_COUNTS).enumerate() {
+        for (word, ((first, last), motion)) in pairs.zip(motion).enumerate() {
             has_moved |= last.abs_diff(first) > motion;
             // A turn faster than full scale repeats it too.
             let is_full_scale = first == i16::MAX || first <= -i16::MAX;
@@ -62,10 +70,18 @@ impl Values for [u8; 14] {
     }
 }
 
+/// Changes of counts that noise does not reach.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct MotionCounts {
+    force: u16,
+    rate: u16,
+}
+
 /// Windows over the six axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct StuckAxis<V = [u8; 14]> {
+pub(super) struct StuckAxis<V: Values = [u8; 14]> {
     /// Samples from one that counts to the next; 0 without a check.
     gap: u8,
     samples_to_next: u16,
@@ -75,18 +91,25 @@ pub(super) struct StuckAxis<V = [u8; 14]> {
     is_stuck: bool,
     /// Values at the beginning of the window.
     first: V,
+    motion: V::Motion,
 }
 
 impl StuckAxis {
-    /// Creates the windows for samples at this rate (Hz) through a low-pass filter of this
-    /// bandwidth (Hz).
-    pub(super) fn new(sample_rate_hz: f32, bandwidth_hz: u16) -> Self {
-        let gap = if bandwidth_hz < NARROWEST_HZ {
+    /// Creates the windows for the bursts of this sensor.
+    pub(super) fn new(sensor: &MonitoredSensor) -> Self {
+        let gap = if sensor.bandwidth_hz < NARROWEST_HZ {
             0
         } else {
-            ((sample_rate_hz / f32::from(bandwidth_hz)) as u8).max(1)
+            ((sensor.sample_rate_hz / f32::from(sensor.bandwidth_hz)) as u8).max(1)
         };
-        Self::with_gap(gap)
+        let motion = MotionCounts {
+            force: (MOTION_G * sensor.counts_per_g) as u16,
+            rate: (MOTION_DEGREES_S * sensor.counts_per_degree_s) as u16,
+        };
+        Self {
+            motion,
+            ..Self::with_gap(gap)
+        }
     }
 
     /// Visits every field.
@@ -97,6 +120,8 @@ impl StuckAxis {
         visitor.u8(&mut self.changed);
         visitor.bool(&mut self.is_stuck);
         visitor.bytes(&mut self.first);
+        visitor.u16(&mut self.motion.force);
+        visitor.u16(&mut self.motion.rate);
     }
 }
 
@@ -110,6 +135,7 @@ impl<V: Values> StuckAxis<V> {
             changed: V::AXES,
             is_stuck: false,
             first: V::default(),
+            motion: V::Motion::default(),
         }
     }
 
@@ -160,7 +186,9 @@ impl<V: Values> StuckAxis<V> {
             self.is_stuck = false;
             return;
         }
-        let has_moved = self.first.add_excused(last, &mut self.changed);
+        let has_moved = self
+            .first
+            .add_excused(last, &self.motion, &mut self.changed);
         let is_one_stuck = !self.have_all_changed();
         if has_moved || !is_one_stuck {
             self.is_stuck = is_one_stuck;
@@ -181,7 +209,10 @@ mod tests {
     /// Returns whether an axis is stuck after this many samples at 1 kHz. Each axis moves by a
     /// count per sample, but for this one, which reads `value`.
     fn is_stuck(axis: Option<usize>, value: i16, bandwidth_hz: u16, samples: i16) -> bool {
-        let mut stuck_axis = StuckAxis::new(1_000.0, bandwidth_hz);
+        let mut stuck_axis = StuckAxis::new(&MonitoredSensor {
+            bandwidth_hz,
+            ..MonitoredSensor::MPU_6050
+        });
         for time in 0..samples {
             let mut bytes = [0; 14];
             for (word, bytes) in bytes.as_chunks_mut::<2>().0.iter_mut().enumerate() {
@@ -207,6 +238,27 @@ mod tests {
                     assert!(!is_stuck(axis, full_scale, bandwidth_hz, detection));
                 }
             }
+        }
+    }
+
+    #[test]
+    fn noise_of_a_quiet_sensor_at_a_small_range_is_no_motion() {
+        let mut stuck_axis = StuckAxis::new(&MonitoredSensor {
+            bandwidth_hz: 42,
+            counts_per_g: 16_384.0,
+            counts_per_degree_s: 131.0,
+            ..MonitoredSensor::MPU_6050
+        });
+        for time in 0..10_000_u32 {
+            // Up to 18 mg of noise, and an axis of the gyroscope that repeats its value.
+            let noise = (time.wrapping_mul(2_654_435_761) >> 16) as i16 % 300;
+            let words = [noise, -noise, noise / 2, 0, 7, noise / 16, noise / 12];
+            let mut bytes = [0; 14];
+            for (bytes, word) in bytes.as_chunks_mut::<2>().0.iter_mut().zip(words) {
+                *bytes = word.to_be_bytes();
+            }
+            stuck_axis.update(&bytes);
+            assert!(!stuck_axis.is_stuck(), "{time}");
         }
     }
 

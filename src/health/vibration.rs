@@ -16,8 +16,9 @@ use crate::attitude::Vector3;
 use crate::serialize::StateVisitor;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
-/// Strongest vibration that does little harm, m/s² root mean square of all axes together: 6 g.
-const LIMIT_M_S2: f32 = 6.0 * STANDARD_GRAVITY_M_S2;
+/// Strongest vibration that does little harm, as a share of full scale: 6 of 16 g. Root mean square
+/// of all axes together.
+const LIMIT: f32 = 6.0 / 16.0;
 
 /// Forces of a window: 0.2 s.
 const WINDOW_FORCES: u8 = 10;
@@ -36,6 +37,8 @@ pub struct Vibration {
     windows: u8,
     /// [`Flags::VIBRATION`] or none.
     flags: Flags,
+    /// Strongest vibration that does little harm, m²/s⁴.
+    limit: f32,
     /// Sums over the window: force, m/s², and its square.
     sum: Vector3,
     squares: f32,
@@ -44,10 +47,11 @@ pub struct Vibration {
 }
 
 impl Vibration {
-    /// Creates a measurement for samples at this rate, Hz.
-    pub fn new(sample_rate_hz: f32) -> Self {
+    /// Creates a measurement for samples at this rate (Hz) of a sensor with this full scale (g).
+    pub fn new(sample_rate_hz: f32, full_scale_g: u16) -> Self {
         let gap = |seconds: f32| ((sample_rate_hz * seconds) as u8).max(1);
         let smallest_gap = gap(0.013);
+        let limit_m_s2 = LIMIT * f32::from(full_scale_g) * STANDARD_GRAVITY_M_S2;
         Self {
             samples_to_force: 1,
             gap: smallest_gap,
@@ -56,6 +60,7 @@ impl Vibration {
             forces: 0,
             windows: 0,
             flags: Flags::empty(),
+            limit: limit_m_s2 * limit_m_s2,
             sum: Vector3::ZERO,
             squares: 0.0,
             deviations: 0.0,
@@ -92,7 +97,7 @@ impl Vibration {
 
     fn close_window(&mut self) {
         const SHARE: f32 = 1.0 / WINDOW_FORCES as f32;
-        const LIMIT: f32 = LIMIT_M_S2 * LIMIT_M_S2 * (WINDOW_FORCES as f32 - 1.0) * WINDOWS as f32;
+        const FREE_FORCES: f32 = (WINDOW_FORCES as f32 - 1.0) * WINDOWS as f32;
         self.deviations += self.squares - SHARE * self.sum.dot(self.sum);
         self.forces = 0;
         self.sum = Vector3::ZERO;
@@ -100,7 +105,8 @@ impl Vibration {
         self.windows = self.windows.wrapping_add(1);
         if self.windows >= WINDOWS {
             self.windows = 0;
-            self.flags.set(Flags::VIBRATION, self.deviations > LIMIT);
+            let is_too_strong = self.deviations > FREE_FORCES * self.limit;
+            self.flags.set(Flags::VIBRATION, is_too_strong);
             self.deviations = 0.0;
         }
     }
@@ -116,6 +122,7 @@ impl Vibration {
         let mut is_too_strong = !self.flags.is_empty();
         visitor.bool(&mut is_too_strong);
         self.flags.set(Flags::VIBRATION, is_too_strong);
+        visitor.f32(&mut self.limit);
         visitor.vector(&mut self.sum);
         visitor.f32(&mut self.squares);
         visitor.f32(&mut self.deviations);
@@ -128,8 +135,8 @@ mod tests {
 
     /// Returns the seconds that were too strong, of ten: a sine on one axis from 3.1 s to 6.9 s, on
     /// top of a swing of gravity. `rms_g` is its root mean square.
-    fn seconds_too_strong(rms_g: f32, hertz: f32, rate_hz: u16) -> f32 {
-        let mut vibration = Vibration::new(f32::from(rate_hz));
+    fn seconds_too_strong(rms_g: f32, hertz: f32, rate_hz: u16, full_scale_g: u16) -> f32 {
+        let mut vibration = Vibration::new(f32::from(rate_hz), full_scale_g);
         let mut samples = 0_u16;
         for index in 0..10 * rate_hz {
             let time_s = f32::from(index) / f32::from(rate_hz);
@@ -156,9 +163,9 @@ mod tests {
                 if 2.0 * hertz == f32::from(rate_hz) {
                     continue;
                 }
-                let weak = seconds_too_strong(5.0, hertz, rate_hz);
+                let weak = seconds_too_strong(5.0, hertz, rate_hz, 16);
                 assert!(weak == 0.0, "{hertz} Hz at {rate_hz}: {weak}");
-                let strong = seconds_too_strong(8.0, hertz, rate_hz);
+                let strong = seconds_too_strong(8.0, hertz, rate_hz, 16);
                 assert!(
                     strong > 0.7 && strong < 5.0,
                     "{hertz} Hz at {rate_hz}: {strong}"
@@ -168,8 +175,14 @@ mod tests {
     }
 
     #[test]
+    fn a_smaller_full_scale_has_a_lower_limit() {
+        assert_eq!(seconds_too_strong(0.6, 67.0, 1_000, 2), 0.0);
+        assert!(seconds_too_strong(1.0, 67.0, 1_000, 2) > 0.7);
+    }
+
+    #[test]
     fn a_force_that_is_no_number_does_not_last() {
-        let mut vibration = Vibration::new(1_000.0);
+        let mut vibration = Vibration::new(1_000.0, 16);
         vibration.update(&Vector3::new(f32::NAN, 0.0, 0.0));
         for _ in 0..3_000 {
             let flags = vibration.update(&Vector3::new(0.0, 0.0, -9.81));

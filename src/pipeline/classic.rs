@@ -57,8 +57,6 @@ impl<F: Filter> ClassicPipeline<F> {
     /// Creates a pipeline that first averages `averaging_samples` at rest. With zero it removes no
     /// offsets.
     pub fn new(settings: &Settings, filter: F, averaging_samples: u16, zero: Zero) -> Self {
-        let sensor = &settings.sensor;
-        let temperature = settings.part.temperature;
         let stored = StoredOffset::at(&settings.calibration, settings.calibration.usual_celsius());
         let average = (averaging_samples > 0).then(|| {
             StationaryDetector::new(&settings.noise_model(), averaging_samples)
@@ -67,12 +65,7 @@ impl<F: Filter> ClassicPipeline<F> {
         Self {
             settings: *settings,
             alignment: Alignment::new(settings, stored.offset_rad_s),
-            monitor: Monitor::new(
-                sensor.sample_rate_hz(),
-                sensor.low_pass.gyroscope_bandwidth_hz(),
-                temperature.celsius_per_count,
-                temperature.celsius_at_zero,
-            ),
+            monitor: Monitor::new(&settings.monitored_sensor()),
             estimator: Estimator::with_filter(filter),
             zero,
             average,

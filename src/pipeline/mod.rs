@@ -101,13 +101,7 @@ impl Pipeline {
     /// Creates a pipeline without a burst.
     pub fn new(settings: &Settings) -> Self {
         let sensor = &settings.sensor;
-        let temperature = settings.part.temperature;
-        let monitor = Monitor::new(
-            sensor.sample_rate_hz(),
-            sensor.low_pass.gyroscope_bandwidth_hz(),
-            temperature.celsius_per_count,
-            temperature.celsius_at_zero,
-        );
+        let monitor = Monitor::new(&settings.monitored_sensor());
         let mut pipeline = Self {
             settings: *settings,
             alignment: Alignment::new(settings, Vector3::ZERO),
@@ -117,7 +111,10 @@ impl Pipeline {
             thermal_drift: ThermalDrift::NONE,
             monitor,
             suspect: SuspectData::new(sensor.sample_rate_hz(), monitor.frozen_samples()),
-            vibration: Vibration::new(sensor.sample_rate_hz()),
+            vibration: Vibration::new(
+                sensor.sample_rate_hz(),
+                sensor.accelerometer_range.full_scale_g(),
+            ),
             estimator: Estimator::new(),
             sample: Sample::default(),
             #[cfg(not(feature = "firmware"))]

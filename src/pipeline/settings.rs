@@ -2,6 +2,7 @@
 
 use crate::calibration::{AccelerometerCorrection, Calibration, Mount, NoiseModel, SensorSetup};
 use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge};
+use crate::health::MonitoredSensor;
 use crate::mpu6050::{Config, Part};
 use crate::serialize::StateVisitor;
 
@@ -79,6 +80,19 @@ impl Settings {
             accelerometer_bandwidth_hz: sensor.low_pass.accelerometer_bandwidth_hz().into(),
             sample_rate_hz: sensor.sample_rate_hz(),
         })
+    }
+
+    /// Returns what the monitor has to know of the sensor.
+    pub(super) fn monitored_sensor(&self) -> MonitoredSensor {
+        let (sensor, temperature) = (&self.sensor, &self.part.temperature);
+        MonitoredSensor {
+            sample_rate_hz: sensor.sample_rate_hz(),
+            bandwidth_hz: sensor.low_pass.gyroscope_bandwidth_hz(),
+            counts_per_g: sensor.accelerometer_range.counts_per_g(),
+            counts_per_degree_s: sensor.gyroscope_range.counts_per_degree_s(),
+            celsius_per_count: temperature.celsius_per_count,
+            celsius_at_zero: temperature.celsius_at_zero,
+        }
     }
 
     /// Returns the delay of the sensor in use, in µs.
