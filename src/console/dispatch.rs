@@ -363,7 +363,7 @@ impl Console {
     }
 
     /// Returns the name of the running procedure.
-    fn running(&self) -> Option<&'static str> {
+    pub fn running(&self) -> Option<&'static str> {
         if self.is_compass_running() {
             return Some(compass_procedure::NAME);
         }

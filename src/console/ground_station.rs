@@ -94,12 +94,6 @@ impl GroundStation {
             _ => false,
         };
         let outcome = match kind {
-            Kind::Ok if command == Command::Calibrate(Calibrate::Stop) => {
-                if let Some(ended) = self.pending.take() {
-                    self.session.answer(ended, Outcome::Cancelled);
-                }
-                Outcome::Accepted
-            }
             Kind::Ok if takes_time => {
                 self.pending = Some(ticket);
                 Outcome::InProgress
@@ -128,6 +122,16 @@ impl GroundStation {
             Kind::Failed => Outcome::Failed,
             Kind::Ok | Kind::Error | Kind::Progress => return,
         };
+        self.end_pending(outcome);
+    }
+
+    /// Answers a request that has ended without an answer of the console: `arm` and
+    /// `calibrate stop` give up a calibration. Call it while the console works on nothing.
+    pub fn cancel_pending(&mut self) {
+        self.end_pending(Outcome::Cancelled);
+    }
+
+    fn end_pending(&mut self, outcome: Outcome) {
         if let Some(ticket) = self.pending.take() {
             self.session.answer(ticket, outcome);
         }

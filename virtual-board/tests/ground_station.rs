@@ -1,5 +1,5 @@
-//! Requests of a MAVLink ground station to the real image, beside a task or a change of the baud
-//! rate.
+//! Requests of a MAVLink ground station to the real image, beside a task, a change of the baud rate
+//! or lines of text.
 
 mod common;
 
@@ -11,6 +11,8 @@ use virtual_board::flight::{Outcome, Run};
 const COMMAND_LONG: (u8, u8) = (76, 152);
 /// Message COMMAND_ACK.
 const COMMAND_ACK: u8 = 77;
+/// MAV_CMD_PREFLIGHT_CALIBRATION.
+const CALIBRATION: u16 = 241;
 /// MAV_CMD_PREFLIGHT_STORAGE.
 const STORAGE: u16 = 245;
 /// MAV_CMD_COMPONENT_ARM_DISARM.
@@ -21,6 +23,8 @@ const ACCEPTED: u8 = 0;
 const REJECTED: u8 = 1;
 /// MAV_RESULT_IN_PROGRESS.
 const IN_PROGRESS: u8 = 5;
+/// MAV_RESULT_CANCELLED.
+const CANCELLED: u8 = 6;
 
 /// Adds a byte to the checksum of MAVLink, CRC-16/MCRF4XX.
 fn checksum(sum: u16, byte: u8) -> u16 {
@@ -106,6 +110,27 @@ fn requests_wait_for_the_end_of_a_save() {
         (ARM, ACCEPTED),
     ];
     assert_eq!(results(&outcome), expected);
+}
+
+/// A calibration that a line of text gives up is answered.
+#[test]
+fn a_calibration_that_a_line_gives_up_is_cancelled() {
+    let run = |line| {
+        Run::new(firmware())
+            .seconds(4.0)
+            .motion(Rest::level())
+            .command(1.0, "format mavlink")
+            .send(1.5, &command(CALIBRATION))
+            .command(3.0, line)
+            .run()
+            .unwrap()
+    };
+    for line in ["arm", "calibrate stop"] {
+        let expected = [(CALIBRATION, IN_PROGRESS), (CALIBRATION, CANCELLED)];
+        assert_eq!(results(&run(line)), expected, "{line}");
+    }
+    let goes_on = [(CALIBRATION, IN_PROGRESS)];
+    assert_eq!(results(&run("status")), goes_on);
 }
 
 /// A command confirms a new baud rate only if it was received at that rate.

@@ -125,6 +125,9 @@ impl Commands {
                 .answer(ticket, command, answered, console.is_busy());
             kind = Some(answered);
         }
+        if !console.is_busy() && console.running().is_none() {
+            port.station.cancel_pending();
+        }
         answer.kind = kind;
         answer.changed_at = port.changed_at;
         answer
