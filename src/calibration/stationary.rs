@@ -6,7 +6,7 @@
 //! The product specification gives the noise as a density. Over the bandwidth B of the low-pass
 //! filter it becomes a σ per sample. Neighbouring samples are correlated: at the sample rate f,
 //! n samples are worth n·2B/f independent ones. The detector tests windows of about 32 independent
-//! samples. A window is motion if
+//! samples, or fewer if the average has not four such windows. A window is motion if
 //!
 //! - an axis reads full scale;
 //! - the variance of an axis is beyond the χ² limit for the sensor's noise. Clones are noisier
@@ -76,6 +76,9 @@ use channel::{Channel, MIN_TREND_WINDOWS, Positions, Window, first_axis};
 
 /// Longest window, in samples, so that its sums of squares fit their integers.
 const MAX_WINDOW_SAMPLES: u16 = 4096;
+
+/// Fewest windows of an average: a slow turn at a low rate shows only as a trend.
+const FEWEST_WINDOWS: u16 = 4;
 
 /// Zero-rate offset at 25 °C, °/s (product specification §6.1).
 const ZERO_RATE_DEGREES_S: f32 = 20.0;
@@ -232,11 +235,12 @@ impl StationaryDetector {
         let correlation = noise
             .gyroscope_correlation
             .max(noise.accelerometer_correlation);
+        let longest = (samples / FEWEST_WINDOWS).clamp(1, MAX_WINDOW_SAMPLES);
         let window_samples = (WINDOW_INDEPENDENT * correlation) as u16;
         Self {
             noise: *noise,
             samples: samples.max(1),
-            window_samples: window_samples.clamp(1, MAX_WINDOW_SAMPLES),
+            window_samples: window_samples.clamp(1, longest),
             expected: None,
             count: 0,
             positions: Positions::NONE,

@@ -225,10 +225,10 @@ fn progress_goes_from_zero_to_complete() {
 
 #[test]
 fn a_movement_in_the_short_last_window_counts_too() {
-    let mut detector = StationaryDetector::new(&coarse(), 110);
-    let bump = |index: u32| ([if index == 105 { 820 } else { 0 }, 0, 0], LEVEL);
+    let mut detector = StationaryDetector::new(&coarse(), 350);
+    let bump = |index: u32| ([if index == 345 { 820 } else { 0 }, 0, 0], LEVEL);
     let (index, event) = first_event(&mut detector, bump);
-    assert_eq!(index, 109);
+    assert_eq!(index, 349);
     assert_eq!(
         event,
         StationaryProgress::Moved(MotionReason::Rotation(Axis::X))
@@ -267,6 +267,37 @@ fn a_slow_turn_about_a_level_axis_is_detected_by_the_accelerometer() {
         let tilted = StationaryProgress::Moved(MotionReason::Tilt(Axis::Y));
         let turned = StationaryProgress::Moved(MotionReason::Rotation(Axis::Y));
         assert!(event == tilted || event == turned, "{degrees_s}: {event:?}");
+    }
+}
+
+#[test]
+fn a_slow_turn_is_detected_at_a_low_rate_and_rest_is_none() {
+    let mut noise = Noise(6);
+    for rate_hz in [4.0_f32, 8.0, 12.5, 20.0, 50.0] {
+        let scale = noise_model(16.4, 2048.0, 188.0, 184.0, rate_hz);
+        for duration_s in [2.0, 4.0] {
+            let samples = (duration_s * rate_hz) as u16;
+            let mut detector = StationaryDetector::new(&scale, samples);
+            let (_, event) = first_event(&mut detector, |index| {
+                let angle = (index as f32 / rate_hz).to_radians();
+                let ([x, y, z], _) = noise.sample(&scale, 1.0);
+                let (_, [forward, left, up]) = noise.sample(&scale, 1.0);
+                let tilt = (2048.0 * angle.sin()).round() as i16;
+                ([x + 16, y, z], [forward, left + tilt, up])
+            });
+            assert!(
+                matches!(event, StationaryProgress::Moved(_)),
+                "{rate_hz} Hz, {samples}: {event:?}"
+            );
+            let mut detector = StationaryDetector::new(&scale, samples);
+            for _ in 0..200 {
+                let (_, event) = first_event(&mut detector, |_| noise.sample(&scale, 1.0));
+                assert!(
+                    matches!(event, StationaryProgress::Done(_)),
+                    "{rate_hz} Hz, {samples}: {event:?}"
+                );
+            }
+        }
     }
 }
 
@@ -414,7 +445,7 @@ fn every_length_ends_on_its_last_sample() {
 fn narrow_filters_have_long_windows() {
     for (bandwidth, samples) in [(188.0, 86), (42.0, 380), (5.0, 3200), (0.1, 4096)] {
         let scale = noise_model(16.4, 2048.0, bandwidth, bandwidth, 1000.0);
-        let detector = StationaryDetector::new(&scale, 1000);
+        let detector = StationaryDetector::new(&scale, u16::MAX);
         assert!(
             detector.window_samples.abs_diff(samples) <= 2,
             "{bandwidth}"
