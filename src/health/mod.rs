@@ -21,6 +21,7 @@
 mod flag_report;
 mod flags;
 mod monitor;
+mod monitored_sensor;
 #[cfg(not(feature = "firmware"))]
 mod sample_monitor;
 mod self_measurement;
@@ -29,7 +30,8 @@ mod vibration;
 
 pub use flag_report::FlagReport;
 pub use flags::{BoardFlags, Flags, UnknownFlag};
-pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor, MonitoredSensor};
+pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
+pub use monitored_sensor::MonitoredSensor;
 #[cfg(not(feature = "firmware"))]
 pub(crate) use sample_monitor::{SampleMonitor, Sampling};
 pub use self_measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};

@@ -1,6 +1,7 @@
 //! Checks the bytes of each sample, and decides whether its attitude is valid.
 
 use super::flags::Flags;
+use super::monitored_sensor::MonitoredSensor;
 use super::stuck_axis::StuckAxis;
 use crate::serialize::StateVisitor;
 use crate::units::radians;
@@ -25,36 +26,6 @@ const FROZEN_S: f32 = 0.022;
 const FROZEN_NARROW_S: f32 = 0.099;
 /// Fewest identical samples of that time, where samples are rare: a board may read one twice.
 const FEWEST_FROZEN: u8 = 5;
-
-/// What a [`Monitor`] knows of its sensor.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct MonitoredSensor {
-    /// Sample rate, Hz.
-    pub sample_rate_hz: f32,
-    /// Bandwidth of the gyroscope's low-pass filter, Hz.
-    pub bandwidth_hz: u16,
-    /// Sensitivity of the accelerometer, counts per g.
-    pub counts_per_g: f32,
-    /// Sensitivity of the gyroscope, counts per °/s.
-    pub counts_per_degree_s: f32,
-    /// Scale of the temperature, °C per count.
-    pub celsius_per_count: f32,
-    /// Temperature at zero counts, °C.
-    pub celsius_at_zero: f32,
-}
-
-impl MonitoredSensor {
-    /// An MPU-6050 at 1 kHz, ±16 g and ±2000 °/s, with its filter of 188 Hz.
-    pub const MPU_6050: Self = Self {
-        sample_rate_hz: 1_000.0,
-        bandwidth_hz: 188,
-        counts_per_g: 2048.0,
-        counts_per_degree_s: 16.4,
-        celsius_per_count: 1.0 / 340.0,
-        celsius_at_zero: 36.53,
-    };
-}
 
 /// Monitor of the samples: sets the flags of an attitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

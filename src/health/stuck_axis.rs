@@ -9,7 +9,7 @@
 //!
 //! `SampleMonitor` has the same windows for samples in SI units.
 
-use super::monitor::MonitoredSensor;
+use super::monitored_sensor::MonitoredSensor;
 use crate::serialize::StateVisitor;
 
 /// Words of a burst: accelerometer, temperature, gyroscope.
