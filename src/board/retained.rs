@@ -1,5 +1,5 @@
 //! Data that survive a reset: the fault counters, the cause of the last reset, whether the module
-//! was armed, and the state for a warm start.
+//! was armed, the record in use, and the state for a warm start.
 //!
 //! The data lie in RAM that start-up does not clear (`.uninit`). A check word distinguishes data of
 //! an earlier run from the random content after power-up. A debugger finds the health report under
@@ -62,6 +62,13 @@ static CRASHED: AtomicU32 = AtomicU32::new(0);
 
 /// Content of [`CRASHED`] after a crash.
 const CRASHED_WORD: u32 = 0x6372_7368;
+
+/// Length of the record in use, in bytes.
+pub const RECORD_LENGTH: usize = 256;
+
+/// Record in use, with its own checksum.
+#[unsafe(link_section = ".uninit.APLOMB_RECORD")]
+static RECORD: [AtomicU32; RECORD_LENGTH / 4] = [const { AtomicU32::new(0) }; RECORD_LENGTH / 4];
 
 /// State for a warm start, in two copies that are written in turn: a reset while one is written
 /// leaves the other.
@@ -128,6 +135,7 @@ pub fn start(rcc: &rcc::RegisterBlock) -> Start {
     if !is_warm {
         set_armed(false);
         forget();
+        keep_record(&[0; RECORD_LENGTH]);
     }
     if !is_kept {
         for word in [&report.starts, &report.crash_address] {
@@ -194,6 +202,23 @@ pub fn is_armed() -> bool {
 pub fn set_armed(is_armed: bool) {
     let word = if is_armed { ARMED_WORD } else { 0 };
     ARMED.store(word, Ordering::Relaxed);
+}
+
+/// Keeps the bytes of the record in use.
+pub fn keep_record(bytes: &[u8; RECORD_LENGTH]) {
+    for (place, word) in RECORD.iter().zip(bytes.as_chunks().0) {
+        place.store(u32::from_le_bytes(*word), Ordering::Relaxed);
+    }
+}
+
+/// Returns the bytes of the record in use, of this run or of the one before a reset. They are zeros
+/// or random if RAM has not survived.
+pub fn record() -> [u8; RECORD_LENGTH] {
+    let mut bytes = [0; RECORD_LENGTH];
+    for (word, place) in bytes.as_chunks_mut().0.iter_mut().zip(&RECORD) {
+        *word = place.load(Ordering::Relaxed).to_le_bytes();
+    }
+    bytes
 }
 
 /// Keeps the state for a start after a reset. `None` forgets the earlier one: its σ does not cover

@@ -13,7 +13,7 @@ use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, Par
 use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
-use super::measurement::MeasurementText;
+use super::measurement;
 use super::module::{Module, Outcome, Task};
 use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
@@ -21,7 +21,6 @@ use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
 use crate::calibration::{Matrix3, Mount, NoiseModel};
 use crate::compass::{self, Choice};
-use crate::mpu6050::Part;
 use crate::settings::{Preferences, Record, storage};
 use crate::telemetry;
 
@@ -78,6 +77,14 @@ impl Console {
             task: None,
             baud: BaudChange::Steady,
         }
+    }
+
+    /// Continues with a record that was in use before a reset, saved or not.
+    pub fn continue_with(&mut self, record: Record) {
+        self.working = Record {
+            preferences: usable_preferences(record.preferences),
+            ..record
+        };
     }
 
     /// Returns the record in use.
@@ -197,7 +204,7 @@ impl Console {
             Command::Forget => self.forget(module, reply),
             Command::SelfTest => self.begin(Task::SelfTest, module, reply),
             Command::Registers => self.begin(Task::ReadBack, module, reply),
-            Command::Measure(what) => measure(what, module, reply),
+            Command::Measure(what) => measurement::run(what, module, reply),
             Command::Arm => self.arm(module, reply),
             Command::Disarm => self.disarm(module, reply),
             Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),
@@ -386,25 +393,23 @@ impl Console {
                 "save: nothing has changed, nothing is written"
             ));
         }
-        self.begin(Task::Save(self.working), module, reply)
+        self.begin(Task::Save, module, reply)
     }
 
     /// Begins a task.
     fn begin(&mut self, task: Task, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         self.task = Some(task);
         module.begin(task);
-        let name = task_name(&task);
+        let name = task_name(task);
         reply.ok(format_args!("{name}: the sensor stops for a second"))
     }
 
     /// Reports the result of a task.
     fn finish_task(&mut self, task: Task, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
-        if let Task::Save(record) = task
-            && outcome.is_ok
-        {
-            self.stored = record;
+        if task == Task::Save && outcome.is_ok {
+            self.stored = self.working;
         }
-        let name = task_name(&task);
+        let name = task_name(task);
         let kind = if outcome.is_ok {
             Kind::Done
         } else {
@@ -560,9 +565,9 @@ impl Console {
 }
 
 /// Returns the command that starts a task.
-const fn task_name(task: &Task) -> &'static str {
+const fn task_name(task: Task) -> &'static str {
     match task {
-        Task::Save(_) => "save",
+        Task::Save => "save",
         Task::SelfTest => "self-test",
         Task::ReadBack => "registers",
     }
@@ -573,28 +578,4 @@ fn no_compass(reply: &mut Reply<'_>) -> Kind {
     reply.error(format_args!(
         "this firmware has no compass: build it with the feature \"compass\""
     ))
-}
-
-/// Runs `measure`.
-fn measure(what: Measure, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
-    match what {
-        Measure::On => {
-            module.set_measuring(true);
-            reply.ok(format_args!(
-                "measure: on; \"measure show\" prints the figures, \"measure off\" ends it"
-            ))
-        }
-        Measure::Show => {
-            let part = module
-                .state()
-                .sensor
-                .map_or(&Part::MPU_6050, |(part, _)| part);
-            let text = MeasurementText(&module.measurement(), part);
-            reply.ok(format_args!("measure: {text}"))
-        }
-        Measure::Off => {
-            module.set_measuring(false);
-            reply.ok(format_args!("measure: off"))
-        }
-    }
 }

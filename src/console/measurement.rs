@@ -1,15 +1,41 @@
-//! Text of the answer to `measure show`.
+//! Command `measure`, and its figures as text.
 
 use core::fmt;
 
-use super::answer::{Decimal, Triple};
+use super::answer::{Decimal, Kind, Reply, Triple};
+use super::command::Measure;
+use super::module::Module;
 use crate::attitude::Vector3;
 use crate::health::Measurement;
 use crate::mpu6050::{Config, Part, TemperatureCounts};
 use crate::units::{STANDARD_GRAVITY_M_S2, degrees};
 
+/// Runs `measure`.
+pub(super) fn run(what: Measure, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+    match what {
+        Measure::On => {
+            module.set_measuring(true);
+            reply.ok(format_args!(
+                "measure: on; \"measure show\" prints the figures, \"measure off\" ends it"
+            ))
+        }
+        Measure::Show => {
+            let part = module
+                .state()
+                .sensor
+                .map_or(&Part::MPU_6050, |(part, _)| part);
+            let text = MeasurementText(&module.measurement(), part);
+            reply.ok(format_args!("measure: {text}"))
+        }
+        Measure::Off => {
+            module.set_measuring(false);
+            reply.ok(format_args!("measure: off"))
+        }
+    }
+}
+
 /// Figures as text: names with units, each with its mean and maximum, or what its name says.
-pub(super) struct MeasurementText<'a>(pub(super) &'a Measurement, pub(super) &'static Part);
+struct MeasurementText<'a>(&'a Measurement, &'static Part);
 
 impl fmt::Display for MeasurementText<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -8,7 +8,7 @@ use crate::calibration::{Calibration, Mount, StationaryProgress};
 use crate::compass::Condition;
 use crate::health::{Flags, Measurement};
 use crate::mpu6050::Part;
-use crate::settings::{CompassSettings, Record};
+use crate::settings::CompassSettings;
 use crate::telemetry::heading::Line as HeadingLine;
 
 /// Services that the console needs from the module it commands.
@@ -71,14 +71,10 @@ pub trait Module {
 }
 
 /// Task for which the sensor stops for a moment.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "without allocation, and there is one"
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
-    /// Stores this record in flash.
-    Save(Record),
+    /// Stores the record in use, which stays the same meanwhile.
+    Save,
     /// Runs the self-tests of the sensor and of the compass.
     SelfTest,
     /// Reads the sensor's settings back.

@@ -154,6 +154,20 @@ pub fn save<F: MultiwriteNorFlash>(
     save_as(flash, record)
 }
 
+/// Returns a record as bytes with a checksum, for other memory than flash; `None` if it has a value
+/// that could not be read back.
+pub fn to_bytes(record: &Record) -> Option<[u8; LONGEST_RECORD]> {
+    encode(record, 1)
+}
+
+/// Returns the record of these bytes; `None` if they are damaged.
+pub fn from_bytes(bytes: &[u8; LONGEST_RECORD]) -> Option<Record> {
+    match decode(bytes) {
+        Slot::Valid { record, .. } => Some(record),
+        _ => None,
+    }
+}
+
 /// Returns whether both records have the same bytes in flash.
 pub(crate) fn has_same_bytes(left: &Record, right: &Record) -> bool {
     body(left) == body(right)

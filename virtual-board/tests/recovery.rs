@@ -488,6 +488,40 @@ fn a_reset_beside_a_long_silence_takes_the_tilt_from_gravity() {
     }
 }
 
+/// A crash keeps what was not saved: other axes would turn the attitude by 180°.
+#[test]
+fn a_reset_keeps_settings_that_are_not_saved() {
+    let outcome = Run::new(firmware())
+        .motion(Rest::level())
+        .schedule(&Schedule::parse("test", "2.5 0 crash").unwrap())
+        .command(1.0, "mount z-down\nrate 20")
+        .command(3.2, "show\nsave")
+        .seconds(5.5)
+        .without_account()
+        .run()
+        .unwrap();
+    let is_upside_down =
+        |quaternion: aplomb::attitude::Quaternion| quaternion.to_euler().roll_rad.abs() > 3.0;
+    let mut valid = 0;
+    for sample in outcome.samples() {
+        let snapshot = sample.snapshot;
+        if sample.published_ns > 2_000_000_000 && snapshot.flags.contains(Flags::VALID) {
+            assert!(is_upside_down(snapshot.attitude), "{}", sample.published_ns);
+            valid += 1;
+        }
+    }
+    assert!(valid > 2_000, "{valid}");
+    let lines = outcome.uart_lines.iter();
+    let log: Vec<_> = lines
+        .map(|line| &line.text)
+        .filter(|line| !line.contains("roll:"))
+        .collect();
+    for text in ["mount=+x+z", "rate=20", "done save: stored"] {
+        let is_shown = log.iter().any(|line| line.contains(text));
+        assert!(is_shown, "{text}: {log:#?}");
+    }
+}
+
 #[test]
 fn a_fault_right_after_a_warm_start_is_reported() {
     let outcome = fly("2.0 0 crash\n2.1 0.02 sda-low", 2.5);

@@ -19,6 +19,7 @@ use aplomb::telemetry::message::Severity;
 use rtic::Mutex;
 
 use crate::estimation::{Estimation, Latest};
+use crate::kept_record;
 use crate::module_port::ModulePort;
 use crate::requests::Requests;
 
@@ -42,26 +43,31 @@ pub struct Answer {
 }
 
 impl Commands {
-    /// Creates a console that reads from this receiver, with the record from flash. It describes a
-    /// sensor with this noise and rate. It is armed if the module was armed before a reset.
+    /// Creates a console that reads from this receiver, with the record from flash and the one that
+    /// was in use before a reset. It describes a sensor with this noise and rate. It is armed if
+    /// the module was armed before a reset.
     pub fn new(
         receiver: Receiver,
-        stored: Option<Record>,
+        (stored, kept): (Option<Record>, Option<Record>),
         noise: NoiseModel,
         sample_rate_hz: f32,
         default_mount: Mount,
         default_compass: Choice,
         is_armed: bool,
     ) -> Self {
+        let mut console = Console::new(
+            stored,
+            noise,
+            sample_rate_hz,
+            default_mount,
+            default_compass,
+            is_armed,
+        );
+        if let Some(record) = kept {
+            console.continue_with(record);
+        }
         Self {
-            console: Console::new(
-                stored,
-                noise,
-                sample_rate_hz,
-                default_mount,
-                default_compass,
-                is_armed,
-            ),
+            console,
             station: GroundStation::new(),
             receiver,
             has_reception_error: false,
@@ -127,6 +133,10 @@ impl Commands {
         }
         if !console.is_busy() && console.running().is_none() {
             port.station.cancel_pending();
+        }
+        if kind.is_some() {
+            // The supervisor cannot run before this, so a task that begins here has this record.
+            kept_record::keep(console.working());
         }
         answer.kind = kind;
         answer.changed_at = port.changed_at;

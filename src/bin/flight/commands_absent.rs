@@ -32,13 +32,14 @@ impl Commands {
     /// Takes the record from flash, and ignores received bytes.
     pub fn new(
         _: Receiver,
-        stored: Option<Record>,
+        (stored, kept): (Option<Record>, Option<Record>),
         _: NoiseModel,
         _: f32,
         _: Mount,
         default_compass: Choice,
         _: bool,
     ) -> Self {
+        let stored = kept.or(stored);
         let mut record = stored.unwrap_or(Record::with_compass(default_compass));
         if let OutputFormat::Mavlink | OutputFormat::Log = record.preferences.format {
             record.preferences.format = OutputFormat::Text;

@@ -30,6 +30,7 @@ mod after_publication;
 #[cfg_attr(not(feature = "full"), path = "commands_absent.rs")]
 mod commands;
 mod estimation;
+mod kept_record;
 #[cfg(feature = "full")]
 mod module_port;
 mod requests;
@@ -76,6 +77,7 @@ mod app {
     use crate::after_publication::{StationaryMeasurement, after_publication};
     use crate::commands::Commands;
     use crate::estimation::Estimation;
+    use crate::kept_record;
     use crate::requests::Requests;
     use crate::supervisor;
     use crate::telemetry::{Logged, Telemetry};
@@ -181,12 +183,15 @@ mod app {
         if record.is_some() {
             messages.post(Message::RecordLoaded);
         }
-        let baud = usable_preferences(record.unwrap_or_default().preferences).baud;
+        // What was in use before a crash is in use again, saved or not.
+        let kept = kept_record::at_start();
+        let in_use = kept.or(record).unwrap_or_default();
+        let baud = usable_preferences(in_use.preferences).baud;
         let (transmitter, receiver) =
             uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
         let commands = Commands::new(
             receiver,
-            record,
+            (record, kept),
             SETTINGS.noise_model(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,
@@ -195,7 +200,7 @@ mod app {
         );
         let (to_log, bursts) = context.local.log_queue.split();
         let (readings_to_log, readings) = context.local.reading_queue.split();
-        let requests = Requests::new(commands.record().calibration);
+        kept_record::keep(commands.record());
         (
             Shared {
                 reader: BurstReader::start(clock),
@@ -206,7 +211,7 @@ mod app {
                     compass: compass_of(commands.record(), readings_to_log),
                 },
                 messages,
-                requests,
+                requests: Requests::new(),
             },
             Local {
                 sensor,

@@ -96,8 +96,6 @@ where
     }
 
     fn set_calibration(&mut self, calibration: &Calibration) {
-        self.requests
-            .lock(|requests| requests.calibration = *calibration);
         let mut has_restarted = false;
         self.changed_at = self.estimation.lock(|estimation| {
             let pipeline = estimation.pipeline.as_mut()?;

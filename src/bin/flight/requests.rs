@@ -2,7 +2,6 @@
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
-use aplomb::calibration::Calibration;
 use aplomb::console::{Outcome, Task};
 use aplomb::mpu6050::Part;
 
@@ -10,8 +9,6 @@ use aplomb::mpu6050::Part;
 pub struct Requests {
     /// The sensor and its address, once it is configured.
     pub sensor: Option<(&'static Part, u8)>,
-    /// Calibration with which the pipeline starts.
-    pub calibration: Calibration,
     /// Task that needs a pause of the sensor.
     pub task: Option<Task>,
     /// Outcome of the last task.
@@ -19,11 +16,10 @@ pub struct Requests {
 }
 
 impl Requests {
-    /// Creates requests without a task, for a pipeline that starts with this calibration.
-    pub const fn new(calibration: Calibration) -> Self {
+    /// Creates requests without a task.
+    pub const fn new() -> Self {
         Self {
             sensor: None,
-            calibration,
             task: None,
             outcome: None,
         }

@@ -5,24 +5,24 @@
 //! runs the console's tasks (save, self-test) while the burst reader is paused.
 
 use aplomb::board::burst_reader;
-use aplomb::board::flash::CalibrationFlash;
+use aplomb::board::flash::{CalibrationFlash, FlashError};
 #[cfg(feature = "full")]
 use aplomb::board::measure;
 use aplomb::board::sensor::{self, NotReady, Ready, Sensor};
 use aplomb::board::timebase::{self, Delay};
 use aplomb::board::{retained, watchdog};
-use aplomb::calibration::Calibration;
 use aplomb::compass::{self, PartId};
 use aplomb::console::{Outcome, Task};
 use aplomb::mpu6050::{self, Condition, Config, Part};
 use aplomb::pipeline::{Pipeline, Settings};
-use aplomb::settings::storage;
+use aplomb::settings::storage::{self, SaveError};
 use aplomb::telemetry::Mailbox;
 use aplomb::telemetry::message::Message;
 use embedded_hal::delay::DelayNs;
 use rtic::Mutex;
 
 use crate::estimation::Estimation;
+use crate::kept_record;
 #[cfg(feature = "full")]
 use crate::requests::{AFTER_PUBLICATION, FIGURES, MEASUREMENT, NEW_MEASUREMENT};
 use crate::requests::{Requests, TASK, TO_SUPERVISOR};
@@ -147,7 +147,7 @@ fn start_estimation(
         requests.sensor = Some((ready.part, ready.address));
         estimation.lock(|Estimation { pipeline, .. }| {
             if pipeline.is_none() {
-                start_pipeline(pipeline, settings, ready.part, &requests.calibration);
+                start_pipeline(pipeline, settings, ready.part);
             }
         });
     });
@@ -177,17 +177,11 @@ fn perform_paused(
 
 /// Creates the pipeline in place. Not inlined, because the supervisor's stack frame never ends.
 #[inline(never)]
-fn start_pipeline(
-    place: &mut Option<Pipeline>,
-    settings: &Settings,
-    part: &'static Part,
-    calibration: &Calibration,
-) {
-    let settings = Settings {
-        part,
-        calibration: *calibration,
-        ..*settings
-    };
+fn start_pipeline(place: &mut Option<Pipeline>, settings: &Settings, part: &'static Part) {
+    let mut settings = Settings { part, ..*settings };
+    if let Some(record) = kept_record::get() {
+        settings.calibration = record.calibration;
+    }
     let pipeline = place.insert(Pipeline::new(&settings));
     pipeline.set_armed(retained::is_armed());
     if let Some(start) = retained::kept() {
@@ -212,7 +206,7 @@ fn perform(
     flash: &mut CalibrationFlash,
 ) -> Outcome {
     match task {
-        Task::Save(record) => match storage::save(flash, record) {
+        Task::Save => match save(flash) {
             Ok(()) => Outcome::new(true, "stored"),
             Err(error) => Outcome::new(false, error),
         },
@@ -222,6 +216,12 @@ fn perform(
         },
         Task::SelfTest => self_test(sensor, compass),
     }
+}
+
+/// Stores the record in use. No command changes it before the end of the task.
+fn save(flash: &mut CalibrationFlash) -> Result<(), SaveError<FlashError>> {
+    let record = kept_record::get().ok_or(SaveError::Unstorable)?;
+    storage::save(flash, &record)
 }
 
 /// Runs the self-test of the compass, and then that of the sensor: its reset would switch off the
