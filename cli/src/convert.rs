@@ -1,5 +1,6 @@
 //! `aplomb convert`: flight logs, bursts and CSV logs into each other, burst by burst.
 
+use std::collections::VecDeque;
 use std::error::Error;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -18,6 +19,7 @@ use aplomb_recordings::form::Form;
 use aplomb_recordings::log::{Lines, LogFault, Row, Rows, has_compass, has_truth};
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
+use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider};
 use aplomb_recordings::terminal::print_line;
 use aplomb_recordings::units::RowOptions;
 
@@ -342,8 +344,8 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
     }
     let mut lines = progress::lines(path)?;
     let form = Form::read(&mut lines)?;
-    let table = |bursts: Bursts| Input {
-        config: Config::DEFAULT,
+    let table = |(divider, bursts): (u8, Bursts)| Input {
+        config: Config::DEFAULT.with_sample_rate_divider(divider),
         mount: None,
         part: &Part::MPU_6050,
         bursts,
@@ -358,20 +360,39 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
         Form::Bursts => {
             Kind::Bursts.check(options, into)?;
             let next = move || next_burst(&mut lines).transpose();
-            Ok(table(Box::new(std::iter::from_fn(next))))
+            let bursts = std::iter::from_fn(next);
+            Ok(table(with_divider(bursts, divider_of_bursts)))
         }
         Form::Log(columns) => {
             Kind::Csv.check(options, into)?;
             let mut rows = Rows::new(lines, columns, options.rows, false)?;
             let next = move || next_row(&mut rows).transpose();
+            let bursts = std::iter::from_fn(next);
             Ok(Input {
                 has_truth: has_truth(columns),
                 has_readings: has_compass(columns),
                 is_csv: true,
-                ..table(Box::new(std::iter::from_fn(next)))
+                ..table(with_divider(bursts, sample_rate_divider))
             })
         }
     }
+}
+
+/// Reads the first bursts ahead, and returns the sensor's divider by their times, with all bursts.
+fn with_divider(
+    mut bursts: impl Iterator<Item = Result<Recorded, Box<dyn Error>>> + 'static,
+    divider: fn(&[i64]) -> u8,
+) -> (u8, Bursts) {
+    let first: VecDeque<_> = bursts.by_ref().take(ROWS_AHEAD).collect();
+    let times_us: Vec<i64> = first
+        .iter()
+        .flatten()
+        .map(|recorded| recorded.burst.captured_at_us.cast_signed())
+        .collect();
+    (
+        divider(&times_us),
+        Box::new(first.into_iter().chain(bursts)),
+    )
 }
 
 /// Opens a flight of a flight log.

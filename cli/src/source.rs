@@ -9,9 +9,9 @@ use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
 use aplomb::estimator::kalman::AccelerometerKnowledge;
-use aplomb::health::Flags;
+use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{
-    AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
+    AccelerometerCounts, AccelerometerRange, Burst, Config, GyroscopeCounts, GyroscopeRange, Part,
 };
 use aplomb::pipeline::{Settings, Snapshot};
 use aplomb::telemetry::bursts;
@@ -21,7 +21,7 @@ use aplomb_recordings::counts::counts;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::log::{Lines, Row, Rows, has_compass};
 use aplomb_recordings::plateau::Plateaus;
-use aplomb_recordings::rate::{ROWS_AHEAD, sample_rate_divider, unsigned};
+use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider, unsigned};
 use aplomb_recordings::score::START_US;
 use aplomb_recordings::turns::Turns;
 use aplomb_recordings::units::RowOptions;
@@ -305,11 +305,23 @@ impl Source for LogSource {
 /// Bursts through the whole pipeline.
 pub struct BurstSource {
     lines: Lines,
+    /// Bursts that were read ahead.
+    ahead: VecDeque<TimedBurst>,
+    /// Fault after them.
+    fault: Option<Box<dyn Error>>,
     pipeline: AnyPipeline,
 }
 
+/// Burst of a table.
+struct TimedBurst {
+    t_us: i64,
+    burst: Burst,
+    flags: BoardFlags,
+}
+
 impl BurstSource {
-    /// Starts bursts after their header. `delay_us` replaces the delay of the low-pass filter.
+    /// Starts bursts after their header. `delay_us` replaces the delay of the low-pass filter. The
+    /// first bursts show the sensor's sample rate.
     pub fn new(
         lines: Lines,
         filter: FilterName,
@@ -321,10 +333,34 @@ impl BurstSource {
         settings.mount = mount;
         settings.sensor_delay_us = delay_us;
         settings.sensor = config;
-        Self {
+        let mut source = Self {
             lines,
+            ahead: VecDeque::new(),
+            fault: None,
             pipeline: AnyPipeline::for_bursts(filter, &settings),
+        };
+        while source.ahead.len() < ROWS_AHEAD && source.fault.is_none() {
+            match source.read() {
+                Ok(Some(burst)) => source.ahead.push_back(burst),
+                Ok(None) => break,
+                Err(fault) => source.fault = Some(fault),
+            }
         }
+        let times_us: Vec<i64> = source.ahead.iter().map(|burst| burst.t_us).collect();
+        settings.sensor.sample_rate_divider = divider_of_bursts(&times_us);
+        source.pipeline = AnyPipeline::for_bursts(filter, &settings);
+        source
+    }
+
+    fn read(&mut self) -> Result<Option<TimedBurst>, Box<dyn Error>> {
+        let Some(line) = self.lines.next_line()? else {
+            return Ok(None);
+        };
+        let (burst, flags) =
+            bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
+        let t_us = i64::try_from(burst.captured_at_us)
+            .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
+        Ok(Some(TimedBurst { t_us, burst, flags }))
     }
 
     /// Sets what is known of the accelerometer's offset. Default: nothing.
@@ -339,13 +375,16 @@ impl Source for BurstSource {
     }
 
     fn next(&mut self) -> Result<Option<Point>, Box<dyn Error>> {
-        let Some(line) = self.lines.next_line()? else {
+        let next = match self.ahead.pop_front() {
+            Some(burst) => Some(burst),
+            None => match self.fault.take() {
+                Some(fault) => return Err(fault),
+                None => self.read()?,
+            },
+        };
+        let Some(TimedBurst { t_us, burst, flags }) = next else {
             return Ok(None);
         };
-        let (burst, flags) =
-            bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
-        let t_us = i64::try_from(burst.captured_at_us)
-            .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
         let snapshot = self.pipeline.update(&burst, flags);
         Ok(Some(Point::new(&self.pipeline, &snapshot, t_us)))
     }

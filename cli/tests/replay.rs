@@ -427,6 +427,40 @@ fn a_log_says_of_its_rows_what_a_board_says_of_its_bursts() {
 }
 
 #[test]
+fn a_slow_recording_is_no_sequence_of_pauses_in_any_form() {
+    for (name, step_us) in [("a", 10_000), ("b", 50_000)] {
+        let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+        for index in 0..800_u32 {
+            let noise = |share: u32| (f64::from(index * 7 % share % 5) - 2.0) * 0.002;
+            let (x, y, z) = (noise(11), noise(13), noise(17));
+            let t_us = index * step_us;
+            let (force_x, force_y, force_z) = (5.0 * x, 5.0 * y, 9.8 + 5.0 * z);
+            writeln!(text, "{t_us},{force_x},{force_y},{force_z},{x},{y},{z}").unwrap();
+        }
+        let csv = file("slow-forms", &format!("{name}.csv"), text);
+        let bursts = path("slow-forms", &format!("{name}-bursts.csv"));
+        let (log, other) = (
+            path("slow-forms", &format!("{name}.log")),
+            path("slow-forms", &format!("{name}-other.log")),
+        );
+        for (input, output) in [(&csv, &bursts), (&csv, &log), (&bursts, &other)] {
+            let result = aplomb(&["convert".as_ref(), input.as_os_str(), output.as_os_str()]);
+            let errors = String::from_utf8_lossy(&result.stderr);
+            assert!(result.status.success(), "{errors}");
+        }
+        for input in [&csv, &bursts, &log, &other] {
+            let (printed, output) = replay("slow-forms", input, &[]);
+            let flags = column(&output, "flags");
+            assert!(
+                flags[400..].iter().all(|flags| *flags == "VALID"),
+                "{}: {printed}",
+                input.display()
+            );
+        }
+    }
+}
+
+#[test]
 fn rows_far_apart_are_no_pauses_if_all_of_them_are() {
     let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
     for index in 0..400_u32 {
