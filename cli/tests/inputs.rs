@@ -233,6 +233,42 @@ fn every_reader_names_the_wrong_unit_and_takes_the_option_that_converts() {
     }
 }
 
+/// Few rows a second in milliseconds have the numbers of very many in microseconds.
+#[test]
+fn every_reader_names_milliseconds_at_each_rate() {
+    for rate_hz in [4_u32, 5, 10, 20, 32, 50, 100, 333, 1_000] {
+        let period_ms = 1_000 / rate_hz;
+        for (name, rate) in [("turned", 1.0), ("rest", 0.0)] {
+            let rows = |scale: u32| {
+                let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+                for index in 0..20 * rate_hz {
+                    let t_ms = period_ms * index;
+                    let angle = 0.3 + rate * f64::from(t_ms) * 1e-3;
+                    let (y, z) = (9.81 * angle.sin(), 9.81 * angle.cos());
+                    writeln!(text, "{},0,{y:.5},{z:.5},{rate},0,0", t_ms * scale).unwrap();
+                }
+                text
+            };
+            let input = file("slow-ms", &format!("{name}-{rate_hz}.csv"), rows(1));
+            for (command, more) in readers("slow-ms") {
+                let message = refusal(command, &input, &more);
+                assert!(
+                    message.contains("did you mean ms (--time-unit ms)"),
+                    "{command} {name} {rate_hz}: {message}"
+                );
+                assert!(message.contains("--time-unit us"), "{message}");
+            }
+            let known = [("ms", rows(1)), ("us", rows(1_000))];
+            for (unit, text) in known {
+                let input = file("slow-ms", "known.csv", text);
+                let result = aplomb(&["replay", input.to_str().unwrap(), "--time-unit", unit]);
+                let errors = String::from_utf8_lossy(&result.stderr);
+                assert!(result.status.success(), "{unit} {rate_hz}: {errors}");
+            }
+        }
+    }
+}
+
 /// Times since 1970 do not fit into a flight log.
 #[test]
 fn a_time_beyond_those_of_a_flight_log_is_refused() {

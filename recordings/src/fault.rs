@@ -160,6 +160,18 @@ pub enum LogFault {
     /// The first rows, taken together, suggest another unit.
     #[error("{0}")]
     Unit(Box<UnitGuess>),
+    /// The times are probably milliseconds.
+    #[error(
+        "the time between rows is mostly {step:.0}, and {}: did you mean ms (--time-unit ms)? \
+         If not, add --time-unit us",
+        milliseconds(*seconds)
+    )]
+    Milliseconds {
+        /// Median of the steps.
+        step: f64,
+        /// Duration of the whole recording in µs, s; `None` if the turns show milliseconds.
+        seconds: Option<f64>,
+    },
     /// Some but not all of the compass's cells are empty.
     #[error("some of mx,my,mz are empty: give all three, or none where there is no new reading")]
     PartialField,
@@ -199,6 +211,7 @@ impl LogFault {
             | Self::NoTable { .. }
             | Self::Header(_)
             | Self::Unit(_)
+            | Self::Milliseconds { .. }
             | Self::TooShort => false,
             Self::LineTooLong
             | Self::NotText
@@ -226,6 +239,14 @@ fn suggestion(text: &str) -> &'static str {
              or microseconds to be rounded (--time-unit us)?"
         }
         _ => "",
+    }
+}
+
+/// Returns the reason why times are probably milliseconds, by the duration in µs, s.
+fn milliseconds(seconds: Option<f64>) -> String {
+    match seconds {
+        Some(seconds) => format!("in microseconds the recording would last {seconds:.3} s"),
+        None => "the force turns as far as the rates turn it in milliseconds".to_owned(),
     }
 }
 

@@ -35,6 +35,7 @@ pub mod form;
 pub mod heading;
 mod lines;
 pub mod log;
+mod milliseconds;
 pub mod motion;
 pub mod number;
 #[cfg(feature = "output")]

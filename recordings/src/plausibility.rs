@@ -8,6 +8,7 @@
 use aplomb_models::motion::geometry::{Vector, norm};
 
 use crate::fault::{LogFault, UnitGuess};
+use crate::milliseconds::{RateScale, Watch};
 use crate::row::{COLUMNS, Row};
 use crate::units::RowOptions;
 
@@ -43,6 +44,8 @@ pub struct Judge {
     /// The values are register counts.
     is_raw: bool,
     before_us: Option<i64>,
+    /// Watch over times that may be milliseconds.
+    watch: Option<Watch>,
     /// Start, sum and number of the rates whose mean is being taken.
     mean: (i64, f64, u32),
 }
@@ -55,6 +58,7 @@ impl Judge {
             options,
             is_raw,
             before_us: None,
+            watch: None,
             mean: (0, 0.0, 0),
         }
     }
@@ -64,7 +68,10 @@ impl Judge {
     /// # Errors
     ///
     /// Returns the fault, with the unit that the numbers suggest.
-    pub fn units<'a>(&self, rows: impl Iterator<Item = &'a Row> + Clone) -> Result<(), LogFault> {
+    pub fn units<'a>(
+        &mut self,
+        rows: impl Iterator<Item = &'a Row> + Clone,
+    ) -> Result<(), LogFault> {
         let forces: Vec<f64> = rows
             .clone()
             .map(|row| norm(row.specific_force_m_s2))
@@ -76,12 +83,19 @@ impl Judge {
         }
         if self.options.time_unit.is_none() {
             let steps = times.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
-            time_unit(upper_median(
+            let step_us = upper_median(
                 steps
                     .filter(|step| *step > 0)
                     .map(|step| step as f64)
                     .collect(),
-            ))?;
+            );
+            time_unit(step_us)?;
+            let scale = match (self.is_raw, self.options.rate_unit) {
+                (true, _) => RateScale::Counts,
+                (false, Some(_)) => RateScale::Known,
+                (false, None) => RateScale::Assumed,
+            };
+            self.watch = step_us.and_then(|step_us| Watch::new(step_us, scale));
         }
         if self.options.force_unit.is_none() && !self.is_raw {
             force_unit(upper_median(forces))?;
@@ -106,6 +120,25 @@ impl Judge {
                  check --time-unit"
             )
         })
+    }
+
+    /// Watches the times and turns of a row that is used.
+    ///
+    /// # Errors
+    ///
+    /// Returns the fault if the times are milliseconds.
+    pub fn watch(&mut self, row: &Row) -> Result<(), LogFault> {
+        let watch = self.watch.as_mut();
+        watch.map_or(Ok(()), |watch| watch.row(row))
+    }
+
+    /// Judges the times after the last row. Returns a warning if their unit is uncertain.
+    ///
+    /// # Errors
+    ///
+    /// Returns the fault if the times are milliseconds.
+    pub fn end(&mut self) -> Result<Option<String>, LogFault> {
+        self.watch.take().map_or(Ok(None), |watch| watch.end())
     }
 
     /// Returns whether a row was accepted.

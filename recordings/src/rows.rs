@@ -90,20 +90,32 @@ impl Rows {
                 None => self.read()?,
             };
             let Some((line, row)) = next else {
+                self.end()?;
                 return Ok(None);
             };
             self.line = line;
-            if self.rule() == BadRows::Keep {
-                return Ok(Some(row));
-            }
-            match self.judge.row(&row) {
-                Ok(()) => return Ok(Some(row)),
-                Err(fault) => {
-                    let error = self.refuse(fault);
-                    self.skip_or_refuse(error)?;
+            let verdict = match self.rule() {
+                BadRows::Keep => Ok(()),
+                BadRows::Refuse | BadRows::Skip => self.judge.row(&row),
+            };
+            match verdict.map_err(|fault| self.refuse(fault)) {
+                Ok(()) => {
+                    let watched = self.judge.watch(&row);
+                    watched.map_err(|fault| self.lines.refuse_file(fault))?;
+                    return Ok(Some(row));
                 }
+                Err(error) => self.skip_or_refuse(error)?,
             }
         }
+    }
+
+    /// Judges the recording as a whole after its last row.
+    fn end(&mut self) -> Result<(), LogError> {
+        let judged = self.judge.end();
+        if let Some(warning) = judged.map_err(|fault| self.lines.refuse_file(fault))? {
+            eprintln!("warning: {}: {warning}", self.lines.name());
+        }
+        Ok(())
     }
 
     /// Returns the error of the last row, for this reason.
