@@ -28,7 +28,7 @@ impl CountOptions {
         match form {
             Form::Bursts if self.raw => Err("--raw is for logs: bursts are raw in any case"),
             Form::Bursts if has_row_options => Err(
-                "--time-unit, --force-unit, --rate-unit and --bad-rows are for logs, \
+                "--time-unit, --force-unit, --rate-unit, --field-unit and --bad-rows are for logs, \
                      not for bursts",
             ),
             Form::Log(_) if self.raw && has_units => {

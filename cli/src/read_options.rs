@@ -112,6 +112,7 @@ impl Kind {
                 "--time-unit",
                 "--force-unit",
                 "--rate-unit",
+                "--field-unit",
                 "--bad-rows",
             ],
             Self::FlightLog => &["--filter", "--flight"],
@@ -198,7 +199,7 @@ impl ReadOptions {
 
     /// Refuses the options of a compass where there is none, or for a filter that has none.
     fn check_compass(&self, form: Form) -> Result<(), String> {
-        let is_given =
+        let mut is_given =
             self.compass.is_some() || self.compass_delay_us.is_some() || self.declination.is_some();
         let reason = match form {
             Form::Log(columns) if has_compass(columns) => {
@@ -207,14 +208,17 @@ impl ReadOptions {
                 }
                 "this filter has no heading: leave --filter out"
             }
-            Form::Log(_) => "the log has no compass: its header lacks mx,my,mz",
+            Form::Log(_) => {
+                is_given |= self.rows.field_unit.is_some();
+                "the log has no compass: its header lacks mx,my,mz"
+            }
             Form::Bursts => "bursts have no compass",
         };
         if is_given {
             let input = self.input.display();
             return Err(format!(
-                "{input}: --compass, --compass-delay-us and --declination would change nothing: \
-                 {reason}"
+                "{input}: --compass, --compass-delay-us, --declination and --field-unit would \
+                 change nothing: {reason}"
             ));
         }
         Ok(())

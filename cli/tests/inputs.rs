@@ -269,6 +269,49 @@ fn every_reader_names_milliseconds_at_each_rate() {
     }
 }
 
+#[test]
+fn every_reader_names_the_unit_of_a_field_and_takes_the_option() {
+    let with_field = |unit_ut: f64| {
+        let rows = turned(1.0, 1.0, 1.0);
+        let mut text = String::new();
+        for (index, row) in rows.lines().enumerate() {
+            let angle = 0.01 * index as f64;
+            let (x, y) = (20.0 * angle.cos() / unit_ut, -20.0 * angle.sin() / unit_ut);
+            let field = match index {
+                0 => "mx,my,mz".to_owned(),
+                _ => format!("{x},{y},{}", -44.0 / unit_ut),
+            };
+            writeln!(text, "{row},{field}").unwrap();
+        }
+        text
+    };
+    let norm_ut = f64::hypot(20.0, 44.0);
+    for (name, unit_ut) in [("G", 100.0), ("norm", norm_ut), ("nT", 1e-3), ("T", 1e6)] {
+        let input = file("field", &format!("{name}.csv"), with_field(unit_ut));
+        for (command, more) in readers("field") {
+            let message = refusal(command, &input, &more);
+            let expected = format!("(--field-unit {name})");
+            assert!(message.contains(&expected), "{command}: {message}");
+            if command != "calibrate" {
+                let mut arguments = vec![command.to_owned(), input.to_str().unwrap().to_owned()];
+                arguments.extend(more);
+                arguments.extend(["--field-unit".to_owned(), name.to_owned()]);
+                let result = aplomb(&arguments);
+                let errors = String::from_utf8_lossy(&result.stderr);
+                assert!(result.status.success(), "{arguments:?}: {errors}");
+                assert_eq!(errors, "", "{arguments:?}");
+            }
+        }
+    }
+    let input = file("field", "mG.csv", with_field(0.1));
+    let result = aplomb(&["replay", input.to_str().unwrap()]);
+    let warning = String::from_utf8_lossy(&result.stderr);
+    assert!(warning.contains("--field-unit mG"), "{warning}");
+    let input = file("field", "none.csv", turned(1.0, 1.0, 1.0));
+    let message = refusal("replay", &input, &["--field-unit".into(), "G".into()]);
+    assert!(message.contains("the log has no compass"), "{message}");
+}
+
 /// Times since 1970 do not fit into a flight log.
 #[test]
 fn a_time_beyond_those_of_a_flight_log_is_refused() {

@@ -40,10 +40,16 @@ pub struct UnitGuess {
 
 impl fmt::Display for UnitGuess {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} is mostly ", self.quantity)?;
+        if self.value.abs() < 0.01 {
+            write!(formatter, "{:.1e}", self.value)?;
+        } else {
+            write!(formatter, "{:.3}", self.value)?;
+        }
         write!(
             formatter,
-            "{} is mostly {:.3}, where {} is usual: did you mean {}? If not, add {}",
-            self.quantity, self.value, self.usual, self.meant, self.option
+            ", where {} is usual: did you mean {}? If not, add {}",
+            self.usual, self.meant, self.option
         )
     }
 }
@@ -176,7 +182,10 @@ pub enum LogFault {
     #[error("some of mx,my,mz are empty: give all three, or none where there is no new reading")]
     PartialField,
     /// A magnetic field that no compass measures.
-    #[error("{column} is {value}, which no compass measures; microtesla are expected")]
+    #[error(
+        "{column} is {value}, which no compass measures; microtesla are expected: \
+         did you mean nT (--field-unit nT)?"
+    )]
     ImplausibleField {
         /// Name of the column.
         column: &'static str,

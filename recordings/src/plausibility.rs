@@ -5,6 +5,8 @@
 //! 9.8 m/s² or 1 g, and nothing turns at 1,000 rad/s. A sensor at rest measures no rate in any
 //! unit, so rates in °/s are found when it moves.
 
+use std::ops::RangeInclusive;
+
 use aplomb_models::motion::geometry::{Vector, norm};
 
 use crate::fault::{LogFault, UnitGuess};
@@ -34,6 +36,16 @@ const LONGEST_GAP_US: u64 = 3_600_000_000;
 const SHORTEST_STEP_US: f64 = 31.0;
 /// Longest plausible time between rows, µs: 5 rows a second are of no use to a filter.
 const LONGEST_STEP_US: f64 = 200_000.0;
+/// Magnetic field of the earth, for messages.
+const USUAL_FIELD: &str = "22 to 67 µT";
+/// Largest length of a field in tesla, with the hard iron of any vehicle.
+const LARGEST_TESLA: f64 = 1e-3;
+/// Lengths of a field that is normalized to 1.
+const NORMALIZED: RangeInclusive<f64> = 0.97..=1.03;
+/// Largest length of a field in gauss. The earth's is 22 µT at least.
+const LARGEST_GAUSS: f64 = 5.0;
+/// Least length of a field that may be in milligauss, µT.
+const LEAST_MILLIGAUSS: f64 = 200.0;
 /// Time between rows from which on each row is flagged `GAP`, µs.
 const GAP_US: f64 = 500_000.0;
 
@@ -77,7 +89,7 @@ impl Judge {
             .map(|row| norm(row.specific_force_m_s2))
             .filter(|force| force.is_finite())
             .collect();
-        let times: Vec<i64> = rows.map(|row| row.time_us).collect();
+        let times: Vec<i64> = rows.clone().map(|row| row.time_us).collect();
         if times.len() < FEWEST_JUDGED_ROWS {
             return Ok(());
         }
@@ -100,7 +112,21 @@ impl Judge {
         if self.options.force_unit.is_none() && !self.is_raw {
             force_unit(upper_median(forces))?;
         }
+        if self.options.field_unit.is_none() {
+            field_unit(fields(rows))?;
+        }
         Ok(())
+    }
+
+    /// Returns a warning on the magnetic field of these first rows, if it may be in milligauss.
+    pub fn field_warning<'a>(&self, rows: impl Iterator<Item = &'a Row>) -> Option<String> {
+        let field = upper_median(fields(rows)).filter(|field| *field > LEAST_MILLIGAUSS)?;
+        self.options.field_unit.is_none().then(|| {
+            format!(
+                "the magnetic field is mostly {field:.0} µT, where {USUAL_FIELD} is usual: if it \
+                 is mG, add --field-unit mG; if a magnet adds to it, add --field-unit uT"
+            )
+        })
     }
 
     /// Returns a warning on the time between these first rows, if no filter can use such rows.
@@ -251,6 +277,38 @@ fn force_unit(force: Option<f64>) -> Result<(), LogFault> {
         meant,
         option: "--force-unit m/s2",
     })))
+}
+
+/// Checks the lengths of the magnetic field.
+fn field_unit(mut fields: Vec<f64>) -> Result<(), LogFault> {
+    fields.sort_unstable_by(f64::total_cmp);
+    let most = fields.len() / 10..fields.len() - fields.len() / 10;
+    let is_normalized = fields[most].iter().all(|field| NORMALIZED.contains(field));
+    let Some(field) = upper_median(fields) else {
+        return Ok(());
+    };
+    let meant = if field < LARGEST_TESLA {
+        "T (--field-unit T)"
+    } else if is_normalized {
+        "normalized (--field-unit norm)"
+    } else if field < LARGEST_GAUSS {
+        "G (--field-unit G)"
+    } else {
+        return Ok(());
+    };
+    Err(LogFault::Unit(Box::new(UnitGuess {
+        quantity: "the magnetic field",
+        value: field,
+        usual: USUAL_FIELD,
+        meant,
+        option: "--field-unit uT",
+    })))
+}
+
+/// Returns the lengths of the magnetic field in these rows. A compass that fails reads zeros.
+fn fields<'a>(rows: impl Iterator<Item = &'a Row>) -> Vec<f64> {
+    let fields = rows.filter_map(|row| row.field_ut).map(norm);
+    fields.filter(|field| *field > 0.0).collect()
 }
 
 /// Returns the median, which is the upper one of two middle values; `None` without a value.

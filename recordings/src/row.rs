@@ -68,14 +68,15 @@ pub fn has_truth(columns: usize) -> bool {
 ///
 /// Returns the fault of the row.
 pub fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
-    parse_row_with(line, columns, |cell| cell.parse().ok())
+    parse_row_with(line, columns, |cell| cell.parse().ok(), 1.0)
 }
 
-/// Reads a row whose time, µs, this function reads.
+/// Reads a row whose time, µs, this function reads. The unit of its field is `unit_ut`, µT.
 pub(crate) fn parse_row_with(
     line: &str,
     columns: usize,
     time: impl Fn(&str) -> Option<i64>,
+    unit_ut: f64,
 ) -> Result<Row, LogFault> {
     let mut cells = [""; COLUMNS.len()];
     let mut field_cells = [""; COMPASS.len()];
@@ -113,7 +114,7 @@ pub(crate) fn parse_row_with(
     };
     let time_us = time(cells[0]).ok_or_else(|| LogFault::Time(cells[0].to_owned()))?;
     let (specific_force_m_s2, rates_rad_s) = (vector(1)?, vector(4)?);
-    let field_ut = field(field_cells)?;
+    let field_ut = field(field_cells, unit_ut)?;
     let truth = &cells[7..11];
     let attitude = if truth.iter().all(|cell| cell.is_empty()) {
         None
@@ -143,8 +144,8 @@ pub(crate) fn parse_row_with(
     })
 }
 
-/// Reads the cells of a compass; `None` if all are empty.
-fn field(cells: [&str; 3]) -> Result<Option<Vector>, LogFault> {
+/// Reads the cells of a compass in this unit, µT; `None` if all are empty.
+fn field(cells: [&str; 3], unit_ut: f64) -> Result<Option<Vector>, LogFault> {
     if cells.iter().all(|cell| cell.is_empty()) {
         return Ok(None);
     }
@@ -153,14 +154,15 @@ fn field(cells: [&str; 3]) -> Result<Option<Vector>, LogFault> {
     }
     let mut field: Vector = [0.0; 3];
     for ((value, cell), column) in field.iter_mut().zip(cells).zip(COMPASS) {
-        *value = cell.parse().map_err(|_| LogFault::NotANumber {
+        let number: f64 = cell.parse().map_err(|_| LogFault::NotANumber {
             column,
             text: cell.to_owned(),
         })?;
+        *value = number * unit_ut;
         if value.is_nan() || value.abs() > LARGEST_FIELD_UT {
             return Err(LogFault::ImplausibleField {
                 column,
-                value: *value,
+                value: number,
             });
         }
     }

@@ -72,7 +72,9 @@ impl Rows {
             return Err(error);
         }
         let first = rows.ahead.iter().map(|(_, row)| row);
-        if let Some(warning) = rows.judge.time_warning(first) {
+        let time_warning = rows.judge.time_warning(first.clone());
+        let field_warning = rows.judge.field_warning(first);
+        for warning in time_warning.into_iter().chain(field_warning) {
             eprintln!("warning: {}: {warning}", rows.lines.name());
         }
         Ok(rows)
@@ -159,16 +161,10 @@ impl Rows {
     fn read(&mut self) -> Result<Option<(u64, Row)>, LogError> {
         loop {
             let error = match self.lines.next_line() {
-                Ok(Some(line)) => {
-                    let time = |cell: &str| self.options.time_us(cell);
-                    match parse_row_with(line, self.columns, time) {
-                        Ok(mut row) => {
-                            self.options.convert(&mut row);
-                            return Ok(Some((self.lines.number(), row)));
-                        }
-                        Err(fault) => self.lines.refuse(fault),
-                    }
-                }
+                Ok(Some(line)) => match parse(line, self.columns, &self.options) {
+                    Ok(row) => return Ok(Some((self.lines.number(), row))),
+                    Err(fault) => self.lines.refuse(fault),
+                },
                 Ok(None) => {
                     self.warn();
                     return Ok(None);
@@ -204,11 +200,8 @@ impl Rows {
             let Ok(Some(line)) = self.lines.next_line() else {
                 return self.judge.has_row() && self.ahead.is_empty();
             };
-            let row = parse_row_with(line, self.columns, |cell| self.options.time_us(cell));
-            if row.is_ok_and(|mut row| {
-                self.options.convert(&mut row);
-                judge.row(&row).is_ok()
-            }) {
+            let row = parse(line, self.columns, &self.options);
+            if row.is_ok_and(|row| judge.row(&row).is_ok()) {
                 return true;
             }
         }
@@ -229,18 +222,27 @@ impl Rows {
     }
 }
 
+/// Reads a row in the units of these options.
+fn parse(line: &str, columns: usize, options: &RowOptions) -> Result<Row, LogFault> {
+    let time = |cell: &str| options.time_us(cell);
+    let mut row = parse_row_with(line, columns, time, options.field_ut())?;
+    options.convert(&mut row);
+    Ok(row)
+}
+
 #[cfg(test)]
 mod tests {
     use std::fmt::Write as _;
     use std::path::Path;
 
     use super::*;
-    use crate::units::{ForceUnit, RateUnit, TimeUnit};
+    use crate::units::{FieldUnit, ForceUnit, RateUnit, TimeUnit};
 
     const SI: RowOptions = RowOptions {
         time_unit: None,
         force_unit: None,
         rate_unit: None,
+        field_unit: None,
         bad_rows: None,
     };
     const SKIP: RowOptions = RowOptions {
@@ -250,9 +252,20 @@ mod tests {
 
     /// Returns the rows, and how many were left out.
     fn read(text: &str, options: RowOptions, is_raw: bool) -> Result<(Vec<Row>, u64), String> {
+        read_columns(text, 7, options, is_raw)
+    }
+
+    /// Returns the rows of this number of columns, and how many were left out.
+    fn read_columns(
+        text: &str,
+        columns: usize,
+        options: RowOptions,
+        is_raw: bool,
+    ) -> Result<(Vec<Row>, u64), String> {
         let bytes = std::io::Cursor::new(text.to_owned().into_bytes());
         let lines = Lines::new(Path::new("test.csv"), bytes).expect("memory is read");
-        let mut reader = Rows::new(lines, 7, options, is_raw).map_err(|error| error.to_string())?;
+        let reader = Rows::new(lines, columns, options, is_raw);
+        let mut reader = reader.map_err(|error| error.to_string())?;
         let mut rows = Vec::new();
         while let Some(row) = reader.next_row().map_err(|error| error.to_string())? {
             rows.push(row);
@@ -353,6 +366,72 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_field_in_another_unit_is_named_with_the_option_that_converts_it() {
+        // A compass face up in Central Europe, which turns about the vertical.
+        let turning = |unit_ut: f64, hard_iron_ut: f64| -> String {
+            (0..300).fold(String::new(), |mut text, index| {
+                let angle = f64::from(index) * 0.02;
+                let x = (20.0 * angle.cos() + hard_iron_ut) / unit_ut;
+                let (y, z) = (-20.0 * angle.sin() / unit_ut, -44.0 / unit_ut);
+                let field = if index % 3 == 0 {
+                    format!("{x:e},{y:e},{z:e}")
+                } else {
+                    ",,".to_owned()
+                };
+                let t_us = index * 10_000;
+                writeln!(text, "{t_us},0,0.0{index},9.81,0,0,0.2,{field}").expect("memory");
+                text
+            })
+        };
+        let read = |text: &str, options: RowOptions| read_columns(text, 10, options, false);
+        let field = |rows: &[Row]| rows.first().and_then(|row| row.field_ut).expect("a field");
+        let with = |unit: FieldUnit| RowOptions {
+            field_unit: Some(unit),
+            ..SI
+        };
+        for hard_iron_ut in [0.0, 25.0, 150.0] {
+            let (rows, _) = read(&turning(1.0, hard_iron_ut), SI).expect("microtesla");
+            let expected = field(&rows);
+            for (name, unit_ut, unit) in [
+                ("G", 100.0, FieldUnit::Gauss),
+                ("T", 1e6, FieldUnit::Tesla),
+                ("nT", 1e-3, FieldUnit::Nanotesla),
+            ] {
+                let text = turning(unit_ut, hard_iron_ut);
+                let refusal = read(&text, SI).expect_err(name);
+                assert!(
+                    refusal.contains(&format!("(--field-unit {name})")),
+                    "{name}: {refusal}"
+                );
+                let (rows, _) = read(&text, with(unit)).expect(name);
+                for (found, expected) in field(&rows).iter().zip(expected) {
+                    assert!(
+                        (found - expected).abs() < 1e-6,
+                        "{name}: {found} {expected}"
+                    );
+                }
+            }
+        }
+        // Normalized readings have the length 1, and none of a gauss.
+        let normalized = turning(f64::hypot(20.0, 44.0), 0.0);
+        let refusal = read(&normalized, SI).expect_err("normalized");
+        assert!(refusal.contains("(--field-unit norm)"), "{refusal}");
+        let (rows, _) = read(&normalized, with(FieldUnit::Normalized)).expect("normalized");
+        assert!((field(&rows)[2] + 45.5).abs() < 0.1, "{:?}", field(&rows));
+        let gauss = read(&normalized, with(FieldUnit::Gauss)).expect("given");
+        assert!((field(&gauss.0)[2] + 91.0).abs() < 0.1);
+        // Milligauss may be microtesla with a magnet beside them.
+        let judge = Judge::new(SI, false);
+        let warning = |text: &str| {
+            let (rows, _) = read(text, SI).expect("it passes");
+            judge.field_warning(rows.iter())
+        };
+        assert_eq!(warning(&turning(1.0, 25.0)), None);
+        let milligauss = warning(&turning(0.1, 0.0)).expect("a warning");
+        assert!(milligauss.contains("--field-unit mG"), "{milligauss}");
     }
 
     #[test]

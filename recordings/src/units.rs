@@ -9,8 +9,8 @@ use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
 
 use crate::row::Row;
 
-/// Options for reading a log. Nothing given: µs, m/s² and rad/s, guarded against other units, and
-/// a bad row is an error.
+/// Options for reading a log. Nothing given: µs, m/s², rad/s and µT, guarded against other
+/// units, and a bad row is an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "options", derive(clap::Args))]
 pub struct RowOptions {
@@ -23,6 +23,10 @@ pub struct RowOptions {
     /// The log's rates are in this unit: rad/s, deg/s or mdeg/s [default: rad/s]
     #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
     pub rate_unit: Option<RateUnit>,
+    /// The log's magnetic field is in this unit: uT, mG, G, nT, T, or norm for length 1, which is
+    /// taken as 50 uT [default: uT]
+    #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
+    pub field_unit: Option<FieldUnit>,
     /// Rows of the log that are damaged, or that no sensor gave (time that goes back, gaps of
     /// more than an hour, NaN): refuse, skip, or keep those with numbers [default: refuse]
     #[cfg_attr(feature = "options", arg(long, value_name = "RULE"))]
@@ -76,14 +80,46 @@ pub enum RateUnit {
     MillidegreesPerSecond,
 }
 
+/// Unit of the magnetic field.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FieldUnit {
+    /// µT.
+    Microtesla,
+    /// 1/1000 gauss, which is 0.1 µT.
+    Milligauss,
+    /// Gauss, which is 100 µT.
+    Gauss,
+    /// nT.
+    Nanotesla,
+    /// T.
+    Tesla,
+    /// Length of the earth's field, taken as 50 µT.
+    Normalized,
+}
+
+impl FieldUnit {
+    /// Returns the unit's size, µT.
+    const fn microtesla(self) -> f64 {
+        match self {
+            Self::Microtesla => 1.0,
+            Self::Milligauss => 0.1,
+            Self::Gauss => 100.0,
+            Self::Nanotesla => 1e-3,
+            Self::Tesla => 1e6,
+            Self::Normalized => 50.0,
+        }
+    }
+}
+
 impl RowOptions {
     /// Returns the options, and whether they were given.
     #[must_use]
-    pub fn given(&self) -> [(&'static str, bool); 4] {
+    pub fn given(&self) -> [(&'static str, bool); 5] {
         [
             ("--time-unit", self.time_unit.is_some()),
             ("--force-unit", self.force_unit.is_some()),
             ("--rate-unit", self.rate_unit.is_some()),
+            ("--field-unit", self.field_unit.is_some()),
             ("--bad-rows", self.bad_rows.is_some()),
         ]
     }
@@ -105,6 +141,12 @@ impl RowOptions {
         let time_us: f64 = cell.parse::<f64>().ok()? * per_unit;
         // Whole numbers beyond ±2⁶² would lose more than microseconds.
         (time_us.abs() < 4.6e18).then(|| time_us.round() as i64)
+    }
+
+    /// Returns the unit of the magnetic field, µT.
+    pub(crate) fn field_ut(&self) -> f64 {
+        let unit = self.field_unit.unwrap_or(FieldUnit::Microtesla);
+        unit.microtesla()
     }
 
     /// Converts the values of a row to m/s² and rad/s.
@@ -193,6 +235,23 @@ impl FromStr for RateUnit {
             ("mdps", Self::MillidegreesPerSecond),
         ];
         choose(name, &choices, "rad/s, deg/s, mdeg/s")
+    }
+}
+
+impl FromStr for FieldUnit {
+    type Err = NoSuchChoice;
+
+    fn from_str(name: &str) -> Result<Self, NoSuchChoice> {
+        let choices = [
+            ("uT", Self::Microtesla),
+            ("µT", Self::Microtesla),
+            ("mG", Self::Milligauss),
+            ("G", Self::Gauss),
+            ("nT", Self::Nanotesla),
+            ("T", Self::Tesla),
+            ("norm", Self::Normalized),
+        ];
+        choose(name, &choices, "uT, mG, G, nT, T, norm")
     }
 }
 
