@@ -140,6 +140,14 @@ pub enum LogFault {
         /// The time of this row.
         now: i64,
     },
+    /// The next rows fit the rows before, but not this one.
+    #[error("t_us is {now}, which the rows after it contradict: the next one has {next}")]
+    Misplaced {
+        /// The time of this row.
+        now: i64,
+        /// The time of the next row.
+        next: i64,
+    },
     /// Time goes on by more than any pause of a logger.
     #[error("t_us is {now}, which is {} after the row before, {before}", span(*before, *now))]
     Gap {
@@ -229,6 +237,7 @@ impl LogFault {
             | Self::Time(_)
             | Self::NotFinite { .. }
             | Self::NotIncreasing { .. }
+            | Self::Misplaced { .. }
             | Self::Gap { .. }
             | Self::Implausible { .. }
             | Self::PartialField

@@ -56,6 +56,8 @@ pub struct Judge {
     /// The values are register counts.
     is_raw: bool,
     before_us: Option<i64>,
+    /// Usual time between rows, µs.
+    step_us: Option<f64>,
     /// Watch over times that may be milliseconds.
     watch: Option<Watch>,
     /// Start, sum and number of the rates whose mean is being taken.
@@ -70,6 +72,7 @@ impl Judge {
             options,
             is_raw,
             before_us: None,
+            step_us: None,
             watch: None,
             mean: (0, 0.0, 0),
         }
@@ -93,21 +96,17 @@ impl Judge {
         if times.len() < FEWEST_JUDGED_ROWS {
             return Ok(());
         }
+        let steps = times.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
+        let steps = steps.filter(|step| *step > 0).map(|step| step as f64);
+        self.step_us = upper_median(steps.collect());
         if self.options.time_unit.is_none() {
-            let steps = times.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
-            let step_us = upper_median(
-                steps
-                    .filter(|step| *step > 0)
-                    .map(|step| step as f64)
-                    .collect(),
-            );
-            time_unit(step_us)?;
+            time_unit(self.step_us)?;
             let scale = match (self.is_raw, self.options.rate_unit) {
                 (true, _) => RateScale::Counts,
                 (false, Some(_)) => RateScale::Known,
                 (false, None) => RateScale::Assumed,
             };
-            self.watch = step_us.and_then(|step_us| Watch::new(step_us, scale));
+            self.watch = (self.step_us).and_then(|step_us| Watch::new(step_us, scale));
         }
         if self.options.force_unit.is_none() && !self.is_raw {
             force_unit(upper_median(forces))?;
@@ -201,6 +200,39 @@ impl Judge {
         Ok(())
     }
 
+    /// Returns whether the time of a row is corrupt, because those of the next two rows fit the
+    /// rows before and not this one. If either of two rows may be corrupt, the usual step decides.
+    #[must_use]
+    pub fn is_misplaced(&self, now: i64, after: [Option<i64>; 2]) -> bool {
+        let Some(next) = after[0] else {
+            return false;
+        };
+        if !follows(self.before_us, now) || follows(Some(now), next) {
+            return false;
+        }
+        let (rows, deviation_us) =
+            self.accepted(std::iter::once(now).chain(after.into_iter().flatten()));
+        let (others, other_us) = self.accepted(after.into_iter().flatten());
+        others > rows || (others == rows && other_us < deviation_us)
+    }
+
+    /// Returns how many of these times follow each other, and how far their steps are from usual
+    /// ones, µs.
+    fn accepted(&self, times: impl Iterator<Item = i64>) -> (usize, f64) {
+        let (mut rows, mut deviation_us, mut before) = (0, 0.0, self.before_us);
+        for now in times {
+            if !follows(before, now) {
+                continue;
+            }
+            if let (Some(before), Some(usual_us)) = (before, self.step_us) {
+                deviation_us += (now.abs_diff(before) as f64 - usual_us).abs();
+            }
+            rows += 1;
+            before = Some(now);
+        }
+        (rows, deviation_us)
+    }
+
     /// Checks the size of a row's values, which are in SI units.
     fn size(&mut self, row: &Row) -> Result<(), LogFault> {
         let force = row.specific_force_m_s2;
@@ -242,6 +274,11 @@ impl Judge {
         }
         Ok(())
     }
+}
+
+/// Returns whether a row of this time can follow the one before, if there is one.
+fn follows(before: Option<i64>, now: i64) -> bool {
+    before.is_none_or(|before| before < now && now.abs_diff(before) <= LONGEST_GAP_US)
 }
 
 /// Checks the time between rows, µs.

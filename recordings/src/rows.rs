@@ -17,8 +17,12 @@ pub struct Rows {
     columns: usize,
     options: RowOptions,
     judge: Judge,
-    /// First rows, which were judged together, with the numbers of their lines.
+    /// First rows, which were judged together, with the numbers of their lines. Later the next
+    /// rows, which show whether a time is corrupt.
     ahead: VecDeque<(u64, Row)>,
+    /// Error after these rows.
+    fault: Option<LogError>,
+    is_over: bool,
     /// Number of the line of the last row.
     line: u64,
     skipped: u64,
@@ -46,29 +50,21 @@ impl Rows {
             options,
             judge: Judge::new(options, is_raw),
             ahead: VecDeque::new(),
+            fault: None,
+            is_over: false,
             line: 0,
             skipped: 0,
             first_skipped: None,
             has_warned: false,
         };
-        let mut early_fault = None;
-        while rows.ahead.len() < JUDGED_ROWS {
-            match rows.read() {
-                Ok(Some(row)) => rows.ahead.push_back(row),
-                Ok(None) => break,
-                // The units explain a fault better than the fault itself.
-                Err(error) => {
-                    early_fault = Some(error);
-                    break;
-                }
-            }
-        }
+        rows.read_ahead(JUDGED_ROWS);
         let first = rows.ahead.iter().map(|(_, row)| row);
         if let Err(fault) = rows.judge.units(first) {
             rows.line = rows.ahead.front().map_or(0, |(line, _)| *line);
             return Err(rows.refuse(fault));
         }
-        if let Some(error) = early_fault {
+        // The units explain a fault better than the fault itself.
+        if let Some(error) = rows.fault.take() {
             return Err(error);
         }
         let first = rows.ahead.iter().map(|(_, row)| row);
@@ -87,18 +83,18 @@ impl Rows {
     /// Returns the place and the fault of a bad row, unless the options leave it out or keep it.
     pub fn next_row(&mut self) -> Result<Option<Row>, LogError> {
         loop {
-            let next = match self.ahead.pop_front() {
-                Some(row) => Some(row),
-                None => self.read()?,
-            };
-            let Some((line, row)) = next else {
+            self.read_ahead(1);
+            let Some((line, row)) = self.ahead.pop_front() else {
+                if let Some(error) = self.fault.take() {
+                    return Err(error);
+                }
                 self.end()?;
                 return Ok(None);
             };
             self.line = line;
             let verdict = match self.rule() {
                 BadRows::Keep => Ok(()),
-                BadRows::Refuse | BadRows::Skip => self.judge.row(&row),
+                BadRows::Refuse | BadRows::Skip => self.judge(&row),
             };
             match verdict.map_err(|fault| self.refuse(fault)) {
                 Ok(()) => {
@@ -111,8 +107,33 @@ impl Rows {
         }
     }
 
-    /// Judges the recording as a whole after its last row.
+    /// Reads rows until this number waits, or to the end or an error.
+    fn read_ahead(&mut self, count: usize) {
+        while self.ahead.len() < count && self.fault.is_none() && !self.is_over {
+            match self.read() {
+                Ok(Some(row)) => self.ahead.push_back(row),
+                Ok(None) => self.is_over = true,
+                Err(error) => self.fault = Some(error),
+            }
+        }
+    }
+
+    /// Judges a row by those before it, and its time by the next two rows too.
+    fn judge(&mut self, row: &Row) -> Result<(), LogFault> {
+        self.read_ahead(2);
+        let after = [0, 1].map(|index| self.ahead.get(index).map(|(_, row)| row.time_us));
+        let now = row.time_us;
+        match after[0] {
+            Some(next) if self.judge.is_misplaced(now, after) => {
+                Err(LogFault::Misplaced { now, next })
+            }
+            _ => self.judge.row(row),
+        }
+    }
+
+    /// Reports what was left out, and judges the recording as a whole after its last row.
     fn end(&mut self) -> Result<(), LogError> {
+        self.warn();
         let judged = self.judge.end();
         if let Some(warning) = judged.map_err(|fault| self.lines.refuse_file(fault))? {
             eprintln!("warning: {}: {warning}", self.lines.name());
@@ -165,10 +186,7 @@ impl Rows {
                     Ok(row) => return Ok(Some((self.lines.number(), row))),
                     Err(fault) => self.lines.refuse(fault),
                 },
-                Ok(None) => {
-                    self.warn();
-                    return Ok(None);
-                }
+                Ok(None) => return Ok(None),
                 Err(error) => error,
             };
             self.skip_or_refuse(error)?;
@@ -211,7 +229,6 @@ impl Rows {
     /// Reports once, on standard error, what was left out.
     fn warn(&mut self) {
         if let Some(first) = &self.first_skipped
-            && self.ahead.is_empty()
             && !std::mem::replace(&mut self.has_warned, true)
         {
             eprintln!(
@@ -482,6 +499,58 @@ mod tests {
             };
             assert_eq!(read(&text, keep, false).is_ok(), can_be_kept, "{bad}");
         }
+    }
+
+    #[test]
+    fn a_corrupt_time_costs_its_row_alone() {
+        let log = |times: &[i64]| -> String {
+            times
+                .iter()
+                .enumerate()
+                .fold(String::new(), |mut text, (index, time)| {
+                    writeln!(text, "{time},0,0.0{index},9.81,0,0,0.2").expect("memory");
+                    text
+                })
+        };
+        let times: Vec<i64> = (0..600).map(|row| 10_000 * (row + 5)).collect();
+        for place in [0, 1, 2, 50, 254, 255, 256, 257, 400, 597, 598, 599] {
+            for shift in [
+                -1_700_000_000_000_000,
+                -25_000,
+                -12_000,
+                12_000,
+                25_000,
+                3_000_000,
+                1 << 31,
+                1_700_000_000_000_000,
+            ] {
+                let mut corrupt = times.clone();
+                corrupt[place] += shift;
+                // A row that is the last one may come late.
+                if place + 1 == times.len() && (0..=3_600_000_000).contains(&shift)
+                    || place == 0 && (-3_600_000_000..0).contains(&shift)
+                {
+                    continue;
+                }
+                let text = log(&corrupt);
+                let refusal = read(&text, SI, false).expect_err("a corrupt row");
+                let expected = format!("test.csv:{}: t_us is ", place + 1);
+                assert!(refusal.starts_with(&expected), "{place} {shift}: {refusal}");
+                assert!(refusal.ends_with("leaves such rows out"), "{refusal}");
+                let (rows, skipped) = read(&text, SKIP, false).expect("it is left out");
+                assert_eq!(skipped, 1, "{place} {shift}");
+                let found: Vec<i64> = rows.iter().map(|row| row.time_us).collect();
+                let mut expected = times.clone();
+                expected.remove(place);
+                assert_eq!(found, expected, "{place} {shift}");
+            }
+        }
+        // A pause of the logger is no corrupt time.
+        let mut paused = times.clone();
+        for time in &mut paused[300..] {
+            *time += 60_000_000;
+        }
+        assert_eq!(read(&log(&paused), SKIP, false).expect("a pause").1, 0);
     }
 
     #[test]
