@@ -384,6 +384,55 @@ fn bad_rows_are_left_out_on_request_and_counted() {
     assert!(printed.contains("1997 rows"), "{printed}");
 }
 
+/// A file system that crashed leaves NUL bytes where rows were to come.
+#[test]
+fn a_tail_of_nul_bytes_is_named_and_the_rows_before_are_read() {
+    let text = turned(1.0, 1.0, 1.0);
+    let short = text
+        .lines()
+        .take(301)
+        .fold(String::new(), |all, line| all + line + "\n");
+    for (name, text, nuls, rows) in [
+        ("block", short.as_str(), 512, 300),
+        ("row", &short[..short.len() - 9], 4_096, 299),
+        ("long", text.as_str(), 3_000_000, 2_000),
+        ("one", short.as_str(), 1, 300),
+    ] {
+        let bytes = [text.as_bytes(), &vec![0; nuls]].concat();
+        let input = file("nuls", &format!("{name}.csv"), bytes);
+        for (command, more) in readers("nuls") {
+            let message = refusal(command, &input, &more);
+            assert!(
+                message.contains("NUL: ") || message.contains("NUL bytes"),
+                "{message}"
+            );
+            assert!(message.contains("crash"), "{command}: {message}");
+            assert!(message.contains("--bad-rows skip"), "{command}: {message}");
+        }
+        let result = aplomb(&["replay", input.to_str().unwrap(), "--bad-rows", "skip"]);
+        let warning = String::from_utf8_lossy(&result.stderr);
+        assert!(result.status.success(), "{warning}");
+        assert!(warning.contains("1 bad rows are left out"), "{warning}");
+        let printed = String::from_utf8_lossy(&result.stdout);
+        assert!(
+            printed.contains(&format!("{rows} rows")),
+            "{name}: {printed}"
+        );
+    }
+    let header = "t_us,ax,ay,az,gx,gy,gz";
+    for (name, text) in [
+        ("all", ""),
+        ("header", header),
+        ("line", "t_us,ax,ay,az,gx,gy,gz\n"),
+    ] {
+        for nuls in [100, 100_000] {
+            let input = file("nuls", name, [text.as_bytes(), &vec![0; nuls]].concat());
+            let message = refusal("replay", &input, &[]);
+            assert!(message.contains("NUL"), "{name} {nuls}: {message}");
+        }
+    }
+}
+
 #[test]
 fn an_option_that_would_change_nothing_is_refused() {
     let bursts = file("nothing", "bursts.csv", "t_us,bytes,flags\n");

@@ -72,6 +72,12 @@ pub enum LogFault {
     /// The line has more bytes than any row.
     #[error("the line has more than {LONGEST_LINE} bytes: this is no table of a recording")]
     LineTooLong,
+    /// The line has so many NUL bytes.
+    #[error(
+        "{}: a file that was not closed, after a crash or a loss of power, ends like this",
+        nuls(*.0)
+    )]
+    Nuls(usize),
     /// The file has another format.
     #[error("this is {0}")]
     OtherFormat(&'static str),
@@ -231,6 +237,7 @@ impl LogFault {
             | Self::Milliseconds { .. }
             | Self::TooShort => false,
             Self::LineTooLong
+            | Self::Nuls(_)
             | Self::NotText
             | Self::ColumnCount { .. }
             | Self::NotANumber { .. }
@@ -265,6 +272,15 @@ fn milliseconds(seconds: Option<f64>) -> String {
     match seconds {
         Some(seconds) => format!("in microseconds the recording would last {seconds:.3} s"),
         None => "the force turns as far as the rates turn it in milliseconds".to_owned(),
+    }
+}
+
+/// Returns the finding of so many NUL bytes.
+fn nuls(count: usize) -> String {
+    if count > LONGEST_LINE {
+        format!("the line has more than {LONGEST_LINE} bytes that are NUL")
+    } else {
+        format!("the line has {count} NUL bytes")
     }
 }
 

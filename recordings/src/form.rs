@@ -46,8 +46,6 @@ impl Form {
 pub fn header(lines: &mut Lines) -> Result<String, LogError> {
     loop {
         match lines.next_line() {
-            // A table has no zero bytes, but a flight log has.
-            Ok(Some(line)) if line.contains('\0') => break,
             Ok(Some(line)) if line.starts_with('#') => {}
             Ok(Some(header)) => {
                 let header = header.to_owned();
@@ -60,9 +58,10 @@ pub fn header(lines: &mut Lines) -> Result<String, LogError> {
                 return Ok(header);
             }
             Ok(None) => return Err(lines.refuse_file(LogFault::Empty)),
-            Err(error) if matches!(error.reason, LogFault::NotText) => {
+            // A flight log has NUL bytes and others of no text.
+            Err(error) if matches!(error.reason, LogFault::NotText | LogFault::Nuls(_)) => {
                 if lines.is_of_a_text() {
-                    return Err(lines.refuse(LogFault::NotText));
+                    return Err(error);
                 }
                 break;
             }

@@ -13,6 +13,8 @@ use crate::quote::quote;
 
 /// Byte order mark: U+FEFF in UTF-8.
 const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
+/// Most NUL bytes that are passed over within a line: file systems reserve no more for a logger.
+const MOST_NULS: usize = 1 << 30;
 /// Bytes that are read and unpacked at once.
 const BUFFER_LENGTH: usize = 256 * 1024;
 
@@ -22,7 +24,10 @@ pub struct Lines {
     text: Box<dyn BufRead>,
     is_zipped: bool,
     is_stream: bool,
+    /// Last line, without its NUL bytes.
     line: Vec<u8>,
+    /// Number of its NUL bytes.
+    nuls: usize,
     /// The last line is the next one again.
     is_unread: bool,
     /// Number of the last line, counted from 1.
@@ -84,6 +89,7 @@ impl Lines {
             is_zipped,
             is_stream: false,
             line: Vec::new(),
+            nuls: 0,
             is_unread: false,
             number: 0,
             order: None,
@@ -95,13 +101,16 @@ impl Lines {
     /// # Errors
     ///
     /// Returns an error if the file cannot be read on, is damaged, or is not text, or if the line
-    /// has more than 16,384 bytes.
+    /// has NUL bytes or more than 16,384 others.
     pub fn next_line(&mut self) -> Result<Option<&str>, LogError> {
         if !std::mem::take(&mut self.is_unread) {
             loop {
                 self.number += 1;
                 if !self.read_line().map_err(|fault| self.refuse(fault))? {
                     return Ok(None);
+                }
+                if self.nuls > 0 {
+                    return Err(self.refuse(LogFault::Nuls(self.nuls)));
                 }
                 if !self.line.trim_ascii().is_empty() {
                     break;
@@ -137,13 +146,13 @@ impl Lines {
 
     /// Returns whether the last line is that of a text, whatever its encoding.
     pub(crate) fn is_of_a_text(&self) -> bool {
-        let is_control = |byte: &u8| byte.is_ascii_control() && !byte.is_ascii_whitespace();
-        !self.line.iter().any(is_control)
+        is_text(&self.line)
     }
 
     /// Reads a line, without its end. Returns false at the end of the file.
     fn read_line(&mut self) -> Result<bool, LogFault> {
         self.line.clear();
+        self.nuls = 0;
         let mut is_end = true;
         loop {
             let buffer = match self.text.fill_buf() {
@@ -162,20 +171,34 @@ impl Lines {
                 return Err(LogFault::OtherFormat(format));
             }
             is_end = false;
-            let end = memchr::memchr(b'\n', buffer);
+            // Counted, not stored: the tail of a file that was not closed may have any length.
+            let nuls = buffer.iter().take_while(|byte| **byte == 0).count();
+            if nuls > 0 {
+                self.text.consume(nuls);
+                self.nuls += nuls;
+                let is_first = self.number == 1 && self.line.is_empty();
+                if is_first && self.nuls > LONGEST_LINE {
+                    return Err(LogFault::Nuls(self.nuls));
+                } else if self.nuls > MOST_NULS {
+                    return Err(LogFault::LineTooLong);
+                }
+                continue;
+            }
+            let end = memchr::memchr2(b'\n', 0, buffer);
+            let is_ended = end.is_some_and(|end| buffer[end] == b'\n');
             let part = &buffer[..end.unwrap_or(buffer.len())];
             // Refused before it is stored: a line without end would fill the memory.
             if self.line.len() + part.len() > LONGEST_LINE {
-                let is_ended = [part, &self.line].iter().any(|line| line.contains(&b'\r'));
-                return Err(match is_ended {
+                let has_returns = [part, &self.line].iter().any(|line| line.contains(&b'\r'));
+                return Err(match has_returns {
                     true => LogFault::CarriageReturns,
                     false => LogFault::LineTooLong,
                 });
             }
             self.line.extend_from_slice(part);
-            let used = part.len() + usize::from(end.is_some());
+            let used = part.len() + usize::from(is_ended);
             self.text.consume(used);
-            if end.is_some() {
+            if is_ended {
                 break;
             }
         }
@@ -233,6 +256,13 @@ impl Lines {
             can_be_skipped: false,
         }
     }
+}
+
+/// Returns whether these bytes are of a text, whatever its encoding. A text may end with NUL bytes,
+/// after a crash of the program or computer that wrote it.
+pub(crate) fn is_text(bytes: &[u8]) -> bool {
+    let is_control = |byte: &u8| byte.is_ascii_control() && !byte.is_ascii_whitespace();
+    !bytes.iter().any(|byte| *byte != 0 && is_control(byte))
 }
 
 #[cfg(test)]

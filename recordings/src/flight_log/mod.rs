@@ -18,6 +18,7 @@ use std::sync::Arc;
 use aplomb::telemetry::log::{Configuration, Counts, Frame, NumberedBurst, StatePiece};
 
 use crate::foreign::{GZIP, format_of};
+use crate::lines::is_text;
 use steps::Frames;
 
 /// Bytes at a file's start in which [`is_flight_log`] searches a frame.
@@ -192,7 +193,8 @@ impl Flight {
     }
 }
 
-/// Returns whether a file is a flight log: a text has no zero bytes, others have a signature.
+/// Returns whether a file is a flight log, which has zero bytes and others of no text. A text may
+/// end with zero bytes after a crash. Other formats have a signature.
 #[must_use]
 pub fn is_flight_log(path: &Path) -> bool {
     // Reading a pipe would consume its bytes.
@@ -204,7 +206,7 @@ pub fn is_flight_log(path: &Path) -> bool {
         // The bytes before an error are enough.
         let _ = file.take(INSPECTED_BYTES as u64).read_to_end(&mut bytes);
     }
-    bytes.contains(&0) && format_of(&bytes).is_none()
+    bytes.contains(&0) && !is_text(&bytes) && format_of(&bytes).is_none()
 }
 
 /// Reads a log, plain or gzipped, for its summary. If it cannot be read to its end, warns on
