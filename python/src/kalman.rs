@@ -12,14 +12,14 @@ use library::mpu6050::Part;
 use library::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
 use library::units::{MagneticField, radians};
 use numpy::ndarray::ArrayView2;
-use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike1, PyArrayLike2, PyArrayMethods as _};
+use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike2, PyArrayMethods as _};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+use crate::times::{time_us, times_us};
+
 /// Array of rows of three numbers; any type of number is converted.
 pub type Vectors<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
-/// Array of times, microseconds; any type of number is converted.
-pub type Times<'py> = PyArrayLike1<'py, i64, AllowTypeChange>;
 
 /// Kalman filter for the attitude of a body, with the sensor's mount.
 ///
@@ -275,7 +275,7 @@ impl Kalman {
     #[pyo3(signature = (t_us, gyro, accel, mag=None))]
     fn update(
         &mut self,
-        t_us: i64,
+        t_us: &Bound<'_, PyAny>,
         gyro: [f64; 3],
         accel: [f64; 3],
         mag: Option<[f64; 3]>,
@@ -285,6 +285,7 @@ impl Kalman {
                 "`update` needs the rate: Kalman(rate_hz=…)",
             ));
         }
+        let t_us = time_us(t_us)?;
         let mount = self.settings.mount();
         let sample = sample(mount, &mut self.plateaus, t_us, gyro, accel);
         let snapshot = self.pipeline.update_sample(&sample);
@@ -315,7 +316,7 @@ impl Kalman {
     /// Parameters
     /// ----------
     /// t_us : array (n,)
-    ///     Times, microseconds.
+    ///     Times, whole microseconds. Seconds, milliseconds in float, and datetime64 are refused.
     /// gyro : array (n, 3)
     ///     Angular rates in the sensor's axes, rad/s.
     /// accel : array (n, 3)
@@ -326,12 +327,12 @@ impl Kalman {
     fn run<'py>(
         &self,
         python: Python<'py>,
-        t_us: Times<'py>,
+        t_us: &Bound<'py, PyAny>,
         gyro: Vectors<'py>,
         accel: Vectors<'py>,
         mag: Option<Vectors<'py>>,
     ) -> PyResult<Attitudes> {
-        let times = t_us.readonly().to_vec()?;
+        let times = times_us(t_us)?;
         check_shape(&gyro, "gyro", times.len())?;
         check_shape(&accel, "accel", times.len())?;
         if let Some(mag) = &mag {

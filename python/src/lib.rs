@@ -3,6 +3,7 @@
 
 mod kalman;
 mod recording;
+mod times;
 
 use pyo3::prelude::*;
 

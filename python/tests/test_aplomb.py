@@ -186,6 +186,64 @@ def test_other_types_of_numbers_are_converted():
     assert np.allclose(found.euler_rad, expected.euler_rad, atol=1e-6)
 
 
+def test_views_of_arrays_give_the_attitudes_of_copies():
+    recording = aplomb.simulate(seconds=3)
+    names = ("t_us", "gyro", "accel")
+    for part in (slice(None, None, 2), slice(100, 2000, 3)):
+        views = [getattr(recording, name)[part] for name in names]
+        expected = aplomb.Kalman().run(*[view.copy() for view in views])
+        found = aplomb.Kalman().run(*views)
+        assert np.array_equal(found.quaternion, expected.quaternion)
+        assert np.array_equal(found.t_us, views[0])
+    # Columns of one table, in the order of Fortran, reversed, and of the other byte order.
+    table = np.column_stack([getattr(recording, name) for name in names])
+    expected = aplomb.Kalman().run(recording.t_us, recording.gyro, recording.accel)
+    for view in (table, np.asfortranarray(table), table[::-1].copy()[::-1], table.astype(">f8")):
+        found = aplomb.Kalman().run(view[:, 0], view[:, 1:4], view[:, 4:], view[:, 4:] * 5)
+        assert np.array_equal(found.quaternion, expected.quaternion)
+    filter = aplomb.Kalman(rate_hz=1000)
+    reading = table[0, 4:] * 5
+    attitude = filter.update(recording.t_us[::2][0], table[0, 3:0:-1], table[0, 4:], reading[::-1])
+    assert attitude.t_us == recording.t_us[0]
+    sides = np.vstack([np.eye(3), -np.eye(3)]) * 9.80665
+    found = aplomb.calibrate_accelerometer(np.repeat(sides, 2, axis=0)[::2])
+    assert np.allclose(found["offset_m_s2"], 0, atol=1e-3)
+
+
+def test_times_in_another_unit_are_named():
+    t_us = np.arange(200) * 10_000
+    gyro, force = np.zeros((200, 3)), np.zeros((200, 3)) + [0, 0, 9.8]
+    start = np.datetime64("2026-11-27T12:00:00", "ns")
+    for times, reason in [
+        (t_us * 1e-6, "np.round(t * 1e6).astype(np.int64)"),
+        ((t_us * 1e-6).astype(np.float32), "np.round(t * 1e6)"),
+        ((t_us * 1e-6).tolist(), "np.round(t * 1e6)"),
+        (t_us * 1e-3, "mostly 10"),
+        (np.arange(200.0), "mostly 1,"),
+        (start + t_us * np.timedelta64(1000, "ns"), "astype('datetime64[us]').astype(np.int64)"),
+        (t_us * np.timedelta64(1000, "ns"), "astype('timedelta64[us]').astype(np.int64)"),
+        (np.where(t_us == 0, np.nan, t_us), "t_us has nan"),
+        (t_us * 1e18, "t_us has 1e+22"),
+        (t_us.astype(np.uint64) + np.uint64(2**63), "t_us has 9223372036854775808"),
+        (t_us.astype(str), "whole microseconds"),
+        (t_us > 0, "whole microseconds"),
+        (t_us.astype(object), "whole microseconds"),
+        (t_us[:, None], "2 dimensions"),
+    ]:
+        with pytest.raises(ValueError) as error:
+            aplomb.Kalman().run(times, gyro, force)
+        assert reason in str(error.value)
+    expected = aplomb.Kalman().run(t_us, gyro, force).quaternion
+    for dtype in (np.int32, np.uint32, np.uint64, np.int64, float):
+        times = t_us.astype(dtype)
+        assert np.array_equal(aplomb.Kalman().run(times, gyro, force).quaternion, expected)
+    epoch_us = (start + t_us * np.timedelta64(1, "us")).astype("datetime64[us]").astype(np.int64)
+    assert np.array_equal(aplomb.Kalman().run(epoch_us, gyro, force).t_us, epoch_us)
+    for time_us in (0.01, start):
+        with pytest.raises(TypeError, match="whole microseconds"):
+            aplomb.Kalman(rate_hz=100).update(time_us, gyro[0], force[0])
+
+
 def test_the_page_shows_an_attitude_in_fifteen_lines(capsys):
     page = pathlib.Path(__file__).parents[1] / "README.md"
     source = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
