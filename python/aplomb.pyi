@@ -78,7 +78,15 @@ class AccelerometerCalibration(TypedDict):
     residual_after_m_s2: float
 
 def flag_names(flags: int) -> str: ...
-def read_log(path: str | PathLike[str]) -> Recording: ...
+def read_log(
+    path: str | PathLike[str],
+    *,
+    time_unit: Literal["us", "ms", "s", "ns"] | None = None,
+    force_unit: Literal["m/s2", "g", "mg"] | None = None,
+    rate_unit: Literal["rad/s", "deg/s", "mdeg/s"] | None = None,
+    field_unit: Literal["uT", "mG", "G", "nT", "T", "norm"] | None = None,
+    bad_rows: Literal["refuse", "skip"] | None = None,
+) -> Recording: ...
 def simulate(
     kind: Literal["flight", "swing", "rest"] = "flight", *, seed: int = 1000, seconds: int = 60
 ) -> Recording: ...

@@ -1,6 +1,8 @@
 //! Recordings: read, simulated, and as a calibration.
 
+use std::fmt::Display;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use aplomb_models::motion::Motion;
 use aplomb_models::motion::quadrotor::Quadrotor;
@@ -9,6 +11,7 @@ use aplomb_models::motion::swing::Swing;
 use aplomb_recordings::log::Log;
 use aplomb_recordings::motion::truth_of;
 use aplomb_recordings::simulated::{CONFIG, MOUNT, samples};
+use aplomb_recordings::units::{BadRows, RowOptions};
 use library::attitude::Vector3;
 use library::calibration::accelerometer::fit;
 use library::units::STANDARD_GRAVITY_M_S2;
@@ -68,14 +71,56 @@ impl Columns {
     }
 }
 
-/// Reads a recording: t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]], plain or gzipped, in
-/// SI units and microtesla.
+/// Reads a recording: t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]], plain or gzipped.
 ///
-/// Raises ValueError with file, line and reason if it is malformed or in other units.
+/// Parameters
+/// ----------
+/// path : str or path
+///     The file.
+/// time_unit : str, optional
+///     Unit of its times: "us" (the default), "ms", "s" or "ns".
+/// force_unit : str, optional
+///     Unit of its specific force: "m/s2" (the default), "g" or "mg".
+/// rate_unit : str, optional
+///     Unit of its rates: "rad/s" (the default), "deg/s" or "mdeg/s".
+/// field_unit : str, optional
+///     Unit of its magnetic field: "uT" (the default), "mG", "G", "nT", "T", or "norm" for length
+///     1, which is taken as 50 uT.
+/// bad_rows : str, optional
+///     Rule for damaged rows and those that no sensor gave: "refuse" (the default) or "skip".
+///
+/// Raises ValueError with file, line and reason if it is malformed, or if its numbers suggest
+/// another unit than a default.
 #[pyfunction]
-pub fn read_log(python: Python<'_>, path: PathBuf) -> PyResult<Recording> {
+#[pyo3(signature = (
+    path, *, time_unit=None, force_unit=None, rate_unit=None, field_unit=None, bad_rows=None
+))]
+pub fn read_log(
+    python: Python<'_>,
+    path: PathBuf,
+    time_unit: Option<&str>,
+    force_unit: Option<&str>,
+    rate_unit: Option<&str>,
+    field_unit: Option<&str>,
+    bad_rows: Option<&str>,
+) -> PyResult<Recording> {
+    let options = RowOptions {
+        time_unit: choice("time_unit", time_unit)?,
+        force_unit: choice("force_unit", force_unit)?,
+        rate_unit: choice("rate_unit", rate_unit)?,
+        field_unit: choice("field_unit", field_unit)?,
+        bad_rows: match bad_rows {
+            None => None,
+            Some("refuse") => Some(BadRows::Refuse),
+            Some("skip") => Some(BadRows::Skip),
+            Some(_) => {
+                let reason = "bad_rows: choose one of refuse, skip";
+                return Err(PyValueError::new_err(reason));
+            }
+        },
+    };
     let columns = python.detach(|| {
-        let log = Log::read(&path).map_err(|error| error.to_string())?;
+        let log = Log::read_with(&path, options).map_err(|error| arguments(error.to_string()))?;
         let mut columns = Columns::default();
         for row in log.rows() {
             columns.t_us.push(row.time_us);
@@ -89,6 +134,32 @@ pub fn read_log(python: Python<'_>, path: PathBuf) -> PyResult<Recording> {
         Ok::<_, String>(columns)
     });
     columns.map_err(PyValueError::new_err)?.into_arrays(python)
+}
+
+/// Returns the choice of an argument.
+fn choice<T>(argument: &str, name: Option<&str>) -> PyResult<Option<T>>
+where
+    T: FromStr<Err: Display>,
+{
+    let choice = name.map(str::parse).transpose();
+    choice.map_err(|error| PyValueError::new_err(format!("{argument}: {error}")))
+}
+
+/// Writes the options of the program in a message as arguments: `--time-unit ms` as
+/// `time_unit="ms"`.
+fn arguments(mut message: String) -> String {
+    for (option, _) in RowOptions::default().given() {
+        let argument = option.trim_start_matches("--").replace('-', "_");
+        let option = format!("{option} ");
+        while let Some(start) = message.find(&option) {
+            let value = start + option.len();
+            let rest = &message[value..];
+            let length = rest.find([' ', ')', ',', ';']).unwrap_or(rest.len());
+            let given = format!("{argument}=\"{}\"", &rest[..length]);
+            message.replace_range(start..value + length, &given);
+        }
+    }
+    message
 }
 
 /// Simulates a motion with its truth, 1000 samples a second, as `aplomb simulate` does.

@@ -244,6 +244,47 @@ def test_times_in_another_unit_are_named():
             aplomb.Kalman(rate_hz=100).update(time_us, gyro[0], force[0])
 
 
+def test_read_log_converts_units_and_its_messages_name_the_arguments(tmp_path):
+    recording = aplomb.simulate(seconds=2)
+
+    def log(time=1.0, force=1.0, rate=1.0, field=1.0):
+        rows = ["t_us,ax,ay,az,gx,gy,gz,mx,my,mz"]
+        for row in range(len(recording.t_us)):
+            t_us = f"{recording.t_us[row] * time:.12g}"
+            accel, gyro = recording.accel[row] * force, recording.gyro[row] * rate
+            values = [*accel, *gyro, 20 * field, 0, 44 * field]
+            rows.append(",".join([t_us, *map(str, values)]))
+        path = tmp_path / "units.csv"
+        path.write_text("\n".join(rows) + "\n")
+        return path
+
+    for scales, arguments in [
+        ({"time": 1e-3}, {"time_unit": "ms"}),
+        ({"time": 1e3}, {"time_unit": "ns"}),
+        ({"force": 1 / 9.80665}, {"force_unit": "g"}),
+        ({"field": 1e-2}, {"field_unit": "G"}),
+    ]:
+        path = log(**scales)
+        (name, unit), *_ = arguments.items()
+        with pytest.raises(ValueError) as error:
+            aplomb.read_log(path)
+        assert f'{name}="{unit}"' in str(error.value) and "--" not in str(error.value)
+        found = aplomb.read_log(path, **arguments)
+        assert np.array_equal(found.t_us, recording.t_us)
+        assert np.allclose(found.accel, recording.accel, atol=1e-6)
+        assert np.allclose(found.mag, [20, 0, 44])
+    found = aplomb.read_log(log(rate=180 / np.pi), rate_unit="deg/s")
+    assert np.allclose(found.gyro, recording.gyro, atol=1e-6)
+    path = log()
+    path.write_text(path.read_text() + "5,6\n")
+    with pytest.raises(ValueError, match='bad_rows="skip" leaves such rows out'):
+        aplomb.read_log(path)
+    assert len(aplomb.read_log(path, bad_rows="skip").t_us) == len(recording.t_us)
+    for arguments in ({"time_unit": "min"}, {"bad_rows": "keep"}, {"field_unit": "g"}):
+        with pytest.raises(ValueError, match=f"{next(iter(arguments))}: choose one of"):
+            aplomb.read_log(path, **arguments)
+
+
 def test_the_page_shows_an_attitude_in_fifteen_lines(capsys):
     page = pathlib.Path(__file__).parents[1] / "README.md"
     source = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
