@@ -69,7 +69,9 @@ class Recording:
     gyro: NDArray[np.float64]
     mag: NDArray[np.float64] | None
     truth: NDArray[np.float64]
-    moving: NDArray[np.bool_]
+    scored: NDArray[np.bool_]
+    @property
+    def moving(self) -> NDArray[np.bool_]: ...
 
 class AccelerometerCalibration(TypedDict):
     offset_m_s2: NDArray[np.float32]

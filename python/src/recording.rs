@@ -36,8 +36,18 @@ pub struct Recording {
     mag: Option<Py<PyArray2<f64>>>,
     /// True attitude, sensor to earth with z up, w x y z, NaN where unknown: float64, (n, 4).
     truth: Py<PyArray2<f64>>,
-    /// True where the row counts for scores: bool, shape (n,).
-    moving: Py<PyArray1<bool>>,
+    /// True where the row counts for scores, as in the column mov: bool, shape (n,). Without that
+    /// column all rows count, also those of a sensor at rest.
+    scored: Py<PyArray1<bool>>,
+}
+
+#[pymethods]
+impl Recording {
+    /// Former name of `scored`. The column mov is 1 where a row counts; nothing detects motion.
+    #[getter]
+    fn moving(&self, python: Python<'_>) -> Py<PyArray1<bool>> {
+        self.scored.clone_ref(python)
+    }
 }
 
 /// Columns of a recording.
@@ -48,7 +58,7 @@ struct Columns {
     gyro: Vec<f64>,
     mag: Vec<f64>,
     truth: Vec<f64>,
-    moving: Vec<bool>,
+    scored: Vec<bool>,
 }
 
 impl Columns {
@@ -66,7 +76,7 @@ impl Columns {
             accel: table(self.accel, 3)?,
             gyro: table(self.gyro, 3)?,
             truth: table(self.truth, 4)?,
-            moving: PyArray1::from_vec(python, self.moving).unbind(),
+            scored: PyArray1::from_vec(python, self.scored).unbind(),
         })
     }
 }
@@ -129,7 +139,7 @@ pub fn read_log(
             columns.mag.extend(row.field_ut.unwrap_or([f64::NAN; 3]));
             let truth = row.attitude.map_or([f64::NAN; 4], |q| [q.w, q.x, q.y, q.z]);
             columns.truth.extend(truth);
-            columns.moving.push(row.scored);
+            columns.scored.push(row.scored);
         }
         Ok::<_, String>(columns)
     });
@@ -198,7 +208,7 @@ pub fn simulate(python: Python<'_>, kind: &str, seed: u64, seconds: u64) -> PyRe
             .map(|attitude| truth_of(attitude, MOUNT));
         let truth = truth.map_or([f64::NAN; 4], |q| [q.w, q.x, q.y, q.z]);
         columns.truth.extend(truth);
-        columns.moving.push(sample.truth.scored);
+        columns.scored.push(sample.truth.scored);
     }
     columns.into_arrays(python)
 }

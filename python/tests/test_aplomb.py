@@ -161,7 +161,7 @@ def test_sample_by_sample_is_the_same(log):
 
 def test_simulate_is_that_of_the_program(log):
     recording, simulated = aplomb.read_log(log), aplomb.simulate(seed=3, seconds=20)
-    for name in ("t_us", "accel", "gyro", "moving"):
+    for name in ("t_us", "accel", "gyro", "scored"):
         found, expected = getattr(simulated, name), getattr(recording, name)
         assert np.array_equal(found.astype(np.float32), expected.astype(np.float32)), name
     assert np.allclose(simulated.truth, recording.truth, atol=1e-12, equal_nan=True)
@@ -283,6 +283,18 @@ def test_read_log_converts_units_and_its_messages_name_the_arguments(tmp_path):
     for arguments in ({"time_unit": "min"}, {"bad_rows": "keep"}, {"field_unit": "g"}):
         with pytest.raises(ValueError, match=f"{next(iter(arguments))}: choose one of"):
             aplomb.read_log(path, **arguments)
+
+
+def test_rows_that_count_are_those_of_the_column(tmp_path):
+    row = "0,0,9.8,0,0,0"
+    path = tmp_path / "scored.csv"
+    path.write_text(
+        f"t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov\n0,{row},1,0,0,0,1\n1000,{row},1,0,0,0,0\n"
+    )
+    recording = aplomb.read_log(path)
+    assert recording.scored.tolist() == recording.moving.tolist() == [True, False]
+    path.write_text(f"t_us,ax,ay,az,gx,gy,gz\n0,{row}\n1000,{row}\n")
+    assert aplomb.read_log(path).scored.all()
 
 
 def test_the_page_shows_an_attitude_in_fifteen_lines(capsys):
