@@ -13,7 +13,9 @@ use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};
 
 use super::boards::BOARD;
 use super::clocks;
+use super::retained;
 use super::timebase;
+use crate::fault::FaultClass;
 
 /// Longest wait for one bus event, in microseconds. A byte takes 22 µs, and the sensor never
 /// stretches the clock.
@@ -258,12 +260,16 @@ impl SensorBus {
             // Before the status: after a stall of the core, an event that came in time counts.
             let is_late = timebase::elapsed(start, STEP_DEADLINE_US);
             let status = port().sr1().read();
+            if status.berr().bit() {
+                // The chip flags bus errors that are none (errata). After a real one an event is
+                // missing, or the sensor acknowledges nothing more.
+                port().sr1().reset();
+                retained::count(FaultClass::BusError);
+            }
             let error = if status.af().bit() {
                 Some(ErrorKind::NoAcknowledge(source))
             } else if status.arlo().bit() {
                 Some(ErrorKind::ArbitrationLoss)
-            } else if status.berr().bit() {
-                Some(ErrorKind::Bus)
             } else if status.ovr().bit() {
                 Some(ErrorKind::Overrun)
             } else if event(&status) {

@@ -48,14 +48,17 @@ pub fn start(watchdog: &IWDG, debugger: &DBGMCU) {
 pub fn set_limit_ms(limit_ms: u32) {
     let ticks = limit_ms.saturating_mul(FASTEST_KHZ).div_ceil(DIVISION);
     let watchdog = watchdog();
-    // SAFETY: the key that opens the registers, and values of their widths (RM0090, 21.4).
-    unsafe {
-        watchdog.kr().write(|w| w.key().bits(0x5555));
-        watchdog.pr().write(|w| w.pr().bits(PRESCALER));
-        watchdog
-            .rlr()
-            .write(|w| w.rl().bits(ticks.min(0xFFF) as u16));
-    }
+    // A feed in between would close the registers again.
+    cortex_m::interrupt::free(|_| {
+        // SAFETY: the key that opens the registers, and values of their widths (RM0090, 21.4).
+        unsafe {
+            watchdog.kr().write(|w| w.key().bits(0x5555));
+            watchdog.pr().write(|w| w.pr().bits(PRESCALER));
+            watchdog
+                .rlr()
+                .write(|w| w.rl().bits(ticks.min(0xFFF) as u16));
+        }
+    });
     // The limit reaches the counter within five cycles of its oscillator. A feed before that would
     // reload the old limit.
     for _ in 0..CROSSING_READINGS {

@@ -534,6 +534,74 @@ fn a_fault_right_after_a_warm_start_is_reported() {
     assert_eq!(reports.count(), 1);
 }
 
+/// Edges that return may come just after the STOP of a burst that the timer has started. A START
+/// written then sticks.
+#[test]
+fn edges_that_return_at_any_time_leave_the_bus_alone() {
+    let mut random = 1_u32;
+    let mut uniform = |low: u32, high: u32| {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        low + (random >> 8) % (high - low)
+    };
+    let mut at_us = 2_000_000;
+    let mut schedule = String::new();
+    for _ in 0..600 {
+        let missing_us = uniform(5_000, 12_000);
+        let (start_s, duration_s) = (f64::from(at_us) * 1e-6, f64::from(missing_us) * 1e-6);
+        schedule += &format!("{start_s} {duration_s} int-missing\n");
+        at_us += missing_us + uniform(5_000, 8_000);
+    }
+    let outcome = fly(&schedule, f64::from(at_us) * 1e-6);
+    assert_eq!(reports(&outcome, "the bus"), [""; 0], "{:#?}", reports(&outcome, "# "));
+}
+
+/// Returns the lines from 1 s on with this text.
+fn reports<'a>(outcome: &'a Outcome, text: &str) -> Vec<&'a str> {
+    let lines = outcome.uart_lines.iter();
+    lines
+        .filter(|line| line.at_ns > 1_000_000_000 && line.text.contains(text))
+        .map(|line| line.text.as_str())
+        .collect()
+}
+
+#[test]
+fn a_save_cuts_off_no_burst_and_makes_no_second_recovery() {
+    let save = |faults: &str| {
+        Run::new(firmware())
+            .motion(Rest::level())
+            .schedule(&Schedule::parse("test", faults).unwrap())
+            .command(1.0, "mount z-down")
+            .command(2.7, "save")
+            .seconds(5.0)
+            .without_account()
+            .run()
+            .unwrap()
+    };
+    let polled = save("1.5 9 int-missing");
+    assert_eq!(reports(&polled, "the bus"), [""; 0]);
+    assert_eq!(reports(&polled, "stored").len(), 1);
+    for stall in ["2.7095", "2.7100"] {
+        let stalled = save(&format!("{stall} 0.002 burst-stall"));
+        let recoveries = reports(&stalled, "setting the bus and the sensor up again");
+        assert!(recoveries.len() <= 1, "{recoveries:?}");
+        assert_eq!(reports(&stalled, "stored").len(), 1);
+    }
+}
+
+#[test]
+fn a_bus_error_that_is_a_flag_alone_fails_no_self_test() {
+    let outcome = Run::new(firmware())
+        .motion(Rest::level())
+        .schedule(&Schedule::parse("test", "2.0 2.5 bus-error:flag").unwrap())
+        .command(2.0, "self-test")
+        .seconds(5.0)
+        .without_account()
+        .run()
+        .unwrap();
+    assert_eq!(reports(&outcome, "failed self-test"), [""; 0]);
+    assert_eq!(reports(&outcome, "done self-test").len(), 1);
+}
+
 #[test]
 fn interrupts_at_8_khz_starve_nobody() {
     // First glitches all the time. Then the widest low-pass filter, whose output rate is 8 kHz, and

@@ -27,11 +27,13 @@ impl BurstReader {
             request_stale_snapshot(timebase, self.flags | self.latched_flags);
             return true;
         }
-        if LINK.is_pause_wanted.swap(false, Ordering::Relaxed) && self.step == BurstStep::Idle {
+        if LINK.is_pause_wanted.load(Ordering::Relaxed) && self.step == BurstStep::Idle {
             self.disable();
             return false;
         }
-        if has_lost_crystal && !timebase::burst_alarm_is_due() {
+        // An edge may have set the alarm anew just after it was due.
+        let may_be_early = has_lost_crystal || self.step != BurstStep::Idle;
+        if may_be_early && !timebase::burst_alarm_is_due() {
             return false;
         }
         if self.step != BurstStep::Idle {

@@ -163,6 +163,8 @@ pub fn enable(ready: &Ready, config: &Config) {
         *SETUP.0.get() = Setup::new(config, ready.part, period_us);
     }
     LINK.address.store(ready.address, Ordering::Relaxed);
+    // A fault may have disabled the reader before it saw the wish.
+    LINK.is_pause_wanted.store(false, Ordering::Relaxed);
     LINK.is_enabled.store(true, Ordering::Release);
     // The alarm makes the reader load the set-up, and then unmask the edges.
     timebase::raise_burst_alarm();
@@ -172,8 +174,8 @@ pub fn enable(ready: &Ready, config: &Config) {
 /// ends first.
 pub fn pause() {
     exti().imr().reset();
-    timebase::Delay.delay_us(BURST_DEADLINE_US);
     LINK.is_pause_wanted.store(true, Ordering::Relaxed);
+    timebase::Delay.delay_us(BURST_DEADLINE_US);
     timebase::raise_burst_alarm();
     timebase::sleep_until(|| !is_enabled());
 }

@@ -5,8 +5,9 @@
 //! transfer with the compass instead, if there is one.
 
 use core::cell::UnsafeCell;
+use core::sync::atomic::Ordering;
 
-use super::link::{CHECKS, setup};
+use super::link::{CHECKS, LINK, setup};
 use super::{
     BURST_DEADLINE_US, BurstReader, Mode, POLL_AFTER_CHECK_US, SILENCE_DEADLINE_US, Transaction,
     dma, i2c1, is_enabled, send_stop,
@@ -77,7 +78,7 @@ impl BurstReader {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
             && i2c1().cr1().read().stop().bit_is_clear();
-        if !is_free || !is_enabled() {
+        if !is_free || !is_enabled() || LINK.is_pause_wanted.load(Ordering::Relaxed) {
             return;
         }
         if compass::IS_BUILT_IN && self.start_transfer() {
