@@ -26,7 +26,132 @@ pub struct BoardModel {
     pub core_hz: u64,
     /// The chip's DEV_ID in DBGMCU_IDCODE (RM0090, RM0368, RM0383 and RM0390, MCU device ID code).
     pub device_id: u16,
+    /// Peripherals of the STM32F427, which the virtual board models, that this chip lacks: tables 1
+    /// of RM0090, RM0368, RM0383 and RM0390.
+    pub absent: &'static [&'static str],
 }
+
+/// Peripherals that the STM32F405 lacks.
+const ABSENT_F405: &[&str] = &[
+    "SPI4",
+    "SPI5",
+    "SPI6",
+    "SAI1",
+    "DMA2D",
+    "UART7",
+    "UART8",
+    "GPIOJ",
+    "GPIOK",
+    "CRYP",
+    "HASH",
+    "DCMI",
+    "Ethernet_MAC",
+    "Ethernet_MMC",
+    "Ethernet_PTP",
+    "Ethernet_DMA",
+];
+
+/// Peripherals that the STM32F446 lacks.
+const ABSENT_F446: &[&str] = &[
+    "SPI5",
+    "SPI6",
+    "DMA2D",
+    "UART7",
+    "UART8",
+    "GPIOI",
+    "GPIOJ",
+    "GPIOK",
+    "CRYP",
+    "HASH",
+    "RNG",
+    "Ethernet_MAC",
+    "Ethernet_MMC",
+    "Ethernet_PTP",
+    "Ethernet_DMA",
+];
+
+/// Peripherals that the STM32F411 lacks.
+const ABSENT_F411: &[&str] = &[
+    "TIM6",
+    "TIM7",
+    "TIM8",
+    "TIM12",
+    "TIM13",
+    "TIM14",
+    "USART3",
+    "UART4",
+    "UART5",
+    "UART7",
+    "UART8",
+    "SPI6",
+    "SAI1",
+    "DMA2D",
+    "CAN1",
+    "CAN2",
+    "DAC",
+    "ADC2",
+    "ADC3",
+    "GPIOF",
+    "GPIOG",
+    "GPIOI",
+    "GPIOJ",
+    "GPIOK",
+    "CRYP",
+    "HASH",
+    "RNG",
+    "DCMI",
+    "FMC",
+    "Ethernet_MAC",
+    "Ethernet_MMC",
+    "Ethernet_PTP",
+    "Ethernet_DMA",
+    "OTG_HS_GLOBAL",
+    "OTG_HS_HOST",
+    "OTG_HS_DEVICE",
+    "OTG_HS_PWRCLK",
+];
+
+/// Peripherals that the STM32F401 lacks.
+const ABSENT_F401: &[&str] = &[
+    "SPI5",
+    "TIM6",
+    "TIM7",
+    "TIM8",
+    "TIM12",
+    "TIM13",
+    "TIM14",
+    "USART3",
+    "UART4",
+    "UART5",
+    "UART7",
+    "UART8",
+    "SPI6",
+    "SAI1",
+    "DMA2D",
+    "CAN1",
+    "CAN2",
+    "DAC",
+    "ADC2",
+    "ADC3",
+    "GPIOF",
+    "GPIOG",
+    "GPIOI",
+    "GPIOJ",
+    "GPIOK",
+    "CRYP",
+    "HASH",
+    "RNG",
+    "DCMI",
+    "FMC",
+    "Ethernet_MAC",
+    "Ethernet_MMC",
+    "Ethernet_PTP",
+    "Ethernet_DMA",
+    "OTG_HS_GLOBAL",
+    "OTG_HS_HOST",
+    "OTG_HS_DEVICE",
+    "OTG_HS_PWRCLK",
+];
 
 /// All boards; the first is the default.
 pub const BOARDS: [BoardModel; 5] = [
@@ -35,30 +160,35 @@ pub const BOARDS: [BoardModel; 5] = [
         input: HighSpeedInput::Crystal(8_000_000),
         core_hz: 168_000_000,
         device_id: 0x413,
+        absent: ABSENT_F405,
     },
     BoardModel {
         name: "blackpill-f401",
         input: HighSpeedInput::Crystal(25_000_000),
         core_hz: 84_000_000,
         device_id: 0x423,
+        absent: ABSENT_F401,
     },
     BoardModel {
         name: "blackpill-f411",
         input: HighSpeedInput::Crystal(25_000_000),
         core_hz: 100_000_000,
         device_id: 0x431,
+        absent: ABSENT_F411,
     },
     BoardModel {
         name: "nucleo-f411",
         input: HighSpeedInput::ExternalClock(8_000_000),
         core_hz: 100_000_000,
         device_id: 0x431,
+        absent: ABSENT_F411,
     },
     BoardModel {
         name: "nucleo-f446",
         input: HighSpeedInput::ExternalClock(8_000_000),
         core_hz: 168_000_000,
         device_id: 0x421,
+        absent: ABSENT_F446,
     },
 ];
 
@@ -75,6 +205,8 @@ impl BoardModel {
 pub struct Board {
     /// The microcontroller with everything on its pins.
     pub controller: Microcontroller,
+    /// The board's model.
+    pub model: BoardModel,
     core_hz: NonZeroU64,
     /// The vector table's handlers, by exception number.
     handlers: Vec<u32>,
@@ -98,6 +230,7 @@ impl Board {
     ) -> Self {
         Self {
             controller,
+            model,
             core_hz: NonZeroU64::new(model.core_hz).unwrap_or(NonZeroU64::MIN),
             handlers,
             profile,

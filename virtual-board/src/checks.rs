@@ -19,6 +19,8 @@ use rigless::soc::Bus;
 pub enum Rule {
     /// A peripheral answers only while its clock is on.
     Clocked,
+    /// A peripheral of the virtual board that the board's own chip lacks.
+    Absent,
     /// Reserved bits stay zero.
     Reserved,
     /// The set-up of a stream changes only while the stream is off.
@@ -37,6 +39,7 @@ impl fmt::Display for Rule {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(match self {
             Self::Clocked => "a peripheral without a clock (RM0090, 7.3.10 to 7.3.14)",
+            Self::Absent => "the chip has no such peripheral (memory map of its manual)",
             Self::Reserved => "a reserved bit is set (RM0090, 1.1)",
             Self::StreamOff => "the set-up of a stream changes while it is on (RM0090, 10.3.17)",
             Self::StreamFlags => "a stream is enabled with old flags (RM0090, 10.3.17)",
@@ -108,14 +111,25 @@ impl Checks {
         lock(&self.0.violations).iter().copied().collect()
     }
 
-    /// Notes that a peripheral had no clock when the core accessed this address.
-    pub fn note_without_clock(&self, address: u64) {
+    /// Notes a rule that accesses to this address break, at the place of the first of them.
+    pub fn note_at(&self, rule: Rule, address: u64) {
         let first = lock(&self.0.first).get(&address).copied();
         lock(&self.0.violations).insert(Violation {
-            rule: Rule::Clocked,
+            rule,
             address,
             program_counter: first.unwrap_or(0),
         });
+    }
+
+    /// Notes accesses to peripherals with these names, which the chip lacks.
+    pub fn note_absent(&self, bus: &Bus, absent: &[&str]) {
+        let accessed: Vec<u64> = lock(&self.0.first).keys().copied().collect();
+        for address in accessed {
+            let slot = bus.slot_at(address).map(|at| bus.slots()[at].peripheral());
+            if slot.is_some_and(|peripheral| absent.contains(&peripheral.name)) {
+                self.note_at(Rule::Absent, address);
+            }
+        }
     }
 
     /// Checks an access of the core, and gives the devices' notes their place.

@@ -15,11 +15,13 @@ use std::time::Instant;
 
 use rigless::emulator::{self, Start};
 use rigless::image::Image;
+use rigless::mcu::Mcu as _;
 use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use crate::Error;
 use crate::board::{BOARDS, Board, BoardModel};
+use crate::checks::Rule;
 use crate::crystal::HighSpeedInput;
 use crate::faults::{Fault, ScheduledFault, internal_time, nanoseconds, scheduled};
 use crate::fitted::FittedSensor;
@@ -438,10 +440,11 @@ pub struct Outcome {
     pub faults: Vec<ScheduledFault>,
     /// The calibration slots, and what was done to them.
     pub flash: FlashRecord,
-    /// Rules of [`checks`](crate::checks) that the firmware has broken, with their places.
+    /// Rules of [`checks`](crate::checks) that the firmware has broken, with their places. Also
+    /// accesses to no register, refused accesses, writes that nothing models, and interrupts
+    /// without a line. Each fails a campaign's flight, and `fly`.
     pub violations: Vec<String>,
-    /// Violations, accesses that the board does not model, resets, and gaps in the account of
-    /// instructions. Empty in a sound run.
+    /// Violations, resets, and gaps in the account of instructions. Empty in a sound run.
     pub issues: Vec<String>,
 }
 
@@ -496,22 +499,40 @@ fn lines(record: &Record) -> Vec<UartLine> {
         .collect()
 }
 
-/// Lists the rules for accesses to registers that the firmware has broken.
+/// Lists the rules for accesses that the firmware has broken, and accesses that do nothing.
 fn violations(session: &Session<Board>) -> Vec<String> {
     // Wait states too few for the clock, above all (RM0090, 3.5.1).
     let told = session
         .told()
         .map(|told| format!("{}.{}: {}", told.instance, told.register, told.reason));
-    let checks = session.board().controller.checks();
-    let gated = session.refused().iter();
-    for (&address, _) in gated.filter(|(_, fault)| fault.is_shut_gate()) {
-        checks.note_without_clock(address);
+    let controller = &session.board().controller;
+    let checks = controller.checks();
+    let refused = session.refused().iter();
+    let (gated, refused): (Vec<_>, Vec<_>) = refused.partition(|(_, fault)| fault.is_shut_gate());
+    for (&address, _) in gated {
+        checks.note_at(Rule::Clocked, address);
     }
-    let own = checks.violations();
-    let prefetch = session.board().controller.prefetches_on_revision_a();
+    checks.note_absent(controller.bus(), session.board().model.absent);
+    let prefetch = controller.prefetches_on_revision_a();
     let prefetch = prefetch.then(|| "FLASH.ACR: the prefetch is on, on revision A (ES0182)".into());
+    let own = checks.violations();
     let own = own.iter().map(ToString::to_string);
-    told.chain(own).chain(prefetch).collect()
+    let unmapped = session.unmapped().into_iter();
+    let unmapped = unmapped.map(|unmapped| format!("no such address: {unmapped}"));
+    let refused = refused.into_iter();
+    let refused = refused.map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}"));
+    let unmodelled = session.unimplemented().values();
+    let unmodelled = unmodelled.filter(|access| access.writes > 0).map(|access| {
+        format!(
+            "not modelled: {}.{} written at {:#010x}",
+            access.instance, access.register, access.program_counter
+        )
+    });
+    let unrouted = session.unrouted().iter();
+    let unrouted = unrouted.map(|unrouted| format!("an interrupt without a line: {unrouted:?}"));
+    let rules = told.chain(own).chain(prefetch);
+    let without_effect = unmapped.chain(refused).chain(unmodelled).chain(unrouted);
+    rules.chain(without_effect).collect()
 }
 
 /// Lists the events that a sound run does not have.
@@ -520,42 +541,10 @@ fn issues(
     violations: &[String],
     profile: &Mutex<Profile>,
 ) -> Vec<String> {
-    let mut issues: Vec<String> = session
-        .unmapped()
-        .iter()
-        .map(|unmapped| format!("no such address: {unmapped}"))
+    let resets = session.resets().iter();
+    let mut issues: Vec<String> = resets
+        .map(|reset| format!("reset at {} ns: {:?}", reset.at.0, reset.cause))
         .collect();
-    issues.extend(
-        session
-            .refused()
-            .iter()
-            .filter(|(_, fault)| !fault.is_shut_gate())
-            .map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")),
-    );
-    issues.extend(
-        session
-            .unimplemented()
-            .values()
-            .filter(|access| access.writes > 0)
-            .map(|access| {
-                format!(
-                    "not modelled: {}.{} written at {:#010x}",
-                    access.instance, access.register, access.program_counter
-                )
-            }),
-    );
-    issues.extend(
-        session
-            .unrouted()
-            .iter()
-            .map(|unrouted| format!("an interrupt without a line: {unrouted:?}")),
-    );
-    issues.extend(
-        session
-            .resets()
-            .iter()
-            .map(|reset| format!("reset at {} ns: {:?}", reset.at.0, reset.cause)),
-    );
     issues.extend_from_slice(violations);
     let unexplained = profile.lock().map_or(1, |profile| profile.unexplained());
     if unexplained > 0 {

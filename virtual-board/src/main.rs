@@ -253,7 +253,7 @@ fn fly(options: &Fly) -> Result<(), String> {
         return Err("the firmware published no attitude".into());
     }
     if !outcome.violations.is_empty() {
-        return Err("the firmware broke rules of the manual: see the warnings above".into());
+        return Err("the firmware accessed registers wrongly: see the warnings above".into());
     }
     Ok(())
 }

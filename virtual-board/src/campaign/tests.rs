@@ -117,6 +117,26 @@ fn what_is_sound_passes_and_is_measured() {
 }
 
 #[test]
+fn a_violation_is_expected_only_with_the_fault_that_explains_it() {
+    let [sag, overflow] = ["1.8 0.03 supply-sag:2500", "1.8 0 stack-overflow"].map(case);
+    let wait_states = "FLASH.ACR: too few";
+    let [stack, other] = [0x1FFF_FFF8_u64, 0x4001_4C00]
+        .map(|at| format!("no such address: unmapped at={at:#010x} pc=0x0800c000"));
+    for (violation, is_of_sag, is_of_overflow) in [
+        (wait_states, true, false),
+        (&stack, false, true),
+        (&other, false, false),
+    ] {
+        assert_eq!(is_expected(&sag, violation), is_of_sag, "{violation}");
+        assert_eq!(
+            is_expected(&overflow, violation),
+            is_of_overflow,
+            "{violation}"
+        );
+    }
+}
+
+#[test]
 fn a_wrong_heading_fails_only_if_it_is_valid() {
     let (case, mut record) = sound();
     let mut put = |offset_deg: f32, sigma_deg: f32, is_valid: bool| {

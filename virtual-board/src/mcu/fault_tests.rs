@@ -816,7 +816,7 @@ fn reserved_bits_and_missing_clocks_are_noted_with_their_place() {
     checks.complete(&bad, &reserved);
     let unclocked = access(AccessKind::Read, &USART2, 0, 0);
     checks.complete(&unclocked, &reserved);
-    checks.note_without_clock(unclocked.address);
+    checks.note_at(Rule::Clocked, unclocked.address);
     let seen: Vec<String> = checks
         .violations()
         .iter()
@@ -830,6 +830,19 @@ fn reserved_bits_and_missing_clocks_are_noted_with_their_place() {
             "a reserved bit is set (RM0090, 1.1): 0x40005400 accessed at 0x0800c000",
         ]
     );
+}
+
+#[test]
+fn a_peripheral_that_the_chip_lacks_is_noted() {
+    let bench = strict_bench();
+    let bus = bench.controller.bus();
+    let access = Access::new(AccessKind::Read, USART2.base, Width::W32, 0);
+    for (absent, count) in [("USART2", 1), ("USART3", 0)] {
+        let checks = Checks::default();
+        checks.complete(&access, &Reserved::of(bus));
+        checks.note_absent(bus, &[absent]);
+        assert_eq!(checks.violations().len(), count, "{absent}");
+    }
 }
 
 #[test]
