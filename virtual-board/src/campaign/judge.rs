@@ -396,7 +396,12 @@ impl Judge<'_> {
         // No telemetry is due before the first attitude.
         let first_ns = published.first().copied().unwrap_or(u64::MAX);
         let lines = self.uart_lines.iter().map(|line| line.at_ns);
-        let lines = lines.filter(|&at_ns| at_ns >= first_ns).collect();
+        let mut lines: Vec<u64> = lines.filter(|&at_ns| at_ns >= first_ns).collect();
+        // The pause before a line begins with the first snapshot, also after a reset.
+        lines.extend(published.first());
+        lines.extend(self.starts_ns().map(|start| *start.end()));
+        lines.retain(|&at_ns| at_ns <= self.end_ns());
+        lines.sort_unstable();
         for (times_ns, longest_ns, what) in [
             (published, LONGEST_SILENCE_NS, "nothing was published"),
             (lines, LONGEST_UART_SILENCE_NS, "no line came by UART"),

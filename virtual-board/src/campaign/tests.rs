@@ -96,9 +96,18 @@ fn sound() -> (Case, Record) {
     (case, record)
 }
 
+/// A line by UART every 20 ms, for longer than any flight here.
+fn telemetry() -> Vec<UartLine> {
+    let line = |at_ms: u64| UartLine {
+        at_ns: at_ms * MILLISECOND,
+        text: "roll:0.0".to_owned(),
+    };
+    (0..30_000).step_by(20).map(line).collect()
+}
+
 #[track_caller]
 fn assert_fails(case: &Case, record: &Record, why: &str) {
-    let failures = judge(case, record, &[]).failures;
+    let failures = judge(case, record, &telemetry()).failures;
     assert!(
         failures.iter().any(|failure| failure.contains(why)),
         "{failures:?}"
@@ -108,7 +117,7 @@ fn assert_fails(case: &Case, record: &Record, why: &str) {
 #[test]
 fn what_is_sound_passes_and_is_measured() {
     let (case, record) = sound();
-    let report = judge(&case, &record, &[]);
+    let report = judge(&case, &record, &telemetry());
     assert_eq!(report.failures, Vec::<String>::new());
     assert_eq!(report.faults.len(), 1);
     assert!(report.faults[0].is_detected);
@@ -145,7 +154,7 @@ fn a_wrong_heading_fails_only_if_it_is_valid() {
             sigma_rad: sigma_deg.to_radians(),
             is_valid,
         });
-        judge(&case, &record, &[]).failures
+        judge(&case, &record, &telemetry()).failures
     };
     for allowed in [(14.9, 0.5, true), (-23.0, 4.0, true), (90.0, 4.0, false)] {
         let (offset_deg, sigma_deg, is_valid) = allowed;
@@ -161,7 +170,7 @@ fn a_wrong_heading_fails_only_if_it_is_valid() {
     // A heading without an attitude is not valid.
     put(90.0, 0.5, true);
     record.samples[1000].snapshot.flags = Flags::DEGRADED;
-    let failures = judge(&case, &record, &[]).failures;
+    let failures = judge(&case, &record, &telemetry()).failures;
     assert!(!failures.iter().any(|text| text.contains("headings")));
 }
 
@@ -174,7 +183,10 @@ fn a_late_recovery_fails() {
         &record,
         "valid again after 25.4 ms, allowed are 20.0 ms",
     );
-    assert_eq!(judge(&case, &record, &[]).faults[0].recovery_ns, None);
+    assert_eq!(
+        judge(&case, &record, &telemetry()).faults[0].recovery_ns,
+        None
+    );
 }
 
 #[test]
@@ -206,7 +218,7 @@ fn a_wrong_attitude_fails_unless_its_sigma_or_its_flags_say_so() {
     );
     for (flags, sigma_deg) in [(Flags::VALID, 2.0), (Flags::DEGRADED, 0.1)] {
         assert_eq!(
-            judge(&case, &with_wrong_attitude(flags, sigma_deg), &[]).failures,
+            judge(&case, &with_wrong_attitude(flags, sigma_deg), &telemetry()).failures,
             Vec::<String>::new()
         );
     }
@@ -222,7 +234,7 @@ fn a_stuck_axis_may_be_wrong_for_two_windows_and_no_longer() {
         let mut record = record(&case, 0..0);
         let sample = &mut record.samples[time_ms - 300];
         sample.snapshot.attitude.x += 0.1;
-        let failures = judge(&case, &record, &[]).failures;
+        let failures = judge(&case, &record, &telemetry()).failures;
         let is_wrong = failures.iter().any(|text| text.contains("were wrong"));
         assert_eq!(is_wrong, !is_allowed, "{time_ms}: {failures:?}");
     }
@@ -296,7 +308,7 @@ fn a_firmware_that_is_never_ready_fails() {
 fn nothing_may_be_seen_of_what_comes_in_by_uart() {
     let case = case("1.8 0.2 uart-flood");
     assert_eq!(
-        judge(&case, &record(&case, 0..0), &[]).failures,
+        judge(&case, &record(&case, 0..0), &telemetry()).failures,
         Vec::<String>::new()
     );
     let record = record(&case, 1850 * MILLISECOND..1860 * MILLISECOND);
@@ -309,7 +321,7 @@ fn faults_that_follow_closely_are_one_episode() {
     let report = judge(
         &case,
         &record(&case, 1800 * MILLISECOND..2000 * MILLISECOND),
-        &[],
+        &telemetry(),
     );
     assert_eq!(
         report.failures,
@@ -323,14 +335,17 @@ fn faults_that_follow_closely_are_one_episode() {
 fn a_fault_that_leaves_no_trace_waits_for_one_that_does_shortly_after() {
     let case = case("1.8 0.2 uart-flood\n1.803 0.02 frozen");
     let record = record(&case, 1803 * MILLISECOND..1900 * MILLISECOND);
-    assert_eq!(judge(&case, &record, &[]).failures, Vec::<String>::new());
+    assert_eq!(
+        judge(&case, &record, &telemetry()).failures,
+        Vec::<String>::new()
+    );
 }
 
 #[test]
 fn the_table_counts_by_class() {
     let (case, record) = sound();
     let mut table = Table::default();
-    table.add(&judge(&case, &record, &[]).faults);
+    table.add(&judge(&case, &record, &telemetry()).faults);
     let text = table.to_string();
     let row = text
         .lines()
@@ -436,7 +451,7 @@ fn an_attitude_by_the_internal_oscillator_without_its_flags_fails() {
         for sample in &mut record.samples {
             sample.snapshot.flags |= flags;
         }
-        judge(&case, &record, &[])
+        judge(&case, &record, &telemetry())
     };
     let sound = without_crystal(Flags::INTERNAL_CLOCK | Flags::DEGRADED);
     assert_eq!(sound.failures, Vec::<String>::new());
@@ -460,7 +475,10 @@ fn a_dead_crystal_is_flagged_until_a_reset() {
         let expected = Flags::INTERNAL_CLOCK | Flags::DEGRADED;
         sample.snapshot.flags.set(expected, is_late);
     }
-    assert_eq!(judge(&case, &record, &[]).failures, Vec::<String>::new());
+    assert_eq!(
+        judge(&case, &record, &telemetry()).failures,
+        Vec::<String>::new()
+    );
 }
 
 #[test]
@@ -488,7 +506,7 @@ fn a_save_may_pause_for_an_erase_and_no_longer() {
         record.samples.retain(|sample| {
             !(3500 * MILLISECOND..3540 * MILLISECOND).contains(&sample.edge.unwrap().time_ns)
         });
-        judge(&case, &record, &[]).failures
+        judge(&case, &record, &telemetry()).failures
     };
     assert_eq!(pause(2_320), Vec::<String>::new());
     let failures = pause(2_340);
@@ -514,7 +532,7 @@ fn a_save_in_which_the_crystal_dies_may_take_longer_by_an_erase() {
             let internal = Flags::INTERNAL_CLOCK | Flags::DEGRADED;
             sample.snapshot.flags.set(internal, is_internal);
         }
-        let failures = judge(&case, &record, &[]).failures;
+        let failures = judge(&case, &record, &telemetry()).failures;
         let found = failures.iter().any(|text| text.starts_with("valid again"));
         assert_eq!(found, is_late, "{faults}: {failures:?}");
     }
@@ -545,12 +563,41 @@ fn telemetry_may_be_silent_until_the_sensor_is_back_after_a_reset() {
 }
 
 #[test]
+fn telemetry_that_never_comes_or_not_after_a_reset_fails() {
+    let mut case = case("1.84 0 crash");
+    case.seconds = 2.5;
+    let mut record = record(&case, 1840 * MILLISECOND..1_990 * MILLISECOND);
+    record.stale.clear();
+    record.resets_ns.push(1_850 * MILLISECOND);
+    let silence = |lines: &[UartLine]| {
+        let failures = judge(&case, &record, lines).failures;
+        failures
+            .into_iter()
+            .find(|text| text.starts_with("no line came"))
+    };
+    assert_eq!(silence(&telemetry()), None);
+    let never = silence(&[]).unwrap();
+    assert!(never.ends_with("from 1.9904 s on"), "{never}");
+    let mut dead = telemetry();
+    dead.retain(|line| line.at_ns < 1_850 * MILLISECOND);
+    let failure = silence(&dead).unwrap();
+    assert!(failure.ends_with("from 1.9904 s on"), "{failure}");
+    let mut late = telemetry();
+    late.retain(|line| !(1_850 * MILLISECOND..2_190 * MILLISECOND).contains(&line.at_ns));
+    let failure = silence(&late).unwrap();
+    assert!(
+        failure.starts_with("no line came by UART for 209."),
+        "{failure}"
+    );
+}
+
+#[test]
 fn a_failure_of_the_supply_resets_and_allows_the_time_of_a_start() {
     let case = case("1.8 0.1 supply-sag:1000");
     let mut record = record(&case, 1800 * MILLISECOND..3500 * MILLISECOND);
     assert_fails(&case, &record, "nothing reset it");
     record.resets_ns.push(1_900 * MILLISECOND);
-    let report = judge(&case, &record, &[]);
+    let report = judge(&case, &record, &telemetry());
     assert_eq!(report.failures, Vec::<String>::new());
     let recovery_ms = report.faults[0].recovery_ns.map(|ns| ns / MILLISECOND);
     assert_eq!(recovery_ms, Some(1_600));
