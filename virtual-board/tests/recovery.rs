@@ -15,7 +15,7 @@ use aplomb_models::motion::poses::Poses;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
 use common::firmware;
-use virtual_board::campaign::{self, Case, judge};
+use virtual_board::campaign::{self, Case};
 use virtual_board::faults::{Fault, FaultKind, ScheduledFault};
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::schedule::Schedule;
@@ -164,7 +164,7 @@ fn assert_row(row: &Row, class: &str, fault: &str) {
     let line = format!("{start_s} {} {fault}", duration_s(class, fault));
     let case = Case::new(SEED, Schedule::parse("test", &line).unwrap());
     let outcome = case.fly(&firmware()).unwrap();
-    let report = judge(&case, &outcome.record, &outcome.uart_lines);
+    let report = campaign::report(&case, &outcome);
     assert_eq!(report.failures, Vec::<String>::new(), "{fault}");
 
     let scheduled: ScheduledFault = case.schedule.faults[0];
