@@ -336,9 +336,19 @@ pub fn report(case: &Case, outcome: &Outcome) -> Report {
     report.failures.extend(own.cloned());
     if case.conditions.save_s.is_some() {
         let slots = &outcome.flash.bytes;
-        slots::check(slots, &outcome.uart_lines, &mut report.failures);
+        let may_be_silent = may_lose_answer(case);
+        let lines = &outcome.uart_lines;
+        slots::check(slots, lines, may_be_silent, &mut report.failures);
     }
     report
+}
+
+/// Returns true if a save, or its answer, may be lost: the core resets, or the UART's line is not
+/// free. In a sag that the core survives, the firmware answers.
+fn may_lose_answer(case: &Case) -> bool {
+    let mut faults = case.schedule.faults.iter();
+    let loses = |kind| matches!(kind, FaultKind::UartFlood | FaultKind::UartNoise);
+    faults.any(|fault| fault.kind.resets() || loses(fault.kind))
 }
 
 /// Returns true if a fault of the case explains a violation.
