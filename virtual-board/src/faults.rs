@@ -7,6 +7,8 @@
 use std::fmt;
 use std::ops::Range;
 
+use aplomb::fault::FaultClass;
+
 /// A kind of fault with its parameter. Its text form is the name, and the parameter after a colon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FaultKind {
@@ -229,11 +231,56 @@ impl FaultKind {
     /// Returns true if the fault ends in a reset of the processor.
     #[must_use]
     pub fn resets(&self) -> bool {
-        let leaves_supply = matches!(
+        let resets_with_supply_on = matches!(
             self,
             Self::WatchdogHang | Self::Crash | Self::StackOverflow | Self::DebuggerReset
         );
-        leaves_supply || self.stops_core()
+        resets_with_supply_on || self.stops_core()
+    }
+
+    /// Returns the classes of which the firmware counts one at least (docs/faults.md). Empty if
+    /// the fault leaves no trace, or shows in some flights alone: a stuck axis only in motion.
+    #[must_use]
+    pub fn counted(&self) -> &'static [FaultClass] {
+        use FaultClass as Class;
+        match self {
+            Self::AddressNack(_) => &[Class::AddressNotAcknowledged],
+            Self::DataNack(0) => &[Class::DataNotAcknowledged],
+            Self::BurstStall => &[Class::BurstDeadline],
+            Self::SdaLow(None) => &[Class::DataLineLow],
+            Self::SdaLow(Some(_)) => &[
+                Class::BurstDeadline,
+                Class::DataLineLow,
+                Class::ArbitrationLost,
+                Class::BusError,
+                Class::AddressNotAcknowledged,
+            ],
+            Self::SclLow => &[Class::ClockLineLow, Class::BurstDeadline],
+            Self::BusError(_) => &[Class::BusError],
+            Self::ArbitrationLost => &[Class::ArbitrationLost],
+            Self::DmaError => &[Class::Dma],
+            Self::IntMissing | Self::IntLow => &[Class::InterruptMissing],
+            Self::IntHigh => &[Class::InterruptStuckHigh, Class::InterruptMissing],
+            Self::IntGlitch(_) => &[Class::InterruptGlitch],
+            Self::SensorSilent => &[Class::AddressNotAcknowledged, Class::SensorSilent],
+            Self::SensorBrownout => &[Class::AddressNotAcknowledged, Class::SensorReset],
+            Self::RegisterFlip(..) => &[Class::RegisterChanged, Class::SensorReset],
+            Self::Frozen => &[Class::Frozen],
+            Self::Zeros | Self::Ones => &[Class::Rejected],
+            Self::Saturated(_) => &[Class::Saturated],
+            Self::Temperature(_) => &[Class::Temperature],
+            Self::UartNoise => &[Class::UartInput],
+            Self::CrystalDies => &[Class::ClockFailed],
+            Self::AttitudeLate => &[Class::AttitudeLate],
+            Self::Crash => &[Class::Crash],
+            Self::StackOverflow => &[Class::StackOverflow],
+            Self::WatchdogHang => &[Class::Watchdog],
+            // The firmware may not address the compass in so short a stall. It does not count
+            // every stall of the core.
+            Self::CompassStall | Self::CoreStall => &[],
+            kind if kind.is_of_compass() => &[Class::Compass],
+            _ => &[],
+        }
     }
 
     /// Returns true if the core has no supply during the fault.

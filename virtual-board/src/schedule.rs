@@ -293,6 +293,18 @@ impl fmt::Display for Schedule {
 /// Drawn faults begin after this time, when the gyroscope's offset has been measured, s.
 pub const FIRST_FAULT_S: f64 = 1.7;
 
+/// Settings of the sensor that a drawn flip changes: register, value with the settings by default,
+/// and the bits that the firmware sets (MPU-6000 and MPU-6050 register map, sections 4.2 to 4.28).
+const SETTINGS: [(u8, u8, u8); 7] = [
+    (0x19, 0x00, 0xFF),
+    (0x1A, 0x01, 0x07),
+    (0x1B, 0x18, 0xF8),
+    (0x1C, 0x18, 0xF8),
+    (0x37, 0x02, 0xFF),
+    (0x38, 0x01, 0xFF),
+    (0x6B, 0x01, 0xFF),
+];
+
 /// A whole number below `count`.
 fn whole(random: &mut Random, count: usize) -> usize {
     (random.uniform(0.0, count as f64) as usize).min(count - 1)
@@ -306,7 +318,8 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         "address-nack" => {
             FaultKind::AddressNack([None, Some(Direction::Write), Some(Direction::Read)][pick % 3])
         }
-        "data-nack" => FaultKind::DataNack(u8::from(pick.is_multiple_of(8))),
+        // Normal running writes one byte, the register number.
+        "data-nack" => FaultKind::DataNack(0),
         // Half of them are a sensor that has lost count.
         "sda-low" if pick.is_multiple_of(2) => FaultKind::SdaLow(Some(RestOfByte {
             clocks: (1 + pick / 2 % 9) as u8,
@@ -316,8 +329,12 @@ fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
         "bus-error" => FaultKind::BusError(pick.is_multiple_of(2)),
         "int-glitch" => FaultKind::IntGlitch([200, 700, 1_900, 8_000][pick % 4]),
         "register-flip" => {
-            let registers = [0x19, 0x1A, 0x1B, 0x1C, 0x37, 0x38, 0x6B];
-            FaultKind::RegisterFlip(registers[pick % 7], (pick / 7 % 256) as u8)
+            let (register, setting, mask) = SETTINGS[pick % SETTINGS.len()];
+            let value = (pick / 7 % 256) as u8;
+            let is_change = (value ^ setting) & mask != 0;
+            // The lowest bit of the setting changes at least.
+            let lowest = mask & mask.wrapping_neg();
+            FaultKind::RegisterFlip(register, if is_change { value } else { value ^ lowest })
         }
         "saturated" => FaultKind::Saturated(Axis::NAMES[pick % 6].0),
         "stuck" => FaultKind::Stuck(Axis::NAMES[pick % 6].0),

@@ -180,6 +180,13 @@ fn assert_row(row: &Row, class: &str, fault: &str) {
         .filter(|line| line.text.starts_with('#'))
         .map(|line| format!("{:.3} {}", line.at_ns as f64 * 1e-9, line.text))
         .collect();
+    // The campaign asks for one of the classes that the table has for the fault.
+    let asked_for = scheduled.kind.counted();
+    let is_in_table = asked_for.iter().any(|class| row.counted.contains(class));
+    assert!(
+        asked_for.is_empty() || is_in_table,
+        "{fault}: {asked_for:?}"
+    );
     let mut noticed_ms = None;
     for &class in &row.counted {
         let at_ns = counted_at_ns(&outcome, class, start_ns);

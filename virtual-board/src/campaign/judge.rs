@@ -56,6 +56,7 @@ struct Episode {
     /// Deadline for a valid attitude.
     due_ns: u64,
     faults: Vec<ScheduledFault>,
+    has_save: bool,
 }
 
 /// Judges what came of a case.
@@ -239,28 +240,38 @@ impl Judge<'_> {
                 ));
             }
             for fault in &episode.faults {
+                let is_detected = self.is_detected(episode, fault);
                 report.faults.push(FaultReport {
                     class: fault.kind.name(),
-                    is_detected: self.is_detected(episode),
+                    is_detected,
                     recovery_ns,
                 });
+                // Among several faults, one may hide another.
+                let is_alone = episode.faults.len() == 1 && !episode.has_save;
+                if is_alone && !is_detected && !fault.kind.counted().is_empty() {
+                    let counted = self.record.counted(fault.start_ns, episode.due_ns);
+                    report.failures.push(format!(
+                        "not counted as one of {:?}, but as {counted:?}: {fault}",
+                        fault.kind.counted()
+                    ));
+                }
             }
         }
     }
 
-    /// Returns true if the firmware counted, flagged or reported anything during an episode, up to
-    /// its deadline.
-    fn is_detected(&self, episode: &Episode) -> bool {
+    /// Returns true if the firmware detected a fault during its episode, up to the deadline: it
+    /// counted one of the fault's classes. A fault without a class of its own shows by a flag or a
+    /// message.
+    fn is_detected(&self, episode: &Episode, fault: &ScheduledFault) -> bool {
         let last_ns = episode.faults.iter().map(ScheduledFault::end_ns);
         let last_ns = last_ns.filter(|&end_ns| end_ns != u64::MAX).max();
         let until_ns = episode.due_ns.max(last_ns.unwrap_or(0));
         let during = |at_ns: u64| (episode.start_ns..=until_ns).contains(&at_ns);
-        let is_counted = self
-            .record
-            .health
-            .iter()
-            .skip(1)
-            .any(|reading| during(reading.at_ns));
+        let classes = fault.kind.counted();
+        if !classes.is_empty() {
+            let counted = self.record.counted(fault.start_ns, until_ns);
+            return counted.iter().any(|class| classes.contains(class));
+        }
         let is_flagged = self
             .published
             .iter()
@@ -269,7 +280,7 @@ impl Judge<'_> {
             .uart_lines
             .iter()
             .any(|line| during(line.at_ns) && line.text.starts_with('#'));
-        is_counted || is_flagged || is_reported
+        is_flagged || is_reported
     }
 
     /// Checks that the attitude is valid between the episodes.
@@ -502,6 +513,7 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
             end_ns,
             due_ns: end_ns + deadline_ns(fault.kind).unwrap_or(0),
             faults: vec![*fault],
+            has_save: false,
         }
     };
     let of_save = save_ns(case).map(|save| Episode {
@@ -509,6 +521,7 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
         end_ns: save.end,
         due_ns: save.end + RESET_DEADLINE_NS,
         faults: Vec::new(),
+        has_save: true,
     });
     let mut all: Vec<Episode> = case.schedule.faults.iter().map(of_fault).collect();
     all.extend(of_save);
@@ -522,6 +535,7 @@ fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
                 last.end_ns = last.end_ns.max(episode.end_ns);
                 last.due_ns = last.due_ns.max(episode.due_ns);
                 last.faults.extend(episode.faults);
+                last.has_save |= episode.has_save;
             }
             _ => episodes.push(episode),
         }

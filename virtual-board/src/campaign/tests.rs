@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use aplomb::attitude::Quaternion as Attitude;
 use aplomb::estimator::heading::HeadingEstimate;
+use aplomb::fault::FaultClass;
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::motion::inclination_error_rad;
@@ -13,7 +14,7 @@ use rigless::time::VirtualNanos;
 use super::*;
 use crate::bus_step::BusStep;
 use crate::flight::UartLine;
-use crate::recorder::{Record, Sample, StaleSnapshot};
+use crate::recorder::{HealthReading, Record, Sample, StaleSnapshot};
 
 const MILLISECOND: u64 = 1_000_000;
 
@@ -31,6 +32,17 @@ fn record(case: &Case, without_ns: std::ops::Range<u64>) -> Record {
         instructions: vec![0; 128],
         ..Record::default()
     };
+    let mut counters = [0; FaultClass::COUNT];
+    for fault in &case.schedule.faults {
+        for &class in fault.kind.counted() {
+            counters[class as usize] += 1;
+        }
+        record.health.push(HealthReading {
+            at_ns: fault.start_ns + MILLISECOND,
+            reset_cause: 0,
+            counters,
+        });
+    }
     for (index, time_ns) in (300 * MILLISECOND..end_ns)
         .step_by(MILLISECOND as usize)
         .enumerate()
@@ -126,6 +138,26 @@ fn what_is_sound_passes_and_is_measured() {
 }
 
 #[test]
+fn a_fault_that_is_not_counted_as_its_class_fails() {
+    let (case, mut record) = sound();
+    let [reading] = &mut record.health[..] else {
+        panic!("one fault")
+    };
+    reading.counters = [0; FaultClass::COUNT];
+    reading.counters[FaultClass::Frozen as usize] = 1;
+    let report = judge(&case, &record, &telemetry());
+    assert!(!report.faults[0].is_detected);
+    assert_eq!(
+        report.failures,
+        ["not counted as one of [DataLineLow], but as [Frozen]: 1.8 0.03 sda-low"]
+    );
+    // It was counted before the fault, and not since.
+    record.health[0].counters[FaultClass::DataLineLow as usize] = 1;
+    record.health[0].at_ns = 1_700 * MILLISECOND;
+    assert_fails(&case, &record, "not counted as one of [DataLineLow]");
+}
+
+#[test]
 fn a_violation_is_expected_only_with_the_fault_that_explains_it() {
     let [sag, overflow] = ["1.8 0.03 supply-sag:2500", "1.8 0 stack-overflow"].map(case);
     let wait_states = "FLASH.ACR: too few";
@@ -198,6 +230,7 @@ fn a_wrong_attitude_fails_unless_its_sigma_or_its_flags_say_so() {
             edges: record.edges.clone(),
             stale: record.stale.clone(),
             instructions: record.instructions.clone(),
+            health: record.health.clone(),
             last: record.last,
             ..Record::default()
         };

@@ -81,6 +81,21 @@ impl Sample {
 }
 
 impl Record {
+    /// Returns the classes whose counters are higher at the end of a time than before it.
+    #[must_use]
+    pub fn counted(&self, from_ns: u64, until_ns: u64) -> Vec<FaultClass> {
+        let health = &self.health;
+        let before = health.iter().rfind(|reading| reading.at_ns < from_ns);
+        let after = health.iter().rfind(|reading| reading.at_ns <= until_ns);
+        let count = |reading: Option<&HealthReading>, class: FaultClass| {
+            reading.map_or(0, |reading| reading.counters[class as usize])
+        };
+        let classes = FaultClass::ALL.into_iter();
+        classes
+            .filter(|&class| count(after, class) > count(before, class))
+            .collect()
+    }
+
     /// Drops the parts that would grow without end.
     pub(super) fn forget(&mut self) {
         /// The edge of a burst is among the last ones.
