@@ -590,8 +590,16 @@ fn a_dead_crystal_stops_the_core_if_it_is_not_guarded() {
 /// Listens on USART2 at 115,200 baud for the fault's ten milliseconds: bytes, and those among them
 /// with an error.
 fn listen(kind: FaultKind) -> (u32, u32) {
+    listen_with(kind, 0x7700)
+}
+
+/// Listens with these alternate functions of the pins.
+fn listen_with(kind: FaultKind, functions: u64) -> (u32, u32) {
     let mut bench = bench(kind);
     bench.write(&RCC, 0x40, 1 << 21 | 1 << 17);
+    bench.write(&GPIOA, 0x20, functions);
+    let modes = bench.read(&GPIOA, 0x00) & !0xF0;
+    bench.write(&GPIOA, 0x00, modes | 0xA0);
     bench.write(&USART2, 0x08, 0x8B);
     bench.write(&USART2, 0x0C, 1 << 13 | 1 << 2);
     bench.run_until(BEGIN);
@@ -606,6 +614,14 @@ fn listen(kind: FaultKind) -> (u32, u32) {
         }
     }
     (bytes, errors)
+}
+
+#[test]
+fn bytes_come_in_only_by_the_pin_of_the_uart() {
+    let [connected, elsewhere] =
+        [0x7700, 0x0700].map(|functions| listen_with(FaultKind::UartFlood, functions).0);
+    assert!(connected > 0);
+    assert_eq!(elsewhere, 0);
 }
 
 #[test]

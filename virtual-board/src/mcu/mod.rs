@@ -48,6 +48,10 @@ const INTERRUPT_PIN: u8 = 1;
 /// PA1 reaches TIM5 channel 2 through this alternate function (STM32F405 datasheet, table 9).
 const TIM5_FUNCTION: u8 = 2;
 
+/// TX and RX of USART2: PA2 and PA3, by this alternate function (STM32F405 datasheet, table 9).
+const UART_PINS: [u8; 2] = [2, 3];
+const USART2_FUNCTION: u8 = 7;
+
 /// Places in rigless's lists of instances.
 const PORT_B: usize = 1;
 const DMA1: usize = 0;
@@ -129,6 +133,7 @@ struct Slots {
     flash: usize,
     debug: usize,
     dma1: usize,
+    usart2: usize,
     port_a: usize,
     port_b: usize,
 }
@@ -163,6 +168,7 @@ impl Microcontroller {
             flash: bus.slot("FLASH")?,
             debug: bus.slot("DBG")?,
             dma1: bus.slot("DMA1")?,
+            usart2: bus.slot("USART2")?,
             port_a: bus.slot("GPIOA")?,
             port_b: bus.slot("GPIOB")?,
         };
@@ -453,6 +459,16 @@ impl Microcontroller {
         }
     }
 
+    /// Connects the terminal to the pins that have the UART's function.
+    fn connect_terminal(&mut self) {
+        let registers = self.part.bus().slots()[self.slots.port_a].registers();
+        let is_connected = UART_PINS.map(|pin| {
+            let function = Pin::new(pin).and_then(|pin| Gpio::function(pin, registers));
+            function == Some(USART2_FUNCTION)
+        });
+        self.terminal().is_connected = is_connected;
+    }
+
     /// Lends the decorated models to the part for as long as it rebuilds itself.
     fn lend_models(&mut self) {
         std::mem::swap(&mut self.clocks.model, &mut self.part.rcc);
@@ -541,6 +557,9 @@ impl Mcu for Microcontroller {
         } else if slot == self.slots.syscfg {
             (self.part.bus_mut(), Some(&mut self.syscfg))
         } else {
+            if slot == self.slots.usart2 {
+                self.connect_terminal();
+            }
             self.part.split(slot)
         }
     }

@@ -20,6 +20,8 @@ pub struct Terminal {
     floods: Vec<ScheduledFault>,
     /// Number of bytes sent.
     sent: u64,
+    /// True if TX and RX are at their pins.
+    pub(super) is_connected: [bool; 2],
 }
 
 /// A byte from the UART.
@@ -84,6 +86,9 @@ impl Store for Terminal {}
 
 impl uart::Peer for Terminal {
     fn receive(&mut self, word: u16, context: &mut Timeline<'_, '_>) {
+        if !self.is_connected[0] {
+            return;
+        }
         self.received.push(ReceivedByte {
             at_ns: context.now().0,
             byte: word.to_le_bytes()[0],
@@ -91,6 +96,9 @@ impl uart::Peer for Terminal {
     }
 
     fn transmit(&mut self, now: VirtualNanos) -> Option<u16> {
+        if !self.is_connected[1] {
+            return None;
+        }
         if !self.floods.iter().any(|fault| fault.lasts(now.0)) {
             return self
                 .script
