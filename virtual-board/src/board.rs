@@ -29,6 +29,40 @@ pub struct BoardModel {
     /// Peripherals of the STM32F427, which the virtual board models, that this chip lacks: tables 1
     /// of RM0090, RM0368, RM0383 and RM0390.
     pub absent: &'static [&'static str],
+    /// The regulator of the core's supply.
+    pub regulator: Regulator,
+}
+
+/// The regulator of the core's supply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Regulator {
+    /// PWR_CR after reset.
+    pub reset: u64,
+    /// The highest clock of the core by VOS, PWR_CR bits 15 and 14, MHz.
+    pub limits_mhz: [u64; 4],
+}
+
+impl Regulator {
+    /// The STM32F405's: bit 15 is reserved (RM0090, 5.4.1).
+    pub const F405: Self = Self {
+        reset: 0x4000,
+        limits_mhz: [144, 168, 144, 168],
+    };
+    /// The STM32F401's (RM0368, 5.4.1).
+    const F401: Self = Self {
+        reset: 0x8000,
+        limits_mhz: [60, 60, 84, 84],
+    };
+    /// The STM32F411's (RM0383, 5.4.1).
+    const F411: Self = Self {
+        reset: 0x8000,
+        limits_mhz: [64, 64, 84, 100],
+    };
+    /// The STM32F446's, without over-drive (RM0390, 5.4.1).
+    const F446: Self = Self {
+        reset: 0xC000,
+        limits_mhz: [120, 120, 144, 168],
+    };
 }
 
 /// Peripherals that the STM32F405 lacks.
@@ -161,6 +195,7 @@ pub const BOARDS: [BoardModel; 5] = [
         core_hz: 168_000_000,
         device_id: 0x413,
         absent: ABSENT_F405,
+        regulator: Regulator::F405,
     },
     BoardModel {
         name: "blackpill-f401",
@@ -168,6 +203,7 @@ pub const BOARDS: [BoardModel; 5] = [
         core_hz: 84_000_000,
         device_id: 0x423,
         absent: ABSENT_F401,
+        regulator: Regulator::F401,
     },
     BoardModel {
         name: "blackpill-f411",
@@ -175,6 +211,7 @@ pub const BOARDS: [BoardModel; 5] = [
         core_hz: 100_000_000,
         device_id: 0x431,
         absent: ABSENT_F411,
+        regulator: Regulator::F411,
     },
     BoardModel {
         name: "nucleo-f411",
@@ -182,6 +219,7 @@ pub const BOARDS: [BoardModel; 5] = [
         core_hz: 100_000_000,
         device_id: 0x431,
         absent: ABSENT_F411,
+        regulator: Regulator::F411,
     },
     BoardModel {
         name: "nucleo-f446",
@@ -189,6 +227,7 @@ pub const BOARDS: [BoardModel; 5] = [
         core_hz: 168_000_000,
         device_id: 0x421,
         absent: ABSENT_F446,
+        regulator: Regulator::F446,
     },
 ];
 

@@ -21,6 +21,8 @@ pub enum Rule {
     Clocked,
     /// A peripheral of the virtual board that the board's own chip lacks.
     Absent,
+    /// The core is no faster than the regulator's scale allows.
+    VoltageScale,
     /// Reserved bits stay zero.
     Reserved,
     /// The set-up of a stream changes only while the stream is off.
@@ -40,6 +42,7 @@ impl fmt::Display for Rule {
         formatter.write_str(match self {
             Self::Clocked => "a peripheral without a clock (RM0090, 7.3.10 to 7.3.14)",
             Self::Absent => "the chip has no such peripheral (memory map of its manual)",
+            Self::VoltageScale => "the core exceeds the limit of VOS in PWR_CR (RM0383, 5.1.3)",
             Self::Reserved => "a reserved bit is set (RM0090, 1.1)",
             Self::StreamOff => "the set-up of a stream changes while it is on (RM0090, 10.3.17)",
             Self::StreamFlags => "a stream is enabled with old flags (RM0090, 10.3.17)",

@@ -9,6 +9,8 @@ use rigless::soc::stm32f427::generated::rcc::{Register, cr};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
 use rigless::time::EventId;
 
+use crate::board::Regulator;
+use crate::checks::{Checks, Rule};
 use crate::delegate::delegate;
 
 /// The clock source at the high-speed oscillator's pins.
@@ -51,6 +53,12 @@ pub struct CrystalAware {
     pub input: HighSpeedInput,
     /// The board's clock source before the crystal stopped.
     pub stopped: Option<HighSpeedInput>,
+    /// The regulator of the core's supply.
+    pub regulator: Regulator,
+    /// VOS in PWR_CR.
+    pub voltage_scale: u64,
+    /// The checks, which note a core that is too fast for the regulator.
+    pub checks: Checks,
 }
 
 impl CrystalAware {
@@ -84,6 +92,15 @@ impl CrystalAware {
         }
     }
 
+    /// Notes a core that is too fast for the regulator's scale.
+    fn check_voltage(&self, registers: &RegisterFile) {
+        let limits_mhz = self.regulator.limits_mhz;
+        let limit_mhz = limits_mhz[self.voltage_scale as usize % limits_mhz.len()];
+        if self.model.sysclk(registers) > limit_mhz * 1_000_000 {
+            self.checks.note(Rule::VoltageScale);
+        }
+    }
+
     /// Takes the ready flag back if the oscillator cannot run.
     fn refuse_readiness(&self, registers: &mut RegisterFile) {
         let control = registers.get(Register::Cr);
@@ -107,6 +124,7 @@ impl Device for CrystalAware {
     ) {
         Device::write(&mut self.model, register, value, registers, context);
         self.refuse_readiness(registers);
+        self.check_voltage(registers);
     }
 
     fn on_event(
@@ -117,5 +135,6 @@ impl Device for CrystalAware {
     ) {
         Device::on_event(&mut self.model, event, registers, context);
         self.refuse_readiness(registers);
+        self.check_voltage(registers);
     }
 }

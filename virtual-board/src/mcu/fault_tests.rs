@@ -3,10 +3,11 @@
 use rigless::device::ResetCause;
 use rigless::emulator::{Access, AccessKind, Memory};
 use rigless::soc::Width;
-use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, RCC, USART2};
+use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, PWR, RCC, USART2};
 
 use super::tests::Bench;
 use super::*;
+use crate::board::BOARDS;
 use crate::checks::{Reserved, Rule};
 use crate::faults::{Axis, Direction, Fault, RestOfByte};
 
@@ -846,6 +847,27 @@ fn reserved_bits_and_missing_clocks_are_noted_with_their_place() {
             "a reserved bit is set (RM0090, 1.1): 0x40005400 accessed at 0x0800c000",
         ]
     );
+}
+
+#[test]
+fn a_core_that_is_too_fast_for_the_regulators_scale_is_noted() {
+    let f411 = BOARDS.into_iter().find(|board| board.name == "nucleo-f411");
+    for (selected, noted) in [(None, vec![Rule::VoltageScale]), (Some(0b11), vec![])] {
+        let mut bench = strict_bench();
+        bench.controller.regulate(f411.unwrap().regulator);
+        let seen = broken_by(&mut bench, |bench| {
+            bench.write(&RCC, 0x40, 1 << 28);
+            if let Some(scale) = selected {
+                bench.write(&PWR, 0x00, scale << 14);
+            }
+            // 100 MHz from the internal oscillator: M 8, N 100, P 2, Q 4.
+            bench.write(&RCC, 0x04, 4 << 24 | 100 << 6 | 8);
+            bench.write(&RCC, 0x00, 1 << 24 | 1);
+            bench.run_for(1_000_000);
+            bench.write(&RCC, 0x08, 0b10);
+        });
+        assert_eq!(seen, noted, "{selected:?}");
+    }
 }
 
 #[test]

@@ -20,6 +20,7 @@ use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::dbg;
 use rigless::soc::stm32f427::generated::flash::{self, acr};
 use rigless::soc::stm32f427::generated::gpioa;
+use rigless::soc::stm32f427::generated::pwr::{self, cr as pwr_cr};
 use rigless::soc::stm32f427::generated::rcc::{self, cir, csr};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin};
 use rigless::soc::stm32f427::peripherals::tim::Channel;
@@ -28,6 +29,7 @@ use rigless::time::VirtualNanos;
 
 pub use terminal::{ReceivedByte, SentByte, Terminal};
 
+use crate::board::Regulator;
 use crate::bus_step::BusStep;
 use crate::checks::Checks;
 use crate::crystal::{CrystalAware, HighSpeedInput};
@@ -133,6 +135,7 @@ struct Slots {
     flash: usize,
     debug: usize,
     dma1: usize,
+    power: usize,
     usart2: usize,
     port_a: usize,
     port_b: usize,
@@ -168,6 +171,7 @@ impl Microcontroller {
             flash: bus.slot("FLASH")?,
             debug: bus.slot("DBG")?,
             dma1: bus.slot("DMA1")?,
+            power: bus.slot("PWR")?,
             usart2: bus.slot("USART2")?,
             port_a: bus.slot("GPIOA")?,
             port_b: bus.slot("GPIOB")?,
@@ -188,6 +192,9 @@ impl Microcontroller {
                 model: spare.rcc,
                 input,
                 stopped: None,
+                regulator: Regulator::F405,
+                voltage_scale: 1,
+                checks: checks.clone(),
             },
             sensor_bus: WiredI2c::new(i2c1, wires.clone(), &all_faults, checks.clone()),
             port_b: PortB {
@@ -215,6 +222,7 @@ impl Microcontroller {
             reset_ns: 0,
         };
         controller.identify(ChipIdentity::STM32F405_Y);
+        controller.regulate(Regulator::F405);
         controller.release_pins(VirtualNanos(0));
         Ok(controller)
     }
@@ -277,6 +285,18 @@ impl Microcontroller {
         let ChipIdentity { device, revision } = self.identity;
         let code = u64::from(revision) << 16 | u64::from(device);
         registers.set(dbg::Register::DbgmcuIdcode, code);
+    }
+
+    /// Sets the regulator of the core's supply. Call it before the first instruction.
+    pub fn regulate(&mut self, regulator: Regulator) {
+        self.clocks.regulator = regulator;
+        self.reset_regulator(VirtualNanos(0));
+    }
+
+    fn reset_regulator(&mut self, at: VirtualNanos) {
+        let value = self.clocks.regulator.reset;
+        let (registers, _) = self.part.bus_mut().drive(at, self.slots.power);
+        registers.set(pwr::Register::Cr, value);
     }
 
     /// Returns true if the flash's prefetch is on.
@@ -517,6 +537,7 @@ impl Mcu for Microcontroller {
             registers.set(rcc::Register::Csr, status | causes);
         }
         self.show_identity(at);
+        self.reset_regulator(at);
         self.sensor_bus.forget();
         self.dma.forget();
         self.exti = Exti::default();
@@ -539,6 +560,8 @@ impl Mcu for Microcontroller {
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
         if slot == self.slots.rcc {
+            let power = self.part.bus().slots()[self.slots.power].registers();
+            self.clocks.voltage_scale = pwr_cr::VOS.get(power.get(pwr::Register::Cr));
             (self.part.bus_mut(), Some(&mut self.clocks))
         } else if slot == self.slots.i2c1 {
             let bus = self.part.bus_mut();
