@@ -44,7 +44,7 @@ pub struct Regulator {
 
 impl Regulator {
     /// The STM32F405's: bit 15 is reserved (RM0090, 5.4.1).
-    pub const F405: Self = Self {
+    const F405: Self = Self {
         reset: 0x4000,
         limits_mhz: [144, 168, 144, 168],
     };

@@ -5,13 +5,19 @@
 //! or another chip's clock with HSEBYP set.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
+use rigless::soc::FieldSpec;
 use rigless::soc::stm32f427::generated::rcc::{Register, cr};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
-use rigless::time::EventId;
+use rigless::time::{EventId, VirtualNanos};
 
 use crate::board::Regulator;
 use crate::checks::{Checks, Rule};
 use crate::delegate::delegate;
+
+/// Cycles of the internal oscillator at 16 MHz in the start-up of a crystal, 2 ms, and of the PLL,
+/// 0.3 ms (STM32F405 datasheet, "HSE oscillator characteristics" and "Main PLL characteristics").
+const CRYSTAL_INSTRUCTIONS: u64 = 32_000;
+const PLL_INSTRUCTIONS: u64 = 4_800;
 
 /// The clock source at the high-speed oscillator's pins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +63,10 @@ pub struct CrystalAware {
     pub regulator: Regulator,
     /// VOS in PWR_CR.
     pub voltage_scale: u64,
+    /// Instructions that the core executes in a second.
+    pub instructions_hz: u64,
+    /// Events of the model that a start-up delays: the event at its end, and the model's.
+    pub delayed: Vec<(EventId, EventId)>,
     /// The checks, which note a core that is too fast for the regulator.
     pub checks: Checks,
 }
@@ -90,6 +100,24 @@ impl CrystalAware {
         if let Some(input) = self.stopped.take() {
             self.input = input;
         }
+    }
+
+    /// Returns the duration of the start-up that is under way, ns, if there is one.
+    ///
+    /// The core executes as many instructions in it as the internal oscillator has cycles, whatever
+    /// the rate of the emulated core. So a poll has as many readings as on a chip, or fewer.
+    fn startup_ns(&self, registers: &RegisterFile) -> Option<u64> {
+        let control = registers.get(Register::Cr);
+        let is_starting =
+            |on: &FieldSpec, ready: &FieldSpec| on.is_set(control) && !ready.is_set(control);
+        let instructions = if is_starting(cr::HSEON, cr::HSERDY) && !cr::HSEBYP.is_set(control) {
+            CRYSTAL_INSTRUCTIONS
+        } else if is_starting(cr::PLLON, cr::PLLRDY) {
+            PLL_INSTRUCTIONS
+        } else {
+            return None;
+        };
+        Some(instructions * 1_000_000_000 / self.instructions_hz)
     }
 
     /// Notes a core that is too fast for the regulator's scale.
@@ -133,6 +161,16 @@ impl Device for CrystalAware {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        let ended = self.delayed.iter().position(|&(end, _)| end == event);
+        let event = match (ended, self.startup_ns(registers)) {
+            (Some(at), _) => self.delayed.swap_remove(at).1,
+            (None, Some(startup_ns)) => {
+                let end = context.schedule(VirtualNanos(context.now().0 + startup_ns));
+                self.delayed.push((end, event));
+                return;
+            }
+            (None, None) => event,
+        };
         Device::on_event(&mut self.model, event, registers, context);
         self.refuse_readiness(registers);
         self.check_voltage(registers);

@@ -409,7 +409,7 @@ impl Run {
             controller.calibrate_watchdog(hz);
         }
         controller.identify(identity);
-        controller.regulate(self.board.regulator);
+        controller.fit(&self.board);
         if let Some((noise, framing)) = garbled {
             controller.garble_reception(self.seed, noise, framing);
         }

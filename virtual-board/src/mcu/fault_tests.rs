@@ -537,15 +537,29 @@ fn the_core_stands_still_while_it_is_stalled_and_hangs_until_a_reset() {
     }
 }
 
+#[test]
+fn crystal_and_pll_take_as_many_instructions_to_start_as_a_chip() {
+    for (enable, ready, instructions) in [(1 << 16, 1 << 17, 32_000), (1 << 24, 1 << 25, 4_800)] {
+        let mut bench = bench(FaultKind::SensorSilent);
+        bench.write(&RCC, 0x04, 4 << 24 | 168 << 6 | 8);
+        bench.write(&RCC, 0x00, enable | 1);
+        let startup_ns = instructions * 1_000 / 168;
+        bench.run_for(startup_ns * 9 / 10);
+        assert_eq!(bench.read(&RCC, 0x00) & ready, 0, "{ready:#x}");
+        bench.run_for(startup_ns / 5);
+        assert_ne!(bench.read(&RCC, 0x00) & ready, 0, "{ready:#x}");
+    }
+}
+
 /// The clocks: HSE on, PLL from it, PLL as the system's clock, and the clock security system if
 /// asked for.
 fn run_from_crystal(bench: &mut Bench, guarded: bool) {
     bench.write(&RCC, 0x00, 1 << 16 | 1);
-    bench.run_for(MILLISECOND / 100);
+    bench.run_for(MILLISECOND / 5);
     bench.write(&RCC, 0x04, 1 << 22 | 7 << 24 | 168 << 6 | 4);
     let control = 1 << 16 | 1 | u64::from(guarded) << 19;
     bench.write(&RCC, 0x00, control | 1 << 24);
-    bench.run_for(MILLISECOND / 100);
+    bench.run_for(MILLISECOND / 20);
     bench.write(&RCC, 0x08, 2);
     bench.run_for(MILLISECOND / 100);
     assert_eq!(bench.read(&RCC, 0x08) >> 2 & 3, 2, "it runs from the PLL");
@@ -854,7 +868,7 @@ fn a_core_that_is_too_fast_for_the_regulators_scale_is_noted() {
     let f411 = BOARDS.into_iter().find(|board| board.name == "nucleo-f411");
     for (selected, noted) in [(None, vec![Rule::VoltageScale]), (Some(0b11), vec![])] {
         let mut bench = strict_bench();
-        bench.controller.regulate(f411.unwrap().regulator);
+        bench.controller.fit(&f411.unwrap());
         let seen = broken_by(&mut bench, |bench| {
             bench.write(&RCC, 0x40, 1 << 28);
             if let Some(scale) = selected {

@@ -29,7 +29,7 @@ use rigless::time::VirtualNanos;
 
 pub use terminal::{ReceivedByte, SentByte, Terminal};
 
-use crate::board::Regulator;
+use crate::board::{BOARDS, BoardModel};
 use crate::bus_step::BusStep;
 use crate::checks::Checks;
 use crate::crystal::{CrystalAware, HighSpeedInput};
@@ -192,7 +192,9 @@ impl Microcontroller {
                 model: spare.rcc,
                 input,
                 stopped: None,
-                regulator: Regulator::F405,
+                regulator: BOARDS[0].regulator,
+                instructions_hz: BOARDS[0].core_hz,
+                delayed: Vec::new(),
                 voltage_scale: 1,
                 checks: checks.clone(),
             },
@@ -222,7 +224,7 @@ impl Microcontroller {
             reset_ns: 0,
         };
         controller.identify(ChipIdentity::STM32F405_Y);
-        controller.regulate(Regulator::F405);
+        controller.fit(&BOARDS[0]);
         controller.release_pins(VirtualNanos(0));
         Ok(controller)
     }
@@ -287,9 +289,10 @@ impl Microcontroller {
         registers.set(dbg::Register::DbgmcuIdcode, code);
     }
 
-    /// Sets the regulator of the core's supply. Call it before the first instruction.
-    pub fn regulate(&mut self, regulator: Regulator) {
-        self.clocks.regulator = regulator;
+    /// Sets the regulator and the clock of the core. Call it before the first instruction.
+    pub fn fit(&mut self, board: &BoardModel) {
+        self.clocks.regulator = board.regulator;
+        self.clocks.instructions_hz = board.core_hz;
         self.reset_regulator(VirtualNanos(0));
     }
 
@@ -538,6 +541,7 @@ impl Mcu for Microcontroller {
         }
         self.show_identity(at);
         self.reset_regulator(at);
+        self.clocks.delayed.clear();
         self.sensor_bus.forget();
         self.dma.forget();
         self.exti = Exti::default();
