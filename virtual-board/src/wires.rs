@@ -76,8 +76,8 @@ pub struct Wires {
     driven_low: [bool; 2],
     /// The levels of the lines at the last check: SCL, SDA.
     levels: [bool; 2],
-    /// Falling edges of SCL that the firmware made with the pin as an output.
-    clocks_made: u32,
+    /// Falling edges that the firmware made with the pin as an output: SCL, SDA.
+    falls_made: [u32; 2],
     /// True if the firmware has made a STOP with the pins as outputs that the sensor has not
     /// received yet.
     has_stopped: bool,
@@ -190,10 +190,10 @@ impl Wires {
         }
     }
 
-    /// Falling edges of SCL that the firmware has made by hand.
+    /// Falling edges of SCL and of SDA that the firmware has made by hand.
     #[must_use]
-    pub fn clocks_made(&self) -> u32 {
-        self.clocks_made
+    pub fn falls_made(&self) -> [u32; 2] {
+        self.falls_made
     }
 
     /// Returns true if the firmware has made a STOP with the pins since the last call.
@@ -214,10 +214,11 @@ impl Wires {
                 self.has_stopped |= now[1];
             }
             if before[0] && !now[0] && self.driven_low[0] {
-                self.clocks_made += 1;
+                self.falls_made[0] += 1;
                 // The next bit may be another edge.
                 self.lost = self.lost.clock_falls();
             }
+            self.falls_made[1] += u32::from(before[1] && !now[1] && self.driven_low[1]);
             if !before[0] && now[0] {
                 self.lost = self.lost.clock_rises(now[1]);
             }

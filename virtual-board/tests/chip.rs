@@ -253,8 +253,9 @@ fn the_prefetch_is_off_on_revision_a_alone() {
 #[test]
 fn the_first_set_up_of_the_pins_makes_no_edge() {
     let outcome = fly(0.5, "");
-    // Nine clocks for each try until the sensor has started, and no edge more.
-    let clocks = outcome.record.clocks_by_hand;
+    // Nine clocks and a START for each try until the sensor has started, and no edge more.
+    let [clocks, starts] = outcome.record.falls_by_hand;
     assert!(clocks > 0 && clocks.is_multiple_of(9), "{clocks}");
+    assert_eq!(starts, clocks / 9);
     assert!(!outcome.samples().is_empty());
 }

@@ -472,7 +472,7 @@ impl Recorder {
         let steps = session.board_mut().controller.steps_at_faults();
         self.record.steps_at_faults = steps.to_vec();
         let wires = session.board_mut().controller.sensor().wires();
-        self.record.clocks_by_hand = wires.lock().clocks_made();
+        self.record.falls_by_hand = wires.lock().falls_made();
         self.record.prefetches = session.board().controller.prefetches();
         self.record.last = (stop.instruction_count, stop.at.0);
         self.record.sample_exceptions = self.sample_exceptions() - self.exceptions_before;

@@ -61,8 +61,8 @@ pub struct Record {
     pub health: Vec<HealthReading>,
     /// End of the sensor's start-up after each return of its supply, ns.
     pub sensor_ready_ns: Vec<u64>,
-    /// Falling edges of SCL that the firmware made with the pin as an output.
-    pub clocks_by_hand: u32,
+    /// Falling edges of SCL and of SDA that the firmware made with the pin as an output.
+    pub falls_by_hand: [u32; 2],
     /// True if the flash's prefetch is on at the end.
     pub prefetches: bool,
     /// Times of the processor's resets, ns.
