@@ -430,8 +430,8 @@ pub enum Fault {
     /// The internal oscillator is off by this share from nominal: +0.01 runs 1 % fast (STM32F405
     /// datasheet, "HSI oscillator characteristics": −0.08 to +0.045 from −40 °C to 105 °C).
     ///
-    /// The run's time is that of the core's clock. While the core runs by this oscillator, motion
-    /// and sensor pass it by as much faster or slower.
+    /// The run's time is that of the core's clock. While the core runs by a fast oscillator, motion
+    /// and sensor therefore run slower by this share, and faster by a slow one.
     InternalOscillator(f64),
     /// A START of the sensor's bus takes 0.6 µs, and 1.2 µs in a transfer, instead of no time.
     SlowStart,

@@ -17,6 +17,18 @@
 //! | [`outputs`], [`plot`] | the files that a flight leaves |
 //!
 //! The sensor and the motion are those of `aplomb-models`.
+//!
+//! # Findings and what they fail
+//!
+//! - Note, in [`checks`]: a rule that the present access breaks. It becomes a violation.
+//! - Violation, in [`flight::Outcome`]: a broken rule, or an access or an interrupt that leads
+//!   nowhere. It fails `fly`. It fails a campaign's flight, unless a fault of the case explains it.
+//! - Issue, in [`flight::Outcome`]: a violation, a reset, or a gap in the account of instructions.
+//!   It fails a test that asks for no issues. `fly` prints it as a warning.
+//! - Failure, in [`campaign::Report`]: a violation, or another rule of the [`campaign`] that the
+//!   flight breaks. It fails the campaign, and a test that judges a case.
+//!
+//! `fly` also fails if the firmware publishes no attitude.
 
 pub mod board;
 pub mod bus_step;
