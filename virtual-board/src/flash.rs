@@ -12,12 +12,13 @@
 //! recorder holds the core until then ([`Cells::busy_until_ns`]). Instructions between the
 //! operation's start and the next access to the interface are not delayed.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::Width;
-use rigless::soc::stm32f427::generated::flash::{Register, cr, sr};
+use rigless::soc::stm32f427::generated::flash::{Register, acr, cr, sr};
 use rigless::soc::stm32f427::peripherals::flash::Flash;
 use rigless::time::{EventId, VirtualNanos};
 
@@ -58,6 +59,9 @@ pub enum Step {
         word: u32,
     },
 }
+
+/// Bytes of a line of the data cache (RM0090, 3.5.2).
+const LINE_BYTES: usize = 16;
 
 /// The contents of both slots, and their changes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -163,6 +167,10 @@ pub struct Cells {
     is_supply_low: bool,
     /// The bytes that the last change may have changed, as they were before it.
     overwritten: Vec<u8>,
+    /// True if the data cache is on.
+    has_data_cache: bool,
+    /// The lines that the core has read since the cache was reset, by their offset.
+    cached: BTreeMap<usize, Vec<u8>>,
 }
 
 impl SharedCells {
@@ -176,6 +184,8 @@ impl SharedCells {
             busy_until_ns: 0,
             is_supply_low: false,
             overwritten: Vec::new(),
+            has_data_cache: false,
+            cached: BTreeMap::new(),
         })))
     }
 
@@ -198,15 +208,34 @@ impl Cells {
         self.busy_until_ns
     }
 
-    /// Returns the value that the core reads.
-    #[must_use]
-    pub fn read(&self, address: u64, width: Width) -> u64 {
+    /// Returns the value that the core reads: that of its first read of the line, until the data
+    /// cache is reset. The chip's cache, of eight lines, may drop a line sooner.
+    pub fn read(&mut self, address: u64, width: Width) -> u64 {
         let start = (address - SLOTS.start) as usize;
-        let bytes = self.record.bytes.iter().skip(start);
-        bytes
-            .take(width.bytes() as usize)
-            .rev()
-            .fold(0, |value, &byte| value << 8 | u64::from(byte))
+        let read = |at: usize| {
+            let line = at / LINE_BYTES * LINE_BYTES;
+            let end = self.record.bytes.len().min(line + LINE_BYTES);
+            let now = &self.record.bytes[line..end];
+            let byte = if self.has_data_cache {
+                let cached = self.cached.entry(line).or_insert_with(|| now.to_vec());
+                cached.get(at - line)
+            } else {
+                now.get(at - line)
+            };
+            byte.copied().unwrap_or(0xFF)
+        };
+        let bytes: Vec<u8> = (start..start + width.bytes() as usize).map(read).collect();
+        let bytes = bytes.iter().rev();
+        bytes.fold(0, |value, &byte| value << 8 | u64::from(byte))
+    }
+
+    /// Follows a write of the access control register (RM0090, 3.9.1). The data cache can be reset
+    /// only while it is off.
+    fn control_cache(&mut self, control: u64) {
+        self.has_data_cache = acr::DCEN.is_set(control);
+        if acr::DCRST.is_set(control) && !self.has_data_cache {
+            self.cached.clear();
+        }
     }
 
     /// Programs what the core stores, or raises the error flag (RM0090, sections 3.6.4 and 3.9.5).
@@ -306,6 +335,9 @@ impl Device for FlashInterface {
     ) {
         let was_busy = sr::BSY.is_set(registers.get(Register::Sr));
         Device::write(&mut self.model, register, value, registers, context);
+        if register == Register::Acr {
+            self.cells.with(|cells| cells.control_cache(value));
+        }
         let control = registers.get(Register::Cr);
         let starts =
             !was_busy && sr::BSY.is_set(registers.get(Register::Sr)) && cr::SER.is_set(control);
@@ -348,6 +380,35 @@ impl FlashInterface {
             cells.control = cr::LOCK.mask();
             cells.errors = 0;
             cells.busy_until_ns = 0;
+            cells.has_data_cache = false;
+            cells.cached.clear();
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_in_the_data_cache_is_stale_until_the_cache_is_reset() {
+        let cells = SharedCells::new(FlashRecord::blank());
+        let control = |value: u64| cells.with(|cells| cells.control_cache(value));
+        let word = |nth: u64| cells.with(|cells| cells.read(SLOTS.start + 4 * nth, Width::W32));
+        let program = |offset: usize| {
+            cells.with(|cells| cells.change(Step::Program { offset, word: 7 }));
+        };
+        assert_eq!(word(0), 0xFFFF_FFFF);
+        program(0);
+        assert_eq!(word(0), 7, "without the cache");
+        control(acr::DCEN.mask());
+        assert_eq!([word(1), word(4)], [0xFFFF_FFFF; 2]);
+        program(4);
+        assert_eq!(word(1), 0xFFFF_FFFF);
+        control(acr::DCEN.mask() | acr::DCRST.mask());
+        assert_eq!(word(1), 0xFFFF_FFFF, "not reset while it is on");
+        control(acr::DCRST.mask());
+        control(acr::DCEN.mask());
+        assert_eq!(word(1), 7);
     }
 }
