@@ -13,6 +13,7 @@ use crate::crystal::HighSpeedInput;
 use crate::flash::SharedCells;
 use crate::mcu::Microcontroller;
 use crate::profile::{PoolRequest, PooledProcessor, Profile, ProfiledProcessor};
+use crate::regulator::Regulator;
 
 /// A board that the firmware can be built for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,38 +32,6 @@ pub struct BoardModel {
     pub absent: &'static [&'static str],
     /// The regulator of the core's supply.
     pub regulator: Regulator,
-}
-
-/// The regulator of the core's supply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Regulator {
-    /// PWR_CR after reset.
-    pub reset: u64,
-    /// The highest clock of the core by VOS, PWR_CR bits 15 and 14, MHz.
-    pub limits_mhz: [u64; 4],
-}
-
-impl Regulator {
-    /// The STM32F405's: bit 15 is reserved (RM0090, 5.4.1).
-    const F405: Self = Self {
-        reset: 0x4000,
-        limits_mhz: [144, 168, 144, 168],
-    };
-    /// The STM32F401's (RM0368, 5.4.1).
-    const F401: Self = Self {
-        reset: 0x8000,
-        limits_mhz: [60, 60, 84, 84],
-    };
-    /// The STM32F411's (RM0383, 5.4.1).
-    const F411: Self = Self {
-        reset: 0x8000,
-        limits_mhz: [64, 64, 84, 100],
-    };
-    /// The STM32F446's, without over-drive (RM0390, 5.4.1).
-    const F446: Self = Self {
-        reset: 0xC000,
-        limits_mhz: [120, 120, 144, 168],
-    };
 }
 
 /// Peripherals that the STM32F405 lacks.

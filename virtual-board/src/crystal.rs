@@ -10,9 +10,9 @@ use rigless::soc::stm32f427::generated::rcc::{Register, cr};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
 use rigless::time::{EventId, VirtualNanos};
 
-use crate::board::Regulator;
 use crate::checks::{Checks, Rule};
 use crate::delegate::delegate;
+use crate::regulator::Regulator;
 
 /// Cycles of the internal oscillator at 16 MHz in the start-up of a crystal, 2 ms, and of the PLL,
 /// 0.3 ms (STM32F405 datasheet, "HSE oscillator characteristics" and "Main PLL characteristics").
@@ -72,6 +72,21 @@ pub struct CrystalAware {
 }
 
 impl CrystalAware {
+    /// The clock controller of an STM32F405 with this clock source.
+    #[must_use]
+    pub fn new(model: Rcc, input: HighSpeedInput, checks: Checks) -> Self {
+        Self {
+            model,
+            input,
+            stopped: None,
+            regulator: Regulator::F405,
+            voltage_scale: 1,
+            instructions_hz: 168_000_000,
+            delayed: Vec::new(),
+            checks,
+        }
+    }
+
     /// The crystal, or the other chip's clock, stops. With the clock security system on, the
     /// hardware switches to the internal oscillator and sets CSSF (RM0090, section 7.2.7), which
     /// requests the NMI. Returns true if the system is off, so that the core has lost its clock.

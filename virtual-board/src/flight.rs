@@ -409,7 +409,7 @@ impl Run {
             controller.calibrate_watchdog(hz);
         }
         controller.identify(identity);
-        controller.fit(&self.board);
+        controller.fit(self.board.regulator, self.board.core_hz);
         if let Some((noise, framing)) = garbled {
             controller.garble_reception(self.seed, noise, framing);
         }

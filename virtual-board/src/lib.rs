@@ -5,7 +5,8 @@
 //! |---|---|
 //! | [`kit`], [`fitted`], [`wires`] | the sensor and the compass on their wires |
 //! | [`faults`], [`schedule`] | the faults, and their times |
-//! | [`mcu`], [`exti`], [`i2c`], [`bus_step`], [`dma`], [`crystal`] | the microcontroller |
+//! | [`mcu`], [`exti`], [`i2c`], [`bus_step`], [`dma`] | the microcontroller |
+//! | [`crystal`], [`regulator`] | its clock and its supply |
 //! | [`board`] | the boards and their cores |
 //! | [`image`] | the firmware image |
 //! | [`profile`] | the number of instructions that each interrupt executes |
@@ -55,6 +56,7 @@ pub mod port;
 pub mod probe;
 pub mod profile;
 pub mod recorder;
+pub mod regulator;
 pub mod schedule;
 pub mod script;
 pub mod slots;

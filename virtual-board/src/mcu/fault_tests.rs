@@ -7,7 +7,6 @@ use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, PWR, RC
 
 use super::tests::Bench;
 use super::*;
-use crate::board::BOARDS;
 use crate::checks::{Reserved, Rule};
 use crate::faults::{Axis, Direction, Fault, RestOfByte};
 
@@ -865,10 +864,9 @@ fn reserved_bits_and_missing_clocks_are_noted_with_their_place() {
 
 #[test]
 fn a_core_that_is_too_fast_for_the_regulators_scale_is_noted() {
-    let f411 = BOARDS.into_iter().find(|board| board.name == "nucleo-f411");
     for (selected, noted) in [(None, vec![Rule::VoltageScale]), (Some(0b11), vec![])] {
         let mut bench = strict_bench();
-        bench.controller.fit(&f411.unwrap());
+        bench.controller.fit(Regulator::F411, 100_000_000);
         let seen = broken_by(&mut bench, |bench| {
             bench.write(&RCC, 0x40, 1 << 28);
             if let Some(scale) = selected {

@@ -29,7 +29,6 @@ use rigless::time::VirtualNanos;
 
 pub use terminal::{ReceivedByte, SentByte, Terminal};
 
-use crate::board::{BOARDS, BoardModel};
 use crate::bus_step::BusStep;
 use crate::checks::Checks;
 use crate::crystal::{CrystalAware, HighSpeedInput};
@@ -39,6 +38,7 @@ use crate::faults::{CORE_MILLIVOLTS, Fault, FaultKind, ScheduledFault, scheduled
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{WiredI2c, items_left};
+use crate::regulator::Regulator;
 use crate::wires::PortB;
 
 /// Port A's number, as SYSCFG_EXTICR counts them.
@@ -188,16 +188,7 @@ impl Microcontroller {
         let checks = Checks::default();
         let mut controller = Self {
             part,
-            clocks: CrystalAware {
-                model: spare.rcc,
-                input,
-                stopped: None,
-                regulator: BOARDS[0].regulator,
-                instructions_hz: BOARDS[0].core_hz,
-                delayed: Vec::new(),
-                voltage_scale: 1,
-                checks: checks.clone(),
-            },
+            clocks: CrystalAware::new(spare.rcc, input, checks.clone()),
             sensor_bus: WiredI2c::new(i2c1, wires.clone(), &all_faults, checks.clone()),
             port_b: PortB {
                 model: port_b,
@@ -224,7 +215,7 @@ impl Microcontroller {
             reset_ns: 0,
         };
         controller.identify(ChipIdentity::STM32F405_Y);
-        controller.fit(&BOARDS[0]);
+        controller.reset_regulator(VirtualNanos(0));
         controller.release_pins(VirtualNanos(0));
         Ok(controller)
     }
@@ -290,9 +281,9 @@ impl Microcontroller {
     }
 
     /// Sets the regulator and the clock of the core. Call it before the first instruction.
-    pub fn fit(&mut self, board: &BoardModel) {
-        self.clocks.regulator = board.regulator;
-        self.clocks.instructions_hz = board.core_hz;
+    pub fn fit(&mut self, regulator: Regulator, core_hz: u64) {
+        self.clocks.regulator = regulator;
+        self.clocks.instructions_hz = core_hz;
         self.reset_regulator(VirtualNanos(0));
     }
 
