@@ -32,6 +32,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
 
+use aplomb_models::compass::{CompassConfig, Part};
 use aplomb_models::motion::quadrotor::{Quadrotor, REST_S};
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::swing::{ByOtherClock, Later, Moving, Swing};
@@ -87,6 +88,8 @@ pub struct Case {
 /// Shares of the flights that last [`LONG_S`], and that start in motion.
 const LONG_SHARE: f64 = 0.03;
 const MOVING_SHARE: f64 = 0.05;
+/// Share of the flights without a fault of a compass that have one.
+const COMPASS_SHARE: f64 = 0.1;
 /// Duration of a long flight, and the time by which its faults come later at most, s.
 const LONG_S: f64 = 20.0;
 const LATEST_S: f64 = 12.0;
@@ -237,16 +240,18 @@ impl Case {
             .faults
             .iter()
             .any(|fault| fault.kind == FaultKind::ProbeDetach);
-        let faults = &self.schedule.faults;
-        let has_compass = faults.iter().any(|fault| fault.kind.is_of_compass());
+        let (kit, compass) = self.kit();
         let mut run = Run::new(firmware)
-            .kit(if has_compass { Kit::Gy87 } else { Kit::Mpu6050 })
+            .kit(kit)
             .seed(self.seed)
             .seconds(self.seconds)
             .boxed_motion(self.motion())
             .schedule(&self.schedule)
             .without_memory_protection()
             .without_account();
+        if let Some(part) = compass {
+            run = run.compass(CompassConfig::new(self.seed, part));
+        }
         if !needs_probe {
             run = run.without_probe();
         }
@@ -256,6 +261,25 @@ impl Case {
             run = run.command(save_s - 0.1, &rate).command(save_s, "save");
         }
         self.conditions.faults().fold(run, Run::fault)
+    }
+
+    /// Returns the sensor board, and a compass beside it. A fault of the compass has one of all
+    /// compasses, most other flights none. Drawn from a stream of its own.
+    fn kit(&self) -> (Kit, Option<Part>) {
+        let mut random = Random::new(self.seed, "kit of a case");
+        let has_compass = {
+            let mut faults = self.schedule.faults.iter();
+            faults.any(|fault| fault.kind.is_of_compass())
+        };
+        if random.uniform(0.0, 1.0) >= COMPASS_SHARE && !has_compass {
+            return (Kit::Mpu6050, None);
+        }
+        match random.uniform(0.0, 4.0) as u8 {
+            0 => (Kit::Mpu9250, None),
+            1 => (Kit::Mpu6050, Some(Part::Hmc5883l)),
+            2 => (Kit::Mpu6050, Some(Part::Qmc5883p)),
+            _ => (Kit::Gy87, None),
+        }
     }
 
     fn run_guarded(run: Run) -> Result<Outcome, String> {

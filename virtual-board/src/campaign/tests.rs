@@ -138,6 +138,25 @@ fn what_is_sound_passes_and_is_measured() {
 }
 
 #[test]
+fn every_kit_flies_and_a_fault_of_a_compass_has_a_compass() {
+    let mut compasses = [0; 2];
+    let mut kits = BTreeSet::new();
+    for seed in 0..400 {
+        let case = Case::by_seed(seed);
+        let kit = case.kit();
+        let mut faults = case.schedule.faults.iter();
+        let is_asked_for = faults.any(|fault| fault.kind.is_of_compass());
+        let has_compass = kit != (Kit::Mpu6050, None);
+        assert!(has_compass || !is_asked_for, "{seed}");
+        compasses[usize::from(is_asked_for)] += u32::from(has_compass);
+        kits.insert(format!("{kit:?}"));
+    }
+    assert_eq!(kits.len(), 5, "{kits:?}");
+    let [others, _] = compasses;
+    assert!((10..60).contains(&others), "{others}");
+}
+
+#[test]
 fn a_fault_that_is_not_counted_as_its_class_fails() {
     let (case, mut record) = sound();
     let [reading] = &mut record.health[..] else {
