@@ -275,9 +275,9 @@ impl FaultKind {
             Self::Crash => &[Class::Crash],
             Self::StackOverflow => &[Class::StackOverflow],
             Self::WatchdogHang => &[Class::Watchdog],
-            // The firmware may not address the compass in so short a stall. It does not count
-            // every stall of the core.
-            Self::CompassStall | Self::CoreStall => &[],
+            Self::CoreStall => &[Class::SamplesMissed],
+            // The firmware may not address the compass in so short a stall.
+            Self::CompassStall => &[],
             kind if kind.is_of_compass() => &[Class::Compass],
             _ => &[],
         }
