@@ -559,7 +559,12 @@ fn edges_that_return_at_any_time_leave_the_bus_alone() {
         at_us += missing_us + uniform(5_000, 8_000);
     }
     let outcome = fly(&schedule, f64::from(at_us) * 1e-6);
-    assert_eq!(reports(&outcome, "the bus"), [""; 0], "{:#?}", reports(&outcome, "# "));
+    assert_eq!(
+        reports(&outcome, "the bus"),
+        [""; 0],
+        "{:#?}",
+        reports(&outcome, "# ")
+    );
 }
 
 /// Returns the lines from 1 s on with this text.

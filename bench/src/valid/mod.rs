@@ -14,6 +14,7 @@ mod shaken_starts;
 mod starts;
 mod steps;
 mod straights;
+mod swings;
 mod turns;
 
 use aplomb::health::Flags;

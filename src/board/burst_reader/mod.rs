@@ -24,8 +24,8 @@
 //!   same steps, or the write of a setting. An attitude is never later because of it.
 //! - **Slots.** Bursts go to the attitude task without being copied. There are two slots: DMA fills
 //!   one while the attitude task reads the other.
-//! - **Lost samples.** An edge during a burst, a failed burst, and a burst that finds the attitude
-//!   task busy are counted. The next good burst carries the count as `missed_before`.
+//! - **Lost samples.** An edge without a burst of its own, a failed burst, and a burst that finds the
+//!   attitude task busy are counted. The next good burst carries the count as `missed_before`.
 
 mod alarm;
 mod compass_transfer;
@@ -65,8 +65,8 @@ const STALE_PERIOD_US: u32 = 5_000;
 const POLL_AFTER_CHECK_US: u32 = 300;
 /// Readings of CR1 that take longer than a STOP, of 2.5 µs.
 const STOP_READINGS: u32 = 200;
-/// Shortest period with which every edge is examined, because each comes sooner.
-const EXAMINE_EVERY_EDGE_US: u32 = u32::MAX;
+/// Shortest period with which every edge is examined, because each comes later.
+const EXAMINE_EVERY_EDGE_US: u32 = 0;
 
 /// Burst reader. All its methods run at one priority, so none interrupts another.
 pub struct BurstReader {
@@ -148,14 +148,17 @@ impl BurstReader {
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
         let count = timebase.captured();
         let since_last = count.wrapping_sub(self.captured_at_us as u32);
-        if self.step != BurstStep::Idle || since_last < self.shortest_period_us {
+        // Too soon, or after missed edges.
+        let beyond = since_last.wrapping_sub(self.shortest_period_us);
+        if self.step != BurstStep::Idle || beyond > self.shortest_period_us / 2 {
             self.on_unexpected_edge(count, since_last, timebase);
             return;
         }
         self.start_burst(count, timebase);
     }
 
-    /// Handles an edge that comes too soon, during a transaction, or as the first one.
+    /// Handles an edge that comes too soon, after missed ones, during a transaction, or as the first
+    /// one.
     #[cold]
     #[inline(never)]
     fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {
@@ -173,9 +176,13 @@ impl BurstReader {
                 retained::count(FaultClass::InterruptGlitch);
                 return;
             }
+            // The next edge counts this one as missed.
+            Mode::Edges if self.step != BurstStep::Idle && self.transaction.is_burst() => return,
             Mode::Edges => {
-                if self.step != BurstStep::Idle && self.transaction.is_burst() {
+                let mut rest_us = since_last;
+                while rest_us > self.shortest_period_us * 3 / 2 && self.missed < u8::MAX {
                     self.count_missed();
+                    rest_us = rest_us.saturating_sub(setup().period_us);
                 }
             }
         }

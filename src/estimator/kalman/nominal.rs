@@ -79,8 +79,15 @@ impl NominalState {
 
     /// Returns the rate of a gyroscope reading: C·(g − b).
     #[inline]
-    pub(super) fn rate_of(&self, reading: Vector3) -> Vector3 {
+    fn rate_of(&self, reading: Vector3) -> Vector3 {
         multiply(&self.gyroscope_matrix, reading) - self.rate_offset_rad_s
+    }
+
+    /// Returns the rate of a reading at a start or after a pause: out of line, which takes less
+    /// flash.
+    #[inline(never)]
+    pub(super) fn rate_after_pause(&self, reading: Vector3) -> Vector3 {
+        self.rate_of(reading)
     }
 
     /// Sets the gyroscope's bias.
@@ -119,7 +126,7 @@ impl NominalState {
 
     /// Starts the integration at the first sample, or the first after a gap.
     pub(super) fn start(&mut self, rate_reading: Vector3, force_m_s2: Vector3) {
-        self.rate_rad_s = self.rate_of(rate_reading);
+        self.rate_rad_s = self.rate_after_pause(rate_reading);
         self.force_m_s2 = force_m_s2;
         self.rotation_rad = Vector3::ZERO;
         self.force_integral_m_s = Vector3::ZERO;

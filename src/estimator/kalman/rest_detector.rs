@@ -36,6 +36,10 @@ const LONGEST_QUIET_S: f32 = 4_000.0;
 /// Count to which it returns, s: longer than any comparison needs.
 const LONG_QUIET_S: f32 = 100.0;
 
+/// Time without motion after which a sensor is stationary again, s. A load on a rope, a buoy or a
+/// boat reads like rest for a second or more, near the largest rate of each swing.
+const STATIONARY_AGAIN_AFTER_S: f32 = 2.0;
+
 /// Largest error of the measured gravity, as a share of one g: 80 mg of offset and 3 % of scale
 /// (product specification §6.2).
 const GRAVITY_TOLERANCE: f32 = 0.12;
@@ -55,8 +59,11 @@ pub(super) struct RestReadings {
 pub(super) struct RestDetector {
     average_rate_rad_s: Vector3,
     average_force_m_s2: Vector3,
-    /// The average when it had settled.
+    /// The averages when they had settled.
+    first_rate_rad_s: Vector3,
     first_force_m_s2: Vector3,
+    /// True once a rest has ended.
+    has_rested: bool,
     /// Time without motion, s. During the first average it is minus the average's length so far.
     quiet_s: f32,
 }
@@ -67,7 +74,9 @@ impl RestDetector {
         Self {
             average_rate_rad_s: Vector3::ZERO,
             average_force_m_s2: Vector3::ZERO,
+            first_rate_rad_s: Vector3::ZERO,
             first_force_m_s2: Vector3::ZERO,
+            has_rested: false,
             quiet_s: -f32::MIN_POSITIVE,
         }
     }
@@ -117,9 +126,13 @@ impl RestDetector {
         } else {
             0.0
         };
-        if self.quiet_s < SETTLED_S {
-            self.first_force_m_s2 = self.average_force_m_s2;
-        }
+    }
+
+    /// Compares the drift of the averages with the present ones from now on.
+    pub(super) const fn begin_drift(&mut self, has_rested: bool) {
+        self.has_rested |= has_rested;
+        self.first_rate_rad_s = self.average_rate_rad_s;
+        self.first_force_m_s2 = self.average_force_m_s2;
     }
 
     /// Returns the mean rate, rad/s in body axes, bias included.
@@ -137,9 +150,16 @@ impl RestDetector {
         self.quiet_s
     }
 
-    /// Forgets the time without motion: the readings were no measurements.
+    /// Forgets the time without motion: the readings were no measurements, or those of a turn.
     pub(super) const fn interrupt(&mut self) {
         self.quiet_s = smaller(self.quiet_s, 0.0);
+    }
+
+    /// Returns the square of the mean rate's change in the time without motion, (rad/s)². In a
+    /// swing the rate drifts.
+    pub(super) fn squared_rate_drift(&self) -> f32 {
+        let drift = self.average_rate_rad_s - self.first_rate_rad_s;
+        drift.dot(drift)
     }
 
     /// Returns the square of the specific force's change in the time without motion, (m/s²)².
@@ -165,7 +185,12 @@ impl RestDetector {
         let is_bias = self
             .average_rate_rad_s
             .is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);
-        let is_stationary = self.quiet_s > tuning.stationary_after_s && is_gravity && is_bias;
+        let least_s = if self.has_rested {
+            STATIONARY_AGAIN_AFTER_S
+        } else {
+            tuning.stationary_after_s
+        };
+        let is_stationary = self.quiet_s > least_s && is_gravity && is_bias;
         is_stationary.then_some(RestReadings {
             rate_rad_s: self.average_rate_rad_s,
             force_m_s2,
@@ -176,7 +201,9 @@ impl RestDetector {
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.vector(&mut self.average_rate_rad_s);
         visitor.vector(&mut self.average_force_m_s2);
+        visitor.vector(&mut self.first_rate_rad_s);
         visitor.vector(&mut self.first_force_m_s2);
+        visitor.bool(&mut self.has_rested);
         visitor.f32(&mut self.quiet_s);
     }
 }

@@ -4,8 +4,9 @@
 //! filter's attitude turns meanwhile, the gyroscope's offset has changed, and the turn is an error.
 //! Its size is known, so the reported σ includes it until a new rest is established.
 //!
-//! A new rest contradicts the offset. The filter believes it when no motion can explain the
-//! readings: gravity would have turned, or no hand and no vehicle turns so steadily.
+//! A new rest contradicts the offset. The filter believes it when no motion explains the readings:
+//! no hand and few vehicles turn so steadily. That gravity has not turned in the vehicle is no
+//! proof. A load on a rope and a buoy turn together with the force.
 
 use super::nominal::NominalState;
 use super::rest_detector::RestDetector;
@@ -13,7 +14,7 @@ use super::tuning::Tuning;
 use crate::attitude::Vector3;
 use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;
-use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+use crate::units::radians;
 
 /// Variance of a turn that the specific force does not show, as a share of its square: the turn is
 /// 2.5 σ.
@@ -22,14 +23,12 @@ const TURN_SHARE: f32 = square(1.0 / 2.5);
 /// Longest time between two updates, s: two in each covariance step.
 const UPDATE_PERIOD_S: f32 = 0.22;
 
-/// Largest turn of gravity that a stationary sensor's specific force may hide, rad: more than
-/// [`Tuning::stationary_force_m_s2`] changes its direction.
-const HIDDEN_TURN_RAD: f32 = radians(4.0);
 /// Largest change of the rate that is noise, rad/s: 5 σ of a sensor with a bandwidth of 188 Hz
 /// (product specification §6.1), and less than a hand's tremor.
 const NOISE_RATE_RAD_S: f32 = radians(0.8);
-/// Time of so steady a rate after which the sensor does not turn, s.
-const CERTAIN_S: f32 = 2.6;
+/// Time of so steady a rate after which the sensor does not turn, s. Before it, the sensor has been
+/// without motion for two seconds.
+const CERTAIN_S: f32 = 1.0;
 
 /// Comparison of the present readings with those of the last rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,9 +41,7 @@ pub(super) struct RestWatch {
     force_m_s2: Vector3,
     /// Down at rest by the filter, body axes.
     down: Vector3,
-    /// Time without motion, s, when the readings began to contradict the offset.
-    contradicted_from_s: f32,
-    /// Time without motion, s, when readings that are steady too began to contradict the offset.
+    /// Time without motion, s, when steady readings began to contradict the offset.
     steady_from_s: f32,
 }
 
@@ -54,7 +51,6 @@ impl RestWatch {
         begins: false,
         force_m_s2: Vector3::new(f32::INFINITY, 0.0, 0.0),
         down: Vector3::ZERO,
-        contradicted_from_s: f32::INFINITY,
         steady_from_s: f32::INFINITY,
     };
 
@@ -95,22 +91,13 @@ impl RestWatch {
         &mut self,
         mean_rate_rad_s: Vector3,
         rate_rad_s: Vector3,
-        force_m_s2: Vector3,
         quiet_s: f32,
     ) -> bool {
-        const HIDDEN: f32 = HIDDEN_TURN_RAD * STANDARD_GRAVITY_M_S2;
-        if quiet_s < self.steady_from_s {
-            self.contradicted_from_s = quiet_s;
-            self.steady_from_s = quiet_s;
-        }
         let change = rate_rad_s - mean_rate_rad_s;
-        if change.dot(change) > square(NOISE_RATE_RAD_S) {
+        if quiet_s < self.steady_from_s || change.dot(change) > square(NOISE_RATE_RAD_S) {
             self.steady_from_s = quiet_s;
         }
-        // Before the contradiction the sensor rested, so only the time since then counts.
-        let moment = mean_rate_rad_s.cross(force_m_s2);
-        moment.dot(moment) * square(quiet_s - self.contradicted_from_s) > square(HIDDEN)
-            || quiet_s - self.steady_from_s > CERTAIN_S
+        quiet_s - self.steady_from_s > CERTAIN_S
     }
 
     /// Visits every field.
@@ -118,7 +105,6 @@ impl RestWatch {
         visitor.bool(&mut self.begins);
         visitor.vector(&mut self.force_m_s2);
         visitor.vector(&mut self.down);
-        visitor.f32(&mut self.contradicted_from_s);
         visitor.f32(&mut self.steady_from_s);
     }
 }

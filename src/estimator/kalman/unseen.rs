@@ -136,7 +136,7 @@ impl Kalman {
         }
         self.inflate_tilt(hidden_rad2);
         if dt_s > LONG_STEP_S {
-            let rate_rad_s = self.nominal.rate_of(sample.angular_rate_rad_s);
+            let rate_rad_s = self.nominal.rate_after_pause(sample.angular_rate_rad_s);
             let rate_change = rate_rad_s - self.nominal.rate_rad_s;
             let force_change = sample.specific_force_m_s2 - self.nominal.force_m_s2;
             self.interval.unseen_tilt_rad2 += rate_change.dot(rate_change) * square(0.25 * dt_s);
