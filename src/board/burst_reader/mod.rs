@@ -24,8 +24,9 @@
 //!   same steps, or the write of a setting. An attitude is never later because of it.
 //! - **Slots.** Bursts go to the attitude task without being copied. There are two slots: DMA fills
 //!   one while the attitude task reads the other.
-//! - **Lost samples.** An edge without a burst of its own, a failed burst, and a burst that finds the
-//!   attitude task busy are counted. The next good burst carries the count as `missed_before`.
+//! - **Lost samples.** An edge without a burst of its own, a failed burst, and a burst that finds
+//!   the attitude task busy are counted. The next good burst carries the count as
+//!   `missed_before`.
 
 mod alarm;
 mod compass_transfer;
@@ -157,8 +158,8 @@ impl BurstReader {
         self.start_burst(count, timebase);
     }
 
-    /// Handles an edge that comes too soon, after missed ones, during a transaction, or as the first
-    /// one.
+    /// Handles an edge that comes too soon, after missed ones, during a transaction, or as the
+    /// first one.
     #[cold]
     #[inline(never)]
     fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {

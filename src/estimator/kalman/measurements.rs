@@ -86,10 +86,10 @@ impl Kalman {
         quiet_s <= self.steady_until_s || quiet_s > CERTAIN_REST_S
     }
 
-    /// Ends a rest that turns out to be a swing, because the rate drifts. Ends one that turns out to
-    /// be a slow, steady turn, because gravity has turned. If it has turned
-    /// for most of the time, and faster than the gyroscope shows, then the bias was measured in the
-    /// turn, and is unknown.
+    /// Ends a rest that turns out to be a swing, because the rate drifts. Ends one that turns out
+    /// to be a slow, steady turn, because gravity has turned. If it has turned for most of the
+    /// time, and faster than the gyroscope shows, then the bias was measured in the turn, and is
+    /// unknown.
     #[inline(never)]
     fn end_rest_if_turned(&mut self) {
         let quiet_s = self.rest_detector.quiet_s();
