@@ -97,6 +97,8 @@ pub struct BurstReader {
     failures_in_a_row: u8,
     /// True if an edge has come during a transaction that is no burst.
     is_edge_waiting: bool,
+    /// True until the first edge after the reader was enabled: none before it is missed.
+    awaits_first_edge: bool,
     next_check: u8,
 }
 
@@ -136,6 +138,7 @@ impl BurstReader {
             mode: Mode::Starting,
             failures_in_a_row: 0,
             is_edge_waiting: false,
+            awaits_first_edge: false,
             next_check: 0,
         };
         reader.prepare_dma();
@@ -168,6 +171,7 @@ impl BurstReader {
             Mode::Starting if !is_enabled() => return,
             Mode::Starting => {
                 self.begin_edges();
+                self.awaits_first_edge = false;
                 self.start_burst(count, timebase);
                 return;
             }
@@ -179,6 +183,7 @@ impl BurstReader {
             }
             // The next edge counts this one as missed.
             Mode::Edges if self.step != BurstStep::Idle && self.transaction.is_burst() => return,
+            Mode::Edges if core::mem::take(&mut self.awaits_first_edge) => {}
             Mode::Edges => {
                 let mut rest_us = since_last;
                 while rest_us > self.shortest_period_us * 3 / 2 && self.missed < u8::MAX {
@@ -368,6 +373,7 @@ impl BurstReader {
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
+        self.awaits_first_edge = true;
         enable_event_interrupts();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.flags.remove(BoardFlags::SCALES_VERIFIED);
