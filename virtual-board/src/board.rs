@@ -29,17 +29,14 @@ pub struct BoardModel {
     pub device_id: u16,
     /// Peripherals of the STM32F427, which the virtual board models, that this chip lacks: tables 1
     /// of RM0090, RM0368, RM0383 and RM0390.
-    pub absent: &'static [&'static str],
+    pub absent: &'static [&'static [&'static str]],
     /// The regulator of the core's supply.
     pub regulator: Regulator,
 }
 
-/// Peripherals that the STM32F405 lacks.
-const ABSENT_F405: &[&str] = &[
-    "SPI4",
-    "SPI5",
+/// Peripherals that no chip of the boards has.
+const NOWHERE: &[&str] = &[
     "SPI6",
-    "SAI1",
     "DMA2D",
     "UART7",
     "UART8",
@@ -47,34 +44,14 @@ const ABSENT_F405: &[&str] = &[
     "GPIOK",
     "CRYP",
     "HASH",
-    "DCMI",
     "Ethernet_MAC",
     "Ethernet_MMC",
     "Ethernet_PTP",
     "Ethernet_DMA",
 ];
 
-/// Peripherals that the STM32F446 lacks.
-const ABSENT_F446: &[&str] = &[
-    "SPI5",
-    "SPI6",
-    "DMA2D",
-    "UART7",
-    "UART8",
-    "GPIOI",
-    "GPIOJ",
-    "GPIOK",
-    "CRYP",
-    "HASH",
-    "RNG",
-    "Ethernet_MAC",
-    "Ethernet_MMC",
-    "Ethernet_PTP",
-    "Ethernet_DMA",
-];
-
-/// Peripherals that the STM32F411 lacks.
-const ABSENT_F411: &[&str] = &[
+/// Peripherals that the STM32F401 and the STM32F411 lack besides.
+const NOT_ON_SMALL_CHIPS: &[&str] = &[
     "TIM6",
     "TIM7",
     "TIM8",
@@ -84,11 +61,7 @@ const ABSENT_F411: &[&str] = &[
     "USART3",
     "UART4",
     "UART5",
-    "UART7",
-    "UART8",
-    "SPI6",
     "SAI1",
-    "DMA2D",
     "CAN1",
     "CAN2",
     "DAC",
@@ -97,59 +70,9 @@ const ABSENT_F411: &[&str] = &[
     "GPIOF",
     "GPIOG",
     "GPIOI",
-    "GPIOJ",
-    "GPIOK",
-    "CRYP",
-    "HASH",
     "RNG",
     "DCMI",
     "FMC",
-    "Ethernet_MAC",
-    "Ethernet_MMC",
-    "Ethernet_PTP",
-    "Ethernet_DMA",
-    "OTG_HS_GLOBAL",
-    "OTG_HS_HOST",
-    "OTG_HS_DEVICE",
-    "OTG_HS_PWRCLK",
-];
-
-/// Peripherals that the STM32F401 lacks.
-const ABSENT_F401: &[&str] = &[
-    "SPI5",
-    "TIM6",
-    "TIM7",
-    "TIM8",
-    "TIM12",
-    "TIM13",
-    "TIM14",
-    "USART3",
-    "UART4",
-    "UART5",
-    "UART7",
-    "UART8",
-    "SPI6",
-    "SAI1",
-    "DMA2D",
-    "CAN1",
-    "CAN2",
-    "DAC",
-    "ADC2",
-    "ADC3",
-    "GPIOF",
-    "GPIOG",
-    "GPIOI",
-    "GPIOJ",
-    "GPIOK",
-    "CRYP",
-    "HASH",
-    "RNG",
-    "DCMI",
-    "FMC",
-    "Ethernet_MAC",
-    "Ethernet_MMC",
-    "Ethernet_PTP",
-    "Ethernet_DMA",
     "OTG_HS_GLOBAL",
     "OTG_HS_HOST",
     "OTG_HS_DEVICE",
@@ -163,7 +86,7 @@ pub const BOARDS: [BoardModel; 5] = [
         input: HighSpeedInput::Crystal(8_000_000),
         core_hz: 168_000_000,
         device_id: 0x413,
-        absent: ABSENT_F405,
+        absent: &[NOWHERE, &["SPI4", "SPI5", "SAI1", "DCMI"]],
         regulator: Regulator::F405,
     },
     BoardModel {
@@ -171,7 +94,7 @@ pub const BOARDS: [BoardModel; 5] = [
         input: HighSpeedInput::Crystal(25_000_000),
         core_hz: 84_000_000,
         device_id: 0x423,
-        absent: ABSENT_F401,
+        absent: &[NOWHERE, NOT_ON_SMALL_CHIPS, &["SPI5"]],
         regulator: Regulator::F401,
     },
     BoardModel {
@@ -179,7 +102,7 @@ pub const BOARDS: [BoardModel; 5] = [
         input: HighSpeedInput::Crystal(25_000_000),
         core_hz: 100_000_000,
         device_id: 0x431,
-        absent: ABSENT_F411,
+        absent: &[NOWHERE, NOT_ON_SMALL_CHIPS],
         regulator: Regulator::F411,
     },
     BoardModel {
@@ -187,7 +110,7 @@ pub const BOARDS: [BoardModel; 5] = [
         input: HighSpeedInput::ExternalClock(8_000_000),
         core_hz: 100_000_000,
         device_id: 0x431,
-        absent: ABSENT_F411,
+        absent: &[NOWHERE, NOT_ON_SMALL_CHIPS],
         regulator: Regulator::F411,
     },
     BoardModel {
@@ -195,12 +118,19 @@ pub const BOARDS: [BoardModel; 5] = [
         input: HighSpeedInput::ExternalClock(8_000_000),
         core_hz: 168_000_000,
         device_id: 0x421,
-        absent: ABSENT_F446,
+        absent: &[NOWHERE, &["SPI5", "GPIOI", "RNG"]],
         regulator: Regulator::F446,
     },
 ];
 
 impl BoardModel {
+    /// Returns whether the chip lacks the peripheral of this name.
+    #[must_use]
+    pub fn lacks(&self, peripheral: &str) -> bool {
+        let lists = self.absent.iter();
+        lists.copied().any(|list| list.contains(&peripheral))
+    }
+
     /// The board of this name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {

@@ -513,7 +513,8 @@ fn violations(session: &Session<Board>) -> Vec<String> {
     for (&address, _) in gated {
         checks.note_at(Rule::Clocked, address);
     }
-    checks.note_absent(controller.bus(), session.board().model.absent);
+    let model = session.board().model;
+    checks.note_absent(controller.bus(), |peripheral| model.lacks(peripheral));
     let prefetch = controller.prefetches_on_revision_a();
     let prefetch = prefetch.then(|| "FLASH.ACR: the prefetch is on, on revision A (ES0182)".into());
     let own = checks.violations();
