@@ -62,8 +62,8 @@ pub(super) struct RestDetector {
     /// The averages when they had settled.
     first_rate_rad_s: Vector3,
     first_force_m_s2: Vector3,
-    /// True once a rest has ended.
-    has_rested: bool,
+    /// True once a rest has been accepted and has ended: the next one takes longer.
+    had_rest: bool,
     /// Time without motion, s. During the first average it is minus the average's length so far.
     quiet_s: f32,
 }
@@ -76,7 +76,7 @@ impl RestDetector {
             average_force_m_s2: Vector3::ZERO,
             first_rate_rad_s: Vector3::ZERO,
             first_force_m_s2: Vector3::ZERO,
-            has_rested: false,
+            had_rest: false,
             quiet_s: -f32::MIN_POSITIVE,
         }
     }
@@ -128,9 +128,10 @@ impl RestDetector {
         };
     }
 
-    /// Compares the drift of the averages with the present ones from now on.
-    pub(super) const fn begin_drift(&mut self, has_rested: bool) {
-        self.has_rested |= has_rested;
+    /// Measures the drift from the present averages on. `had_rest` is true if a rest has been
+    /// accepted before.
+    pub(super) const fn begin_drift(&mut self, had_rest: bool) {
+        self.had_rest |= had_rest;
         self.first_rate_rad_s = self.average_rate_rad_s;
         self.first_force_m_s2 = self.average_force_m_s2;
     }
@@ -185,7 +186,7 @@ impl RestDetector {
         let is_bias = self
             .average_rate_rad_s
             .is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);
-        let least_s = if self.has_rested {
+        let least_s = if self.had_rest {
             STATIONARY_AGAIN_AFTER_S
         } else {
             tuning.stationary_after_s
@@ -203,7 +204,7 @@ impl RestDetector {
         visitor.vector(&mut self.average_force_m_s2);
         visitor.vector(&mut self.first_rate_rad_s);
         visitor.vector(&mut self.first_force_m_s2);
-        visitor.bool(&mut self.has_rested);
+        visitor.bool(&mut self.had_rest);
         visitor.f32(&mut self.quiet_s);
     }
 }

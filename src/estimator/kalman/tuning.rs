@@ -78,7 +78,7 @@ pub struct Tuning {
     pub coupling: f32,
     /// Deviation of a bias from its prior, in σ, at which the prior's variance is doubled.
     pub prior_gate_sigma: f32,
-    /// Time without motion after which the sensor is stationary, s.
+    /// Time without motion after which the sensor is stationary, s, until a first rest has ended.
     pub stationary_after_s: f32,
     /// Largest change of the rate of a stationary sensor, rad/s.
     pub stationary_rate_rad_s: f32,
