@@ -567,6 +567,31 @@ fn edges_that_return_at_any_time_leave_the_bus_alone() {
     );
 }
 
+/// A stall that begins between two bursts hides edges as one that interrupts a burst does.
+#[test]
+fn samples_that_a_stall_hides_are_flagged_whatever_its_phase() {
+    let mut schedule = String::new();
+    for stall in 0..10 {
+        let start_s = 2.0 + 0.0601 * f64::from(stall);
+        schedule += &format!("{start_s} 0.0075 core-stall\n");
+    }
+    let outcome = fly(&schedule, 2.8);
+    let samples = outcome.samples().iter().filter_map(|sample| {
+        let is_missed = sample.snapshot.flags.contains(Flags::MISSED);
+        sample.edge.map(|edge| (edge.index, is_missed))
+    });
+    let samples: Vec<_> = samples.collect();
+    let mut gaps = 0;
+    // The first sample follows no other.
+    assert!(samples.first().is_some_and(|(_, is_missed)| !is_missed));
+    for pair in samples.windows(2) {
+        let [(before, _), (index, is_missed)] = [pair[0], pair[1]];
+        assert_eq!(is_missed, index > before + 1, "{before}, {index}");
+        gaps += u32::from(is_missed);
+    }
+    assert!(gaps >= 10, "{gaps}");
+}
+
 /// Returns the lines from 1 s on with this text.
 fn reports<'a>(outcome: &'a Outcome, text: &str) -> Vec<&'a str> {
     let lines = outcome.uart_lines.iter();
