@@ -70,8 +70,6 @@ class Recording:
     mag: NDArray[np.float64] | None
     truth: NDArray[np.float64]
     scored: NDArray[np.bool_]
-    @property
-    def moving(self) -> NDArray[np.bool_]: ...
 
 class AccelerometerCalibration(TypedDict):
     offset_m_s2: NDArray[np.float32]

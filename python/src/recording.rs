@@ -41,15 +41,6 @@ pub struct Recording {
     scored: Py<PyArray1<bool>>,
 }
 
-#[pymethods]
-impl Recording {
-    /// Former name of `scored`. The column mov is 1 where a row counts; nothing detects motion.
-    #[getter]
-    fn moving(&self, python: Python<'_>) -> Py<PyArray1<bool>> {
-        self.scored.clone_ref(python)
-    }
-}
-
 /// Columns of a recording.
 #[derive(Default)]
 struct Columns {

@@ -292,7 +292,7 @@ def test_rows_that_count_are_those_of_the_column(tmp_path):
         f"t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov\n0,{row},1,0,0,0,1\n1000,{row},1,0,0,0,0\n"
     )
     recording = aplomb.read_log(path)
-    assert recording.scored.tolist() == recording.moving.tolist() == [True, False]
+    assert recording.scored.tolist() == [True, False]
     path.write_text(f"t_us,ax,ay,az,gx,gy,gz\n0,{row}\n1000,{row}\n")
     assert aplomb.read_log(path).scored.all()
 
