@@ -4,14 +4,13 @@
 //! the firmware between two instructions. Recording does not change the run, except that the probe,
 //! if there is one, empties the log buffer.
 
+mod memory;
 mod record;
 mod timer;
 
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::fault::{FaultClass, report};
 use aplomb::health::{Flags, STACK_PATTERN};
 use aplomb::pipeline::Snapshot;
@@ -30,6 +29,7 @@ use crate::image::Firmware;
 use crate::mcu::ReceivedByte;
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Counts, EXCEPTIONS, Profile, Upset, exception_of};
+use memory::{read_heading, read_snapshot};
 use timer::Timer;
 
 /// Offset of the count in the published structure; the snapshot is at 0.
@@ -557,44 +557,4 @@ impl Driver<Board> for Recorder {
         self.end(session, host, stop);
         None
     }
-}
-
-/// Reads a snapshot from the firmware's memory.
-fn read_snapshot(memory: &mut dyn Host, address: u64) -> Option<Snapshot> {
-    let mut word = |offset: u64| {
-        let value = Memory::read(memory, address + offset, Width::W32).ok()?;
-        u32::try_from(value).ok()
-    };
-    let t_us = u64::from(word(0)?) | u64::from(word(4)?) << 32;
-    let mut float = |offset: u64| word(offset).map(f32::from_bits);
-    let attitude = Quaternion {
-        w: float(8)?,
-        x: float(12)?,
-        y: float(16)?,
-        z: float(20)?,
-    };
-    let body_rates_rad_s = Vector3::new(float(24)?, float(28)?, float(32)?);
-    let tilt_variance_rad2 = float(40)?;
-    Some(Snapshot {
-        t_us,
-        attitude,
-        body_rates_rad_s,
-        flags: Flags::from_bits_truncate(word(36)?),
-        tilt_variance_rad2,
-    })
-}
-
-/// Reads the published heading from the firmware's memory; `None` while it is unknown.
-fn read_heading(memory: &mut dyn Host, address: u64) -> Option<HeadingEstimate> {
-    let mut word = |offset: u64| {
-        let value = Memory::read(memory, address + offset, Width::W32).ok()?;
-        u32::try_from(value).ok()
-    };
-    let state = word(16)?;
-    Some(HeadingEstimate {
-        yaw_offset_rad: word(8).map(f32::from_bits)?,
-        sigma_rad: word(12).map(f32::from_bits)?,
-        is_valid: state & 2 != 0,
-    })
-    .filter(|_| state & 1 != 0)
 }
