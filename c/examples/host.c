@@ -38,6 +38,7 @@ int main(void)
             continue; /* the header */
         }
         burst.missed_before = strstr(line, "MISSED") != NULL;
+        aplomb_set_armed(&pipeline, strstr(line, "ARMED") != NULL);
         status = aplomb_update_burst(&pipeline, &burst, &snapshot);
         if (status != APLOMB_STATUS_OK) {
             break; /* no snapshot was written */

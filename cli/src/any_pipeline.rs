@@ -146,6 +146,13 @@ impl AnyPipeline {
         }
     }
 
+    /// Arms (`true`) or disarms the filter. Only the Kalman filter uses it.
+    pub const fn set_armed(&mut self, is_armed: bool) {
+        if let Some(pipeline) = self.kalman_mut() {
+            pipeline.set_armed(is_armed);
+        }
+    }
+
     /// Adds a compass of which this is known. Only the Kalman filter uses it.
     pub fn add_compass(&mut self, knowledge: CompassKnowledge, declination_rad: f32) {
         if let Variant::Kalman(pipeline) = self.pipeline {

@@ -127,8 +127,7 @@ impl Kind {
 
 /// Burst of a recording, with the conditions that the board reported.
 struct Recorded {
-    burst: Burst,
-    flags: BoardFlags,
+    row: bursts::Row,
     /// Reading of the compass that was added after the burst.
     reading: Option<CompassReading>,
     /// Values beyond the ranges, which were clipped.
@@ -163,7 +162,8 @@ impl Written {
         }
         self.bursts += 1;
         self.clipped_values += recorded.clipped_values;
-        self.has_flags |= recorded.burst.missed_before > 0 || !recorded.flags.is_empty();
+        let row = &recorded.row;
+        self.has_flags |= row.burst.missed_before > 0 || !row.board.is_empty();
     }
 
     /// Returns the options of `replay` for the compass.
@@ -387,7 +387,7 @@ fn with_divider(
     let times_us: Vec<i64> = first
         .iter()
         .flatten()
-        .map(|recorded| recorded.burst.captured_at_us.cast_signed())
+        .map(|recorded| recorded.row.burst.captured_at_us.cast_signed())
         .collect();
     (
         divider(&times_us),
@@ -415,8 +415,11 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
         part,
         bursts: Box::new(steps.map(|step| {
             Ok(Recorded {
-                burst: step.numbered.burst,
-                flags: step.numbered.flags,
+                row: bursts::Row {
+                    burst: step.numbered.burst,
+                    board: step.numbered.flags,
+                    is_armed: false,
+                },
                 reading: step.reading,
                 clipped_values: 0,
             })
@@ -436,10 +439,9 @@ fn next_burst(lines: &mut Lines) -> Result<Option<Recorded>, Box<dyn Error>> {
         return Ok(None);
     };
     let decoded = bursts::decode(line);
-    let (burst, flags) = decoded.map_err(|reason| format!("{}: {reason}", lines.place()))?;
+    let row = decoded.map_err(|reason| format!("{}: {reason}", lines.place()))?;
     Ok(Some(Recorded {
-        burst,
-        flags,
+        row,
         reading: None,
         clipped_values: 0,
     }))
@@ -458,8 +460,11 @@ fn next_row(rows: &mut Rows) -> Result<Option<Recorded>, Box<dyn Error>> {
         missed_before: 0,
     };
     Ok(Some(Recorded {
-        burst,
-        flags: BoardFlags::empty(),
+        row: bursts::Row {
+            burst,
+            board: BoardFlags::empty(),
+            is_armed: false,
+        },
         reading: None,
         clipped_values,
     }))
@@ -507,15 +512,16 @@ fn write_log(
     bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
     let mut recorder = Recorder::new(file, Pipeline::new(&target.settings), 0);
-    for Recorded { burst, flags, .. } in bursts {
-        let t_us = burst.captured_at_us;
+    for Recorded { row, .. } in bursts {
+        let t_us = row.burst.captured_at_us;
         if t_us > LATEST_LOGGED_US {
             return Err(std::io::Error::other(format!(
                 "a flight log holds times of up to {LATEST_LOGGED_US} us, and one is {t_us}: \
                  subtract the first time from all"
             )));
         }
-        recorder.add(&burst, flags)?;
+        recorder.set_armed(row.is_armed);
+        recorder.add(&row.burst, row.board)?;
     }
     Ok(())
 }
@@ -526,8 +532,8 @@ fn write_bursts(
     bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
     writeln!(file, "{}", bursts::HEADER)?;
-    for Recorded { burst, flags, .. } in bursts {
-        writeln!(file, "{}", bursts::Line(&burst, flags))?;
+    for Recorded { row, .. } in bursts {
+        writeln!(file, "{row}")?;
     }
     Ok(())
 }
@@ -544,14 +550,14 @@ fn write_csv(
     let field_columns = if *has_compass { ",mx,my,mz" } else { "" };
     writeln!(file, "t_us,ax,ay,az,gx,gy,gz{field_columns}")?;
     let mut line = Vec::new();
-    for Recorded { burst, reading, .. } in bursts {
-        let raw = RawSample::decode(&burst.bytes);
+    for Recorded { row, reading, .. } in bursts {
+        let raw = RawSample::decode(&row.burst.bytes);
         let force = raw
             .accelerometer
             .to_m_s2(settings.sensor.accelerometer_range);
         let rates = raw.gyroscope.to_rad_s(settings.sensor.gyroscope_range);
         line.clear();
-        write!(line, "{}", burst.captured_at_us)?;
+        write!(line, "{}", row.burst.captured_at_us)?;
         for value in [force.x, force.y, force.z, rates.x, rates.y, rates.z] {
             line.push(b',');
             number::append(&mut line, value);

@@ -9,9 +9,9 @@ use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
 use aplomb::estimator::kalman::AccelerometerKnowledge;
-use aplomb::health::{BoardFlags, Flags};
+use aplomb::health::Flags;
 use aplomb::mpu6050::{
-    AccelerometerCounts, AccelerometerRange, Burst, Config, GyroscopeCounts, GyroscopeRange, Part,
+    AccelerometerCounts, AccelerometerRange, Config, GyroscopeCounts, GyroscopeRange, Part,
 };
 use aplomb::pipeline::{Settings, Snapshot};
 use aplomb::telemetry::bursts;
@@ -312,11 +312,10 @@ pub struct BurstSource {
     pipeline: AnyPipeline,
 }
 
-/// Burst of a table.
+/// Row of a table of bursts.
 struct TimedBurst {
     t_us: i64,
-    burst: Burst,
-    flags: BoardFlags,
+    row: bursts::Row,
 }
 
 impl BurstSource {
@@ -356,11 +355,11 @@ impl BurstSource {
         let Some(line) = self.lines.next_line()? else {
             return Ok(None);
         };
-        let (burst, flags) =
+        let row =
             bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
-        let t_us = i64::try_from(burst.captured_at_us)
+        let t_us = i64::try_from(row.burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
-        Ok(Some(TimedBurst { t_us, burst, flags }))
+        Ok(Some(TimedBurst { t_us, row }))
     }
 
     /// Sets what is known of the accelerometer's offset. Default: nothing.
@@ -382,10 +381,11 @@ impl Source for BurstSource {
                 None => self.read()?,
             },
         };
-        let Some(TimedBurst { t_us, burst, flags }) = next else {
+        let Some(TimedBurst { t_us, row }) = next else {
             return Ok(None);
         };
-        let snapshot = self.pipeline.update(&burst, flags);
+        self.pipeline.set_armed(row.is_armed);
+        let snapshot = self.pipeline.update(&row.burst, row.board);
         Ok(Some(Point::new(&self.pipeline, &snapshot, t_us)))
     }
 }

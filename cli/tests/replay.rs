@@ -372,6 +372,15 @@ fn eventful() -> Vec<(u64, [i16; 6])> {
         .collect()
 }
 
+/// Returns the row of a burst without conditions.
+fn disarmed(burst: Burst) -> bursts::Row {
+    bursts::Row {
+        burst,
+        board: BoardFlags::empty(),
+        is_armed: false,
+    }
+}
+
 #[test]
 fn a_log_says_of_its_rows_what_a_board_says_of_its_bursts() {
     let mut log = String::from("t_us,ax,ay,az,gx,gy,gz\n");
@@ -389,7 +398,7 @@ fn a_log_says_of_its_rows_what_a_board_says_of_its_bursts() {
             captured_at_us: t_us,
             missed_before: 0,
         };
-        writeln!(text, "{}", bursts::Line(&burst, BoardFlags::empty())).unwrap();
+        writeln!(text, "{}", disarmed(burst)).unwrap();
     }
     let (_, of_bursts) = replay("valid", &file("valid", "bursts.csv", text), &[]);
     let raw = ["--raw", "--accel-range", "16", "--gyro-range", "2000"];
@@ -517,11 +526,17 @@ fn bursts_go_through_the_whole_pipeline_to_the_bit() {
             captured_at_us: 1_000 * u64::from(index) + u64::from(noise),
             missed_before: u8::from(index == 1_200),
         };
-        let mut flags = BoardFlags::empty();
-        flags.set(BoardFlags::SENSOR_RESET, index == 1_250);
-        flags.set(BoardFlags::INTERNAL_CLOCK, index > 1_300);
-        writeln!(input, "{}", bursts::Line(&burst, flags)).unwrap();
-        let snapshot = pipeline.update(&burst, flags);
+        let mut board = BoardFlags::empty();
+        board.set(BoardFlags::SENSOR_RESET, index == 1_250);
+        board.set(BoardFlags::INTERNAL_CLOCK, index > 1_300);
+        let row = bursts::Row {
+            burst,
+            board,
+            is_armed: (1_150..1_400).contains(&index),
+        };
+        writeln!(input, "{row}").unwrap();
+        pipeline.set_armed(row.is_armed);
+        let snapshot = pipeline.update(&burst, board);
         expected.push((first_columns(&snapshot), snapshot.flags.to_string()));
     }
     let (printed, output) = replay("bursts", &file("bursts", "bursts.csv", input), &[]);

@@ -33,10 +33,10 @@ pub fn run(bytes: &[u8]) {
 
 fn read(line: &str) {
     match bursts::decode(line) {
-        Ok((burst, flags)) => {
-            let again = bursts::Line(&burst, flags).to_string();
+        Ok(row) => {
+            let again = row.to_string();
             assert!(again.len() <= bursts::LINE_LENGTH);
-            assert_eq!(bursts::decode(&again), Ok((burst, flags)));
+            assert_eq!(bursts::decode(&again), Ok(row));
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }
@@ -129,9 +129,12 @@ fn write(bytes: &[u8; 32]) {
         captured_at_us: u64::from(words[4]) << 32 | u64::from(words[5]),
         missed_before: bytes[31] & 1,
     };
-    let flags = BoardFlags::from_bits_truncate(words[7]);
-    let line = bursts::Line(&burst, flags).to_string();
-    assert_eq!(bursts::decode(&line), Ok((burst, flags)));
+    let row = bursts::Row {
+        burst,
+        board: BoardFlags::from_bits_truncate(words[7]),
+        is_armed: bytes[31] & 2 != 0,
+    };
+    assert_eq!(bursts::decode(&row.to_string()), Ok(row));
 }
 
 /// Compares a decoded number with the original: two decimals, at most 99999.99 either way, and

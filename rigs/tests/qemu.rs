@@ -10,7 +10,8 @@ use std::process::Command;
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{BURST_LENGTH, Burst, Part, RawSample};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-use aplomb::telemetry::{bursts, text};
+use aplomb::telemetry::bursts::{self, Row};
+use aplomb::telemetry::text;
 
 /// Samples for one line of text, as in `rigs/src/bin/qemu.rs`.
 const SAMPLES_PER_LINE: usize = 20;
@@ -36,7 +37,7 @@ fn qemu_agrees_with_the_host_on_whole_flights() {
     };
     for (index, path) in std::env::split_paths(&paths).enumerate() {
         let contents = std::fs::read_to_string(&path).expect("APLOMB_BURSTS can be read");
-        let bursts: Vec<(Burst, BoardFlags)> = contents
+        let bursts: Vec<Row> = contents
             .lines()
             .skip(1)
             .map(|line| bursts::decode(line).expect("bursts.csv holds bursts"))
@@ -81,8 +82,8 @@ fn folder(name: &str) -> PathBuf {
 }
 
 /// Returns bursts with rest, motion, saturation, lost samples, gaps, times that repeat or go back,
-/// noise, and all flags of a board.
-fn bursts_of_every_kind() -> Vec<(Burst, BoardFlags)> {
+/// noise, all flags of a board, and a filter that is armed for a while.
+fn bursts_of_every_kind() -> Vec<Row> {
     let mut random = 0x2545_F491_4F6C_DD1D_u64;
     let mut next = move || {
         random ^= random << 13;
@@ -133,21 +134,25 @@ fn bursts_of_every_kind() -> Vec<(Burst, BoardFlags)> {
                 captured_at_us: time_us,
                 missed_before: u8::from(index % 500 == 499),
             };
-            let flags = match index {
+            let board = match index {
                 1_800 => BoardFlags::all().difference(BoardFlags::SCALES_VERIFIED),
                 2_800 => BoardFlags::SENSOR_RESET,
                 3_500..3_600 => BoardFlags::POLLED,
                 _ => BoardFlags::empty(),
             };
-            (burst, flags)
+            Row {
+                burst,
+                board,
+                is_armed: (1_100..3_700).contains(&index),
+            }
         })
         .collect()
 }
 
-fn csv(bursts: &[(Burst, BoardFlags)]) -> String {
+fn csv(bursts: &[Row]) -> String {
     let mut contents = format!("{}\n", bursts::HEADER);
-    for (burst, flags) in bursts {
-        writeln!(contents, "{}", bursts::Line(burst, *flags)).expect("a string takes everything");
+    for row in bursts {
+        writeln!(contents, "{row}").expect("a string takes everything");
     }
     contents
 }
@@ -197,11 +202,14 @@ fn run(elf: &Path, folder: &Path, contents: &str) -> Run {
 }
 
 /// Compares QEMU's output with the library on this computer.
-fn agree(run: &Run, bursts: &[(Burst, BoardFlags)]) {
+fn agree(run: &Run, bursts: &[Row]) {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
     let expected: Vec<Snapshot> = bursts
         .iter()
-        .map(|(burst, flags)| pipeline.update(burst, *flags))
+        .map(|row| {
+            pipeline.set_armed(row.is_armed);
+            pipeline.update(&row.burst, row.board)
+        })
         .collect();
     let lines: Vec<&str> = run.snapshots.lines().collect();
     assert_eq!(lines.len(), expected.len(), "one snapshot for every burst");

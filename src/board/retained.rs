@@ -3,7 +3,8 @@
 //!
 //! The data lie in RAM that start-up does not clear (`.uninit`). A check word distinguishes data of
 //! an earlier run from the random content after power-up. A debugger finds the health report under
-//! the symbol `APLOMB_HEALTH`, in the layout of `fault::report`.
+//! the symbol `APLOMB_HEALTH`, in the layout of `fault::report`, and the armed state under
+//! `APLOMB_ARMED`: 0 while disarmed.
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
@@ -48,11 +49,12 @@ static APLOMB_HEALTH: Report = Report {
 /// Check word. It changes with the layout, so that another version's report is not accepted.
 const CHECK: u32 = 0x4150_4C4D ^ (report::LENGTH as u32) << 8;
 
-/// [`ARMED_WORD`] while the module is armed.
+/// [`ARMED_WORD`] while the module is armed, otherwise 0.
+#[unsafe(no_mangle)]
 #[unsafe(link_section = ".uninit.APLOMB_ARMED")]
-static ARMED: AtomicU32 = AtomicU32::new(0);
+static APLOMB_ARMED: AtomicU32 = AtomicU32::new(0);
 
-/// Content of [`ARMED`] while the module is armed.
+/// Content of [`APLOMB_ARMED`] while the module is armed.
 const ARMED_WORD: u32 = 0x6172_6D64;
 
 /// [`CRASHED_WORD`] from a crash to the next start. A debugger's reset sets the same bit of the
@@ -195,13 +197,13 @@ pub fn note_crash(class: FaultClass, address: u32) {
 
 /// Returns whether the module is armed, which a warm reset does not change.
 pub fn is_armed() -> bool {
-    ARMED.load(Ordering::Relaxed) == ARMED_WORD
+    APLOMB_ARMED.load(Ordering::Relaxed) == ARMED_WORD
 }
 
 /// Arms or disarms the module. The filter has a copy of its own.
 pub fn set_armed(is_armed: bool) {
     let word = if is_armed { ARMED_WORD } else { 0 };
-    ARMED.store(word, Ordering::Relaxed);
+    APLOMB_ARMED.store(word, Ordering::Relaxed);
 }
 
 /// Keeps the bytes of the record in use.

@@ -9,16 +9,22 @@
 //!
 //! The time is that of the capture, in µs since boot. The bytes are 28 hexadecimal digits. The
 //! flags, joined by `|`, go into the pipeline with the burst. `MISSED` means that samples before
-//! this one were lost; the others are those of [`BoardFlags`]. Files of earlier versions have
-//! `MISSED` alone.
+//! this one were lost, and `ARMED` that the filter was armed. The others are those of
+//! [`BoardFlags`]. Files of earlier versions have `MISSED` alone, or no `ARMED`.
 //!
 //! ```
+//! use aplomb::mpu6050::Part;
+//! use aplomb::pipeline::{Pipeline, Settings};
 //! use aplomb::telemetry::bursts;
 //!
-//! let line = "1250345,0f3effc2e01c0a50ffe900130004,MISSED";
-//! let (burst, flags) = bursts::decode(line)?;
-//! assert_eq!((burst.captured_at_us, burst.missed_before), (1_250_345, 1));
-//! assert_eq!(bursts::Line(&burst, flags).to_string(), line);
+//! let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+//! let line = "1250345,0f3effc2e01c0a50ffe900130004,MISSED|ARMED";
+//! let row = bursts::decode(line)?;
+//! assert_eq!((row.burst.captured_at_us, row.burst.missed_before), (1_250_345, 1));
+//! assert_eq!(row.to_string(), line);
+//! pipeline.set_armed(row.is_armed);
+//! let snapshot = pipeline.update(&row.burst, row.board);
+//! assert_eq!(snapshot.t_us, 1_250_345);
 //! # Ok::<(), bursts::DecodeError>(())
 //! ```
 
@@ -36,27 +42,42 @@ pub const LINE_LENGTH: usize = 20 + 1 + 2 * BURST_LENGTH + 1 + FLAGS_LENGTH;
 
 /// Flags that a line can have.
 const ALL_FLAGS: &str =
-    "MISSED|BUS_FAULT|SENSOR_RESET|LATE|POLLED|INTERNAL_CLOCK|COMPASS_FAULT|SCALES_VERIFIED";
+    "MISSED|ARMED|BUS_FAULT|SENSOR_RESET|LATE|POLLED|INTERNAL_CLOCK|COMPASS_FAULT|SCALES_VERIFIED";
 const FLAGS_LENGTH: usize = ALL_FLAGS.len();
 const MISSED: &str = "MISSED";
+const ARMED: &str = "ARMED";
 
-/// Displays a burst and the board's flags as a line, without its end.
-#[derive(Debug)]
-pub struct Line<'a>(pub &'a Burst, pub BoardFlags);
+/// Row of the file. Its text is the line, without its end.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Row {
+    /// Burst.
+    pub burst: Burst,
+    /// Conditions of the board.
+    pub board: BoardFlags,
+    /// True if the filter was armed: pass it to
+    /// [`Pipeline::set_armed`](crate::pipeline::Pipeline::set_armed) before the burst.
+    pub is_armed: bool,
+}
 
-impl fmt::Display for Line<'_> {
+impl fmt::Display for Row {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self(burst, flags) = *self;
-        write!(formatter, "{},", burst.captured_at_us)?;
-        for byte in burst.bytes {
+        write!(formatter, "{},", self.burst.captured_at_us)?;
+        for byte in self.burst.bytes {
             write!(formatter, "{byte:02x}")?;
         }
-        formatter.write_str(",")?;
-        if burst.missed_before > 0 {
-            let separator = if flags.is_empty() { "" } else { "|" };
-            write!(formatter, "{MISSED}{separator}")?;
+        let mut separator = ",";
+        let own = [
+            (MISSED, self.burst.missed_before > 0),
+            (ARMED, self.is_armed),
+        ];
+        for (name, _) in own.iter().filter(|(_, is_set)| *is_set) {
+            write!(formatter, "{separator}{name}")?;
+            separator = "|";
         }
-        write!(formatter, "{flags}")
+        if self.board.is_empty() && separator == "|" {
+            return Ok(());
+        }
+        write!(formatter, "{separator}{}", self.board)
     }
 }
 
@@ -87,13 +108,12 @@ impl fmt::Display for DecodeError {
 
 impl core::error::Error for DecodeError {}
 
-/// Decodes a line, without its end: the burst and the board's flags. `MISSED` becomes a
-/// `missed_before` of 1.
+/// Decodes a line, without its end. `MISSED` becomes a `missed_before` of 1.
 ///
 /// # Errors
 ///
 /// Returns a [`DecodeError`] with the first field that is not valid.
-pub fn decode(line: &str) -> Result<(Burst, BoardFlags), DecodeError> {
+pub fn decode(line: &str) -> Result<Row, DecodeError> {
     let mut fields = line.split(',');
     let (Some(time), Some(digits), Some(flags), None) =
         (fields.next(), fields.next(), fields.next(), fields.next())
@@ -114,20 +134,23 @@ pub fn decode(line: &str) -> Result<(Burst, BoardFlags), DecodeError> {
             })
             .ok_or(DecodeError::Bytes)?;
     }
-    let mut burst = Burst {
-        bytes,
-        captured_at_us,
-        missed_before: 0,
+    let mut row = Row {
+        burst: Burst {
+            bytes,
+            captured_at_us,
+            missed_before: 0,
+        },
+        board: BoardFlags::empty(),
+        is_armed: false,
     };
-    let mut board = BoardFlags::empty();
     for name in flags.split('|').filter(|_| !flags.is_empty()) {
-        if name == MISSED {
-            burst.missed_before = 1;
-        } else {
-            board |= BoardFlags::from_name(name).ok_or(DecodeError::Flags)?;
+        match name {
+            MISSED => row.burst.missed_before = 1,
+            ARMED => row.is_armed = true,
+            _ => row.board |= BoardFlags::from_name(name).ok_or(DecodeError::Flags)?,
         }
     }
-    Ok((burst, board))
+    Ok(row)
 }
 
 #[cfg(test)]
@@ -143,21 +166,23 @@ mod tests {
             captured_at_us: u64,
             missed_before in 0..2_u8,
             bits: u32,
+            is_armed: bool,
         ) {
             let burst = Burst { bytes, captured_at_us, missed_before };
-            let flags = BoardFlags::from_bits_truncate(bits);
-            let line = Line(&burst, flags).to_string();
+            let board = BoardFlags::from_bits_truncate(bits);
+            let row = Row { burst, board, is_armed };
+            let line = row.to_string();
             prop_assert!(line.len() <= LINE_LENGTH);
-            prop_assert_eq!(decode(&line), Ok((burst, flags)));
+            prop_assert_eq!(decode(&line), Ok(row));
         }
 
         #[test]
         fn any_text_is_a_burst_or_an_error(
             text in "[0-9a-f,MISED|LAT+ é-]{0,60}|\
-                     [0-9]{1,21},[0-9a-fA-F]{28},((MISSED|LATE|POLLED|VALID|x)[|]?){0,3}",
+                     [0-9]{1,21},[0-9a-fA-F]{28},((MISSED|ARMED|LATE|POLLED|VALID|x)[|]?){0,3}",
         ) {
-            if let Ok((burst, flags)) = decode(&text) {
-                prop_assert_eq!(decode(&Line(&burst, flags).to_string()), Ok((burst, flags)));
+            if let Ok(row) = decode(&text) {
+                prop_assert_eq!(decode(&row.to_string()), Ok(row));
             }
         }
     }
@@ -175,7 +200,11 @@ mod tests {
             let line = format!("7,{digits},{flags}");
             assert_eq!(decode(&line), Err(DecodeError::Flags), "{flags}");
         }
-        assert!(DecodeError::Flags.to_string().contains("MISSED|BUS_FAULT"));
+        assert!(
+            DecodeError::Flags
+                .to_string()
+                .contains("MISSED|ARMED|BUS_FAULT")
+        );
     }
 
     #[test]
@@ -185,18 +214,22 @@ mod tests {
             captured_at_us: u64::MAX,
             missed_before: 1,
         };
-        let line = Line(&burst, BoardFlags::all()).to_string();
-        assert_eq!(line.len(), LINE_LENGTH);
+        let row = Row {
+            burst,
+            board: BoardFlags::all(),
+            is_armed: true,
+        };
+        assert_eq!(row.to_string().len(), LINE_LENGTH);
     }
 
     #[test]
     fn lines_of_earlier_versions_are_read() {
         let line = |flags| format!("1250345,0f3effc2e01c0a50ffe900130004,{flags}");
         for (flags, missed_before) in [("", 0), ("MISSED", 1)] {
-            let (burst, of_board) = decode(&line(flags)).expect("a burst");
+            let row = decode(&line(flags)).expect("a burst");
             assert_eq!(
-                (burst.missed_before, of_board),
-                (missed_before, BoardFlags::empty())
+                (row.burst.missed_before, row.board, row.is_armed),
+                (missed_before, BoardFlags::empty(), false)
             );
         }
     }

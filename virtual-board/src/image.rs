@@ -27,6 +27,8 @@ pub struct Firmware {
     pub heading: Option<u64>,
     /// The address of `APLOMB_HEALTH`, if the image has it.
     pub health: Option<u64>,
+    /// The address of `APLOMB_ARMED`, if the image can be armed.
+    pub armed: Option<u64>,
     /// The address of the RTT control block, if the image logs.
     pub log_channel: Option<u64>,
     /// The vector table's entries, by exception number. At 0: the handler of all exceptions while
@@ -94,6 +96,7 @@ impl Firmware {
             snapshot: symbol("APLOMB_SNAPSHOT"),
             heading: symbol("APLOMB_HEADING"),
             health: symbol("APLOMB_HEALTH"),
+            armed: symbol("APLOMB_ARMED"),
             log_channel: symbol("_SEGGER_RTT"),
             handlers,
             stack: stack_bottom.unwrap_or(RAM_START)..stack_top,

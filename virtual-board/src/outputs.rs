@@ -3,7 +3,7 @@
 //! | file | contents |
 //! |---|---|
 //! | `attitude.csv` | a row per published sample: the snapshot, and the heading of a compass |
-//! | `bursts.csv` | a row per published sample: its bytes from the bus, and the board's flags |
+//! | `bursts.csv` | a row per published sample: its bytes from the bus, and its conditions |
 //! | `truth.csv` | a row per published sample: the true motion at its edge, where it is known |
 //! | `uart.log` | the UART's bytes |
 //! | `firmware.log` | the lines of the debug probe, each with its time |
@@ -138,7 +138,7 @@ pub fn write_attitude(to: &mut impl Write, samples: &[Sample]) -> io::Result<()>
     Ok(())
 }
 
-/// `bursts.csv`: what went into the pipeline, flags of the board included.
+/// `bursts.csv`: what went into the pipeline, the board's flags and the armed state included.
 ///
 /// # Errors
 ///
@@ -152,8 +152,12 @@ pub fn write_bursts(to: &mut impl Write, samples: &[Sample]) -> io::Result<()> {
             captured_at_us: sample.snapshot.t_us,
             missed_before: u8::from(flags.contains(Flags::MISSED)),
         };
-        let board = BoardFlags::from_bits_truncate(flags.bits());
-        writeln!(to, "{}", bursts::Line(&burst, board))?;
+        let row = bursts::Row {
+            burst,
+            board: BoardFlags::from_bits_truncate(flags.bits()),
+            is_armed: sample.is_armed,
+        };
+        writeln!(to, "{row}")?;
     }
     Ok(())
 }

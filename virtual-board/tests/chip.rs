@@ -32,8 +32,8 @@ fn samples_of_other_bytes(outcome: &Outcome) -> usize {
     lines
         .zip(outcome.samples())
         .filter(|(line, sample)| {
-            let (burst, board) = bursts::decode(line).unwrap();
-            let replayed = pipeline.update(&burst, board).attitude;
+            let row = bursts::decode(line).unwrap();
+            let replayed = pipeline.update(&row.burst, row.board).attitude;
             let flown = sample.snapshot.attitude;
             let bits = |q: aplomb::attitude::Quaternion| [q.w, q.x, q.y, q.z].map(f32::to_bits);
             bits(replayed) != bits(flown)

@@ -563,7 +563,7 @@ fn gyroscope_matrix(recording: &Outcome) -> String {
     let mut file = Vec::new();
     outputs::write_bursts(&mut file, recording.samples()).unwrap();
     for line in String::from_utf8(file).unwrap().lines().skip(1) {
-        let (burst, _) = bursts::decode(line).unwrap();
+        let bursts::Row { burst, .. } = bursts::decode(line).unwrap();
         let raw = RawSample::decode(&burst.bytes);
         integrator.update(raw.gyroscope.0, burst.captured_at_us);
         if let StationaryProgress::Done(mean) = detector.update(&ImuReading {

@@ -56,7 +56,7 @@ fn fly(name: &str, commands: &str, seconds: &str) -> Flight {
         .lines()
         .skip(1)
         .map(|line| bursts::decode(line).unwrap())
-        .map(|(burst, _)| (burst.captured_at_us, burst))
+        .map(|row| (row.burst.captured_at_us, row.burst))
         .collect();
     Flight {
         uart: fs::read(folder.join("uart.log")).unwrap(),

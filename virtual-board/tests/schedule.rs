@@ -69,6 +69,12 @@ fn a_probe_that_is_pulled_off_reads_nothing() {
     assert!(read(2.01, 2.5) > 10);
 }
 
+/// Returns the bits of attitude and rates.
+fn bits(snapshot: &Snapshot) -> [u32; 7] {
+    let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
+    [q.w, q.x, q.y, q.z, rates.x, rates.y, rates.z].map(f32::to_bits)
+}
+
 #[test]
 fn the_bursts_of_a_flight_with_faults_replay_to_the_bit() {
     let outcome = fly(
@@ -84,16 +90,12 @@ fn the_bursts_of_a_flight_with_faults_replay_to_the_bit() {
     let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
     let mut plain = pipeline;
     let mut differ_without_flags = 0;
-    let bits = |snapshot: &Snapshot| {
-        let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
-        [q.w, q.x, q.y, q.z, rates.x, rates.y, rates.z].map(f32::to_bits)
-    };
     let lines = text.lines().skip(1);
     assert_eq!(lines.clone().count(), outcome.samples().len());
     for (line, sample) in lines.zip(outcome.samples()) {
-        let (burst, board) = bursts::decode(line).unwrap();
+        let row = bursts::decode(line).unwrap();
         let flown = &sample.snapshot;
-        let replayed = pipeline.update(&burst, board);
+        let replayed = pipeline.update(&row.burst, row.board);
         assert_eq!(bits(&replayed), bits(flown), "at {} us: {line}", flown.t_us);
         // Only when the settings were read back is not in the file.
         let known = |flags: Flags| flags - Flags::VALID;
@@ -103,12 +105,12 @@ fn the_bursts_of_a_flight_with_faults_replay_to_the_bit() {
             "at {} us",
             flown.t_us
         );
-        seen |= Flags::from(board);
+        seen |= Flags::from(row.board);
         seen.set(
             Flags::MISSED,
-            seen.contains(Flags::MISSED) || burst.missed_before > 0,
+            seen.contains(Flags::MISSED) || row.burst.missed_before > 0,
         );
-        let unflagged = plain.update(&burst, BoardFlags::empty());
+        let unflagged = plain.update(&row.burst, BoardFlags::empty());
         differ_without_flags += usize::from(bits(&unflagged) != bits(flown));
     }
     let expected = Flags::MISSED
@@ -121,6 +123,32 @@ fn the_bursts_of_a_flight_with_faults_replay_to_the_bit() {
         differ_without_flags > 1_000,
         "the flags matter: {differ_without_flags}"
     );
+}
+
+/// Armed, the filter takes no rest for a rest.
+#[test]
+fn the_bursts_of_a_flight_that_arms_and_disarms_replay_to_the_bit() {
+    let run = Run::new(firmware()).seconds(6.0).without_account();
+    let run = run.command(2.0, "arm").command(4.0, "disarm");
+    let outcome = run.run().unwrap();
+    let mut file = Vec::new();
+    outputs::write_bursts(&mut file, outcome.samples()).unwrap();
+    let text = String::from_utf8(file).unwrap();
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let mut never_armed = pipeline;
+    let (mut armed, mut differ_unarmed) = (0, 0);
+    for (line, sample) in text.lines().skip(1).zip(outcome.samples()) {
+        let row = bursts::decode(line).unwrap();
+        let flown = &sample.snapshot;
+        pipeline.set_armed(row.is_armed);
+        let replayed = pipeline.update(&row.burst, row.board);
+        assert_eq!(bits(&replayed), bits(flown), "at {} us: {line}", flown.t_us);
+        armed += usize::from(row.is_armed);
+        let unarmed = never_armed.update(&row.burst, row.board);
+        differ_unarmed += usize::from(bits(&unarmed) != bits(flown));
+    }
+    assert!((1_900..2_100).contains(&armed), "{armed} rows");
+    assert!(differ_unarmed > 1_000, "arming matters: {differ_unarmed}");
 }
 
 #[test]

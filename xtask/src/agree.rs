@@ -1,8 +1,8 @@
 //! Holds the virtual board, `aplomb replay` and QEMU to the same attitudes from the same bursts, to
 //! the last bit.
 //!
-//! Flies a simulated flight, and a whole recorded trial where recordings are at hand. A simulated
-//! flight with a compass is held to its own flight log, heading included.
+//! Flies a simulated flight, armed for a part of it, and a whole recorded trial where recordings
+//! are at hand. A simulated flight with a compass is held to its own flight log, heading included.
 //! `rigs/tests/qemu.rs` compares QEMU with the library.
 
 use std::collections::HashSet;
@@ -14,6 +14,8 @@ use crate::{recordings, rigs, step};
 
 /// Seconds of the simulated flight, from power-up to the middle of its manoeuvres.
 const SIMULATED_SECONDS: &str = "30";
+/// Commands of the simulated flight.
+const ARM_COMMANDS: &str = "8.0 arm\n26.0 disarm\n";
 /// Commands of the flight with a compass, whose log is replayed.
 const LOG_COMMANDS: &str = "0.5 baud 921600\n1.0 format log\n";
 /// Rows at the start of a log that come before the states of the filters: 0.5 s.
@@ -50,8 +52,11 @@ pub fn run(toolchain: &Toolchain, virtual_board: &Path, elf: &Path) -> Result<()
 /// Returns the files of bursts.
 fn fly_and_replay(virtual_board: &Path, elf: &Path) -> Result<Vec<PathBuf>, String> {
     let aplomb = build::program()?;
-    let simulated = ["--seconds", SIMULATED_SECONDS].map(str::to_owned);
-    let mut flights = vec![("simulated", simulated.to_vec())];
+    let commands = write_commands("simulated", ARM_COMMANDS)?;
+    let simulated = ["--seconds", SIMULATED_SECONDS, "--commands"].map(str::to_owned);
+    let mut simulated = simulated.to_vec();
+    simulated.push(commands.to_string_lossy().into_owned());
+    let mut flights = vec![("simulated", simulated)];
     let recording = recordings::folder().join(RECORDING);
     if recording.is_file() {
         let path = recording.to_string_lossy().into_owned();
@@ -86,13 +91,20 @@ fn fly_and_replay(virtual_board: &Path, elf: &Path) -> Result<Vec<PathBuf>, Stri
     Ok(bursts)
 }
 
+/// Writes the commands of this flight to a file, and returns its path.
+fn write_commands(flight: &str, text: &str) -> Result<PathBuf, String> {
+    let folder = step::target_folder().join("agree").join(flight);
+    let commands = folder.join("commands.txt");
+    std::fs::create_dir_all(&folder)
+        .and_then(|()| std::fs::write(&commands, text))
+        .map_err(|error| format!("{}: {error}", commands.display()))?;
+    Ok(commands)
+}
+
 /// Flies with a compass, and holds the replay of the flight log to what the firmware published.
 fn fly_with_compass(virtual_board: &Path, elf: &Path) -> Result<(), String> {
     let folder = step::target_folder().join("agree").join("compass");
-    let commands = folder.join("commands.txt");
-    std::fs::create_dir_all(&folder)
-        .and_then(|()| std::fs::write(&commands, LOG_COMMANDS))
-        .map_err(|error| format!("{}: {error}", commands.display()))?;
+    let commands = write_commands("compass", LOG_COMMANDS)?;
     let mut fly = step::command(virtual_board);
     fly.args(["fly", "--sensor", "gy87", "--seconds", SIMULATED_SECONDS]);
     fly.arg("--commands").arg(&commands);

@@ -22,7 +22,7 @@ pub struct Sample {
 pub fn read_bursts(lines: &mut Lines) -> Result<Vec<Sample>, Box<dyn Error>> {
     let mut samples = Vec::new();
     while let Some(line) = lines.next_line()? {
-        let (burst, _) =
+        let bursts::Row { burst, .. } =
             bursts::decode(line).map_err(|reason| format!("{}: {reason}", lines.place()))?;
         let t_us = i64::try_from(burst.captured_at_us)
             .map_err(|reason| format!("{}: t_us: {reason}", lines.place()))?;

@@ -19,6 +19,7 @@ pub struct Recorder<W> {
     output: W,
     sender: Sender,
     pipeline: Pipeline,
+    is_armed: bool,
     number: u32,
     /// Time of the last burst, µs.
     now_us: u64,
@@ -36,11 +37,22 @@ impl<W: Write> Recorder<W> {
             output,
             sender: Sender::new(next_number),
             pipeline,
+            is_armed: false,
             number: next_number,
             now_us: 0,
             heading: None,
             changed: None,
             readings: 0,
+        }
+    }
+
+    /// Arms (`true`) or disarms the filter before the next burst. A change begins new settings in
+    /// the log, as on the module.
+    pub fn set_armed(&mut self, is_armed: bool) {
+        if self.is_armed != is_armed {
+            self.is_armed = is_armed;
+            self.pipeline.set_armed(is_armed);
+            self.sender.restart(self.number);
         }
     }
 

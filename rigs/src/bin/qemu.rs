@@ -30,10 +30,10 @@ fn panic(information: &PanicInfo<'_>) -> ! {
 mod app {
     use core::fmt::Write;
 
-    use aplomb::health::BoardFlags;
-    use aplomb::mpu6050::{Burst, Part};
+    use aplomb::mpu6050::Part;
     use aplomb::pipeline::{Pipeline, Settings, Snapshot};
-    use aplomb::telemetry::{bursts, text};
+    use aplomb::telemetry::bursts::{self, Row};
+    use aplomb::telemetry::text;
     use aplomb_rigs::host_files::{self, HostFile};
     use cortex_m_semihosting::heprintln;
     use heapless::spsc::{Consumer, Producer, Queue};
@@ -47,9 +47,6 @@ mod app {
     const SAMPLE_HZ: u32 = 1_000;
     const BAUD: u32 = 921_600;
 
-    /// Burst, and the board's flags.
-    type FlaggedBurst = (Burst, BoardFlags);
-
     #[shared]
     struct Shared {}
 
@@ -58,10 +55,10 @@ mod app {
         timer: stm32f4xx_hal::timer::CounterHz<TIM2>,
         port: stm32f4xx_hal::serial::Tx<USART1>,
         pipeline: Pipeline,
-        bursts_in: Producer<'static, FlaggedBurst>,
-        bursts_out: Consumer<'static, FlaggedBurst>,
-        ready_in: Producer<'static, FlaggedBurst>,
-        ready_out: Consumer<'static, FlaggedBurst>,
+        bursts_in: Producer<'static, Row>,
+        bursts_out: Consumer<'static, Row>,
+        ready_in: Producer<'static, Row>,
+        ready_out: Consumer<'static, Row>,
         snapshots_in: Producer<'static, Snapshot>,
         snapshots_out: Consumer<'static, Snapshot>,
         lines_in: Producer<'static, Snapshot>,
@@ -69,8 +66,8 @@ mod app {
     }
 
     #[init(local = [
-        bursts: Queue<FlaggedBurst, 16> = Queue::new(),
-        ready: Queue<FlaggedBurst, 2> = Queue::new(),
+        bursts: Queue<Row, 16> = Queue::new(),
+        ready: Queue<Row, 2> = Queue::new(),
         snapshots: Queue<Snapshot, 16> = Queue::new(),
         lines: Queue<Snapshot, 2> = Queue::new(),
     ])]
@@ -133,7 +130,7 @@ mod app {
     fn replay(
         input: &str,
         output: &str,
-        bursts_in: &mut Producer<'static, FlaggedBurst>,
+        bursts_in: &mut Producer<'static, Row>,
         snapshots_out: &mut Consumer<'static, Snapshot>,
     ) -> bool {
         let (Some(mut input), Some(mut output)) = (HostFile::open(input), HostFile::create(output))
@@ -152,7 +149,7 @@ mod app {
                     Some(line) => {
                         line_number += 1;
                         match bursts::decode(line) {
-                            Ok(burst) => fed += u32::from(bursts_in.enqueue(burst).is_ok()),
+                            Ok(row) => fed += u32::from(bursts_in.enqueue(row).is_ok()),
                             Err(error) => {
                                 heprintln!("line {}: {}", line_number, error);
                                 return false;
@@ -207,8 +204,9 @@ mod app {
         local = [pipeline, ready_out, snapshots_in, lines_in, samples: u32 = 0]
     )]
     fn attitude(context: attitude::Context) {
-        while let Some((burst, flags)) = context.local.ready_out.dequeue() {
-            let snapshot = context.local.pipeline.update(&burst, flags);
+        while let Some(row) = context.local.ready_out.dequeue() {
+            context.local.pipeline.set_armed(row.is_armed);
+            let snapshot = context.local.pipeline.update(&row.burst, row.board);
             // A full queue loses a snapshot. Then `replay` never reaches its end, and the test
             // fails.
             context.local.snapshots_in.enqueue(snapshot).ok();

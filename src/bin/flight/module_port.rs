@@ -176,8 +176,9 @@ where
     }
 
     fn set_armed(&mut self, is_armed: bool) {
-        retained::set_armed(is_armed);
         self.changed_at = self.estimation.lock(|estimation| {
+            // No sample comes between the two.
+            retained::set_armed(is_armed);
             estimation.pipeline.as_mut()?.set_armed(is_armed);
             Some(BURST_COUNT.load(Ordering::Relaxed))
         });

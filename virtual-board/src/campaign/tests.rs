@@ -86,6 +86,7 @@ fn record(case: &Case, without_ns: std::ops::Range<u64>) -> Record {
         record.samples.push(Sample {
             snapshot,
             heading: None,
+            is_armed: false,
             published_ns,
             burst: Burst {
                 edge: Some(edge.index),

@@ -46,3 +46,8 @@ pub(super) fn read_heading(memory: &mut dyn Host, address: u64) -> Option<Headin
     })
     .filter(|_| state & 1 != 0)
 }
+
+/// Returns whether the module is armed. A command changes the word between two samples only.
+pub(super) fn is_armed(memory: &mut dyn Host, address: u64) -> bool {
+    Memory::read(memory, address, Width::W32).is_ok_and(|word| word != 0)
+}

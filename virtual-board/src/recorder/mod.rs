@@ -29,7 +29,7 @@ use crate::image::Firmware;
 use crate::mcu::ReceivedByte;
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Counts, EXCEPTIONS, Profile, Upset, exception_of};
-use memory::{read_heading, read_snapshot};
+use memory::{is_armed, read_heading, read_snapshot};
 use timer::Timer;
 
 /// Offset of the count in the published structure; the snapshot is at 0.
@@ -92,6 +92,8 @@ pub struct Recorder {
     heading: Option<u64>,
     /// Address of the firmware's report of its health, if it has one.
     health: Option<u64>,
+    /// Address of the word that is not 0 while the module is armed, if there is one.
+    armed: Option<u64>,
     /// The faults of the debug probe.
     detachments: Vec<ScheduledFault>,
     /// The faults of the core's own that are still to come.
@@ -149,6 +151,7 @@ impl Recorder {
             snapshot: firmware.snapshot,
             heading: firmware.heading,
             health: firmware.health,
+            armed: firmware.armed,
             detachments: faults.iter().filter(detaches).copied().collect(),
             upsets: faults.iter().filter(upsets).copied().collect(),
             is_attitude_masked: false,
@@ -269,6 +272,7 @@ impl Recorder {
         self.record.samples.push(Sample {
             snapshot,
             heading: None,
+            is_armed: self.armed.is_some_and(|address| is_armed(host, address)),
             published_ns: hit.at.0,
             burst,
             edge,

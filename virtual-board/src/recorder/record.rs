@@ -17,6 +17,8 @@ pub struct Sample {
     pub snapshot: Snapshot,
     /// The heading that was published until the next snapshot; `None` while it is unknown.
     pub heading: Option<HeadingEstimate>,
+    /// True if the module was armed when it processed the sample.
+    pub is_armed: bool,
     /// Time of publication, ns since power-up.
     pub published_ns: u64,
     /// The burst that the bus had delivered last.
