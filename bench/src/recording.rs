@@ -11,7 +11,7 @@ use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, 
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
-use aplomb_recordings::log::{Lines, LogError, LogFault, Row, Rows, column_count, has_compass};
+use aplomb_recordings::log::{Lines, LogColumns, LogError, LogFault, Row, Rows};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
 use aplomb_recordings::units::{BadRows, RowOptions};
@@ -113,7 +113,7 @@ impl Recording {
         if header == aplomb::telemetry::bursts::HEADER {
             return unusable("bursts have no truth: `aplomb replay` takes them");
         }
-        let Some(columns) = column_count(header) else {
+        let Some(columns) = LogColumns::of(header) else {
             return unusable("it is no log: it does not begin with t_us,ax,ay,az,gx,gy,gz");
         };
         let mut recording = Self {
@@ -127,7 +127,7 @@ impl Recording {
             },
             samples: Vec::new(),
             true_up: Vec::new(),
-            compass: has_compass(columns).then(|| handling.compass()),
+            compass: columns.has_compass().then(|| handling.compass()),
             clipping: None,
         };
         let mut rows = match rows_of(lines, columns, handling)? {
@@ -273,7 +273,7 @@ impl Recording {
 /// unit.
 fn rows_of(
     lines: Lines,
-    columns: usize,
+    columns: LogColumns,
     handling: Handling,
 ) -> Result<Result<Rows, String>, LogError> {
     let keep = RowOptions {

@@ -16,7 +16,7 @@ use aplomb::pipeline::{CompassReading, Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb_recordings::flight_log::{self, Recorder};
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{Lines, LogFault, Row, Rows, has_compass, has_truth};
+use aplomb_recordings::log::{Lines, LogFault, Row, Rows};
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider};
@@ -369,8 +369,8 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
             let next = move || next_row(&mut rows).transpose();
             let bursts = std::iter::from_fn(next);
             Ok(Input {
-                has_truth: has_truth(columns),
-                has_readings: has_compass(columns),
+                has_truth: columns.has_truth(),
+                has_readings: columns.has_compass(),
                 is_csv: true,
                 ..table(with_divider(bursts, sample_rate_divider))
             })

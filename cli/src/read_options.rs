@@ -9,7 +9,7 @@ use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::units::radians;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{Lines, has_compass};
+use aplomb_recordings::log::Lines;
 use aplomb_recordings::units::{RowOptions, knowledge};
 
 use crate::any_pipeline::FilterName;
@@ -202,7 +202,7 @@ impl ReadOptions {
         let mut is_given =
             self.compass.is_some() || self.compass_delay_us.is_some() || self.declination.is_some();
         let reason = match form {
-            Form::Log(columns) if has_compass(columns) => {
+            Form::Log(columns) if columns.has_compass() => {
                 if self.filter() == FilterName::Kalman {
                     return Ok(());
                 }

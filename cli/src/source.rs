@@ -19,7 +19,7 @@ use aplomb::units::MagneticField;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
-use aplomb_recordings::log::{Lines, Row, Rows, has_compass};
+use aplomb_recordings::log::{Lines, LogColumns, Row, Rows};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider, unsigned};
 use aplomb_recordings::score::START_US;
@@ -105,7 +105,7 @@ pub trait Source {
 #[derive(Clone, Copy)]
 pub struct LogOptions {
     /// Columns of the log.
-    pub columns: usize,
+    pub columns: LogColumns,
     /// Filter to run.
     pub filter: FilterName,
     /// Mount of the sensor.
@@ -194,7 +194,7 @@ impl LogSource {
             None => AccelerometerKnowledge::Calibrated,
         });
         log.pipeline.set_accelerometer_knowledge(knowledge);
-        if has_compass(options.columns) {
+        if options.columns.has_compass() {
             let compass = options.compass;
             let pipeline = &mut log.pipeline;
             pipeline.add_compass(compass.knowledge, compass.declination_rad);

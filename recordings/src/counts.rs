@@ -31,11 +31,12 @@ pub fn counts(row: &Row) -> Result<[[i16; 3]; 2], String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::parse_row;
+    use crate::log::{LogColumns, parse_row};
 
     #[test]
     fn counts_are_those_of_a_register_and_full_scale_may_be_turned_around() {
-        let row = |cell: &str| parse_row(&format!("0,1,-2,{cell},4,5,-32768"), 7).unwrap();
+        let line = |cell: &str| format!("0,1,-2,{cell},4,5,-32768");
+        let row = |cell: &str| parse_row(&line(cell), LogColumns::SENSOR).unwrap();
         let read = |cell: &str| counts(&row(cell));
         assert_eq!(read("3"), Ok([[1, -2, 3], [4, 5, i16::MIN]]));
         assert_eq!(read("32768"), Ok([[1, -2, i16::MAX], [4, 5, i16::MIN]]));

@@ -7,15 +7,15 @@ use aplomb::telemetry::bursts;
 use crate::columns::Order;
 use crate::fault::{LogError, LogFault};
 use crate::lines::Lines;
-use crate::row::column_count;
+use crate::row::LogColumns;
 
 /// Form of a text with sensor data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// A bursts.csv.
     Bursts,
-    /// A log with this number of columns.
-    Log(usize),
+    /// A log with these columns.
+    Log(LogColumns),
 }
 
 impl Form {
@@ -29,7 +29,7 @@ impl Form {
         if header == bursts::HEADER {
             return Ok(Self::Bursts);
         }
-        if let Some(columns) = column_count(&header) {
+        if let Some(columns) = LogColumns::of(&header) {
             return Ok(Self::Log(columns));
         }
         let fault = LogFault::Header(header);
@@ -49,7 +49,7 @@ pub fn header(lines: &mut Lines) -> Result<String, LogError> {
             Ok(Some(line)) if line.starts_with('#') => {}
             Ok(Some(header)) => {
                 let header = header.to_owned();
-                if column_count(&header).is_none()
+                if LogColumns::of(&header).is_none()
                     && let Some((order, header)) = Order::of(&header)
                 {
                     lines.set_order(order);

@@ -22,7 +22,7 @@ use std::path::Path;
 pub use crate::fault::{LogError, LogFault};
 use crate::form::header;
 pub use crate::lines::Lines;
-pub use crate::row::{Row, column_count, has_compass, has_truth, parse_row};
+pub use crate::row::{LogColumns, Row, parse_row};
 pub use crate::rows::Rows;
 use crate::units::{BadRows, RowOptions};
 
@@ -63,7 +63,7 @@ impl Log {
             options.bad_rows = Some(BadRows::Refuse);
         }
         let header = header(&mut lines)?;
-        let Some(columns) = column_count(&header) else {
+        let Some(columns) = LogColumns::of(&header) else {
             return Err(lines.refuse(LogFault::Header(header)));
         };
         let whole = lines.refuse_file(LogFault::TooShort);

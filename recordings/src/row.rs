@@ -4,7 +4,7 @@ use aplomb_models::motion::geometry::{Quaternion, Vector};
 
 use crate::fault::LogFault;
 
-/// Columns of a log without a compass, in their order. A log has the first 7, 11 or 12 of them.
+/// Columns of sensor and truth, in their order. A log has the first 7, 11 or 12 of them.
 pub(crate) const COLUMNS: [&str; 12] = [
     "t_us", "ax", "ay", "az", "gx", "gy", "gz", "qw", "qx", "qy", "qz", "mov",
 ];
@@ -38,53 +38,73 @@ pub struct Row {
     pub scored: bool,
 }
 
-/// Returns the number of columns of a log with this header; `None` for another header.
-#[must_use]
-pub fn column_count(header: &str) -> Option<usize> {
-    let (sensor, truth) = COLUMNS.split_at(SENSOR_COLUMNS);
-    [0, 4, 5].into_iter().find_map(|length| {
-        let truth = &truth[..length];
-        let forms = [[sensor, truth].concat(), [sensor, &COMPASS, truth].concat()];
-        let form = forms.iter().find(|form| header == form.join(","))?;
-        Some(form.len())
-    })
+/// Columns that a log has, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LogColumns {
+    /// Number of the compass's columns.
+    compass: usize,
+    /// Number of the truth's columns, `mov` included.
+    truth: usize,
 }
 
-/// Returns whether a log with this number of columns has those of a compass.
-#[must_use]
-pub fn has_compass(columns: usize) -> bool {
-    matches!(columns, 10 | 14 | 15)
+impl LogColumns {
+    /// Columns of a log of a sensor alone.
+    pub const SENSOR: Self = Self {
+        compass: 0,
+        truth: 0,
+    };
+
+    /// Returns the columns of a log with this header; `None` for another header.
+    #[must_use]
+    pub fn of(header: &str) -> Option<Self> {
+        let (sensor, truths) = COLUMNS.split_at(SENSOR_COLUMNS);
+        let lengths = [0, 4, 5].into_iter();
+        let mut forms =
+            lengths.flat_map(|truth| [0, COMPASS.len()].map(|compass| Self { compass, truth }));
+        forms.find(|form| {
+            let groups = [sensor, &COMPASS[..form.compass], &truths[..form.truth]];
+            header == groups.concat().join(",")
+        })
+    }
+
+    /// Returns the number of columns.
+    #[must_use]
+    pub const fn count(self) -> usize {
+        SENSOR_COLUMNS + self.compass + self.truth
+    }
+
+    /// Returns whether there are columns of a compass.
+    #[must_use]
+    pub const fn has_compass(self) -> bool {
+        self.compass > 0
+    }
+
+    /// Returns whether there are columns of a truth.
+    #[must_use]
+    pub const fn has_truth(self) -> bool {
+        self.truth > 0
+    }
 }
 
-/// Returns whether a log with this number of columns has those of a truth.
-#[must_use]
-pub fn has_truth(columns: usize) -> bool {
-    matches!(columns, 11 | 12 | 14 | 15)
-}
-
-/// Reads a row with this number of columns. Numbers may have any value, also infinite or NaN.
+/// Reads a row with these columns. Numbers may have any value, also infinite or NaN.
 ///
 /// # Errors
 ///
 /// Returns the fault of the row.
-pub fn parse_row(line: &str, columns: usize) -> Result<Row, LogFault> {
+pub fn parse_row(line: &str, columns: LogColumns) -> Result<Row, LogFault> {
     parse_row_with(line, columns, |cell| cell.parse().ok(), 1.0)
 }
 
 /// Reads a row whose time, µs, this function reads. The unit of its field is `unit_ut`, µT.
 pub(crate) fn parse_row_with(
     line: &str,
-    columns: usize,
+    columns: LogColumns,
     time: impl Fn(&str) -> Option<i64>,
     unit_ut: f64,
 ) -> Result<Row, LogFault> {
     let mut cells = [""; COLUMNS.len()];
     let mut field_cells = [""; COMPASS.len()];
-    let compass = if has_compass(columns) {
-        COMPASS.len()
-    } else {
-        0
-    };
+    let compass = columns.compass;
     let mut found: usize = 0;
     for cell in line.split(',').map(str::trim) {
         let place = match found.checked_sub(SENSOR_COLUMNS) {
@@ -97,11 +117,9 @@ pub(crate) fn parse_row_with(
         }
         found += 1;
     }
-    if found != columns {
-        return Err(LogFault::ColumnCount {
-            found,
-            expected: columns,
-        });
+    let expected = columns.count();
+    if found != expected {
+        return Err(LogFault::ColumnCount { found, expected });
     }
     let number = |index: usize| -> Result<f64, LogFault> {
         cells[index].parse().map_err(|_| LogFault::NotANumber {
@@ -130,7 +148,7 @@ pub(crate) fn parse_row_with(
     };
     let scored = match cells[11] {
         "1" => true,
-        "" if columns - compass < COLUMNS.len() => true,
+        "" if SENSOR_COLUMNS + columns.truth < COLUMNS.len() => true,
         "0" => false,
         other => return Err(LogFault::Moving(other.to_owned())),
     };
@@ -174,14 +192,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_number_of_columns_tells_which_groups_a_log_has() {
+    fn a_header_shows_which_columns_a_log_has() {
         let sensor = "t_us,ax,ay,az,gx,gy,gz";
         for compass in ["", ",mx,my,mz"] {
             for truth in ["", ",qw,qx,qy,qz", ",qw,qx,qy,qz,mov"] {
                 let header = format!("{sensor}{compass}{truth}");
-                let columns = column_count(&header).expect("a log");
-                assert_eq!(has_compass(columns), !compass.is_empty(), "{header}");
-                assert_eq!(has_truth(columns), !truth.is_empty(), "{header}");
+                let columns = LogColumns::of(&header).expect("a log");
+                assert_eq!(columns.count(), header.split(',').count(), "{header}");
+                assert_eq!(columns.has_compass(), !compass.is_empty(), "{header}");
+                assert_eq!(columns.has_truth(), !truth.is_empty(), "{header}");
             }
         }
     }

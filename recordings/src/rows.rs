@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use crate::fault::{LogError, LogFault};
 use crate::lines::Lines;
 use crate::plausibility::{JUDGED_ROWS, Judge};
-use crate::row::{Row, parse_row_with};
+use crate::row::{LogColumns, Row, parse_row_with};
 use crate::units::{BadRows, RowOptions};
 
 /// Lines after a bad one that are read for one that is good.
@@ -14,7 +14,7 @@ const LINES_AFTER: usize = 100;
 /// Rows of a log in SI units, or counts, one after the other. Needs the same memory for any log.
 pub struct Rows {
     lines: Lines,
-    columns: usize,
+    columns: LogColumns,
     options: RowOptions,
     judge: Judge,
     /// First rows, which were judged together, with the numbers of their lines. Later the next
@@ -32,15 +32,15 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// Starts a log after its header, which has this number of columns. `is_raw` if the values are
-    /// register counts: their force and rate have no unit.
+    /// Starts a log after its header, which has these columns. `is_raw` if the values are register
+    /// counts: their force and rate have no unit.
     ///
     /// # Errors
     ///
     /// Returns an error if the file cannot be read, or its first rows suggest another unit.
     pub fn new(
         lines: Lines,
-        columns: usize,
+        columns: LogColumns,
         options: RowOptions,
         is_raw: bool,
     ) -> Result<Self, LogError> {
@@ -240,7 +240,7 @@ impl Rows {
 }
 
 /// Reads a row in the units of these options.
-fn parse(line: &str, columns: usize, options: &RowOptions) -> Result<Row, LogFault> {
+fn parse(line: &str, columns: LogColumns, options: &RowOptions) -> Result<Row, LogFault> {
     let time = |cell: &str| options.time_us(cell);
     let mut row = parse_row_with(line, columns, time, options.field_ut())?;
     options.convert(&mut row);
@@ -269,13 +269,13 @@ mod tests {
 
     /// Returns the rows, and how many were left out.
     fn read(text: &str, options: RowOptions, is_raw: bool) -> Result<(Vec<Row>, u64), String> {
-        read_columns(text, 7, options, is_raw)
+        read_columns(text, LogColumns::SENSOR, options, is_raw)
     }
 
-    /// Returns the rows of this number of columns, and how many were left out.
+    /// Returns the rows of these columns, and how many were left out.
     fn read_columns(
         text: &str,
-        columns: usize,
+        columns: LogColumns,
         options: RowOptions,
         is_raw: bool,
     ) -> Result<(Vec<Row>, u64), String> {
@@ -403,7 +403,8 @@ mod tests {
                 text
             })
         };
-        let read = |text: &str, options: RowOptions| read_columns(text, 10, options, false);
+        let columns = LogColumns::of("t_us,ax,ay,az,gx,gy,gz,mx,my,mz").expect("a log");
+        let read = |text: &str, options: RowOptions| read_columns(text, columns, options, false);
         let field = |rows: &[Row]| rows.first().and_then(|row| row.field_ut).expect("a field");
         let with = |unit: FieldUnit| RowOptions {
             field_unit: Some(unit),

@@ -10,7 +10,7 @@ use aplomb_models::motion;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::attitude_table::Columns;
 use aplomb_recordings::form::header;
-use aplomb_recordings::log::{Lines, LogFault, column_count, has_truth, parse_row};
+use aplomb_recordings::log::{Lines, LogColumns, LogFault, parse_row};
 use aplomb_recordings::motion::body_to_earth;
 
 use crate::progress;
@@ -100,7 +100,7 @@ impl TruthFile {
                     }
                 }))
             })
-        } else if let Some(columns) = column_count(&header).filter(|columns| has_truth(*columns)) {
+        } else if let Some(columns) = LogColumns::of(&header).filter(|own| own.has_truth()) {
             Self::new(move || {
                 let Some(line) = lines.next_line()? else {
                     return Ok(None);
