@@ -23,6 +23,7 @@ use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider
 use aplomb_recordings::terminal::print_line;
 use aplomb_recordings::units::RowOptions;
 
+use crate::arming::bursts_arm;
 use crate::progress;
 
 /// Convert a recording into another form.
@@ -30,7 +31,8 @@ use crate::progress;
 /// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI
 /// units, plain or gzipped. OUTPUT's name decides on its form: *.log a flight log, *bursts.csv
 /// bursts, any other *.csv a log in SI units and the sensor's axes, as `replay` reads it, with
-/// mx,my,mz in µT if a flight log has readings of a compass; they are corrected. A log in SI units
+/// mx,my,mz in µT if a flight log has readings of a compass; they are corrected. Bursts and CSV
+/// logs keep the armed state; of a flight log it is left out. A log in SI units
 /// becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out.
 /// Bursts and CSV logs have no place for a flight log's mount and calibration, and bursts none for
 /// its ranges: the output names the options to replay them with.
@@ -194,6 +196,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let target = Target {
         settings,
         has_compass,
+        has_armed: found.has_armed,
     };
     let write = match into {
         Kind::FlightLog => write_log,
@@ -301,6 +304,8 @@ struct Target {
     settings: Settings,
     /// Readings of a compass are written too.
     has_compass: bool,
+    /// The armed state is written too.
+    has_armed: bool,
 }
 
 /// Recording whose bursts are still to be read.
@@ -316,6 +321,8 @@ struct Input {
     has_truth: bool,
     /// The recording has readings of a compass.
     has_readings: bool,
+    /// The recording arms.
+    has_armed: bool,
     /// Delay of the sensor, µs, if the recording is a flight log.
     delay_us: u32,
     /// The recording has no temperature: 25 °C stands for it.
@@ -344,7 +351,7 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
     }
     let mut lines = progress::lines(path)?;
     let form = Form::read(&mut lines)?;
-    let table = |(divider, bursts): (u8, Bursts)| Input {
+    let table = |has_armed: bool, (divider, bursts): (u8, Bursts)| Input {
         config: Config::DEFAULT.with_sample_rate_divider(divider),
         mount: None,
         part: &Part::MPU_6050,
@@ -353,6 +360,7 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
         damaged_pieces: 0,
         has_truth: false,
         has_readings: false,
+        has_armed,
         delay_us: 0,
         is_csv: false,
     };
@@ -361,18 +369,23 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
             Kind::Bursts.check(options, into)?;
             let next = move || next_burst(&mut lines).transpose();
             let bursts = std::iter::from_fn(next);
-            Ok(table(with_divider(bursts, divider_of_bursts)))
+            let has_armed = into == Kind::Csv && bursts_arm(path);
+            Ok(table(has_armed, with_divider(bursts, divider_of_bursts)))
         }
         Form::Log(columns) => {
             Kind::Csv.check(options, into)?;
             let mut rows = Rows::new(lines, columns, options.rows, false)?;
-            let next = move || next_row(&mut rows).transpose();
+            let mut is_armed = false;
+            let next = move || next_row(&mut rows, &mut is_armed).transpose();
             let bursts = std::iter::from_fn(next);
             Ok(Input {
                 has_truth: columns.has_truth(),
                 has_readings: columns.has_compass(),
                 is_csv: true,
-                ..table(with_divider(bursts, sample_rate_divider))
+                ..table(
+                    columns.has_armed(),
+                    with_divider(bursts, sample_rate_divider),
+                )
             })
         }
     }
@@ -428,6 +441,7 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
         damaged_pieces: log.counts.damaged,
         has_truth: false,
         has_readings: flight.readings > 0,
+        has_armed: false,
         delay_us: first.settings.sensor_delay_us.unwrap_or(part_us),
         is_csv: false,
     })
@@ -447,11 +461,12 @@ fn next_burst(lines: &mut Lines) -> Result<Option<Recorded>, Box<dyn Error>> {
     }))
 }
 
-/// Returns the next row of a log as a burst.
-fn next_row(rows: &mut Rows) -> Result<Option<Recorded>, Box<dyn Error>> {
+/// Returns the next row of a log as a burst. Updates the armed state before.
+fn next_row(rows: &mut Rows, is_armed: &mut bool) -> Result<Option<Recorded>, Box<dyn Error>> {
     let Some(row) = rows.next_row()? else {
         return Ok(None);
     };
+    *is_armed = row.armed.unwrap_or(*is_armed);
     let (raw, clipped_values) = counts_of(&row).map_err(|fault| rows.refuse(fault))?;
     let burst = Burst {
         bytes: raw.encode(),
@@ -463,7 +478,7 @@ fn next_row(rows: &mut Rows) -> Result<Option<Recorded>, Box<dyn Error>> {
         row: bursts::Row {
             burst,
             board: BoardFlags::empty(),
-            is_armed: false,
+            is_armed: *is_armed,
         },
         reading: None,
         clipped_values,
@@ -543,12 +558,10 @@ fn write_csv(
     target: &Target,
     bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
-    let Target {
-        settings,
-        has_compass,
-    } = target;
-    let field_columns = if *has_compass { ",mx,my,mz" } else { "" };
-    writeln!(file, "t_us,ax,ay,az,gx,gy,gz{field_columns}")?;
+    let (settings, has_compass) = (&target.settings, target.has_compass);
+    let field_columns = if has_compass { ",mx,my,mz" } else { "" };
+    let armed_column = if target.has_armed { ",armed" } else { "" };
+    writeln!(file, "t_us,ax,ay,az,gx,gy,gz{field_columns}{armed_column}")?;
     let mut line = Vec::new();
     for Recorded { row, reading, .. } in bursts {
         let raw = RawSample::decode(&row.burst.bytes);
@@ -572,8 +585,11 @@ fn write_csv(
                     number::append(&mut line, value);
                 }
             }
-            None if *has_compass => line.extend_from_slice(b",,,"),
+            None if has_compass => line.extend_from_slice(b",,,"),
             None => {}
+        }
+        if target.has_armed {
+            write!(line, ",{}", u8::from(row.is_armed))?;
         }
         line.push(b'\n');
         file.write_all(&line)?;

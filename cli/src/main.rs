@@ -2,6 +2,7 @@
 //! and simulates them, and finds calibrations.
 
 mod any_pipeline;
+mod arming;
 mod bring_up;
 mod calibrate;
 mod completions;

@@ -13,6 +13,7 @@ use aplomb_recordings::log::Lines;
 use aplomb_recordings::units::{RowOptions, knowledge};
 
 use crate::any_pipeline::FilterName;
+use crate::arming::Arming;
 use crate::count_options::CountOptions;
 use crate::source::{BurstSource, CompassOptions, FlightSource, LogOptions, LogSource, Source};
 
@@ -58,6 +59,11 @@ pub struct ReadOptions {
     /// Declination, in degrees, east positive: the heading is then from true north [default: 0]
     #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, value_parser = declination)]
     declination: Option<f32>,
+    /// Time from which on the filter is armed, in seconds after the first row, for recordings that
+    /// do not hold the state. Armed as in flight, a steady turn is no rest; but a rest shows
+    /// nothing either, so give the take-off
+    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true, value_parser = armed_from)]
+    armed_from: Option<f64>,
     /// Number of the flight, in a flight log with several starts of the module, counted from 1
     #[arg(long, value_name = "N")]
     pub flight: Option<usize>,
@@ -77,6 +83,14 @@ fn declination(text: &str) -> Result<f32, &'static str> {
     match text.parse::<f32>() {
         Ok(degrees) if degrees.abs() <= 180.0 => Ok(degrees),
         _ => Err("it is a number of degrees from -180 to 180"),
+    }
+}
+
+/// Parses a time after the first row, s.
+fn armed_from(text: &str) -> Result<f64, &'static str> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds >= 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("it is a number of seconds from 0 on"),
     }
 }
 
@@ -106,6 +120,7 @@ impl Kind {
                 "--compass",
                 "--compass-delay-us",
                 "--declination",
+                "--armed-from",
                 "--raw",
                 "--accel-range",
                 "--gyro-range",
@@ -125,7 +140,7 @@ impl Kind {
     fn reason(self) -> &'static str {
         match self {
             Self::Recording => "it holds one flight",
-            Self::FlightLog => "a flight log brings its mount, its ranges and its delay",
+            Self::FlightLog => "a flight log brings its mount, ranges, delay and arming",
             Self::Attitudes { .. } => "these are attitudes, which a filter has made already",
         }
     }
@@ -142,6 +157,7 @@ impl ReadOptions {
             ("--compass", self.compass.is_some()),
             ("--compass-delay-us", self.compass_delay_us.is_some()),
             ("--declination", self.declination.is_some()),
+            ("--armed-from", self.armed_from.is_some()),
             ("--flight", self.flight.is_some()),
         ];
         let given = own
@@ -167,11 +183,14 @@ impl ReadOptions {
         let form = Form::read(&mut lines)?;
         self.counts.check(form, &self.rows)?;
         self.check_compass(form)?;
+        self.check_armed(form)?;
+        let arming = Arming::new(self.armed_from);
         Ok(match form {
             Form::Bursts => {
                 let (mount, config) = (self.mount(), self.counts.config());
                 let delay_us = self.sensor_delay_us;
                 let mut bursts = BurstSource::new(lines, self.filter(), mount, config, delay_us);
+                bursts.set_arming(arming);
                 if let Some(knowledge) = self.accelerometer {
                     bursts.set_accelerometer_knowledge(knowledge);
                 }
@@ -190,6 +209,7 @@ impl ReadOptions {
                         delay_us: self.compass_delay_us.unwrap_or(0),
                         declination_rad: radians(self.declination.unwrap_or(0.0)),
                     },
+                    arming,
                     rows: self.rows,
                 };
                 Box::new(LogSource::new(lines, options)?)
@@ -222,6 +242,21 @@ impl ReadOptions {
             ));
         }
         Ok(())
+    }
+
+    /// Refuses `--armed-from` where the log has the state, or the filter has none.
+    fn check_armed(&self, form: Form) -> Result<(), String> {
+        let reason = match form {
+            _ if self.armed_from.is_none() => return Ok(()),
+            _ if self.filter() != FilterName::Kalman => {
+                "--armed-from would change nothing: this filter cannot be armed"
+            }
+            Form::Log(columns) if columns.has_armed() => {
+                "its column armed holds the armed state: leave out --armed-from"
+            }
+            Form::Log(_) | Form::Bursts => return Ok(()),
+        };
+        Err(format!("{}: {reason}", self.input.display()))
     }
 
     /// Opens a flight of a flight log.

@@ -37,18 +37,20 @@ const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
 
 /// Run a recording through a filter: one attitude for each row.
 ///
-/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]; microseconds, m/s²,
-/// rad/s, µT; truth sensor to earth with x east, y north, z up), a bursts.csv (t_us,bytes,flags)
-/// or a flight log (what the module sends with `format log`), plain or gzipped; - is standard
-/// input, for all but flight logs. A flight log brings its own settings, and its attitudes are
-/// compared with those of the flight: of the options for reading it takes --filter and --flight
-/// alone. With truth in it, the inclination error is printed, over the rows with mov 1 after 5 s;
-/// with a compass in it also the heading error.
+/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed]; microseconds,
+/// m/s², rad/s, µT; truth sensor to earth with x east, y north, z up; armed is 1 or 0 from its
+/// row on, empty where it stays), a bursts.csv (t_us,bytes,flags, with ARMED among the flags) or a
+/// flight log (what the module sends with `format log`), plain or gzipped; - is standard input, for
+/// all but flight logs. A flight log brings its own settings, and its attitudes are compared with
+/// those of the flight: of the options for reading it takes --filter and --flight alone. With
+/// truth in it, the inclination error is printed, over the rows with mov 1 after 5 s; with a
+/// compass in it also the heading error.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb replay recording.csv.gz --output attitude.csv
   aplomb replay flight.log --json
   aplomb replay compass.csv --compass calibrated --compass-delay-us 10000 --sensor-delay-us 4000
+  aplomb replay ride.csv --armed-from 5
   aplomb replay counts.csv --raw --accel-range 8 --gyro-range 250 --mount z-down
 
 JSON: input, filter, mount, samples, seconds, flags (how many samples have each); with truth

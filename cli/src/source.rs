@@ -27,6 +27,7 @@ use aplomb_recordings::turns::Turns;
 use aplomb_recordings::units::RowOptions;
 
 use crate::any_pipeline::{AnyPipeline, FilterName};
+use crate::arming::Arming;
 use crate::flight_replay::{Agreement, Replay};
 
 /// Attitude at one row, with its truth.
@@ -118,6 +119,8 @@ pub struct LogOptions {
     pub accelerometer: Option<AccelerometerKnowledge>,
     /// Compass, if the log has its columns.
     pub compass: CompassOptions,
+    /// Armed state, where the rows have none.
+    pub arming: Arming,
     /// Units of the rows, and the rule for bad ones.
     pub rows: RowOptions,
 }
@@ -154,6 +157,7 @@ struct LogRow {
     field: Option<MagneticField>,
     truth: Option<Truth>,
     scored: bool,
+    armed: Option<bool>,
 }
 
 impl LogSource {
@@ -234,6 +238,7 @@ impl LogSource {
             }),
             truth: row.attitude,
             scored: row.scored,
+            armed: row.armed,
         }))
     }
 }
@@ -287,17 +292,23 @@ impl Source for LogSource {
             Some(row) => Some(row),
             None => self.read()?,
         };
-        Ok(row.map(|row| {
-            let snapshot = self.pipeline.update_sample(&row.sample);
-            if let Some(field) = row.field {
-                let delay_us = self.options.compass.delay_us;
-                self.pipeline.update_field(field, delay_us);
-            }
-            Point {
-                truth: row.truth,
-                scored: row.scored,
-                ..Point::new(&self.pipeline, &snapshot, row.t_us)
-            }
+        let refused = |reason| format!("{}: {reason}", self.rows.name());
+        let arming = &mut self.options.arming;
+        let Some(row) = row else {
+            arming.end().map_err(|reason| refused(reason.to_owned()))?;
+            return Ok(None);
+        };
+        let is_armed = arming.at(row.t_us, row.armed).map_err(refused)?;
+        self.pipeline.set_armed(is_armed);
+        let snapshot = self.pipeline.update_sample(&row.sample);
+        if let Some(field) = row.field {
+            let delay_us = self.options.compass.delay_us;
+            self.pipeline.update_field(field, delay_us);
+        }
+        Ok(Some(Point {
+            truth: row.truth,
+            scored: row.scored,
+            ..Point::new(&self.pipeline, &snapshot, row.t_us)
         }))
     }
 }
@@ -309,6 +320,7 @@ pub struct BurstSource {
     ahead: VecDeque<TimedBurst>,
     /// Fault after them.
     fault: Option<Box<dyn Error>>,
+    arming: Arming,
     pipeline: AnyPipeline,
 }
 
@@ -336,6 +348,7 @@ impl BurstSource {
             lines,
             ahead: VecDeque::new(),
             fault: None,
+            arming: Arming::default(),
             pipeline: AnyPipeline::for_bursts(filter, &settings),
         };
         while source.ahead.len() < ROWS_AHEAD && source.fault.is_none() {
@@ -362,6 +375,11 @@ impl BurstSource {
         Ok(Some(TimedBurst { t_us, row }))
     }
 
+    /// Sets the armed state of bursts that have none.
+    pub fn set_arming(&mut self, arming: Arming) {
+        self.arming = arming;
+    }
+
     /// Sets what is known of the accelerometer's offset. Default: nothing.
     pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
         self.pipeline.set_accelerometer_knowledge(knowledge);
@@ -381,10 +399,14 @@ impl Source for BurstSource {
                 None => self.read()?,
             },
         };
+        let refused = |reason| format!("{}: {reason}", self.lines.name());
         let Some(TimedBurst { t_us, row }) = next else {
+            let ended = self.arming.end();
+            ended.map_err(|reason| refused(reason.to_owned()))?;
             return Ok(None);
         };
-        self.pipeline.set_armed(row.is_armed);
+        let is_armed = self.arming.at(t_us, Some(row.is_armed)).map_err(refused)?;
+        self.pipeline.set_armed(is_armed);
         let snapshot = self.pipeline.update(&row.burst, row.board);
         Ok(Some(Point::new(&self.pipeline, &snapshot, t_us)))
     }

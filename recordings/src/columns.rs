@@ -1,6 +1,6 @@
 //! Columns of a log by their names, and the first difference of a header from that of a log.
 
-use crate::row::{COLUMNS, COMPASS, SENSOR_COLUMNS};
+use crate::row::{ARMED, COLUMNS, COMPASS, SENSOR_COLUMNS};
 
 /// Order of a table's cells, if it is not that of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,7 +26,7 @@ impl Order {
         let (sensor, truth) = COLUMNS.split_at(SENSOR_COLUMNS);
         let (truth, moving) = truth.split_at(truth.len() - 1);
         let mut used: Vec<(&str, usize)> = sensor.iter().map(place).collect::<Option<_>>()?;
-        for group in [&COMPASS[..], truth, moving] {
+        for group in [&COMPASS[..], truth, moving, &ARMED] {
             if group.iter().any(|name| names.contains(name)) {
                 let group: Option<Vec<_>> = group.iter().map(place).collect();
                 used.extend(group?);
@@ -92,7 +92,7 @@ pub(crate) fn difference(header: &str) -> String {
     if names.len() >= SENSOR_COLUMNS && names.iter().all(|name| is_number(name)) {
         return ": this is a row of numbers; add the header as the first line".into();
     }
-    let known = || COLUMNS.iter().chain(&COMPASS);
+    let known = || COLUMNS.iter().chain(&COMPASS).chain(&ARMED);
     let count = |name: &str| names.iter().filter(|own| **own == name).count();
     if let Some(name) = known().find(|name| count(name) > 1) {
         return format!(": {name} is there twice");
@@ -136,11 +136,16 @@ mod tests {
         let (order, header) = Order::of(&format!("mov,qz,qy,qx,qw,{LOG},mz,my,mx")).expect("a log");
         assert_eq!(header, format!("{LOG},mx,my,mz,qw,qx,qy,qz,mov"));
         assert!(order.unused.is_empty());
+        let (order, header) = Order::of(&format!("armed,{LOG}")).expect("a log");
+        assert_eq!(header, format!("{LOG},armed"));
+        assert!(order.unused.is_empty() && order.arrange("1,0,2,3,4,5,6,7", &mut row));
+        assert_eq!(row, "0,2,3,4,5,6,7,1");
         for incomplete in [
             "t_us,ax,ay,az,gx,gy",
             &format!("{LOG},mov"),
             &format!("{LOG},mx"),
             &format!("{LOG},ax"),
+            &format!("{LOG},armed,armed"),
         ] {
             assert_eq!(Order::of(incomplete), None, "{incomplete}");
         }
@@ -157,6 +162,7 @@ mod tests {
             (LOG.replace(",gz", ""), "gz is missing"),
             (format!("{LOG},mx,my"), "mz is missing"),
             (format!("{LOG},gx"), "gx is there twice"),
+            (format!("{LOG},armed,armed"), "armed is there twice"),
             (format!("{LOG},mov"), "mov needs a truth"),
             ("1000,0,0,9.81,0,0,0,,,".to_owned(), "a row of numbers"),
             (format!("{LOG}\r1,2,3,4,5,6,7"), "carriage returns"),

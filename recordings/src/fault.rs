@@ -104,7 +104,7 @@ pub enum LogFault {
     /// The header is not that of a log.
     #[error(
         "the header is \"{}\", but must be \
-         t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]{}",
+         t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed]{}",
         quote(.0), difference(.0)
     )]
     Header(String),
@@ -215,6 +215,9 @@ pub enum LogFault {
     /// `mov` is neither 0 nor 1.
     #[error("mov is \"{}\", but must be 0 or 1", quote(.0))]
     Moving(String),
+    /// `armed` is neither 0 nor 1 nor empty.
+    #[error("armed is \"{}\", but must be 0 or 1, or empty where it stays as it is", quote(.0))]
+    Armed(String),
     /// Motion needs two points in time.
     #[error("the log has fewer than two rows")]
     TooShort,
@@ -251,7 +254,8 @@ impl LogFault {
             | Self::ImplausibleField { .. }
             | Self::PartialTruth
             | Self::NotARotation(_)
-            | Self::Moving(_) => true,
+            | Self::Moving(_)
+            | Self::Armed(_) => true,
         }
     }
 }

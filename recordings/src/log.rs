@@ -3,15 +3,17 @@
 //! The header is one of these, each with or without a compass:
 //!
 //! ```text
-//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz]
-//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz],qw,qx,qy,qz
-//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz],qw,qx,qy,qz,mov
+//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,armed]
+//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz],qw,qx,qy,qz[,armed]
+//! t_us,ax,ay,az,gx,gy,gz[,mx,my,mz],qw,qx,qy,qz,mov[,armed]
 //! ```
 //!
 //! Time is in whole microseconds and increases; specific force in m/s², rates in rad/s and
 //! magnetic field in µT, in sensor axes, the field's three cells empty where there is no new
 //! reading; the truth is the quaternion sensor → earth with z up, its four cells empty where
-//! it is not known; `mov` is 1 where a row counts for scores, else 0.
+//! it is not known; `mov` is 1 where a row counts for scores, else 0. `armed` is 1 from the row on
+//! in which the vehicle is armed, 0 from the row on in which it is disarmed; an empty cell leaves
+//! the state, which begins disarmed, as it is.
 //!
 //! Lines that begin with `#` before the header, and blank lines, are no rows. [`Rows`] reads row by
 //! row, in any unit, and refuses what no sensor measures; [`Log::read`] reads a whole log with it.
@@ -141,6 +143,14 @@ mod tests {
         assert_eq!(first.field_ut, Some([7.0, 8.0, 9.0]));
         assert_eq!(first.attitude, Some(Quaternion::new(0.0, 1.0, 0.0, 0.0)));
         assert!(!first.scored && second.scored && second.attitude.is_none());
+        let armed = parse(
+            "t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,armed\n\
+             0,1,2,3,4,5,6,0,1,0,0,\n1,1,2,3,4,5,6,,,,,1\n2,1,2,3,4,5,6,,,,,0\n",
+        )
+        .unwrap();
+        let states: Vec<_> = armed.rows().iter().map(|row| row.armed).collect();
+        assert_eq!(states, [None, Some(true), Some(false)]);
+        assert!(armed.rows()[0].attitude.is_some() && armed.rows()[0].scored);
         let full = parse(format!("{HEADER}\n{GOOD}\n1,0,0,9.81,0,0,0,,,,,0\n")).unwrap();
         assert!(full.rows()[0].scored && !full.rows()[1].scored);
     }
@@ -255,6 +265,19 @@ mod tests {
             let (line, reason) = parse(text).unwrap_err();
             assert_eq!(line, Some(3), "{cells}");
             assert!(reason.to_string().contains(expected), "{cells}: {reason}");
+        }
+    }
+
+    #[test]
+    fn an_armed_state_that_is_none_names_its_line() {
+        for bad in ["yes", "2", "1.0", "true"] {
+            let text = format!(
+                "t_us,armed,ax,ay,az,gx,gy,gz\n0,,0,0,9.81,0,0,0\n1,{bad},0,0,9.81,0,0,0\n"
+            );
+            let (line, reason) = parse(text).unwrap_err();
+            assert_eq!(line, Some(3), "{bad}");
+            let expected = format!("armed is \"{bad}\", but must be 0 or 1, or empty where");
+            assert!(reason.to_string().starts_with(&expected), "{reason}");
         }
     }
 

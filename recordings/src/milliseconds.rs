@@ -240,6 +240,7 @@ mod tests {
                 field_ut: None,
                 attitude: None,
                 scored: true,
+                armed: None,
             };
             watch.row(&row).map_err(|fault| fault.to_string())?;
         }

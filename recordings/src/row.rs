@@ -12,6 +12,9 @@ pub(crate) const COLUMNS: [&str; 12] = [
 /// Columns of a compass, which stand before `qw`.
 pub(crate) const COMPASS: [&str; 3] = ["mx", "my", "mz"];
 
+/// Column of the armed state, the last one.
+pub(crate) const ARMED: [&str; 1] = ["armed"];
+
 /// Columns before those of a compass.
 pub(crate) const SENSOR_COLUMNS: usize = 7;
 
@@ -36,6 +39,8 @@ pub struct Row {
     pub attitude: Option<Quaternion>,
     /// True if the row counts for scores: its cell `mov` is 1, or the log has no such column.
     pub scored: bool,
+    /// State of the vehicle from this row on; `None` where it stays as it is.
+    pub armed: Option<bool>,
 }
 
 /// Columns that a log has, in their order.
@@ -45,6 +50,8 @@ pub struct LogColumns {
     compass: usize,
     /// Number of the truth's columns, `mov` included.
     truth: usize,
+    /// Number of the armed state's columns.
+    armed: usize,
 }
 
 impl LogColumns {
@@ -52,6 +59,7 @@ impl LogColumns {
     pub const SENSOR: Self = Self {
         compass: 0,
         truth: 0,
+        armed: 0,
     };
 
     /// Returns the columns of a log with this header; `None` for another header.
@@ -59,18 +67,25 @@ impl LogColumns {
     pub fn of(header: &str) -> Option<Self> {
         let (sensor, truths) = COLUMNS.split_at(SENSOR_COLUMNS);
         let lengths = [0, 4, 5].into_iter();
-        let mut forms =
-            lengths.flat_map(|truth| [0, COMPASS.len()].map(|compass| Self { compass, truth }));
+        let groups = [(0, 0), (0, 1), (COMPASS.len(), 0), (COMPASS.len(), 1)];
+        let mut forms = lengths.flat_map(|truth| {
+            groups.map(|(compass, armed)| Self {
+                compass,
+                truth,
+                armed,
+            })
+        });
         forms.find(|form| {
-            let groups = [sensor, &COMPASS[..form.compass], &truths[..form.truth]];
-            header == groups.concat().join(",")
+            let (compass, truth) = (&COMPASS[..form.compass], &truths[..form.truth]);
+            let names = [sensor, compass, truth, &ARMED[..form.armed]].concat();
+            header == names.join(",")
         })
     }
 
     /// Returns the number of columns.
     #[must_use]
     pub const fn count(self) -> usize {
-        SENSOR_COLUMNS + self.compass + self.truth
+        SENSOR_COLUMNS + self.compass + self.truth + self.armed
     }
 
     /// Returns whether there are columns of a compass.
@@ -83,6 +98,12 @@ impl LogColumns {
     #[must_use]
     pub const fn has_truth(self) -> bool {
         self.truth > 0
+    }
+
+    /// Returns whether there is a column of the armed state.
+    #[must_use]
+    pub const fn has_armed(self) -> bool {
+        self.armed > 0
     }
 }
 
@@ -105,10 +126,13 @@ pub(crate) fn parse_row_with(
     let mut cells = [""; COLUMNS.len()];
     let mut field_cells = [""; COMPASS.len()];
     let compass = columns.compass;
+    let armed_place = columns.count() - columns.armed;
+    let mut armed_cell = "";
     let mut found: usize = 0;
     for cell in line.split(',').map(str::trim) {
         let place = match found.checked_sub(SENSOR_COLUMNS) {
             Some(index) if index < compass => field_cells.get_mut(index),
+            Some(_) if found >= armed_place => Some(&mut armed_cell),
             Some(_) => cells.get_mut(found - compass),
             None => cells.get_mut(found),
         };
@@ -152,6 +176,12 @@ pub(crate) fn parse_row_with(
         "0" => false,
         other => return Err(LogFault::Moving(other.to_owned())),
     };
+    let armed = match armed_cell {
+        "" => None,
+        "0" => Some(false),
+        "1" => Some(true),
+        other => return Err(LogFault::Armed(other.to_owned())),
+    };
     Ok(Row {
         time_us,
         specific_force_m_s2,
@@ -159,6 +189,7 @@ pub(crate) fn parse_row_with(
         field_ut,
         attitude,
         scored,
+        armed,
     })
 }
 
@@ -194,13 +225,16 @@ mod tests {
     #[test]
     fn a_header_shows_which_columns_a_log_has() {
         let sensor = "t_us,ax,ay,az,gx,gy,gz";
-        for compass in ["", ",mx,my,mz"] {
-            for truth in ["", ",qw,qx,qy,qz", ",qw,qx,qy,qz,mov"] {
-                let header = format!("{sensor}{compass}{truth}");
+        let truths = ["", ",qw,qx,qy,qz", ",qw,qx,qy,qz,mov"];
+        let others = ["", ",mx,my,mz"].map(|compass| ["", ",armed"].map(|armed| (compass, armed)));
+        for (compass, armed) in others.into_iter().flatten() {
+            for truth in truths {
+                let header = format!("{sensor}{compass}{truth}{armed}");
                 let columns = LogColumns::of(&header).expect("a log");
                 assert_eq!(columns.count(), header.split(',').count(), "{header}");
                 assert_eq!(columns.has_compass(), !compass.is_empty(), "{header}");
                 assert_eq!(columns.has_truth(), !truth.is_empty(), "{header}");
+                assert_eq!(columns.has_armed(), !armed.is_empty(), "{header}");
             }
         }
     }

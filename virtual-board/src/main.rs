@@ -60,7 +60,8 @@ struct Fly {
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
     /// Replay a recording instead of the simulated flight: CSV, plain or gzip,
-    /// `t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]]`. Its compass is not replayed.
+    /// `t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed]`. Its compass is not
+    /// replayed, nor its armed state: the file of --commands arms.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     #[command(flatten)]
