@@ -56,9 +56,17 @@ class Kalman:
         compass_delay_us: int = 0,
         declination_deg: float = 0.0,
     ) -> None: ...
-    def update(self, t_us: int, gyro: Any, accel: Any, mag: Any | None = None) -> Attitude: ...
+    def update(
+        self, t_us: int, gyro: Any, accel: Any, mag: Any | None = None, *, armed: bool = False
+    ) -> Attitude: ...
     def run(
-        self, t_us: ArrayLike, gyro: ArrayLike, accel: ArrayLike, mag: ArrayLike | None = None
+        self,
+        t_us: ArrayLike,
+        gyro: ArrayLike,
+        accel: ArrayLike,
+        mag: ArrayLike | None = None,
+        *,
+        armed: ArrayLike | None = None,
     ) -> Attitudes: ...
 
 class Recording:
@@ -70,6 +78,7 @@ class Recording:
     mag: NDArray[np.float64] | None
     truth: NDArray[np.float64]
     scored: NDArray[np.bool_]
+    armed: NDArray[np.bool_] | None
 
 class AccelerometerCalibration(TypedDict):
     offset_m_s2: NDArray[np.float32]

@@ -12,7 +12,7 @@ use library::mpu6050::Part;
 use library::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
 use library::units::{MagneticField, radians};
 use numpy::ndarray::ArrayView2;
-use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike2, PyArrayMethods as _};
+use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike1, PyArrayLike2, PyArrayMethods as _};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -271,14 +271,15 @@ impl Kalman {
     /// Processes one sample: rad/s and m/s2 in the sensor's axes. Returns the attitude at its time.
     ///
     /// `mag` is a new reading of the compass, microtesla in the sensor's axes. The next attitudes
-    /// use it.
-    #[pyo3(signature = (t_us, gyro, accel, mag=None))]
+    /// use it. `armed` is True in flight: the filter then takes no steady motion for a rest.
+    #[pyo3(signature = (t_us, gyro, accel, mag=None, *, armed=false))]
     fn update(
         &mut self,
         t_us: &Bound<'_, PyAny>,
         gyro: [f64; 3],
         accel: [f64; 3],
         mag: Option<[f64; 3]>,
+        armed: bool,
     ) -> PyResult<Attitude> {
         if !self.has_rate {
             return Err(PyValueError::new_err(
@@ -288,6 +289,7 @@ impl Kalman {
         let t_us = time_us(t_us)?;
         let mount = self.settings.mount();
         let sample = sample(mount, &mut self.plateaus, t_us, gyro, accel);
+        self.pipeline.pipeline_mut().set_armed(armed);
         let snapshot = self.pipeline.update_sample(&sample);
         if let Some(reading) = mag {
             self.compass.update(&mut self.pipeline, reading);
@@ -323,7 +325,11 @@ impl Kalman {
     ///     Specific force in the sensor's axes, m/s2.
     /// mag : array (n, 3), optional
     ///     Magnetic field in the sensor's axes, microtesla; NaN where there is no new reading.
-    #[pyo3(signature = (t_us, gyro, accel, mag=None))]
+    /// armed : array (n,) of bool, optional
+    ///     True in flight: the filter then takes no steady motion for a rest, and learns nothing
+    ///     from one. Without it, the filter is never armed.
+    #[pyo3(signature = (t_us, gyro, accel, mag=None, *, armed=None))]
+    #[allow(clippy::too_many_arguments, reason = "one is the interpreter")]
     fn run<'py>(
         &self,
         python: Python<'py>,
@@ -331,6 +337,7 @@ impl Kalman {
         gyro: Vectors<'py>,
         accel: Vectors<'py>,
         mag: Option<Vectors<'py>>,
+        armed: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Attitudes> {
         let times = times_us(t_us)?;
         check_shape(&gyro, "gyro", times.len())?;
@@ -338,6 +345,7 @@ impl Kalman {
         if let Some(mag) = &mag {
             check_shape(mag, "mag", times.len())?;
         }
+        let armed = armed.map(|armed| states(armed, times.len())).transpose()?;
         let mut run = Run::new(self, &times, mag.is_some());
         let (gyro, accel) = (gyro.as_array(), accel.as_array());
         let mag = mag.as_ref().map(|mag| mag.as_array());
@@ -349,6 +357,10 @@ impl Kalman {
                 let (gyro, accel) = (vector(gyro, row), vector(accel, row));
                 let sample = sample(run.mount, &mut run.plateaus, times[row], gyro, accel);
                 run.samples.push(sample);
+            }
+            run.armed.clear();
+            if let Some(armed) = &armed {
+                run.armed.extend_from_slice(&armed[block.clone()]);
             }
             run.readings.clear();
             if let Some(mag) = mag {
@@ -372,6 +384,8 @@ struct Run {
     columns: Columns,
     /// Samples of a block.
     samples: Vec<Sample>,
+    /// Armed states beside them; none if the filter is never armed.
+    armed: Vec<bool>,
     /// Readings of the compass beside them; none without a compass.
     readings: Vec<[f64; 3]>,
 }
@@ -390,6 +404,7 @@ impl Run {
             plateaus: Plateaus::default(),
             columns: Columns::with_capacity(times.len(), has_compass),
             samples: Vec::with_capacity(BLOCK_ROWS.min(times.len())),
+            armed: Vec::new(),
             readings: Vec::new(),
         }
     }
@@ -397,6 +412,9 @@ impl Run {
     /// Processes the samples of a block.
     fn process(&mut self) {
         for (row, sample) in self.samples.iter().enumerate() {
+            if let Some(is_armed) = self.armed.get(row) {
+                self.pipeline.pipeline_mut().set_armed(*is_armed);
+            }
             let snapshot = self.pipeline.update_sample(sample);
             if let Some(reading) = self.readings.get(row) {
                 self.compass.update(&mut self.pipeline, *reading);
@@ -515,6 +533,23 @@ fn check_shape(array: &Vectors<'_>, name: &str, count: usize) -> PyResult<()> {
     }
     Err(PyValueError::new_err(format!(
         "t_us has {count} rows and {name} {rows}: they need equal numbers"
+    )))
+}
+
+/// Returns the armed states of `count` rows.
+fn states(armed: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<bool>> {
+    let Ok(array) = armed.extract::<PyArrayLike1<'_, bool>>() else {
+        return Err(PyValueError::new_err(
+            "armed has to be an array of bool, such as t_us >= 5_000_000",
+        ));
+    };
+    let states = array.as_array().to_vec();
+    if states.len() == count {
+        return Ok(states);
+    }
+    Err(PyValueError::new_err(format!(
+        "t_us has {count} rows and armed {}: they need equal numbers",
+        states.len()
     )))
 }
 

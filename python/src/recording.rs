@@ -39,6 +39,9 @@ pub struct Recording {
     /// True where the row counts for scores, as in the column mov: bool, shape (n,). Without that
     /// column all rows count, also those of a sensor at rest.
     scored: Py<PyArray1<bool>>,
+    /// True where the vehicle is armed, as in the column armed: bool, shape (n,); None if the
+    /// recording has no such state. `Kalman.run` takes it.
+    armed: Option<Py<PyArray1<bool>>>,
 }
 
 /// Columns of a recording.
@@ -50,6 +53,8 @@ struct Columns {
     mag: Vec<f64>,
     truth: Vec<f64>,
     scored: Vec<bool>,
+    /// Empty if no row has a state.
+    armed: Vec<bool>,
 }
 
 impl Columns {
@@ -68,11 +73,14 @@ impl Columns {
             gyro: table(self.gyro, 3)?,
             truth: table(self.truth, 4)?,
             scored: PyArray1::from_vec(python, self.scored).unbind(),
+            armed: (!self.armed.is_empty())
+                .then(|| PyArray1::from_vec(python, self.armed).unbind()),
         })
     }
 }
 
-/// Reads a recording: t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]], plain or gzipped.
+/// Reads a recording: t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed], plain or
+/// gzipped.
 ///
 /// Parameters
 /// ----------
@@ -123,7 +131,11 @@ pub fn read_log(
     let columns = python.detach(|| {
         let log = Log::read_with(&path, options).map_err(|error| arguments(error.to_string()))?;
         let mut columns = Columns::default();
+        let has_states = log.rows().iter().any(|row| row.armed.is_some());
+        let mut is_armed = false;
         for row in log.rows() {
+            is_armed = row.armed.unwrap_or(is_armed);
+            columns.armed.extend(has_states.then_some(is_armed));
             columns.t_us.push(row.time_us);
             columns.accel.extend(row.specific_force_m_s2);
             columns.gyro.extend(row.rates_rad_s);

@@ -34,7 +34,7 @@ def replay(path, tmp_path, *options):
 def assert_same(path, tmp_path, *options, **settings):
     recording = aplomb.read_log(path)
     attitudes = aplomb.Kalman(**settings).run(
-        recording.t_us, recording.gyro, recording.accel, recording.mag
+        recording.t_us, recording.gyro, recording.accel, recording.mag, armed=recording.armed
     )
     quaternion, flags, expected = replay(path, tmp_path, *options)
     assert attitudes.quaternion.dtype == np.float32
@@ -83,6 +83,48 @@ def test_a_recording_gives_the_bits_of_replay(log, tmp_path):
     assert attitudes.euler_rad.shape == attitudes.rates_rad_s.shape == (len(recording.t_us), 3)
     assert_same(log, tmp_path, "--mount", "+y+z", mount="+y+z")
     assert_same(log, tmp_path, "--accelerometer", "factory", accelerometer="factory")
+
+
+def test_an_armed_recording_gives_the_bits_of_replay(log_with_compass, tmp_path):
+    rows = log_with_compass.read_text().splitlines()
+    # An empty cell leaves the state as it is.
+    cells = {0: "armed", 1_001: "1", 15_001: "0"}
+    lines = (f"{row},{cells.get(index, '')}" for index, row in enumerate(rows))
+    path = tmp_path / "armed.csv"
+    path.write_text("\n".join(lines) + "\n")
+    recording, attitudes = assert_same(path, tmp_path)
+    assert recording.armed.dtype == np.bool_
+    assert np.array_equal(np.flatnonzero(np.diff(recording.armed)), [999, 14_999])
+    columns = (recording.t_us, recording.gyro, recording.accel)
+    unarmed = aplomb.Kalman().run(*columns, recording.mag)
+    assert not np.array_equal(unarmed.quaternion, attitudes.quaternion)
+    # Sample by sample, and over the whole recording from a time on.
+    armed = recording.t_us >= 1_000_000
+    single = aplomb.Kalman(rate_hz=1000)
+    first = [single.update(*row, armed=bool(state)) for *row, state in zip(*columns, armed)]
+    plain = tmp_path / "plain.csv"
+    names = [row.split(",")[:7] for row in rows]
+    plain.write_text("\n".join(map(",".join, names)) + "\n")
+    from_s = (1_000_000 - int(recording.t_us[0])) * 1e-6
+    quaternion, _, _ = replay(plain, tmp_path, "--armed-from", str(from_s))
+    for attitudes in (
+        aplomb.Kalman().run(*columns, armed=armed).quaternion,
+        np.array([attitude.quaternion for attitude in first], dtype=np.float32),
+    ):
+        assert np.array_equal(attitudes.view(np.uint32), quaternion.view(np.uint32))
+
+
+def test_an_armed_state_that_is_none_is_refused(log):
+    recording = aplomb.read_log(log)
+    assert recording.armed is None
+    columns = (recording.t_us, recording.gyro, recording.accel)
+    for armed, reason in (
+        (True, "array of bool"),
+        (np.zeros(len(recording.t_us)), "array of bool"),
+        (np.zeros(3, dtype=bool), "equal numbers"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            aplomb.Kalman().run(*columns, armed=armed)
 
 
 def test_a_compass_gives_the_heading_of_replay(log_with_compass, log, tmp_path):
