@@ -448,6 +448,27 @@ pub enum Fault {
     Scheduled(ScheduledFault),
 }
 
+/// A time in which the supply is lower, s, and the voltage then, mV.
+pub type Sag = (Range<f64>, u32);
+
+impl Fault {
+    /// Returns the sag of the supply, if the fault is one.
+    #[must_use]
+    pub fn sag(&self) -> Option<Sag> {
+        match self {
+            Self::Supply(millivolts, range) => Some((range.clone(), *millivolts)),
+            Self::Scheduled(fault) => match fault.kind {
+                FaultKind::SupplySag(millivolts) => {
+                    let seconds = |ns: u64| ns as f64 * 1e-9;
+                    Some((seconds(fault.start_ns)..seconds(fault.end_ns()), millivolts))
+                }
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+}
+
 /// The scheduled faults among these.
 pub fn scheduled(faults: &[Fault]) -> impl Iterator<Item = &ScheduledFault> {
     faults.iter().filter_map(|fault| match fault {

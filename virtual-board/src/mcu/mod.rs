@@ -34,7 +34,7 @@ use crate::checks::Checks;
 use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
-use crate::faults::{CORE_MILLIVOLTS, Fault, FaultKind, ScheduledFault, scheduled, within};
+use crate::faults::{CORE_MILLIVOLTS, Fault, FaultKind, Sag, ScheduledFault, scheduled, within};
 use crate::fitted::FittedSensor;
 use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{WiredI2c, items_left};
@@ -63,9 +63,6 @@ const TIM5: usize = 3;
 
 /// The board's supply.
 const SUPPLY_MILLIVOLTS: u32 = 3300;
-
-/// A time in which the supply is lower, s, and the voltage then, mV.
-type Sag = (std::ops::Range<f64>, u32);
 
 /// The microcontroller and what hangs on its pins.
 #[derive(Debug)]
@@ -206,7 +203,7 @@ impl Microcontroller {
             slots,
             awaited_ns: None,
             faults,
-            sags: all_faults.iter().filter_map(sag).collect(),
+            sags: all_faults.iter().filter_map(Fault::sag).collect(),
             supply_millivolts: SUPPLY_MILLIVOLTS,
             steps_at_faults: Vec::new(),
             is_crystal_dead: false,
@@ -490,20 +487,6 @@ impl Microcontroller {
         std::mem::swap(&mut self.sensor_bus.model, &mut self.part.i2c[I2C1]);
         std::mem::swap(&mut self.port_b.model, &mut self.part.gpio[PORT_B]);
         std::mem::swap(&mut self.dma.model, &mut self.part.dma[DMA1]);
-    }
-}
-
-fn sag(fault: &Fault) -> Option<Sag> {
-    match fault {
-        Fault::Supply(millivolts, range) => Some((range.clone(), *millivolts)),
-        Fault::Scheduled(fault) => match fault.kind {
-            FaultKind::SupplySag(millivolts) => {
-                let seconds = |ns: u64| ns as f64 * 1e-9;
-                Some((seconds(fault.start_ns)..seconds(fault.end_ns()), millivolts))
-            }
-            _ => None,
-        },
-        _ => None,
     }
 }
 
