@@ -25,10 +25,15 @@ impl Random {
         }
     }
 
+    /// 64 random bits.
+    pub fn bits(&mut self) -> u64 {
+        self.generator.next_u64()
+    }
+
     /// Uniform in `[low, high)`.
     pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
         // The upper 53 bits fill a double's mantissa exactly.
-        let unit = (self.generator.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+        let unit = (self.bits() >> 11) as f64 / (1_u64 << 53) as f64;
         low + (high - low) * unit
     }
 

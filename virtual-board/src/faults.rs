@@ -106,7 +106,8 @@ pub enum FaultKind {
     CompassStall,
     /// The supply has only these millivolts. Below 2,700 the flash completes no operation (RM0090,
     /// 3.6.2). Below [`SENSOR_MILLIVOLTS`] the sensor is off, and below [`CORE_MILLIVOLTS`] the
-    /// core too: it restarts with the supply.
+    /// core too: it restarts with the supply. Below
+    /// [`RAM_MILLIVOLTS`](crate::ram::RAM_MILLIVOLTS) the RAM loses its content.
     SupplySag(u32),
 }
 

@@ -94,7 +94,7 @@ impl Run {
         }
     }
 
-    /// Seeds the sensor and the simulated flight.
+    /// Seeds the sensor, the simulated flight, and the content of the RAM at power-up.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = seed;
@@ -303,7 +303,8 @@ impl Run {
             &scheduled,
             Arc::clone(&profile),
             self.observer,
-        );
+        )
+        .seed(self.seed);
 
         let started = Instant::now();
         let images = [

@@ -55,6 +55,7 @@ pub mod plot;
 pub mod port;
 pub mod probe;
 pub mod profile;
+pub mod ram;
 pub mod recorder;
 pub mod regulator;
 pub mod schedule;

@@ -2,7 +2,7 @@
 
 mod common;
 
-use aplomb::fault::FaultClass;
+use aplomb::fault::{FaultClass, ResetCause};
 use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
@@ -258,4 +258,50 @@ fn the_first_set_up_of_the_pins_makes_no_edge() {
     assert!(clocks > 0 && clocks.is_multiple_of(9), "{clocks}");
     assert_eq!(starts, clocks / 9);
     assert!(!outcome.samples().is_empty());
+}
+
+#[test]
+fn random_ram_at_power_up_is_not_taken_for_an_earlier_run() {
+    for seed in 1..=3 {
+        let run = Run::new(firmware()).seed(seed).motion(Rest::level());
+        let run = run.seconds(2.0).command(1.6, "status").without_account();
+        let outcome = run.run().unwrap();
+        assert_eq!(outcome.record.ram_power_ups, 1);
+        let first = outcome.record.health.first().expect("a reading");
+        assert_eq!(first.reset_cause, ResetCause::Power as u32, "seed {seed}");
+        assert_eq!(first.counters, [0; FaultClass::COUNT], "seed {seed}");
+        assert!(!outcome.reports("last fault"), "seed {seed}");
+        assert!(outcome.uart_reports("armed=no"), "seed {seed}");
+    }
+}
+
+#[test]
+fn ram_that_survives_a_failure_of_the_supply_is_not_trusted() {
+    for (millivolts, ram_power_ups) in [(1_500, 1), (800, 2)] {
+        let faults = format!("1.7 0.003 address-nack\n2.0 0.05 supply-sag:{millivolts}");
+        let run = Run::new(firmware())
+            .motion(Rest::level())
+            .seconds(4.2)
+            .schedule(&Schedule::parse("test", &faults).unwrap());
+        let run = run.command(1.9, "arm").command(4.0, "status");
+        let outcome = run.without_account().run().unwrap();
+        assert_eq!(outcome.record.ram_power_ups, ram_power_ups);
+        let health = &outcome.record.health;
+        let before = health.iter().rfind(|reading| reading.at_ns < 2_000_000_000);
+        let before = before.expect("a reading").counters;
+        assert!(before[FaultClass::AddressNotAcknowledged as usize] > 0);
+        // The counters that follow the power-up begin at zero.
+        let after: Vec<_> = health
+            .iter()
+            .filter(|reading| reading.at_ns > 2_050_000_000)
+            .collect();
+        let begins_at_zero = after
+            .iter()
+            .any(|reading| reading.counters == [0; FaultClass::COUNT]);
+        assert!(begins_at_zero, "{millivolts}: {after:?}");
+        let last = after.last().expect("a reading");
+        assert_eq!(last.reset_cause, ResetCause::Power as u32, "{millivolts}");
+        assert!(!outcome.reports("last fault"), "{millivolts}");
+        assert!(outcome.uart_reports("armed=no"), "{millivolts}");
+    }
 }

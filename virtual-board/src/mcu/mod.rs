@@ -229,6 +229,12 @@ impl Microcontroller {
             .expect("the sensor is the one chip on this bus")
     }
 
+    /// Returns the supply, mV.
+    #[must_use]
+    pub fn supply_millivolts(&self) -> u32 {
+        self.supply_millivolts
+    }
+
     /// The checks of the core's accesses.
     #[must_use]
     pub fn checks(&self) -> &Checks {

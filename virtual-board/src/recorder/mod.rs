@@ -29,6 +29,7 @@ use crate::image::Firmware;
 use crate::mcu::ReceivedByte;
 use crate::probe::{LogLine, Probe};
 use crate::profile::{Counts, EXCEPTIONS, Profile, Upset, exception_of};
+use crate::ram::Ram;
 use memory::{is_armed, read_heading, read_snapshot};
 use timer::Timer;
 
@@ -104,6 +105,7 @@ pub struct Recorder {
     is_detached: bool,
     is_held: bool,
     stack: std::ops::Range<u64>,
+    ram: Ram,
     probe: Option<Probe>,
     observer: Box<dyn Observer>,
     profile: Arc<Mutex<Profile>>,
@@ -159,6 +161,7 @@ impl Recorder {
             is_detached: false,
             is_held: false,
             stack: firmware.stack.clone(),
+            ram: Ram::new(0),
             probe,
             observer,
             profile,
@@ -176,6 +179,13 @@ impl Recorder {
             unpublished: Vec::new(),
             record: Record::default(),
         }
+    }
+
+    /// Seeds the content of the RAM at power-up.
+    #[must_use]
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.ram = Ram::new(seed);
+        self
     }
 
     /// Returns the record, once the run is over.
@@ -316,13 +326,17 @@ impl Recorder {
         burst.or(self.last_burst)
     }
 
-    /// Records the firmware's counters, if they have changed.
+    /// Records the firmware's counters, if they have changed. Before the firmware's first start the
+    /// report is random, its version too.
     fn read_health(&mut self, host: &mut dyn Host, now_ns: u64) -> Option<()> {
         let health = self.health?;
         let mut word = |offset: usize| {
             let value = Memory::read(host, health + offset as u64, Width::W32).ok()?;
             u32::try_from(value).ok()
         };
+        if word(report::VERSION_OFFSET)? != report::VERSION {
+            return None;
+        }
         let mut reading = HealthReading {
             at_ns: now_ns,
             reset_cause: word(report::RESET_CAUSE)?,
@@ -354,6 +368,7 @@ impl Recorder {
             self.stalled_until_ns = None;
         }
         let controller = &mut session.board_mut().controller;
+        self.ram.follow_supply(controller.supply_millivolts(), host);
         let is_held = has_no_supply
             || self.stalled_until_ns.is_some()
             || controller.is_core_held(now_ns)
@@ -478,14 +493,16 @@ impl Recorder {
         let wires = session.board_mut().controller.sensor().wires();
         self.record.falls_by_hand = wires.lock().falls_made();
         self.record.prefetches = session.board().controller.prefetches();
+        self.record.ram_power_ups = self.ram.power_ups();
         self.record.last = (stop.instruction_count, stop.at.0);
         self.record.sample_exceptions = self.sample_exceptions() - self.exceptions_before;
         self.record.instructions = self.counts(stop.instruction_count).to_vec();
-        let untouched = self.stack.clone().step_by(4).find(|&address| {
+        let lowest_used = self.stack.clone().step_by(4).find(|&address| {
+            let unused = [Some(STACK_PATTERN), self.ram.word_at_power_up(address)];
             host.read(address, Width::W32)
-                .is_ok_and(|word| word != u64::from(STACK_PATTERN))
+                .is_ok_and(|word| !unused.contains(&u32::try_from(word).ok()))
         });
-        self.record.stack_bytes_used = self.stack.end - untouched.unwrap_or(self.stack.end);
+        self.record.stack_bytes_used = self.stack.end - lowest_used.unwrap_or(self.stack.end);
     }
 }
 
@@ -541,10 +558,7 @@ impl Driver<Board> for Recorder {
     ) -> Option<VirtualNanos> {
         if stop.instruction_count == 0 {
             // Before the first instruction.
-            for address in self.stack.clone().step_by(4) {
-                host.write(address, Width::W32, u64::from(STACK_PATTERN))
-                    .ok()?;
-            }
+            self.ram.power_up(host);
             let counters = self.health.map(|health| Watch::Writes {
                 address: health + report::COUNTERS as u64,
                 length: 4 * FaultClass::COUNT as u64,

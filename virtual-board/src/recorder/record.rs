@@ -59,6 +59,8 @@ pub struct Record {
     pub instructions: Vec<u64>,
     /// Bytes of the stack that were ever written.
     pub stack_bytes_used: u64,
+    /// Number of random contents of the RAM: that of the start, and one after each loss.
+    pub ram_power_ups: usize,
     /// The firmware's counters, at each change.
     pub health: Vec<HealthReading>,
     /// End of the sensor's start-up after each return of its supply, ns.
