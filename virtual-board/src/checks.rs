@@ -35,6 +35,10 @@ pub enum Rule {
     StartSeen,
     /// FREQ, CCR and TRISE fit the clock of APB1 when the port is enabled.
     PortClock,
+    /// PR and RLR of the watchdog are written only after the key that opens them.
+    WatchdogOpen,
+    /// PR and RLR of the watchdog are written only after PVU and RVU have cleared.
+    WatchdogUpdated,
 }
 
 impl fmt::Display for Rule {
@@ -51,6 +55,8 @@ impl fmt::Display for Rule {
             Self::PortClock => {
                 "FREQ, CCR or TRISE do not fit APB1 (RM0090, 27.6.2, 27.6.8, 27.6.9)"
             }
+            Self::WatchdogOpen => "PR or RLR is written without the key 0x5555 (RM0090, 21.3.2)",
+            Self::WatchdogUpdated => "PR or RLR is written before SR is clear (RM0090, 21.4.4)",
         })
     }
 }

@@ -1,6 +1,6 @@
 //! A macro that forwards calls of a decorator to the emulated device inside.
 //!
-//! Five devices decorate one of rigless. Each implements the calls that it changes, and names the
+//! Six devices decorate one of rigless. Each implements the calls that it changes, and names the
 //! others in [`delegate!`](crate::delegate::delegate), which forwards them to the field `model`. A
 //! call that a decorator leaves out goes to the trait's empty default, so the model misses it.
 

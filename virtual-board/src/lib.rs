@@ -62,6 +62,7 @@ pub mod schedule;
 pub mod script;
 pub mod slots;
 pub mod summary;
+mod watchdog;
 pub mod wires;
 
 pub use error::Error;

@@ -3,7 +3,7 @@
 use rigless::device::ResetCause;
 use rigless::emulator::{Access, AccessKind, Memory};
 use rigless::soc::Width;
-use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, PWR, RCC, USART2};
+use rigless::soc::stm32f427::generated::{DMA1, EXTI, GPIOA, GPIOB, I2C1, IWDG, PWR, RCC, USART2};
 
 use super::tests::Bench;
 use super::*;
@@ -826,6 +826,70 @@ fn a_stream_is_set_up_while_it_is_off_and_without_old_flags() {
         bench.write(&DMA1, S0CR, CHANNEL_1 | EN);
     });
     assert_eq!(noted, []);
+}
+
+/// Registers of the watchdog, and its keys (RM0090, 21.4).
+const KR: u64 = 0x00;
+const PR: u64 = 0x04;
+const RLR: u64 = 0x08;
+const SR: u64 = 0x0C;
+const OPEN: u64 = 0x5555;
+const FEED: u64 = 0xAAAA;
+const RUN: u64 = 0xCCCC;
+/// Longer than five cycles of the watchdog's oscillator at 32 kHz.
+const CROSSING_NS: u64 = 200_000;
+
+#[test]
+fn the_watchdog_takes_a_limit_only_in_the_right_order() {
+    let mut bench = strict_bench();
+    let noted = broken_by(&mut bench, |bench| {
+        bench.write(&IWDG, KR, RUN);
+        bench.write(&IWDG, KR, OPEN);
+        bench.write(&IWDG, PR, 4);
+        bench.write(&IWDG, RLR, 100);
+        assert_eq!(bench.read(&IWDG, SR), 0b11, "both are on their way");
+        assert_eq!([PR, RLR].map(|at| bench.read(&IWDG, at)), [0, 0xFFF]);
+        bench.run_for(CROSSING_NS);
+        assert_eq!(bench.read(&IWDG, SR), 0);
+        bench.write(&IWDG, KR, FEED);
+    });
+    assert_eq!(noted, []);
+    assert_eq!([PR, RLR].map(|at| bench.read(&IWDG, at)), [4, 100]);
+    // Without the key, or after a feed, RUN or any other key, which all close the registers.
+    for key in [None, Some(FEED), Some(RUN), Some(0x1234)] {
+        for register in [PR, RLR] {
+            let noted = broken_by(&mut bench, |bench| {
+                if let Some(key) = key {
+                    bench.write(&IWDG, KR, OPEN);
+                    bench.write(&IWDG, KR, key);
+                }
+                bench.write(&IWDG, register, 5);
+            });
+            assert_eq!(noted, [Rule::WatchdogOpen], "{key:?} {register:#x}");
+            assert_eq!([PR, RLR].map(|at| bench.read(&IWDG, at)), [4, 100]);
+            assert_eq!(bench.read(&IWDG, SR), 0);
+        }
+    }
+    // A second value before the first one has arrived is ignored.
+    for (register, first) in [(PR, 3), (RLR, 200)] {
+        let noted = broken_by(&mut bench, |bench| {
+            bench.write(&IWDG, KR, OPEN);
+            bench.write(&IWDG, register, first);
+            bench.write(&IWDG, register, 6);
+            bench.run_for(CROSSING_NS);
+        });
+        assert_eq!(noted, [Rule::WatchdogUpdated], "{register:#x}");
+        assert_eq!(bench.read(&IWDG, register), first);
+    }
+}
+
+#[test]
+fn the_watchdog_closes_its_registers_at_a_reset() {
+    let mut bench = strict_bench();
+    bench.write(&IWDG, KR, OPEN);
+    bench.controller.reset(bench.now, ResetCause::Pin);
+    let noted = broken_by(&mut bench, |bench| bench.write(&IWDG, RLR, 100));
+    assert_eq!(noted, [Rule::WatchdogOpen]);
 }
 
 #[test]

@@ -39,6 +39,7 @@ use crate::fitted::FittedSensor;
 use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{WiredI2c, items_left};
 use crate::regulator::Regulator;
+use crate::watchdog::CheckedWatchdog;
 use crate::wires::PortB;
 
 /// Port A's number, as SYSCFG_EXTICR counts them.
@@ -75,6 +76,7 @@ pub struct Microcontroller {
     exti: Exti,
     syscfg: Syscfg,
     flash: FlashInterface,
+    watchdog: CheckedWatchdog,
     checks: Checks,
     identity: ChipIdentity,
     slots: Slots,
@@ -130,6 +132,7 @@ struct Slots {
     exti: usize,
     syscfg: usize,
     flash: usize,
+    watchdog: usize,
     debug: usize,
     dma1: usize,
     power: usize,
@@ -166,6 +169,7 @@ impl Microcontroller {
             exti: bus.slot("EXTI")?,
             syscfg: bus.slot("SYSCFG")?,
             flash: bus.slot("FLASH")?,
+            watchdog: bus.slot("IWDG")?,
             debug: bus.slot("DBG")?,
             dma1: bus.slot("DMA1")?,
             power: bus.slot("PWR")?,
@@ -176,6 +180,7 @@ impl Microcontroller {
         let mut spare = Stm32f427::new()?;
         std::mem::swap(&mut spare.rcc, &mut part.rcc);
         std::mem::swap(&mut spare.flash, &mut part.flash);
+        std::mem::swap(&mut spare.iwdg, &mut part.iwdg);
         std::mem::swap(&mut spare.i2c[I2C1], &mut part.i2c[I2C1]);
         std::mem::swap(&mut spare.gpio[PORT_B], &mut part.gpio[PORT_B]);
         std::mem::swap(&mut spare.dma[DMA1], &mut part.dma[DMA1]);
@@ -198,6 +203,7 @@ impl Microcontroller {
                 model: spare.flash,
                 cells,
             },
+            watchdog: CheckedWatchdog::new(spare.iwdg, checks.clone()),
             checks,
             identity: ChipIdentity::STM32F405_Y,
             slots,
@@ -490,6 +496,7 @@ impl Microcontroller {
     fn lend_models(&mut self) {
         std::mem::swap(&mut self.clocks.model, &mut self.part.rcc);
         std::mem::swap(&mut self.flash.model, &mut self.part.flash);
+        std::mem::swap(&mut self.watchdog.model, &mut self.part.iwdg);
         std::mem::swap(&mut self.sensor_bus.model, &mut self.part.i2c[I2C1]);
         std::mem::swap(&mut self.port_b.model, &mut self.part.gpio[PORT_B]);
         std::mem::swap(&mut self.dma.model, &mut self.part.dma[DMA1]);
@@ -524,6 +531,7 @@ impl Mcu for Microcontroller {
         self.clocks.delayed.clear();
         self.sensor_bus.forget();
         self.dma.forget();
+        self.watchdog.forget();
         self.exti = Exti::default();
         self.flash.restart();
         self.awaited_ns = None;
@@ -559,6 +567,8 @@ impl Mcu for Microcontroller {
             (self.part.bus_mut(), Some(&mut self.dma))
         } else if slot == self.slots.flash {
             (self.part.bus_mut(), Some(&mut self.flash))
+        } else if slot == self.slots.watchdog {
+            (self.part.bus_mut(), Some(&mut self.watchdog))
         } else if slot == self.slots.exti {
             (self.part.bus_mut(), Some(&mut self.exti))
         } else if slot == self.slots.syscfg {
