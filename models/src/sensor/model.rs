@@ -154,7 +154,7 @@ impl Sensor {
     pub fn new(config: SensorConfig, motion: Box<dyn Motion>) -> Self {
         let identity = Identity::of(config.who_am_i);
         let reset = RegisterFile::at_reset(identity.who_am_i, identity.power_management_1, [0; 4]);
-        let settings = settings_of(&reset, &identity);
+        let settings = Settings::of(&reset, &identity);
         let mut path =
             SignalPath::new(config.seed, config.mount, config.errors, identity, settings);
         if !config.has_self_test {
@@ -199,7 +199,7 @@ impl Sensor {
         self.internal = DataRegisters::default();
         self.visible = DataRegisters::default();
         self.path
-            .configure(settings_of(&self.registers, &self.identity));
+            .configure(Settings::of(&self.registers, &self.identity));
         self.path.reset();
     }
 
@@ -501,7 +501,7 @@ impl Sensor {
             _ => {}
         }
         self.path
-            .configure(settings_of(&self.registers, &self.identity));
+            .configure(Settings::of(&self.registers, &self.identity));
     }
 
     fn release_bus(&mut self) {
@@ -560,20 +560,4 @@ impl DataRegisters {
 /// Place of an axis among the data registers: the temperature lies between the two sensors.
 fn place_of(axis: usize) -> usize {
     2 * if axis < 3 { axis } else { axis + 1 }
-}
-
-/// Reads the settings of the signal path from the registers.
-fn settings_of(registers: &RegisterFile, identity: &Identity) -> Settings {
-    let gyroscope = registers.get(address::GYRO_CONFIG);
-    let accelerometer = registers.get(address::ACCEL_CONFIG);
-    // Self-test of X is bit 7, of Z bit 5; the full scale is in bits 4:3.
-    let self_test = |register: u8| [0, 1, 2].map(|axis| register & (0x80 >> axis) != 0);
-    Settings {
-        gyroscope_range: gyroscope >> 3 & 3,
-        accelerometer_range: accelerometer >> 3 & 3,
-        gyroscope_filter: registers.get(address::CONFIG) & 7,
-        accelerometer_filter: registers.get(identity.accelerometer_filter_register) & 7,
-        gyroscope_self_test: self_test(gyroscope),
-        accelerometer_self_test: self_test(accelerometer),
-    }
 }

@@ -4,6 +4,7 @@
 use super::errors::SensorErrors;
 use super::identity::Identity;
 use super::low_pass::{LowPass, Response};
+use super::registers::{RegisterFile, address};
 use crate::motion::geometry::add;
 use crate::motion::truth::STANDARD_GRAVITY_M_S2;
 use crate::motion::{Mount, Truth, Vector};
@@ -28,6 +29,25 @@ pub struct Settings {
     pub gyroscope_self_test: [bool; 3],
     /// Self-test switched on for each axis.
     pub accelerometer_self_test: [bool; 3],
+}
+
+impl Settings {
+    /// Reads the settings of the signal path from the registers.
+    #[must_use]
+    pub fn of(registers: &RegisterFile, identity: &Identity) -> Self {
+        let gyroscope = registers.get(address::GYRO_CONFIG);
+        let accelerometer = registers.get(address::ACCEL_CONFIG);
+        // Self-test of X is bit 7, of Z bit 5; the full scale is in bits 4:3.
+        let self_test = |register: u8| [0, 1, 2].map(|axis| register & (0x80 >> axis) != 0);
+        Self {
+            gyroscope_range: gyroscope >> 3 & 3,
+            accelerometer_range: accelerometer >> 3 & 3,
+            gyroscope_filter: registers.get(address::CONFIG) & 7,
+            accelerometer_filter: registers.get(identity.accelerometer_filter_register) & 7,
+            gyroscope_self_test: self_test(gyroscope),
+            accelerometer_self_test: self_test(accelerometer),
+        }
+    }
 }
 
 /// The deflection that each axis's self-test makes, as the chip was measured at the factory.
