@@ -34,6 +34,10 @@ const BYPASS_ENABLE: u8 = 1 << 1;
 const GYROSCOPE_RESET: u8 = 1 << 2;
 const ACCELEROMETER_RESET: u8 = 1 << 1;
 
+/// Time from a signal path reset until the path works again: the wait that the register map asks
+/// for (section 4.28).
+const SIGNAL_PATH_RESET_NS: u64 = 100_000_000;
+
 /// INT_ENABLE and INT_STATUS: data ready.
 const DATA_READY: u8 = 1 << 0;
 
@@ -134,6 +138,8 @@ pub struct Sensor {
     clock: Option<SampleClock>,
     woken_at_ns: u64,
     path: SignalPath,
+    /// End of the last reset of the gyroscope's path, and of the accelerometer's.
+    paths_ready_ns: [u64; 2],
     interrupt: Interrupt,
     bus: Bus,
     /// The chip's own data registers, renewed by every sample.
@@ -169,6 +175,7 @@ impl Sensor {
             clock: None,
             woken_at_ns: 0,
             path,
+            paths_ready_ns: [0; 2],
             interrupt: Interrupt::default(),
             bus: Bus::default(),
             internal: DataRegisters::default(),
@@ -201,6 +208,7 @@ impl Sensor {
         self.path
             .configure(Settings::of(&self.registers, &self.identity));
         self.path.reset();
+        self.paths_ready_ns = [0; 2];
     }
 
     /// From now on time runs by another clock, which is off by `error`, as a share: +0.01 runs 1 %
@@ -400,14 +408,34 @@ impl Sensor {
             // The accelerometer's output rate is 1 kHz (section 4.2).
             self.path
                 .convert(&truth, self.awake_s(), clock.ticks().is_multiple_of(8));
+            self.hold_paths();
             if is_sample {
                 self.publish(truth);
             }
         }
     }
 
-    /// Puts a sample into the data registers and raises the interrupt.
+    /// Keeps the paths empty whose reset goes on.
+    fn hold_paths(&mut self) {
+        let [gyroscope, accelerometer] = self.paths_ready_ns;
+        if self.now_ns < gyroscope {
+            self.path.reset_gyroscope();
+        }
+        if self.now_ns < accelerometer {
+            self.path.reset_accelerometer();
+        }
+    }
+
+    /// Puts a sample into the data registers and raises the interrupt. While a path is in reset
+    /// there is none.
     fn publish(&mut self, truth: Truth) {
+        if self
+            .paths_ready_ns
+            .iter()
+            .any(|&end_ns| self.now_ns < end_ns)
+        {
+            return;
+        }
         let before = self.internal.bytes;
         let counts = self.path.counts();
         let standby = self.registers.get(address::PWR_MGMT_2);
@@ -487,12 +515,15 @@ impl Sensor {
             }
             address::INT_PIN_CFG => self.interrupt.configuration = self.registers.get(register),
             address::SIGNAL_PATH_RESET => {
+                let [gyroscope, accelerometer] = &mut self.paths_ready_ns;
+                let end_ns = self.now_ns + SIGNAL_PATH_RESET_NS;
                 if value & GYROSCOPE_RESET != 0 {
-                    self.path.reset_gyroscope();
+                    *gyroscope = end_ns;
                 }
                 if value & ACCELEROMETER_RESET != 0 {
-                    self.path.reset_accelerometer();
+                    *accelerometer = end_ns;
                 }
+                self.hold_paths();
             }
             address::USER_CTRL if value & SIGNAL_CONDITION_RESET != 0 => {
                 self.path.reset();

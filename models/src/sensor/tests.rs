@@ -778,12 +778,44 @@ fn signal_path_resets_empty_the_filters_and_sig_cond_the_registers() {
     assert_eq!(chip.sample()[2], 16384);
     chip.write(0x68, 0x02);
     assert_eq!(chip.sample()[2], 16384, "the registers stay");
-    chip.wait(MILLISECOND);
+    chip.wait(101 * MILLISECOND);
     assert!(chip.sample()[2] < 8000, "the filter starts anew");
     chip.wait(1000 * MILLISECOND);
     chip.write(0x6A, 0x01);
     assert_eq!(chip.sample(), [0; 7]);
     assert_eq!(chip.read(0x6A), 0);
+}
+
+#[test]
+fn a_signal_path_reset_takes_the_time_that_the_register_map_asks_to_wait() {
+    for reset in [0x04, 0x02, 0x07] {
+        let mut chip = Controller::running(perfect(), level());
+        chip.wait(1000 * MILLISECOND);
+        chip.sensor.take_edges();
+        chip.write(0x68, reset);
+        assert_eq!(chip.read(0x68), 0, "{reset}");
+        let begin_ns = chip.now_ns;
+        chip.wait(200 * MILLISECOND);
+        let edges = chip.sensor.take_edges();
+        let first_ns = edges.first().expect("samples again").time_ns - begin_ns;
+        let expected = 100 * MILLISECOND..=101 * MILLISECOND;
+        assert!(expected.contains(&first_ns), "{reset}: {first_ns}");
+    }
+    // The temperature's path is not modelled.
+    let mut chip = Controller::running(perfect(), level());
+    chip.write(0x68, 0x01);
+    chip.sensor.take_edges();
+    chip.wait(10 * MILLISECOND);
+    assert_eq!(chip.sensor.take_edges().len(), 10);
+    // A device reset ends it.
+    chip.write(0x68, 0x07);
+    chip.write(0x6B, 0x80);
+    chip.wait(START_UP - 10 * MILLISECOND);
+    chip.write(0x6B, 0x01);
+    chip.write(0x38, 0x01);
+    chip.sensor.take_edges();
+    chip.wait(2 * MILLISECOND);
+    assert!(!chip.sensor.take_edges().is_empty());
 }
 
 #[test]
