@@ -321,7 +321,7 @@ pub struct Config {
     /// Low-pass filter of both. Default: 188 Hz.
     pub low_pass: LowPass,
     /// SMPLRT_DIV: the sample rate is the filter's output rate divided by this plus one. Default:
-    /// 0.
+    /// 0. The MPU-6500 family ignores it with [`LowPass::Hertz256`] (RM-MPU-6500A r2.1 §4.4).
     pub sample_rate_divider: u8,
 }
 
@@ -391,7 +391,8 @@ impl Config {
     }
 
     /// Returns the nominal sample rate, Hz. The sensor's clock is within 1 % of it (product
-    /// specification §6.6). Above 1 kHz the accelerometer repeats its samples.
+    /// specification §6.6). Above 1 kHz the accelerometer repeats its samples. A part of the
+    /// MPU-6500 family has 8 kHz with [`LowPass::Hertz256`], whatever the divider.
     pub fn sample_rate_hz(&self) -> f32 {
         f32::from(self.low_pass.output_rate_hz()) / (f32::from(self.sample_rate_divider) + 1.0)
     }

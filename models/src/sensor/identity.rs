@@ -2,11 +2,11 @@
 //!
 //! Two families are modelled. The MPU-6050's numbers come from its register map r4.2 (section 4.3)
 //! and product specification r3.4. Those of the MPU-6500 family come from the MPU-6500 register map
-//! r2.1 (sections 4.5, 4.8) and product specification. A part with an identity that no document
-//! names behaves like an MPU-6050: its driver should refuse it anyway.
+//! r2.1 (sections 4.4 to 4.6, 4.8) and product specification. A part with an identity that no
+//! document names behaves like an MPU-6050: its driver should refuse it anyway.
 
 use super::low_pass::Response;
-use super::registers::{PWR_MGMT_1_RESET, address};
+use super::registers::{PWR_MGMT_1_RESET, RegisterFile, address};
 
 /// Differences of a part from its relatives.
 #[derive(Clone, Copy, Debug)]
@@ -22,6 +22,9 @@ pub struct Identity {
     pub temperature_zero_c: f64,
     /// The register whose low three bits select the accelerometer's low-pass filter.
     pub accelerometer_filter_register: u8,
+    /// True if SMPLRT_DIV divides the 8 kHz of an unfiltered gyroscope too. In the MPU-6500 family
+    /// it is effective only with FCHOICE_B = 0 and 0 < DLPF_CFG < 7.
+    pub divides_unfiltered: bool,
     /// The gyroscope's filters by DLPF_CFG.
     pub gyroscope_filters: [Response; 8],
     /// The accelerometer's filters by the low bits of `accelerometer_filter_register`.
@@ -52,6 +55,7 @@ impl Identity {
                 temperature_lsb_per_c: 340.0,
                 temperature_zero_c: 36.53,
                 accelerometer_filter_register: address::CONFIG,
+                divides_unfiltered: true,
                 gyroscope_filters: MPU_6050_GYROSCOPE,
                 accelerometer_filters: MPU_6050_ACCELEROMETER,
             },
@@ -65,6 +69,7 @@ impl Identity {
             temperature_lsb_per_c,
             temperature_zero_c,
             accelerometer_filter_register: address::ACCEL_CONFIG_2,
+            divides_unfiltered: false,
             gyroscope_filters: MPU_6500_GYROSCOPE,
             accelerometer_filters: MPU_6500_ACCELEROMETER,
         }
@@ -74,13 +79,26 @@ impl Identity {
     /// MPU-6050.
     #[must_use]
     pub fn additional_writable_bits(&self, register: u8) -> u8 {
-        if register == address::ACCEL_CONFIG_2 && self.accelerometer_filter_register == register {
-            0x0F
-        } else {
-            0
+        match register {
+            address::GYRO_CONFIG if self.is_of_mpu_6500_family() => FCHOICE_B,
+            address::ACCEL_CONFIG_2 if self.is_of_mpu_6500_family() => 0x0F,
+            _ => 0,
         }
     }
+
+    /// Returns true if FCHOICE_B leads the gyroscope past its filter.
+    #[must_use]
+    pub fn bypasses_gyroscope_filter(&self, registers: &RegisterFile) -> bool {
+        self.is_of_mpu_6500_family() && registers.get(address::GYRO_CONFIG) & FCHOICE_B != 0
+    }
+
+    fn is_of_mpu_6500_family(&self) -> bool {
+        self.accelerometer_filter_register == address::ACCEL_CONFIG_2
+    }
 }
+
+/// GYRO_CONFIG: past the gyroscope's filter unless zero (RM-MPU-6500A r2.1, sections 4.5 and 4.6).
+const FCHOICE_B: u8 = 0x03;
 
 const fn response(bandwidth_hz: f64, delay_ms: f64) -> Response {
     Response {

@@ -568,16 +568,20 @@ impl Sensor {
     }
 
     /// Sample rate = gyroscope output rate / (1 + SMPLRT_DIV), the former 8 kHz without filter,
-    /// else 1 kHz (section 4.2).
+    /// else 1 kHz (section 4.2). The MPU-6500 family divides only what has passed the filter
+    /// (RM-MPU-6500A r2.1, section 4.4). Its 32 kHz past the filter are the grid's 8 kHz here.
     fn ticks_per_sample(&self) -> u64 {
         if self.is_cycling() {
             return 1;
         }
-        let base = match self.registers.get(address::CONFIG) & 7 {
-            0 | 7 => 1,
-            _ => 8,
-        };
-        base * (1 + u64::from(self.registers.get(address::SMPLRT_DIV)))
+        let is_filtered = !matches!(self.registers.get(address::CONFIG) & 7, 0 | 7)
+            && !self.identity.bypasses_gyroscope_filter(&self.registers);
+        let divider = 1 + u64::from(self.registers.get(address::SMPLRT_DIV));
+        match (is_filtered, self.identity.divides_unfiltered) {
+            (true, _) => 8 * divider,
+            (false, true) => divider,
+            (false, false) => 1,
+        }
     }
 }
 

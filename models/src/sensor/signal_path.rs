@@ -31,6 +31,10 @@ pub struct Settings {
     pub accelerometer_self_test: [bool; 3],
 }
 
+/// The widest setting of the MPU-6500 family's gyroscope, 3600 Hz, as past the filter with
+/// FCHOICE_B = 2 (RM-MPU-6500A r2.1, section 4.5).
+const UNFILTERED: u8 = 7;
+
 impl Settings {
     /// Reads the settings of the signal path from the registers.
     #[must_use]
@@ -39,10 +43,15 @@ impl Settings {
         let accelerometer = registers.get(address::ACCEL_CONFIG);
         // Self-test of X is bit 7, of Z bit 5; the full scale is in bits 4:3.
         let self_test = |register: u8| [0, 1, 2].map(|axis| register & (0x80 >> axis) != 0);
+        let gyroscope_filter = if identity.bypasses_gyroscope_filter(registers) {
+            UNFILTERED
+        } else {
+            registers.get(address::CONFIG) & 7
+        };
         Self {
             gyroscope_range: gyroscope >> 3 & 3,
             accelerometer_range: accelerometer >> 3 & 3,
-            gyroscope_filter: registers.get(address::CONFIG) & 7,
+            gyroscope_filter,
             accelerometer_filter: registers.get(identity.accelerometer_filter_register) & 7,
             gyroscope_self_test: self_test(gyroscope),
             accelerometer_self_test: self_test(accelerometer),

@@ -380,6 +380,31 @@ fn the_sample_rate_follows_filter_and_divider() {
 }
 
 #[test]
+fn the_divider_of_the_mpu_6500_family_divides_what_is_filtered_alone() {
+    for who_am_i in [0x70, 0x71, 0x73, 0x98] {
+        let config = || SensorConfig {
+            who_am_i,
+            ..perfect()
+        };
+        for (filter, divider, expected) in [(1, 4, 200), (6, 9, 100), (0, 7, 8000), (7, 4, 8000)] {
+            let (count, _) = rate(config(), filter, divider);
+            assert_eq!(count, expected, "{who_am_i:#04x} {filter} {divider}");
+        }
+        // FCHOICE_B leads past the filter, at 32 kHz: 8 kHz on the model's grid.
+        for choice in 1..=3 {
+            let mut chip = Controller::running(config(), level());
+            chip.write(0x1B, choice);
+            assert_eq!(chip.read(0x1B), choice, "{who_am_i:#04x}");
+            chip.write(0x19, 4);
+            chip.sensor.take_edges();
+            chip.wait(1000 * MILLISECOND);
+            let count = chip.sensor.take_edges().len();
+            assert_eq!(count, 8000, "{who_am_i:#04x} {choice}");
+        }
+    }
+}
+
+#[test]
 fn the_rate_is_off_by_the_chips_own_clock_error() {
     let config = SensorConfig {
         clock: ClockErrors {
