@@ -11,7 +11,7 @@ use super::part::Part;
 use super::registers::{
     ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT,
     INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY, LOW_PASS_MASK,
-    POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, POWER_SLEEP, Register, SELF_TEST_MASK,
+    POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK,
 };
 
 /// Condition of the sensor's settings, by its registers.
@@ -20,7 +20,7 @@ use super::registers::{
 pub enum Condition {
     /// The settings are as configured.
     Intact,
-    /// The sensor has reset itself and sleeps.
+    /// The sensor has reset itself: its interrupt registers hold their reset values.
     Reset,
     /// A setting differs from the configuration.
     Changed,
@@ -105,6 +105,9 @@ impl Check {
     }
 
     /// Evaluates the bytes that were read; those beyond [`length`](Self::length) do not count.
+    ///
+    /// The check of the interrupt pin detects a reset: both of its registers are zero then, in
+    /// every part. PWR_MGMT_1 would not show that of an MPU-6500, which is awake after a reset.
     #[inline(always)]
     pub const fn evaluate(&self, bytes: &[u8; Self::LONGEST]) -> Condition {
         let &[a, b, c, d, e] = bytes;
@@ -112,7 +115,7 @@ impl Check {
         let last = e & self.last_mask;
         if first == self.expected && last == self.last_expected {
             Condition::Intact
-        } else if matches!(self.first, Register::PowerManagement1) && a & POWER_SLEEP != 0 {
+        } else if matches!(self.first, Register::InterruptPinConfiguration) && first == 0 {
             Condition::Reset
         } else {
             Condition::Changed
@@ -189,7 +192,12 @@ mod tests {
         assert_eq!(power.evaluate(&[0x01, 0x00, 0, 0, 0]), Condition::Intact);
         assert_eq!(power.evaluate(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
         assert_eq!(power.evaluate(&[0x01, 0x08, 0, 0, 0]), Condition::Changed);
-        assert_eq!(power.evaluate(&[0x40, 0x00, 0, 0, 0]), Condition::Reset);
+        assert_eq!(power.evaluate(&[0x40, 0x00, 0, 0, 0]), Condition::Changed);
+        assert_eq!(
+            interrupt.evaluate(&[0x00, 0x01, 0, 0, 0]),
+            Condition::Changed
+        );
+        assert_eq!(interrupt.evaluate(&[0x00, 0x00, 9, 9, 9]), Condition::Reset);
     }
 
     #[test]

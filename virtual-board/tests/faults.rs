@@ -3,12 +3,15 @@
 
 mod common;
 
+use aplomb::fault::FaultClass;
 use aplomb::health::Flags;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::vibration::{Strength, Vibrating};
 use common::firmware;
 use virtual_board::faults::{BusByte, BusLine, Fault};
 use virtual_board::flight::{Outcome, Run};
+use virtual_board::kit::Kit;
+use virtual_board::schedule::Schedule;
 
 /// Makes a run that must be possible.
 fn fly(run: Run) -> Outcome {
@@ -300,4 +303,18 @@ fn the_log_without_a_reader_holds_nothing_up() {
     assert_eq!(outcome.summary.missed, 0);
     assert!(outcome.uart_reports("gyroscope's offset measured, ready"));
     assert_recovered(&outcome);
+}
+
+#[test]
+fn a_reset_of_the_sensor_is_counted_as_one_whatever_the_part() {
+    for (name, kit) in Kit::ALL {
+        let schedule = Schedule::parse("test", "1.8 0.05 sensor-brownout").unwrap();
+        let run = at_rest(2.6).kit(kit).schedule(&schedule).without_account();
+        let outcome = fly(run);
+        let counters = outcome.record.health.last().unwrap().counters;
+        let count = |class: FaultClass| counters[class as usize];
+        assert!(count(FaultClass::SensorReset) > 0, "{name}");
+        assert_eq!(count(FaultClass::RegisterChanged), 0, "{name}");
+        assert_recovered(&outcome);
+    }
 }

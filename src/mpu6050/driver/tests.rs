@@ -494,7 +494,7 @@ fn a_sensor_that_lost_its_settings_gets_them_back_without_a_reset() {
             (0x1C, 0x10, Condition::Changed),
             (0x37, 0x80, Condition::Changed),
             (0x38, 0x01, Condition::Changed),
-            (0x6B, 0x40, Condition::Reset),
+            (0x6B, 0x40, Condition::Changed),
             (0x6C, 0x04, Condition::Changed),
         ] {
             let bench = Bench::new(Sensor::new(0x68, who_am_i));
@@ -516,6 +516,25 @@ fn a_sensor_that_lost_its_settings_gets_them_back_without_a_reset() {
             assert_eq!(sensor.verify_config(&UNUSUAL), Ok(Condition::Intact));
             assert_eq!(bench.0.borrow().registers, good.0.borrow().registers);
         }
+    }
+}
+
+#[test]
+fn a_reset_of_any_part_is_told_from_a_changed_setting() {
+    for part in &PARTS {
+        let bench = Bench::new(Sensor::new(0x68, part.who_am_i));
+        let mut sensor = bench.probe().expect("a sensor");
+        let configured = sensor.configure(&UNUSUAL, &mut bench.clone());
+        configured.expect("configured");
+        bench.0.borrow_mut().reset();
+        let condition = sensor.verify_config(&UNUSUAL);
+        assert_eq!(condition, Ok(Condition::Reset), "{}", part.name);
+        let read = sensor.read_back(&UNUSUAL).expect("read");
+        assert_eq!(read.condition, Condition::Reset, "{}", part.name);
+        sensor
+            .reconfigure(&UNUSUAL, &mut bench.clone())
+            .expect("configured again");
+        assert_eq!(sensor.verify_config(&UNUSUAL), Ok(Condition::Intact));
     }
 }
 
