@@ -74,6 +74,7 @@ pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
     judge.check_processor(case, &mut report.failures);
     judge.check_tilt(case, &mut report.failures);
     super::clock::check_flags(case, record, &mut report);
+    super::compass::check_flags(case, record, &mut report.failures);
     judge.check_heading(&mut report.failures);
     judge.check_recovery(&mut report);
     judge.check_fault_free_time(&mut report.failures);

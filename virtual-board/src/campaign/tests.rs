@@ -1,6 +1,7 @@
 //! Tests of the judge and the table on records that a sound firmware would leave, with changes.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 use aplomb::attitude::Quaternion as Attitude;
 use aplomb::estimator::heading::HeadingEstimate;
@@ -24,7 +25,7 @@ fn case(text: &str) -> Case {
 
 /// The record of a sound firmware: a right attitude every millisecond from 0.3 s on, valid from 1.2
 /// s on, except for a gap.
-fn record(case: &Case, without_ns: std::ops::Range<u64>) -> Record {
+fn record(case: &Case, without_ns: Range<u64>) -> Record {
     let end_ns = VirtualNanos((case.seconds * 1e9) as u64).0;
     let mut motion = case.motion();
     let mut record = Record {
@@ -654,4 +655,48 @@ fn a_failure_of_the_supply_resets_and_allows_the_time_of_a_start() {
     assert_eq!(report.failures, Vec::<String>::new());
     let recovery_ms = report.faults[0].recovery_ns.map(|ns| ns / MILLISECOND);
     assert_eq!(recovery_ms, Some(1_600));
+}
+
+/// The failures of a flight whose attitudes are flagged `COMPASS_FAULT` in this time, ms.
+fn failures_with_flag(text: &str, save_s: Option<f64>, flagged_ms: Range<u64>) -> Vec<String> {
+    let mut case = case(text);
+    case.conditions.save_s = save_s;
+    let mut record = record(&case, 0..0);
+    for sample in &mut record.samples {
+        if flagged_ms.contains(&(sample.published_ns / MILLISECOND)) {
+            sample.snapshot.flags |= Flags::COMPASS_FAULT;
+        }
+    }
+    let mut failures = Vec::new();
+    compass::check_flags(&case, &record, &mut failures);
+    failures
+}
+
+#[test]
+fn a_fault_of_the_compass_is_flagged_in_time_unless_something_hides_it() {
+    let zeros = "1.8 0.9 compass-zeros";
+    let missed = ["no COMPASS_FAULT within 600 ms: 1.8 0.9 compass-zeros"];
+    assert_eq!(failures_with_flag(zeros, None, 0..0), missed);
+    assert_eq!(failures_with_flag(zeros, None, 1_700..1_799), missed);
+    assert_eq!(failures_with_flag(zeros, None, 2_402..2_700), missed);
+    assert!(failures_with_flag(zeros, None, 2_390..2_700).is_empty());
+    assert!(failures_with_flag(zeros, Some(1.9), 0..0).is_empty());
+    // A shorter fault, and one beside or soon after another.
+    for hidden in [
+        "1.8 0.5 compass-zeros",
+        "1.8 0.9 compass-zeros\n2.3 0.01 scl-low",
+        "1.5 0.01 scl-low\n3.1 0.9 compass-zeros",
+    ] {
+        let failures = failures_with_flag(hidden, None, 0..0);
+        assert_eq!(failures, Vec::<String>::new(), "{hidden}");
+    }
+    let later = failures_with_flag("1.5 0.01 scl-low\n3.3 0.9 compass-zeros", None, 0..0);
+    assert_eq!(later.len(), 1);
+    let stall = "1.8 0.05 compass-stall";
+    assert_eq!(
+        failures_with_flag(stall, None, 0..0),
+        ["no COMPASS_FAULT within 90 ms: 1.8 0.05 compass-stall"]
+    );
+    assert!(failures_with_flag(stall, None, 1_880..1_900).is_empty());
+    assert!(failures_with_flag("1.8 0.03 compass-stall", None, 0..0).is_empty());
 }
