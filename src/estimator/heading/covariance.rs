@@ -116,6 +116,11 @@ impl Covariance {
         }
     }
 
+    /// Forgets the correlations with the tilt filter.
+    pub(super) fn forget_cross(&mut self) {
+        self.cross = [[0.0; ERROR_STATES]; CORRELATED];
+    }
+
     /// Adds a column of O times a factor.
     #[inline]
     pub(super) fn add_column(&self, state: usize, factor: f32, column: &mut [f32; STATES]) {

@@ -567,9 +567,7 @@ impl Heading {
     #[cold]
     #[inline(never)]
     fn follow_reset(&mut self) {
-        for state in 0..ERROR_STATES {
-            self.covariance.scale_cross(state, 0.0);
-        }
+        self.covariance.forget_cross();
         self.reset_field();
         self.intervals = [Interval::EMPTY; 2];
         self.has_interval = false;

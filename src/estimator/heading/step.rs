@@ -131,6 +131,10 @@ impl Heading {
                 self.covariance.scale_cross(state, 0.0);
             }
         }
+        if kalman.has_lost_digits() {
+            // The field keeps the variance that the measurement would have taken from it.
+            self.covariance.forget_cross();
+        }
         Phase::Follow(0, 0)
     }
 

@@ -16,7 +16,8 @@
 //! terms of the covariance afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
 
 use super::propagation::{
-    DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS, State, TILT_EAST, TILT_NORTH, VELOCITY_NORTH,
+    DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS, State, TILT_EAST, TILT_NORTH, VELOCITY_EAST,
+    VELOCITY_NORTH,
 };
 use super::slices::MOST_MEASUREMENTS;
 use super::{Kalman, Tilt};
@@ -224,6 +225,17 @@ impl Kalman {
             weight: 1.0 / measurement.variance,
             residual: measurement.innovation - correction,
         })
+    }
+
+    /// Returns whether the last measurement of the covariance step, that of a velocity, was so much
+    /// more certain than the velocity that no correlation can follow it. The variances p before it
+    /// and p⁺ after it give p⁺/r = 1 − r/(p + r). An `f32` keeps a correlation to
+    /// (p/r)²·ε then.
+    pub(in crate::estimator) fn has_lost_digits(&self) -> bool {
+        const LARGEST: f32 = 1.0 - 1.0 / 256.0;
+        let variance = self.step.covariance.dynamic_variance(VELOCITY_EAST);
+        let measured = self.step.last_measurement();
+        measured.is_some_and(|measured| variance > LARGEST * measured.variance)
     }
 
     /// Adds the column of a parameter times a factor.

@@ -133,6 +133,11 @@ impl CovarianceStep {
         self.measurements.get(..self.measured)?.get(index).copied()
     }
 
+    /// Returns the last measurement of the step.
+    pub(super) fn last_measurement(&self) -> Option<Measurement> {
+        self.measurements.get(..self.measured)?.last().copied()
+    }
+
     /// Returns whether a step has begun and not ended: the covariance is then not that of the
     /// nominal state.
     #[inline]
