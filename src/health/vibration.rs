@@ -3,7 +3,7 @@
 //!
 //! The measure is the root mean square of the specific force about its mean over 0.2 s, of all axes
 //! together, for a second. Motion changes little in 0.2 s, vibration goes through many periods. The
-//! limit comes from the measured table in `docs/accuracy.md`.
+//! limit comes from the measured table in `docs/vibration.md`.
 //!
 //! A force every 13 to 24 ms is enough: 50 a second at 1 kHz. The gap varies, because a fixed one
 //! would show a vibration of that period as a constant.

@@ -10,6 +10,7 @@ mod kept_offset;
 mod level_turns;
 mod resets;
 mod restarts;
+mod rovers;
 mod shaken_starts;
 mod starts;
 mod steps;

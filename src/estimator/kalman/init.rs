@@ -24,7 +24,6 @@ use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::recovery::ForceSum;
 use super::rest_detector::RestDetector;
-use super::rest_watch::RestWatch;
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
 use super::unseen::ANY_TURN_RAD2;
 use super::{KNOWN_BIAS_RAD_S, Kalman, USABLE_TILT_RAD};
@@ -220,7 +219,7 @@ impl Kalman {
         covariance.reset_motion(tilt_variance, velocity_variance);
         self.is_step_pending = false;
         self.is_tilt_checked = false;
-        self.rest_watch = RestWatch::NONE;
+        self.rest_watch.end();
         self.extra_tilt_rad2 = 0.0;
         self.interval = Interval::EMPTY;
         self.nominal.velocity_m_s = [0.0; 2];

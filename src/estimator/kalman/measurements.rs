@@ -18,6 +18,9 @@ const FIRST_REST_GATE_SIGMA: f32 = 2.0;
 /// Largest change of an offset from one rest to the next that is believed at once, rad/s. With a
 /// large σ of the bias, as after contradictions, the gate alone would let a swing pass.
 const LARGEST_CHANGE_RAD_S: f32 = radians(0.5);
+/// Time for which a rest has to contradict the offset before the filter believes it, s. By then
+/// few swings are as steady as this.
+const CERTAIN_S: f32 = 3.0;
 /// Gate of the velocity at rest, in σ. A larger velocity is steady motion, not an error of the
 /// tilt.
 const COASTING_GATE_SIGMA: f32 = 3.0;
@@ -59,7 +62,6 @@ impl Kalman {
         let duration_s = self.step.duration_s();
         self.recent
             .update(self.nominal.velocity_m_s, duration_s, self.tuning);
-        self.end_rest_if_turned();
         let stationary = self.rest_detector.readings(self.tuning);
         let stationary =
             stationary.filter(|_| !self.is_armed && (self.has_rested || self.is_rest_certain()));
@@ -91,10 +93,10 @@ impl Kalman {
     /// time, and faster than the gyroscope shows, then the bias was measured in the turn, and is
     /// unknown.
     #[inline(never)]
-    fn end_rest_if_turned(&mut self) {
+    pub(super) fn end_rest_if_turned(&mut self) {
         let quiet_s = self.rest_detector.quiet_s();
         if quiet_s < SETTLED_S {
-            self.rest_detector.begin_drift(self.has_rested);
+            self.rest_detector.settle(self.has_rested);
         }
         let squared_drift = self.rest_detector.squared_drift();
         if squared_drift < square(CERTAIN_DRIFT_M_S2) {
@@ -175,13 +177,17 @@ impl Kalman {
             let change = readings.rate_rad_s - self.bias_prior.reference_rad_s;
             let is_near = !self.has_rested || change.is_within(LARGEST_CHANGE_RAD_S);
             self.has_rested = true;
+            let rate_variance = self.rest_detector.rate_variance();
             if is_near && self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
                 self.bias_prior.reference_rad_s = readings.rate_rad_s;
                 self.confirmation = Confirmation::Confirmed;
                 let variance = square(tuning.stationary_rate_noise) / duration_s;
                 self.measure_bias(difference, variance);
-                self.rest_watch.begins = true;
-            } else if self.is_offset_wrong(difference) {
+                self.rest_detector.agree();
+                self.rest_watch.add_rest(rate_variance);
+            } else if self.rest_watch.is_motion(rate_variance) {
+                self.rest_detector.interrupt();
+            } else if self.rest_detector.contradicted_s() > CERTAIN_S {
                 return false;
             }
         }
@@ -193,14 +199,6 @@ impl Kalman {
             self.measure_velocity(self.velocity_noise() / duration_s);
         }
         true
-    }
-
-    fn is_offset_wrong(&mut self, difference: Vector3) -> bool {
-        self.rest_watch.is_offset_wrong(
-            difference,
-            self.nominal.rate_rad_s,
-            self.rest_detector.quiet_s(),
-        )
     }
 
     /// Resets a velocity that the tilt's error cannot explain: the vehicle moves steadily, and the

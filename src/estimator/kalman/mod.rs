@@ -341,7 +341,7 @@ impl Kalman {
             rest_detector: RestDetector::new(),
             recent: RecentVelocity::NONE,
             consistency: Consistency::NONE,
-            rest_watch: RestWatch::NONE,
+            rest_watch: RestWatch::new(),
             extra_tilt_rad2: 0.0,
             added_bias_walk: 0.0,
             parameter_priors,

@@ -59,11 +59,15 @@ pub(super) struct RestReadings {
 pub(super) struct RestDetector {
     average_rate_rad_s: Vector3,
     average_force_m_s2: Vector3,
+    /// Variance of the rate about its average, all axes together, (rad/s)².
+    rate_variance: f32,
     /// The averages when they had settled.
     first_rate_rad_s: Vector3,
     first_force_m_s2: Vector3,
     /// True once a rest has been accepted and has ended: the next one takes longer.
     had_rest: bool,
+    /// Time without motion, s, until which the readings agreed with the offset.
+    agreed_until_s: f32,
     /// Time without motion, s. During the first average it is minus the average's length so far.
     quiet_s: f32,
 }
@@ -74,9 +78,11 @@ impl RestDetector {
         Self {
             average_rate_rad_s: Vector3::ZERO,
             average_force_m_s2: Vector3::ZERO,
+            rate_variance: 0.0,
             first_rate_rad_s: Vector3::ZERO,
             first_force_m_s2: Vector3::ZERO,
             had_rest: false,
+            agreed_until_s: 0.0,
             quiet_s: -f32::MIN_POSITIVE,
         }
     }
@@ -108,9 +114,11 @@ impl RestDetector {
         };
         let share = smaller(duration_s / averaged_s, 1.0);
         self.average_rate_rad_s = self.average_rate_rad_s + rate.scale(share);
+        let squared_rate = rate.dot(rate);
+        self.rate_variance += share * (squared_rate - self.rate_variance);
         let mean_force = force_integral_m_s.scale(1.0 / duration_s) - self.average_force_m_s2;
         self.average_force_m_s2 = self.average_force_m_s2 + mean_force.scale(share);
-        let is_quiet = rate.dot(rate) < tuning.stationary_rate_rad_s * tuning.stationary_rate_rad_s
+        let is_quiet = squared_rate < tuning.stationary_rate_rad_s * tuning.stationary_rate_rad_s
             && force.dot(force) + mean_force.dot(mean_force)
                 < tuning.stationary_force_m_s2 * tuning.stationary_force_m_s2;
         self.quiet_s = if is_first_average {
@@ -128,10 +136,12 @@ impl RestDetector {
         };
     }
 
-    /// Measures the drift from the present averages on. `had_rest` is true if a rest has been
-    /// accepted before.
-    pub(super) const fn begin_drift(&mut self, had_rest: bool) {
+    /// Measures drift, variance and contradiction from now on. `had_rest` is true if a rest has
+    /// been accepted before.
+    pub(super) const fn settle(&mut self, had_rest: bool) {
         self.had_rest |= had_rest;
+        self.rate_variance = 0.0;
+        self.agreed_until_s = self.quiet_s;
         self.first_rate_rad_s = self.average_rate_rad_s;
         self.first_force_m_s2 = self.average_force_m_s2;
     }
@@ -144,6 +154,21 @@ impl RestDetector {
     /// Returns the mean specific force, m/s² in body axes.
     pub(super) const fn average_force_m_s2(&self) -> Vector3 {
         self.average_force_m_s2
+    }
+
+    /// Returns the variance of the rate over the last half second, all axes together, (rad/s)².
+    pub(super) const fn rate_variance(&self) -> f32 {
+        self.rate_variance
+    }
+
+    /// Notes that the readings agree with the offset.
+    pub(super) const fn agree(&mut self) {
+        self.agreed_until_s = self.quiet_s;
+    }
+
+    /// Returns the time for which the readings have contradicted the offset without motion, s.
+    pub(super) const fn contradicted_s(&self) -> f32 {
+        self.quiet_s - self.agreed_until_s
     }
 
     /// Returns the time without motion, s.
@@ -202,9 +227,11 @@ impl RestDetector {
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.vector(&mut self.average_rate_rad_s);
         visitor.vector(&mut self.average_force_m_s2);
+        visitor.f32(&mut self.rate_variance);
         visitor.vector(&mut self.first_rate_rad_s);
         visitor.vector(&mut self.first_force_m_s2);
         visitor.bool(&mut self.had_rest);
+        visitor.f32(&mut self.agreed_until_s);
         visitor.f32(&mut self.quiet_s);
     }
 }

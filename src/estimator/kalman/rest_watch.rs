@@ -4,8 +4,9 @@
 //! filter's attitude turns meanwhile, the gyroscope's offset has changed, and the turn is an error.
 //! Its size is known, so the reported σ includes it until a new rest is established.
 //!
-//! A new rest contradicts the offset. The filter believes it when no motion explains the readings:
-//! no hand and few vehicles turn so steadily. That gravity has not turned in the vehicle is no
+//! A new rest may contradict the offset. The filter believes it when no motion explains the
+//! readings: for three seconds the rate has been as steady as at rest. No hand and few vehicles
+//! turn so steadily, because they vibrate. That gravity has not turned in the vehicle is no
 //! proof. A load on a rope and a buoy turn together with the force.
 
 use super::nominal::NominalState;
@@ -23,12 +24,17 @@ const TURN_SHARE: f32 = square(1.0 / 2.5);
 /// Longest time between two updates, s: two in each covariance step.
 const UPDATE_PERIOD_S: f32 = 0.22;
 
-/// Largest change of the rate that is noise, rad/s: 5 σ of a sensor with a bandwidth of 188 Hz
-/// (product specification §6.1), and less than a hand's tremor.
-const NOISE_RATE_RAD_S: f32 = radians(0.8);
-/// Time of so steady a rate after which the sensor does not turn, s. Before it, the sensor has been
-/// without motion for two seconds.
-const CERTAIN_S: f32 = 1.0;
+/// Variance of the rate before a rest has shown it, all axes together, (rad/s)²: that of a sensor
+/// with a bandwidth of 188 Hz (product specification §6.1).
+const START_VARIANCE: f32 = square(radians(0.15));
+/// Share of a covariance step at rest in the mean variance at rest.
+const VARIANCE_SHARE: f32 = 1.0 / 16.0;
+/// Variance of a rate that moves, as a multiple of that at rest: the variance over half a second
+/// scatters by an eighth.
+const MOTION_RATIO: f32 = 2.0;
+/// Variance that is added to the one at rest, (rad/s)²: it may consist of digits alone, which are
+/// 0.06 °/s at ±2000 °/s.
+const DIGITS_VARIANCE: f32 = square(radians(0.1));
 
 /// Comparison of the present readings with those of the last rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,18 +47,33 @@ pub(super) struct RestWatch {
     force_m_s2: Vector3,
     /// Down at rest by the filter, body axes.
     down: Vector3,
-    /// Time without motion, s, when steady readings began to contradict the offset.
-    steady_from_s: f32,
+    /// Variance of the rate at rest, all axes together, (rad/s)².
+    rate_variance: f32,
 }
 
 impl RestWatch {
-    /// No rest to watch.
-    pub(super) const NONE: Self = Self {
-        begins: false,
-        force_m_s2: Vector3::new(f32::INFINITY, 0.0, 0.0),
-        down: Vector3::ZERO,
-        steady_from_s: f32::INFINITY,
-    };
+    /// Creates a watch without a rest.
+    pub(super) const fn new() -> Self {
+        Self {
+            begins: false,
+            force_m_s2: Vector3::new(f32::INFINITY, 0.0, 0.0),
+            down: Vector3::ZERO,
+            rate_variance: START_VARIANCE,
+        }
+    }
+
+    /// Ends the watch.
+    pub(super) const fn end(&mut self) {
+        self.begins = false;
+        self.force_m_s2.x = f32::INFINITY;
+    }
+
+    /// Adds a covariance step at rest. The variance of the rate is that of all axes together,
+    /// (rad/s)².
+    pub(super) fn add_rest(&mut self, rate_variance: f32) {
+        self.begins = true;
+        self.rate_variance += VARIANCE_SHARE * (rate_variance - self.rate_variance);
+    }
 
     /// Compares the present specific force and attitude with those of the rest. Returns the tilt
     /// variance of a turn that the specific force does not show, both axes together, rad². The
@@ -65,11 +86,9 @@ impl RestWatch {
     ) -> f32 {
         let down = nominal.attitude.down_in_body();
         if self.begins {
-            *self = Self {
-                force_m_s2: rest_detector.average_force_m_s2(),
-                down,
-                ..Self::NONE
-            };
+            self.begins = false;
+            self.force_m_s2 = rest_detector.average_force_m_s2();
+            self.down = down;
         }
         let change = nominal.force_m_s2 - self.force_m_s2;
         if change.dot(change) > square(tuning.stationary_force_m_s2) {
@@ -82,22 +101,9 @@ impl RestWatch {
         TURN_SHARE * turn.dot(turn)
     }
 
-    /// Adds a covariance step of a new rest whose readings contradict the offset, `quiet_s` after
-    /// the last motion. Returns whether no motion explains them.
-    ///
-    /// `mean_rate_rad_s` and `rate_rad_s` are the mean and the present rate without the filter's
-    /// bias.
-    pub(super) fn is_offset_wrong(
-        &mut self,
-        mean_rate_rad_s: Vector3,
-        rate_rad_s: Vector3,
-        quiet_s: f32,
-    ) -> bool {
-        let change = rate_rad_s - mean_rate_rad_s;
-        if quiet_s < self.steady_from_s || change.dot(change) > square(NOISE_RATE_RAD_S) {
-            self.steady_from_s = quiet_s;
-        }
-        quiet_s - self.steady_from_s > CERTAIN_S
+    /// Returns whether this variance of the rate exceeds that at rest: the sensor moves.
+    pub(super) fn is_motion(&self, rate_variance: f32) -> bool {
+        rate_variance > MOTION_RATIO * self.rate_variance + DIGITS_VARIANCE
     }
 
     /// Visits every field.
@@ -105,6 +111,6 @@ impl RestWatch {
         visitor.bool(&mut self.begins);
         visitor.vector(&mut self.force_m_s2);
         visitor.vector(&mut self.down);
-        visitor.f32(&mut self.steady_from_s);
+        visitor.f32(&mut self.rate_variance);
     }
 }

@@ -295,6 +295,39 @@ fn a_turn_about_the_vertical_is_no_offset() {
     }
 }
 
+/// A rover that vibrates a little turns smoothly. The same vibration at rest does not hide a
+/// changed offset.
+#[test]
+fn a_steady_rate_that_vibrates_more_than_at_rest_is_a_turn() {
+    for (seed, rate_deg_s) in (50..).zip([3.0, 8.0, 20.0]) {
+        for vibrates_at_rest in [false, true] {
+            let mut world = World::at_rest(Quaternion::IDENTITY);
+            world.random = Random(seed);
+            let (sensor_noise, vibration) = (world.rate_noise, radians(0.25));
+            world.rate_noise = if vibrates_at_rest {
+                vibration
+            } else {
+                sensor_noise
+            };
+            let mut estimator = estimator();
+            world.run(&mut estimator, 6_000);
+            world.rate_noise = vibration;
+            world.rate_rad_s = Vector3::new(0.0, 0.0, radians(rate_deg_s));
+            world.run(
+                &mut estimator,
+                if vibrates_at_rest { 5_000 } else { 30_000 },
+            );
+            let bias_deg_s = degrees(filter(&estimator).bias_rad_s().z);
+            let expected_deg_s = if vibrates_at_rest { rate_deg_s } else { 0.0 };
+            let error_deg_s = bias_deg_s - expected_deg_s;
+            assert!(
+                error_deg_s.abs() < 0.4,
+                "{rate_deg_s}, {vibrates_at_rest}: {bias_deg_s}"
+            );
+        }
+    }
+}
+
 /// A turn about a slanted axis that neither sensor shows as motion. Without a rest before it, it
 /// must not be measured as the bias; after a rest it must not change the bias.
 #[test]
