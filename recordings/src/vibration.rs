@@ -2,7 +2,7 @@
 //!
 //! The measure is the root mean square of the force about its mean over 0.1 s, of all three axes
 //! together, for a second. Motion changes little in 0.1 s, vibration goes through many periods. The
-//! limit comes from the measured table in `docs/accuracy.md`: above it the tilt can be wrong by a
+//! limit comes from the measured table in `docs/vibration.md`: above it the tilt can be wrong by a
 //! degree and more, and the converters may clip ahead of the low-pass filter, where no flag can
 //! show it.
 //!
