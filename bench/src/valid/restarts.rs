@@ -190,17 +190,17 @@ fn wrong_ms_after_a_change_and_a_reset(seed: u64) -> u32 {
     wrong_ms
 }
 
-/// Nothing contradicts a bias within 20 s of a reset. Before σ covered that, 27 of these flights
-/// were `VALID` and wrong, for 6 s on average.
+/// Nothing contradicts a bias within 20 s of a reset. Before revision 28 motion confirmed it right
+/// then: 17 of these flights were `VALID` and wrong, for 25 s in all.
 #[test]
 fn a_reset_after_a_change_of_the_offset_is_hardly_ever_valid_and_wrong() {
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (640_000..640_060).collect();
+    let seeds: Vec<u64> = (642_000..642_120).collect();
     let wrong_ms = parallel::map(&seeds, |seed| wrong_ms_after_a_change_and_a_reset(*seed));
     let wrong = wrong_ms.iter().filter(|ms| **ms > 0).count();
     let sum_ms: u32 = wrong_ms.iter().sum();
-    println!("{wrong} of 60 flights VALID and wrong after a reset, {sum_ms} ms in all");
-    assert!(wrong <= 4 && sum_ms < 5_000, "{wrong} {sum_ms}");
+    let flights = seeds.len();
+    println!("{wrong} of {flights} flights VALID and wrong after a reset, {sum_ms} ms in all");
+    assert!(wrong <= 7 && sum_ms < 9_000, "{wrong} {sum_ms}");
 }
 
 /// Time after a start that counts, µs.

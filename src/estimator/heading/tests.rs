@@ -457,8 +457,8 @@ fn a_reset_ends_a_step_that_has_begun_before_any_measurement() {
         .set_accelerometer_knowledge(AccelerometerKnowledge::Factory);
     flight.step(Vector3::ZERO);
     assert_eq!(flight.heading.phase, Phase::Idle);
-    // It goes on as after any start. The first rest, after 0.8 s, forgets the correlations.
-    flight.rest(1.5);
+    // It goes on as after any start.
+    flight.rest(1.0);
     assert!(flight.heading.covariance.is_correlated());
 }
 

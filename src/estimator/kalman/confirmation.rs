@@ -18,7 +18,7 @@
 //! | state | begins with | least σ of the tilt | the bias is known |
 //! |---|---|---|---|
 //! | `Confirmed` | confirmation | 4° under suspicion, else none | with σ below 0.5 °/s |
-//! | `Moved` | a slow change by 0.2 °/s | 4° | the same |
+//! | `Moved` | a slow change by 0.2 °/s; after `Suspect` | 4° | the same |
 //! | `Stored` | a stored bias, at the start | 4° and the bank that the force shows | the same |
 //! | `Suspect` | contradiction, reset, pause | 6.4° and that bank | near the reference: 1 °/s |
 
@@ -81,8 +81,9 @@ impl Confirmation {
 
 impl Kalman {
     /// Decides after a correction whether the bias is confirmed and known. Motion confirms a
-    /// certain bias near its reference, unless the check of consistency is suspended. A confirmed
-    /// one that is farther off has moved; if it was not known, it is still being found.
+    /// certain bias near its reference, once the check of consistency has settled after unseen
+    /// motion. Before, while it is not suspended any more, a suspect bias counts as moved. A
+    /// confirmed one that is farther off has moved; if it was not known, it is still being found.
     #[inline(never)]
     pub(super) fn judge_bias(&mut self) {
         let [x, y, z] = self.step.covariance.bias_variances();
@@ -92,7 +93,11 @@ impl Kalman {
         let squared_change = change.dot(change);
         if squared_change < square(CONFIRMED_CHANGE_RAD_S) {
             if better_two < square(CONFIRMED_SIGMA_RAD_S) && !self.consistency.is_suspended() {
-                self.confirmation = Confirmation::Confirmed;
+                if self.consistency.is_settled() {
+                    self.confirmation = Confirmation::Confirmed;
+                } else if self.confirmation == Confirmation::Suspect {
+                    self.confirmation = Confirmation::Moved;
+                }
             }
         } else if self.is_bias_known && self.confirmation == Confirmation::Confirmed {
             self.confirmation = Confirmation::Moved;

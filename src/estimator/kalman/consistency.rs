@@ -37,6 +37,8 @@ const CONTRADICTION_GATE: f32 = 4.0;
 const UNSEEN_SHARE: f32 = 128.0;
 /// Variance of the sum from which on the check is suspended, rad².
 const SUSPENDED_RAD2: f32 = square(radians(1.0));
+/// Variance of the sum below which nothing hides a changed bias any more, rad².
+const SETTLED_RAD2: f32 = square(radians(0.4));
 
 /// Sums of the recent corrections.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -106,6 +108,13 @@ impl Consistency {
     #[inline]
     pub(super) fn is_suspended(&self) -> bool {
         self.variance_rad2 > SUSPENDED_RAD2
+    }
+
+    /// Returns whether the check has found nothing for long enough after unseen motion that the
+    /// bias cannot have changed much: for some three seconds, in motion.
+    #[inline]
+    pub(super) fn is_settled(&self) -> bool {
+        self.variance_rad2 < SETTLED_RAD2
     }
 
     /// Returns the square of the sum, rad².

@@ -40,6 +40,9 @@ const CERTAIN_DRIFT_M_S2: f32 = 0.03;
 /// Time without motion after which the first rest is believed with a larger drift, s. By then a
 /// turn of 1 °/s about a horizontal axis has exceeded the largest one.
 const CERTAIN_REST_S: f32 = 1.125;
+/// Longest time since that drift was checked, s, if samples come at 10 Hz or more: the check is a
+/// slice earlier.
+const CHECK_AGE_S: f32 = 0.1;
 /// Largest rate that a rest may hide, rad/s.
 const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
 
@@ -85,10 +88,11 @@ impl Kalman {
     /// Returns whether a first rest may be believed: it measures a bias that was not known.
     fn is_rest_certain(&self) -> bool {
         let quiet_s = self.rest_detector.quiet_s();
-        quiet_s <= self.steady_until_s || quiet_s > CERTAIN_REST_S
+        quiet_s < self.steady_until_s + CHECK_AGE_S || quiet_s > CERTAIN_REST_S
     }
 
-    /// Ends a rest that turns out to be a swing, because the rate drifts. Ends one that turns out
+    /// Begins to watch a rest once its averages have settled. Ends one that turns out to be a
+    /// swing, because the rate drifts. Ends one that turns out
     /// to be a slow, steady turn, because gravity has turned. If it has turned for most of the
     /// time, and faster than the gyroscope shows, then the bias was measured in the turn, and is
     /// unknown.
@@ -185,9 +189,9 @@ impl Kalman {
                 self.measure_bias(difference, variance);
                 self.rest_detector.agree();
                 self.rest_watch.add_rest(rate_variance);
-            } else if self.rest_watch.is_motion(rate_variance) {
-                self.rest_detector.interrupt();
-            } else if self.rest_detector.contradicted_s() > CERTAIN_S {
+            } else if self.rest_detector.contradicted_s() > CERTAIN_S
+                && !self.rest_watch.is_motion(rate_variance)
+            {
                 return false;
             }
         }

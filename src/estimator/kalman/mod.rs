@@ -392,6 +392,10 @@ impl Kalman {
     /// Disables (`true`) the zero-rate and zero-velocity updates, which are only safe on the
     /// ground. Default: false.
     pub const fn set_armed(&mut self, is_armed: bool) {
+        if self.is_armed != is_armed {
+            // A steady turn while armed says nothing about the offset.
+            self.rest_detector.agree();
+        }
         self.is_armed = is_armed;
     }
 
@@ -431,6 +435,7 @@ impl Kalman {
                 Progress::Propagated | Progress::Checked => self.watch_rest_and_consistency(),
                 Progress::Relaxing => {
                     self.admit_changed_bias();
+                    self.end_rest_if_turned();
                     self.relax_parameter(self.step.duration_s());
                 }
                 Progress::Predicted => {

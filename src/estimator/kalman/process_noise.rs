@@ -14,7 +14,6 @@ impl Kalman {
     pub(super) fn begin_covariance_step(&mut self) {
         self.is_tilt_checked = !self.is_tilt_checked;
         if self.is_tilt_checked {
-            self.end_rest_if_turned();
             self.check_tilt();
             return;
         }

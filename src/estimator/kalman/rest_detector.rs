@@ -87,8 +87,9 @@ impl RestDetector {
         }
     }
 
-    /// Shifts the average rate by a change of the readings without motion, rad/s.
+    /// Shifts the average rates by a change of the readings without motion, rad/s.
     pub(super) fn shift_rate(&mut self, change_rad_s: Vector3) {
+        self.first_rate_rad_s = self.first_rate_rad_s + change_rad_s;
         self.average_rate_rad_s = self.average_rate_rad_s + change_rad_s;
     }
 
@@ -156,7 +157,8 @@ impl RestDetector {
         self.average_force_m_s2
     }
 
-    /// Returns the variance of the rate over the last half second, all axes together, (rad/s)².
+    /// Returns the variance of the rate, all axes together, (rad/s)². It begins at zero when the
+    /// averages settle, with a time constant of 0.5 s.
     pub(super) const fn rate_variance(&self) -> f32 {
         self.rate_variance
     }

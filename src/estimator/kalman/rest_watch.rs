@@ -5,9 +5,11 @@
 //! Its size is known, so the reported σ includes it until a new rest is established.
 //!
 //! A new rest may contradict the offset. The filter believes it when no motion explains the
-//! readings: for three seconds the rate has been as steady as at rest. No hand and few vehicles
-//! turn so steadily, because they vibrate. That gravity has not turned in the vehicle is no
-//! proof. A load on a rope and a buoy turn together with the force.
+//! readings: for three seconds they have contradicted it, and the rate is as steady as at the last
+//! rest. No hand and few vehicles turn so steadily, because they vibrate. The price: an offset that
+//! changes together with a vibration, as of an engine that starts, is found when that ends. That
+//! gravity has not turned in the vehicle is no proof. A load on a rope and a buoy turn together
+//! with the force.
 
 use super::nominal::NominalState;
 use super::rest_detector::RestDetector;
@@ -29,9 +31,9 @@ const UPDATE_PERIOD_S: f32 = 0.22;
 const START_VARIANCE: f32 = square(radians(0.15));
 /// Share of a covariance step at rest in the mean variance at rest.
 const VARIANCE_SHARE: f32 = 1.0 / 16.0;
-/// Variance of a rate that moves, as a multiple of that at rest: the variance over half a second
-/// scatters by an eighth.
-const MOTION_RATIO: f32 = 2.0;
+/// Variance of a rate that moves, as a multiple of that at rest: at 50 samples a second the
+/// variance over half a second scatters by an eighth.
+const MOTION_RATIO: f32 = 1.5;
 /// Variance that is added to the one at rest, (rad/s)²: it may consist of digits alone, which are
 /// 0.06 °/s at ±2000 °/s.
 const DIGITS_VARIANCE: f32 = square(radians(0.1));

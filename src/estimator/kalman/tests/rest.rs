@@ -295,6 +295,43 @@ fn a_turn_about_the_vertical_is_no_offset() {
     }
 }
 
+/// The check of the rest may be a sample older than its measurement.
+#[test]
+fn the_first_rest_counts_in_time_at_any_rate() {
+    const LONGEST_MS: [(u64, u64); 5] = [
+        (1_000, 900),
+        (1_350, 950),
+        (2_000, 950),
+        (5_000, 1_200),
+        (10_000, 1_700),
+    ];
+    for (period_us, longest_ms) in LONGEST_MS {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        let mut estimator = estimator();
+        let mut t_us = 0;
+        while !estimator.estimate().is_bias_known {
+            estimator.update(&world.sample(period_us));
+            t_us += period_us;
+            assert!(t_us < 1_000 * longest_ms, "a sample each {period_us} us");
+        }
+    }
+}
+
+/// A turn while armed says nothing about the offset when it ends.
+#[test]
+fn disarming_in_a_turn_takes_it_for_no_offset_at_once() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 3_000);
+    estimator.filter_mut().set_armed(true);
+    world.rate_rad_s = Vector3::new(0.0, 0.0, radians(5.0));
+    world.run(&mut estimator, 8_000);
+    estimator.filter_mut().set_armed(false);
+    world.run(&mut estimator, 2_000);
+    let bias_deg_s = degrees(filter(&estimator).bias_rad_s().z);
+    assert!(bias_deg_s.abs() < 0.3, "{bias_deg_s}");
+}
+
 /// A rover that vibrates a little turns smoothly. The same vibration at rest does not hide a
 /// changed offset.
 #[test]

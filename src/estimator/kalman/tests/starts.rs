@@ -73,7 +73,7 @@ fn a_kept_bias_is_not_confirmed_before_motion_can_contradict_it() {
     let estimate = world.run(&mut after, 15_000);
     assert_eq!(after.filter().confirmation, Confirmation::Suspect);
     assert!(estimate.tilt_sigma_rad() > radians(6.0));
-    let estimate = world.run(&mut after, 10_000);
+    let estimate = world.run(&mut after, 14_000);
     assert_eq!(after.filter().confirmation, Confirmation::Confirmed);
     assert!(estimate.tilt_sigma_rad() < radians(3.0));
 }
@@ -92,7 +92,7 @@ fn a_bias_that_had_moved_before_a_reset_is_not_confirmed() {
         };
         estimator.resume(&start, world.t_us);
         for _ in 0..2 {
-            let estimate = world.run(&mut estimator, 25_000);
+            let estimate = world.run(&mut estimator, 29_000);
             let confirmation = estimator.filter().confirmation;
             assert_eq!(confirmation == Confirmation::Confirmed, is_confirmed);
             assert!(estimate.is_bias_known);

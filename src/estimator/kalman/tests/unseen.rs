@@ -180,7 +180,7 @@ fn after_a_pause_that_hides_a_turn_motion_has_to_confirm_the_bias() {
         assert_eq!(filter(&estimator).confirmation, Confirmation::Suspect);
         let sigma = degrees(filter(&estimator).tilt_sigma_rad());
         assert!(sigma > 6.3, "{pause_us}: {sigma}");
-        world.run(&mut estimator, 25_000);
+        world.run(&mut estimator, 29_000);
         assert_eq!(filter(&estimator).confirmation, Confirmation::Confirmed);
         let sigma = degrees(filter(&estimator).tilt_sigma_rad());
         assert!(sigma < 4.0, "{pause_us}: {sigma}");
