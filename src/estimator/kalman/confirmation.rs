@@ -8,7 +8,8 @@
 //! - A wide turn moves tilt and bias so slowly that nothing contradicts them. At 50 m/s a bank of
 //!   9° reads as level with a bias of 0.3 °/s.
 //! - A reset or a pause hides motion, so for up to 20 s no correction contradicts a bias
-//!   (`consistency.rs`). Meanwhile the tilt may become that of level flight in a turn.
+//!   (`consistency.rs`), and for some seconds more none may have done so yet. Meanwhile the tilt
+//!   may become that of level flight in a turn.
 //!
 //! Therefore the bias has a reference: that of the last rest, which a reset keeps, or else the
 //! stored bias. A bias that may be wrong has to be confirmed: by a rest, or by motion that leads it

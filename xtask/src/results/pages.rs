@@ -51,19 +51,36 @@ fn summary(data: &Data) -> Result<String, String> {
         Ok::<String, String>(median.to_owned())
     };
     let mut text = String::from("| figure | measured |\n|---|---|\n");
-    for (section, place) in [
-        (broad, "{} recordings of BROAD: a sensor turned by a person"),
-        (tumvi, "{} recordings of TUM-VI: a sensor carried about"),
+    let left_out = data.section("leave-one-out")?;
+    // Of a set that the default was tuned on: the median after a tuning on the others.
+    let tuned_without = |set: &str| {
+        let cells = left_out.text(set)?;
+        let tuned = cells.split(" | ").nth(2).unwrap_or(cells);
+        let (median, _) = tuned.split_once('/').unwrap_or((tuned, ""));
+        Ok::<String, String>(format!("; {median}° if tuned on the other sets"))
+    };
+    for (section, place, tuning) in [
+        (
+            broad,
+            "{} recordings of BROAD: a sensor turned by a person",
+            tuned_without("BROAD")?,
+        ),
+        (
+            tumvi,
+            "{} recordings of TUM-VI: a sensor carried about",
+            tuned_without("TUM-VI")?,
+        ),
         (
             simulated,
             "{} simulated quadrotor flights, gyroscope not calibrated",
+            String::new(),
         ),
     ] {
         let place = place.replacen("{}", section.text("recordings")?, 1);
         let (ours, vqf) = (median(section, "kalman")?, median(section, "vqf")?);
         let _ = writeln!(
             text,
-            "| tilt error, median of {place} | {ours}° (VQF: {vqf}°) |"
+            "| tilt error, median of {place} | {ours}° (VQF: {vqf}°){tuning} |"
         );
     }
     let rows = [
