@@ -163,7 +163,7 @@ fn commands_at_the_uart_parse() {
     let mut seen = 0;
     for row in rows(
         "docs/commands.md",
-        "| command | effect | needs `save` | armed |",
+        "| command | effect | needs `save` | while armed |",
     ) {
         let forms: Vec<String> = marked(&row[0]).collect();
         let first = forms[0].split(' ').next().unwrap_or_default().to_owned();

@@ -40,6 +40,14 @@ pub fn readme(before: &str, data: &Data) -> Result<String, String> {
     Ok(format!("{head}{START}{}{END}{tail}", summary(data)?))
 }
 
+/// Of a set that the default was tuned on: the median after a tuning on the others.
+fn tuned_without(data: &Data, set: &str) -> Result<String, String> {
+    let cells = data.section("leave-one-out")?.text(set)?;
+    let tuned = cells.split(" | ").nth(2).unwrap_or(cells);
+    let (median, _) = tuned.split_once('/').unwrap_or((tuned, ""));
+    Ok(format!("; {median}° if tuned on the other sets"))
+}
+
 /// The table of README.md.
 fn summary(data: &Data) -> Result<String, String> {
     let fly = data.section("fly")?;
@@ -51,24 +59,16 @@ fn summary(data: &Data) -> Result<String, String> {
         Ok::<String, String>(median.to_owned())
     };
     let mut text = String::from("| figure | measured |\n|---|---|\n");
-    let left_out = data.section("leave-one-out")?;
-    // Of a set that the default was tuned on: the median after a tuning on the others.
-    let tuned_without = |set: &str| {
-        let cells = left_out.text(set)?;
-        let tuned = cells.split(" | ").nth(2).unwrap_or(cells);
-        let (median, _) = tuned.split_once('/').unwrap_or((tuned, ""));
-        Ok::<String, String>(format!("; {median}° if tuned on the other sets"))
-    };
     for (section, place, tuning) in [
         (
             broad,
             "{} recordings of BROAD: a sensor turned by a person",
-            tuned_without("BROAD")?,
+            tuned_without(data, "BROAD")?,
         ),
         (
             tumvi,
             "{} recordings of TUM-VI: a sensor carried about",
-            tuned_without("TUM-VI")?,
+            tuned_without(data, "TUM-VI")?,
         ),
         (
             simulated,
