@@ -19,7 +19,7 @@ const FIRST_REST_GATE_SIGMA: f32 = 2.0;
 /// large σ of the bias, as after contradictions, the gate alone would let a swing pass.
 const LARGEST_CHANGE_RAD_S: f32 = radians(0.5);
 /// Time for which a rest has to contradict the offset before the filter believes it, s. By then
-/// few swings are as steady as this.
+/// the rate of most swings has drifted.
 const CERTAIN_S: f32 = 3.0;
 /// Gate of the velocity at rest, in σ. A larger velocity is steady motion, not an error of the
 /// tilt.
@@ -92,10 +92,9 @@ impl Kalman {
     }
 
     /// Begins to watch a rest once its averages have settled. Ends one that turns out to be a
-    /// swing, because the rate drifts. Ends one that turns out
-    /// to be a slow, steady turn, because gravity has turned. If it has turned for most of the
-    /// time, and faster than the gyroscope shows, then the bias was measured in the turn, and is
-    /// unknown.
+    /// swing, because the rate drifts. Ends one that turns out to be a slow, steady turn, because
+    /// gravity has turned. If it has turned for most of the time, and faster than the gyroscope
+    /// shows, then the bias was measured in the turn, and is unknown.
     #[inline(never)]
     pub(super) fn end_rest_if_turned(&mut self) {
         let quiet_s = self.rest_detector.quiet_s();
