@@ -326,8 +326,8 @@ impl Kalman {
     /// mag : array (n, 3), optional
     ///     Magnetic field in the sensor's axes, microtesla; NaN where there is no new reading.
     /// armed : array (n,) of bool, optional
-    ///     True in flight: the filter then takes no steady motion for a rest, and learns nothing
-    ///     from one. Without it, the filter is never armed.
+    ///     True in flight: the filter then takes no steady motion for a rest, and measures
+    ///     nothing at a rest. Without it, the filter is never armed.
     #[pyo3(signature = (t_us, gyro, accel, mag=None, *, armed=None))]
     #[allow(clippy::too_many_arguments, reason = "one is the interpreter")]
     fn run<'py>(
@@ -540,7 +540,7 @@ fn check_shape(array: &Vectors<'_>, name: &str, count: usize) -> PyResult<()> {
 fn states(armed: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<bool>> {
     let Ok(array) = armed.extract::<PyArrayLike1<'_, bool>>() else {
         return Err(PyValueError::new_err(
-            "armed has to be an array of bool, such as t_us >= 5_000_000",
+            "armed has to be an array of bool, such as t_us >= take_off_us",
         ));
     };
     let states = array.as_array().to_vec();

@@ -25,7 +25,8 @@ const RAMP_S: f64 = 0.3;
 /// Largest error of a yaw that follows the turns, degrees: noise and a bias of 0.1 °/s.
 const LARGEST_ERROR_DEG: f64 = 12.0;
 
-/// Rests and turns, sample by sample.
+/// Rests and turns, sample by sample. The first rest begins with the first sample.
+#[derive(Default)]
 struct Drive {
     /// Time until the turn begins, and until it ends, s. Both are negative after a turn.
     begins_s: f64,
@@ -57,11 +58,7 @@ fn yaw_error_and_valid(seed: u64, vibrations_deg_s: [f64; 2]) -> (f64, f64) {
     let offset_rad_s = [(); 3].map(|()| random.uniform(-5.0, 5.0).to_radians());
     let [least, most] = vibrations_deg_s;
     let vibration_rad_s = random.uniform(least, most).to_radians();
-    let mut drive = Drive {
-        begins_s: 5.0,
-        ends_s: 0.0,
-        rate_rad_s: 0.0,
-    };
+    let mut drive = Drive::default();
     let (mut yaw_rad, mut largest_rad, mut valid) = (0.0, 0.0_f64, 0);
     let samples = SECONDS * 1_000_000 / PERIOD_US;
     for index in 0..samples {

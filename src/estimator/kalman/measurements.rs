@@ -40,8 +40,8 @@ const CERTAIN_DRIFT_M_S2: f32 = 0.03;
 /// Time without motion after which the first rest is believed with a larger drift, s. By then a
 /// turn of 1 °/s about a horizontal axis has exceeded the largest one.
 const CERTAIN_REST_S: f32 = 1.125;
-/// Longest time since that drift was checked, s, if samples come at 10 Hz or more: the check is a
-/// slice earlier.
+/// Longest time from the check of a rest to its measurement, s, at 10 samples a second or more: the
+/// check is a slice earlier.
 const CHECK_AGE_S: f32 = 0.1;
 /// Largest rate that a rest may hide, rad/s.
 const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
@@ -85,7 +85,8 @@ impl Kalman {
         }
     }
 
-    /// Returns whether a first rest may be believed: it measures a bias that was not known.
+    /// Returns whether a first rest may be believed: it measures a bias that was not known. The
+    /// specific force has not drifted up to the last check, or not too far for long.
     fn is_rest_certain(&self) -> bool {
         let quiet_s = self.rest_detector.quiet_s();
         quiet_s < self.steady_until_s + CHECK_AGE_S || quiet_s > CERTAIN_REST_S

@@ -319,7 +319,7 @@ fn the_first_rest_counts_in_time_at_any_rate() {
 
 /// A turn while armed says nothing about the offset when it ends.
 #[test]
-fn disarming_in_a_turn_takes_it_for_no_offset_at_once() {
+fn a_turn_that_goes_on_after_disarming_is_no_offset_at_once() {
     let mut world = World::at_rest(Quaternion::IDENTITY);
     let mut estimator = estimator();
     world.run(&mut estimator, 3_000);
