@@ -102,38 +102,34 @@ fn is_calibrating(flags: Flags) -> bool {
     flags.contains(Flags::CALIBRATING) && !flags.contains(Flags::VALID)
 }
 
+/// Flags of an attitude whose sample is no measurement.
+const NO_MEASUREMENT: Flags = Flags::FROZEN.union(Flags::REJECTED).union(Flags::STALE);
+
 /// Returns the healthy sensors of those that are there. `flags` are those of the latest attitude.
+/// The attitude is healthy only while it is valid.
 #[inline(never)]
 pub(super) fn health(flags: Option<Flags>, present: MavSysStatusSensor) -> MavSysStatusSensor {
     let Some(flags) = flags else {
         return MavSysStatusSensor::empty();
     };
-    let unless = |faults: &[Flags], sensor: MavSysStatusSensor| {
-        if faults.iter().any(|flag| flags.contains(*flag)) {
-            MavSysStatusSensor::empty()
-        } else {
+    let when = |is_healthy: bool, sensor: MavSysStatusSensor| {
+        if is_healthy {
             sensor
+        } else {
+            MavSysStatusSensor::empty()
         }
     };
-    let healthy = unless(
-        &[Flags::FROZEN, Flags::REJECTED, Flags::GYROSCOPE_SATURATED],
+    let healthy = when(
+        !flags.intersects(NO_MEASUREMENT | Flags::GYROSCOPE_SATURATED),
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO,
-    ) | unless(
-        &[
-            Flags::FROZEN,
-            Flags::REJECTED,
-            Flags::ACCELEROMETER_SATURATED,
-        ],
+    ) | when(
+        !flags.intersects(NO_MEASUREMENT | Flags::ACCELEROMETER_SATURATED),
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL,
-    ) | unless(
-        &[Flags::FROZEN, Flags::REJECTED, Flags::GAP, Flags::TIME],
-        if is_calibrating(flags) {
-            MavSysStatusSensor::empty()
-        } else {
-            MavSysStatusSensor::MAV_SYS_STATUS_AHRS
-        },
-    ) | unless(
-        &[Flags::COMPASS_FAULT],
+    ) | when(
+        flags.contains(Flags::VALID) && !flags.contains(Flags::GAP),
+        MavSysStatusSensor::MAV_SYS_STATUS_AHRS,
+    ) | when(
+        !flags.contains(Flags::COMPASS_FAULT),
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG,
     );
     healthy & present

@@ -61,7 +61,7 @@ impl Bench {
                     yaw_rad: radians(30.0),
                 }),
                 body_rates_rad_s: Vector3::new(0.1, -0.2, 0.3),
-                flags: Flags::empty(),
+                flags: Flags::VALID,
                 tilt_variance_rad2: 0.0,
             },
             sample: Sample {
@@ -305,16 +305,23 @@ fn faults_clear_the_health_bits() {
     let present = MavSysStatusSensor::from_bits_retain(0x0020_0003);
     let health_with = |flags, present| health(Some(flags), present).bits();
     let health_of = |flags| health_with(flags, present);
-    assert_eq!(health_of(Flags::empty()), 0x0020_0003);
-    assert_eq!(health_of(Flags::FROZEN), 0);
-    assert_eq!(health_of(Flags::ACCELEROMETER_SATURATED), 0x0020_0001);
+    assert_eq!(health_of(Flags::VALID), 0x0020_0003);
+    assert_eq!(health_of(Flags::DEGRADED), 3, "σ above 30°");
+    assert_eq!(health_of(Flags::DEGRADED | Flags::TEMPERATURE), 3);
+    assert_eq!(health_of(Flags::VALID | Flags::GAP), 3);
+    for no_measurement in [Flags::FROZEN, Flags::STALE, Flags::REJECTED] {
+        assert_eq!(health_of(no_measurement | Flags::DEGRADED), 0);
+    }
+    let saturated = Flags::VALID | Flags::ACCELEROMETER_SATURATED;
+    assert_eq!(health_of(saturated), 0x0020_0001);
     assert_eq!(health_of(Flags::CALIBRATING), 3);
     let started_in_motion = Flags::CALIBRATING | Flags::DEGRADED | Flags::VALID;
     assert_eq!(health_of(started_in_motion), health_of(Flags::VALID));
     assert_eq!(health(None, present).bits(), 0);
     let with_compass = present | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG;
-    assert_eq!(health_with(Flags::empty(), with_compass), 0x0020_0007);
-    assert_eq!(health_with(Flags::COMPASS_FAULT, with_compass), 0x0020_0003);
+    assert_eq!(health_with(Flags::VALID, with_compass), 0x0020_0007);
+    let without = Flags::VALID | Flags::COMPASS_FAULT;
+    assert_eq!(health_with(without, with_compass), 0x0020_0003);
 }
 
 /// The messages of one second with this heading and compass, at 10 Hz.
