@@ -46,8 +46,8 @@ bitflags::bitflags! {
         /// The tilt is wrong by no more than the larger of 5° and six σ. Only filters with a σ
         /// set it.
         const VALID = 1 << 10;
-        /// The attitude is less certain than usual: σ is above 5°, or one of [`Flags::DEGRADING`]
-        /// is set.
+        /// The attitude is less certain than usual: σ is above 5°, one of [`Flags::DEGRADING`] is
+        /// set, or the rate has jumped as if the full scale had changed, which is being checked.
         ///
         /// Alone and for long, it means that samples come more slowly than
         /// [`Config`](crate::mpu6050::Config) says: each step is a pause, in which σ grows. At the

@@ -106,7 +106,8 @@ impl Monitor {
     }
 
     /// Requires the sensor's full scales to be read back: the rate has jumped as if they had
-    /// changed. Until [`confirm_scales`](Self::confirm_scales), no attitude is valid.
+    /// changed. Until [`confirm_scales`](Self::confirm_scales), each attitude is degraded, and none
+    /// is valid.
     pub const fn require_scale_check(&mut self) {
         self.awaits_scale_check = true;
     }
@@ -127,11 +128,11 @@ impl Monitor {
     }
 
     /// Adds [`Flags::VALID`] and [`Flags::DEGRADED`] to the flags of an attitude with this tilt
-    /// variance, in rad².
+    /// variance, in rad². One of the two is always set.
     #[inline]
     pub fn judge(&self, mut flags: Flags, tilt_variance_rad2: f32) -> Flags {
-        let is_uncertain = tilt_variance_rad2 > DEGRADED_TILT_RAD * DEGRADED_TILT_RAD;
-        if is_uncertain || flags.intersects(Flags::DEGRADING) {
+        let is_certain = tilt_variance_rad2 <= DEGRADED_TILT_RAD * DEGRADED_TILT_RAD;
+        if !is_certain || self.awaits_scale_check || flags.intersects(Flags::DEGRADING) {
             flags |= Flags::DEGRADED;
         }
         let is_known = tilt_variance_rad2 < LOST_TILT_RAD * LOST_TILT_RAD;
@@ -283,14 +284,14 @@ mod tests {
         let polled = Flags::POLLED | Flags::DEGRADED | Flags::VALID;
         assert_eq!(judged(Flags::POLLED, 1.0), polled);
         assert_eq!(judged(Flags::TIME, 1.0), Flags::TIME | Flags::DEGRADED);
-        assert_eq!(judged(Flags::empty(), f32::NAN), Flags::empty());
+        assert_eq!(judged(Flags::empty(), f32::NAN), Flags::DEGRADED);
     }
 
     #[test]
     fn a_jump_of_the_rate_is_not_valid_until_the_scales_are_confirmed() {
         let mut monitor = monitor(98);
         monitor.require_scale_check();
-        assert_eq!(monitor.judge(Flags::empty(), 0.0), Flags::empty());
+        assert_eq!(monitor.judge(Flags::empty(), 0.0), Flags::DEGRADED);
         monitor.confirm_scales();
         assert_eq!(monitor.judge(Flags::empty(), 0.0), Flags::VALID);
     }
