@@ -175,7 +175,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         if !options.json {
             print_line(&format!(
                 "There are no recordings to score here, so these are {} simulated flights of one \
-                 minute: seeds {} and up, which nothing was tuned on; gyroscope offset 4 °/s, not \
+                 minute: seeds {} and up, beyond those of the tuning; gyroscope offset 4 °/s, not \
                  calibrated; the rest of the sensor as --accelerometer states.",
                 EVALUATION_SEEDS.count(),
                 EVALUATION_SEEDS.start

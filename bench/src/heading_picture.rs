@@ -16,7 +16,7 @@ use crate::marg::Choice;
 use crate::recording::Recording;
 use crate::simulated;
 
-/// Seed of the flight: nothing was tuned on it.
+/// Seed of the flight: the first beyond those of the tuning.
 const SEED: u64 = simulated::FIRST_EVALUATION_SEED;
 const SIZE: (u32, u32) = (1200, 640);
 /// Samples from one drawn point to the next.

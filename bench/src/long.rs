@@ -169,7 +169,6 @@ mod tests {
     #[test]
     fn an_hour_of_flight_stays_as_good_as_its_beginning() {
         const QUARTER_S: u64 = HOUR_S / 4;
-        // Seeds that nothing was tuned on.
         let seeds = [5_001, 5_002];
         let flights = parallel::map(&seeds, |seed| fly(*seed, HOUR_S, QUARTER_S, |_, _| ()));
         for (seed, quarters) in seeds.iter().zip(flights) {

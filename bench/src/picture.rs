@@ -10,7 +10,7 @@ use crate::filter::{Choice, Filter};
 use crate::recording::Recording;
 use crate::simulated::FIRST_EVALUATION_SEED;
 
-/// Seed of the flight: the first that nothing was tuned on.
+/// Seed of the flight: the first beyond those of the tuning.
 pub const SEED: u64 = FIRST_EVALUATION_SEED;
 
 /// Filters with their colours, the best last, so that no other covers it. The colours also differ

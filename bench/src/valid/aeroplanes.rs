@@ -14,8 +14,8 @@ use aplomb_models::motion::vibration::{Strength, Vibrating};
 use aplomb_models::random::Random;
 use aplomb_recordings::simulated::{errors, samples_with};
 
-use super::Judged;
 use super::resets::Reset;
+use super::{Judged, seeds};
 use crate::parallel;
 
 /// Course of a flight.
@@ -139,7 +139,7 @@ fn check(name: &str, flights: &[Outcome], least_valid: f64) {
 #[test]
 fn turns_of_minutes_are_never_valid_and_wrong() {
     // Flight 940071 was 44° wrong for 80 s: its bias became known again, 5 °/s off.
-    let seeds: Vec<u64> = (940_068..940_076).collect();
+    let seeds = seeds(940_068..940_076);
     let flights = parallel::map(&seeds, |seed| {
         fly(Aeroplane::turning(*seed), *seed, 360, Course::FromRest)
     });
@@ -152,7 +152,7 @@ fn turns_of_minutes_are_never_valid_and_wrong() {
 fn wide_turns_are_never_valid_and_wrong() {
     let seeds: Vec<u64> = [980_012, 980_022, 980_030, 980_065]
         .into_iter()
-        .chain(985_000..985_004)
+        .chain(seeds(985_000..985_004))
         .collect();
     let flights = parallel::map(&seeds, |seed| {
         fly(Aeroplane::turning_wide(*seed), *seed, 600, Course::FromRest)
@@ -164,7 +164,7 @@ fn wide_turns_are_never_valid_and_wrong() {
 /// that, four of these flights were `VALID` and wrong, for 12 s in all.
 #[test]
 fn a_pause_in_a_turn_is_never_valid_and_wrong() {
-    let seeds: Vec<u64> = (960_000..960_032).collect();
+    let seeds = seeds(960_000..960_032);
     let flights = parallel::map(&seeds, |seed| {
         fly(Aeroplane::turning(*seed), *seed, 110, Course::WithPause)
     });
@@ -174,8 +174,7 @@ fn a_pause_in_a_turn_is_never_valid_and_wrong() {
 #[test]
 fn a_push_over_does_not_turn_the_attitude_over() {
     for push_s in [2.0, 3.0] {
-        // Seeds that nothing was tuned on.
-        let seeds: Vec<u64> = (920_000..920_008).collect();
+        let seeds = seeds(920_000..920_008);
         let flights = parallel::map(&seeds, |seed| {
             fly(
                 Aeroplane::pushing_over(*seed, push_s),
@@ -190,8 +189,7 @@ fn a_push_over_does_not_turn_the_attitude_over() {
 
 #[test]
 fn a_start_in_a_turn_with_a_stored_offset() {
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (930_000..930_024).collect();
+    let seeds = seeds(930_000..930_024);
     let flights = parallel::map(&seeds, |seed| {
         fly(
             Aeroplane::already_turning(*seed),
@@ -207,8 +205,7 @@ fn a_start_in_a_turn_with_a_stored_offset() {
 /// flight. Before σ covered that, 4 of these flights were `VALID` and wrong, 25 s in all.
 #[test]
 fn a_reset_in_a_turn_is_never_valid_and_wrong() {
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (950_000..950_016).collect();
+    let seeds = seeds(950_000..950_016);
     let flights = parallel::map(&seeds, |seed| {
         fly(Aeroplane::turning(*seed), *seed, 200, Course::WithReset)
     });

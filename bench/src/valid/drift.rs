@@ -16,7 +16,7 @@ use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::truth::up_in_body;
 use aplomb_recordings::simulated::samples;
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::parallel;
 use crate::recording::Recording;
 
@@ -159,9 +159,9 @@ fn model(axis: Vector) -> TemperatureModel {
     }
 }
 
-/// Eight flights that nothing was tuned on.
+/// Eight flights.
 static FLIGHTS: LazyLock<Vec<Motion>> = LazyLock::new(|| {
-    let seeds: Vec<u64> = (9_101..9_109).collect();
+    let seeds = seeds(9_101..9_109);
     parallel::map(&seeds, |seed| Motion::flight(*seed))
 });
 

@@ -15,7 +15,7 @@ use aplomb_models::motion::truth::up_in_body;
 use aplomb_models::random::Random;
 use aplomb_recordings::simulated::{Simulated, samples};
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::parallel;
 
 /// Length of a flight, s, and times between which an interruption begins: the vehicle has taken
@@ -240,8 +240,7 @@ fn an_interruption_at_100_samples_a_second_keeps_the_promise() {
 /// Checks flights with interruptions of these kinds, of this shortest and longest duration in s.
 /// More than this share of the attitudes has to be `VALID`.
 fn keep_the_promise(kinds: &[(Kind, [f64; 2])], divider: u8, least_valid: f64) {
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (750_000..750_200).collect();
+    let seeds = seeds(750_000..750_200);
     let flights = parallel::map(&seeds, |seed| {
         let flight = simulate(Box::new(Quadrotor::by_seed(*seed)), *seed, FLIGHT_S);
         let mut random = Random::new(*seed, "interruptions");
@@ -279,8 +278,7 @@ fn an_interruption_of_a_swing_costs_no_knowledge_of_the_bias() {
         (Kind::Frozen, [0.005, 1.0]),
         (Kind::FrozenFalse(1), [0.03, 1.0]),
     ];
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (61_000..61_200).collect();
+    let seeds = seeds(61_000..61_200);
     let failed = parallel::map(&seeds, |seed| {
         let swing = simulate(Box::new(Swing::by_seed(*seed, REST_S)), *seed, SWING_S);
         let mut random = Random::new(*seed, "interruptions");

@@ -8,7 +8,7 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_recordings::simulated::{errors, samples_with};
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated;
@@ -43,8 +43,7 @@ fn fly(flight: &Recording, settings: &Settings, offset_m_s2: Vector3) -> (Pipeli
 
 #[test]
 fn the_offset_of_a_flight_serves_the_next() {
-    // Seeds that nothing was tuned on.
-    let chips: Vec<u64> = (710_000..710_024).collect();
+    let chips = seeds(710_000..710_024);
     let errors_deg = parallel::map(&chips, |chip| {
         let mut settings = Settings::new(&Part::MPU_6050);
         let (taught, _) = fly(&flight(*chip, chip + 500), &settings, Vector3::ZERO);

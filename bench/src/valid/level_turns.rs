@@ -12,7 +12,7 @@ use aplomb_models::motion::truth::up_in_body;
 use aplomb_models::random::Random;
 use aplomb_recordings::simulated::CONFIG;
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::parallel;
 
 const PERIOD_US: u64 = 5_000;
@@ -63,8 +63,7 @@ fn valid_and_wrong(seed: u64) -> (u32, u32) {
 
 #[test]
 fn a_level_turn_without_a_rest_is_never_wrong_and_valid() {
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (850_000..850_200).collect();
+    let seeds = seeds(850_000..850_200);
     let turns = parallel::map(&seeds, |seed| valid_and_wrong(*seed));
     let wrong = turns.iter().filter(|(_, wrong)| *wrong > 0).count();
     let valid = turns.iter().filter(|(valid, _)| *valid > 0).count();

@@ -8,8 +8,8 @@ use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::random::Random;
 
-use super::Judged;
 use super::resets::{self, Reset};
+use super::{Judged, seeds};
 use crate::heading_promise::{KEEP_US, after_reset};
 use crate::parallel;
 use crate::recording::Recording;
@@ -126,8 +126,7 @@ fn judge(flight: &Recording, start: &Start, is_kept: bool, outcome: &mut Outcome
 
 #[test]
 fn a_start_in_flight_with_a_known_offset_keeps_the_promise() {
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (610_000..610_150).collect();
+    let seeds = seeds(610_000..610_150);
     let outcomes = parallel::map(&seeds, |seed| {
         let flight = simulated::flight_for(*seed, SECONDS);
         let mut outcomes = [Outcome::default(), Outcome::default()];
@@ -194,7 +193,7 @@ fn wrong_ms_after_a_change_and_a_reset(seed: u64) -> u32 {
 /// then: 17 of these flights were `VALID` and wrong, for 25 s in all.
 #[test]
 fn a_reset_after_a_change_of_the_offset_is_hardly_ever_valid_and_wrong() {
-    let seeds: Vec<u64> = (642_000..642_120).collect();
+    let seeds = seeds(642_000..642_120);
     let wrong_ms = parallel::map(&seeds, |seed| wrong_ms_after_a_change_and_a_reset(*seed));
     let wrong = wrong_ms.iter().filter(|ms| **ms > 0).count();
     let sum_ms: u32 = wrong_ms.iter().sum();
@@ -271,8 +270,8 @@ fn stale_start(
 /// Before, a quarter of these starts were `VALID` and up to 22° wrong.
 #[test]
 fn a_start_in_motion_survives_a_stored_offset_that_has_changed_by_two_degrees_a_second() {
-    // Seeds that nothing was tuned on.
-    let mut recordings: Vec<Recording> = (7_311..7_317)
+    let mut recordings: Vec<Recording> = seeds(7_311..7_317)
+        .into_iter()
         .map(|seed| simulated::flight_for(seed, 100))
         .collect();
     match crate::folders::recordings_of(&["broad", "tumvi"]) {

@@ -12,6 +12,7 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb_models::random::Random;
 use aplomb_recordings::simulated::CONFIG;
 
+use super::seeds;
 use crate::parallel;
 
 const PERIOD_US: u64 = 10_000;
@@ -97,7 +98,7 @@ fn yaw_error_and_valid(seed: u64, vibrations_deg_s: [f64; 2]) -> (f64, f64) {
 fn the_yaw_follows_the_turns_of_a_rover_that_vibrates() {
     // Vibrations, and most rovers that may lose their yaw. Before revision 28 they were 17 and 120.
     const VIBRATIONS: [([f64; 2], usize); 2] = [([0.3, 2.0], 1), ([0.1, 0.3], 25)];
-    let seeds: Vec<u64> = (870_000..870_120).collect();
+    let seeds = seeds(870_000..870_120);
     for (vibrations_deg_s, most) in VIBRATIONS {
         let rovers = parallel::map(&seeds, |seed| yaw_error_and_valid(*seed, vibrations_deg_s));
         let errors_deg = rovers.iter().map(|(error_deg, _)| *error_deg);

@@ -14,7 +14,7 @@ use aplomb_models::random::Random;
 use aplomb_models::sensor::SensorErrors;
 use aplomb_recordings::simulated::samples_with;
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated::recording;
@@ -111,8 +111,7 @@ fn shaken(seed: u64, random: &mut Random) -> Recording {
 
 #[test]
 fn a_start_in_vibration_is_never_wrong_and_valid() {
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (640_000..640_100).collect();
+    let seeds = seeds(640_000..640_100);
     for start in [Start::Stored, Start::Pause, Start::Unknown] {
         let outcomes = parallel::map(&seeds, |seed| fly(start, *seed));
         let wrong = outcomes.iter().filter(|outcome| outcome.is_wrong).count();

@@ -4,12 +4,14 @@
 //! The truth is that of the recordings and of the simulation. The comparison uses no more of
 //! the library than its quaternion.
 
+use std::ops::Range;
+
 use aplomb::attitude::Vector3;
 use aplomb::health::Flags;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings};
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::folders::recordings_of;
 use crate::parallel;
 use crate::recording::Recording;
@@ -27,7 +29,7 @@ const OFFSETS_DEGREES_S: [[f32; 3]; 5] = [
     [0.0, 0.0, -20.0],
 ];
 /// Seeds of flights without other use.
-const SEEDS: std::ops::Range<u64> = 2_051..2_054;
+const SEEDS: Range<u64> = 2_051..2_054;
 /// Length of those flights, s: within minutes a filter can become sure of a wrong attitude.
 const FLIGHT_S: u64 = 240;
 
@@ -120,7 +122,8 @@ fn hold_to_the_rule(outcomes: &[Outcome]) {
 
 #[test]
 fn a_start_in_flight_is_never_wrong_and_valid() {
-    let flights: Vec<Recording> = SEEDS
+    let flights: Vec<Recording> = seeds(SEEDS)
+        .into_iter()
         .map(|seed| simulated::flight_for(seed, FLIGHT_S))
         .collect();
     let outcomes = starts(&flights);

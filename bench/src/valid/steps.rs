@@ -13,8 +13,8 @@ use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::truth::up_in_body as true_up;
 use aplomb_recordings::simulated::samples;
 
-use super::Judged;
 use super::restarts::with_stored_offset;
+use super::{Judged, seeds};
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated;
@@ -164,7 +164,7 @@ fn step_in_flight(flight: &Recording, step_rad_s: Vector3, period_ms: u8) -> InF
 #[test]
 fn an_offset_that_stays_costs_no_flight_its_attitude() {
     // Before, the filter widened the first rest's offset like a prior: flight 2110 was 45° off.
-    let seeds: Vec<u64> = (2_101..2_113).collect();
+    let seeds = seeds(2_101..2_113);
     let outcomes = parallel::map(&seeds, |seed| {
         let flight = simulated::flight_for(*seed, 240);
         let rows = flight.samples.iter().zip(&flight.true_up);
@@ -186,8 +186,7 @@ const FLIGHT_START_US: u64 = 9_000_000;
 /// stored offset like a prior: a minute later such flights were 1.9° to 4.7° off.
 #[test]
 fn a_start_in_flight_survives_a_stored_offset_that_has_changed() {
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (5_301..5_307).collect();
+    let seeds = seeds(5_301..5_307);
     // Changes, °/s; most seconds wrong and `VALID`; largest error after a minute, degrees.
     let cases = [(0.0_f32, 0.1, 2.0), (2.0, 2.0, 3.5), (8.0, 3.5, 4.5)];
     let outcomes = parallel::map(&seeds, |seed| {
@@ -247,8 +246,7 @@ fn an_offset_that_changes_in_flight_is_found_at_50_samples_a_second() {
 
 /// `flagged_ms` is the time for which a healthy flight may not be `VALID`.
 fn check_steps_in_flight(period_ms: u8, flagged_ms: u32) {
-    // Seeds that nothing was tuned on.
-    let seeds = [5_101, 5_102, 5_103, 5_104];
+    let seeds = seeds(5_101..5_105);
     let cases = cases();
     let outcomes = parallel::map(&seeds, |seed| {
         let motion = Box::new(Quadrotor::by_seed(*seed));

@@ -13,7 +13,7 @@ use aplomb_models::motion::truth::up_in_body;
 use aplomb_models::random::Random;
 use aplomb_recordings::simulated::CONFIG;
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::parallel;
 
 const PERIOD_US: u64 = 5_000;
@@ -88,10 +88,8 @@ fn ride(
 
 #[test]
 fn a_steady_acceleration_is_never_wrong_and_valid_while_armed() {
-    // Seeds that nothing was tuned on.
-    let seeds = 870_000..870_006_u64;
     let mut cases = Vec::new();
-    for seed in seeds {
+    for seed in seeds(870_000..870_006) {
         for onset_s in ONSETS_S {
             for acceleration in ACCELERATIONS_M_S2 {
                 for knowledge in [

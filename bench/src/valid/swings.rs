@@ -14,7 +14,7 @@ use aplomb_models::motion::truth::up_in_body;
 use aplomb_models::random::Random;
 use aplomb_recordings::simulated::CONFIG;
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::parallel;
 
 const PERIOD_US: u64 = 10_000;
@@ -129,7 +129,7 @@ fn valid_and_wrong(mut swing: impl FnMut(f64) -> Swing, random: &mut Random) -> 
 
 #[test]
 fn a_load_or_a_buoy_that_swings_after_a_rest_is_hardly_ever_wrong_and_valid() {
-    let seeds: Vec<u64> = (860_000..860_120).collect();
+    let seeds = seeds(860_000..860_120);
     for is_buoy in [false, true] {
         let swings = parallel::map(&seeds, |seed| {
             let random = &mut Random::new(*seed, "swing");

@@ -8,7 +8,7 @@ use aplomb_models::motion::slow_turn::SlowTurn;
 use aplomb_models::motion::truth::up_in_body;
 use aplomb_recordings::simulated::samples;
 
-use super::Judged;
+use super::{Judged, seeds};
 use crate::parallel;
 
 const SECONDS: u64 = 36;
@@ -35,8 +35,7 @@ fn a_slow_turn_is_no_rest() {
     // The turn's begin, and the least share of the time for which the attitudes are `VALID`.
     // Without a rest before it there is no known bias until the turn has ended.
     const BEGINS: [(f64, f64); 3] = [(2.0, 0.95), (0.4, 0.75), (-8.0, 0.5)];
-    // Seeds that nothing was tuned on.
-    let seeds: Vec<u64> = (830_000..830_100).collect();
+    let seeds = seeds(830_000..830_100);
     for (from_s, least_valid) in BEGINS {
         let turns = parallel::map(&seeds, |seed| valid_and_wrong(*seed, from_s));
         let wrong = turns.iter().filter(|[_, wrong]| *wrong > 0.0).count();
