@@ -21,7 +21,8 @@ const CYCLE: u8 = 1 << 5;
 const TEMPERATURE_DISABLE: u8 = 1 << 3;
 const CLOCK_SELECT: u8 = 0x07;
 
-/// USER_CTRL: reset of the signal paths and of the data registers (section 4.27).
+/// USER_CTRL: reset of the signal paths and of the data registers (section 4.27). The bit clears
+/// itself once the reset has begun.
 const SIGNAL_CONDITION_RESET: u8 = 1 << 0;
 
 /// USER_CTRL: the chip is the controller of the auxiliary bus (section 4.27).
@@ -35,7 +36,7 @@ const GYROSCOPE_RESET: u8 = 1 << 2;
 const ACCELEROMETER_RESET: u8 = 1 << 1;
 
 /// Time from a signal path reset until the path works again: the wait that the register map asks
-/// for (section 4.28).
+/// for (section 4.28). It states none for the reset by USER_CTRL, which resets the same paths.
 const SIGNAL_PATH_RESET_NS: u64 = 100_000_000;
 
 /// INT_ENABLE and INT_STATUS: data ready.
@@ -526,8 +527,12 @@ impl Sensor {
                 self.hold_paths();
             }
             address::USER_CTRL if value & SIGNAL_CONDITION_RESET != 0 => {
-                self.path.reset();
+                self.paths_ready_ns = [self.now_ns + SIGNAL_PATH_RESET_NS; 2];
+                self.hold_paths();
                 self.internal = DataRegisters::default();
+                if !self.bus.busy {
+                    self.visible = self.internal;
+                }
             }
             _ => {}
         }

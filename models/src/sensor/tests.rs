@@ -808,23 +808,33 @@ fn signal_path_resets_empty_the_filters_and_sig_cond_the_registers() {
     chip.wait(1000 * MILLISECOND);
     chip.write(0x6A, 0x01);
     assert_eq!(chip.sample(), [0; 7]);
-    assert_eq!(chip.read(0x6A), 0);
+    chip.wait(90 * MILLISECOND);
+    assert_eq!(chip.sample(), [0; 7], "the registers stay empty");
+    chip.wait(11 * MILLISECOND);
+    let [.., z, _, _, _, _] = chip.sample();
+    assert!((1..8000).contains(&z), "the filter starts anew: {z}");
+    // A bit that changes without a transfer resets just the same.
+    chip.wait(1000 * MILLISECOND);
+    chip.sensor.corrupt_register(chip.now_ns, 0x6A, 0x01);
+    assert_eq!(chip.sample(), [0; 7]);
 }
 
 #[test]
 fn a_signal_path_reset_takes_the_time_that_the_register_map_asks_to_wait() {
-    for reset in [0x04, 0x02, 0x07] {
+    // SIGNAL_PATH_RESET, and SIG_COND_RESET in USER_CTRL. Their bits clear themselves.
+    for (register, reset) in [(0x68, 0x04), (0x68, 0x02), (0x68, 0x07), (0x6A, 0x01)] {
         let mut chip = Controller::running(perfect(), level());
         chip.wait(1000 * MILLISECOND);
         chip.sensor.take_edges();
-        chip.write(0x68, reset);
-        assert_eq!(chip.read(0x68), 0, "{reset}");
+        chip.write(register, reset);
+        assert_eq!(chip.read(register), 0, "{register:#04x} {reset}");
         let begin_ns = chip.now_ns;
         chip.wait(200 * MILLISECOND);
         let edges = chip.sensor.take_edges();
         let first_ns = edges.first().expect("samples again").time_ns - begin_ns;
         let expected = 100 * MILLISECOND..=101 * MILLISECOND;
-        assert!(expected.contains(&first_ns), "{reset}: {first_ns}");
+        let what = format!("{register:#04x} {reset}: {first_ns}");
+        assert!(expected.contains(&first_ns), "{what}");
     }
     // The temperature's path is not modelled.
     let mut chip = Controller::running(perfect(), level());
