@@ -58,7 +58,7 @@ impl Part {
         if !self.has_accelerometer_low_pass {
             return low_pass.gyroscope_delay_us();
         }
-        // MPU-6500 register map r2.1 §4.5, MPU-9250 register map r1.4 §4.4.
+        // MPU-6500 register map r2.1 §4.5, MPU-9250 register map r1.4 §4.5.
         match low_pass {
             LowPass::Hertz256 => 970,
             LowPass::Hertz188 => 2_900,
@@ -75,7 +75,7 @@ impl Part {
         if !self.has_accelerometer_low_pass {
             return low_pass.accelerometer_delay_us() as u32;
         }
-        // MPU-6500 register map r2.1 §4.8, MPU-9250 register map r1.4 §4.9.
+        // MPU-6500 register map r2.1 §4.8, MPU-9250 register map r1.4 §4.8.
         match low_pass {
             LowPass::Hertz256 => 1_940,
             LowPass::Hertz188 => 5_800,

@@ -23,7 +23,8 @@ pub struct Identity {
     /// The register whose low three bits select the accelerometer's low-pass filter.
     pub accelerometer_filter_register: u8,
     /// True if SMPLRT_DIV divides the 8 kHz of an unfiltered gyroscope too. In the MPU-6500 family
-    /// it is effective only with FCHOICE_B = 0 and 0 < DLPF_CFG < 7.
+    /// it is effective only with FCHOICE_B = 0 and 0 < DLPF_CFG < 7 (RM-MPU-6500A r2.1 and
+    /// RM-MPU-9250A r1.6, section 4.4, Sample Rate Divider).
     pub divides_unfiltered: bool,
     /// The gyroscope's filters by DLPF_CFG.
     pub gyroscope_filters: [Response; 8],
