@@ -9,7 +9,7 @@ use core::fmt;
 use super::config::Config;
 use super::part::Part;
 use super::registers::{
-    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT,
+    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, GYROSCOPE_BYPASS_MASK,
     INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY, LOW_PASS_MASK,
     POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK,
 };
@@ -61,17 +61,17 @@ impl Check {
     /// power and clock.
     pub const fn all(config: &Config, part: &Part) -> [Self; 3] {
         let low_pass = config.low_pass.bits();
-        let own_low_pass = if part.has_accelerometer_low_pass {
-            ACCELEROMETER_LOW_PASS_MASK
+        let (own_low_pass, bypass) = if part.has_accelerometer_low_pass {
+            (ACCELEROMETER_LOW_PASS_MASK, GYROSCOPE_BYPASS_MASK)
         } else {
-            0
+            (0, 0)
         };
         let scale_mask = FULL_SCALE_MASK | SELF_TEST_MASK;
         [
             Self {
                 first: Register::SampleRateDivider,
                 length: 5,
-                masks: u32::from_le_bytes([0xFF, LOW_PASS_MASK, scale_mask, scale_mask]),
+                masks: u32::from_le_bytes([0xFF, LOW_PASS_MASK, scale_mask | bypass, scale_mask]),
                 expected: u32::from_le_bytes([
                     config.sample_rate_divider,
                     low_pass,
@@ -222,9 +222,18 @@ mod tests {
     fn a_part_with_a_second_low_pass_has_it_checked() {
         for part in &super::super::part::PARTS {
             let [scales, ..] = Check::all(&Config::DEFAULT, part);
-            let other = scales.evaluate(&[0x00, 0x01, 0x18, 0x18, 0x00]);
-            let is_checked = other == Condition::Changed;
-            assert_eq!(is_checked, part.has_accelerometer_low_pass, "{}", part.name);
+            let is_checked = |bytes| scales.evaluate(&bytes) == Condition::Changed;
+            assert!(!is_checked([0x00, 0x01, 0x18, 0x18, 0x01]), "{}", part.name);
+            // Another filter of the accelerometer, none of it, and none of the gyroscope.
+            for bytes in [
+                [0x00, 0x01, 0x18, 0x18, 0x00],
+                [0x00, 0x01, 0x18, 0x18, 0x09],
+                [0x00, 0x01, 0x19, 0x18, 0x01],
+                [0x00, 0x01, 0x1A, 0x18, 0x01],
+            ] {
+                let expected = part.has_accelerometer_low_pass;
+                assert_eq!(is_checked(bytes), expected, "{} {bytes:x?}", part.name);
+            }
         }
     }
 }

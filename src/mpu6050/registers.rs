@@ -85,6 +85,9 @@ impl fmt::Display for Register {
 pub const LOW_PASS_MASK: u8 = 0b0000_0111;
 /// ACCEL_CONFIG_2 bits 3:0, ACCEL_FCHOICE_B (zero: filter on) and A_DLPF_CFG (MPU-6500 §4.8).
 pub const ACCELEROMETER_LOW_PASS_MASK: u8 = 0b0000_1111;
+/// GYRO_CONFIG bits 1:0, FCHOICE_B (zero: filter on), of the MPU-6500 family (MPU-6500 §4.6). They
+/// are reserved in an MPU-6050.
+pub const GYROSCOPE_BYPASS_MASK: u8 = 0b0000_0011;
 /// GYRO_CONFIG and ACCEL_CONFIG bits 4:3, FS_SEL and AFS_SEL (§4.4, §4.5).
 pub const FULL_SCALE_MASK: u8 = 0b0001_1000;
 /// GYRO_CONFIG and ACCEL_CONFIG bits 7:5, the self-test of each axis (§4.4, §4.5).

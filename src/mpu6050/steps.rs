@@ -7,7 +7,7 @@
 use super::config::Config;
 use super::part::Part;
 use super::registers::{
-    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT,
+    ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, GYROSCOPE_BYPASS_MASK,
     INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY, LOW_PASS_MASK,
     POWER_AWAKE_GYROSCOPE_CLOCK, POWER_AWAKE_INTERNAL_CLOCK, POWER_DEVICE_RESET,
     POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK, SIGNAL_PATH_RESET_ALL,
@@ -103,7 +103,7 @@ impl Step {
 }
 
 /// Every step. Values that depend on the settings are zero here.
-const ALL: [Step; 15] = [
+const ALL: [Step; 16] = [
     Step::whole(Register::PowerManagement1, POWER_DEVICE_RESET, RESET_MS),
     Step::whole(Register::PowerManagement1, POWER_AWAKE_INTERNAL_CLOCK, 0),
     Step::whole(Register::SignalPathReset, SIGNAL_PATH_RESET_ALL, RESET_MS),
@@ -123,6 +123,10 @@ const ALL: [Step; 15] = [
     Step::setting(
         Register::GyroscopeConfiguration,
         FULL_SCALE_MASK | SELF_TEST_MASK,
+    ),
+    Step::setting(
+        Register::GyroscopeConfiguration,
+        FULL_SCALE_MASK | SELF_TEST_MASK | GYROSCOPE_BYPASS_MASK,
     ),
     Step::setting(
         Register::AccelerometerConfiguration,
@@ -145,11 +149,13 @@ const ALL: [Step; 15] = [
 /// Steps that reset and wake the sensor, as a set of indices in [`ALL`].
 const RESET_AND_WAKE: u16 = 0b1111;
 const WAKE: u16 = 0b11 << 4;
-const RANGES: u16 = 0b1_1111 << 6;
-const INTERRUPT: u16 = 0b11 << 11;
-const SELF_TEST: u16 = 0b11 << 13;
-/// Part of [`RANGES`] for parts that have the register.
-const OWN_LOW_PASS: u16 = 1 << 10;
+const RANGES: u16 = 0b11_1111 << 6;
+const INTERRUPT: u16 = 0b11 << 12;
+const SELF_TEST: u16 = 0b11 << 14;
+/// Part of [`RANGES`] for the MPU-6050 and its clones alone.
+const MPU_6050_ALONE: u16 = 1 << 8;
+/// Part of [`RANGES`] for the MPU-6500 family alone: FCHOICE_B, and the accelerometer's filter.
+const MPU_6500_ALONE: u16 = 1 << 9 | 1 << 11;
 
 /// Iterator over the steps of a configuration.
 #[derive(Debug, Clone)]
@@ -162,9 +168,9 @@ pub struct Steps {
 impl Steps {
     const fn new(set: u16, config: &Config, part: &Part) -> Self {
         let left = if part.has_accelerometer_low_pass {
-            set
+            set & !MPU_6050_ALONE
         } else {
-            set & !OWN_LOW_PASS
+            set & !MPU_6500_ALONE
         };
         Self {
             left,

@@ -318,3 +318,38 @@ fn a_reset_of_the_sensor_is_counted_as_one_whatever_the_part() {
         assert_recovered(&outcome);
     }
 }
+
+/// FCHOICE_B of the gyroscope leads past its low-pass filter, and that of the accelerometer too.
+#[test]
+fn a_filter_that_an_mpu_9250_has_switched_off_is_switched_on_again() {
+    for flip in ["0x1b:0x19", "0x1b:0x1a", "0x1b:0x1b", "0x1d:0x09"] {
+        let schedule = Schedule::parse("test", &format!("1.8 0 register-flip:{flip}")).unwrap();
+        let run = at_rest(3.4).kit(Kit::Mpu9250).schedule(&schedule);
+        let outcome = fly(run.command(2.0, "registers").without_account());
+        let counters = outcome.record.health.last().unwrap().counters;
+        let changed = counters[FaultClass::RegisterChanged as usize];
+        assert_eq!(changed, 1, "{flip}: {}", transcript(&outcome));
+        assert_reports(&outcome, "done registers: as configured");
+        assert_recovered(&outcome);
+    }
+}
+
+/// SIG_COND_RESET empties the data registers, and 100 ms pass without a sample.
+#[test]
+fn a_reset_of_the_signal_paths_is_no_attitude() {
+    let schedule = Schedule::parse("test", "1.8 0 register-flip:0x6a:0x01").unwrap();
+    let outcome = fly(at_rest(2.6).schedule(&schedule).without_account());
+    let valid: Vec<u64> = outcome
+        .samples()
+        .iter()
+        .filter(|sample| sample.snapshot.flags.contains(Flags::VALID))
+        .map(|sample| sample.published_ns)
+        .filter(|published_ns| *published_ns > 1_800_000_000)
+        .collect();
+    // A burst may be under way when the reset comes.
+    let during = valid.iter().filter(|&&at_ns| at_ns < 1_900_000_000);
+    assert!(during.count() <= 1, "{}", transcript(&outcome));
+    let back = valid.iter().find(|&&at_ns| at_ns > 1_900_000_000);
+    assert!(back.is_some_and(|&at_ns| at_ns < 2_150_000_000), "{back:?}");
+    assert_recovered(&outcome);
+}
