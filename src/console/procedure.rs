@@ -161,6 +161,14 @@ impl Procedure {
         }
     }
 
+    /// Writes that no progress is possible, because the sensor gives no data.
+    pub(super) fn report_no_data(&self, reply: &mut Reply<'_>) -> Kind {
+        self.progress(
+            reply,
+            format_args!("no fresh data from the sensor: check its wires"),
+        )
+    }
+
     /// Returns the detail for `status`: the measured range of a temperature calibration.
     pub(super) fn detail(&self) -> Option<impl fmt::Display + '_> {
         match &self.measurement {

@@ -404,6 +404,15 @@ fn a_calibration_waits_while_the_sensor_is_frozen() {
         .find(|(_, text)| text.starts_with("done calibrate level: "))
         .unwrap_or_else(|| panic!("{:#?}", answers(&outcome)));
     assert!(done_s > thawed_s, "{done_s}");
+    // The module says why it waits, once a second.
+    let expected = "progress calibrate level: no fresh data from the sensor: check its wires";
+    let reported_s: Vec<f64> = answers(&outcome)
+        .iter()
+        .filter(|(_, text)| text.starts_with(expected))
+        .map(|(at_s, _)| *at_s)
+        .collect();
+    assert!((2..=3).contains(&reported_s.len()), "{reported_s:?}");
+    assert!(reported_s.iter().all(|at_s| (5.9..8.1).contains(at_s)));
     // The trim is that of the pose after the freeze.
     let inclination = inclination_deg(&outcome, 12.0, 13.0);
     assert!(

@@ -599,6 +599,38 @@ fn motion_restarts_the_gyroscope_and_is_reported_once_a_second() {
 }
 
 #[test]
+fn a_procedure_reports_a_sensor_without_data_and_goes_on_after_it() {
+    for (command, period_s) in [
+        ("calibrate gyro", 1.0),
+        ("calibrate accel", 5.0),
+        ("calibrate level", 1.0),
+        ("calibrate temperature", 10.0),
+        ("mount find", 5.0),
+    ] {
+        for flag in [Flags::STALE, Flags::FROZEN, Flags::REJECTED] {
+            let mut harness = Harness::new();
+            let good = harness.module.state();
+            assert!(harness.ask(command).starts_with("ok"), "{command}");
+            // It moved before: what counts is that nothing comes now.
+            harness.detector([MOVED]);
+            harness.module.state = Some(State {
+                flags: flag | Flags::DEGRADED,
+                ..good
+            });
+            let expected =
+                format!("progress {command}: no fresh data from the sensor: check its wires");
+            let answers = harness.wait(2.0 * period_s + 0.1);
+            assert_eq!(answers, [expected.clone(), expected.clone()], "{flag}");
+            harness.module.state = Some(good);
+            let answers = harness.wait(2.0 * period_s);
+            assert!(!answers.contains(&expected), "{answers:?}");
+            let stopped = format!("ok calibrate stop: \"{command}\" is given up");
+            assert_eq!(harness.ask("calibrate stop"), stopped);
+        }
+    }
+}
+
+#[test]
 fn a_gyroscope_matrix_is_set_shown_and_kept() {
     let mut harness = Harness::new();
     assert_eq!(
