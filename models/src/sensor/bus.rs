@@ -12,6 +12,13 @@ pub struct DataRegisters {
     pub edge: Option<u64>,
 }
 
+impl DataRegisters {
+    /// Puts a big-endian value at `offset` from ACCEL_XOUT_H.
+    pub fn put(&mut self, offset: usize, value: i16) {
+        self.bytes[offset..offset + 2].copy_from_slice(&value.to_be_bytes());
+    }
+}
+
 /// A complete read of the 14 data registers in one transaction, as the bus delivered it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Burst {

@@ -21,8 +21,7 @@ const CYCLE: u8 = 1 << 5;
 const TEMPERATURE_DISABLE: u8 = 1 << 3;
 const CLOCK_SELECT: u8 = 0x07;
 
-/// USER_CTRL: reset of the signal paths and of the data registers (section 4.27). The bit clears
-/// itself once the reset has begun.
+/// USER_CTRL: reset of the signal paths and of the data registers (section 4.27).
 const SIGNAL_CONDITION_RESET: u8 = 1 << 0;
 
 /// USER_CTRL: the chip is the controller of the auxiliary bus (section 4.27).
@@ -465,6 +464,11 @@ impl Sensor {
             });
             self.edge_count += 1;
         }
+        self.show_data();
+    }
+
+    /// Shows the data registers to an idle bus.
+    fn show_data(&mut self) {
         if !self.bus.busy {
             self.visible = self.internal;
         }
@@ -530,9 +534,7 @@ impl Sensor {
                 self.paths_ready_ns = [self.now_ns + SIGNAL_PATH_RESET_NS; 2];
                 self.hold_paths();
                 self.internal = DataRegisters::default();
-                if !self.bus.busy {
-                    self.visible = self.internal;
-                }
+                self.show_data();
             }
             _ => {}
         }
@@ -542,7 +544,7 @@ impl Sensor {
 
     fn release_bus(&mut self) {
         self.bus.release();
-        self.visible = self.internal;
+        self.show_data();
     }
 
     /// Starts the sampling grid anew at this instant, or stops it, as the power registers require.
@@ -587,13 +589,6 @@ impl Sensor {
             (false, true) => divider,
             (false, false) => 1,
         }
-    }
-}
-
-impl DataRegisters {
-    /// Puts a big-endian value at `offset` from ACCEL_XOUT_H.
-    fn put(&mut self, offset: usize, value: i16) {
-        self.bytes[offset..offset + 2].copy_from_slice(&value.to_be_bytes());
     }
 }
 
