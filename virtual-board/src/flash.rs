@@ -72,6 +72,8 @@ pub struct FlashRecord {
     pub bytes: Vec<u8>,
     /// The changes, in order.
     pub steps: Vec<Step>,
+    /// Start of each change, ns since power-up.
+    pub begun_ns: Vec<u64>,
 }
 
 impl FlashRecord {
@@ -89,6 +91,7 @@ impl FlashRecord {
             before: bytes.clone(),
             bytes,
             steps: Vec::new(),
+            begun_ns: Vec::new(),
         }
     }
 
@@ -250,16 +253,18 @@ impl Cells {
         } else if !address.is_multiple_of(4) {
             self.errors |= sr::PGAERR.mask();
         } else {
-            self.busy_until_ns = now.0 + PROGRAM_NS;
-            self.change(Step::Program {
+            let step = Step::Program {
                 offset: (address - SLOTS.start) as usize,
                 word: value as u32,
-            });
+            };
+            self.change(step, now.0, PROGRAM_NS);
         }
     }
 
-    /// Makes a change, in part if the supply is too low for it.
-    fn change(&mut self, step: Step) {
+    /// Makes a change that takes this time, in part if the supply is too low for it.
+    fn change(&mut self, step: Step, now_ns: u64, duration_ns: u64) {
+        self.busy_until_ns = now_ns + duration_ns;
+        self.record.begun_ns.push(now_ns);
         self.overwritten = self.record.bytes[step.range()].to_vec();
         self.record.steps.push(step);
         if self.is_supply_low {
@@ -279,12 +284,30 @@ impl Cells {
     /// one that runs (RM0090, 3.6.2).
     pub fn set_supply(&mut self, now_ns: u64, millivolts: u32) {
         self.is_supply_low = millivolts < LOWEST_MILLIVOLTS;
+        if self.is_supply_low {
+            self.interrupt(now_ns);
+        }
+    }
+
+    /// Leaves the operation that runs, if one does, incomplete. A second interruption of the same
+    /// operation changes nothing.
+    fn interrupt(&mut self, now_ns: u64) {
         let running = self.record.steps.last().copied();
-        let running = running.filter(|_| self.is_supply_low && now_ns < self.busy_until_ns);
-        if let Some(step) = running {
+        if let Some(step) = running.filter(|_| now_ns < self.busy_until_ns) {
             self.record.bytes[step.range()].copy_from_slice(&self.overwritten);
             self.spoil(step);
         }
+    }
+
+    /// Follows a reset of the core. The cells stay, and the interface is locked. The contents are
+    /// not guaranteed if an operation runs (ST's HAL, notes of the FLASH driver).
+    fn restart(&mut self, now_ns: u64) {
+        self.interrupt(now_ns);
+        self.control = cr::LOCK.mask();
+        self.errors = 0;
+        self.busy_until_ns = 0;
+        self.has_data_cache = false;
+        self.cached.clear();
     }
 }
 
@@ -348,10 +371,10 @@ impl Device for FlashInterface {
             }
             let slot = cr::SNB.get(control).checked_sub(FIRST_SECTOR);
             if let Some(slot @ 0..=1) = slot.filter(|_| starts) {
-                cells.busy_until_ns = context.now().0 + ERASE_NS;
-                cells.change(Step::Erase {
+                let step = Step::Erase {
                     slot: slot as usize,
-                });
+                };
+                cells.change(step, context.now().0, ERASE_NS);
             }
         });
     }
@@ -369,20 +392,15 @@ impl Device for FlashInterface {
 
     fn reset(&mut self) {
         Device::reset(&mut self.model);
-        self.restart();
+        // Without a time, nothing runs.
+        self.restart(u64::MAX);
     }
 }
 
 impl FlashInterface {
-    /// A reset: the cells stay, the interface is locked.
-    pub fn restart(&mut self) {
-        self.cells.with(|cells| {
-            cells.control = cr::LOCK.mask();
-            cells.errors = 0;
-            cells.busy_until_ns = 0;
-            cells.has_data_cache = false;
-            cells.cached.clear();
-        });
+    /// Follows a reset of the core at this time, ns since power-up.
+    pub fn restart(&mut self, now_ns: u64) {
+        self.cells.with(|cells| cells.restart(now_ns));
     }
 }
 
@@ -396,7 +414,7 @@ mod tests {
         let control = |value: u64| cells.with(|cells| cells.control_cache(value));
         let word = |nth: u64| cells.with(|cells| cells.read(SLOTS.start + 4 * nth, Width::W32));
         let program = |offset: usize| {
-            cells.with(|cells| cells.change(Step::Program { offset, word: 7 }));
+            cells.with(|cells| cells.change(Step::Program { offset, word: 7 }, 0, 0));
         };
         assert_eq!(word(0), 0xFFFF_FFFF);
         program(0);
@@ -410,5 +428,27 @@ mod tests {
         control(acr::DCRST.mask());
         control(acr::DCEN.mask());
         assert_eq!(word(1), 7);
+    }
+
+    #[test]
+    fn a_reset_leaves_the_operation_that_runs_incomplete() {
+        let mut record = FlashRecord::blank();
+        record.bytes[..SLOT_BYTES].fill(0x55);
+        let erase = Step::Erase { slot: 0 };
+        let after = |reset_ns: u64| {
+            let cells = SharedCells::new(record.clone());
+            cells.with(|cells| {
+                cells.change(erase, 1_000, ERASE_NS);
+                cells.restart(reset_ns);
+                cells.restart(reset_ns);
+            });
+            cells.record()
+        };
+        let complete = after(1_000 + ERASE_NS);
+        assert_eq!(complete.bytes, FlashRecord::blank().bytes);
+        assert_eq!(complete.begun_ns, [1_000]);
+        let incomplete = after(1_000 + ERASE_NS - 1).bytes;
+        assert!(incomplete != complete.bytes && incomplete != record.bytes);
+        assert_eq!(incomplete[SLOT_BYTES..], complete.bytes[SLOT_BYTES..]);
     }
 }

@@ -16,6 +16,9 @@ use virtual_board::schedule::Schedule;
 /// Seeds of each power cut.
 const SEEDS: u64 = 5;
 
+/// Distance of the steps of a save in which the core is reset.
+const RESET_STRIDE: usize = 5;
+
 /// A run on a table with these slots, in which the commands are sent at these times.
 fn run(slots: &[u8], seconds: f64, commands: &[(f64, &str)]) -> Outcome {
     let run = Run::new(firmware())
@@ -253,6 +256,50 @@ fn a_supply_that_fails_during_a_save_leaves_the_old_record_or_the_new_one() {
         assert!((reset_s[0] - start_s - 0.05).abs() < 1e-3, "{reset_s:?}");
         let last = outcome.samples().last().map(|sample| sample.snapshot.flags);
         assert_eq!(last, Some(Flags::VALID), "{start_s}");
+    }
+    assert!(seen[0] > 0 && seen[1] > 0, "{seen:?}");
+}
+
+/// Resets by the watchdog and after a hard fault, in some steps of a save in turn.
+#[test]
+fn a_reset_in_a_step_of_a_save_leaves_the_old_record_or_the_new_one() {
+    let save = third_save();
+    let slots = save.cut_in(0, 1);
+    let old = Some((20, OutputFormat::Text));
+    let new = Some((25, OutputFormat::Classic));
+    assert_eq!(in_force(&slots), old);
+    let commands = [(1.0, "rate 25"), (1.2, "format classic"), (1.4, "save")];
+    let steps = run(&slots, 3.0, &commands).flash.begun_ns;
+    let mut seen = [0, 0];
+    let faults = ["watchdog-hang", "crash"];
+    // From the last step back, so that the last one is among them.
+    let reset_steps = steps.iter().enumerate().rev().step_by(RESET_STRIDE);
+    for (fault, (nth, begun_ns)) in faults.into_iter().cycle().zip(reset_steps) {
+        // Halfway through the programming of a word.
+        let start_s = (begun_ns + 50_000) as f64 * 1e-9;
+        let schedule = Schedule::parse("test", &format!("{start_s} 0 {fault}")).unwrap();
+        let outcome = commands
+            .iter()
+            .fold(Run::new(firmware()), |run, (at_s, line)| {
+                run.command(*at_s, line)
+            })
+            .motion(Rest::level())
+            .seconds(if fault == "watchdog-hang" { 8.5 } else { 3.0 })
+            .flash(slots.clone())
+            .schedule(&schedule)
+            .without_account()
+            .run()
+            .unwrap();
+        let what = format!("{fault} in step {nth}");
+        assert_eq!(outcome.record.resets_ns.len(), 1, "{what}");
+        let found = in_force(&outcome.flash.bytes);
+        assert!(found == old || found == new, "{what}: {found:?}");
+        seen[usize::from(found == new)] += 1;
+        let last = outcome.samples().last().map(|sample| sample.snapshot.flags);
+        assert!(
+            last.is_some_and(|flags| flags.contains(Flags::VALID)),
+            "{what}: {last:?}"
+        );
     }
     assert!(seen[0] > 0 && seen[1] > 0, "{seen:?}");
 }

@@ -533,7 +533,7 @@ impl Mcu for Microcontroller {
         self.dma.forget();
         self.watchdog.forget();
         self.exti = Exti::default();
-        self.flash.restart();
+        self.flash.restart(at.0);
         self.awaited_ns = None;
         self.is_clock_lost = false;
         self.reset_ns = at.0;
