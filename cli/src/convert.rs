@@ -1,23 +1,22 @@
 //! `aplomb convert`: flight logs, bursts and CSV logs into each other, burst by burst.
 
+mod writers;
+
 use std::collections::VecDeque;
 use std::error::Error;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use aplomb::attitude::{BodyVector, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
 };
-use aplomb::pipeline::{CompassReading, Pipeline, Settings};
+use aplomb::pipeline::{CompassReading, Settings};
 use aplomb::telemetry::bursts;
-use aplomb_recordings::flight_log::{self, Recorder};
+use aplomb_recordings::flight_log;
 use aplomb_recordings::form::Form;
 use aplomb_recordings::log::{Lines, LogFault, Row, Rows};
-use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider};
 use aplomb_recordings::terminal::print_line;
@@ -25,6 +24,8 @@ use aplomb_recordings::units::RowOptions;
 
 use crate::arming::bursts_arm;
 use crate::progress;
+
+use writers::{Target, write_bursts, write_csv, write_log};
 
 /// Convert a recording into another form.
 ///
@@ -299,15 +300,6 @@ struct Summary {
     readings: Option<usize>,
 }
 
-/// Properties of the recording that is written.
-struct Target {
-    settings: Settings,
-    /// Readings of a compass are written too.
-    has_compass: bool,
-    /// The armed state is written too.
-    has_armed: bool,
-}
-
 /// Recording whose bursts are still to be read.
 struct Input {
     config: Config,
@@ -516,83 +508,4 @@ fn counts_of(row: &Row) -> Result<(RawSample, usize), LogFault> {
         gyroscope: GyroscopeCounts(gyroscope),
     };
     Ok((raw, clipped))
-}
-
-/// Latest time in a flight log, µs: its bursts have 48 bits, which are almost nine years.
-const LATEST_LOGGED_US: u64 = (1 << 48) - 1;
-
-fn write_log(
-    file: &mut OutputFile,
-    target: &Target,
-    bursts: &mut dyn Iterator<Item = Recorded>,
-) -> std::io::Result<()> {
-    let mut recorder = Recorder::new(file, Pipeline::new(&target.settings), 0);
-    for Recorded { row, .. } in bursts {
-        let t_us = row.burst.captured_at_us;
-        if t_us > LATEST_LOGGED_US {
-            return Err(std::io::Error::other(format!(
-                "a flight log holds times of up to {LATEST_LOGGED_US} us, and one is {t_us}: \
-                 subtract the first time from all"
-            )));
-        }
-        recorder.set_armed(row.is_armed);
-        recorder.add(&row.burst, row.board)?;
-    }
-    Ok(())
-}
-
-fn write_bursts(
-    file: &mut OutputFile,
-    _: &Target,
-    bursts: &mut dyn Iterator<Item = Recorded>,
-) -> std::io::Result<()> {
-    writeln!(file, "{}", bursts::HEADER)?;
-    for Recorded { row, .. } in bursts {
-        writeln!(file, "{row}")?;
-    }
-    Ok(())
-}
-
-fn write_csv(
-    file: &mut OutputFile,
-    target: &Target,
-    bursts: &mut dyn Iterator<Item = Recorded>,
-) -> std::io::Result<()> {
-    let (settings, has_compass) = (&target.settings, target.has_compass);
-    let field_columns = if has_compass { ",mx,my,mz" } else { "" };
-    let armed_column = if target.has_armed { ",armed" } else { "" };
-    writeln!(file, "t_us,ax,ay,az,gx,gy,gz{field_columns}{armed_column}")?;
-    let mut line = Vec::new();
-    for Recorded { row, reading, .. } in bursts {
-        let raw = RawSample::decode(&row.burst.bytes);
-        let force = raw
-            .accelerometer
-            .to_m_s2(settings.sensor.accelerometer_range);
-        let rates = raw.gyroscope.to_rad_s(settings.sensor.gyroscope_range);
-        line.clear();
-        write!(line, "{}", row.burst.captured_at_us)?;
-        for value in [force.x, force.y, force.z, rates.x, rates.y, rates.z] {
-            line.push(b',');
-            number::append(&mut line, value);
-        }
-        match reading {
-            Some(reading) => {
-                let [x, y, z] = reading.field.ut;
-                let field = BodyVector::new(x, y, z);
-                let Vector3 { x, y, z } = settings.mount.to_sensor(field);
-                for value in [x, y, z] {
-                    line.push(b',');
-                    number::append(&mut line, value);
-                }
-            }
-            None if has_compass => line.extend_from_slice(b",,,"),
-            None => {}
-        }
-        if target.has_armed {
-            write!(line, ",{}", u8::from(row.is_armed))?;
-        }
-        line.push(b'\n');
-        file.write_all(&line)?;
-    }
-    Ok(())
 }
