@@ -1,8 +1,15 @@
 //! Armed state of a recording: its own, or that of `--armed-from`.
 
+use std::collections::VecDeque;
 use std::path::Path;
 
+use aplomb::estimator::REVISION;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::serialize::{StateReader, StateWriter};
 use aplomb::telemetry::bursts;
+use aplomb::telemetry::log::Configuration;
+use aplomb_recordings::flight_log::Steps;
 use aplomb_recordings::log::Lines;
 
 /// Armed state at the rows of a recording.
@@ -62,3 +69,78 @@ pub fn bursts_arm(path: &Path) -> bool {
     }
     false
 }
+
+/// Armed state at the bursts of a flight log, which holds it in the filter's states alone.
+#[derive(Debug)]
+pub struct LoggedArming {
+    /// Numbers of the bursts from which on the filter is armed, or disarmed, in order.
+    changes: VecDeque<(u32, bool)>,
+    is_armed: bool,
+}
+
+impl LoggedArming {
+    /// Reads the states of a flight with this first configuration. Returns `None` if none of them
+    /// can be read: none is complete, or they are of another [`REVISION`].
+    ///
+    /// A command that arms or disarms begins new settings, and the state follows some bursts later.
+    /// So the first state of the settings holds from their first burst on.
+    pub fn read(steps: Steps, first: &Configuration) -> Option<Self> {
+        if first.revision != REVISION {
+            return None;
+        }
+        let mut found = None;
+        let mut changes = VecDeque::new();
+        let mut settings_from = first.from_number;
+        let mut unknown_from = Some(settings_from);
+        for step in steps {
+            if let Some(next) = step.configuration
+                && next.from_number != settings_from
+            {
+                settings_from = next.from_number;
+                unknown_from = Some(settings_from);
+            }
+            if let Some(is_armed) = step.state.as_deref().and_then(armed_in) {
+                let from = unknown_from.take().unwrap_or(step.numbered.number);
+                if is_armed != found.unwrap_or(false) {
+                    changes.push_back((from, is_armed));
+                }
+                found = Some(is_armed);
+            }
+        }
+        found.map(|_| Self {
+            changes,
+            is_armed: false,
+        })
+    }
+
+    /// Returns whether the filter is armed at some burst.
+    pub fn arms(&self) -> bool {
+        !self.changes.is_empty()
+    }
+
+    /// Returns the state at the burst of this number. Numbers increase.
+    pub fn at(&mut self, number: u32) -> bool {
+        while let Some((_, is_armed)) = self.changes.pop_front_if(|(from, _)| *from <= number) {
+            self.is_armed = is_armed;
+        }
+        self.is_armed
+    }
+}
+
+/// Returns the armed state in the bytes of a pipeline's state; `None` if they are not a whole one.
+fn armed_in(state: &[u8]) -> Option<bool> {
+    let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+    let mut reader = StateReader::new(state);
+    pipeline.visit_state(&mut reader);
+    if !reader.is_complete() {
+        return None;
+    }
+    // Arming changes every state but an armed one.
+    pipeline.set_armed(true);
+    let mut armed = vec![0; state.len()];
+    pipeline.visit_state(&mut StateWriter::new(&mut armed, 0));
+    Some(armed == state)
+}
+
+#[cfg(test)]
+mod tests;

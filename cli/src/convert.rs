@@ -22,7 +22,7 @@ use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider
 use aplomb_recordings::terminal::print_line;
 use aplomb_recordings::units::RowOptions;
 
-use crate::arming::bursts_arm;
+use crate::arming::{LoggedArming, bursts_arm};
 use crate::progress;
 
 use writers::{Target, write_bursts, write_csv, write_log};
@@ -32,9 +32,9 @@ use writers::{Target, write_bursts, write_csv, write_log};
 /// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI
 /// units, plain or gzipped. OUTPUT's name decides on its form: *.log a flight log, *bursts.csv
 /// bursts, any other *.csv a log in SI units and the sensor's axes, as `replay` reads it, with
-/// mx,my,mz in µT if a flight log has readings of a compass; they are corrected. Bursts and CSV
-/// logs keep the armed state; of a flight log it is left out. A log in SI units
-/// becomes counts at 16 g and 2000 degrees per second, rounded; its truth is left out.
+/// mx,my,mz in µT if a flight log has readings of a compass; they are corrected. All three forms
+/// keep the armed state. A log in SI units becomes counts at 16 g and 2000 degrees per second,
+/// rounded; its truth is left out.
 /// Bursts and CSV logs have no place for a flight log's mount and calibration, and bursts none for
 /// its ranges: the output names the options to replay them with.
 #[derive(clap::Args)]
@@ -44,7 +44,8 @@ use writers::{Target, write_bursts, write_csv, write_log};
 
 JSON: input, output, bursts, bursts_lost, damaged_pieces,
 clipped_values (of a log in SI units, beyond the ranges), left_out (what the output has no place
-for: temperature, flags, truth, compass), readings (of a compass, if any were written).")]
+for: temperature, flags, truth, compass), armed_unknown (true if a flight log's armed state cannot
+be read), readings (of a compass, if any were written).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
@@ -241,6 +242,7 @@ fn report(
         damaged_pieces: found.damaged_pieces,
         clipped_values: written.clipped_values,
         left_out,
+        armed_unknown: found.is_armed_unknown,
         readings: writes_readings.then_some(written.readings),
     };
     if options.json {
@@ -265,6 +267,13 @@ fn report(
         print_line(&format!(
             "left out, as {} has no place for it: {left_out}",
             into.name()
+        ));
+    }
+    if summary.armed_unknown {
+        print_line(&format!(
+            "{}: the armed state is not in it, because no state of the filter can be read: \
+             replay it with --armed-from, if it was armed",
+            summary.output
         ));
     }
     if let Some(mount) = found.mount {
@@ -296,6 +305,8 @@ struct Summary {
     damaged_pieces: u64,
     clipped_values: usize,
     left_out: Vec<&'static str>,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    armed_unknown: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     readings: Option<usize>,
 }
@@ -315,6 +326,8 @@ struct Input {
     has_readings: bool,
     /// The recording arms.
     has_armed: bool,
+    /// The recording is a flight log whose armed state cannot be read.
+    is_armed_unknown: bool,
     /// Delay of the sensor, µs, if the recording is a flight log.
     delay_us: u32,
     /// The recording has no temperature: 25 °C stands for it.
@@ -353,6 +366,7 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
         has_truth: false,
         has_readings: false,
         has_armed,
+        is_armed_unknown: false,
         delay_us: 0,
         is_csv: false,
     };
@@ -411,6 +425,11 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
         .configuration
         .as_ref()
         .ok_or_else(|| at("there is no configuration in it".to_owned()))?;
+    let mut arming = LoggedArming::read(log.steps(flight)?, first);
+    let (has_armed, is_armed_unknown) = match &arming {
+        Some(arming) => (arming.arms(), false),
+        None => (false, true),
+    };
     let steps = log.steps(flight)?;
     let Settings { part, sensor, .. } = first.settings;
     let part_us = part.gyroscope_delay_us(sensor.low_pass).into();
@@ -418,12 +437,13 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
         config: sensor,
         mount: Some(first.settings.mount()),
         part,
-        bursts: Box::new(steps.map(|step| {
+        bursts: Box::new(steps.map(move |step| {
+            let number = step.numbered.number;
             Ok(Recorded {
                 row: bursts::Row {
                     burst: step.numbered.burst,
                     board: step.numbered.flags,
-                    is_armed: false,
+                    is_armed: arming.as_mut().is_some_and(|arming| arming.at(number)),
                 },
                 reading: step.reading,
                 clipped_values: 0,
@@ -433,7 +453,8 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
         damaged_pieces: log.counts.damaged,
         has_truth: false,
         has_readings: flight.readings > 0,
-        has_armed: false,
+        has_armed,
+        is_armed_unknown,
         delay_us: first.settings.sensor_delay_us.unwrap_or(part_us),
         is_csv: false,
     })

@@ -152,12 +152,15 @@ fn the_armed_state_goes_through_every_form() {
     // A flight log begins new settings at each change, with the state of the filter.
     let log = convert(&bursts, "armed.log");
     assert!(replayed(&log, &[]) == attitudes);
-    let again = convert(&bursts, "again.csv");
-    let text = std::fs::read_to_string(again).unwrap();
-    assert!(text.starts_with("t_us,ax,ay,az,gx,gy,gz,armed\n"));
-    for (index, line) in text.lines().skip(1).enumerate() {
-        let cell = if ARMED.contains(&index) { ",1" } else { ",0" };
-        assert!(line.ends_with(cell), "{index}: {line}");
+    let from_log = convert(&log, "from-log-bursts.csv");
+    assert!(std::fs::read(&from_log).unwrap() == std::fs::read(&bursts).unwrap());
+    for (input, name) in [(&bursts, "again.csv"), (&log, "from-log.csv")] {
+        let text = std::fs::read_to_string(convert(input, name)).unwrap();
+        assert!(text.starts_with("t_us,ax,ay,az,gx,gy,gz,armed\n"), "{name}");
+        for (index, line) in text.lines().skip(1).enumerate() {
+            let cell = if ARMED.contains(&index) { ",1" } else { ",0" };
+            assert!(line.ends_with(cell), "{name}: {index}: {line}");
+        }
     }
     let unarmed = convert(
         &written("armed-forms", "plain.csv", &rows, false),
