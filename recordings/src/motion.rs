@@ -62,6 +62,8 @@ pub fn truth_of(body_to_earth: Quaternion, mount: Mount) -> Quaternion {
 #[derive(Clone, Debug)]
 pub struct Recording {
     samples: Vec<Sample>,
+    /// Times of the changes of the armed state, s after power-up, with the state from there on.
+    arming: Vec<(f64, bool)>,
     turn: Turn,
     /// Sample at or before the last requested time.
     cursor: usize,
@@ -111,6 +113,7 @@ impl Recording {
             .collect();
         Self {
             turn: Turn::new(Quaternion::IDENTITY, first_pose(&samples), TURN_S),
+            arming: arming(rows, start_us),
             samples,
             cursor: 0,
             noise: None,
@@ -129,6 +132,13 @@ impl Recording {
     #[must_use]
     pub fn end_s(&self) -> f64 {
         self.samples.last().map_or(0.0, |sample| sample.time_s)
+    }
+
+    /// Returns the changes of the column `armed`: time, s after power-up, and the state from there
+    /// on. It begins disarmed.
+    #[must_use]
+    pub fn arming(&self) -> &[(f64, bool)] {
+        &self.arming
     }
 }
 
@@ -172,7 +182,7 @@ impl Motion for Recording {
 impl Sample {
     fn new(row: &Row, start_us: i64, mount: Mount) -> Self {
         Self {
-            time_s: REST_S + TURN_S + row.time_us.abs_diff(start_us) as f64 * 1e-6,
+            time_s: time_s(row, start_us),
             specific_force_m_s2: mount.to_body(row.specific_force_m_s2),
             body_rates_rad_s: mount.to_body(row.rates_rad_s),
             attitude: row.attitude.map(|truth| body_to_earth(truth, mount)),
@@ -205,6 +215,22 @@ impl Sample {
             scored: attitude.is_some() && self.scored && next.scored,
         }
     }
+}
+
+/// Returns the time of a row, s after power-up.
+fn time_s(row: &Row, start_us: i64) -> f64 {
+    REST_S + TURN_S + row.time_us.abs_diff(start_us) as f64 * 1e-6
+}
+
+/// Returns the changes of the armed state.
+fn arming(rows: &[Row], start_us: i64) -> Vec<(f64, bool)> {
+    let mut is_armed = false;
+    let changes = rows.iter().filter_map(|row| {
+        let before = is_armed;
+        is_armed = row.armed.unwrap_or(before);
+        (is_armed != before).then(|| (time_s(row, start_us), is_armed))
+    });
+    changes.collect()
 }
 
 /// Returns the attitude (body → earth) at the first row.
@@ -312,6 +338,24 @@ mod tests {
         let late = recording.at(LEAD_IN_S + 5.0);
         assert_eq!((late.attitude, late.scored), (None, false));
         assert_eq!(late.specific_force_m_s2, [3.0, -6.0, -9.0]);
+    }
+
+    #[test]
+    fn the_armed_state_is_that_of_the_rows() {
+        let row = "0,0,9.80665,0,0,0";
+        let log = format!(
+            "t_us,ax,ay,az,gx,gy,gz,armed\n7000,{row},0\n8000,{row},1\n9000,{row},\n\
+             10000,{row},1\n11000,{row},0\n"
+        );
+        let armed = recording("armed", &log, Mount::Z_UP);
+        let times = armed.arming().iter().map(|(at_s, is_armed)| {
+            let after_us = (at_s - LEAD_IN_S) * 1e6;
+            (after_us.round() as i64, *is_armed)
+        });
+        assert_eq!(times.collect::<Vec<_>>(), [(1000, true), (4000, false)]);
+        let log = log.replace(",armed", ",other");
+        let without = recording("unarmed", &log, Mount::Z_UP);
+        assert_eq!(without.arming(), []);
     }
 
     #[test]

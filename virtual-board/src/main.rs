@@ -1,6 +1,7 @@
 //! `virtual-board`: flies a firmware image on the virtual board. `fly` writes the results of one
 //! flight to a folder, `faults` flies a campaign with random faults.
 
+mod arming;
 mod campaign_command;
 mod live;
 mod screen;
@@ -28,6 +29,7 @@ use virtual_board::port::Port;
 use virtual_board::schedule::Schedule;
 use virtual_board::script::Script;
 
+use arming::Arming;
 use campaign_command::Faults;
 use live::Live;
 use screen::Screen;
@@ -61,7 +63,8 @@ struct Fly {
     elf: PathBuf,
     /// Replay a recording instead of the simulated flight: CSV, plain or gzip,
     /// `t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed]`. Its compass is not
-    /// replayed, nor its armed state: the file of --commands arms.
+    /// replayed. Its column `armed` arms and disarms, within 20 ms, unless --commands does, or the
+    /// flight is in real time.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     #[command(flatten)]
@@ -206,11 +209,15 @@ fn fly(options: &Fly) -> Result<(), String> {
     check_rows(options)?;
     let port = options.port()?;
     let (motion, seconds);
+    let mut arming = None;
     match &options.log {
         Some(path) => {
             let recording = recording(options, path)?;
             let end_s = recording.end_s();
             seconds = options.seconds.unwrap_or(end_s).min(end_s);
+            let armed = Arming::of(&recording, &script, port.is_some(), seconds);
+            run = armed.send(run);
+            arming = Some(armed);
             run = run.recording(recording.with_noise(options.seed));
             let name = path.file_name().unwrap_or(path.as_os_str());
             motion = format!("recording {}", name.display());
@@ -247,7 +254,8 @@ fn fly(options: &Fly) -> Result<(), String> {
     }
     println!("\n{}", table(&outcome));
     println!("written to {}", options.output.display());
-    for issue in &outcome.issues {
+    let ignored = arming.and_then(|arming| arming.check(outcome.samples()));
+    for issue in outcome.issues.iter().chain(&ignored) {
         eprintln!("warning: {issue}");
     }
     if outcome.samples().is_empty() {

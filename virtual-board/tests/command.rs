@@ -147,6 +147,63 @@ fn a_file_that_is_no_image_is_refused() {
     assert!(!String::from_utf8_lossy(&refused.stderr).is_empty());
 }
 
+/// Flies a recorded rest of 0.6 s that arms from 0.2 s to 0.4 s, with these arguments. Returns the
+/// messages, and the times of the armed bursts, s after power-up.
+fn fly_armed(name: &str, arguments: &[&str]) -> (String, Vec<f64>) {
+    let folder = folder(name);
+    let log = folder.join("log.csv");
+    let row = |index: u32| {
+        let is_armed = u32::from((40..80).contains(&index));
+        // A row that repeats is frozen.
+        let noise = |factor: u32| f64::from(index * factor % 11) * 0.002 - 0.01;
+        let [x, y, z] = [3, 4, 5].map(|factor| 4.0 * noise(factor));
+        let [p, q, r] = [6, 7, 8].map(noise);
+        let t_us = index * 5_000;
+        format!("{t_us},{x},{y},{},{p},{q},{r},{is_armed}\n", 9.806_65 + z)
+    };
+    let rows: String = (0..=120).map(row).collect();
+    fs::write(&log, format!("t_us,ax,ay,az,gx,gy,gz,armed\n{rows}")).unwrap();
+    let [log, output] = [&log, &folder].map(|path| path.to_str().unwrap());
+    let flown = fly(&[&["--log", log, "--output", output], arguments].concat());
+    let messages = String::from_utf8_lossy(&flown.stderr).into_owned();
+    assert!(flown.status.success(), "{messages}");
+    let bursts = fs::read_to_string(folder.join("bursts.csv")).unwrap();
+    let armed = bursts.lines().filter(|line| line.contains("ARMED"));
+    let times = armed.map(|line| line.split(',').next().unwrap().parse::<f64>().unwrap() * 1e-6);
+    (messages, times.collect())
+}
+
+#[test]
+fn a_recording_arms_the_module_as_its_column_says() {
+    let (messages, armed) = fly_armed("armed", &[]);
+    assert!(messages.starts_with("arm at 4.200 s, as recorded\ndisarm at 4.400 s, as recorded\n"));
+    assert!(!messages.contains("warning"), "{messages}");
+    // The module's clock begins some milliseconds after power-up.
+    let (first, last) = (armed[0], armed[armed.len() - 1]);
+    assert!((4.17..4.23).contains(&first), "{first}");
+    assert!((4.37..4.43).contains(&last), "{last}");
+    let gap = armed
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .fold(0.0, f64::max);
+    assert!(gap < 0.0015, "{gap}");
+    // A command that the module does not follow is reported.
+    let faults = folder("armed-flood").join("faults.txt");
+    fs::write(&faults, "4.1 1 uart-flood\n").unwrap();
+    let (messages, armed) = fly_armed("armed-flood", &["--faults", faults.to_str().unwrap()]);
+    assert!(
+        messages.contains("warning: the module ignored `arm` at 4.200 s"),
+        "{messages}"
+    );
+    assert_eq!(armed, [0.0; 0]);
+    // The commands of a file replace the column.
+    let commands = folder("armed-by-file").join("commands.txt");
+    fs::write(&commands, "4.45 arm\n").unwrap();
+    let (messages, armed) = fly_armed("armed-by-file", &["--commands", commands.to_str().unwrap()]);
+    assert!(messages.contains("the column armed of the recording is ignored: the file of"));
+    assert!((4.42..4.48).contains(&armed[0]), "{}", armed[0]);
+}
+
 /// Returns the message of `fly` for this `--faults`, which it refuses before anything runs.
 fn refusal_of_faults(argument: &str) -> String {
     let output = folder("refused-faults").join("output");
