@@ -38,6 +38,8 @@ mod alignment;
 pub mod classic;
 mod compass;
 mod offset;
+#[cfg(not(feature = "firmware"))]
+mod sample_order;
 mod settings;
 mod snapshot;
 mod suspect_data;
@@ -62,6 +64,8 @@ use crate::serialize::StateVisitor;
 use crate::units::SECONDS_PER_MICROSECOND;
 use alignment::Alignment;
 use offset::StoredOffset;
+#[cfg(not(feature = "firmware"))]
+use sample_order::SampleOrder;
 use suspect_data::SuspectData;
 use thermal_drift::ThermalDrift;
 
@@ -95,6 +99,8 @@ pub struct Pipeline {
     /// The firmware takes bursts only, and has no memory to spare.
     #[cfg(not(feature = "firmware"))]
     sample_monitor: SampleMonitor,
+    #[cfg(not(feature = "firmware"))]
+    order: SampleOrder,
 }
 
 impl Pipeline {
@@ -119,6 +125,8 @@ impl Pipeline {
             sample: Sample::default(),
             #[cfg(not(feature = "firmware"))]
             sample_monitor: SampleMonitor::new(),
+            #[cfg(not(feature = "firmware"))]
+            order: SampleOrder::new(),
         };
         let filter = pipeline.estimator.filter_mut();
         filter.set_delay(settings.delay_s());
@@ -131,6 +139,10 @@ impl Pipeline {
 
     /// Processes one burst with the conditions that the board reports. Returns the attitude at the
     /// burst's time.
+    ///
+    /// Times increase. A burst that is not later than the one before is flagged [`Flags::TIME`],
+    /// and is never valid. It is ignored if it is late by at most 0.5 s. After a larger step back
+    /// the clock goes on from that burst, and the next one starts roll and pitch from gravity.
     #[inline]
     pub fn update(&mut self, burst: &Burst, board: BoardFlags) -> Snapshot {
         let temperature = RawSample::decode(&burst.bytes).temperature;
@@ -139,6 +151,10 @@ impl Pipeline {
         flags.set(Flags::MISSED, burst.missed_before > 0);
         if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
             self.monitor.confirm_scales();
+        }
+        #[cfg(not(feature = "firmware"))]
+        if self.is_late(burst.captured_at_us) {
+            return self.skip(burst.captured_at_us, flags | Flags::TIME);
         }
         if flags.intersects(NO_MEASUREMENT) {
             return self.skip(burst.captured_at_us, flags);
@@ -165,7 +181,7 @@ impl Pipeline {
     }
 
     /// Processes one calibrated sample in body axes, such as from a recording in SI units. Returns
-    /// the attitude at the sample's time.
+    /// the attitude at the sample's time. Times increase, as for [`update`](Self::update).
     ///
     /// Skips the checks that need the sensor's bytes: blank data and the temperature. Frozen data
     /// and a stuck axis are flagged [`Flags::FROZEN`] only after a rest of 200 samples, one in each
@@ -173,12 +189,23 @@ impl Pipeline {
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
         self.monitor.confirm_scales();
         #[cfg(not(feature = "firmware"))]
+        if self.is_late(sample.t_us) {
+            return self.skip(sample.t_us, Flags::TIME);
+        }
+        #[cfg(not(feature = "firmware"))]
         if self.is_frozen(sample) {
             // Frozen rates have turned the attitude for a while.
             self.kalman_mut().lose_tilt();
             return self.skip(sample.t_us, Flags::FROZEN);
         }
         self.process(sample, Flags::empty())
+    }
+
+    /// Returns whether a sample at this time is late.
+    #[cfg(not(feature = "firmware"))]
+    #[inline]
+    fn is_late(&mut self, t_us: u64) -> bool {
+        (self.order).is_late(&mut self.estimator, t_us, &self.settings.sensor)
     }
 
     #[cfg(not(feature = "firmware"))]
@@ -234,7 +261,7 @@ impl Pipeline {
         }
     }
 
-    /// Skips a sample that is no measurement: for the filter it is missing.
+    /// Skips a sample that is no measurement or comes late: for the filter it is missing.
     #[cold]
     #[inline(never)]
     fn skip(&mut self, t_us: u64, mut flags: Flags) -> Snapshot {

@@ -175,7 +175,7 @@ pub(super) fn inflate_jump(estimator: &mut Estimator, last: &Sample, sample: &Sa
 
 /// Inflates the tilt for a hidden turn of this variance per axis, rad². After a large one gravity
 /// shows the tilt better.
-fn inflate_hidden_turn(filter: &mut Kalman, turn_rad2: f32) {
+pub(super) fn inflate_hidden_turn(filter: &mut Kalman, turn_rad2: f32) {
     if turn_rad2 > square(LOST_TURN_RAD) {
         filter.lose_tilt();
     } else {

@@ -643,6 +643,97 @@ fn a_step_that_is_a_millisecond_after_the_counter_s_wrap_is_a_gap() {
     assert_eq!(flags(11_000) & Flags::TIME, Flags::TIME);
 }
 
+/// Returns a sample of a body that has rolled to this angle at this rate (degrees, °/s), with one
+/// count of noise.
+fn rolled(t_us: u64, roll_degrees: f32, rate_degrees_s: f32) -> Sample {
+    let noise = Vector3::new(0.06, -0.06, 0.06).scale((t_us / 1_000 % 2) as f32);
+    let rate = Vector3::new(rate_degrees_s, 0.0, 0.0) + noise;
+    let force = force(roll_degrees, 0.0) + noise.scale(0.1);
+    Sample::new(
+        t_us,
+        BodyVector(force),
+        BodyVector(rate.scale(radians(1.0))),
+    )
+}
+
+/// Returns a pipeline after three seconds of level rest, each millisecond.
+fn rested() -> Pipeline {
+    let mut pipeline = Pipeline::new(&settings());
+    for millisecond in 0..3_000 {
+        pipeline.update_sample(&rolled(1_000 * millisecond, 0.0, 0.0));
+    }
+    pipeline
+}
+
+/// Returns the error of a snapshot's roll, in degrees.
+fn roll_error(snapshot: &Snapshot, roll_degrees: f32) -> f32 {
+    (snapshot.euler().roll_rad.to_degrees() - roll_degrees).abs()
+}
+
+#[test]
+fn samples_that_change_places_turn_the_attitude_once() {
+    let roll = |t_us: u64| 40.0 * (t_us as f32 * 1e-6 - 3.0);
+    for mut from_bursts in [None, Some(rested())] {
+        let mut pipeline = rested();
+        // Two and two change places: 3001, 3000, 3003, 3002 ms and so on.
+        for pair in 1_500..2_000 {
+            for t_us in [2_000 * pair + 1_000, 2_000 * pair] {
+                let sample = rolled(t_us, roll(t_us), 40.0);
+                let snapshot = match &mut from_bursts {
+                    None => pipeline.update_sample(&sample),
+                    Some(pipeline) => {
+                        let rate = sample.angular_rate_rad_s.scale(degrees(1.0));
+                        let force = sample.specific_force_m_s2;
+                        update(pipeline, &burst(Mount::Z_UP, t_us, force, rate))
+                    }
+                };
+                let is_late = t_us % 2_000 == 0;
+                assert_eq!(snapshot.t_us, t_us);
+                assert_eq!(snapshot.flags.contains(Flags::TIME), is_late, "{t_us}");
+                assert_eq!(snapshot.flags.contains(Flags::VALID), !is_late, "{t_us}");
+                // A late sample gets the attitude of the one before, a millisecond later.
+                let error = roll_error(&snapshot, roll(t_us));
+                assert!(error < 0.5, "{t_us}: {error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn samples_that_come_twice_change_nothing() {
+    let (mut once, mut twice) = (rested(), rested());
+    for t_us in (3_000..4_000).map(|millisecond| 1_000 * millisecond) {
+        let sample = rolled(t_us, 0.0, 0.0);
+        let expected = once.update_sample(&sample);
+        assert_eq!(twice.update_sample(&sample), expected);
+        let again = twice.update_sample(&sample);
+        assert_eq!(again.attitude, expected.attitude);
+        assert!(again.flags.contains(Flags::TIME) && !again.flags.contains(Flags::VALID));
+    }
+}
+
+#[test]
+fn a_clock_that_is_set_back_never_gives_a_valid_attitude_that_is_wrong() {
+    for back_us in [20_000, 100_000, 499_000, 502_000, 1_000_000, 2_900_000] {
+        // The body rolls by 100 °/s in the time that the clock is set back, by 70° at most.
+        let roll = (1e-4 * back_us as f32).min(70.0);
+        let mut pipeline = rested();
+        let mut valid = 0;
+        for millisecond in 0..3_000 {
+            let t_us = 3_000_000 - back_us + 1_000 * millisecond;
+            let snapshot = pipeline.update_sample(&rolled(t_us, roll, 0.0));
+            assert!(millisecond > 0 || snapshot.flags.contains(Flags::TIME));
+            if snapshot.flags.contains(Flags::VALID) {
+                valid += 1;
+                let limit = (6.0 * snapshot.tilt_sigma_rad().to_degrees()).max(5.0);
+                let error = roll_error(&snapshot, roll);
+                assert!(error < limit, "{back_us} {millisecond}: {error}");
+            }
+        }
+        assert!(valid > 2_000, "{back_us}: {valid}");
+    }
+}
+
 #[test]
 fn faults_are_flagged_on_their_sample_and_nowhere_else() {
     let mut pipeline = Pipeline::new(&settings());
