@@ -109,6 +109,17 @@ impl TemperatureLearner {
         learner
     }
 
+    /// Keeps a stored model where it reaches beyond the range of the measurements: adds its middle
+    /// and its ends as points. Within that range the measurements replace it.
+    pub fn keep_beyond(&mut self, stored: &TemperatureModel) {
+        let middle = 0.5 * (stored.coldest_celsius + stored.warmest_celsius);
+        for celsius in [middle, stored.coldest_celsius, stored.warmest_celsius] {
+            if celsius < self.coldest_celsius || celsius > self.warmest_celsius {
+                self.add(celsius, stored.offset_at(celsius).0, 0.0);
+            }
+        }
+    }
+
     /// Adds an offset that was measured at rest, with its σ (rad/s in sensor axes) and the die
     /// temperature (°C). Ignores values that are not finite.
     pub fn add(&mut self, temperature_celsius: f32, offset_rad_s: Vector3, sigma_rad_s: f32) {
@@ -356,6 +367,47 @@ mod tests {
             learner.add(celsius, Vector3::new(rate, 0.0, 0.0), sigma);
         }
         assert_eq!(learner, before);
+    }
+
+    #[test]
+    fn a_second_warm_up_keeps_the_model_beyond_its_range() {
+        let stored = learned(0.0, 50.0).fit().expect("enough");
+        let shift = Vector3::new(radians(0.1), 0.0, 0.0);
+        for (from, to) in [
+            (20.0, 32.0),
+            (32.0, 20.0),
+            (-10.0, 20.0),
+            (30.0, 60.0),
+            (55.0, 65.0),
+        ] {
+            let mut learner = TemperatureLearner::new();
+            for step in 0..=80_u8 {
+                let celsius = from + (to - from) * f32::from(step) / 80.0;
+                learner.add(celsius, offset(celsius) + shift, radians(0.01));
+            }
+            learner.keep_beyond(&stored);
+            let model = learner.fit().expect("enough");
+            let (coldest, warmest) = (from.min(to), from.max(to));
+            assert_eq!(model.coldest_celsius, coldest.min(0.0));
+            assert_eq!(model.warmest_celsius, warmest.max(50.0));
+            for tenth in 0..=10_u8 {
+                let share = 0.1 * f32::from(tenth);
+                let celsius =
+                    model.coldest_celsius + share * (model.warmest_celsius - model.coldest_celsius);
+                // Beyond its range, the model goes over from the new offset to the stored one.
+                let is_measured = (coldest..=warmest).contains(&celsius);
+                let least = if is_measured { shift.x } else { 0.0 };
+                let found = model.offset_at(celsius).0 - offset(celsius);
+                let expected = Vector3::new(found.x.clamp(least, shift.x), 0.0, 0.0);
+                let error = (found - expected).norm().to_degrees();
+                assert!(error < 0.05, "{from} to {to}, {celsius}: {error}");
+            }
+        }
+        // A wider warm-up replaces the stored model.
+        let mut learner = learned(-5.0, 55.0);
+        let alone = learner;
+        learner.keep_beyond(&stored);
+        assert_eq!(learner, alone);
     }
 
     #[test]

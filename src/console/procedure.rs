@@ -330,13 +330,19 @@ impl Procedure {
     }
 
     /// Ends the procedure with the data so far and returns [`Kind::Done`]. Writes an error and
-    /// returns `None` if they are not enough; the procedure then continues.
+    /// returns `None` if they are not enough; the procedure then continues. A stored temperature
+    /// model stays beyond the measured range.
     pub(super) fn finish(
-        &self,
+        &mut self,
         calibration: &mut Calibration,
         mount: Mount,
         reply: &mut Reply<'_>,
     ) -> Option<Kind> {
+        if let (Measurement::Temperature(learner), Some(stored)) =
+            (&mut self.measurement, &calibration.temperature)
+        {
+            learner.keep_beyond(stored);
+        }
         match &self.measurement {
             Measurement::Accelerometer { poses, .. } => match poses.fit() {
                 Ok(fit) => {

@@ -71,7 +71,7 @@ impl ProcedureRunner {
         module: &mut dyn Module,
         reply: &mut Reply<'_>,
     ) -> Kind {
-        let Some(procedure) = &self.current else {
+        let Some(procedure) = &mut self.current else {
             return reply.error(format_args!("calibrate done: nothing goes on"));
         };
         match procedure.finish(calibration, mount, reply) {

@@ -855,16 +855,7 @@ fn temperature_is_learned_until_the_data_are_enough() {
         status.ends_with("doing=\"calibrate temperature, 1 temperatures from 31.0 to 31.0 C\""),
         "{status}"
     );
-    for step in 0..40_u8 {
-        let StationaryProgress::Done(mut rest) =
-            at_rest([1.0 + 0.02 * f32::from(step), 0.0, 0.0], UP)
-        else {
-            unreachable!();
-        };
-        rest.temperature_celsius = 31.0 + 0.5 * f32::from(step);
-        harness.detector([StationaryProgress::Done(rest)]);
-        harness.poll();
-    }
+    warm_up(&mut harness, 31.0, 40);
     let done = harness.ask("calibrate done");
     assert_eq!(
         done,
@@ -877,6 +868,44 @@ fn temperature_is_learned_until_the_data_are_enough() {
         .expect("it is learned");
     let (offset, weight) = model.offset_at(41.0);
     assert!((offset.x - radians(1.4)).abs() < radians(0.02) && weight == 1.0);
+    // A second warm-up over a part of the range keeps the rest of it.
+    harness.ask("calibrate temperature");
+    warm_up(&mut harness, 36.0, 20);
+    let done = harness.ask("calibrate done");
+    assert_eq!(
+        done,
+        "done calibrate temperature: 12 temperatures from 31.0 to 50.5 C; \"save\" keeps it"
+    );
+    let again = harness.working().calibration.temperature.expect("a model");
+    for celsius in [31.0, 41.0, 50.5] {
+        let change = again.offset_at(celsius).0 - model.offset_at(celsius).0;
+        assert!(change.norm() < radians(0.02), "{celsius}: {change:?}");
+    }
+    // Without a measurement the model stays.
+    harness.ask("calibrate temperature");
+    let done = harness.ask("calibrate done");
+    assert!(
+        done.starts_with("done calibrate temperature: 3 temperatures from 31.0"),
+        "{done}"
+    );
+    let kept = harness.working().calibration.temperature.expect("a model");
+    let change = kept.offset_at(41.0).0 - again.offset_at(41.0).0;
+    assert!(change.norm() < radians(0.02), "{change:?}");
+}
+
+/// Reports rests while the die warms up from this temperature by half a degree each.
+fn warm_up(harness: &mut Harness, from_celsius: f32, rests: u8) {
+    for step in 0..rests {
+        let celsius = from_celsius + 0.5 * f32::from(step);
+        let StationaryProgress::Done(mut rest) =
+            at_rest([1.0 + 0.04 * (celsius - 31.0), 0.0, 0.0], UP)
+        else {
+            unreachable!();
+        };
+        rest.temperature_celsius = celsius;
+        harness.detector([StationaryProgress::Done(rest)]);
+        harness.poll();
+    }
 }
 
 #[test]
