@@ -81,10 +81,12 @@ impl Confirmation {
 }
 
 impl Kalman {
-    /// Decides after a correction whether the bias is confirmed and known. Motion confirms a
-    /// certain bias near its reference, once the check of consistency has settled after unseen
-    /// motion. Before, while it is not suspended any more, a suspect bias counts as moved. A
-    /// confirmed one that is farther off has moved; if it was not known, it is still being found.
+    /// Updates after a correction whether the bias is confirmed and known.
+    ///
+    /// - Near its reference and certain, it is confirmed, once the check of consistency has settled
+    ///   after unseen motion. Until then, once that check runs again, a suspect bias counts as
+    ///   moved.
+    /// - Farther off, a confirmed and known bias has moved. An unknown one still converges.
     #[inline(never)]
     pub(super) fn judge_bias(&mut self) {
         let [x, y, z] = self.step.covariance.bias_variances();
@@ -119,10 +121,10 @@ impl Kalman {
         self.extra_tilt_rad2 = larger(turned_rad2, missing_rad2);
     }
 
-    /// Returns the least tilt variance, both axes together, rad². A still sensor that is not armed
-    /// needs none, unless gravity contradicts its tilt. A bias that is not confirmed hides a bank,
-    /// which the specific force shows. That of an unknown bias is added elsewhere
-    /// (`tilt_variance.rs`).
+    /// Returns the least tilt variance, both axes together, rad². It is zero for a still sensor
+    /// that is not armed, unless gravity contradicts the tilt. A stored or suspect bias hides a
+    /// bank, which the specific force shows. `tilt_variance.rs` adds the bank that an unknown bias
+    /// hides.
     fn least_tilt_rad2(&self) -> f32 {
         if self.is_tilt_contradicted() {
             return square(CONTRADICTED_TILT_RAD);

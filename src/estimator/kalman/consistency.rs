@@ -31,9 +31,9 @@ const MEMORY_S: f32 = 3.0;
 /// the model.
 const SUSPICION_GATE: f32 = 1.0;
 const CONTRADICTION_GATE: f32 = 4.0;
-/// Variance of the sum after unseen motion, per reported tilt variance of one axis. It falls to
-/// (1°)² within 9 s of a turn of 2°, and 20 s of one of 80°: a vehicle that flies takes so long
-/// to correct the tilt.
+/// Variance of the sum after unseen motion, per reported tilt variance of one axis. It decays to
+/// (1°)² within 9 s of a turn of 2°, and within 20 s of one of 80°. A vehicle in flight needs
+/// that time to correct the tilt.
 const UNSEEN_SHARE: f32 = 128.0;
 /// Variance of the sum from which on the check is suspended, rad².
 const SUSPENDED_RAD2: f32 = square(radians(1.0));

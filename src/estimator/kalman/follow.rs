@@ -227,10 +227,10 @@ impl Kalman {
         })
     }
 
-    /// Returns whether the last measurement of the covariance step, that of a velocity, was so much
-    /// more certain than the velocity that no correlation can follow it. The variances p before it
-    /// and p⁺ after it give p⁺/r = 1 − r/(p + r). An `f32` keeps a correlation to
-    /// (p/r)²·ε then.
+    /// Returns whether the last velocity measurement was too certain for `f32` correlations.
+    ///
+    /// With the variances p before it and p⁺ after it, p⁺/r = 1 − r/(p + r). The error of a
+    /// correlation is then (p/r)²·ε. The limit is p/r = 255.
     pub(in crate::estimator) fn has_lost_digits(&self) -> bool {
         const LARGEST: f32 = 1.0 - 1.0 / 256.0;
         let variance = self.step.covariance.dynamic_variance(VELOCITY_EAST);

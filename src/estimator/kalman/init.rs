@@ -59,11 +59,11 @@ impl Kalman {
     /// Starts with a known gyroscope bias, rad/s in body axes, and its σ per axis. Call it before
     /// the first sample.
     ///
-    /// The bias may have changed since, if σ is 0.3 °/s or more. In motion, or while armed, σ of
-    /// the tilt is then at least 4°, and larger the more the force differs from one g, until a
-    /// rest or motion has confirmed the bias. A bias with a smaller σ is confirmed by the first
-    /// correction once the start's uncertainty has decayed. The vehicle may move, because the
-    /// attitude becomes `VALID` before any rest.
+    /// With σ of 0.3 °/s or more, the bias may have changed since. In motion, or while armed, σ
+    /// of the tilt is then at least 4°. It grows with the difference of the force from one g. A
+    /// rest or motion that confirms the bias ends this. With a smaller σ, the first correction
+    /// confirms the bias once the start's uncertainty has decayed. The vehicle may move, because
+    /// the attitude becomes `VALID` before any rest.
     pub fn set_bias(&mut self, bias_rad_s: Vector3, sigma_rad_s: f32) {
         self.recent = RecentVelocity::kept(0.0, self.tuning);
         self.bias_prior.reference_rad_s = bias_rad_s;

@@ -15,15 +15,18 @@ use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 const ZERO_RATE_GATE_SIGMA: f32 = 4.0;
 /// Gate of the first zero-rate update, in σ. Beyond it the filter restarts at the rest.
 const FIRST_REST_GATE_SIGMA: f32 = 2.0;
-/// Largest change of an offset from one rest to the next that is believed at once, rad/s. With a
-/// large σ of the bias, as after contradictions, the gate alone would let a swing pass.
+/// Largest change of the bias from one rest to the next that is accepted at once, rad/s. After
+/// contradictions σ of the bias is large, and the gate alone would accept a swing.
 const LARGEST_CHANGE_RAD_S: f32 = radians(0.5);
-/// Time for which a rest has to contradict the offset before the filter believes it, s. By then
+/// Time for which a rest has to contradict the bias before the filter restarts at it, s. By then
 /// the rate of most swings has drifted.
 const CERTAIN_S: f32 = 3.0;
 /// Gate of the velocity at rest, in σ. A larger velocity is steady motion, not an error of the
 /// tilt.
 const COASTING_GATE_SIGMA: f32 = 3.0;
+/// Gate of the velocity at the first rest, in σ. That σ is large if the vehicle was never at
+/// rest, so steady motion hides in it.
+const FIRST_COASTING_GATE_SIGMA: f32 = 2.0;
 
 /// σ of the bias below which one axis a step is measured at rest, rad/s.
 const WELL_KNOWN_BIAS_RAD_S: f32 = radians(0.1);
@@ -85,22 +88,24 @@ impl Kalman {
         }
     }
 
-    /// Returns whether a first rest may be believed: it measures a bias that was not known. The
-    /// specific force has not drifted up to the last check, or not too far for long.
+    /// Returns whether the first rest may measure the bias, which is not known yet. The specific
+    /// force must have been steady up to the last check of its drift, or the rest must be long.
     fn is_rest_certain(&self) -> bool {
         let quiet_s = self.rest_detector.quiet_s();
         quiet_s < self.steady_until_s + CHECK_AGE_S || quiet_s > CERTAIN_REST_S
     }
 
-    /// Begins to watch a rest once its averages have settled. Ends one that turns out to be a
-    /// swing, because the rate drifts. Ends one that turns out to be a slow, steady turn, because
-    /// gravity has turned. If it has turned for most of the time, and faster than the gyroscope
-    /// shows, then the bias was measured in the turn, and is unknown.
+    /// Ends a rest that drifts. Until the averages contain no motion, the drift is measured anew.
+    ///
+    /// - The mean rate drifts: a swing.
+    /// - The specific force drifts: a slow, steady turn, because gravity turns in the body. If it
+    ///   has drifted most of the time, and the gyroscope shows less turn, then the bias was
+    ///   measured in that turn, and is unknown again.
     #[inline(never)]
-    pub(super) fn end_rest_if_turned(&mut self) {
+    pub(super) fn check_rest_drift(&mut self) {
         let quiet_s = self.rest_detector.quiet_s();
         if quiet_s < SETTLED_S {
-            self.rest_detector.settle(self.has_rested);
+            self.rest_detector.restart_drift(self.has_rested);
         }
         let squared_drift = self.rest_detector.squared_drift();
         if squared_drift < square(CERTAIN_DRIFT_M_S2) {
@@ -149,11 +154,11 @@ impl Kalman {
 
     /// Adds zero-rate and zero-velocity updates, each only if it passes its gate.
     ///
-    /// Returns whether the readings agree with the state. If they do not, the next sample has to
-    /// restart the filter from them. A first rest disagrees if it contradicts the bias, or if the
-    /// tilt is not usable, because the linear model cannot correct it. A later one contradicts the
-    /// bias only if no motion can explain it. Any rest disagrees whose specific force contradicts
-    /// the tilt for longer than a vehicle accelerates.
+    /// Returns false if the next sample must restart the filter from the readings:
+    ///
+    /// - First rest: they contradict the bias, or the tilt is too uncertain for the linear model.
+    /// - Later rest: they contradict the bias for 3 s, and no motion explains that.
+    /// - Any rest: the force contradicts the tilt for longer than a vehicle accelerates.
     #[inline(never)]
     fn measure_at_rest(&mut self, readings: &RestReadings, duration_s: f32) -> bool {
         let tuning = self.tuning;
@@ -213,7 +218,12 @@ impl Kalman {
         let explained = covariance.dynamic_variance(VELOCITY_NORTH)
             + covariance.dynamic_variance(VELOCITY_EAST)
             + 2.0 * variance;
-        if square(north) + square(east) > square(COASTING_GATE_SIGMA) * explained {
+        let gate = if self.is_first_rest {
+            square(FIRST_COASTING_GATE_SIGMA)
+        } else {
+            square(COASTING_GATE_SIGMA)
+        };
+        if square(north) + square(east) > gate * explained {
             covariance.reset_dynamic(VELOCITY_NORTH, variance);
             covariance.reset_dynamic(VELOCITY_EAST, variance);
             self.nominal.velocity_m_s = [0.0; 2];
@@ -241,9 +251,9 @@ impl Kalman {
         }
     }
 
-    /// Returns whether a bias innovation, rad/s, is within this number of σ on each axis: of the
-    /// bias before the update, and of the mean rate of one second at rest. The update averages over
-    /// less, so the gate is stricter than σ of its innovation.
+    /// Returns whether a bias innovation, rad/s, is within this number of σ on each axis. σ² is
+    /// the bias variance before the update plus the noise of a mean of one second. The update
+    /// averages over less time, so this gate is stricter than one on the innovation's own σ.
     fn passes_gate(&self, difference: Vector3, sigmas: f32) -> bool {
         let noise = square(self.tuning.stationary_rate_noise);
         let differences = [difference.x, difference.y, difference.z];

@@ -58,10 +58,9 @@
 //!
 //! - At rest the gyroscope reads its bias, and the velocity is zero. Both updates have a gate, and
 //!   neither runs while armed.
-//! - If the first rest contradicts the state reached in motion, the filter restarts at that rest.
-//!   So it does if the first rest finds the tilt too uncertain. A rest whose force contradicts the
-//!   tilt for longer than a vehicle accelerates restarts it too: at once if the tilt is over 35°
-//!   wrong, after 6.8 s if it is nearly level.
+//! - The filter restarts at the first rest if that contradicts the state, or if the tilt is too
+//!   uncertain. It restarts at any rest whose force contradicts the tilt for longer than a vehicle
+//!   accelerates: at once if the tilt is over 35° wrong, after 6.8 s if it is nearly level.
 //! - A slow, steady turn reads like a rest, but gravity turns in the body. A rest ends when the
 //!   force drifts by 0.6°. If it has drifted from the rest's beginning on, and the gyroscope shows
 //!   no turn, then the bias was measured in the turn, and is unknown again.
@@ -75,9 +74,9 @@
 //!   within 1 °/s of that measurement.
 //! - In motion, a large bias about the vertical can mislead the filter, and its σ too. Therefore
 //!   the reported σ is much larger while the bias is not known (`tilt_variance.rs`).
-//! - A stored bias, or one kept over a reset or a pause, may have changed, and the vehicle may
-//!   turn. In motion, or while armed, σ is at least 4° (stored) or 6.4° (kept) until a rest or
-//!   motion confirms it, and larger the more the force differs from one g (`confirmation.rs`).
+//! - A stored bias, or one kept over a reset or a pause, may have changed. In motion, or while
+//!   armed, σ is then at least 4° (stored) or 6.4° (kept), and larger the more the force differs
+//!   from one g. A rest or motion confirms the bias (`confirmation.rs`).
 //! - An offset that changes at rest is found again: readings that no motion explains restart the
 //!   filter. Until then σ includes the turn that the specific force does not show
 //!   (`rest_watch.rs`).
@@ -210,7 +209,7 @@ pub struct Kalman {
     /// Tilt variance that belongs to the nominal state while a covariance step is under way, both
     /// axes together, rad²: the step corrects the state last.
     held_tilt_rad2: f32,
-    /// Time without motion, s, until which the specific force was steady.
+    /// Length of the present rest, s, up to which the specific force was steady.
     steady_until_s: f32,
     nominal: NominalState,
     interval: Interval,
@@ -435,7 +434,7 @@ impl Kalman {
                 Progress::Propagated | Progress::Checked => self.watch_rest_and_consistency(),
                 Progress::Relaxing => {
                     self.admit_changed_bias();
-                    self.end_rest_if_turned();
+                    self.check_rest_drift();
                     self.relax_parameter(self.step.duration_s());
                 }
                 Progress::Predicted => {

@@ -139,7 +139,7 @@ impl RestDetector {
 
     /// Measures drift, variance and contradiction from now on. `had_rest` is true if a rest has
     /// been accepted before.
-    pub(super) const fn settle(&mut self, had_rest: bool) {
+    pub(super) const fn restart_drift(&mut self, had_rest: bool) {
         self.had_rest |= had_rest;
         self.rate_variance = 0.0;
         self.agreed_until_s = self.quiet_s;

@@ -1,15 +1,13 @@
-//! Watch over a sensor that has rested: has it really turned, if the gyroscope says so?
+//! Compares force and attitude with those of the last rest, to detect a changed gyroscope bias.
 //!
 //! While the specific force in body axes stays that of the rest, gravity has not turned. If the
-//! filter's attitude turns meanwhile, the gyroscope's offset has changed, and the turn is an error.
+//! filter's attitude turns meanwhile, the gyroscope's bias has changed, and the turn is an error.
 //! Its size is known, so the reported σ includes it until a new rest is established.
 //!
-//! A new rest may contradict the offset. The filter believes it when no motion explains the
-//! readings: for three seconds they have contradicted it, and the rate is as steady as at the last
-//! rest. No hand and few vehicles turn so steadily, because they vibrate. The price: an offset that
-//! changes together with a vibration, as of an engine that starts, is found when that ends. That
-//! gravity has not turned in the vehicle is no proof. A load on a rope and a buoy turn together
-//! with the force.
+//! A new rest may contradict the bias. The filter restarts at it if the contradiction lasts 3 s and
+//! the rate is as steady as at the last rest. No hand and few vehicles turn so steadily, because
+//! they vibrate. Limit: a bias that changes as an engine starts is found when the vibration ends. A
+//! constant force in body axes is no proof, because a load on a rope and a buoy turn with it.
 
 use super::nominal::NominalState;
 use super::rest_detector::RestDetector;

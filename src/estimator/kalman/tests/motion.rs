@@ -46,6 +46,37 @@ fn steady_motion_after_a_long_acceleration_restores_the_tilt() {
     }
 }
 
+/// The first rest of a vehicle that was never at rest is found while it coasts at up to 20 m/s.
+/// That velocity is no error of the tilt.
+#[test]
+fn a_first_rest_while_coasting_keeps_the_promise() {
+    for acceleration_m_s2 in [2.0, 3.0, 4.0] {
+        for (seconds, direction_rad) in [(2, 0.0_f32), (3, 0.7), (4, 3.0), (5, 1.5), (5, 0.7)] {
+            let mut world = World::at_rest(from_degrees(0.0, 20.0, 0.0));
+            world.bias_rad_s = Vector3::new(0.04, -0.03, 0.05);
+            let mut estimator = estimator();
+            for millisecond in 0..30_000 {
+                let phase = 2.0e-3 * millisecond as f32;
+                world.rate_rad_s.y = 0.1 * phase.cos();
+                world.acceleration_m_s2 = Vector3::new(phase.sin(), (1.3 * phase).cos(), 0.0);
+                world.run(&mut estimator, 1);
+            }
+            world.rate_rad_s = Vector3::ZERO;
+            let direction = Vector3::new(direction_rad.cos(), direction_rad.sin(), 0.0);
+            world.acceleration_m_s2 = direction.scale(acceleration_m_s2);
+            world.run(&mut estimator, 1_000 * seconds);
+            world.acceleration_m_s2 = Vector3::ZERO;
+            for _ in 0..100 {
+                let estimate = world.run(&mut estimator, 100);
+                let error_deg = world.tilt_error_degrees(estimate.attitude);
+                let allowed_deg = degrees(6.0 * estimate.tilt_sigma_rad()).max(5.0);
+                let text = format!("{acceleration_m_s2} m/s² for {seconds} s: {error_deg}°");
+                assert!(error_deg < allowed_deg, "{text}");
+            }
+        }
+    }
+}
+
 #[test]
 fn implausible_readings_leave_a_filter_that_recovers() {
     let (mut rests, mut slow, mut broken) = (0, 0, 0);
