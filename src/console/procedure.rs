@@ -163,10 +163,7 @@ impl Procedure {
 
     /// Writes that no progress is possible, because the sensor gives no data.
     pub(super) fn report_no_data(&self, reply: &mut Reply<'_>) -> Kind {
-        self.progress(
-            reply,
-            format_args!("no fresh data from the sensor: check its wires"),
-        )
+        self.progress(reply, format_args!("no data: check the sensor's wires"))
     }
 
     /// Returns the detail for `status`: the measured range of a temperature calibration.

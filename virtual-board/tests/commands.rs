@@ -405,7 +405,7 @@ fn a_calibration_waits_while_the_sensor_is_frozen() {
         .unwrap_or_else(|| panic!("{:#?}", answers(&outcome)));
     assert!(done_s > thawed_s, "{done_s}");
     // The module says why it waits, once a second.
-    let expected = "progress calibrate level: no fresh data from the sensor: check its wires";
+    let expected = "progress calibrate level: no data: check the sensor's wires";
     let reported_s: Vec<f64> = answers(&outcome)
         .iter()
         .filter(|(_, text)| text.starts_with(expected))

@@ -617,8 +617,7 @@ fn a_procedure_reports_a_sensor_without_data_and_goes_on_after_it() {
                 flags: flag | Flags::DEGRADED,
                 ..good
             });
-            let expected =
-                format!("progress {command}: no fresh data from the sensor: check its wires");
+            let expected = format!("progress {command}: no data: check the sensor's wires");
             let answers = harness.wait(2.0 * period_s + 0.1);
             assert_eq!(answers, [expected.clone(), expected.clone()], "{flag}");
             harness.module.state = Some(good);
