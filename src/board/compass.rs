@@ -4,9 +4,9 @@
 //! cycle has three rounds: request of the transfer, its outcome one sample later, and the
 //! housekeeping of the sensor. Each needs the bus for less than the gap between two bursts.
 //!
-//! The bus may be taken, as by the checks of the settings while the sensor is polled. The transfer
-//! then begins later, and the next cycle takes its outcome before it requests another. So the
-//! session gets each outcome before it gives the next transfer.
+//! Another transfer, such as a settings check while polled, may occupy the bus. The transfer then
+//! starts later. The next cycle takes its outcome before it requests another, so the session
+//! always gets an outcome before its next transfer.
 //!
 //! A good reading goes to the heading filter ([`super::heading`]). Its time is that of the
 //! transfer's start, less the part's mean age of a field ([`Session::mean_age_us`]). While the

@@ -79,8 +79,8 @@ impl SensorBus {
         self.drive(SDA, true);
         self.set_pin_modes(PinMode::Output);
         wait_us(RECOVERY_HALF_PERIOD_US);
-        // All clocks, whatever SDA shows: the bits of the byte are ones too. The sensor finds its
-        // acknowledge missing, and sends no other byte.
+        // Always nine clocks, because a high SDA may be a one of the byte. The sensor then misses
+        // its acknowledge, and sends no more bytes.
         for _ in 0..RECOVERY_CLOCKS {
             self.drive(SCL, false);
             wait_us(RECOVERY_HALF_PERIOD_US);

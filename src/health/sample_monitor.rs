@@ -2,10 +2,10 @@
 //!
 //! Registers have a known resolution and noise, samples do not: a table may hold few digits, or a
 //! simulation without noise. Therefore an axis counts only once it has shown noise. A window of 25
-//! samples in which no axis moves shows the noise of an axis that turns back eight times, and reads
-//! three values: between two digits, little noise reads both. Eight such windows, minus three for
-//! each one without, prove it. An axis of half a digit of noise proves it, and repeats a window
-//! once in 10⁷ times.
+//! samples without motion shows an axis's noise if the axis reverses eight times and reads three
+//! values. Weak noise between two digits reads only two. Each such window adds one to a score, each
+//! other one subtracts three, and eight is the proof. Half a digit of noise is enough for it, and
+//! repeats a whole window once in 10⁷ times.
 //!
 //! - An axis that has proved its noise and repeats its value is stuck, by the windows of
 //!   [`StuckAxis`].

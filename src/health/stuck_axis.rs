@@ -148,8 +148,8 @@ impl<V: Values> StuckAxis<V> {
         }
     }
 
-    /// Returns whether an axis is stuck: from the end of a window in which it repeats its value
-    /// and another axis moves, to the end of the first one in which it does not.
+    /// Returns whether an axis is stuck. This begins with the end of a window in which one axis
+    /// repeats and another moves. It ends with the first window in which no axis does so.
     pub(super) const fn is_stuck(&self) -> bool {
         self.is_stuck
     }
@@ -179,8 +179,8 @@ impl<V: Values> StuckAxis<V> {
         self.changed & V::AXES == V::AXES
     }
 
-    /// Judges the window that ends with this sample. Without motion, only a change of all axes
-    /// means anything.
+    /// Judges the window that ends with this sample. In a window without motion an unchanged axis
+    /// proves nothing; only a change of every axis clears the state.
     fn judge(&mut self, last: &V) {
         if self.have_all_changed() {
             self.is_stuck = false;

@@ -482,6 +482,11 @@ impl Pipeline {
         visitor.vector(&mut self.sample.angular_rate_rad_s);
         self.vibration.visit_state(visitor);
         self.estimator.visit_state(visitor);
+        // A state in a flight log is that of a module, which has no late samples.
+        #[cfg(not(feature = "firmware"))]
+        {
+            self.order = SampleOrder::new();
+        }
         self.alignment = Alignment::new(&self.settings, self.gyroscope_offset_rad_s);
     }
 

@@ -327,8 +327,8 @@ impl BurstReader {
         retained::count(FaultClass::AttitudeLate);
     }
 
-    /// Returns whether the sensor may have let go of the bus before the end of a suspect burst: its
-    /// last two bytes are those of a released bus.
+    /// Returns whether the sensor may have released the bus before the end of a suspect burst: the
+    /// last two bytes are 0xFF.
     #[cold]
     #[inline(never)]
     fn has_lost_sensor(&mut self) -> bool {
@@ -357,8 +357,8 @@ impl BurstReader {
         } else if status.arlo().bit() {
             BurstFault::ArbitrationLost
         } else if status.berr().bit() {
-            // The chip flags bus errors that are none (errata). The transfer goes on. After a real
-            // one the sensor acknowledges nothing more, or lets go of the bus.
+            // The chip may flag a bus error that did not happen (errata): the transfer continues.
+            // After a real one the sensor acknowledges nothing more, or releases the bus.
             retained::count(FaultClass::BusError);
             self.is_suspect = self.step == BurstStep::Data;
             return;

@@ -17,21 +17,20 @@
 //! The filter reads the tilt filter and changes nothing in it, so the attitude with a compass is
 //! that without one, to the bit. A magnet cannot tilt the horizon. The errors of all its states are
 //! *considered*: X, their cross-covariance with c and b, follows each of the tilt filter's
-//! covariance steps. A gain on the gyroscope's bias was tried on 14 trials and left out,
-//! because it improved no score.
+//! covariance steps. The gains on the gyroscope's bias are zero, because they improve no score.
 //!
 //! # Disturbances
 //!
-//! - d is a property of the place: it forgets in 10 s at rest, and in 0.2 s in motion. So at rest a
-//!   wrong field is believed once, and averages no further; in motion it averages out.
-//! - The squared innovation beyond 0.2 of the expected one adds to the noise at once, and opens b
-//!   and d for a while: a magnet may have been attached.
+//! - d belongs to the place. Its memory is 10 s at rest and 0.2 s in motion. So a wrong field at
+//!   rest counts as one measurement, and in motion it averages out.
+//! - The squared innovation beyond 0.2 of the expected one adds to the noise at once. It also
+//!   inflates b and d for a while, because a magnet may have been attached.
 //! - Before the body has moved and turned, a magnet beside it, iron on it and a wrong mount look
 //!   like north. The heading is not valid until 2.5 s of motion agree with it; for an uncalibrated
 //!   compass 6 s, with turns about two axes.
-//! - A lasting innovation though the field's length fits means that the field is right and the
-//!   filter wrong. It then restarts, with uncertain hard iron. From then on the heading needs
-//!   what an uncalibrated compass needs.
+//! - If the innovation stays large while the field's length fits, the field is right and the
+//!   filter is wrong. It restarts with uncertain hard iron. A valid heading then needs the motion
+//!   that an uncalibrated compass needs.
 //!
 //! # Cost
 //!

@@ -4,8 +4,8 @@
 //! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/follow.rs`).
 //! 2. *Rotate* the field by the drift of yaw. The gyroscope's errors e turn the level frame by W·e
 //!    about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
-//!    over an interval, so those after the tilt filter's correction δ serve: c moves by δ, and
-//!    its covariance by what is left.
+//!    over an interval. The step therefore uses those after the tilt filter's correction δ: it
+//!    moves c by δ, and adds the remaining covariance of e to that of c.
 //! 3. *Forget* the local deviation, and add the process noise.
 //! 4. *Measure*: three rows, each by `measurement.rs`.
 
@@ -35,10 +35,10 @@ pub(super) enum Phase {
     Propagate(u8),
     /// X by what the tilt filter resets and lets return to its prior.
     Relax,
-    /// A row of X by the tilt filter's measurements: with 0 by those of the velocity, then by the
-    /// one at this place, counted from 1, if it is of a parameter.
+    /// Repeats the tilt filter's measurements on a row of X. Index 0: those of the velocity. Index
+    /// n > 0: measurement n − 1, if it is of a parameter.
     Follow(u8, u8),
-    /// A row of O by the tilt filter's measurements, from this place on, counted from 0.
+    /// Repeats the tilt filter's measurements on a row of O, from this index on (from 0).
     FollowOwn(u8, u8),
     /// Covariance of the drift of yaw with the error states, from this pair of parameters on.
     Drift(u8),
