@@ -1,6 +1,6 @@
-//! Loads on a rope, and buoys on a swell, after a rest. The force always points along the body's
-//! vertical axis. So near the largest rate of each swing the readings are those of a rest, with
-//! another offset. The attitude must not be `VALID` and wrong.
+//! Loads on a rope, and buoys on a swell, after a rest and without one. The force always points
+//! along the body's vertical axis. So near the largest rate of each swing the readings are those of
+//! a rest, with another offset. The attitude must not be `VALID` and wrong.
 //!
 //! The readings come from the pendulum's equation and from the slope of deep-water waves, with
 //! noise and an offset.
@@ -88,8 +88,13 @@ fn buoy(random: &mut Random) -> impl FnMut(f64) -> Swing + use<> {
     }
 }
 
-/// Returns for how many samples the attitude was `VALID`, and `VALID` and wrong.
-fn valid_and_wrong(mut swing: impl FnMut(f64) -> Swing, random: &mut Random) -> (u32, u32) {
+/// Returns for how many samples the attitude was `VALID`, and `VALID` and wrong. The sensor is
+/// switched on at this time, s.
+fn valid_and_wrong(
+    mut swing: impl FnMut(f64) -> Swing,
+    on_s: f64,
+    random: &mut Random,
+) -> (u32, u32) {
     let mut settings = Settings::new(&Part::MPU_6050);
     settings.sensor = CONFIG.with_sample_rate_divider((PERIOD_US / 1_000 - 1) as u8);
     let mut pipeline = Pipeline::new(&settings);
@@ -97,11 +102,15 @@ fn valid_and_wrong(mut swing: impl FnMut(f64) -> Swing, random: &mut Random) -> 
     let (mut valid, mut wrong) = (0, 0);
     for index in 0..SECONDS * 1_000_000 / PERIOD_US {
         let t_us = index * PERIOD_US;
+        let t_s = t_us as f64 * 1.0e-6;
         let Swing {
             angle_rad,
             rate_rad_s,
             force_m_s2,
-        } = swing(t_us as f64 * 1.0e-6);
+        } = swing(t_s);
+        if t_s < on_s {
+            continue;
+        }
         let mut reading = |value: f64, sigma: f64| (value + sigma * random.normal()) as f32;
         let [x, y, z] = offset_rad_s;
         let rates = Vector3::new(
@@ -127,31 +136,63 @@ fn valid_and_wrong(mut swing: impl FnMut(f64) -> Swing, random: &mut Random) -> 
     (valid, wrong)
 }
 
+/// Outcome of many swings.
+struct Outcome {
+    /// Number that were `VALID` and wrong, and for how long together.
+    wrong: usize,
+    wrong_s: f64,
+    /// Share of the samples that were `VALID`.
+    valid: f64,
+}
+
+/// Judges loads or buoys. The sensor is switched on between the two times `on_s`, s.
+fn judge(is_buoy: bool, seeds: &[u64], on_s: [f64; 2]) -> Outcome {
+    let swings = parallel::map(seeds, |seed| {
+        let random = &mut Random::new(*seed, "swing");
+        let [first_s, last_s] = on_s;
+        let on_s = Random::new(*seed, "on").uniform(first_s, last_s);
+        if is_buoy {
+            valid_and_wrong(buoy(random), on_s, random)
+        } else {
+            valid_and_wrong(load(random), on_s, random)
+        }
+    });
+    let sum = |part: fn(&(u32, u32)) -> u32| f64::from(swings.iter().map(part).sum::<u32>());
+    let samples = seeds.len() as u64 * SECONDS * 1_000_000 / PERIOD_US;
+    let outcome = Outcome {
+        wrong: swings.iter().filter(|(_, wrong)| *wrong > 0).count(),
+        wrong_s: sum(|(_, wrong)| *wrong) * PERIOD_US as f64 * 1.0e-6,
+        valid: sum(|(valid, _)| *valid) / samples as f64,
+    };
+    println!(
+        "{} {}, from {on_s:?} s on: {} VALID and wrong, for {:.1} s; {:.3} VALID",
+        seeds.len(),
+        if is_buoy { "buoys" } else { "loads" },
+        outcome.wrong,
+        outcome.wrong_s,
+        outcome.valid
+    );
+    outcome
+}
+
 #[test]
 fn a_load_or_a_buoy_that_swings_after_a_rest_is_hardly_ever_wrong_and_valid() {
-    let seeds = seeds(860_000..860_120);
-    for is_buoy in [false, true] {
-        let swings = parallel::map(&seeds, |seed| {
-            let random = &mut Random::new(*seed, "swing");
-            if is_buoy {
-                valid_and_wrong(buoy(random), random)
-            } else {
-                valid_and_wrong(load(random), random)
-            }
-        });
-        let wrong = swings.iter().filter(|(_, wrong)| *wrong > 0).count();
-        let valid: u32 = swings.iter().map(|(valid, _)| valid).sum();
-        let wrong_s = swings.iter().map(|(_, wrong)| wrong).sum::<u32>() / 100;
-        let samples = seeds.len() as u64 * SECONDS * 1_000_000 / PERIOD_US;
-        let share = f64::from(valid) / samples as f64;
-        let name = if is_buoy { "buoys" } else { "loads" };
-        println!(
-            "{} {name}: {wrong} VALID and wrong, for {wrong_s} s; {share:.3} VALID",
-            seeds.len()
-        );
-        // Before revision 27: 67 loads for 4,587 s, 117 buoys for 4,182 s. Now 4 buoys for 8 s.
-        let (most, longest_s) = if is_buoy { (6, 15) } else { (0, 0) };
-        assert!(wrong <= most && wrong_s <= longest_s, "{name}");
-        assert!(share > 0.9, "a promise that is hardly made: {share}");
+    // Before revision 27: 67 loads for 4,587 s, 117 buoys for 4,182 s. Now 4 buoys for 8 s.
+    for (is_buoy, most, longest_s) in [(false, 0, 0.0), (true, 6, 15.0)] {
+        let outcome = judge(is_buoy, &seeds(860_000..860_120), [0.0, 0.0]);
+        assert!(outcome.wrong <= most && outcome.wrong_s <= longest_s);
+        assert!(outcome.valid > 0.9, "a promise that is hardly made");
+    }
+}
+
+/// A known limit: without a stored offset the first rest may be a part of a swing.
+#[test]
+fn a_start_on_a_swing_is_no_worse_than_documented() {
+    for (is_buoy, most, longest_s) in [(false, 50, 220.0), (true, 100, 400.0)] {
+        let full_swing_s = REST_S + GROWTH_S;
+        let on_s = [full_swing_s, full_swing_s + 10.0];
+        let outcome = judge(is_buoy, &seeds(862_000..862_120), on_s);
+        assert!(outcome.wrong <= most && outcome.wrong_s <= longest_s);
+        assert!(outcome.valid > 0.75, "a promise that is hardly made");
     }
 }
