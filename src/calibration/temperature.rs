@@ -70,6 +70,8 @@ pub struct TemperatureLearner {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Point {
+    /// Temperature of its first measurement, °C.
+    first_celsius: f32,
     weight: f32,
     celsius: f32,
     offset_rad_s: Vector3,
@@ -91,6 +93,7 @@ impl TemperatureLearner {
             coldest_celsius: f32::INFINITY,
             warmest_celsius: f32::NEG_INFINITY,
             open: Point {
+                first_celsius: 0.0,
                 weight: 0.0,
                 celsius: 0.0,
                 offset_rad_s: Vector3::ZERO,
@@ -102,15 +105,13 @@ impl TemperatureLearner {
     /// Creates a learner that continues from a stored model: with three points of its curve.
     pub fn from_model(model: &TemperatureModel) -> Self {
         let mut learner = Self::new();
-        let middle = 0.5 * (model.coldest_celsius + model.warmest_celsius);
-        for celsius in [model.coldest_celsius, middle, model.warmest_celsius] {
-            learner.add(celsius, model.offset_at(celsius).0, 0.0);
-        }
+        learner.keep_beyond(model);
         learner
     }
 
     /// Keeps a stored model where it reaches beyond the range of the measurements: adds its middle
-    /// and its ends as points. Within that range the measurements replace it.
+    /// and its ends as points. Within that range the measurements replace it. Check before that
+    /// the measurements are enough for a [`fit`](Self::fit): these points are none.
     pub fn keep_beyond(&mut self, stored: &TemperatureModel) {
         let middle = 0.5 * (stored.coldest_celsius + stored.warmest_celsius);
         for celsius in [middle, stored.coldest_celsius, stored.warmest_celsius] {
@@ -129,9 +130,12 @@ impl TemperatureLearner {
         if !is_number {
             return;
         }
-        if self.open.weight > 0.0 && (temperature_celsius - self.open.celsius).abs() > POINT_CELSIUS
-        {
+        let change_celsius = temperature_celsius - self.open.first_celsius;
+        if change_celsius.abs() > POINT_CELSIUS {
             self.close_point();
+        }
+        if self.open.weight <= 0.0 {
+            self.open.first_celsius = temperature_celsius;
         }
         self.coldest_celsius = self.coldest_celsius.min(temperature_celsius);
         self.warmest_celsius = self.warmest_celsius.max(temperature_celsius);
@@ -173,6 +177,7 @@ impl TemperatureLearner {
             weight,
             celsius,
             offset_rad_s,
+            ..
         } = core::mem::take(&mut self.open);
         if weight <= 0.0 {
             return;
@@ -367,6 +372,27 @@ mod tests {
             learner.add(celsius, Vector3::new(rate, 0.0, 0.0), sigma);
         }
         assert_eq!(learner, before);
+    }
+
+    /// Rests come every 2 s, and a die warms up by 2 °C a minute.
+    #[test]
+    fn a_slow_warm_up_has_as_many_points_as_a_fast_one() {
+        for step_celsius in [0.001, 0.02, 0.07, 0.2] {
+            let mut learner = TemperatureLearner::new();
+            let mut celsius = 20.0;
+            while celsius < 35.0 {
+                learner.add(celsius, offset(celsius), radians(0.01));
+                celsius += step_celsius;
+            }
+            let points = learner.points();
+            assert!((24..=31).contains(&points), "{step_celsius}: {points}");
+            let model = learner.fit().expect("enough");
+            let error = model.offset_at(28.0).0 - offset(28.0);
+            assert!(
+                error.norm().to_degrees() < 0.05,
+                "{step_celsius}: {error:?}"
+            );
+        }
     }
 
     #[test]

@@ -337,6 +337,7 @@ impl Procedure {
     ) -> Option<Kind> {
         if let (Measurement::Temperature(learner), Some(stored)) =
             (&mut self.measurement, &calibration.temperature)
+            && learner.fit().is_ok()
         {
             learner.keep_beyond(stored);
         }

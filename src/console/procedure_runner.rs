@@ -6,9 +6,6 @@ use super::procedure::{Procedure, Step};
 use crate::calibration::{Calibration, Mount, NoiseModel, StationaryProgress};
 use crate::health::Flags;
 
-/// Flags of a sample that the stationary detector does not get.
-const WITHOUT_DATA: Flags = Flags::STALE.union(Flags::FROZEN).union(Flags::REJECTED);
-
 /// Running procedure, if there is one.
 #[derive(Debug)]
 pub(super) struct ProcedureRunner {
@@ -113,7 +110,7 @@ impl ProcedureRunner {
             return None;
         }
         self.reported_at_us = now_us;
-        if module.state().flags.intersects(WITHOUT_DATA) {
+        if module.state().flags.intersects(Flags::NO_MEASUREMENT) {
             return Some(procedure.report_no_data(reply));
         }
         procedure.report(module.detector_percent(), reply)

@@ -90,6 +90,9 @@ impl Flags {
         .union(Self::STALE)
         .union(Self::TEMPERATURE);
 
+    /// Flags of an attitude whose sample is no measurement, or that has no new sample.
+    pub(crate) const NO_MEASUREMENT: Self = Self::FROZEN.union(Self::REJECTED).union(Self::STALE);
+
     /// Flags of an attitude that is degraded.
     pub const DEGRADING: Self = Self::INVALIDATING
         .union(Self::CALIBRATING)

@@ -102,9 +102,6 @@ fn is_calibrating(flags: Flags) -> bool {
     flags.contains(Flags::CALIBRATING) && !flags.contains(Flags::VALID)
 }
 
-/// Flags of an attitude whose sample is no measurement.
-const NO_MEASUREMENT: Flags = Flags::FROZEN.union(Flags::REJECTED).union(Flags::STALE);
-
 /// Returns the healthy sensors of those that are there. `flags` are those of the latest attitude.
 /// The attitude is healthy only while it is valid.
 #[inline(never)]
@@ -120,10 +117,10 @@ pub(super) fn health(flags: Option<Flags>, present: MavSysStatusSensor) -> MavSy
         }
     };
     let healthy = when(
-        !flags.intersects(NO_MEASUREMENT | Flags::GYROSCOPE_SATURATED),
+        !flags.intersects(Flags::NO_MEASUREMENT | Flags::GYROSCOPE_SATURATED),
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO,
     ) | when(
-        !flags.intersects(NO_MEASUREMENT | Flags::ACCELEROMETER_SATURATED),
+        !flags.intersects(Flags::NO_MEASUREMENT | Flags::ACCELEROMETER_SATURATED),
         MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL,
     ) | when(
         flags.contains(Flags::VALID) && !flags.contains(Flags::GAP),
