@@ -76,9 +76,21 @@ impl NorFlash for Slots<'_> {
 }
 
 /// The rate of the record in force, and its format, which the tests tell records apart by.
-fn in_force(slots: &[u8]) -> Option<(u16, OutputFormat)> {
+fn in_force(slots: &[u8]) -> InForce {
     let record = storage::load(&mut Slots(slots)).record?;
     Some((record.preferences.rate_hz, record.preferences.format))
+}
+
+/// Preferences of a record.
+type InForce = Option<(u16, OutputFormat)>;
+
+/// Returns the slots before the third record is saved, and the preferences of the second record and
+/// of the third.
+fn before_third_save() -> (Vec<u8>, InForce, InForce) {
+    let slots = third_save().cut_in(0, 1);
+    let old = Some((20, OutputFormat::Text));
+    assert_eq!(in_force(&slots), old);
+    (slots, old, Some((25, OutputFormat::Classic)))
 }
 
 /// Saves three records, one run each, and returns what the slots went through in the last.
@@ -203,11 +215,7 @@ fn a_save_with_a_low_supply_is_refused() {
 
 #[test]
 fn a_supply_that_sags_during_a_save_leaves_the_old_record_or_the_new_one() {
-    let save = third_save();
-    let slots = save.cut_in(0, 1);
-    let old = Some((20, OutputFormat::Text));
-    let new = Some((25, OutputFormat::Classic));
-    assert_eq!(in_force(&slots), old);
+    let (slots, old, new) = before_third_save();
     // The steps: the old record once more, an erase of half a second, the new record.
     let ends = save_in_a_sag(&slots, 2.8..2.9);
     assert_eq!(in_force(&ends.flash.bytes), new);
@@ -226,11 +234,7 @@ fn a_supply_that_sags_during_a_save_leaves_the_old_record_or_the_new_one() {
 
 #[test]
 fn a_supply_that_fails_during_a_save_leaves_the_old_record_or_the_new_one() {
-    let save = third_save();
-    let slots = save.cut_in(0, 1);
-    let old = Some((20, OutputFormat::Text));
-    let new = Some((25, OutputFormat::Classic));
-    assert_eq!(in_force(&slots), old);
+    let (slots, old, new) = before_third_save();
     let mut seen = [0, 0];
     for nth in 0..5 {
         let start_s = 1.2 + 0.15 * f64::from(nth);
@@ -263,11 +267,7 @@ fn a_supply_that_fails_during_a_save_leaves_the_old_record_or_the_new_one() {
 /// Resets by the watchdog and after a hard fault, in some steps of a save in turn.
 #[test]
 fn a_reset_in_a_step_of_a_save_leaves_the_old_record_or_the_new_one() {
-    let save = third_save();
-    let slots = save.cut_in(0, 1);
-    let old = Some((20, OutputFormat::Text));
-    let new = Some((25, OutputFormat::Classic));
-    assert_eq!(in_force(&slots), old);
+    let (slots, old, new) = before_third_save();
     let commands = [(1.0, "rate 25"), (1.2, "format classic"), (1.4, "save")];
     let steps = run(&slots, 3.0, &commands).flash.begun_ns;
     let mut seen = [0, 0];
