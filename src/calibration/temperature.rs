@@ -111,7 +111,7 @@ impl TemperatureLearner {
 
     /// Keeps a stored model where it reaches beyond the range of the measurements: adds its middle
     /// and its ends as points. Within that range the measurements replace it. Check before that
-    /// the measurements are enough for a [`fit`](Self::fit): these points are none.
+    /// the measurements are enough for a [`fit`](Self::fit): the added points are no measurements.
     pub fn keep_beyond(&mut self, stored: &TemperatureModel) {
         let middle = 0.5 * (stored.coldest_celsius + stored.warmest_celsius);
         for celsius in [middle, stored.coldest_celsius, stored.warmest_celsius] {

@@ -30,7 +30,7 @@ pub(super) struct Procedure {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[allow(
     clippy::large_enum_variant,
-    reason = "there is one, and it lives in the console; the lint speaks on 64-bit hosts only"
+    reason = "there is one, and it lives in the console; it is reported on 64-bit hosts only"
 )]
 enum Measurement {
     Gyroscope,
