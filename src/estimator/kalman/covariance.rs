@@ -344,21 +344,18 @@ impl Covariance {
             && (0..PARAMETERS).all(|parameter| is_sound(self.parameter_variance(parameter)))
     }
 
-    /// Returns the column of a dynamic state.
-    pub(super) fn dynamic_column(&self, state: usize) -> Column {
-        let mut column = Column::ZERO;
+    /// Writes the column of a dynamic state.
+    pub(super) fn dynamic_column(&self, state: usize, column: &mut Column) {
         for (entry, row) in column.dynamic.iter_mut().zip(&self.dynamic) {
             *entry = row.get(state).copied().unwrap_or(0.0);
         }
         for (entry, row) in column.parameters.iter_mut().zip(&self.cross) {
             *entry = row.get(state).copied().unwrap_or(0.0);
         }
-        column
     }
 
-    /// Returns the column of a parameter.
-    pub(super) fn parameter_column(&self, parameter: usize) -> Column {
-        let mut column = Column::ZERO;
+    /// Writes the column of a parameter.
+    pub(super) fn parameter_column(&self, parameter: usize, column: &mut Column) {
         if let Some(row) = self.cross.get(parameter) {
             column.dynamic = *row;
         }
@@ -367,7 +364,6 @@ impl Covariance {
             *entry = self.triangle.get(index).copied().unwrap_or(0.0);
             index += if other < parameter { 1 } else { other + 1 };
         }
-        column
     }
 
     /// Returns an entry of P_pd, or zero.

@@ -142,10 +142,9 @@ impl Kalman {
 
     #[inline(never)]
     fn measure_velocity(&mut self, variance: f32) {
-        let [north, east] = self.nominal.velocity_m_s;
-        for (state, velocity) in [(VELOCITY_NORTH, north), (VELOCITY_EAST, east)] {
+        for (index, velocity) in self.nominal.velocity_m_s.into_iter().enumerate() {
             self.step.measure(Measurement {
-                state: State::Dynamic(state),
+                state: State::Dynamic(VELOCITY_NORTH + index),
                 innovation: -velocity,
                 variance,
             });

@@ -110,10 +110,10 @@ impl NominalState {
             return;
         };
         let (row, column) = (index / 3, index % 3);
-        let (vector, perfect) = match self.gyroscope_matrix.get_mut(row) {
-            Some(vector) if row == column => (vector, 1.0),
-            Some(vector) => (vector, 0.0),
-            None => (&mut self.accelerometer_bias_m_s2, 0.0),
+        let perfect = if row == column { 1.0 } else { 0.0 };
+        let vector = match self.gyroscope_matrix.get_mut(row) {
+            Some(vector) => vector,
+            None => &mut self.accelerometer_bias_m_s2,
         };
         let entry = match column {
             0 => &mut vector.x,

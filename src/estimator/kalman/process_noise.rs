@@ -60,10 +60,8 @@ impl Kalman {
         };
         self.confirmation = Confirmation::Suspect;
         self.interval.unseen_tilt_rad2 += change.tilt_rad2;
-        for prior in &mut self.bias_prior.variance {
+        for (axis, prior) in self.bias_prior.variance.iter_mut().enumerate() {
             *prior += change.bias_variance;
-        }
-        for axis in 0..3 {
             let covariance = &mut self.step.covariance;
             covariance.add_to_parameter(axis, change.bias_variance);
         }

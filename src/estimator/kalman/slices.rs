@@ -13,7 +13,9 @@
 //! propagates it to the present.
 
 use super::covariance::{Column, Covariance};
-use super::propagation::{DYNAMIC, PARAMETERS, State, TILT_NORTH, Transition};
+use super::propagation::{
+    DYNAMIC, PARAMETERS, State, TILT_EAST, TILT_NORTH, Transition, VELOCITY_EAST, VELOCITY_NORTH,
+};
 use crate::serialize::StateVisitor;
 
 /// Most measurements of a step: two of the velocity, three of the gyroscope's bias.
@@ -176,10 +178,12 @@ impl CovarianceStep {
         self.correction = Column::ZERO;
         self.measured = 0;
         self.covariance.propagate_dynamic(transition);
-        let noise = [tilt_noise, tilt_noise, velocity_noise, velocity_noise];
-        for (state, variance) in noise.into_iter().enumerate() {
-            self.covariance.add_to_dynamic(state, variance);
-        }
+        self.covariance.add_to_dynamic(TILT_NORTH, tilt_noise);
+        self.covariance.add_to_dynamic(TILT_EAST, tilt_noise);
+        self.covariance
+            .add_to_dynamic(VELOCITY_NORTH, velocity_noise);
+        self.covariance
+            .add_to_dynamic(VELOCITY_EAST, velocity_noise);
         self.phase = Phase::PropagateCross(0);
     }
 
@@ -274,19 +278,19 @@ impl CovarianceStep {
             return Phase::Check;
         };
         let state = measurement.state;
-        let column = match state {
-            State::Dynamic(state) => self.covariance.dynamic_column(state),
-            State::Parameter(parameter) => self.covariance.parameter_column(parameter),
-        };
+        let column = &mut self.column;
+        match state {
+            State::Dynamic(state) => self.covariance.dynamic_column(state, column),
+            State::Parameter(parameter) => self.covariance.parameter_column(parameter, column),
+        }
         let (Some(own), Some(corrected)) = (column.entry(state), self.correction.entry(state))
         else {
             return Phase::Check;
         };
         self.inverse = 1.0 / (own + measurement.variance);
         let gain = (measurement.innovation - corrected) * self.inverse;
-        self.correction.add(&column, gain);
-        self.covariance.correct_dynamic(&column, self.inverse);
-        self.column = column;
+        self.correction.add(column, gain);
+        self.covariance.correct_dynamic(column, self.inverse);
         Phase::CorrectRows(index, 0)
     }
 

@@ -12,10 +12,11 @@ pub(super) type Matrix = [[f64; STATES]; STATES];
 pub(super) fn dense(covariance: &Covariance) -> Matrix {
     let mut matrix = [[0.0; STATES]; STATES];
     for state in 0..STATES {
-        let column = match state {
-            0..DYNAMIC => covariance.dynamic_column(state),
-            _ => covariance.parameter_column(state - DYNAMIC),
-        };
+        let mut column = Column::ZERO;
+        match state {
+            0..DYNAMIC => covariance.dynamic_column(state, &mut column),
+            _ => covariance.parameter_column(state - DYNAMIC, &mut column),
+        }
         let entries = column.dynamic.iter().chain(&column.parameters);
         for (row, entry) in matrix.iter_mut().zip(entries) {
             row[state] = f64::from(*entry);
