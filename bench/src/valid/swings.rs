@@ -177,18 +177,19 @@ fn judge(is_buoy: bool, seeds: &[u64], on_s: [f64; 2]) -> Outcome {
 
 #[test]
 fn a_load_or_a_buoy_that_swings_after_a_rest_is_hardly_ever_wrong_and_valid() {
-    // Before revision 27: 67 loads for 4,587 s, 117 buoys for 4,182 s. Now 4 buoys for 8 s.
-    for (is_buoy, most, longest_s) in [(false, 0, 0.0), (true, 6, 15.0)] {
+    // Before revision 27: 67 loads for 4,587 s, 117 buoys for 4,182 s. Now 1 buoy for 5 s.
+    for (is_buoy, most, longest_s) in [(false, 0, 0.0), (true, 4, 12.0)] {
         let outcome = judge(is_buoy, &seeds(860_000..860_120), [0.0, 0.0]);
         assert!(outcome.wrong <= most && outcome.wrong_s <= longest_s);
         assert!(outcome.valid > 0.9, "a promise that is hardly made");
     }
 }
 
-/// A known limit: without a stored offset the first rest may be a part of a swing.
+/// Before revision 30: 47 loads for 204 s, 93 buoys for 375 s. Now 5 loads for 10 s, 9 buoys for
+/// 19 s.
 #[test]
-fn a_start_on_a_swing_is_no_worse_than_documented() {
-    for (is_buoy, most, longest_s) in [(false, 50, 220.0), (true, 100, 400.0)] {
+fn a_start_on_a_swing_is_hardly_ever_wrong_and_valid() {
+    for (is_buoy, most, longest_s) in [(false, 10, 15.0), (true, 15, 45.0)] {
         let full_swing_s = REST_S + GROWTH_S;
         let on_s = [full_swing_s, full_swing_s + 10.0];
         let outcome = judge(is_buoy, &seeds(862_000..862_120), on_s);

@@ -87,6 +87,7 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn return_bias_to_prior(&mut self) {
         self.has_rested = false;
+        self.rested_s = 0.0;
         if !self.is_bias_known {
             self.bias_prior.reference_rad_s = self.nominal.gyroscope_bias_rad_s;
         }

@@ -34,12 +34,17 @@ const WELL_KNOWN_BIAS_RAD_S: f32 = radians(0.1);
 /// Largest change of the specific force at rest, m/s²: after 0.6° a turn is no rest, however
 /// slow and steady it is.
 const LARGEST_DRIFT_M_S2: f32 = 0.1;
-/// Largest change of the mean rate at rest, rad/s. With 0.4 °/s 19 of 120 buoys were `VALID` and
-/// wrong, with 0.2 °/s 4 (`bench/src/valid/swings.rs`).
+/// Largest change of the mean rate at rest, rad/s. In revision 27 with 0.4 °/s 19 of 120 buoys
+/// were `VALID` and wrong, with 0.2 °/s 4 (`bench/src/valid/swings.rs`).
 const LARGEST_RATE_DRIFT_RAD_S: f32 = radians(0.2);
-/// Change of the specific force up to which the first rest is believed, m/s²: three σ of its
-/// noise.
+/// Change of the specific force up to which a rest is steady, m/s²: three σ of its noise.
 const CERTAIN_DRIFT_M_S2: f32 = 0.03;
+/// Change of the mean rate up to which a rest is steady, rad/s: 0.1 °/s that the averages contain
+/// of the motion when they have settled, and noise.
+const CERTAIN_RATE_DRIFT_RAD_S: f32 = radians(0.15);
+/// Time at rest after which the bias is no longer that of a swing, s. With 1.5 s swings that an
+/// interruption follows lost the bias of a true rest (`bench/src/valid/interruptions.rs`).
+const CERTAIN_RESTED_S: f32 = 1.0;
 /// Time without motion after which the first rest is believed with a larger drift, s. By then a
 /// turn of 1 °/s about a horizontal axis has exceeded the largest one.
 const CERTAIN_REST_S: f32 = 1.125;
@@ -98,9 +103,12 @@ impl Kalman {
     /// Ends a rest that drifts. Until the averages contain no motion, the drift is measured anew.
     ///
     /// - The mean rate drifts: a swing.
-    /// - The specific force drifts: a slow, steady turn, because gravity turns in the body. If it
-    ///   has drifted most of the time, and the gyroscope shows less turn, then the bias was
-    ///   measured in that turn, and is unknown again.
+    /// - The specific force drifts: a slow, steady turn, because gravity turns in the body.
+    ///
+    /// If it has drifted most of the time, it was motion from the beginning, and may have measured
+    /// the bias. The bias is then unknown again: in a swing if rests of less than 1 s in all have
+    /// measured it, because they were parts of the swing too; in a turn if the gyroscope shows less
+    /// turn than gravity.
     #[inline(never)]
     pub(super) fn check_rest_drift(&mut self) {
         let quiet_s = self.rest_detector.quiet_s();
@@ -108,26 +116,29 @@ impl Kalman {
             self.rest_detector.restart_drift(self.has_rested);
         }
         let squared_drift = self.rest_detector.squared_drift();
-        if squared_drift < square(CERTAIN_DRIFT_M_S2) {
+        let squared_rate_drift = self.rest_detector.squared_rate_drift();
+        if squared_drift < square(CERTAIN_DRIFT_M_S2)
+            && squared_rate_drift < square(CERTAIN_RATE_DRIFT_RAD_S)
+        {
             self.steady_until_s = quiet_s;
         }
-        let is_swing = self.rest_detector.squared_rate_drift() > square(LARGEST_RATE_DRIFT_RAD_S);
-        if !is_swing {
-            if squared_drift < square(LARGEST_DRIFT_M_S2) {
-                return;
-            }
-            let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
-            let shown = self.rest_detector.average_rate_rad_s() - bias_rad_s;
-            // The first averages are up to a covariance step older.
-            let turned_s = quiet_s - SETTLED_S + self.tuning.covariance_period_s;
-            let turned_rad_s = LARGEST_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / turned_s;
-            let is_steady_turn = 2.0 * (quiet_s - self.steady_until_s) > turned_s;
-            if self.has_rested
-                && is_steady_turn
-                && shown.is_within(turned_rad_s - HIDDEN_RATE_RAD_S)
-            {
-                self.set_bias_prior(bias_rad_s, self.tuning.gyroscope_bias_rad_s);
-            }
+        let is_swing = squared_rate_drift > square(LARGEST_RATE_DRIFT_RAD_S);
+        if !is_swing && squared_drift < square(LARGEST_DRIFT_M_S2) {
+            return;
+        }
+        let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
+        // The first averages are up to a covariance step older.
+        let drift_s = quiet_s - SETTLED_S + self.tuning.covariance_period_s;
+        let is_mostly_drift = 2.0 * (quiet_s - self.steady_until_s) > drift_s;
+        let shown = self.rest_detector.average_rate_rad_s() - bias_rad_s;
+        let turned_rad_s = LARGEST_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / drift_s;
+        let is_wrong = if is_swing {
+            self.rested_s < CERTAIN_RESTED_S
+        } else {
+            shown.is_within(turned_rad_s - HIDDEN_RATE_RAD_S)
+        };
+        if self.has_rested && is_mostly_drift && is_wrong {
+            self.set_bias_prior(bias_rad_s, self.tuning.gyroscope_bias_rad_s);
         }
         self.rest_detector.interrupt();
     }
@@ -191,6 +202,7 @@ impl Kalman {
                 self.confirmation = Confirmation::Confirmed;
                 let variance = square(tuning.stationary_rate_noise) / duration_s;
                 self.measure_bias(difference, variance);
+                self.rested_s += duration_s;
                 self.rest_detector.agree();
                 self.rest_watch.add_rest(rate_variance);
             } else if self.rest_detector.contradicted_s() > CERTAIN_S

@@ -206,11 +206,12 @@ pub struct Kalman {
     confirmation: Confirmation,
     /// True if a single sample has set the tilt: the mean specific force will set it again.
     is_from_one_sample: bool,
-    /// Tilt variance that belongs to the nominal state while a covariance step is under way, both
-    /// axes together, rad²: the step corrects the state last.
+    /// Tilt variance of the nominal state during a covariance step, both axes together, rad².
     held_tilt_rad2: f32,
-    /// Length of the present rest, s, up to which the specific force was steady.
+    /// Length of the present rest, s, up to which its readings were steady.
     steady_until_s: f32,
+    /// Time at rest that has measured the bias, s.
+    rested_s: f32,
     nominal: NominalState,
     interval: Interval,
     rest_detector: RestDetector,
@@ -350,6 +351,7 @@ impl Kalman {
             next_parameter: 0,
             held_tilt_rad2: 0.0,
             steady_until_s: 0.0,
+            rested_s: 0.0,
         };
         filter.reset_parameters();
         filter.return_bias_to_prior();
@@ -589,6 +591,7 @@ impl Kalman {
         self.next_parameter = next_parameter as u8;
         visitor.f32(&mut self.held_tilt_rad2);
         visitor.f32(&mut self.steady_until_s);
+        visitor.f32(&mut self.rested_s);
     }
 }
 
