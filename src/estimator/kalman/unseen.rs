@@ -68,6 +68,7 @@ impl Kalman {
     /// Inflates the tilt by this reported variance per axis, rad²: motion that no sample shows.
     /// From a turn of 2° on the vehicle may also have begun to move, and the bias has to be
     /// confirmed: motion takes 13 to 21 s. Zero changes nothing.
+    #[inline(never)]
     pub fn inflate_tilt(&mut self, variance: f32) {
         if variance > 0.0 {
             self.interval.unseen_tilt_rad2 += variance / REPORTED_VARIANCE_SCALE;
