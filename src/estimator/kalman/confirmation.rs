@@ -19,7 +19,7 @@
 //! | state | begins with | least σ of the tilt | the bias is known |
 //! |---|---|---|---|
 //! | `Confirmed` | confirmation | 4° under suspicion, else none | with σ below 0.5 °/s |
-//! | `Moved` | a slow change by 0.2 °/s; after `Suspect` | 4° | the same |
+//! | `Drifted` | a slow change by 0.2 °/s; after `Suspect` | 4° | the same |
 //! | `Stored` | a stored bias, at the start | 4° and the bank that the force shows | the same |
 //! | `Suspect` | contradiction, reset, pause | 6.4° and that bank | near the reference: 1 °/s |
 
@@ -37,7 +37,7 @@ const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.42);
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.2);
 /// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
-/// Least σ of the tilt with a bias that has moved or is stored, and while the corrections are
+/// Least σ of the tilt with a bias that has drifted or is stored, and while the corrections are
 /// suspicious (`consistency.rs`), both axes together, rad: as reported, 4°. So six σ are 24°.
 /// Healthy flights raise suspicions too: it is below the limits of `DEGRADED` and of a valid
 /// heading.
@@ -58,8 +58,8 @@ const CONTRADICTED_TILT_RAD: f32 = radians(40.0);
 pub(super) enum Confirmation {
     /// Confirmed; or nothing has put it in question.
     Confirmed,
-    /// Moved by over 0.2 °/s from its reference, and not contradicted.
-    Moved,
+    /// Drifted by over 0.2 °/s from its reference, and not contradicted.
+    Drifted,
     /// Contradicted by motion, or motion was hidden by a reset or a pause.
     Suspect,
     /// Stored, and not confirmed since the start.
@@ -73,7 +73,7 @@ impl Confirmation {
         visitor.index(&mut number, 4);
         *self = match number {
             0 => Self::Confirmed,
-            1 => Self::Moved,
+            1 => Self::Drifted,
             2 => Self::Suspect,
             _ => Self::Stored,
         };
@@ -85,8 +85,8 @@ impl Kalman {
     ///
     /// - Near its reference and certain, it is confirmed, once the check of consistency has settled
     ///   after unseen motion. Until then, once that check runs again, a suspect bias counts as
-    ///   moved.
-    /// - Farther off, a confirmed and known bias has moved. An unknown one still converges.
+    ///   drifted.
+    /// - Farther off, a confirmed and known bias has drifted. An unknown one still converges.
     #[inline(never)]
     pub(super) fn judge_bias(&mut self) {
         let [x, y, z] = self.step.covariance.bias_variances();
@@ -96,14 +96,14 @@ impl Kalman {
         let squared_change = change.dot(change);
         if squared_change < square(CONFIRMED_CHANGE_RAD_S) {
             if better_two < square(CONFIRMED_SIGMA_RAD_S) && !self.consistency.is_suspended() {
-                if self.consistency.is_settled() {
+                if self.consistency.is_conclusive() {
                     self.confirmation = Confirmation::Confirmed;
                 } else if self.confirmation == Confirmation::Suspect {
-                    self.confirmation = Confirmation::Moved;
+                    self.confirmation = Confirmation::Drifted;
                 }
             }
         } else if self.is_bias_known && self.confirmation == Confirmation::Confirmed {
-            self.confirmation = Confirmation::Moved;
+            self.confirmation = Confirmation::Drifted;
         }
         self.is_bias_known = variance < square(KNOWN_BIAS_RAD_S)
             && (squared_change < square(KNOWN_CHANGE_RAD_S)
@@ -113,7 +113,7 @@ impl Kalman {
 
     /// Sets the tilt variance that is reported beside the covariance's, twice in each covariance
     /// step. Compares the present readings with those of the last rest.
-    pub(super) fn watch_rest_and_consistency(&mut self) {
+    pub(super) fn update_extra_tilt(&mut self) {
         let turned_rad2 = self
             .rest_watch
             .update(&self.nominal, &self.rest_detector, self.tuning);
@@ -136,7 +136,7 @@ impl Kalman {
             return 0.0;
         }
         let least_rad2 = match self.confirmation {
-            Confirmation::Confirmed | Confirmation::Moved => return square(UNCONFIRMED_TILT_RAD),
+            Confirmation::Confirmed | Confirmation::Drifted => return square(UNCONFIRMED_TILT_RAD),
             Confirmation::Stored => square(UNCONFIRMED_TILT_RAD),
             Confirmation::Suspect => square(SUSPECT_BIAS_TILT_RAD),
         };

@@ -113,7 +113,7 @@ impl Consistency {
     /// Returns whether the check has found nothing for long enough after unseen motion that the
     /// bias cannot have changed much: for some three seconds, in motion.
     #[inline]
-    pub(super) fn is_settled(&self) -> bool {
+    pub(super) fn is_conclusive(&self) -> bool {
         self.variance_rad2 < SETTLED_RAD2
     }
 

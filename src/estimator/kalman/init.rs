@@ -162,7 +162,7 @@ impl Kalman {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let readings = self.rest_detector.readings(self.tuning);
         if let (Tilt::Restarting, Some(readings)) = (self.tilt, readings)
-            && dt_s < self.longest_step_s
+            && dt_s < self.pause_after_s
         {
             self.restart_at_rest(&readings);
         } else {

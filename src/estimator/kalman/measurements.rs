@@ -1,5 +1,5 @@
-//! Measurements of a covariance step: zero velocity, zero rate at rest, and the width of the bias
-//! prior.
+//! Measurements of a covariance step: a small velocity in motion, zero velocity and zero rate at
+//! rest, and the width of the bias prior.
 
 use super::confirmation::Confirmation;
 use super::propagation::{State, VELOCITY_EAST, VELOCITY_NORTH};
@@ -55,10 +55,10 @@ const CHECK_AGE_S: f32 = 0.1;
 const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
 
 /// Gate of the horizontal force at rest, in σ of the tilt.
-const STATIONARY_FORCE_GATE_SIGMA: f32 = 4.0;
+const REST_FORCE_GATE_SIGMA: f32 = 4.0;
 /// Largest horizontal force at rest that the tilt's σ does not explain, as a share of one g: the
 /// accelerometer's bias.
-pub(super) const STATIONARY_FORCE_SHARE: f32 = 0.03;
+pub(super) const REST_FORCE_SHARE: f32 = 0.03;
 
 /// Force upwards from which on an acceleration may explain a force at rest that contradicts the
 /// tilt, m/s². With less the vehicle would fall, or the tilt is more than 35° wrong.
@@ -96,8 +96,8 @@ impl Kalman {
     /// Returns whether the first rest may measure the bias, which is not known yet. The specific
     /// force must have been steady up to the last check of its drift, or the rest must be long.
     fn is_rest_certain(&self) -> bool {
-        let quiet_s = self.rest_detector.quiet_s();
-        quiet_s < self.steady_until_s + CHECK_AGE_S || quiet_s > CERTAIN_REST_S
+        let still_s = self.rest_detector.still_s();
+        still_s < self.steady_until_s + CHECK_AGE_S || still_s > CERTAIN_REST_S
     }
 
     /// Ends a rest that drifts. Until the averages contain no motion, the drift is measured anew.
@@ -111,8 +111,8 @@ impl Kalman {
     /// turn than gravity.
     #[inline(never)]
     pub(super) fn check_rest_drift(&mut self) {
-        let quiet_s = self.rest_detector.quiet_s();
-        if quiet_s < SETTLED_S {
+        let still_s = self.rest_detector.still_s();
+        if still_s < SETTLED_S {
             self.rest_detector.restart_drift(self.has_rested);
         }
         let squared_drift = self.rest_detector.squared_drift();
@@ -120,7 +120,7 @@ impl Kalman {
         if squared_drift < square(CERTAIN_DRIFT_M_S2)
             && squared_rate_drift < square(CERTAIN_RATE_DRIFT_RAD_S)
         {
-            self.steady_until_s = quiet_s;
+            self.steady_until_s = still_s;
         }
         let is_swing = squared_rate_drift > square(LARGEST_RATE_DRIFT_RAD_S);
         if !is_swing && squared_drift < square(LARGEST_DRIFT_M_S2) {
@@ -128,8 +128,8 @@ impl Kalman {
         }
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
         // The first averages are up to a covariance step older.
-        let drift_s = quiet_s - SETTLED_S + self.tuning.covariance_period_s;
-        let is_mostly_drift = 2.0 * (quiet_s - self.steady_until_s) > drift_s;
+        let drift_s = still_s - SETTLED_S + self.tuning.covariance_period_s;
+        let is_mostly_drift = 2.0 * (still_s - self.steady_until_s) > drift_s;
         let shown = self.rest_detector.average_rate_rad_s() - bias_rad_s;
         let turned_rad_s = LARGEST_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / drift_s;
         let is_wrong = if is_swing {
@@ -143,7 +143,7 @@ impl Kalman {
         self.rest_detector.interrupt();
     }
 
-    /// Returns the noise density of the zero-velocity measurement in motion, (m/s)²·s.
+    /// Returns the noise density of the small-velocity measurement, (m/s)²·s.
     fn velocity_noise(&self) -> f32 {
         let tuning = self.tuning;
         let noise = square(tuning.velocity_noise)
@@ -184,10 +184,10 @@ impl Kalman {
         let up_m_s2 = -force.z;
         let is_explained = square(force.x) + square(force.y)
             < up_m_s2
-                * (square(STATIONARY_FORCE_GATE_SIGMA) * STANDARD_GRAVITY_M_S2 * tilt
-                    + square(STATIONARY_FORCE_SHARE) * STANDARD_GRAVITY_M_S2);
+                * (square(REST_FORCE_GATE_SIGMA) * STANDARD_GRAVITY_M_S2 * tilt
+                    + square(REST_FORCE_SHARE) * STANDARD_GRAVITY_M_S2);
         let is_long =
-            self.rest_detector.quiet_s() > LONGEST_ACCELERATION_S3_M * (up_m_s2 - LEAST_UP_M_S2);
+            self.rest_detector.still_s() > LONGEST_ACCELERATION_S3_M * (up_m_s2 - LEAST_UP_M_S2);
         if !is_explained && is_long {
             return false;
         }

@@ -37,8 +37,8 @@
 //! ```
 //!
 //! A covariance step needs only these integrals, and may come late, at 4.5 Hz. The step runs in
-//! slices, one a sample. The measurement is v = 0, with a variance that follows how much the
-//! vehicle has been moving.
+//! slices, one a sample. In motion the measurement is v = 0, with a variance that follows how much
+//! the vehicle has been moving: the small-velocity measurement.
 //!
 //! # Start (`init.rs`, `recovery.rs`)
 //!
@@ -178,8 +178,8 @@ const MOST_SLICES: u32 = 80;
 pub struct Kalman {
     tuning: &'static Tuning,
     delay_s: f32,
-    /// Longest step that hides no motion.
-    longest_step_s: f32,
+    /// Longest step that hides no motion: a longer one is a pause.
+    pause_after_s: f32,
     /// Duration of the present full-scale readings of any axis.
     saturated_s: f32,
     is_armed: bool,
@@ -207,7 +207,7 @@ pub struct Kalman {
     /// True if a single sample has set the tilt: the mean specific force will set it again.
     is_from_one_sample: bool,
     /// Tilt variance of the nominal state during a covariance step, both axes together, rad².
-    held_tilt_rad2: f32,
+    nominal_tilt_rad2: f32,
     /// Length of the present rest, s, up to which its readings were steady.
     steady_until_s: f32,
     /// Time at rest that has measured the bias, s.
@@ -241,7 +241,7 @@ impl Filter for Kalman {
         let attitude = Quaternion::IDENTITY.with_sign_of(self.nominal.attitude);
         *self = Self {
             delay_s: self.delay_s,
-            longest_step_s: self.longest_step_s,
+            pause_after_s: self.pause_after_s,
             is_armed: self.is_armed,
             ..Self::fresh(self.tuning, self.parameter_priors)
         };
@@ -261,7 +261,7 @@ impl Filter for Kalman {
         }
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let is_saturated = sample.is_rate_saturated || sample.is_force_saturated;
-        let is_long = dt_s > self.longest_step_s || dt_s > LONG_STEP_S;
+        let is_long = dt_s > self.pause_after_s || dt_s > LONG_STEP_S;
         if is_long || is_saturated || self.saturated_s > 0.0 {
             self.inflate_for_unseen_motion(sample, dt_s);
         }
@@ -323,7 +323,7 @@ impl Kalman {
         let mut filter = Self {
             tuning,
             delay_s: 0.0,
-            longest_step_s: f32::INFINITY,
+            pause_after_s: f32::INFINITY,
             saturated_s: 0.0,
             is_armed: false,
             tilt: Tilt::Unknown,
@@ -349,7 +349,7 @@ impl Kalman {
             force_sum: ForceSum::NONE,
             next_axis: 0,
             next_parameter: 0,
-            held_tilt_rad2: 0.0,
+            nominal_tilt_rad2: 0.0,
             steady_until_s: 0.0,
             rested_s: 0.0,
         };
@@ -433,14 +433,14 @@ impl Kalman {
             match self.step.slice() {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
-                Progress::Propagated | Progress::Checked => self.watch_rest_and_consistency(),
+                Progress::Propagated | Progress::Checked => self.update_extra_tilt(),
                 Progress::Relaxing => {
                     self.admit_changed_bias();
                     self.check_rest_drift();
                     self.relax_parameter(self.step.duration_s());
                 }
                 Progress::Predicted => {
-                    self.held_tilt_rad2 = self.step.tilt_variance_rad2();
+                    self.nominal_tilt_rad2 = self.step.tilt_variance_rad2();
                     self.measure();
                 }
                 Progress::Corrected => self.correct(),
@@ -463,7 +463,7 @@ impl Kalman {
         // The first rest may correct much, and contradicts nothing.
         if !self.is_first_rest {
             let [north, east, ..] = dynamic;
-            let decrease_rad2 = self.held_tilt_rad2 - self.step.tilt_variance_rad2();
+            let decrease_rad2 = self.nominal_tilt_rad2 - self.step.tilt_variance_rad2();
             let duration_s = self.step.duration_s();
             self.consistency
                 .add([north, east], decrease_rad2, duration_s);
@@ -552,7 +552,7 @@ impl Kalman {
     /// Visits every field but the tuning, which is static.
     pub(crate) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         visitor.f32(&mut self.delay_s);
-        visitor.f32(&mut self.longest_step_s);
+        visitor.f32(&mut self.pause_after_s);
         visitor.f32(&mut self.saturated_s);
         visitor.bool(&mut self.is_armed);
         let mut tilt = self.tilt as usize;
@@ -589,7 +589,7 @@ impl Kalman {
         let mut next_parameter = usize::from(self.next_parameter);
         visitor.index(&mut next_parameter, PARAMETERS);
         self.next_parameter = next_parameter as u8;
-        visitor.f32(&mut self.held_tilt_rad2);
+        visitor.f32(&mut self.nominal_tilt_rad2);
         visitor.f32(&mut self.steady_until_s);
         visitor.f32(&mut self.rested_s);
     }

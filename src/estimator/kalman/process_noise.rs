@@ -23,7 +23,7 @@ impl Kalman {
         for (velocity, change) in velocity.zip(self.interval.velocity_change_m_s) {
             *velocity += change;
         }
-        self.held_tilt_rad2 = self.covariance_tilt_variance();
+        self.nominal_tilt_rad2 = self.covariance_tilt_variance();
         let walk = (square(tuning.gyroscope_bias_walk) + self.added_bias_walk) * duration_s;
         let covariance = &mut self.step.covariance;
         let mut bias = 0.0;

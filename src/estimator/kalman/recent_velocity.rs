@@ -1,4 +1,4 @@
-//! Recent speed of the vehicle, which sets the noise of the zero-velocity measurement.
+//! Recent speed of the vehicle, which sets the noise of the small-velocity measurement.
 
 use super::tuning::Tuning;
 use crate::estimator::arithmetic::{smaller, square};

@@ -2,7 +2,7 @@
 //! numbers.
 
 use super::consistency::Consistency;
-use super::measurements::STATIONARY_FORCE_SHARE;
+use super::measurements::REST_FORCE_SHARE;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::rest_detector::RestReadings;
@@ -27,7 +27,7 @@ const AMBIGUOUS_TILT_RAD: f32 = radians(10.0);
 const RECOVERED_TILT_RAD: f32 = 0.3;
 
 /// σ of the tilt from the mean force at rest, both axes together, rad: the accelerometer's bias.
-const STATIONARY_TILT_RAD: f32 = 1.4 * STATIONARY_FORCE_SHARE;
+const STATIONARY_TILT_RAD: f32 = 1.4 * REST_FORCE_SHARE;
 /// σ of the bias from the mean rate at rest, per axis, rad/s: motion that the average still
 /// contains.
 const STATIONARY_BIAS_RAD_S: f32 = radians(0.1);

@@ -29,16 +29,16 @@ const STILL_S: f32 = 0.3;
 /// Time without motion after which the average hardly contains what came before, s.
 pub(super) const SETTLED_S: f32 = 0.5;
 
-/// Time without motion at which its count returns to [`LONG_QUIET_S`], s. After days an `f32` would
+/// Time without motion at which its count returns to [`LONG_STILL_S`], s. After days an `f32` would
 /// no longer count a step of 20 ms.
-const LONGEST_QUIET_S: f32 = 4_000.0;
+const LONGEST_STILL_S: f32 = 4_000.0;
 
 /// Count to which it returns, s: longer than any comparison needs.
-const LONG_QUIET_S: f32 = 100.0;
+const LONG_STILL_S: f32 = 100.0;
 
 /// Time without motion after which a sensor is stationary again, s. A load on a rope, a buoy or a
 /// boat reads like rest for a second or more, near the largest rate of each swing.
-const STATIONARY_AGAIN_AFTER_S: f32 = 2.0;
+const LATER_REST_AFTER_S: f32 = 2.0;
 
 /// Largest error of the measured gravity, as a share of one g: 80 mg of offset and 3 % of scale
 /// (product specification §6.2).
@@ -64,12 +64,12 @@ pub(super) struct RestDetector {
     /// The averages when they had settled.
     first_rate_rad_s: Vector3,
     first_force_m_s2: Vector3,
-    /// True once a rest has been accepted and has ended: the next one takes longer.
-    had_rest: bool,
+    /// True once a rest has been accepted and has ended: the next one must be longer.
+    is_later_rest: bool,
     /// Time without motion, s, until which the readings agreed with the offset.
     agreed_until_s: f32,
     /// Time without motion, s. During the first average it is minus the average's length so far.
-    quiet_s: f32,
+    still_s: f32,
 }
 
 impl RestDetector {
@@ -81,9 +81,9 @@ impl RestDetector {
             rate_variance: 0.0,
             first_rate_rad_s: Vector3::ZERO,
             first_force_m_s2: Vector3::ZERO,
-            had_rest: false,
+            is_later_rest: false,
             agreed_until_s: 0.0,
-            quiet_s: -f32::MIN_POSITIVE,
+            still_s: -f32::MIN_POSITIVE,
         }
     }
 
@@ -105,10 +105,10 @@ impl RestDetector {
     ) {
         let rate = rate_rad_s - self.average_rate_rad_s;
         let force = force_m_s2 - self.average_force_m_s2;
-        let is_first_average = self.quiet_s < 0.0;
+        let is_first_average = self.still_s < 0.0;
         let averaged_s = if is_first_average {
-            duration_s - self.quiet_s
-        } else if self.quiet_s > 0.0 && self.quiet_s < FORGOTTEN_S {
+            duration_s - self.still_s
+        } else if self.still_s > 0.0 && self.still_s < FORGOTTEN_S {
             FORGETTING_TIME_S
         } else {
             AVERAGING_TIME_S
@@ -122,27 +122,27 @@ impl RestDetector {
         let is_quiet = squared_rate < tuning.stationary_rate_rad_s * tuning.stationary_rate_rad_s
             && force.dot(force) + mean_force.dot(mean_force)
                 < tuning.stationary_force_m_s2 * tuning.stationary_force_m_s2;
-        self.quiet_s = if is_first_average {
+        self.still_s = if is_first_average {
             let is_complete = averaged_s >= FIRST_AVERAGE_S;
             if is_complete { averaged_s } else { -averaged_s }
         } else if is_quiet {
-            let quiet_s = self.quiet_s + duration_s;
-            if quiet_s < LONGEST_QUIET_S {
-                quiet_s
+            let still_s = self.still_s + duration_s;
+            if still_s < LONGEST_STILL_S {
+                still_s
             } else {
-                LONG_QUIET_S
+                LONG_STILL_S
             }
         } else {
             0.0
         };
     }
 
-    /// Measures drift, variance and contradiction from now on. `had_rest` is true if a rest has
-    /// been accepted before.
-    pub(super) const fn restart_drift(&mut self, had_rest: bool) {
-        self.had_rest |= had_rest;
+    /// Measures drift, variance and contradiction from now on. `has_rested` is true if a rest has
+    /// been accepted before: the present one is then a later rest.
+    pub(super) const fn restart_drift(&mut self, has_rested: bool) {
+        self.is_later_rest |= has_rested;
         self.rate_variance = 0.0;
-        self.agreed_until_s = self.quiet_s;
+        self.agreed_until_s = self.still_s;
         self.first_rate_rad_s = self.average_rate_rad_s;
         self.first_force_m_s2 = self.average_force_m_s2;
     }
@@ -165,22 +165,22 @@ impl RestDetector {
 
     /// Notes that the readings agree with the offset.
     pub(super) const fn agree(&mut self) {
-        self.agreed_until_s = self.quiet_s;
+        self.agreed_until_s = self.still_s;
     }
 
     /// Returns the time for which the readings have contradicted the offset without motion, s.
     pub(super) const fn contradicted_s(&self) -> f32 {
-        self.quiet_s - self.agreed_until_s
+        self.still_s - self.agreed_until_s
     }
 
     /// Returns the time without motion, s.
-    pub(super) const fn quiet_s(&self) -> f32 {
-        self.quiet_s
+    pub(super) const fn still_s(&self) -> f32 {
+        self.still_s
     }
 
     /// Forgets the time without motion: the readings were no measurements, or those of a turn.
     pub(super) const fn interrupt(&mut self) {
-        self.quiet_s = smaller(self.quiet_s, 0.0);
+        self.still_s = smaller(self.still_s, 0.0);
     }
 
     /// Returns the square of the mean rate's change in the time without motion, (rad/s)². In a
@@ -199,7 +199,7 @@ impl RestDetector {
 
     /// Returns whether the readings have not changed for 0.3 s.
     pub(super) fn is_still(&self) -> bool {
-        self.quiet_s > STILL_S
+        self.still_s > STILL_S
     }
 
     /// Returns the mean readings, if the sensor is stationary.
@@ -213,12 +213,12 @@ impl RestDetector {
         let is_bias = self
             .average_rate_rad_s
             .is_within(LARGEST_GYROSCOPE_BIAS_RAD_S);
-        let least_s = if self.had_rest {
-            STATIONARY_AGAIN_AFTER_S
+        let least_s = if self.is_later_rest {
+            LATER_REST_AFTER_S
         } else {
             tuning.stationary_after_s
         };
-        let is_stationary = self.quiet_s > least_s && is_gravity && is_bias;
+        let is_stationary = self.still_s > least_s && is_gravity && is_bias;
         is_stationary.then_some(RestReadings {
             rate_rad_s: self.average_rate_rad_s,
             force_m_s2,
@@ -232,9 +232,9 @@ impl RestDetector {
         visitor.f32(&mut self.rate_variance);
         visitor.vector(&mut self.first_rate_rad_s);
         visitor.vector(&mut self.first_force_m_s2);
-        visitor.bool(&mut self.had_rest);
+        visitor.bool(&mut self.is_later_rest);
         visitor.f32(&mut self.agreed_until_s);
-        visitor.f32(&mut self.quiet_s);
+        visitor.f32(&mut self.still_s);
     }
 }
 
@@ -251,11 +251,11 @@ mod tests {
         let force = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
         let mut detector = RestDetector::new();
         for step in 0..STEPS {
-            let before_s = detector.quiet_s();
+            let before_s = detector.still_s();
             let (rate, velocity) = (Vector3::ZERO, force.scale(STEP_S));
             detector.update(rate, force, velocity, STEP_S, &Tuning::DEFAULT);
-            assert_ne!(detector.quiet_s(), before_s, "step {step}");
-            assert!(detector.quiet_s() < LONGEST_QUIET_S);
+            assert_ne!(detector.still_s(), before_s, "step {step}");
+            assert!(detector.still_s() < LONGEST_STILL_S);
             assert!(step < 100 || detector.readings(&Tuning::DEFAULT).is_some());
         }
     }

@@ -1,7 +1,7 @@
 //! From the covariance to the reported tilt variance. All are of both axes together, rad².
 //!
 //! ```text
-//!   tilt of the covariance; while a step is under way, `held_tilt_rad2`:
+//!   tilt of the covariance; while a step is under way, `nominal_tilt_rad2`:
 //!   that of the nominal state, which the step corrects last
 //! + motion that no sample has shown since the last step
 //! = covariance_tilt_variance()
@@ -75,7 +75,7 @@ impl Kalman {
     #[inline]
     pub(super) fn covariance_tilt_variance(&self) -> f32 {
         let tilt_rad2 = if self.step.is_under_way() {
-            self.held_tilt_rad2
+            self.nominal_tilt_rad2
         } else {
             self.step.tilt_variance_rad2()
         };

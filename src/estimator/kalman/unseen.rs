@@ -53,12 +53,12 @@ impl Kalman {
     /// Sets the sample period, s. A step of more than 3.5 periods is a pause, in which the body may
     /// turn unseen. Default: no step is a pause.
     pub const fn set_sample_period(&mut self, period_s: f32) {
-        self.longest_step_s = PAUSE_PERIODS * period_s;
+        self.pause_after_s = PAUSE_PERIODS * period_s;
     }
 
     /// Returns the tilt variance per axis that a pause of this length adds, rad².
     pub fn pause_variance_rad2(&self, pause_s: f32) -> f32 {
-        if pause_s > self.longest_step_s {
+        if pause_s > self.pause_after_s {
             square(PAUSE_RATE_RAD_S * pause_s)
         } else {
             0.0
@@ -141,7 +141,7 @@ impl Kalman {
             let rate_change = rate_rad_s - self.nominal.rate_rad_s;
             let force_change = sample.specific_force_m_s2 - self.nominal.force_m_s2;
             self.interval.unseen_tilt_rad2 += rate_change.dot(rate_change) * square(0.25 * dt_s);
-            if dt_s > self.longest_step_s {
+            if dt_s > self.pause_after_s {
                 if dt_s > LONGEST_REST_PAUSE_S {
                     self.rest_detector.interrupt();
                 }

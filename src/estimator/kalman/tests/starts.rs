@@ -121,7 +121,7 @@ fn a_bias_that_moves_in_motion_is_not_confirmed_until_it_is_back() {
     assert_eq!(estimator.filter().confirmation, Confirmation::Confirmed);
     assert!(estimate.tilt_sigma_rad() < radians(3.0));
     let estimate = drift(&mut world, &mut estimator, radians(0.2));
-    assert_eq!(estimator.filter().confirmation, Confirmation::Moved);
+    assert_eq!(estimator.filter().confirmation, Confirmation::Drifted);
     assert!(estimate.tilt_sigma_rad() > radians(3.9));
     let estimate = drift(&mut world, &mut estimator, radians(-0.2));
     assert_eq!(estimator.filter().confirmation, Confirmation::Confirmed);
@@ -136,7 +136,7 @@ fn a_bias_that_has_moved_is_confirmed_by_a_rest() {
     world.run(&mut estimator, 4_000);
     estimator.filter_mut().set_armed(true);
     drift(&mut world, &mut estimator, radians(0.35));
-    assert_eq!(estimator.filter().confirmation, Confirmation::Moved);
+    assert_eq!(estimator.filter().confirmation, Confirmation::Drifted);
     estimator.filter_mut().set_armed(false);
     world.run(&mut estimator, 2_000);
     estimator.filter_mut().set_armed(true);
