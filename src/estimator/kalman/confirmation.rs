@@ -1,4 +1,4 @@
-//! Confirmation of the bias, and the least σ of the tilt while something contradicts the state.
+//! Confirmation of the bias: whether it may have changed, and what that means for σ of the tilt.
 //!
 //! A bias may be wrong, and its covariance small:
 //!
@@ -14,7 +14,7 @@
 //! Therefore the bias has a reference: that of the last rest, which a reset keeps, or else the
 //! stored bias. A bias that may be wrong has to be confirmed: by a rest, or by motion that leads it
 //! back to within 0.2 °/s of the reference and makes it certain. Until then σ of the tilt has a
-//! least value, in motion or while armed:
+//! least value, in motion or while armed (`tilt_variance.rs`):
 //!
 //! | state | begins with | least σ of the tilt | the bias is known |
 //! |---|---|---|---|
@@ -24,7 +24,7 @@
 //! | `Suspect` | contradiction, reset, pause | 6.4° and that bank | near the reference: 1 °/s |
 
 use super::{KNOWN_BIAS_RAD_S, Kalman};
-use crate::estimator::arithmetic::{larger, smaller, square};
+use crate::estimator::arithmetic::{larger, square};
 use crate::serialize::StateVisitor;
 use crate::units::radians;
 
@@ -37,20 +37,6 @@ const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.42);
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.2);
 /// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
-/// Least σ of the tilt with a bias that has drifted or is stored, and while the corrections are
-/// suspicious (`consistency.rs`), both axes together, rad: as reported, 4°. So six σ are 24°.
-/// Healthy flights raise suspicions too: it is below the limits of `DEGRADED` and of a valid
-/// heading.
-const UNCONFIRMED_TILT_RAD: f32 = radians(4.3);
-/// Least σ of the tilt with a suspect bias, both axes together, rad: as reported, 6.4°. Six σ
-/// are 39°.
-const SUSPECT_BIAS_TILT_RAD: f32 = radians(7.0);
-/// Largest σ of a bank that the specific force shows, both axes together, rad. In turns of up to
-/// 68° no error exceeded six σ, and with it a quadrotor's accelerations do not end `VALID`.
-const SHOWN_BANK_RAD: f32 = radians(15.0);
-/// Least σ of the tilt while the specific force contradicts it, both axes together, rad: too much
-/// for `VALID`.
-const CONTRADICTED_TILT_RAD: f32 = radians(40.0);
 
 /// Confirmation of the bias.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -109,41 +95,5 @@ impl Kalman {
             && (squared_change < square(KNOWN_CHANGE_RAD_S)
                 || self.confirmation != Confirmation::Suspect)
             && self.is_bias_measured();
-    }
-
-    /// Sets the tilt variance that is reported beside the covariance's, twice in each covariance
-    /// step. Compares the present readings with those of the last rest.
-    pub(super) fn update_extra_tilt(&mut self) {
-        let turned_rad2 = self
-            .rest_watch
-            .update(&self.nominal, &self.rest_detector, self.tuning);
-        let missing_rad2 = self.least_tilt_rad2() - self.step.tilt_variance_rad2();
-        self.extra_tilt_rad2 = larger(turned_rad2, missing_rad2);
-    }
-
-    /// Returns the least tilt variance, both axes together, rad². It is zero for a still sensor
-    /// that is not armed, unless gravity contradicts the tilt. A stored or suspect bias hides a
-    /// bank, which the specific force shows. `tilt_variance.rs` adds the bank that an unknown bias
-    /// hides.
-    fn least_tilt_rad2(&self) -> f32 {
-        if self.is_tilt_contradicted() {
-            return square(CONTRADICTED_TILT_RAD);
-        }
-        if !self.is_armed && self.rest_detector.is_still() {
-            return 0.0;
-        }
-        if self.confirmation == Confirmation::Confirmed && !self.consistency.is_suspicious() {
-            return 0.0;
-        }
-        let least_rad2 = match self.confirmation {
-            Confirmation::Confirmed | Confirmation::Drifted => return square(UNCONFIRMED_TILT_RAD),
-            Confirmation::Stored => square(UNCONFIRMED_TILT_RAD),
-            Confirmation::Suspect => square(SUSPECT_BIAS_TILT_RAD),
-        };
-        if self.is_bias_known {
-            least_rad2 + smaller(self.bank_variance(), square(SHOWN_BANK_RAD))
-        } else {
-            least_rad2
-        }
     }
 }

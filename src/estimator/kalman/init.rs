@@ -22,7 +22,7 @@ use super::confirmation::Confirmation;
 use super::prior::WarmStart;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
-use super::recovery::ForceSum;
+use super::recovery::{ForceSum, is_gravity_up};
 use super::rest_detector::RestDetector;
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
 use super::unseen::ANY_TURN_RAD2;
@@ -34,6 +34,10 @@ use crate::estimator::sample::Sample;
 /// Tilt variance that a single sample's specific force adds to that of a mean, both axes together,
 /// rad²: too much for `VALID`.
 const ONE_SAMPLE_TILT_RAD2: f32 = 0.5;
+
+/// Longest time over which the first mean specific force has to become about one g, s. Shaking of
+/// 2 Hz and more cancels; a longer mean would keep readings of another time.
+const LONGEST_FIRST_MEAN_S: f32 = 0.75;
 
 /// Bias of the accelerometer beyond which a new start forgets it, in σ of what is known of it.
 /// Flights reach three; readings that are no measurements lead beyond.
@@ -202,6 +206,26 @@ impl Kalman {
             self.level(attitude.rotate(force));
         }
         self.tilt = Tilt::Known;
+    }
+
+    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. While
+    /// it is not about one g, the vehicle shakes or falls, and a longer mean follows. In the end
+    /// the next sample sets the tilt again.
+    pub(super) fn confirm_start(&mut self, force: Vector3) {
+        self.is_step_pending = false;
+        self.is_tilt_checked = false;
+        if is_gravity_up(force).is_none() {
+            if self.interval.duration_s > LONGEST_FIRST_MEAN_S {
+                self.tilt = Tilt::Lost;
+            }
+            return;
+        }
+        self.level(force);
+        let unseen_tilt_rad2 = self.interval.unseen_tilt_rad2;
+        self.interval = Interval::EMPTY;
+        self.interval.unseen_tilt_rad2 = unseen_tilt_rad2;
+        self.extra_tilt_rad2 = 0.0;
+        self.is_from_one_sample = false;
     }
 
     /// Resets tilt (variance per axis, rad²) and velocity, and abandons the covariance step under

@@ -3,7 +3,6 @@
 
 use super::consistency::Consistency;
 use super::measurements::REST_FORCE_SHARE;
-use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::rest_detector::RestReadings;
 use super::{Kalman, Tilt};
@@ -18,9 +17,6 @@ const CONTRADICTION_S: f32 = 1.3;
 /// Time for which it contradicts a tilt that is not ambiguous before it is believed, s: longer than
 /// an aeroplane pushes over.
 const LONG_CONTRADICTION_S: f32 = 4.0;
-/// Longest time over which the first mean specific force has to become about one g, s. Shaking of
-/// 2 Hz and more cancels; a longer mean would keep readings of another time.
-const LONGEST_FIRST_MEAN_S: f32 = 0.75;
 /// σ of the tilt, both axes together, rad, from which on it is ambiguous: six σ are 60°.
 const AMBIGUOUS_TILT_RAD: f32 = radians(10.0);
 /// σ of the tilt after unusable numbers, rad.
@@ -113,26 +109,6 @@ impl Kalman {
         self.force_sum.duration_s > CONTRADICTION_S
     }
 
-    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. While
-    /// it is not about one g, the vehicle shakes or falls, and a longer mean follows. In the end
-    /// the next sample sets the tilt again.
-    fn confirm_start(&mut self, force: Vector3) {
-        self.is_step_pending = false;
-        self.is_tilt_checked = false;
-        if is_gravity_up(force).is_none() {
-            if self.interval.duration_s > LONGEST_FIRST_MEAN_S {
-                self.tilt = Tilt::Lost;
-            }
-            return;
-        }
-        self.level(force);
-        let unseen_tilt_rad2 = self.interval.unseen_tilt_rad2;
-        self.interval = Interval::EMPTY;
-        self.interval.unseen_tilt_rad2 = unseen_tilt_rad2;
-        self.extra_tilt_rad2 = 0.0;
-        self.is_from_one_sample = false;
-    }
-
     /// Turns the attitude by the shortest rotation that makes this force, which is given in earth
     /// axes, point up.
     pub(super) fn level(&mut self, force: Vector3) {
@@ -195,7 +171,7 @@ fn is_gravity_down(force: Vector3) -> bool {
 /// Returns whether this specific force, m/s² in earth axes, is within 45° of up; `None` if it is
 /// not about one g.
 #[inline(never)]
-fn is_gravity_up(force: Vector3) -> Option<bool> {
+pub(super) fn is_gravity_up(force: Vector3) -> Option<bool> {
     const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
     const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
     let squared = force.dot(force);

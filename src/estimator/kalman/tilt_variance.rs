@@ -19,9 +19,10 @@
 //! - In motion, or while armed, the bias is not confirmed, or the specific force contradicts the
 //!   tilt (`confirmation.rs`), or the corrections are suspicious (`consistency.rs`).
 
+use super::confirmation::Confirmation;
 use super::{Kalman, Tilt, sigma};
-use crate::estimator::arithmetic::square;
-use crate::units::STANDARD_GRAVITY_M_S2;
+use crate::estimator::arithmetic::{larger, smaller, square};
+use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
 /// Scale from the filter's σ of tilt, which is conservative, to the reported σ.
 ///
@@ -39,6 +40,21 @@ pub(super) const UNKNOWN_BIAS_SIGMA_SCALE: f32 = 3.0;
 
 /// σ of a bank that the accelerometer's error hides, rad.
 const HIDDEN_BANK_RAD: f32 = 0.1;
+
+/// Least σ of the tilt with a bias that has drifted or is stored, and while the corrections are
+/// suspicious (`consistency.rs`), both axes together, rad: as reported, 4°. So six σ are 24°.
+/// Healthy flights raise suspicions too: it is below the limits of `DEGRADED` and of a valid
+/// heading.
+const UNCONFIRMED_TILT_RAD: f32 = radians(4.3);
+/// Least σ of the tilt with a suspect bias, both axes together, rad: as reported, 6.4°. Six σ
+/// are 39°.
+const SUSPECT_BIAS_TILT_RAD: f32 = radians(7.0);
+/// Largest σ of a bank that the specific force shows, both axes together, rad. In turns of up to
+/// 68° no error exceeded six σ, and with it a quadrotor's accelerations do not end `VALID`.
+const SHOWN_BANK_RAD: f32 = radians(15.0);
+/// Least σ of the tilt while the specific force contradicts it, both axes together, rad: too much
+/// for `VALID`.
+const CONTRADICTED_TILT_RAD: f32 = radians(40.0);
 
 impl Kalman {
     /// Returns the reported tilt variance. Infinite without a tilt.
@@ -95,5 +111,42 @@ impl Kalman {
         let force = self.rest_detector.average_force_m_s2();
         let excess = force.dot(force) - GRAVITY_SQUARED;
         0.25 / GRAVITY_SQUARED * excess.abs()
+    }
+
+    /// Sets the tilt variance of errors that the covariance does not hold, twice in each covariance
+    /// step: the turn since the last rest that the readings do not show, or what is missing to the
+    /// least variance, whichever is larger.
+    pub(super) fn update_extra_tilt(&mut self) {
+        let turned_rad2 = self
+            .rest_watch
+            .update(&self.nominal, &self.rest_detector, self.tuning);
+        let missing_rad2 = self.least_tilt_rad2() - self.step.tilt_variance_rad2();
+        self.extra_tilt_rad2 = larger(turned_rad2, missing_rad2);
+    }
+
+    /// Returns the least tilt variance, both axes together, rad². It is zero for a still sensor
+    /// that is not armed, unless gravity contradicts the tilt. A stored or suspect bias hides a
+    /// bank, which the specific force shows. That of an unknown bias comes later, in
+    /// `reported_tilt_variance()`.
+    fn least_tilt_rad2(&self) -> f32 {
+        if self.is_tilt_contradicted() {
+            return square(CONTRADICTED_TILT_RAD);
+        }
+        if !self.is_armed && self.rest_detector.is_still() {
+            return 0.0;
+        }
+        if self.confirmation == Confirmation::Confirmed && !self.consistency.is_suspicious() {
+            return 0.0;
+        }
+        let least_rad2 = match self.confirmation {
+            Confirmation::Confirmed | Confirmation::Drifted => return square(UNCONFIRMED_TILT_RAD),
+            Confirmation::Stored => square(UNCONFIRMED_TILT_RAD),
+            Confirmation::Suspect => square(SUSPECT_BIAS_TILT_RAD),
+        };
+        if self.is_bias_known {
+            least_rad2 + smaller(self.bank_variance(), square(SHOWN_BANK_RAD))
+        } else {
+            least_rad2
+        }
     }
 }
