@@ -186,10 +186,11 @@ fn a_load_or_a_buoy_that_swings_after_a_rest_is_hardly_ever_wrong_and_valid() {
 }
 
 /// Before revision 30: 47 loads for 204 s, 93 buoys for 375 s. Now 5 loads for 10 s, 9 buoys for
-/// 19 s.
+/// 19 s. Eight other sets of seeds had 2 to 6 loads for 3 to 11 s, and 4 to 16 buoys for 5 to 48 s.
+/// The bounds are three σ above the mean of all nine.
 #[test]
 fn a_start_on_a_swing_is_hardly_ever_wrong_and_valid() {
-    for (is_buoy, most, longest_s) in [(false, 10, 15.0), (true, 15, 45.0)] {
+    for (is_buoy, most, longest_s) in [(false, 11, 15.0), (true, 21, 75.0)] {
         let full_swing_s = REST_S + GROWTH_S;
         let on_s = [full_swing_s, full_swing_s + 10.0];
         let outcome = judge(is_buoy, &seeds(862_000..862_120), on_s);
