@@ -112,7 +112,7 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn check_rest_drift(&mut self) {
         let still_s = self.rest_detector.still_s();
-        if still_s < SETTLED_S {
+        if self.rest_detector.begins_drift() {
             self.rest_detector.restart_drift(self.has_rested);
         }
         let squared_drift = self.rest_detector.squared_drift();

@@ -66,7 +66,8 @@ pub(super) struct RestDetector {
     first_force_m_s2: Vector3,
     /// True once a rest has been accepted and has ended: the next one must be longer.
     is_later_rest: bool,
-    /// Time without motion, s, until which the readings agreed with the offset.
+    /// Time without motion, s, until which the readings agreed with the offset. Zero before the
+    /// first check of the drift.
     agreed_until_s: f32,
     /// Time without motion, s. During the first average it is minus the average's length so far.
     still_s: f32,
@@ -195,6 +196,12 @@ impl RestDetector {
     pub(super) fn squared_drift(&self) -> f32 {
         let drift = self.average_force_m_s2 - self.first_force_m_s2;
         drift.dot(drift)
+    }
+
+    /// Returns whether the drift has to be measured from now on: the averages still contain motion,
+    /// or this is the first check. At about 100 samples a second that one is later.
+    pub(super) fn begins_drift(&self) -> bool {
+        self.still_s < SETTLED_S || self.agreed_until_s.to_bits() == 0
     }
 
     /// Returns whether the readings have not changed for 0.3 s.
