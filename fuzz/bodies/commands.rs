@@ -7,7 +7,7 @@ use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::compass::Choice;
 use aplomb::console::answer::ANSWER_CAPACITY;
 use aplomb::console::command::{BAUD_RATES, Command, RATES_HZ};
-use aplomb::console::{Console, Module, Outcome, State, Task};
+use aplomb::console::{Console, Job, Module, Outcome, State};
 use aplomb::health::Measurement;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::Settings;
@@ -132,7 +132,7 @@ impl Module for Wire {
         true
     }
 
-    fn begin(&mut self, _task: Task) {
+    fn begin(&mut self, _job: Job) {
         assert!(!self.is_armed && self.outcome.is_none());
         self.outcome = Some(Outcome::new(true, "stored"));
     }

@@ -26,9 +26,9 @@ pub enum Kind {
     Error,
     /// `progress`: a procedure has advanced.
     Progress,
-    /// `done`: a task or procedure has succeeded.
+    /// `done`: a job or procedure has succeeded.
     Done,
-    /// `failed`: a task or procedure has failed; nothing has changed.
+    /// `failed`: a job or procedure has failed; nothing has changed.
     Failed,
 }
 

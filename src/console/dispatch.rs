@@ -14,7 +14,7 @@ use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
 use super::measurement;
-use super::module::{Module, Outcome, Task};
+use super::module::{Job, Module, Outcome};
 use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
 use super::procedure_runner::ProcedureRunner;
@@ -40,8 +40,8 @@ pub struct Console {
     is_armed: bool,
     procedures: ProcedureRunner,
     compass: CompassProcedure,
-    /// Task under way; other input waits for its end.
-    task: Option<Task>,
+    /// Job under way; other input waits for its end.
+    job: Option<Job>,
     baud: BaudChange,
 }
 
@@ -74,7 +74,7 @@ impl Console {
             is_armed,
             procedures: ProcedureRunner::new(noise, sample_rate_hz),
             compass: CompassProcedure::new(),
-            task: None,
+            job: None,
             baud: BaudChange::Steady,
         }
     }
@@ -107,9 +107,9 @@ impl Console {
         self.is_armed
     }
 
-    /// Returns whether commands have to wait: for a task's end, or for a change of the baud rate.
+    /// Returns whether commands have to wait: for a job's end, or for a change of the baud rate.
     pub const fn is_busy(&self) -> bool {
-        self.task.is_some() || self.baud.is_changing()
+        self.job.is_some() || self.baud.is_changing()
     }
 
     /// Returns the mount in use.
@@ -134,10 +134,10 @@ impl Console {
         if module.take_reception_error() {
             self.line.discard_line();
         }
-        if let Some(task) = self.task {
+        if let Some(job) = self.job {
             let outcome = module.take_outcome()?;
-            self.task = None;
-            return Some(self.finish_task(task, &outcome, reply));
+            self.job = None;
+            return Some(self.finish_job(job, &outcome, reply));
         }
         let baud = self.working.preferences.baud;
         match self.baud.poll(baud, now_us, &mut self.line, module, reply) {
@@ -202,8 +202,8 @@ impl Console {
             Command::Show => reply.ok(format_args!("show: {}", RecordText(&self.working))),
             Command::Save => self.save(module, reply),
             Command::Forget => self.forget(module, reply),
-            Command::SelfTest => self.begin(Task::SelfTest, module, reply),
-            Command::Registers => self.begin(Task::ReadBack, module, reply),
+            Command::SelfTest => self.begin(Job::SelfTest, module, reply),
+            Command::Registers => self.begin(Job::ReadBack, module, reply),
             Command::Measure(what) => measurement::run(what, module, reply),
             Command::Arm => self.arm(module, reply),
             Command::Disarm => self.disarm(module, reply),
@@ -393,23 +393,23 @@ impl Console {
                 "save: nothing has changed, nothing is written"
             ));
         }
-        self.begin(Task::Save, module, reply)
+        self.begin(Job::Save, module, reply)
     }
 
-    /// Begins a task.
-    fn begin(&mut self, task: Task, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
-        self.task = Some(task);
-        module.begin(task);
-        let name = task_name(task);
+    /// Begins a job.
+    fn begin(&mut self, job: Job, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
+        self.job = Some(job);
+        module.begin(job);
+        let name = job_name(job);
         reply.ok(format_args!("{name}: the sensor stops for a second"))
     }
 
-    /// Reports the result of a task.
-    fn finish_task(&mut self, task: Task, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
-        if task == Task::Save && outcome.is_ok {
+    /// Reports the result of a job.
+    fn finish_job(&mut self, job: Job, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
+        if job == Job::Save && outcome.is_ok {
             self.stored = self.working;
         }
-        let name = task_name(task);
+        let name = job_name(job);
         let kind = if outcome.is_ok {
             Kind::Done
         } else {
@@ -564,12 +564,12 @@ impl Console {
     }
 }
 
-/// Returns the command that starts a task.
-const fn task_name(task: Task) -> &'static str {
-    match task {
-        Task::Save => "save",
-        Task::SelfTest => "self-test",
-        Task::ReadBack => "registers",
+/// Returns the command that starts a job.
+const fn job_name(job: Job) -> &'static str {
+    match job {
+        Job::Save => "save",
+        Job::SelfTest => "self-test",
+        Job::ReadBack => "registers",
     }
 }
 

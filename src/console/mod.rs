@@ -61,5 +61,5 @@ mod status;
 pub use command::Command;
 pub use dispatch::Console;
 pub use line_errors::MAX_ERROR_ANSWERS;
-pub use module::{Module, Outcome, State, Task};
+pub use module::{Job, Module, Outcome, State};
 pub use preferences::usable_preferences;

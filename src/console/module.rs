@@ -62,17 +62,17 @@ pub trait Module {
     /// and changes nothing, while bytes are still being sent.
     fn set_baud(&mut self, baud: u32) -> bool;
 
-    /// Starts a task. The console starts one at a time, and polls
+    /// Starts a job. The console starts one at a time, and polls
     /// [`take_outcome`](Self::take_outcome) for its end.
-    fn begin(&mut self, task: Task);
+    fn begin(&mut self, job: Job);
 
-    /// Returns the result of the task once it has ended.
+    /// Returns the result of the job once it has ended.
     fn take_outcome(&mut self) -> Option<Outcome>;
 }
 
-/// Task for which the sensor stops for a moment.
+/// Job for which the sensor stops for a moment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Task {
+pub enum Job {
     /// Stores the record in use, which stays the same meanwhile.
     Save,
     /// Runs the self-tests of the sensor and of the compass.
@@ -81,10 +81,10 @@ pub enum Task {
     ReadBack,
 }
 
-/// Result of a [`Task`].
+/// Result of a [`Job`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outcome {
-    /// True if the task succeeded.
+    /// True if the job succeeded.
     pub is_ok: bool,
     /// Result or reason, for people.
     pub text: heapless::String<{ Outcome::CAPACITY }>,

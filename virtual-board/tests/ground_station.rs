@@ -1,4 +1,4 @@
-//! Requests of a MAVLink ground station to the real image, beside a task, a change of the baud rate
+//! Requests of a MAVLink ground station to the real image, beside a job, a change of the baud rate
 //! or lines of text.
 
 mod common;

@@ -12,8 +12,8 @@ use crate::measure::{Figures, measure};
 use crate::stream::numbers;
 use crate::talk::Talk;
 
-/// Longest duration of a task of the module.
-const TASK: Duration = Duration::from_secs(8);
+/// Longest duration of a job of the module.
+const JOB: Duration = Duration::from_secs(8);
 /// Duration of the measurement, s.
 const MEASUREMENT_S: u32 = 5;
 /// Sample period, µs: 1 kHz with the 5 % of a cheap clone's clock.
@@ -42,7 +42,7 @@ pub fn port(talk: &mut Talk) -> Result<Finding, String> {
 
 /// Checks that a sensor answers on the bus.
 pub fn bus(talk: &mut Talk) -> Result<Finding, String> {
-    Ok(match talk.perform("registers", TASK, |_| {})? {
+    Ok(match talk.perform("registers", JOB, |_| {})? {
         // Wrong settings are the next step's.
         Ok(_) => Finding::new(true, "a sensor answers"),
         Err(text) if text.starts_with("a setting") || text.starts_with("the sensor has") => {
@@ -103,7 +103,7 @@ pub fn identity(talk: &mut Talk) -> Result<Finding, String> {
 
 /// Reads the settings back.
 pub fn registers(talk: &mut Talk) -> Result<Finding, String> {
-    Ok(match talk.perform("registers", TASK, |_| {})? {
+    Ok(match talk.perform("registers", JOB, |_| {})? {
         Ok(text) => Finding::new(true, text),
         Err(text) => Finding::bad(
             text,
@@ -148,7 +148,7 @@ fn judge_edges(figures: &Figures, is_polled: bool) -> Finding {
 /// Runs the self-test.
 pub fn self_test(talk: &mut Talk) -> Result<Finding, String> {
     print_line("   keep it still for two seconds");
-    Ok(match talk.perform("self-test", TASK, |_| {})? {
+    Ok(match talk.perform("self-test", JOB, |_| {})? {
         Ok(text) => Finding::new(true, text),
         Err(text) => Finding::bad(
             text,
@@ -175,7 +175,7 @@ pub fn temperature(talk: &mut Talk) -> Result<Finding, String> {
 pub fn power_cycle(talk: &mut Talk, patience: Duration) -> Result<Finding, String> {
     let saved = talk.ask("save")?;
     if !saved.contains("nothing has changed") {
-        let ended = talk.message(TASK, |text| {
+        let ended = talk.message(JOB, |text| {
             (text.starts_with("done save") || text.starts_with("failed save"))
                 .then(|| text.to_owned())
         })?;

@@ -135,7 +135,7 @@ impl Commands {
             port.station.cancel_pending();
         }
         if kind.is_some() {
-            // The supervisor cannot run before this, so a task that begins here has this record.
+            // The supervisor cannot run before this, so a job that begins here has this record.
             kept_record::keep(console.working());
         }
         answer.kind = kind;

@@ -9,7 +9,7 @@ use aplomb::calibration::compass::CompassFitter;
 use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::compass;
 use aplomb::console::ground_station::GroundStation;
-use aplomb::console::{Module, Outcome, State, Task};
+use aplomb::console::{Job, Module, Outcome, State};
 use aplomb::fault::FaultClass;
 use aplomb::health::Measurement;
 use aplomb::settings::CompassSettings;
@@ -18,7 +18,7 @@ use rtic::Mutex;
 
 use crate::after_publication::BURST_COUNT;
 use crate::estimation::Estimation;
-use crate::requests::{MEASUREMENT, NEW_MEASUREMENT, Requests, TASK, TO_SUPERVISOR};
+use crate::requests::{JOB, MEASUREMENT, NEW_MEASUREMENT, Requests, TO_SUPERVISOR};
 
 /// Port to the module, for one telemetry tick.
 pub struct ModulePort<'a, E, R> {
@@ -193,12 +193,12 @@ where
         has_changed
     }
 
-    fn begin(&mut self, task: Task) {
+    fn begin(&mut self, job: Job) {
         self.requests.lock(|requests| {
-            requests.task = Some(task);
+            requests.job = Some(job);
             requests.outcome = None;
         });
-        TO_SUPERVISOR.set(TASK, true);
+        TO_SUPERVISOR.set(JOB, true);
     }
 
     fn set_measuring(&mut self, is_on: bool) {

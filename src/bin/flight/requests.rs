@@ -2,25 +2,25 @@
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
-use aplomb::console::{Outcome, Task};
+use aplomb::console::{Job, Outcome};
 use aplomb::mpu6050::Part;
 
 /// Requests of the console to the supervisor, and the supervisor's results.
 pub struct Requests {
     /// The sensor and its address, once it is configured.
     pub sensor: Option<(&'static Part, u8)>,
-    /// Task that needs a pause of the sensor.
-    pub task: Option<Task>,
-    /// Outcome of the last task.
+    /// Job that needs a pause of the sensor.
+    pub job: Option<Job>,
+    /// Outcome of the last job.
     pub outcome: Option<Outcome>,
 }
 
 impl Requests {
-    /// Creates requests without a task.
+    /// Creates requests without a job.
     pub const fn new() -> Self {
         Self {
             sensor: None,
-            task: None,
+            job: None,
             outcome: None,
         }
     }
@@ -28,8 +28,8 @@ impl Requests {
 
 /// Requests to the supervisor, which polls them without a lock.
 pub static TO_SUPERVISOR: RequestBits = RequestBits::new();
-/// [`Requests::task`] is set.
-pub const TASK: u8 = 1;
+/// [`Requests::job`] is set.
+pub const JOB: u8 = 1;
 /// A measurement is wanted.
 #[cfg(feature = "full")]
 pub const MEASUREMENT: u8 = 2;

@@ -2,7 +2,7 @@
 //! stops the sensor.
 //!
 //! The supervisor configures the sensor at start and after every fault, and starts the pipeline. It
-//! runs the console's tasks (save, self-test) while the burst reader is paused.
+//! runs the console's jobs (save, self-test) while the burst reader is paused.
 
 use aplomb::board::burst_reader;
 use aplomb::board::flash::{CalibrationFlash, FlashError};
@@ -12,7 +12,7 @@ use aplomb::board::sensor::{self, NotReady, Ready, Sensor};
 use aplomb::board::timebase::{self, Delay};
 use aplomb::board::{retained, watchdog};
 use aplomb::compass::{self, PartId};
-use aplomb::console::{Outcome, Task};
+use aplomb::console::{Job, Outcome};
 use aplomb::mpu6050::{self, Condition, Config, Part};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::settings::storage::{self, SaveError};
@@ -25,13 +25,13 @@ use crate::estimation::Estimation;
 use crate::kept_record;
 #[cfg(feature = "full")]
 use crate::requests::{AFTER_PUBLICATION, FIGURES, MEASUREMENT, NEW_MEASUREMENT};
-use crate::requests::{Requests, TASK, TO_SUPERVISOR};
+use crate::requests::{JOB, Requests, TO_SUPERVISOR};
 
-/// Longest duration of a task, in ms. Erasing a 16 KiB sector stalls the core for up to half a
+/// Longest duration of a job, in ms. Erasing a 16 KiB sector stalls the core for up to half a
 /// second (STM32F405 datasheet, table "Flash memory programming"). The sensor's self-test takes a
 /// second.
-const TASK_LIMIT_MS: u32 = 2_000;
-/// Shortest pause in the samples around a task, in µs. It is longer than the filter bridges, so
+const JOB_LIMIT_MS: u32 = 2_000;
+/// Shortest pause in the samples around a job, in µs. It is longer than the filter bridges, so
 /// the attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and restarts from gravity.
 const PAUSE_US: u32 = 600_000;
 /// Shortest time between two messages about a recovery, in µs: leaves room for other messages.
@@ -102,25 +102,25 @@ pub fn run(
             }
         }
         if cfg!(feature = "full")
-            && TO_SUPERVISOR.set(TASK, false)
-            && let Some(task) = requests.lock(|requests| requests.task.take())
+            && TO_SUPERVISOR.set(JOB, false)
+            && let Some(job) = requests.lock(|requests| requests.job.take())
         {
             let mut compass = None;
             if compass::IS_BUILT_IN {
                 compass = estimation.lock(|estimation| estimation.compass.compass_under_test());
             }
-            perform_paused(&task, sensor, compass, flash, &mut requests);
-            if task == Task::SelfTest && compass.is_some() {
+            perform_paused(&job, sensor, compass, flash, &mut requests);
+            if job == Job::SelfTest && compass.is_some() {
                 estimation.lock(|estimation| estimation.compass.restart());
             }
         }
     }
 }
 
-/// Sleeps until the burst reader is disabled or a task is requested. Runs a measurement meanwhile,
+/// Sleeps until the burst reader is disabled or a job is requested. Runs a measurement meanwhile,
 /// if one is wanted.
 fn sleep_or_measure() {
-    while burst_reader::is_enabled() && !TO_SUPERVISOR.contains(TASK) {
+    while burst_reader::is_enabled() && !TO_SUPERVISOR.contains(JOB) {
         timebase::sleep_until(|| !burst_reader::is_enabled() || TO_SUPERVISOR.bits() != 0);
         #[cfg(feature = "full")]
         if TO_SUPERVISOR.contains(MEASUREMENT) {
@@ -156,17 +156,17 @@ fn start_estimation(
 /// Compass to test: part, factory trims.
 type CompassToTest = Option<(PartId, [u8; 3])>;
 
-/// Performs a task, and publishes its outcome. Returns [`PAUSE_US`] after the start, or later.
+/// Performs a job, and publishes its outcome. Returns [`PAUSE_US`] after the start, or later.
 fn perform_paused(
-    task: &Task,
+    job: &Job,
     sensor: &mut Sensor,
     compass: CompassToTest,
     flash: &mut CalibrationFlash,
     requests: &mut impl Mutex<T = Requests>,
 ) {
     let since = timebase::now();
-    watchdog::set_limit_ms(TASK_LIMIT_MS);
-    let outcome = perform(task, sensor, compass, flash);
+    watchdog::set_limit_ms(JOB_LIMIT_MS);
+    let outcome = perform(job, sensor, compass, flash);
     watchdog::set_limit_ms(watchdog::LIMIT_MS);
     requests.lock(|requests| requests.outcome = Some(outcome));
     timebase::sleep_until(|| {
@@ -197,28 +197,28 @@ fn complaint(reason: NotReady) -> Message {
     }
 }
 
-/// Runs a task while the burst reader is paused.
+/// Runs a job while the burst reader is paused.
 #[inline(never)]
 fn perform(
-    task: &Task,
+    job: &Job,
     sensor: &mut Sensor,
     compass: CompassToTest,
     flash: &mut CalibrationFlash,
 ) -> Outcome {
-    match task {
-        Task::Save => match save(flash) {
+    match job {
+        Job::Save => match save(flash) {
             Ok(()) => Outcome::new(true, "stored"),
             Err(error) => Outcome::new(false, error),
         },
-        Task::ReadBack => match sensor.read_back() {
+        Job::ReadBack => match sensor.read_back() {
             Ok(read) => Outcome::new(read.condition == Condition::Intact, read),
             Err(reason) => Outcome::new(false, complaint(reason)),
         },
-        Task::SelfTest => self_test(sensor, compass),
+        Job::SelfTest => self_test(sensor, compass),
     }
 }
 
-/// Stores the record in use. No command changes it before the end of the task.
+/// Stores the record in use. No command changes it before the end of the job.
 fn save(flash: &mut CalibrationFlash) -> Result<(), SaveError<FlashError>> {
     let record = kept_record::get().ok_or(SaveError::Unstorable)?;
     storage::save(flash, &record)

@@ -34,7 +34,7 @@ enum Call {
     Armed(bool),
     Measuring(bool),
     Baud(u32),
-    Begin(Task),
+    Begin(Job),
 }
 
 #[derive(Default)]
@@ -133,8 +133,8 @@ impl Module for FakeModule {
         !self.is_sending
     }
 
-    fn begin(&mut self, task: Task) {
-        self.calls.push(Call::Begin(task));
+    fn begin(&mut self, job: Job) {
+        self.calls.push(Call::Begin(job));
     }
 
     fn take_outcome(&mut self) -> Option<Outcome> {
@@ -387,7 +387,7 @@ fn save_writes_what_has_changed_and_nothing_else() {
         },
         ..Record::default()
     };
-    assert_eq!(harness.calls(), [Call::Begin(Task::Save)]);
+    assert_eq!(harness.calls(), [Call::Begin(Job::Save)]);
     assert_eq!(*harness.working(), expected);
     // Other input waits meanwhile.
     harness.receive("status\n");
@@ -422,7 +422,7 @@ fn forget_returns_to_the_compass_of_the_build() {
 }
 
 #[test]
-fn other_commands_wait_for_a_task_and_for_a_change_of_the_baud_rate() {
+fn other_commands_wait_for_a_job_and_for_a_change_of_the_baud_rate() {
     let mut harness = Harness::new();
     assert!(!harness.console.is_busy());
     harness.ask("self-test");
@@ -1066,7 +1066,7 @@ fn a_declination_is_set_shown_and_kept() {
     assert!(harness.ask("show").ends_with(" declination=3.50"));
     assert!(harness.console.has_unsaved());
     harness.ask("save");
-    assert_eq!(harness.calls(), [Call::Begin(Task::Save)]);
+    assert_eq!(harness.calls(), [Call::Begin(Job::Save)]);
     harness.module.outcome = Some(Outcome::new(true, "stored"));
     harness.poll();
     harness.ask("declination 3.50");
@@ -1527,7 +1527,7 @@ proptest! {
         for _ in 0..80 {
             harness.poll();
         }
-        let is_stored = harness.calls().contains(&Call::Begin(Task::Save));
+        let is_stored = harness.calls().contains(&Call::Begin(Job::Save));
         let understood = |line: &[u8]| {
             // Backspace makes lines that a split does not find.
             let text = core::str::from_utf8(line).ok()?;
