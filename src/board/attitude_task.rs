@@ -16,7 +16,7 @@ use core::mem::offset_of;
 use core::sync::atomic::{AtomicU32, Ordering, fence};
 
 use super::burst_reader::{self, ReceivedBurst};
-use super::compass::CompassTask;
+use super::compass::CompassReader;
 use super::{clocks, retained, timebase, watchdog};
 use crate::attitude::{Quaternion, Vector3};
 use crate::compass;
@@ -78,7 +78,7 @@ impl AttitudeTask {
     pub fn run(
         &mut self,
         pipeline: &mut Pipeline,
-        mut compass: Option<&mut CompassTask>,
+        mut compass: Option<&mut CompassReader>,
         after_publication: impl FnOnce(&ReceivedBurst, &Snapshot),
     ) -> Option<FlagChange> {
         let updated = burst_reader::take(|received| {
@@ -110,7 +110,7 @@ impl AttitudeTask {
     fn finish_sample(
         &mut self,
         pipeline: &mut Pipeline,
-        compass: Option<&mut CompassTask>,
+        compass: Option<&mut CompassReader>,
         snapshot: &Snapshot,
     ) {
         if pipeline.awaits_scale_check() || snapshot.flags.contains(Flags::POLLED) {
@@ -126,7 +126,7 @@ impl AttitudeTask {
     fn run_housekeeping(
         &mut self,
         pipeline: &mut Pipeline,
-        compass: Option<&mut CompassTask>,
+        compass: Option<&mut CompassReader>,
         snapshot: &Snapshot,
     ) {
         self.samples_to_housekeeping = HOUSEKEEPING_SAMPLES;

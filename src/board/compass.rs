@@ -1,6 +1,6 @@
-//! Compass task: runs the compass's session in the attitude task, one transfer per cycle.
+//! Compass reader: runs the compass's session in the attitude task, one transfer per cycle.
 //!
-//! The attitude task calls [`round`](CompassTask::round) every few samples, after publication. A
+//! The attitude task calls [`round`](CompassReader::round) every few samples, after publication. A
 //! cycle has three rounds: request of the transfer, its outcome one sample later, and the
 //! housekeeping of the sensor. Each needs the bus for less than the gap between two bursts.
 //!
@@ -15,7 +15,7 @@
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use super::burst_reader::{self, CompassTransfers};
-use super::heading::HeadingTask;
+use super::heading::HeadingPublisher;
 use super::retained;
 use crate::attitude::{BodyVector, Quaternion};
 use crate::calibration::CompassAlignment;
@@ -57,13 +57,13 @@ pub fn set_logging(is_logging: bool) {
 }
 
 /// Session with the compass, and its place in the vehicle.
-pub struct CompassTask {
+pub struct CompassReader {
     session: Session,
     transfers: CompassTransfers,
     alignment: CompassAlignment,
     /// Declination of the place, rad.
     declination_rad: f32,
-    heading: HeadingTask,
+    heading: HeadingPublisher,
     phase: u8,
     /// True if the session has started anew since the requested transfer.
     is_transfer_old: bool,
@@ -76,8 +76,8 @@ pub struct CompassTask {
     to_log: Producer<'static, CompassReading>,
 }
 
-impl CompassTask {
-    /// Creates the task with a compass of this choice, at a place with this declination in rad.
+impl CompassReader {
+    /// Creates the reader with a compass of this choice, at a place with this declination in rad.
     /// `to_log` takes readings for the flight log.
     pub fn new(
         choice: Choice,
@@ -85,12 +85,12 @@ impl CompassTask {
         declination_rad: f32,
         to_log: Producer<'static, CompassReading>,
     ) -> Self {
-        let mut task = Self {
+        let mut reader = Self {
             session: Session::new(choice),
             transfers: CompassTransfers::new(),
             alignment,
             declination_rad,
-            heading: HeadingTask::new(compass_knowledge(&alignment)),
+            heading: HeadingPublisher::new(compass_knowledge(&alignment)),
             phase: 0,
             is_transfer_old: false,
             field: None,
@@ -99,8 +99,8 @@ impl CompassTask {
             taken: 0,
             to_log,
         };
-        task.heading.set_declination(declination_rad);
-        task
+        reader.heading.set_declination(declination_rad);
+        reader
     }
 
     /// Searches a compass of this choice.

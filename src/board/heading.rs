@@ -30,15 +30,15 @@ use crate::units::MagneticField;
 const KNOWN: u32 = 1;
 const VALID: u32 = 2;
 
-/// Heading filter of the attitude task.
-pub struct HeadingTask {
+/// Heading filter, and the publication of its estimate.
+pub struct HeadingPublisher {
     filter: Heading,
     /// Number of the estimate that was published.
     published: u8,
 }
 
-impl HeadingTask {
-    /// Creates the task. The filter waits for a reading.
+impl HeadingPublisher {
+    /// Creates the publisher. The filter waits for a reading.
     pub fn new(knowledge: CompassKnowledge) -> Self {
         let filter = Heading::new(knowledge);
         Self {

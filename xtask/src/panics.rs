@@ -37,7 +37,7 @@ const EXPECTED: [Expected; 7] = [
         reason: "the division by a queue's capacity, which is a constant above zero",
     },
     Expected {
-        path: "aplomb::board::compass::CompassTask::take_reading",
+        path: "aplomb::board::compass::CompassReader::take_reading",
         panics: &[DIVISION],
         reason: "the division by the capacity of the log's queue, which is a constant above zero",
     },

@@ -1,7 +1,7 @@
 //! State of the estimation, which the tasks share under one lock, and its result as telemetry sends
 //! it.
 
-use aplomb::board::compass::CompassTask;
+use aplomb::board::compass::CompassReader;
 use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::pipeline::{Pipeline, Snapshot};
 
@@ -18,7 +18,7 @@ pub struct Estimation {
     /// The stationary measurement that a calibration procedure has started.
     pub measurement: StationaryMeasurement,
     /// The compass.
-    pub compass: CompassTask,
+    pub compass: CompassReader,
 }
 
 /// Latest attitude with its heading, as telemetry sends them.

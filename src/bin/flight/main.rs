@@ -53,7 +53,7 @@ mod app {
     use aplomb::board::attitude_task::{AttitudeTask, FlagChange};
     use aplomb::board::boards::BOARD;
     use aplomb::board::burst_reader::BurstReader;
-    use aplomb::board::compass::CompassTask;
+    use aplomb::board::compass::CompassReader;
     use aplomb::board::flash::CalibrationFlash;
     use aplomb::board::sensor::Sensor;
     use aplomb::board::sensor_bus::SensorBus;
@@ -222,8 +222,8 @@ mod app {
         )
     }
 
-    /// Creates the compass task of a record. `to_log` takes readings for the flight log.
-    fn compass_of(record: &Record, to_log: Producer<'static, CompassReading>) -> CompassTask {
+    /// Creates the compass reader of a record. `to_log` takes readings for the flight log.
+    fn compass_of(record: &Record, to_log: Producer<'static, CompassReading>) -> CompassReader {
         let imu_mount = record.calibration.mount.unwrap_or(MOUNT);
         // Without the feature the firmware has no code of the settings.
         let compass = if compass::IS_BUILT_IN {
@@ -232,7 +232,7 @@ mod app {
             CompassSettings::default()
         };
         let alignment = compass.alignment(imu_mount);
-        CompassTask::new(compass.choice, alignment, compass.declination_rad, to_log)
+        CompassReader::new(compass.choice, alignment, compass.declination_rad, to_log)
     }
 
     #[idle(local = [sensor, flash], shared = [estimation, messages, requests])]
