@@ -22,8 +22,8 @@
 //!   the sensor again.
 //! - **Compass.** The attitude task may request a transfer with the compass instead: a read by the
 //!   same steps, or the write of a setting. An attitude is never later because of it.
-//! - **Slots.** Bursts go to the attitude task without being copied. There are two slots: DMA fills
-//!   one while the attitude task reads the other.
+//! - **Buffers.** Bursts go to the attitude task without being copied. There are two buffers: DMA
+//!   fills one while the attitude task reads the other.
 //! - **Lost samples.** An edge without a burst of its own, a failed burst, and a burst that finds
 //!   the attitude task busy are counted. The next good burst carries the count as
 //!   `missed_before`.
@@ -77,8 +77,8 @@ pub struct BurstReader {
     is_suspect: bool,
     /// First register of the present steps.
     pointer: u8,
-    /// Slot that DMA fills.
-    slot: Slot,
+    /// Buffer that DMA fills.
+    buffer: BufferIndex,
     /// Time of the last edge. The low half is the timer's count.
     captured_at_us: u64,
     /// Shortest time to the next edge. A sooner one is examined.
@@ -127,7 +127,7 @@ impl BurstReader {
             transaction: Transaction::Burst,
             is_suspect: false,
             pointer: Register::AccelerometerXHigh.address(),
-            slot: Slot::First,
+            buffer: BufferIndex::First,
             captured_at_us: 0,
             shortest_period_us: EXAMINE_EVERY_EDGE_US,
             silence_us: SILENCE_DEADLINE_US,
@@ -308,8 +308,8 @@ impl BurstReader {
         timebase::set_burst_alarm(next_alarm);
         let is_free = is_free();
         if is_free {
-            offer(self.slot, self.captured_at_us, self.missed, self.flags);
-            self.slot = self.slot.other();
+            offer(self.buffer, self.captured_at_us, self.missed, self.flags);
+            self.buffer = self.buffer.other();
             self.missed = 0;
             self.flags = self.latched_flags;
         } else {
@@ -333,8 +333,8 @@ impl BurstReader {
     #[inline(never)]
     fn has_lost_sensor(&mut self) -> bool {
         self.is_suspect = false;
-        // SAFETY: the transfer into this slot is complete, and the slot is not offered yet.
-        let received = unsafe { &*SLOTS.0[self.slot as usize].get() };
+        // SAFETY: the transfer into this buffer is complete, and the buffer is not offered yet.
+        let received = unsafe { &*BUFFERS.0[self.buffer as usize].get() };
         received.burst.bytes.ends_with(&[0xFF; 2])
     }
 
@@ -450,10 +450,10 @@ impl BurstReader {
         timebase::raise_burst_alarm();
     }
 
-    /// Prepares the stopped DMA for the next burst. The attitude task reads the other slot.
+    /// Prepares the stopped DMA for the next burst. The attitude task reads the other buffer.
     #[inline(always)]
     fn prepare_dma(&self) {
-        dma::prepare(self.slot.bytes_address(), BURST_LENGTH as u16);
+        dma::prepare(self.buffer.bytes_address(), BURST_LENGTH as u16);
     }
 }
 
@@ -465,15 +465,15 @@ pub struct ReceivedBurst {
     pub flags: BoardFlags,
 }
 
-/// Index of a slot.
+/// Index of a burst buffer.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Slot {
+enum BufferIndex {
     First = 0,
     Second = 1,
 }
 
-impl Slot {
-    /// Returns the other slot.
+impl BufferIndex {
+    /// Returns the other buffer.
     const fn other(self) -> Self {
         match self {
             Self::First => Self::Second,
@@ -485,17 +485,17 @@ impl Slot {
     fn bytes_address(self) -> u32 {
         let burst = core::mem::offset_of!(ReceivedBurst, burst);
         let bytes = core::mem::offset_of!(Burst, bytes);
-        SLOTS.0[self as usize].get() as u32 + (burst + bytes) as u32
+        BUFFERS.0[self as usize].get() as u32 + (burst + bytes) as u32
     }
 }
 
-struct Slots([UnsafeCell<ReceivedBurst>; 2]);
+struct BurstBuffers([UnsafeCell<ReceivedBurst>; 2]);
 
-// SAFETY: the reader writes a slot, or lets DMA write it, only while `READY` excludes the attitude
-// task from it.
-unsafe impl Sync for Slots {}
+// SAFETY: the reader writes a buffer, or lets DMA write it, only while `READY` excludes the
+// attitude task from it.
+unsafe impl Sync for BurstBuffers {}
 
-static SLOTS: Slots = Slots([const { UnsafeCell::new(EMPTY) }; 2]);
+static BUFFERS: BurstBuffers = BurstBuffers([const { UnsafeCell::new(EMPTY) }; 2]);
 
 const EMPTY: ReceivedBurst = ReceivedBurst {
     burst: Burst {
@@ -506,42 +506,42 @@ const EMPTY: ReceivedBurst = ReceivedBurst {
     flags: BoardFlags::empty(),
 };
 
-/// Slot that is ready for the attitude task, plus one; or [`NONE_READY`].
+/// Buffer that is ready for the attitude task, plus one; or [`NONE_READY`].
 static READY: AtomicU8 = AtomicU8::new(NONE_READY);
 const NONE_READY: u8 = 0;
 
-/// Returns whether the attitude task has returned the slot that it took. Only the reader calls
+/// Returns whether the attitude task has returned the buffer that it took. Only the reader calls
 /// this.
 #[inline(always)]
 fn is_free() -> bool {
     READY.load(Ordering::Relaxed) == NONE_READY
 }
 
-/// Offers a slot, whose bytes DMA has filled, to the attitude task. Only the reader calls this, and
-/// only while [`is_free`] holds.
+/// Offers a buffer, whose bytes DMA has filled, to the attitude task. Only the reader calls this,
+/// and only while [`is_free`] holds.
 #[inline(always)]
-fn offer(slot: Slot, captured_at_us: u64, missed_before: u8, flags: BoardFlags) {
-    // SAFETY: no slot is ready, so the attitude task reads neither until the store below.
-    let received = unsafe { &mut *SLOTS.0[slot as usize].get() };
+fn offer(buffer: BufferIndex, captured_at_us: u64, missed_before: u8, flags: BoardFlags) {
+    // SAFETY: no buffer is ready, so the attitude task reads neither until the store below.
+    let received = unsafe { &mut *BUFFERS.0[buffer as usize].get() };
     received.burst.captured_at_us = captured_at_us;
     received.burst.missed_before = missed_before;
     received.flags = flags;
     compiler_fence(Ordering::Release);
-    READY.store(slot as u8 + 1, Ordering::Relaxed);
+    READY.store(buffer as u8 + 1, Ordering::Relaxed);
 }
 
-/// Lends the ready burst to `work`, and returns its slot afterwards. `None` if no burst is ready.
+/// Lends the ready burst to `work`, and returns its buffer afterwards. `None` if no burst is ready.
 /// Only the attitude task calls this.
 #[inline(always)]
 pub(super) fn take<R>(work: impl FnOnce(&ReceivedBurst) -> R) -> Option<R> {
-    let slot = match READY.load(Ordering::Relaxed) {
+    let buffer = match READY.load(Ordering::Relaxed) {
         NONE_READY => return None,
-        1 => Slot::First,
-        _ => Slot::Second,
+        1 => BufferIndex::First,
+        _ => BufferIndex::Second,
     };
     compiler_fence(Ordering::Acquire);
-    // SAFETY: while a slot is ready the reader neither writes it nor points DMA at it.
-    let result = work(unsafe { &*SLOTS.0[slot as usize].get() });
+    // SAFETY: while a buffer is ready the reader neither writes it nor points DMA at it.
+    let result = work(unsafe { &*BUFFERS.0[buffer as usize].get() });
     compiler_fence(Ordering::Release);
     READY.store(NONE_READY, Ordering::Relaxed);
     Some(result)
