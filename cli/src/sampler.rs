@@ -7,7 +7,7 @@ use std::io::{self, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use aplomb::health::BoardFlags;
-use aplomb::mpu6050::{Burst, Condition, Config, Mpu6050};
+use aplomb::mpu6050::{Burst, Config, Mpu6050, SettingsState};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::log::{FRAME_CAPACITY, Frame, Text, encode};
 use aplomb_recordings::flight_log::Recorder;
@@ -132,8 +132,8 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
     /// Reads the settings back, and restores them if the sensor has lost one.
     fn check_settings(&mut self) {
         // A failed transfer shows with the next burst too.
-        let condition = self.sensor.verify_config(&self.config);
-        if let Ok(Condition::Reset | Condition::Changed) = condition {
+        let settings = self.sensor.verify_config(&self.config);
+        if let Ok(SettingsState::Reset | SettingsState::Changed) = settings {
             let restored = self.sensor.reconfigure(&self.config, &mut self.delay);
             self.was_reset = restored.is_ok();
             self.say("the sensor had lost its settings");

@@ -3,7 +3,7 @@
 
 use aplomb::mpu6050::registers::Register;
 use aplomb::mpu6050::{
-    ADDRESSES, AccelerometerRange, Condition, Config, GyroscopeRange, Mpu6050, PARTS,
+    ADDRESSES, AccelerometerRange, Config, GyroscopeRange, Mpu6050, PARTS, SettingsState,
 };
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{
@@ -70,7 +70,7 @@ fn use_it(mut sensor: Mpu6050<&mut Bus<'_>>, config: &Config, delay: &mut Delay)
     assert!(burst.is_err() || burst.is_ok_and(|burst| burst.captured_at_us == 7));
     if !sensor.release().has_lied {
         assert_eq!(configured, Ok(()));
-        assert_eq!(inspected, Ok(Condition::Intact));
+        assert_eq!(inspected, Ok(SettingsState::Intact));
     }
 }
 

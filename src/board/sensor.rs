@@ -12,7 +12,7 @@ use super::timebase::Delay;
 use super::{burst_reader, retained};
 use crate::compass::{self, PartId};
 use crate::fault::FaultClass;
-use crate::mpu6050::{Condition, Config, Error, Mpu6050, Part, ReadBack, SelfTest};
+use crate::mpu6050::{Config, Error, Mpu6050, Part, ReadBack, SelfTest, SettingsState};
 
 /// Pause between two attempts, in ms: recovery is due 20 ms after the end of a fault.
 pub const RETRY_MS: u32 = 5;
@@ -153,14 +153,14 @@ impl Sensor {
     fn attempt(&mut self) -> Result<Ready, NotReady> {
         let mut sensor = Self::probe(&mut self.bus)?;
         if self.is_known {
-            let condition = sensor
+            let settings = sensor
                 .verify_config(&self.config)
                 .map_err(NotReady::Sensor)?;
-            let was_reset = condition != Condition::Intact;
-            match condition {
-                Condition::Intact => {}
-                Condition::Reset => retained::count(FaultClass::SensorReset),
-                Condition::Changed => retained::count(FaultClass::RegisterChanged),
+            let was_reset = settings != SettingsState::Intact;
+            match settings {
+                SettingsState::Intact => {}
+                SettingsState::Reset => retained::count(FaultClass::SensorReset),
+                SettingsState::Changed => retained::count(FaultClass::RegisterChanged),
             }
             if was_reset {
                 burst_reader::note_sensor_reset();

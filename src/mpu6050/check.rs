@@ -14,10 +14,10 @@ use super::registers::{
     POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK,
 };
 
-/// Condition of the sensor's settings, by its registers.
+/// State of the sensor's settings, by its registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Condition {
+pub enum SettingsState {
     /// The settings are as configured.
     Intact,
     /// The sensor has reset itself: its interrupt registers hold their reset values.
@@ -29,12 +29,12 @@ pub enum Condition {
 /// Check of neighbouring registers that are read together.
 ///
 /// ```
-/// use aplomb::mpu6050::{Check, Condition, Config, Part};
+/// use aplomb::mpu6050::{Check, Config, Part, SettingsState};
 ///
 /// let [ranges, ..] = Check::all(&Config::DEFAULT, &Part::MPU_6050);
 /// // SMPLRT_DIV, CONFIG, GYRO_CONFIG and ACCEL_CONFIG as configured; then another full scale.
-/// assert_eq!(ranges.evaluate(&[0x00, 0x01, 0x18, 0x18, 0x00]), Condition::Intact);
-/// assert_eq!(ranges.evaluate(&[0x00, 0x01, 0x00, 0x18, 0x00]), Condition::Changed);
+/// assert_eq!(ranges.evaluate(&[0x00, 0x01, 0x18, 0x18, 0x00]), SettingsState::Intact);
+/// assert_eq!(ranges.evaluate(&[0x00, 0x01, 0x00, 0x18, 0x00]), SettingsState::Changed);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -109,16 +109,16 @@ impl Check {
     /// The check of the interrupt pin detects a reset: both of its registers are zero then, in
     /// every part. PWR_MGMT_1 would not show that of an MPU-6500, which is awake after a reset.
     #[inline(always)]
-    pub const fn evaluate(&self, bytes: &[u8; Self::LONGEST]) -> Condition {
+    pub const fn evaluate(&self, bytes: &[u8; Self::LONGEST]) -> SettingsState {
         let &[a, b, c, d, e] = bytes;
         let first = u32::from_le_bytes([a, b, c, d]) & self.masks;
         let last = e & self.last_mask;
         if first == self.expected && last == self.last_expected {
-            Condition::Intact
+            SettingsState::Intact
         } else if matches!(self.first, Register::InterruptPinConfiguration) && first == 0 {
-            Condition::Reset
+            SettingsState::Reset
         } else {
-            Condition::Changed
+            SettingsState::Changed
         }
     }
 }
@@ -129,18 +129,18 @@ impl Check {
 pub struct ReadBack {
     /// Part that was read.
     pub part: &'static Part,
-    /// Condition of the settings.
-    pub condition: Condition,
+    /// State of the settings.
+    pub settings: SettingsState,
     /// Registers of each check: the first one, their number, and their bytes.
     pub registers: [(Register, usize, [u8; Check::LONGEST]); 3],
 }
 
 impl fmt::Display for ReadBack {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self.condition {
-            Condition::Intact => "as configured",
-            Condition::Reset => "the sensor has reset itself",
-            Condition::Changed => "a setting differs",
+        formatter.write_str(match self.settings {
+            SettingsState::Intact => "as configured",
+            SettingsState::Reset => "the sensor has reset itself",
+            SettingsState::Changed => "a setting differs",
         })?;
         write!(formatter, "; 0x75={:02x}", self.part.who_am_i)?;
         for (first, length, bytes) in &self.registers {
@@ -163,41 +163,56 @@ mod tests {
         let [scales, interrupt, power] = Check::all(&Config::DEFAULT, &Part::MPU_6050);
         // SMPLRT_DIV 0, CONFIG 1, GYRO_CONFIG and ACCEL_CONFIG at full scale 3.
         let good = [0x00, 0x01, 0x18, 0x18, 0x00];
-        assert_eq!(scales.evaluate(&good), Condition::Intact);
+        assert_eq!(scales.evaluate(&good), SettingsState::Intact);
         let meaningful: [u8; 5] = [0xFF, 0x07, 0xF8, 0xF8, 0x00];
         for place in 0..5 {
             for bit in 0..8 {
                 let mut bytes = good;
                 bytes[place] ^= 1 << bit;
                 let expected = if meaningful[place] & 1 << bit == 0 {
-                    Condition::Intact
+                    SettingsState::Intact
                 } else {
-                    Condition::Changed
+                    SettingsState::Changed
                 };
                 assert_eq!(scales.evaluate(&bytes), expected, "{place} {bit}");
             }
         }
         assert_eq!(
             interrupt.evaluate(&[0x02, 0x01, 9, 9, 9]),
-            Condition::Intact
+            SettingsState::Intact
         );
         assert_eq!(
             interrupt.evaluate(&[0x02, 0x00, 0, 0, 0]),
-            Condition::Changed
+            SettingsState::Changed
         );
         assert_eq!(
             interrupt.evaluate(&[0x82, 0x01, 0, 0, 0]),
-            Condition::Changed
+            SettingsState::Changed
         );
-        assert_eq!(power.evaluate(&[0x01, 0x00, 0, 0, 0]), Condition::Intact);
-        assert_eq!(power.evaluate(&[0x00, 0x00, 0, 0, 0]), Condition::Changed);
-        assert_eq!(power.evaluate(&[0x01, 0x08, 0, 0, 0]), Condition::Changed);
-        assert_eq!(power.evaluate(&[0x40, 0x00, 0, 0, 0]), Condition::Changed);
+        assert_eq!(
+            power.evaluate(&[0x01, 0x00, 0, 0, 0]),
+            SettingsState::Intact
+        );
+        assert_eq!(
+            power.evaluate(&[0x00, 0x00, 0, 0, 0]),
+            SettingsState::Changed
+        );
+        assert_eq!(
+            power.evaluate(&[0x01, 0x08, 0, 0, 0]),
+            SettingsState::Changed
+        );
+        assert_eq!(
+            power.evaluate(&[0x40, 0x00, 0, 0, 0]),
+            SettingsState::Changed
+        );
         assert_eq!(
             interrupt.evaluate(&[0x00, 0x01, 0, 0, 0]),
-            Condition::Changed
+            SettingsState::Changed
         );
-        assert_eq!(interrupt.evaluate(&[0x00, 0x00, 9, 9, 9]), Condition::Reset);
+        assert_eq!(
+            interrupt.evaluate(&[0x00, 0x00, 9, 9, 9]),
+            SettingsState::Reset
+        );
     }
 
     #[test]
@@ -205,7 +220,7 @@ mod tests {
         let bytes = [0x00, 0x01, 0x18, 0x18, 0x00];
         let read = ReadBack {
             part: &Part::MPU_6050,
-            condition: Condition::Intact,
+            settings: SettingsState::Intact,
             registers: [
                 (Register::SampleRateDivider, 5, bytes),
                 (Register::InterruptPinConfiguration, 2, bytes),
@@ -222,7 +237,7 @@ mod tests {
     fn a_part_with_a_second_low_pass_has_it_checked() {
         for part in &super::super::part::PARTS {
             let [scales, ..] = Check::all(&Config::DEFAULT, part);
-            let is_checked = |bytes| scales.evaluate(&bytes) == Condition::Changed;
+            let is_checked = |bytes| scales.evaluate(&bytes) == SettingsState::Changed;
             assert!(!is_checked([0x00, 0x01, 0x18, 0x18, 0x01]), "{}", part.name);
             // Another filter of the accelerometer, none of it, and none of the gyroscope.
             for bytes in [

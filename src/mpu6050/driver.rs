@@ -12,7 +12,7 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{Error as _, ErrorKind, I2c};
 
 use super::burst::{BURST_LENGTH, Burst, RawSample};
-use super::check::{Check, Condition, ReadBack};
+use super::check::{Check, ReadBack, SettingsState};
 use super::config::{AccelerometerRange, Config, GyroscopeRange, LowPass};
 use super::error::{Error, Operation, ProbeFailure};
 use super::part::Part;
@@ -128,8 +128,8 @@ impl<I2C: I2c> Mpu6050<I2C> {
     /// # Errors
     ///
     /// Returns [`Error::Bus`] if a transfer fails.
-    pub fn verify_config(&mut self, config: &Config) -> Result<Condition, Error<I2C::Error>> {
-        Ok(self.read_back(config)?.condition)
+    pub fn verify_config(&mut self, config: &Config) -> Result<SettingsState, Error<I2C::Error>> {
+        Ok(self.read_back(config)?.settings)
     }
 
     /// Reads every setting back, for people.
@@ -138,7 +138,7 @@ impl<I2C: I2c> Mpu6050<I2C> {
     ///
     /// Returns [`Error::Bus`] if a transfer fails.
     pub fn read_back(&mut self, config: &Config) -> Result<ReadBack, Error<I2C::Error>> {
-        let mut condition = Condition::Intact;
+        let mut settings = SettingsState::Intact;
         let mut registers = Check::all(config, self.part)
             .map(|check| (check.first, check.length, [0; Check::LONGEST]));
         for (check, (first, length, bytes)) in
@@ -147,15 +147,15 @@ impl<I2C: I2c> Mpu6050<I2C> {
             let (read, _) = bytes.split_at_mut((*length).min(Check::LONGEST));
             self::read(&mut self.i2c, self.address, *first, read)?;
             match check.evaluate(bytes) {
-                Condition::Intact => {}
+                SettingsState::Intact => {}
                 // A reset explains every other difference.
-                _ if condition == Condition::Reset => {}
-                other => condition = other,
+                _ if settings == SettingsState::Reset => {}
+                other => settings = other,
             }
         }
         Ok(ReadBack {
             part: self.part,
-            condition,
+            settings,
             registers,
         })
     }

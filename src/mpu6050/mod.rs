@@ -42,7 +42,7 @@ mod steps;
 pub use burst::{
     AccelerometerCounts, BURST_LENGTH, Burst, GyroscopeCounts, RawSample, TemperatureCounts,
 };
-pub use check::{Check, Condition, ReadBack};
+pub use check::{Check, ReadBack, SettingsState};
 pub use config::{AccelerometerRange, Config, GyroscopeRange, LowPass, ParseRangeError};
 pub use driver::Mpu6050;
 pub use error::{Error, Operation, ProbeFailure};

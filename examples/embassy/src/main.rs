@@ -15,7 +15,7 @@
 
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::registers::Register;
-use aplomb::mpu6050::{ADDRESSES, BURST_LENGTH, Burst, Check, Condition, Config, Part, Step};
+use aplomb::mpu6050::{ADDRESSES, BURST_LENGTH, Burst, Check, Config, Part, SettingsState, Step};
 use aplomb::pipeline::{Pipeline, Settings};
 use embassy_executor::Spawner;
 use embassy_stm32::exti::{self, ExtiInput};
@@ -56,7 +56,7 @@ async fn show_attitude<I: Bus>(mut i2c: I, mut interrupt: impl Wait) -> Result<(
             &mut bytes[..check.length],
         )
         .await?;
-        if check.evaluate(&bytes) != Condition::Intact {
+        if check.evaluate(&bytes) != SettingsState::Intact {
             return Ok(());
         }
         Timer::after_micros(STOP_US).await;

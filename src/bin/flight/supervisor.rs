@@ -13,7 +13,7 @@ use aplomb::board::timebase::{self, Delay};
 use aplomb::board::{retained, watchdog};
 use aplomb::compass::{self, PartId};
 use aplomb::console::{Job, Outcome};
-use aplomb::mpu6050::{self, Condition, Config, Part};
+use aplomb::mpu6050::{self, Config, Part, SettingsState};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::settings::storage::{self, SaveError};
 use aplomb::telemetry::Mailbox;
@@ -211,7 +211,7 @@ fn perform(
             Err(error) => Outcome::new(false, error),
         },
         Job::ReadBack => match sensor.read_back() {
-            Ok(read) => Outcome::new(read.condition == Condition::Intact, read),
+            Ok(read) => Outcome::new(read.settings == SettingsState::Intact, read),
             Err(reason) => Outcome::new(false, complaint(reason)),
         },
         Job::SelfTest => self_test(sensor, compass),

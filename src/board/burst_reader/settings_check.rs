@@ -16,7 +16,7 @@ use crate::board::timebase::{self, Timebase};
 use crate::compass;
 use crate::fault::BurstStep;
 use crate::health::BoardFlags;
-use crate::mpu6050::{Check, Condition};
+use crate::mpu6050::{Check, SettingsState};
 
 /// Bytes that a check reads.
 struct CheckedBytes(UnsafeCell<[u8; Check::LONGEST]>);
@@ -38,7 +38,7 @@ impl BurstReader {
         }
         // SAFETY: the transfer into these bytes is complete.
         let bytes = unsafe { &*CHECKED.0.get() };
-        let is_intact = self.check().evaluate(bytes) == Condition::Intact;
+        let is_intact = self.check().evaluate(bytes) == SettingsState::Intact;
         let is_of_scales = self.next_check.is_multiple_of(2);
         if is_intact && is_of_scales {
             self.flags |= BoardFlags::SCALES_VERIFIED;

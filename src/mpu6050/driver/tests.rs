@@ -491,26 +491,26 @@ fn a_sensor_that_lost_its_settings_gets_them_back_without_a_reset() {
         sensor
             .configure(&UNUSUAL, &mut good.clone())
             .expect("configured");
-        assert_eq!(sensor.verify_config(&UNUSUAL), Ok(Condition::Intact));
+        assert_eq!(sensor.verify_config(&UNUSUAL), Ok(SettingsState::Intact));
         let of_mpu_6500 = [
-            (0x1B, 0x01, Condition::Changed),
-            (0x1B, 0x02, Condition::Changed),
-            (0x1D, 0x08, Condition::Changed),
+            (0x1B, 0x01, SettingsState::Changed),
+            (0x1B, 0x02, SettingsState::Changed),
+            (0x1D, 0x08, SettingsState::Changed),
         ];
         let own = if who_am_i == 0x70 {
             &of_mpu_6500[..]
         } else {
             &[]
         };
-        for &(register, bits, condition) in [
-            (0x19, 0x01, Condition::Changed),
-            (0x1A, 0x01, Condition::Changed),
-            (0x1B, 0x08, Condition::Changed),
-            (0x1C, 0x10, Condition::Changed),
-            (0x37, 0x80, Condition::Changed),
-            (0x38, 0x01, Condition::Changed),
-            (0x6B, 0x40, Condition::Changed),
-            (0x6C, 0x04, Condition::Changed),
+        for &(register, bits, state) in [
+            (0x19, 0x01, SettingsState::Changed),
+            (0x1A, 0x01, SettingsState::Changed),
+            (0x1B, 0x08, SettingsState::Changed),
+            (0x1C, 0x10, SettingsState::Changed),
+            (0x37, 0x80, SettingsState::Changed),
+            (0x38, 0x01, SettingsState::Changed),
+            (0x6B, 0x40, SettingsState::Changed),
+            (0x6C, 0x04, SettingsState::Changed),
         ]
         .iter()
         .chain(own)
@@ -523,7 +523,7 @@ fn a_sensor_that_lost_its_settings_gets_them_back_without_a_reset() {
             bench.0.borrow_mut().registers[register] ^= bits;
             assert_eq!(
                 sensor.verify_config(&UNUSUAL),
-                Ok(condition),
+                Ok(state),
                 "0x{register:02x}"
             );
             let before = bench.0.borrow().milliseconds;
@@ -531,7 +531,7 @@ fn a_sensor_that_lost_its_settings_gets_them_back_without_a_reset() {
                 .reconfigure(&UNUSUAL, &mut bench.clone())
                 .expect("configured again");
             assert_eq!(bench.0.borrow().milliseconds - before, 30);
-            assert_eq!(sensor.verify_config(&UNUSUAL), Ok(Condition::Intact));
+            assert_eq!(sensor.verify_config(&UNUSUAL), Ok(SettingsState::Intact));
             assert_eq!(bench.0.borrow().registers, good.0.borrow().registers);
         }
     }
@@ -545,14 +545,14 @@ fn a_reset_of_any_part_is_told_from_a_changed_setting() {
         let configured = sensor.configure(&UNUSUAL, &mut bench.clone());
         configured.expect("configured");
         bench.0.borrow_mut().reset();
-        let condition = sensor.verify_config(&UNUSUAL);
-        assert_eq!(condition, Ok(Condition::Reset), "{}", part.name);
+        let state = sensor.verify_config(&UNUSUAL);
+        assert_eq!(state, Ok(SettingsState::Reset), "{}", part.name);
         let read = sensor.read_back(&UNUSUAL).expect("read");
-        assert_eq!(read.condition, Condition::Reset, "{}", part.name);
+        assert_eq!(read.settings, SettingsState::Reset, "{}", part.name);
         sensor
             .reconfigure(&UNUSUAL, &mut bench.clone())
             .expect("configured again");
-        assert_eq!(sensor.verify_config(&UNUSUAL), Ok(Condition::Intact));
+        assert_eq!(sensor.verify_config(&UNUSUAL), Ok(SettingsState::Intact));
     }
 }
 
