@@ -10,7 +10,7 @@ use std::io::{Read, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use aplomb::compass::Condition;
+use aplomb::compass::CompassStatus;
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, GyroscopeCounts, Part, RawSample, TemperatureCounts,
@@ -256,7 +256,7 @@ impl Module {
             sample: self.pipeline.sample(),
             temperature_celsius: self.pipeline.temperature_celsius(),
             heading: None,
-            compass: Condition::default(),
+            compass: CompassStatus::default(),
             record: &self.record,
             is_armed: false,
             bursts_failed: 0,

@@ -17,7 +17,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::compass::Condition;
+use aplomb::compass::CompassStatus;
 use aplomb::estimator::Sample;
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
@@ -241,7 +241,7 @@ fn messages(text: Option<&str>) -> Vec<u8> {
         sample: &Sample::default(),
         temperature_celsius: 31.5,
         heading: None,
-        compass: Condition::default(),
+        compass: CompassStatus::default(),
         record: &Record::default(),
         is_armed: false,
         bursts_failed: 0,

@@ -4,7 +4,7 @@
 //! follows two bytes with its message and length. The harness adds the checksum to payloads, so
 //! that they reach the decoder. It builds frames independently of the library.
 
-use aplomb::compass::Condition;
+use aplomb::compass::CompassStatus;
 use aplomb::estimator::Sample;
 use aplomb::settings::Record;
 use aplomb::telemetry::Output;
@@ -81,7 +81,7 @@ fn hear(bytes: &[u8]) {
             sample: &sample,
             temperature_celsius: 0.0,
             heading: None,
-            compass: Condition::default(),
+            compass: CompassStatus::default(),
             record: &record,
             is_armed: false,
             bursts_failed: 0,

@@ -20,7 +20,7 @@ use super::retained;
 use crate::attitude::{BodyVector, Quaternion};
 use crate::calibration::CompassAlignment;
 use crate::calibration::compass::CompassFitter;
-use crate::compass::{Choice, Condition, Fault, PartId, Session};
+use crate::compass::{Choice, CompassStatus, Fault, PartId, Session};
 use crate::estimator::heading::Heading;
 use crate::fault::FaultClass;
 use crate::health::Flags;
@@ -179,9 +179,9 @@ impl CompassReader {
         &self.session
     }
 
-    /// Returns the condition of the compass.
-    pub fn condition(&self) -> Condition {
-        Condition {
+    /// Returns the status of the compass.
+    pub fn status(&self) -> CompassStatus {
+        CompassStatus {
             part: self
                 .session
                 .name()

@@ -30,7 +30,6 @@ pub const IS_BUILT_IN: bool = cfg!(any(feature = "compass", not(feature = "firmw
 
 mod ak8963;
 mod choice;
-mod condition;
 pub(crate) mod driver;
 mod fault;
 mod hmc5883l;
@@ -40,14 +39,15 @@ mod qmc5883l;
 mod qmc5883p;
 mod self_test;
 mod session;
+mod status;
 #[cfg(test)]
 mod tests;
 
 pub use choice::{Choice, ParseChoiceError};
-pub use condition::Condition;
 pub use driver::Compass;
 pub use fault::Fault;
 pub use part::{Bytes, LONGEST_READ};
 pub use part_id::PartId;
 pub use self_test::SelfTest;
 pub use session::{Outcome, READING_PERIOD_US, Session, TURN_MS, Transfer};
+pub use status::CompassStatus;

@@ -168,7 +168,7 @@ mod tests {
     use ::mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkVersion};
 
     use super::*;
-    use crate::compass::Condition;
+    use crate::compass::CompassStatus;
     use crate::estimator::Sample;
     use crate::settings::Record;
     use crate::telemetry::Output;
@@ -198,7 +198,7 @@ mod tests {
             sample: &sample,
             temperature_celsius: 0.0,
             heading: None,
-            compass: Condition::default(),
+            compass: CompassStatus::default(),
             record: &record,
             is_armed: false,
             bursts_failed: 0,

@@ -5,7 +5,7 @@ use core::fmt::{self, Write};
 use crate::attitude::Vector3;
 use crate::calibration::compass::CompassFitter;
 use crate::calibration::{Calibration, Mount, StationaryProgress};
-use crate::compass::Condition;
+use crate::compass::CompassStatus;
 use crate::health::{Flags, Measurement};
 use crate::mpu6050::Part;
 use crate::settings::CompassSettings;
@@ -110,7 +110,7 @@ pub struct State {
     /// Sensor and its bus address, once it is configured.
     pub sensor: Option<(&'static Part, u8)>,
     /// Compass.
-    pub compass: Condition,
+    pub compass: CompassStatus,
     /// Heading at the latest attitude; `None` while it is unknown.
     pub heading: Option<HeadingLine>,
     /// Die temperature, °C.

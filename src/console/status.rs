@@ -7,7 +7,7 @@ use super::module::State;
 use super::procedure::Procedure;
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, Mount};
-use crate::compass::{self, Choice, Condition};
+use crate::compass::{self, Choice, CompassStatus};
 use crate::mpu6050::Part;
 use crate::settings::{CompassSettings, Preferences, Record};
 use crate::units::{MagneticField, degrees};
@@ -75,25 +75,25 @@ impl fmt::Display for SensorName {
 
 /// Name, address, fault, field, its strength and the hard iron that the heading filter has found;
 /// nothing without a compass.
-struct CompassText<'a>(&'a Condition);
+struct CompassText<'a>(&'a CompassStatus);
 
 impl fmt::Display for CompassText<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let condition = self.0;
-        if let Some((name, address)) = condition.part {
+        let status = self.0;
+        if let Some((name, address)) = status.part {
             write!(formatter, " compass={name}@0x{address:02x}")?;
         }
-        if let Some(fault) = condition.fault {
+        if let Some(fault) = status.fault {
             write!(formatter, " compass_fault={}", fault.name())?;
         }
-        if let Some(MagneticField { ut: [x, y, z] }) = condition.field {
+        if let Some(MagneticField { ut: [x, y, z] }) = status.field {
             let field = Vector3::new(x, y, z);
             write!(formatter, " field_ut={}", Triple(field, 1))?;
             if compass::IS_BUILT_IN {
                 write!(formatter, " strength_ut={}", Decimal(field.norm(), 1))?;
             }
         }
-        if let Some(hard_iron_ut) = condition.hard_iron_ut {
+        if let Some(hard_iron_ut) = status.hard_iron_ut {
             write!(formatter, " hard_iron_ut={}", Triple(hard_iron_ut, 1))?;
         }
         Ok(())

@@ -1,7 +1,7 @@
 //! Tests: streams of every format, whole, mixed and damaged.
 
 use aplomb::attitude::{EulerAngles, Quaternion, Vector3};
-use aplomb::compass::Condition;
+use aplomb::compass::CompassStatus;
 use aplomb::estimator::Sample;
 use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::health::{BoardFlags, Flags};
@@ -156,7 +156,7 @@ fn mavlink(session: &mut Session, says: Option<&str>) -> Vec<u8> {
         sample: &Sample::default(),
         temperature_celsius: 31.5,
         heading: None,
-        compass: Condition::default(),
+        compass: CompassStatus::default(),
         record: &aplomb::settings::Record::default(),
         is_armed: false,
         bursts_failed: 0,

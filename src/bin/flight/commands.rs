@@ -6,7 +6,7 @@ use aplomb::board::retained;
 use aplomb::board::timebase;
 use aplomb::board::uart::{Receiver, Reception, Transmitter};
 use aplomb::calibration::{Mount, NoiseModel};
-use aplomb::compass::{self, Choice, Condition};
+use aplomb::compass::{self, Choice, CompassStatus};
 use aplomb::console::Console;
 use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::console::ground_station::GroundStation;
@@ -157,10 +157,10 @@ impl Commands {
         bursts_failed: u16,
         output: &mut Output<'_>,
     ) {
-        let (mut compass, mut heading) = (Condition::default(), None);
+        let (mut compass, mut heading) = (CompassStatus::default(), None);
         let (sample, temperature_celsius) = estimation.lock(|estimation| {
             if compass::IS_BUILT_IN {
-                compass = estimation.compass.condition();
+                compass = estimation.compass.status();
                 heading = latest.and_then(|latest| latest.heading);
             }
             let pipeline = estimation.pipeline.as_ref();

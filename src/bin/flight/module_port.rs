@@ -81,7 +81,7 @@ where
         }
         state.sensor = self.requests.lock(|requests| requests.sensor);
         self.estimation.lock(|estimation| {
-            state.compass = estimation.compass.condition();
+            state.compass = estimation.compass.status();
             let Some(pipeline) = estimation.pipeline.as_ref() else {
                 return;
             };

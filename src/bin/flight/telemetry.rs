@@ -217,7 +217,7 @@ impl Telemetry {
     }
 }
 
-/// Posts the message about the compass, if its condition has changed.
+/// Posts the message about the compass, if its status has changed.
 fn report_compass(
     estimation: &mut impl Mutex<T = Estimation>,
     messages: &mut impl Mutex<T = Mailbox>,
@@ -225,8 +225,8 @@ fn report_compass(
     if !compass::IS_BUILT_IN || !take_change() {
         return;
     }
-    let condition = estimation.lock(|estimation| estimation.compass.condition());
-    let message = match (condition.fault, condition.part) {
+    let status = estimation.lock(|estimation| estimation.compass.status());
+    let message = match (status.fault, status.part) {
         (Some(fault), _) => Message::CompassFailed(fault),
         (None, Some((part, address))) => Message::CompassConfigured { part, address },
         (None, None) => return,

@@ -14,7 +14,7 @@ use crate::calibration::{
     AccelerometerCorrection, Axis, Calibration, CompassCorrection, GyroscopeOffset, Matrix3,
     MotionReason, StationaryMean, StationaryProgress, SymmetricMatrix, TemperatureModel,
 };
-use crate::compass::{Choice, Condition, PartId};
+use crate::compass::{Choice, CompassStatus, PartId};
 use crate::health::{CoreFigures, Flags, Measurement, SampleFigures};
 use crate::mpu6050::Part;
 use crate::pipeline::Settings;
@@ -1111,7 +1111,7 @@ fn status_has_the_heading_of_a_compass() {
         "there is no compass"
     );
     let mut state = State {
-        compass: Condition {
+        compass: CompassStatus {
             part: Some(("AK8963", 0x0C)),
             fault: None,
             field: Some(MagneticField {
@@ -1185,7 +1185,7 @@ fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
         "error calibrate compass: there are no readings of a compass (none answers)"
     );
     harness.module.state = Some(State {
-        compass: Condition {
+        compass: CompassStatus {
             part: Some(("AK8963", 0x0C)),
             fault: None,
             field: Some(MagneticField { ut: [1.0; 3] }),
@@ -1259,10 +1259,10 @@ fn the_hard_iron_of_the_heading_filter_is_kept() {
     );
     let found = Vector3::new(30.0, -20.0, 10.0);
     harness.module.state = Some(State {
-        compass: Condition {
+        compass: CompassStatus {
             part: Some(("AK8963", 0x0C)),
             hard_iron_ut: Some(found),
-            ..Condition::default()
+            ..CompassStatus::default()
         },
         ..State::default()
     });
@@ -1382,7 +1382,7 @@ fn the_longest_answers_fit() {
     let state = State {
         flags: Flags::all(),
         sensor: Some((&Part::MPU_6050, 0x69)),
-        compass: Condition {
+        compass: CompassStatus {
             part: Some(("HMC5883L/DA5883", 0x1E)),
             // There is no field during a fault.
             fault: None,

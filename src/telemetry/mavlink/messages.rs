@@ -7,7 +7,7 @@ use ::mavlink::dialects::common::{
 };
 
 use crate::attitude::{Quaternion, Vector3};
-use crate::compass::Condition;
+use crate::compass::CompassStatus;
 use crate::estimator::Sample;
 use crate::estimator::heading::HeadingEstimate;
 use crate::health::Flags;
@@ -31,7 +31,7 @@ pub struct Vehicle<'a> {
     /// Heading, if it is known. The snapshot's flag says whether it is valid.
     pub heading: Option<HeadingEstimate>,
     /// Compass.
-    pub compass: Condition,
+    pub compass: CompassStatus,
     /// Record in use.
     pub record: &'a Record,
     /// True if the module is armed.

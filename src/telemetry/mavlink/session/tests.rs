@@ -13,7 +13,7 @@ use super::super::messages::milliseconds;
 use super::super::wire::CommandAck;
 use super::*;
 use crate::attitude::{EulerAngles, Quaternion, Vector3};
-use crate::compass::{self, Condition};
+use crate::compass::{self, CompassStatus};
 use crate::estimator::Sample;
 use crate::estimator::heading::HeadingEstimate;
 use crate::health::Flags;
@@ -102,7 +102,7 @@ impl Bench {
             sample: &self.sample,
             temperature_celsius: 25.5,
             heading: None,
-            compass: Condition::default(),
+            compass: CompassStatus::default(),
             record: &self.record,
             is_armed: false,
             bursts_failed: 3,
@@ -191,7 +191,7 @@ fn heartbeats_come_once_a_second_beside_attitudes() {
             sample: &bench.sample,
             temperature_celsius: 25.5,
             heading: None,
-            compass: Condition::default(),
+            compass: CompassStatus::default(),
             record: &bench.record,
             is_armed: true,
             bursts_failed: 3,
@@ -325,7 +325,7 @@ fn faults_clear_the_health_bits() {
 }
 
 /// The messages of one second with this heading and compass, at 10 Hz.
-fn with_compass(flags: Flags, compass: Condition) -> Vec<MavMessage> {
+fn with_compass(flags: Flags, compass: CompassStatus) -> Vec<MavMessage> {
     let mut bench = Bench::new();
     bench.snapshot.flags = flags;
     let mut received = Vec::new();
@@ -356,7 +356,7 @@ fn with_compass(flags: Flags, compass: Condition) -> Vec<MavMessage> {
 
 #[test]
 fn a_valid_heading_is_the_yaw_and_others_are_not() {
-    let compass = Condition {
+    let compass = CompassStatus {
         part: Some(("QMC5883L", 0x0D)),
         fault: None,
         field: Some(MagneticField {
@@ -408,9 +408,9 @@ fn a_valid_heading_is_the_yaw_and_others_are_not() {
 
 #[test]
 fn a_compass_with_a_fault_is_present_and_not_healthy() {
-    let compass = Condition {
+    let compass = CompassStatus {
         fault: Some(compass::Fault::Absent(compass::PartId::Ak8963)),
-        ..Condition::default()
+        ..CompassStatus::default()
     };
     let received = with_compass(Flags::VALID | Flags::COMPASS_FAULT, compass);
     let statuses = received.iter().filter_map(|message| match message {
@@ -511,7 +511,7 @@ fn every_command_is_answered_known_or_not() {
             sample: &bench.sample,
             temperature_celsius: 0.0,
             heading: None,
-            compass: Condition::default(),
+            compass: CompassStatus::default(),
             record: &bench.record,
             is_armed: false,
             bursts_failed: 0,
@@ -645,7 +645,7 @@ fn a_ground_station_finds_the_version_and_no_mission() {
             sample: &bench.sample,
             temperature_celsius: 0.0,
             heading: None,
-            compass: Condition::default(),
+            compass: CompassStatus::default(),
             record: &bench.record,
             is_armed: false,
             bursts_failed: 0,
@@ -753,7 +753,7 @@ fn a_dropped_message_is_counted_and_takes_no_number() {
             sample: &bench.sample,
             temperature_celsius: 0.0,
             heading: None,
-            compass: Condition::default(),
+            compass: CompassStatus::default(),
             record: &bench.record,
             is_armed: false,
             bursts_failed: 0,

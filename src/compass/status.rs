@@ -1,13 +1,13 @@
-//! Condition of the compass, for people.
+//! Status of the compass, for people.
 
 use super::fault::Fault;
 use crate::attitude::Vector3;
 use crate::units::MagneticField;
 
-/// Condition of the compass: part, fault and latest field.
+/// Status of the compass: part, fault and latest field.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Condition {
+pub struct CompassStatus {
     /// Name and bus address, once a compass has shown its identity.
     pub part: Option<(&'static str, u8)>,
     /// Reason why there are no readings.
