@@ -8,7 +8,7 @@ use aplomb::compass::Choice;
 use aplomb::console::answer::ANSWER_CAPACITY;
 use aplomb::console::command::{BAUD_RATES, Command, RATES_HZ};
 use aplomb::console::{Console, Job, Module, Outcome, State};
-use aplomb::health::Measurement;
+use aplomb::health::WorkFigures;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::Settings;
 use aplomb::settings::CompassSettings;
@@ -122,8 +122,8 @@ impl Module for Wire {
         assert!(!self.is_armed || !is_on);
     }
 
-    fn measurement(&mut self) -> Measurement {
-        Measurement::default()
+    fn work_figures(&mut self) -> WorkFigures {
+        WorkFigures::default()
     }
 
     fn set_baud(&mut self, _baud: u32) -> bool {

@@ -24,7 +24,7 @@ use stm32f4xx_hal::pac::Interrupt;
 use super::attitude_task;
 use super::boards::BOARD;
 use super::timebase;
-use crate::health::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures};
+use crate::health::{CoreFigures, STACK_PATTERN, SampleFigures, WorkFigures};
 use crate::mpu6050::{BURST_LENGTH, Burst};
 
 /// Exceptions of the core, before the first interrupt.
@@ -418,14 +418,14 @@ fn request() {
 }
 
 /// Returns the figures of the last measurement.
-pub fn figures() -> Measurement {
+pub fn figures() -> WorkFigures {
     let (core, samples) = interrupt::free(|_| {
         // SAFETY: see `Owned`; all interrupts are masked.
         let figures = unsafe { &*FIGURES.0.get() };
         (figures.core, figures.samples)
     });
     let (used, size) = stack_bytes();
-    Measurement {
+    WorkFigures {
         core,
         samples,
         core_mhz: BOARD.core_hz / 1_000_000,

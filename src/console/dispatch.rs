@@ -13,7 +13,7 @@ use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, Par
 use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
-use super::measurement;
+use super::measure;
 use super::module::{Job, Module, Outcome};
 use super::preferences::usable_preferences;
 use super::procedure::{self, Procedure};
@@ -204,7 +204,7 @@ impl Console {
             Command::Forget => self.forget(module, reply),
             Command::SelfTest => self.begin(Job::SelfTest, module, reply),
             Command::Registers => self.begin(Job::ReadBack, module, reply),
-            Command::Measure(what) => measurement::run(what, module, reply),
+            Command::Measure(what) => measure::run(what, module, reply),
             Command::Arm => self.arm(module, reply),
             Command::Disarm => self.disarm(module, reply),
             Command::Calibrate(Calibrate::Stop) => self.stop(module, reply),

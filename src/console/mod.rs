@@ -10,7 +10,7 @@
 //! | `procedure_runner`, `procedure` | run the calibrations, from one stationary mean to the next |
 //! | `preferences` | checks that the UART can carry a format at a rate |
 //! | `status` | prints the module's state and the working record |
-//! | `measurement` | prints the figures of the module's own work |
+//! | `measure` | prints the figures of the module's own work |
 //! | `line_errors` | limits the answers to wrong input |
 //! | `module` | port through which the console reaches the rest of the module |
 //! | `ground_station` | turns MAVLink requests into commands |
@@ -49,7 +49,7 @@ mod dispatch;
 pub mod ground_station;
 pub mod line;
 mod line_errors;
-mod measurement;
+mod measure;
 mod module;
 mod nearest;
 mod numbers;

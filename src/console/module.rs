@@ -6,7 +6,7 @@ use crate::attitude::Vector3;
 use crate::calibration::compass::CompassFitter;
 use crate::calibration::{Calibration, Mount, StationaryProgress};
 use crate::compass::CompassStatus;
-use crate::health::{Flags, Measurement};
+use crate::health::{Flags, WorkFigures};
 use crate::mpu6050::Part;
 use crate::settings::CompassSettings;
 use crate::telemetry::heading::Line as HeadingLine;
@@ -56,7 +56,7 @@ pub trait Module {
     fn set_measuring(&mut self, is_on: bool);
 
     /// Returns the figures of the last measurement.
-    fn measurement(&mut self) -> Measurement;
+    fn work_figures(&mut self) -> WorkFigures;
 
     /// Sends and receives at this baud rate, and discards what was received before. Returns false,
     /// and changes nothing, while bytes are still being sent.

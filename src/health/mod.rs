@@ -24,9 +24,9 @@ mod monitor;
 mod monitored_sensor;
 #[cfg(not(feature = "firmware"))]
 mod sample_monitor;
-mod self_measurement;
 mod stuck_axis;
 mod vibration;
+mod work_figures;
 
 pub use flag_report::FlagReport;
 pub use flags::{BoardFlags, Flags, UnknownFlag};
@@ -34,5 +34,5 @@ pub use monitor::{DEGRADED_TILT_RAD, LOST_TILT_RAD, Monitor};
 pub use monitored_sensor::MonitoredSensor;
 #[cfg(not(feature = "firmware"))]
 pub(crate) use sample_monitor::{SampleMonitor, Sampling};
-pub use self_measurement::{CoreFigures, Measurement, STACK_PATTERN, SampleFigures, Statistics};
 pub(crate) use vibration::Vibration;
+pub use work_figures::{CoreFigures, STACK_PATTERN, SampleFigures, Statistics, WorkFigures};

@@ -11,7 +11,7 @@ use aplomb::compass;
 use aplomb::console::ground_station::GroundStation;
 use aplomb::console::{Job, Module, Outcome, State};
 use aplomb::fault::FaultClass;
-use aplomb::health::Measurement;
+use aplomb::health::WorkFigures;
 use aplomb::settings::CompassSettings;
 use aplomb::telemetry::heading::Line as HeadingLine;
 use rtic::Mutex;
@@ -205,7 +205,7 @@ where
         TO_SUPERVISOR.set(MEASUREMENT | NEW_MEASUREMENT, is_on);
     }
 
-    fn measurement(&mut self) -> Measurement {
+    fn work_figures(&mut self) -> WorkFigures {
         measure::figures()
     }
 

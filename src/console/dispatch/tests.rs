@@ -15,7 +15,7 @@ use crate::calibration::{
     MotionReason, StationaryMean, StationaryProgress, SymmetricMatrix, TemperatureModel,
 };
 use crate::compass::{Choice, CompassStatus, PartId};
-use crate::health::{CoreFigures, Flags, Measurement, SampleFigures};
+use crate::health::{CoreFigures, Flags, SampleFigures, WorkFigures};
 use crate::mpu6050::Part;
 use crate::pipeline::Settings;
 use crate::settings::{CompassSettings, OutputFormat};
@@ -46,7 +46,7 @@ struct FakeModule {
     is_sending: bool,
     has_no_sensor: bool,
     state: Option<State>,
-    measurement: Measurement,
+    work: WorkFigures,
     fitter: Option<CompassFitter>,
     calls: Vec<Call>,
 }
@@ -117,8 +117,8 @@ impl Module for FakeModule {
         self.calls.push(Call::Measuring(is_on));
     }
 
-    fn measurement(&mut self) -> Measurement {
-        self.measurement
+    fn work_figures(&mut self) -> WorkFigures {
+        self.work
     }
 
     fn set_armed(&mut self, is_armed: bool) {
@@ -1410,7 +1410,7 @@ fn the_longest_answers_fit() {
         status.ends_with("doing=\"calibrate temperature, nothing seen yet\""),
         "{status}"
     );
-    harness.module.measurement = largest_measurement();
+    harness.module.work = largest_work_figures();
     let figures = harness.ask("measure show");
     assert!(figures.contains(" temperature_c="), "{figures}");
     for line in [&show, &status, &figures] {
@@ -1419,7 +1419,7 @@ fn the_longest_answers_fit() {
 }
 
 /// Returns the figures with the longest numbers.
-fn largest_measurement() -> Measurement {
+fn largest_work_figures() -> WorkFigures {
     let mut samples = SampleFigures::new();
     samples.add(0, u32::MAX >> 1, u8::MAX, &[0x80; 14]);
     samples.add(99_999, u32::MAX >> 1, 0, &[0x80; 14]);
@@ -1431,7 +1431,7 @@ fn largest_measurement() -> Measurement {
     };
     core.sample_cycles.add(i32::MAX);
     core.interrupt_cycles.add(i32::MAX);
-    Measurement {
+    WorkFigures {
         core,
         samples,
         core_mhz: 1,
@@ -1460,7 +1460,7 @@ fn a_measurement_is_started_shown_and_ended() {
     core.sample_cycles.add(1_000);
     core.sample_cycles.add(1_025);
     core.interrupt_cycles.add(236);
-    harness.module.measurement = Measurement {
+    harness.module.work = WorkFigures {
         core,
         samples,
         core_mhz: 168,

@@ -165,9 +165,9 @@ impl SampleFigures {
     }
 }
 
-/// Figures of a measurement.
+/// Figures of the module's own work, from one run of `measure`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Measurement {
+pub struct WorkFigures {
     /// Figures of the core's work.
     pub core: CoreFigures,
     /// Figures of the samples.
@@ -180,7 +180,7 @@ pub struct Measurement {
     pub stack_bytes: u32,
 }
 
-impl Measurement {
+impl WorkFigures {
     /// Returns the share of the time in which the core did not sleep, in percent.
     pub fn load_percent(&self) -> f32 {
         let available = self.core.elapsed_us as f32 * self.core_mhz as f32;
@@ -247,16 +247,16 @@ mod tests {
 
     #[test]
     fn the_load_is_that_of_the_whole_time() {
-        let measurement = Measurement {
+        let figures = WorkFigures {
             core: CoreFigures {
                 busy_cycles: 1_680_000,
                 elapsed_us: 1_000_000,
                 ..CoreFigures::default()
             },
             core_mhz: 168,
-            ..Measurement::default()
+            ..WorkFigures::default()
         };
-        assert_eq!(measurement.load_percent(), 1.0);
-        assert_eq!(Measurement::default().load_percent(), 0.0);
+        assert_eq!(figures.load_percent(), 1.0);
+        assert_eq!(WorkFigures::default().load_percent(), 0.0);
     }
 }

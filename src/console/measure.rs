@@ -6,7 +6,7 @@ use super::answer::{Decimal, Kind, Reply, Triple};
 use super::command::Measure;
 use super::module::Module;
 use crate::attitude::Vector3;
-use crate::health::Measurement;
+use crate::health::WorkFigures;
 use crate::mpu6050::{Config, Part, TemperatureCounts};
 use crate::units::{STANDARD_GRAVITY_M_S2, degrees};
 
@@ -24,7 +24,7 @@ pub(super) fn run(what: Measure, module: &mut dyn Module, reply: &mut Reply<'_>)
                 .state()
                 .sensor
                 .map_or(&Part::MPU_6050, |(part, _)| part);
-            let text = MeasurementText(&module.measurement(), part);
+            let text = WorkText(&module.work_figures(), part);
             reply.ok(format_args!("measure: {text}"))
         }
         Measure::Off => {
@@ -35,11 +35,11 @@ pub(super) fn run(what: Measure, module: &mut dyn Module, reply: &mut Reply<'_>)
 }
 
 /// Figures as text: names with units, each with its mean and maximum, or what its name says.
-struct MeasurementText<'a>(&'a Measurement, &'static Part);
+struct WorkText<'a>(&'a WorkFigures, &'static Part);
 
-impl fmt::Display for MeasurementText<'_> {
+impl fmt::Display for WorkText<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Measurement { core, samples, .. } = self.0;
+        let WorkFigures { core, samples, .. } = self.0;
         let (cycles, interrupts) = (&core.sample_cycles, &core.interrupt_cycles);
         let (latency_us, period_us) = (&samples.edge_to_attitude_us, &samples.period_us);
         let seconds = core.elapsed_us as f32 * 1e-6;
