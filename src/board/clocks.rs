@@ -13,10 +13,10 @@ use stm32f4xx_hal::rcc::{Config, Rcc};
 use super::boards::BOARD;
 use crate::fault::ClockSource;
 
-/// Readings of the ready flag before the crystal counts as absent. At the 16 MHz of reset a reading
+/// Polls of the ready flag before the crystal counts as absent. At the 16 MHz of reset a poll
 /// takes at least 4 cycles, so they take 25 ms or more. Crystals start within 2 ms (STM32F405
 /// datasheet, table "HSE oscillator characteristics").
-const CRYSTAL_READINGS: u32 = 100_000;
+const CRYSTAL_POLLS: u32 = 100_000;
 
 /// Runs the core at [`BOARD`]'s frequency, and returns the source of the clock.
 pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
@@ -138,7 +138,7 @@ pub fn restore() {
             .bits(8)
     });
     rcc.cr().modify(|_, w| w.pllon().set_bit());
-    for _ in 0..PLL_READINGS {
+    for _ in 0..PLL_POLLS {
         #[cfg(not(feature = "board-stm32f405"))]
         if !voltage_is_ready() {
             continue;
@@ -163,8 +163,8 @@ const PLL_DIVISION: PLLP = if BOARD.core_hz > 108_000_000 {
 };
 const _: () = assert!(PLL_MULTIPLIER >= 192 && PLL_MULTIPLIER <= 432);
 
-/// Readings of the PLL's ready flag: 0.3 ms at 16 MHz and 4 cycles each.
-const PLL_READINGS: u32 = 1_200;
+/// Polls of the PLL's ready flag: 0.3 ms at 16 MHz and 4 cycles each.
+const PLL_POLLS: u32 = 1_200;
 
 /// Clears the crystal's failure, so that its NMI ends. Only the NMI's handler calls this.
 pub fn acknowledge_failure() {
@@ -186,7 +186,7 @@ fn crystal_starts(rcc: &RCC) -> bool {
     rcc.cr()
         .modify(|_, w| w.hsebyp().bit(BOARD.crystal_is_external_clock));
     rcc.cr().modify(|_, w| w.hseon().set_bit());
-    for _ in 0..CRYSTAL_READINGS {
+    for _ in 0..CRYSTAL_POLLS {
         if rcc.cr().read().hserdy().bit_is_set() {
             return true;
         }

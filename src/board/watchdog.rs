@@ -24,10 +24,10 @@ const FASTEST_KHZ: u32 = 47;
 const PRESCALER: u8 = 4;
 const DIVISION: u32 = 64;
 
-/// Readings of the status until a new limit must have arrived. At 168 MHz a reading takes at least
+/// Polls of the status until a new limit must have arrived. At 168 MHz a poll takes at least
 /// 4 cycles, so they take 1 ms or more. Five cycles of the slowest oscillator are 0.3 ms (RM0090,
 /// 21.4.4).
-const CROSSING_READINGS: u32 = 50_000;
+const CROSSING_POLLS: u32 = 50_000;
 
 /// Progress since the watchdog was last fed.
 static SAMPLES: AtomicBool = AtomicBool::new(false);
@@ -61,7 +61,7 @@ pub fn set_limit_ms(limit_ms: u32) {
     });
     // The limit reaches the counter within five cycles of its oscillator. A feed before that would
     // reload the old limit.
-    for _ in 0..CROSSING_READINGS {
+    for _ in 0..CROSSING_POLLS {
         let status = watchdog.sr().read();
         if status.pvu().bit_is_clear() && status.rvu().bit_is_clear() {
             break;

@@ -4,8 +4,8 @@ use stm32f4xx_hal::pac::{DMA1, I2C1, dma1};
 
 use super::super::clocks;
 
-/// Readings of the stream's status after which it must have stopped.
-const STOP_READINGS: u32 = 1_000;
+/// Polls of the stream's status after which it must have stopped.
+const STOP_POLLS: u32 = 1_000;
 
 /// Sets the stream's source. Called once, by init.
 pub(super) fn start() {
@@ -63,8 +63,8 @@ pub(super) fn stop() {
     let stream = stream();
     stream.cr().reset();
     // The stream ends with the byte in flight (RM0090, 10.3, DMA transfer suspension), well within
-    // the readings.
-    for _ in 0..STOP_READINGS {
+    // the polls.
+    for _ in 0..STOP_POLLS {
         if stream.cr().read().en().bit_is_clear() {
             break;
         }

@@ -64,8 +64,8 @@ pub const FAILURES_IN_A_ROW: u8 = 3;
 const STALE_PERIOD_US: u32 = 5_000;
 /// Time from a check to the next burst while the alarm starts the bursts, in µs.
 const POLL_AFTER_CHECK_US: u32 = 300;
-/// Readings of CR1 that take longer than a STOP, of 2.5 µs.
-const STOP_READINGS: u32 = 200;
+/// Polls of CR1 that take longer than a STOP, of 2.5 µs.
+const STOP_POLLS: u32 = 200;
 /// Shortest period with which every edge is examined, because each comes later.
 const EXAMINE_EVERY_EDGE_US: u32 = 0;
 
@@ -203,7 +203,7 @@ impl BurstReader {
     /// Waits for the STOP of the last transaction. Edges that return may come at any time, and a
     /// write of CR1 while STOP is pending makes the bit stick (RM0090, 27.6.1).
     fn await_stop(&self) {
-        for _ in 0..STOP_READINGS {
+        for _ in 0..STOP_POLLS {
             if i2c1().cr1().read().stop().bit_is_clear() {
                 break;
             }
