@@ -163,7 +163,7 @@ impl Sensor {
                 SettingsState::Changed => retained::count(FaultClass::RegisterChanged),
             }
             if was_reset {
-                burst_reader::note_sensor_reset();
+                burst_reader::flag_sensor_reset();
                 sensor
                     .reconfigure(&self.config, &mut Delay)
                     .map_err(NotReady::Sensor)?;

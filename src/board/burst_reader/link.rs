@@ -74,7 +74,7 @@ pub(super) struct Link {
     /// half of it.
     failures: AtomicU32,
     /// Flags from the supervisor for the next burst.
-    notes: AtomicU32,
+    pending_flags: AtomicU32,
     is_stale: AtomicBool,
     stale_low: AtomicU32,
     stale_high: AtomicU32,
@@ -86,7 +86,7 @@ pub(super) static LINK: Link = Link {
     is_enabled: AtomicBool::new(false),
     is_pause_wanted: AtomicBool::new(false),
     failures: AtomicU32::new(0),
-    notes: AtomicU32::new(0),
+    pending_flags: AtomicU32::new(0),
     is_stale: AtomicBool::new(false),
     stale_low: AtomicU32::new(0),
     stale_high: AtomicU32::new(0),
@@ -105,10 +105,10 @@ impl Link {
 
     /// Takes the supervisor's flags for the next burst. Only the reader calls this, while the
     /// supervisor waits.
-    pub(super) fn take_notes(&self) -> BoardFlags {
-        let notes = BoardFlags::from_bits_truncate(self.notes.load(Ordering::Relaxed));
-        self.notes.store(0, Ordering::Relaxed);
-        notes
+    pub(super) fn take_pending_flags(&self) -> BoardFlags {
+        let flags = BoardFlags::from_bits_truncate(self.pending_flags.load(Ordering::Relaxed));
+        self.pending_flags.store(0, Ordering::Relaxed);
+        flags
     }
 
     /// Requests a stale snapshot at this time. Only the reader calls this.
@@ -130,7 +130,8 @@ pub fn take_stale() -> Option<(u64, BoardFlags)> {
     LINK.is_stale.store(false, Ordering::Relaxed);
     let low = LINK.stale_low.load(Ordering::Relaxed);
     let high = LINK.stale_high.load(Ordering::Relaxed);
-    let flags = LINK.stale_flags.load(Ordering::Relaxed) | LINK.notes.load(Ordering::Relaxed);
+    let flags =
+        LINK.stale_flags.load(Ordering::Relaxed) | LINK.pending_flags.load(Ordering::Relaxed);
     Some((
         u64::from(high) << 32 | u64::from(low),
         BoardFlags::from_bits_truncate(flags),
@@ -149,8 +150,8 @@ pub fn request_check() {
 
 /// Flags the next burst, and stale snapshots until then, with [`BoardFlags::SENSOR_RESET`]: the
 /// sensor has lost its settings.
-pub fn note_sensor_reset() {
-    LINK.notes
+pub fn flag_sensor_reset() {
+    LINK.pending_flags
         .fetch_or(BoardFlags::SENSOR_RESET.bits(), Ordering::Relaxed);
 }
 

@@ -37,7 +37,7 @@ mod settings_check;
 mod transaction;
 
 pub use compass_transfer::{CompassTransfers, set_compass_fault};
-pub use link::{enable, failures, is_enabled, note_sensor_reset, pause, request_check, take_stale};
+pub use link::{enable, failures, flag_sensor_reset, is_enabled, pause, request_check, take_stale};
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
@@ -377,7 +377,7 @@ impl BurstReader {
         enable_event_interrupts();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.flags.remove(BoardFlags::SCALES_VERIFIED);
-        self.flags |= self.latched_flags | LINK.take_notes();
+        self.flags |= self.latched_flags | LINK.take_pending_flags();
     }
 
     fn return_to_edges(&mut self) {
