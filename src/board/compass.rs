@@ -28,8 +28,27 @@ use crate::pipeline::{CompassReading, Pipeline, Snapshot, compass_knowledge};
 use crate::units::MagneticField;
 use heapless::spsc::Producer;
 
-/// Samples from a request to its outcome, to the housekeeping, and to the next request: 10 ms.
-const SAMPLES: [u8; 3] = [1, 4, 5];
+/// Rounds of a cycle, in their order.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// Requests the next transfer.
+    Request,
+    /// Takes the outcome of the transfer.
+    Outcome,
+    /// Leaves the bus to the housekeeping of the sensor.
+    Housekeeping,
+}
+
+impl Phase {
+    /// Returns the next round, and the number of samples until then. A cycle takes 10 ms.
+    const fn next(self) -> (Self, u8) {
+        match self {
+            Self::Request => (Self::Outcome, 1),
+            Self::Outcome => (Self::Housekeeping, 4),
+            Self::Housekeeping => (Self::Request, 5),
+        }
+    }
+}
 
 /// Work of a round for the attitude task.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -64,7 +83,7 @@ pub struct CompassReader {
     /// Declination of the place, rad.
     declination_rad: f32,
     heading: HeadingPublisher,
-    phase: u8,
+    phase: Phase,
     /// True if the session has started anew since the requested transfer.
     is_transfer_old: bool,
     field: Option<MagneticField>,
@@ -91,7 +110,7 @@ impl CompassReader {
             alignment,
             declination_rad,
             heading: HeadingPublisher::new(compass_knowledge(&alignment)),
-            phase: 0,
+            phase: Phase::Request,
             is_transfer_old: false,
             field: None,
             fitter: None,
@@ -224,7 +243,7 @@ impl CompassReader {
             return round;
         }
         match self.phase {
-            0 => {
+            Phase::Request => {
                 self.take_reading(pipeline, snapshot);
                 if self.transfers.is_free()
                     && let Some(transfer) = self.session.next_transfer()
@@ -232,14 +251,11 @@ impl CompassReader {
                     self.transfers.request(transfer);
                 }
             }
-            1 => self.take_reading(pipeline, snapshot),
-            _ => {}
+            Phase::Outcome => self.take_reading(pipeline, snapshot),
+            Phase::Housekeeping => {}
         }
-        round.is_housekeeping_due = self.phase == 2;
-        if let Some(samples) = SAMPLES.get(usize::from(self.phase)) {
-            round.samples = *samples;
-        }
-        self.phase = (self.phase + 1) % SAMPLES.len() as u8;
+        round.is_housekeeping_due = self.phase == Phase::Housekeeping;
+        (self.phase, round.samples) = self.phase.next();
         round
     }
 
