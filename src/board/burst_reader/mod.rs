@@ -29,6 +29,7 @@
 //!   `missed_before`.
 
 mod alarm;
+mod between_bursts;
 mod compass_transfer;
 mod dma;
 mod link;
