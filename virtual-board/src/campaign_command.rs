@@ -19,8 +19,8 @@ use virtual_board::schedule::DRAWN;
 
 use super::subtitle;
 
-/// Flights of a campaign that begin with each class that is drawn.
-const RUNS_PER_CLASS: u64 = 20;
+/// Flights of a campaign that begin with each kind of fault that is drawn.
+const RUNS_PER_KIND: u64 = 20;
 
 /// Options of the command.
 #[derive(Args)]
@@ -28,8 +28,8 @@ pub struct Faults {
     /// The firmware image; `cargo xtask faults` builds it and gives it.
     #[arg(long, value_name = "PATH")]
     elf: PathBuf,
-    /// Number of flights. The default begins 20 with each class that is drawn.
-    #[arg(long, value_name = "NUMBER", default_value_t = RUNS_PER_CLASS * DRAWN as u64)]
+    /// Number of flights. The default begins 20 with each kind of fault that is drawn.
+    #[arg(long, value_name = "NUMBER", default_value_t = RUNS_PER_KIND * DRAWN as u64)]
     runs: u64,
     /// The seed of the first flight; the others count on from it.
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
@@ -255,7 +255,7 @@ fn one_case(options: &Faults) -> Result<(), String> {
     for fault in &report.faults {
         println!(
             "{}: {}, {}",
-            fault.class,
+            fault.kind,
             if fault.is_detected {
                 "detected"
             } else {

@@ -174,7 +174,7 @@ impl Axis {
 }
 
 impl FaultKind {
-    /// Name of the kind, which is also its class.
+    /// Name of the kind.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {

@@ -109,7 +109,7 @@ const FORMS: [Form; 39] = [
     }),
 ];
 
-/// Number of classes that [`Schedule::by_seed`] draws: the first of `FORMS`. The campaign draws the
+/// Number of kinds that [`Schedule::by_seed`] draws: the first of `FORMS`. The campaign draws the
 /// others beside them, so that a seed keeps its schedule.
 pub const DRAWN: usize = 37;
 
@@ -224,7 +224,7 @@ impl Schedule {
     }
 
     /// One to three faults for a flight, drawn from a seed; consecutive seeds begin with
-    /// consecutive classes. Most come one after another, with time to recover; now and then one
+    /// consecutive kinds. Most come one after another, with time to recover; now and then one
     /// comes on top of another.
     #[must_use]
     pub fn by_seed(seed: u64) -> Self {
@@ -264,11 +264,11 @@ impl Schedule {
         self
     }
 
-    /// One fault of a class, its parameter and its times drawn from a seed. `None` if there is no
-    /// such class.
+    /// One fault of a kind, its parameter and its times drawn from a seed. `None` if there is no
+    /// such kind.
     #[must_use]
-    pub fn of_class(class: &str, seed: u64) -> Option<Self> {
-        let form = FORMS.iter().find(|form| form.name == class)?;
+    pub fn of_kind(name: &str, seed: u64) -> Option<Self> {
+        let form = FORMS.iter().find(|form| form.name == name)?;
         let mut random = Random::new(seed, "fault of a class");
         let start_s = FIRST_FAULT_S + random.uniform(0.0, 0.2);
         Some(Self {
@@ -276,8 +276,8 @@ impl Schedule {
         })
     }
 
-    /// The names of all faults, which are their classes.
-    pub fn classes() -> impl Iterator<Item = &'static str> {
+    /// The names of all kinds of faults.
+    pub fn kinds() -> impl Iterator<Item = &'static str> {
         FORMS.iter().map(|form| form.name)
     }
 }
@@ -310,11 +310,11 @@ fn whole(random: &mut Random, count: usize) -> usize {
     (random.uniform(0.0, count as f64) as usize).min(count - 1)
 }
 
-/// A fault of this class that begins then.
-fn draw(class: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
-    let form = FORMS.iter().find(|form| form.name == class);
+/// A fault of this kind that begins then.
+fn draw(name: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
+    let form = FORMS.iter().find(|form| form.name == name);
     let pick = whole(random, 1 << 16);
-    let kind = match class {
+    let kind = match name {
         "address-nack" => {
             FaultKind::AddressNack([None, Some(Direction::Write), Some(Direction::Read)][pick % 3])
         }
@@ -400,7 +400,7 @@ fn fault(words: &[&str]) -> Result<ScheduledFault, String> {
 fn kind(text: &str) -> Result<FaultKind, String> {
     let (name, parameter) = text.split_once(':').unwrap_or((text, ""));
     let Some(form) = FORMS.iter().find(|form| form.name == name) else {
-        let names: Vec<&str> = Schedule::classes().collect();
+        let names: Vec<&str> = Schedule::kinds().collect();
         return Err(format!(
             "there is no fault `{}`; there are {}",
             quote(name),
@@ -430,11 +430,11 @@ mod tests {
             lines in prop::collection::vec(
                 (
                     "[0-9]{1,5}(\\.[0-9]{1,9})?|-1|nan|é",
-                    prop::sample::select(Schedule::classes().collect::<Vec<_>>()),
+                    prop::sample::select(Schedule::kinds().collect::<Vec<_>>()),
                     "|:[0-9a-z]{1,4}(:0x[0-9a-f]{1,3})?|:-?[0-9.]{1,6}|:a[xyz]| #.{0,4}",
                 )
-                    .prop_map(|(time, class, parameter)| {
-                        format!("{time} {time} {class}{parameter}")
+                    .prop_map(|(time, kind, parameter)| {
+                        format!("{time} {time} {kind}{parameter}")
                     }),
                 0..4,
             ),
@@ -490,7 +490,7 @@ mod tests {
     fn every_fault_reads_back_as_itself() {
         for form in &FORMS {
             for seed in 0..50 {
-                let schedule = Schedule::of_class(form.name, seed).unwrap();
+                let schedule = Schedule::of_kind(form.name, seed).unwrap();
                 assert_eq!(schedule.faults[0].kind.name(), form.name);
                 let text = schedule.to_string();
                 assert_eq!(
@@ -503,7 +503,7 @@ mod tests {
     }
 
     #[test]
-    fn one_seed_gives_one_schedule_and_all_seeds_every_class() {
+    fn one_seed_gives_one_schedule_and_all_seeds_every_kind() {
         let mut names: Vec<&str> = Vec::new();
         for seed in 0..400 {
             let schedule = Schedule::by_seed(seed);

@@ -1,9 +1,9 @@
-//! The firmware counts, shows and recovers from each class of faults, as the table of
+//! The firmware counts, shows and recovers from each kind of fault, as the table of
 //! docs/faults.md requires.
 //!
 //! The table is read from there, so that it and the tests agree: each row with the name of a fault
 //! is flown. The campaign (`cargo xtask faults`) draws such flights at random; here they are fixed.
-//! The test of a class fails when the firmware's detection of it is taken out.
+//! The test of a kind fails when the firmware's detection of it is taken out.
 
 mod common;
 
@@ -102,10 +102,10 @@ fn rows() -> Vec<Row> {
 }
 
 /// Duration of a fault in these tests, s.
-fn duration_s(class: &str, fault: &str) -> f64 {
-    match class {
+fn duration_s(kind: &str, fault: &str) -> f64 {
+    match kind {
         // The fault lasts until somebody clocks.
-        "sda-low" if fault != class => 0.0,
+        "sda-low" if fault != kind => 0.0,
         "core-stall" => 0.03,
         "attitude-late" => 0.01,
         "zeros" | "ones" | "saturated" | "temperature" => 0.1,
@@ -141,27 +141,27 @@ fn published(outcome: &Outcome, from_ns: u64, to_ns: u64) -> Vec<(u64, Flags)> {
     samples.chain(stale).filter(within).collect()
 }
 
-/// Flies the faults of a class and holds the firmware to its rows.
-fn assert_class(class: &str) {
+/// Flies the faults of a kind and holds the firmware to its rows.
+fn assert_kind(kind: &str) {
     let mut flights = 0;
     for row in rows() {
         for fault in &row.faults {
-            if fault.split(':').next() == Some(class) {
-                assert_row(&row, class, fault);
+            if fault.split(':').next() == Some(kind) {
+                assert_row(&row, kind, fault);
                 flights += 1;
             }
         }
     }
-    assert!(flights > 0, "docs/faults.md has no row with `{class}`");
+    assert!(flights > 0, "docs/faults.md has no row with `{kind}`");
 }
 
-fn assert_row(row: &Row, class: &str, fault: &str) {
-    let start_s = if class == "stuck" {
+fn assert_row(row: &Row, kind: &str, fault: &str) {
+    let start_s = if kind == "stuck" {
         STUCK_START_S
     } else {
         START_S
     };
-    let line = format!("{start_s} {} {fault}", duration_s(class, fault));
+    let line = format!("{start_s} {} {fault}", duration_s(kind, fault));
     let case = Case::new(SEED, Schedule::parse("test", &line).unwrap());
     let outcome = case.fly(&firmware()).unwrap();
     let report = campaign::report(&case, &outcome);
@@ -236,20 +236,20 @@ fn assert_row(row: &Row, class: &str, fault: &str) {
     println!("{fault}: noticed after {noticed_ms:?} ms, back after {back_ms:?} ms");
 }
 
-/// A test for each class, and the list of them.
-macro_rules! classes {
-    ($($test:ident: $class:literal,)*) => {
+/// A test for each kind, and the list of them.
+macro_rules! kinds {
+    ($($test:ident: $kind:literal,)*) => {
         $(
             #[test]
             fn $test() {
-                assert_class($class);
+                assert_kind($kind);
             }
         )*
 
         #[test]
-        fn every_class_has_its_test_and_every_row_its_class() {
-            let tested = BTreeSet::from([$($class),*]);
-            assert_eq!(tested, Schedule::classes().collect());
+        fn every_kind_has_its_test_and_every_row_its_kind() {
+            let tested = BTreeSet::from([$($kind),*]);
+            assert_eq!(tested, Schedule::kinds().collect());
             let rows = rows();
             let faults = rows.iter().flat_map(|row| &row.faults);
             let documented: BTreeSet<&str> =
@@ -259,7 +259,7 @@ macro_rules! classes {
     };
 }
 
-classes! {
+kinds! {
     address_nack: "address-nack",
     data_nack: "data-nack",
     burst_stall: "burst-stall",

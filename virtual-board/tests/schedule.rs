@@ -193,7 +193,7 @@ fn one_seed_of_faults_gives_the_same_files_every_time() {
 #[test]
 fn a_flight_with_a_used_processor_is_the_flight_with_a_new_one() {
     let pool = Arc::new(ProcessorPool::default());
-    // The first seed warms the processor up. The classes of faults follow one another, resets of
+    // The first seed warms the processor up. The kinds of faults follow one another, resets of
     // the core among them.
     for seed in 7_000..7_021 {
         let case = Case::by_seed(seed);

@@ -40,7 +40,7 @@ pub(super) fn check_flags(case: &Case, record: &Record, report: &mut Report) {
     }
     if case.conditions.lacks_crystal {
         report.faults.push(FaultReport {
-            class: NO_CRYSTAL,
+            kind: NO_CRYSTAL,
             is_detected: count == 0,
             recovery_ns: Some(0),
         });

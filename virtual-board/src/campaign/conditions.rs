@@ -11,7 +11,7 @@ use super::Case;
 use crate::faults::{Axis, CORE_MILLIVOLTS, Fault, FaultKind, ScheduledFault, internal_time};
 use crate::schedule::Schedule;
 
-/// The class of a start without a crystal, in the tables of a campaign.
+/// The kind of a start without a crystal, in the tables of a campaign.
 pub const NO_CRYSTAL: &str = "no-crystal";
 
 /// Shares of the flights that start without a crystal, that save while the supply sags, and that

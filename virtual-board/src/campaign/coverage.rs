@@ -12,8 +12,8 @@ use crate::schedule::Schedule;
 /// Two faults belong together if one begins at most this long after the other has ended, ns.
 const TOGETHER_NS: u64 = 50_000_000;
 
-/// The classes of faults of the bus.
-const BUS_CLASSES: [&str; 9] = [
+/// The kinds of faults of the bus.
+const BUS_KINDS: [&str; 9] = [
     "address-nack",
     "data-nack",
     "burst-stall",
@@ -25,13 +25,13 @@ const BUS_CLASSES: [&str; 9] = [
     "sensor-silent",
 ];
 
-/// The classes of faults that end in a reset of the processor.
-const RESETTING_CLASSES: [&str; 3] = ["watchdog-hang", "crash", "stack-overflow"];
+/// The kinds of faults that end in a reset of the processor.
+const RESETTING_KINDS: [&str; 3] = ["watchdog-hang", "crash", "stack-overflow"];
 
 /// The combinations that have been flown.
 #[derive(Clone, Debug, Default)]
 pub struct Coverage {
-    /// Pairs of classes, each in the order of the alphabet.
+    /// Pairs of kinds, each in the order of the alphabet.
     pairs: BTreeSet<(&'static str, &'static str)>,
     /// Number of times that a fault of the bus began in a step.
     steps: BTreeMap<(&'static str, BusStep), u32>,
@@ -42,9 +42,9 @@ impl Coverage {
     pub fn add(&mut self, case: &Case, steps: &[BusStep]) {
         let faults = &case.schedule.faults;
         if case.conditions.lacks_crystal {
-            for class in faults.iter().map(|fault| fault.kind.name()) {
+            for kind in faults.iter().map(|fault| fault.kind.name()) {
                 self.pairs
-                    .insert((class.min(NO_CRYSTAL), class.max(NO_CRYSTAL)));
+                    .insert((kind.min(NO_CRYSTAL), kind.max(NO_CRYSTAL)));
             }
         }
         for (nth, first) in faults.iter().enumerate() {
@@ -56,28 +56,28 @@ impl Coverage {
             }
         }
         for (fault, &step) in faults.iter().zip(steps) {
-            let class = fault.kind.name();
-            if BUS_CLASSES.contains(&class) {
-                *self.steps.entry((class, step)).or_default() += 1;
+            let kind = fault.kind.name();
+            if BUS_KINDS.contains(&kind) {
+                *self.steps.entry((kind, step)).or_default() += 1;
             }
         }
     }
 
-    /// Pairs of classes that have been flown, and all that there are.
+    /// Pairs of kinds that have been flown, and all that there are.
     #[must_use]
     pub fn pairs(&self) -> (usize, usize) {
-        let classes = Schedule::classes().count() + 1;
+        let kinds = Schedule::kinds().count() + 1;
         // A fault that resets the processor is the last of its flight. Without a crystal none can
         // die, and a flight has one sag at most.
-        let resets = RESETTING_CLASSES.len();
+        let resets = RESETTING_KINDS.len();
         let impossible = resets * (resets + 1) / 2 + 3;
-        (self.pairs.len(), classes * (classes + 1) / 2 - impossible)
+        (self.pairs.len(), kinds * (kinds + 1) / 2 - impossible)
     }
 
     /// Combinations of a fault of the bus and a step that have been flown, and all that there are.
     #[must_use]
     pub fn steps(&self) -> (usize, usize) {
-        let all = BUS_CLASSES.len() * BusStep::all().count();
+        let all = BUS_KINDS.len() * BusStep::all().count();
         (self.steps.len(), all)
     }
 }
@@ -100,10 +100,10 @@ impl fmt::Display for Coverage {
             write!(head, " {:>5}", step.name())?;
         }
         writeln!(formatter, "{head}")?;
-        for class in BUS_CLASSES {
-            let mut row = format!("{class:<17}");
+        for kind in BUS_KINDS {
+            let mut row = format!("{kind:<17}");
             for step in BusStep::all() {
-                let count = self.steps.get(&(class, step)).copied().unwrap_or(0);
+                let count = self.steps.get(&(kind, step)).copied().unwrap_or(0);
                 write!(row, " {count:>5}")?;
             }
             writeln!(formatter, "{row}")?;

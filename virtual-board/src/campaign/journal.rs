@@ -60,12 +60,12 @@ fn items(list: &str) -> impl Iterator<Item = &str> {
 }
 
 fn fault(text: &str) -> Option<FaultReport> {
-    let [class, detected, recovery] = text.split(':').collect::<Vec<_>>()[..] else {
+    let [kind, detected, recovery] = text.split(':').collect::<Vec<_>>()[..] else {
         return None;
     };
-    let mut classes = Schedule::classes().chain([NO_CRYSTAL]);
+    let mut kinds = Schedule::kinds().chain([NO_CRYSTAL]);
     Some(FaultReport {
-        class: classes.find(|name| *name == class)?,
+        kind: kinds.find(|name| *name == kind)?,
         is_detected: detected == "yes",
         recovery_ns: match recovery {
             "-" => None,
@@ -86,7 +86,7 @@ impl fmt::Display for Entry {
             let detected = if fault.is_detected { "yes" } else { "no" };
             let recovery = fault.recovery_ns.map(|ns| format!("{ns}ns"));
             let recovery = recovery.unwrap_or_else(|| "-".into());
-            format!("{}:{detected}:{recovery}", fault.class)
+            format!("{}:{detected}:{recovery}", fault.kind)
         });
         let (steps, faults) = (list(steps.collect()), list(faults.collect()));
         write!(formatter, "{} {verdict} {steps} {faults}", self.seed)
@@ -99,8 +99,8 @@ mod tests {
 
     #[test]
     fn an_entry_reads_back_and_a_cut_one_does_not() {
-        let fault = |class, recovery_ns| FaultReport {
-            class,
+        let fault = |kind, recovery_ns| FaultReport {
+            kind,
             is_detected: true,
             recovery_ns,
         };

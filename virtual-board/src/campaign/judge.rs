@@ -243,7 +243,7 @@ impl Judge<'_> {
             for fault in &episode.faults {
                 let is_detected = self.is_detected(episode, fault);
                 report.faults.push(FaultReport {
-                    class: fault.kind.name(),
+                    kind: fault.kind.name(),
                     is_detected,
                     recovery_ns,
                 });

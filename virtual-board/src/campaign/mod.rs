@@ -104,7 +104,7 @@ const EXTRA_REST_S: f64 = 1.5;
 const EXTRA_REST_FOR_SAVE_S: f64 = 1.6;
 
 impl Case {
-    /// The case of this seed. Consecutive seeds begin with consecutive classes of faults.
+    /// The case of this seed. Consecutive seeds begin with consecutive kinds of faults.
     #[must_use]
     pub fn by_seed(seed: u64) -> Self {
         let case = Self::with_schedule_by_seed(seed);
@@ -321,8 +321,8 @@ pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
 /// The outcome of one fault.
 #[derive(Clone, Debug)]
 pub struct FaultReport {
-    /// Class of the fault.
-    pub class: &'static str,
+    /// Name of the kind of the fault.
+    pub kind: &'static str,
     /// True if the firmware noticed it: by a counter, a flag, or a message.
     pub is_detected: bool,
     /// Time from its end to a valid attitude, ns; `None` if recovery missed the deadline.

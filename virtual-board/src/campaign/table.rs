@@ -7,7 +7,7 @@ use super::FaultReport;
 use super::conditions::NO_CRYSTAL;
 use crate::schedule::Schedule;
 
-/// The table of a campaign: a row for each class.
+/// The table of a campaign: a row for each kind of fault.
 #[derive(Clone, Debug, Default)]
 pub struct Table {
     rows: BTreeMap<&'static str, Row>,
@@ -25,7 +25,7 @@ impl Table {
     /// Adds the faults of a case.
     pub fn add(&mut self, faults: &[FaultReport]) {
         for fault in faults {
-            let row = self.rows.entry(fault.class).or_default();
+            let row = self.rows.entry(fault.kind).or_default();
             row.faults += 1;
             row.detected += u32::from(fault.is_detected);
             if let Some(recovery_ns) = fault.recovery_ns {
@@ -42,11 +42,11 @@ impl std::fmt::Display for Table {
             "{:<18} {:>7} {:>9} {:>10} {:>17}\n",
             "fault", "runs", "detected", "recovered", "worst recovery ms"
         );
-        for class in Schedule::classes().chain([NO_CRYSTAL]) {
-            let row = self.rows.get(class).copied().unwrap_or_default();
+        for kind in Schedule::kinds().chain([NO_CRYSTAL]) {
+            let row = self.rows.get(kind).copied().unwrap_or_default();
             writeln!(
                 text,
-                "{class:<18} {:>7} {:>9} {:>10} {:>17.1}",
+                "{kind:<18} {:>7} {:>9} {:>10} {:>17.1}",
                 row.faults,
                 row.detected,
                 row.recovered,

@@ -396,7 +396,7 @@ fn a_fault_that_leaves_no_trace_waits_for_one_that_does_shortly_after() {
 }
 
 #[test]
-fn the_table_counts_by_class() {
+fn the_table_counts_by_kind() {
     let (case, record) = sound();
     let mut table = Table::default();
     table.add(&judge(&case, &record, &telemetry()).faults);
@@ -509,7 +509,7 @@ fn an_attitude_by_the_internal_oscillator_without_its_flags_fails() {
     };
     let sound = without_crystal(Flags::INTERNAL_CLOCK | Flags::DEGRADED);
     assert_eq!(sound.failures, Vec::<String>::new());
-    assert!(sound.faults.iter().any(|fault| fault.class == "no-crystal"));
+    assert!(sound.faults.iter().any(|fault| fault.kind == "no-crystal"));
     for flags in [Flags::empty(), Flags::INTERNAL_CLOCK, Flags::DEGRADED] {
         let failures = without_crystal(flags).failures;
         assert!(
