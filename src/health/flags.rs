@@ -49,8 +49,9 @@ bitflags::bitflags! {
         /// The attitude is less certain than usual: σ is above 5°, one of [`Flags::DEGRADING`] is
         /// set, or the rate has jumped as if the full scale had changed, which is being checked.
         ///
-        /// Alone and for long, it means that samples come more slowly than
-        /// [`Config`](crate::mpu6050::Config) says: each step is a pause, in which σ grows. At the
+        /// Alone, σ is the reason, or that check. σ grows in a pause; with an offset that is not
+        /// confirmed, such as after a pause in flight; and if samples come more slowly than
+        /// [`Config`](crate::mpu6050::Config) says, because each step is then a pause. At the
         /// configured rate 20 samples a second are enough, also in flight.
         const DEGRADED = 1 << 11;
         /// No sample came: the attitude is the last one, and its σ grows.

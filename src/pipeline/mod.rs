@@ -5,9 +5,9 @@
 //! ```
 //!
 //! Every burst gives a snapshot, from the first one on. The snapshot carries [`Flags::CALIBRATING`]
-//! until the gyroscope's offset is known: after a second of rest, or with a stored offset 0.16 s
-//! after the start. Until then σ is much larger. A stored offset counts
-//! within 4.9 °C of its temperature, or within the range of a temperature model.
+//! until the gyroscope's offset is known: after a second of rest. Until then σ is much larger. A
+//! stored offset counts within 4.9 °C of its temperature, or within the range of a temperature
+//! model. The offset is then known from the start, and the attitude `VALID` after 0.16 s.
 //! [`Pipeline::update`] does all the work, housekeeping included, so a caller cannot forget any.
 //!
 //! Deadline: a fraction of the sample period, 1 ms. No loop's length depends on data, and no step

@@ -31,8 +31,8 @@ impl SampleOrder {
     /// Returns whether a sample at `t_us` is late: not after the last accepted one, by at most
     /// 0.5 s. Such a sample shows nothing.
     ///
-    /// Late samples may also show a clock that was set back by less. When time advances again, the
-    /// filter's tilt is inflated for the motion in the time of more than three of them.
+    /// Late samples may also show a clock that was set back by less. When time advances again after
+    /// more than three of them, the filter's tilt is inflated for the motion in their time.
     #[inline]
     pub(super) fn is_late(
         &mut self,

@@ -7,7 +7,8 @@ use aplomb::pipeline::{Pipeline, Snapshot};
 
 use crate::after_publication::StationaryMeasurement;
 
-/// Data of the attitude task: the pipeline, and the stationary detector of a calibration procedure.
+/// Data of the attitude task: the pipeline, the stationary detector of a calibration procedure, and
+/// the compass.
 ///
 /// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
 /// code.

@@ -7,21 +7,31 @@
 //!   coordinated turn of minutes a wrong tilt and a wrong bias explain all readings together.
 //! - A wide turn moves tilt and bias so slowly that nothing contradicts them. At 50 m/s a bank of
 //!   9° reads as level with a bias of 0.3 °/s.
-//! - A reset or a pause hides motion, so for up to 20 s no correction contradicts a bias
-//!   (`consistency.rs`), and for some seconds more none may have done so yet. Meanwhile the tilt
-//!   may become that of level flight in a turn.
+//! - A reset of the core or a pause hides motion. So for up to 20 s no correction contradicts a
+//!   bias (`consistency.rs`), and for some seconds more none may have done so yet. Meanwhile the
+//!   tilt may become that of level flight in a turn.
 //!
 //! Therefore the bias has a reference: that of the last rest, which a reset keeps, or else the
 //! stored bias. A bias that may be wrong has to be confirmed: by a rest, or by motion that leads it
 //! back to within 0.2 °/s of the reference and makes it certain. Until then σ of the tilt has a
 //! least value, in motion or while armed (`tilt_variance.rs`):
 //!
-//! | state | begins with | least σ of the tilt | the bias is known |
+//! | state | begins with | least σ of the tilt | known, with σ below 0.5 °/s |
 //! |---|---|---|---|
-//! | `Confirmed` | confirmation | 4° under suspicion, else none | with σ below 0.5 °/s |
-//! | `Drifted` | a slow change by 0.2 °/s; after `Suspect` | 4° | the same |
-//! | `Stored` | a stored bias, at the start | 4° and the bank that the force shows | the same |
-//! | `Suspect` | contradiction, reset, pause | 6.4° and that bank | near the reference: 1 °/s |
+//! | `Confirmed` | confirmation | 4° under suspicion, else none | yes |
+//! | `Drifted` | a slow change by 0.2 °/s; after `Suspect` | 4° | yes |
+//! | `Stored` | a stored bias, at the start | 4° and the bank that the force shows | yes |
+//! | `Suspect` | contradiction, core reset, pause | 6.4° and that bank | near the reference |
+//!
+//! Five terms, which are not the same:
+//!
+//! | term | field | meaning |
+//! |---|---|---|
+//! | rested | `has_rested` | a rest of this run has measured the bias |
+//! | measured before | `has_measured_prior` | a rest of an earlier run had; the start has its σ |
+//! | measured | `is_bias_measured()` | either of both |
+//! | known | `is_bias_known` | measured, with a small σ, and the last column above |
+//! | confirmed | `confirmation` | nothing has put the measured bias in question since |
 
 use super::{KNOWN_BIAS_RAD_S, Kalman};
 use crate::estimator::arithmetic::{larger, square};
@@ -69,9 +79,9 @@ impl Confirmation {
 impl Kalman {
     /// Updates after a correction whether the bias is confirmed and known.
     ///
-    /// - Near its reference and certain, it is confirmed, once the check of consistency has settled
-    ///   after unseen motion. Until then, once that check runs again, a suspect bias counts as
-    ///   drifted.
+    /// - Near its reference and certain, it is confirmed. But while unseen motion suspends the
+    ///   check of consistency, nothing changes. When the check runs again, a suspect bias counts as
+    ///   drifted, and once the check is conclusive, as confirmed.
     /// - Farther off, a confirmed and known bias has drifted. An unknown one still converges.
     #[inline(never)]
     pub(super) fn judge_bias(&mut self) {

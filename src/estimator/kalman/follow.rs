@@ -206,7 +206,7 @@ impl Kalman {
     /// the factor of its error.
     pub(in crate::estimator) fn relaxed(&self) -> (usize, f32) {
         let factor = self.relaxation(self.step.duration_s());
-        (DYNAMIC + usize::from(self.next_parameter), factor)
+        (DYNAMIC + usize::from(self.last_relaxed), factor)
     }
 
     /// Returns a measurement of the last covariance step.

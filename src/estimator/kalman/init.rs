@@ -1,20 +1,22 @@
 //! Start of the filter: from a first sample, from a stored bias, or from an earlier run.
 //!
-//! The table lists the effect of each start or reset (–: none). The velocity becomes zero but for
-//! `set_bias` and `confirm_start`, and a covariance step under way ends.
+//! The table lists the effect of each (–: none). Each sets the velocity to zero and ends a
+//! covariance step under way, except `set_bias` and `confirm_start`.
 //!
 //! | method | when | tilt | bias | other parameters |
 //! |---|---|---|---|---|
 //! | `new`, `restart` | first of all; other axes | unknown, yaw zero | prior | priors |
 //! | `set_bias` | a stored offset counts | – | stored | – |
 //! | `resume` | the core was reset | kept | kept: suspect | kept: accelerometer |
-//! | `start_from` | first sample, gap, hidden tilt | one sample; yaw kept | later: suspect | – |
+//! | `start_from` | first sample, gap, hidden tilt | one sample; yaw kept | suspect ¹ | – ² |
 //! | `confirm_start` | 0.15 to 0.75 s later | by the mean force | – | – |
 //! | `check_tilt` | 1.3 or 4 s of force contradict it | by the mean force | – | – |
 //! | `restart_at_rest` | a rest contradicts the state | by its force | by its rate | priors |
 //! | `forget_parameters` | another calibration | kept | – | priors |
 //! | `inflate_motion` | the sensor lost its settings | kept, σ grows | suspect | – |
 //! | `restart_from_unusable_numbers` | no sensor's numbers | kept, σ 17° | kept | priors |
+//!
+//! ¹ Not at the first sample. ² Priors, if the accelerometer's bias is implausible.
 //!
 //! A suspect bias has to be confirmed (`confirmation.rs`).
 

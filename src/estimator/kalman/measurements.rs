@@ -244,15 +244,15 @@ impl Kalman {
     /// Adds the zero-rate update: at rest the gyroscope reads its bias.
     fn measure_bias(&mut self, difference: Vector3, variance: f32) {
         // Well-known axes are measured in turn, which is cheaper.
-        self.next_axis = if self.next_axis < 2 {
-            self.next_axis + 1
+        self.last_measured_axis = if self.last_measured_axis < 2 {
+            self.last_measured_axis + 1
         } else {
             0
         };
         let innovations = [difference.x, difference.y, difference.z];
         for (axis, innovation) in innovations.into_iter().enumerate() {
             let own = self.step.covariance.parameter_variance(axis);
-            if own > square(WELL_KNOWN_BIAS_RAD_S) || axis == usize::from(self.next_axis) {
+            if own > square(WELL_KNOWN_BIAS_RAD_S) || axis == usize::from(self.last_measured_axis) {
                 self.step.measure(Measurement {
                     state: State::Parameter(axis),
                     innovation,

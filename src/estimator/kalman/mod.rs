@@ -44,8 +44,8 @@
 //!
 //! - The first sample sets a provisional tilt with a σ above 30°, so the attitude is not `VALID`.
 //!   The mean specific force of 0.15 s then replaces this tilt, because one sample in vibration
-//!   may point anywhere. If the mean is not 0.7 to 1.4 g, the filter starts again. A pause that
-//!   hides the tilt repeats both steps.
+//!   may point anywhere. A mean that is not 0.7 to 1.4 g grows to 0.75 s; then the filter starts
+//!   again. A pause that hides the tilt repeats both steps.
 //! - In motion, a mean specific force of about one g, over 45° from up, contradicts the tilt. It
 //!   sets an ambiguous tilt after 1.3 s. A certain tilt loses `VALID` after 1.3 s, and is set after
 //!   4 s, which is longer than a push-over.
@@ -163,7 +163,7 @@ const FIRST_MEAN_S: f32 = 0.15;
 /// sample. At about 100 Hz a step takes longer than [`Tuning::covariance_period_s`], and the next
 /// interval is longer by that.
 const SLICE_PERIOD_S: f32 = 10.5e-3;
-/// Sample period above which every sample has an earth step, s.
+/// Sample period above which slices also run beside an earth step, s.
 const LONG_SAMPLE_PERIOD_S: f32 = 5.5e-3;
 /// Upper limit of the slices per sample: more than a covariance step has.
 const MOST_SLICES: u32 = 80;
@@ -195,10 +195,10 @@ pub struct Kalman {
     has_rested: bool,
     /// True if the covariance step under way is at rest, before any rest has been accepted.
     is_first_rest: bool,
-    /// Well-known axis whose bias is measured next at rest.
-    next_axis: u8,
+    /// Well-known axis whose bias was measured last at rest.
+    last_measured_axis: u8,
     /// Parameter that has last returned towards its prior.
-    next_parameter: u8,
+    last_relaxed: u8,
     /// True if the bias started with a small σ: a rest of an earlier run, or before a restart, had
     /// measured it.
     has_measured_prior: bool,
@@ -347,8 +347,8 @@ impl Kalman {
             parameter_priors,
             bias_prior: BiasPrior::new(Vector3::ZERO, tuning.gyroscope_bias_rad_s),
             force_sum: ForceSum::NONE,
-            next_axis: 0,
-            next_parameter: 0,
+            last_measured_axis: 0,
+            last_relaxed: 0,
             nominal_tilt_rad2: 0.0,
             steady_until_s: 0.0,
             rested_s: 0.0,
@@ -583,12 +583,12 @@ impl Kalman {
         self.parameter_priors.visit_state(visitor);
         self.bias_prior.visit_state(visitor);
         self.force_sum.visit_state(visitor);
-        let mut next_axis = usize::from(self.next_axis);
-        visitor.index(&mut next_axis, 3);
-        self.next_axis = next_axis as u8;
-        let mut next_parameter = usize::from(self.next_parameter);
-        visitor.index(&mut next_parameter, PARAMETERS);
-        self.next_parameter = next_parameter as u8;
+        let mut last_measured_axis = usize::from(self.last_measured_axis);
+        visitor.index(&mut last_measured_axis, 3);
+        self.last_measured_axis = last_measured_axis as u8;
+        let mut last_relaxed = usize::from(self.last_relaxed);
+        visitor.index(&mut last_relaxed, PARAMETERS);
+        self.last_relaxed = last_relaxed as u8;
         visitor.f32(&mut self.nominal_tilt_rad2);
         visitor.f32(&mut self.steady_until_s);
         visitor.f32(&mut self.rested_s);

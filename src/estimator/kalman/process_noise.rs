@@ -73,11 +73,11 @@ impl Kalman {
     /// deviation decays by φ, and noise of (1 − φ²) times the prior's variance keeps the prior
     /// stationary. One parameter a step is cheap, and its turn comes every three seconds.
     pub(super) fn relax_parameter(&mut self, duration_s: f32) {
-        let parameter = match usize::from(self.next_parameter) + 1 {
+        let parameter = match usize::from(self.last_relaxed) + 1 {
             next @ FIRST_WITH_PRIOR..PARAMETERS => next,
             _ => FIRST_WITH_PRIOR,
         };
-        self.next_parameter = parameter as u8;
+        self.last_relaxed = parameter as u8;
         let factor = self.relaxation(duration_s);
         let added = (1.0 - square(factor)) * self.parameter_priors.variance(parameter);
         let covariance = &mut self.step.covariance;

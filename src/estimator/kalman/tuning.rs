@@ -79,6 +79,8 @@ pub struct Tuning {
     /// Deviation of a bias from its prior, in σ, at which the prior's variance is doubled.
     pub prior_gate_sigma: f32,
     /// Time without motion after which the sensor is stationary, s, until a first rest has ended.
+    /// Later rests: `LATER_REST_AFTER_S` in `rest_detector.rs`. When the first one is certain:
+    /// `is_rest_certain` in `measurements.rs`.
     pub stationary_after_s: f32,
     /// Largest change of the rate of a stationary sensor, rad/s.
     pub stationary_rate_rad_s: f32,

@@ -153,7 +153,7 @@ impl Sender {
         };
         let mut measure = StateWriter::new(&mut [], 0);
         state.copied.visit_state(&mut measure);
-        // A pipeline that still averages has no byte form; the next copy comes sooner.
+        // A state with a value out of range has no byte form; the next copy comes sooner.
         let (length, pause_us) = match measure.length() {
             Some(length) => (length, STATE_PERIOD_US),
             None => (0, CONFIGURATION_PERIOD_US),

@@ -112,7 +112,7 @@ fn a_start_at_rest_makes_the_bias_known_at_every_rate() {
             filter.set_sample_period(period_us as f32 * 1.0e-6);
         };
         set_period(&mut estimator);
-        let mut run = |world: &mut World, estimator: &mut Estimator, milliseconds: u64| {
+        let run = |world: &mut World, estimator: &mut Estimator, milliseconds: u64| {
             let mut estimate = Estimate::default();
             for _ in 0..milliseconds * 1000 / period_us {
                 estimate = estimator.update(&world.sample(period_us));
