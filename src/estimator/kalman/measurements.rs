@@ -48,9 +48,9 @@ const CERTAIN_RESTED_S: f32 = 1.0;
 /// Time without motion after which the first rest is believed with a larger drift, s. By then a
 /// turn of 1 °/s about a horizontal axis has exceeded the largest one.
 const CERTAIN_REST_S: f32 = 1.125;
-/// Longest time from the check of a rest to its measurement, s, at 10 samples a second or more: the
+/// Longest time from the check of a rest to its measurement, s, at 8 samples a second or more: the
 /// check is a slice earlier.
-const CHECK_AGE_S: f32 = 0.1;
+const CHECK_AGE_S: f32 = 0.125;
 /// Largest rate that a rest may hide, rad/s.
 const HIDDEN_RATE_RAD_S: f32 = radians(0.4);
 
