@@ -2,7 +2,7 @@
 //! stops the sensor.
 //!
 //! The supervisor configures the sensor at start and after every fault, and starts the pipeline. It
-//! runs the console's jobs (save, self-test) while the burst reader is paused.
+//! runs the console's jobs (save, self-test, registers) while the burst reader is paused.
 
 use aplomb::board::burst_reader;
 use aplomb::board::flash::{CalibrationFlash, FlashError};
