@@ -185,8 +185,9 @@ impl Estimator {
 
     /// Visits every field.
     pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        self.filter.visit_state(visitor);
-        self.gate.visit_state(visitor);
+        let Self { gate, filter } = self;
+        filter.visit_state(visitor);
+        gate.visit_state(visitor);
     }
 }
 
@@ -282,9 +283,14 @@ impl Gate {
 
     /// Visits every field.
     fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.optional(&mut self.last_t_us, 0, StateVisitor::u64);
-        visitor.f32(&mut self.rate_squared);
-        visitor.f32(&mut self.seconds_per_us);
+        let Self {
+            last_t_us,
+            rate_squared,
+            seconds_per_us,
+        } = self;
+        visitor.optional(last_t_us, 0, StateVisitor::u64);
+        visitor.f32(rate_squared);
+        visitor.f32(seconds_per_us);
     }
 }
 

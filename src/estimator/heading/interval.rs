@@ -113,13 +113,23 @@ impl Interval {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32s(&mut self.field_ut);
-        visitor.f32s(self.rotation.as_flattened_mut());
-        visitor.f32(&mut self.readings);
-        visitor.f32s(&mut self.yaw);
-        visitor.f32(&mut self.duration_s);
-        visitor.f32(&mut self.squared_rate);
-        visitor.f32(&mut self.squared_acceleration);
-        visitor.f32(&mut self.unseen_rad2);
+        let Self {
+            field_ut,
+            rotation,
+            readings,
+            yaw,
+            duration_s,
+            squared_rate,
+            squared_acceleration,
+            unseen_rad2,
+        } = self;
+        visitor.f32s(field_ut);
+        visitor.f32s(rotation.as_flattened_mut());
+        visitor.f32(readings);
+        visitor.f32s(yaw);
+        visitor.f32(duration_s);
+        visitor.f32(squared_rate);
+        visitor.f32(squared_acceleration);
+        visitor.f32(unseen_rad2);
     }
 }

@@ -126,8 +126,12 @@ impl Consistency {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32s(&mut self.sum_rad);
-        visitor.f32(&mut self.variance_rad2);
+        let Self {
+            sum_rad,
+            variance_rad2,
+        } = self;
+        visitor.f32s(sum_rad);
+        visitor.f32(variance_rad2);
     }
 }
 

@@ -82,8 +82,12 @@ impl Column {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32s(&mut self.dynamic);
-        visitor.f32s(&mut self.parameters);
+        let Self {
+            dynamic,
+            parameters,
+        } = self;
+        visitor.f32s(dynamic);
+        visitor.f32s(parameters);
     }
 }
 
@@ -511,8 +515,13 @@ impl Covariance {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32s(self.dynamic.as_flattened_mut());
-        visitor.f32s(self.cross.as_flattened_mut());
-        visitor.f32s(&mut self.triangle);
+        let Self {
+            dynamic,
+            cross,
+            triangle,
+        } = self;
+        visitor.f32s(dynamic.as_flattened_mut());
+        visitor.f32s(cross.as_flattened_mut());
+        visitor.f32s(triangle);
     }
 }

@@ -117,6 +117,7 @@ mod recovery;
 mod rest_detector;
 mod rest_watch;
 mod slices;
+mod state;
 mod tilt_variance;
 mod tuning;
 mod unseen;
@@ -132,7 +133,6 @@ use super::filter::Filter;
 use super::sample::Sample;
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::{larger, square};
-use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 use confirmation::Confirmation;
 use consistency::Consistency;
@@ -140,7 +140,7 @@ use covariance::Column;
 use init::Tilt;
 use nominal::NominalState;
 use prior::{BiasPrior, ParameterPriors};
-use propagation::{GYROSCOPE_PARAMETERS, Interval, PARAMETERS};
+use propagation::{GYROSCOPE_PARAMETERS, Interval};
 use recent_velocity::RecentVelocity;
 use recovery::ForceSum;
 use rest_detector::RestDetector;
@@ -547,51 +547,6 @@ impl Kalman {
     /// Forgets how long the sensor has been stationary, because its readings were no measurements.
     pub(crate) const fn interrupt_rest(&mut self) {
         self.rest_detector.interrupt();
-    }
-
-    /// Visits every field but the tuning, which is static.
-    pub(crate) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32(&mut self.delay_s);
-        visitor.f32(&mut self.pause_after_s);
-        visitor.f32(&mut self.saturated_s);
-        visitor.bool(&mut self.is_armed);
-        let mut tilt = self.tilt as usize;
-        visitor.index(&mut tilt, 4);
-        self.tilt = match tilt {
-            0 => Tilt::Unknown,
-            1 => Tilt::Restarting,
-            2 => Tilt::Lost,
-            _ => Tilt::Known,
-        };
-        visitor.bool(&mut self.is_step_pending);
-        visitor.bool(&mut self.is_tilt_checked);
-        visitor.bool(&mut self.is_bias_known);
-        visitor.bool(&mut self.has_measured_prior);
-        self.confirmation.visit_state(visitor);
-        visitor.bool(&mut self.has_rested);
-        visitor.bool(&mut self.is_first_rest);
-        visitor.bool(&mut self.is_from_one_sample);
-        self.nominal.visit_state(visitor);
-        self.step.visit_state(visitor);
-        self.interval.visit_state(visitor);
-        self.rest_detector.visit_state(visitor);
-        self.recent.visit_state(visitor);
-        self.consistency.visit_state(visitor);
-        self.rest_watch.visit_state(visitor);
-        visitor.f32(&mut self.extra_tilt_rad2);
-        visitor.f32(&mut self.added_bias_walk);
-        self.parameter_priors.visit_state(visitor);
-        self.bias_prior.visit_state(visitor);
-        self.force_sum.visit_state(visitor);
-        let mut last_measured_axis = usize::from(self.last_measured_axis);
-        visitor.index(&mut last_measured_axis, 3);
-        self.last_measured_axis = last_measured_axis as u8;
-        let mut last_relaxed = usize::from(self.last_relaxed);
-        visitor.index(&mut last_relaxed, PARAMETERS);
-        self.last_relaxed = last_relaxed as u8;
-        visitor.f32(&mut self.nominal_tilt_rad2);
-        visitor.f32(&mut self.steady_until_s);
-        visitor.f32(&mut self.rested_s);
     }
 }
 

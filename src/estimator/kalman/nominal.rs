@@ -251,19 +251,32 @@ impl NominalState {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.quaternion(&mut self.attitude);
-        visitor.f32s(&mut self.velocity_m_s);
-        visitor.vector(&mut self.gyroscope_bias_rad_s);
-        visitor.vector(&mut self.accelerometer_bias_m_s2);
-        for row in &mut self.gyroscope_matrix {
+        let Self {
+            attitude,
+            velocity_m_s,
+            gyroscope_bias_rad_s,
+            accelerometer_bias_m_s2,
+            gyroscope_matrix,
+            rate_offset_rad_s,
+            rate_rad_s,
+            force_m_s2,
+            rotation_rad,
+            force_integral_m_s,
+            elapsed_s,
+        } = self;
+        visitor.quaternion(attitude);
+        visitor.f32s(velocity_m_s);
+        visitor.vector(gyroscope_bias_rad_s);
+        visitor.vector(accelerometer_bias_m_s2);
+        for row in gyroscope_matrix {
             visitor.vector(row);
         }
-        visitor.vector(&mut self.rate_offset_rad_s);
-        visitor.vector(&mut self.rate_rad_s);
-        visitor.vector(&mut self.force_m_s2);
-        visitor.vector(&mut self.rotation_rad);
-        visitor.vector(&mut self.force_integral_m_s);
-        visitor.f32(&mut self.elapsed_s);
+        visitor.vector(rate_offset_rad_s);
+        visitor.vector(rate_rad_s);
+        visitor.vector(force_m_s2);
+        visitor.vector(rotation_rad);
+        visitor.vector(force_integral_m_s);
+        visitor.f32(elapsed_s);
     }
 }
 

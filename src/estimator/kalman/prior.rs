@@ -49,8 +49,12 @@ impl BiasPrior {
     }
 
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.vector(&mut self.reference_rad_s);
-        visitor.f32s(&mut self.variance);
+        let Self {
+            reference_rad_s,
+            variance,
+        } = self;
+        visitor.vector(reference_rad_s);
+        visitor.f32s(variance);
     }
 }
 
@@ -193,8 +197,13 @@ impl ParameterPriors {
     }
 
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32(&mut self.gyroscope_scale);
-        visitor.f32(&mut self.gyroscope_misalignment_rad);
-        visitor.f32(&mut self.accelerometer_m_s2);
+        let Self {
+            gyroscope_scale,
+            gyroscope_misalignment_rad,
+            accelerometer_m_s2,
+        } = self;
+        visitor.f32(gyroscope_scale);
+        visitor.f32(gyroscope_misalignment_rad);
+        visitor.f32(accelerometer_m_s2);
     }
 }

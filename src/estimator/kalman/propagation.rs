@@ -83,8 +83,9 @@ impl Transition {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32s(self.tilt.as_flattened_mut());
-        visitor.f32(&mut self.down_m_s);
+        let Self { tilt, down_m_s } = self;
+        visitor.f32s(tilt.as_flattened_mut());
+        visitor.f32(down_m_s);
     }
 }
 
@@ -134,11 +135,19 @@ impl Interval {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        self.transition.visit_state(visitor);
-        visitor.f32s(&mut self.velocity_change_m_s);
-        visitor.f32(&mut self.duration_s);
-        visitor.f32(&mut self.squared_rate);
-        visitor.f32(&mut self.unseen_tilt_rad2);
-        visitor.f32(&mut self.unseen_velocity_m2_s2);
+        let Self {
+            transition,
+            velocity_change_m_s,
+            duration_s,
+            squared_rate,
+            unseen_tilt_rad2,
+            unseen_velocity_m2_s2,
+        } = self;
+        transition.visit_state(visitor);
+        visitor.f32s(velocity_change_m_s);
+        visitor.f32(duration_s);
+        visitor.f32(squared_rate);
+        visitor.f32(unseen_tilt_rad2);
+        visitor.f32(unseen_velocity_m2_s2);
     }
 }

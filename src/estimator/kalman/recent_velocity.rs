@@ -67,8 +67,13 @@ impl RecentVelocity {
     }
 
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.f32s(&mut self.smooth_m_s);
-        visitor.f32(&mut self.squared);
-        visitor.f32(&mut self.age_s);
+        let Self {
+            smooth_m_s,
+            squared,
+            age_s,
+        } = self;
+        visitor.f32s(smooth_m_s);
+        visitor.f32(squared);
+        visitor.f32(age_s);
     }
 }

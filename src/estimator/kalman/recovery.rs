@@ -158,8 +158,12 @@ impl ForceSum {
     };
 
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.vector(&mut self.integral_m_s);
-        visitor.f32(&mut self.duration_s);
+        let Self {
+            integral_m_s,
+            duration_s,
+        } = self;
+        visitor.vector(integral_m_s);
+        visitor.f32(duration_s);
     }
 }
 

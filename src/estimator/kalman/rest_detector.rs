@@ -234,14 +234,24 @@ impl RestDetector {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.vector(&mut self.average_rate_rad_s);
-        visitor.vector(&mut self.average_force_m_s2);
-        visitor.f32(&mut self.rate_variance);
-        visitor.vector(&mut self.first_rate_rad_s);
-        visitor.vector(&mut self.first_force_m_s2);
-        visitor.bool(&mut self.is_later_rest);
-        visitor.f32(&mut self.agreed_until_s);
-        visitor.f32(&mut self.still_s);
+        let Self {
+            average_rate_rad_s,
+            average_force_m_s2,
+            rate_variance,
+            first_rate_rad_s,
+            first_force_m_s2,
+            is_later_rest,
+            agreed_until_s,
+            still_s,
+        } = self;
+        visitor.vector(average_rate_rad_s);
+        visitor.vector(average_force_m_s2);
+        visitor.f32(rate_variance);
+        visitor.vector(first_rate_rad_s);
+        visitor.vector(first_force_m_s2);
+        visitor.bool(is_later_rest);
+        visitor.f32(agreed_until_s);
+        visitor.f32(still_s);
     }
 }
 

@@ -108,9 +108,15 @@ impl RestWatch {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        visitor.bool(&mut self.begins);
-        visitor.vector(&mut self.force_m_s2);
-        visitor.vector(&mut self.down);
-        visitor.f32(&mut self.rate_variance);
+        let Self {
+            begins,
+            force_m_s2,
+            down,
+            rate_variance,
+        } = self;
+        visitor.bool(begins);
+        visitor.vector(force_m_s2);
+        visitor.vector(down);
+        visitor.f32(rate_variance);
     }
 }

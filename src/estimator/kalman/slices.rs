@@ -296,17 +296,28 @@ impl CovarianceStep {
 
     /// Visits every field.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        self.covariance.visit_state(visitor);
-        self.correction.visit_state(visitor);
-        self.phase.visit_state(visitor);
-        self.transition.visit_state(visitor);
-        visitor.f32(&mut self.duration_s);
-        for measurement in &mut self.measurements {
+        let Self {
+            covariance,
+            correction,
+            phase,
+            transition,
+            duration_s,
+            measurements,
+            measured,
+            column,
+            inverse,
+        } = self;
+        covariance.visit_state(visitor);
+        correction.visit_state(visitor);
+        phase.visit_state(visitor);
+        transition.visit_state(visitor);
+        visitor.f32(duration_s);
+        for measurement in measurements {
             measurement.visit_state(visitor);
         }
-        visitor.index(&mut self.measured, MOST_MEASUREMENTS + 1);
-        self.column.visit_state(visitor);
-        visitor.f32(&mut self.inverse);
+        visitor.index(measured, MOST_MEASUREMENTS + 1);
+        column.visit_state(visitor);
+        visitor.f32(inverse);
     }
 }
 
@@ -318,19 +329,24 @@ impl Measurement {
     };
 
     fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        let (mut is_parameter, mut index) = match self.state {
+        let Self {
+            state,
+            innovation,
+            variance,
+        } = self;
+        let (mut is_parameter, mut index) = match *state {
             State::Dynamic(index) => (false, index),
             State::Parameter(index) => (true, index),
         };
         visitor.bool(&mut is_parameter);
         visitor.index(&mut index, if is_parameter { PARAMETERS } else { DYNAMIC });
-        self.state = if is_parameter {
+        *state = if is_parameter {
             State::Parameter(index)
         } else {
             State::Dynamic(index)
         };
-        visitor.f32(&mut self.innovation);
-        visitor.f32(&mut self.variance);
+        visitor.f32(innovation);
+        visitor.f32(variance);
     }
 }
 

@@ -8,6 +8,7 @@ mod rest;
 mod starts;
 mod unseen;
 
+use super::propagation::PARAMETERS;
 use super::tilt_variance::{REPORTED_SIGMA_SCALE, UNKNOWN_BIAS_SIGMA_SCALE};
 use super::tuning::LARGEST_GYROSCOPE_BIAS_RAD_S;
 use super::*;
