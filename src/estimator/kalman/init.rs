@@ -1,6 +1,6 @@
 //! Start of the filter: from a first sample, from a stored bias, or from an earlier run.
 //!
-//! The table lists the effect of each (–: none). Each sets the velocity to zero and ends a
+//! The table lists the effects (–: none). Each start sets the velocity to zero and ends a
 //! covariance step under way, except `set_bias` and `confirm_start`.
 //!
 //! | method | when | tilt | bias | other parameters |
