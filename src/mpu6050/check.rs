@@ -156,6 +156,7 @@ impl fmt::Display for ReadBack {
 
 #[cfg(test)]
 mod tests {
+    use super::SettingsState::{Changed, Intact, Reset};
     use super::*;
 
     #[test]
@@ -163,56 +164,29 @@ mod tests {
         let [scales, interrupt, power] = Check::all(&Config::DEFAULT, &Part::MPU_6050);
         // SMPLRT_DIV 0, CONFIG 1, GYRO_CONFIG and ACCEL_CONFIG at full scale 3.
         let good = [0x00, 0x01, 0x18, 0x18, 0x00];
-        assert_eq!(scales.evaluate(&good), SettingsState::Intact);
+        assert_eq!(scales.evaluate(&good), Intact);
         let meaningful: [u8; 5] = [0xFF, 0x07, 0xF8, 0xF8, 0x00];
         for place in 0..5 {
             for bit in 0..8 {
                 let mut bytes = good;
                 bytes[place] ^= 1 << bit;
                 let expected = if meaningful[place] & 1 << bit == 0 {
-                    SettingsState::Intact
+                    Intact
                 } else {
-                    SettingsState::Changed
+                    Changed
                 };
                 assert_eq!(scales.evaluate(&bytes), expected, "{place} {bit}");
             }
         }
-        assert_eq!(
-            interrupt.evaluate(&[0x02, 0x01, 9, 9, 9]),
-            SettingsState::Intact
-        );
-        assert_eq!(
-            interrupt.evaluate(&[0x02, 0x00, 0, 0, 0]),
-            SettingsState::Changed
-        );
-        assert_eq!(
-            interrupt.evaluate(&[0x82, 0x01, 0, 0, 0]),
-            SettingsState::Changed
-        );
-        assert_eq!(
-            power.evaluate(&[0x01, 0x00, 0, 0, 0]),
-            SettingsState::Intact
-        );
-        assert_eq!(
-            power.evaluate(&[0x00, 0x00, 0, 0, 0]),
-            SettingsState::Changed
-        );
-        assert_eq!(
-            power.evaluate(&[0x01, 0x08, 0, 0, 0]),
-            SettingsState::Changed
-        );
-        assert_eq!(
-            power.evaluate(&[0x40, 0x00, 0, 0, 0]),
-            SettingsState::Changed
-        );
-        assert_eq!(
-            interrupt.evaluate(&[0x00, 0x01, 0, 0, 0]),
-            SettingsState::Changed
-        );
-        assert_eq!(
-            interrupt.evaluate(&[0x00, 0x00, 9, 9, 9]),
-            SettingsState::Reset
-        );
+        assert_eq!(interrupt.evaluate(&[0x02, 0x01, 9, 9, 9]), Intact);
+        assert_eq!(interrupt.evaluate(&[0x02, 0x00, 0, 0, 0]), Changed);
+        assert_eq!(interrupt.evaluate(&[0x82, 0x01, 0, 0, 0]), Changed);
+        assert_eq!(power.evaluate(&[0x01, 0x00, 0, 0, 0]), Intact);
+        assert_eq!(power.evaluate(&[0x00, 0x00, 0, 0, 0]), Changed);
+        assert_eq!(power.evaluate(&[0x01, 0x08, 0, 0, 0]), Changed);
+        assert_eq!(power.evaluate(&[0x40, 0x00, 0, 0, 0]), Changed);
+        assert_eq!(interrupt.evaluate(&[0x00, 0x01, 0, 0, 0]), Changed);
+        assert_eq!(interrupt.evaluate(&[0x00, 0x00, 9, 9, 9]), Reset);
     }
 
     #[test]
@@ -220,7 +194,7 @@ mod tests {
         let bytes = [0x00, 0x01, 0x18, 0x18, 0x00];
         let read = ReadBack {
             part: &Part::MPU_6050,
-            settings: SettingsState::Intact,
+            settings: Intact,
             registers: [
                 (Register::SampleRateDivider, 5, bytes),
                 (Register::InterruptPinConfiguration, 2, bytes),
@@ -237,7 +211,7 @@ mod tests {
     fn a_part_with_a_second_low_pass_has_it_checked() {
         for part in &super::super::part::PARTS {
             let [scales, ..] = Check::all(&Config::DEFAULT, part);
-            let is_checked = |bytes| scales.evaluate(&bytes) == SettingsState::Changed;
+            let is_checked = |bytes| scales.evaluate(&bytes) == Changed;
             assert!(!is_checked([0x00, 0x01, 0x18, 0x18, 0x01]), "{}", part.name);
             // Another filter of the accelerometer, none of it, and none of the gyroscope.
             for bytes in [
