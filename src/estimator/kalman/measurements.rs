@@ -105,10 +105,10 @@ impl Kalman {
     /// - The mean rate drifts: a swing.
     /// - The specific force drifts: a slow, steady turn, because gravity turns in the body.
     ///
-    /// If it has drifted most of the time, it was motion from the beginning, and may have measured
-    /// the bias. The bias is then unknown again: in a swing if rests of less than 1 s in all have
-    /// measured it, because they were parts of the swing too; in a turn if the gyroscope shows less
-    /// turn than gravity.
+    /// A rest that has drifted most of the time was motion from the beginning. The bias that it has
+    /// measured is then unknown again: in a swing if rests of less than 1 s in all have measured
+    /// it, because they were parts of the swing too; in a turn if the gyroscope shows less turn
+    /// than gravity.
     #[inline(never)]
     pub(super) fn check_rest_drift(&mut self) {
         let still_s = self.rest_detector.still_s();
@@ -132,12 +132,12 @@ impl Kalman {
         let is_mostly_drift = 2.0 * (still_s - self.steady_until_s) > drift_s;
         let shown = self.rest_detector.average_rate_rad_s() - bias_rad_s;
         let turned_rad_s = LARGEST_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / drift_s;
-        let is_wrong = if is_swing {
+        let has_measured_motion = if is_swing {
             self.rested_s < CERTAIN_RESTED_S
         } else {
             shown.is_within(turned_rad_s - HIDDEN_RATE_RAD_S)
         };
-        if self.has_rested && is_mostly_drift && is_wrong {
+        if self.has_rested && is_mostly_drift && has_measured_motion {
             self.set_bias_prior(bias_rad_s, self.tuning.gyroscope_bias_rad_s);
         }
         self.rest_detector.interrupt();

@@ -63,7 +63,8 @@
 //!   accelerates: at once if the tilt is over 35° wrong, after 6.8 s if it is nearly level.
 //! - A slow, steady turn reads like a rest, but gravity turns in the body. A rest ends when the
 //!   force drifts by 0.6°. If it has drifted from the rest's beginning on, and the gyroscope shows
-//!   no turn, then the bias was measured in the turn, and is unknown again.
+//!   no turn, then the bias was measured in the turn, and is unknown again. A swing's rate drifts;
+//!   a bias that less than 1 s of rest has measured is then unknown again.
 //! - Rest and steady motion read alike. A velocity that lasts while the readings are those of rest
 //!   is reset. Therefore a vehicle that coasts after a long acceleration finds down again.
 //!

@@ -201,6 +201,7 @@ impl RestDetector {
     /// Returns whether the drift has to be measured from now on: the averages still contain motion,
     /// or this is the first check. At some rates, such as 50 and 100 Hz, that one is later.
     pub(super) fn begins_drift(&self) -> bool {
+        // Zero as an integer, because that comparison is shorter.
         self.still_s < SETTLED_S || self.agreed_until_s.to_bits() == 0
     }
 

@@ -100,12 +100,21 @@ fn the_first_rest_replaces_a_wrong_stored_offset() {
 /// At some rates, such as 10, 20, 50 and 100 Hz, the first check of a rest's drift is late.
 #[test]
 fn a_start_at_rest_makes_the_bias_known_at_every_rate() {
-    for rate_hz in [
+    const RATES_HZ: [u64; 18] = [
         10, 20, 25, 40, 45, 50, 55, 62, 75, 83, 91, 100, 111, 125, 143, 167, 200, 500,
-    ] {
+    ];
+    // A drift from zero reads like a swing with the large bias, like a turn with the small one.
+    let biases_rad_s = [
+        Vector3::new(0.03, -0.02, 0.05),
+        Vector3::new(0.003, -0.002, 0.001),
+    ];
+    let cases = biases_rad_s
+        .into_iter()
+        .flat_map(|bias_rad_s| RATES_HZ.map(|rate_hz| (bias_rad_s, rate_hz)));
+    for (bias_rad_s, rate_hz) in cases {
         let period_us = 1_000_000 / rate_hz;
         let mut world = World::at_rest(from_degrees(10.0, -20.0, 0.0));
-        world.bias_rad_s = Vector3::new(0.03, -0.02, 0.05);
+        world.bias_rad_s = bias_rad_s;
         let mut estimator = estimator();
         estimator
             .filter_mut()
