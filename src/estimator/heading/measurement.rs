@@ -264,7 +264,7 @@ impl Heading {
     }
 
     /// Corrects rows of O and X: P ← P − P·hᵀ·h·P/s.
-    pub(super) fn correct(&mut self, axis: u8, first: u8) -> Phase {
+    pub(super) fn correct_rows(&mut self, axis: u8, first: u8) -> Phase {
         let start = usize::from(first);
         // The last rows have no row of X.
         let rows = match start {

@@ -98,7 +98,7 @@ impl Heading {
             Phase::ProjectIron(axis) => self.project_iron(axis),
             Phase::ProjectCross(axis) => self.project_cross(axis),
             Phase::CorrectStates(axis) => self.correct_states(kalman, axis),
-            Phase::Correct(axis, row) => self.correct(axis, row),
+            Phase::Correct(axis, row) => self.correct_rows(axis, row),
             Phase::Check => self.check(),
             Phase::Finish => self.finish(kalman),
         };

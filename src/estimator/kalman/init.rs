@@ -21,13 +21,13 @@
 //! A suspect bias has to be confirmed (`confirmation.rs`).
 
 use super::confirmation::Confirmation;
-use super::prior::WarmStart;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
 use super::recovery::{ForceSum, is_gravity_up};
 use super::rest_detector::RestDetector;
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
 use super::unseen::ANY_TURN_RAD2;
+use super::warm_start::WarmStart;
 use super::{KNOWN_BIAS_RAD_S, Kalman, USABLE_TILT_RAD};
 use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::{larger, square};

@@ -100,8 +100,8 @@
 //! # Cost
 //!
 //! Deadline: one sample. At 1 kHz a sample costs about 320 instructions on a Cortex-M4F on average,
-//! covariance included, and 750 at worst. At 100 Hz the worst case is 1,100. A reset of the motion
-//! adds at most eight pairs of rows of the covariance.
+//! covariance included, and about 750 at worst. At 100 Hz the worst case is 1,100. A reset of the
+//! motion adds at most eight pairs of rows of the covariance.
 
 mod confirmation;
 mod consistency;
@@ -122,13 +122,15 @@ mod state;
 mod tilt_variance;
 mod tuning;
 mod unseen;
+mod warm_start;
 
 #[cfg(test)]
 mod tests;
 
-pub use prior::{AccelerometerKnowledge, GyroscopeKnowledge, WarmStart};
+pub use prior::{AccelerometerKnowledge, GyroscopeKnowledge};
 pub use tuning::Tuning;
 pub use unseen::PAUSE_RATE_RAD_S;
+pub use warm_start::WarmStart;
 
 use super::filter::Filter;
 use super::sample::Sample;
@@ -444,7 +446,7 @@ impl Kalman {
                     self.nominal_tilt_rad2 = self.step.tilt_variance_rad2();
                     self.measure();
                 }
-                Progress::Corrected => self.correct(),
+                Progress::Corrected => self.apply_correction(),
                 Progress::Unsound => self.restart_from_unusable_numbers(),
             }
             if !self.is_step_pending {
@@ -455,7 +457,7 @@ impl Kalman {
 
     /// Moves the correction of the covariance step, propagated to the present, into the nominal
     /// state.
-    fn correct(&mut self) {
+    fn apply_correction(&mut self) {
         self.is_step_pending = false;
         let Column {
             mut dynamic,
@@ -471,7 +473,7 @@ impl Kalman {
         }
         self.is_first_rest = false;
         self.interval.transition.apply(&mut dynamic, &parameters);
-        self.nominal.correct(&dynamic, &parameters);
+        self.nominal.add_error(&dynamic, &parameters);
         if !self.nominal.is_plausible() {
             self.restart_from_unusable_numbers();
             return;

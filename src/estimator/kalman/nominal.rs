@@ -220,7 +220,7 @@ impl NominalState {
     }
 
     /// Moves the error state into the nominal state.
-    pub(super) fn correct(&mut self, dynamic: &[f32; DYNAMIC], parameters: &[f32; PARAMETERS]) {
+    pub(super) fn add_error(&mut self, dynamic: &[f32; DYNAMIC], parameters: &[f32; PARAMETERS]) {
         let [north, east, north_m_s, east_m_s] = *dynamic;
         // The rotation's series to the second order.
         let w = 1.0 - 0.125 * (square(north) + square(east));

@@ -235,7 +235,7 @@ impl CovarianceStep {
                 self.phase = Phase::Correct(0);
                 return Progress::Predicted;
             }
-            Phase::Correct(index) => self.phase = self.correct(index),
+            Phase::Correct(index) => self.phase = self.apply_measurement(index),
             Phase::CorrectRows(index, row) => {
                 self.correct_row_pair(row);
                 self.correct_row_pair(row + 1);
@@ -273,7 +273,7 @@ impl CovarianceStep {
 
     /// Applies the measurement of this index to δ and P_dd. Returns the next phase.
     #[inline(never)]
-    fn correct(&mut self, index: usize) -> Phase {
+    fn apply_measurement(&mut self, index: usize) -> Phase {
         let Some(measurement) = self.measurement(index) else {
             return Phase::Check;
         };

@@ -201,7 +201,7 @@ fn the_transition_is_the_derivative_of_the_nominal_state() {
             0..DYNAMIC => dynamic[state] = error,
             _ => parameters[state - DYNAMIC] = error,
         }
-        nominal.correct(&dynamic, &parameters);
+        nominal.add_error(&dynamic, &parameters);
         let mut transition = Transition::IDENTITY;
         let mut velocity = nominal.velocity_m_s;
         for index in 0..200 {
