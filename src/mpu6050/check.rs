@@ -10,7 +10,7 @@ use super::config::Config;
 use super::part::Part;
 use super::registers::{
     ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, GYROSCOPE_BYPASS_MASK,
-    INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY, LOW_PASS_MASK,
+    INTERRUPT_DATA_READY, INTERRUPT_PULSE_READ_CLEARS_BYPASS, LOW_PASS_MASK,
     POWER_AWAKE_GYROSCOPE_CLOCK, POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK,
 };
 
@@ -83,7 +83,7 @@ impl Check {
             },
             Self::pair(
                 Register::InterruptPinConfiguration,
-                [INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY],
+                [INTERRUPT_PULSE_READ_CLEARS_BYPASS, INTERRUPT_DATA_READY],
             ),
             Self::pair(
                 Register::PowerManagement1,

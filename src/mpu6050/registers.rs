@@ -94,11 +94,14 @@ pub const FULL_SCALE_MASK: u8 = 0b0001_1000;
 pub const SELF_TEST_MASK: u8 = 0b1110_0000;
 /// Lowest bit of [`FULL_SCALE_MASK`].
 pub const FULL_SCALE_SHIFT: u32 = 3;
-/// INT_PIN_CFG: active high, push-pull, 50 µs pulse, and I2C_BYPASS_EN (§4.14).
+/// INT_PIN_CFG: active high, push-pull, 50 µs pulse, INT_RD_CLEAR and I2C_BYPASS_EN (§4.14).
+///
+/// With INT_RD_CLEAR any read ends an interrupt that was latched before: a setting that has changed
+/// may have set LATCH_INT_EN. Without it the pin would stay active after the repair.
 ///
 /// The bypass connects a compass on the auxiliary bus to the main bus: that of an MPU-9250, a GY-86
 /// or a GY-87.
-pub const INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS: u8 = 0x02;
+pub const INTERRUPT_PULSE_READ_CLEARS_BYPASS: u8 = 0x12;
 /// INT_ENABLE bit 0, DATA_RDY_EN (§4.15).
 pub const INTERRUPT_DATA_READY: u8 = 0x01;
 /// SIGNAL_PATH_RESET bits 2:0: gyroscope, accelerometer and temperature (§4.26).

@@ -8,7 +8,7 @@ use super::config::Config;
 use super::part::Part;
 use super::registers::{
     ACCELEROMETER_LOW_PASS_MASK, FULL_SCALE_MASK, FULL_SCALE_SHIFT, GYROSCOPE_BYPASS_MASK,
-    INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS, INTERRUPT_DATA_READY, LOW_PASS_MASK,
+    INTERRUPT_DATA_READY, INTERRUPT_PULSE_READ_CLEARS_BYPASS, LOW_PASS_MASK,
     POWER_AWAKE_GYROSCOPE_CLOCK, POWER_AWAKE_INTERNAL_CLOCK, POWER_DEVICE_RESET,
     POWER_EVERY_AXIS_ON, Register, SELF_TEST_MASK, SIGNAL_PATH_RESET_ALL,
 };
@@ -138,7 +138,7 @@ const ALL: [Step; 16] = [
     ),
     Step::whole(
         Register::InterruptPinConfiguration,
-        INTERRUPT_ACTIVE_HIGH_PULSE_BYPASS,
+        INTERRUPT_PULSE_READ_CLEARS_BYPASS,
         0,
     ),
     Step::whole(Register::InterruptEnable, INTERRUPT_DATA_READY, 0),
@@ -228,7 +228,7 @@ mod tests {
             (0x1A, 0x01, 0),
             (0x1B, 0x18, 0),
             (0x1C, 0x18, 0),
-            (0x37, 0x02, 0),
+            (0x37, 0x12, 0),
             (0x38, 0x01, 0),
         ];
         assert_eq!(list(&Config::DEFAULT, &Part::MPU_6050), expected);
@@ -253,7 +253,7 @@ mod tests {
             (0x1B, 0x08, 0),
             (0x1C, 0x08, 0),
             (0x1D, 3, 0),
-            (0x37, 0x02, 0),
+            (0x37, 0x12, 0),
             (0x38, 0x01, 0),
         ];
         assert_eq!(ranges, expected);

@@ -241,7 +241,7 @@ fn the_sequence_follows_the_datasheet() {
         Write(0x1C, 0x1D),
         Read(0x1C),
         // The pin, and the interrupt last.
-        Write(0x37, 0x02),
+        Write(0x37, 0x12),
         Read(0x37),
         Write(0x38, 0x01),
         Read(0x38),
@@ -270,7 +270,7 @@ fn settings_reach_their_bits_in_every_part() {
         };
         let found = [0x1B, 0x1D].map(|register| bench.register(register));
         assert_eq!(found, expected, "{}", part.name);
-        assert_eq!(bench.register(0x37), 0x02);
+        assert_eq!(bench.register(0x37), 0x12);
         assert_eq!(bench.register(0x38), 0x01);
         assert_eq!(bench.register(0x6B), 0x01);
     }
