@@ -81,9 +81,9 @@ pub enum FaultKind {
     /// The processor leaves the Thumb state, as by a jump through a corrupted pointer. This is a
     /// usage fault. As no handler is enabled for it, a hard fault follows (PM0214, 2.4).
     Crash,
-    /// The stack pointer comes so close to the end of the stack that the next exception finds no
-    /// room.
-    StackOverflow,
+    /// The stack is used up but for these bytes: a sleeping core wakes with its stack pointer
+    /// there. The exception that wakes it pushes 32 bytes, and its handler more.
+    StackOverflow(u8),
     /// A debugger resets the chip by AIRCR, as when it starts new firmware. No schedule has it.
     DebuggerReset,
     /// The core hangs until a reset, at the longest until the end, if the duration is not zero.
@@ -206,7 +206,7 @@ impl FaultKind {
             Self::CrystalDies => "crystal-dies",
             Self::AttitudeLate => "attitude-late",
             Self::Crash => "crash",
-            Self::StackOverflow => "stack-overflow",
+            Self::StackOverflow(_) => "stack-overflow",
             Self::DebuggerReset => "debugger-reset",
             Self::WatchdogHang => "watchdog-hang",
             Self::CompassSilent => "compass-silent",
@@ -234,7 +234,7 @@ impl FaultKind {
     pub fn resets(&self) -> bool {
         let resets_with_supply_on = matches!(
             self,
-            Self::WatchdogHang | Self::Crash | Self::StackOverflow | Self::DebuggerReset
+            Self::WatchdogHang | Self::Crash | Self::StackOverflow(_) | Self::DebuggerReset
         );
         resets_with_supply_on || self.stops_core()
     }
@@ -274,7 +274,7 @@ impl FaultKind {
             Self::CrystalDies => &[Class::ClockFailed],
             Self::AttitudeLate => &[Class::AttitudeLate],
             Self::Crash => &[Class::Crash],
-            Self::StackOverflow => &[Class::StackOverflow],
+            Self::StackOverflow(_) => &[Class::StackOverflow],
             Self::WatchdogHang => &[Class::Watchdog],
             Self::CoreStall => &[Class::SamplesMissed],
             // The firmware may not address the compass in so short a stall.
@@ -321,6 +321,7 @@ impl fmt::Display for FaultKind {
             Self::Temperature(celsius) => write!(formatter, ":{celsius}"),
             Self::CompassIdentity(identity) => write!(formatter, ":{identity:#04x}"),
             Self::SupplySag(millivolts) => write!(formatter, ":{millivolts}"),
+            Self::StackOverflow(room_bytes) => write!(formatter, ":{room_bytes}"),
             _ => Ok(()),
         }
     }

@@ -90,7 +90,16 @@ const FORMS: [Form; 39] = [
     Form::bare("crystal-dies", FaultKind::CrystalDies),
     Form::bare("watchdog-hang", FaultKind::WatchdogHang),
     Form::bare("crash", FaultKind::Crash),
-    Form::bare("stack-overflow", FaultKind::StackOverflow),
+    Form::new(
+        "stack-overflow",
+        "[:BYTES] (0 to 252, in fours)",
+        |text| match text {
+            "" => Some(FaultKind::StackOverflow(8)),
+            _ => number(text, 0, 252)
+                .filter(|bytes| bytes.is_multiple_of(4))
+                .map(|bytes| FaultKind::StackOverflow(bytes as u8)),
+        },
+    ),
     Form::bare("compass-silent", FaultKind::CompassSilent),
     Form::bare("compass-frozen", FaultKind::CompassFrozen),
     Form::bare("compass-zeros", FaultKind::CompassZeros),
@@ -300,7 +309,7 @@ const SETTINGS: [(u8, u8, u8); 7] = [
     (0x1A, 0x01, 0x07),
     (0x1B, 0x18, 0xF8),
     (0x1C, 0x18, 0xF8),
-    (0x37, 0x02, 0xFF),
+    (0x37, 0x12, 0xFF),
     (0x38, 0x01, 0xFF),
     (0x6B, 0x01, 0xFF),
 ];
@@ -336,6 +345,8 @@ fn draw(name: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
             let lowest = mask & mask.wrapping_neg();
             FaultKind::RegisterFlip(register, if is_change { value } else { value ^ lowest })
         }
+        // No room for the exception's frame of 32 bytes.
+        "stack-overflow" => FaultKind::StackOverflow([0, 8, 16, 24][pick % 4]),
         "saturated" => FaultKind::Saturated(Axis::NAMES[pick % 6].0),
         "stuck" => FaultKind::Stuck(Axis::NAMES[pick % 6].0),
         "compass-identity" => FaultKind::CompassIdentity((pick % 64) as u8),
@@ -347,7 +358,7 @@ fn draw(name: &str, start_s: f64, random: &mut Random) -> ScheduledFault {
     };
     let (shortest_s, longest_s) = match kind {
         FaultKind::SdaLow(Some(_)) | FaultKind::RegisterFlip(..) => (0.0, 0.0),
-        FaultKind::WatchdogHang | FaultKind::Crash | FaultKind::StackOverflow => (0.0, 0.0),
+        FaultKind::WatchdogHang | FaultKind::Crash | FaultKind::StackOverflow(_) => (0.0, 0.0),
         FaultKind::AttitudeLate => (0.002, 0.015),
         FaultKind::ProbeDetach => (0.3, 0.8),
         FaultKind::CoreStall => (0.0015, 0.03),

@@ -214,13 +214,17 @@ fn the_watchdog_keeps_its_limits_at_both_ends_of_its_oscillator() {
 
 #[test]
 fn the_guard_below_the_stack_stops_an_overflow_before_the_bus_does() {
-    let outcome = fly(2.4, "2.0 0 stack-overflow");
-    assert_eq!(outcome.record.resets_ns.len(), 1);
-    assert!(outcome.uart_reports("last fault: stack-overflow"));
-    // A store that passes the guard comes to the bus, which has nothing there.
-    let passed = |issue: &&String| issue.starts_with("no such address");
-    let passed: Vec<&String> = outcome.issues.iter().filter(passed).collect();
-    assert_eq!(passed, Vec::<&String>::new());
+    // The exception that wakes the core finds no room, or its handler, or a function that it calls.
+    for room_bytes in [0, 8, 24, 36, 76, 124, 220] {
+        let outcome = fly(0.8, &format!("0.6 0 stack-overflow:{room_bytes}"));
+        assert_eq!(outcome.record.resets_ns.len(), 1, "{room_bytes}");
+        let is_reported = outcome.uart_reports("last fault: stack-overflow");
+        assert!(is_reported, "{room_bytes}: {:?}", outcome.uart_lines);
+        // A store that passes the guard comes to the bus, which has nothing there.
+        let passed = |issue: &&String| issue.starts_with("no such address");
+        let passed: Vec<&String> = outcome.issues.iter().filter(passed).collect();
+        assert_eq!(passed, Vec::<&String>::new(), "{room_bytes}");
+    }
 }
 
 #[test]

@@ -4,12 +4,20 @@ use aplomb::health::Flags;
 
 use super::conditions::NO_CRYSTAL;
 use super::{Case, FaultReport, Report};
-use crate::faults::FaultKind;
+use crate::faults::{FaultKind, ScheduledFault};
 use crate::recorder::Record;
 
 /// Time from the crystal's death to the first flagged attitude, ns. The fault's recovery may take
 /// longer.
 const FLAGGED_NS: u64 = super::BUS_DEADLINE_NS;
+
+/// Returns true if the crystal dies while the core runs by the internal oscillator, because the
+/// crystal has died before. A fault that resets the core is a schedule's last one.
+pub(super) fn is_unused_crystal(case: &Case, fault: &ScheduledFault) -> bool {
+    let dies = |fault: &ScheduledFault| fault.kind == FaultKind::CrystalDies;
+    let mut faults = case.schedule.faults.iter();
+    dies(fault) && faults.any(|earlier| dies(earlier) && earlier.start_ns < fault.start_ns)
+}
 
 /// Checks that each snapshot by the internal oscillator has its flags.
 pub(super) fn check_flags(case: &Case, record: &Record, report: &mut Report) {

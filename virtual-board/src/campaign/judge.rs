@@ -6,8 +6,9 @@ use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
 
-use super::{Case, FaultReport, RESET_DEADLINE_NS, Report, deadline_ns};
-use crate::faults::{FaultKind, ScheduledFault, nanoseconds};
+use super::episodes::{Episode, LONGEST_ERASE_NS, STEADY_NS, end_ns, episodes, save_ns};
+use super::{Case, FaultReport, Report};
+use crate::faults::{FaultKind, ScheduledFault};
 use crate::flight::UartLine;
 use crate::profile::CRASHES;
 use crate::recorder::Record;
@@ -23,6 +24,15 @@ const ALLOWED_HEADING_DEG: f64 = 15.0;
 /// The share of fault-free time in which the attitude must be valid.
 const VALID_SHARE: f64 = 0.995;
 
+/// Flags that show a fault of the sensor, its bus or its interrupt, while it lasts.
+const OF_A_FAULT: Flags = Flags::INVALIDATING
+    .union(Flags::MISSED)
+    .union(Flags::GAP)
+    .union(Flags::BUS_FAULT)
+    .union(Flags::SENSOR_RESET)
+    .union(Flags::LATE)
+    .union(Flags::POLLED);
+
 /// Longest time from the beginning of a stuck axis in motion to its flag, ns: two windows of
 /// samples.
 const STUCK_NS: u64 = 260_000_000;
@@ -33,31 +43,11 @@ const LONGEST_SILENCE_NS: u64 = 20_000_000;
 /// The longest pause between two lines of telemetry, of which there are 50 a second, ns.
 const LONGEST_UART_SILENCE_NS: u64 = 100_000_000;
 
-/// The pause of a save, ns: 0.6 s, and the sensor's settings after it. An erase, which is half a
-/// second of it, stalls the core (src/board/flash.rs).
-const SAVE_NS: u64 = 750_000_000;
-const LONGEST_ERASE_NS: u64 = 520_000_000;
-
 /// From an edge to the end of its burst, and some more, ns.
 const IN_FLIGHT_NS: u64 = 1_000_000;
 
-/// Valid for this long without a break is recovered, ns.
-const STEADY_NS: u64 = 5_000_000;
-
 /// A valid snapshot covers this much time until the next one, ns: two periods.
 const COVERED_NS: u64 = 2_000_000;
-
-/// A fault, or several that follow each other too closely to separate.
-#[derive(Clone, Debug)]
-struct Episode {
-    start_ns: u64,
-    /// End of the last of them, from which recovery can begin.
-    end_ns: u64,
-    /// Deadline for a valid attitude.
-    due_ns: u64,
-    faults: Vec<ScheduledFault>,
-    has_save: bool,
-}
 
 /// Judges what came of a case.
 #[must_use]
@@ -76,7 +66,7 @@ pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
     super::clock::check_flags(case, record, &mut report);
     super::compass::check_flags(case, record, &mut report.failures);
     judge.check_heading(&mut report.failures);
-    judge.check_recovery(&mut report);
+    judge.check_recovery(case, &mut report);
     judge.check_fault_free_time(&mut report.failures);
     judge.check_silence(case, &mut report.failures);
     report
@@ -130,7 +120,7 @@ impl Judge<'_> {
         };
         let asked_for = count(FaultKind::resets);
         let crashes =
-            count(|kind| matches!(kind, FaultKind::Crash | FaultKind::StackOverflow)) as u64;
+            count(|kind| matches!(kind, FaultKind::Crash | FaultKind::StackOverflow(_))) as u64;
         let resets = &self.record.resets_ns;
         if resets.len() > asked_for {
             let at: Vec<String> = resets.iter().map(|&at_ns| seconds(at_ns)).collect();
@@ -216,7 +206,7 @@ impl Judge<'_> {
     }
 
     /// Checks that every episode ends in time.
-    fn check_recovery(&self, report: &mut Report) {
+    fn check_recovery(&self, case: &Case, report: &mut Report) {
         for episode in &self.episodes {
             // Steadily valid from here on, unless it was valid all the time.
             let back_ns = self
@@ -248,9 +238,12 @@ impl Judge<'_> {
                     recovery_ns,
                 });
                 // Among several faults, one may hide another. The firmware addresses a compass
-                // seldom, or not at all after a stall: such a fault may come to nothing.
-                let is_alone =
-                    episode.faults.len() == 1 && !episode.has_save && !fault.kind.is_of_compass();
+                // seldom, or not at all after a stall: such a fault may come to nothing. So does
+                // the crystal's second death: until a reset the core runs without it.
+                let is_alone = episode.faults.len() == 1
+                    && !episode.has_save
+                    && !fault.kind.is_of_compass()
+                    && !super::clock::is_unused_crystal(case, fault);
                 if is_alone && !is_detected && !fault.kind.counted().is_empty() {
                     let counted = self.record.counted(fault.start_ns, episode.due_ns);
                     report.failures.push(format!(
@@ -334,8 +327,25 @@ impl Judge<'_> {
                 100.0 * share
             ));
         }
+        self.check_traces(&is_free, failures);
         self.check_samples(&is_free, failures);
         self.check_times(&is_free, failures);
+    }
+
+    /// Checks that no fault leaves its flags behind.
+    fn check_traces(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+        let mut flagged = self
+            .published
+            .iter()
+            .filter(|sample| is_free(sample.at_ns) && sample.snapshot.flags.intersects(OF_A_FAULT));
+        if let Some(first) = flagged.next() {
+            failures.push(format!(
+                "{} attitudes flagged without a fault, the first with {} at {} s",
+                1 + flagged.count(),
+                first.snapshot.flags,
+                seconds(first.at_ns)
+            ));
+        }
     }
 
     /// Checks that each edge without a fault has its sample.
@@ -505,80 +515,6 @@ fn valid_spans(samples: &[Publication]) -> Vec<(u64, u64)> {
         }
     }
     spans
-}
-
-/// Groups the faults, and a save, into episodes.
-fn episodes(case: &Case, record: &Record) -> Vec<Episode> {
-    let of_fault = |fault: &ScheduledFault| {
-        let end_ns = end_ns(fault, record);
-        Episode {
-            start_ns: fault.start_ns,
-            end_ns,
-            due_ns: end_ns + deadline_ns(fault.kind).unwrap_or(0),
-            faults: vec![*fault],
-            has_save: false,
-        }
-    };
-    let of_save = save_ns(case).map(|save| Episode {
-        start_ns: save.start,
-        end_ns: save.end,
-        due_ns: save.end + RESET_DEADLINE_NS,
-        faults: Vec::new(),
-        has_save: true,
-    });
-    let mut all: Vec<Episode> = case.schedule.faults.iter().map(of_fault).collect();
-    all.extend(of_save);
-    all.sort_by_key(|episode| episode.start_ns);
-    let mut episodes: Vec<Episode> = Vec::new();
-    for episode in all {
-        match episodes.last_mut() {
-            // A fault that begins before the attitude can have recovered belongs to the last
-            // episode.
-            Some(last) if last.due_ns + STEADY_NS >= episode.start_ns => {
-                last.end_ns = last.end_ns.max(episode.end_ns);
-                last.due_ns = last.due_ns.max(episode.due_ns);
-                last.faults.extend(episode.faults);
-                last.has_save |= episode.has_save;
-            }
-            _ => episodes.push(episode),
-        }
-    }
-    episodes
-}
-
-/// Returns the time of a save: the sensor stops. If the crystal dies in the erase, the core's timer
-/// runs slower until the erase ends, and the firmware's pause lasts longer, by up to an erase.
-fn save_ns(case: &Case) -> Option<std::ops::Range<u64>> {
-    let start_ns = nanoseconds(case.conditions.save_s?);
-    let mut faults = case.schedule.faults.iter();
-    let slows = |fault: &ScheduledFault| {
-        fault.kind == FaultKind::CrystalDies
-            && (start_ns..start_ns + LONGEST_ERASE_NS).contains(&fault.start_ns)
-    };
-    let longer_ns = if faults.any(slows) {
-        LONGEST_ERASE_NS
-    } else {
-        0
-    };
-    Some(start_ns..start_ns + SAVE_NS + longer_ns)
-}
-
-/// Returns the time at which a fault is over, so that the firmware can recover from it.
-fn end_ns(fault: &ScheduledFault, record: &Record) -> u64 {
-    let first_after =
-        |times: &[u64], from_ns: u64| times.iter().copied().find(|&at_ns| at_ns >= from_ns);
-    match fault.kind {
-        kind if kind.stops_sensor() && !kind.resets() => {
-            first_after(&record.sensor_ready_ns, fault.end_ns()).unwrap_or(fault.end_ns())
-        }
-        kind if kind.resets() => {
-            first_after(&record.resets_ns, fault.start_ns).unwrap_or(fault.start_ns)
-        }
-        FaultKind::CrystalDies => fault.start_ns,
-        // Such faults leave no trace.
-        kind if deadline_ns(kind).is_none() => fault.start_ns,
-        _ => fault.end_ns(),
-    }
 }
 
 fn tilt_error_deg(sample: &Publication, truth: Quaternion) -> f64 {

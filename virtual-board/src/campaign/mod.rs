@@ -17,13 +17,14 @@
 //!   end.
 //! - By the internal oscillator each attitude has its flags, and a save leaves the old record or
 //!   the new one.
-//! - Without a fault no data-ready edge is without its sample, and times are right to a
-//!   microsecond.
+//! - Without a fault no data-ready edge is without its sample, times are right to a microsecond,
+//!   and no flag of an earlier fault is left.
 
 mod clock;
 mod compass;
 mod conditions;
 mod coverage;
+mod episodes;
 mod journal;
 mod judge;
 mod slots;
@@ -313,7 +314,7 @@ pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
         | FaultKind::CrystalDies
         | FaultKind::WatchdogHang
         | FaultKind::Crash
-        | FaultKind::StackOverflow => Some(RESET_DEADLINE_NS),
+        | FaultKind::StackOverflow(_) => Some(RESET_DEADLINE_NS),
         _ => Some(BUS_DEADLINE_NS),
     }
 }
@@ -390,7 +391,7 @@ fn is_expected(case: &Case, violation: &str) -> bool {
         faults.any(|fault| is_cause(fault.kind))
     };
     let sags = |kind| matches!(kind, FaultKind::SupplySag(millivolts) if millivolts < 2_700);
-    let overflows = |kind| kind == FaultKind::StackOverflow;
+    let overflows = |kind| matches!(kind, FaultKind::StackOverflow(_));
     let address = violation.strip_prefix("no such address: unmapped at=0x");
     let address = address.and_then(|rest| u64::from_str_radix(rest.get(..8)?, 16).ok());
     violation.starts_with("FLASH.ACR") && has(sags)

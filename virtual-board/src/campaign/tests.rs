@@ -179,6 +179,49 @@ fn a_fault_that_is_not_counted_as_its_class_fails() {
 }
 
 #[test]
+fn the_second_death_of_a_crystal_need_not_be_counted() {
+    let by_internal = |faults: &str| {
+        let case = case(faults);
+        let mut record = record(&case, 0..0);
+        for sample in &mut record.samples {
+            let is_internal = sample.published_ns > 1_800 * MILLISECOND;
+            let internal = Flags::INTERNAL_CLOCK | Flags::DEGRADED;
+            sample.snapshot.flags.set(internal, is_internal);
+        }
+        record.health.truncate(1);
+        judge(&case, &record, &telemetry()).failures
+    };
+    let again = by_internal("1.8 0.1 crystal-dies\n2.3 0.1 crystal-dies");
+    assert_eq!(again, Vec::<String>::new());
+    let other = by_internal("1.8 0.1 crystal-dies\n2.3 0.1 zeros");
+    assert_eq!(
+        other,
+        ["not counted as one of [Rejected], but as []: 2.3 0.1 zeros"]
+    );
+}
+
+#[test]
+fn a_flag_that_a_fault_leaves_behind_fails() {
+    let (case, mut record) = sound();
+    record.samples[1200].snapshot.flags |= Flags::POLLED;
+    assert_fails(
+        &case,
+        &record,
+        "1 attitudes flagged without a fault, the first with VALID|POLLED",
+    );
+    // In time the fault may still show.
+    let (case, mut record) = sound();
+    let shows = |sample: &&mut Sample| {
+        (1_840 * MILLISECOND..1_850 * MILLISECOND).contains(&sample.published_ns)
+    };
+    for sample in record.samples.iter_mut().filter(shows) {
+        sample.snapshot.flags |= Flags::POLLED;
+    }
+    let failures = judge(&case, &record, &telemetry()).failures;
+    assert_eq!(failures, Vec::<String>::new());
+}
+
+#[test]
 fn a_violation_is_expected_only_with_the_fault_that_explains_it() {
     let [sag, overflow] = ["1.8 0.03 supply-sag:2500", "1.8 0 stack-overflow"].map(case);
     let wait_states = "FLASH.ACR: too few";

@@ -49,7 +49,7 @@ pub struct Profile {
     steps_everything: bool,
     /// True if only the fault handlers have breakpoints and no account is kept.
     crashes_only: bool,
-    /// The upsets that hit the core before its next instruction.
+    /// The upsets to come: before the core's next instruction, if nothing else is said.
     upsets: Vec<Upset>,
 }
 
@@ -58,7 +58,8 @@ pub struct Profile {
 pub enum Upset {
     /// The core leaves the Thumb state, the only one that it has.
     ThumbStateLost,
-    /// The stack pointer is here from now on.
+    /// The stack pointer is here when the core next wakes. Awake, it would soon return to addresses
+    /// from memory that no frame was pushed to, and that is no overflow.
     StackPointer(u32),
     /// The non-maskable interrupt is requested.
     NonMaskableInterrupt,

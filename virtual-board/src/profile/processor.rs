@@ -113,8 +113,10 @@ impl ProfiledProcessor {
 
     /// Applies the upsets that are due.
     fn apply_upsets(&mut self) {
-        let upsets = match self.profile.lock() {
-            Ok(mut profile) => std::mem::take(&mut profile.upsets),
+        let is_asleep = self.inner.waiting();
+        let is_due = |upset: &mut Upset| is_asleep || !matches!(upset, Upset::StackPointer(_));
+        let upsets: Vec<Upset> = match self.profile.lock() {
+            Ok(mut profile) => profile.upsets.extract_if(.., is_due).collect(),
             Err(_) => return,
         };
         for upset in upsets {

@@ -144,7 +144,7 @@ impl Recorder {
                 fault.kind,
                 FaultKind::AttitudeLate
                     | FaultKind::Crash
-                    | FaultKind::StackOverflow
+                    | FaultKind::StackOverflow(_)
                     | FaultKind::DebuggerReset
             )
         };
@@ -407,9 +407,8 @@ impl Recorder {
                 }
                 FaultKind::Crash if begins => profile.upset(Upset::ThumbStateLost),
                 FaultKind::DebuggerReset if begins => profile.upset(Upset::DebuggerReset),
-                // Room for two words; an exception needs eight.
-                FaultKind::StackOverflow if begins => {
-                    profile.upset(Upset::StackPointer(stack_end + 8));
+                FaultKind::StackOverflow(room_bytes) if begins => {
+                    profile.upset(Upset::StackPointer(stack_end + u32::from(room_bytes)));
                 }
                 _ => {}
             }
