@@ -178,9 +178,10 @@ mod tests {
                 assert_eq!(scales.evaluate(&bytes), expected, "{place} {bit}");
             }
         }
-        assert_eq!(interrupt.evaluate(&[0x02, 0x01, 9, 9, 9]), Intact);
-        assert_eq!(interrupt.evaluate(&[0x02, 0x00, 0, 0, 0]), Changed);
-        assert_eq!(interrupt.evaluate(&[0x82, 0x01, 0, 0, 0]), Changed);
+        assert_eq!(interrupt.evaluate(&[0x12, 0x01, 9, 9, 9]), Intact);
+        assert_eq!(interrupt.evaluate(&[0x12, 0x00, 0, 0, 0]), Changed);
+        assert_eq!(interrupt.evaluate(&[0x92, 0x01, 0, 0, 0]), Changed);
+        assert_eq!(interrupt.evaluate(&[0x02, 0x01, 0, 0, 0]), Changed);
         assert_eq!(power.evaluate(&[0x01, 0x00, 0, 0, 0]), Intact);
         assert_eq!(power.evaluate(&[0x00, 0x00, 0, 0, 0]), Changed);
         assert_eq!(power.evaluate(&[0x01, 0x08, 0, 0, 0]), Changed);
