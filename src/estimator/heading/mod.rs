@@ -35,7 +35,7 @@
 //! # Cost
 //!
 //! Deadline: one sample. With the tilt filter a sample costs 465 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 873 at worst. Below 250 Hz a whole step runs with one sample.
+//! Cortex-M4F at 1 kHz, and 877 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;

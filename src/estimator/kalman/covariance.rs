@@ -316,8 +316,9 @@ impl Covariance {
     ///
     /// P_dd is then symmetric.
     pub(super) fn complete_dynamic(&mut self, transition: &Transition) {
-        // Only the lower half, with the terms that `propagate_cross` leaves out.
-        let [first, second, third, fourth] = &mut self.dynamic;
+        // Only the lower half, with the terms that `propagate_cross` leaves out. In a copy the sums
+        // stay in registers.
+        let [mut first, mut second, mut third, mut fourth] = self.dynamic;
         let (gyroscope, accelerometer) = self.cross.split_at(GYROSCOPE_PARAMETERS);
         for (x, b) in gyroscope.iter().zip(&transition.tilt) {
             first[0] -= x[0] * b[0];
@@ -333,6 +334,7 @@ impl Covariance {
             fourth[2] -= x[3] * b[0];
             fourth[3] -= x[3] * b[1];
         }
+        self.dynamic = [first, second, third, fourth];
         for row in 1..DYNAMIC {
             for column in 0..row {
                 self.dynamic[column][row] = self.dynamic[row][column];

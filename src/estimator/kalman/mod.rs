@@ -100,7 +100,7 @@
 //! # Cost
 //!
 //! Deadline: one sample. At 1 kHz a sample costs about 320 instructions on a Cortex-M4F on average,
-//! covariance included, and about 750 at worst. At 100 Hz the worst case is 1,100. A reset of the
+//! covariance included, and about 730 at worst. At 100 Hz the worst case is 1,100. A reset of the
 //! motion adds at most eight pairs of rows of the covariance.
 
 mod confirmation;
