@@ -24,6 +24,9 @@ const LARGEST_INCONSISTENCY: f32 = 100.0;
 /// everywhere; before the first reading the field is zero.
 const LEAST_HORIZONTAL_UT2: f32 = 1.0e-2;
 
+/// Longest time from the first attitude to the turns that count, in steps of 0.22 s: 15 s.
+const LONGEST_TURN_STEPS: u8 = 68;
+
 /// Row h of the measurement, without its two ones at field and local deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Row {
@@ -135,6 +138,9 @@ impl Heading {
     /// Adds to the time for which the body has moved, turned away from where the field was first
     /// seen. Before, iron on the body, a magnet beside it and a wrong mount look like north.
     ///
+    /// Turns count from an attitude of the last 15 s, because yaw drifts, and an old drift would be
+    /// a turn about the vertical that no motion has made.
+    ///
     /// While the gyroscope's bias is unknown, no turn is known well enough. A compass whose hard
     /// iron is unknown needs turns about two axes: turns about one leave the hard iron along it
     /// open, and soft iron hides the rest.
@@ -144,9 +150,17 @@ impl Heading {
             return;
         }
         let attitude = kalman.attitude_at_earth_step();
-        let first = *self.first_attitude.get_or_insert(attitude);
+        if self.turned_steps == 0 {
+            self.first_attitude = attitude;
+            self.first_turn = Vector3::ZERO;
+        }
+        self.turned_steps = if self.turned_steps < LONGEST_TURN_STEPS {
+            self.turned_steps + 1
+        } else {
+            0
+        };
         // The axis, times the sine of half the angle.
-        let Quaternion { x, y, z, .. } = first.conjugate().multiply(attitude);
+        let Quaternion { x, y, z, .. } = self.first_attitude.conjugate().multiply(attitude);
         let turn = Vector3::new(x, y, z);
         let least = square(self.tuning.verified_half_sine);
         if turn.dot(turn) < least {
@@ -165,8 +179,7 @@ impl Heading {
 
     /// Forgets where the field was first seen, and the turns since then.
     pub(super) fn forget_turns(&mut self) {
-        self.first_attitude = None;
-        self.first_turn = Vector3::ZERO;
+        self.turned_steps = 0;
         self.has_two_axes = false;
         self.verified_s = 0.0;
     }
@@ -321,8 +334,7 @@ impl Heading {
         let is_tilt_known = self.is_tilt_known(kalman);
         if !is_tilt_known {
             // A correction of the tilt looks like a turn: turns count from the attitude after it.
-            self.first_attitude = None;
-            self.first_turn = Vector3::ZERO;
+            self.turned_steps = 0;
         }
         let verified_after_s = if self.is_iron_known {
             tuning.verified_after_s

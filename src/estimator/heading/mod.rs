@@ -99,6 +99,10 @@ const MOST_SLICES: u32 = 160;
 /// Largest sum of a reading's components, µT: no compass of this kind reaches it.
 const LARGEST_FIELD_UT: f32 = 15_000.0;
 
+/// Age beyond which a reading says nothing of the present attitude, µs. An age that underflows, in a
+/// program that subtracts two times, is beyond it too.
+const OLDEST_READING_US: u32 = 1_000_000;
+
 /// Heading of the level frame, in which yaw is zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -139,7 +143,9 @@ pub struct Heading {
     has_reading: bool,
     /// Number of changes of the estimate, which wraps.
     changes: u8,
-    /// True after turns about two axes from `first_attitude`.
+    /// Steps since `first_attitude` was taken. Zero: the next step takes it anew.
+    turned_steps: u8,
+    /// True after turns about two axes.
     has_two_axes: bool,
     /// True if a calibration or an earlier flight has given the hard iron, until a restart.
     is_iron_known: bool,
@@ -183,8 +189,8 @@ pub struct Heading {
     /// True once a sample has been followed, after a reading.
     is_following: bool,
     declination_rad: f32,
-    /// Attitude at the first reading since the bias is known.
-    first_attitude: Option<Quaternion>,
+    /// Attitude from which turns count, of the last 15 s.
+    first_attitude: Quaternion,
     /// First large turn from there: axis in body axes, times the sine of half the angle. Zero
     /// before.
     first_turn: Vector3,
@@ -227,8 +233,9 @@ impl Heading {
             silent_s: 0.0,
             followed_us: 0,
             is_following: false,
-            first_attitude: None,
+            first_attitude: Quaternion::IDENTITY,
             first_turn: Vector3::ZERO,
+            turned_steps: 0,
             has_two_axes: false,
             is_iron_known: knowledge != CompassKnowledge::Factory,
             verified_s: 0.0,
@@ -250,8 +257,11 @@ impl Heading {
     }
 
     /// Sets the declination, rad, east positive: the heading is then that from true north. Default:
-    /// 0, for the heading from magnetic north.
+    /// 0, for the heading from magnetic north. Ignores infinity and NaN.
     pub fn set_declination(&mut self, declination_rad: f32) {
+        if !declination_rad.is_finite() {
+            return;
+        }
         let turn_rad = declination_rad - self.declination_rad;
         self.declination_rad = declination_rad;
         if let Some(estimate) = &mut self.estimate {
@@ -345,11 +355,9 @@ impl Heading {
         visitor.bool(&mut self.is_following);
         visitor.u64(&mut self.followed_us);
         visitor.u8(&mut self.changes);
-        let first = &mut self.first_attitude;
-        visitor.optional(first, Quaternion::IDENTITY, |visitor, first| {
-            visitor.quaternion(first);
-        });
+        visitor.quaternion(&mut self.first_attitude);
         visitor.vector(&mut self.first_turn);
+        visitor.u8(&mut self.turned_steps);
         visitor.bool(&mut self.has_two_axes);
         visitor.bool(&mut self.is_iron_known);
         let blank = HeadingEstimate {
@@ -407,14 +415,15 @@ impl Heading {
     }
 
     /// Adds a reading of the compass, in body axes. Its motion was `age_us` before that of the last
-    /// sample that the filter has followed. Readings that no compass delivers are ignored.
+    /// sample that the filter has followed. Readings that no compass delivers are ignored, and
+    /// those that are older than a second.
     ///
     /// The reading takes effect with the next sample.
     pub fn add_field(&mut self, field: MagneticField, age_us: u32) {
         let [x, y, z] = field.ut;
         let size = x.abs() + y.abs() + z.abs();
         // A NaN fails the comparison.
-        self.has_reading = size < LARGEST_FIELD_UT;
+        self.has_reading = size < LARGEST_FIELD_UT && age_us <= OLDEST_READING_US;
         self.reading_ut = field.ut;
         self.reading_age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
     }
