@@ -275,7 +275,9 @@ typedef struct AplombSnapshot {
   float yaw_offset_rad;
 } AplombSnapshot;
 
-// Sample in SI units and in the sensor's axes. The mount turns it into body axes.
+// Sample in SI units and in the sensor's axes, as the sensor read it. The calibration and the
+// mount of the settings are applied, as to a burst. For samples that are calibrated already, leave
+// the calibration empty, and set `accelerometer_knowledge`.
 typedef struct AplombSample {
   // Time of the sample, µs since start.
   uint64_t t_us;
@@ -335,7 +337,8 @@ enum AplombStatus aplomb_update_burst(struct AplombPipeline *pipeline,
                                       const struct AplombBurst *burst,
                                       struct AplombSnapshot *snapshot);
 
-// Processes one sample in SI units and sensor axes. Writes the attitude at the sample's time.
+// Processes one sample in SI units and sensor axes, by the calibration and the mount of the
+// settings. Writes the attitude at the sample's time.
 enum AplombStatus aplomb_update_sample(struct AplombPipeline *pipeline,
                                        const struct AplombSample *sample,
                                        struct AplombSnapshot *snapshot);

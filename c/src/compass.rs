@@ -52,8 +52,7 @@ pub extern "C" fn aplomb_compass_update_sample(
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
     with(pipeline, sample, snapshot, |pipeline, sample| {
-        let mount = pipeline.pipeline().settings().mount();
-        pipeline.update_sample(&sample.converted(mount))
+        pipeline.update_sample(&sample.converted(pipeline.pipeline()))
     })
 }
 

@@ -23,7 +23,6 @@ mod tests;
 use core::ffi::{CStr, c_char};
 
 use aplomb::attitude::Vector3;
-use aplomb::calibration::Mount;
 use aplomb::estimator::Sample;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Burst, Step};
@@ -163,7 +162,9 @@ impl AplombBurst {
     }
 }
 
-/// Sample in SI units and in the sensor's axes. The mount turns it into body axes.
+/// Sample in SI units and in the sensor's axes, as the sensor read it. The calibration and the
+/// mount of the settings are applied, as to a burst. For samples that are calibrated already, leave
+/// the calibration empty, and set `accelerometer_knowledge`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AplombSample {
@@ -180,11 +181,12 @@ pub struct AplombSample {
 }
 
 impl AplombSample {
-    /// Returns the sample of the library, in body axes.
-    fn converted(&self, mount: Mount) -> Sample {
-        let body = |[x, y, z]: [f32; 3]| mount.to_body(Vector3::new(x, y, z));
-        let (force, rate) = (self.specific_force_m_s2, self.angular_rate_rad_s);
-        let mut sample = Sample::new(self.t_us, body(force), body(rate));
+    /// Returns the sample of the library, calibrated and in body axes.
+    fn converted(&self, pipeline: &Pipeline) -> Sample {
+        let vector = |[x, y, z]: [f32; 3]| Vector3::new(x, y, z);
+        let force = vector(self.specific_force_m_s2);
+        let rate = vector(self.angular_rate_rad_s);
+        let mut sample = pipeline.calibrated_sample(self.t_us, force, rate);
         sample.is_force_saturated = self.is_force_saturated != 0;
         sample.is_rate_saturated = self.is_rate_saturated != 0;
         sample
@@ -322,7 +324,8 @@ pub extern "C" fn aplomb_update_burst(
     })
 }
 
-/// Processes one sample in SI units and sensor axes. Writes the attitude at the sample's time.
+/// Processes one sample in SI units and sensor axes, by the calibration and the mount of the
+/// settings. Writes the attitude at the sample's time.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_update_sample(
@@ -331,8 +334,7 @@ pub extern "C" fn aplomb_update_sample(
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
     with(pipeline, sample, snapshot, |pipeline, sample| {
-        let mount = pipeline.settings().mount();
-        pipeline.update_sample(&sample.converted(mount))
+        pipeline.update_sample(&sample.converted(pipeline))
     })
 }
 

@@ -270,6 +270,9 @@ impl Kalman {
 
     /// Processes one sample: rad/s and m/s2 in the sensor's axes. Returns the attitude at its time.
     ///
+    /// The mount turns the sample. No calibration is applied: correct the sample before, and
+    /// let `accelerometer` state how.
+    ///
     /// `mag` is a new reading of the compass, microtesla in the sensor's axes. The next attitudes
     /// use it. `armed` is True in flight: the filter then takes no steady motion for a rest.
     #[pyo3(signature = (t_us, gyro, accel, mag=None, *, armed=false))]
@@ -313,7 +316,8 @@ impl Kalman {
         })
     }
 
-    /// Processes a whole recording from a new start, and leaves `update` alone.
+    /// Processes a whole recording from a new start, and leaves `update` alone. As in `update`, the
+    /// mount turns the samples, and no calibration is applied.
     ///
     /// Parameters
     /// ----------

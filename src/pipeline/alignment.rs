@@ -1,7 +1,7 @@
 //! Converts counts in sensor axes to SI units in body axes: scale, correction, mount and level in
 //! one affine map per sensor.
 
-use super::Settings;
+use super::{Pipeline, Settings};
 use crate::attitude::{BodyVector, Vector3};
 use crate::calibration::{AccelerometerCorrection, Matrix3};
 use crate::estimator::Sample;
@@ -71,6 +71,58 @@ impl Alignment {
     }
 }
 
+/// Turns a vector from sensor axes to body axes, by the mount and the level.
+#[inline]
+fn to_body(settings: &Settings, in_sensor: Vector3) -> Vector3 {
+    let BodyVector(mounted) = settings.mount().to_body(in_sensor);
+    let level = settings.calibration.level;
+    level.map_or(mounted, |level| level.rotate(mounted))
+}
+
+impl Pipeline {
+    /// Returns the sample for [`update_sample`](Self::update_sample) of readings in sensor axes:
+    /// specific force in m/s², angular rate in rad/s. Applies the calibration, the mount and the
+    /// level as [`update`](Self::update) does with a burst.
+    ///
+    /// Readings have no temperature: a stored gyroscope offset counts as measured at the present
+    /// one. The caller sets the flags of saturation.
+    ///
+    /// ```
+    /// use aplomb::attitude::Vector3;
+    /// use aplomb::calibration::AccelerometerCorrection;
+    /// use aplomb::mpu6050::Part;
+    /// use aplomb::pipeline::{Pipeline, Settings};
+    ///
+    /// let mut settings = Settings::new(&Part::MPU_6050);
+    /// settings.calibration.accelerometer = Some(AccelerometerCorrection {
+    ///     offset_m_s2: Vector3::new(0.0, 1.2, 0.0),
+    ///     ..AccelerometerCorrection::NONE
+    /// });
+    /// let mut pipeline = Pipeline::new(&settings);
+    /// // Face up and level: the sensor reads its offset, and gravity along z.
+    /// let reading = Vector3::new(0.0, 1.2, 9.81);
+    /// let sample = pipeline.calibrated_sample(1_000, reading, Vector3::ZERO);
+    /// assert_eq!(sample.specific_force_m_s2, Vector3::new(0.0, 0.0, -9.81));
+    /// assert!(pipeline.update_sample(&sample).euler().roll_rad.abs() < 1e-3);
+    /// ```
+    pub fn calibrated_sample(
+        &self,
+        t_us: u64,
+        specific_force_m_s2: Vector3,
+        angular_rate_rad_s: Vector3,
+    ) -> Sample {
+        let (settings, offset) = (&self.settings, self.gyroscope_offset_rad_s);
+        let calibration = &settings.calibration;
+        let correction = calibration
+            .accelerometer
+            .unwrap_or(AccelerometerCorrection::NONE);
+        let matrix = calibration.gyroscope_matrix.unwrap_or(Matrix3::IDENTITY);
+        let force = to_body(settings, correction.apply(specific_force_m_s2));
+        let rate = to_body(settings, matrix.times(angular_rate_rad_s - offset));
+        Sample::new(t_us, BodyVector(force), BodyVector(rate))
+    }
+}
+
 /// Affine map: units = Σ column · count + offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Affine {
@@ -85,12 +137,9 @@ impl Affine {
     /// level. One function for both sensors, because its code is large.
     #[inline(never)]
     fn new(settings: &Settings, matrix: &Matrix3, per_count: f32) -> Self {
-        let level = settings.calibration.level;
-        let columns = Matrix3::IDENTITY.rows.map(|axis| {
-            let BodyVector(mounted) = settings.mount().to_body(matrix.times(axis));
-            let body = level.map_or(mounted, |level| level.rotate(mounted));
-            body.scale(per_count)
-        });
+        let columns = Matrix3::IDENTITY
+            .rows
+            .map(|axis| to_body(settings, matrix.times(axis)).scale(per_count));
         Self {
             columns,
             offset: Vector3::ZERO,

@@ -103,7 +103,7 @@ impl CompassPipeline {
         self.follow(snapshot)
     }
 
-    /// Processes one calibrated sample like [`Pipeline::update_sample`].
+    /// Processes one calibrated sample in body axes like [`Pipeline::update_sample`].
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
         let snapshot = self.pipeline.update_sample(sample);
         self.follow(snapshot)

@@ -183,6 +183,9 @@ impl Pipeline {
     /// Processes one calibrated sample in body axes, such as from a recording in SI units. Returns
     /// the attitude at the sample's time. Times increase, as for [`update`](Self::update).
     ///
+    /// Applies no calibration and no mount: [`calibrated_sample`](Self::calibrated_sample) does.
+    /// The calibration of the settings counts as applied already.
+    ///
     /// Skips the checks that need the sensor's bytes: blank data and the temperature. Frozen data
     /// and a stuck axis are flagged [`Flags::FROZEN`] only after a rest of 200 samples, one in each
     /// 1/bandwidth. Their noise shows that the values do not repeat for another reason.

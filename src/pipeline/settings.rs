@@ -16,7 +16,8 @@ pub struct Settings {
     pub part: &'static Part,
     /// Mount of the sensor, unless `calibration` has one. Default: chip face up, X forward.
     pub mount: Mount,
-    /// Calibration of the sensor. Default: none.
+    /// Calibration of the sensor. Default: none. It corrects bursts. It corrects readings in SI
+    /// units only by [`Pipeline::calibrated_sample`](super::Pipeline::calibrated_sample).
     pub calibration: Calibration,
     /// Delay of the sensor in µs: age of a sample's content at the sample's time. Default: `None`,
     /// the gyroscope's delay in the low-pass filter of `sensor` in `part`, because the time is that

@@ -231,6 +231,52 @@ fn a_calibration_is_applied_step_by_step_in_one_map() {
     assert!((offset - expected).norm() < 1e-6);
 }
 
+/// Each reading goes in once as a burst and once in SI units, in motion from the first one on.
+#[test]
+fn readings_in_si_units_give_the_attitude_of_their_bursts() {
+    let configured = Settings {
+        calibration: calibration(),
+        ..settings()
+    };
+    let mut of_bursts = Pipeline::new(&configured);
+    let mut of_readings = Pipeline::new(&configured);
+    for index in 0..4_000_u64 {
+        let swing = libm::sinf(2.0e-3 * index as f32);
+        let force = force(40.0 * swing, 20.0 * swing);
+        let rate = Vector3::new(80.0, 40.0, 10.0).scale(libm::cosf(2.0e-3 * index as f32));
+        let burst = burst(Mount::Z_DOWN, 1_000 * index, force, rate);
+        let raw = RawSample::decode(&burst.bytes);
+        let sample = of_readings.calibrated_sample(
+            burst.captured_at_us,
+            (raw.accelerometer).to_m_s2(configured.sensor.accelerometer_range),
+            (raw.gyroscope).to_rad_s(configured.sensor.gyroscope_range),
+        );
+        let expected = update(&mut of_bursts, &burst);
+        let found = of_readings.update_sample(&sample);
+        let difference = (found.attitude.conjugate()).multiply(expected.attitude);
+        let Quaternion { x, y, z, .. } = difference;
+        assert!(
+            Vector3::new(x, y, z).norm() < 1e-4,
+            "{index}: {difference:?}"
+        );
+        assert_eq!(found.flags, expected.flags, "{index}");
+        let ratio = found.tilt_sigma_rad() / expected.tilt_sigma_rad();
+        assert!((ratio - 1.0).abs() < 0.01, "{index}: {ratio}");
+    }
+}
+
+#[test]
+fn readings_without_a_calibration_keep_their_digits() {
+    let pipeline = Pipeline::new(&settings());
+    let (force, rate) = (Vector3::new(0.1, -0.7, 9.3), Vector3::new(1.1, 1e-7, -3.3));
+    let sample = pipeline.calibrated_sample(5, force, rate);
+    let mount = Mount::Z_UP;
+    assert_eq!(
+        sample,
+        Sample::new(5, mount.to_body(force), mount.to_body(rate))
+    );
+}
+
 /// A matrix states that the gyroscope is calibrated: σ grows less in a turn, whether the pipeline
 /// starts with the matrix or gets it later.
 #[test]

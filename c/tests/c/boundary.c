@@ -137,6 +137,66 @@ static void records_read_back(void)
     assert(aplomb_decode_record(NULL, &found) == APLOMB_STATUS_NULL_POINTER);
 }
 
+/* A sensor with an offset, a matrix and a mount, in motion from its first sample on. */
+static AplombSettings settings_of_a_calibrated_sensor(void)
+{
+    static const float scale[9] = {1.02f, 0.01f, 0, 0, 0.98f, 0, 0, 0.02f, 1.01f};
+    AplombSettings settings = aplomb_default_settings();
+    AplombCalibration *calibration = &settings.calibration;
+    memcpy(calibration->mount, "+y-z\0\0\0", 8);
+    calibration->has_gyroscope = calibration->has_gyroscope_matrix = 1;
+    calibration->gyroscope_offset_rad_s[0] = 0.35f;
+    calibration->gyroscope_celsius = 25.0f;
+    memcpy(calibration->gyroscope_matrix, scale, sizeof scale);
+    calibration->has_accelerometer = 1;
+    calibration->accelerometer_offset_m_s2[0] = 0.6f;
+    calibration->accelerometer_offset_m_s2[1] = 1.2f;
+    for (int i = 0; i < 3; i++) {
+        calibration->accelerometer_matrix[i] = 0.97f + 0.02f * (float)i;
+    }
+    return settings;
+}
+
+static void samples_give_the_attitudes_of_their_bursts(void)
+{
+    AplombSettings settings = settings_of_a_calibrated_sensor();
+    AplombSnapshot of_burst, of_sample, of_compass;
+    AplombPipeline of_bursts;
+    assert(aplomb_init(&of_bursts, &settings) == APLOMB_STATUS_OK);
+    assert(aplomb_init(&pipeline, &settings) == APLOMB_STATUS_OK);
+    assert(aplomb_compass_init(&with_compass, &settings) == APLOMB_STATUS_OK);
+    for (int i = 1; i < 4000; i++) {
+        double turn = 0.6 * sin(2e-3 * i), rate = 1.2 * cos(2e-3 * i);
+        double force[3] = {-9.8 * sin(turn) + 0.6, 1.2, 9.8 * cos(turn)};
+        double rates[3] = {0.35, rate, 0.0};
+        AplombBurst burst = {0};
+        AplombSample sample = {0};
+        burst.captured_at_us = sample.t_us = 1000u * (unsigned)i;
+        burst.bytes[6] = 0xF0; /* 25 degrees Celsius */
+        burst.bytes[7] = 0xB0;
+        for (int axis = 0; axis < 3; axis++) {
+            long counts[2];
+            counts[0] = lround(force[axis] / 9.80665 * 2048.0) + (long)(chance() % 4);
+            counts[1] = lround(rates[axis] * 57.29578 * 16.4) + (long)(chance() % 4);
+            sample.specific_force_m_s2[axis] = (float)counts[0] / 2048.0f * 9.80665f;
+            sample.angular_rate_rad_s[axis] = (float)counts[1] / 16.4f / 57.29578f;
+            for (int sensor = 0; sensor < 2; sensor++) {
+                burst.bytes[8 * sensor + 2 * axis] = (uint8_t)(counts[sensor] >> 8);
+                burst.bytes[8 * sensor + 2 * axis + 1] = (uint8_t)counts[sensor];
+            }
+        }
+        aplomb_update_burst(&of_bursts, &burst, &of_burst);
+        aplomb_update_sample(&pipeline, &sample, &of_sample);
+        aplomb_compass_update_sample(&with_compass, &sample, &of_compass);
+        assert(of_sample.flags == of_burst.flags);
+        for (int part = 0; part < 4; part++) {
+            assert(fabsf(of_sample.attitude[part] - of_burst.attitude[part]) < 1e-4f);
+            assert(of_compass.attitude[part] == of_sample.attitude[part]);
+        }
+    }
+    assert(of_sample.flags & APLOMB_FLAG_VALID);
+}
+
 static void null_pointers_are_refused(void)
 {
     AplombSnapshot snapshot;
@@ -318,6 +378,7 @@ int main(void)
     settings_of_a_compass_are_checked();
     steps_are_those_of_the_datasheet();
     records_read_back();
+    samples_give_the_attitudes_of_their_bursts();
     null_pointers_are_refused();
     memory_without_a_pipeline_is_refused();
     wild_inputs_give_finite_attitudes();
