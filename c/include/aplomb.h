@@ -111,6 +111,15 @@ typedef enum AplombStatus {
   APLOMB_STATUS_WRONG_KNOWLEDGE = 10,
   // The declination is no angle from -pi to pi.
   APLOMB_STATUS_WRONG_DECLINATION = 11,
+  // The offset of the accelerometer exceeds 0.2 g, or its matrix is more than 0.1 from the
+  // identity.
+  APLOMB_STATUS_WRONG_ACCELEROMETER = 12,
+  // The offset of the gyroscope exceeds 41 degrees per second. It is in rad/s.
+  APLOMB_STATUS_WRONG_GYROSCOPE_OFFSET = 13,
+  // The gyroscope's matrix is more than 0.1 from the identity.
+  APLOMB_STATUS_WRONG_GYROSCOPE_MATRIX = 14,
+  // The level is no unit quaternion, or tilts by more than 15 degrees.
+  APLOMB_STATUS_WRONG_LEVEL = 15,
 } AplombStatus;
 
 // Knowledge of the accelerometer's offset.

@@ -118,6 +118,15 @@ pub enum AplombStatus {
     WrongKnowledge = 10,
     /// The declination is no angle from -pi to pi.
     WrongDeclination = 11,
+    /// The offset of the accelerometer exceeds 0.2 g, or its matrix is more than 0.1 from the
+    /// identity.
+    WrongAccelerometer = 12,
+    /// The offset of the gyroscope exceeds 41 degrees per second. It is in rad/s.
+    WrongGyroscopeOffset = 13,
+    /// The gyroscope's matrix is more than 0.1 from the identity.
+    WrongGyroscopeMatrix = 14,
+    /// The level is no unit quaternion, or tilts by more than 15 degrees.
+    WrongLevel = 15,
 }
 
 /// Register to write to the sensor, and the wait after it.
@@ -254,7 +263,7 @@ pub extern "C" fn aplomb_version() -> *const c_char {
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
-    const TEXTS: [&CStr; 12] = [
+    const TEXTS: [&CStr; 16] = [
         c"done",
         c"a pointer is null",
         c"the memory holds no pipeline: call aplomb_init first",
@@ -267,6 +276,10 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"a number of the calibration is not finite",
         c"the knowledge of the accelerometer or of the compass is none of its values",
         c"the declination is no angle from -pi to pi",
+        c"the accelerometer's offset exceeds 0.2 g, or its matrix is over 0.1 from the identity",
+        c"the gyroscope's offset exceeds 41 degrees per second: it is in rad/s",
+        c"the gyroscope's matrix is more than 0.1 from the identity: set all nine numbers",
+        c"the level is no unit quaternion, or tilts by more than 15 degrees",
     ];
     let text = TEXTS.get(status as usize).copied();
     text.unwrap_or(c"this is no status of aplomb").as_ptr()

@@ -4,8 +4,8 @@ use core::ffi::c_char;
 
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::{
-    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset, Matrix3,
-    SymmetricMatrix, TemperatureModel,
+    AccelerometerCorrection, Calibration, CompassCorrection, GyroscopeOffset,
+    ImplausibleCalibration, Matrix3, SymmetricMatrix, TemperatureModel,
 };
 use aplomb::settings::{CompassSettings, Record, storage};
 use embedded_storage::nor_flash::{
@@ -121,6 +121,7 @@ impl AplombCalibration {
             rows: rows(self.gyroscope_matrix),
         };
         calibration.gyroscope_matrix = (self.has_gyroscope_matrix != 0).then_some(matrix);
+        calibration.check().map_err(status_of)?;
         Ok(calibration)
     }
 
@@ -132,6 +133,11 @@ impl AplombCalibration {
             compass.mount = Some(mount.ok_or(AplombStatus::WrongMount)?);
         }
         let [x, y, z] = self.compass_hard_iron_ut;
+        let numbers = [&self.compass_matrix[..], &self.compass_hard_iron_ut];
+        let is_finite = numbers.into_iter().flatten().all(|it| it.is_finite());
+        if self.has_compass != 0 && !is_finite {
+            return Err(AplombStatus::NotStorable);
+        }
         compass.correction = (self.has_compass != 0).then_some(CompassCorrection {
             matrix: rows(self.compass_matrix),
             hard_iron_ut: Vector3::new(x, y, z),
@@ -186,6 +192,18 @@ impl From<&Record> for AplombCalibration {
             found.compass_hard_iron_ut = array(correction.hard_iron_ut);
         }
         found
+    }
+}
+
+/// Returns the status of a calibration that no sensor has.
+const fn status_of(error: ImplausibleCalibration) -> AplombStatus {
+    match error {
+        ImplausibleCalibration::Accelerometer => AplombStatus::WrongAccelerometer,
+        ImplausibleCalibration::GyroscopeOffset => AplombStatus::WrongGyroscopeOffset,
+        ImplausibleCalibration::GyroscopeMatrix => AplombStatus::WrongGyroscopeMatrix,
+        ImplausibleCalibration::Level => AplombStatus::WrongLevel,
+        // The enum may grow.
+        _ => AplombStatus::NotStorable,
     }
 }
 

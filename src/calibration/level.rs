@@ -22,6 +22,8 @@ use crate::units::{DEGREES_PER_RADIAN, radians};
 
 /// Largest level trim, rad. A sensor that is further off has another mount than the one set.
 const MAX_TRIM_RAD: f32 = radians(15.0);
+/// Rounding of a quaternion that a user has written with four digits.
+const ROUNDING: f32 = 1.0e-3;
 
 /// Returns the level trim: the shortest rotation from mounted axes to body axes after which this
 /// specific force points straight up.
@@ -41,6 +43,14 @@ pub fn trim(force_m_s2: Vector3) -> Result<Quaternion, LevelError> {
     }
     // The rotation from u to v is (1 + u·v, u × v); v is (0, 0, −1).
     Ok(Quaternion::new(1.0 - up.z, -up.y, up.x, 0.0).normalize())
+}
+
+/// Returns whether a quaternion is a rotation that [`trim`] can find, or one with a yaw too.
+pub(super) fn is_trim(level: &Quaternion) -> bool {
+    let length_error = level.dot(*level) - 1.0;
+    let down = level.down_in_body();
+    let tilt_rad = libm::atan2f(libm::sqrtf(down.x * down.x + down.y * down.y), down.z);
+    length_error.abs() <= ROUNDING && tilt_rad <= MAX_TRIM_RAD + ROUNDING
 }
 
 /// Reason why there is no level trim.

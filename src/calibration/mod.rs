@@ -60,6 +60,7 @@ mod model;
 mod mount;
 pub mod mount_finder;
 mod noise;
+mod plausible;
 pub mod stationary;
 pub mod temperature;
 
@@ -69,6 +70,7 @@ pub use matrix::{Matrix3, SymmetricMatrix};
 pub use model::{AccelerometerCorrection, Calibration, GyroscopeOffset, TemperatureModel};
 pub use mount::{Mount, ParseMountError};
 pub use noise::{NoiseModel, SensorSetup};
+pub use plausible::ImplausibleCalibration;
 pub use stationary::{
     ImuReading, MotionReason, StationaryDetector, StationaryMean, StationaryProgress,
 };

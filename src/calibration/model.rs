@@ -14,6 +14,7 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 const ROOM_CELSIUS: f32 = 25.0;
 
 /// Knowledge about one sensor and its place in the vehicle. The default is no knowledge.
+/// [`check`](Self::check) finds numbers that no sensor has.
 ///
 /// ```
 /// use aplomb::calibration::{Calibration, Mount};

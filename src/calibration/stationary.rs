@@ -89,6 +89,9 @@ const ZERO_RATE_TEMPERATURE_DEGREES_S: f32 = 20.0;
 const ZERO_RATE_TEMPERATURE_RANGE_CELSIUS: f32 = 60.0;
 /// Margin for the sensitivity's own 3 % and the noise, °/s.
 const ZERO_RATE_TOLERANCE_DEGREES_S: f32 = 1.0;
+/// Largest zero-rate offset at any temperature, rad/s.
+pub(super) const MAX_ZERO_RATE_RAD_S: f32 =
+    radians(ZERO_RATE_DEGREES_S + ZERO_RATE_TEMPERATURE_DEGREES_S + ZERO_RATE_TOLERANCE_DEGREES_S);
 
 /// Largest σ of an expected offset that can shorten the average, °/s.
 const USEFUL_EXPECTATION_DEGREES_S: f32 = 0.5;

@@ -45,7 +45,7 @@ static void settings_are_checked(void)
     wrong = settings;
     wrong.accelerometer_knowledge = 4;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_WRONG_KNOWLEDGE);
-    for (uint32_t status = 0; status < 13; status++) {
+    for (uint32_t status = 0; status < 16; status++) {
         assert(strlen(aplomb_status_text(status)) > 3);
     }
     assert(aplomb_status_text(0xFFFFFFFFu) != NULL);
@@ -105,6 +105,9 @@ static void records_read_back(void)
     }
     calibration.compass_hard_iron_ut[2] = -30.5f;
     calibration.has_gyroscope_matrix = 1;
+    for (int i = 0; i < 9; i += 4) {
+        calibration.gyroscope_matrix[i] = 1.0f;
+    }
     calibration.gyroscope_matrix[5] = -0.0625f;
     calibration.accelerometer_offset_m_s2[1] = 0.25f;
     for (int i = 0; i < 3; i++) {
@@ -128,6 +131,9 @@ static void records_read_back(void)
     calibration.accelerometer_offset_m_s2[0] = NAN;
     assert(aplomb_encode_record(&calibration, &record) == APLOMB_STATUS_NOT_STORABLE);
     calibration.accelerometer_offset_m_s2[0] = 0.0f;
+    calibration.accelerometer_matrix[0] = 0.0f;
+    assert(aplomb_encode_record(&calibration, &record) == APLOMB_STATUS_WRONG_ACCELEROMETER);
+    calibration.accelerometer_matrix[0] = 1.0f;
     calibration.compass_hard_iron_ut[0] = INFINITY;
     assert(aplomb_encode_record(&calibration, &record) == APLOMB_STATUS_NOT_STORABLE);
     calibration.compass_hard_iron_ut[0] = 0.0f;
@@ -135,6 +141,48 @@ static void records_read_back(void)
     assert(aplomb_encode_record(&calibration, &record) == APLOMB_STATUS_WRONG_MOUNT);
     assert(aplomb_encode_record(NULL, &record) == APLOMB_STATUS_NULL_POINTER);
     assert(aplomb_decode_record(NULL, &found) == APLOMB_STATUS_NULL_POINTER);
+}
+
+/* Both kinds of pipeline refuse this calibration. */
+static void is_refused(const AplombSettings *settings, AplombStatus status)
+{
+    assert(aplomb_init(&pipeline, settings) == status);
+    assert(aplomb_compass_init(&with_compass, settings) == status);
+}
+
+static void calibrations_that_no_sensor_has_are_refused(void)
+{
+    AplombSettings usual = aplomb_default_settings(), wrong;
+    wrong = usual;
+    wrong.calibration.has_gyroscope_matrix = 1; /* the matrix is forgotten */
+    is_refused(&wrong, APLOMB_STATUS_WRONG_GYROSCOPE_MATRIX);
+    wrong.calibration.gyroscope_matrix[3] = NAN;
+    is_refused(&wrong, APLOMB_STATUS_NOT_STORABLE);
+    wrong = usual;
+    wrong.calibration.has_accelerometer = 1;
+    is_refused(&wrong, APLOMB_STATUS_WRONG_ACCELEROMETER);
+    wrong.calibration.accelerometer_offset_m_s2[1] = INFINITY;
+    is_refused(&wrong, APLOMB_STATUS_NOT_STORABLE);
+    wrong = usual;
+    wrong.calibration.has_gyroscope = 1;
+    wrong.calibration.gyroscope_offset_rad_s[2] = 2.5f; /* in degrees per second */
+    is_refused(&wrong, APLOMB_STATUS_WRONG_GYROSCOPE_OFFSET);
+    wrong.calibration.gyroscope_offset_rad_s[2] = NAN;
+    is_refused(&wrong, APLOMB_STATUS_NOT_STORABLE);
+    wrong = usual;
+    wrong.calibration.has_temperature = 1;
+    wrong.calibration.temperature_slope_rad_s_per_celsius[0] = NAN;
+    is_refused(&wrong, APLOMB_STATUS_NOT_STORABLE);
+    wrong = usual;
+    wrong.calibration.has_level = 1;
+    is_refused(&wrong, APLOMB_STATUS_WRONG_LEVEL);
+    wrong.calibration.level[1] = 1.0f; /* upside down */
+    is_refused(&wrong, APLOMB_STATUS_WRONG_LEVEL);
+    wrong = usual;
+    wrong.calibration.has_compass = 1;
+    wrong.calibration.compass_matrix[0] = NAN;
+    assert(aplomb_compass_init(&with_compass, &wrong) == APLOMB_STATUS_NOT_STORABLE);
+    assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_OK); /* it has no compass */
 }
 
 /* A sensor with an offset, a matrix and a mount, in motion from its first sample on. */
@@ -360,7 +408,7 @@ static void wild_settings_are_refused_or_run(void)
         (void)aplomb_configuration_step(&settings, chance(), &step);
         status = aplomb_compass_init(&with_compass, &settings);
         if (status != APLOMB_STATUS_OK || aplomb_init(&pipeline, &settings) != APLOMB_STATUS_OK) {
-            assert(status <= APLOMB_STATUS_WRONG_DECLINATION);
+            assert(status <= APLOMB_STATUS_WRONG_LEVEL);
             refused++;
             continue;
         }
@@ -378,6 +426,7 @@ int main(void)
     settings_of_a_compass_are_checked();
     steps_are_those_of_the_datasheet();
     records_read_back();
+    calibrations_that_no_sensor_has_are_refused();
     samples_give_the_attitudes_of_their_bursts();
     null_pointers_are_refused();
     memory_without_a_pipeline_is_refused();

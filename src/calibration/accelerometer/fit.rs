@@ -17,11 +17,6 @@ pub const MIN_CROSS_AXIS_POSES: usize = 9;
 /// Largest growth of a pose's error in a parameter. Six exact poses have 0.71, nineteen random ones
 /// about 1.
 const MAX_AMPLIFICATION: f32 = 2.5;
-/// Largest offset of a sensor, g: 80 mg, 60 mg over temperature (product specification §6.2), and
-/// a margin.
-const MAX_OFFSET_G: f32 = 0.2;
-/// Largest scale error or cross-axis term of a sensor: 3 % and 2 % (ibidem), and a margin.
-const MAX_MATRIX_ERROR: f32 = 0.1;
 /// Largest residual of poses at rest in a field of one g, g.
 const MAX_RESIDUAL_G: f32 = 0.05;
 /// Largest number of Gauss-Newton steps; three or four are enough.
@@ -183,7 +178,8 @@ pub fn fit(readings: &[Vector3]) -> Result<AccelerometerFit, FitError> {
         .or_else(|| solve(readings, false))
         .ok_or(bad_geometry)?;
     let residual_after_g = model.residual_g(readings);
-    if !model.is_plausible() {
+    let correction = model.in_m_s2();
+    if !correction.is_plausible() {
         return Err(FitError::Implausible);
     }
     let is_consistent = residual_after_g <= MAX_RESIDUAL_G;
@@ -193,7 +189,7 @@ pub fn fit(readings: &[Vector3]) -> Result<AccelerometerFit, FitError> {
         });
     }
     Ok(AccelerometerFit {
-        correction: model.in_m_s2(),
+        correction,
         residual_before_g: Model::START.residual_g(readings),
         residual_after_g,
         poses: readings.len(),
@@ -272,13 +268,6 @@ impl Model {
             sum += error * error;
         }
         libm::sqrtf(sum / readings.len().max(1) as f32)
-    }
-
-    fn is_plausible(&self) -> bool {
-        let m = self.matrix;
-        let errors = [m.xx - 1.0, m.yy - 1.0, m.zz - 1.0, m.xy, m.xz, m.yz];
-        self.offset.is_within(MAX_OFFSET_G)
-            && errors.iter().all(|error| error.abs() <= MAX_MATRIX_ERROR)
     }
 
     /// Returns the equations of the residual r = |f| − 1.

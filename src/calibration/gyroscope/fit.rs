@@ -18,7 +18,8 @@ pub const MIN_TURNS: usize = 8;
 /// have 0.7.
 const MAX_AMPLIFICATION: f32 = 1.5;
 /// Largest scale error or cross-axis term of a sensor: 3 % and 2 % (product specification §6.1),
-/// and a margin. The console's `gyro-matrix` takes no more.
+/// and a margin. The console's `gyro-matrix` takes no more. `Calibration::check` takes 0.1, which
+/// includes the rounding.
 const MAX_MATRIX_ERROR: f32 = 0.0999;
 /// Largest residual of turns between poses at rest, rad.
 const MAX_RESIDUAL_RAD: f32 = radians(1.0);

@@ -1,0 +1,233 @@
+//! Limits of a calibration: no working sensor exceeds them. The fits keep them too.
+
+use core::fmt;
+
+use super::level;
+use super::matrix::Matrix3;
+use super::model::{AccelerometerCorrection, Calibration};
+use super::stationary::MAX_ZERO_RATE_RAD_S;
+use crate::serialize::StateVisitor;
+use crate::units::STANDARD_GRAVITY_M_S2;
+
+/// Largest offset of an accelerometer, m/s²: 80 mg, 60 mg over temperature (product specification
+/// §6.2), and a margin.
+const MAX_OFFSET_M_S2: f32 = 0.2 * STANDARD_GRAVITY_M_S2;
+/// Largest scale error or cross-axis term of an accelerometer (ibidem) or a gyroscope (§6.1): 3 %
+/// and 2 %, and a margin.
+const MAX_MATRIX_ERROR: f32 = 0.1;
+
+/// Reason why no working sensor has a calibration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum ImplausibleCalibration {
+    /// A number is not finite.
+    NotFinite,
+    /// The offset of the accelerometer exceeds 0.2 g, or an element of its matrix differs by more
+    /// than 0.1 from the identity.
+    Accelerometer,
+    /// The offset of the gyroscope exceeds the largest one at any temperature, 41 °/s.
+    GyroscopeOffset,
+    /// An element of the gyroscope's matrix differs by more than 0.1 from the identity.
+    GyroscopeMatrix,
+    /// The level is no unit quaternion, or tilts by more than 15°.
+    Level,
+}
+
+impl fmt::Display for ImplausibleCalibration {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::NotFinite => "a number of the calibration is not finite",
+            Self::Accelerometer => {
+                "no accelerometer has an offset above 0.2 g, or a matrix more than 0.1 from the \
+                 identity"
+            }
+            Self::GyroscopeOffset => "no gyroscope has an offset above 41 degrees per second",
+            Self::GyroscopeMatrix => "no gyroscope has a matrix more than 0.1 from the identity",
+            Self::Level => "the level has to be a unit quaternion that tilts by 15 degrees at most",
+        })
+    }
+}
+
+impl core::error::Error for ImplausibleCalibration {}
+
+impl Calibration {
+    /// Checks numbers that come from outside.
+    ///
+    /// # Errors
+    ///
+    /// Returns an [`ImplausibleCalibration`] if no working sensor has this calibration.
+    ///
+    /// ```
+    /// use aplomb::attitude::Vector3;
+    /// use aplomb::calibration::{Calibration, ImplausibleCalibration, Matrix3};
+    ///
+    /// let mut calibration = Calibration::NONE;
+    /// assert_eq!(calibration.check(), Ok(()));
+    /// let forgotten = Matrix3 { rows: [Vector3::ZERO; 3] };
+    /// calibration.gyroscope_matrix = Some(forgotten);
+    /// assert_eq!(calibration.check(), Err(ImplausibleCalibration::GyroscopeMatrix));
+    /// ```
+    pub fn check(&self) -> Result<(), ImplausibleCalibration> {
+        let is_gyroscope = |matrix: &Matrix3| {
+            let rows = matrix.rows.iter().zip(Matrix3::IDENTITY.rows);
+            let mut rows = rows;
+            rows.all(|(row, axis)| (*row - axis).is_within(MAX_MATRIX_ERROR))
+        };
+        let (gyroscope, matrix) = (&self.gyroscope, &self.gyroscope_matrix);
+        let parts = [
+            (self.is_finite(), ImplausibleCalibration::NotFinite),
+            (
+                (self.accelerometer.as_ref()).is_none_or(AccelerometerCorrection::is_plausible),
+                ImplausibleCalibration::Accelerometer,
+            ),
+            (
+                gyroscope.is_none_or(|it| it.offset_rad_s.is_within(MAX_ZERO_RATE_RAD_S)),
+                ImplausibleCalibration::GyroscopeOffset,
+            ),
+            (
+                matrix.as_ref().is_none_or(is_gyroscope),
+                ImplausibleCalibration::GyroscopeMatrix,
+            ),
+            (
+                self.level.as_ref().is_none_or(level::is_trim),
+                ImplausibleCalibration::Level,
+            ),
+        ];
+        let wrong = parts.into_iter().find(|(is_right, _)| !is_right);
+        wrong.map_or(Ok(()), |(_, error)| Err(error))
+    }
+
+    /// Returns whether all numbers are finite.
+    fn is_finite(&self) -> bool {
+        let (mut visited, mut finite) = (*self, Finite(true));
+        visited.visit_state(&mut finite);
+        visited.visit_gyroscope_matrix(&mut finite);
+        finite.0
+    }
+}
+
+impl AccelerometerCorrection {
+    /// Returns whether a working sensor can have this correction.
+    pub(super) fn is_plausible(&self) -> bool {
+        let m = self.matrix;
+        let errors = [m.xx - 1.0, m.yy - 1.0, m.zz - 1.0, m.xy, m.xz, m.yz];
+        self.offset_m_s2.is_within(MAX_OFFSET_M_S2)
+            && errors.iter().all(|error| error.abs() <= MAX_MATRIX_ERROR)
+    }
+}
+
+/// Visitor that finds numbers that are not finite.
+struct Finite(bool);
+
+impl StateVisitor for Finite {
+    fn bytes(&mut self, _: &mut [u8]) {}
+
+    fn reject(&mut self) {}
+
+    fn f32(&mut self, value: &mut f32) {
+        self.0 &= value.is_finite();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::attitude::{EulerAngles, Quaternion, Vector3};
+    use crate::calibration::{GyroscopeOffset, SymmetricMatrix, TemperatureModel};
+    use crate::units::radians;
+
+    fn level(roll_degrees: f32) -> Option<Quaternion> {
+        Some(Quaternion::from_euler(EulerAngles {
+            roll_rad: radians(roll_degrees),
+            ..EulerAngles::default()
+        }))
+    }
+
+    /// Checks a calibration after this change.
+    fn check(change: impl FnOnce(&mut Calibration)) -> Result<(), ImplausibleCalibration> {
+        let mut calibration = Calibration {
+            gyroscope: Some(GyroscopeOffset {
+                offset_rad_s: Vector3::new(radians(20.0), 0.0, radians(-40.0)),
+                temperature_celsius: 25.0,
+            }),
+            temperature: Some(TemperatureModel {
+                reference_celsius: 25.0,
+                offset_rad_s: Vector3::ZERO,
+                slope_rad_s_per_celsius: Vector3::ZERO,
+                curvature_rad_s_per_celsius2: Vector3::ZERO,
+                coldest_celsius: 20.0,
+                warmest_celsius: 40.0,
+            }),
+            accelerometer: Some(AccelerometerCorrection {
+                offset_m_s2: Vector3::new(1.9, -1.9, 0.0),
+                matrix: SymmetricMatrix {
+                    xx: 1.09,
+                    yz: -0.09,
+                    ..SymmetricMatrix::IDENTITY
+                },
+            }),
+            level: level(15.0),
+            // The largest matrix of the console.
+            gyroscope_matrix: Some(Matrix3::from_ten_thousandths([999; 9])),
+            ..Calibration::NONE
+        };
+        change(&mut calibration);
+        calibration.check()
+    }
+
+    #[test]
+    fn the_limits_are_those_of_the_fits() {
+        use ImplausibleCalibration::{
+            Accelerometer, GyroscopeMatrix, GyroscopeOffset, Level, NotFinite,
+        };
+        assert_eq!(check(|_| {}), Ok(()));
+        let accelerometer = |offset: f32, xx: f32, xy: f32| {
+            check(|it| {
+                it.accelerometer = Some(AccelerometerCorrection {
+                    offset_m_s2: Vector3::new(0.0, 0.0, offset),
+                    matrix: SymmetricMatrix {
+                        xx,
+                        xy,
+                        ..SymmetricMatrix::IDENTITY
+                    },
+                });
+            })
+        };
+        assert_eq!(accelerometer(2.0, 1.0, 0.0), Err(Accelerometer));
+        assert_eq!(accelerometer(0.0, 0.0, 0.0), Err(Accelerometer));
+        assert_eq!(accelerometer(0.0, 1.0, 0.11), Err(Accelerometer));
+        assert_eq!(accelerometer(f32::INFINITY, 1.0, 0.0), Err(NotFinite));
+        let matrix = |xy| {
+            check(|it| {
+                let mut matrix = Matrix3::IDENTITY;
+                matrix.rows[0].y = xy;
+                it.gyroscope_matrix = Some(matrix);
+            })
+        };
+        assert_eq!(matrix(-0.11), Err(GyroscopeMatrix));
+        assert_eq!(matrix(f32::NAN), Err(NotFinite));
+        let offset = |offset_rad_s, temperature_celsius| {
+            check(|it| {
+                it.gyroscope = Some(crate::calibration::GyroscopeOffset {
+                    offset_rad_s,
+                    temperature_celsius,
+                });
+            })
+        };
+        assert_eq!(
+            offset(Vector3::new(1.0, 0.0, 0.0), 25.0),
+            Err(GyroscopeOffset)
+        );
+        assert_eq!(offset(Vector3::ZERO, f32::NAN), Err(NotFinite));
+        for wrong in [
+            level(16.0),
+            level(180.0),
+            Some(Quaternion::new(0.0, 0.0, 0.0, 0.0)),
+        ] {
+            assert_eq!(check(|it| it.level = wrong), Err(Level));
+        }
+        let not_finite = Some(Quaternion::new(f32::NAN, 0.0, 0.0, 0.0));
+        assert_eq!(check(|it| it.level = not_finite), Err(NotFinite));
+    }
+}
