@@ -17,7 +17,9 @@
 // Samples before this one were lost.
 #define APLOMB_FLAG_MISSED (1 << 2)
 
-// No sample came for more than half a second. Roll and pitch restarted from gravity.
+// No sample came for more than half a second. Roll and pitch restarted from gravity. A shorter
+// pause of more than 3.5 sample periods has no flag of its own. Its sigma grows: after 61 ms in
+// flight, the attitude may be `APLOMB_FLAG_DEGRADED` for 13 s (docs/faults.md).
 #define APLOMB_FLAG_GAP (1 << 3)
 
 // The sample's time is not after the previous one. The attitude is held.
@@ -120,6 +122,8 @@ typedef enum AplombStatus {
   APLOMB_STATUS_WRONG_GYROSCOPE_MATRIX = 14,
   // The level is no unit quaternion, or tilts by more than 15 degrees.
   APLOMB_STATUS_WRONG_LEVEL = 15,
+  // The sensor's delay exceeds a second.
+  APLOMB_STATUS_WRONG_DELAY = 16,
 } AplombStatus;
 
 // Knowledge of the accelerometer's offset.
@@ -209,11 +213,13 @@ typedef struct AplombSettings {
   uint16_t gyroscope_range_deg_s;
   // Bandwidth of the low-pass filter: 256, 188, 98, 42, 20, 10 or 5 Hz.
   uint16_t low_pass_hz;
-  // Divider of the sample rate, register SMPLRT_DIV: 0 is 1,000 samples a second.
+  // Divider of the sample rate, register SMPLRT_DIV: 0 is 1,000 samples a second, 19 is 50. It
+  // has to match the real rate, that of samples in SI units too: slower samples are pauses.
   uint8_t sample_rate_divider;
   // Answer of the sensor's register WHO_AM_I: 0x68 for an MPU-6050.
   uint8_t who_am_i;
-  // Age of a sample's content at the sample's time, µs; negative: that of the low-pass filter.
+  // Age of a sample's content at the sample's time, µs, 1,000,000 at most. Negative: that of
+  // the low-pass filter.
   int32_t sensor_delay_us;
   // A value of `AplombAccelerometerKnowledge`.
   uint32_t accelerometer_knowledge;
@@ -286,7 +292,8 @@ typedef struct AplombSnapshot {
 
 // Sample in SI units and in the sensor's axes, as the sensor read it. The calibration and the
 // mount of the settings are applied, as to a burst. For samples that are calibrated already, leave
-// the calibration empty, and set `accelerometer_knowledge`.
+// the calibration empty, and set `accelerometer_knowledge`. `sample_rate_divider` has to match the
+// rate of the samples.
 typedef struct AplombSample {
   // Time of the sample, µs since start.
   uint64_t t_us;

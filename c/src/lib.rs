@@ -49,7 +49,9 @@ pub const APLOMB_FLAG_CALIBRATING: u32 = 1 << 0;
 pub const APLOMB_FLAG_MOVED: u32 = 1 << 1;
 /// Samples before this one were lost.
 pub const APLOMB_FLAG_MISSED: u32 = 1 << 2;
-/// No sample came for more than half a second. Roll and pitch restarted from gravity.
+/// No sample came for more than half a second. Roll and pitch restarted from gravity. A shorter
+/// pause of more than 3.5 sample periods has no flag of its own. Its sigma grows: after 61 ms in
+/// flight, the attitude may be `APLOMB_FLAG_DEGRADED` for 13 s (docs/faults.md).
 pub const APLOMB_FLAG_GAP: u32 = 1 << 3;
 /// The sample's time is not after the previous one. The attitude is held.
 pub const APLOMB_FLAG_TIME: u32 = 1 << 4;
@@ -127,6 +129,8 @@ pub enum AplombStatus {
     WrongGyroscopeMatrix = 14,
     /// The level is no unit quaternion, or tilts by more than 15 degrees.
     WrongLevel = 15,
+    /// The sensor's delay exceeds a second.
+    WrongDelay = 16,
 }
 
 /// Register to write to the sensor, and the wait after it.
@@ -173,7 +177,8 @@ impl AplombBurst {
 
 /// Sample in SI units and in the sensor's axes, as the sensor read it. The calibration and the
 /// mount of the settings are applied, as to a burst. For samples that are calibrated already, leave
-/// the calibration empty, and set `accelerometer_knowledge`.
+/// the calibration empty, and set `accelerometer_knowledge`. `sample_rate_divider` has to match the
+/// rate of the samples.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AplombSample {
@@ -263,7 +268,7 @@ pub extern "C" fn aplomb_version() -> *const c_char {
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
-    const TEXTS: [&CStr; 16] = [
+    const TEXTS: [&CStr; 17] = [
         c"done",
         c"a pointer is null",
         c"the memory holds no pipeline: call aplomb_init first",
@@ -280,6 +285,7 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"the gyroscope's offset exceeds 41 degrees per second: it is in rad/s",
         c"the gyroscope's matrix is more than 0.1 from the identity: set all nine numbers",
         c"the level is no unit quaternion, or tilts by more than 15 degrees",
+        c"the sensor's delay exceeds a second, 1000000 microseconds",
     ];
     let text = TEXTS.get(status as usize).copied();
     text.unwrap_or(c"this is no status of aplomb").as_ptr()

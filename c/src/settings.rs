@@ -13,6 +13,9 @@ use crate::AplombStatus;
 use crate::mount;
 use crate::record::AplombCalibration;
 
+/// Largest delay, µs: no low-pass filter or bus is slower.
+const LONGEST_DELAY_US: u32 = 1_000_000;
+
 /// Knowledge of the accelerometer's offset.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,11 +57,13 @@ pub struct AplombSettings {
     pub gyroscope_range_deg_s: u16,
     /// Bandwidth of the low-pass filter: 256, 188, 98, 42, 20, 10 or 5 Hz.
     pub low_pass_hz: u16,
-    /// Divider of the sample rate, register SMPLRT_DIV: 0 is 1,000 samples a second.
+    /// Divider of the sample rate, register SMPLRT_DIV: 0 is 1,000 samples a second, 19 is 50. It
+    /// has to match the real rate, that of samples in SI units too: slower samples are pauses.
     pub sample_rate_divider: u8,
     /// Answer of the sensor's register WHO_AM_I: 0x68 for an MPU-6050.
     pub who_am_i: u8,
-    /// Age of a sample's content at the sample's time, µs; negative: that of the low-pass filter.
+    /// Age of a sample's content at the sample's time, µs, 1,000,000 at most. Negative: that of
+    /// the low-pass filter.
     pub sensor_delay_us: i32,
     /// A value of `AplombAccelerometerKnowledge`.
     pub accelerometer_knowledge: u32,
@@ -93,6 +98,9 @@ impl AplombSettings {
         settings.mount = mount.ok_or(AplombStatus::WrongMount)?;
         settings.calibration = self.calibration.checked()?;
         settings.sensor_delay_us = u32::try_from(self.sensor_delay_us).ok();
+        if (settings.sensor_delay_us).is_some_and(|delay_us| delay_us > LONGEST_DELAY_US) {
+            return Err(AplombStatus::WrongDelay);
+        }
         Ok(settings)
     }
 

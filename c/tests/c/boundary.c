@@ -43,9 +43,13 @@ static void settings_are_checked(void)
     wrong.who_am_i = 0;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_UNKNOWN_PART);
     wrong = settings;
+    wrong.sensor_delay_us = 1000001;
+    assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_WRONG_DELAY);
+    wrong.sensor_delay_us = 1000000;
+    assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_OK);
     wrong.accelerometer_knowledge = 4;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_WRONG_KNOWLEDGE);
-    for (uint32_t status = 0; status < 16; status++) {
+    for (uint32_t status = 0; status < 17; status++) {
         assert(strlen(aplomb_status_text(status)) > 3);
     }
     assert(aplomb_status_text(0xFFFFFFFFu) != NULL);
@@ -408,7 +412,7 @@ static void wild_settings_are_refused_or_run(void)
         (void)aplomb_configuration_step(&settings, chance(), &step);
         status = aplomb_compass_init(&with_compass, &settings);
         if (status != APLOMB_STATUS_OK || aplomb_init(&pipeline, &settings) != APLOMB_STATUS_OK) {
-            assert(status <= APLOMB_STATUS_WRONG_LEVEL);
+            assert(status <= APLOMB_STATUS_WRONG_DELAY);
             refused++;
             continue;
         }
