@@ -11,18 +11,30 @@ __version__: str
 class Attitude:
     """Attitude at one sample: forward, right, down against north, east, down."""
 
-    t_us: int
-    quaternion: tuple[float, float, float, float]
-    roll_rad: float
-    pitch_rad: float
-    yaw_rad: float
-    rates_rad_s: tuple[float, float, float]
-    tilt_sigma_rad: float
-    bias_rad_s: tuple[float, float, float]
-    flags: int
-    heading_rad: float | None
-    heading_sigma_rad: float | None
-    yaw_offset_rad: float | None
+    @property
+    def t_us(self) -> int: ...
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]: ...
+    @property
+    def roll_rad(self) -> float: ...
+    @property
+    def pitch_rad(self) -> float: ...
+    @property
+    def yaw_rad(self) -> float: ...
+    @property
+    def rates_rad_s(self) -> tuple[float, float, float]: ...
+    @property
+    def tilt_sigma_rad(self) -> float: ...
+    @property
+    def bias_rad_s(self) -> tuple[float, float, float]: ...
+    @property
+    def flags(self) -> int: ...
+    @property
+    def heading_rad(self) -> float | None: ...
+    @property
+    def heading_sigma_rad(self) -> float | None: ...
+    @property
+    def yaw_offset_rad(self) -> float | None: ...
     @property
     def is_valid(self) -> bool: ...
     @property
@@ -31,16 +43,26 @@ class Attitude:
 class Attitudes:
     """Attitudes of a recording: one row for each sample."""
 
-    t_us: NDArray[np.int64]
-    quaternion: NDArray[np.float32]
-    euler_rad: NDArray[np.float32]
-    rates_rad_s: NDArray[np.float32]
-    tilt_sigma_rad: NDArray[np.float32]
-    bias_rad_s: NDArray[np.float32]
-    flags: NDArray[np.uint32]
-    heading_rad: NDArray[np.float32]
-    heading_sigma_rad: NDArray[np.float32]
-    yaw_offset_rad: NDArray[np.float32]
+    @property
+    def t_us(self) -> NDArray[np.int64]: ...
+    @property
+    def quaternion(self) -> NDArray[np.float32]: ...
+    @property
+    def euler_rad(self) -> NDArray[np.float32]: ...
+    @property
+    def rates_rad_s(self) -> NDArray[np.float32]: ...
+    @property
+    def tilt_sigma_rad(self) -> NDArray[np.float32]: ...
+    @property
+    def bias_rad_s(self) -> NDArray[np.float32]: ...
+    @property
+    def flags(self) -> NDArray[np.uint32]: ...
+    @property
+    def heading_rad(self) -> NDArray[np.float32]: ...
+    @property
+    def heading_sigma_rad(self) -> NDArray[np.float32]: ...
+    @property
+    def yaw_offset_rad(self) -> NDArray[np.float32]: ...
 
 class Kalman:
     """Kalman filter for the attitude of a body, with the sensor's mount."""
@@ -72,13 +94,20 @@ class Kalman:
 class Recording:
     """Recording of a sensor, in its own axes."""
 
-    t_us: NDArray[np.int64]
-    accel: NDArray[np.float64]
-    gyro: NDArray[np.float64]
-    mag: NDArray[np.float64] | None
-    truth: NDArray[np.float64]
-    scored: NDArray[np.bool_]
-    armed: NDArray[np.bool_] | None
+    @property
+    def t_us(self) -> NDArray[np.int64]: ...
+    @property
+    def accel(self) -> NDArray[np.float64]: ...
+    @property
+    def gyro(self) -> NDArray[np.float64]: ...
+    @property
+    def mag(self) -> NDArray[np.float64] | None: ...
+    @property
+    def truth(self) -> NDArray[np.float64]: ...
+    @property
+    def scored(self) -> NDArray[np.bool_]: ...
+    @property
+    def armed(self) -> NDArray[np.bool_] | None: ...
 
 class AccelerometerCalibration(TypedDict):
     offset_m_s2: NDArray[np.float32]

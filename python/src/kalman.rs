@@ -21,6 +21,9 @@ use crate::times::{time_us, times_us};
 /// Array of rows of three numbers; any type of number is converted.
 pub type Vectors<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
 
+/// Largest delay, µs: no low-pass filter or bus is slower.
+const LONGEST_DELAY_US: u32 = 1_000_000;
+
 /// Kalman filter for the attitude of a body, with the sensor's mount.
 ///
 /// Parameters
@@ -31,7 +34,7 @@ pub type Vectors<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
 ///     The sensor axes along which the body's forward and down axes point, such as "+x-z".
 ///     "z-up" (the default): the sensor lies face up and reads +9.81 m/s2 along z at rest.
 /// sensor_delay_us : int
-///     Age of a sample's content at its time. Attitudes are extrapolated by it.
+///     Age of a sample's content at its time, 1,000,000 at most. Attitudes are extrapolated by it.
 /// accelerometer : str
 ///     Knowledge of the accelerometer's offset: "factory", "six-poses" or "calibrated". A
 ///     calibrated sensor has a calibrated gyroscope too.
@@ -39,7 +42,7 @@ pub type Vectors<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
 ///     Knowledge of the compass's hard iron: "factory" (none, so no heading before the body has
 ///     turned), "hard-iron" (removed, as an earlier run found it) or "calibrated".
 /// compass_delay_us : int
-///     Age of the compass's readings against the samples of their rows.
+///     Age of the compass's readings against the samples of their rows, 1,000,000 at most.
 /// declination_deg : float
 ///     Declination of the place, east positive: the heading is then from true north.
 #[pyclass(module = "aplomb")]
@@ -244,6 +247,15 @@ impl Kalman {
         compass_delay_us: u32,
         declination_deg: f32,
     ) -> PyResult<Self> {
+        for (name, delay_us) in [
+            ("sensor_delay_us", sensor_delay_us),
+            ("compass_delay_us", compass_delay_us),
+        ] {
+            if delay_us > LONGEST_DELAY_US {
+                let reason = format!("{name} has to be 1000000 at most: a second");
+                return Err(PyValueError::new_err(reason));
+            }
+        }
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor_delay_us = Some(sensor_delay_us);
         let mount: Result<Mount, _> = mount.parse();

@@ -22,6 +22,11 @@ use pyo3::types::PyDict;
 
 use crate::kalman::{Vectors, rows};
 
+/// Longest simulation, s.
+const LONGEST_FLIGHT_S: u64 = 86_400;
+/// Largest length of poses that are in g, not in m/s².
+const LARGEST_POSE_IN_G: f64 = 2.0;
+
 /// Recording of a sensor, in its own axes.
 #[pyclass(module = "aplomb", frozen, get_all)]
 pub struct Recording {
@@ -184,7 +189,7 @@ fn arguments(mut message: String) -> String {
 /// seed : int
 ///     Seed of the motion and of the sensor: one seed, one recording.
 /// seconds : int
-///     Duration.
+///     Duration, 1 to 86,400.
 #[pyfunction]
 #[pyo3(signature = (kind="flight", *, seed=1_000, seconds=60))]
 pub fn simulate(python: Python<'_>, kind: &str, seed: u64, seconds: u64) -> PyResult<Recording> {
@@ -194,6 +199,9 @@ pub fn simulate(python: Python<'_>, kind: &str, seed: u64, seconds: u64) -> PyRe
         "rest" => Box::new(Rest::level()),
         _ => return Err(PyValueError::new_err("kind is flight, swing or rest")),
     };
+    if !(1..=LONGEST_FLIGHT_S).contains(&seconds) {
+        return Err(PyValueError::new_err("seconds has to be from 1 to 86400"));
+    }
     let mut columns = Columns::default();
     for sample in samples(motion, seed, seconds) {
         let force = sample.raw.accelerometer.to_m_s2(CONFIG.accelerometer_range);
@@ -237,11 +245,18 @@ pub fn calibrate_accelerometer<'py>(
     poses: Vectors<'py>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let gravity = f64::from(STANDARD_GRAVITY_M_S2);
+    let poses = rows(&poses, "poses")?;
+    let is_in_g = |[x, y, z]: &[f64; 3]| x.hypot(*y).hypot(*z) < LARGEST_POSE_IN_G;
+    if !poses.is_empty() && poses.iter().all(is_in_g) {
+        return Err(PyValueError::new_err(
+            "the poses seem to be in g: pass m/s2, so multiply by 9.80665",
+        ));
+    }
     let in_g = |[x, y, z]: [f64; 3]| {
         let [x, y, z] = [x, y, z].map(|value| (value / gravity) as f32);
         Vector3::new(x, y, z)
     };
-    let readings: Vec<Vector3> = rows(&poses, "poses")?.into_iter().map(in_g).collect();
+    let readings: Vec<Vector3> = poses.into_iter().map(in_g).collect();
     let found = fit(&readings).map_err(|error| PyValueError::new_err(error.to_string()))?;
     let (offset, m) = (found.correction.offset_m_s2, found.correction.matrix);
     let matrix = [m.xx, m.xy, m.xz, m.xy, m.yy, m.yz, m.xz, m.yz, m.zz];
