@@ -49,6 +49,7 @@ mod rows;
 pub mod score;
 pub mod simulated;
 pub mod simulated_compass;
+mod still_rates;
 pub mod terminal;
 pub mod text;
 pub mod turns;

@@ -2,8 +2,8 @@
 //!
 //! The first rows are judged together, by their medians, which a few odd rows do not move. Each
 //! row is then judged alone. Numbers can tell units apart where they differ enough: gravity is
-//! 9.8 m/s² or 1 g, and nothing turns at 1,000 rad/s. A sensor at rest measures no rate in any
-//! unit, so rates in °/s are found when it moves.
+//! 9.8 m/s² or 1 g, and nothing turns at 1,000 rad/s. Slow rates in °/s are found when the sensor
+//! turns too fast, or rests: then the gyroscope's offset is the rate.
 
 use std::ops::RangeInclusive;
 
@@ -12,6 +12,7 @@ use aplomb_models::motion::geometry::{Vector, norm};
 use crate::fault::{LogFault, UnitGuess};
 use crate::milliseconds::{RateScale, Watch};
 use crate::row::{COLUMNS, Row};
+use crate::still_rates::StillRates;
 use crate::units::RowOptions;
 
 /// Rows that are judged together.
@@ -62,6 +63,7 @@ pub struct Judge {
     watch: Option<Watch>,
     /// Start, sum and number of the rates whose mean is being taken.
     mean: (i64, f64, u32),
+    still: StillRates,
 }
 
 impl Judge {
@@ -75,6 +77,7 @@ impl Judge {
             step_us: None,
             watch: None,
             mean: (0, 0.0, 0),
+            still: StillRates::default(),
         }
     }
 
@@ -272,7 +275,16 @@ impl Judge {
                 option: "--rate-unit rad/s",
             })));
         }
-        Ok(())
+        match self.still.row(row).filter(|_| !is_given) {
+            Some(value) => Err(LogFault::Unit(Box::new(UnitGuess {
+                quantity: "the rate, while the force keeps its direction,",
+                value,
+                usual: "up to 0.7 rad/s",
+                meant: "°/s (--rate-unit deg/s)",
+                option: "--rate-unit rad/s",
+            }))),
+            None => Ok(()),
+        }
     }
 }
 

@@ -555,6 +555,31 @@ mod tests {
     }
 
     #[test]
+    fn an_offset_in_degrees_per_second_is_refused_in_a_rest() {
+        let rest = |rates: &str| {
+            (0..500).fold(String::new(), |mut text, index| {
+                writeln!(text, "{},0.2,0.1,9.8,{rates}", index * 10_000).expect("memory");
+                text
+            })
+        };
+        let refusal = read(&rest("2.1,-3.2,1.4"), SI, false).expect_err("these are °/s");
+        assert!(
+            refusal.contains("the rate, while the force keeps its direction, is mostly 4.076"),
+            "{refusal}"
+        );
+        assert!(refusal.contains("(--rate-unit deg/s)"), "{refusal}");
+        for unit in [RateUnit::DegreesPerSecond, RateUnit::RadiansPerSecond] {
+            let options = RowOptions {
+                rate_unit: Some(unit),
+                ..SI
+            };
+            let read = read(&rest("2.1,-3.2,1.4"), options, false);
+            assert!(read.is_ok_and(|(rows, _)| rows.len() == 500));
+        }
+        assert!(read(&rest("0.037,-0.056,0.024"), SI, false).is_ok());
+    }
+
+    #[test]
     fn times_keep_their_microseconds_in_every_unit() {
         for (unit, cell, expected) in [
             (TimeUnit::Seconds, "1700000000", Some(1_700_000_000_000_000)),
