@@ -79,7 +79,8 @@ the field in sensor axes; strength_ut, dip_deg, residual_ut, is_mount_that_of_th
 compass_refused.")]
 pub struct Options {
     /// The recording
-    #[arg(required_unless_present_any = ["draw_poses", "i2c"], conflicts_with = "i2c")]
+    #[arg(required_unless_present_any = ["draw_poses", "i2c"])]
+    #[arg(conflicts_with_all = ["I2cOptions", "seconds"])]
     input: Option<PathBuf>,
     #[command(flatten)]
     sensor: I2cOptions,

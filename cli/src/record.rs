@@ -44,7 +44,7 @@ Exit code: 0 if attitudes or bursts were recorded, 1 if not, or if the log did n
 port had been gone.")]
 pub struct Options {
     /// The module's serial port; without one the ports of this computer are listed
-    #[arg(long, conflicts_with = "i2c")]
+    #[arg(long, conflicts_with = "I2cOptions")]
     port: Option<String>,
     #[command(flatten)]
     sensor: I2cOptions,

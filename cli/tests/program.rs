@@ -205,6 +205,33 @@ fn wrong_usage_and_failures_have_the_documented_exit_codes() {
 }
 
 #[test]
+fn options_of_another_source_are_refused() {
+    for line in [
+        "calibrate poses.csv --rate-hz 200",
+        "calibrate poses.csv --interrupt nonsense",
+        "calibrate poses.csv --seconds 20",
+        "calibrate poses.csv --calibration c.json",
+        "view a.csv --sensor gy87",
+        "view a.csv --elf /none",
+        "view a.csv --baud 9600",
+        "view a.csv --address 0x68",
+        "view --port /dev/none --interrupt x",
+        "view --port /dev/none --elf /none",
+        "view --port /dev/none --picture v.png",
+        "view --virtual --baud 9600",
+        "view --virtual --rate-hz 200",
+        "view --i2c /dev/none --picture v.png",
+        "record --port /dev/none --output x.log --sensor-mount +x-z",
+    ] {
+        let arguments: Vec<&str> = line.split(' ').collect();
+        let result = aplomb(&arguments);
+        let message = String::from_utf8_lossy(&result.stderr);
+        assert_eq!(result.status.code(), Some(2), "{line}: {message}");
+        assert!(message.contains("cannot be used with"), "{line}: {message}");
+    }
+}
+
+#[test]
 fn completions_name_every_command() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let result = aplomb(&["completions", shell]);

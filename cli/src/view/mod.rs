@@ -55,16 +55,17 @@ const PICTURE: Rect = Rect::new(0, 0, 110, 32);
   cargo xtask view                  (builds the virtual board and shows it: no hardware needed)")]
 pub struct Options {
     /// A recording to play
-    #[arg(conflicts_with_all = ["port", "virtual_board", "i2c"])]
+    #[arg(conflicts_with_all = ["port", "baud", "virtual_board", "elf", "virtual_sensor"])]
+    #[arg(conflicts_with = "I2cOptions")]
     file: Option<PathBuf>,
     /// The module's serial port; without a port the ports of this computer are listed
-    #[arg(long, conflicts_with = "i2c")]
+    #[arg(long, conflicts_with_all = ["I2cOptions", "elf", "virtual_sensor"])]
     port: Option<String>,
     /// The module's baud rate. Default: found out, from 115200 on
     #[arg(long, requires = "port")]
     baud: Option<u32>,
     /// Show the firmware on the virtual board, in a simulated flight
-    #[arg(long = "virtual", conflicts_with_all = ["port", "i2c"])]
+    #[arg(long = "virtual", conflicts_with_all = ["port", "baud", "I2cOptions"])]
     virtual_board: bool,
     /// The firmware image for the virtual board. Default: the one that `cargo xtask view` builds
     #[arg(long, value_name = "FILE", requires = "virtual_board")]
@@ -80,6 +81,7 @@ pub struct Options {
     speed: f64,
     /// Draw the screen of a recording as a PNG file instead
     #[arg(long, value_name = "FILE", requires = "file")]
+    #[arg(conflicts_with_all = ["port", "virtual_board", "I2cOptions"])]
     picture: Option<PathBuf>,
     /// The time that the picture shows, in seconds from the recording's beginning
     #[arg(
