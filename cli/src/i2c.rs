@@ -16,6 +16,9 @@ use crate::sampler::SensorSettings;
 /// Samples a second without `--rate-hz`.
 const RATE_HZ: u16 = 200;
 
+/// Least samples a second: the sensor's divider ends at 256, so 4 is the lowest whole rate.
+const LOWEST_RATE_HZ: u16 = 4;
+
 /// Options for a sensor on a bus.
 #[derive(clap::Args, Clone, Debug)]
 pub struct I2cOptions {
@@ -29,13 +32,13 @@ pub struct I2cOptions {
     /// polled, and each attitude is flagged POLLED and DEGRADED
     #[arg(long, requires = "i2c", value_name = "CHIP:LINE")]
     interrupt: Option<String>,
-    /// Samples a second of that sensor
+    /// Samples a second of that sensor: 1000, 500, 333, 250, 200 and so on, down to 4
     #[arg(
         long,
         requires = "i2c",
         value_name = "N",
         default_value_t = RATE_HZ,
-        value_parser = clap::value_parser!(u16).range(4..=1000)
+        value_parser = parse_rate
     )]
     rate_hz: u16,
     /// Mount of that sensor: the body's forward and down axes in sensor axes, such as +x-z
@@ -67,11 +70,35 @@ fn parse_address(text: &str) -> Result<u8, &'static str> {
     }
 }
 
+/// Parses a rate of the sensor, which divides 1,000 samples a second by a whole number.
+fn parse_rate(text: &str) -> Result<u16, String> {
+    let rate: u16 = match text.parse() {
+        Ok(rate @ LOWEST_RATE_HZ..=1000) => rate,
+        _ => {
+            return Err(format!(
+                "it is a whole number from {LOWEST_RATE_HZ} to 1000"
+            ));
+        }
+    };
+    let rate_of = |divisor: u16| (1000.0 / f64::from(divisor)).round() as u16;
+    // The first divisor whose rate is not above this one.
+    let divisor = (1..=250).find(|divisor| rate_of(*divisor) <= rate);
+    let divisor = divisor.unwrap_or(250);
+    let (lower, higher) = (rate_of(divisor), rate_of(divisor.max(2) - 1));
+    if lower == rate {
+        return Ok(rate);
+    }
+    Err(format!(
+        "the sensor divides 1000 by a whole number: choose {lower} or {higher}"
+    ))
+}
+
 impl I2cOptions {
     /// Returns the settings of the sensor.
     fn settings(&self) -> Result<SensorSettings, String> {
         let mut config = Config::DEFAULT;
-        config.sample_rate_divider = divider_of_period(1_000_000 / u64::from(self.rate_hz));
+        let period_ms = (1000.0 / f64::from(self.rate_hz)).round() as u64;
+        config.sample_rate_divider = divider_of_period(1_000 * period_ms);
         let mut pipeline = Settings::new(&Part::MPU_6050);
         pipeline.mount = self.mount.unwrap_or(Mount::Z_UP);
         if let Some(path) = &self.calibration {
@@ -219,7 +246,7 @@ mod linux {
                     Ok((Box::new(sampler.map_err(at_bus)?), config))
                 }
                 None => {
-                    let clock = Clock::new(self.rate_hz);
+                    let clock = Clock::new(config.sample_rate_divider);
                     let sampler = Sampler::new(bus, Delay, clock, &settings);
                     Ok((Box::new(sampler.map_err(at_bus)?), config))
                 }
@@ -345,10 +372,11 @@ mod linux {
     }
 
     impl Clock {
-        fn new(rate_hz: u16) -> Self {
+        /// Starts a grid with the period of a sensor with this divider.
+        fn new(divider: u8) -> Self {
             Self {
                 started: Instant::now(),
-                period: Duration::from_secs(1) / u32::from(rate_hz),
+                period: Duration::from_millis(1 + u64::from(divider)),
                 next: Duration::ZERO,
             }
         }
@@ -378,6 +406,23 @@ mod linux {
         use super::*;
 
         #[test]
+        fn the_clock_has_the_period_of_the_sensor() {
+            for (rate_hz, period_ms) in [(1000, 1), (333, 3), (143, 7), (4, 250)] {
+                let options = I2cOptions {
+                    rate_hz,
+                    ..I2cOptions::default()
+                };
+                let divider = options
+                    .settings()
+                    .expect("settings")
+                    .config
+                    .sample_rate_divider;
+                let clock = Clock::new(divider);
+                assert_eq!(clock.period, Duration::from_millis(period_ms), "{rate_hz}");
+            }
+        }
+
+        #[test]
         fn the_number_of_a_bus_is_the_whole_one() {
             for (path, number) in [
                 ("/dev/i2c-1", "1"),
@@ -387,6 +432,30 @@ mod linux {
             ] {
                 assert_eq!(bus_number(Path::new(path)), number, "{path}");
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_that_the_sensor_lacks_is_refused_with_its_neighbours() {
+        for rate in [4, 5, 8, 10, 111, 143, 200, 250, 333, 500, 1000] {
+            assert_eq!(parse_rate(&rate.to_string()), Ok(rate));
+        }
+        for (rate, neighbours) in [
+            ("300", "choose 250 or 333"),
+            ("999", "choose 500 or 1000"),
+            ("199", "choose 167 or 200"),
+        ] {
+            let error = parse_rate(rate).expect_err(rate);
+            assert!(error.ends_with(neighbours), "{rate}: {error}");
+        }
+        for rate in ["3", "1001", "0", "-5", "200.5", "fast"] {
+            let error = parse_rate(rate).expect_err(rate);
+            assert!(error.ends_with("from 4 to 1000"), "{rate}: {error}");
         }
     }
 }
